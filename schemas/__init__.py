@@ -1,0 +1,1 @@
+"""What is on disk: artefact kinds, manifests, codecs, migrations and the store."""

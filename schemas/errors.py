@@ -1,0 +1,37 @@
+"""What can go wrong at a boundary, and the exit code that each kind of fault ends the command with."""
+
+
+class StylerfError(Exception):
+    """A fault told in one line: what was expected, what was found, where, and what to do next."""
+
+    exit_code = 3
+
+
+class UsageError(StylerfError):
+    """The command line or configuration asks for something that does not exist."""
+
+    exit_code = 2
+
+
+class BadInput(StylerfError):
+    """Photos, cameras, styles or masks that cannot be used."""
+
+    exit_code = 3
+
+
+class ArtefactDamaged(StylerfError):
+    """A file of an artefact is missing, cut short or altered since it was written."""
+
+    exit_code = 4
+
+
+class ArtefactStale(StylerfError):
+    """An artefact is missing, out of date, or of a schema this version cannot read."""
+
+    exit_code = 4
+
+
+class OutOfResources(StylerfError):
+    """No memory, no disk space, or no permission left to go on."""
+
+    exit_code = 5

@@ -1,0 +1,42 @@
+"""How a stage tells what it is doing; the front door decides how that looks."""
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+
+class Progress(Protocol):
+    """Told by stages and training loops; never asked anything."""
+
+    def start(self, label: str, total: float | None = None, unit: str = "step") -> None:
+        """Open a bar of `total` units (None: unknown length)."""
+
+    def update(self, done: float, note: str = "") -> None:
+        """`done` units of the open bar are finished; `note` is the present quality, such as '27.1 dB'."""
+
+    def finish(self) -> None:
+        """Close the open bar."""
+
+    def say(self, text: str) -> None:
+        """One line the user should read: a choice made, a fallback taken, files skipped."""
+
+
+class Silent:
+    """Progress that goes nowhere, for tests and the Python API."""
+
+    def start(self, label: str, total: float | None = None, unit: str = "step") -> None: ...
+
+    def update(self, done: float, note: str = "") -> None: ...
+
+    def finish(self) -> None: ...
+
+    def say(self, text: str) -> None: ...
+
+
+@dataclass(frozen=True)
+class Context:
+    """What every stage is run with beside its inputs and options."""
+
+    seed: int = 0
+    device: str = "cpu"
+    threads: int = 2
+    progress: Any = Silent()

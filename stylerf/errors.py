@@ -1,0 +1,9 @@
+"""Faults of the mathematics; a stage turns them into a line for the user."""
+
+
+class InvalidValue(ValueError):
+    """An argument outside what a formula admits: a non-rotation, a zero focal length, a NaN."""
+
+
+class Diverged(RuntimeError):
+    """An optimisation left the finite numbers and could not be brought back."""

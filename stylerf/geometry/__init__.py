@@ -1,0 +1,1 @@
+"""Cameras, rays, warps and camera paths."""

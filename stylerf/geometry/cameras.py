@@ -1,0 +1,98 @@
+"""Pinhole cameras: the one convention every source is brought to.
+
+Axes are OpenCV's and COLMAP's: x right, y down, z forward. `world_from_camera` maps camera points to world points.
+Pixel (column i, row j) has its centre at (i + 0.5, j + 0.5); a camera point (x, y, z) falls on
+(fx x/z + cx, fy y/z + cy).
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from stylerf.errors import InvalidValue
+
+
+@dataclass(frozen=True, eq=False)
+class Camera:
+    """One pinhole camera.
+
+    width, height: pixels. fx, fy, cx, cy: pixels. world_from_camera: [4, 4] float64, rotation and translation in
+    scene units.
+    """
+
+    name: str
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    world_from_camera: np.ndarray  # [4, 4]
+
+    def __post_init__(self) -> None:
+        pose = np.asarray(self.world_from_camera, dtype=np.float64)
+        if pose.shape != (4, 4) or not np.isfinite(pose).all():
+            raise InvalidValue(f"camera {self.name}: pose is not a finite 4x4 matrix")
+        rotation = pose[:3, :3]
+        if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-4) or np.linalg.det(rotation) < 0:
+            raise InvalidValue(f"camera {self.name}: the upper left 3x3 of its pose is not a rotation")
+        if not (self.fx > 0 and self.fy > 0 and np.isfinite([self.fx, self.fy, self.cx, self.cy]).all()):
+            raise InvalidValue(f"camera {self.name}: focal length {self.fx:g} x {self.fy:g} is not positive")
+        if self.width < 1 or self.height < 1:
+            raise InvalidValue(f"camera {self.name}: size {self.width}x{self.height} is empty")
+        object.__setattr__(self, "world_from_camera", pose)
+
+    @property
+    def centre(self) -> np.ndarray:
+        """Camera centre in the world, [3], scene units."""
+        return self.world_from_camera[:3, 3]
+
+    @property
+    def forward(self) -> np.ndarray:
+        """Unit viewing axis in the world, [3]."""
+        return self.world_from_camera[:3, 2]
+
+    @property
+    def camera_from_world(self) -> np.ndarray:
+        """[4, 4] inverse of the pose."""
+        return np.linalg.inv(self.world_from_camera)
+
+    def scaled(self, factor: float) -> "Camera":
+        """The camera of the same view with both sides multiplied by `factor` (sizes rounded, never under 1)."""
+        width, height = max(1, round(self.width * factor)), max(1, round(self.height * factor))
+        kx, ky = width / self.width, height / self.height
+        return replace(
+            self, width=width, height=height, fx=self.fx * kx, fy=self.fy * ky, cx=self.cx * kx, cy=self.cy * ky
+        )
+
+    def rays(self) -> tuple[np.ndarray, np.ndarray]:
+        """Origins and unit directions of all pixel centres, row by row: [height*width, 3] each, float32, world."""
+        rows, columns = np.meshgrid(np.arange(self.height) + 0.5, np.arange(self.width) + 0.5, indexing="ij")
+        local = np.stack(
+            [(columns - self.cx) / self.fx, (rows - self.cy) / self.fy, np.ones_like(columns)], axis=-1
+        ).reshape(-1, 3)
+        directions = local @ self.world_from_camera[:3, :3].T
+        directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
+        origins = np.broadcast_to(self.centre, directions.shape)
+        return np.ascontiguousarray(origins, dtype=np.float32), np.ascontiguousarray(directions, dtype=np.float32)
+
+    def ray_cosines(self) -> np.ndarray:
+        """Cosine between each pixel's ray and the viewing axis, [height, width] float32: planar Z = distance * cosine."""
+        rows, columns = np.meshgrid(np.arange(self.height) + 0.5, np.arange(self.width) + 0.5, indexing="ij")
+        x, y = (columns - self.cx) / self.fx, (rows - self.cy) / self.fy
+        return (1.0 / np.sqrt(1.0 + x * x + y * y)).astype(np.float32)
+
+    def project(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """World points [n, 3] -> pixel positions [n, 2] and planar depth [n] (not positive: behind the camera)."""
+        local = (points - self.centre) @ self.world_from_camera[:3, :3]
+        depth = local[:, 2]
+        safe = np.where(np.abs(depth) < 1e-12, 1e-12, depth)
+        pixels = np.stack([self.fx * local[:, 0] / safe + self.cx, self.fy * local[:, 1] / safe + self.cy], axis=-1)
+        return pixels, depth
+
+    def unproject(self, pixels: np.ndarray, depth: np.ndarray) -> np.ndarray:
+        """Pixel positions [n, 2] and planar depth [n] -> world points [n, 3]."""
+        local = np.stack(
+            [(pixels[:, 0] - self.cx) / self.fx * depth, (pixels[:, 1] - self.cy) / self.fy * depth, depth], axis=-1
+        )
+        return local @ self.world_from_camera[:3, :3].T + self.centre

@@ -1,0 +1,1 @@
+"""The hot steps, each behind one signature with an exact backward."""

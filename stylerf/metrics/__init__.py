@@ -1,0 +1,1 @@
+"""Image, consistency and style metrics."""

@@ -1,0 +1,1 @@
+"""Procedural scenes and paintings with known ground truth."""

@@ -1,0 +1,1 @@
+"""From cameras and a field to images."""

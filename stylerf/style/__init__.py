@@ -1,0 +1,1 @@
+"""Feature trunks, style losses, colour matching."""

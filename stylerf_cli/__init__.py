@@ -1,0 +1,1 @@
+"""The front door: argparse, one module a verb, the only code that prints."""

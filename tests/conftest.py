@@ -1,0 +1,17 @@
+"""Shared fixtures: where the real scenes are, seeds, quiet numerics."""
+
+import os
+from pathlib import Path
+
+import pytest
+
+REPOSITORY = Path(__file__).resolve().parent.parent
+
+
+@pytest.fixture(scope="session")
+def data_dir() -> Path:
+    """Folder of real scenes (STYLERF_DATA, or ../shared/data beside the repository); skips where there is none."""
+    folder = Path(os.environ.get("STYLERF_DATA", REPOSITORY.parent / "shared" / "data"))
+    if not (folder / "lego" / "transforms_train.json").is_file():
+        pytest.skip(f"real scenes not found in {folder}; set STYLERF_DATA to run this test")
+    return folder
