@@ -4,7 +4,7 @@ import numba
 
 # Everything that fast-math allows but the assumption about infinities in comparisons: reassociation is what lets sums
 # over ranks use the vector unit; the order is fixed at compile time, so results stay reproducible.
-FAST = frozenset({"reassoc", "nnan", "ninf", "nsz", "arcp", "contract", "afn"})
+FAST = {"reassoc", "nnan", "ninf", "nsz", "arcp", "contract", "afn"}
 
 parallel_kernel = numba.njit(parallel=True, fastmath=FAST, cache=True, nogil=True)
 serial_kernel = numba.njit(fastmath=FAST, cache=True, nogil=True)

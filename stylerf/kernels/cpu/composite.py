@@ -9,17 +9,17 @@ _ONE, _ZERO = np.float32(1), np.float32(0)
 
 
 @parallel_kernel
-def composite(weights, colours, t, offsets, ends, chunks, out):
+def composite(weights, colours, t, starts, ends, chunks, out):
     """out[r] = (sum w c (3), sum w, sum w t). Samples without a colour (colours[k, 0] < 0) take the mean of the others.
 
     They weigh next to nothing; counting them as black would pull every density the wrong way.
     """
-    n = len(offsets) - 1
+    n = len(ends)
     for c in prange(chunks):
         for r in range(c * n // chunks, (c + 1) * n // chunks):
             red, green, blue, depth = _ZERO, _ZERO, _ZERO, _ZERO
             total, coloured = _ZERO, _ZERO
-            for k in range(offsets[r], ends[r]):
+            for k in range(starts[r], ends[r]):
                 w = weights[k]
                 total += w
                 depth += w * t[k]
@@ -38,14 +38,14 @@ def composite(weights, colours, t, offsets, ends, chunks, out):
 
 @parallel_kernel
 def composite_backward(
-    sigma, weights, optical, colours, t, offsets, ends, out, gradients, chunks, sigma_gradients, colour_gradients
+    sigma, weights, optical, colours, t, starts, ends, out, gradients, chunks, sigma_gradients, colour_gradients
 ):
     """From dL/d(out) [rays, 5] to dL/d(sigma) [n] and dL/d(colour) [n, 3].
 
     dL/d(sigma_k) = optical_k (T_{k+1} D_k - sum_{i>k} w_i D_i) with D_k = dL/dw_k, T_{k+1} the transmittance behind k.
     The scale that spreads the colour over uncoloured samples is treated as a constant.
     """
-    n = len(offsets) - 1
+    n = len(ends)
     for c in prange(chunks):
         for r in range(c * n // chunks, (c + 1) * n // chunks):
             g0, g1, g2 = gradients[r, 0], gradients[r, 1], gradients[r, 2]
@@ -53,7 +53,7 @@ def composite_backward(
             total = out[r, 3]
             mean = (g0 * out[r, 0] + g1 * out[r, 1] + g2 * out[r, 2]) / total if total > _ZERO else _ZERO
             behind = _ZERO
-            for k in range(offsets[r], ends[r]):
+            for k in range(starts[r], ends[r]):
                 w = weights[k]
                 d = ga + gd * t[k]
                 if colours[k, 0] >= _ZERO:
@@ -66,7 +66,7 @@ def composite_backward(
                 sigma_gradients[k] = d
                 behind += w * d
             through = _ONE
-            for k in range(offsets[r], ends[r]):
+            for k in range(starts[r], ends[r]):
                 d = sigma_gradients[k]
                 behind -= weights[k] * d
                 through -= weights[k]
