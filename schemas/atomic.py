@@ -58,9 +58,12 @@ def writing(path: Path | str) -> Iterator[None]:
 
 
 def make_folder(path: Path) -> Path:
-    """Creates `path` and its parents where absent; OutOfResources where that is not allowed."""
-    with writing(path):
+    """Creates `path` and its parents where absent; OutOfResources where that cannot be."""
+    try:
         path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        refused = OutOfResources(f"cannot create the folder {path} ({error.strerror}); choose another place")
+        raise out_of_resources(error, path) or refused from error
     return path
 
 

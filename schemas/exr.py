@@ -89,7 +89,7 @@ def write_exr(path: Path | str, view: ExrView) -> None:
     with replacing(path) as temporary:
         try:
             with native_output_silenced():
-                OpenEXR.File(header, channels).write(str(temporary))
+                OpenEXR.File(header, dict(channels)).write(str(temporary))  # it replaces the dict's values
         except RuntimeError as error:
             size = sum(array.nbytes for array in channels.values())
             raise refusal_of_disk(path, size) or OSError(f"{path}: the EXR writer failed ({error})") from error
