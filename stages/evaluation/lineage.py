@@ -3,9 +3,8 @@
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 
-from schemas.store import Artefact, Work
-
 from schemas.errors import StylerfError
+from schemas.store import Artefact, Work
 
 
 @dataclass(frozen=True)

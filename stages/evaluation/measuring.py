@@ -1,6 +1,6 @@
 """The figures of one view, and of one pair of views."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -15,6 +15,7 @@ from stylerf.metrics.palette import palette_distance
 
 HIGHEST_PSNR = 100.0  # dB: equal images have an infinite PSNR, which no mean and no JSON can hold
 Score = Callable[[np.ndarray, np.ndarray], float]
+StyleDistances = Callable[[np.ndarray, np.ndarray], tuple[float, float]]  # image, alpha -> NNFM, Gram
 
 
 @dataclass
@@ -56,7 +57,7 @@ def spoiled_words(render: Render) -> str:
     return f"{render.spoiled} of {render.alpha.size} pixels of the render are not finite (NaN or infinite)"
 
 
-def measure_fit(row: ViewRow, render: Render, photo: Photo, scores: dict[str, Score]) -> None:
+def measure_fit(row: ViewRow, render: Render, photo: Photo, scores: Mapping[str, Score]) -> None:
     """Figures of a render that should look like the photo: PSNR, SSIM, perceptual scores by key, depth errors."""
     keys = ("psnr", *(("psnr_object",) if photo.mask is not None else ()), "ssim", *scores)
     depth_keys = ("depth_abs_rel", "depth_rmse", "depth_delta", "depth_in_front", "depth_share")
@@ -89,9 +90,14 @@ def measure_palette(row: ViewRow, image: np.ndarray, alpha: np.ndarray, painting
     row.measure(keys, distances)
 
 
-def measure_content(row: ViewRow, render: Render, photo: Photo) -> None:
-    """Structure kept by a stylised render."""
-    row.measure(("content_ssim",), lambda: images.content_ssim(render.image, photo.image))
+def measure_style(row: ViewRow, image: np.ndarray, alpha: np.ndarray, distances: StyleDistances) -> None:
+    """NNFM and Gram distance of an image, where it is opaque, to the painting."""
+    row.measure(("nnfm", "gram"), lambda: distances(image, alpha))
+
+
+def measure_content(row: ViewRow, image: np.ndarray, photo: Photo) -> None:
+    """Structure of the photo that a stylised image kept."""
+    row.measure(("content_ssim",), lambda: images.content_ssim(image, photo.image))
 
 
 def measure_shape(row: ViewRow, render: Render, base: Render) -> None:

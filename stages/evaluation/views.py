@@ -7,11 +7,11 @@ import numpy as np
 from skimage.transform import resize
 
 from schemas.errors import ArtefactDamaged, BadInput
-from schemas.exr import FAR_Z, read_channels, read_depth
+from schemas.exr import read_channels
 from schemas.frames import Frame, Frames, read_frames
-from schemas.images import read_image, srgb_from_linear
-from schemas.scene import Scene, read_scene
+from schemas.images import srgb_from_linear
 from schemas.store import Artefact
+from stages.scenes import load_scene
 from stylerf.errors import InvalidValue
 from stylerf.geometry.cameras import Camera
 from stylerf.metrics.consistency import PosedView
@@ -41,21 +41,27 @@ class Render:
 
 @dataclass(frozen=True, eq=False)
 class Photo:
-    """What was really seen: image [h, w, 3] sRGB over the background; object mask [h, w] or None; true z or None."""
+    """What was really seen: image [h, w, 3] sRGB over the background; object mask [h, w] or None; true z or None.
+
+    resized, depth_unfit: the photo was stored at another size; so was a depth, which is then left out.
+    """
 
     image: np.ndarray
     mask: np.ndarray | None
     depth: np.ndarray | None
     resized: bool
+    depth_unfit: bool
 
 
 class SceneViews:
     """The photos of a scene, read one at a time."""
 
     def __init__(self, artefact: Artefact) -> None:
-        self.artefact = artefact
-        self.scene: Scene = read_scene(artefact.path)
-        self.background = BACKGROUNDS[self.scene.background]
+        self._data = load_scene(artefact)
+        self.background = BACKGROUNDS[self._data.background]
+
+    def __len__(self) -> int:
+        return len(self._data.views)
 
     @property
     def background_words(self) -> str:
@@ -65,41 +71,31 @@ class SceneViews:
             "white": "(photo as stored, on white; render composited on white)",
             "black": "(photo as stored, on black; render composited on black)",
             "none": "(render composited on black where it is not opaque)",
-        }[self.scene.background]
+        }[self._data.background]
 
     def photo(self, index: int, width: int, height: int) -> Photo:
         """View `index` at the given size; averaged down (or interpolated up) where it is stored at another.
 
         A depth of another size is left out: depths cannot be averaged.
         """
-        pixels = read_image(self.artefact.file(self.scene.views[index].image)).pixels
+        pixels = self._data.images(index)
         other_size = pixels.shape[:2] != (height, width)
+        premultiplied = _premultiplied(pixels)
         if other_size:
-            premultiplied = _premultiplied(pixels)
             premultiplied = resize(premultiplied, (height, width, pixels.shape[2]), anti_aliasing=True)
-        else:
-            premultiplied = _premultiplied(pixels)
-        colour = premultiplied[..., :3] if premultiplied.shape[2] >= 3 else np.repeat(premultiplied, 3, axis=2)
-        mask = None
+        colour, mask = premultiplied[..., :3], None
         if premultiplied.shape[2] == 4:
             alpha = premultiplied[..., 3]
             mask = alpha > 0.5
             colour = colour + (1 - alpha[..., None]) * self.background
-        depth = self._depth(index)
-        if depth is not None and depth.shape != (height, width):
-            depth = None
-        return Photo(np.clip(colour, 0, 1).astype(np.float32), mask, depth, other_size)
-
-    def _depth(self, index: int) -> np.ndarray | None:
-        relative = self.scene.truth.depth_file(index)
-        if relative is None or not (self.artefact.path / relative).is_file():
-            return None
-        return read_depth(self.artefact.file(relative))
+        depth = self._data.truth_depth(index)
+        unfit = depth is not None and depth.shape != (height, width)
+        return Photo(np.clip(colour, 0, 1).astype(np.float32), mask, None if unfit else depth, other_size, unfit)
 
     @property
     def has_depth(self) -> bool:
         """Whether true depths belong to this scene."""
-        return self.scene.truth.depth is not None
+        return self._data.scene.truth.depth is not None
 
 
 class FrameViews:
