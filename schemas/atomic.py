@@ -29,7 +29,7 @@ def out_of_resources(error: OSError, path: Path | str) -> OutOfResources | None:
     if error.errno in _NO_SPACE:
         return OutOfResources(f"no space left to write {place} ({_free(path)}); free some and run the same command")
     if error.errno in _NO_PERMISSION:
-        return OutOfResources(f"no permission to write {place}; choose a folder you may write to, or change its mode")
+        return OutOfResources(f"no permission for {place}; choose a folder you may write to, or change its mode")
     if error.errno in _NO_HANDLES:
         return OutOfResources(f"too many files are open to write {place}; raise `ulimit -n` and run the same command")
     return None
