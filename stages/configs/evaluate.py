@@ -11,7 +11,7 @@ class EvaluateConfig:
 
     style: str = option("", help="painting to measure a stylised field against (default: the one it was made with)")
     features: str = option("", help="feature trunk of the style distances: a name or a file of VGG weights")
-    style_side: int = option(512, help="longer side, in pixels, at which render and painting are compared")
+    style_side: int = option(256, help="longer side, in pixels, at which render and painting are compared")
     perceptual: str = option("auto", choices=("auto", "none"), help="perceptual distances where their weights are here")
     gap: int = option(7, help="frames between the two views of a long-range pair")
     pairs: int = option(24, help="most pairs of views measured per range, evenly spread (0: all)")

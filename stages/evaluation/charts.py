@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import matplotlib
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure as Drawing
+from matplotlib.ticker import MaxNLocator
 
 INK = "#24292f"  # text and axes; becomes the page's own colour when inlined
 BLUE, ORANGE = "#3d85c6", "#d9822b"  # both read on white and on near-black
@@ -65,17 +66,17 @@ def bar_chart(name: str, title: str, unit: str, labels: Sequence[str], values: S
         places = range(len(values))
         axes.bar(places, [value or 0 for value in values], color=BLUE, width=0.75)
         missing = [i for i, value in enumerate(values) if value is None]
-        axes.plot(missing, [0] * len(missing), "x", color=ORANGE, clip_on=False, markersize=8)
-        axes.axhline(mean, color=ORANGE, linestyle="--", linewidth=1.2)
-        axes.annotate(
-            f"mean {mean:.4g}", (1, mean), xycoords=("axes fraction", "data"), xytext=(4, 0),
-            textcoords="offset points", va="center", annotation_clip=False,
-        )  # fmt: skip
+        if missing:  # an empty line would still widen the layout
+            axes.plot(missing, [0] * len(missing), "x", color=ORANGE, clip_on=False, markersize=8)
+        axes.axhline(mean, color=ORANGE, linestyle="--", linewidth=1.5, label=f"mean {mean:.4g}")
+        axes.legend(loc="lower right", bbox_to_anchor=(1, 1))
         if len(values) <= 16:
             for i, value in enumerate(values):
-                axes.annotate("not finite" if value is None else f"{value:.3g}", (i, value or 0), xytext=(0, 2),
-                              textcoords="offset points", ha="center", fontsize=8,
-                              rotation=90 if value is None else 0)  # fmt: skip
+                if value is None:
+                    axes.text(i, 0, "  not measured", ha="center", va="bottom", rotation=90, fontsize=8)
+                else:
+                    axes.annotate(f"{value:.3g}", (i, 0), xytext=(0, 4), textcoords="offset points", ha="center",
+                                  va="bottom", fontsize=8, color="white")  # fmt: skip
         step = max(1, -(-len(values) // 30))
         long = max(len(label) for label in labels) * len(labels) / step > 90
         axes.set_xticks(list(places)[::step], list(labels)[::step], rotation=90 if long else 0, fontsize=8)
@@ -128,10 +129,11 @@ def pairs_chart(name: str, title: str, series: dict[str, Sequence[tuple[float, f
             axes.plot(*zip(*points), "-" + marker, color=colour, markersize=3.5, label=label)
             told.append(f"{label}: up to {max(value for _, value in points):.3g}")
         axes.set_xlabel("frame")
+        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
         axes.set_ylabel(title)
         axes.set_ylim(bottom=0)
         axes.grid()
-        axes.legend(loc="upper center", bbox_to_anchor=(0.5, 1.15), ncols=2)
+        axes.legend(loc="upper center", bbox_to_anchor=(0.5, 1.18), ncols=2)
         return _finished(drawing, name, title, f"{title} along the path. {'; '.join(told)}")
 
 

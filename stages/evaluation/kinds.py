@@ -65,7 +65,7 @@ STYLISED = (
     ),
     Kind(
         "gram", "Gram distance to the painting", "", "lower", 4,
-        "|G - G_s| / |G_s| of the Gram matrices of render and painting; {style_protocol}.",
+        "|G - G_s| / |G_s| of the Gram matrices of render and painting; features, sizes and weights as for NNFM.",
     ),
     Kind(
         "palette", "Palette distance to the painting", "", "lower", 4,
@@ -98,29 +98,29 @@ SHARED = (
         "them. Floaters count, and to a small degree silhouettes.",
     ),
     Kind(
-        "short_rmse", "Consistency, short range: RMSE", "", "lower", 4,
+        "short_rmse", "Consistency short, RMSE", "", "lower", 4,
         "Frame k of {path} warped onto frame k+1 {warp_protocol}; root mean square over visible pixels and RGB; mean "
         "of the pairs.",
     ),
     Kind(
-        "short_perceptual", "Consistency, short range: {perceptual_net}", "", "lower", 4,
+        "short_perceptual", "Consistency short, {perceptual_net}", "", "lower", 4,
         "{perceptual_net} per pixel of the same pairs, averaged over visible pixels; elsewhere both images show the "
         "target, so nothing counts.",
     ),
     Kind(
-        "short_share", "Consistency, short range: visible", "share", "", 4,
+        "short_share", "Consistency short, visible", "share", "", 4,
         "Visible pixels over opaque pixels of the target.",
     ),
     Kind(
-        "long_rmse", "Consistency, long range: RMSE", "", "lower", 4,
+        "long_rmse", "Consistency long, RMSE", "", "lower", 4,
         "As short range, with frames {gap} apart.",
     ),
     Kind(
-        "long_perceptual", "Consistency, long range: {perceptual_net}", "", "lower", 4,
+        "long_perceptual", "Consistency long, {perceptual_net}", "", "lower", 4,
         "As short range, with frames {gap} apart.",
     ),
     Kind(
-        "long_share", "Consistency, long range: visible", "share", "", 4,
+        "long_share", "Consistency long, visible", "share", "", 4,
         "Visible pixels over opaque pixels of the target.",
     ),
 )  # fmt: skip

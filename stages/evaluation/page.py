@@ -8,7 +8,7 @@ from stages.evaluation.charts import Chart
 from stages.evaluation.page_style import CSS
 from stages.evaluation.page_tables import figures_table, stages_table, views_table
 from stages.evaluation.pictures import DEPTH_COLOURS, ERROR_COLOURS, ERROR_FULL, Encoded, colour_bar
-from stages.evaluation.wording import count, duration, number
+from stages.evaluation.wording import clock, count, number
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,8 @@ def _header(report: dict, painting: Encoded | None, links: str) -> str:
         caption = f"<figcaption>{escape(painting.caption)}</figcaption>"
         shown = f'<figure class="painting">{_image(painting)}{caption}</figure>'
     return (
-        f"<header><div><h1>{escape(report['field'])} <span class=soft>on {escape(report['scene'])}</span></h1>"
+        f'<header><div><h1><span class="soft">Evaluation of</span> {escape(report["field"])} <span class="soft">on '
+        f"{escape(report['scene'])}</span></h1>"
         f'<p class="soft">{escape(told)}</p><nav aria-label="Sections"><ul>{links}</ul></nav></div>{shown}</header>'
     )
 
@@ -93,7 +94,7 @@ def _tiles(report: dict) -> str:
     maker = next((made for made in reversed(report["stages"]) if made["kind"] == "field"), None)
     if maker:
         size = f"{count(maker['parameters'])} parameters" if maker["parameters"] else ""
-        tiles.append((f"Time of {maker['stage'] or 'its stage'}", duration(maker["seconds"]), "", size))
+        tiles.append((f"Time of {maker['stage'] or 'its stage'}", *clock(maker["seconds"]), size))
     items = "".join(
         f'<li><span class="value">{escape(value)} <span class="unit">{escape(unit)}</span></span>'
         f'<span class="label">{escape(label)}</span><span class="note">{escape(note)}</span></li>'
@@ -121,9 +122,16 @@ def _sheet(pictures: Pictures) -> str:
         )
         rows.append(
             f'<section class="sheet"><h3>{escape(row.heading)}</h3>'
-            f'<div class="row" style="--columns:{len(row.pictures)}">{cells}</div></section>'
+            f'<div class="row" style="{_row_style(row.pictures)}">{cells}</div></section>'
         )
     return _legends(pictures) + "".join(rows) if rows else ""
+
+
+def _row_style(pictures: Sequence[Encoded]) -> str:
+    """Columns side by side, none taller than about 22 lines: portraits would fill the screen otherwise."""
+    columns = len(pictures)
+    aspect = max((picture.width / picture.height for picture in pictures), default=1.0)
+    return f"--columns:{columns};max-width:{columns * 22 * aspect:.0f}rem"
 
 
 def _legends(pictures: Pictures) -> str:
@@ -143,7 +151,10 @@ def _legends(pictures: Pictures) -> str:
 
 
 def _chart(chart: Chart) -> str:
-    return f'<figure class="chart">{chart.inline()}<figcaption>{escape(chart.told)}.</figcaption></figure>'
+    return (
+        f'<section class="chart"><h3>{escape(chart.title)}</h3><figure>{chart.inline()}'
+        f"<figcaption>{escape(chart.told)}.</figcaption></figure></section>"
+    )
 
 
 def _image(picture: Encoded) -> str:

@@ -28,7 +28,7 @@ list-style:none}
 .tiles li{background:var(--card);border:1px solid var(--line);border-radius:.6rem;padding:.8rem 1rem;display:flex;
 flex-direction:column}
 .tiles .label{order:-1;font-size:.85rem;color:var(--soft)}
-.tiles .value{font-size:1.75rem;font-weight:650;line-height:1.25;font-variant-numeric:tabular-nums;white-space:nowrap}
+.tiles .value{font-size:1.55rem;font-weight:650;line-height:1.25;font-variant-numeric:tabular-nums}
 .tiles .unit{font-size:.9rem;font-weight:400;color:var(--soft)}
 .tiles .note{font-size:.8rem;color:var(--soft)}
 .warnings{background:var(--warnback);border:1px solid var(--warnline);border-left-width:.35rem;color:var(--warn);
@@ -49,10 +49,13 @@ print-color-adjust:exact}
 table{border-collapse:collapse;width:100%;font-size:.92rem}
 caption{text-align:left;color:var(--soft);font-size:.88rem;padding-bottom:.4rem}
 th,td{text-align:left;padding:.42rem .8rem .42rem 0;border-bottom:1px solid var(--line);vertical-align:top}
-thead th{font-size:.85rem;color:var(--soft);font-weight:600;border-bottom-width:2px;white-space:nowrap}
-tbody th{font-weight:600}
+thead th{font-size:.85rem;color:var(--soft);font-weight:600;border-bottom-width:2px;vertical-align:bottom}
+tbody th{font-weight:600;min-width:9rem}
+table.dense{font-size:.86rem}
+table.dense thead th{white-space:normal;vertical-align:bottom;font-size:.78rem;min-width:4.2rem}
+table.dense tbody th{min-width:6rem}
 td.number,th.number{text-align:right;font-variant-numeric:tabular-nums;white-space:nowrap}
-td.protocol{color:var(--soft);font-size:.84rem;min-width:17rem}
+td.protocol{color:var(--soft);font-size:.84rem;min-width:17rem;width:48%}
 td.mean{font-weight:650}
 tr.marked td,tr.marked th{background:var(--warnback)}
 .chart{margin:1rem 0 2rem;max-width:56rem;break-inside:avoid}

@@ -15,20 +15,20 @@ def figures_table(figures: Sequence[dict]) -> str:
         return "<p>No figure could be measured; the notes below say why.</p>"
     compared = list(dict.fromkeys(name for figure in figures for name in figure["reference"]))
     others = [f"Mean of {name}" for name in compared]
-    heads = ["Figure", "Mean", "Lowest", "Highest", *others, "Better", "Of", "Protocol"]
+    heads = ["Figure", "Mean", "Lowest", "Highest", *others, "Better", "Count", "Protocol"]
     numeric = range(1, 4 + len(compared))
     rows = []
     for figure in figures:
-        digits, unit = figure["digits"], f" {figure['unit']}" if figure["unit"] not in ("", "share") else ""
+        digits, unit = figure["digits"], f" ({figure['unit']})" if figure["unit"] not in ("", "share") else ""
         of = f"{figure['count']}" + (f" ({figure['left_out']} left out)" if figure["left_out"] else "")
         cells = [
-            f'<td class="number mean">{number(figure["mean"], digits)}{escape(unit)}</td>',
+            f'<td class="number mean">{number(figure["mean"], digits)}</td>',
             *(f'<td class="number">{number(figure[key], digits)}</td>' for key in ("min", "max")),
             *(f'<td class="number">{number(figure["reference"].get(name), digits)}</td>' for name in compared),
             f"<td>{BETTER[figure['better']]}</td><td>{of}</td>",
             f'<td class="protocol">{escape(figure["protocol"])}</td>',
         ]
-        rows.append(f'<tr><th scope="row">{escape(figure["label"])}</th>{"".join(cells)}</tr>')
+        rows.append(f'<tr><th scope="row">{escape(figure["label"] + unit)}</th>{"".join(cells)}</tr>')
     caption = "Means over views or pairs of views, with the lowest and highest value among them"
     return _table("Figures with their protocols", caption, heads, numeric, rows)
 
@@ -47,7 +47,8 @@ def views_table(views: Sequence[dict], figures: Sequence[dict]) -> str:
             f'<tr{marked}><th scope="row">{escape(str(view["name"]))}</th>{cells}'
             f"<td>{escape(str(view.get('remark') or ''))}</td></tr>"
         )
-    return _table("Values of each view", "Values of each view", heads, range(1, 1 + len(keys)), rows)
+    caption = "Values of each held-out view; the same stand in views.csv"
+    return _table("Values of each view", caption, heads, range(1, 1 + len(keys)), rows, "dense")
 
 
 def stages_table(stages: Sequence[dict]) -> str:
@@ -76,12 +77,14 @@ def stages_table(stages: Sequence[dict]) -> str:
     return _table("Stages with their cost", caption, heads, range(2, 6), rows)
 
 
-def _table(label: str, caption: str, heads: Sequence[str], numeric: range, rows: Sequence[str]) -> str:
+def _table(
+    label: str, caption: str, heads: Sequence[str], numeric: range, rows: Sequence[str], look: str = ""
+) -> str:
     """A table in a region that a keyboard can scroll sideways."""
     head = "".join(
         f'<th scope="col"{" class=number" if i in numeric else ""}>{escape(text)}</th>' for i, text in enumerate(heads)
     )
     return (
-        f'<div class="wide" role="region" tabindex="0" aria-label="{escape(label)}"><table><caption>{escape(caption)}'
-        f"</caption><thead><tr>{head}</tr></thead><tbody>{''.join(rows)}</tbody></table></div>"
+        f'<div class="wide" role="region" tabindex="0" aria-label="{escape(label)}"><table class="{look}">'
+        f"<caption>{escape(caption)}</caption><thead><tr>{head}</tr></thead><tbody>{''.join(rows)}</tbody></table></div>"
     )

@@ -22,6 +22,18 @@ def duration(seconds: float | None) -> str:
     return f"{whole // 3600} h {whole % 3600 // 60} min"
 
 
+def clock(seconds: float | None) -> tuple[str, str]:
+    """Value and unit in few letters: 12.3 s, 4:05 min, 1:02 h."""
+    if not is_number(seconds):
+        return "–", ""
+    if seconds < 60:
+        return f"{seconds:.1f}", "s"
+    whole = round(seconds)
+    if whole < 3600:
+        return f"{whole // 60}:{whole % 60:02d}", "min"
+    return f"{whole // 3600}:{whole % 3600 // 60:02d}", "h"
+
+
 def megabytes(value: float | None, per: float = 1.0) -> str:
     """A size of `value` units, `per` of them to the megabyte (1e6 bytes), as MB or GB."""
     if not is_number(value):
