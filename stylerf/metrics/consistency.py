@@ -69,10 +69,10 @@ def warp(
     corners, weights, inside = _bilinear(pixels, source.camera.width, source.camera.height)
     visible = opaque.reshape(-1) & inside & (z_in_source > 0)
     solid = ((source.alpha > 0.5) & np.isfinite(source.z)).reshape(-1)
-    source_z = np.where(solid, source.z.reshape(-1), 0.0)
+    source_z = np.where(solid, source.z.reshape(-1), np.inf)  # agrees with no depth
     warped = np.zeros((len(points), 3))
     for corner, weight in zip(corners, weights, strict=True):
-        visible &= solid[corner] & (np.abs(source_z[corner] - z_in_source) <= tolerance * np.abs(z_in_source))
+        visible &= np.abs(source_z[corner] - z_in_source) <= tolerance * np.abs(z_in_source)
         warped += weight[:, None] * source.image.reshape(-1, 3)[corner]
     shape = (camera.height, camera.width)
     return warped.reshape(*shape, 3), _eroded(visible.reshape(shape), erode)

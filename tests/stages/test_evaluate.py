@@ -10,6 +10,7 @@ import pytest
 from schemas.store import Work
 from stages import evaluate
 from stages.configs.evaluate import EvaluateConfig
+from stages.evaluation.views import SceneViews
 from stages.progress import Context
 from stages.runner import execute
 from tests.stages import evaluation_fixture as made
@@ -133,7 +134,8 @@ def test_nan_in_a_render_is_told_and_left_out(fitted, tmp_path, monkeypatch):
     assert any("test_1" in text and "not finite" in text for text in found["warnings"])
     page = artefact.file("report.html").read_text()
     assert "not finite" in page and "1 left out" in page
-    assert any(row["remark"] for row in found["pairs"]) and figure(found, "short_rmse")["left_out"] == 2
+    assert sum("path_001: 3 of 6912 pixels" in row["remark"] for row in found["pairs"]) == 3
+    assert figure(found, "short_rmse")["left_out"] == 2
 
 
 def test_a_frame_with_nan_in_its_file_is_counted_not_refused(fitted, tmp_path, monkeypatch):
@@ -157,6 +159,8 @@ def test_alpha_scenes_are_composited_on_white_and_measured_on_the_object(tmp_pat
     off = [replace(one, rgb=np.clip(one.rgb, 0.1, 0.8) + 0.1) for one in seen]
     frames = made.make_frames(work, "ball-test", "test", cameras, off, field)
     _, report = evaluated(work, {"scene": scene, "frames": frames})
+    photo, render = SceneViews(scene).photo(0, 96, 72), evaluate.FrameViews(frames, 1.0).render(0)
+    assert (photo.image[0, 0] == 1).all() and (render.image[0, 0] == 1).all() and not photo.mask[0, 0]
     share = np.mean([one.alpha.mean() for one in seen])
     whole, on_object = figure(report, "psnr")["mean"], figure(report, "psnr_object")["mean"]
     # The background is equal in both, so that all of the error is on the object's share of the pixels.
