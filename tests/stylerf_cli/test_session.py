@@ -13,6 +13,7 @@ from stylerf_cli import session as sessions
 from stylerf_cli.arguments import Parser, add_common
 from stylerf_cli.options import Options
 from stylerf_cli.session import Session
+from tests.conftest import REPOSITORY
 from tests.stages import toy_stage
 from tests.stages.toy_stage import ToyConfig
 
@@ -74,5 +75,5 @@ def test_threads_reach_libraries_that_are_imported_later():
         "from stylerf_cli.session import _use_threads; _use_threads(1)\n"
         "import torch, numba; print(torch.get_num_threads(), numba.get_num_threads())"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=REPOSITORY)
     assert done.stdout == "1 1\n"
