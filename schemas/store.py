@@ -92,9 +92,12 @@ class Work:
                 reasons.append(f"{ref.kind} {ref.name}, from which {artefact.name} was made, is gone")
                 continue
             source = Artefact(folder)
-            if source.digest != ref.digest:
-                reasons.append(f"{ref.kind} {ref.name} was made again after {artefact.kind} {artefact.name}")
-            reasons += self.outdated(source)
+            try:
+                if source.digest != ref.digest:
+                    reasons.append(f"{ref.kind} {ref.name} was made again after {artefact.kind} {artefact.name}")
+                reasons += self.outdated(source)
+            except (ArtefactDamaged, ArtefactStale) as error:
+                reasons.append(f"{ref.kind} {ref.name}, from which {artefact.name} was made, is not readable: {error}")
         return reasons
 
     def _maker(self, kind: str) -> str:

@@ -11,6 +11,7 @@ import pytest
 
 from schemas.errors import BadInput, OutOfResources
 from schemas.exr import FAR_Z, ExrView, read_depth, read_exr, world_to_camera, world_to_ndc, write_exr
+from tests.conftest import REPOSITORY
 
 WIDTH, HEIGHT = 40, 30
 INTRINSICS = (55.0, 60.0, 18.5, 16.25)
@@ -238,7 +239,8 @@ def test_the_library_s_warnings_do_not_reach_the_terminal(tmp_path, view):
         "import sys\nfrom schemas.errors import BadInput\nfrom schemas.exr import read_exr\n"
         "try: read_exr(sys.argv[1])\nexcept BadInput: print('refused')"
     )
-    done = subprocess.run([sys.executable, "-c", code, tmp_path / "v.exr"], capture_output=True, text=True, check=True)
+    command = [sys.executable, "-c", code, tmp_path / "v.exr"]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, cwd=REPOSITORY)
     assert (done.stdout, done.stderr) == ("refused\n", "")
 
 

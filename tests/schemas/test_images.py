@@ -11,6 +11,7 @@ import pytest
 from schemas import images
 from schemas.errors import BadInput, OutOfResources
 from schemas.images import image_size, linear_from_srgb, read_image, srgb_from_linear, to_uint8, write_png
+from tests.conftest import REPOSITORY
 
 
 def store(path, array, **attributes):
@@ -161,7 +162,8 @@ def test_codecs_print_nothing_of_their_own(tmp_path):
         "import sys\nfrom schemas.errors import BadInput\nfrom schemas.images import read_image\n"
         "try: read_image(sys.argv[1])\nexcept BadInput: print('refused')"
     )
-    done = subprocess.run([sys.executable, "-c", code, path], capture_output=True, text=True, check=True)
+    command = [sys.executable, "-c", code, path]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, cwd=REPOSITORY)
     assert (done.stdout, done.stderr) == ("refused\n", "")
 
 
@@ -175,7 +177,7 @@ def test_a_codec_that_cannot_write_is_told_as_the_disk_refusing(tmp_path):
         "try: write_png(sys.argv[1], pixels)\nexcept OutOfResources as e: print(e)"
     )
     command = [sys.executable, "-c", code, tmp_path / "a.png"]
-    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    done = subprocess.run(command, capture_output=True, text=True, check=True, cwd=REPOSITORY)
     assert done.stdout.startswith("no space left") and done.stderr == ""
     assert os.listdir(tmp_path) == []
     with pytest.raises(OutOfResources):

@@ -8,6 +8,7 @@ import pytest
 
 from schemas.errors import ArtefactDamaged
 from schemas.tensors import load_tensors, save_tensors
+from tests.conftest import REPOSITORY
 
 
 def test_round_trip_of_strided_empty_and_scalar_arrays(tmp_path):
@@ -34,7 +35,9 @@ def test_bytes_do_not_depend_on_the_process(tmp_path):
         "save_tensors(sys.argv[1], {'b': np.ones(3), 'a': np.zeros(2)}, {c: c for c in sys.argv[2]})"
     )
     for number, order in enumerate(["abcdef", "fedcba", "cadbef"]):
-        subprocess.run([sys.executable, "-c", code, tmp_path / f"{number}.safetensors", order], check=True)
+        subprocess.run(
+            [sys.executable, "-c", code, tmp_path / f"{number}.safetensors", order], check=True, cwd=REPOSITORY
+        )
     assert len({path.read_bytes() for path in tmp_path.iterdir()}) == 1
 
 

@@ -20,6 +20,7 @@ from schemas.store import Artefact, Work
 from stages import clock, runner
 from stages.progress import Context, Silent
 from stages.runner import Spec, execute
+from tests.conftest import REPOSITORY
 from tests.stages.toy_stage import SPEC, ToyConfig, run
 
 
@@ -275,7 +276,7 @@ except OutOfResources as error:
 
 def fill(folder, *arguments) -> str:
     command = [sys.executable, "-c", FILL, str(folder), *(str(item) for item in arguments)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=REPOSITORY)
     assert done.returncode == 0 and done.stderr == "", done.stderr
     return done.stdout
 
