@@ -4,67 +4,62 @@ import numpy as np
 
 from stylerf.errors import InvalidValue
 from stylerf.kernels.cpu import hash as kernels
+from stylerf.kernels.cpu.vector_hash import PRIME_X, PRIME_Y, ROW
 
 
-def level_layout(levels: int, base: int, finest: int, table: int, features: int) -> np.ndarray:
-    """[levels, 4] int64 as the kernels read it; resolutions grow geometrically from `base` to `finest` cells a side."""
+def level_layout(levels: int, base: int, finest: int, table: int) -> tuple[np.ndarray, int]:
+    """([6, levels] int32 as the kernels read it, floats of all levels); resolutions grow geometrically.
+
+    Rows: cells a side, multiplier of x and of y, mask, first float, -1 where hashed (see kernels/cpu/vector_hash.py).
+    """
     growth = (finest / base) ** (1 / max(levels - 1, 1))
-    layout = np.empty((levels, 4), np.int64)
+    layout = np.empty((6, levels), np.int32)
     at = 0
     for level in range(levels):
-        resolution = round(base * growth**level)
-        vertices = (resolution + 1) ** 3
-        entries = min(vertices, table)
-        layout[level] = resolution, at, entries - 1, vertices <= table
-        at += entries * features
-    return layout
+        cells = round(base * growth**level)
+        vertices = (cells + 1) ** 3
+        if vertices <= table:
+            layout[:, level] = cells, (cells + 1) ** 2, cells + 1, 0, at, 0
+        else:
+            layout[:, level] = cells, PRIME_X, PRIME_Y, table - 1, at, -1
+        at += min(vertices, table) * ROW
+    return layout, at
 
 
 class HashColour:
-    """Colour sigmoid(bias + head . features(x)). values: the levels' tables, head [3, levels * features], bias [3].
+    """Colour sigmoid(f[0:3] + f[3]), f the sum of all levels' trilinear mixes. values: the levels' tables, one by one.
 
-    levels, base, finest, table, features: see kernels/cpu/hash.py; table: entries of a level, a power of two.
+    levels of `base` to `finest` cells a side; table: most vertices a level keeps, a power of two.
     """
 
     kind = "hash"
     degree = 0
 
-    def __init__(self, levels: int, base: int, finest: int, table: int, features: int, values: np.ndarray) -> None:
-        if levels < 1 or not 1 <= base <= finest or table & (table - 1) or features not in (2, 4, 8):
+    def __init__(self, levels: int, base: int, finest: int, table: int, values: np.ndarray) -> None:
+        if not 1 <= levels <= 32 or not 1 <= base <= finest <= 4096 or table < 8 or table & (table - 1):
             raise InvalidValue(
-                f"hash colour: {levels} levels of {base}..{finest} cells, {table} entries (a power of two), "
-                f"{features} features (2, 4 or 8)"
+                f"hash colour: {levels} levels (1..32) of {base}..{finest} cells (1..4096), tables of {table} vertices "
+                "(a power of two)"
             )
-        self.levels, self.base, self.finest, self.table, self.features = levels, base, finest, table, features
-        self.layout = level_layout(levels, base, finest, table, features)
-        self.values = values
-        self._features, self._width = (np.int8(0),) * features, (np.int8(0),) * (levels * features)
-        expected = self.tables_length + 3 * levels * features + 3
-        if len(values) != expected:
+        self.levels, self.base, self.finest, self.table = int(levels), int(base), int(finest), int(table)
+        self.layout, expected = level_layout(self.levels, self.base, self.finest, self.table)
+        if expected >= 2**31 or len(values) != expected:
             raise InvalidValue(f"hash colour: {len(values)} values where {expected} were expected")
-
-    @property
-    def tables_length(self) -> int:
-        """Floats of all levels' tables."""
-        return int(self.layout[-1, 1] + (self.layout[-1, 2] + 1) * self.features)
+        self.values = values
+        self._levels = (np.int8(0),) * self.levels
 
     @classmethod
     def create(
-        cls, generator: np.random.Generator, levels: int = 8, base: int = 16, finest: int = 512, table: int = 1 << 17,
-        features: int = 4,
+        cls, generator: np.random.Generator, levels: int = 8, base: int = 16, finest: int = 512, table: int = 1 << 17
     ) -> "HashColour":
-        """An even grey: tables next to zero, the head random."""
-        layout = level_layout(levels, base, finest, table, features)
-        length = int(layout[-1, 1] + (layout[-1, 2] + 1) * features)
-        width = levels * features
-        tables = generator.uniform(-1e-2, 1e-2, length)
-        head = generator.uniform(-1, 1, 3 * width) / np.sqrt(features)
-        values = np.concatenate([tables, head, np.zeros(3)]).astype(np.float32)
-        return cls(levels, base, finest, table, features, values)
+        """An even grey, but for a hundredth of noise."""
+        count = level_layout(levels, base, finest, table)[1]
+        values = generator.uniform(-1e-2, 1e-2, count).astype(np.float32)
+        return cls(levels, base, finest, table, values)
 
     def groups(self) -> list[tuple[int, int, float]]:
         """(begin, end, learning-rate factor) of parts of `values`."""
-        return [(0, self.tables_length, 1.0), (self.tables_length, len(self.values), 0.1)]
+        return [(0, len(self.values), 1.0)]
 
     def colours(self, x, basis, starts, ends, weights, least, chunks) -> np.ndarray:
         """[n, 3] colours in 0..1 of samples with weight > least; others have -1 in the first channel.
@@ -73,16 +68,14 @@ class HashColour:
         """
         out = np.empty((len(x), 3), np.float32)
         kernels.colour(
-            self.values, self.layout, self._features, self._width, x, starts, ends, weights, np.float32(least), chunks,
-            out,
+            self.values, self.layout, self._levels, x, starts, ends, weights, np.float32(least), chunks, out
         )
         return out
 
     def backward(self, x, basis, starts, ends, colours, colour_gradients, to: np.ndarray) -> None:
         """Add dL/d(values) to the chunks' buffers `to` [chunks, len(values)]."""
         kernels.colour_backward(
-            self.values, self.layout, self._features, self._width, x, starts, ends, colours, colour_gradients, len(to),
-            to,
+            self.layout, self._levels, x, starts, ends, colours, colour_gradients, len(to), to
         )
 
     def colours_at(self, x: np.ndarray, chunks: int) -> np.ndarray:
@@ -96,23 +89,21 @@ class HashColour:
         self.backward(x, None, starts, ends, colours, colour_gradients, to)
 
     def smooth(self, strength: float, to: np.ndarray) -> None:
-        """Add strength/n times the values of the tables to `to`: a pull towards the coarser levels' colour.
+        """Add the gradient of strength/2 times the mean squared value to buffer `to` [len(values)].
 
         Neighbouring vertices of a hashed level may share their entry with any other place, so differences between
-        neighbours mean little; a decay of the fine levels, where detail and noise live, smooths instead.
+        neighbours mean little; drawing the values to zero leaves the colour to as few levels as will do.
         """
-        n = self.tables_length
-        to[:n] += np.float32(strength / n) * self.values[:n]
+        to += np.float32(strength / len(self.values)) * self.values
 
     def describe(self) -> dict:
         return {
             "kind": self.kind, "levels": self.levels, "base": self.base, "finest": self.finest, "table": self.table,
-            "features": self.features,
         }
 
     @classmethod
     def restore(cls, data: dict, values: np.ndarray) -> "HashColour":
-        return cls(data["levels"], data["base"], data["finest"], data["table"], data["features"], values)
+        return cls(data["levels"], data["base"], data["finest"], data["table"], values)
 
 
 def _pieces(n: int, chunks: int) -> tuple[np.ndarray, np.ndarray]:

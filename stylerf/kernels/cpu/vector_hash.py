@@ -1,0 +1,188 @@
+"""The hash grid's gather and scatter in LLVM IR.
+
+What to read is worked out for all levels at once, one level to a vector lane; then, level by level, the eight vertices
+around the point, four floats each, are loaded (or added to) as whole rows. Against scalar indexing (8 levels, points
+along rays, one core): forward 160 -> 100 ns a sample, backward 150 -> 100.
+"""
+
+import math
+
+from llvmlite import ir
+from numba import types
+from numba.core import cgutils
+from numba.extending import intrinsic
+
+from stylerf.kernels.cpu.vector import INDEX, INT32, SCALAR, Rows, data_pointer
+
+ROW = 4  # floats of a vertex
+PRIME_X, PRIME_Y = 805459861, 2654435761 - 2**32  # as signed 32-bit numbers; z takes 1 (Mueller et al. 2022, eq. 4)
+
+
+class _Levels:
+    """Where a point lies in every level: offsets of the eight vertices (x slowest, z fastest) and place in the cell.
+
+    layout: int32 [6, levels]: resolution, multiplier of x, of y, mask, first float of the level, -1 where hashed.
+    """
+
+    def __init__(self, context, builder, layout, point, count: int) -> None:
+        self.builder, self.count = builder, count
+        self.lanes = Rows(builder, count)
+        self.ints = ir.VectorType(INT32, count)
+        cells, times_x, times_y, mask, first, hashed = (self._load(layout, row) for row in range(6))
+        self.resolutions = builder.sitofp(cells, self.lanes.type)
+        low, self.fractions = zip(*(self._split(x, cells) for x in point))
+        one = self._constant(1)
+        xs = [builder.mul(low[0], times_x)]
+        ys = [builder.mul(low[1], times_y)]
+        xs.append(builder.add(xs[0], times_x))
+        ys.append(builder.add(ys[0], times_y))
+        zs = [low[2], builder.add(low[2], one)]
+        self.offsets = cgutils.alloca_once(builder, self.ints, size=8)
+        for corner in range(8):
+            x, y, z = xs[corner >> 2], ys[(corner >> 1) & 1], zs[corner & 1]
+            scrambled = builder.and_(builder.xor(builder.xor(x, y), z), mask)
+            direct = builder.add(builder.add(x, y), z)
+            # Selecting by bits: the two kinds of level share every other instruction.
+            index = builder.xor(direct, builder.and_(builder.xor(direct, scrambled), hashed))
+            offset = builder.add(first, builder.mul(index, self._constant(ROW)))
+            builder.store(offset, builder.gep(self.offsets, [ir.Constant(INT32, corner)])).align = 4
+
+    def _constant(self, value: int):
+        return ir.Constant(self.ints, [value] * self.count)
+
+    def _load(self, layout, row: int):
+        address = self.builder.gep(layout, [ir.Constant(INT32, row * self.count)])
+        loaded = self.builder.load(self.builder.bitcast(address, self.ints.as_pointer()))
+        loaded.align = 4
+        return loaded
+
+    def _split(self, x, cells):
+        """Lower vertex and position in the cell; the clamp keeps even a NaN inside the table."""
+        b = self.builder
+        place = self.lanes.mul(self.lanes.splat(x), self.resolutions)
+        index, last = b.fptosi(place, self.ints), b.sub(cells, self._constant(1))
+        index = b.select(b.icmp_signed(">", index, last), last, index)
+        index = b.select(b.icmp_signed("<", index, self._constant(0)), self._constant(0), index)
+        return index, self.lanes.sub(place, b.sitofp(index, self.lanes.type))
+
+    def corner_offsets(self, level: int) -> list:
+        """The eight vertices' offsets in the table, in floats, of one level."""
+        numbers = self.builder.bitcast(self.offsets, INT32.as_pointer())
+        places = [ir.Constant(INT32, corner * self.count + level) for corner in range(8)]
+        return [self.builder.sext(self.builder.load(self.builder.gep(numbers, [p])), ir.IntType(64)) for p in places]
+
+
+def _lane(builder, vector, lane: int):
+    return builder.extract_element(vector, ir.Constant(INT32, lane))
+
+
+def _after(builder, index, steps: int):
+    return builder.add(index, ir.Constant(index.type, steps))
+
+
+def _mix(rows, low, high, weight):
+    """low + weight (high - low)."""
+    return rows.add(low, rows.mul(weight, rows.sub(high, low)))
+
+
+def _interpolate(rows, values, fractions):
+    """Trilinear mix of eight rows."""
+    for fraction in fractions:
+        half = len(values) // 2
+        values = [_mix(rows, low, high, fraction) for low, high in zip(values[:half], values[half:])]
+    return values[0]
+
+
+def _level_rows(rows, levels, table, level):
+    values = [rows.load(table, offset) for offset in levels.corner_offsets(level)]
+    return values, [rows.splat(_lane(rows.builder, f, level)) for f in levels.fractions]
+
+
+def _sigmoid(rows, z):
+    """1 / (1 + 2^u), u = -z log2 e clamped to +-80; 2^u = 2^n 2^f with |f| <= 1/2, to order 7: error under 3e-7."""
+    b, count = rows.builder, rows.rank
+    ints = ir.VectorType(INT32, count)
+
+    def number(value):
+        return ir.Constant(rows.type, [value] * count)
+
+    u = rows.mul(z, number(-math.log2(math.e)))
+    for bound, comparison in ((80.0, ">"), (-80.0, "<")):
+        u = b.select(b.fcmp_ordered(comparison, u, number(bound)), number(bound), u)
+    # Away from zero by a half, then truncated: the nearest whole number.
+    half = b.select(b.fcmp_ordered("<", u, number(0.0)), number(-0.5), number(0.5))
+    whole = b.fptosi(b.fadd(u, half), ints)
+    fraction = rows.sub(u, b.sitofp(whole, rows.type))
+    power = number(math.log(2) ** 7 / math.factorial(7))
+    for order in range(6, -1, -1):
+        power = rows.add(rows.mul(power, fraction), number(math.log(2) ** order / math.factorial(order)))
+    exponent = b.shl(b.add(whole, ir.Constant(ints, [127] * count)), ir.Constant(ints, [23] * count))
+    power = rows.mul(power, b.bitcast(exponent, rows.type))
+    return b.fdiv(number(1.0), rows.add(number(1.0), power))
+
+
+def _sum(rows, terms):
+    """Sum by halves: a chain of eight additions would be waited for."""
+    while len(terms) > 1:
+        terms = [rows.add(*pair) for pair in zip(terms[::2], terms[1::2])] + terms[len(terms) & ~1 :]
+    return terms[0]
+
+
+@intrinsic
+def hash_logits(typing, table, layout, x, y, z, out, at, levels):
+    """out[at:at+3] = f[0:3] + f[3], f = sum over levels of the trilinear mix of what is around (x, y, z) in 0..1."""
+
+    def generate(context, builder, sig, args):
+        rows, count = Rows(builder, ROW), sig.args[-1].count
+        pointers = [data_pointer(context, builder, sig.args[i], args[i]) for i in (0, 1, 5)]
+        where = _Levels(context, builder, pointers[1], args[2:5], count)
+        mixed = [_interpolate(rows, *_level_rows(rows, where, pointers[0], level)) for level in range(count)]
+        total = _sum(rows, mixed)
+        logits = rows.add(total, rows.splat(_lane(builder, total, 3)))
+        for channel in range(3):
+            place = builder.gep(pointers[2], [_after(builder, args[6], channel)])
+            builder.store(_lane(builder, logits, channel), place)
+        return context.get_dummy_value()
+
+    return types.void(table, layout, SCALAR, SCALAR, SCALAR, out, INDEX, levels), generate
+
+
+@intrinsic
+def sigmoid_three(typing, values, at):
+    """values[at:at+3] = 1 / (1 + exp(-values[at:at+3]))."""
+
+    def generate(context, builder, sig, args):
+        rows = Rows(builder, ROW)
+        pointer = data_pointer(context, builder, sig.args[0], args[0])
+        places = [builder.gep(pointer, [_after(builder, args[1], channel)]) for channel in range(3)]
+        row = ir.Constant(rows.type, [0.0] * ROW)
+        for channel, place in enumerate(places):
+            row = builder.insert_element(row, builder.load(place), ir.Constant(INT32, channel))
+        row = _sigmoid(rows, row)
+        for channel, place in enumerate(places):
+            builder.store(_lane(builder, row, channel), place)
+        return context.get_dummy_value()
+
+    return types.void(values, INDEX), generate
+
+
+@intrinsic
+def hash_features_backward(typing, buffer, at, layout, x, y, z, gradients, row, levels):
+    """Add dL/d(table) of f (see hash_logits) to buffer[at:], laid out as the table; gradients[row:row+4] = dL/df."""
+
+    def generate(context, builder, sig, args):
+        rows, count = Rows(builder, ROW), sig.args[-1].count
+        where = _Levels(context, builder, data_pointer(context, builder, sig.args[2], args[2]), args[3:6], count)
+        target = builder.gep(data_pointer(context, builder, sig.args[0], args[0]), [args[1]])
+        gradient = rows.load(data_pointer(context, builder, sig.args[6], args[6]), args[7])
+        for level in range(count):
+            shares = [gradient]
+            for fraction in where.fractions:
+                weight = rows.splat(_lane(builder, fraction, level))
+                high = [rows.mul(weight, share) for share in shares]
+                shares = [s for share, h in zip(shares, high) for s in (rows.sub(share, h), h)]
+            for offset, share in zip(where.corner_offsets(level), shares):
+                rows.add_to(target, offset, share)
+        return context.get_dummy_value()
+
+    return types.void(buffer, INDEX, layout, SCALAR, SCALAR, SCALAR, gradients, INDEX, levels), generate
