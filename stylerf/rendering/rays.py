@@ -7,7 +7,7 @@ import numpy as np
 from stylerf.fields.field import RadianceField
 from stylerf.fields.samples import Rays, Samples
 from stylerf.geometry.harmonics import harmonics
-from stylerf.kernels.cpu.composite import composite, composite_backward
+from stylerf.kernels.cpu.composite import composite, composite_backward, significant
 
 SAMPLE_LIMIT = 512
 
@@ -22,11 +22,16 @@ class Rendered:
     colours: np.ndarray
 
 
-def render_rays(field: RadianceField, rays: Rays, *, chunks: int, opaque=1e-3, least=1e-3) -> Rendered:
-    """Render rays. opaque: transmittance at which a ray ends; least: weight under which a sample gets no own colour."""
+def render_rays(field: RadianceField, rays: Rays, *, chunks: int, opaque=1e-3, share=5e-3) -> Rendered:
+    """Render rays. opaque: transmittance at which a ray ends.
+
+    share: part of its ray's largest weight under which a sample gets no colour of its own, but the ray's mean.
+    """
     samples = field.march(rays, SAMPLE_LIMIT, opaque, chunks)
     basis = harmonics(rays.directions, getattr(field.colour, "degree", 0))
-    colours = field.colour.colours(samples.x, basis, samples.starts, samples.ends, samples.weights, least, chunks)
+    shown = np.empty_like(samples.weights)
+    significant(samples.weights, samples.starts, samples.ends, np.float32(share), chunks, shown)
+    colours = field.colour.colours(samples.x, basis, samples.starts, samples.ends, shown, 0.0, chunks)
     out = np.empty((len(rays.origins), 5), np.float32)
     composite(samples.weights, colours, samples.t, samples.starts, samples.ends, chunks, out)
     return Rendered(out, samples, basis, colours)

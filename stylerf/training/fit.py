@@ -60,6 +60,7 @@ class FitSettings:
     background: str = "white"  # white, black, random or none
     warm_steps: int = 48
     lit_share: float = 0.9
+    always_climb: bool = False  # take every rung whatever it gains
 
 
 @dataclass
@@ -107,6 +108,7 @@ class Fitter:
         self._reset_optimisers()
         self._held_out_rays = self._choose_held_out()
         self._anchor: dict | None = None
+        self.between_steps = True
 
     # -- capacity ---------------------------------------------------------------------------------------------------
 
@@ -208,7 +210,7 @@ class Fitter:
         state = self.state
         next_check = (math.floor(self.progress / check_every) + 1) * check_every
         while self.progress < 1.0:
-            begun = time.perf_counter()
+            begun, self.between_steps = time.perf_counter(), False
             try:
                 error = self.step()
             except MemoryError:
@@ -220,6 +222,7 @@ class Fitter:
             elif self.progress >= next_check or self._rung_due():
                 self._check()
                 next_check = (math.floor(self.progress / check_every) + 1) * check_every
+            self.between_steps = True
             on_step(self)
 
     def _halve_parts(self) -> None:
@@ -275,7 +278,7 @@ class Fitter:
         gain = quality - before
         new, old = (self.settings.ladder[state.rung - i] for i in (0, 1))
         state.trial = None
-        if gain >= self.settings.min_gain:
+        if gain >= self.settings.min_gain or self.settings.always_climb:
             state.decisions.append(f"{new.resolution}^3 kept: held-out views gained {gain:.2f} dB over {old.resolution}^3")
             state.best = max(state.best, quality)
             self._anchor = self._snapshot()
