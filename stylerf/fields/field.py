@@ -4,13 +4,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from stylerf.fields.hash import HashColour
+from stylerf.fields.matched import INNER_KINDS, MatchedColour
 from stylerf.fields.occupancy import Occupancy
 from stylerf.fields.samples import Rays, Samples
 from stylerf.fields.vm import VmColour, VmDensity
 from stylerf.geometry.space import Space
 
 DENSITY_KINDS = {"vm": VmDensity}
-COLOUR_KINDS = {"vm": VmColour}
+COLOUR_KINDS = {**INNER_KINDS, "matched": MatchedColour}
 _NO_DISPLACEMENT = np.empty(0, np.float32)
 
 
@@ -24,7 +26,7 @@ class RadianceField:
 
     space: Space
     density: VmDensity
-    colour: VmColour
+    colour: VmColour | HashColour | MatchedColour
     occupancy: Occupancy
     step: float
     displacement: np.ndarray | None = None
