@@ -170,8 +170,7 @@ class Fitter:
         if state.step >= 16 and state.step % _refresh_every(state.step) == 0:
             share = 1 if state.step < 300 else 4
             self.field.occupancy.refresh(
-                lambda x: self.field.density.sigma(x, self.chunks), self.field.step, self.seed + state.step, share,
-                0.9,
+                lambda x: self.field.density.sigma(x, self.chunks), self.field.step, self.seed + state.step, share, 0.9,
             )
         count = settings.rays if state.step >= settings.warm_steps else settings.rays // 8
         among = len(self.bank.cameras)
