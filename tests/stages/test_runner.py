@@ -86,13 +86,14 @@ def in_child(action) -> int:
 
 def test_kill_at_random_moments_then_resume_gives_the_same_result(tmp_path, expected):
     chance, deaths, paced = random.Random(5), 0, ToyConfig(pause=0.005)
-    start = time.monotonic()
-    toy(Work(tmp_path / "paced"), config=paced)
-    whole = time.monotonic() - start
     for number in range(20):
         work = Work(tmp_path / f"{number}")
         child = in_child(partial_call(toy, work, config=paced))
-        time.sleep(chance.uniform(0.0, whole))
+        # A random place in the run rather than a random time: other jobs may share the machine.
+        reached, deadline = chance.randrange(11), time.monotonic() + 20
+        while len(list(work.root.rglob("[0-9]*.png"))) < reached and time.monotonic() < deadline:
+            time.sleep(0.001)
+        time.sleep(chance.uniform(0.0, 0.02))
         os.kill(child, signal.SIGKILL)
         deaths += os.WIFSIGNALED(os.waitpid(child, 0)[1])
         for artefact in work.artefacts():
