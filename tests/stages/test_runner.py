@@ -7,8 +7,10 @@ import random
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from functools import partial as partial_call
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -26,6 +28,16 @@ from tests.stages.toy_stage import SPEC, ToyConfig, run
 
 def toy(work: Work, name="fox", config=None, inputs=None, force=False, seed=0, function=run):
     return execute(SPEC, function, work, name, inputs or {}, config or ToyConfig(), Context(seed=seed), force)
+
+
+@pytest.fixture
+def tmp_path(tmp_path):
+    """A folder in memory where there is one: these tests flush hundreds of times, which a busy disk makes slow."""
+    if not os.access("/dev/shm", os.W_OK):
+        yield tmp_path
+        return
+    with tempfile.TemporaryDirectory(dir="/dev/shm") as folder:
+        yield Path(folder)
 
 
 @pytest.fixture
@@ -85,7 +97,7 @@ def in_child(action) -> int:
 
 
 def test_kill_at_random_moments_then_resume_gives_the_same_result(tmp_path, expected):
-    chance, deaths, paced = random.Random(5), 0, ToyConfig(pause=0.005)
+    chance, deaths, paced = random.Random(5), 0, ToyConfig(pause=0.003)
     for number in range(20):
         work = Work(tmp_path / f"{number}")
         child = in_child(partial_call(toy, work, config=paced))

@@ -191,7 +191,7 @@ def test_a_reader_that_closes_stdout_is_no_fault(tmp_path):
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_ctrl_c_and_termination_end_with_130_and_the_same_command_resumes(tmp_path, number):
-    arguments = ["toy", str(tmp_path), "--steps", "40", "--pause", "0.1"]
+    arguments = ["toy", str(tmp_path), "--steps", "24", "--pause", "0.05"]
     code = (
         "import sys; from stylerf_cli.verbs import VERBS\n"
         "VERBS['toy'] = ('tests.stylerf_cli.toy_verb', 'make a toy')\n"
