@@ -109,8 +109,8 @@ def warnings_of(
     if remarked:
         names = listed([str(row["name"]) for row in remarked])
         found.append(
-            f"{len(remarked)} of {len(rows)} views could not be measured in full and are left out of the means they "
-            f"lack a value for: {names}. {remarked[0]['name']}: {remarked[0]['remark']}."
+            f"{len(remarked)} of {len(rows)} views could not be measured in full ({names}); the means leave out what "
+            f"is missing. {remarked[0]['name']}: {remarked[0]['remark']}."
         )
     spoiled_pairs = [row for row in pairs if row.get("remark")]
     if spoiled_pairs:
