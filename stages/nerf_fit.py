@@ -18,8 +18,7 @@ from stylerf.training.fit import LADDER, Fitter, FitSettings, Rung
 from stylerf.training.rays import RayBank
 
 SPEC = Spec(stage="nerf_fit", verb="fit", revision=1, writes="field")
-OBJECT = {"rays": 8192, "rate": 2e-2, "smoothness": (0.0, 0.0)}
-CAPTURE = {"rays": 2048, "rate": 4e-2, "smoothness": (0.3, 0.03)}
+RATE = {"object": 2e-2, "forward": 4e-2, "unbounded": 4e-2}
 
 
 def run(inputs: dict[str, Artefact], config: FitConfig, partial: Partial, context: Context) -> dict:
@@ -74,7 +73,6 @@ def _train(fitter: Fitter, config: FitConfig, partial: Partial, context: Context
 
 def _settings(config: FitConfig, scene: SceneData) -> FitSettings:
     seconds, steps = budget_of(config.budget)
-    preset = OBJECT if scene.layout == "object" else CAPTURE
     fixed = capacity_of(config.capacity)
     if scene.background == "none":
         background = "none"
@@ -83,8 +81,8 @@ def _settings(config: FitConfig, scene: SceneData) -> FitSettings:
     else:
         background = "white" if config.background == "auto" else config.background
     return FitSettings(
-        seconds=seconds or 1.0, steps=steps, rays=config.rays or preset["rays"], rate=config.rate or preset["rate"],
-        degree=config.degree, smoothness=preset["smoothness"], min_gain=config.min_gain, background=background,
+        seconds=seconds or 1.0, steps=steps, samples=config.samples,
+        rate=config.rate or RATE[scene.layout], degree=config.degree, min_gain=config.min_gain, background=background,
         ladder=LADDER if fixed is None else _fixed_ladder(*fixed),
         shares=FitSettings.shares if fixed is None else tuple(FitSettings.shares[: len(_fixed_ladder(*fixed)) - 1]),
         always_climb=fixed is not None,

@@ -19,7 +19,7 @@ class FitConfig:
     background: str = option("auto", choices=("auto", "white", "black", "random"), help="what transparent pixels are "
                              "trained on (auto: white)")
     degree: int = option(1, choices=(0, 1, 2), help="degree of the spherical harmonics of the colour")
-    rays: int = option(0, help="rays a step (0: 8192 for objects, 2048 for captures)")
+    samples: int = option(90_000, help="density samples a step; the number of rays follows from it")
     rate: float = option(0.0, help="learning rate (0: by the scene's layout)")
     held_out: int = option(-1, help="training views kept aside for decisions until the last quarter (-1: every tenth, "
                            "at most 4)")
@@ -29,8 +29,8 @@ class FitConfig:
     def __post_init__(self) -> None:
         budget_of(self.budget)
         capacity_of(self.capacity)
-        if not (self.min_gain >= 0 and self.checkpoint_every_seconds > 0 and self.rays >= 0 and self.rate >= 0):
-            raise ValueError("min_gain, rays and rate must not be negative, and checkpoint_every_seconds positive")
+        if not (self.min_gain >= 0 and self.checkpoint_every_seconds > 0 and self.samples >= 1000 and self.rate >= 0):
+            raise ValueError("min_gain and rate must not be negative, checkpoint_every_seconds positive, samples 1000 or more")
 
 
 def budget_of(text: str) -> tuple[float, int]:

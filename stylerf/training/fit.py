@@ -41,6 +41,7 @@ LADDER = (Rung(64, 8, 16), Rung(128, 16, 24), Rung(192, 16, 24), Rung(256, 16, 2
 class FitSettings:
     """How a field is fitted. Budget: seconds of training, or steps if `steps` > 0.
 
+    samples: density samples a step; the number of rays follows, so that fog early on does not slow the steps down;
     rates in value units per step; smoothness: weights of the planes' total variation (density, colour);
     shares: parts of the budget at which the next rung is tried; held_out_until: part of the budget from which the
     held-out views are trained on as well.
@@ -48,7 +49,7 @@ class FitSettings:
 
     seconds: float = 300.0
     steps: int = 0
-    rays: int = 8192
+    samples: int = 90_000
     rate: float = 2e-2
     final_rate: float = 0.05
     degree: int = 1
@@ -58,7 +59,6 @@ class FitSettings:
     held_out_until: float = 0.75
     min_gain: float = 0.1
     background: str = "white"  # white, black, random or none
-    warm_steps: int = 48
     lit_share: float = 0.9
     always_climb: bool = False  # take every rung whatever it gains
 
@@ -75,6 +75,7 @@ class FitState:
     rate_scale: float = 1.0
     rollbacks: int = 0
     parts: int = 1
+    rays: int = 1024
     best: float = -math.inf
     curve: list[dict] = field(default_factory=list)
     decisions: list[str] = field(default_factory=list)
@@ -172,14 +173,14 @@ class Fitter:
             self.field.occupancy.refresh(
                 lambda x: self.field.density.sigma(x, self.chunks), self.field.step, self.seed + state.step, share, 0.9,
             )
-        count = settings.rays if state.step >= settings.warm_steps else settings.rays // 8
+        count = state.rays
         among = len(self.bank.cameras)
         if self.held_out and self.progress < settings.held_out_until:
             among -= self.held_out
         origins, directions, colours, _ = self.bank.draw(count, generator, among, settings.lit_share)
         jitter = generator.random(count, dtype=np.float32)
         background = self._background(count, generator)
-        error = 0.0
+        error, live = 0.0, 0
         for part in np.array_split(np.arange(count), state.parts):
             part = slice(int(part[0]), int(part[-1]) + 1)
             rays = Rays.of(origins[part], directions[part], self.space.near, jitter[part])
@@ -187,6 +188,7 @@ class Fitter:
             out, back = rendered.out, background[part]
             difference = _over(out[:, :3], out[:, 3:4], back) - _target(colours[part], back)
             error += float(np.square(difference).sum())
+            live += rendered.samples.count
             gradients = np.zeros_like(out)
             gradients[:, :3] = difference * np.float32(2 / (3 * count))
             gradients[:, 3] = -(gradients[:, :3] * back).sum(1)
@@ -200,6 +202,7 @@ class Fitter:
         self.density_adam.step(rate)
         self.colour_adam.step(rate)
         state.step += 1
+        state.rays = _rays_for(settings.samples, live / count, state.rays)
         return error / (3 * count)
 
     # -- the loop ---------------------------------------------------------------------------------------------------
@@ -209,13 +212,13 @@ class Fitter:
         state = self.state
         next_check = (math.floor(self.progress / check_every) + 1) * check_every
         while self.progress < 1.0:
-            begun, self.between_steps = time.perf_counter(), False
+            begun, self.between_steps = time.process_time()*0.5, False
             try:
                 error = self.step()
             except MemoryError:
                 self._halve_parts()
                 continue
-            state.seconds += time.perf_counter() - begun
+            state.seconds += time.process_time()*0.5 - begun
             if not math.isfinite(error):
                 self._roll_back("the loss left the finite numbers")
             elif self.progress >= next_check or self._rung_due():
@@ -340,6 +343,12 @@ class Fitter:
         if "anchor" in data:
             kept = {k.removeprefix("anchor."): v for k, v in arrays.items() if k.startswith("anchor.")}
             self._anchor = {"field": data["anchor"], "arrays": kept}
+
+
+def _rays_for(samples: int, live: float, before: int) -> int:
+    """Rays of the next step: as many as bring `samples` samples at `live` a ray, moving slowly, 256 to 16,384."""
+    wanted = samples / max(live, 1.0)
+    return int(np.clip(0.8 * before + 0.2 * wanted, 256, 16384))
 
 
 def _finite(value: float) -> float | None:
