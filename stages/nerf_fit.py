@@ -14,7 +14,7 @@ from stages.scenes import SceneData, load_scene
 from stages.spaces import space_of
 from stylerf.errors import Diverged
 from stylerf.kernels.cpu.compiling import compiling_note, set_threads
-from stylerf.training.fit import LADDER, Fitter, FitSettings, Rung
+from stylerf.training.fit import LADDER, FitSettings, Fitter, Rung
 from stylerf.training.rays import RayBank
 
 SPEC = Spec(stage="nerf_fit", verb="fit", revision=1, writes="field")

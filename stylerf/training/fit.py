@@ -212,13 +212,13 @@ class Fitter:
         state = self.state
         next_check = (math.floor(self.progress / check_every) + 1) * check_every
         while self.progress < 1.0:
-            begun, self.between_steps = time.process_time()*0.5, False
+            begun, self.between_steps = time.perf_counter(), False
             try:
                 error = self.step()
             except MemoryError:
                 self._halve_parts()
                 continue
-            state.seconds += time.process_time()*0.5 - begun
+            state.seconds += time.perf_counter() - begun
             if not math.isfinite(error):
                 self._roll_back("the loss left the finite numbers")
             elif self.progress >= next_check or self._rung_due():
@@ -238,7 +238,8 @@ class Fitter:
     def _rung_due(self) -> bool:
         s = self.state
         shares = self.settings.shares
-        return not s.fixed and s.rung < min(len(self.settings.ladder) - 1, len(shares)) and self.progress >= shares[s.rung]
+        last = min(len(self.settings.ladder) - 1, len(shares))
+        return not s.fixed and s.rung < last and self.progress >= shares[s.rung]
 
     def _check(self) -> None:
         state = self.state
@@ -281,7 +282,9 @@ class Fitter:
         new, old = (self.settings.ladder[state.rung - i] for i in (0, 1))
         state.trial = None
         if gain >= self.settings.min_gain or self.settings.always_climb:
-            state.decisions.append(f"{new.resolution}^3 kept: held-out views gained {gain:.2f} dB over {old.resolution}^3")
+            state.decisions.append(
+                f"{new.resolution}^3 kept: held-out views gained {gain:.2f} dB over {old.resolution}^3"
+            )
             state.best = max(state.best, quality)
             self._anchor = self._snapshot()
             return

@@ -46,7 +46,7 @@ class StyleSettings:
     blur: int = 3
     remember: bool = True
     match: str = "both"
-    weights: StyleWeights = StyleWeights()
+    weights: StyleWeights = field(default_factory=StyleWeights)
     share: float = 0.1
     feature_scale: float = 0.5
     style_scale: float = 1.0
