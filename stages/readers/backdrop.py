@@ -58,5 +58,5 @@ class Backdrop:
                 return
 
     def silhouettes(self) -> list[np.ndarray]:
-        """Of every picture, at most 128 pixels a side."""
+        """Of every picture, at most 256 pixels a side."""
         return self._masks["alpha" if self._with_alpha else self.kind]
