@@ -86,8 +86,12 @@ def _cameras_of_file(path: Path, like: Camera) -> list[Camera]:
     cameras = []
     for number, entry in enumerate(entries if isinstance(entries, list) else []):
         try:
-            own = {k: type(getattr(like, k))(entry[k]) for k in ("width", "height", "fx", "fy", "cx", "cy") if k in entry}
-            cameras.append(replace(like, name=f"{number:04d}", world_from_camera=np.array(entry["world_from_camera"]), **own))
+            own = {
+                k: type(getattr(like, k))(entry[k]) for k in ("width", "height", "fx", "fy", "cx", "cy") if k in entry
+            }
+            cameras.append(
+                replace(like, name=f"{number:04d}", world_from_camera=np.array(entry["world_from_camera"]), **own)
+            )
         except (KeyError, TypeError, ValueError, InvalidValue) as error:
             raise BadInput(f"--path {path}: camera {number} is not sound ({error})") from error
     if not cameras:
@@ -117,9 +121,15 @@ def exr_view(rendered: RenderedView, camera: Camera, field: RadianceField, attri
     alpha = rendered.alpha[..., None]
     straight = np.clip(rendered.rgb / np.maximum(alpha, 1e-6), 0, 1)
     return ExrView(
-        rgb=linear_from_srgb(straight) * alpha, alpha=rendered.alpha, z=rendered.z, ray_distance=rendered.ray_distance,
-        world_from_camera=camera.world_from_camera, intrinsics=(camera.fx, camera.fy, camera.cx, camera.cy),
-        near=max(field.space.near, 1e-3), far=field.space.far, attributes=attributes,
+        rgb=linear_from_srgb(straight) * alpha,
+        alpha=rendered.alpha,
+        z=rendered.z,
+        ray_distance=rendered.ray_distance,
+        world_from_camera=camera.world_from_camera,
+        intrinsics=(camera.fx, camera.fy, camera.cx, camera.cy),
+        near=max(field.space.near, 1e-3),
+        far=field.space.far,
+        attributes=attributes,
     )
 
 

@@ -38,9 +38,15 @@ def run(inputs: dict[str, Artefact], config: StylizeConfig, partial: Partial, co
     level = 1.0 if background == "white" else 0.0
     try:
         stylizer = Stylizer(
-            field, [scene.cameras[i] for i in views], [_photo(scene, i, level) for i in views], level,
-            read_painting(Path(config.style)), Trunk(resolved.state, config.taps, resolved.kind), _settings(config),
-            context.seed, threads,
+            field,
+            [scene.cameras[i] for i in views],
+            [_photo(scene, i, level) for i in views],
+            level,
+            read_painting(Path(config.style)),
+            Trunk(resolved.state, config.taps, resolved.kind),
+            _settings(config),
+            context.seed,
+            threads,
             lambda generator: HashColour.create(
                 generator, levels=config.levels, finest=config.finest, table=1 << config.table_bits
             ),
@@ -55,8 +61,13 @@ def run(inputs: dict[str, Artefact], config: StylizeConfig, partial: Partial, co
     save_field(partial.path, stylizer.field, background)
     state = stylizer.state
     return {
-        "method": config.method, "steps": state.step, "train_seconds": round(state.seconds, 2), "curve_style": state.curve,
-        "parameters": stylizer.field.parameters, "features": resolved.manifest(), "views": len(views),
+        "method": config.method,
+        "steps": state.step,
+        "train_seconds": round(state.seconds, 2),
+        "curve_style": state.curve,
+        "parameters": stylizer.field.parameters,
+        "features": resolved.manifest(),
+        "views": len(views),
     }
 
 
@@ -70,8 +81,9 @@ def _train(stylizer: Stylizer, config: StylizeConfig, partial: Partial, context:
             shown = state.phase
             seconds, steps = budget_of(config.budget)
             total = config.refit_steps if shown == "refit" else steps or seconds
-            context.progress.start("new colours" if shown == "refit" else "style", total,
-                                   "step" if shown == "refit" or steps else "s")
+            context.progress.start(
+                "new colours" if shown == "refit" else "style", total, "step" if shown == "refit" or steps else "s"
+            )
         counted = state.phase == "refit" or now.settings.steps
         note = ""
         if state.curve:
@@ -97,10 +109,19 @@ def _train(stylizer: Stylizer, config: StylizeConfig, partial: Partial, context:
 def _settings(config: StylizeConfig) -> StyleSettings:
     seconds, steps = budget_of(config.budget)
     return StyleSettings(
-        steps=steps, seconds=seconds or 1.0, refit_steps=config.refit_steps, rate=config.rate, strategy=config.rays,
-        dilation=config.dilation, blur=config.blur, remember=config.remember, match=config.match,
+        steps=steps,
+        seconds=seconds or 1.0,
+        refit_steps=config.refit_steps,
+        rate=config.rate,
+        strategy=config.rays,
+        dilation=config.dilation,
+        blur=config.blur,
+        remember=config.remember,
+        match=config.match,
         weights=StyleWeights(config.style_weight, config.content_weight, config.variation_weight),
-        feature_scale=config.feature_scale, style_scale=config.style_scale, style_rows=config.style_rows,
+        feature_scale=config.feature_scale,
+        style_scale=config.style_scale,
+        style_rows=config.style_rows,
     )
 
 
@@ -112,7 +133,9 @@ def read_painting(path: Path) -> torch.Tensor:
     if pixels.shape[2] == 1:
         pixels = np.repeat(pixels, 3, axis=2)
     if min(pixels.shape[:2]) < 16:
-        raise BadInput(f"{path} is {pixels.shape[1]}x{pixels.shape[0]}; a painting of at least 16 pixels a side is needed")
+        raise BadInput(
+            f"{path} is {pixels.shape[1]}x{pixels.shape[0]}; a painting of at least 16 pixels a side is needed"
+        )
     return torch.from_numpy(np.ascontiguousarray(pixels)).permute(2, 0, 1).contiguous()
 
 

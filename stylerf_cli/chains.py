@@ -21,16 +21,15 @@ def scene_of_work(session: Any) -> Artefact:
 def ensure_field(session: Any, scene: Artefact) -> Artefact:
     """The fitted field: whichever field the scene was fitted to already, else one fitted with default options."""
     fields = [
-        one for one in session.work.artefacts("field")
+        one
+        for one in session.work.artefacts("field")
         if one.manifest.stage == "nerf_fit" and any(ref.digest == scene.digest for ref in one.manifest.inputs)
     ]
     if fields:
         return max(fields, key=lambda one: one.manifest.created)
     from stages import nerf_fit
 
-    return session.run(
-        nerf_fit.SPEC, nerf_fit.run, {"scene": scene}, session.config_of("fit", FitConfig), FIT_NAME
-    )
+    return session.run(nerf_fit.SPEC, nerf_fit.run, {"scene": scene}, session.config_of("fit", FitConfig), FIT_NAME)
 
 
 def ensure_frames(session: Any, field: Artefact, path: str) -> Artefact:

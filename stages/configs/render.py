@@ -10,8 +10,11 @@ from stages.configs import option
 class RenderConfig:
     """What is rendered, along which path, to which files."""
 
-    path: str = option("orbit", metavar="test|train|views|orbit|spiral|interpolate|FILE", help="cameras: the scene's "
-                       "own views, a path around, in front of or through them, or a JSON file of cameras")
+    path: str = option(
+        "orbit",
+        metavar="test|train|views|orbit|spiral|interpolate|FILE",
+        help="cameras: the scene's own views, a path around, in front of or through them, or a JSON file of cameras",
+    )
     count: int = option(60, help="frames of a whole path (orbit, spiral, interpolate)")
     frames: str = option("", metavar="A-B", help="only frames A to B of the path, counted from 0: a shard of the job")
     scale: float = option(1.0, help="size of the pictures relative to the scene's views")

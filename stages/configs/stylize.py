@@ -14,13 +14,18 @@ class StylizeConfig:
     style_digest: str = option("", help="sha256 of the painting (filled in; guards against a changed file)")
     method: str = option("arf", choices=("arf",), help="arf: colours alone, shapes held fast")
     budget: str = option("2m", help="time of the style steps (60s, 2m) or their number")
-    rays: str = option("deferred", choices=("full", "deferred", "dilated", "random", "patch"), help="rays that carry "
-                       "gradient in a step")
+    rays: str = option(
+        "deferred",
+        choices=("full", "deferred", "dilated", "random", "patch"),
+        help="rays that carry gradient in a step",
+    )
     dilation: int = option(2, help="Nc: every Nc-th ray in both axes (dilated), or as few rays (random, patch)")
     blur: int = option(3, help="box filter on dL/dRGB before rays are picked (0: none)")
     remember: bool = option(True, help="take rays that do not learn from the view's last render")
-    features: str = option("", help="feature trunk: a name or a file of VGG weights (default: the first found of "
-                           "vgg16, hed-vgg16, st-vgg16)")
+    features: str = option(
+        "",
+        help="feature trunk: a name or a file of VGG weights (default: the first found of vgg16, hed-vgg16, st-vgg16)",
+    )
     taps: str = option("conv3", help="layers of the trunk that are matched: conv2, conv3, conv3_1 ...")
     style_weight: float = option(1.0, help="weight of the nearest-neighbour feature distance")
     content_weight: float = option(1e-3, help="weight of the content distance")

@@ -46,7 +46,9 @@ class RadianceField:
             displacement = (_NO_DISPLACEMENT, 0)
         else:
             displacement = (self.displacement.reshape(-1), self.displacement.shape[0])
-        return self.density.march(self.space, rays, self.occupancy, self.step, displacement, limit, opaque, self.closed, chunks)
+        return self.density.march(
+            self.space, rays, self.occupancy, self.step, displacement, limit, opaque, self.closed, chunks
+        )
 
     @property
     def parameters(self) -> int:
@@ -56,18 +58,26 @@ class RadianceField:
     def describe(self) -> dict:
         """JSON form of everything that is not an array."""
         return {
-            "space": self.space.describe(), "density": self.density.describe(), "colour": self.colour.describe(),
-            "step": self.step, "cells": self.occupancy.cells,
-            "colour_map": None if self.colour_map is None else {
-                "matrix": self.colour_map.matrix.tolist(), "offset": self.colour_map.offset.tolist(),
+            "space": self.space.describe(),
+            "density": self.density.describe(),
+            "colour": self.colour.describe(),
+            "step": self.step,
+            "cells": self.occupancy.cells,
+            "colour_map": None
+            if self.colour_map is None
+            else {
+                "matrix": self.colour_map.matrix.tolist(),
+                "offset": self.colour_map.offset.tolist(),
             },
         }
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Named arrays that restore() takes."""
         arrays = {
-            "density": self.density.values, "colour": self.colour.values,
-            "occupancy.highest": self.occupancy.highest, "occupancy.distances": self.occupancy.distances,
+            "density": self.density.values,
+            "colour": self.colour.values,
+            "occupancy.highest": self.occupancy.highest,
+            "occupancy.distances": self.occupancy.distances,
         }
         return arrays if self.displacement is None else arrays | {"displacement": self.displacement}
 
@@ -80,7 +90,10 @@ class RadianceField:
             Space.restore(data["space"]),
             DENSITY_KINDS[data["density"]["kind"]].restore(data["density"], arrays["density"]),
             COLOUR_KINDS[data["colour"]["kind"]].restore(data["colour"], arrays["colour"]),
-            occupancy, data["step"], arrays.get("displacement"), _colour_map(data.get("colour_map")),
+            occupancy,
+            data["step"],
+            arrays.get("displacement"),
+            _colour_map(data.get("colour_map")),
         )
 
 

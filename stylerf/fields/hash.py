@@ -50,7 +50,12 @@ class HashColour:
 
     @classmethod
     def create(
-        cls, generator: np.random.Generator, levels: int = 8, base: int = 16, finest: int = 512, table: int = 1 << 17,
+        cls,
+        generator: np.random.Generator,
+        levels: int = 8,
+        base: int = 16,
+        finest: int = 512,
+        table: int = 1 << 17,
         features: int = 4,
     ) -> "HashColour":
         """An even grey: tables next to zero, the head random."""
@@ -73,7 +78,16 @@ class HashColour:
         """
         out = np.empty((len(x), 3), np.float32)
         kernels.colour(
-            self.values, self.layout, self._features, self._width, x, starts, ends, weights, np.float32(least), chunks,
+            self.values,
+            self.layout,
+            self._features,
+            self._width,
+            x,
+            starts,
+            ends,
+            weights,
+            np.float32(least),
+            chunks,
             out,
         )
         return out
@@ -81,7 +95,16 @@ class HashColour:
     def backward(self, x, basis, starts, ends, colours, colour_gradients, to: np.ndarray) -> None:
         """Add dL/d(values) to the chunks' buffers `to` [chunks, len(values)]."""
         kernels.colour_backward(
-            self.values, self.layout, self._features, self._width, x, starts, ends, colours, colour_gradients, len(to),
+            self.values,
+            self.layout,
+            self._features,
+            self._width,
+            x,
+            starts,
+            ends,
+            colours,
+            colour_gradients,
+            len(to),
             to,
         )
 
@@ -106,7 +129,11 @@ class HashColour:
 
     def describe(self) -> dict:
         return {
-            "kind": self.kind, "levels": self.levels, "base": self.base, "finest": self.finest, "table": self.table,
+            "kind": self.kind,
+            "levels": self.levels,
+            "base": self.base,
+            "finest": self.finest,
+            "table": self.table,
             "features": self.features,
         }
 

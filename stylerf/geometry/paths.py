@@ -61,8 +61,11 @@ def _orbit_pose(cameras: list[Camera], share: float) -> np.ndarray:
     offsets = np.array([c.centre for c in cameras]) - focus
     heights = offsets @ up
     flat = offsets - heights[:, None] * up
-    first = _unit(flat.mean(0)) if np.linalg.norm(flat.mean(0)) > 0.2 * np.linalg.norm(flat, axis=1).mean() \
+    first = (
+        _unit(flat.mean(0))
+        if np.linalg.norm(flat.mean(0)) > 0.2 * np.linalg.norm(flat, axis=1).mean()
         else _unit(flat[0])
+    )
     second = np.cross(up, first)
     angles = np.arctan2(flat @ second, flat @ first)
     ordered = np.sort(angles)
@@ -110,7 +113,9 @@ def _between_pose(cameras: list[Camera], share: float) -> np.ndarray:
 
 def _catmull_rom(p: np.ndarray, u: float) -> np.ndarray:
     return 0.5 * (
-        2 * p[1] + (p[2] - p[0]) * u + (2 * p[0] - 5 * p[1] + 4 * p[2] - p[3]) * u**2
+        2 * p[1]
+        + (p[2] - p[0]) * u
+        + (2 * p[0] - 5 * p[1] + 4 * p[2] - p[3]) * u**2
         + (3 * p[1] - p[0] - 3 * p[2] + p[3]) * u**3
     )
 

@@ -74,7 +74,9 @@ class Space:
             return np.clip(
                 np.stack(
                     [0.5 + 0.5 * points[:, 0] / (z * p[0]), 0.5 + 0.5 * points[:, 1] / (z * p[1]), 1 - p[2] / z], -1
-                ), 0, 1,
+                ),
+                0,
+                1,
             )
         local = (points - np.asarray(p[:3])) * np.asarray(p[3:6])
         if self.kind == "box":

@@ -51,8 +51,18 @@ def backward(field: RadianceField, rendered: Rendered, gradients: np.ndarray, de
     colour_gradients = np.empty_like(rendered.colours)
     chunks = len(colour_to if colour_to is not None else density_to)
     composite_backward(
-        s.sigma, s.weights, s.optical, rendered.colours, s.t, s.starts, s.ends, rendered.out, gradients, chunks,
-        sigma_gradients, colour_gradients,
+        s.sigma,
+        s.weights,
+        s.optical,
+        rendered.colours,
+        s.t,
+        s.starts,
+        s.ends,
+        rendered.out,
+        gradients,
+        chunks,
+        sigma_gradients,
+        colour_gradients,
     )
     if colour_to is not None:
         field.colour.backward(s.x, rendered.basis, s.starts, s.ends, rendered.colours, colour_gradients, colour_to)

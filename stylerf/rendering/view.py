@@ -28,8 +28,14 @@ class RenderedView:
 
 
 def render_view(
-    field: RadianceField, camera: Camera, *, chunks: int, opaque: float = 1e-3, share: float = 1e-3,
-    rays_at_once: int = RAYS_AT_ONCE, on_rays: Callable[[int], None] = lambda done: None,
+    field: RadianceField,
+    camera: Camera,
+    *,
+    chunks: int,
+    opaque: float = 1e-3,
+    share: float = 1e-3,
+    rays_at_once: int = RAYS_AT_ONCE,
+    on_rays: Callable[[int], None] = lambda done: None,
 ) -> RenderedView:
     """Render every pixel centre of a camera; memory is bounded by rays_at_once. on_rays: told after each part."""
     origins, directions = camera.rays()

@@ -33,8 +33,15 @@ class StyleObjective:
     """
 
     def __init__(
-        self, trunk: Trunk, painting: Tensor, size: tuple[int, int], weights: StyleWeights, scale: float = 0.5,
-        most_rows: int = 4096, style_scale: float = 1.0, seed: int = 0,
+        self,
+        trunk: Trunk,
+        painting: Tensor,
+        size: tuple[int, int],
+        weights: StyleWeights,
+        scale: float = 0.5,
+        most_rows: int = 4096,
+        style_scale: float = 1.0,
+        seed: int = 0,
     ) -> None:
         self.trunk, self.weights, self.scale = trunk, weights, scale
         picture = style_picture(painting, *size, scale=scale * style_scale)

@@ -93,7 +93,13 @@ class Fitter:
     """
 
     def __init__(
-        self, space: Space, bank: RayBank, held_out: int, settings: FitSettings, seed: int, chunks: int,
+        self,
+        space: Space,
+        bank: RayBank,
+        held_out: int,
+        settings: FitSettings,
+        seed: int,
+        chunks: int,
         on_say: Callable[[str], None] = lambda text: None,
     ) -> None:
         self.space, self.bank, self.held_out, self.settings = space, bank, held_out, settings
@@ -102,8 +108,10 @@ class Fitter:
         rung, generator = settings.ladder[0], np.random.default_rng([seed, 1])
         size = space.cells_per_axis(rung.resolution)
         self.field = RadianceField(
-            space, VmDensity.create(size, rung.density_rank, generator),
-            VmColour.create(size, rung.colour_rank, settings.degree, generator), Occupancy(rung.cells),
+            space,
+            VmDensity.create(size, rung.density_rank, generator),
+            VmColour.create(size, rung.colour_rank, settings.degree, generator),
+            Occupancy(rung.cells),
             1.0 / rung.resolution,
         )
         self._reset_optimisers()
@@ -121,7 +129,8 @@ class Fitter:
         generator = np.random.default_rng([self.seed, 2, rung.resolution])
         size, old = self.space.cells_per_axis(rung.resolution), self.field
         self.field = RadianceField(
-            self.space, old.density.with_rank(rung.density_rank, generator).resized(size),
+            self.space,
+            old.density.with_rank(rung.density_rank, generator).resized(size),
             old.colour.with_rank(rung.colour_rank, generator).resized(size),
             old.occupancy.resized(rung.cells) if rung.cells != old.occupancy.cells else old.occupancy,
             1.0 / rung.resolution,
@@ -171,7 +180,11 @@ class Fitter:
         if state.step >= 16 and state.step % _refresh_every(state.step) == 0:
             share = 1 if state.step < 300 else 4
             self.field.occupancy.refresh(
-                lambda x: self.field.density.sigma(x, self.chunks), self.field.step, self.seed + state.step, share, 0.9,
+                lambda x: self.field.density.sigma(x, self.chunks),
+                self.field.step,
+                self.seed + state.step,
+                share,
+                0.9,
             )
         count = state.rays
         among = len(self.bank.cameras)
@@ -246,8 +259,11 @@ class Fitter:
         quality = self.held_out_psnr()
         state.curve.append(
             {
-                "step": state.step, "seconds": round(state.seconds, 2), "psnr": round(quality, 3),
-                "parameters": self.field.parameters, "held_out": self.progress < self.settings.held_out_until,
+                "step": state.step,
+                "seconds": round(state.seconds, 2),
+                "psnr": round(quality, 3),
+                "parameters": self.field.parameters,
+                "held_out": self.progress < self.settings.held_out_until,
             }
         )
         # A fall this deep is no noise: the fit is on its way to a collapse, and more training would only deepen it.

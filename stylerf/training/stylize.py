@@ -67,8 +67,16 @@ class Stylizer:
     """photos: per view [h, w, 3] float32 over the background, sRGB 0..1. background: level of grey behind the field."""
 
     def __init__(
-        self, scene: RadianceField, cameras: list[Camera], photos: list[np.ndarray], background: float,
-        painting: torch.Tensor, trunk: Trunk, settings: StyleSettings, seed: int, chunks: int,
+        self,
+        scene: RadianceField,
+        cameras: list[Camera],
+        photos: list[np.ndarray],
+        background: float,
+        painting: torch.Tensor,
+        trunk: Trunk,
+        settings: StyleSettings,
+        seed: int,
+        chunks: int,
         new_colour: Callable[[np.random.Generator], object],
     ) -> None:
         self.settings, self.seed, self.chunks, self.background = settings, seed, chunks, np.float32(background)
@@ -91,9 +99,7 @@ class Stylizer:
         stacked = [self._rgba(photo, view) for view, photo in enumerate(photos)]
         colours, weights = pixels_of(stacked, seed=self.seed)
         colour_map = match_colours(colours, self.painting.flatten(1).T, weights)
-        return [
-            self._over(colour_map.image(rgba[:3]).permute(1, 2, 0).numpy(), rgba[3].numpy()) for rgba in stacked
-        ]
+        return [self._over(colour_map.image(rgba[:3]).permute(1, 2, 0).numpy(), rgba[3].numpy()) for rgba in stacked]
 
     def _rgba(self, photo: np.ndarray, view: int) -> torch.Tensor:
         """[4, h, w]: straight colour of the object and its coverage by the field's own alpha."""

@@ -49,10 +49,14 @@ def _corners(layout, level, i, j, k, features):
     a, b, c, d = x0 ^ y0, x0 ^ y1, x1 ^ y0, x1 ^ y1
     z = k + 1
     return (
-        begin + ((a ^ k) & mask) * features, begin + ((a ^ z) & mask) * features,
-        begin + ((b ^ k) & mask) * features, begin + ((b ^ z) & mask) * features,
-        begin + ((c ^ k) & mask) * features, begin + ((c ^ z) & mask) * features,
-        begin + ((d ^ k) & mask) * features, begin + ((d ^ z) & mask) * features,
+        begin + ((a ^ k) & mask) * features,
+        begin + ((a ^ z) & mask) * features,
+        begin + ((b ^ k) & mask) * features,
+        begin + ((b ^ z) & mask) * features,
+        begin + ((c ^ k) & mask) * features,
+        begin + ((c ^ z) & mask) * features,
+        begin + ((d ^ k) & mask) * features,
+        begin + ((d ^ z) & mask) * features,
     )
 
 

@@ -129,9 +129,7 @@ def warp_points(kind, space, points, chunks, out, jacobians):
     for c in prange(chunks):
         q = np.empty(3, np.float32)
         for p in range(c * n // chunks, (c + 1) * n // chunks):
-            _, jacobian = warp_at(
-                kind, space, points[p, 0], points[p, 1], points[p, 2], _ONE, _ZERO, _ZERO, q
-            )
+            _, jacobian = warp_at(kind, space, points[p, 0], points[p, 1], points[p, 2], _ONE, _ZERO, _ZERO, q)
             out[p, 0] = q[0]
             out[p, 1] = q[1]
             out[p, 2] = q[2]

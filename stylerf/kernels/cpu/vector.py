@@ -192,9 +192,7 @@ class _Cell:
         one = ir.Constant(_FLOAT, 1.0)
         sides = [(rows.sub(one, f), f) for f in (fx, fy, fz)]
         self.rows, self.offsets = rows, offsets
-        self.weights = [
-            rows.mul(rows.mul(sides[0][c >> 2], sides[1][(c >> 1) & 1]), sides[2][c & 1]) for c in range(8)
-        ]
+        self.weights = [rows.mul(rows.mul(sides[0][c >> 2], sides[1][(c >> 1) & 1]), sides[2][c & 1]) for c in range(8)]
 
 
 _CELL = (*(_INDEX,) * 8, _SCALAR, _SCALAR, _SCALAR)  # offsets of the corners (x slowest, z fastest), fx, fy, fz
