@@ -23,7 +23,7 @@ class Rendered:
     colours: np.ndarray
 
 
-def render_rays(field: RadianceField, rays: Rays, *, chunks: int, opaque=1e-3, share=5e-3) -> Rendered:
+def render_rays(field: RadianceField, rays: Rays, *, chunks: int, opaque=1e-3, share=2e-2) -> Rendered:
     """Render rays. opaque: transmittance at which a ray ends.
 
     share: part of its ray's largest weight under which a sample gets no colour of its own, but the ray's mean.

@@ -77,5 +77,5 @@ class StyleObjective:
         loss = (
             self.weights.style * style_loss + self.weights.content * content_loss + self.weights.variation * variation
         )
-        parts = {"style": float(style_loss), "content": float(content_loss), "variation": float(variation)}
+        parts = {"style": style_loss.item(), "content": float(content_loss.detach()), "variation": variation.item()}
         return loss, parts

@@ -34,7 +34,9 @@ class Rung:
     cells: int = 64
 
 
-LADDER = (Rung(64, 8, 16), Rung(128, 16, 24), Rung(192, 16, 24), Rung(256, 16, 24))
+# One pair of ranks on every rung: each pair is a set of kernels to compile.
+LADDER = (Rung(64, 16, 24), Rung(128, 16, 24), Rung(192, 16, 24), Rung(256, 16, 24))
+LEAST_STEPS_PER_RUNG = 100
 
 
 @dataclass(frozen=True)
@@ -222,6 +224,7 @@ class Fitter:
 
     def run(self, on_step: Callable[["Fitter"], None] = lambda fitter: None, check_every: float = 0.04) -> None:
         """Train until the budget is spent. check_every: share of the budget between looks at the held-out views."""
+        self.warm_up()
         state = self.state
         next_check = (math.floor(self.progress / check_every) + 1) * check_every
         while self.progress < 1.0:
@@ -240,6 +243,25 @@ class Fitter:
             self.between_steps = True
             on_step(self)
 
+    def warm_up(self) -> None:
+        """Compile every kernel that a step uses, for every rank of the ladder, without learning anything."""
+        generator = np.random.default_rng(0)
+        origins, directions, _, _ = self.bank.draw(16, generator)
+        rays = Rays.of(origins, directions, self.space.near)
+        for density_rank, colour_rank in {(r.density_rank, r.colour_rank) for r in self.settings.ladder}:
+            size = np.full(3, 8, np.int64)
+            density = VmDensity.create(size, density_rank, generator)
+            colour = VmColour.create(size, colour_rank, self.settings.degree, generator)
+            scratch = RadianceField(self.space, density, colour, Occupancy(8), 1 / 8)
+            scratch.occupancy.refresh(lambda x, d=density: d.sigma(x, self.chunks), 1 / 8, 0, 1, 0.9)
+            rendered = render_rays(scratch, rays, chunks=self.chunks)
+            adams = [Adam(part.values, part.groups(), self.chunks) for part in (density, colour)]
+            backward(scratch, rendered, np.ones_like(rendered.out), adams[0].gradients, adams[1].gradients)
+            for part, adam, weight in zip((density, colour), adams, self.settings.smoothness):
+                if weight > 0:
+                    part.smooth(weight, adam.gradients[0])
+                adam.step(1e-3)
+
     def _halve_parts(self) -> None:
         self.state.parts *= 2
         if self.state.parts > 64:
@@ -252,7 +274,8 @@ class Fitter:
         s = self.state
         shares = self.settings.shares
         last = min(len(self.settings.ladder) - 1, len(shares))
-        return not s.fixed and s.rung < last and self.progress >= shares[s.rung]
+        ripe = s.step >= LEAST_STEPS_PER_RUNG * (s.rung + 1)
+        return not s.fixed and ripe and s.rung < last and self.progress >= shares[s.rung]
 
     def _check(self) -> None:
         state = self.state
