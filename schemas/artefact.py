@@ -1,0 +1,95 @@
+"""A finished artefact: a folder that holds a manifest and the files that it lists."""
+
+from functools import cached_property
+from pathlib import Path
+
+from schemas.canonical import file_sha256
+from schemas.errors import ArtefactDamaged, ArtefactStale
+from schemas.manifest import MANIFEST, InputRef, Manifest, read_manifest
+
+# What a user types to get an artefact of each kind; WORK stands for the work folder.
+MADE_BY: dict[str, str] = {
+    "scene": "stylerf import PHOTOS WORK",
+    "field": "stylerf fit WORK",
+    "frames": "stylerf render WORK",
+    "region": "stylerf select WORK",
+    "edit-dataset": "stylerf extract WORK",
+    "edit": "stylerf stylize WORK --region NAME",
+    "report": "stylerf eval WORK",
+}
+
+
+class Artefact:
+    """A finished artefact on disk. Its manifest is read, and its seal checked, when first asked for."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = Path(path)
+
+    def __repr__(self) -> str:
+        return f"Artefact({str(self.path)!r})"
+
+    @cached_property
+    def _read(self) -> tuple[Manifest, str]:
+        return read_manifest(self.path)
+
+    @property
+    def manifest(self) -> Manifest:
+        """The manifest, brought to the present schema."""
+        return self._read[0]
+
+    @property
+    def kind(self) -> str:
+        """Kind by manifest."""
+        return self.manifest.kind
+
+    @property
+    def name(self) -> str:
+        """Name of the folder, so that a renamed or copied artefact goes by the name it can be found under."""
+        return self.path.name
+
+    @property
+    def digest(self) -> str:
+        """Identity: SHA-256 over kind, schema, recipe and files as stored."""
+        return self._read[1]
+
+    def reference(self, role: str) -> InputRef:
+        """This artefact as an input that plays `role`."""
+        return InputRef(role, self.kind, self.name, self.digest)
+
+    def file(self, relative: str) -> Path:
+        """Path of one of its files; ArtefactDamaged where it is not there."""
+        path = self.path / relative
+        if not path.is_file():
+            raise ArtefactDamaged(f"{self.path} lacks {relative}; make it again: {self._remake()}")
+        return path
+
+    def check_sizes(self) -> None:
+        """Quick check that every listed file is there with its length; ArtefactDamaged naming the first that is not."""
+        for record in self.manifest.files:
+            size = self.file(record.path).stat().st_size
+            if size != record.bytes:
+                raise ArtefactDamaged(
+                    f"{self.path / record.path} has {size} bytes where {record.bytes} were written; make it again: "
+                    f"{self._remake()}"
+                )
+
+    def verify(self) -> None:
+        """Full check: seal of the manifest, digest of every file, nothing added. ArtefactDamaged names what differs."""
+        self.__dict__.pop("_read", None)  # what is on disk now, not what was read earlier
+        self.check_sizes()
+        for record in self.manifest.files:
+            if file_sha256(self.path / record.path) != record.sha256:
+                raise ArtefactDamaged(
+                    f"{self.path / record.path} was altered since it was written (its SHA-256 differs); make it "
+                    f"again: {self._remake()}"
+                )
+        listed = {record.path for record in self.manifest.files} | {MANIFEST}
+        present = {item.relative_to(self.path).as_posix() for item in self.path.rglob("*") if not item.is_dir()}
+        if added := sorted(present - listed):
+            raise ArtefactDamaged(f"{self.path / added[0]} is no part of this artefact; move it elsewhere")
+
+    def _remake(self) -> str:
+        try:
+            return f"{MADE_BY[self.kind].replace('WORK', str(self.path.parent.parent))} --force"
+        except (ArtefactDamaged, ArtefactStale):
+            return "run the command that made it with --force"

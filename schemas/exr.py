@@ -1,0 +1,224 @@
+"""Rendered views as OpenEXR: colour, planar depth, ray distance, masks, and the camera that saw them.
+
+Channels: R G B A half (linear Rec.709, premultiplied), Z float32 (along the camera's axis, not along the ray),
+rayDistance.Z float32 (along the ray), mask.<name> half. One scanline part, ZIP: of 1,100 flipped bytes none was
+silent with it.
+"""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import OpenEXR
+
+from schemas.atomic import refusal_of_disk, replacing
+from schemas.errors import BadInput
+from schemas.silence import native_output_silenced
+
+# Depth where nothing was hit (alpha 0): compositors sort by Z, and a 0 there would put the void in front of all.
+FAR_Z = 1e10
+LARGEST_SIDE = 32768
+LARGEST_HALF = 65504.0
+REC709 = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)  # x, y of red, green, blue, white
+PREFIX = "stylerf:"
+_REQUIRED = {"R": "f2", "G": "f2", "B": "f2", "A": "f2", "Z": "f4", "rayDistance.Z": "f4"}
+# The EXR standard's camera has y up, ours y down; everything else agrees (x right, z forward): left-handed.
+_Y_UP = np.diag([1.0, -1.0, 1.0, 1.0])
+
+
+@dataclass(frozen=True, eq=False)
+class ExrView:
+    """One rendered view.
+
+    rgb: [h, w, 3] linear Rec.709 multiplied by alpha. alpha: [h, w] 0..1. z: [h, w] planar depth, ray_distance:
+    [h, w] distance along the ray, both in scene units and FAR_Z where alpha is 0. masks: by name, [h, w] 0..1.
+    world_from_camera: [4, 4], OpenCV axes. intrinsics: fx, fy, cx, cy in pixels. near, far: scene units.
+    attributes: provenance, stored as `stylerf:<key>`.
+    """
+
+    rgb: np.ndarray
+    alpha: np.ndarray
+    z: np.ndarray
+    ray_distance: np.ndarray
+    world_from_camera: np.ndarray
+    intrinsics: tuple[float, float, float, float]
+    near: float
+    far: float
+    masks: dict[str, np.ndarray] = field(default_factory=dict)
+    attributes: dict[str, str] = field(default_factory=dict)
+
+
+def world_to_camera(world_from_camera: np.ndarray) -> np.ndarray:
+    """The EXR attribute of that name, [4, 4]: row vector (x, y, z, 1) times it is the point with x right, y up,
+    z forward."""
+    return (_Y_UP @ np.linalg.inv(world_from_camera)).T
+
+
+def world_to_ndc(
+    world_from_camera: np.ndarray,
+    intrinsics: tuple[float, float, float, float],
+    size: tuple[int, int],
+    near: float,
+    far: float,
+) -> np.ndarray:
+    """The EXR attribute worldToNDC, [4, 4]: row vector times it, divided by its last component, is (u, v, depth).
+
+    (0, 0) is the upper left and (1, 1) the lower right corner of the image; depth is 0 at near and 1 at far.
+    """
+    fx, fy, cx, cy = intrinsics
+    width, height = size
+    projection = np.array(
+        [
+            [fx / width, 0.0, cx / width, 0.0],
+            [0.0, fy / height, cy / height, 0.0],
+            [0.0, 0.0, far / (far - near), -far * near / (far - near)],
+            [0.0, 0.0, 1.0, 0.0],
+        ]
+    )
+    return (projection @ np.linalg.inv(world_from_camera)).T
+
+
+def write_exr(path: Path | str, view: ExrView) -> None:
+    """Writes `view` as one step; equal views give equal bytes.
+
+    ValueError for arrays of unequal size or with NaN, OutOfResources when the disk refuses.
+    """
+    path = Path(path)
+    channels = _channels(view)
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage, **_attributes(view)}
+    with replacing(path) as temporary:
+        try:
+            with native_output_silenced():
+                OpenEXR.File(header, dict(channels)).write(str(temporary))  # it replaces the dict's values
+        except RuntimeError as error:
+            size = sum(array.nbytes for array in channels.values())
+            raise refusal_of_disk(path, size) or OSError(f"{path}: the EXR writer failed ({error})") from error
+
+
+def _channels(view: ExrView) -> dict[str, np.ndarray]:
+    planes = {"R": view.rgb[..., 0], "G": view.rgb[..., 1], "B": view.rgb[..., 2], "A": view.alpha}
+    planes |= {f"mask.{name}": mask for name, mask in view.masks.items()}
+    planes = {name: np.clip(plane, -LARGEST_HALF, LARGEST_HALF).astype(np.float16) for name, plane in planes.items()}
+    hit = planes["A"] > 0  # as stored: an alpha that half rounds to 0 is void to every reader
+    planes["Z"] = np.where(hit, view.z, FAR_Z).astype(np.float32)
+    planes["rayDistance.Z"] = np.where(hit, view.ray_distance, FAR_Z).astype(np.float32)
+    for name, plane in planes.items():
+        if plane.shape != view.alpha.shape or plane.ndim != 2 or plane.size == 0:
+            raise ValueError(f"EXR channel {name} has shape {plane.shape}, alpha {view.alpha.shape}")
+        if not np.isfinite(plane).all():
+            raise ValueError(f"EXR channel {name} holds NaN or infinity")
+    # OpenEXR writes strided arrays wrongly and without a word (its issue 1929).
+    return {name: np.ascontiguousarray(plane) for name, plane in planes.items()}
+
+
+def _attributes(view: ExrView) -> dict:
+    height, width = view.alpha.shape
+    fx, fy, cx, cy = view.intrinsics
+    pose = np.asarray(view.world_from_camera, dtype=np.float64)
+    if pose.shape != (4, 4) or not np.isfinite(pose).all():
+        raise ValueError("the pose of an EXR view must be a finite 4x4 matrix")
+    if not (0 < view.near < view.far < np.inf):
+        raise ValueError(f"an EXR view needs 0 < near < far, not {view.near} and {view.far}")
+    standard = {
+        "chromaticities": REC709,
+        "pixelAspectRatio": float(fy / fx),
+        # The part of the plane at distance 1 that the image covers, y up.
+        "screenWindowCenter": np.array([(width / 2 - cx) / fx, (cy - height / 2) / fy], dtype=np.float32),
+        "screenWindowWidth": float(width / fx),
+        "worldToCamera": _matrix(world_to_camera(pose)),
+        "worldToNDC": _matrix(world_to_ndc(pose, view.intrinsics, (width, height), view.near, view.far)),
+        "software": "stylerf",
+    }
+    # float32 matrices would move the camera a little at each rewrite, so the exact numbers are kept as text too.
+    exact = {
+        "world_from_camera": _numbers(pose.ravel()),
+        "intrinsics": _numbers(view.intrinsics),
+        "near": _numbers([view.near]),
+        "far": _numbers([view.far]),
+        **view.attributes,
+    }
+    return standard | {PREFIX + key: str(value) for key, value in exact.items()}
+
+
+def _matrix(matrix: np.ndarray) -> np.ndarray:
+    return np.ascontiguousarray(matrix, dtype=np.float32)
+
+
+def _numbers(values) -> str:
+    return " ".join(repr(float(value)) for value in values)
+
+
+def read_channels(path: Path | str, required: tuple[str, ...]) -> tuple[dict[str, np.ndarray], dict]:
+    """All channels [h, w] by name, in their stored types, and the header of a one-part EXR.
+
+    BadInput when the file is missing, no EXR, cut short or damaged, lacks one of the `required` channels, or has
+    channels of another size than its data window.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise BadInput(f"{path}: no such EXR file")
+    try:
+        with native_output_silenced():
+            OpenEXR.setMaxImageSize(LARGEST_SIDE, LARGEST_SIDE)
+            source = OpenEXR.File(str(path), separate_channels=True)
+            parts = source.parts
+            # A damaged part is only warned about and dropped: what is there has to be counted.
+            channels = {name: np.array(channel.pixels) for name, channel in parts[0].channels.items()} if parts else {}
+            header = dict(parts[0].header) if parts else {}
+    except (RuntimeError, ValueError, TypeError, MemoryError) as error:
+        raise BadInput(f"{path} is no readable EXR ({_one_line(error)}); make or fetch it again") from error
+    if len(parts) != 1:
+        raise BadInput(f"{path} is damaged or no single-part EXR: {len(parts)} readable parts where 1 was expected")
+    if missing := [name for name in required if name not in channels]:
+        raise BadInput(f"{path} lacks channels {', '.join(missing)}; it holds {', '.join(channels) or 'none'}")
+    low, high = header["dataWindow"]
+    shape = (int(high[1] - low[1] + 1), int(high[0] - low[0] + 1))
+    if wrong := [name for name, plane in channels.items() if plane.shape != shape]:
+        raise BadInput(f"{path}: channel {wrong[0]} is {channels[wrong[0]].shape} where {shape} was expected")
+    return channels, header
+
+
+def _one_line(error: BaseException) -> str:
+    return " ".join(str(error).split()) or type(error).__name__
+
+
+def read_exr(path: Path | str) -> ExrView:
+    """The view that write_exr stored: float32 arrays, and the camera to the last bit.
+
+    BadInput when it cannot be read whole, was not written by write_exr, or holds NaN.
+    """
+    path = Path(path)
+    channels, header = read_channels(path, tuple(_REQUIRED))
+    for name, code in _REQUIRED.items():
+        if channels[name].dtype != np.dtype(code):
+            raise BadInput(f"{path}: channel {name} is {channels[name].dtype} where {np.dtype(code)} was expected")
+    planes = {name: plane.astype(np.float32) for name, plane in channels.items()}
+    if bad := [name for name, plane in planes.items() if not np.isfinite(plane).all()]:
+        raise BadInput(f"{path}: channel {bad[0]} holds NaN or infinity")
+    own = {key.removeprefix(PREFIX): value for key, value in header.items() if key.startswith(PREFIX)}
+    try:
+        pose = np.array([float(word) for word in own.pop("world_from_camera").split()]).reshape(4, 4)
+        fx, fy, cx, cy = (float(word) for word in own.pop("intrinsics").split())
+        near, far = float(own.pop("near")), float(own.pop("far"))
+    except (KeyError, ValueError) as error:
+        raise BadInput(f"{path} was not written by stylerf: its camera attributes are missing ({error})") from error
+    return ExrView(
+        rgb=np.stack([planes["R"], planes["G"], planes["B"]], axis=-1),
+        alpha=planes["A"],
+        z=planes["Z"],
+        ray_distance=planes["rayDistance.Z"],
+        world_from_camera=pose,
+        intrinsics=(fx, fy, cx, cy),
+        near=near,
+        far=far,
+        masks={name.removeprefix("mask."): plane for name, plane in planes.items() if name.startswith("mask.")},
+        attributes=own,
+    )
+
+
+def read_depth(path: Path | str) -> np.ndarray:
+    """The Z channel of any EXR as float32 [h, w]; BadInput where there is none or it holds NaN."""
+    depth = read_channels(path, ("Z",))[0]["Z"].astype(np.float32)
+    if np.isnan(depth).any():
+        raise BadInput(f"{path}: channel Z holds NaN")
+    return depth

@@ -1,0 +1,143 @@
+"""The manifest of an artefact: what it is, what it was made from and how, and which bytes it consists of."""
+
+import hashlib
+import json
+import re
+from dataclasses import asdict, dataclass, field, fields
+from pathlib import Path
+from typing import Any
+
+from schemas.canonical import digest_of, plain
+from schemas.errors import ArtefactDamaged
+from schemas.migrations import migrated
+
+MANIFEST = "manifest.json"
+_SEAL = re.compile(rb'"self_sha256": "([0-9a-f]{64})"')
+_BLANK = b'"self_sha256": "' + b"0" * 64 + b'"'
+
+
+@dataclass(frozen=True)
+class InputRef:
+    """An artefact that another was made from: the part it played, and the digest that it had."""
+
+    role: str
+    kind: str
+    name: str
+    digest: str
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """All that decides what a stage makes. Two equal recipes make the same artefact, so the older one is reused."""
+
+    stage: str
+    revision: int
+    config: dict
+    inputs: list[InputRef]
+    seed: int = 0
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 over stage, revision, config, seed and the inputs' roles and digests (not their names)."""
+        inputs = sorted((ref.role, ref.kind, ref.digest) for ref in self.inputs)
+        return digest_of([self.stage, self.revision, self.config, inputs, self.seed])
+
+
+@dataclass(frozen=True)
+class FileRecord:
+    """One file of an artefact: its path inside the folder with forward slashes, its length, its SHA-256."""
+
+    path: str
+    bytes: int
+    sha256: str
+
+
+@dataclass(frozen=True)
+class Manifest:
+    """manifest.json. `schema` counts the versions of this kind, `created` is UTC in ISO 8601, sizes are in MB = 1e6.
+
+    `seconds` and `peak_memory_mb` cover all runs that an interrupted artefact took. `figures` is free to each stage.
+    """
+
+    kind: str
+    schema: int
+    name: str
+    stage: str
+    revision: int
+    recipe: str
+    config: dict
+    inputs: list[InputRef]
+    files: list[FileRecord]
+    seed: int
+    device: str
+    versions: dict[str, str]
+    seconds: float
+    peak_memory_mb: float
+    created: str
+    figures: dict = field(default_factory=dict)
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 over kind, schema, recipe and files: the identity of the artefact, whatever its name."""
+        return digest_of([self.kind, self.schema, self.recipe, [asdict(record) for record in self.files]])
+
+    def to_bytes(self) -> bytes:
+        """The text of manifest.json, sealed: `self_sha256` is the SHA-256 of the text with 64 zeros in its place."""
+        content = {**plain(self), "self_sha256": "0" * 64}
+        text = (json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n").encode()
+        return _sealed(text)
+
+
+def _sealed(text: bytes) -> bytes:
+    seal = hashlib.sha256(text).hexdigest().encode()
+    head, _, tail = text.rpartition(_BLANK)  # the last one: `figures` and `config` are free text and come before
+    return head + _BLANK.replace(b"0" * 64, seal) + tail
+
+
+def _seal_holds(text: bytes) -> bool:
+    found = list(_SEAL.finditer(text))
+    if not found:
+        return False
+    last = found[-1]
+    blank = text[: last.start()] + _BLANK + text[last.end() :]
+    return hashlib.sha256(blank).hexdigest().encode() == last.group(1)
+
+
+def read_manifest(folder: Path) -> tuple[Manifest, str]:
+    """The manifest of the artefact in `folder`, brought to the present schema, and the digest it was stored with.
+
+    The digest is that of the stored version, so that what was made from it stays up to date after a migration.
+    Raises ArtefactDamaged when the manifest is missing or altered, ArtefactStale when a newer stylerf wrote it.
+    """
+    path = folder / MANIFEST
+    try:
+        text = path.read_bytes()
+    except FileNotFoundError:
+        raise ArtefactDamaged(f"{folder} has no {MANIFEST}, so it is no finished artefact; make it again") from None
+    except OSError as error:
+        raise ArtefactDamaged(f"{path} cannot be read: {error.strerror}") from error
+    if not _seal_holds(text):
+        raise ArtefactDamaged(f"{path} was altered since it was written (its own digest differs); make it again")
+    content = json.loads(text)
+    del content["self_sha256"]
+    stored = _digest_as_stored(content)
+    return _from_dict(migrated(content, folder), path), stored
+
+
+def _digest_as_stored(content: dict) -> str:
+    return digest_of([content.get(key) for key in ("kind", "schema", "recipe", "files")])
+
+
+def _from_dict(content: dict, path: Path) -> Manifest:
+    known = {item.name for item in fields(Manifest)}
+    if missing := sorted(known - {"figures"} - content.keys()):
+        raise ArtefactDamaged(f"{path} lacks {', '.join(missing)}; make the artefact again")
+    if more := sorted(content.keys() - known):
+        raise ArtefactDamaged(f"{path} holds unknown fields {', '.join(more)}; make the artefact again")
+    values: dict[str, Any] = dict(content)
+    try:
+        values["inputs"] = [InputRef(**ref) for ref in content["inputs"]]
+        values["files"] = [FileRecord(**record) for record in content["files"]]
+    except TypeError as error:
+        raise ArtefactDamaged(f"{path}: its inputs or files are not as expected ({error}); make it again") from error
+    return Manifest(**values)

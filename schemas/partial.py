@@ -1,0 +1,187 @@
+"""An artefact in the making: a locked folder that an interrupted run leaves behind and the next one goes on with.
+
+    WORK/<kind>/.<name>.partial/recipe.json    what is being made
+                                files/         the files of the artefact to be
+                                checkpoint/    what the stage needs to go on, gone once it is finished
+                                clock.json     seconds and peak memory of the runs so far
+    WORK/<kind>/.<name>.lock                   held while a process writes here
+
+Finishing hashes and flushes the files, writes the manifest last, and swaps `files` with the artefact of that name in
+one rename.
+"""
+
+import ctypes
+import fcntl
+import json
+import os
+import shutil
+from contextlib import suppress
+from dataclasses import asdict
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from schemas.artefact import Artefact
+from schemas.atomic import is_temporary, make_folder, sync_file, sync_folder, write_bytes, write_json, writing
+from schemas.canonical import file_sha256, plain
+from schemas.errors import OutOfResources
+from schemas.manifest import MANIFEST, FileRecord, Manifest, Recipe
+from schemas.migrations import CURRENT
+
+_AT_FDCWD = -100
+_RENAME_EXCHANGE = 2
+
+
+class Lock:
+    """The right to write one artefact. The system frees it when the process ends, however it ends."""
+
+    def __init__(self, path: Path) -> None:
+        """Takes the lock at `path`; OutOfResources naming the holder's process when another one has it."""
+        make_folder(path.parent)
+        with writing(path):
+            self._handle: int | None = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
+        try:
+            fcntl.flock(self._handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            holder = os.pread(self._handle, 32, 0).decode(errors="replace").strip() or "unknown"
+            self.release()
+            name = path.name.removeprefix(".").removesuffix(".lock")
+            raise OutOfResources(
+                f"{path.parent.name} {name} is being written by another process ({holder}); wait for it to end, or "
+                "give another --name"
+            ) from error
+        with suppress(OSError):  # only so that the other side can name us; a full disk is met soon enough
+            os.ftruncate(self._handle, 0)
+            os.pwrite(self._handle, f"{os.getpid()}\n".encode(), 0)
+
+    def release(self) -> None:
+        """Gives the lock back; harmless when it was given back before."""
+        if self._handle is not None:
+            os.close(self._handle)
+            self._handle = None
+
+
+class Partial:
+    """A run in progress. The stage writes its files below `path` and its checkpoints below `checkpoint`.
+
+    `resumed` tells that an earlier run of the same recipe left something here.
+    """
+
+    def __init__(self, root: Path, kind: str, name: str, recipe: Recipe) -> None:
+        self.kind, self.name, self.recipe = kind, name, recipe
+        self.target = root / kind / name
+        self.folder = root / kind / f".{name}.partial"
+        self.path = self.folder / "files"
+        self.checkpoint = self.folder / "checkpoint"
+        self._lock = Lock(root / kind / f".{name}.lock")
+        try:
+            self._restore_replaced()
+            self.resumed = self._holds_same_recipe()
+            if not self.resumed:
+                self._start_afresh()
+            make_folder(self.checkpoint)
+            for leftover in [item for item in self.folder.rglob(".*") if is_temporary(item)]:
+                leftover.unlink(missing_ok=True)
+        except BaseException:
+            self._lock.release()
+            raise
+
+    def _holds_same_recipe(self) -> bool:
+        # `files` is gone from the moment a run is finished, so what a kill after that left behind is not resumed.
+        if not self.path.is_dir():
+            return False
+        try:
+            return json.loads((self.folder / "recipe.json").read_text())["digest"] == self.recipe.digest
+        except (OSError, ValueError, KeyError, TypeError):
+            return False
+
+    def _start_afresh(self) -> None:
+        with writing(self.folder):
+            if self.folder.exists():
+                shutil.rmtree(self.folder)
+        make_folder(self.path)
+        write_json(self.folder / "recipe.json", {**asdict(self.recipe), "digest": self.recipe.digest})
+
+    def _restore_replaced(self) -> None:
+        replaced = self.folder / "replaced"
+        if replaced.is_dir() and not self.target.exists():
+            os.rename(replaced, self.target)
+
+    def commit(
+        self,
+        *,
+        device: str = "cpu",
+        versions: dict[str, str] | None = None,
+        seconds: float = 0.0,
+        peak_memory_mb: float = 0.0,
+        figures: dict[str, Any] | None = None,
+    ) -> Artefact:
+        """Finishes the artefact and returns it; checkpoints and the artefact it replaces are deleted after.
+
+        A kill at any moment leaves either the older artefact (or none) with this run resumable, or the new one.
+        """
+        with writing(self.path):
+            records = [self._record(item) for item in self._files()]
+            manifest = Manifest(
+                kind=self.kind,
+                schema=CURRENT[self.kind],
+                name=self.name,
+                stage=self.recipe.stage,
+                revision=self.recipe.revision,
+                recipe=self.recipe.digest,
+                config=plain(self.recipe.config),
+                inputs=list(self.recipe.inputs),
+                files=records,
+                seed=self.recipe.seed,
+                device=device,
+                versions=dict(versions or {}),
+                seconds=round(float(seconds), 3),
+                peak_memory_mb=round(float(peak_memory_mb), 1),
+                created=datetime.now(UTC).isoformat(timespec="seconds"),
+                figures=plain(figures or {}),
+            )
+            write_bytes(self.path / MANIFEST, manifest.to_bytes())
+            self._swap()
+            shutil.rmtree(self.folder, ignore_errors=True)
+        self.release()
+        return Artefact(self.target)
+
+    def _files(self) -> list[Path]:
+        """All files to keep, in the order of their names; an interrupted run's manifest is written anew."""
+        (self.path / MANIFEST).unlink(missing_ok=True)
+        items = [item for item in self.path.rglob("*") if item.is_file() and not is_temporary(item)]
+        return sorted(items, key=lambda item: item.relative_to(self.path).as_posix())
+
+    def _record(self, item: Path) -> FileRecord:
+        sync_file(item)
+        return FileRecord(item.relative_to(self.path).as_posix(), item.stat().st_size, file_sha256(item))
+
+    def _swap(self) -> None:
+        for folder in [*(item for item in self.path.rglob("*") if item.is_dir()), self.path]:
+            sync_folder(folder)
+        ready = self.folder / "ready"
+        os.rename(self.path, ready)
+        if not self.target.exists():
+            os.rename(ready, self.target)
+        elif not _exchange(ready, self.target):
+            os.rename(self.target, self.folder / "replaced")
+            os.rename(ready, self.target)
+        sync_folder(self.target.parent)
+
+    def discard(self) -> None:
+        """Deletes the run with its checkpoints."""
+        shutil.rmtree(self.folder, ignore_errors=True)
+        self.release()
+
+    def release(self) -> None:
+        """Lets others write here; the folder stays and can be resumed."""
+        self._lock.release()
+
+
+def _exchange(one: Path, other: Path) -> bool:
+    """Swaps two folders in one step where the system can (Linux), so that there is no moment without an artefact."""
+    try:
+        renameat2 = ctypes.CDLL(None, use_errno=True).renameat2
+    except (OSError, AttributeError):
+        return False
+    return renameat2(_AT_FDCWD, os.fsencode(one), _AT_FDCWD, os.fsencode(other), _RENAME_EXCHANGE) == 0

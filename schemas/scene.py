@@ -1,0 +1,204 @@
+"""scene.json: the views of a scene, their cameras, and what was learned about the capture.
+
+Camera axes are OpenCV's (x right, y down, z forward); pixel (i, j) has its centre at (i + 0.5, j + 0.5).
+"""
+
+import json
+import math
+import re
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from schemas.atomic import write_json
+from schemas.errors import ArtefactDamaged, BadInput
+
+SCENE_FILE = "scene.json"
+POINTS_FILE = "points.safetensors"
+LAYOUTS = ("object", "forward", "unbounded")
+BACKGROUNDS = ("alpha", "white", "black", "none")
+SPLITS = ("train", "test")
+_NUMBER_IN_PATTERN = re.compile(r"0+(?=\.[^./]*$)")
+
+Matrix = tuple[tuple[float, ...], ...]
+
+
+def as_matrix(values: Any) -> Matrix:
+    """A 4x4 array or nested list as nested tuples of floats; ValueError for any other shape."""
+    array = np.asarray(values, dtype=np.float64)
+    if array.shape != (4, 4):
+        raise ValueError(f"a 4x4 matrix was expected, not {array.shape}")
+    return tuple(tuple(float(value) for value in row) for row in array)
+
+
+@dataclass(frozen=True)
+class View:
+    """One image and its camera. fx, fy, cx, cy in pixels; world_from_camera 4x4 in scene units.
+
+    image: path inside the artefact. source: the path as the user knows it.
+    """
+
+    name: str
+    image: str
+    split: str
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    world_from_camera: Matrix
+    source: str = ""
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """Where the scene lies, in scene units.
+
+    aabb: lower and upper corner. object: the box that holds the object; unbounded: the box mapped without contraction;
+    forward: the box of the frustum volume. near, far: planar depths between which there is anything to see.
+    """
+
+    aabb: tuple[tuple[float, float, float], tuple[float, float, float]]
+    near: float
+    far: float
+
+
+@dataclass(frozen=True)
+class Skipped:
+    """An image of the source that the scene does not hold, and why."""
+
+    source: str
+    reason: str
+
+
+@dataclass(frozen=True)
+class Truth:
+    """Known answers of a made scene. depth: pattern of planar-depth EXRs whose last run of zeros is the view's index.
+
+    `truth/depth_000.exr` names `truth/depth_007.exr` for view 7.
+    """
+
+    depth: str | None = None
+
+    def depth_file(self, index: int) -> str | None:
+        """The depth file of view `index`, None where there is no truth."""
+        if self.depth is None:
+            return None
+        return _NUMBER_IN_PATTERN.sub(lambda zeros: str(index).zfill(len(zeros.group())), self.depth)
+
+
+@dataclass(frozen=True)
+class Scene:
+    """scene.json. scene_from_source: the 4x4 similarity (scale*R | t) from the source's world to scene units."""
+
+    views: tuple[View, ...]
+    layout: str
+    layout_reason: str
+    bounds: Bounds
+    background: str
+    scene_from_source: Matrix
+    skipped: tuple[Skipped, ...] = ()
+    truth: Truth = field(default_factory=Truth)
+    sfm: dict | None = None
+
+    def split(self, name: str) -> list[int]:
+        """Indices of the views of a split, `train` or `test`."""
+        return [index for index, view in enumerate(self.views) if view.split == name]
+
+
+def validate_scene(scene: Scene) -> None:
+    """Checks everything that later stages rely on; BadInput telling the first thing that is wrong."""
+    if not scene.views:
+        raise BadInput("a scene needs at least one view; none was given")
+    names = [view.name for view in scene.views]
+    if twice := {name for name in names if names.count(name) > 1}:
+        raise BadInput(f"view names must differ; {min(twice)!r} stands {names.count(min(twice))} times")
+    for view in scene.views:
+        _validate_view(view)
+    _one_of(scene.layout, LAYOUTS, "layout")
+    _one_of(scene.background, BACKGROUNDS, "background")
+    bounds = scene.bounds
+    corners = [*bounds.aabb[0], *bounds.aabb[1]]
+    if not all(math.isfinite(value) for value in corners):
+        raise BadInput("the scene's bounding box is not finite")
+    if any(low >= high for low, high in zip(*bounds.aabb, strict=True)):
+        raise BadInput(f"the scene's bounding box {bounds.aabb} is empty: each lower corner must be below the upper")
+    if not 0 < bounds.near < bounds.far < math.inf:
+        raise BadInput(f"near and far must satisfy 0 < near < far; they are {bounds.near:g} and {bounds.far:g}")
+    similarity = np.array(scene.scene_from_source)
+    if not np.isfinite(similarity).all() or not np.linalg.det(similarity[:3, :3]) > 0:
+        raise BadInput("scene_from_source is not an invertible similarity")
+
+
+def _validate_view(view: View) -> None:
+    where = f"view {view.name}"
+    _one_of(view.split, SPLITS, f"{where}: split")
+    if view.width < 1 or view.height < 1:
+        raise BadInput(f"{where}: size {view.width}x{view.height} is empty")
+    if not all(math.isfinite(value) for value in (view.fx, view.fy, view.cx, view.cy)) or min(view.fx, view.fy) <= 0:
+        raise BadInput(f"{where}: focal lengths must be positive, found {view.fx:g} and {view.fy:g}")
+    pose = np.array(view.world_from_camera)
+    if not np.isfinite(pose).all():
+        raise BadInput(f"{where}: its pose holds NaN or infinity")
+    rotation = pose[:3, :3]
+    if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-4) or np.linalg.det(rotation) < 0:
+        raise BadInput(f"{where}: the upper left 3x3 of its pose is not a rotation")
+    if not np.allclose(pose[3], [0, 0, 0, 1]):
+        raise BadInput(f"{where}: the last row of its pose is {pose[3].tolist()}, expected 0 0 0 1")
+    if Path(view.image).is_absolute() or ".." in Path(view.image).parts:
+        raise BadInput(f"{where}: image path {view.image!r} leaves the artefact")
+
+
+def _one_of(value: str, allowed: tuple[str, ...], what: str) -> None:
+    if value not in allowed:
+        raise BadInput(f"{what} is {value!r}; expected one of {', '.join(allowed)}")
+
+
+def write_scene(folder: Path, scene: Scene) -> None:
+    """Validates and writes scene.json into `folder`."""
+    validate_scene(scene)
+    write_json(Path(folder) / SCENE_FILE, scene)
+
+
+def read_scene(folder: Path) -> Scene:
+    """The scene described in `folder`; ArtefactDamaged when scene.json is missing or not what write_scene writes."""
+    path = Path(folder) / SCENE_FILE
+    try:
+        scene = _from_dict(json.loads(path.read_text()))
+        validate_scene(scene)
+    except FileNotFoundError:
+        raise ArtefactDamaged(f"{path} is missing; run `stylerf import` again") from None
+    except (ValueError, TypeError, KeyError, AttributeError, BadInput) as error:
+        raise ArtefactDamaged(f"{path} is damaged ({error}); run `stylerf import` again") from error
+    return scene
+
+
+def _from_dict(content: dict) -> Scene:
+    _known_only(content, Scene)
+    views = []
+    for entry in content["views"]:
+        _known_only(entry, View)
+        views.append(View(**{**entry, "world_from_camera": as_matrix(entry["world_from_camera"])}))
+    bounds = content["bounds"]
+    low, high = (tuple(float(value) for value in corner) for corner in bounds["aabb"])
+    if len(low) != 3 or len(high) != 3:
+        raise ValueError("bounds.aabb needs two corners of three numbers")
+    return Scene(
+        views=tuple(views),
+        layout=content["layout"],
+        layout_reason=content["layout_reason"],
+        bounds=Bounds((low, high), float(bounds["near"]), float(bounds["far"])),
+        background=content["background"],
+        scene_from_source=as_matrix(content["scene_from_source"]),
+        skipped=tuple(Skipped(**item) for item in content.get("skipped", ())),
+        truth=Truth(**(content.get("truth") or {})),
+        sfm=content.get("sfm"),
+    )
+
+
+def _known_only(entry: dict, kind: type) -> None:
+    if unknown := sorted(entry.keys() - {item.name for item in fields(kind)}):
+        raise ValueError(f"unknown fields {', '.join(unknown)} in a {kind.__name__.lower()}")

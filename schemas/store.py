@@ -1,0 +1,119 @@
+"""The work folder: artefacts by kind and name, found, checked, and begun.
+
+WORK/<kind>/<name>/manifest.json and the files that it lists
+"""
+
+import re
+from pathlib import Path
+
+from schemas.artefact import MADE_BY, Artefact
+from schemas.errors import ArtefactDamaged, ArtefactStale, UsageError
+from schemas.manifest import MANIFEST, InputRef, Recipe
+from schemas.migrations import CURRENT
+from schemas.partial import Partial
+
+__all__ = ["MADE_BY", "Artefact", "InputRef", "Partial", "Recipe", "Work"]
+
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._+-]{0,99}")
+
+
+class Work:
+    """A work folder. Reading never writes; the folder is created when the first artefact is begun."""
+
+    def __init__(self, root: Path | str) -> None:
+        self.root = Path(root)
+        if self.root.exists() and not self.root.is_dir():
+            raise UsageError(f"{self.root} is a file where a work folder was expected")
+
+    def artefacts(self, kind: str | None = None) -> list[Artefact]:
+        """All finished artefacts (of one kind), by kind and name; folders without a manifest are not among them."""
+        kinds = [_known(kind)] if kind else list(CURRENT)
+        folders = [item for one in kinds for item in sorted((self.root / one).glob("*"))]
+        return [Artefact(item) for item in folders if item.name[0] != "." and (item / MANIFEST).is_file()]
+
+    def get(self, kind: str, name: str) -> Artefact:
+        """The artefact of that kind and name; ArtefactStale with the command that makes it where there is none."""
+        folder = self.root / _known(kind) / _sound(name)
+        if not folder.is_dir():
+            raise ArtefactStale(f"no {kind} {name} in {self.root}; make it with: {self._maker(kind)}")
+        artefact = Artefact(folder)
+        if artefact.kind != kind:
+            raise ArtefactDamaged(f"{folder} is a {artefact.kind} by its manifest, not a {kind}; move it to its place")
+        return artefact
+
+    def find(self, kind: str, name: str) -> Artefact:
+        """The artefact called `name`, or the only one whose name begins so.
+
+        UsageError when several do or none does but others exist, ArtefactStale when there is none of that kind.
+        """
+        names = [item.name for item in self.artefacts(kind)]
+        if name in names:
+            return self.get(kind, name)
+        if not names:
+            raise ArtefactStale(f"no {kind} in {self.root}; make one with: {self._maker(kind)}")
+        matches = [item for item in names if item.startswith(name)]
+        if len(matches) != 1:
+            told = "several" if matches else "none"
+            raise UsageError(f"one {kind} called {name!r} expected, {told} found; there are {', '.join(names)}")
+        return self.get(kind, matches[0])
+
+    def standing(self, kind: str, name: str, recipe: Recipe) -> Artefact | None:
+        """The artefact of that name if it was made by this very recipe and all its files have their lengths."""
+        folder = self.root / _known(kind) / _sound(name)
+        if not (folder / MANIFEST).is_file():
+            return None
+        artefact = Artefact(folder)
+        try:
+            if artefact.manifest.recipe != recipe.digest:
+                return None
+            artefact.check_sizes()
+        except (ArtefactDamaged, ArtefactStale):
+            return None  # a damaged or unreadable one is made again
+        return artefact
+
+    def begin(self, kind: str, name: str, recipe: Recipe) -> Partial:
+        """Goes on with an interrupted run of this recipe, or starts afresh; see Partial."""
+        return Partial(self.root, _known(kind), _sound(name), recipe)
+
+    def unfinished(self) -> list[tuple[str, str]]:
+        """Kind and name of every interrupted run."""
+        found = [(kind, item) for kind in CURRENT for item in sorted((self.root / kind).glob(".*.partial"))]
+        return [(kind, item.name[1 : -len(".partial")]) for kind, item in found]
+
+    def outdated(self, artefact: Artefact) -> list[str]:
+        """Why the artefact no longer matches what it was made from, one line each; empty when it does.
+
+        Looks through its inputs up to the scene.
+        """
+        reasons = []
+        for ref in artefact.manifest.inputs:
+            folder = self.root / ref.kind / ref.name
+            if not (folder / MANIFEST).is_file():
+                reasons.append(f"{ref.kind} {ref.name}, from which {artefact.name} was made, is gone")
+                continue
+            source = Artefact(folder)
+            try:
+                if source.digest != ref.digest:
+                    reasons.append(f"{ref.kind} {ref.name} was made again after {artefact.kind} {artefact.name}")
+                reasons += self.outdated(source)
+            except (ArtefactDamaged, ArtefactStale) as error:
+                reasons.append(f"{ref.kind} {ref.name}, from which {artefact.name} was made, is not readable: {error}")
+        return reasons
+
+    def _maker(self, kind: str) -> str:
+        return MADE_BY[kind].replace("WORK", str(self.root))
+
+
+def _known(kind: str) -> str:
+    if kind not in CURRENT:
+        raise UsageError(f"there is no kind of artefact called {kind!r}; kinds are {', '.join(CURRENT)}")
+    return kind
+
+
+def _sound(name: str) -> str:
+    if not _NAME.fullmatch(name):
+        raise UsageError(
+            f"{name!r} cannot name an artefact: expected up to 100 letters, digits, '.', '_', '+' or '-', beginning "
+            "with a letter or digit"
+        )
+    return name

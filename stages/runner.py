@@ -1,0 +1,136 @@
+"""Runs any stage the same way: reuse what stands, else run under a lock, resume, measure, finish as one step."""
+
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+from schemas.atomic import out_of_resources
+from schemas.canonical import plain
+from schemas.errors import OutOfResources
+from schemas.store import Artefact, Partial, Recipe, Work
+from stages.clock import Clock, peak_memory_mb
+from stages.progress import Context
+
+Run = Callable[[dict[str, Artefact], Any, Partial, Context], dict]
+
+# Packages whose version can change a result; those that the run has imported are recorded.
+RECORDED_PACKAGES = {
+    "torch": "torch",
+    "numpy": "numpy",
+    "numba": "numba",
+    "triton": "triton",
+    "pycolmap": "pycolmap",
+    "skimage": "scikit-image",
+    "OpenEXR": "OpenEXR",
+    "OpenImageIO": "OpenImageIO",
+    "safetensors": "safetensors",
+    "av": "av",
+}
+
+
+@dataclass(frozen=True)
+class Spec:
+    """What a stage is: its name, the verb that runs it, its code revision, and the kind of artefact that it writes.
+
+    Raise `revision` when the same inputs and options give another result than before.
+    """
+
+    stage: str
+    verb: str
+    revision: int
+    writes: str
+
+
+def recipe_of(spec: Spec, inputs: dict[str, Artefact], config: Any, seed: int) -> Recipe:
+    """The recipe by which `spec` would make its artefact from these inputs (by role) and options."""
+    references = [artefact.reference(role) for role, artefact in sorted(inputs.items())]
+    return Recipe(spec.stage, spec.revision, plain(config), references, seed)
+
+
+def execute(
+    spec: Spec,
+    run: Run,
+    work: Work,
+    name: str,
+    inputs: dict[str, Artefact],
+    config: Any,
+    context: Context,
+    force: bool = False,
+) -> tuple[Artefact, bool]:
+    """The artefact `name` of `spec`, and whether it stood already.
+
+    Unless `force`, an artefact of the same recipe (stage, revision, options, seed, digests of the inputs) is returned
+    as it stands. Otherwise every input is verified, an interrupted run of the same recipe is taken up where it
+    stopped, and the result replaces the older artefact of that name by one rename.
+    What an interruption or a lack of memory, space or permission leaves behind is kept for the next run; after any
+    other fault it is deleted, because the same state would fail again.
+    """
+    recipe = recipe_of(spec, inputs, config, context.seed)
+    standing = None if force else work.standing(spec.writes, name, recipe)
+    if standing:
+        return standing, True
+    for artefact in inputs.values():
+        artefact.verify()
+    partial = work.begin(spec.writes, name, recipe)
+    try:
+        # Another process may have made it between the look above and our lock.
+        standing = None if force else work.standing(spec.writes, name, recipe)
+        if standing:
+            partial.discard()
+            return standing, True
+        if partial.resumed:
+            context.progress.say(f"going on with the interrupted {spec.verb} of {name}")
+        return _run(spec, run, partial, inputs, config, context), False
+    except (KeyboardInterrupt, SystemExit, OutOfResources):
+        raise
+    except BaseException as error:
+        if refusal := refusal_of_machine(error, partial.folder):
+            raise refusal from error
+        partial.discard()
+        raise
+    finally:
+        partial.release()
+
+
+def _run(
+    spec: Spec, run: Run, partial: Partial, inputs: dict[str, Artefact], config: Any, context: Context
+) -> Artefact:
+    with Clock(partial.folder, partial.resumed) as clock:
+        figures = run(inputs, config, partial, context) or {}
+        if clock.runs > 1:
+            figures = {**figures, "runs": clock.runs}
+        seconds, peak = clock.seconds, clock.peak_mb
+    return partial.commit(
+        device=context.device, versions=versions(), seconds=seconds, peak_memory_mb=peak, figures=figures
+    )
+
+
+def versions() -> dict[str, str]:
+    """Versions of python, stylerf and those of RECORDED_PACKAGES that this process has imported."""
+    found = {"python": sys.version.split()[0]}
+    names = {"stylerf": "stylerf"} | {m: p for m, p in RECORDED_PACKAGES.items() if m in sys.modules}
+    for module, package in names.items():
+        try:
+            found[module] = version(package)
+        except PackageNotFoundError:  # run from a checkout, or put on the path by hand
+            found[module] = str(getattr(sys.modules.get(module), "__version__", "not installed"))
+    return found
+
+
+def refusal_of_machine(error: BaseException, where: Path) -> OutOfResources | None:
+    """OutOfResources in words when `error` means lack of memory, disk space or permission, None for other faults."""
+    if isinstance(error, OSError):
+        return out_of_resources(error, where)
+    # torch tells lack of memory by a RuntimeError of its own on CUDA and a plain one on the CPU.
+    of_torch = isinstance(error, RuntimeError) and (
+        type(error).__name__ == "OutOfMemoryError" or "can't allocate memory" in str(error)
+    )
+    if isinstance(error, MemoryError) or of_torch:
+        return OutOfResources(
+            f"out of memory (this process had used up to {peak_memory_mb():.0f} MB); use smaller images or a smaller "
+            "capacity, or free memory, and run the same command"
+        )
+    return None

@@ -1,0 +1,124 @@
+"""Reads a scene artefact into cameras and images for the mathematics."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from schemas.errors import ArtefactDamaged, BadInput
+from schemas.exr import read_depth
+from schemas.images import read_image
+from schemas.scene import POINTS_FILE, Bounds, Scene, View, read_scene
+from schemas.store import Artefact
+from schemas.tensors import load_tensors
+from stylerf.errors import InvalidValue
+from stylerf.geometry.cameras import Camera
+
+
+@dataclass(frozen=True, eq=False)
+class Points:
+    """Sparse points of the capture. xyz: [n, 3] float32 scene units, rgb: [n, 3] uint8, error: [n] float32 pixels."""
+
+    xyz: np.ndarray
+    rgb: np.ndarray
+    error: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class SceneData:
+    """A scene ready for use; images and depths are read when asked for."""
+
+    folder: Path
+    scene: Scene
+    cameras: list[Camera]
+    points: Points | None
+
+    @property
+    def views(self) -> tuple[View, ...]:
+        """The views in the order of `cameras`."""
+        return self.scene.views
+
+    @property
+    def splits(self) -> dict[str, list[int]]:
+        """Indices of the views by split: `train` and `test`."""
+        return {name: self.scene.split(name) for name in ("train", "test")}
+
+    @property
+    def layout(self) -> str:
+        """object, forward or unbounded."""
+        return self.scene.layout
+
+    @property
+    def bounds(self) -> Bounds:
+        """Box, near and far in scene units."""
+        return self.scene.bounds
+
+    @property
+    def background(self) -> str:
+        """alpha (images are RGBA, to be composited by the reader), white, black or none."""
+        return self.scene.background
+
+    def images(self, index: int) -> np.ndarray:
+        """Image of view `index`, [height, width, 3 or 4] float32, sRGB 0..1, straight alpha; grey becomes RGB.
+
+        ArtefactDamaged when it is missing, damaged or not of its camera's size.
+        """
+        view = self.views[index]
+        try:
+            pixels = read_image(self._path(view.image)).pixels
+        except BadInput as error:
+            raise ArtefactDamaged(f"{error}; run `stylerf import` again") from error
+        if pixels.shape[:2] != (view.height, view.width):
+            raise ArtefactDamaged(
+                f"{self.folder / view.image} is {pixels.shape[1]}x{pixels.shape[0]} where its camera says "
+                f"{view.width}x{view.height}; run `stylerf import` again"
+            )
+        return pixels if pixels.shape[2] >= 3 else np.repeat(pixels, 3, axis=2)
+
+    def truth_depth(self, index: int) -> np.ndarray | None:
+        """Known planar depth of view `index`, [height, width] float32 scene units; None where there is no truth."""
+        relative = self.scene.truth.depth_file(index)
+        if relative is None or not (self.folder / relative).is_file():
+            return None
+        try:
+            depth = read_depth(self.folder / relative)
+        except BadInput as error:
+            raise ArtefactDamaged(f"{error}; run `stylerf import` again") from error
+        view = self.views[index]
+        if depth.shape != (view.height, view.width):
+            raise ArtefactDamaged(f"{self.folder / relative} is not of its camera's size; run `stylerf import` again")
+        return depth
+
+    def _path(self, relative: str) -> Path:
+        return self.folder / relative
+
+
+def load_scene(artefact: Artefact) -> SceneData:
+    """The scene of an artefact, checked: ArtefactDamaged when a file is missing or a camera cannot be."""
+    artefact.check_sizes()
+    scene = read_scene(artefact.path)
+    for view in scene.views:
+        artefact.file(view.image)
+    try:
+        cameras = [_camera(view) for view in scene.views]
+    except InvalidValue as error:
+        raise ArtefactDamaged(f"{artefact.path}: {error}; run `stylerf import` again") from error
+    return SceneData(artefact.path, scene, cameras, _points(artefact.path / POINTS_FILE))
+
+
+def _camera(view: View) -> Camera:
+    pose = np.array(view.world_from_camera)
+    return Camera(view.name, view.width, view.height, view.fx, view.fy, view.cx, view.cy, pose)
+
+
+def _points(path: Path) -> Points | None:
+    if not path.is_file():
+        return None
+    tensors, _ = load_tensors(path)
+    try:
+        xyz, rgb, error = tensors["xyz"], tensors["rgb"], tensors["error"]
+    except KeyError as missing:
+        raise ArtefactDamaged(f"{path} lacks {missing}; run `stylerf import` again") from missing
+    if not (xyz.ndim == rgb.ndim == 2 and xyz.shape == rgb.shape == (len(error), 3) and np.isfinite(xyz).all()):
+        raise ArtefactDamaged(f"{path} holds no sound point list; run `stylerf import` again")
+    return Points(xyz, rgb, error)

@@ -1,0 +1,72 @@
+"""Where a field may have density: a grid of cells over the unit cube that lets rays leap over empty space.
+
+Each cell keeps a decaying maximum of the densities seen in it (Instant-NGP, Mueller et al. 2022, appendix C). A cell is
+occupied where a step through it would be more than a hundredth opaque. `distances` holds, per cell, 0 where occupied,
+else the Chebyshev distance to the nearest occupied cell.
+"""
+
+import numpy as np
+from scipy.ndimage import distance_transform_cdt
+
+from stylerf.kernels.cpu.march import OPTICAL_SCALE
+
+OPAQUE_STEP = 0.01
+
+
+class Occupancy:
+    """cells: resolution per axis. highest: decaying maximum of raw density, [cells^3] float32."""
+
+    def __init__(self, cells: int, highest: np.ndarray | None = None) -> None:
+        self.cells = cells
+        self.highest = np.full(cells**3, np.inf, np.float32) if highest is None else highest
+        self.distances = np.zeros(cells**3, np.uint8)
+
+    def refresh(self, density, step: float, seed: int, share: int, decay: float) -> None:
+        """Look at one cell in `share` (plus, when share > 1, nothing else), then decide what is occupied.
+
+        density: callable of warped points [n, 3] -> raw density. seed: decides the cells and the points in them.
+        """
+        generator = np.random.default_rng(seed)
+        start = int(generator.integers(share))
+        index = np.arange(start, self.cells**3, share)
+        corner = np.stack(np.unravel_index(index, (self.cells,) * 3), -1).astype(np.float32)
+        points = (corner + generator.random(corner.shape, dtype=np.float32)) / np.float32(self.cells)
+        seen = density(np.ascontiguousarray(points))
+        if not np.isfinite(self.highest[0]):
+            self.highest[:] = np.float32(1e4)
+        old = self.highest[index]
+        self.highest[index] = np.maximum(np.where(old >= 1e4, 0, old * np.float32(decay)), seen)
+        self.decide(step)
+
+    def decide(self, step: float) -> None:
+        """Recompute `distances` for rays of step `step` (cube units)."""
+        least = -np.log1p(-OPAQUE_STEP) / (float(OPTICAL_SCALE) * step)
+        # Never let a young, thin field vanish as a whole: its mean is still worth a look.
+        occupied = self.highest > min(least, float(np.mean(np.minimum(self.highest, 1e4))))
+        self.set_occupied(occupied)
+
+    def set_occupied(self, occupied: np.ndarray) -> None:
+        grid = ~occupied.reshape((self.cells,) * 3)
+        if grid.all():
+            self.distances = np.full(self.cells**3, 255, np.uint8)
+            return
+        distance = distance_transform_cdt(grid, metric="chessboard")
+        self.distances = np.minimum(distance, 255).astype(np.uint8).ravel()
+
+    @property
+    def share(self) -> float:
+        """Occupied share of the cells."""
+        return float(np.mean(self.distances == 0))
+
+    def resized(self, cells: int) -> "Occupancy":
+        """The same knowledge on a grid a whole multiple finer."""
+        factor = cells // self.cells
+        grid = self.highest.reshape((self.cells,) * 3)
+        for axis in range(3):
+            grid = np.repeat(grid, factor, axis=axis)
+        grown = Occupancy(cells, np.ascontiguousarray(grid.ravel()))
+        occupied = (self.distances == 0).reshape((self.cells,) * 3)
+        for axis in range(3):
+            occupied = np.repeat(occupied, factor, axis=axis)
+        grown.set_occupied(occupied.ravel())
+        return grown

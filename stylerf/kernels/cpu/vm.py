@@ -1,0 +1,309 @@
+"""encode, vm: vector-matrix fields (TensoRF, Chen et al. 2022, eq. 7) as density and as spherical-harmonic colour.
+
+A table is one flat float32 array: for m = 0, 1, 2 a plane [size[a], size[b], rank] over axes a = (m+1)%3, b = (m+2)%3,
+then for m = 0, 1, 2 a line [size[m], rank] over axis m. A sample's feature m, r is bilinear(plane m, r) * linear(line
+m, r). Raw density is exp(shift + sum of all features), the exponent clamped to [-15, 12].
+"""
+
+import math
+
+import numpy as np
+from numba import prange
+
+from stylerf.kernels.cpu.compiling import inline, parallel_kernel
+from stylerf.kernels.cpu.march import OPTICAL_SCALE, cell_distance, leap, ray_span, warp_at
+from stylerf.kernels.cpu.vector import axpy_row, dot_rows, vm_dot, vm_dot_backward, vm_features, vm_features_backward
+
+_ONE, _ZERO = np.float32(1), np.float32(0)
+EXPONENT_MIN, EXPONENT_MAX = np.float32(-15), np.float32(12)
+
+
+@inline
+def _cell(x, size):
+    """Lower cell index and position inside the cell of x in 0..1 on `size` vertices."""
+    s = x * np.float32(size - 1)
+    i = min(max(np.int64(s), np.int64(0)), np.int64(size - 2))
+    return i, s - np.float32(i)
+
+
+@inline
+def _place(m, x, size, rank):
+    """Row offsets in the table and cell positions of point x for plane m."""
+    a, b = (m + 1) % 3, (m + 2) % 3
+    iu, fu = _cell(x[a], size[a])
+    iv, fv = _cell(x[b], size[b])
+    iw, fw = _cell(x[m], size[m])
+    # Planes lie one after another, then the lines.
+    at = np.int64(0)
+    for before in range(m):
+        at += size[(before + 1) % 3] * size[(before + 2) % 3]
+    lines = size[0] * size[1] + size[1] * size[2] + size[2] * size[0]
+    for before in range(m):
+        lines += size[before]
+    first = (at + iu * size[b] + iv) * rank
+    return first, first + size[b] * rank, (lines + iw) * rank, fu, fv, fw
+
+
+@inline
+def raw_density(table, size, shift, x, ranks):
+    """exp(shift + features) of one warped point."""
+    total = shift
+    for m in range(3):
+        first, second, line, fu, fv, fw = _place(m, x, size, np.int64(len(ranks)))
+        total += vm_dot(table, first, second, line, fu, fv, fw, ranks)
+    return np.float32(math.exp(min(max(total, EXPONENT_MIN), EXPONENT_MAX)))
+
+
+@parallel_kernel
+def density(table, size, shift, ranks, x, chunks, sigma):
+    """Raw density of warped points x [n, 3]."""
+    n = len(x)
+    for c in prange(chunks):
+        for p in range(c * n // chunks, (c + 1) * n // chunks):
+            sigma[p] = raw_density(table, size, shift, x[p], ranks)
+
+
+@inline
+def displace(displacement, cells, q, out):
+    """out = q + trilinear(displacement, q), clamped to the cube; displacement: flat [cells^3, 3] on vertices."""
+    i, fx = _cell(q[0], cells)
+    j, fy = _cell(q[1], cells)
+    k, fz = _cell(q[2], cells)
+    at = (i * cells + j) * cells + k
+    for a in range(3):
+        moved = q[a]
+        for corner in range(8):
+            di, dj, dk = corner >> 2, (corner >> 1) & 1, corner & 1
+            w = (fx if di else _ONE - fx) * (fy if dj else _ONE - fy) * (fz if dk else _ONE - fz)
+            moved += w * displacement[(at + (di * cells + dj) * cells + dk) * 3 + a]
+        out[a] = min(max(moved, _ZERO), _ONE)
+
+
+@parallel_kernel
+def march_density(
+    kind,
+    space,
+    origins,
+    directions,
+    jitter,
+    near,
+    far,
+    step,
+    occupancy,
+    cells,
+    limit,
+    table,
+    size,
+    shift,
+    ranks,
+    displacement,
+    displacement_cells,
+    opaque,
+    closed,
+    chunks,
+    starts,
+    ends,
+    t_out,
+    optical,
+    x,
+    sigma,
+    weights,
+):
+    """Walk each ray front to back until its transmittance is under `opaque`, its span ends or `limit` samples lie on it.
+
+    Ray r's samples are starts[r]:ends[r] of t_out, optical (optical length of unit raw density), x (position in the
+    cube, displaced), sigma (raw density) and weights (T (1 - exp(-sigma optical))). Each chunk of rays packs its
+    samples from first_ray * limit on; the arrays have rays * limit elements, of which only those touched cost memory.
+    closed: space ends in an opaque backdrop (captures of the real world), so that weights sum to one.
+    """
+    n = len(origins)
+    for c in prange(chunks):
+        q = np.empty(3, np.float32)
+        moved = np.empty(3, np.float32)
+        begin = c * n // chunks
+        at = begin * limit
+        for r in range(begin, (c + 1) * n // chunks):
+            starts[r] = at
+            ox, oy, oz = origins[r, 0], origins[r, 1], origins[r, 2]
+            dx, dy, dz = directions[r, 0], directions[r, 1], directions[r, 2]
+            t, end = ray_span(kind, space, ox, oy, oz, dx, dy, dz, near[r], far)
+            through = _ONE
+            last = at + limit
+            if t < end:
+                speed, _ = warp_at(kind, space, ox + t * dx, oy + t * dy, oz + t * dz, dx, dy, dz, q)
+                t += jitter[r] * step / speed
+            while t < end and through >= opaque and at < last:
+                speed, jacobian = warp_at(kind, space, ox + t * dx, oy + t * dy, oz + t * dz, dx, dy, dz, q)
+                dt = step / speed
+                distance = cell_distance(occupancy, cells, q)
+                if distance > 0:
+                    t += dt * np.float32(leap(distance, cells, step))
+                    continue
+                if displacement_cells > 0:
+                    displace(displacement, displacement_cells, q, moved)
+                    q[0], q[1], q[2] = moved[0], moved[1], moved[2]
+                s = raw_density(table, size, shift, q, ranks)
+                length = dt * jacobian * OPTICAL_SCALE
+                stay = np.float32(math.exp(-s * length))
+                t_out[at] = t
+                optical[at] = length
+                x[at, 0], x[at, 1], x[at, 2] = q[0], q[1], q[2]
+                sigma[at] = s
+                weights[at] = through * (_ONE - stay)
+                through *= stay
+                at += 1
+                t += dt
+            if closed and through >= opaque and at < last:
+                # The far end takes what light is left; its density is fixed, so only its colour learns.
+                warp_at(kind, space, ox + end * dx, oy + end * dy, oz + end * dz, dx, dy, dz, q)
+                t_out[at] = end
+                optical[at] = _ZERO
+                x[at, 0], x[at, 1], x[at, 2] = q[0], q[1], q[2]
+                sigma[at] = _ZERO
+                weights[at] = through
+                at += 1
+            ends[r] = at
+
+
+@parallel_kernel
+def density_backward(table, size, shift, ranks, x, starts, ends, sigma, sigma_gradients, chunks, to):
+    """Add dL/d(table) and, behind the table's last element, dL/d(shift) to the chunk's own buffer to[chunk]."""
+    n = len(ends)
+    stride = to.shape[1]
+    flat = to.reshape(-1)
+    for c in prange(chunks):
+        shift_gradient = _ZERO
+        for r in range(c * n // chunks, (c + 1) * n // chunks):
+            for k in range(starts[r], ends[r]):
+                g = sigma_gradients[k] * sigma[k]  # d exp(e)/de = exp(e)
+                if g != _ZERO:
+                    shift_gradient += g
+                    for m in range(3):
+                        first, second, line, fu, fv, fw = _place(m, x[k], size, np.int64(len(ranks)))
+                        vm_dot_backward(table, first, second, line, fu, fv, fw, g, flat, np.int64(c * stride), ranks)
+        to[c, stride - 1] += shift_gradient
+
+
+@inline
+def _ray_head(head, basis, r, bands, features, out):
+    """out[j, f] = sum_b head[j, b, f] basis[r, b]: the colour head seen from one ray's direction."""
+    for j in range(3):
+        for f in range(features):
+            out[j * features + f] = _ZERO
+        for b in range(bands):
+            w = basis[r, b]
+            for f in range(features):
+                out[j * features + f] += head[(j * bands + b) * features + f] * w
+
+
+@parallel_kernel
+def colour(table, size, ranks, head, bias, basis, x, starts, ends, weights, least, chunks, out):
+    """Colours of samples with weight > `least`: sigmoid(sum_b basis_b (head_b . features) + bias); else -1.
+
+    head: flat [3, bands, 3 rank]; bias [3]; basis [rays, bands]: spherical harmonics of the ray directions.
+    """
+    n = len(ends)
+    bands = basis.shape[1]
+    rank = np.int64(len(ranks))
+    width = 3 * rank
+    for c in prange(chunks):
+        ray_head = np.empty(3 * width, np.float32)
+        feature = np.empty(width, np.float32)
+        for r in range(c * n // chunks, (c + 1) * n // chunks):
+            ready = False
+            for k in range(starts[r], ends[r]):
+                if weights[k] <= least:
+                    out[k, 0] = -_ONE
+                    continue
+                if not ready:
+                    _ray_head(head, basis, r, bands, width, ray_head)
+                    ready = True
+                for m in range(3):
+                    first, second, line, fu, fv, fw = _place(m, x[k], size, rank)
+                    vm_features(table, first, second, line, fu, fv, fw, feature, m * rank, ranks)
+                for j in range(3):
+                    z = bias[j]
+                    for m in range(3):
+                        z += dot_rows(ray_head, j * width + m * rank, feature, m * rank, ranks)
+                    out[k, j] = _ONE / (_ONE + np.float32(math.exp(-z)))
+
+
+@parallel_kernel
+def colour_backward(table, size, ranks, head, basis, x, starts, ends, colours, colour_gradients, chunks, to):
+    """Add dL/d(table), then dL/d(head), then dL/d(bias) to the chunk's buffer to[chunk] of that layout.
+
+    colours, colour_gradients [n, 3]: the forward's result and dL/dc; samples with colours[k, 0] < 0 are skipped.
+    """
+    n = len(ends)
+    bands = basis.shape[1]
+    rank = np.int64(len(ranks))
+    width = 3 * rank
+    stride = to.shape[1]
+    flat = to.reshape(-1)
+    head_at = stride - 3 - 3 * bands * width
+    for c in prange(chunks):
+        base = np.int64(c * stride)
+        ray_head = np.empty(3 * width, np.float32)
+        ray_head_gradient = np.empty(3 * width, np.float32)
+        feature = np.empty(width, np.float32)
+        feature_gradient = np.empty(width, np.float32)
+        for r in range(c * n // chunks, (c + 1) * n // chunks):
+            ready = False
+            for k in range(starts[r], ends[r]):
+                if colours[k, 0] < _ZERO:
+                    continue
+                if not ready:
+                    _ray_head(head, basis, r, bands, width, ray_head)
+                    ray_head_gradient[:] = _ZERO
+                    ready = True
+                for m in range(3):
+                    first, second, line, fu, fv, fw = _place(m, x[k], size, rank)
+                    vm_features(table, first, second, line, fu, fv, fw, feature, m * rank, ranks)
+                feature_gradient[:] = _ZERO
+                for j in range(3):
+                    g = colour_gradients[k, j] * colours[k, j] * (_ONE - colours[k, j])
+                    to[c, stride - 3 + j] += g
+                    for m in range(3):
+                        axpy_row(g, ray_head, j * width + m * rank, feature_gradient, m * rank, ranks)
+                        axpy_row(g, feature, m * rank, ray_head_gradient, j * width + m * rank, ranks)
+                for m in range(3):
+                    first, second, line, fu, fv, fw = _place(m, x[k], size, rank)
+                    vm_features_backward(
+                        table, first, second, line, fu, fv, fw, feature_gradient, m * rank, flat, base, ranks
+                    )
+            if ready:
+                for j in range(3):
+                    for b in range(bands):
+                        w = basis[r, b]
+                        for m in range(3):
+                            axpy_row(
+                                w,
+                                ray_head_gradient,
+                                j * width + m * rank,
+                                flat,
+                                base + head_at + (j * bands + b) * width + m * rank,
+                                ranks,
+                            )
+
+
+@parallel_kernel
+def smoothness_backward(table, size, rank, strength, to):
+    """Add strength * d/dt of half the summed squared differences between neighbouring plane texels to to[...]."""
+    at = np.int64(0)
+    for m in range(3):
+        rows, columns = size[(m + 1) % 3], size[(m + 2) % 3]
+        for i in prange(rows):
+            for j in range(columns):
+                here = at + (i * columns + j) * rank
+                for r in range(rank):
+                    s = _ZERO
+                    if i > 0:
+                        s += table[here + r] - table[here - columns * rank + r]
+                    if i < rows - 1:
+                        s += table[here + r] - table[here + columns * rank + r]
+                    if j > 0:
+                        s += table[here + r] - table[here - rank + r]
+                    if j < columns - 1:
+                        s += table[here + r] - table[here + rank + r]
+                    to[here + r] += strength * s
+        at += rows * columns * rank

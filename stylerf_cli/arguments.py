@@ -1,0 +1,212 @@
+"""From config dataclasses to flags, and from flags and a TOML file to a config: flags win over TOML over defaults."""
+
+import argparse
+import dataclasses
+import difflib
+import math
+import tomllib
+import types
+import typing
+from pathlib import Path
+from typing import Any, NoReturn
+
+from schemas.errors import UsageError
+
+NONE_WORDS = ("none", "None")
+
+
+class Parser(argparse.ArgumentParser):
+    """An argument parser whose faults are UsageErrors, and which takes no abbreviations."""
+
+    def __init__(self, **settings: Any) -> None:
+        super().__init__(allow_abbrev=False, **settings)
+
+    def error(self, message: str) -> NoReturn:
+        """Raises what argparse would print with a page of usage."""
+        hint = ""
+        if message.startswith("unrecognized arguments: -"):
+            hint = nearest(message.split()[2].partition("=")[0], list(self._option_string_actions), listing=False)
+        raise UsageError(f"{message}{hint}; see `{self.prog} --help`")
+
+
+def add_common(parser: Parser) -> None:
+    """The flags that every verb has."""
+    common = parser.add_argument_group("common options")
+    common.add_argument("--json", action="store_true", help="print the result as one JSON object on stdout")
+    common.add_argument("--quiet", action="store_true", help="no progress and no notes on stderr, only faults")
+    common.add_argument("--seed", type=_whole, help="seed of everything random (default: 0)")
+    common.add_argument("--device", choices=("auto", "cpu", "cuda"), help="where to compute (default: auto)")
+    common.add_argument("--threads", type=_positive, metavar="N", help="CPU threads (default: all)")
+    common.add_argument("--name", help="name of the artefact to write (default: told by the verb)")
+    common.add_argument("--config", type=Path, metavar="FILE.toml", help="options from a file; flags win over it")
+    common.add_argument("--only", action="store_true", help="do not bring earlier stages up to date; stop instead")
+    common.add_argument("--force", action="store_true", help="make it anew even if it stands up to date")
+
+
+def add_config(parser: Parser, config: type) -> None:
+    """One flag for each field of a config dataclass; only those given appear in the namespace."""
+    group = parser.add_argument_group("options of this verb")
+    for item, kind in _fields(config):
+        _add_field(parser, group, item, kind)
+
+
+def _fields(config: type) -> list[tuple[dataclasses.Field, Any]]:
+    kinds = typing.get_type_hints(config)
+    return [(item, kinds[item.name]) for item in dataclasses.fields(config)]
+
+
+def _add_field(parser: Parser, group: Any, item: dataclasses.Field, kind: Any) -> None:
+    meta = item.metadata
+    positional = meta.get("positional")
+    required = item.default is dataclasses.MISSING and item.default_factory is dataclasses.MISSING
+    settings: dict[str, Any] = {"help": _help(item, required), "default": argparse.SUPPRESS}
+    base, many = _shape(kind)
+    if base is bool:
+        settings["action"] = argparse.BooleanOptionalAction
+    else:
+        settings["type"] = _convert_by(base, _optional(kind))
+        settings["metavar"] = meta.get("metavar") or (
+            "|".join(map(str, meta["choices"])) if meta.get("choices") else None
+        )
+        if not positional and not settings["metavar"]:
+            settings["metavar"] = item.name.rpartition("_")[2].upper()
+        if many is not None:
+            settings["nargs"] = many or "+"
+            if many == 0 and not positional:
+                settings["action"] = "extend"  # `--layers a b --layers c` is three layers
+        if meta.get("choices"):
+            settings["choices"] = tuple(meta["choices"]) + ((None,) if _optional(kind) else ())
+    if positional:
+        if many is None and not required:
+            settings["nargs"] = "?"
+        parser.add_argument(item.name, **settings)
+        return
+    flag = meta.get("flag") or "--" + item.name.replace("_", "-")
+    group.add_argument(flag, dest=item.name, required=False, **settings)
+
+
+def _help(item: dataclasses.Field, required: bool) -> str:
+    text = item.metadata.get("help", "").replace("%", "%%")
+    if required or "default:" in text:
+        return text
+    default = item.default if item.default is not dataclasses.MISSING else item.default_factory()
+    shown = " ".join(map(str, default)) if isinstance(default, tuple) else str(default).replace("%", "%%")
+    return f"{text} (default: {shown})" if default not in ("", None, ()) else text
+
+
+def _optional(kind: Any) -> bool:
+    return type(None) in typing.get_args(kind) and typing.get_origin(kind) in (types.UnionType, typing.Union)
+
+
+def _shape(kind: Any) -> tuple[Any, int | None]:
+    """Type of one value, and how many: None one, 0 one or more, n exactly n."""
+    if _optional(kind):
+        kind = next(one for one in typing.get_args(kind) if one is not type(None))
+    if typing.get_origin(kind) is typing.Literal:
+        return type(typing.get_args(kind)[0]), None
+    if typing.get_origin(kind) is tuple:
+        inner = typing.get_args(kind)
+        return inner[0], 0 if inner[-1] is Ellipsis else len(inner)
+    return kind, None
+
+
+def _whole(text: str) -> int:
+    try:
+        return int(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"a whole number was expected, not {text!r}") from None
+
+
+def _positive(text: str) -> int:
+    value = _whole(text)
+    if value < 1:
+        raise argparse.ArgumentTypeError(f"a number of at least 1 was expected, not {text!r}")
+    return value
+
+
+def _number(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if math.isnan(value):
+        raise argparse.ArgumentTypeError(f"a number was expected, not {text!r}")
+    return value
+
+
+def _convert_by(base: Any, optional: bool) -> Any:
+    plain = {int: _whole, float: _number}.get(base, base)
+
+    def convert(text: str) -> Any:
+        return None if optional and text in NONE_WORDS else plain(text)
+
+    return convert
+
+
+def build_config(config: type, given: argparse.Namespace, table: dict[str, Any], where: str) -> Any:
+    """The config of a verb from its flags and a TOML table (`where` names it in faults).
+
+    UsageError for unknown keys (naming the nearest known one), values of a wrong type, missing required ones, and
+    whatever the config itself refuses.
+    """
+    kinds = dict((item.name, (item, kind)) for item, kind in _fields(config))
+    values = {}
+    for key, value in table.items():
+        name = key.replace("-", "_")
+        if name not in kinds:
+            raise UsageError(f"{where}: there is no option {key!r}{nearest(name, list(kinds))}")
+        values[name] = _from_toml(value, *kinds[name], f"{where}: {key}")
+    for name, (item, _) in kinds.items():
+        if hasattr(given, name):
+            value = getattr(given, name)
+            values[name] = tuple(value) if isinstance(value, list) else value
+        elif name not in values and item.default is dataclasses.MISSING and item.default_factory is dataclasses.MISSING:
+            flag = item.metadata.get("flag") or "--" + name.replace("_", "-")
+            raise UsageError(f"{name if item.metadata.get('positional') else flag} is required")
+    try:
+        return config(**values)
+    except ValueError as error:
+        raise UsageError(str(error)) from error
+
+
+def _from_toml(value: Any, item: dataclasses.Field, kind: Any, where: str) -> Any:
+    base, many = _shape(kind)
+    if _optional(kind) and value in NONE_WORDS:
+        return None
+    if many is not None:
+        if not isinstance(value, list) or (many and len(value) != many) or not value:
+            raise UsageError(f"{where} takes a list of {many or 'one or more'} values, not {value!r}")
+        return tuple(_one_from_toml(one, base, item, where) for one in value)
+    return _one_from_toml(value, base, item, where)
+
+
+def _one_from_toml(value: Any, base: Any, item: dataclasses.Field, where: str) -> Any:
+    choices = item.metadata.get("choices")
+    if choices and value not in choices:
+        raise UsageError(f"{where} is {value!r}; expected one of {', '.join(map(str, choices))}")
+    if base is Path and isinstance(value, str):
+        return Path(value)
+    sound = isinstance(value, base) or (base is float and isinstance(value, int))
+    if not sound or (isinstance(value, bool) and base is not bool) or (isinstance(value, float) and math.isnan(value)):
+        words = {int: "a whole number", float: "a number", str: "a text in quotes", bool: "true or false"}
+        raise UsageError(f"{where} takes {words.get(base, base.__name__)}, not {value!r}")
+    return float(value) if base is float else value
+
+
+def nearest(word: str, known: list[str], listing: bool = True) -> str:
+    """`; did you mean 'x'?` for the known word most like `word`, else (if `listing`) a list of the known ones."""
+    close = difflib.get_close_matches(word, known, n=1, cutoff=0.5)
+    if close:
+        return f"; did you mean {close[0]!r}?"
+    return f"; known are {', '.join(known)}" if known and listing else ""
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """The tables of a TOML file; UsageError where it is missing or no TOML."""
+    try:
+        with open(path, "rb") as stream:
+            return tomllib.load(stream)
+    except OSError as error:
+        raise UsageError(f"--config {path} cannot be read: {error.strerror}") from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise UsageError(f"--config {path} is no TOML: {error}") from error

@@ -1,0 +1,137 @@
+"""The command `stylerf`: finds the verb, reads its options, runs it, and ends with the exit code of what happened."""
+
+import importlib
+import os
+import signal
+import sys
+import threading
+from argparse import SUPPRESS, Namespace, RawDescriptionHelpFormatter
+from contextlib import contextmanager
+from pathlib import Path
+
+from schemas.errors import UsageError
+from stylerf_cli.arguments import Parser, add_common, add_config, nearest
+from stylerf_cli.faults import told
+from stylerf_cli.output import OutputClosed, print_json, stdout_kept_free, write_out
+from stylerf_cli.verbs import VERBS
+
+ABOUT = "From photos and a painting to a stylised, editable 3D scene."
+EXIT_CODES = (
+    "exit codes: 0 done, 1 failed, 2 usage, 3 bad input, 4 artefact damaged or stale, 5 out of resources, "
+    "130 interrupted"
+)
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Runs one command and returns its exit code; `argv` is without the program's name."""
+    argv = list(sys.argv[1:] if argv is None else argv)
+    as_json = "--json" in argv
+    state: dict[str, Path | None] = {"work": None}
+    result = None
+    try:
+        with _terminable(), stdout_kept_free(as_json):
+            result = _run(argv, state)
+        if as_json and result is not None:
+            print_json(result)
+        write_out("")
+        return 0
+    except OutputClosed:
+        # Python would complain once more when it closes stdout on leaving.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+        return 0
+    except BaseException as error:
+        code, line = told(error, argv, state["work"])
+        sys.stderr.write(f"stylerf: error: {line}\n")
+        if as_json:
+            print_json({"error": line, "exit_code": code, **getattr(error, "details", {})})
+        return code
+
+
+def _run(argv: list[str], state: dict[str, Path | None]) -> dict | None:
+    if not argv or argv[0].startswith("-"):
+        if _parsed(_top_parser(), argv) is None:
+            return None
+        raise UsageError("a verb is missing; see `stylerf --help`")
+    verb = argv[0]
+    if verb not in VERBS:
+        raise UsageError(f"there is no verb {verb!r}{nearest(verb, list(VERBS))}")
+    module = importlib.import_module(VERBS[verb][0])
+    parser = Parser(
+        prog=f"stylerf {verb}", description=f"{module.HELP[0].upper()}{module.HELP[1:]}.", epilog=EXIT_CODES
+    )
+    module.add_arguments(parser)
+    if module.CONFIG is not None:
+        add_config(parser, module.CONFIG)
+    add_common(parser)
+    args = _parsed(parser, argv[1:])
+    if args is None:
+        return None
+    state["work"] = _existing_folder(args)
+    return _run_verb(verb, module, args)
+
+
+def _parsed(parser: Parser, argv: list[str]) -> Namespace | None:
+    """The arguments; None after `--help` and `--version`, which argparse answers by leaving."""
+    try:
+        return parser.parse_args(argv)
+    except SystemExit:
+        return None
+
+
+def _run_verb(verb: str, module, args: Namespace) -> dict:
+    # Late, so that --help and usage faults do not wait for what only a run needs.
+    from stylerf_cli.options import Options
+    from stylerf_cli.session import Session
+
+    session = Session(verb, args, Options(verb, args, list(VERBS)), module.CONFIG)
+    try:
+        return module.run(args, session)
+    finally:
+        session.progress.finish()
+
+
+def _existing_folder(args: Namespace) -> Path | None:
+    work = getattr(args, "work", None)
+    return Path(work) if work is not None and Path(work).is_dir() else None
+
+
+def _top_parser() -> Parser:
+    width = max(map(len, VERBS))
+    lines = [f"  {verb:<{width}}  {help}" for verb, (_, help) in VERBS.items()]
+    parser = Parser(
+        prog="stylerf",
+        usage="stylerf VERB ...",
+        description=ABOUT + "\n\nverbs:\n" + "\n".join(lines),
+        epilog="`stylerf VERB --help` tells the options of a verb.\n" + EXIT_CODES,
+        formatter_class=RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--version", action="version", version=f"stylerf {_version()}")
+    parser.add_argument("--json", action="store_true", help=SUPPRESS)
+    return parser
+
+
+def _version() -> str:
+    from stylerf import __version__
+
+    return __version__
+
+
+@contextmanager
+def _terminable():
+    """Treats SIGTERM, by which schedulers and containers end a job, as Ctrl-C: the run stays resumable."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGTERM, _interrupt)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def _interrupt(*_) -> None:
+    raise KeyboardInterrupt
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,92 @@
+"""The options that a verb runs with: from its flags, and from `--config FILE.toml`.
+
+A file holds options of the verb that is run at its top, `seed`, `device` and `threads`, and tables named after verbs,
+of which each verb reads its own: one file serves a whole chain of stages.
+
+    seed = 7
+    [fit]
+    budget = "60s"
+    [stylize]
+    method = "arf"
+"""
+
+import argparse
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from schemas.errors import UsageError
+from stylerf_cli.arguments import build_config, nearest, read_toml
+
+COMMON_KEYS: dict[str, type] = {"seed": int, "device": str, "threads": int}
+_DEVICES = ("auto", "cpu", "cuda")
+
+
+@dataclass(frozen=True)
+class Common:
+    """The common options as they apply. device may still be `auto`.
+
+    threads: as asked for, or (not threads_given) as many as this process may use, in which case the libraries' own
+    defaults stand: torch leaves the second thread of a core alone, and rightly.
+    """
+
+    seed: int = 0
+    device: str = "auto"
+    threads: int = 1
+    threads_given: bool = False
+
+
+class Options:
+    """Reads the flags and the file once; gives the config of the verb and of the stages before it."""
+
+    def __init__(self, verb: str, given: argparse.Namespace, verbs: list[str]) -> None:
+        self.verb, self._given = verb, given
+        self._path: Path | None = given.config
+        content = read_toml(self._path) if self._path else {}
+        self._tables = {key: value for key, value in content.items() if key in verbs and isinstance(value, dict)}
+        top = {key: value for key, value in content.items() if key not in self._tables}
+        if unknown := [key for key, value in top.items() if isinstance(value, dict)]:
+            raise UsageError(f"{self._path}: there is no verb {unknown[0]!r}{nearest(unknown[0], verbs)}")
+        self._common = {key: top.pop(key) for key in COMMON_KEYS if key in top}
+        self._top = top
+        for key, value in self._common.items():
+            if not isinstance(value, COMMON_KEYS[key]) or isinstance(value, bool):
+                raise UsageError(
+                    f"{self._path}: {key} takes a value of type {COMMON_KEYS[key].__name__}, not {value!r}"
+                )
+
+    def config(self, config: type | None) -> Any:
+        """The config of the verb that is run; None for a verb without options of its own."""
+        table = {**self._top, **self._tables.get(self.verb, {})}
+        if config is None:
+            if table:
+                raise UsageError(f"{self._path}: {self.verb} has no option {min(table)!r}")
+            return None
+        return build_config(config, self._given, table, str(self._path))
+
+    def config_of(self, verb: str, config: type) -> Any:
+        """The config of another verb, for a stage that is brought up to date: its table of the file, else defaults."""
+        return build_config(config, argparse.Namespace(), self._tables.get(verb, {}), f"{self._path} [{verb}]")
+
+    def common(self) -> Common:
+        """Seed, device and threads by flag, file or default."""
+        values: dict[str, Any] = {}
+        for key in COMMON_KEYS:
+            flag = getattr(self._given, key, None)
+            if flag is not None:
+                values[key] = flag
+            elif key in self._common:
+                values[key] = self._common[key]
+        if values.get("device", "auto") not in _DEVICES:
+            raise UsageError(f"{self._path}: device is {values['device']!r}; expected one of {', '.join(_DEVICES)}")
+        given = "threads" in values
+        if values.setdefault("threads", _usable_threads()) < 1:
+            raise UsageError(f"{self._path}: threads is {values['threads']}; expected at least 1")
+        return Common(**values, threads_given=given)
+
+
+def _usable_threads() -> int:
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1

@@ -1,0 +1,121 @@
+"""One command in progress: its work folder, options, device and output, as the verbs see them."""
+
+import argparse
+import os
+import sys
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from schemas.errors import ArtefactStale, UsageError
+from schemas.store import Artefact, Work
+from stages.progress import Context, Silent
+from stylerf_cli.options import Options
+from stylerf_cli.output import write_out
+from stylerf_cli.progress import Bars
+
+
+class Session:
+    """What a verb's `run(args, session)` works with.
+
+    work: the Work folder at `args.work` (verbs without one must not ask). config: the verb's config. json, quiet, only,
+    force, name: the common flags.
+    """
+
+    def __init__(self, verb: str, args: argparse.Namespace, options: Options, config: type | None) -> None:
+        self.verb, self.args, self.options = verb, args, options
+        self.json, self.quiet, self.only, self.force = args.json, args.quiet, args.only, args.force
+        self.name: str | None = args.name
+        self.config = options.config(config)
+        self.common = options.common()
+        self.progress: Any = Silent() if self.quiet else Bars(sys.stderr)
+        if self.common.threads_given:
+            _use_threads(self.common.threads)
+
+    @cached_property
+    def work(self) -> Work:
+        """The work folder named on the command line."""
+        return Work(Path(self.args.work))
+
+    @cached_property
+    def context(self) -> Context:
+        """Seed, device, threads and progress for stages; asks torch for a GPU only where one may be."""
+        return Context(
+            seed=self.common.seed,
+            device=resolved_device(self.common.device),
+            threads=self.common.threads,
+            progress=self.progress,
+        )
+
+    def config_of(self, verb: str, config: type) -> Any:
+        """The config of another verb's stage: its table of the --config file, else defaults."""
+        return self.options.config_of(verb, config)
+
+    def run(self, spec: Any, run: Any, inputs: dict[str, Artefact], config: Any, name: str) -> Artefact:
+        """Runs a stage, or reuses what stands.
+
+        The stage of this very verb writes under --name where given and obeys --force. Any other stage is an earlier
+        one that is missing or out of date: it is announced and brought up to date, or, with --only, refused with the
+        command that does it (ArtefactStale).
+        """
+        from stages.runner import execute, recipe_of
+
+        own = spec.verb == self.verb
+        name = self.name or name if own else name
+        if not own:
+            recipe = recipe_of(spec, inputs, config, self.context.seed)
+            standing = self.work.standing(spec.writes, name, recipe)
+            if standing:
+                return standing
+            if self.only:
+                raise ArtefactStale(
+                    f"{spec.writes} {name} is missing or out of date and --only was given; run: "
+                    f"stylerf {spec.verb} {self.work.root}"
+                )
+            self.say(f"{spec.writes} {name} is missing or out of date: running `stylerf {spec.verb}` first")
+        artefact, reused = execute(spec, run, self.work, name, inputs, config, self.context, force=own and self.force)
+        if reused:
+            self.say(f"{spec.writes} {name} stands up to date (--force makes it anew)")
+        return artefact
+
+    def say(self, text: str) -> None:
+        """One line on stderr, unless --quiet."""
+        self.progress.say(text)
+
+    def emit(self, result: dict, words: str) -> dict:
+        """The result of a verb: prints `words` on stdout, unless --json; returns `result`, which main prints then."""
+        self.progress.finish()
+        if not self.json:
+            write_out(words.rstrip("\n") + "\n")
+        return result
+
+
+def resolved_device(wanted: str) -> str:
+    """`cpu` or `cuda`. UsageError when CUDA is asked for and torch finds none."""
+    if wanted == "cpu" or (wanted == "auto" and not _may_have_gpu()):
+        return "cpu"
+    import torch
+
+    if torch.cuda.is_available():
+        return "cuda"
+    if wanted == "cuda":
+        raise UsageError(
+            "--device cuda: torch finds no usable GPU here; run with --device cpu, or see `stylerf doctor`"
+        )
+    return "cpu"
+
+
+def _may_have_gpu() -> bool:
+    """Whether the system shows a device that CUDA or ROCm could use: saves seconds of importing torch where not."""
+    return any(os.path.exists(path) for path in ("/dev/nvidiactl", "/dev/nvidia0", "/dev/dxg", "/dev/kfd"))
+
+
+def _use_threads(count: int) -> None:
+    """Limits the threads of OpenMP, BLAS and numba, which read this at their import, and of torch if it is there."""
+    for variable in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"):
+        os.environ[variable] = str(count)
+    if "torch" in sys.modules:
+        sys.modules["torch"].set_num_threads(count)
+    if "numba" in sys.modules:
+        numba = sys.modules["numba"]
+        numba.set_num_threads(min(count, numba.config.NUMBA_NUM_THREADS))

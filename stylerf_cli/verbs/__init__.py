@@ -1,0 +1,18 @@
+"""The verbs: one module each, named in one table so that `stylerf --help` imports none of them.
+
+A verb module has NAME, HELP (one line, the same as here), CONFIG (its stage's config dataclass, or None),
+`add_arguments(parser)` for what is no option of the stage, and `run(args, session) -> dict`, whose result is what
+`--json` prints.
+"""
+
+# verb: (module, help)
+VERBS: dict[str, tuple[str, str]] = {
+    "fit": ("stylerf_cli.verbs.fit", "fit a radiance field to a scene, no larger than it needs"),
+    "stylize": ("stylerf_cli.verbs.stylize", "stylise the whole scene with a painting"),
+    "render": ("stylerf_cli.verbs.render", "render a field along a path: EXR with depth for compositors, PNG, video"),
+    "eval": ("stylerf_cli.verbs.eval_", "measure a field: quality, style, consistency, cost; a report with pictures"),
+    "import": ("stylerf_cli.verbs.import_", "bring photos with their camera poses into a work folder"),
+    "show": ("stylerf_cli.verbs.show", "tell what a work folder or an artefact holds"),
+    "verify": ("stylerf_cli.verbs.verify", "check every file of an artefact or a work folder against its digest"),
+    "doctor": ("stylerf_cli.verbs.doctor", "tell what is installed, what is missing, and how to get it"),
+}

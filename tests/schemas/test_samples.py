@@ -1,0 +1,60 @@
+"""What earlier versions wrote still loads, with the digest that it had: the stored samples are never made anew."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from schemas.exr import FAR_Z, read_exr
+from schemas.migrations import CURRENT
+from schemas.scene import read_scene
+from schemas.store import Artefact
+from schemas.tensors import load_tensors
+from stages.scenes import load_scene
+
+SAMPLES = Path(__file__).parent / "samples"
+DIGESTS = {
+    "scene-1": "9cce98417dcd0678f7f0547f7274c07fdfc8d0fffccb253f0a7a15fd9fa6c29d",
+    "field-1": "5e51e6a83b67724a05bdd6b2579c9e319f98e51c51232d92ec5f8f05db04a9c5",
+    "frames-1": "dc0f4bf202f188cb4f695a25937d93671c839dd029d3d2cc57855b6e991b6469",
+    "region-1": "99617d3ed443f95e3467c6061ff191f9a9719591cfedc8a110d4f44525553473",
+    "edit-dataset-1": "c6bc05efb54d9559fe913ac0ac276658a9b94ea9fc9c267f6c7e28372427c98e",
+    "edit-1": "caf07e7ce3077b932faf55a872dc5f39e7e6b228add34541550e96f2da5b5631",
+    "report-1": "e2950e6098d9b0f0108cfc6472e39d81391c380519196296b3383dacb6d22c7c",
+}
+
+
+def test_every_schema_of_every_kind_has_a_sample():
+    wanted = {f"{kind}-{schema}" for kind, newest in CURRENT.items() for schema in range(1, newest + 1)}
+    assert {folder.name for folder in SAMPLES.iterdir()} == wanted == set(DIGESTS)
+
+
+@pytest.mark.parametrize("name", DIGESTS)
+def test_a_sample_loads_verifies_and_keeps_its_digest(name):
+    sample = Artefact(SAMPLES / name)
+    sample.verify()
+    assert sample.digest == DIGESTS[name]
+    assert sample.manifest.kind == name.rpartition("-")[0]
+    assert sample.manifest.schema == CURRENT[sample.kind]
+    assert (sample.manifest.seconds, sample.manifest.versions["stylerf"]) == (1.25, "0.1.0")
+
+
+def test_inputs_of_the_samples_are_the_samples():
+    for name in DIGESTS:
+        for ref in Artefact(SAMPLES / name).manifest.inputs:
+            assert ref.digest == DIGESTS[f"{ref.kind}-1"]
+
+
+def test_the_scene_sample_reads_as_a_scene():
+    scene = read_scene(SAMPLES / "scene-1")
+    assert scene.layout == "object" and scene.skipped[0].reason == "cut short" and scene.sfm == {"registered": 1}
+    data = load_scene(Artefact(SAMPLES / "scene-1"))
+    assert data.images(0).shape == (3, 4, 4) and len(data.points.xyz) == 2
+    np.testing.assert_array_equal(np.unique(data.truth_depth(0)), np.float32([2, FAR_Z]))
+
+
+def test_the_exr_and_tensor_samples_read():
+    view = read_exr(SAMPLES / "frames-1" / "exr" / "000.exr")
+    assert view.attributes == {"field": "toy"} and view.masks["head"].sum() == 2 and view.intrinsics == (5, 5, 2, 1.5)
+    tensors, metadata = load_tensors(SAMPLES / "field-1" / "field.safetensors")
+    assert tensors["density"].sum() == 8 and metadata == {"kind": "vm"}

@@ -1,0 +1,268 @@
+"""The store: artefacts are finished or absent, altered bytes are found, one writer at a time, old recipes resume."""
+
+import json
+import multiprocessing
+import os
+import shutil
+
+import pytest
+
+from schemas import migrations, partial
+from schemas.errors import ArtefactDamaged, ArtefactStale, OutOfResources, StylerfError, UsageError
+from schemas.manifest import MANIFEST, InputRef
+from schemas.store import Artefact, Recipe, Work
+
+
+def recipe(**changes) -> Recipe:
+    return Recipe(**{"stage": "toy", "revision": 1, "config": {"steps": 3}, "inputs": [], "seed": 0, **changes})
+
+
+def make(work: Work, name="fox", kind="field", content=b"weights", made_of=None, **changes) -> Artefact:
+    begun = work.begin(kind, name, made_of or recipe(**changes))
+    (begun.path / "sub").mkdir(exist_ok=True)
+    (begun.path / "sub" / "a.bin").write_bytes(content)
+    (begun.path / "b.json").write_text("{}")
+    return begun.commit(device="cpu", versions={"x": "1"}, seconds=1.5, peak_memory_mb=3, figures={"psnr": 27.1})
+
+
+def test_a_finished_artefact_reads_back(tmp_path):
+    artefact = make(Work(tmp_path))
+    again = Work(tmp_path).get("field", "fox")
+    assert again.digest == artefact.digest == again.manifest.digest
+    assert [record.path for record in again.manifest.files] == ["b.json", "sub/a.bin"]
+    assert again.manifest.figures == {"psnr": 27.1}
+    assert again.file("sub/a.bin").read_bytes() == b"weights"
+    assert sorted(os.listdir(tmp_path / "field")) == [".fox.lock", "fox"]
+    again.verify()
+
+
+def test_digest_tells_content_recipe_and_kind_but_not_name(tmp_path):
+    work = Work(tmp_path)
+    base = make(work, "a").digest
+    assert make(work, "b").digest == base
+    assert make(work, "c", content=b"Weights").digest != base
+    assert make(work, "d", seed=1).digest != base
+    assert make(work, "e", kind="edit").digest != base
+
+
+@pytest.mark.parametrize("which", ["b.json", "sub/a.bin", MANIFEST])
+def test_a_flipped_bit_anywhere_is_found(tmp_path, which):
+    artefact = make(Work(tmp_path))
+    path = artefact.path / which
+    whole = path.read_bytes()
+    for position in range(len(whole)):
+        damaged = bytearray(whole)
+        damaged[position] ^= 1 << position % 8
+        path.write_bytes(damaged)
+        with pytest.raises(ArtefactDamaged, match=which.rpartition("/")[2]):
+            Artefact(artefact.path).verify()
+    path.write_bytes(whole)
+    artefact.verify()
+
+
+def test_missing_shortened_and_additional_files_are_found(tmp_path):
+    artefact = make(Work(tmp_path))
+    (artefact.path / "sub" / "new.bin").write_bytes(b"")
+    artefact.check_sizes()
+    with pytest.raises(ArtefactDamaged, match=r"new.bin"):
+        artefact.verify()
+    (artefact.path / "sub" / "new.bin").unlink()
+    (artefact.path / "sub" / "a.bin").write_bytes(b"weight")
+    with pytest.raises(ArtefactDamaged, match="6 bytes where 7"):
+        artefact.check_sizes()
+    (artefact.path / "sub" / "a.bin").unlink()
+    with pytest.raises(ArtefactDamaged, match=r"lacks sub/a.bin.*stylerf fit"):
+        artefact.verify()
+    (artefact.path / MANIFEST).unlink()
+    with pytest.raises(ArtefactDamaged, match=r"no manifest.json"):
+        Artefact(artefact.path).verify()
+
+
+def test_absent_artefacts_come_with_the_command_that_makes_them(tmp_path):
+    with pytest.raises(ArtefactStale, match="stylerf fit"):
+        Work(tmp_path).get("field", "fox")
+    with pytest.raises(ArtefactStale, match="stylerf import"):
+        Work(tmp_path).find("scene", "fox")
+    assert not list(tmp_path.iterdir())
+
+
+def test_find_by_unique_prefix(tmp_path):
+    work = Work(tmp_path)
+    for name in ("starry", "start", "wave"):
+        make(work, name)
+    assert work.find("field", "w").name == "wave"
+    assert work.find("field", "start").name == "start"
+    for name in ("star", "x"):
+        with pytest.raises(UsageError, match=r"starry, start, wave|start, starry, wave"):
+            work.find("field", name)
+
+
+@pytest.mark.parametrize("name", ["", ".a", "a/b", "../x", "a b", "x" * 101])
+def test_unsound_names_are_refused(tmp_path, name):
+    with pytest.raises(UsageError):
+        Work(tmp_path).begin("field", name, recipe())
+
+
+def test_interrupted_run_resumes_only_for_the_same_recipe(tmp_path):
+    work = Work(tmp_path)
+    first = work.begin("field", "fox", recipe())
+    assert not first.resumed
+    (first.checkpoint / "step").write_text("7")
+    (first.path / ".a.0123.tmp.png").write_bytes(b"half")
+    first.release()
+    assert work.artefacts() == [] and work.unfinished() == [("field", "fox")]
+
+    second = work.begin("field", "fox", recipe())
+    assert second.resumed and (second.checkpoint / "step").read_text() == "7"
+    assert list(second.path.iterdir()) == []
+    second.release()
+
+    third = work.begin("field", "fox", recipe(seed=1))
+    assert not third.resumed and not (third.checkpoint / "step").exists()
+    third.discard()
+    assert work.unfinished() == []
+
+
+def test_damaged_recipe_starts_afresh(tmp_path):
+    first = Work(tmp_path).begin("field", "fox", recipe())
+    (first.folder / "recipe.json").write_text("{")
+    first.release()
+    assert not Work(tmp_path).begin("field", "fox", recipe()).resumed
+
+
+@pytest.mark.parametrize("exchange", [True, False])
+def test_replacing_keeps_the_older_one_until_the_rename(tmp_path, monkeypatch, exchange):
+    if not exchange:
+        monkeypatch.setattr(partial, "_exchange", lambda one, other: False)
+    work = Work(tmp_path)
+    old = make(work)
+    begun = work.begin("field", "fox", recipe(seed=1))
+    (begun.path / "other.bin").write_bytes(b"new")
+    old.verify()
+    new = begun.commit()
+    assert work.get("field", "fox").digest == new.digest != old.digest
+    assert sorted(os.listdir(new.path)) == [MANIFEST, "other.bin"]
+    assert sorted(os.listdir(tmp_path / "field")) == [".fox.lock", "fox"]
+
+
+def test_a_death_between_the_two_renames_is_mended(tmp_path, monkeypatch):
+    work = Work(tmp_path)
+    old = make(work).digest
+    begun = work.begin("field", "fox", recipe(seed=1))
+    monkeypatch.setattr(partial, "_exchange", lambda one, other: False)
+    rename = os.rename
+
+    def die(source, target):
+        if os.fspath(source).endswith("ready"):
+            raise KeyboardInterrupt
+        rename(source, target)
+
+    monkeypatch.setattr(partial.os, "rename", die)
+    with pytest.raises(KeyboardInterrupt):
+        begun.commit()
+    monkeypatch.undo()
+    begun.release()
+    assert work.begin("field", "fox", recipe(seed=1)).resumed is False
+    assert work.get("field", "fox").digest == old
+
+
+def _hold(root, ready, done):
+    begun = Work(root).begin("field", "fox", recipe())
+    ready.set()
+    done.wait(20)
+    del begun
+
+
+def test_a_second_writer_is_refused_until_the_first_ends(tmp_path):
+    context = multiprocessing.get_context("fork")
+    ready, done = context.Event(), context.Event()
+    child = context.Process(target=_hold, args=(tmp_path, ready, done))
+    child.start()
+    assert ready.wait(20)
+    with pytest.raises(OutOfResources, match=f"another process .{child.pid}"):
+        Work(tmp_path).begin("field", "fox", recipe())
+    Work(tmp_path).begin("field", "other", recipe()).discard()
+    child.kill()
+    child.join()
+    Work(tmp_path).begin("field", "fox", recipe()).discard()
+
+
+def test_standing_needs_the_recipe_and_whole_files(tmp_path):
+    work = Work(tmp_path)
+    artefact = make(work)
+    assert work.standing("field", "fox", recipe()).digest == artefact.digest
+    assert work.standing("field", "fox", recipe(config={"steps": 4})) is None
+    assert work.standing("field", "other", recipe()) is None
+    (artefact.path / "b.json").write_text("")
+    assert work.standing("field", "fox", recipe()) is None
+
+
+def test_recipe_ignores_input_names_and_order_but_not_roles_and_digests():
+    one, two = InputRef("scene", "scene", "fox", "d1"), InputRef("field", "field", "fox", "d2")
+    renamed = InputRef("scene", "scene", "den", "d1")
+    assert recipe(inputs=[one, two]).digest == recipe(inputs=[two, renamed]).digest
+    swapped = [InputRef("scene", "scene", "fox", "d2"), InputRef("field", "field", "fox", "d1")]
+    assert recipe(inputs=[one, two]).digest != recipe(inputs=swapped).digest
+
+
+def test_outdated_follows_inputs_to_the_scene(tmp_path):
+    work = Work(tmp_path)
+    scene = make(work, "fox", "scene")
+    field = make(work, "fox", inputs=[scene.reference("scene")])
+    frames = make(work, "turn", "frames", inputs=[field.reference("field")])
+    assert work.outdated(frames) == []
+    make(work, "fox", "scene", seed=5)
+    assert work.outdated(frames) == ["scene fox was made again after field fox"]
+    shutil.rmtree(tmp_path / "scene" / "fox")
+    assert work.outdated(field) == ["scene fox, from which fox was made, is gone"]
+
+
+def reseal(artefact, **changes):
+    """Writes the manifest again as an honest writer of another version would."""
+    import hashlib
+
+    content = json.loads((artefact.path / MANIFEST).read_text()) | changes
+    content["self_sha256"] = "0" * 64
+    text = json.dumps(content, indent=1) + "\n"
+    seal = hashlib.sha256(text.encode()).hexdigest()
+    (artefact.path / MANIFEST).write_text(text.replace("0" * 64, seal))
+
+
+def test_a_newer_schema_or_kind_is_refused(tmp_path):
+    artefact = make(Work(tmp_path))
+    reseal(artefact)
+    Artefact(artefact.path).verify()
+    reseal(artefact, schema=migrations.CURRENT["field"] + 1)
+    with pytest.raises(ArtefactStale, match="newer stylerf"):
+        Artefact(artefact.path).verify()
+    assert Work(tmp_path).standing("field", "fox", recipe()) is None
+    reseal(artefact, schema=1, kind="hologram")
+    with pytest.raises(ArtefactStale, match="newer stylerf"):
+        Artefact(artefact.path).verify()
+
+
+@pytest.mark.parametrize("changes", [{"schema": "1"}, {"schema": 0}, {"files": [{"path": "x"}]}, {"surprise": 1}])
+def test_sealed_nonsense_is_damage_not_a_crash(tmp_path, changes):
+    artefact = make(Work(tmp_path))
+    reseal(artefact, **changes)
+    with pytest.raises(StylerfError):
+        Artefact(artefact.path).verify()
+
+
+def test_old_schemas_migrate_step_by_step_and_keep_their_digest(tmp_path, monkeypatch):
+    artefact = make(Work(tmp_path))
+    monkeypatch.setitem(migrations.CURRENT, "field", 3)
+    with pytest.raises(ArtefactStale, match="too old"):
+        Artefact(artefact.path).verify()
+
+    def rename(content, folder):
+        content["figures"] = {"psnr_db": content["figures"]["psnr"], "folder": folder.name}
+        return content
+
+    monkeypatch.setitem(migrations.MIGRATIONS, ("field", 1), rename)
+    monkeypatch.setitem(migrations.MIGRATIONS, ("field", 2), lambda content, folder: content)
+    old = Artefact(artefact.path)
+    old.verify()
+    assert old.manifest.schema == 3
+    assert old.manifest.figures == {"psnr_db": 27.1, "folder": "fox"}
+    assert old.digest == artefact.digest

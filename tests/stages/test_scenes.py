@@ -1,0 +1,95 @@
+"""A scene artefact becomes cameras and images, and whatever does not fit together is damage."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from schemas.errors import ArtefactDamaged
+from schemas.exr import ExrView, write_exr
+from schemas.images import write_png
+from schemas.scene import Bounds, Scene, Truth, View, as_matrix, write_scene
+from schemas.store import Recipe, Work
+from schemas.tensors import save_tensors
+from stages.scenes import load_scene
+
+POSE = np.array([[0, 0, 1, 2], [-1, 0, 0, 3], [0, -1, 0, 4], [0, 0, 0, 1]], float)
+
+
+def build(root, change_view=None, points=None, size=(6, 8), channels=4):
+    """A scene of three views whose pixel (0, 0) holds the view's index."""
+    begun = Work(root).begin("scene", "toy", Recipe("pose_import", 1, {}, []))
+    views = []
+    for index in range(3):
+        pixels = np.full((*size, channels), index, np.uint8)
+        write_png(begun.path / f"images/{index:03d}.png", pixels)
+        split = "test" if index == 0 else "train"
+        view = View(f"v{index}", f"images/{index:03d}.png", split, 8, 6, 9, 10, 4, 3, as_matrix(POSE))
+        views.append(dataclasses.replace(view, **(change_view or {})))
+    depth = np.full((6, 8), 2.5)
+    truth = ExrView(np.ones((6, 8, 3)), np.ones((6, 8)), depth, depth, POSE, (9, 10, 4, 3), 1, 5)
+    write_exr(begun.path / "truth/depth_001.exr", truth)
+    bounds = Bounds(((-1, -1, -1), (1, 1, 1)), 1, 5)
+    scene = Scene(tuple(views), "object", "told", bounds, "alpha", as_matrix(np.eye(4)))
+    scene = dataclasses.replace(scene, truth=Truth("truth/depth_000.exr"))
+    write_scene(begun.path, scene)
+    if points is not None:
+        save_tensors(begun.path / "points.safetensors", points)
+    return begun.commit()
+
+
+def test_cameras_images_points_and_truth(tmp_path):
+    points = {"xyz": np.ones((5, 3), np.float32), "rgb": np.ones((5, 3), np.uint8), "error": np.ones(5, np.float32)}
+    data = load_scene(build(tmp_path, points=points))
+    assert data.splits == {"train": [1, 2], "test": [0]}
+    assert (data.layout, data.background, data.bounds.far) == ("object", "alpha", 5)
+    camera = data.cameras[2]
+    assert (camera.name, camera.width, camera.height, camera.fx, camera.fy) == ("v2", 8, 6, 9, 10)
+    np.testing.assert_array_equal(camera.world_from_camera, POSE)
+    image = data.images(2)
+    assert image.dtype == np.float32 and image.shape == (6, 8, 4)
+    np.testing.assert_array_equal(image, np.float32(2) / np.float32(255))
+    np.testing.assert_array_equal(data.truth_depth(1), np.full((6, 8), 2.5, np.float32))
+    assert data.truth_depth(0) is None
+    assert len(data.points.xyz) == 5
+
+
+def test_grey_images_become_rgb_and_points_may_be_absent(tmp_path):
+    data = load_scene(build(tmp_path, channels=1))
+    assert data.images(1).shape == (6, 8, 3) and data.points is None
+
+
+def test_an_image_of_another_size_than_its_camera_is_damage(tmp_path):
+    data = load_scene(build(tmp_path, size=(6, 7)))
+    with pytest.raises(ArtefactDamaged, match="7x6 where its camera says 8x6"):
+        data.images(0)
+
+
+def test_missing_and_cut_images_are_damage(tmp_path):
+    artefact = build(tmp_path)
+    data = load_scene(artefact)
+    path = artefact.file("images/001.png")
+    path.write_bytes(path.read_bytes()[:60])
+    with pytest.raises(ArtefactDamaged, match=r"001\.png.*import"):
+        data.images(1)
+    with pytest.raises(ArtefactDamaged, match="60 bytes"):
+        load_scene(artefact)
+    path.unlink()
+    with pytest.raises(ArtefactDamaged, match=r"lacks images/001\.png"):
+        load_scene(artefact)
+
+
+def test_a_view_whose_image_is_not_in_the_artefact_is_damage(tmp_path):
+    with pytest.raises(ArtefactDamaged, match="other"):
+        load_scene(build(tmp_path, {"image": "images/other.png"}))
+
+
+@pytest.mark.parametrize("drop", ["xyz", "error", "shape"])
+def test_unsound_points_are_damage(tmp_path, drop):
+    points = {"xyz": np.ones((5, 3), np.float32), "rgb": np.ones((5, 3), np.uint8), "error": np.ones(5, np.float32)}
+    if drop == "shape":
+        points["rgb"] = points["rgb"][:4]
+    else:
+        del points[drop]
+    with pytest.raises(ArtefactDamaged, match="points"):
+        load_scene(build(tmp_path, points=points))

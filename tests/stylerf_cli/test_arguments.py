@@ -1,0 +1,153 @@
+"""Flags from dataclasses: every type, from the command line and from TOML, with flags above TOML above defaults."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import pytest
+
+from schemas.errors import UsageError
+from stages.configs import option
+from stylerf_cli.arguments import Parser, add_common, add_config
+from stylerf_cli.options import Options
+
+
+@dataclass(frozen=True)
+class Config:
+    budget: str = option("5m", help="how long, 100 % of it")
+    learning_rate: float = option(0.02, help="step size")
+    steps: int = option(100, help="steps", flag="--iterations")
+    prune: bool = option(True, help="whether to prune")
+    grid: tuple[int, int] = option((4, 5), help="two sizes")
+    layers: tuple[str, ...] = option((), help="layers")
+    limit: float | None = option(None, help="where to stop")
+    mode: str = option("fast", help="mode", choices=("fast", "exact"))
+    kind: Literal["a", "b"] = option("a", help="kind")
+    mask: Path | None = option(None, help="file")
+
+
+@dataclass(frozen=True)
+class Required:
+    source: str = option(help="what to read", positional=True)
+    style: str = option(help="painting")
+
+
+def parse(arguments, config=Config, toml=None, tmp_path=None):
+    parser = Parser(prog="stylerf fit")
+    add_config(parser, config)
+    add_common(parser)
+    if toml is not None:
+        (tmp_path / "o.toml").write_text(toml)
+        arguments = [*arguments, "--config", str(tmp_path / "o.toml")]
+    return Options("fit", parser.parse_args(arguments), ["fit", "import"])
+
+
+def test_defaults_live_in_the_dataclass_alone():
+    assert parse([]).config(Config) == Config()
+
+
+def test_every_type_from_flags():
+    given = (
+        "--budget 60s --learning-rate 1e-3 --iterations 7 --no-prune --grid 8 9 --layers a b --layers c --limit 2 "
+        "--mode exact --kind b --mask m.png"
+    )
+    assert parse(given.split()).config(Config) == Config(
+        "60s", 1e-3, 7, False, (8, 9), ("a", "b", "c"), 2.0, "exact", "b", Path("m.png")
+    )
+    assert parse(["--limit", "none"]).config(Config).limit is None
+    assert parse(["--learning-rate", "-0.5"]).config(Config).learning_rate == -0.5
+
+
+def test_every_type_from_toml(tmp_path):
+    text = (
+        'budget = "60s"\nlearning-rate = 1\nsteps = 7\nprune = false\ngrid = [8, 9]\nlayers = ["a", "b"]\n'
+        'limit = 2\nmode = "exact"\nkind = "b"\nmask = "m.png"\n'
+    )
+    config = parse([], toml=text, tmp_path=tmp_path).config(Config)
+    assert config == Config("60s", 1.0, 7, False, (8, 9), ("a", "b"), 2.0, "exact", "b", Path("m.png"))
+    assert isinstance(config.learning_rate, float)
+    assert parse([], toml='limit = "none"', tmp_path=tmp_path).config(Config).limit is None
+
+
+def test_flags_win_over_tables_over_the_top_over_defaults(tmp_path):
+    text = 'steps = 1\nbudget = "1s"\nmode = "exact"\n[fit]\nsteps = 2\nbudget = "2s"\n[import]\nwhatever = 1\n'
+    config = parse(["--iterations", "3"], toml=text, tmp_path=tmp_path).config(Config)
+    assert (config.steps, config.budget, config.mode, config.learning_rate) == (3, "2s", "exact", 0.02)
+
+
+def test_other_verbs_get_their_own_table_only(tmp_path):
+    text = "steps = 1\n[import]\nsteps = 9\n"
+    assert parse([], toml=text, tmp_path=tmp_path).config_of("import", Config) == Config(steps=9)
+    assert parse([], toml="steps = 1", tmp_path=tmp_path).config_of("import", Config) == Config()
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("stesp = 3", "no option 'stesp'; did you mean 'steps'"),
+        ("zzzz = 3", "known are budget"),
+        ("[fti]\nsteps = 1", "no verb 'fti'; did you mean 'fit'"),
+        ("steps = 1.5", "steps takes a whole number, not 1.5"),
+        ("steps = true", "steps takes a whole number"),
+        ("budget = 60", "budget takes a text in quotes"),
+        ("prune = 1", "true or false"),
+        ("learning_rate = nan", "learning_rate takes a number"),
+        ("grid = [1]", "list of 2"),
+        ("grid = 1", "list of 2"),
+        ("layers = [1]", "text in quotes"),
+        ('mode = "slow"', "fast, exact"),
+        ("steps = ", "no TOML"),
+        ('seed = "x"', "seed takes a value of type int"),
+        ('device = "tpu"', "tpu"),
+        ("threads = 0", "at least 1"),
+    ],
+)
+def test_faults_of_a_file_are_told_with_its_name(tmp_path, text, words):
+    with pytest.raises(UsageError, match=r"o\.toml") as caught:
+        options = parse([], toml=text, tmp_path=tmp_path)
+        options.common()
+        options.config(Config)
+    assert words in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    ["--learning-rate nan", "--learning-rate fast", "--grid 1", "--mode slow", "--prun", "--budge 3", "--steps 3", "x"],
+)
+def test_faults_of_flags(arguments):
+    with pytest.raises(UsageError, match="stylerf fit --help"):
+        parse(arguments.split()).config(Config)
+
+
+def test_required_and_positional():
+    assert parse(["photos", "--style", "s.png"], Required).config(Required) == Required("photos", "s.png")
+    with pytest.raises(UsageError, match="source"):
+        parse(["--style", "s.png"], Required)
+    with pytest.raises(UsageError, match="--style is required"):
+        parse(["photos"], Required).config(Required)
+
+
+def test_common_options(tmp_path):
+    text = 'seed = 4\ndevice = "cpu"\nthreads = 3'
+    common = parse(["--seed", "5"], toml=text, tmp_path=tmp_path).common()
+    assert (common.seed, common.device, common.threads, common.threads_given) == (5, "cpu", 3, True)
+    common = parse([]).common()
+    assert (common.seed, common.device, common.threads_given) == (0, "auto", False) and common.threads >= 1
+
+
+def test_a_verb_without_options_takes_none_from_the_file(tmp_path):
+    parser = Parser(prog="stylerf fit")
+    add_common(parser)
+    (tmp_path / "o.toml").write_text("seed = 3\nsteps = 1")
+    options = Options("fit", parser.parse_args(["--config", str(tmp_path / "o.toml")]), ["fit"])
+    with pytest.raises(UsageError, match="no option 'steps'"):
+        options.config(None)
+
+
+def test_help_tells_defaults_and_choices(capsys):
+    parser = Parser(prog="stylerf fit")
+    add_config(parser, Config)
+    text = " ".join(parser.format_help().split())
+    assert "how long, 100 % of it (default: 5m)" in text
+    assert "--prune, --no-prune whether to prune (default: True)" in text
+    assert "(default: 4 5)" in text and "fast|exact" in text and "(default: None)" not in text

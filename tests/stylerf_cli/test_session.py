@@ -1,0 +1,79 @@
+"""How a verb's own stage and the stages before it are run, and which device is chosen."""
+
+import argparse
+import os
+import subprocess
+import sys
+
+import pytest
+
+from schemas.errors import ArtefactStale, UsageError
+from stages.runner import Spec
+from stylerf_cli import session as sessions
+from stylerf_cli.arguments import Parser, add_common
+from stylerf_cli.options import Options
+from stylerf_cli.session import Session
+from tests.conftest import REPOSITORY
+from tests.stages import toy_stage
+from tests.stages.toy_stage import ToyConfig
+
+UPSTREAM = Spec("pose_import", "import", 1, "scene")
+
+
+def session(tmp_path, *flags) -> Session:
+    parser = Parser(prog="stylerf toy")
+    parser.add_argument("work")
+    add_common(parser)
+    args: argparse.Namespace = parser.parse_args([str(tmp_path), "--device", "cpu", *flags])
+    return Session("toy", args, Options("toy", args, ["toy"]), None)
+
+
+def test_earlier_stages_are_announced_made_once_and_never_forced_or_named(tmp_path, capsys):
+    for flags in ((), ("--force", "--name", "den")):
+        given = session(tmp_path, *flags)
+        scene = given.run(UPSTREAM, toy_stage.run, {}, ToyConfig(steps=3), "fox")
+        field = given.run(toy_stage.SPEC, toy_stage.run, {"scene": scene}, ToyConfig(), "fox")
+        assert (scene.name, field.name) == ("fox", "den" if flags else "fox")
+        told = capsys.readouterr().err
+        assert ("running `stylerf import` first" in told) == (not flags)
+    session(tmp_path).run(toy_stage.SPEC, toy_stage.run, {"scene": scene}, ToyConfig(), "fox")
+    assert capsys.readouterr().err == "field fox stands up to date (--force makes it anew)\n"
+
+
+def test_only_refuses_to_make_earlier_stages_with_the_command_that_does(tmp_path):
+    with pytest.raises(ArtefactStale, match=f"stylerf import {tmp_path}"):
+        session(tmp_path, "--only").run(UPSTREAM, toy_stage.run, {}, ToyConfig(), "fox")
+    assert not list(tmp_path.iterdir())
+    session(tmp_path).run(UPSTREAM, toy_stage.run, {}, ToyConfig(), "fox")
+    session(tmp_path, "--only").run(UPSTREAM, toy_stage.run, {}, ToyConfig(), "fox")
+    session(tmp_path, "--only").run(toy_stage.SPEC, toy_stage.run, {}, ToyConfig(), "fox")
+
+
+def test_quiet_says_nothing(tmp_path, capsys):
+    session(tmp_path, "--quiet").run(UPSTREAM, toy_stage.run, {}, ToyConfig(), "fox")
+    assert capsys.readouterr() == ("", "")
+
+
+def test_cuda_that_is_not_there_is_a_usage_fault():
+    import torch
+
+    if torch.cuda.is_available():
+        pytest.skip("this machine has a GPU")
+    assert sessions.resolved_device("auto") == "cpu"
+    with pytest.raises(UsageError, match="--device cpu"):
+        sessions.resolved_device("cuda")
+
+
+def test_auto_does_not_import_torch_where_no_gpu_can_be(monkeypatch):
+    monkeypatch.setattr(os.path, "exists", lambda path: False)
+    monkeypatch.setitem(sys.modules, "torch", None)  # an import would raise
+    assert sessions.resolved_device("auto") == "cpu"
+
+
+def test_threads_reach_libraries_that_are_imported_later():
+    code = (
+        "from stylerf_cli.session import _use_threads; _use_threads(1)\n"
+        "import os, numba; print(os.environ['OMP_NUM_THREADS'], numba.get_num_threads())"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=REPOSITORY)
+    assert done.stdout == "1 1\n"

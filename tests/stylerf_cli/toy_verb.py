@@ -1,0 +1,41 @@
+"""A verb around the toy stage, for tests of the front door."""
+
+import os
+from dataclasses import dataclass
+
+from stages.configs import option
+from tests.stages import toy_stage
+
+NAME = "toy"
+HELP = "make a toy"
+
+
+@dataclass(frozen=True)
+class CONFIG:
+    steps: int = option(5, help="how many steps")
+    pause: float = option(0.0, help="seconds between steps")
+    colour: str = option("red", help="which one", choices=("red", "blue"))
+    sizes: tuple[int, ...] = option((1, 2), help="sizes")
+    bounce: bool = option(True, help="whether it bounces")
+    limit: float | None = option(None, help="where to stop")
+
+    def __post_init__(self):
+        if self.steps < 0:
+            raise ValueError(f"steps must not be negative, found {self.steps}")
+
+
+FAULT: list[BaseException] = []
+
+
+def add_arguments(parser) -> None:
+    parser.add_argument("work")
+
+
+def run(args, session) -> dict:
+    if FAULT:
+        raise FAULT.pop()
+    artefact = session.run(toy_stage.SPEC, toy_stage.run, {}, session.config, "fox")
+    if session.json:
+        print("noise from a library")
+        os.write(1, b"noise from native code\n")
+    return session.emit({"name": artefact.name, "seconds": float("inf")}, f"made {artefact.name}")
