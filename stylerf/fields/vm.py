@@ -8,6 +8,7 @@ import numpy as np
 import torch
 import torch.nn.functional as F
 
+from stylerf.fields.samples import Samples
 from stylerf.geometry.harmonics import BANDS, C0
 from stylerf.kernels.cpu import vm as kernels
 
@@ -44,6 +45,19 @@ def _initial_table(size: np.ndarray, rank: int, generator: np.random.Generator, 
     return table
 
 
+def _widened_table(
+    table: np.ndarray, size: np.ndarray, old: int, new: int, generator: np.random.Generator
+) -> np.ndarray:
+    """The same field with more ranks: new planes random, new lines zero, so that nothing changes until they learn."""
+    out = _initial_table(np.asarray(size), new, generator, 0.1)
+    for source, target in zip(split_table(table, size, old)[0], split_table(out, size, new)[0]):
+        target[..., :old] = source
+    for source, target in zip(split_table(table, size, old)[1], split_table(out, size, new)[1]):
+        target[..., :old] = source
+        target[..., old:] = 0
+    return out
+
+
 def _resized_table(table: np.ndarray, old: np.ndarray, new: np.ndarray, rank: int) -> np.ndarray:
     out = np.empty(table_length(new, rank), np.float32)
     for source, target in zip(split_table(table, old, rank)[0], split_table(out, new, rank)[0]):
@@ -66,7 +80,8 @@ class VmDensity:
         self._ranks = (np.int8(0),) * self.rank
 
     @classmethod
-    def create(cls, size: np.ndarray, rank: int, generator: np.random.Generator, shift: float = -1.0) -> "VmDensity":
+    def create(cls, size: np.ndarray, rank: int, generator: np.random.Generator, shift: float = -4.0) -> "VmDensity":
+        """A thin fog: exp(-4) is an optical depth of about 1.8 across the cube, so the first rays see all of it."""
         table = _initial_table(np.asarray(size), rank, generator, 0.1)
         return cls(size, rank, np.append(table, np.float32(shift)))
 
@@ -83,26 +98,36 @@ class VmDensity:
         table = _resized_table(self.table, self.size, np.asarray(size), self.rank)
         return VmDensity(size, self.rank, np.append(table, self.values[-1]))
 
+    def with_rank(self, rank: int, generator: np.random.Generator) -> "VmDensity":
+        """The same density with more ranks."""
+        if rank <= self.rank:
+            return self
+        table = _widened_table(self.table, self.size, self.rank, rank, generator)
+        return VmDensity(self.size, rank, np.append(table, self.values[-1]))
+
     def sigma(self, x: np.ndarray, chunks: int) -> np.ndarray:
         """Raw density of warped points [n, 3] float32 -> [n]."""
         out = np.empty(len(x), np.float32)
         kernels.density(self.table, self.size, self.values[-1], self._ranks, x, chunks, out)
         return out
 
-    def march(self, x, optical, offsets, opaque, chunks) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Per ray, front to back until transmittance < opaque: (ends [rays], sigma [n], weights [n])."""
-        ends = np.empty(len(offsets) - 1, np.int64)
-        sigma, weights = np.empty(len(x), np.float32), np.empty(len(x), np.float32)
-        kernels.density_and_weights(
-            self.table, self.size, self.values[-1], self._ranks, x, optical, offsets, np.float32(opaque), chunks, ends,
-            sigma, weights,
+    def march(self, space, rays, occupancy, step, displacement, limit, opaque, closed, chunks) -> "Samples":
+        """Walk rays (origins, directions, jitter, near) through the density; see kernels.march_density."""
+        n = len(rays.origins)
+        samples = Samples.empty(n, limit)
+        flat, cells = displacement
+        kernels.march_density(
+            space.code, space.packed(), rays.origins, rays.directions, rays.jitter, rays.near, np.float32(space.far),
+            np.float32(step), occupancy.distances, occupancy.cells, limit, self.table, self.size, self.values[-1],
+            self._ranks, flat, cells, np.float32(opaque), closed, chunks, samples.starts, samples.ends, samples.t,
+            samples.optical, samples.x, samples.sigma, samples.weights,
         )
-        return ends, sigma, weights
+        return samples
 
-    def backward(self, x, offsets, ends, sigma, sigma_gradients, to: np.ndarray) -> None:
+    def backward(self, x, starts, ends, sigma, sigma_gradients, to: np.ndarray) -> None:
         """Add dL/d(values) to the chunks' buffers `to` [chunks, len(values)]."""
         kernels.density_backward(
-            self.table, self.size, self.values[-1], self._ranks, x, offsets, ends, sigma, sigma_gradients, len(to), to
+            self.table, self.size, self.values[-1], self._ranks, x, starts, ends, sigma, sigma_gradients, len(to), to
         )
 
     def smooth(self, strength: float, to: np.ndarray) -> None:
@@ -150,6 +175,16 @@ class VmColour:
         table = _resized_table(self.table, self.size, np.asarray(size), self.rank)
         return VmColour(size, self.rank, self.degree, np.concatenate([table, self.head, self.values[-3:]]))
 
+    def with_rank(self, rank: int, generator: np.random.Generator) -> "VmColour":
+        """The same colour with more ranks; the head of a new rank is random, its features zero."""
+        if rank <= self.rank:
+            return self
+        table = _widened_table(self.table, self.size, self.rank, rank, generator)
+        bands = BANDS[self.degree]
+        head = VmColour.create(np.full(3, 8), rank, self.degree, generator).head.reshape(3, bands, 3, rank)
+        head[..., : self.rank] = self.head.reshape(3, bands, 3, self.rank)
+        return VmColour(self.size, rank, self.degree, np.concatenate([table, head.ravel(), self.values[-3:]]))
+
     def with_degree(self, degree: int) -> "VmColour":
         """The same colour with more (zero) or fewer spherical-harmonic bands."""
         old = self.head.reshape(3, BANDS[self.degree], -1)
@@ -158,19 +193,19 @@ class VmColour:
         head[:, :shared] = old[:, :shared]
         return VmColour(self.size, self.rank, degree, np.concatenate([self.table, head.ravel(), self.values[-3:]]))
 
-    def colours(self, x, basis, offsets, ends, weights, least, chunks) -> np.ndarray:
+    def colours(self, x, basis, starts, ends, weights, least, chunks) -> np.ndarray:
         """[n, 3] colours in 0..1 of samples with weight > least; others have -1 in the first channel."""
         out = np.empty((len(x), 3), np.float32)
         kernels.colour(
-            self.table, self.size, self._ranks, self.head, self.values[-3:], basis, x, offsets, ends, weights,
+            self.table, self.size, self._ranks, self.head, self.values[-3:], basis, x, starts, ends, weights,
             np.float32(least), chunks, out,
         )
         return out
 
-    def backward(self, x, basis, offsets, ends, colours, colour_gradients, to: np.ndarray) -> None:
+    def backward(self, x, basis, starts, ends, colours, colour_gradients, to: np.ndarray) -> None:
         """Add dL/d(values) to the chunks' buffers `to` [chunks, len(values)]."""
         kernels.colour_backward(
-            self.table, self.size, self._ranks, self.head, basis, x, offsets, ends, colours, colour_gradients, len(to),
+            self.table, self.size, self._ranks, self.head, basis, x, starts, ends, colours, colour_gradients, len(to),
             to,
         )
 

@@ -9,17 +9,17 @@ _ONE, _ZERO = np.float32(1), np.float32(0)
 
 
 @parallel_kernel
-def composite(weights, colours, t, offsets, ends, chunks, out):
+def composite(weights, colours, t, starts, ends, chunks, out):
     """out[r] = (sum w c (3), sum w, sum w t). Samples without a colour (colours[k, 0] < 0) take the mean of the others.
 
     They weigh next to nothing; counting them as black would pull every density the wrong way.
     """
-    n = len(offsets) - 1
+    n = len(ends)
     for c in prange(chunks):
         for r in range(c * n // chunks, (c + 1) * n // chunks):
             red, green, blue, depth = _ZERO, _ZERO, _ZERO, _ZERO
             total, coloured = _ZERO, _ZERO
-            for k in range(offsets[r], ends[r]):
+            for k in range(starts[r], ends[r]):
                 w = weights[k]
                 total += w
                 depth += w * t[k]
@@ -38,14 +38,14 @@ def composite(weights, colours, t, offsets, ends, chunks, out):
 
 @parallel_kernel
 def composite_backward(
-    sigma, weights, optical, colours, t, offsets, ends, out, gradients, chunks, sigma_gradients, colour_gradients
+    sigma, weights, optical, colours, t, starts, ends, out, gradients, chunks, sigma_gradients, colour_gradients
 ):
     """From dL/d(out) [rays, 5] to dL/d(sigma) [n] and dL/d(colour) [n, 3].
 
     dL/d(sigma_k) = optical_k (T_{k+1} D_k - sum_{i>k} w_i D_i) with D_k = dL/dw_k, T_{k+1} the transmittance behind k.
     The scale that spreads the colour over uncoloured samples is treated as a constant.
     """
-    n = len(offsets) - 1
+    n = len(ends)
     for c in prange(chunks):
         for r in range(c * n // chunks, (c + 1) * n // chunks):
             g0, g1, g2 = gradients[r, 0], gradients[r, 1], gradients[r, 2]
@@ -53,7 +53,7 @@ def composite_backward(
             total = out[r, 3]
             mean = (g0 * out[r, 0] + g1 * out[r, 1] + g2 * out[r, 2]) / total if total > _ZERO else _ZERO
             behind = _ZERO
-            for k in range(offsets[r], ends[r]):
+            for k in range(starts[r], ends[r]):
                 w = weights[k]
                 d = ga + gd * t[k]
                 if colours[k, 0] >= _ZERO:
@@ -66,8 +66,88 @@ def composite_backward(
                 sigma_gradients[k] = d
                 behind += w * d
             through = _ONE
-            for k in range(offsets[r], ends[r]):
+            for k in range(starts[r], ends[r]):
                 d = sigma_gradients[k]
                 behind -= weights[k] * d
                 through -= weights[k]
                 sigma_gradients[k] = optical[k] * (through * d - behind)
+
+
+@parallel_kernel
+def significant(weights, starts, ends, share, chunks, shown):
+    """shown[k] = weights[k] where it is at least `share` of its ray's largest weight, else 0: never a whole ray."""
+    n = len(ends)
+    for c in prange(chunks):
+        for r in range(c * n // chunks, (c + 1) * n // chunks):
+            largest = _ZERO
+            for k in range(starts[r], ends[r]):
+                largest = max(largest, weights[k])
+            bound = largest * share
+            for k in range(starts[r], ends[r]):
+                shown[k] = weights[k] if weights[k] >= bound else _ZERO
+
+
+@parallel_kernel
+def count_shown(shown, starts, ends, chunks, counts):
+    """counts[r] = samples of ray r with shown > 0."""
+    n = len(ends)
+    for c in prange(chunks):
+        for r in range(c * n // chunks, (c + 1) * n // chunks):
+            found = 0
+            for k in range(starts[r], ends[r]):
+                if shown[k] > _ZERO:
+                    found += 1
+            counts[r] = found
+
+
+@parallel_kernel
+def pack_shown(shown, x, weights, starts, ends, offsets, chunks, packed_x, packed_w):
+    """Keep the shown samples: x as 16-bit cube positions, weights scaled so that each ray keeps its alpha."""
+    n = len(ends)
+    for c in prange(chunks):
+        for r in range(c * n // chunks, (c + 1) * n // chunks):
+            total, kept = _ZERO, _ZERO
+            for k in range(starts[r], ends[r]):
+                total += weights[k]
+                kept += shown[k]
+            scale = total / kept if kept > _ZERO else _ZERO
+            at = offsets[r]
+            for k in range(starts[r], ends[r]):
+                if shown[k] > _ZERO:
+                    for a in range(3):
+                        packed_x[at, a] = np.uint16(x[k, a] * np.float32(65535) + np.float32(0.5))
+                    packed_w[at] = shown[k] * scale
+                    at += 1
+
+
+@parallel_kernel
+def unpack(pixels, offsets, packed_x, packed_w, starts, x, weights):
+    """Samples of chosen pixels of a packed view, from starts[r] on."""
+    for r in prange(len(pixels)):
+        at = starts[r]
+        for k in range(offsets[pixels[r]], offsets[pixels[r] + 1]):
+            for a in range(3):
+                x[at, a] = np.float32(packed_x[k, a]) * np.float32(1 / 65535)
+            weights[at] = packed_w[k]
+            at += 1
+
+
+@parallel_kernel
+def shade(weights, colours, starts, ends, out):
+    """out[r] = sum w c over the ray's samples, [rays, 3]."""
+    for r in prange(len(ends)):
+        red, green, blue = _ZERO, _ZERO, _ZERO
+        for k in range(starts[r], ends[r]):
+            red += weights[k] * colours[k, 0]
+            green += weights[k] * colours[k, 1]
+            blue += weights[k] * colours[k, 2]
+        out[r, 0], out[r, 1], out[r, 2] = red, green, blue
+
+
+@parallel_kernel
+def shade_backward(weights, gradients, starts, ends, colour_gradients):
+    """dL/dc_k = w_k dL/d(out_r)."""
+    for r in prange(len(ends)):
+        for k in range(starts[r], ends[r]):
+            for a in range(3):
+                colour_gradients[k, a] = weights[k] * gradients[r, a]

@@ -1,12 +1,10 @@
-"""march: rays through the occupied part of space to packed samples.
+"""march: what is common to every way of walking a ray through the occupied part of space.
 
 Space is warped to the unit cube by one of three maps (stylerf/geometry/space.py holds them in words and in float64):
 box (0), contraction (1), frustum (2). A step advances the warped position by `step` in the largest coordinate, so one
 sample falls into each cell of the field wherever the ray is. The occupancy grid stores, per cell, 0 where occupied and
 else the Chebyshev distance to the nearest occupied cell, in cells: an empty ray leaps over what cannot matter.
 """
-
-import math
 
 import numpy as np
 from numba import prange
@@ -116,68 +114,12 @@ def leap(distance, cells, step):
 
 
 @inline
-def _march_ray(kind, space, o, d, jitter, near, far, step, occupancy, cells, limit, q, at, t_out, dt_out, x_out):
-    """March one ray; write its samples from `at` on unless at < 0; return how many there are."""
-    t, end = ray_span(kind, space, o[0], o[1], o[2], d[0], d[1], d[2], near, far)
-    found = 0
-    first = True
-    guard = 0
-    while t < end and found < limit and guard < 8192:
-        guard += 1
-        speed, jacobian = warp_at(
-            kind, space, o[0] + t * d[0], o[1] + t * d[1], o[2] + t * d[2], d[0], d[1], d[2], q
-        )
-        dt = step / speed
-        if first:
-            t += jitter * dt
-            first = False
-            continue
-        i = min(int(q[0] * np.float32(cells)), cells - 1)
-        j = min(int(q[1] * np.float32(cells)), cells - 1)
-        k = min(int(q[2] * np.float32(cells)), cells - 1)
-        distance = occupancy[(i * cells + j) * cells + k]
-        if distance == 0:
-            if at >= 0:
-                t_out[at + found] = t
-                dt_out[at + found] = dt * jacobian * OPTICAL_SCALE
-                x_out[at + found, 0] = q[0]
-                x_out[at + found, 1] = q[1]
-                x_out[at + found, 2] = q[2]
-            found += 1
-            t += dt
-        else:
-            t += dt * np.float32(leap(distance, cells, step))
-    return found
-
-
-@parallel_kernel
-def count_samples(kind, space, origins, directions, jitter, near, far, step, occupancy, cells, limit, chunks, counts):
-    """counts[r] = samples of ray r in occupied cells, at most `limit`."""
-    n = len(origins)
-    for c in prange(chunks):
-        q = np.empty(3, np.float32)
-        unused = np.empty(0, np.float32)
-        unused_x = np.empty((0, 3), np.float32)
-        for r in range(c * n // chunks, (c + 1) * n // chunks):
-            counts[r] = _march_ray(
-                kind, space, origins[r], directions[r], jitter[r], near[r], far, step, occupancy, cells, limit, q, -1,
-                unused, unused, unused_x,
-            )
-
-
-@parallel_kernel
-def fill_samples(
-    kind, space, origins, directions, jitter, near, far, step, occupancy, cells, limit, chunks, offsets, t, optical, x
-):
-    """Write the samples counted before: distance t, optical length of unit raw density, warped position x."""
-    n = len(origins)
-    for c in prange(chunks):
-        q = np.empty(3, np.float32)
-        for r in range(c * n // chunks, (c + 1) * n // chunks):
-            _march_ray(
-                kind, space, origins[r], directions[r], jitter[r], near[r], far, step, occupancy, cells, limit, q,
-                offsets[r], t, optical, x,
-            )
+def cell_distance(occupancy, cells, q):
+    """Chebyshev distance, in cells, from the cell of warped point q to the nearest occupied one; 0: occupied."""
+    i = min(int(q[0] * np.float32(cells)), cells - 1)
+    j = min(int(q[1] * np.float32(cells)), cells - 1)
+    k = min(int(q[2] * np.float32(cells)), cells - 1)
+    return occupancy[(i * cells + j) * cells + k]
 
 
 @parallel_kernel
@@ -194,16 +136,3 @@ def warp_points(kind, space, points, chunks, out, jacobians):
             out[p, 1] = q[1]
             out[p, 2] = q[2]
             jacobians[p] = jacobian
-
-
-@parallel_kernel
-def optical_weights(sigma, optical, offsets, chunks, weights):
-    """weights[k] = T_k (1 - exp(-sigma_k optical_k)), T the product of exp(-sigma optical) before k, per ray."""
-    n = len(offsets) - 1
-    for c in prange(chunks):
-        for r in range(c * n // chunks, (c + 1) * n // chunks):
-            through = _ONE
-            for k in range(offsets[r], offsets[r + 1]):
-                stay = np.float32(math.exp(-sigma[k] * optical[k]))
-                weights[k] = through * (_ONE - stay)
-                through *= stay

@@ -11,6 +11,7 @@ import numpy as np
 from numba import prange
 
 from stylerf.kernels.cpu.compiling import inline, parallel_kernel
+from stylerf.kernels.cpu.march import OPTICAL_SCALE, cell_distance, leap, ray_span, warp_at
 from stylerf.kernels.cpu.vector import axpy_row, dot_rows, vm_dot, vm_dot_backward, vm_features, vm_features_backward
 
 _ONE, _ZERO = np.float32(1), np.float32(0)
@@ -62,37 +63,93 @@ def density(table, size, shift, ranks, x, chunks, sigma):
             sigma[p] = raw_density(table, size, shift, x[p], ranks)
 
 
-@parallel_kernel
-def density_and_weights(table, size, shift, ranks, x, optical, offsets, opaque, chunks, ends, sigma, weights):
-    """Density of each ray's samples front to back, and their compositing weights, until transmittance < `opaque`.
+@inline
+def displace(displacement, cells, q, out):
+    """out = q + trilinear(displacement, q), clamped to the cube; displacement: flat [cells^3, 3] on vertices."""
+    i, fx = _cell(q[0], cells)
+    j, fy = _cell(q[1], cells)
+    k, fz = _cell(q[2], cells)
+    at = (i * cells + j) * cells + k
+    for a in range(3):
+        moved = q[a]
+        for corner in range(8):
+            di, dj, dk = corner >> 2, (corner >> 1) & 1, corner & 1
+            w = (fx if di else _ONE - fx) * (fy if dj else _ONE - fy) * (fz if dk else _ONE - fz)
+            moved += w * displacement[(at + (di * cells + dj) * cells + dk) * 3 + a]
+        out[a] = min(max(moved, _ZERO), _ONE)
 
-    ends[r]: one past the last sample that was evaluated; what lies behind it is not written.
+
+@parallel_kernel
+def march_density(
+    kind, space, origins, directions, jitter, near, far, step, occupancy, cells, limit, table, size, shift, ranks,
+    displacement, displacement_cells, opaque, closed, chunks, starts, ends, t_out, optical, x, sigma, weights,
+):
+    """Walk each ray front to back until its transmittance is under `opaque`, its span ends or `limit` samples lie on it.
+
+    Ray r's samples are starts[r]:ends[r] of t_out, optical (optical length of unit raw density), x (position in the
+    cube, displaced), sigma (raw density) and weights (T (1 - exp(-sigma optical))). Each chunk of rays packs its
+    samples from first_ray * limit on; the arrays have rays * limit elements, of which only those touched cost memory.
+    closed: space ends in an opaque backdrop (captures of the real world), so that weights sum to one.
     """
-    n = len(offsets) - 1
+    n = len(origins)
     for c in prange(chunks):
-        for r in range(c * n // chunks, (c + 1) * n // chunks):
+        q = np.empty(3, np.float32)
+        moved = np.empty(3, np.float32)
+        begin = c * n // chunks
+        at = begin * limit
+        for r in range(begin, (c + 1) * n // chunks):
+            starts[r] = at
+            ox, oy, oz = origins[r, 0], origins[r, 1], origins[r, 2]
+            dx, dy, dz = directions[r, 0], directions[r, 1], directions[r, 2]
+            t, end = ray_span(kind, space, ox, oy, oz, dx, dy, dz, near[r], far)
             through = _ONE
-            k = offsets[r]
-            while k < offsets[r + 1] and through >= opaque:
-                s = raw_density(table, size, shift, x[k], ranks)
-                stay = np.float32(math.exp(-s * optical[k]))
-                sigma[k] = s
-                weights[k] = through * (_ONE - stay)
+            last = at + limit
+            if t < end:
+                speed, _ = warp_at(kind, space, ox + t * dx, oy + t * dy, oz + t * dz, dx, dy, dz, q)
+                t += jitter[r] * step / speed
+            while t < end and through >= opaque and at < last:
+                speed, jacobian = warp_at(kind, space, ox + t * dx, oy + t * dy, oz + t * dz, dx, dy, dz, q)
+                dt = step / speed
+                distance = cell_distance(occupancy, cells, q)
+                if distance > 0:
+                    t += dt * np.float32(leap(distance, cells, step))
+                    continue
+                if displacement_cells > 0:
+                    displace(displacement, displacement_cells, q, moved)
+                    q[0], q[1], q[2] = moved[0], moved[1], moved[2]
+                s = raw_density(table, size, shift, q, ranks)
+                length = dt * jacobian * OPTICAL_SCALE
+                stay = np.float32(math.exp(-s * length))
+                t_out[at] = t
+                optical[at] = length
+                x[at, 0], x[at, 1], x[at, 2] = q[0], q[1], q[2]
+                sigma[at] = s
+                weights[at] = through * (_ONE - stay)
                 through *= stay
-                k += 1
-            ends[r] = k
+                at += 1
+                t += dt
+            if closed and through >= opaque and at < last:
+                # The far end takes what light is left; its density is fixed, so only its colour learns.
+                warp_at(kind, space, ox + end * dx, oy + end * dy, oz + end * dz, dx, dy, dz, q)
+                t_out[at] = end
+                optical[at] = _ZERO
+                x[at, 0], x[at, 1], x[at, 2] = q[0], q[1], q[2]
+                sigma[at] = _ZERO
+                weights[at] = through
+                at += 1
+            ends[r] = at
 
 
 @parallel_kernel
-def density_backward(table, size, shift, ranks, x, offsets, ends, sigma, sigma_gradients, chunks, to):
+def density_backward(table, size, shift, ranks, x, starts, ends, sigma, sigma_gradients, chunks, to):
     """Add dL/d(table) and, behind the table's last element, dL/d(shift) to the chunk's own buffer to[chunk]."""
-    n = len(offsets) - 1
+    n = len(ends)
     stride = to.shape[1]
     flat = to.reshape(-1)
     for c in prange(chunks):
         shift_gradient = _ZERO
         for r in range(c * n // chunks, (c + 1) * n // chunks):
-            for k in range(offsets[r], ends[r]):
+            for k in range(starts[r], ends[r]):
                 g = sigma_gradients[k] * sigma[k]  # d exp(e)/de = exp(e)
                 if g != _ZERO:
                     shift_gradient += g
@@ -115,12 +172,12 @@ def _ray_head(head, basis, r, bands, features, out):
 
 
 @parallel_kernel
-def colour(table, size, ranks, head, bias, basis, x, offsets, ends, weights, least, chunks, out):
+def colour(table, size, ranks, head, bias, basis, x, starts, ends, weights, least, chunks, out):
     """Colours of samples with weight > `least`: sigmoid(sum_b basis_b (head_b . features) + bias); else -1.
 
     head: flat [3, bands, 3 rank]; bias [3]; basis [rays, bands]: spherical harmonics of the ray directions.
     """
-    n = len(offsets) - 1
+    n = len(ends)
     bands = basis.shape[1]
     rank = np.int64(len(ranks))
     width = 3 * rank
@@ -129,7 +186,7 @@ def colour(table, size, ranks, head, bias, basis, x, offsets, ends, weights, lea
         feature = np.empty(width, np.float32)
         for r in range(c * n // chunks, (c + 1) * n // chunks):
             ready = False
-            for k in range(offsets[r], ends[r]):
+            for k in range(starts[r], ends[r]):
                 if weights[k] <= least:
                     out[k, 0] = -_ONE
                     continue
@@ -148,13 +205,13 @@ def colour(table, size, ranks, head, bias, basis, x, offsets, ends, weights, lea
 
 @parallel_kernel
 def colour_backward(
-    table, size, ranks, head, basis, x, offsets, ends, colours, colour_gradients, chunks, to
+    table, size, ranks, head, basis, x, starts, ends, colours, colour_gradients, chunks, to
 ):
     """Add dL/d(table), then dL/d(head), then dL/d(bias) to the chunk's buffer to[chunk] of that layout.
 
     colours, colour_gradients [n, 3]: the forward's result and dL/dc; samples with colours[k, 0] < 0 are skipped.
     """
-    n = len(offsets) - 1
+    n = len(ends)
     bands = basis.shape[1]
     rank = np.int64(len(ranks))
     width = 3 * rank
@@ -169,7 +226,7 @@ def colour_backward(
         feature_gradient = np.empty(width, np.float32)
         for r in range(c * n // chunks, (c + 1) * n // chunks):
             ready = False
-            for k in range(offsets[r], ends[r]):
+            for k in range(starts[r], ends[r]):
                 if colours[k, 0] < _ZERO:
                     continue
                 if not ready:

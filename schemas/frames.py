@@ -1,0 +1,83 @@
+"""frames.json: rendered views of a field, in order, with the cameras that saw them."""
+
+import json
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from schemas.atomic import write_json
+from schemas.errors import ArtefactDamaged
+from schemas.scene import Matrix, as_matrix
+
+FRAMES_FILE = "frames.json"
+
+
+@dataclass(frozen=True)
+class FrameCamera:
+    """A camera as scene.json writes it: fx, fy, cx, cy in pixels, world_from_camera 4x4 in scene units."""
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    world_from_camera: Matrix
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One rendered view. exr, png: paths inside the artefact. scene_view: index of the scene's view it repeats."""
+
+    name: str
+    exr: str
+    png: str
+    camera: FrameCamera
+    scene_view: int | None = None
+
+
+@dataclass(frozen=True)
+class Frames:
+    """frames.json. path: `test`, `train`, `orbit` or another; fps: for a film, None where the views are no film."""
+
+    field: str
+    path: str
+    views: tuple[Frame, ...]
+    fps: float | None = None
+
+
+def write_frames(folder: Path, frames: Frames) -> None:
+    """Writes frames.json into `folder`."""
+    write_json(Path(folder) / FRAMES_FILE, frames)
+
+
+def read_frames(folder: Path) -> Frames:
+    """The list of frames in `folder`; ArtefactDamaged where it is missing or not what write_frames writes.
+
+    Entries that this version does not know are passed over.
+    """
+    path = Path(folder) / FRAMES_FILE
+    try:
+        content = json.loads(path.read_text())
+        views = tuple(_frame(entry) for entry in content["views"])
+        fps = content.get("fps")
+        return Frames(str(content["field"]), str(content["path"]), views, None if fps is None else float(fps))
+    except FileNotFoundError:
+        raise ArtefactDamaged(f"{path} is missing; run `stylerf render` again") from None
+    except (ValueError, TypeError, KeyError, AttributeError) as error:
+        told = f"it lacks {error}" if isinstance(error, KeyError) else str(error)
+        raise ArtefactDamaged(f"{path} is damaged ({told}); run `stylerf render` again") from error
+
+
+def _frame(entry: dict[str, Any]) -> Frame:
+    given = entry["camera"]
+    numbers = [float(given[key]) for key in ("fx", "fy", "cx", "cy")]
+    if not all(math.isfinite(number) for number in numbers) or min(given["width"], given["height"]) < 1:
+        raise ValueError(f"the camera of frame {entry['name']} has no size or no finite focal length")
+    camera = FrameCamera(int(given["width"]), int(given["height"]), *numbers, as_matrix(given["world_from_camera"]))
+    for key in ("exr", "png"):
+        if Path(entry[key]).is_absolute() or ".." in Path(entry[key]).parts:
+            raise ValueError(f"path {entry[key]!r} leaves the artefact")
+    index = entry.get("scene_view")
+    return Frame(str(entry["name"]), entry["exr"], entry["png"], camera, None if index is None else int(index))

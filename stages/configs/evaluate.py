@@ -1,0 +1,19 @@
+"""Options of `stylerf eval`."""
+
+from dataclasses import dataclass
+
+from stages.configs import option
+
+
+@dataclass(frozen=True)
+class EvaluateConfig:
+    """What is measured and how much of it is shown."""
+
+    style: str = option("", help="painting to measure a stylised field against (default: the one it was made with)")
+    features: str = option("", help="feature trunk of the style distances: a name or a file of VGG weights")
+    style_side: int = option(256, help="longer side, in pixels, at which render and painting are compared")
+    perceptual: str = option("auto", choices=("auto", "none"), help="perceptual distances where their weights are here")
+    gap: int = option(7, help="frames between the two views of a long-range pair")
+    pairs: int = option(24, help="most pairs of views measured per range, evenly spread (0: all)")
+    depth_tolerance: float = option(0.02, help="relative depth difference up to which a warped pixel counts as visible")
+    sheet: int = option(6, help="views on the contact sheet: the worst, the best, and others evenly spread")

@@ -1,0 +1,254 @@
+"""Evaluate: how good a field is by held-out views, along a path, and by its cost; as JSON, CSV, charts and HTML.
+
+Roles of the inputs: `scene`, `frames` (test views); where at hand `path_frames` (a camera path, for consistency),
+`base_frames` (the unstylised field at the same test views) and `field`.
+"""
+
+import csv
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from schemas.atomic import replacing, write_bytes, write_json
+from schemas.store import Artefact, Partial
+from stages.configs.evaluate import EvaluateConfig
+from stages.evaluation.figures import Figure, Row, summarise
+from stages.evaluation.lenses import Lenses
+from stages.evaluation.lineage import upstream
+from stages.evaluation.measuring import (
+    ViewRow,
+    measure_content,
+    measure_fit,
+    measure_pairs,
+    measure_palette,
+    measure_see_through,
+    measure_shape,
+    measure_style,
+    pairs_of,
+    spoiled_words,
+)
+from stages.evaluation.page import build_page
+from stages.evaluation.sheet import Sheet, chosen_views
+from stages.evaluation.telling import Presence, curve_of, draw_charts, not_measured, warnings_of
+from stages.evaluation.views import FrameViews, Photo, Render, SceneViews
+from stages.progress import Context
+from stages.runner import Spec, versions
+
+SPEC = Spec(stage="evaluate", verb="eval", revision=1, writes="report")
+STYLE_KEYS = ("nnfm", "gram", "palette", "palette_mean", "palette_covariance", "content_ssim")
+
+
+def run(inputs: dict[str, Artefact], config: EvaluateConfig, partial: Partial, context: Context) -> dict:
+    """Writes report.json, views.csv, pairs.csv, charts/ and report.html; returns the means by key."""
+    task = Evaluation(inputs, config, context)
+    task.measure_views()
+    task.measure_path()
+    report, figures = task.report()
+    charts = draw_charts(task.stylised, task.rows, task.pairs, report["curve"], config.gap)
+    for chart in charts:
+        write_bytes(partial.path / "charts" / f"{chart.name}.svg", chart.svg.encode())
+        write_bytes(partial.path / "charts" / f"{chart.name}.png", chart.png)
+    write_json(partial.path / "report.json", report)
+    _write_csv(partial.path / "views.csv", task.rows)
+    if task.pairs:
+        _write_csv(partial.path / "pairs.csv", task.pairs)
+    page = build_page(report, replace(task.sheet().encoded(task.stylised), charts=charts))
+    write_bytes(partial.path / "report.html", page.encode())
+    return {
+        **{figure.key: figure.mean for figure in figures},
+        "views": len(task.rows),
+        "warnings": len(report["warnings"]),
+    }
+
+
+class Evaluation:
+    """One evaluation in progress: what it looks at, and the rows measured so far."""
+
+    def __init__(self, inputs: Mapping[str, Artefact], config: EvaluateConfig, context: Context) -> None:
+        self.inputs, self.config, self.context = dict(inputs), config, context
+        self.scene = SceneViews(inputs["scene"])
+        self.frames = FrameViews(inputs["frames"], self.scene.background)
+        self.base = self._frames("base_frames")
+        self.path = self._frames("path_frames")
+        self.field = inputs.get("field")
+        self.lenses = Lenses.found(config, self.field, context)
+        made_by_style = self.field is not None and self.field.manifest.stage == "stylize"
+        self.stylised = made_by_style or self.base is not None or bool(config.style)
+        self.rows: list[Row] = []
+        self.reference_rows: list[Row] = []
+        self.pairs: list[Row] = []
+        self.unmatched: list[str] = []
+        self.resized = 0
+        self.depth_sizes_differ = False
+        self._sizes: set[tuple[int, int]] = set()
+
+    def _frames(self, role: str) -> FrameViews | None:
+        return FrameViews(self.inputs[role], self.scene.background) if role in self.inputs else None
+
+    def measure_views(self) -> None:
+        """Fills `rows` (and `reference_rows` for a stylised field), view by view."""
+        progress = self.context.progress
+        progress.start("measuring views", len(self.frames), "view")
+        before: Render | None = None
+        for done, render in enumerate(self.frames, start=1):
+            row = ViewRow(render.name)
+            self._sizes.add((render.camera.width, render.camera.height))
+            photo = self._photo(render)
+            if self.stylised:
+                self._measure_stylised(row, render, photo)
+            else:
+                self._measure_fitted(row, render, photo)
+            if before is not None:
+                measure_see_through(row, render, before)
+            before = render
+            self.rows.append(row.row())
+            leading = self.rows[-1].get("nnfm" if self.stylised else "psnr")
+            progress.update(done, "" if leading is None else f"{leading:.3f}" if self.stylised else f"{leading:.2f} dB")
+        progress.finish()
+
+    def _photo(self, render: Render) -> Photo | None:
+        if render.scene_view is None or not 0 <= render.scene_view < len(self.scene):
+            self.unmatched.append(render.name)
+            return None
+        photo = self.scene.photo(render.scene_view, render.camera.width, render.camera.height)
+        self.resized += photo.resized
+        self.depth_sizes_differ |= photo.depth_unfit
+        return photo
+
+    def _measure_fitted(self, row: ViewRow, render: Render, photo: Photo | None) -> None:
+        if photo is not None:
+            measure_fit(row, render, photo, self.lenses.scores(render.alpha.shape))
+
+    def _measure_stylised(self, row: ViewRow, render: Render, photo: Photo | None) -> None:
+        base = self._base_of(render)
+        if render.spoiled:
+            row.spoil(STYLE_KEYS if self.lenses.painting else STYLE_KEYS[-1:], spoiled_words(render))
+        else:
+            self._measure_look(row, render.image, render.alpha)
+            if photo is not None:
+                measure_content(row, render.image, photo)
+            if base is not None:
+                measure_shape(row, render, base)
+        reference = ViewRow(render.name)
+        if base is not None and not base.spoiled:
+            self._measure_look(reference, base.image, base.alpha)
+            if photo is not None and base.image.shape == photo.image.shape:
+                measure_content(reference, base.image, photo)
+        elif base is None and photo is not None:
+            mask = np.ones(photo.image.shape[:2], np.float32) if photo.mask is None else photo.mask.astype(np.float32)
+            self._measure_look(reference, photo.image, mask)
+        self.reference_rows.append(reference.row())
+
+    def _measure_look(self, row: ViewRow, image: np.ndarray, alpha: np.ndarray) -> None:
+        painting = self.lenses.painting
+        if painting is not None:
+            measure_style(row, image, alpha, painting.distances)
+            measure_palette(row, image, alpha, painting.image)
+
+    def _base_of(self, render: Render) -> Render | None:
+        """The unstylised render of the same view of the scene."""
+        if self.base is None or render.scene_view is None:
+            return None
+        views = self.base.frames.views
+        found = next((i for i, view in enumerate(views) if view.scene_view == render.scene_view), None)
+        return None if found is None else self.base.render(found)
+
+    def measure_path(self) -> None:
+        """Fills `pairs`: consistency of frames 1 and `gap` apart."""
+        if self.path is None:
+            return
+        gaps = {"short": 1, "long": self.config.gap}
+        ranges = {label: pairs_of(len(self.path), gap, self.config.pairs) for label, gap in gaps.items()}
+        self.context.progress.start("warping views", sum(map(len, ranges.values())), "pair")
+        size = self.path.render(0).alpha.shape
+        for row in measure_pairs(self.path, ranges, self.lenses.pixel_distance(size), self.config.depth_tolerance):
+            self.pairs.append(row)
+            self.context.progress.update(len(self.pairs))
+        self.context.progress.finish()
+
+    def facts(self) -> dict:
+        """What the protocols are filled in with."""
+        lenses = self.lenses
+        return {
+            "background": self.scene.background_words,
+            "stlpips_net": lenses.tolerant.words if lenses.tolerant else "absent",
+            "lpips_net": lenses.lpips.words if lenses.lpips else "absent",
+            "perceptual_net": lenses.pixel_name,
+            "style_protocol": lenses.painting.protocol if lenses.painting else "no painting",
+            "path": f"the path {self.path.frames.path}" if self.path else "no path",
+            "gap": self.config.gap,
+            "warp_protocol": "by the field's own depth and poses; visible where the alpha of both is over 0.5 and "
+            f"their depths agree to {self.config.depth_tolerance * 100:g} % at all four source pixels, worn down by 1 "
+            "pixel",
+        }
+
+    def report(self) -> tuple[dict, list[Figure]]:
+        """report.json as a dictionary, and its figures."""
+        facts = self.facts()
+        name = "the unstylised renders" if self.base is not None else "the photos"
+        reference = {figure.key: {name: figure.mean} for figure in summarise(self.reference_rows, facts)}
+        figures = summarise([*self.rows, *self.pairs], facts, reference)
+        roles = ("field", "frames", "path_frames", "base_frames", "scene")
+        stages = upstream(self.inputs[role] for role in roles if role in self.inputs)
+        report = {
+            "field": self.frames.frames.field,
+            "scene": self.inputs["scene"].name,
+            "stylised": self.stylised,
+            "painting": self.lenses.painting_name,
+            "view_count": len(self.rows),
+            "resolution": " and ".join(f"{width}x{height}" for width, height in sorted(self._sizes)),
+            "figures": [figure.as_json() for figure in figures],
+            "views": self.rows,
+            "pairs": self.pairs,
+            "stages": [made.as_json() for made in stages],
+            "curve": curve_of(self.field),
+            "warnings": warnings_of(self.rows, self.pairs, stages, self.unmatched, self.resized),
+            "not_measured": not_measured(self._presence()),
+            "device": self.context.device,
+            "seed": self.context.seed,
+            "versions": versions(),
+        }
+        return report, figures
+
+    def _presence(self) -> Presence:
+        return Presence(
+            stylised=self.stylised,
+            painting=self.lenses.painting is not None,
+            tolerant=self.lenses.tolerant is not None,
+            lpips=self.lenses.lpips is not None,
+            perceptual_wanted=self.config.perceptual != "none",
+            large_enough=all(self.lenses.large_enough((height, width)) for width, height in self._sizes),
+            true_depth=self.scene.has_depth,
+            depth_sizes_differ=self.depth_sizes_differ,
+            base=self.base is not None,
+            path=self.path.frames.path if self.path else "",
+            path_length=len(self.path) if self.path else 0,
+            gap=self.config.gap,
+            field=self.field is not None,
+        )
+
+    def sheet(self) -> Sheet:
+        """The contact sheet of the views worth seeing."""
+        key = "content_ssim" if self.stylised else "psnr"
+        painting = self.lenses.painting.image if self.lenses.painting else None
+        sheet = Sheet(painting, self.lenses.painting_name)
+        for index, word in chosen_views(self.rows, key, self.config.sheet):
+            render = self.frames.render(index)
+            known = render.name not in self.unmatched
+            size = (render.camera.width, render.camera.height)
+            photo = self.scene.photo(render.scene_view, *size) if known else None
+            heading = f"{render.name} ({word})" if word else render.name
+            sheet.add(heading, self.rows[index], render, photo, self._base_of(render) if self.stylised else None)
+        return sheet
+
+
+def _write_csv(path: Path, rows: Sequence[Row]) -> None:
+    """One line a row under the union of their keys; what was not measured is empty."""
+    keys = list(dict.fromkeys(key for row in rows for key in row))
+    with replacing(path) as temporary, open(temporary, "w", newline="", encoding="utf-8") as stream:
+        writer = csv.DictWriter(stream, keys, restval="", lineterminator="\n")
+        writer.writeheader()
+        writer.writerows([{key: "" if value is None else value for key, value in row.items()} for row in rows])
+

@@ -1,0 +1,129 @@
+"""Which figures there are: what each is called, which way is better, and by which protocol it is measured."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of figure. better: "higher", "lower" or "". label and protocol take the run's facts by str.format."""
+
+    key: str
+    label: str
+    unit: str
+    better: str
+    digits: int
+    protocol: str
+
+
+_PHOTO = "against the photo {background}, sRGB values clipped to 0..1"
+_SAME_PIXELS = "over the pixels of the relative depth error"
+
+FITTED = (
+    Kind(
+        "psnr", "PSNR", "dB", "higher", 2,
+        f"-10 log10 of the mean squared error over pixels and RGB, {_PHOTO}. Mean of the views' values. Equal images "
+        "count as 100 dB.",
+    ),
+    Kind(
+        "psnr_object", "PSNR on the object", "dB", "higher", 2,
+        "As PSNR, over the pixels where the photo's alpha is over 0.5, so that an empty background does not help.",
+    ),
+    Kind(
+        "ssim", "SSIM", "", "higher", 4,
+        "Gaussian window of 11x11 pixels, sigma 1.5, K 0.01 and 0.03, population covariance, data range 1, mean over "
+        f"RGB and over pixels 5 or more from the border, {_PHOTO}.",
+    ),
+    Kind("stlpips", "ST-LPIPS", "", "lower", 4, f"Shift-tolerant LPIPS ({{stlpips_net}}), whole image, {_PHOTO}."),
+    Kind("lpips", "LPIPS", "", "lower", 4, f"LPIPS v0.1 ({{lpips_net}}), whole image, {_PHOTO}."),
+    Kind(
+        "depth_abs_rel", "Depth error, relative", "", "lower", 4,
+        "Mean of |z - z*| / z* over pixels where the render's alpha is over 0.5 and the true planar depth z* is "
+        "known; z is the expected depth of the field.",
+    ),
+    Kind(
+        "depth_rmse", "Depth error, RMS", "scene units", "lower", 4,
+        f"Root of the mean squared difference of planar depth {_SAME_PIXELS}.",
+    ),
+    Kind(
+        "depth_delta", "Depth within 25 %", "share", "higher", 4,
+        f"Share with max(z/z*, z*/z) < 1.25 {_SAME_PIXELS}.",
+    ),
+    Kind(
+        "depth_in_front", "Depth short of the surface", "share", "lower", 4,
+        f"Share whose depth falls short of the truth by more than a tenth, {_SAME_PIXELS}: haze or floaters.",
+    ),
+    Kind(
+        "depth_share", "Depth compared", "share", "higher", 4,
+        "Pixels whose depth was compared, over all pixels with a known true depth.",
+    ),
+)  # fmt: skip
+
+STYLISED = (
+    Kind(
+        "nnfm", "NNFM distance to the painting", "", "lower", 4,
+        "Mean of 1 - cosine between each feature of the render and its nearest in the painting; {style_protocol}.",
+    ),
+    Kind(
+        "gram", "Gram distance to the painting", "", "lower", 4,
+        "|G - G_s| / |G_s| of the Gram matrices of render and painting; features, sizes and weights as for NNFM.",
+    ),
+    Kind(
+        "palette", "Palette distance to the painting", "", "lower", 4,
+        "2-Wasserstein distance between the Gaussians that have the mean and covariance of the sRGB colours of render "
+        "and painting; pixels with alpha under 0.5 are left out.",
+    ),
+    Kind(
+        "palette_mean", "Difference of mean colour", "", "lower", 4,
+        "Euclidean distance between the mean sRGB colours of render and painting, same pixels.",
+    ),
+    Kind(
+        "palette_covariance", "Difference of colour covariance", "", "lower", 4,
+        "Frobenius norm of the difference between the covariances of sRGB colours, same pixels.",
+    ),
+    Kind(
+        "content_ssim", "Content SSIM", "", "higher", 4,
+        "SSIM (11x11, sigma 1.5) of Rec.709 luma between the stylised render and the photo {background}.",
+    ),
+    Kind(
+        "shape_change", "Change of depth", "share", "", 4,
+        "Mean of |z - z0| / z0 against the unstylised field's depth z0 where both are opaque: zero where the shape "
+        "was kept.",
+    ),
+)  # fmt: skip
+
+SHARED = (
+    Kind(
+        "see_through", "Seen through", "share", "lower", 4,
+        "Share of a view's surface points that the next view looks past: its depth there lies more than 5 % behind "
+        "them. Floaters count, and to a small degree silhouettes.",
+    ),
+    Kind(
+        "short_rmse", "Consistency short, RMSE", "", "lower", 4,
+        "Frame k of {path} warped onto frame k+1 {warp_protocol}; root mean square over visible pixels and RGB; mean "
+        "of the pairs.",
+    ),
+    Kind(
+        "short_perceptual", "Consistency short, {perceptual_net}", "", "lower", 4,
+        "{perceptual_net} per pixel of the same pairs, averaged over visible pixels; elsewhere both images show the "
+        "target, so nothing counts.",
+    ),
+    Kind(
+        "short_share", "Consistency short, visible", "share", "", 4,
+        "Visible pixels over opaque pixels of the target.",
+    ),
+    Kind(
+        "long_rmse", "Consistency long, RMSE", "", "lower", 4,
+        "As short range, with frames {gap} apart.",
+    ),
+    Kind(
+        "long_perceptual", "Consistency long, {perceptual_net}", "", "lower", 4,
+        "As short range, with frames {gap} apart.",
+    ),
+    Kind(
+        "long_share", "Consistency long, visible", "share", "", 4,
+        "Visible pixels over opaque pixels of the target.",
+    ),
+)  # fmt: skip
+
+KINDS: tuple[Kind, ...] = (*FITTED, *STYLISED, *SHARED)
+BY_KEY: dict[str, Kind] = {kind.key: kind for kind in KINDS}

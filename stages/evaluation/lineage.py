@@ -1,0 +1,76 @@
+"""What an artefact cost: every stage upstream of it with its seconds, memory, size and parameters."""
+
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass
+
+from schemas.errors import StylerfError
+from schemas.store import Artefact, Work
+
+
+@dataclass(frozen=True)
+class Made:
+    """One artefact upstream. The numbers are None where it is gone or cannot be read; `remark` then says so."""
+
+    kind: str
+    name: str
+    stage: str
+    seconds: float | None
+    peak_memory_mb: float | None
+    bytes: int | None
+    parameters: int | None
+    device: str
+    created: str
+    remark: str
+
+    def as_json(self) -> dict:
+        """Plain numbers and text."""
+        return asdict(self)
+
+
+def upstream(artefacts: Iterable[Artefact]) -> list[Made]:
+    """These artefacts and all they were made from, sources first, each once."""
+    found: dict[tuple[str, str], Made] = {}
+    for artefact in artefacts:
+        _walk(artefact, "", found)
+    return list(found.values())
+
+
+def _walk(artefact: Artefact, remark: str, found: dict[tuple[str, str], Made]) -> None:
+    manifest = artefact.manifest
+    key = (manifest.kind, artefact.name)
+    if key in found:
+        return
+    work = Work(artefact.path.parent.parent)
+    for ref in manifest.inputs:
+        if (ref.kind, ref.name) in found:
+            continue
+        try:
+            source = work.get(ref.kind, ref.name)
+            changed = "" if source.digest == ref.digest else f"made again after {manifest.kind} {artefact.name}"
+            _walk(source, changed, found)
+        except StylerfError as error:
+            found[ref.kind, ref.name] = _absent(ref.kind, ref.name, str(error))
+    found[key] = Made(
+        kind=manifest.kind,
+        name=artefact.name,
+        stage=manifest.stage,
+        seconds=manifest.seconds,
+        peak_memory_mb=manifest.peak_memory_mb,
+        bytes=sum(record.bytes for record in manifest.files),
+        parameters=_count(manifest.figures.get("parameters")),
+        device=manifest.device,
+        created=manifest.created,
+        remark=remark,
+    )
+
+
+def _absent(kind: str, name: str, reason: str) -> Made:
+    return Made(kind, name, "", None, None, None, None, "", "", f"cannot be read: {reason}")
+
+
+def _count(value: object) -> int | None:
+    """Parameters as one number; a field may list them by part."""
+    if isinstance(value, dict):
+        parts = [_count(part) for part in value.values()]
+        return sum(part for part in parts if part) or None
+    return int(value) if isinstance(value, (int, float)) and not isinstance(value, bool) else None

@@ -1,0 +1,150 @@
+"""The figures of one view, and of one pair of views."""
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from stages.evaluation.figures import Row, is_number
+from stages.evaluation.views import FrameViews, Photo, Render
+from stylerf.errors import InvalidValue
+from stylerf.metrics import images
+from stylerf.metrics.consistency import PixelDistance, pair_consistency, seen_through
+from stylerf.metrics.depth import depth_errors, shape_change
+from stylerf.metrics.palette import palette_distance
+
+HIGHEST_PSNR = 100.0  # dB: equal images have an infinite PSNR, which no mean and no JSON can hold
+Score = Callable[[np.ndarray, np.ndarray], float]
+StyleDistances = Callable[[np.ndarray, np.ndarray], tuple[float, float]]  # image, alpha -> NNFM, Gram
+
+
+@dataclass
+class ViewRow:
+    """Values of one view by key, None where one could not be measured, and remarks that say why."""
+
+    name: str
+    values: dict[str, float | None] = field(default_factory=dict)
+    remarks: list[str] = field(default_factory=list)
+
+    def measure(self, keys: tuple[str, ...], function: Callable[[], object]) -> None:
+        """Keeps what `function` returns under `keys`; what cannot be measured leaves None and a remark."""
+        try:
+            found = function()
+        except InvalidValue as error:
+            self.values.update(dict.fromkeys(keys))
+            self._remark(str(error))
+            return
+        values = found if isinstance(found, tuple) else (found,)
+        for key, value in zip(keys, values, strict=True):
+            self.values[key] = float(value) if is_number(value) else None
+
+    def spoil(self, keys: tuple[str, ...], remark: str) -> None:
+        """Says that none of these figures can be measured here."""
+        self.values.update(dict.fromkeys(keys))
+        self._remark(remark)
+
+    def _remark(self, text: str) -> None:
+        if text not in self.remarks:
+            self.remarks.append(text)
+
+    def row(self) -> Row:
+        """For the report."""
+        return {"name": self.name, **self.values, "remark": "; ".join(self.remarks)}
+
+
+def spoiled_words(render: Render) -> str:
+    """What is wrong with a render that is not finite everywhere."""
+    return f"{render.spoiled} of {render.alpha.size} pixels of the render are not finite (NaN or infinite)"
+
+
+def measure_fit(row: ViewRow, render: Render, photo: Photo, scores: Mapping[str, Score]) -> None:
+    """Figures of a render that should look like the photo: PSNR, SSIM, perceptual scores by key, depth errors."""
+    keys = ("psnr", *(("psnr_object",) if photo.mask is not None else ()), "ssim", *scores)
+    depth_keys = ("depth_abs_rel", "depth_rmse", "depth_delta", "depth_in_front", "depth_share")
+    if render.spoiled:
+        row.spoil((*keys, *(depth_keys if photo.depth is not None else ())), spoiled_words(render))
+        return
+    row.measure(("psnr",), lambda: min(images.psnr(render.image, photo.image), HIGHEST_PSNR))
+    if photo.mask is not None and photo.mask.any():
+        row.measure(("psnr_object",), lambda: min(images.psnr(render.image, photo.image, photo.mask), HIGHEST_PSNR))
+    row.measure(("ssim",), lambda: images.ssim(render.image, photo.image))
+    for key, score in scores.items():
+        row.measure((key,), lambda score=score: score(render.image, photo.image))
+    if photo.depth is not None:
+        row.measure(depth_keys, lambda: _depth_values(render, photo.depth))
+
+
+def _depth_values(render: Render, truth: np.ndarray) -> tuple:
+    found = depth_errors(render.z, render.alpha, truth)
+    return found.abs_rel, found.rmse, found.delta, found.in_front, found.share
+
+
+def measure_palette(row: ViewRow, image: np.ndarray, alpha: np.ndarray, painting: np.ndarray) -> None:
+    """Distance of an image's colours, where alpha > 0.5, from the painting's [h, w, 3]."""
+    keys = ("palette", "palette_mean", "palette_covariance")
+
+    def distances() -> tuple:
+        found = palette_distance(image[alpha > 0.5], painting.reshape(-1, 3))
+        return found.frechet, found.mean, found.covariance
+
+    row.measure(keys, distances)
+
+
+def measure_style(row: ViewRow, image: np.ndarray, alpha: np.ndarray, distances: StyleDistances) -> None:
+    """NNFM and Gram distance of an image, where it is opaque, to the painting."""
+    row.measure(("nnfm", "gram"), lambda: distances(image, alpha))
+
+
+def measure_content(row: ViewRow, image: np.ndarray, photo: Photo) -> None:
+    """Structure of the photo that a stylised image kept."""
+    row.measure(("content_ssim",), lambda: images.content_ssim(image, photo.image))
+
+
+def measure_shape(row: ViewRow, render: Render, base: Render) -> None:
+    """Depth of a stylised render against that of its unstylised twin."""
+    if base.z.shape == render.z.shape and not base.spoiled:
+        row.measure(("shape_change",), lambda: shape_change(render.z, render.alpha, base.z, base.alpha))
+
+
+def measure_see_through(row: ViewRow, render: Render, other: Render) -> None:
+    """Signs of floaters from a view and its neighbour."""
+    if not (render.spoiled or other.spoiled):
+        row.measure(("see_through",), lambda: seen_through(render.posed(), other.posed()))
+
+
+def pairs_of(count: int, gap: int, most: int) -> list[tuple[int, int]]:
+    """Pairs (k, k + gap) among `count` frames, at most `most` (0: all), evenly spread."""
+    starts = np.arange(max(0, count - gap))
+    if most and len(starts) > most:
+        starts = np.unique(np.linspace(0, len(starts) - 1, most).round().astype(int))
+    return [(int(k), int(k) + gap) for k in starts]
+
+
+def measure_pairs(
+    frames: FrameViews,
+    ranges: dict[str, list[tuple[int, int]]],
+    perceptual: PixelDistance | None,
+    tolerance: float,
+) -> Iterator[Row]:
+    """One row a pair: `range` (short, long), names, values under `<range>_rmse`, `_perceptual`, `_share`."""
+    last: dict[int, Render] = {}
+    for label, pairs in ranges.items():
+        for source, target in pairs:
+            last = {i: last[i] if i in last else frames.render(i) for i in (source, target)}
+            a, b = last[source], last[target]
+            row = ViewRow(f"{a.name} > {b.name}")
+            keys = tuple(f"{label}_{part}" for part in ("rmse", "perceptual", "share"))
+            if perceptual is None:
+                keys = (keys[0], keys[2])
+            bad = next((view for view in (a, b) if view.spoiled), None)
+            if bad is not None:
+                row.spoil(keys, f"{bad.name}: {spoiled_words(bad)}")
+            else:
+
+                def values(a: Render = a, b: Render = b) -> tuple:
+                    found = pair_consistency(a.posed(), b.posed(), perceptual, tolerance)
+                    whole = (found.rmse, found.perceptual, found.share)
+                    return whole if perceptual is not None else (found.rmse, found.share)
+
+                row.measure(keys, values)
+            yield {**row.row(), "range": label, "frame": target}

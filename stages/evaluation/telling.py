@@ -1,0 +1,176 @@
+"""What has to be said beside the figures: warnings, what was not measured and why, and the charts."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from schemas.errors import StylerfError
+from schemas.store import Artefact, Work
+from stages.evaluation.charts import Chart, bar_chart, curve_chart, pairs_chart
+from stages.evaluation.figures import Row, is_number
+from stages.evaluation.lineage import Made
+from stages.evaluation.wording import listed
+
+BAR_FIGURES = {False: ("psnr", "PSNR", "dB"), True: ("nnfm", "NNFM distance to the painting", "")}
+
+
+@dataclass(frozen=True)
+class Presence:
+    """What an evaluation had at hand, and what it met on the way."""
+
+    stylised: bool
+    painting: bool
+    tolerant: bool  # ST-LPIPS
+    lpips: bool
+    perceptual_wanted: bool
+    large_enough: bool  # images for the perceptual networks
+    true_depth: bool
+    depth_sizes_differ: bool
+    base: bool
+    path: str  # name of the camera path, "" without one
+    path_length: int
+    gap: int
+    field: bool
+
+
+def not_measured(have: Presence) -> list[dict]:
+    """What and why, for every figure that this evaluation knows and could not or did not measure."""
+    notes = _style_notes(have) if have.stylised else _fit_notes(have)
+    notes += _consistency_notes(have)
+    if not have.field:
+        notes.append(_note("Parameters of the field", "The field itself was not given, only its frames."))
+    notes.append(
+        _note(
+            "Consistency by optical flow",
+            "Papers warp along estimated flow and differ among themselves by three times; here the field's own depth "
+            "and poses are used, so that figures of the two kinds must not be put side by side.",
+        )
+    )
+    return notes
+
+
+def _fit_notes(have: Presence) -> list[dict]:
+    notes = []
+    if not have.perceptual_wanted:
+        notes.append(_note("LPIPS and ST-LPIPS", "Turned off by --perceptual none."))
+    elif not have.large_enough:
+        notes.append(_note("LPIPS and ST-LPIPS", "The images are smaller than 64 pixels on a side."))
+    else:
+        if not have.lpips:
+            notes.append(_note("LPIPS", "Its trained weights were not found; `stylerf doctor` tells how to get them."))
+        if not have.tolerant:
+            notes.append(_note("ST-LPIPS", "The package stlpips_pytorch was not found; `stylerf doctor` tells more."))
+    if not have.true_depth:
+        notes.append(_note("Depth error", "The scene has no true depth: photos do not tell it."))
+    elif have.depth_sizes_differ:
+        notes.append(_note("Depth error", "The true depth has another size than the frames, and must not be scaled."))
+    return notes
+
+
+def _style_notes(have: Presence) -> list[dict]:
+    notes = [
+        _note(
+            "PSNR, SSIM and LPIPS against the photos",
+            "A stylised render is meant to differ from the photo. Content SSIM tells how much structure it kept.",
+        )
+    ]
+    if not have.painting:
+        notes.append(_note("Distances to the painting", "No painting was found; give it with --style."))
+    if not have.base:
+        why = "The unstylised field's frames of the same views were not given, so the photos stand in as reference."
+        notes.append(_note("Change of depth, and figures of the unstylised render", why))
+    notes.append(_note("How beautiful it is", "No figure tells; look at the pictures."))
+    return notes
+
+
+def _consistency_notes(have: Presence) -> list[dict]:
+    if not have.path:
+        why = "No frames of a camera path were given, and held-out views lie too far apart."
+        return [_note("Consistency between views", why)]
+    notes = []
+    if have.path_length < 2:
+        notes.append(_note("Consistency between views", f"The path {have.path} has a single frame."))
+    elif have.path_length <= have.gap:
+        why = f"The path {have.path} has {have.path_length} frames; pairs {have.gap} apart need {have.gap + 1}."
+        notes.append(_note("Consistency, long range", why))
+    if have.path_length >= 2 and not have.perceptual_wanted:
+        notes.append(_note("Consistency by a perceptual distance", "Turned off by --perceptual none."))
+    return notes
+
+
+def _note(what: str, why: str) -> dict:
+    return {"what": what, "why": why}
+
+
+def warnings_of(
+    rows: Sequence[Row], pairs: Sequence[Row], stages: Sequence[Made], unmatched: Sequence[str], resized: int
+) -> list[str]:
+    """What a reader must know before believing a figure, in words."""
+    found = []
+    remarked = [row for row in rows if row.get("remark")]
+    if remarked:
+        names = listed([str(row["name"]) for row in remarked])
+        found.append(
+            f"{len(remarked)} of {len(rows)} views could not be measured in full and are left out of the means they "
+            f"lack a value for: {names}. {remarked[0]['name']}: {remarked[0]['remark']}."
+        )
+    spoiled_pairs = [row for row in pairs if row.get("remark")]
+    if spoiled_pairs:
+        found.append(
+            f"{len(spoiled_pairs)} of {len(pairs)} pairs of frames were left out of the consistency figures. "
+            f"{spoiled_pairs[0]['remark']}."
+        )
+    if unmatched:
+        found.append(f"{len(unmatched)} frames repeat no view of the scene; no photo to compare: {listed(unmatched)}.")
+    if resized:
+        found.append(f"{resized} photos have another size than the frames and were resampled to it before comparing.")
+    for made in stages:
+        if made.remark:
+            found.append(f"{made.kind} {made.name}: {made.remark}.")
+    return found
+
+
+def curve_of(field: Artefact | None) -> dict | None:
+    """{"of": name, "points": [{seconds, psnr, ...}]} of this field, or of the nearest one it was made from."""
+    waiting = [field] if field is not None else []
+    while waiting:
+        artefact = waiting.pop(0)
+        points = artefact.manifest.figures.get("curve")
+        usable = [point for point in points if _is_point(point)] if isinstance(points, list) else []
+        if len(usable) > 1:
+            return {"of": artefact.name, "points": sorted(usable, key=lambda point: point["seconds"])}
+        work = Work(artefact.path.parent.parent)
+        for ref in artefact.manifest.inputs:
+            if ref.kind == "field":
+                try:
+                    waiting.append(work.get(ref.kind, ref.name))
+                except StylerfError:
+                    continue  # its absence already stands in the table of stages
+    return None
+
+
+def _is_point(point: object) -> bool:
+    return isinstance(point, dict) and is_number(point.get("seconds")) and is_number(point.get("psnr"))
+
+
+def draw_charts(
+    stylised: bool, rows: Sequence[Row], pairs: Sequence[Row], curve: dict | None, gap: int
+) -> list[Chart]:
+    """Bars of the leading figure, quality against seconds, consistency along the path: what there is data for."""
+    charts = []
+    key, title, unit = BAR_FIGURES[stylised]
+    if any(is_number(row.get(key)) for row in rows):
+        labels = [str(row["name"]) for row in rows]
+        values = [float(row[key]) if is_number(row.get(key)) else None for row in rows]
+        charts.append(bar_chart(f"{key}_views", title, unit, labels, values))
+    if curve:
+        charts.append(curve_chart("quality_seconds", f"Quality against time: fit of {curve['of']}", curve["points"]))
+    series = {}
+    for label, words in (("short", "1 frame apart"), ("long", f"{gap} frames apart")):
+        points = [
+            (float(row["frame"]), float(row[f"{label}_rmse"])) for row in pairs if is_number(row.get(f"{label}_rmse"))
+        ]
+        if len(points) > 1:
+            series[words] = points
+    if series:
+        charts.append(pairs_chart("consistency_pairs", "RMSE between warped views", series))
+    return charts

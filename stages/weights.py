@@ -1,0 +1,222 @@
+"""Trained weights, resolved to tensors: feature trunks for stylising, networks of perceptual metrics.
+
+Nothing is fetched over the network unless asked for. What is found (stages.weight_sources) is brought to one canonical
+form (stages.weight_formats), kept as safetensors in a cache folder, and identified by the digest of its tensors, so
+that two files with the same numbers are the same weights.
+
+Environment: STYLERF_CACHE (cache folder; else $XDG_CACHE_HOME/stylerf, else ~/.cache/stylerf), STYLERF_WEIGHTS (a
+folder with weights of the user's own, see stages.weight_sources).
+"""
+
+import hashlib
+import os
+import tempfile
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save
+from torch import Tensor
+
+from schemas.errors import BadInput, UsageError
+from stages import weight_formats as formats
+from stages.weight_sources import DEFAULT_METRICS, DEFAULT_TRUNKS, HUB_URLS, METRICS, TRUNKS, Source, hub_folder
+
+
+@dataclass(frozen=True)
+class ResolvedTrunk:
+    """Weights ready for use. digest: sha256 of the tensors; path: where they were read from; kind: the architecture."""
+
+    name: str
+    digest: str
+    path: Path
+    source: str
+    state: dict[str, Tensor]
+    kind: str
+
+    def manifest(self) -> dict[str, str]:
+        """What a manifest says of them."""
+        return {"name": self.name, "digest": self.digest, "source": self.source, "kind": self.kind}
+
+
+def resolve(name_or_path: str | os.PathLike | None = None, download: bool = False) -> ResolvedTrunk:
+    """The feature trunk to use: the one named, the one in a file, or (None) the first of the default order found.
+
+    download: torch's hub may fetch `vgg16` when it is the one named. Raises UsageError for an unknown name or one that
+    is not there (with the command that gets it), BadInput for a damaged file.
+    """
+    if name_or_path is None:
+        for name in DEFAULT_TRUNKS:
+            found = _read(TRUNKS[name])
+            if found is not None:
+                return found
+        raise UsageError(f"no feature trunk is installed; get one with: {TRUNKS['hed-vgg16'].obtain}")
+    if str(name_or_path) in TRUNKS:
+        return _named(TRUNKS[str(name_or_path)], download)
+    path = Path(name_or_path).expanduser()
+    if not path.is_file():
+        raise UsageError(
+            f"--features expects one of {', '.join(TRUNKS)} or a file of VGG weights; {str(name_or_path)!r} is neither"
+        )
+    kind, state = formats.recognised(path)
+    return ResolvedTrunk(path.stem, state_digest(state), path, f"VGG weights of {path}", state, kind)
+
+
+def resolve_metric(name: str, download: bool = False) -> ResolvedTrunk:
+    """The network and heads of a perceptual metric by name; errors as for `resolve`."""
+    if name not in METRICS:
+        raise UsageError(f"expected a perceptual metric among {', '.join(METRICS)}, found {name!r}")
+    return _named(METRICS[name], download)
+
+
+def available_metrics() -> list[str]:
+    """Names of the perceptual metrics whose weights are here, in the order in which they are reported."""
+    return [name for name in DEFAULT_METRICS if METRICS[name].locate() or _cached_file(METRICS[name]).is_file()]
+
+
+def describe() -> list[dict[str, Any]]:
+    """Every known source of weights, for `doctor`: use, name, words, found, path, cached, chosen, and how to obtain it.
+
+    Only looks whether the files are there; reads none.
+    """
+    rows, chosen = [], None
+    for use, sources in (("features", TRUNKS), ("metric", METRICS)):
+        for source in sources.values():
+            files, cache = source.locate(), _cached_file(source)
+            found = bool(files) or cache.is_file()
+            if use == "features" and found and chosen is None and source.name in DEFAULT_TRUNKS:
+                chosen = source.name
+            rows.append(
+                {
+                    "use": use,
+                    "name": source.name,
+                    "what": source.words,
+                    "found": found,
+                    "path": str(files[0]) if files else str(cache) if found else None,
+                    "cached": cache.is_file(),
+                    "chosen": use == "features" and chosen == source.name,
+                    "obtain": source.obtain,
+                }
+            )
+    return rows
+
+
+def cache_folder() -> Path:
+    """The folder of converted weights; made when something is first kept there."""
+    own = os.environ.get("STYLERF_CACHE")
+    if own:
+        return Path(own).expanduser() / "features"
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache").expanduser() / "stylerf" / "features"
+
+
+def state_digest(state: dict[str, Tensor]) -> str:
+    """sha256 over names, shapes and little-endian float32 values, in the order of the names."""
+    total = hashlib.sha256()
+    for name in sorted(state):
+        values = np.ascontiguousarray(state[name].cpu().numpy().astype("<f4", copy=False))
+        total.update(f"{name} {list(values.shape)}\n".encode())
+        total.update(values.data)
+    return total.hexdigest()
+
+
+def _named(source: Source, download: bool) -> ResolvedTrunk:
+    found = _read(source)
+    if found is None and download:
+        _download(source)
+        found = _read(source)
+    if found is None:
+        raise UsageError(f"{source.name} ({source.words}) is not here; get it with: {source.obtain}")
+    return found
+
+
+def _read(source: Source) -> ResolvedTrunk | None:
+    """From the cache when its numbers are what they should be, else converted from the files of origin and cached."""
+    cached = _from_cache(source)
+    if cached is not None:
+        return cached
+    files = source.locate()
+    if files is None:
+        return None
+    for file in files:
+        _check_hub_name(file)
+    state = formats.converted(source.convert, files[0], *(formats.read_file(file) for file in files))
+    digest = state_digest(state)
+    if source.digest not in (None, digest):
+        raise BadInput(
+            f"weights {files[0]}: the numbers are not those of {source.name} (digest {digest[:12]}, expected "
+            f"{source.digest[:12]}); install it again with: {source.obtain}"
+        )
+    _keep(source, state, digest)
+    return ResolvedTrunk(source.name, digest, files[0], source.words, state, source.kind)
+
+
+def _cached_file(source: Source) -> Path:
+    return cache_folder() / f"{source.name}.safetensors"
+
+
+def _from_cache(source: Source) -> ResolvedTrunk | None:
+    """None when nothing is cached or what is there is damaged (it is then made again)."""
+    path = _cached_file(source)
+    try:
+        with safe_open(path, framework="pt") as file:
+            expected = source.digest or (file.metadata() or {}).get("digest")
+            state = {name: file.get_tensor(name) for name in file.keys()}
+    except (OSError, SafetensorError):
+        return None
+    digest = state_digest(state)
+    if digest != expected:
+        return None
+    return ResolvedTrunk(source.name, digest, path, source.words, state, source.kind)
+
+
+def _keep(source: Source, state: dict[str, Tensor], digest: str) -> None:
+    """Writes the cache file whole or not at all; a folder that cannot be written to only costs the next conversion."""
+    path = _cached_file(source)
+    data = save(state, metadata={"name": source.name, "kind": source.kind, "digest": digest})
+    with suppress(OSError):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+        try:
+            with os.fdopen(handle, "wb") as stream:
+                stream.write(data)
+                stream.flush()
+                os.fsync(stream.fileno())
+            os.replace(temporary, path)
+        except OSError:
+            Path(temporary).unlink(missing_ok=True)
+
+
+def _check_hub_name(path: Path) -> None:
+    """torch's hub names a file after the beginning of its sha256: a download cut short is told from the whole one."""
+    expected = {url.rsplit("/", 1)[1]: url.rsplit("-", 1)[1].removesuffix(".pth") for url in HUB_URLS.values()}
+    if path.name not in expected or path.parent != hub_folder():
+        return
+    with open(path, "rb") as stream:
+        found = hashlib.file_digest(stream, "sha256").hexdigest()
+    if not found.startswith(expected[path.name]):
+        raise BadInput(
+            f"weights {path}: sha256 begins with {found[:8]}, expected {expected[path.name]}; delete the file "
+            "and download it again"
+        )
+
+
+def _download(source: Source) -> None:
+    """Lets torch's hub fetch the trunk of `source` (only where it is one of the hub's)."""
+    model = {"vgg16": "vgg16", "lpips-vgg": "vgg16", "lpips-alex": "alexnet", "lpips-squeeze": "squeezenet1_1"}.get(
+        source.name
+    )
+    if model is None:
+        return
+    target = hub_folder() / HUB_URLS[model].rsplit("/", 1)[1]
+    if target.is_file():
+        return
+    target.parent.mkdir(parents=True, exist_ok=True)
+    prefix = HUB_URLS[model].rsplit("-", 1)[1].removesuffix(".pth")
+    try:
+        torch.hub.download_url_to_file(HUB_URLS[model], str(target), hash_prefix=prefix, progress=False)
+    except (OSError, RuntimeError) as error:
+        raise BadInput(f"could not download {HUB_URLS[model]} ({error}); {source.obtain}") from error

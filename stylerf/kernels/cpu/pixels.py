@@ -1,0 +1,34 @@
+"""Rays and target colours of chosen pixels, straight from cameras and 8-bit images: no ray is ever stored."""
+
+import math
+
+import numpy as np
+from numba import prange
+
+from stylerf.kernels.cpu.compiling import parallel_kernel
+
+_ONE = np.float32(1)
+_BYTE = np.float32(1.0 / 255.0)
+
+
+@parallel_kernel
+def gather(views, pixels, widths, intrinsics, poses, starts, bytes_, channels, origins, directions, colours):
+    """For ray r: pixel pixels[r] (row-major) of view views[r].
+
+    intrinsics [views, 4] fx fy cx cy; poses [views, 3, 4] world from camera (OpenCV axes); starts [views]: where a
+    view's bytes begin in bytes_; colours [rays, 4]: rgb and alpha 0..1 (alpha 1 where images have three channels).
+    """
+    for r in prange(len(views)):
+        v = views[r]
+        i = pixels[r] % widths[v]
+        j = pixels[r] // widths[v]
+        x = (np.float32(i) + np.float32(0.5) - intrinsics[v, 2]) / intrinsics[v, 0]
+        y = (np.float32(j) + np.float32(0.5) - intrinsics[v, 3]) / intrinsics[v, 1]
+        norm = _ONE / np.float32(math.sqrt(x * x + y * y + _ONE))
+        for a in range(3):
+            directions[r, a] = (poses[v, a, 0] * x + poses[v, a, 1] * y + poses[v, a, 2]) * norm
+            origins[r, a] = poses[v, a, 3]
+        at = starts[v] + pixels[r] * channels
+        for a in range(3):
+            colours[r, a] = np.float32(bytes_[at + a]) * _BYTE
+        colours[r, 3] = np.float32(bytes_[at + 3]) * _BYTE if channels == 4 else _ONE

@@ -1,0 +1,152 @@
+"""Do two views of one field tell the same story? One is warped onto the other by the field's own depth and poses.
+
+For every pixel of the target view its surface point is found from the target's depth and projected into the source
+view, whose colour is read there (backward warp). No optical flow is estimated, so no flow error is counted.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from stylerf.errors import InvalidValue
+from stylerf.geometry.cameras import Camera
+
+PixelDistance = Callable[[np.ndarray, np.ndarray], np.ndarray]  # two [h, w, 3] images -> [h, w]
+
+
+@dataclass(frozen=True, eq=False)
+class PosedView:
+    """What a field showed of one camera.
+
+    image: [h, w, 3] sRGB-encoded 0..1, composited on the background. alpha: [h, w] 0..1. z: [h, w] planar depth,
+    scene units (not looked at where alpha <= 0.5).
+    """
+
+    camera: Camera
+    image: np.ndarray
+    alpha: np.ndarray
+    z: np.ndarray
+
+    def __post_init__(self) -> None:
+        size = (self.camera.height, self.camera.width)
+        if self.image.shape != (*size, 3) or self.alpha.shape != size or self.z.shape != size:
+            raise InvalidValue(
+                f"view {self.camera.name}: image {self.image.shape}, alpha {self.alpha.shape} and depth "
+                f"{self.z.shape} do not fit its camera of {size[1]}x{size[0]}"
+            )
+
+
+@dataclass(frozen=True)
+class PairConsistency:
+    """rmse: sqrt of the mean squared difference over visible pixels and RGB. perceptual: mean of the given distance.
+
+    share: visible pixels over the opaque pixels of the target. None where nothing is visible (or no distance given).
+    """
+
+    rmse: float | None
+    perceptual: float | None
+    share: float
+    pixels: int
+
+
+def warp(
+    source: PosedView, target: PosedView, tolerance: float = 0.02, erode: int = 1
+) -> tuple[np.ndarray, np.ndarray]:
+    """The source's colours on the target's pixels, [h, w, 3], and where they can be trusted, bool [h, w].
+
+    A target pixel is visible where its alpha is over 0.5, its point falls within the source's image, and at each of
+    the four source pixels around that place the alpha is over 0.5 and the source's depth is that of the point to
+    `tolerance` of it. Asking it of all four leaves out edges, where rendered depth blends two surfaces. The visible
+    area is then worn down by `erode` pixels. Colours are bilinear; where not visible they mean nothing.
+    """
+    camera = target.camera
+    rows, columns = np.meshgrid(np.arange(camera.height) + 0.5, np.arange(camera.width) + 0.5, indexing="ij")
+    opaque = (target.alpha > 0.5) & np.isfinite(target.z) & (target.z > 0)
+    depth = np.where(opaque, target.z, 1.0).reshape(-1).astype(np.float64)
+    points = camera.unproject(np.stack([columns.reshape(-1), rows.reshape(-1)], axis=-1), depth)
+    pixels, z_in_source = source.camera.project(points)
+    corners, weights, inside = _bilinear(pixels, source.camera.width, source.camera.height)
+    visible = opaque.reshape(-1) & inside & (z_in_source > 0)
+    solid = ((source.alpha > 0.5) & np.isfinite(source.z)).reshape(-1)
+    source_z = np.where(solid, source.z.reshape(-1), np.inf)  # agrees with no depth
+    warped = np.zeros((len(points), 3))
+    for corner, weight in zip(corners, weights, strict=True):
+        visible &= np.abs(source_z[corner] - z_in_source) <= tolerance * np.abs(z_in_source)
+        warped += weight[:, None] * source.image.reshape(-1, 3)[corner]
+    shape = (camera.height, camera.width)
+    return warped.reshape(*shape, 3), _eroded(visible.reshape(shape), erode)
+
+
+def pair_consistency(
+    source: PosedView,
+    target: PosedView,
+    perceptual: PixelDistance | None = None,
+    tolerance: float = 0.02,
+    erode: int = 1,
+) -> PairConsistency:
+    """Difference between the warped source and the target over the visible pixels.
+
+    For `perceptual` the target's own colours are laid where nothing is visible, so that these places are equal in
+    both and only what leaks across the border through the distance's receptive field is shared.
+    """
+    warped, visible = warp(source, target, tolerance, erode)
+    opaque = int((target.alpha > 0.5).sum())
+    count = int(visible.sum())
+    if count == 0:
+        return PairConsistency(None, None, 0.0, 0)
+    difference = (warped - target.image)[visible]
+    if not np.isfinite(difference).all():
+        raise InvalidValue(f"views {source.camera.name} and {target.camera.name} hold colours that are not finite")
+    distance = None
+    if perceptual is not None:
+        patched = np.where(visible[..., None], warped, target.image).astype(np.float32)
+        distance = float(perceptual(patched, target.image.astype(np.float32))[visible].mean())
+    return PairConsistency(float(np.sqrt((difference**2).mean())), distance, count / opaque, count)
+
+
+def seen_through(view: PosedView, other: PosedView, tolerance: float = 0.05) -> float | None:
+    """Share of a view's surface points that the other view looks straight through: a sign of floaters.
+
+    A point counts when the other view is opaque around its place and all four depths there lie behind it by more
+    than `tolerance` of its depth. The share is of the points that fall on opaque pixels of the other view; None where
+    there are fewer than a hundred. Silhouettes, whose depth blends two surfaces, keep it slightly above zero.
+    """
+    camera = view.camera
+    rows, columns = np.nonzero((view.alpha > 0.5) & np.isfinite(view.z) & (view.z > 0))
+    points = camera.unproject(np.stack([columns + 0.5, rows + 0.5], axis=-1), view.z[rows, columns].astype(np.float64))
+    pixels, z_in_other = other.camera.project(points)
+    corners, _, inside = _bilinear(pixels, other.camera.width, other.camera.height)
+    judged = inside & (z_in_other > 0)
+    behind = np.ones(len(points), bool)
+    solid, other_z = ((other.alpha > 0.5) & np.isfinite(other.z)).reshape(-1), other.z.reshape(-1)
+    for corner in corners:
+        judged &= solid[corner]
+        behind &= other_z[corner] > z_in_other * (1 + tolerance)
+    return float(behind[judged].mean()) if int(judged.sum()) >= 100 else None
+
+
+def _bilinear(pixels: np.ndarray, width: int, height: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Flat indices [4, n] and weights [4, n] of the pixels around positions [n, 2], and which lie inside, [n].
+
+    Inside means between the centres of the outermost pixels: no colour is extrapolated.
+    """
+    slack = 1e-6  # a pixel that maps onto the border itself must not fall out by rounding
+    with np.errstate(invalid="ignore"):
+        x, y = pixels[:, 0] - 0.5, pixels[:, 1] - 0.5
+        inside = (x >= -slack) & (y >= -slack) & (x <= width - 1 + slack) & (y <= height - 1 + slack)
+    x, y = np.clip(np.where(inside, x, 0), 0, width - 1), np.clip(np.where(inside, y, 0), 0, height - 1)
+    left, top = np.floor(x).astype(np.int64), np.floor(y).astype(np.int64)
+    right, bottom = np.minimum(left + 1, width - 1), np.minimum(top + 1, height - 1)
+    u, v = x - left, y - top
+    corners = np.stack([top * width + left, top * width + right, bottom * width + left, bottom * width + right])
+    weights = np.stack([(1 - u) * (1 - v), u * (1 - v), (1 - u) * v, u * v])
+    return corners, weights, inside
+
+
+def _eroded(mask: np.ndarray, steps: int) -> np.ndarray:
+    """The mask without pixels that touch, by one of four sides, a pixel outside it; `steps` times. Borders stay."""
+    for _ in range(steps):
+        padded = np.pad(mask, 1, constant_values=True)
+        mask = mask & padded[:-2, 1:-1] & padded[2:, 1:-1] & padded[1:-1, :-2] & padded[1:-1, 2:]
+    return mask

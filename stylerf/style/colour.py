@@ -1,0 +1,134 @@
+"""Exact colour matching: the affine map that gives one set of colours the mean and covariance of another.
+
+    A = V_s^(1/2) V_c^(-1/2),  b = mu_s - A mu_c,  x' = A x + b        (ARF; symmetric square roots)
+
+with mu, V the weighted mean and covariance (1/N) of the content colours c and the style colours s. It is a map of
+colours as they are seen (sRGB-encoded, [0, 1]). Spherical-harmonic coefficients are not colours: see
+`match_harmonics`.
+"""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from stylerf.errors import InvalidValue
+
+VARIANCE_FLOOR = 1e-8  # eigenvalues of a covariance below this are raised to it (ARF clamps its singular values so)
+HARMONIC_0 = 0.28209479177387814  # the constant spherical harmonic, 1 / (2 sqrt(pi))
+LUMA = (0.2126, 0.7152, 0.0722)  # Rec.709
+
+
+@dataclass(frozen=True)
+class ColourMap:
+    """x' = matrix x + offset on sRGB colours; matrix [3, 3], offset [3]."""
+
+    matrix: Tensor
+    offset: Tensor
+
+    def __call__(self, colours: Tensor) -> Tensor:
+        """Colours [..., 3] mapped, not clamped."""
+        return colours @ self.matrix.T.to(colours) + self.offset.to(colours)
+
+    def image(self, image: Tensor) -> Tensor:
+        """The same on an image [3, h, w], clamped to [0, 1]."""
+        return self(image.movedim(0, -1)).clamp(0, 1).movedim(-1, 0).contiguous()
+
+    def after(self, first: "ColourMap") -> "ColourMap":
+        """The single map that does `first`, then this one."""
+        return ColourMap(self.matrix @ first.matrix, self.matrix @ first.offset + self.offset)
+
+    def premultiplied(self, colours: Tensor, alpha: Tensor) -> Tensor:
+        """Premultiplied colours [..., 3] of coverage alpha [...]: A (alpha x) + alpha b = alpha (A x + b)."""
+        return colours @ self.matrix.T.to(colours) + alpha[..., None] * self.offset.to(colours)
+
+
+def colour_statistics(colours: Tensor, weights: Tensor | None = None) -> tuple[Tensor, Tensor]:
+    """Weighted mean [3] and covariance [3, 3] (divided by the sum of weights) of colours [n, 3], in float64."""
+    if colours.dim() != 2 or colours.shape[1] != 3 or colours.shape[0] == 0:
+        raise InvalidValue(f"expected colours [n, 3] with n > 0, found {tuple(colours.shape)}")
+    colours = colours.double()
+    weights = torch.ones_like(colours[:, 0]) if weights is None else weights.double()
+    total = weights.sum()
+    if not (float(total) > 0 and torch.isfinite(colours).all()):
+        raise InvalidValue("colours to match must be finite and their weights must not all be 0")
+    mean = (weights[:, None] * colours).sum(dim=0) / total
+    centred = colours - mean
+    return mean, (weights[:, None] * centred).T @ centred / total
+
+
+def symmetric_power(covariance: Tensor, exponent: float) -> Tensor:
+    """V^exponent of a symmetric matrix through its eigenvalues, each raised to at least 1e-8 first."""
+    values, vectors = torch.linalg.eigh(covariance)
+    return (vectors * values.clamp_min(VARIANCE_FLOOR).pow(exponent)) @ vectors.T
+
+
+def match_colours(
+    content: Tensor,  # [n, 3] sRGB
+    style: Tensor,  # [m, 3] sRGB
+    content_weights: Tensor | None = None,  # [n], for example alpha
+    style_weights: Tensor | None = None,  # [m]
+) -> ColourMap:
+    """The map after which the content's weighted mean and covariance are the style's (exactly, before clamping).
+
+    Float64 inside and out, on the CPU. A content without spread in some direction (a grey picture) gains none there.
+    """
+    mean_c, covariance_c = colour_statistics(content.cpu(), _on_cpu(content_weights))
+    mean_s, covariance_s = colour_statistics(style.cpu(), _on_cpu(style_weights))
+    matrix = symmetric_power(covariance_s, 0.5) @ symmetric_power(covariance_c, -0.5)
+    return ColourMap(matrix, mean_s - matrix @ mean_c)
+
+
+def match_luminance(
+    content: Tensor, style: Tensor, content_weights: Tensor | None = None, style_weights: Tensor | None = None
+) -> ColourMap:
+    """Hues kept: only the mean and spread of the luma (Rec.709 weights of sRGB values) become the style's.
+
+    x' = x + 1 (a - 1) l(x) + 1 b with l the luma, so that l(x') = a l(x) + b and differences between channels stay.
+    """
+    weights = torch.tensor(LUMA, dtype=torch.float64)
+    mean_c, covariance_c = colour_statistics(content.cpu(), _on_cpu(content_weights))
+    mean_s, covariance_s = colour_statistics(style.cpu(), _on_cpu(style_weights))
+    spread_c, spread_s = weights @ covariance_c @ weights, weights @ covariance_s @ weights
+    gain = torch.sqrt(spread_s.clamp_min(VARIANCE_FLOOR) / spread_c.clamp_min(VARIANCE_FLOOR))
+    ones = torch.ones(3, dtype=torch.float64)
+    matrix = torch.eye(3, dtype=torch.float64) + (gain - 1) * torch.outer(ones, weights)
+    return ColourMap(matrix, ones * (weights @ mean_s - gain * (weights @ mean_c)))
+
+
+def match_harmonics(coefficients: Tensor, colour_map: ColourMap) -> Tensor:
+    """Spherical-harmonic colours [..., bands, 3] whose value is mapped exactly.
+
+    A colour is 0.5 + C0 s_0 + sum_k Y_k(d) s_k, so A (colour) + b asks for
+    s_0' = A s_0 + (0.5 A 1 - 0.5 + b) / C0 and s_k' = A s_k. Holds where the field's own clamp does not act.
+    """
+    matrix, offset = colour_map.matrix.to(coefficients), colour_map.offset.to(coefficients)
+    mapped = coefficients @ matrix.T
+    shift = (0.5 * matrix.sum(dim=1) - 0.5 + offset) / HARMONIC_0
+    return torch.cat([mapped[..., :1, :] + shift, mapped[..., 1:, :]], dim=-2)
+
+
+def pixels_of(
+    images: list[Tensor],  # each [3 or 4, h, w]; a fourth channel is straight alpha and becomes the weight
+    most: int = 200_000,
+    seed: int = 0,
+) -> tuple[Tensor, Tensor]:
+    """Colours [n, 3] and weights [n] of a set of images, a seeded sample of at most about `most` pixels.
+
+    Every image gives the same share of its pixels, so that large ones count for more, as in the whole set.
+    """
+    count = sum(image.shape[1] * image.shape[2] for image in images)
+    generator = torch.Generator().manual_seed(seed)
+    colours, weights = [], []
+    for image in images:
+        flat = image.flatten(1).T.cpu()
+        if count > most:
+            take = max(1, round(flat.shape[0] * most / count))
+            flat = flat[torch.randint(flat.shape[0], (take,), generator=generator)]
+        colours.append(flat[:, :3])
+        weights.append(flat[:, 3] if flat.shape[1] == 4 else torch.ones_like(flat[:, 0]))
+    return torch.cat(colours), torch.cat(weights)
+
+
+def _on_cpu(values: Tensor | None) -> Tensor | None:
+    return None if values is None else values.cpu()

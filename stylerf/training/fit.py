@@ -1,0 +1,361 @@
+"""Fit a radiance field to posed images, no larger than held-out views ask for.
+
+The field starts coarse and climbs a ladder of capacities. Each rung is a trial: if, when its share of the budget is
+used up, held-out views have not gained `min_gain` dB over the rung before, the field goes back to that rung and spends
+the rest of the budget there. Held-out views are taken from the training views, never from the test views, and are
+trained on in the last part of the budget, when nothing is left to decide.
+"""
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from stylerf.errors import Diverged
+from stylerf.fields.field import RadianceField
+from stylerf.fields.occupancy import Occupancy
+from stylerf.fields.samples import Rays
+from stylerf.fields.vm import VmColour, VmDensity
+from stylerf.geometry.space import Space
+from stylerf.rendering.rays import backward, render_rays
+from stylerf.training.optimiser import Adam
+from stylerf.training.rays import RayBank
+
+
+@dataclass(frozen=True)
+class Rung:
+    """One capacity: vertices per axis of an even box, ranks of density and colour, cells of the occupancy grid."""
+
+    resolution: int
+    density_rank: int
+    colour_rank: int
+    cells: int = 64
+
+
+LADDER = (Rung(64, 8, 16), Rung(128, 16, 24), Rung(192, 16, 24), Rung(256, 16, 24))
+
+
+@dataclass(frozen=True)
+class FitSettings:
+    """How a field is fitted. Budget: seconds of training, or steps if `steps` > 0.
+
+    rates in value units per step; smoothness: weights of the planes' total variation (density, colour);
+    shares: parts of the budget at which the next rung is tried; held_out_until: part of the budget from which the
+    held-out views are trained on as well.
+    """
+
+    seconds: float = 300.0
+    steps: int = 0
+    rays: int = 8192
+    rate: float = 2e-2
+    final_rate: float = 0.05
+    degree: int = 1
+    smoothness: tuple[float, float] = (0.0, 0.0)
+    ladder: tuple[Rung, ...] = LADDER
+    shares: tuple[float, ...] = (0.12, 0.3, 0.55)
+    held_out_until: float = 0.75
+    min_gain: float = 0.1
+    background: str = "white"  # white, black, random or none
+    warm_steps: int = 48
+    lit_share: float = 0.9
+    always_climb: bool = False  # take every rung whatever it gains
+
+
+@dataclass
+class FitState:
+    """Everything a checkpoint holds beside the arrays."""
+
+    step: int = 0
+    seconds: float = 0.0
+    rung: int = 0
+    fixed: bool = False  # the ladder has been left: no more growth
+    trial: float | None = None  # held-out dB before the rung on trial
+    rate_scale: float = 1.0
+    rollbacks: int = 0
+    parts: int = 1
+    best: float = -math.inf
+    curve: list[dict] = field(default_factory=list)
+    decisions: list[str] = field(default_factory=list)
+
+
+def psnr_from_mse(mse: float) -> float:
+    """-10 log10(mse), dB, for values in 0..1."""
+    return -10.0 * math.log10(max(mse, 1e-12))
+
+
+class Fitter:
+    """The loop: `run()` trains until the budget is spent, calling `on_step` after every step.
+
+    bank: training rays, the `held_out` last views kept for decisions. on_say: told of choices in words.
+    """
+
+    def __init__(
+        self, space: Space, bank: RayBank, held_out: int, settings: FitSettings, seed: int, chunks: int,
+        on_say: Callable[[str], None] = lambda text: None,
+    ) -> None:
+        self.space, self.bank, self.held_out, self.settings = space, bank, held_out, settings
+        self.seed, self.chunks, self.on_say = seed, chunks, on_say
+        self.state = FitState()
+        rung, generator = settings.ladder[0], np.random.default_rng([seed, 1])
+        size = space.cells_per_axis(rung.resolution)
+        self.field = RadianceField(
+            space, VmDensity.create(size, rung.density_rank, generator),
+            VmColour.create(size, rung.colour_rank, settings.degree, generator), Occupancy(rung.cells),
+            1.0 / rung.resolution,
+        )
+        self._reset_optimisers()
+        self._held_out_rays = self._choose_held_out()
+        self._anchor: dict | None = None
+        self.between_steps = True
+
+    # -- capacity ---------------------------------------------------------------------------------------------------
+
+    def _reset_optimisers(self) -> None:
+        self.density_adam = Adam(self.field.density.values, self.field.density.groups(), self.chunks)
+        self.colour_adam = Adam(self.field.colour.values, self.field.colour.groups(), self.chunks)
+
+    def _grow(self, rung: Rung) -> None:
+        generator = np.random.default_rng([self.seed, 2, rung.resolution])
+        size, old = self.space.cells_per_axis(rung.resolution), self.field
+        self.field = RadianceField(
+            self.space, old.density.with_rank(rung.density_rank, generator).resized(size),
+            old.colour.with_rank(rung.colour_rank, generator).resized(size),
+            old.occupancy.resized(rung.cells) if rung.cells != old.occupancy.cells else old.occupancy,
+            1.0 / rung.resolution,
+        )
+        self.field.occupancy.decide(self.field.step)
+        self._reset_optimisers()
+
+    def _choose_held_out(self):
+        """At most 16,384 rays of the held-out views, or of all views where none is held out."""
+        generator = np.random.default_rng([self.seed, 3])
+        first = len(self.bank.cameras) - self.held_out if self.held_out else 0
+        views = generator.integers(first, len(self.bank.cameras), 16384)
+        pixels = (generator.random(len(views)) * self.bank.sizes[views]).astype(np.int64)
+        return self.bank.at(views, pixels)
+
+    def held_out_psnr(self) -> float:
+        """PSNR over the held-out rays, on the evaluation background, dB."""
+        origins, directions, colours = self._held_out_rays
+        background = self._background(len(origins), None)
+        total = 0.0
+        for at in range(0, len(origins), 4096):
+            part = slice(at, at + 4096)
+            rays = Rays.of(origins[part], directions[part], self.space.near)
+            out = render_rays(self.field, rays, chunks=self.chunks).out
+            error = _over(out[:, :3], out[:, 3:4], background[part]) - _target(colours[part], background[part])
+            total += float(np.square(np.clip(error, -1, 1)).sum())
+        return psnr_from_mse(total / (3 * len(origins)))
+
+    def _background(self, count: int, generator) -> np.ndarray:
+        if self.settings.background == "random" and generator is not None:
+            return generator.random((count, 3), dtype=np.float32)
+        level = 0.0 if self.settings.background in ("black", "none") else 1.0
+        return np.full((count, 3), level, np.float32)
+
+    # -- one step ---------------------------------------------------------------------------------------------------
+
+    @property
+    def progress(self) -> float:
+        """Used share of the budget, 0..1."""
+        s = self.settings
+        return min(1.0, self.state.step / s.steps if s.steps else self.state.seconds / s.seconds)
+
+    def step(self) -> float:
+        """One optimisation step; its mean squared error."""
+        settings, state = self.settings, self.state
+        generator = np.random.default_rng([self.seed, 4, state.step])
+        if state.step >= 16 and state.step % _refresh_every(state.step) == 0:
+            share = 1 if state.step < 300 else 4
+            self.field.occupancy.refresh(
+                lambda x: self.field.density.sigma(x, self.chunks), self.field.step, self.seed + state.step, share,
+                0.9,
+            )
+        count = settings.rays if state.step >= settings.warm_steps else settings.rays // 8
+        among = len(self.bank.cameras)
+        if self.held_out and self.progress < settings.held_out_until:
+            among -= self.held_out
+        origins, directions, colours, _ = self.bank.draw(count, generator, among, settings.lit_share)
+        jitter = generator.random(count, dtype=np.float32)
+        background = self._background(count, generator)
+        error = 0.0
+        for part in np.array_split(np.arange(count), state.parts):
+            part = slice(int(part[0]), int(part[-1]) + 1)
+            rays = Rays.of(origins[part], directions[part], self.space.near, jitter[part])
+            rendered = render_rays(self.field, rays, chunks=self.chunks)
+            out, back = rendered.out, background[part]
+            difference = _over(out[:, :3], out[:, 3:4], back) - _target(colours[part], back)
+            error += float(np.square(difference).sum())
+            gradients = np.zeros_like(out)
+            gradients[:, :3] = difference * np.float32(2 / (3 * count))
+            gradients[:, 3] = -(gradients[:, :3] * back).sum(1)
+            backward(self.field, rendered, gradients, self.density_adam.gradients, self.colour_adam.gradients)
+        for weight, part_, adam in zip(
+            settings.smoothness, (self.field.density, self.field.colour), (self.density_adam, self.colour_adam)
+        ):
+            if weight > 0:
+                part_.smooth(weight, adam.gradients[0])
+        rate = settings.rate * settings.final_rate**self.progress * state.rate_scale
+        self.density_adam.step(rate)
+        self.colour_adam.step(rate)
+        state.step += 1
+        return error / (3 * count)
+
+    # -- the loop ---------------------------------------------------------------------------------------------------
+
+    def run(self, on_step: Callable[["Fitter"], None] = lambda fitter: None, check_every: float = 0.04) -> None:
+        """Train until the budget is spent. check_every: share of the budget between looks at the held-out views."""
+        state = self.state
+        next_check = (math.floor(self.progress / check_every) + 1) * check_every
+        while self.progress < 1.0:
+            begun, self.between_steps = time.perf_counter(), False
+            try:
+                error = self.step()
+            except MemoryError:
+                self._halve_parts()
+                continue
+            state.seconds += time.perf_counter() - begun
+            if not math.isfinite(error):
+                self._roll_back("the loss left the finite numbers")
+            elif self.progress >= next_check or self._rung_due():
+                self._check()
+                next_check = (math.floor(self.progress / check_every) + 1) * check_every
+            self.between_steps = True
+            on_step(self)
+
+    def _halve_parts(self) -> None:
+        self.state.parts *= 2
+        if self.state.parts > 64:
+            raise MemoryError("not even a sixty-fourth of a batch fits in memory")
+        self.density_adam.gradients[:] = 0
+        self.colour_adam.gradients[:] = 0
+        self.on_say(f"out of memory: batches are now worked off in {self.state.parts} parts")
+
+    def _rung_due(self) -> bool:
+        s = self.state
+        shares = self.settings.shares
+        return not s.fixed and s.rung < min(len(self.settings.ladder) - 1, len(shares)) and self.progress >= shares[s.rung]
+
+    def _check(self) -> None:
+        state = self.state
+        quality = self.held_out_psnr()
+        state.curve.append(
+            {
+                "step": state.step, "seconds": round(state.seconds, 2), "psnr": round(quality, 3),
+                "parameters": self.field.parameters, "held_out": self.progress < self.settings.held_out_until,
+            }
+        )
+        # A fall this deep is no noise: the fit is on its way to a collapse, and more training would only deepen it.
+        if state.best - quality > 2.0:
+            self._roll_back(f"held-out views fell from {state.best:.1f} to {quality:.1f} dB")
+            return
+        if self._trial_over():
+            self._judge(quality)
+        if state.trial is None and quality >= state.best:
+            state.best = quality
+            self._anchor = self._snapshot()
+        if self._rung_due():
+            self._try_next(quality)
+
+    def _trial_over(self) -> bool:
+        if self.state.trial is None:
+            return False
+        shares = self.settings.shares
+        end = shares[self.state.rung] if self.state.rung < len(shares) else self.settings.held_out_until
+        return self.progress >= end or self.progress >= self.settings.held_out_until
+
+    def _try_next(self, quality: float) -> None:
+        state = self.state
+        self._anchor = self._snapshot()
+        state.best = max(state.best, quality)
+        state.trial, state.rung = quality, state.rung + 1
+        self._grow(self.settings.ladder[state.rung])
+
+    def _judge(self, quality: float) -> None:
+        state, before = self.state, self.state.trial
+        gain = quality - before
+        new, old = (self.settings.ladder[state.rung - i] for i in (0, 1))
+        state.trial = None
+        if gain >= self.settings.min_gain or self.settings.always_climb:
+            state.decisions.append(f"{new.resolution}^3 kept: held-out views gained {gain:.2f} dB over {old.resolution}^3")
+            state.best = max(state.best, quality)
+            self._anchor = self._snapshot()
+            return
+        parameters = self.field.parameters
+        self._restore(self._anchor)
+        state.rung, state.fixed = state.rung - 1, True
+        text = (
+            f"{new.resolution}^3 dropped: {gain:+.2f} dB for {parameters / self.field.parameters:.1f} times the size; "
+            f"staying at {old.resolution}^3"
+        )
+        state.decisions.append(text)
+        self.on_say(text)
+
+    def _roll_back(self, reason: str) -> None:
+        state = self.state
+        state.rollbacks += 1
+        if self._anchor is None or state.rollbacks > 4:
+            raise Diverged(f"{reason}, {state.rollbacks} times; try another seed, a smaller rate or check the poses")
+        if state.trial is not None:
+            state.trial, state.rung, state.fixed = None, state.rung - 1, True
+        self._restore(self._anchor)
+        state.rate_scale *= 0.5
+        text = f"{reason}: back to the best field so far, with half the learning rate"
+        state.decisions.append(text)
+        self.on_say(text)
+
+    # -- snapshots --------------------------------------------------------------------------------------------------
+
+    def _snapshot(self) -> dict:
+        arrays = {k: v.copy() for k, v in self.field.arrays().items()}
+        for name, adam in (("density", self.density_adam), ("colour", self.colour_adam)):
+            arrays |= {f"{name}.{k}": v.copy() for k, v in adam.arrays().items()}
+        return {"field": self.field.describe(), "arrays": arrays}
+
+    def _restore(self, snapshot: dict) -> None:
+        arrays = {k: v.copy() for k, v in snapshot["arrays"].items()}
+        self.field = RadianceField.restore(snapshot["field"], arrays)
+        self._reset_optimisers()
+        for name, adam in (("density", self.density_adam), ("colour", self.colour_adam)):
+            adam.restore({k: arrays[f"{name}.{k}"] for k in ("first", "second", "steps")})
+
+    def checkpoint(self) -> tuple[dict, dict[str, np.ndarray]]:
+        """(JSON, arrays) from which `resume` goes on exactly as if nothing had happened."""
+        now = self._snapshot()
+        data = {"state": vars(self.state) | {"best": _finite(self.state.best)}, "field": now["field"]}
+        arrays = {f"now.{k}": v for k, v in now["arrays"].items()}
+        if self._anchor is not None:
+            data["anchor"] = self._anchor["field"]
+            arrays |= {f"anchor.{k}": v for k, v in self._anchor["arrays"].items()}
+        return data, arrays
+
+    def resume(self, data: dict, arrays: dict[str, np.ndarray]) -> None:
+        """From checkpoint()."""
+        state = dict(data["state"])
+        state["best"] = -math.inf if state["best"] is None else state["best"]
+        self.state = FitState(**state)
+        now = {k.removeprefix("now."): v for k, v in arrays.items() if k.startswith("now.")}
+        self._restore({"field": data["field"], "arrays": now})
+        if "anchor" in data:
+            kept = {k.removeprefix("anchor."): v for k, v in arrays.items() if k.startswith("anchor.")}
+            self._anchor = {"field": data["anchor"], "arrays": kept}
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def _refresh_every(step: int) -> int:
+    return 8 if step < 64 else 16 if step < 300 else 64
+
+
+def _over(rgb: np.ndarray, alpha: np.ndarray, background: np.ndarray) -> np.ndarray:
+    """Premultiplied rgb over a background."""
+    return rgb + (1 - alpha) * background
+
+
+def _target(colours: np.ndarray, background: np.ndarray) -> np.ndarray:
+    """Straight rgba over a background."""
+    return colours[:, :3] * colours[:, 3:] + (1 - colours[:, 3:]) * background

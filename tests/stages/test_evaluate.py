@@ -1,0 +1,218 @@
+"""The evaluate stage end to end on a made-up scene whose answers are known."""
+
+import csv
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from schemas.store import Work
+from stages import evaluate
+from stages.configs.evaluate import EvaluateConfig
+from stages.evaluation.views import SceneViews
+from stages.progress import Context
+from stages.runner import execute
+from tests.stages import evaluation_fixture as made
+
+POSITIONS = [-0.3, 0.0, 0.3]
+QUIET = EvaluateConfig(perceptual="none", sheet=3)
+
+
+def evaluated(work, inputs, config=QUIET, name="report"):
+    report, _ = execute(evaluate.SPEC, evaluate.run, work, name, inputs, config, Context(), force=True)
+    return report, json.loads(report.file("report.json").read_text())
+
+
+def figure(report, key):
+    return next(item for item in report["figures"] if item["key"] == key)
+
+
+@pytest.fixture(scope="module")
+def fitted(tmp_path_factory):
+    """A fit that is brighter than the photos by 0.1 and one tenth too deep."""
+    work = Work(tmp_path_factory.mktemp("fitted"))
+    scene = made.make_scene(work, POSITIONS)
+    curve = [{"seconds": s, "step": s * 10, "parameters": 1e5 * s, "psnr": 10 + s} for s in (1, 3, 9)]
+    field = made.make_field(
+        work, "wall", "fit", {"scene": scene}, seconds=65.0, peak_memory_mb=900,
+        figures={"parameters": 1_200_000, "curve": curve},
+    )  # fmt: skip
+    cameras = [made.camera(x, f"test_{i}") for i, x in enumerate(POSITIONS)]
+    seen = [made.look(view) for view in cameras]
+    off = [replace(one, rgb=one.rgb + 0.1, z=one.z * 1.1) for one in seen]
+    frames = made.make_frames(work, "wall-test", "test", cameras, off, field)
+    path = [made.camera(-0.5 + 0.1 * k, f"path_{k:03d}") for k in range(10)]
+    path_frames = made.make_frames(work, "wall-path", "slide", path, [made.look(v) for v in path], field, matched=False)
+    inputs = {"scene": scene, "frames": frames, "path_frames": path_frames, "field": field}
+    return work, inputs, *evaluated(work, inputs)
+
+
+def test_figures_of_a_known_error_are_the_known_figures(fitted):
+    *_, report = fitted
+    # 0.1 too bright in sRGB: -10 log10(0.01) = 20 dB, less what half precision and 8 bit photos take away.
+    assert figure(report, "psnr")["mean"] == pytest.approx(20.0, abs=0.05)
+    assert figure(report, "psnr")["count"] == 3 and figure(report, "psnr")["left_out"] == 0
+    assert figure(report, "depth_abs_rel")["mean"] == pytest.approx(0.1, abs=1e-5)
+    assert figure(report, "depth_delta")["mean"] == 1.0
+    assert figure(report, "depth_share")["mean"] == 1.0
+    assert 0.9 < figure(report, "ssim")["mean"] < 1.0
+    assert figure(report, "short_rmse")["mean"] < 0.02 and figure(report, "long_rmse")["mean"] < 0.03
+    assert figure(report, "short_share")["mean"] > figure(report, "long_share")["mean"] > 0.5
+    assert all("composited" in item["protocol"] for item in report["figures"] if item["key"] in ("psnr", "ssim"))
+    assert not any("{" in item["protocol"] + item["label"] for item in report["figures"])
+
+
+def test_costs_are_those_of_the_manifests(fitted):
+    *_, report = fitted
+    stages = {(made_by["kind"], made_by["name"]): made_by for made_by in report["stages"]}
+    assert [made_by["kind"] for made_by in report["stages"]][:2] == ["scene", "field"]  # sources first
+    field = stages["field", "wall"]
+    assert (field["seconds"], field["peak_memory_mb"]) == (65, 900)
+    assert (field["parameters"], field["bytes"]) == (1_200_000, 4096)
+    assert stages["frames", "wall-path"]["seconds"] == 3.0
+    assert report["curve"]["of"] == "wall" and len(report["curve"]["points"]) == 3
+
+
+def test_csv_holds_what_json_holds(fitted):
+    _, _, artefact, report = fitted
+    with open(artefact.file("views.csv"), newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    assert [row["name"] for row in rows] == ["test_0", "test_1", "test_2"]
+    for row, view in zip(rows, report["views"], strict=True):
+        for key, value in view.items():
+            assert row[key] == value if isinstance(value, str) else float(row[key]) == value, key
+    with open(artefact.file("pairs.csv"), newline="") as stream:
+        assert len(list(csv.DictReader(stream))) == 9 + 3
+
+
+def test_all_files_stand_in_the_manifest(fitted):
+    _, _, artefact, report = fitted
+    artefact.verify()
+    names = {record.path for record in artefact.manifest.files}
+    charts = {f"charts/{name}.{end}" for name in ("psnr_views", "quality_seconds", "consistency_pairs")
+              for end in ("svg", "png")}  # fmt: skip
+    assert names == charts | {"report.json", "report.html", "views.csv", "pairs.csv"}
+    assert artefact.manifest.figures["psnr"] == figure(report, "psnr")["mean"]
+    assert artefact.file("charts/psnr_views.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_what_was_not_measured_is_said(fitted):
+    work, inputs, _, report = fitted
+    assert {"LPIPS and ST-LPIPS"} <= {note["what"] for note in report["not_measured"]}
+    assert report["warnings"] == []
+    _, bare = evaluated(work, {key: inputs[key] for key in ("scene", "frames")})
+    told = {note["what"] for note in bare["not_measured"]}
+    assert {"Consistency between views", "Parameters of the field"} <= told
+    assert bare["pairs"] == [] and bare["curve"] is None
+
+
+def test_the_same_evaluation_gives_the_same_bytes(fitted):
+    work, inputs, artefact, _ = fitted
+    again, _ = evaluated(work, inputs, name="again")
+    assert [(r.path, r.sha256) for r in again.manifest.files] == [(r.path, r.sha256) for r in artefact.manifest.files]
+
+
+def test_nan_in_a_render_is_told_and_left_out(fitted, tmp_path, monkeypatch):
+    _, inputs, _, report = fitted
+    real = evaluate.FrameViews.render
+
+    def spoiled(self, index):
+        found = real(self, index)
+        if index != 1:
+            return found
+        image = found.image.copy()
+        image[5, 7:10] = np.nan
+        return replace(found, image=image, spoiled=3)
+
+    monkeypatch.setattr(evaluate.FrameViews, "render", spoiled)
+    artefact, found = evaluated(Work(tmp_path), {key: inputs[key] for key in ("scene", "frames", "path_frames")})
+    assert found["views"][1]["psnr"] is None and "3 of 6912 pixels" in found["views"][1]["remark"]
+    psnr = figure(found, "psnr")
+    assert (psnr["count"], psnr["left_out"]) == (2, 1)
+    assert psnr["mean"] == pytest.approx((report["views"][0]["psnr"] + report["views"][2]["psnr"]) / 2)
+    assert any("test_1" in text and "not finite" in text for text in found["warnings"])
+    page = artefact.file("report.html").read_text()
+    assert "not finite" in page and "1 left out" in page
+    assert sum("path_001: 3 of 6912 pixels" in row["remark"] for row in found["pairs"]) == 3
+    assert figure(found, "short_rmse")["left_out"] == 2
+
+
+def test_a_frame_with_nan_in_its_file_is_counted_not_refused(fitted, tmp_path, monkeypatch):
+    """Frames written by another tool may hold what our own writer refuses."""
+    _, inputs, *_ = fitted
+    views = evaluate.FrameViews(inputs["frames"], 0.0)
+    channels = {name: np.ones((72, 96), np.float32) for name in "RGBAZ"}
+    channels["G"][3, 4], channels["Z"][0, 0] = np.nan, np.inf
+    monkeypatch.setattr("stages.evaluation.views.read_channels", lambda path, required: (channels, {}))
+    render = views.render(0)
+    assert render.spoiled == 2
+    assert np.isnan(render.image).all(axis=-1).sum() == 2
+
+
+def test_alpha_scenes_are_composited_on_white_and_measured_on_the_object(tmp_path):
+    work = Work(tmp_path)
+    scene = made.make_scene(work, POSITIONS, background="alpha")
+    field = made.make_field(work, "ball", "fit", {"scene": scene})
+    cameras = [made.camera(x, f"test_{i}") for i, x in enumerate(POSITIONS)]
+    seen = [made.look(view, wall=False) for view in cameras]
+    off = [replace(one, rgb=np.clip(one.rgb, 0.1, 0.8) + 0.1) for one in seen]
+    frames = made.make_frames(work, "ball-test", "test", cameras, off, field)
+    _, report = evaluated(work, {"scene": scene, "frames": frames})
+    photo, render = SceneViews(scene).photo(0, 96, 72), evaluate.FrameViews(frames, 1.0).render(0)
+    assert (photo.image[0, 0] == 1).all() and (render.image[0, 0] == 1).all() and not photo.mask[0, 0]
+    share = np.mean([one.alpha.mean() for one in seen])
+    whole, on_object = figure(report, "psnr")["mean"], figure(report, "psnr_object")["mean"]
+    # The background is equal in both, so that all of the error is on the object's share of the pixels.
+    assert whole - on_object == pytest.approx(-10 * np.log10(share), abs=0.1)
+    assert "white" in figure(report, "psnr")["protocol"]
+
+
+def test_photos_of_another_size_are_resampled_and_said(tmp_path):
+    work = Work(tmp_path)
+    scene = made.make_scene(work, POSITIONS, size=(192, 144))
+    field = made.make_field(work, "wall", "fit", {"scene": scene})
+    cameras = [made.camera(x, f"test_{i}", (192, 144)).scaled(0.5) for i, x in enumerate(POSITIONS)]
+    frames = made.make_frames(work, "wall-test", "test", cameras, [made.look(v) for v in cameras], field)
+    _, report = evaluated(work, {"scene": scene, "frames": frames})
+    assert figure(report, "psnr")["mean"] > 30
+    assert any("resampled" in text for text in report["warnings"])
+    assert any("another size" in note["why"] for note in report["not_measured"])
+
+
+def test_a_source_made_again_or_gone_is_said(fitted, tmp_path):
+    work = Work(tmp_path)
+    scene = made.make_scene(work, POSITIONS)
+    field = made.make_field(work, "wall", "fit", {"scene": scene})
+    cameras = [made.camera(x, f"test_{i}") for i, x in enumerate(POSITIONS)]
+    frames = made.make_frames(work, "wall-test", "test", cameras, [made.look(v) for v in cameras], field)
+    made.make_field(work, "wall", "fit", {"scene": scene}, config={"other": 1})
+    _, report = evaluated(work, {"scene": scene, "frames": frames})
+    assert any("made again" in text for text in report["warnings"])
+    (field.path / "manifest.json").unlink()
+    _, report = evaluated(work, {"scene": scene, "frames": frames})
+    assert any("cannot be read" in text for text in report["warnings"])
+
+
+def test_equal_images_are_a_hundred_decibels(tmp_path):
+    work = Work(tmp_path)
+    scene = made.make_scene(work, [0.0], depth=False)
+    field = made.make_field(work, "wall", "fit", {"scene": scene})
+    view = made.camera(0.0, "test_0")
+    grey = replace(made.look(view), rgb=np.zeros((72, 96, 3), np.float32))
+    frames = made.make_frames(work, "wall-test", "test", [view], [grey], field)
+    black = evaluate.FrameViews(frames, 0.0).render(0)
+    row = evaluate.ViewRow("black")
+    evaluate.measure_fit(row, black, evaluate.Photo(np.zeros((72, 96, 3), np.float32), None, None, False, False), {})
+    assert row.values["psnr"] == 100.0 and row.values["ssim"] == pytest.approx(1.0)
+
+
+def test_exr_colours_come_back_as_they_were_composited():
+    from stages.evaluation.views import composite
+
+    random = np.random.default_rng(0)
+    rgb, alpha = random.random((6, 7, 3)).astype(np.float32), random.random((6, 7)).astype(np.float32)
+    seen = made.Seen(rgb, alpha, np.ones((6, 7)))
+    view = made.exr_of(made.camera(0, "any", (7, 6)), seen)
+    wanted = seen.rgb * seen.alpha[..., None] + (1 - seen.alpha[..., None]) * 1.0
+    np.testing.assert_allclose(composite(view.rgb, view.alpha, 1.0), wanted, atol=1e-5)

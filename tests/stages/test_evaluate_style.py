@@ -1,0 +1,137 @@
+"""Evaluation of a stylised field: distances to the painting, structure kept, shape changed."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from schemas.errors import BadInput
+from schemas.images import write_png
+from schemas.store import Work
+from stages import evaluate, weights
+from stages.configs.evaluate import EvaluateConfig
+from stages.evaluation.lenses import painting_file
+from stages.evaluation.nets import Painting, perceptual_distances
+from stages.progress import Context
+from stages.runner import execute
+from tests.stages import evaluation_fixture as made
+
+POSITIONS = [-0.2, 0.2]
+FEATURES = "st-vgg16"  # the trunk that every install has
+
+
+@pytest.fixture(autouse=True, scope="module")
+def cache(tmp_path_factory):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("STYLERF_CACHE", str(tmp_path_factory.mktemp("cache")))
+        patch.delenv("STYLERF_WEIGHTS", raising=False)
+        if not any(row["name"] == FEATURES and row["found"] for row in weights.describe()):
+            pytest.skip(f"{FEATURES} is not installed")
+        yield
+
+
+@pytest.fixture(scope="module")
+def painted():
+    """Stripes of blue and yellow: [96, 128, 3]."""
+    rows, columns = np.mgrid[:96, :128]
+    stripe = (np.sin((rows + columns) / 3) > 0)[..., None]
+    return np.where(stripe, [0.1, 0.2, 0.7], [0.9, 0.8, 0.2]).astype(np.float32)
+
+
+def test_a_painting_is_no_distance_from_itself_and_the_rest_is(painted):
+    painting = Painting(painted, FEATURES, 128, "cpu")
+    ones = np.ones(painted.shape[:2], np.float32)
+    nearest, gram = painting.distances(painted, ones)
+    assert nearest == pytest.approx(0, abs=1e-4) and gram == pytest.approx(0, abs=1e-4)
+    other = made.look(made.camera(0, "any", (128, 96))).rgb
+    far_nearest, far_gram = painting.distances(other, ones)
+    assert far_nearest > 0.02 and far_gram > 0.1
+    shifted = painting.distances(np.roll(painted, 8, axis=1), ones)
+    assert shifted[0] < far_nearest / 3  # the same strokes elsewhere
+
+
+def test_transparent_pixels_take_no_part(painted):
+    painting = Painting(painted, FEATURES, 128, "cpu")
+    other = made.look(made.camera(0, "any", (128, 96))).rgb
+    half = painted.copy()
+    half[:, 64:] = other[:, 64:]
+    left = np.zeros((96, 128), np.float32)
+    left[:, :48] = 1  # away from the seam, beyond which features see both
+    assert painting.distances(half, left)[0] < 0.2 * painting.distances(half, 1 - left)[0]
+    assert np.isnan(painting.distances(half, left * 0)).all()
+
+
+def test_perceptual_map_agrees_with_its_network_and_grows_with_error(painted):
+    tolerant, _ = perceptual_distances("cpu")
+    assert tolerant is not None and tolerant.distance(painted, painted) == pytest.approx(0, abs=1e-6)
+    noise = np.random.default_rng(0).standard_normal(painted.shape).astype(np.float32)
+    slight, strong = (np.clip(painted + amount * noise, 0, 1) for amount in (0.05, 0.3))
+    assert tolerant.distance(painted, strong) > tolerant.distance(painted, slight) > 0
+    there = painted.copy()
+    there[60:80, 90:110] = strong[60:80, 90:110]
+    found = tolerant.pixels(painted, there)
+    assert found.shape == (96, 128) and found[55:85, 85:115].mean() > 5 * found[:40, :60].mean()
+
+
+@pytest.fixture(scope="module")
+def stylised(tmp_path_factory, painted):
+    """A "stylised" field whose renders are the fit's in the painting's mean colour, a fifth nearer."""
+    folder = tmp_path_factory.mktemp("stylised")
+    work = Work(folder / "work")
+    scene = made.make_scene(work, POSITIONS)
+    field = made.make_field(work, "wall", "fit", {"scene": scene}, seconds=10)
+    write_png(folder / "stripes.png", np.round(painted * 255).astype(np.uint8))
+    painted_field = made.make_field(
+        work, "stripes", "stylize", {"scene": scene, "field": field}, seconds=20,
+        config={"style": str(folder / "stripes.png")},
+    )  # fmt: skip
+    cameras = [made.camera(x, f"test_{i}") for i, x in enumerate(POSITIONS)]
+    seen = [made.look(view) for view in cameras]
+    base = made.make_frames(work, "wall-test", "test", cameras, seen, field)
+    target = painted.reshape(-1, 3).mean(axis=0)
+    new = [replace(one, rgb=one.rgb - one.rgb.mean((0, 1)) + target, z=one.z * 0.8) for one in seen]
+    frames = made.make_frames(work, "stripes-test", "test", cameras, new, painted_field)
+    inputs = {"scene": scene, "frames": frames, "base_frames": base, "field": painted_field}
+    config = EvaluateConfig(features=FEATURES, sheet=2)
+    artefact, _ = execute(evaluate.SPEC, evaluate.run, work, "stripes", inputs, config, Context())
+    return inputs, artefact, json.loads(artefact.file("report.json").read_text())
+
+
+def figure(report, key):
+    return next(item for item in report["figures"] if item["key"] == key)
+
+
+def test_figures_of_a_stylised_field(stylised, painted):
+    _, artefact, report = stylised
+    assert report["stylised"] and report["painting"] == "stripes.png"
+    mean = figure(report, "palette_mean")
+    assert mean["mean"] < 0.03 < mean["reference"]["the unstylised renders"]  # clipping moves it a little
+    assert figure(report, "shape_change")["mean"] == pytest.approx(0.2, abs=1e-4)
+    kept = figure(report, "content_ssim")
+    assert 0.7 < kept["mean"] < kept["reference"]["the unstylised renders"] <= 1
+    assert FEATURES in figure(report, "nnfm")["protocol"] and figure(report, "nnfm")["count"] == 2
+    assert not {"psnr", "ssim", "lpips"} & {item["key"] for item in report["figures"]}
+    assert any("PSNR" in note["what"] for note in report["not_measured"])
+    assert {made_by["stage"] for made_by in report["stages"]} == {"import", "fit", "stylize", "render"}
+    page = artefact.file("report.html").read_text()
+    assert "the painting" in page and page.count("<img") == 2 * 4 + 1
+    assert {record.path for record in artefact.manifest.files} >= {"charts/nnfm_views.svg"}
+
+
+def test_a_painting_that_is_not_there_is_bad_input(stylised):
+    inputs, *_ = stylised
+    with pytest.raises(BadInput, match="no such file"):
+        painting_file(EvaluateConfig(style="nowhere.png"), inputs["field"])
+
+
+def test_the_painting_kept_with_the_field_is_preferred(tmp_path, stylised):
+    inputs, *_ = stylised
+
+    def write(folder):
+        write_png(folder / "style.png", np.zeros((4, 4, 3), np.uint8))
+
+    field = made.commit(Work(tmp_path), "field", "kept", "stylize", {}, write, config={"style": "elsewhere.png"})
+    assert painting_file(EvaluateConfig(), field) == field.file("style.png")
+    assert painting_file(EvaluateConfig(), inputs["field"]).name == "stripes.png"
+    assert painting_file(EvaluateConfig(), None) is None
