@@ -7,7 +7,7 @@ import numpy as np
 import torch
 
 from schemas.errors import BadInput
-from schemas.images import read_image
+from schemas.images import read_image, to_uint8, write_png
 from schemas.store import Artefact, Partial
 from stages.configs.fit import budget_of
 from stages.configs.stylize import StylizeConfig
@@ -35,6 +35,7 @@ def run(inputs: dict[str, Artefact], config: StylizeConfig, partial: Partial, co
     resolved = resolve(config.features or None)
     context.progress.say(f"features: {resolved.name}, from {resolved.source}")
     views = scene.splits["train"]
+    painting = read_painting(Path(config.style))
     level = 1.0 if background == "white" else 0.0
     try:
         stylizer = Stylizer(
@@ -42,9 +43,9 @@ def run(inputs: dict[str, Artefact], config: StylizeConfig, partial: Partial, co
             [scene.cameras[i] for i in views],
             [_photo(scene, i, level) for i in views],
             level,
-            read_painting(Path(config.style)),
+            painting,
             Trunk(resolved.state, config.taps, resolved.kind),
-            _settings(config),
+            _settings(config, max(max(c.width, c.height) for c in scene.cameras)),
             context.seed,
             threads,
             lambda generator: HashColour.create(
@@ -59,6 +60,8 @@ def run(inputs: dict[str, Artefact], config: StylizeConfig, partial: Partial, co
     with compiling_note(context.progress.say):
         _train(stylizer, config, partial, context)
     save_field(partial.path, stylizer.field, background)
+    # The painting stays with what was made from it, for whoever evaluates it later.
+    write_png(partial.path / "style.png", to_uint8(painting.permute(1, 2, 0).numpy()))
     state = stylizer.state
     return {
         "method": config.method,
@@ -106,7 +109,7 @@ def _train(stylizer: Stylizer, config: StylizeConfig, partial: Partial, context:
         context.progress.finish()
 
 
-def _settings(config: StylizeConfig) -> StyleSettings:
+def _settings(config: StylizeConfig, long_side: int) -> StyleSettings:
     seconds, steps = budget_of(config.budget)
     return StyleSettings(
         steps=steps,
@@ -119,9 +122,10 @@ def _settings(config: StylizeConfig) -> StyleSettings:
         remember=config.remember,
         match=config.match,
         weights=StyleWeights(config.style_weight, config.content_weight, config.variation_weight),
-        feature_scale=config.feature_scale,
+        feature_scale=config.feature_scale or min(1.0, max(0.5, 256 / long_side)),
         style_scale=config.style_scale,
         style_rows=config.style_rows,
+        style_basis=config.style_basis,
     )
 
 

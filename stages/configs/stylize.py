@@ -32,10 +32,15 @@ class StylizeConfig:
     variation_weight: float = option(1.0, help="weight of the picture's total variation")
     match: str = option("both", choices=("both", "before", "after", "none"), help="exact colour matching")
     refit_steps: int = option(300, help="steps that fit the new colours to the matched photos")
-    rate: float = option(1e-2, help="learning rate of the colours")
-    feature_scale: float = option(0.5, help="size, relative to the view, of the picture that features are taken from")
+    rate: float = option(2e-2, help="learning rate of the colours")
+    feature_scale: float = option(
+        0.0,
+        help="size, relative to the view, of the picture that features are taken from (0: half, as ARF, but no less "
+        "than 256 pixels where the view has them)",
+    )
     style_scale: float = option(1.0, help="size of the painting relative to the view: larger gives larger strokes")
     style_rows: int = option(4096, help="most features of the painting that are matched against")
+    style_basis: int = option(96, help="directions of feature space in which the nearest are sought (0: all, exact)")
     levels: int = option(8, help="levels of the colour field's hash grid")
     finest: int = option(512, help="cells a side of its finest level")
     table_bits: int = option(17, help="its table entries a level, as a power of two")
@@ -43,7 +48,7 @@ class StylizeConfig:
 
     def __post_init__(self) -> None:
         budget_of(self.budget)
-        if self.dilation < 1 or self.blur < 0 or not 0 < self.feature_scale <= 1 or self.style_scale <= 0:
-            raise ValueError("dilation must be at least 1, blur not negative, feature_scale in (0, 1], style_scale > 0")
+        if self.dilation < 1 or self.blur < 0 or not 0 <= self.feature_scale <= 1 or self.style_scale <= 0:
+            raise ValueError("dilation must be at least 1, blur not negative, feature_scale in 0..1, style_scale > 0")
         if not (1 <= self.levels <= 16 and 16 <= self.finest <= 4096 and 10 <= self.table_bits <= 24):
             raise ValueError("the colour field takes 1 to 16 levels, 16 to 4096 cells and 10 to 24 table bits")

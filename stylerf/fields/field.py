@@ -24,7 +24,8 @@ class RadianceField:
 
     displacement: [m, m, m, 3] float32 on vertices, cube units, added to every position before density and colour are
     asked (DeSRF's deformation, as a grid), or None. colour_map: affine map of the rendered colours (exact colour
-    matching after a stylisation), or None.
+    matching after a stylisation), or None. share: part of its ray's largest weight that a sample must have to be
+    coloured; what lies below takes the ray's mean.
     """
 
     space: Space
@@ -34,6 +35,7 @@ class RadianceField:
     step: float
     displacement: np.ndarray | None = None
     colour_map: ColourMap | None = None
+    share: float = 1e-3
 
     @property
     def closed(self) -> bool:
@@ -63,6 +65,7 @@ class RadianceField:
             "colour": self.colour.describe(),
             "step": self.step,
             "cells": self.occupancy.cells,
+            "share": self.share,
             "colour_map": None
             if self.colour_map is None
             else {
@@ -94,6 +97,7 @@ class RadianceField:
             data["step"],
             arrays.get("displacement"),
             _colour_map(data.get("colour_map")),
+            data.get("share", 1e-3),
         )
 
 

@@ -82,7 +82,7 @@ def _orbit_pose(cameras: list[Camera], share: float) -> np.ndarray:
 
 
 def _spiral_pose(cameras: list[Camera], share: float, focus_depth: float) -> np.ndarray:
-    """Two turns of an ellipse in the plane of the cameras, as wide as most of them, looking at a common point (LLFF)."""
+    """Two turns of an ellipse in the plane of the cameras, as wide as most, looking at a common point (LLFF)."""
     poses = np.array([c.world_from_camera for c in cameras])
     centre, forward, up = poses[:, :3, 3].mean(0), _unit(poses[:, :3, 2].mean(0)), average_up(cameras)
     base = look_at(centre, centre + forward, up)

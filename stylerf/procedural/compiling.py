@@ -2,10 +2,14 @@
 
 `compiled` is a kernel function called by kernels only: leaving out its wrappers for Python and C takes a tenth off the
 compilation. `released` is one called from Python, during which other Python threads run.
-Infinities and NaN must not occur in any of them (fastmath).
+Infinities and NaN must not occur in any of them (fast-math).
 """
 
-from numba import njit
+import numba
 
-compiled = njit(cache=True, fastmath=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
-released = njit(cache=True, fastmath=True, error_model="numpy", nogil=True)
+from stylerf.kernels.cpu.compiling import FAST
+
+compiled = numba.njit(
+    cache=True, fastmath=FAST, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True
+)
+released = numba.njit(cache=True, fastmath=FAST, error_model="numpy", nogil=True)

@@ -33,7 +33,6 @@ def render_view(
     *,
     chunks: int,
     opaque: float = 1e-3,
-    share: float = 1e-3,
     rays_at_once: int = RAYS_AT_ONCE,
     on_rays: Callable[[int], None] = lambda done: None,
 ) -> RenderedView:
@@ -43,7 +42,7 @@ def render_view(
     for at in range(0, len(origins), rays_at_once):
         part = slice(at, at + rays_at_once)
         rays = Rays.of(origins[part], directions[part], field.space.near)
-        out[part] = render_rays(field, rays, chunks=chunks, opaque=opaque, share=share).out
+        out[part] = render_rays(field, rays, chunks=chunks, opaque=opaque, share=field.share).out
         on_rays(min(at + rays_at_once, len(origins)))
     out = out.reshape(camera.height, camera.width, 5)
     alpha = np.clip(out[..., 3], 0, 1)

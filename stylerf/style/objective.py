@@ -29,7 +29,8 @@ class StyleWeights:
 class StyleObjective:
     """Loss of a picture [3, h, w] against a painting, with the painting's features computed once.
 
-    scale: size of the picture that features are taken from (0.5: ARF). most_rows: style features kept for matching.
+    scale: size of the picture that features are taken from (0.5: ARF). most_rows: style features kept for matching;
+    basis: leading directions in which neighbours are sought (0: all, exact).
     """
 
     def __init__(
@@ -40,6 +41,7 @@ class StyleObjective:
         weights: StyleWeights,
         scale: float = 0.5,
         most_rows: int = 4096,
+        basis: int = 96,
         style_scale: float = 1.0,
         seed: int = 0,
     ) -> None:
@@ -47,7 +49,10 @@ class StyleObjective:
         picture = style_picture(painting, *size, scale=scale * style_scale)
         with torch.no_grad():
             found = by_block(trunk.taps, trunk(picture[None]))
-        self.style: dict[str, StyleRows] = {b: style_rows(f, most_rows, seed=seed) for b, f in found.items()}
+        self.style: dict[str, StyleRows] = {}
+        for block, feature in found.items():
+            rows = style_rows(feature, most_rows, seed=seed)
+            self.style[block] = rows.with_basis(basis) if 0 < basis < feature.shape[0] else rows
 
     def features_of(self, picture: Tensor) -> dict[str, Tensor]:
         """Features by block of a picture [3, h, w], at the feature scale."""

@@ -47,10 +47,11 @@ class StyleSettings:
     remember: bool = True
     match: str = "both"
     weights: StyleWeights = field(default_factory=StyleWeights)
-    share: float = 0.1
+    share: float = 0.3
     feature_scale: float = 0.5
     style_scale: float = 1.0
     style_rows: int = 4096
+    style_basis: int = 96
 
 
 @dataclass
@@ -81,7 +82,9 @@ class Stylizer:
     ) -> None:
         self.settings, self.seed, self.chunks, self.background = settings, seed, chunks, np.float32(background)
         self.cameras, self.painting, self.trunk = cameras, painting, trunk
-        self.field = replace(scene, colour=new_colour(np.random.default_rng([seed, 1])), colour_map=None)
+        self.field = replace(
+            scene, colour=new_colour(np.random.default_rng([seed, 1])), colour_map=None, share=settings.share
+        )
         self.closed = scene.closed
         self.geometry = FixedGeometry(self.field, cameras, settings.share, chunks)
         self.adam = Adam(self.field.colour.values, self.field.colour.groups(), chunks)
@@ -199,7 +202,15 @@ class Stylizer:
         if self._objective is None:
             s, size = self.settings, (self.cameras[0].height, self.cameras[0].width)
             self._objective = StyleObjective(
-                self.trunk, self.painting, size, s.weights, s.feature_scale, s.style_rows, s.style_scale, self.seed
+                self.trunk,
+                self.painting,
+                size,
+                s.weights,
+                s.feature_scale,
+                s.style_rows,
+                s.style_basis,
+                s.style_scale,
+                self.seed,
             )
         return self._objective
 

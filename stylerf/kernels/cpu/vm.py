@@ -109,7 +109,7 @@ def march_density(
     sigma,
     weights,
 ):
-    """Walk each ray front to back until its transmittance is under `opaque`, its span ends or `limit` samples lie on it.
+    """Walk each ray front to back until transmittance is under `opaque`, its span ends or `limit` samples lie on it.
 
     Ray r's samples are starts[r]:ends[r] of t_out, optical (optical length of unit raw density), x (position in the
     cube, displaced), sigma (raw density) and weights (T (1 - exp(-sigma optical))). Each chunk of rays packs its
