@@ -59,7 +59,8 @@ def test_every_command_is_one_that_its_verb_takes(tmp_path):
         if module.CONFIG is not None and verb != "render":
             build_config(module.CONFIG, args, {}, "")
     assert calls[0][1:3] == ["some photos", "work"] and calls[1][1:4] == ["work", "--budget", "60s"]
-    assert calls[4][3] == calls[5][3] == "starry-night.v2-arf"  # what stylize calls the field: painting's stem and method
+    # What stylize calls the field: the painting's stem and the method.
+    assert calls[4][3] == calls[5][3] == "starry-night.v2-arf"
 
 
 @pytest.mark.parametrize("verb", ["import", "fit", "stylize", "render", "eval", "verify"])
