@@ -1,5 +1,6 @@
 """`stylerf stylize WORK --style IMAGE`: the scene in a painting's colours and strokes."""
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -32,7 +33,7 @@ def run(args, session) -> dict:
     field = session.work.find("field", args.of) if args.of else ensure_field(session, scene)
     config = replace(session.config, style=str(style.resolve()), style_digest=file_sha256(style))
     made = session.run(
-        stylize.SPEC, stylize.run, {"scene": scene, "field": field}, config, f"{style.stem}-{config.method}"
+        stylize.SPEC, stylize.run, {"scene": scene, "field": field}, config, f"{_name_of(style)}-{config.method}"
     )
     figures = made.manifest.figures
     result = {"field": made.path, "name": made.name, "figures": figures, "seconds": made.manifest.seconds}
@@ -41,3 +42,8 @@ def run(args, session) -> dict:
         f"{figures['train_seconds']:.0f} s, features {figures['features']['name']}\n  {made.path}"
     )
     return session.emit(result, words)
+
+
+def _name_of(style: Path) -> str:
+    """The painting's file name as an artefact's name may be written."""
+    return re.sub(r"[^A-Za-z0-9._+-]+", "_", style.stem).strip("._+-") or "style"
