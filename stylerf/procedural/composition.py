@@ -60,7 +60,8 @@ def _wobble(u, v, random, cycles):
 def _sky(u, v, random, suns):
     """Stream function of the sky: whirls around eddies and suns on a drift to the right."""
     stream = 0.95 * v + 0.07 * np.sin(2 * np.pi * (1.1 * u + 0.25)) + 0.012 * _wobble(u, v, random, 2.2)
-    for at, radius, strength in (((0.43, 0.25), 0.115, 0.34), ((0.585, 0.385), 0.075, -0.2), ((0.24, 0.43), 0.07, 0.15)):
+    swirls = (((0.43, 0.25), 0.115, 0.34), ((0.585, 0.385), 0.075, -0.2), ((0.24, 0.43), 0.07, 0.15))
+    for at, radius, strength in swirls:
         at = (at[0] + random.normal(0, 0.012), at[1] + random.normal(0, 0.012))
         stream = stream + strength * _bump(u, v, at, radius)
     for at, radius in suns:
@@ -135,7 +136,8 @@ def _outlines(regions, names, glow, streams, size) -> list[np.ndarray]:
     for level in np.arange(-0.4, 1.4, 1 / 7):
         curves += find_contours(sky, level)
     for name, levels in (("far hill", np.arange(0.05, 0.3, 0.05)), ("field", np.arange(-3, 3, 0.2)),
-                         ("near hill", np.arange(0.02, 0.4, 0.055)), ("range", np.arange(-0.2, 0.9, 0.12))):  # fmt: skip
+                         ("near hill", np.arange(0.02, 0.4, 0.055)),
+                         ("range", np.arange(-0.2, 0.9, 0.12))):  # fmt: skip
         inside = np.where(regions == names.index(name), streams[name], np.nan)
         for level in levels:
             curves += find_contours(inside, level)
