@@ -7,7 +7,7 @@ A verb module has NAME, HELP (one line, the same as here), CONFIG (its stage's c
 
 # verb: (module, help)
 VERBS: dict[str, tuple[str, str]] = {
-    "import": ("stylerf_cli.verbs.import_", "bring photos with their camera poses into a work folder"),
+    "import": ("stylerf_cli.verbs.import_", "bring photos into a work folder, with their camera poses"),
     "show": ("stylerf_cli.verbs.show", "tell what a work folder or an artefact holds"),
     "verify": ("stylerf_cli.verbs.verify", "check every file of an artefact or a work folder against its digest"),
     "doctor": ("stylerf_cli.verbs.doctor", "tell what is installed, what is missing, and how to get it"),
