@@ -14,12 +14,11 @@ from stages.scenes import SceneData, load_scene
 from stages.spaces import space_of
 from stylerf.errors import Diverged
 from stylerf.kernels.cpu.compiling import compiling_note, set_threads
-from stylerf.training.fit import LADDER, Fitter, FitSettings, Rung
+from stylerf.training.fit import LADDER, FitSettings, Fitter, Rung
 from stylerf.training.rays import RayBank
 
 SPEC = Spec(stage="nerf_fit", verb="fit", revision=1, writes="field")
-OBJECT = {"rays": 8192, "rate": 2e-2, "smoothness": (0.0, 0.0)}
-CAPTURE = {"rays": 2048, "rate": 4e-2, "smoothness": (0.3, 0.03)}
+RATE = {"object": 2e-2, "forward": 4e-2, "unbounded": 4e-2}
 
 
 def run(inputs: dict[str, Artefact], config: FitConfig, partial: Partial, context: Context) -> dict:
@@ -74,7 +73,6 @@ def _train(fitter: Fitter, config: FitConfig, partial: Partial, context: Context
 
 def _settings(config: FitConfig, scene: SceneData) -> FitSettings:
     seconds, steps = budget_of(config.budget)
-    preset = OBJECT if scene.layout == "object" else CAPTURE
     fixed = capacity_of(config.capacity)
     if scene.background == "none":
         background = "none"
@@ -83,8 +81,13 @@ def _settings(config: FitConfig, scene: SceneData) -> FitSettings:
     else:
         background = "white" if config.background == "auto" else config.background
     return FitSettings(
-        seconds=seconds or 1.0, steps=steps, rays=config.rays or preset["rays"], rate=config.rate or preset["rate"],
-        degree=config.degree, smoothness=preset["smoothness"], min_gain=config.min_gain, background=background,
+        seconds=seconds or 1.0,
+        steps=steps,
+        samples=config.samples,
+        rate=config.rate or RATE[scene.layout],
+        degree=config.degree,
+        min_gain=config.min_gain,
+        background=background,
         ladder=LADDER if fixed is None else _fixed_ladder(*fixed),
         shares=FitSettings.shares if fixed is None else tuple(FitSettings.shares[: len(_fixed_ladder(*fixed)) - 1]),
         always_climb=fixed is not None,
@@ -94,8 +97,9 @@ def _settings(config: FitConfig, scene: SceneData) -> FitSettings:
 def _fixed_ladder(resolution: int, density: int, colour: int) -> tuple[Rung, ...]:
     """Coarse to fine towards one capacity: the same end, reached sooner than by starting there."""
     coarser = [n for n in (64, 128, 192) if n < resolution]
-    return tuple(Rung(n, min(density, 8) if n == 64 else density, min(colour, 16) if n == 64 else colour)
-                 for n in coarser) + (Rung(resolution, density, colour),)
+    return tuple(
+        Rung(n, min(density, 8) if n == 64 else density, min(colour, 16) if n == 64 else colour) for n in coarser
+    ) + (Rung(resolution, density, colour),)
 
 
 def _held_out(train: list[int], wanted: int) -> list[int]:
@@ -125,9 +129,18 @@ def _figures(fitter: Fitter, held_out: list[int], reason: str) -> dict:
     decided = [p["psnr"] for p in curve if p["held_out"]]
     rung = fitter.settings.ladder[state.rung]
     return {
-        "steps": state.step, "train_seconds": round(state.seconds, 2), "parameters": fitter.field.parameters,
-        "held_out_psnr": decided[-1] if decided else None, "curve": curve, "decisions": state.decisions,
-        "resolution": rung.resolution, "density_rank": rung.density_rank, "colour_rank": rung.colour_rank,
-        "occupied_share": round(fitter.field.occupancy.share, 4), "rollbacks": state.rollbacks,
-        "held_out_views": len(held_out), "space": fitter.space.kind, "space_reason": reason,
+        "steps": state.step,
+        "train_seconds": round(state.seconds, 2),
+        "parameters": fitter.field.parameters,
+        "held_out_psnr": decided[-1] if decided else None,
+        "curve": curve,
+        "decisions": state.decisions,
+        "resolution": rung.resolution,
+        "density_rank": rung.density_rank,
+        "colour_rank": rung.colour_rank,
+        "occupied_share": round(fitter.field.occupancy.share, 4),
+        "rollbacks": state.rollbacks,
+        "held_out_views": len(held_out),
+        "space": fitter.space.kind,
+        "space_reason": reason,
     }

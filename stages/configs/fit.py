@@ -11,26 +11,36 @@ class FitConfig:
     """How a radiance field is fitted to a scene."""
 
     budget: str = option("5m", help="training time (60s, 5m, 1h) or a number of steps; the quality of longer is higher")
-    capacity: str = option("grow", metavar="grow|fixed:N[xD[xC]]", help="grow while held-out views gain, or N vertices "
-                           "an axis at density rank D and colour rank C")
+    capacity: str = option(
+        "grow",
+        metavar="grow|fixed:N[xD[xC]]",
+        help="grow while held-out views gain, or N vertices an axis at density rank D and colour rank C",
+    )
     min_gain: float = option(0.1, help="dB that held-out views must gain for a larger field to be kept")
-    space: str = option("auto", choices=("auto", "box", "contraction", "frustum"), help="warp of space (auto: by the "
-                        "scene's layout)")
-    background: str = option("auto", choices=("auto", "white", "black", "random"), help="what transparent pixels are "
-                             "trained on (auto: white)")
+    space: str = option(
+        "auto", choices=("auto", "box", "contraction", "frustum"), help="warp of space (auto: by the scene's layout)"
+    )
+    background: str = option(
+        "auto",
+        choices=("auto", "white", "black", "random"),
+        help="what transparent pixels are trained on (auto: white)",
+    )
     degree: int = option(1, choices=(0, 1, 2), help="degree of the spherical harmonics of the colour")
-    rays: int = option(0, help="rays a step (0: 8192 for objects, 2048 for captures)")
+    samples: int = option(90_000, help="density samples a step; the number of rays follows from it")
     rate: float = option(0.0, help="learning rate (0: by the scene's layout)")
-    held_out: int = option(-1, help="training views kept aside for decisions until the last quarter (-1: every tenth, "
-                           "at most 4)")
+    held_out: int = option(
+        -1, help="training views kept aside for decisions until the last quarter (-1: every tenth, at most 4)"
+    )
     checkpoint_every_seconds: float = option(15.0, help="time between checkpoints")
     buffers: bool = option(True, help="also render every view to EXR when the field stands")
 
     def __post_init__(self) -> None:
         budget_of(self.budget)
         capacity_of(self.capacity)
-        if not (self.min_gain >= 0 and self.checkpoint_every_seconds > 0 and self.rays >= 0 and self.rate >= 0):
-            raise ValueError("min_gain, rays and rate must not be negative, and checkpoint_every_seconds positive")
+        if not (self.min_gain >= 0 and self.checkpoint_every_seconds > 0 and self.samples >= 1000 and self.rate >= 0):
+            raise ValueError(
+                "min_gain and rate must not be negative, checkpoint_every_seconds positive, samples 1000 or more"
+            )
 
 
 def budget_of(text: str) -> tuple[float, int]:

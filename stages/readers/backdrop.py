@@ -44,7 +44,7 @@ class Backdrop:
         """Sets kind and cuts_out; BadInput where alpha was asked for and no picture has any."""
         count = len(self._white)
         if self.wanted == "alpha" and not self._with_alpha:
-            raise BadInput("--background alpha: no photo has transparency or a mask; add masks/NAME.png, or leave it out")
+            raise BadInput("--background alpha: no photo has transparency or a mask; add masks/NAME.png, or drop it")
         if self._with_alpha:
             self.kind = "alpha" if self.wanted in ("auto", "alpha") else self.wanted
             # Masks of single photos hide passers-by; only where most have one is it the object that is cut out.

@@ -4,7 +4,7 @@ import numpy as np
 
 from stylerf.errors import InvalidValue
 
-# Largest entry of |R R^T - 1| that is taken for rounding: files with five digits reach 1e-4, a real fault 1e-2 and more.
+# Largest entry of |R R^T - 1| taken for rounding: files with five digits reach 1e-4, a real fault 1e-2 and more.
 ROTATION_TOLERANCE = 2e-3
 
 _OPENCV_FROM_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])

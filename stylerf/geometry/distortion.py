@@ -100,7 +100,9 @@ def from_colmap(model: str, params: list[float]) -> tuple[tuple[float, float, fl
     count = shared.get(model, separate.get(model))
     if count is None:
         known = ", ".join([*shared, *separate])
-        raise InvalidValue(f"its camera model {model} is not known; undistort the pictures first, or use one of {known}")
+        raise InvalidValue(
+            f"its camera model {model} is not known; undistort the pictures first, or use one of {known}"
+        )
     lead = 3 if model in shared else 4
     if len(params) != lead + count:
         raise InvalidValue(f"camera model {model} takes {lead + count} parameters, found {len(params)}")
@@ -136,7 +138,7 @@ def pinhole_of(
                 ideal = np.nan_to_num(ideal, nan=np.inf if far_side else -np.inf)
             if np.isnan(ideal).any():
                 raise InvalidValue(
-                    "its distortion coefficients fold the picture at its edge; check k1, k2, p1, p2 and the focal length"
+                    "its distortion coefficients fold the picture at its edge; check k1, k2, p1, p2, the focal length"
                 )
             (upper if far_side else lower).append(ideal.min() if far_side else ideal.max())
     lower, upper = np.maximum(lower, -WIDEST_SLOPE), np.minimum(upper, WIDEST_SLOPE)

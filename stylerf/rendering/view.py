@@ -28,8 +28,13 @@ class RenderedView:
 
 
 def render_view(
-    field: RadianceField, camera: Camera, *, chunks: int, opaque: float = 1e-3, share: float = 1e-3,
-    rays_at_once: int = RAYS_AT_ONCE, on_rays: Callable[[int], None] = lambda done: None,
+    field: RadianceField,
+    camera: Camera,
+    *,
+    chunks: int,
+    opaque: float = 1e-3,
+    rays_at_once: int = RAYS_AT_ONCE,
+    on_rays: Callable[[int], None] = lambda done: None,
 ) -> RenderedView:
     """Render every pixel centre of a camera; memory is bounded by rays_at_once. on_rays: told after each part."""
     origins, directions = camera.rays()
@@ -37,7 +42,7 @@ def render_view(
     for at in range(0, len(origins), rays_at_once):
         part = slice(at, at + rays_at_once)
         rays = Rays.of(origins[part], directions[part], field.space.near)
-        out[part] = render_rays(field, rays, chunks=chunks, opaque=opaque, share=share).out
+        out[part] = render_rays(field, rays, chunks=chunks, opaque=opaque, share=field.share).out
         on_rays(min(at + rays_at_once, len(origins)))
     out = out.reshape(camera.height, camera.width, 5)
     alpha = np.clip(out[..., 3], 0, 1)

@@ -9,6 +9,7 @@ NAME = "import"
 HELP = "bring photos into a work folder, with their camera poses"
 CONFIG = ImportOptions
 SCENE = "main"
+_DEFAULTS = ImportOptions()
 
 
 def add_arguments(parser) -> None:
@@ -21,11 +22,8 @@ def add_arguments(parser) -> None:
 def run(args, session) -> dict:
     """{"scene": name, "path", "digest", "seconds", ...figures of the import}."""
     from stages import pose_import
-    from stages.readers.digest import digest_of_source
 
-    source = args.source.resolve()
-    digest = digest_of_source(source, session.config.images)
-    config = ImportConfig(**asdict(session.config), source=str(source), source_digest=digest)
+    config = config_for(args.source, session.config)
     artefact = session.run(pose_import.SPEC, pose_import.run, {}, config, SCENE)
     figures = artefact.manifest.figures
     result = {
@@ -33,6 +31,16 @@ def run(args, session) -> dict:
         "seconds": artefact.manifest.seconds, **figures,
     }  # fmt: skip
     return session.emit(result, _words(result))
+
+
+def config_for(source: Path, options: ImportOptions = _DEFAULTS) -> ImportConfig:
+    """The options of an import with its source and the source's digest, so that changed photos are seen."""
+    from stages.readers.digest import digest_of_source
+
+    source = source.resolve()
+    return ImportConfig(
+        **asdict(options), source=str(source), source_digest=digest_of_source(source, options.images)
+    )
 
 
 def _words(result: dict) -> str:

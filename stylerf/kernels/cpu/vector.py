@@ -183,3 +183,47 @@ def dot_rows(typing, a, a_at, b, b_at, ranks):
         return rows.total(rows.mul(first, second))
 
     return types.float32(a, _INDEX, b, _INDEX, ranks), generate
+
+
+class _Cell:
+    """The eight rows around a point of a grid of vertices, and their trilinear weights."""
+
+    def __init__(self, rows, offsets, fx, fy, fz) -> None:
+        one = ir.Constant(_FLOAT, 1.0)
+        sides = [(rows.sub(one, f), f) for f in (fx, fy, fz)]
+        self.rows, self.offsets = rows, offsets
+        self.weights = [rows.mul(rows.mul(sides[0][c >> 2], sides[1][(c >> 1) & 1]), sides[2][c & 1]) for c in range(8)]
+
+
+_CELL = (*(_INDEX,) * 8, _SCALAR, _SCALAR, _SCALAR)  # offsets of the corners (x slowest, z fastest), fx, fy, fz
+
+
+@intrinsic
+def trilinear_row(typing, table, o0, o1, o2, o3, o4, o5, o6, o7, fx, fy, fz, out, at, ranks):
+    """out[at + r] = trilinear mix of eight rows of the table."""
+
+    def generate(context, builder, sig, args):
+        rows = _Rows(builder, sig.args[-1].count)
+        cell = _Cell(rows, args[1:9], *args[9:12])
+        pointer = _data(context, builder, sig.args[0], args[0])
+        mixed = rows.mix(cell.weights, [rows.load(pointer, o) for o in cell.offsets])
+        rows.store(_data(context, builder, sig.args[12], args[12]), args[13], mixed)
+        return context.get_dummy_value()
+
+    return types.void(table, *_CELL, out, _INDEX, ranks), generate
+
+
+@intrinsic
+def trilinear_row_backward(typing, buffer, at, o0, o1, o2, o3, o4, o5, o6, o7, fx, fy, fz, gradients, row, ranks):
+    """Add dL/d(table) of trilinear_row to buffer[at:], laid out as the table; gradients[row + r] = dL/d(out_r)."""
+
+    def generate(context, builder, sig, args):
+        rows = _Rows(builder, sig.args[-1].count)
+        cell = _Cell(rows, args[2:10], *args[10:13])
+        target = builder.gep(_data(context, builder, sig.args[0], args[0]), [args[1]])
+        gradient = rows.load(_data(context, builder, sig.args[13], args[13]), args[14])
+        for offset, weight in zip(cell.offsets, cell.weights):
+            rows.add_to(target, offset, rows.mul(rows.splat(weight), gradient))
+        return context.get_dummy_value()
+
+    return types.void(buffer, _INDEX, *_CELL, gradients, _INDEX, ranks), generate
