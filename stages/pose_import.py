@@ -13,11 +13,13 @@ from schemas.store import Artefact, Partial
 from schemas.tensors import save_tensors
 from stages.configs.pose_import import ImportConfig
 from stages.progress import Context
-from stages.readers import read_source
+from stages.readers import detected, read_source
 from stages.readers.backdrop import Backdrop
+from stages.readers.photo_folder import photos_of
 from stages.readers.photos import Developer, Sized, present, scale_of, scene_camera, sized
 from stages.readers.source import SourceCamera, SourceScene, natural
 from stages.runner import Spec
+from stages.sfm import reconstructed
 from stylerf.errors import InvalidValue
 from stylerf.geometry import normalise
 from stylerf.geometry.cameras import Camera
@@ -40,7 +42,22 @@ class Frame:
 
 def run(inputs: dict[str, Artefact], config: ImportConfig, partial: Partial, context: Context) -> dict:
     """Writes scene.json, images/, points.safetensors and truth/ where there are any; returns the figures."""
-    return import_scene(read_source(Path(config.source), config.format, config.images), config, partial, context)
+    return import_scene(_source(config, partial, context), config, partial, context)
+
+
+def _source(config: ImportConfig, partial: Partial, context: Context) -> SourceScene:
+    source = Path(config.source)
+    found = detected(source) if config.format == "auto" else [config.format]
+    if not found or found[0] == "photos":
+        photos = photos_of(source, config.images)
+        return reconstructed(
+            photos, source, partial.checkpoint, context, matching=config.matching, side=config.sfm_side,
+            features=config.sfm_features, shared=config.one_camera,
+        )  # fmt: skip
+    scene = read_source(source, found[0], config.images)
+    also = f" (also there: {', '.join(found[1:])}; --format takes another)" if found[1:] else ""
+    context.progress.say(f"found {scene.kind}{also}")
+    return scene
 
 
 def import_scene(source: SourceScene, config: ImportConfig, partial: Partial, context: Context) -> dict:
@@ -68,7 +85,8 @@ def import_scene(source: SourceScene, config: ImportConfig, partial: Partial, co
         bounds=bounds,
         background=backdrop.kind,
         scene_from_source=as_matrix(frame.scene_from_source),
-        skipped=tuple(Skipped(one.source, "no such image file") for one in missing),
+        skipped=tuple(Skipped(one.source, "no such image file") for one in missing)
+        + tuple(Skipped(*one) for one in source.skipped),
         truth=Truth("truth/depth_000.exr" if depths else None),
         sfm=source.sfm,
     )
@@ -219,7 +237,7 @@ def _figures(source: SourceScene, scene: Scene, depths: int) -> dict:
         "views": len(scene.views),
         "train": len(scene.split("train")),
         "test": len(scene.split("test")),
-        "skipped": [one.source for one in scene.skipped],
+        "skipped": [f"{one.source}: {one.reason}" for one in scene.skipped],
         "sizes": [f"{width}x{height}" for width, height in widths],
         "layout": scene.layout,
         "layout_reason": scene.layout_reason,
@@ -229,5 +247,6 @@ def _figures(source: SourceScene, scene: Scene, depths: int) -> dict:
         "far": scene.bounds.far,
         "points": 0 if source.points is None else len(source.points.xyz),
         "truth_depths": depths,
+        "sfm": source.sfm,
         "filter": "Catmull-Rom where undistorted, then area average; sRGB code values times alpha",
     }

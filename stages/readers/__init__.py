@@ -1,4 +1,4 @@
-"""Readers of posed photos: one module per format, each returning a SourceScene."""
+"""Readers of sources: one module per format of poses, each returning a SourceScene, and one of plain photos."""
 
 from pathlib import Path
 
@@ -8,17 +8,16 @@ from stages.readers.source import SourceScene
 FORMATS = ("transforms", "colmap", "llff")
 
 
-def detected(source: Path) -> str | None:
-    """Which of FORMATS lies at `source` (a folder, or one file of it); None where there are no poses."""
+def detected(source: Path) -> list[str]:
+    """Which of FORMATS lie at `source` (a folder, or one file of it), the most telling first; none: no poses.
+
+    transforms.json tells lens and splits, a COLMAP model lens and points, LLFF neither.
+    """
     if source.is_file():
-        if source.suffix == ".json":
-            return "transforms"
-        return "llff" if source.name == "poses_bounds.npy" else None
-    if any(source.glob("transforms*.json")):
-        return "transforms"
-    if model_folder(source) is not None:
-        return "colmap"
-    return "llff" if (source / "poses_bounds.npy").is_file() else None
+        named = {"poses_bounds.npy": ["llff"]}.get(source.name, [])
+        return ["transforms"] if source.suffix == ".json" else named
+    signs = (any(source.glob("transforms*.json")), model_folder(source), (source / "poses_bounds.npy").is_file())
+    return [kind for kind, sign in zip(FORMATS, signs, strict=True) if sign]
 
 
 def model_folder(source: Path) -> Path | None:
@@ -36,7 +35,7 @@ def read_source(source: Path, format: str = "auto", images: str = "") -> SourceS
     """
     if not source.exists():
         raise BadInput(f"{source} does not exist; give a folder of photos with poses")
-    kind = detected(source) if format == "auto" else format
+    kind = next(iter(detected(source)), None) if format == "auto" else format
     if kind == "transforms":
         from stages.readers.transforms import read
     elif kind == "colmap":

@@ -48,6 +48,7 @@ class SourceScene:
     """Everything a source tells. kind: in words. keeps_frame: the frame is that of a made scene, worth keeping.
 
     rescalable: photos may be a smaller copy of those that the intrinsics are of. sfm: figures of a reconstruction.
+    skipped: (photo, reason) of those that the reader left out itself.
     """
 
     kind: str
@@ -56,6 +57,7 @@ class SourceScene:
     keeps_frame: bool = False
     rescalable: bool = False
     sfm: dict | None = None
+    skipped: tuple[tuple[str, str], ...] = ()
 
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".bmp", ".jp2", ".exr")

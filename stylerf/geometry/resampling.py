@@ -18,18 +18,26 @@ def shrunk(pixels: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     if height % size[1] == 0 and width % size[0] == 0:
         ky, kx = height // size[1], width // size[0]
         return pixels.reshape(size[1], ky, size[0], kx, -1).mean(axis=(1, 3), dtype=np.float32)
-    rows, columns = _area_weights(height, size[1]), _area_weights(width, size[0])
-    lower = np.einsum("ab,bwc->awc", rows, pixels, optimize=True)
-    return np.ascontiguousarray(np.einsum("dw,awc->adc", columns, lower, optimize=True), dtype=np.float32)
+    lower = _averaged(pixels, *_area_taps(height, size[1]), axis=0)
+    return np.ascontiguousarray(_averaged(lower, *_area_taps(width, size[0]), axis=1))
 
 
-def _area_weights(many: int, few: int) -> np.ndarray:
-    """[few, many] float32: share of pixel j in the interval of pixel i, each row summing to 1."""
+def _area_taps(many: int, few: int) -> tuple[np.ndarray, np.ndarray]:
+    """cells, shares [few, taps]: the pixels under the interval of each new pixel, and their shares, summing to 1."""
     edges = np.arange(few + 1) * (many / few)
     low, high = edges[:-1, None], edges[1:, None]
-    cell = np.arange(many)[None]
-    overlap = np.clip(np.minimum(high, cell + 1) - np.maximum(low, cell), 0, None)
-    return (overlap / overlap.sum(axis=1, keepdims=True)).astype(np.float32)
+    cells = np.floor(low).astype(int) + np.arange(int(np.ceil(many / few)) + 1)
+    overlap = np.clip(np.minimum(high, cells + 1) - np.maximum(low, cells), 0, None)
+    return np.minimum(cells, many - 1), (overlap / overlap.sum(axis=1, keepdims=True)).astype(np.float32)
+
+
+def _averaged(pixels: np.ndarray, cells: np.ndarray, shares: np.ndarray, axis: int) -> np.ndarray:
+    shape = [1, 1, 1]
+    shape[axis] = -1
+    total = 0
+    for taps, weights in zip(cells.T, shares.T, strict=True):
+        total = total + np.take(pixels, taps, axis=axis) * weights.reshape(shape)
+    return total
 
 
 def nearest(values: np.ndarray, size: tuple[int, int]) -> np.ndarray:

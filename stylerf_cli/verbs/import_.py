@@ -1,4 +1,4 @@
-"""`stylerf import SOURCE WORK`: posed photos into a scene."""
+"""`stylerf import SOURCE WORK`: photos, with poses or without, into a scene."""
 
 from dataclasses import asdict
 from pathlib import Path
@@ -6,7 +6,7 @@ from pathlib import Path
 from stages.configs.pose_import import ImportConfig, ImportOptions
 
 NAME = "import"
-HELP = "bring photos with their camera poses into a work folder"
+HELP = "bring photos into a work folder, with their camera poses"
 CONFIG = ImportOptions
 SCENE = "main"
 _DEFAULTS = ImportOptions()
@@ -14,8 +14,8 @@ _DEFAULTS = ImportOptions()
 
 def add_arguments(parser) -> None:
     """SOURCE and WORK."""
-    parser.add_argument("source", type=Path, metavar="SOURCE", help="folder with photos and transforms.json, a COLMAP "
-                        "model (sparse/0) or poses_bounds.npy; or one such file")  # fmt: skip
+    parser.add_argument("source", type=Path, metavar="SOURCE", help="folder of photos, alone or with transforms.json, "
+                        "a COLMAP model (sparse/0) or poses_bounds.npy; or one such file")  # fmt: skip
     parser.add_argument("work", type=Path, metavar="WORK", help="work folder, made where it does not exist")
 
 
@@ -59,5 +59,5 @@ def _words(result: dict) -> str:
         lines.append(f"  truth       {result['truth_depths']} depth images")
     if result["skipped"]:
         names = ", ".join(result["skipped"][:5]) + (", ..." if len(result["skipped"]) > 5 else "")
-        lines.append(f"  skipped     {len(result['skipped'])} without an image file: {names}")
+        lines.append(f"  skipped     {len(result['skipped'])}: {names}")
     return "\n".join(lines)
