@@ -168,7 +168,7 @@ def read_channels(path: Path | str, required: tuple[str, ...]) -> tuple[dict[str
     except (RuntimeError, ValueError, TypeError, MemoryError) as error:
         raise BadInput(f"{path} is no readable EXR ({_one_line(error)}); make or fetch it again") from error
     if len(parts) != 1:
-        raise BadInput(f"{path} is damaged or cut short: {len(parts)} readable parts where 1 was expected")
+        raise BadInput(f"{path} is damaged or no single-part EXR: {len(parts)} readable parts where 1 was expected")
     if missing := [name for name in required if name not in channels]:
         raise BadInput(f"{path} lacks channels {', '.join(missing)}; it holds {', '.join(channels) or 'none'}")
     low, high = header["dataWindow"]

@@ -12,11 +12,12 @@ from pathlib import Path
 import numpy as np
 
 from schemas.atomic import replacing, write_bytes, write_json
+from schemas.errors import UsageError
 from schemas.store import Artefact, Partial
 from stages.configs.evaluate import EvaluateConfig
 from stages.evaluation.figures import Figure, Row, summarise
 from stages.evaluation.lenses import Lenses
-from stages.evaluation.lineage import upstream
+from stages.evaluation.lineage import is_stylised, upstream
 from stages.evaluation.measuring import (
     ViewRow,
     measure_content,
@@ -29,6 +30,7 @@ from stages.evaluation.measuring import (
     pairs_of,
     spoiled_words,
 )
+from stages.evaluation.nets import SMALLEST_SIDE
 from stages.evaluation.page import build_page
 from stages.evaluation.sheet import Sheet, chosen_views
 from stages.evaluation.telling import Presence, curve_of, draw_charts, not_measured, warnings_of
@@ -67,6 +69,7 @@ class Evaluation:
     """One evaluation in progress: what it looks at, and the rows measured so far."""
 
     def __init__(self, inputs: Mapping[str, Artefact], config: EvaluateConfig, context: Context) -> None:
+        _check(config)
         self.inputs, self.config, self.context = dict(inputs), config, context
         self.scene = SceneViews(inputs["scene"])
         self.frames = FrameViews(inputs["frames"], self.scene.background)
@@ -74,7 +77,7 @@ class Evaluation:
         self.path = self._frames("path_frames")
         self.field = inputs.get("field")
         self.lenses = Lenses.found(config, self.field, context)
-        made_by_style = self.field is not None and self.field.manifest.stage == "stylize"
+        made_by_style = self.field is not None and is_stylised(self.field)
         self.stylised = made_by_style or self.base is not None or bool(config.style)
         self.rows: list[Row] = []
         self.reference_rows: list[Row] = []
@@ -163,7 +166,8 @@ class Evaluation:
         ranges = {label: pairs_of(len(self.path), gap, self.config.pairs) for label, gap in gaps.items()}
         self.context.progress.start("warping views", sum(map(len, ranges.values())), "pair")
         size = self.path.render(0).alpha.shape
-        for row in measure_pairs(self.path, ranges, self.lenses.pixel_distance(size), self.config.depth_tolerance):
+        pixels, most = self.lenses.pixel_distance(size), self.config.perceptual_pairs
+        for row in measure_pairs(self.path, ranges, pixels, most, self.config.depth_tolerance):
             self.pairs.append(row)
             self.context.progress.update(len(self.pairs))
         self.context.progress.finish()
@@ -242,6 +246,18 @@ class Evaluation:
             heading = f"{render.name} ({word})" if word else render.name
             sheet.add(heading, self.rows[index], render, photo, self._base_of(render) if self.stylised else None)
         return sheet
+
+
+def _check(config: EvaluateConfig) -> None:
+    for name, value, least in (
+        ("gap", config.gap, 2), ("pairs", config.pairs, 0), ("sheet", config.sheet, 1),
+        ("perceptual-pairs", config.perceptual_pairs, 0),
+        ("style-side", config.style_side, SMALLEST_SIDE),
+    ):  # fmt: skip
+        if value < least:
+            raise UsageError(f"--{name} {value}: expected at least {least}")
+    if not 0 < config.depth_tolerance < 1:
+        raise UsageError(f"--depth-tolerance {config.depth_tolerance:g}: expected a share between 0 and 1")
 
 
 def _write_csv(path: Path, rows: Sequence[Row]) -> None:

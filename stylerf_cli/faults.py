@@ -26,19 +26,14 @@ def told(error: BaseException, argv: list[str], work: Path | None) -> tuple[int,
         return OUT_OF_RESOURCES, "out of memory; use smaller images or a smaller capacity, or free memory"
     if refusal := _refusal_of_disk(error):
         return OUT_OF_RESOURCES, refusal
-    # By name: an import of stylerf.errors here would not be slow, but the mathematics need not be installed to fail.
-    if isinstance(error, _mathematics("InvalidValue")):
+    from stylerf.errors import Diverged, InvalidValue  # late: `--help` must not wait for what stylerf may import
+
+    if isinstance(error, InvalidValue):
         return BAD_INPUT, _one_line(error)
-    if isinstance(error, _mathematics("Diverged")):
+    if isinstance(error, Diverged):
         return FAILED, f"{_one_line(error)}; try another --seed or a smaller learning rate"
     log = _write_crash_log(error, argv, work)
     return FAILED, f"unexpected {type(error).__name__}: {_one_line(error)[:200]}; the full report is in {log}"
-
-
-def _mathematics(name: str) -> type[BaseException]:
-    import stylerf.errors
-
-    return getattr(stylerf.errors, name)
 
 
 def _refusal_of_disk(error: BaseException) -> str | None:

@@ -73,9 +73,7 @@ class Session:
                     f"stylerf {spec.verb} {self.work.root}"
                 )
             self.say(f"{spec.writes} {name} is missing or out of date: running `stylerf {spec.verb}` first")
-        artefact, reused = execute(
-            spec, run, self.work, name, inputs, config, self.context, force=self.force if own else False
-        )
+        artefact, reused = execute(spec, run, self.work, name, inputs, config, self.context, force=own and self.force)
         if reused:
             self.say(f"{spec.writes} {name} stands up to date (--force makes it anew)")
         return artefact

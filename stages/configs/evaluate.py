@@ -15,5 +15,6 @@ class EvaluateConfig:
     perceptual: str = option("auto", choices=("auto", "none"), help="perceptual distances where their weights are here")
     gap: int = option(7, help="frames between the two views of a long-range pair")
     pairs: int = option(24, help="most pairs of views measured per range, evenly spread (0: all)")
+    perceptual_pairs: int = option(8, help="most pairs per range measured by the perceptual distance too (0: all)")
     depth_tolerance: float = option(0.02, help="relative depth difference up to which a warped pixel counts as visible")
     sheet: int = option(6, help="views on the contact sheet: the worst, the best, and others evenly spread")

@@ -1,6 +1,7 @@
 """What an artefact cost: every stage upstream of it with its seconds, memory, size and parameters."""
 
 from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 
 from schemas.errors import StylerfError
@@ -25,6 +26,26 @@ class Made:
     def as_json(self) -> dict:
         """Plain numbers and text."""
         return asdict(self)
+
+
+def fields_behind(field: Artefact) -> list[Artefact]:
+    """The fields that a field was made from, the nearest first; those that are gone are passed over."""
+    found: list[Artefact] = []
+    waiting = [field]
+    while waiting:
+        artefact = waiting.pop(0)
+        work = Work(artefact.path.parent.parent)
+        for ref in artefact.manifest.inputs:
+            if ref.kind == "field":
+                with suppress(StylerfError):
+                    found.append(work.get(ref.kind, ref.name))
+                    waiting.append(found[-1])
+    return found
+
+
+def is_stylised(field: Artefact) -> bool:
+    """Whether a field, or one that it was made from, came out of the stylize stage."""
+    return any(one.manifest.stage == "stylize" for one in [field, *fields_behind(field)])
 
 
 def upstream(artefacts: Iterable[Artefact]) -> list[Made]:

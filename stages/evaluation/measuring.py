@@ -114,37 +114,45 @@ def measure_see_through(row: ViewRow, render: Render, other: Render) -> None:
 
 def pairs_of(count: int, gap: int, most: int) -> list[tuple[int, int]]:
     """Pairs (k, k + gap) among `count` frames, at most `most` (0: all), evenly spread."""
-    starts = np.arange(max(0, count - gap))
-    if most and len(starts) > most:
-        starts = np.unique(np.linspace(0, len(starts) - 1, most).round().astype(int))
-    return [(int(k), int(k) + gap) for k in starts]
+    return [(k, k + gap) for k in spread(max(0, count - gap), most)]
+
+
+def spread(count: int, most: int) -> list[int]:
+    """At most `most` (0: all) of the numbers below `count`, evenly spread from the first to the last."""
+    if most == 0 or count <= most:
+        return list(range(count))
+    return sorted({round(place) for place in np.linspace(0, count - 1, most).tolist()})
 
 
 def measure_pairs(
     frames: FrameViews,
     ranges: dict[str, list[tuple[int, int]]],
     perceptual: PixelDistance | None,
+    most_perceptual: int,
     tolerance: float,
 ) -> Iterator[Row]:
-    """One row a pair: `range` (short, long), names, values under `<range>_rmse`, `_perceptual`, `_share`."""
+    """One row a pair: `range` (short, long), names, values under `<range>_rmse`, `_share`, `_perceptual`.
+
+    The perceptual distance, by far the slowest, is taken of at most `most_perceptual` (0: all) pairs a range.
+    """
     last: dict[int, Render] = {}
     for label, pairs in ranges.items():
-        for source, target in pairs:
+        looked_at = spread(len(pairs), most_perceptual) if perceptual is not None else []
+        for place, (source, target) in enumerate(pairs):
+            score = perceptual if place in looked_at else None
             last = {i: last[i] if i in last else frames.render(i) for i in (source, target)}
             a, b = last[source], last[target]
             row = ViewRow(f"{a.name} > {b.name}")
-            keys = tuple(f"{label}_{part}" for part in ("rmse", "perceptual", "share"))
-            if perceptual is None:
-                keys = (keys[0], keys[2])
+            parts = ("rmse", "share") if score is None else ("rmse", "share", "perceptual")
+            keys = tuple(f"{label}_{part}" for part in parts)
             bad = next((view for view in (a, b) if view.spoiled), None)
             if bad is not None:
                 row.spoil(keys, f"{bad.name}: {spoiled_words(bad)}")
             else:
 
-                def values(a: Render = a, b: Render = b) -> tuple:
-                    found = pair_consistency(a.posed(), b.posed(), perceptual, tolerance)
-                    whole = (found.rmse, found.perceptual, found.share)
-                    return whole if perceptual is not None else (found.rmse, found.share)
+                def values(a: Render = a, b: Render = b, score: PixelDistance | None = score) -> tuple:
+                    found = pair_consistency(a.posed(), b.posed(), score, tolerance)
+                    return (found.rmse, found.share, found.perceptual)[: 2 if score is None else 3]
 
                 row.measure(keys, values)
             yield {**row.row(), "range": label, "frame": target}

@@ -39,7 +39,7 @@ def build_page(report: dict, pictures: Pictures) -> str:
     """The page of a report (report.json as a dictionary) with its pictures; HTML 5, UTF-8."""
     title = f"{report['field']} on {report['scene']}"
     sections = [
-        ("pictures", "Held-out views", _sheet(pictures)),
+        ("pictures", "Held-out views", _sheet(pictures, any(view.get("remark") for view in report["views"]))),
         ("figures", "Figures", figures_table(report["figures"])),
         ("charts", "Charts", "".join(_chart(chart) for chart in pictures.charts)),
         ("views", "View by view", views_table(report["views"], report["figures"])),
@@ -113,7 +113,7 @@ def _warnings(warnings: Sequence[str]) -> str:
     )
 
 
-def _sheet(pictures: Pictures) -> str:
+def _sheet(pictures: Pictures, remarked: bool) -> str:
     rows = []
     for row in pictures.sheet:
         cells = "".join(
@@ -124,7 +124,7 @@ def _sheet(pictures: Pictures) -> str:
             f'<section class="sheet"><h3>{escape(row.heading)}</h3>'
             f'<div class="row" style="{_row_style(row.pictures)}">{cells}</div></section>'
         )
-    return _legends(pictures) + "".join(rows) if rows else ""
+    return _legends(pictures, remarked) + "".join(rows) if rows else ""
 
 
 def _row_style(pictures: Sequence[Encoded]) -> str:
@@ -134,7 +134,7 @@ def _row_style(pictures: Sequence[Encoded]) -> str:
     return f"--columns:{columns};max-width:{columns * 22 * aspect:.0f}rem"
 
 
-def _legends(pictures: Pictures) -> str:
+def _legends(pictures: Pictures, remarked: bool) -> str:
     captions = {picture.caption for row in pictures.sheet for picture in row.pictures}
     legends = []
     if any(caption.startswith("error") for caption in captions):
@@ -147,6 +147,8 @@ def _legends(pictures: Pictures) -> str:
         f"</span>{escape(high)}</li>"
         for low, high, bar in legends
     )
+    if remarked:
+        items += "<li>Magenta: pixels that are not finite</li>"
     return f'<ul class="legends">{items}</ul>' if items else ""
 
 

@@ -3,11 +3,10 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from schemas.errors import StylerfError
-from schemas.store import Artefact, Work
+from schemas.store import Artefact
 from stages.evaluation.charts import Chart, bar_chart, curve_chart, pairs_chart
 from stages.evaluation.figures import Row, is_number
-from stages.evaluation.lineage import Made
+from stages.evaluation.lineage import Made, fields_behind
 from stages.evaluation.wording import listed
 
 BAR_FIGURES = {False: ("psnr", "PSNR", "dB"), True: ("nnfm", "NNFM distance to the painting", "")}
@@ -110,8 +109,8 @@ def warnings_of(
     if remarked:
         names = listed([str(row["name"]) for row in remarked])
         found.append(
-            f"{len(remarked)} of {len(rows)} views could not be measured in full and are left out of the means they "
-            f"lack a value for: {names}. {remarked[0]['name']}: {remarked[0]['remark']}."
+            f"{len(remarked)} of {len(rows)} views could not be measured in full ({names}); the means leave out what "
+            f"is missing. {remarked[0]['name']}: {remarked[0]['remark']}."
         )
     spoiled_pairs = [row for row in pairs if row.get("remark")]
     if spoiled_pairs:
@@ -131,20 +130,11 @@ def warnings_of(
 
 def curve_of(field: Artefact | None) -> dict | None:
     """{"of": name, "points": [{seconds, psnr, ...}]} of this field, or of the nearest one it was made from."""
-    waiting = [field] if field is not None else []
-    while waiting:
-        artefact = waiting.pop(0)
+    for artefact in [field, *fields_behind(field)] if field is not None else []:
         points = artefact.manifest.figures.get("curve")
         usable = [point for point in points if _is_point(point)] if isinstance(points, list) else []
         if len(usable) > 1:
             return {"of": artefact.name, "points": sorted(usable, key=lambda point: point["seconds"])}
-        work = Work(artefact.path.parent.parent)
-        for ref in artefact.manifest.inputs:
-            if ref.kind == "field":
-                try:
-                    waiting.append(work.get(ref.kind, ref.name))
-                except StylerfError:
-                    continue  # its absence already stands in the table of stages
     return None
 
 

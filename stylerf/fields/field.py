@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+import torch
 
 from stylerf.fields.hash import HashColour
 from stylerf.fields.matched import INNER_KINDS, MatchedColour
@@ -10,6 +11,7 @@ from stylerf.fields.occupancy import Occupancy
 from stylerf.fields.samples import Rays, Samples
 from stylerf.fields.vm import VmColour, VmDensity
 from stylerf.geometry.space import Space
+from stylerf.style.colour import ColourMap
 
 DENSITY_KINDS = {"vm": VmDensity}
 COLOUR_KINDS = {**INNER_KINDS, "matched": MatchedColour}
@@ -21,7 +23,9 @@ class RadianceField:
     """density and colour may be of different kinds. step: marching step in cube units.
 
     displacement: [m, m, m, 3] float32 on vertices, cube units, added to every position before density and colour are
-    asked (DeSRF's deformation, as a grid), or None.
+    asked (DeSRF's deformation, as a grid), or None. colour_map: affine map of the rendered colours (exact colour
+    matching after a stylisation), or None. share: part of its ray's largest weight that a sample must have to be
+    coloured; what lies below takes the ray's mean.
     """
 
     space: Space
@@ -30,6 +34,8 @@ class RadianceField:
     occupancy: Occupancy
     step: float
     displacement: np.ndarray | None = None
+    colour_map: ColourMap | None = None
+    share: float = 1e-3
 
     @property
     def closed(self) -> bool:
@@ -42,7 +48,9 @@ class RadianceField:
             displacement = (_NO_DISPLACEMENT, 0)
         else:
             displacement = (self.displacement.reshape(-1), self.displacement.shape[0])
-        return self.density.march(self.space, rays, self.occupancy, self.step, displacement, limit, opaque, self.closed, chunks)
+        return self.density.march(
+            self.space, rays, self.occupancy, self.step, displacement, limit, opaque, self.closed, chunks
+        )
 
     @property
     def parameters(self) -> int:
@@ -52,16 +60,29 @@ class RadianceField:
     def describe(self) -> dict:
         """JSON form of everything that is not an array."""
         return {
-            "space": self.space.describe(), "density": self.density.describe(), "colour": self.colour.describe(),
-            "step": self.step, "cells": self.occupancy.cells,
+            "space": self.space.describe(),
+            "density": self.density.describe(),
+            "colour": self.colour.describe(),
+            "step": self.step,
+            "cells": self.occupancy.cells,
+            "share": self.share,
+            "colour_map": None
+            if self.colour_map is None
+            else {
+                "matrix": self.colour_map.matrix.tolist(),
+                "offset": self.colour_map.offset.tolist(),
+            },
         }
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Named arrays that restore() takes."""
-        return {
-            "density": self.density.values, "colour": self.colour.values,
-            "occupancy.highest": self.occupancy.highest, "occupancy.distances": self.occupancy.distances,
+        arrays = {
+            "density": self.density.values,
+            "colour": self.colour.values,
+            "occupancy.highest": self.occupancy.highest,
+            "occupancy.distances": self.occupancy.distances,
         }
+        return arrays if self.displacement is None else arrays | {"displacement": self.displacement}
 
     @staticmethod
     def restore(data: dict, arrays: dict[str, np.ndarray]) -> "RadianceField":
@@ -72,5 +93,13 @@ class RadianceField:
             Space.restore(data["space"]),
             DENSITY_KINDS[data["density"]["kind"]].restore(data["density"], arrays["density"]),
             COLOUR_KINDS[data["colour"]["kind"]].restore(data["colour"], arrays["colour"]),
-            occupancy, data["step"],
+            occupancy,
+            data["step"],
+            arrays.get("displacement"),
+            _colour_map(data.get("colour_map")),
+            data.get("share", 1e-3),
         )
+
+
+def _colour_map(data: dict | None) -> ColourMap | None:
+    return None if data is None else ColourMap(torch.tensor(data["matrix"]), torch.tensor(data["offset"]))

@@ -67,16 +67,12 @@ class HashColour:
         basis: not used, the colour is the same from everywhere.
         """
         out = np.empty((len(x), 3), np.float32)
-        kernels.colour(
-            self.values, self.layout, self._levels, x, starts, ends, weights, np.float32(least), chunks, out
-        )
+        kernels.colour(self.values, self.layout, self._levels, x, starts, ends, weights, np.float32(least), chunks, out)
         return out
 
     def backward(self, x, basis, starts, ends, colours, colour_gradients, to: np.ndarray) -> None:
         """Add dL/d(values) to the chunks' buffers `to` [chunks, len(values)]."""
-        kernels.colour_backward(
-            self.layout, self._levels, x, starts, ends, colours, colour_gradients, len(to), to
-        )
+        kernels.colour_backward(self.layout, self._levels, x, starts, ends, colours, colour_gradients, len(to), to)
 
     def colours_at(self, x: np.ndarray, chunks: int) -> np.ndarray:
         """[n, 3] colours of packed warped points [n, 3] float32."""
@@ -98,7 +94,11 @@ class HashColour:
 
     def describe(self) -> dict:
         return {
-            "kind": self.kind, "levels": self.levels, "base": self.base, "finest": self.finest, "table": self.table,
+            "kind": self.kind,
+            "levels": self.levels,
+            "base": self.base,
+            "finest": self.finest,
+            "table": self.table,
         }
 
     @classmethod

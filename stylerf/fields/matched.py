@@ -60,7 +60,9 @@ class MatchedColour:
 
     def describe(self) -> dict:
         return {
-            "kind": self.kind, "matrix": self.matrix.tolist(), "offset": self.offset.tolist(),
+            "kind": self.kind,
+            "matrix": self.matrix.tolist(),
+            "offset": self.offset.tolist(),
             "inner": self.inner.describe(),
         }
 

@@ -21,7 +21,7 @@ class Occupancy:
         self.highest = np.full(cells**3, np.inf, np.float32) if highest is None else highest
         self.distances = np.zeros(cells**3, np.uint8)
 
-    def refresh(self, density, step: float, seed: int, share: int, chunks: int, decay: float) -> None:
+    def refresh(self, density, step: float, seed: int, share: int, decay: float) -> None:
         """Look at one cell in `share` (plus, when share > 1, nothing else), then decide what is occupied.
 
         density: callable of warped points [n, 3] -> raw density. seed: decides the cells and the points in them.

@@ -44,7 +44,12 @@ class Samples:
         n = rays * limit
         one = [np.empty(n, np.float32) for _ in range(4)]
         return Samples(
-            np.empty(rays, np.int64), np.empty(rays, np.int64), one[0], one[1], np.empty((n, 3), np.float32), one[2],
+            np.empty(rays, np.int64),
+            np.empty(rays, np.int64),
+            one[0],
+            one[1],
+            np.empty((n, 3), np.float32),
+            one[2],
             one[3],
         )
 

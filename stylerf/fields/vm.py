@@ -117,10 +117,33 @@ class VmDensity:
         samples = Samples.empty(n, limit)
         flat, cells = displacement
         kernels.march_density(
-            space.code, space.packed(), rays.origins, rays.directions, rays.jitter, rays.near, np.float32(space.far),
-            np.float32(step), occupancy.distances, occupancy.cells, limit, self.table, self.size, self.values[-1],
-            self._ranks, flat, cells, np.float32(opaque), closed, chunks, samples.starts, samples.ends, samples.t,
-            samples.optical, samples.x, samples.sigma, samples.weights,
+            space.code,
+            space.packed(),
+            rays.origins,
+            rays.directions,
+            rays.jitter,
+            rays.near,
+            np.float32(space.far),
+            np.float32(step),
+            occupancy.distances,
+            occupancy.cells,
+            limit,
+            self.table,
+            self.size,
+            self.values[-1],
+            self._ranks,
+            flat,
+            cells,
+            np.float32(opaque),
+            closed,
+            chunks,
+            samples.starts,
+            samples.ends,
+            samples.t,
+            samples.optical,
+            samples.x,
+            samples.sigma,
+            samples.weights,
         )
         return samples
 
@@ -197,15 +220,36 @@ class VmColour:
         """[n, 3] colours in 0..1 of samples with weight > least; others have -1 in the first channel."""
         out = np.empty((len(x), 3), np.float32)
         kernels.colour(
-            self.table, self.size, self._ranks, self.head, self.values[-3:], basis, x, starts, ends, weights,
-            np.float32(least), chunks, out,
+            self.table,
+            self.size,
+            self._ranks,
+            self.head,
+            self.values[-3:],
+            basis,
+            x,
+            starts,
+            ends,
+            weights,
+            np.float32(least),
+            chunks,
+            out,
         )
         return out
 
     def backward(self, x, basis, starts, ends, colours, colour_gradients, to: np.ndarray) -> None:
         """Add dL/d(values) to the chunks' buffers `to` [chunks, len(values)]."""
         kernels.colour_backward(
-            self.table, self.size, self._ranks, self.head, basis, x, starts, ends, colours, colour_gradients, len(to),
+            self.table,
+            self.size,
+            self._ranks,
+            self.head,
+            basis,
+            x,
+            starts,
+            ends,
+            colours,
+            colour_gradients,
+            len(to),
             to,
         )
 

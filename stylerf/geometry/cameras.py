@@ -77,7 +77,7 @@ class Camera:
         return np.ascontiguousarray(origins, dtype=np.float32), np.ascontiguousarray(directions, dtype=np.float32)
 
     def ray_cosines(self) -> np.ndarray:
-        """Cosine between each pixel's ray and the viewing axis, [height, width] float32: planar Z = distance * cosine."""
+        """Cosine between each pixel's ray and the viewing axis, [height, width] float32: Z = distance * cosine."""
         rows, columns = np.meshgrid(np.arange(self.height) + 0.5, np.arange(self.width) + 0.5, indexing="ij")
         x, y = (columns - self.cx) / self.fx, (rows - self.cy) / self.fy
         return (1.0 / np.sqrt(1.0 + x * x + y * y)).astype(np.float32)

@@ -1,6 +1,6 @@
 """Warps of unbounded scene space to the unit cube that the fields live in.
 
-box: an axis-aligned box, for objects. contraction: identity inside a box, the rest of space drawn into a shell around it
+box: an axis-aligned box, for objects. contraction: identity inside a box, all else drawn into a shell around it
 (Barron et al. 2022, eq. 10, in the maximum norm so that the cube is filled). frustum: normalised device coordinates of
 the average camera (Mildenhall et al. 2020, appendix C), for forward-facing captures.
 """
@@ -74,7 +74,9 @@ class Space:
             return np.clip(
                 np.stack(
                     [0.5 + 0.5 * points[:, 0] / (z * p[0]), 0.5 + 0.5 * points[:, 1] / (z * p[1]), 1 - p[2] / z], -1
-                ), 0, 1,
+                ),
+                0,
+                1,
             )
         local = (points - np.asarray(p[:3])) * np.asarray(p[3:6])
         if self.kind == "box":

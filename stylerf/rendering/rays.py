@@ -3,11 +3,12 @@
 from dataclasses import dataclass
 
 import numpy as np
+import torch
 
 from stylerf.fields.field import RadianceField
 from stylerf.fields.samples import Rays, Samples
 from stylerf.geometry.harmonics import harmonics
-from stylerf.kernels.cpu.composite import composite, composite_backward
+from stylerf.kernels.cpu.composite import composite, composite_backward, significant
 
 SAMPLE_LIMIT = 512
 
@@ -22,25 +23,46 @@ class Rendered:
     colours: np.ndarray
 
 
-def render_rays(field: RadianceField, rays: Rays, *, chunks: int, opaque=1e-3, least=1e-3) -> Rendered:
-    """Render rays. opaque: transmittance at which a ray ends; least: weight under which a sample gets no own colour."""
+def render_rays(field: RadianceField, rays: Rays, *, chunks: int, opaque=1e-3, share=2e-2) -> Rendered:
+    """Render rays. opaque: transmittance at which a ray ends.
+
+    share: part of its ray's largest weight under which a sample gets no colour of its own, but the ray's mean.
+    """
     samples = field.march(rays, SAMPLE_LIMIT, opaque, chunks)
     basis = harmonics(rays.directions, getattr(field.colour, "degree", 0))
-    colours = field.colour.colours(samples.x, basis, samples.starts, samples.ends, samples.weights, least, chunks)
+    shown = np.empty_like(samples.weights)
+    significant(samples.weights, samples.starts, samples.ends, np.float32(share), chunks, shown)
+    colours = field.colour.colours(samples.x, basis, samples.starts, samples.ends, shown, 0.0, chunks)
     out = np.empty((len(rays.origins), 5), np.float32)
     composite(samples.weights, colours, samples.t, samples.starts, samples.ends, chunks, out)
+    if field.colour_map is not None:
+        mapped = field.colour_map.premultiplied(torch.from_numpy(out[:, :3]), torch.from_numpy(out[:, 3]))
+        out[:, :3] = np.clip(mapped.numpy(), 0, out[:, 3:4])
     return Rendered(out, samples, basis, colours)
 
 
 def backward(field: RadianceField, rendered: Rendered, gradients: np.ndarray, density_to, colour_to) -> None:
-    """From dL/d(out) [rays, 5] to gradient buffers [chunks, parameters] of the two parts; None leaves a part out."""
+    """From dL/d(out) [rays, 5] to gradient buffers [chunks, parameters] of the two parts; None leaves a part out.
+
+    A field's colour_map is for its pictures: the gradient is that of the colours before it.
+    """
     s = rendered.samples
     sigma_gradients = np.empty_like(s.sigma)
     colour_gradients = np.empty_like(rendered.colours)
     chunks = len(colour_to if colour_to is not None else density_to)
     composite_backward(
-        s.sigma, s.weights, s.optical, rendered.colours, s.t, s.starts, s.ends, rendered.out, gradients, chunks,
-        sigma_gradients, colour_gradients,
+        s.sigma,
+        s.weights,
+        s.optical,
+        rendered.colours,
+        s.t,
+        s.starts,
+        s.ends,
+        rendered.out,
+        gradients,
+        chunks,
+        sigma_gradients,
+        colour_gradients,
     )
     if colour_to is not None:
         field.colour.backward(s.x, rendered.basis, s.starts, s.ends, rendered.colours, colour_gradients, colour_to)

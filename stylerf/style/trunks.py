@@ -52,9 +52,7 @@ def taps_of(names: str | Iterable[str]) -> tuple[str, ...]:
     parts = [part.strip() for part in names.split(",")] if isinstance(names, str) else list(names)
     wanted = set()
     for part in parts:
-        matches = [layer for layer in LAYERS if layer in (part, part.removeprefix("relu"))] or [
-            layer for layer in LAYERS if part and layer.split("_")[0] == part
-        ]
+        matches = [layer for layer in LAYERS if part in (layer, layer.split("_")[0])]
         if not matches:
             raise InvalidValue(f"expected layers such as conv3_1 or conv3, found {part!r}; known: {', '.join(LAYERS)}")
         wanted.update(matches)

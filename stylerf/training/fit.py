@@ -34,13 +34,16 @@ class Rung:
     cells: int = 64
 
 
-LADDER = (Rung(64, 8, 16), Rung(128, 16, 24), Rung(192, 16, 24), Rung(256, 16, 24))
+# One pair of ranks on every rung: each pair is a set of kernels to compile.
+LADDER = (Rung(64, 16, 24), Rung(128, 16, 24), Rung(192, 16, 24), Rung(256, 16, 24))
+LEAST_STEPS_PER_RUNG = 100
 
 
 @dataclass(frozen=True)
 class FitSettings:
     """How a field is fitted. Budget: seconds of training, or steps if `steps` > 0.
 
+    samples: density samples a step; the number of rays follows, so that fog early on does not slow the steps down;
     rates in value units per step; smoothness: weights of the planes' total variation (density, colour);
     shares: parts of the budget at which the next rung is tried; held_out_until: part of the budget from which the
     held-out views are trained on as well.
@@ -48,7 +51,7 @@ class FitSettings:
 
     seconds: float = 300.0
     steps: int = 0
-    rays: int = 8192
+    samples: int = 90_000
     rate: float = 2e-2
     final_rate: float = 0.05
     degree: int = 1
@@ -58,8 +61,8 @@ class FitSettings:
     held_out_until: float = 0.75
     min_gain: float = 0.1
     background: str = "white"  # white, black, random or none
-    warm_steps: int = 48
     lit_share: float = 0.9
+    always_climb: bool = False  # take every rung whatever it gains
 
 
 @dataclass
@@ -74,6 +77,7 @@ class FitState:
     rate_scale: float = 1.0
     rollbacks: int = 0
     parts: int = 1
+    rays: int = 1024
     best: float = -math.inf
     curve: list[dict] = field(default_factory=list)
     decisions: list[str] = field(default_factory=list)
@@ -91,7 +95,13 @@ class Fitter:
     """
 
     def __init__(
-        self, space: Space, bank: RayBank, held_out: int, settings: FitSettings, seed: int, chunks: int,
+        self,
+        space: Space,
+        bank: RayBank,
+        held_out: int,
+        settings: FitSettings,
+        seed: int,
+        chunks: int,
         on_say: Callable[[str], None] = lambda text: None,
     ) -> None:
         self.space, self.bank, self.held_out, self.settings = space, bank, held_out, settings
@@ -100,13 +110,16 @@ class Fitter:
         rung, generator = settings.ladder[0], np.random.default_rng([seed, 1])
         size = space.cells_per_axis(rung.resolution)
         self.field = RadianceField(
-            space, VmDensity.create(size, rung.density_rank, generator),
-            VmColour.create(size, rung.colour_rank, settings.degree, generator), Occupancy(rung.cells),
+            space,
+            VmDensity.create(size, rung.density_rank, generator),
+            VmColour.create(size, rung.colour_rank, settings.degree, generator),
+            Occupancy(rung.cells),
             1.0 / rung.resolution,
         )
         self._reset_optimisers()
         self._held_out_rays = self._choose_held_out()
         self._anchor: dict | None = None
+        self.between_steps = True
 
     # -- capacity ---------------------------------------------------------------------------------------------------
 
@@ -118,7 +131,8 @@ class Fitter:
         generator = np.random.default_rng([self.seed, 2, rung.resolution])
         size, old = self.space.cells_per_axis(rung.resolution), self.field
         self.field = RadianceField(
-            self.space, old.density.with_rank(rung.density_rank, generator).resized(size),
+            self.space,
+            old.density.with_rank(rung.density_rank, generator).resized(size),
             old.colour.with_rank(rung.colour_rank, generator).resized(size),
             old.occupancy.resized(rung.cells) if rung.cells != old.occupancy.cells else old.occupancy,
             1.0 / rung.resolution,
@@ -168,17 +182,20 @@ class Fitter:
         if state.step >= 16 and state.step % _refresh_every(state.step) == 0:
             share = 1 if state.step < 300 else 4
             self.field.occupancy.refresh(
-                lambda x: self.field.density.sigma(x, self.chunks), self.field.step, self.seed + state.step, share,
+                lambda x: self.field.density.sigma(x, self.chunks),
+                self.field.step,
+                self.seed + state.step,
+                share,
                 0.9,
             )
-        count = settings.rays if state.step >= settings.warm_steps else settings.rays // 8
+        count = state.rays
         among = len(self.bank.cameras)
         if self.held_out and self.progress < settings.held_out_until:
             among -= self.held_out
         origins, directions, colours, _ = self.bank.draw(count, generator, among, settings.lit_share)
         jitter = generator.random(count, dtype=np.float32)
         background = self._background(count, generator)
-        error = 0.0
+        error, live = 0.0, 0
         for part in np.array_split(np.arange(count), state.parts):
             part = slice(int(part[0]), int(part[-1]) + 1)
             rays = Rays.of(origins[part], directions[part], self.space.near, jitter[part])
@@ -186,6 +203,7 @@ class Fitter:
             out, back = rendered.out, background[part]
             difference = _over(out[:, :3], out[:, 3:4], back) - _target(colours[part], back)
             error += float(np.square(difference).sum())
+            live += rendered.samples.count
             gradients = np.zeros_like(out)
             gradients[:, :3] = difference * np.float32(2 / (3 * count))
             gradients[:, 3] = -(gradients[:, :3] * back).sum(1)
@@ -199,16 +217,18 @@ class Fitter:
         self.density_adam.step(rate)
         self.colour_adam.step(rate)
         state.step += 1
+        state.rays = _rays_for(settings.samples, live / count, state.rays)
         return error / (3 * count)
 
     # -- the loop ---------------------------------------------------------------------------------------------------
 
     def run(self, on_step: Callable[["Fitter"], None] = lambda fitter: None, check_every: float = 0.04) -> None:
         """Train until the budget is spent. check_every: share of the budget between looks at the held-out views."""
+        self.warm_up()
         state = self.state
         next_check = (math.floor(self.progress / check_every) + 1) * check_every
         while self.progress < 1.0:
-            begun = time.perf_counter()
+            begun, self.between_steps = time.perf_counter(), False
             try:
                 error = self.step()
             except MemoryError:
@@ -220,7 +240,27 @@ class Fitter:
             elif self.progress >= next_check or self._rung_due():
                 self._check()
                 next_check = (math.floor(self.progress / check_every) + 1) * check_every
+            self.between_steps = True
             on_step(self)
+
+    def warm_up(self) -> None:
+        """Compile every kernel that a step uses, for every rank of the ladder, without learning anything."""
+        generator = np.random.default_rng(0)
+        origins, directions, _, _ = self.bank.draw(16, generator)
+        rays = Rays.of(origins, directions, self.space.near)
+        for density_rank, colour_rank in {(r.density_rank, r.colour_rank) for r in self.settings.ladder}:
+            size = np.full(3, 8, np.int64)
+            density = VmDensity.create(size, density_rank, generator)
+            colour = VmColour.create(size, colour_rank, self.settings.degree, generator)
+            scratch = RadianceField(self.space, density, colour, Occupancy(8), 1 / 8)
+            scratch.occupancy.refresh(lambda x, d=density: d.sigma(x, self.chunks), 1 / 8, 0, 1, 0.9)
+            rendered = render_rays(scratch, rays, chunks=self.chunks)
+            adams = [Adam(part.values, part.groups(), self.chunks) for part in (density, colour)]
+            backward(scratch, rendered, np.ones_like(rendered.out), adams[0].gradients, adams[1].gradients)
+            for part, adam, weight in zip((density, colour), adams, self.settings.smoothness):
+                if weight > 0:
+                    part.smooth(weight, adam.gradients[0])
+                adam.step(1e-3)
 
     def _halve_parts(self) -> None:
         self.state.parts *= 2
@@ -233,15 +273,20 @@ class Fitter:
     def _rung_due(self) -> bool:
         s = self.state
         shares = self.settings.shares
-        return not s.fixed and s.rung < min(len(self.settings.ladder) - 1, len(shares)) and self.progress >= shares[s.rung]
+        last = min(len(self.settings.ladder) - 1, len(shares))
+        ripe = s.step >= LEAST_STEPS_PER_RUNG * (s.rung + 1)
+        return not s.fixed and ripe and s.rung < last and self.progress >= shares[s.rung]
 
     def _check(self) -> None:
         state = self.state
         quality = self.held_out_psnr()
         state.curve.append(
             {
-                "step": state.step, "seconds": round(state.seconds, 2), "psnr": round(quality, 3),
-                "parameters": self.field.parameters, "held_out": self.progress < self.settings.held_out_until,
+                "step": state.step,
+                "seconds": round(state.seconds, 2),
+                "psnr": round(quality, 3),
+                "parameters": self.field.parameters,
+                "held_out": self.progress < self.settings.held_out_until,
             }
         )
         # A fall this deep is no noise: the fit is on its way to a collapse, and more training would only deepen it.
@@ -275,8 +320,10 @@ class Fitter:
         gain = quality - before
         new, old = (self.settings.ladder[state.rung - i] for i in (0, 1))
         state.trial = None
-        if gain >= self.settings.min_gain:
-            state.decisions.append(f"{new.resolution}^3 kept: held-out views gained {gain:.2f} dB over {old.resolution}^3")
+        if gain >= self.settings.min_gain or self.settings.always_climb:
+            state.decisions.append(
+                f"{new.resolution}^3 kept: held-out views gained {gain:.2f} dB over {old.resolution}^3"
+            )
             state.best = max(state.best, quality)
             self._anchor = self._snapshot()
             return
@@ -338,6 +385,12 @@ class Fitter:
         if "anchor" in data:
             kept = {k.removeprefix("anchor."): v for k, v in arrays.items() if k.startswith("anchor.")}
             self._anchor = {"field": data["anchor"], "arrays": kept}
+
+
+def _rays_for(samples: int, live: float, before: int) -> int:
+    """Rays of the next step: as many as bring `samples` samples at `live` a ray, moving slowly, 256 to 16,384."""
+    wanted = samples / max(live, 1.0)
+    return int(np.clip(0.8 * before + 0.2 * wanted, 256, 16384))
 
 
 def _finite(value: float) -> float | None:

@@ -22,8 +22,18 @@ class Adam:
         corrections = np.float32(1 - BETA1**self.steps), np.float32(1 - BETA2**self.steps)
         for begin, end, factor in self.groups:
             adam(
-                self.values, self.gradients, self.first, self.second, np.float32(rate * factor), np.float32(BETA1),
-                np.float32(BETA2), np.float32(EPSILON), *corrections, begin, end, self.chunks,
+                self.values,
+                self.gradients,
+                self.first,
+                self.second,
+                np.float32(rate * factor),
+                np.float32(BETA1),
+                np.float32(BETA2),
+                np.float32(EPSILON),
+                *corrections,
+                begin,
+                end,
+                self.chunks,
             )
 
     def arrays(self) -> dict[str, np.ndarray]:

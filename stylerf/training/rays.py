@@ -59,7 +59,16 @@ class RayBank:
         origins, directions = np.empty((n, 3), np.float32), np.empty((n, 3), np.float32)
         colours = np.empty((n, 4), np.float32)
         gather(
-            views, pixels, self.widths, self.intrinsics, self.poses, self.starts, self.bytes, self.channels, origins,
-            directions, colours,
+            views,
+            pixels,
+            self.widths,
+            self.intrinsics,
+            self.poses,
+            self.starts,
+            self.bytes,
+            self.channels,
+            origins,
+            directions,
+            colours,
         )
         return origins, directions, colours

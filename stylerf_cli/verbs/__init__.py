@@ -7,6 +7,12 @@ A verb module has NAME, HELP (one line, the same as here), CONFIG (its stage's c
 
 # verb: (module, help)
 VERBS: dict[str, tuple[str, str]] = {
+    "demo": ("stylerf_cli.verbs.demo", "the whole path on an embedded scene: photos, fit, painting, film, report"),
+    "import": ("stylerf_cli.verbs.import_", "bring photos into a work folder, with their camera poses"),
+    "fit": ("stylerf_cli.verbs.fit", "fit a radiance field to a scene, no larger than it needs"),
+    "stylize": ("stylerf_cli.verbs.stylize", "stylise the whole scene with a painting"),
+    "render": ("stylerf_cli.verbs.render", "render a field along a path: EXR with depth for compositors, PNG, video"),
+    "eval": ("stylerf_cli.verbs.eval_", "measure a field: quality, style, consistency, cost; a report with pictures"),
     "show": ("stylerf_cli.verbs.show", "tell what a work folder or an artefact holds"),
     "verify": ("stylerf_cli.verbs.verify", "check every file of an artefact or a work folder against its digest"),
     "doctor": ("stylerf_cli.verbs.doctor", "tell what is installed, what is missing, and how to get it"),

@@ -6,6 +6,7 @@ import subprocess
 import sys
 
 import numpy as np
+import OpenEXR
 import OpenImageIO as oiio
 import pytest
 
@@ -230,6 +231,15 @@ def test_another_program_s_exr_is_refused_in_words(tmp_path):
         read_depth(tmp_path / "x.exr")
     with pytest.raises(BadInput, match="no such"):
         read_exr(tmp_path / "absent.exr")
+
+
+def test_a_file_of_several_parts_is_refused(tmp_path, view):
+    planes = {name: np.ones((3, 4), np.float32) for name in ("R", "G", "B", "A", "Z", "rayDistance.Z")}
+    parts = [OpenEXR.Part({"name": name}, dict(planes)) for name in ("left", "right")]
+    OpenEXR.File(parts).write(str(tmp_path / "v.exr"))
+    for read in (read_exr, read_depth):
+        with pytest.raises(BadInput, match="2 readable parts where 1"):
+            read(tmp_path / "v.exr")
 
 
 def test_the_library_s_warnings_do_not_reach_the_terminal(tmp_path, view):

@@ -7,9 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from schemas.errors import UsageError
 from schemas.store import Work
 from stages import evaluate
 from stages.configs.evaluate import EvaluateConfig
+from stages.evaluation.measuring import pairs_of
 from stages.evaluation.views import SceneViews
 from stages.progress import Context
 from stages.runner import execute
@@ -180,6 +182,15 @@ def test_photos_of_another_size_are_resampled_and_said(tmp_path):
     assert any("another size" in note["why"] for note in report["not_measured"])
 
 
+WRONG = [{"gap": 1}, {"pairs": -1}, {"perceptual_pairs": -1}, {"sheet": 0}, {"style_side": 8}, {"depth_tolerance": 0.0}]
+
+
+@pytest.mark.parametrize("wrong", WRONG)
+def test_options_out_of_range_are_usage_faults(fitted, wrong, tmp_path):
+    with pytest.raises(UsageError, match=next(iter(wrong)).replace("_", "-")):
+        evaluated(Work(tmp_path), fitted[1], replace(QUIET, **wrong))
+
+
 def test_a_source_made_again_or_gone_is_said(fitted, tmp_path):
     work = Work(tmp_path)
     scene = made.make_scene(work, POSITIONS)
@@ -216,3 +227,15 @@ def test_exr_colours_come_back_as_they_were_composited():
     view = made.exr_of(made.camera(0, "any", (7, 6)), seen)
     wanted = seen.rgb * seen.alpha[..., None] + (1 - seen.alpha[..., None]) * 1.0
     np.testing.assert_allclose(composite(view.rgb, view.alpha, 1.0), wanted, atol=1e-5)
+
+
+def test_pairs_are_spread_and_few_are_looked_at_perceptually(fitted):
+    _, inputs, *_ = fitted
+    assert pairs_of(10, 7, 0) == [(0, 7), (1, 8), (2, 9)] and pairs_of(5, 7, 3) == []
+    assert pairs_of(100, 1, 4) == [(0, 1), (33, 34), (65, 66), (98, 99)]
+    path = evaluate.FrameViews(inputs["path_frames"], 0.0)
+    ranges = {"short": pairs_of(10, 1, 0), "long": pairs_of(10, 7, 0)}
+    rows = list(evaluate.measure_pairs(path, ranges, lambda a, b: np.full(a.shape[:2], 0.25), 2, 0.02))
+    assert [row["short_perceptual"] for row in rows if "short_perceptual" in row] == [0.25, 0.25]
+    assert len(rows) == 12 and sum("long_perceptual" in row for row in rows) == 2
+    assert [row["frame"] for row in rows if "short_perceptual" in row] == [1, 9]

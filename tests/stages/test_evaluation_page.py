@@ -5,6 +5,7 @@ import copy
 import io
 import re
 from html.parser import HTMLParser
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -131,7 +132,7 @@ def test_it_can_be_read_without_seeing(page):
     assert len(images) == 3 and all(image["alt"].strip() and image["width"] for image in images)
     assert next(attributes for tag, attributes in reader.tags if tag == "html")["lang"] == "en"
     headings = [int(tag[1]) for tag, _ in reader.tags if re.fullmatch(r"h[1-6]", tag)]
-    assert headings.count(1) == 1 and all(b - a <= 1 for a, b in zip(headings, headings[1:]))
+    assert headings.count(1) == 1 and all(b - a <= 1 for a, b in pairwise(headings))
     assert all("scope" in attributes for tag, attributes in reader.tags if tag == "th")
     tags = [tag for tag, _ in reader.tags]
     assert tags.count("caption") == tags.count("table") == 3

@@ -1,5 +1,6 @@
 """A verb around the toy stage, for tests of the front door."""
 
+import os
 from dataclasses import dataclass
 
 from stages.configs import option
@@ -36,4 +37,5 @@ def run(args, session) -> dict:
     artefact = session.run(toy_stage.SPEC, toy_stage.run, {}, session.config, "fox")
     if session.json:
         print("noise from a library")
+        os.write(1, b"noise from native code\n")
     return session.emit({"name": artefact.name, "seconds": float("inf")}, f"made {artefact.name}")

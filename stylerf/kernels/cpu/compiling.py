@@ -1,5 +1,9 @@
 """How every CPU kernel is compiled."""
 
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
 import numba
 
 # Everything that fast-math allows but the assumption about infinities in comparisons: reassociation is what lets sums
@@ -16,3 +20,17 @@ def set_threads(threads: int) -> int:
     used = max(1, min(int(threads), numba.config.NUMBA_NUM_THREADS))
     numba.set_num_threads(used)
     return used
+
+
+def compiled_here() -> bool:
+    """Whether compiled kernels of an earlier run lie in the cache folder."""
+    folder = Path(numba.config.CACHE_DIR or "")
+    return folder.is_dir() and next(folder.glob("**/*.nbi"), None) is not None
+
+
+@contextmanager
+def compiling_note(say: Callable[[str], None]) -> Iterator[None]:
+    """Tell once, before a first compile, what the machine will be busy with."""
+    if not compiled_here():
+        say("compiling the kernels for this processor, once: about half a minute")
+    yield

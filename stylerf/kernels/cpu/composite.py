@@ -71,3 +71,83 @@ def composite_backward(
                 behind -= weights[k] * d
                 through -= weights[k]
                 sigma_gradients[k] = optical[k] * (through * d - behind)
+
+
+@parallel_kernel
+def significant(weights, starts, ends, share, chunks, shown):
+    """shown[k] = weights[k] where it is at least `share` of its ray's largest weight, else 0: never a whole ray."""
+    n = len(ends)
+    for c in prange(chunks):
+        for r in range(c * n // chunks, (c + 1) * n // chunks):
+            largest = _ZERO
+            for k in range(starts[r], ends[r]):
+                largest = max(largest, weights[k])
+            bound = largest * share
+            for k in range(starts[r], ends[r]):
+                shown[k] = weights[k] if weights[k] >= bound else _ZERO
+
+
+@parallel_kernel
+def count_shown(shown, starts, ends, chunks, counts):
+    """counts[r] = samples of ray r with shown > 0."""
+    n = len(ends)
+    for c in prange(chunks):
+        for r in range(c * n // chunks, (c + 1) * n // chunks):
+            found = 0
+            for k in range(starts[r], ends[r]):
+                if shown[k] > _ZERO:
+                    found += 1
+            counts[r] = found
+
+
+@parallel_kernel
+def pack_shown(shown, x, weights, starts, ends, offsets, chunks, packed_x, packed_w):
+    """Keep the shown samples: x as 16-bit cube positions, weights scaled so that each ray keeps its alpha."""
+    n = len(ends)
+    for c in prange(chunks):
+        for r in range(c * n // chunks, (c + 1) * n // chunks):
+            total, kept = _ZERO, _ZERO
+            for k in range(starts[r], ends[r]):
+                total += weights[k]
+                kept += shown[k]
+            scale = total / kept if kept > _ZERO else _ZERO
+            at = offsets[r]
+            for k in range(starts[r], ends[r]):
+                if shown[k] > _ZERO:
+                    for a in range(3):
+                        packed_x[at, a] = np.uint16(x[k, a] * np.float32(65535) + np.float32(0.5))
+                    packed_w[at] = shown[k] * scale
+                    at += 1
+
+
+@parallel_kernel
+def unpack(pixels, offsets, packed_x, packed_w, starts, x, weights):
+    """Samples of chosen pixels of a packed view, from starts[r] on."""
+    for r in prange(len(pixels)):
+        at = starts[r]
+        for k in range(offsets[pixels[r]], offsets[pixels[r] + 1]):
+            for a in range(3):
+                x[at, a] = np.float32(packed_x[k, a]) * np.float32(1 / 65535)
+            weights[at] = packed_w[k]
+            at += 1
+
+
+@parallel_kernel
+def shade(weights, colours, starts, ends, out):
+    """out[r] = sum w c over the ray's samples, [rays, 3]."""
+    for r in prange(len(ends)):
+        red, green, blue = _ZERO, _ZERO, _ZERO
+        for k in range(starts[r], ends[r]):
+            red += weights[k] * colours[k, 0]
+            green += weights[k] * colours[k, 1]
+            blue += weights[k] * colours[k, 2]
+        out[r, 0], out[r, 1], out[r, 2] = red, green, blue
+
+
+@parallel_kernel
+def shade_backward(weights, gradients, starts, ends, colour_gradients):
+    """dL/dc_k = w_k dL/d(out_r)."""
+    for r in prange(len(ends)):
+        for k in range(starts[r], ends[r]):
+            for a in range(3):
+                colour_gradients[k, a] = weights[k] * gradients[r, a]

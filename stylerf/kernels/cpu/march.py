@@ -33,7 +33,7 @@ def warp_at(kind, space, px, py, pz, dx, dy, dz, out):
         jacobian = space[2] * i * i
         sx = abs(_HALF * (dx - px * i * dz) * i / space[0])
         sy = abs(_HALF * (dy - py * i * dz) * i / space[1])
-        speed = max(max(sx, sy), abs(jacobian * dz))
+        speed = max(sx, sy, abs(jacobian * dz))
     else:
         ax = (px - space[0]) * space[3]
         ay = (py - space[1]) * space[4]
@@ -46,9 +46,9 @@ def warp_at(kind, space, px, py, pz, dx, dy, dz, out):
             out[1] = ay
             out[2] = az
             jacobian = space[6]
-            speed = max(max(abs(vx), abs(vy)), abs(vz))
+            speed = max(abs(vx), abs(vy), abs(vz))
         else:
-            m = max(max(abs(ax), abs(ay)), abs(az))
+            m = max(abs(ax), abs(ay), abs(az))
             jacobian = space[6] * np.float32(0.25)
             if m > _ONE:
                 # x' = x (2 - 1/m)/m with m the largest coordinate; dm/dt is that coordinate's own velocity.
@@ -71,7 +71,7 @@ def warp_at(kind, space, px, py, pz, dx, dy, dz, out):
             out[0] = _HALF + np.float32(0.25) * ax
             out[1] = _HALF + np.float32(0.25) * ay
             out[2] = _HALF + np.float32(0.25) * az
-            speed = np.float32(0.25) * max(max(abs(vx), abs(vy)), abs(vz))
+            speed = np.float32(0.25) * max(abs(vx), abs(vy), abs(vz))
     for a in range(3):
         out[a] = min(max(out[a], _ZERO), _ONE)
     return max(speed, _TINY), jacobian
@@ -129,9 +129,7 @@ def warp_points(kind, space, points, chunks, out, jacobians):
     for c in prange(chunks):
         q = np.empty(3, np.float32)
         for p in range(c * n // chunks, (c + 1) * n // chunks):
-            _, jacobian = warp_at(
-                kind, space, points[p, 0], points[p, 1], points[p, 2], _ONE, _ZERO, _ZERO, q
-            )
+            _, jacobian = warp_at(kind, space, points[p, 0], points[p, 1], points[p, 2], _ONE, _ZERO, _ZERO, q)
             out[p, 0] = q[0]
             out[p, 1] = q[1]
             out[p, 2] = q[2]

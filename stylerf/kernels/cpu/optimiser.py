@@ -1,4 +1,4 @@
-"""Adam (Kingma & Ba 2015) over flat tables: adds the chunks' gradient buffers in order, updates, clears, in one pass."""
+"""Adam (Kingma & Ba 2015) over flat tables: adds the chunks' buffers in order, updates, clears, in one pass."""
 
 import math
 

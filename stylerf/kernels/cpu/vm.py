@@ -81,10 +81,35 @@ def displace(displacement, cells, q, out):
 
 @parallel_kernel
 def march_density(
-    kind, space, origins, directions, jitter, near, far, step, occupancy, cells, limit, table, size, shift, ranks,
-    displacement, displacement_cells, opaque, closed, chunks, starts, ends, t_out, optical, x, sigma, weights,
+    kind,
+    space,
+    origins,
+    directions,
+    jitter,
+    near,
+    far,
+    step,
+    occupancy,
+    cells,
+    limit,
+    table,
+    size,
+    shift,
+    ranks,
+    displacement,
+    displacement_cells,
+    opaque,
+    closed,
+    chunks,
+    starts,
+    ends,
+    t_out,
+    optical,
+    x,
+    sigma,
+    weights,
 ):
-    """Walk each ray front to back until its transmittance is under `opaque`, its span ends or `limit` samples lie on it.
+    """Walk each ray front to back until transmittance is under `opaque`, its span ends or `limit` samples lie on it.
 
     Ray r's samples are starts[r]:ends[r] of t_out, optical (optical length of unit raw density), x (position in the
     cube, displaced), sigma (raw density) and weights (T (1 - exp(-sigma optical))). Each chunk of rays packs its
@@ -204,9 +229,7 @@ def colour(table, size, ranks, head, bias, basis, x, starts, ends, weights, leas
 
 
 @parallel_kernel
-def colour_backward(
-    table, size, ranks, head, basis, x, starts, ends, colours, colour_gradients, chunks, to
-):
+def colour_backward(table, size, ranks, head, basis, x, starts, ends, colours, colour_gradients, chunks, to):
     """Add dL/d(table), then dL/d(head), then dL/d(bias) to the chunk's buffer to[chunk] of that layout.
 
     colours, colour_gradients [n, 3]: the forward's result and dL/dc; samples with colours[k, 0] < 0 are skipped.
@@ -254,8 +277,12 @@ def colour_backward(
                         w = basis[r, b]
                         for m in range(3):
                             axpy_row(
-                                w, ray_head_gradient, j * width + m * rank,
-                                flat, base + head_at + (j * bands + b) * width + m * rank, ranks,
+                                w,
+                                ray_head_gradient,
+                                j * width + m * rank,
+                                flat,
+                                base + head_at + (j * bands + b) * width + m * rank,
+                                ranks,
                             )
 
 

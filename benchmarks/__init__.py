@@ -1,0 +1,1 @@
+"""Measurements: one command per table, results as JSON in results/."""

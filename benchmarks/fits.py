@@ -1,0 +1,69 @@
+"""Fit the real scenes at fixed budgets and measure held-out views: `python -m benchmarks.fits DATA OUT.json [NAMES]`.
+
+Protocol: `stylerf import` with the flags below, `stylerf fit --budget B` (the clock is the training itself, without
+reading, compiling, decisions or rendering), `stylerf eval`: mean PSNR of the test views (every 8th, or the files' own)
+on white for objects, on black for captures. One seed. Peak memory is that of the fit's process.
+"""
+
+import json
+import os
+import platform
+import subprocess
+import sys
+import tempfile
+from datetime import UTC, datetime
+from pathlib import Path
+
+SCENES = {
+    "lego 200x200": ("lego", ["--downscale", "4"]),
+    "lego 400x400": ("lego", ["--downscale", "2"]),
+    "fern 504x378": ("fern", ["--images", "images_8"]),
+    "fox 270x480": ("fox", ["--downscale", "4"]),
+    "cup 400x300": ("cup", ["--downscale", "2"]),
+}
+BUDGETS = ("60s", "300s")
+
+
+def stylerf(*arguments: str) -> dict:
+    """One command, its --json object."""
+    command = [sys.executable, "-m", "stylerf_cli.main", *arguments, "--json"]
+    return json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
+
+
+def measure(data: Path, name: str, budget: str, work: Path) -> dict:
+    """One row: a scene at a budget."""
+    folder, flags = SCENES[name]
+    stylerf("import", str(data / folder), str(work), *flags)
+    label = f"fit-{budget}"
+    fitted = stylerf("fit", str(work), "--budget", budget, "--no-buffers", "--name", label)
+    manifest = json.loads((work / "field" / label / "manifest.json").read_text())
+    figures = stylerf("eval", str(work), "--of", label)["figures"]
+    return {
+        "scene": name, "budget": budget, "psnr": round(figures["psnr"], 2), "ssim": round(figures["ssim"], 4),
+        "parameters": fitted["figures"]["parameters"], "steps": fitted["figures"]["steps"],
+        "resolution": fitted["figures"]["resolution"], "train_seconds": fitted["figures"]["train_seconds"],
+        "wall_seconds": round(manifest["seconds"], 1), "peak_memory_mb": round(manifest["peak_memory_mb"]),
+        "load_before": round(os.getloadavg()[0], 2),
+    }  # fmt: skip
+
+
+def main() -> None:
+    data, out = Path(sys.argv[1]), Path(sys.argv[2])
+    wanted = sys.argv[3:] or list(SCENES)
+    rows = []
+    with tempfile.TemporaryDirectory() as scratch:
+        for name in wanted:
+            for budget in BUDGETS:
+                rows.append(measure(data, name, budget, Path(scratch) / name.replace(" ", "-")))
+                print(rows[-1], flush=True)
+                machine = {"cpu": platform.processor() or platform.machine(), "cores": os.cpu_count()}
+                report = {
+                    "command": "python -m benchmarks.fits DATA OUT.json", "protocol": __doc__.split("Protocol: ")[1],
+                    "machine": machine, "python": platform.python_version(), "rows": rows,
+                    "date": datetime.now(UTC).date().isoformat(),
+                }  # fmt: skip
+                out.write_text(json.dumps(report, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,25 @@
+"""Options of `stylerf demo`."""
+
+from dataclasses import dataclass
+
+from stages.configs import option
+from stages.configs.fit import budget_of
+
+
+@dataclass(frozen=True)
+class DemoConfig:
+    """How large and how long the demo is."""
+
+    size: int = option(200, help="side of its photos, pixels")
+    train_views: int = option(60, help="photos to fit to")
+    test_views: int = option(8, help="photos to measure with")
+    fit_budget: str = option("60s", help="time of the fit, or steps")
+    style_budget: str = option("60s", help="time of the stylisation, or steps")
+    frames: int = option(36, help="frames of the film")
+    method: str = option("arf", choices=("arf",), help="how the scene is stylised")
+
+    def __post_init__(self) -> None:
+        budget_of(self.fit_budget)
+        budget_of(self.style_budget)
+        if self.size < 32 or self.train_views < 4 or self.test_views < 1 or self.frames < 2:
+            raise ValueError("the demo needs a size of 32, 4 training views, 1 test view and 2 frames or more")

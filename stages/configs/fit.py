@@ -1,0 +1,66 @@
+"""Options of `stylerf fit`."""
+
+import re
+from dataclasses import dataclass
+
+from stages.configs import option
+
+
+@dataclass(frozen=True)
+class FitConfig:
+    """How a radiance field is fitted to a scene."""
+
+    budget: str = option("5m", help="training time (60s, 5m, 1h) or a number of steps; the quality of longer is higher")
+    capacity: str = option(
+        "grow",
+        metavar="grow|fixed:N[xD[xC]]",
+        help="grow while held-out views gain, or N vertices an axis at density rank D and colour rank C",
+    )
+    min_gain: float = option(0.1, help="dB that held-out views must gain for a larger field to be kept")
+    space: str = option(
+        "auto", choices=("auto", "box", "contraction", "frustum"), help="warp of space (auto: by the scene's layout)"
+    )
+    background: str = option(
+        "auto",
+        choices=("auto", "white", "black", "random"),
+        help="what transparent pixels are trained on (auto: white)",
+    )
+    degree: int = option(1, choices=(0, 1, 2), help="degree of the spherical harmonics of the colour")
+    samples: int = option(90_000, help="density samples a step; the number of rays follows from it")
+    rate: float = option(0.0, help="learning rate (0: by the scene's layout)")
+    held_out: int = option(
+        -1, help="training views kept aside for decisions until the last quarter (-1: every tenth, at most 4)"
+    )
+    checkpoint_every_seconds: float = option(15.0, help="time between checkpoints")
+    buffers: bool = option(True, help="also render every view to EXR when the field stands")
+
+    def __post_init__(self) -> None:
+        budget_of(self.budget)
+        capacity_of(self.capacity)
+        if not (self.min_gain >= 0 and self.checkpoint_every_seconds > 0 and self.samples >= 1000 and self.rate >= 0):
+            raise ValueError(
+                "min_gain and rate must not be negative, checkpoint_every_seconds positive, samples 1000 or more"
+            )
+
+
+def budget_of(text: str) -> tuple[float, int]:
+    """'60s', '5m', '1h' -> (seconds, 0); '3000' -> (0, steps); ValueError for anything else."""
+    match = re.fullmatch(r"(\d+(?:\.\d+)?)\s*(s|m|h)?", text.strip())
+    if not match or float(match[1]) <= 0 or (match[2] is None and "." in match[1]):
+        raise ValueError(f"budget {text!r} is neither a time like 60s, 5m or 1h nor a number of steps")
+    if match[2] is None:
+        return 0.0, int(match[1])
+    return float(match[1]) * {"s": 1, "m": 60, "h": 3600}[match[2]], 0
+
+
+def capacity_of(text: str) -> tuple[int, int, int] | None:
+    """'grow' -> None; 'fixed:128x16x24' -> (128, 16, 24), ranks 16 and 24 where left out."""
+    if text == "grow":
+        return None
+    match = re.fullmatch(r"fixed:(\d+)(?:x(\d+))?(?:x(\d+))?", text)
+    if not match:
+        raise ValueError(f"capacity {text!r} is neither grow nor fixed:N, fixed:NxD or fixed:NxDxC")
+    resolution, density, colour = int(match[1]), int(match[2] or 16), int(match[3] or 24)
+    if not (16 <= resolution <= 1024 and all(0 < rank <= 64 and rank % 8 == 0 for rank in (density, colour))):
+        raise ValueError(f"capacity {text!r}: 16 to 1024 vertices and ranks of 8, 16, ... 64 are possible")
+    return resolution, density, colour

@@ -1,0 +1,45 @@
+"""Options of `stylerf import`."""
+
+from dataclasses import dataclass
+
+from stages.configs import option
+
+
+@dataclass(frozen=True)
+class ImportOptions:
+    """How posed photos become a scene."""
+
+    format: str = option("auto", choices=("auto", "transforms", "colmap", "llff", "photos"), help="format of the "
+                         "poses (auto: by the files that are there; photos: none, find them by structure from motion)")
+    images: str = option("", metavar="FOLDER", help="folder of photos to use in place of the source's own, such as "
+                         "images_8; its photos may be smaller copies")
+    downscale: float = option(1.0, help="divide the photos' sides by this")
+    max_side: int = option(0, help="and limit the longer side to this many pixels (0: no limit)")
+    layout: str = option("auto", choices=("auto", "object", "forward", "unbounded"), help="arrangement of the capture "
+                         "(auto: decided from cameras and transparency)")
+    background: str = option("auto", choices=("auto", "alpha", "white", "black", "none"), help="what stands behind the "
+                             "object (auto: alpha where there is any, else by the pictures' borders)")
+    test_every: int = option(8, help="every how many-th photo is kept for tests where the source tells no split (0: "
+                             "none)")
+    matching: str = option("auto", choices=("auto", "exhaustive", "sequential"), help="structure from motion compares "
+                           "all pairs of photos, or neighbours in a video (auto: all pairs up to 80 photos)")
+    sfm_side: int = option(1600, help="structure from motion looks at copies whose longer side has at most so many "
+                           "pixels")
+    sfm_features: int = option(2048, help="and at so many features in each")
+    one_camera: bool = option(True, help="photos of one size, lens and zoom share their intrinsics")
+
+    def __post_init__(self) -> None:
+        if not self.downscale >= 1:
+            raise ValueError(f"--downscale {self.downscale:g}: expected 1 or more")
+        if self.max_side < 0 or self.test_every < 0:
+            raise ValueError("--max-side and --test-every must not be negative")
+        if self.sfm_side < 64 or self.sfm_features < 64:
+            raise ValueError("--sfm-side and --sfm-features must be at least 64")
+
+
+@dataclass(frozen=True)
+class ImportConfig(ImportOptions):
+    """The options with what they are applied to. source_digest: of every file that counts, see stages/readers."""
+
+    source: str = ""
+    source_digest: str = ""

@@ -1,0 +1,39 @@
+"""Options of `stylerf render`."""
+
+import re
+from dataclasses import dataclass
+
+from stages.configs import option
+
+
+@dataclass(frozen=True)
+class RenderConfig:
+    """What is rendered, along which path, to which files."""
+
+    path: str = option(
+        "orbit",
+        metavar="test|train|views|orbit|spiral|interpolate|FILE",
+        help="cameras: the scene's own views, a path around, in front of or through them, or a JSON file of cameras",
+    )
+    count: int = option(60, help="frames of a whole path (orbit, spiral, interpolate)")
+    frames: str = option("", metavar="A-B", help="only frames A to B of the path, counted from 0: a shard of the job")
+    scale: float = option(1.0, help="size of the pictures relative to the scene's views")
+    exr: bool = option(True, help="write OpenEXR: R G B A, Z, rayDistance.Z")
+    depth: bool = option(False, help="also write depth in a perceptual colour map")
+    video: bool = option(False, help="also write MP4 (extra `video`), else GIF")
+    fps: float = option(24.0, help="frames a second of the video")
+
+    def __post_init__(self) -> None:
+        frames_of(self.frames, 1 << 30)
+        if self.count < 1 or not 0 < self.scale <= 8 or not 0 < self.fps <= 240:
+            raise ValueError("count must be at least 1, scale in (0, 8] and fps in (0, 240]")
+
+
+def frames_of(text: str, count: int) -> range:
+    """'10-19' -> range(10, 20), '7' -> range(7, 8), '' -> all; cut at `count`. ValueError for anything else."""
+    if not text:
+        return range(count)
+    match = re.fullmatch(r"(\d+)(?:-(\d+))?", text)
+    if not match or int(match[2] or match[1]) < int(match[1]):
+        raise ValueError(f"frames {text!r} is neither a number nor a span A-B with A <= B")
+    return range(int(match[1]), min(count, int(match[2] or match[1]) + 1))

@@ -1,0 +1,54 @@
+"""Options of `stylerf stylize`."""
+
+from dataclasses import dataclass
+
+from stages.configs import option
+from stages.configs.fit import budget_of
+
+
+@dataclass(frozen=True)
+class StylizeConfig:
+    """How a fitted field is stylised with a painting."""
+
+    style: str = option(help="the painting: an image file")
+    style_digest: str = option("", help="sha256 of the painting (filled in; guards against a changed file)")
+    method: str = option("arf", choices=("arf",), help="arf: colours alone, shapes held fast")
+    budget: str = option("2m", help="time of the style steps (60s, 2m) or their number")
+    rays: str = option(
+        "deferred",
+        choices=("full", "deferred", "dilated", "random", "patch"),
+        help="rays that carry gradient in a step",
+    )
+    dilation: int = option(2, help="Nc: every Nc-th ray in both axes (dilated), or as few rays (random, patch)")
+    blur: int = option(3, help="box filter on dL/dRGB before rays are picked (0: none)")
+    remember: bool = option(True, help="take rays that do not learn from the view's last render")
+    features: str = option(
+        "",
+        help="feature trunk: a name or a file of VGG weights (default: the first found of vgg16, hed-vgg16, st-vgg16)",
+    )
+    taps: str = option("conv3", help="layers of the trunk that are matched: conv2, conv3, conv3_1 ...")
+    style_weight: float = option(1.0, help="weight of the nearest-neighbour feature distance")
+    content_weight: float = option(1e-3, help="weight of the content distance")
+    variation_weight: float = option(1.0, help="weight of the picture's total variation")
+    match: str = option("both", choices=("both", "before", "after", "none"), help="exact colour matching")
+    refit_steps: int = option(300, help="steps that fit the new colours to the matched photos")
+    rate: float = option(2e-2, help="learning rate of the colours")
+    feature_scale: float = option(
+        0.0,
+        help="size, relative to the view, of the picture that features are taken from (0: half, as ARF, but no less "
+        "than 256 pixels where the view has them)",
+    )
+    style_scale: float = option(1.0, help="size of the painting relative to the view: larger gives larger strokes")
+    style_rows: int = option(4096, help="most features of the painting that are matched against")
+    style_basis: int = option(96, help="directions of feature space in which the nearest are sought (0: all, exact)")
+    levels: int = option(8, help="levels of the colour field's hash grid")
+    finest: int = option(512, help="cells a side of its finest level")
+    table_bits: int = option(17, help="its table entries a level, as a power of two")
+    checkpoint_every_seconds: float = option(20.0, help="time between checkpoints")
+
+    def __post_init__(self) -> None:
+        budget_of(self.budget)
+        if self.dilation < 1 or self.blur < 0 or not 0 <= self.feature_scale <= 1 or self.style_scale <= 0:
+            raise ValueError("dilation must be at least 1, blur not negative, feature_scale in 0..1, style_scale > 0")
+        if not (1 <= self.levels <= 16 and 16 <= self.finest <= 4096 and 10 <= self.table_bits <= 24):
+            raise ValueError("the colour field takes 1 to 16 levels, 16 to 4096 cells and 10 to 24 table bits")

@@ -1,0 +1,46 @@
+"""Reads and writes field artefacts: field.json says what it is, field.safetensors holds its numbers."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+
+from schemas.atomic import write_json
+from schemas.errors import ArtefactDamaged
+from schemas.store import Artefact
+from schemas.tensors import load_tensors, save_tensors
+from stylerf.errors import InvalidValue
+from stylerf.fields.field import RadianceField
+
+DESCRIPTION, NUMBERS = "field.json", "field.safetensors"
+
+
+def save_field(folder: Path, field: RadianceField, background: str) -> None:
+    """background: white, black or none: what stands behind the field in pictures."""
+    save_tensors(folder / NUMBERS, field.arrays())
+    write_json(folder / DESCRIPTION, {**field.describe(), "background": background})
+
+
+def load_field(artefact: Artefact) -> tuple[RadianceField, str]:
+    """The field and its background; ArtefactDamaged where the two files do not make one."""
+    artefact.check_sizes()
+    arrays, _ = load_tensors(artefact.file(NUMBERS))
+    try:
+        data = json.loads(artefact.file(DESCRIPTION).read_text())
+        return RadianceField.restore(data, arrays), data["background"]
+    except (KeyError, TypeError, ValueError, InvalidValue) as error:
+        raise ArtefactDamaged(f"{artefact.path} does not hold a sound field ({error}); make it anew") from error
+
+
+def save_checkpoint(folder: Path, data: dict, arrays: dict[str, np.ndarray]) -> None:
+    """Both in one file, so that no kill can leave the two of different moments."""
+    save_tensors(folder / "checkpoint.safetensors", arrays, {"state": json.dumps(data)})
+
+
+def load_checkpoint(folder: Path) -> tuple[dict, dict[str, np.ndarray]] | None:
+    """What save_checkpoint wrote, or None where nothing was written."""
+    path = folder / "checkpoint.safetensors"
+    if not path.is_file():
+        return None
+    arrays, metadata = load_tensors(path)
+    return json.loads(metadata["state"]), arrays

@@ -1,0 +1,146 @@
+"""Fit: a radiance field from a scene's training views."""
+
+import time
+
+import numpy as np
+
+from schemas.errors import BadInput
+from schemas.store import Artefact, Partial
+from stages.configs.fit import FitConfig, budget_of, capacity_of
+from stages.fields import load_checkpoint, save_checkpoint, save_field
+from stages.progress import Context
+from stages.runner import Spec
+from stages.scenes import SceneData, load_scene
+from stages.spaces import space_of
+from stylerf.errors import Diverged
+from stylerf.kernels.cpu.compiling import compiling_note, set_threads
+from stylerf.training.fit import LADDER, FitSettings, Fitter, Rung
+from stylerf.training.rays import RayBank
+
+SPEC = Spec(stage="nerf_fit", verb="fit", revision=1, writes="field")
+RATE = {"object": 2e-2, "forward": 4e-2, "unbounded": 4e-2}
+
+
+def run(inputs: dict[str, Artefact], config: FitConfig, partial: Partial, context: Context) -> dict:
+    """Writes field.json and field.safetensors; returns the figures, among them the curve of quality over time."""
+    scene = load_scene(inputs["scene"])
+    threads = set_threads(context.threads)
+    space, reason = space_of(scene, config.space)
+    context.progress.say(f"space: {space.kind}, {reason}")
+    train = scene.splits["train"]
+    held_out = _held_out(train, config.held_out)
+    if len(train) - len(held_out) < 2:
+        raise BadInput(f"{inputs['scene'].path}: {len(train)} training views; at least 3 are needed to fit a field")
+    order = [i for i in train if i not in held_out] + held_out
+    bank = RayBank([scene.cameras[i] for i in order], _same_channels([_bytes(scene, i) for i in order]))
+    settings = _settings(config, scene)
+    fitter = Fitter(space, bank, len(held_out), settings, context.seed, threads, context.progress.say)
+    if (saved := load_checkpoint(partial.checkpoint)) is not None:
+        fitter.resume(*saved)
+        context.progress.say(f"going on from step {fitter.state.step}, {fitter.state.seconds:.0f} s into the fit")
+    with compiling_note(context.progress.say):
+        _train(fitter, config, partial, context)
+    save_field(partial.path, fitter.field, "none" if fitter.field.closed else _shown(settings.background))
+    return _figures(fitter, held_out, reason)
+
+
+def _train(fitter: Fitter, config: FitConfig, partial: Partial, context: Context) -> None:
+    steps, saved_at = fitter.settings.steps, time.monotonic()
+    context.progress.start("fit", steps or fitter.settings.seconds, "step" if steps else "s")
+
+    def on_step(now: Fitter) -> None:
+        nonlocal saved_at
+        if now.state.step % 10 == 0:
+            note = f"{now.state.curve[-1]['psnr']:.1f} dB held out" if now.state.curve else ""
+            done = now.state.step if steps else min(now.state.seconds, now.settings.seconds)
+            context.progress.update(done, f"{note}, {now.field.parameters / 1e6:.2f} M parameters")
+        if time.monotonic() - saved_at > config.checkpoint_every_seconds:
+            save_checkpoint(partial.checkpoint, *now.checkpoint())
+            saved_at = time.monotonic()
+
+    try:
+        fitter.run(on_step)
+    except KeyboardInterrupt:
+        # The step that was cut short may have left half a gradient: only whole steps are saved.
+        if fitter.between_steps:
+            save_checkpoint(partial.checkpoint, *fitter.checkpoint())
+        raise
+    except Diverged as error:
+        raise BadInput(f"the fit does not converge: {error}") from error
+    finally:
+        context.progress.finish()
+
+
+def _settings(config: FitConfig, scene: SceneData) -> FitSettings:
+    seconds, steps = budget_of(config.budget)
+    fixed = capacity_of(config.capacity)
+    if scene.background == "none":
+        background = "none"
+    elif scene.background in ("white", "black"):
+        background = scene.background
+    else:
+        background = "white" if config.background == "auto" else config.background
+    return FitSettings(
+        seconds=seconds or 1.0,
+        steps=steps,
+        samples=config.samples,
+        rate=config.rate or RATE[scene.layout],
+        degree=config.degree,
+        min_gain=config.min_gain,
+        background=background,
+        ladder=LADDER if fixed is None else _fixed_ladder(*fixed),
+        shares=FitSettings.shares if fixed is None else tuple(FitSettings.shares[: len(_fixed_ladder(*fixed)) - 1]),
+        always_climb=fixed is not None,
+    )
+
+
+def _fixed_ladder(resolution: int, density: int, colour: int) -> tuple[Rung, ...]:
+    """Coarse to fine towards one capacity: the same end, reached sooner than by starting there."""
+    coarser = [n for n in (64, 128, 192) if n < resolution]
+    return tuple(
+        Rung(n, min(density, 8) if n == 64 else density, min(colour, 16) if n == 64 else colour) for n in coarser
+    ) + (Rung(resolution, density, colour),)
+
+
+def _held_out(train: list[int], wanted: int) -> list[int]:
+    count = min(4, len(train) // 10) if wanted < 0 else wanted
+    if count >= len(train) - 1:
+        raise BadInput(f"{count} of {len(train)} training views cannot be held out; lower --held-out")
+    return [train[int((k + 0.5) * len(train) / count)] for k in range(count)]
+
+
+def _bytes(scene: SceneData, index: int) -> np.ndarray:
+    return (scene.images(index) * 255 + 0.5).astype(np.uint8)
+
+
+def _same_channels(images: list[np.ndarray]) -> list[np.ndarray]:
+    """Images with and without alpha together: those without are opaque."""
+    if len({i.shape[2] for i in images}) == 1:
+        return images
+    return [i if i.shape[2] == 4 else np.dstack([i, np.full(i.shape[:2], 255, np.uint8)]) for i in images]
+
+
+def _shown(background: str) -> str:
+    return "black" if background == "black" else "white"
+
+
+def _figures(fitter: Fitter, held_out: list[int], reason: str) -> dict:
+    state, curve = fitter.state, fitter.state.curve
+    decided = [p["psnr"] for p in curve if p["held_out"]]
+    rung = fitter.settings.ladder[state.rung]
+    return {
+        "steps": state.step,
+        "train_seconds": round(state.seconds, 2),
+        "parameters": fitter.field.parameters,
+        "held_out_psnr": decided[-1] if decided else None,
+        "curve": curve,
+        "decisions": state.decisions,
+        "resolution": rung.resolution,
+        "density_rank": rung.density_rank,
+        "colour_rank": rung.colour_rank,
+        "occupied_share": round(fitter.field.occupancy.share, 4),
+        "rollbacks": state.rollbacks,
+        "held_out_views": len(held_out),
+        "space": fitter.space.kind,
+        "space_reason": reason,
+    }

@@ -1,0 +1,252 @@
+"""Import: posed photos of any known format into a scene of undistorted pictures in one convention."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from schemas.errors import BadInput
+from schemas.exr import FAR_Z, ExrView, read_depth, write_exr
+from schemas.images import to_uint8, write_png
+from schemas.scene import POINTS_FILE, Bounds, Scene, Skipped, Truth, View, as_matrix, write_scene
+from schemas.store import Artefact, Partial
+from schemas.tensors import save_tensors
+from stages.configs.pose_import import ImportConfig
+from stages.progress import Context
+from stages.readers import detected, read_source
+from stages.readers.backdrop import Backdrop
+from stages.readers.photo_folder import photos_of
+from stages.readers.photos import Developer, Sized, present, scale_of, scene_camera, sized
+from stages.readers.source import SourceCamera, SourceScene, natural
+from stages.runner import Spec
+from stages.sfm import reconstructed
+from stylerf.errors import InvalidValue
+from stylerf.geometry import normalise
+from stylerf.geometry.cameras import Camera
+from stylerf.geometry.hull import hull_box
+from stylerf.geometry.resampling import nearest
+
+SPEC = Spec(stage="pose_import", verb="import", revision=1, writes="scene")
+FEWEST_PHOTOS = 2
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """The chosen layout with what follows from it: the similarity to scene units and the cameras in them."""
+
+    layout: normalise.Layout
+    scene_from_source: np.ndarray
+    cameras: list[Camera]
+    splits: list[str]
+
+
+def run(inputs: dict[str, Artefact], config: ImportConfig, partial: Partial, context: Context) -> dict:
+    """Writes scene.json, images/, points.safetensors and truth/ where there are any; returns the figures."""
+    return import_scene(_source(config, partial, context), config, partial, context)
+
+
+def _source(config: ImportConfig, partial: Partial, context: Context) -> SourceScene:
+    source = Path(config.source)
+    found = detected(source) if config.format == "auto" else [config.format]
+    if not found or found[0] == "photos":
+        photos = photos_of(source, config.images)
+        return reconstructed(
+            photos, source, partial.checkpoint, context, matching=config.matching, side=config.sfm_side,
+            features=config.sfm_features, shared=config.one_camera,
+        )  # fmt: skip
+    scene = read_source(source, found[0], config.images)
+    also = f" (also there: {', '.join(found[1:])}; --format takes another)" if found[1:] else ""
+    context.progress.say(f"found {scene.kind}{also}")
+    return scene
+
+
+def import_scene(source: SourceScene, config: ImportConfig, partial: Partial, context: Context) -> dict:
+    """The scene of what a reader found, poses told or reconstructed."""
+    here, missing = present(source.cameras)
+    _tell_missing(source, here, missing, context)
+    here = _with_splits(here, config.test_every)
+    alike: dict = {}
+    photos = [sized(camera, source.rescalable, alike) for camera in here]
+    factors = [scale_of(one.size, config.downscale, config.max_side) for one in photos]
+    plain = [scene_camera(one, factor, one.pose) for one, factor in zip(photos, factors, strict=True)]
+    backdrop = _develop(photos, plain, config, partial, context)
+    try:
+        frame = _framed(source, photos, plain, backdrop, config)
+        bounds = _bounds(source, frame, backdrop)
+    except InvalidValue as error:
+        raise BadInput(f"{config.source}: {error}") from error
+    context.progress.say(f"layout: {frame.layout.name}, because {frame.layout.reason}")
+    depths = _write_truth(partial.path, photos, frame, bounds, context)
+    _write_points(partial.path, source, frame.scene_from_source)
+    scene = Scene(
+        views=tuple(_view(index, *pair) for index, pair in enumerate(zip(photos, frame.cameras, strict=True))),
+        layout=frame.layout.name,
+        layout_reason=frame.layout.reason,
+        bounds=bounds,
+        background=backdrop.kind,
+        scene_from_source=as_matrix(frame.scene_from_source),
+        skipped=tuple(Skipped(one.source, "no such image file") for one in missing)
+        + tuple(Skipped(*one) for one in source.skipped),
+        truth=Truth("truth/depth_000.exr" if depths else None),
+        sfm=source.sfm,
+    )
+    write_scene(partial.path, scene)
+    return _figures(source, scene, depths)
+
+
+def _tell_missing(source: SourceScene, here: list, missing: list[SourceCamera], context: Context) -> None:
+    if missing:
+        names = ", ".join(one.source for one in missing[:5]) + (", ..." if len(missing) > 5 else "")
+        context.progress.say(f"{len(missing)} of {len(source.cameras)} listed photos have no image file: {names}")
+    if len(here) < FEWEST_PHOTOS:
+        first = f" (looked for {missing[0].source})" if missing else ""
+        raise BadInput(
+            f"{len(here)} of {len(source.cameras)} listed photos {'is' if len(here) == 1 else 'are'} there{first}; at "
+            f"least {FEWEST_PHOTOS} are needed: put the photos where the list says, or name their folder with --images"
+        )
+
+
+def _with_splits(cameras: list[SourceCamera], every: int) -> list[SourceCamera]:
+    """The source's own split where it tells one, else every `every`-th photo by name is kept for tests."""
+    if any(one.split for one in cameras):
+        return [replace(one, split=one.split or "train") for one in cameras]
+    ordered = sorted(cameras, key=lambda one: natural(one.source))
+    return [
+        replace(one, split="test" if every and index % every == 0 else "train") for index, one in enumerate(ordered)
+    ]
+
+
+def _develop(photos: list[Sized], cameras: list[Camera], config: ImportConfig, partial: Partial, context) -> Backdrop:
+    """Writes images/NNN.png and returns what was learned about their background."""
+    developer, backdrop = Developer(), Backdrop(config.background)
+    context.progress.start("import", len(photos), "photo")
+    for index, (one, camera) in enumerate(zip(photos, cameras, strict=True)):
+        pixels = backdrop.seen(developer.picture(one, (camera.width, camera.height)))
+        write_png(partial.path / _image(index), to_uint8(pixels))
+        context.progress.update(index + 1)
+    context.progress.finish()
+    backdrop.decide()
+    return backdrop
+
+
+def _framed(source: SourceScene, photos: list[Sized], plain: list[Camera], backdrop: Backdrop, config) -> Frame:
+    poses = np.array([one.pose for one in photos])
+    layout = normalise.decided_layout(poses, backdrop.cuts_out)
+    if config.layout != "auto":
+        layout = normalise.Layout(config.layout, "asked for")
+    if layout.name == "object" and source.keeps_frame and backdrop.kind == "alpha":
+        similarity = np.eye(4)
+    elif layout.name == "forward":
+        told = np.array([one.camera.near_far for one in photos]) if photos[0].camera.near_far else None
+        near, known = normalise.nearest_depth(poses, told, None if source.points is None else source.points.xyz)
+        layout = replace(layout, reason=f"{layout.reason}; nearest depth from {known}")
+        similarity = normalise.facing(poses, near)
+    else:
+        similarity = normalise.centred(poses)
+    cameras = [
+        replace(camera, world_from_camera=normalise.moved(one.pose, similarity))
+        for one, camera in zip(photos, plain, strict=True)
+    ]
+    return Frame(layout, similarity, cameras, [one.camera.split for one in photos])
+
+
+def _bounds(source: SourceScene, frame: Frame, backdrop: Backdrop) -> Bounds:
+    scale = float(np.cbrt(np.linalg.det(frame.scene_from_source[:3, :3])))
+    if frame.layout.name == "unbounded":
+        box = np.array([[-1.0] * 3, [1.0] * 3])
+        near, far = normalise.UNBOUNDED_NEAR, normalise.UNBOUNDED_FAR
+    elif frame.layout.name == "forward":
+        told = [one.near_far[1] for one in source.cameras if one.near_far]
+        near, far = 1.0, max(told) * scale if told else normalise.UNBOUNDED_FAR
+        box = normalise.frustum_box(frame.cameras, near, max(far, 2 * near))
+        far = max(far, 2 * near)
+    else:
+        box = _object_box(frame, backdrop)
+        near, far = normalise.depths_of_box(frame.cameras, box)
+    return Bounds(tuple(tuple(float(value) for value in corner) for corner in box), float(near), float(far))
+
+
+def _object_box(frame: Frame, backdrop: Backdrop) -> np.ndarray:
+    poses = np.array([camera.world_from_camera for camera in frame.cameras])
+    focus = normalise.focus_of(poses)
+    distance = float(np.median(np.linalg.norm(poses[:, :3, 3] - focus, axis=1)))
+    if not backdrop.cuts_out:
+        return np.stack([focus - distance / 2, focus + distance / 2])
+    train = [index for index, split in enumerate(frame.splits) if split == "train"] or range(len(frame.cameras))
+    cameras, silhouettes = [frame.cameras[i] for i in train], [backdrop.silhouettes()[i] for i in train]
+    return hull_box(cameras, silhouettes, np.stack([focus - distance, focus + distance]))
+
+
+def _write_truth(folder: Path, photos: list[Sized], frame: Frame, bounds: Bounds, context: Context) -> int:
+    """Copies known planar depths into truth/, in scene units and at the pictures' size; returns how many."""
+    scale = float(np.cbrt(np.linalg.det(frame.scene_from_source[:3, :3])))
+    written = 0
+    for index, (one, camera) in enumerate(zip(photos, frame.cameras, strict=True)):
+        if one.camera.depth is None:
+            continue
+        if not one.camera.distortion.none:
+            context.progress.say("known depths are left out: they belong to distorted photos")
+            return 0
+        depth = read_depth(one.camera.depth)
+        if depth.shape != one.size[::-1]:
+            raise BadInput(
+                f"{one.camera.depth} is {depth.shape[1]}x{depth.shape[0]} where its photo is "
+                f"{one.size[0]}x{one.size[1]}; make it of the same size"
+            )
+        write_exr(folder / "truth" / f"depth_{index:03d}.exr", _depth_view(depth, scale, camera, bounds))
+        written += 1
+    return written
+
+
+def _depth_view(depth: np.ndarray, scale: float, camera: Camera, bounds: Bounds) -> ExrView:
+    depth = nearest(depth, (camera.width, camera.height))
+    hit = (depth > 0) & (depth < FAR_Z / 10)
+    z = np.where(hit, depth * scale, FAR_Z).astype(np.float32)
+    return ExrView(
+        np.zeros((*z.shape, 3), np.float32), hit.astype(np.float32), z, z / camera.ray_cosines(),
+        camera.world_from_camera, (camera.fx, camera.fy, camera.cx, camera.cy), bounds.near, bounds.far,
+    )  # fmt: skip
+
+
+def _write_points(folder: Path, source: SourceScene, scene_from_source: np.ndarray) -> None:
+    points = source.points
+    if points is None:
+        return
+    xyz = points.xyz @ scene_from_source[:3, :3].T + scene_from_source[:3, 3]
+    kept = np.isfinite(xyz).all(axis=1)
+    tensors = {"xyz": xyz.astype(np.float32)[kept], "rgb": points.rgb[kept], "error": points.error[kept]}
+    save_tensors(folder / POINTS_FILE, tensors)
+
+
+def _image(index: int) -> str:
+    return f"images/{index:03d}.png"
+
+
+def _view(index: int, one: Sized, camera: Camera) -> View:
+    return View(
+        name=camera.name, image=_image(index), split=one.camera.split, width=camera.width, height=camera.height,
+        fx=camera.fx, fy=camera.fy, cx=camera.cx, cy=camera.cy,
+        world_from_camera=as_matrix(camera.world_from_camera), source=one.camera.source,
+    )  # fmt: skip
+
+
+def _figures(source: SourceScene, scene: Scene, depths: int) -> dict:
+    widths = sorted({(view.width, view.height) for view in scene.views})
+    return {
+        "format": source.kind,
+        "views": len(scene.views),
+        "train": len(scene.split("train")),
+        "test": len(scene.split("test")),
+        "skipped": [f"{one.source}: {one.reason}" for one in scene.skipped],
+        "sizes": [f"{width}x{height}" for width, height in widths],
+        "layout": scene.layout,
+        "layout_reason": scene.layout_reason,
+        "background": scene.background,
+        "aabb": scene.bounds.aabb,
+        "near": scene.bounds.near,
+        "far": scene.bounds.far,
+        "points": 0 if source.points is None else len(source.points.xyz),
+        "truth_depths": depths,
+        "sfm": source.sfm,
+        "filter": "Catmull-Rom where undistorted, then area average; sRGB code values times alpha",
+    }

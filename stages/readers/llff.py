@@ -1,0 +1,64 @@
+"""LLFF's poses_bounds.npy: one row per photo, in the order of the photos' names."""
+
+from pathlib import Path
+
+import numpy as np
+
+from schemas.errors import BadInput
+from stages.readers.source import SourceCamera, SourceScene, find_mask, image_folder, images_in
+from stylerf.geometry.conventions import from_llff
+
+FOLDERS = ("images", "images_2", "images_4", "images_8")
+
+
+def read(source: Path, images: str) -> SourceScene:
+    """A folder with poses_bounds.npy, [n, 17]: 3x5 of pose and (height, width, focal) of the full-size photos, and
+    nearest and farthest depth."""
+    path = source if source.is_file() else source / "poses_bounds.npy"
+    rows = _rows(path)
+    folder = image_folder(path.parent, images) if images else _default_folder(path.parent)
+    photos = images_in(folder)
+    if len(photos) != len(rows):
+        raise BadInput(
+            f"{path} holds {len(rows)} poses but {folder} holds {len(photos)} photos; LLFF tells photos by their order "
+            "alone, so both must be equal: restore or remove photos, or name their folder with --images"
+        )
+    cameras = []
+    for row, photo in zip(rows, photos, strict=True):
+        pose = row[:15].reshape(3, 5)
+        height, width, focal = pose[:, 4]
+        if not (np.isfinite(pose[:, 4]).all() and min(height, width) >= 1):
+            raise BadInput(f"{path}: the row of {photo.name} tells a size of {width:g}x{height:g}; export it again")
+        cameras.append(
+            SourceCamera(
+                name=photo.stem,
+                source=str(photo.relative_to(path.parent) if photo.is_relative_to(path.parent) else photo),
+                image=photo,
+                world_from_camera=from_llff(pose),
+                size=(round(width), round(height)),
+                intrinsics=(focal, focal, width / 2, height / 2),
+                mask=find_mask(path.parent, photo),
+                near_far=(float(row[15]), float(row[16])),
+            )
+        )
+    return SourceScene(f"LLFF poses_bounds.npy with photos of {folder.name}", cameras, rescalable=True)
+
+
+def _rows(path: Path) -> np.ndarray:
+    try:
+        rows = np.load(path, allow_pickle=False)
+    except (OSError, ValueError, EOFError) as error:
+        raise BadInput(f"{path} cannot be read ({str(error).splitlines()[0]}); export it again") from error
+    if rows.ndim != 2 or rows.shape[1] != 17 or rows.dtype.kind not in "fi" or not len(rows):
+        raise BadInput(f"{path} is an array of {rows.shape}; LLFF's is n x 17 numbers")
+    bad = ~np.isfinite(rows[:, 15:]).all(axis=1) | (rows[:, 15] <= 0) | (rows[:, 16] <= rows[:, 15])
+    if bad.any():
+        raise BadInput(f"{path}: row {int(np.argmax(bad))} has depth bounds {rows[np.argmax(bad), 15:].tolist()}")
+    return rows.astype(np.float64)
+
+
+def _default_folder(root: Path) -> Path:
+    for name in FOLDERS:
+        if (root / name).is_dir() and images_in(root / name):
+            return root / name
+    raise BadInput(f"{root} has no photos in {', '.join(FOLDERS)}; name their folder with --images")

@@ -1,0 +1,49 @@
+"""A folder of photos and nothing else: which files count, and what to say where none does."""
+
+from pathlib import Path
+
+from schemas.errors import BadInput
+from stages.readers.source import image_folder, images_in
+
+FOLDERS = ("images", "input", "photos")
+UNREADABLE = (".heic", ".heif", ".avif", ".cr2", ".cr3", ".nef", ".arw", ".dng", ".raf", ".orf", ".rw2")
+FILMS = (".mp4", ".mov", ".avi", ".mkv", ".webm", ".m4v")
+
+
+def photos_of(source: Path, images: str = "") -> list[Path]:
+    """The photos in `source` or its folder images/ (or --images), masks left out; BadInput where there are none."""
+    if not source.exists():
+        raise BadInput(f"{source} does not exist; give a folder of photos")
+    if source.is_file():
+        raise _no_folder(source)
+    folder = image_folder(source, images) if images else _folder(source)
+    found = [photo for photo in images_in(folder) if not photo.stem.endswith("_mask") and not photo.name.startswith(".")]
+    if found:
+        return found
+    names = [item.name for item in folder.iterdir()]
+    foreign = sorted({Path(name).suffix for name in names if Path(name).suffix.lower() in UNREADABLE})
+    if foreign:
+        raise BadInput(f"{folder} holds only files of kinds that cannot be read ({', '.join(foreign)}); convert them to JPEG or PNG")
+    films = [name for name in names if Path(name).suffix.lower() in FILMS]
+    if films:
+        raise _film(folder / films[0])
+    raise BadInput(
+        f"{source} holds no photos (PNG, JPEG, TIFF, WebP ...), no transforms.json, no COLMAP model (sparse/0) and no "
+        "poses_bounds.npy; give a folder that has one of them"
+    )
+
+
+def _folder(source: Path) -> Path:
+    if images_in(source):
+        return source
+    return next((source / name for name in FOLDERS if (source / name).is_dir()), source)
+
+
+def _no_folder(source: Path) -> BadInput:
+    if source.suffix.lower() in FILMS:
+        return _film(source)
+    return BadInput(f"{source} is a file; give the folder of the photos")
+
+
+def _film(film: Path) -> BadInput:
+    return BadInput(f"{film} is a video; take frames out of it first: ffmpeg -i {film.name} -vf fps=3 frames/%04d.jpg")

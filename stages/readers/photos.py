@@ -1,0 +1,145 @@
+"""One photo of a source: checked, its mask joined, undistorted and shrunk."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from schemas.errors import BadInput
+from schemas.images import image_size, read_image
+from stages.readers.source import SourceCamera
+from stylerf.errors import InvalidValue
+from stylerf.geometry.cameras import Camera
+from stylerf.geometry.conventions import checked_pose
+from stylerf.geometry.distortion import pinhole_of, source_positions
+from stylerf.geometry.resampling import shrunk
+
+# Brightest pixel of a photo that shows anything: a covered lens stays below in 8 bit, noise included.
+DARKEST_WHITE = 10 / 255
+
+
+@dataclass(frozen=True, eq=False)
+class Sized:
+    """A source camera whose size and intrinsics are those of its photo."""
+
+    camera: SourceCamera
+    size: tuple[int, int]
+    intrinsics: tuple[float, float, float, float]
+    pinhole: tuple[float, float, float, float]
+    pose: np.ndarray
+
+
+def sized(camera: SourceCamera, rescalable: bool, alike: dict) -> Sized:
+    """Checks pose, focal length and size against the photo's header. alike: cache of pinholes by their distortion.
+
+    BadInput with the photo's name and what is wrong.
+    """
+    where = camera.source
+    try:
+        pose = checked_pose(camera.world_from_camera)
+    except InvalidValue as error:
+        raise BadInput(f"{where}: {error}; remove the photo from the list or repair its pose") from error
+    size = image_size(camera.image)
+    intrinsics = _intrinsics(camera, size, rescalable)
+    key = (size, intrinsics, camera.distortion)
+    if key not in alike:
+        try:
+            alike[key] = pinhole_of(*key)
+        except InvalidValue as error:
+            raise BadInput(f"{where}: {error}") from error
+    return Sized(camera, size, intrinsics, alike[key], pose)
+
+
+def _intrinsics(camera: SourceCamera, size: tuple[int, int], rescalable: bool) -> tuple[float, float, float, float]:
+    told, where = camera.size or size, camera.source
+    if camera.intrinsics is None:
+        angle = camera.angle
+        if not (angle is not None and 0 < angle < np.pi):
+            raise BadInput(f"{where}: horizontal field of view {angle} is not between 0 and pi; repair camera_angle_x")
+        focal = told[0] / 2 / np.tan(angle / 2)
+        fx, fy, cx, cy = focal, focal, told[0] / 2, told[1] / 2
+    else:
+        fx, fy, cx, cy = camera.intrinsics
+        cx, cy = (told[0] / 2 if np.isnan(cx) else cx), (told[1] / 2 if np.isnan(cy) else cy)
+    if not (np.isfinite([fx, fy, cx, cy]).all() and fx > 0 and fy > 0):
+        raise BadInput(f"{where}: focal length {fx:g} x {fy:g} must be positive; repair the camera")
+    if told == size:
+        return (fx, fy, cx, cy)
+    kx, ky = size[0] / told[0], size[1] / told[1]
+    # A copy shrunk by rounding keeps the aspect to half a pixel on each side.
+    if not rescalable or abs(kx / ky - 1) > 1 / min(size):
+        raise BadInput(
+            f"{where}: the photo is {size[0]}x{size[1]} where its camera says {told[0]}x{told[1]}; restore the "
+            "photo of that size" + ("" if rescalable else ", or name a folder of smaller copies with --images")
+        )
+    return (fx * kx, fy * ky, cx * kx, cy * ky)
+
+
+def scale_of(size: tuple[int, int], downscale: float, max_side: int) -> float:
+    """The factor, at most 1, by which a photo's sides are multiplied."""
+    factor = 1 / downscale
+    return min(factor, max_side / max(size)) if max_side else factor
+
+
+def scene_camera(one: Sized, factor: float, scene_from_source_pose: np.ndarray) -> Camera:
+    """The undistorted camera at the size that the scene holds, with its pose in scene units."""
+    return Camera(one.camera.name, *one.size, *one.pinhole, scene_from_source_pose).scaled(factor)
+
+
+class Developer:
+    """Turns photos into the scene's pictures; the map of positions is kept for photos of one camera."""
+
+    def __init__(self) -> None:
+        self._key, self._positions = None, None
+
+    def picture(self, one: Sized, size: tuple[int, int]) -> np.ndarray:
+        """[height, width, 3 or 4] float32, straight alpha, of size (width, height); 4 channels where any pixel is not
+        opaque. BadInput for a black, damaged or wrongly masked photo."""
+        pixels = _with_mask(one, _rgb(read_image(one.camera.image).pixels))
+        if (pixels[..., :3] * pixels[..., 3:] if pixels.shape[2] == 4 else pixels).max() < DARKEST_WHITE:
+            if pixels.shape[2] == 3 or pixels[..., 3].max() > 0.5:
+                raise BadInput(f"{one.camera.image} is black; remove it from the capture")
+        cut = pixels.shape[2] == 4 and pixels[..., 3].min() < 1
+        pixels = np.ascontiguousarray(pixels if cut else pixels[..., :3])
+        if cut:
+            pixels[..., :3] *= pixels[..., 3:]
+        if not one.camera.distortion.none:
+            # Late: the kernel takes a second to load, which pinhole sources need not wait for.
+            from stylerf.kernels.cpu.remap import remapped
+
+            pixels = remapped(pixels, self._map(one))
+        pixels = shrunk(pixels, size)
+        if cut:
+            pixels[..., :3] = np.where(
+                pixels[..., 3:] > 0, pixels[..., :3] / np.maximum(pixels[..., 3:], 1e-6), 0
+            ).clip(0, 1)
+        return pixels
+
+    def _map(self, one: Sized) -> np.ndarray:
+        key = (one.size, one.pinhole, one.intrinsics, one.camera.distortion)
+        if key != self._key:
+            self._key, self._positions = key, source_positions(*key)
+        return self._positions
+
+
+def _rgb(pixels: np.ndarray) -> np.ndarray:
+    return pixels if pixels.shape[2] >= 3 else np.repeat(pixels, 3, axis=2)
+
+
+def _with_mask(one: Sized, pixels: np.ndarray) -> np.ndarray:
+    if one.camera.mask is None:
+        return pixels
+    mask = read_image(one.camera.mask).pixels
+    if mask.shape[:2] != pixels.shape[:2]:
+        raise BadInput(
+            f"{one.camera.mask} is {mask.shape[1]}x{mask.shape[0]} where its photo is "
+            f"{pixels.shape[1]}x{pixels.shape[0]}; make it of the same size"
+        )
+    alpha = mask[..., :3].max(axis=2)
+    whole = pixels[..., 3] * alpha if pixels.shape[2] == 4 else alpha
+    return np.dstack([pixels[..., :3], whole])
+
+
+def present(cameras: list[SourceCamera]) -> tuple[list[SourceCamera], list[SourceCamera]]:
+    """Cameras with a photo, and those without."""
+    cameras = [replace(one, mask=one.mask if one.mask and one.mask.is_file() else None) for one in cameras]
+    return [one for one in cameras if one.image is not None], [one for one in cameras if one.image is None]

@@ -1,0 +1,112 @@
+"""What every reader of poses returns: cameras as the source tells them, in our axes but in the source's own frame."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from schemas.errors import BadInput
+from stylerf.geometry.distortion import Distortion
+
+
+@dataclass(frozen=True, eq=False)
+class SourceCamera:
+    """One photo and its camera.
+
+    image: the file, or None where the source names none that exists; `source` is then the path that was looked for.
+    size: (width, height) that the intrinsics are of; None: that of the photo. intrinsics: fx, fy, cx, cy in pixels;
+    a principal point of NaN is the centre. angle: horizontal field of view in radians where no fx is told.
+    world_from_camera: [4, 4], OpenCV axes, source units. split: train, test or None (not told).
+    near_far: planar depths between which this camera sees anything, source units.
+    """
+
+    name: str
+    source: str
+    image: Path | None
+    world_from_camera: np.ndarray
+    size: tuple[int, int] | None = None
+    intrinsics: tuple[float, float, float, float] | None = None
+    angle: float | None = None
+    distortion: Distortion = field(default_factory=Distortion)
+    split: str | None = None
+    mask: Path | None = None
+    depth: Path | None = None
+    near_far: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class SourcePoints:
+    """Sparse points in the source's frame: xyz [n, 3] float64, rgb [n, 3] uint8, error [n] float32 pixels."""
+
+    xyz: np.ndarray
+    rgb: np.ndarray
+    error: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class SourceScene:
+    """Everything a source tells. kind: in words. keeps_frame: the frame is that of a made scene, worth keeping.
+
+    rescalable: photos may be a smaller copy of those that the intrinsics are of. sfm: figures of a reconstruction.
+    skipped: (photo, reason) of those that the reader left out itself.
+    """
+
+    kind: str
+    cameras: list[SourceCamera]
+    points: SourcePoints | None = None
+    keeps_frame: bool = False
+    rescalable: bool = False
+    sfm: dict | None = None
+    skipped: tuple[tuple[str, str], ...] = ()
+
+
+IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".bmp", ".jp2", ".exr")
+
+
+def find_image(path: Path) -> Path | None:
+    """The file at `path`, or, where the source leaves the suffix out or has another case, the image of that name."""
+    if path.suffix.lower() in IMAGE_SUFFIXES and path.is_file():
+        return path
+    for suffix in IMAGE_SUFFIXES:
+        for candidate in (Path(f"{path}{suffix}"), Path(f"{path}{suffix.upper()}")):
+            if candidate.is_file():
+                return candidate
+    return path if path.is_file() else None
+
+
+def find_mask(root: Path, image: Path | None) -> Path | None:
+    """root/masks/NAME.png for images/NAME.jpg, or COLMAP's root/masks/NAME.jpg.png."""
+    if image is None or not (root / "masks").is_dir():
+        return None
+    for name in (f"{image.stem}.png", f"{image.name}.png", image.name):
+        if (root / "masks" / name).is_file():
+            return root / "masks" / name
+    return None
+
+
+def images_in(folder: Path) -> list[Path]:
+    """Images of a folder in the order that people count: 2 before 10."""
+    found = [item for item in folder.iterdir() if item.suffix.lower() in IMAGE_SUFFIXES and item.is_file()]
+    return sorted(found, key=lambda item: natural(item.name))
+
+
+def natural(text: str) -> tuple:
+    """Sort key by which numbers inside names count as numbers."""
+    parts, digits = [], ""
+    for letter in text + "\0":
+        if letter.isascii() and letter.isdigit():
+            digits += letter
+            continue
+        if digits:
+            parts.append((0, int(digits), ""))
+            digits = ""
+        parts.append((1, 0, letter))
+    return tuple(parts)
+
+
+def image_folder(root: Path, wanted: str) -> Path:
+    """The folder that --images names, inside the source or anywhere; BadInput where there is none."""
+    for folder in (root / wanted, Path(wanted)):
+        if folder.is_dir():
+            return folder
+    raise BadInput(f"--images {wanted}: there is no such folder in {root}; name one that holds the photos")

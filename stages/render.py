@@ -1,0 +1,147 @@
+"""Render: a field seen from the scene's views or along a path, as EXR, PNG and video."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from schemas.errors import BadInput
+from schemas.exr import ExrView, write_exr
+from schemas.frames import Frame, FrameCamera, Frames, write_frames
+from schemas.images import linear_from_srgb, to_uint8, write_png
+from schemas.scene import as_matrix
+from schemas.store import Artefact, Partial
+from stages.configs.render import RenderConfig, frames_of
+from stages.fields import load_field
+from stages.progress import Context
+from stages.runner import Spec
+from stages.scenes import SceneData, load_scene
+from stylerf.errors import InvalidValue
+from stylerf.fields.field import RadianceField
+from stylerf.geometry.cameras import Camera
+from stylerf.geometry.paths import PATHS, path_camera
+from stylerf.kernels.cpu.compiling import compiling_note, set_threads
+from stylerf.rendering.pictures import depth_picture
+from stylerf.rendering.view import RenderedView, render_view
+
+SPEC = Spec(stage="render", verb="render", revision=1, writes="frames")
+Shot = tuple[Camera, int | None]
+
+
+def run(inputs: dict[str, Artefact], config: RenderConfig, partial: Partial, context: Context) -> dict:
+    """Writes frames.json, png/, and exr/, depth/ and a video where asked for. A frame on disk is not rendered again."""
+    scene = load_scene(inputs["scene"])
+    field, background = load_field(inputs["field"])
+    threads = set_threads(context.threads)
+    shots = shots_of(scene, config)
+    attributes = {"field": inputs["field"].name, "fieldDigest": inputs["field"].digest, "path": config.path}
+    context.progress.start("render", len(shots), "frame")
+    frames = []
+    with compiling_note(context.progress.say):
+        for done, (camera, view) in enumerate(shots):
+            frames.append(_frame(field, background, camera, view, config, partial.path, threads, attributes))
+            context.progress.update(done + 1)
+    context.progress.finish()
+    video = _video(partial.path, [f.png for f in frames], config, context) if config.video else None
+    write_frames(partial.path, Frames(inputs["field"].name, config.path, tuple(frames), config.fps))
+    return {"frames": len(frames), "pixels": int(sum(c.width * c.height for c, _ in shots)), "video": video}
+
+
+def shots_of(scene: SceneData, config: RenderConfig) -> list[Shot]:
+    """The cameras to render, each with the index of the scene's view it repeats (None: none)."""
+    splits = scene.splits
+    own = {"train": splits["train"], "test": splits["test"], "views": sorted(splits["train"] + splits["test"])}
+    if config.path in own:
+        shots: list[Shot] = [(scene.cameras[i], i if config.scale == 1 else None) for i in own[config.path]]
+        if not shots:
+            raise BadInput(f"{scene.folder}: the scene has no {config.path} views to render")
+    elif config.path in PATHS:
+        cameras = [scene.cameras[i] for i in own["views"]]
+        focus = _focus_depth(scene)
+        wanted = frames_of(config.frames, config.count)
+        shots = [(path_camera(config.path, cameras, i, config.count, focus), None) for i in wanted]
+        return [(c.scaled(config.scale), v) for c, v in shots]
+    else:
+        shots = [(camera, None) for camera in _cameras_of_file(Path(config.path), scene.cameras[0])]
+    chosen = frames_of(config.frames, len(shots))
+    if not len(chosen):
+        raise BadInput(f"--frames {config.frames}: the path {config.path} has {len(shots)} frames, counted from 0")
+    return [(shots[i][0].scaled(config.scale), shots[i][1]) for i in chosen]
+
+
+def _focus_depth(scene: SceneData) -> float:
+    bounds = scene.bounds
+    return 1 / (0.5 * (1 / max(bounds.near, 1e-3) + 1 / max(bounds.far, bounds.near * 2)))
+
+
+def _cameras_of_file(path: Path, like: Camera) -> list[Camera]:
+    """Cameras of a JSON list of {world_from_camera, and optionally width, height, fx, fy, cx, cy}, in scene units."""
+    try:
+        entries = json.loads(path.read_text())
+    except OSError as error:
+        raise BadInput(f"--path {path}: neither a known path nor a readable file ({error.strerror})") from error
+    except ValueError as error:
+        raise BadInput(f"--path {path} is not JSON: {error}") from error
+    cameras = []
+    for number, entry in enumerate(entries if isinstance(entries, list) else []):
+        try:
+            own = {
+                k: type(getattr(like, k))(entry[k]) for k in ("width", "height", "fx", "fy", "cx", "cy") if k in entry
+            }
+            cameras.append(
+                replace(like, name=f"{number:04d}", world_from_camera=np.array(entry["world_from_camera"]), **own)
+            )
+        except (KeyError, TypeError, ValueError, InvalidValue) as error:
+            raise BadInput(f"--path {path}: camera {number} is not sound ({error})") from error
+    if not cameras:
+        raise BadInput(f"--path {path}: a list of cameras was expected, each with world_from_camera")
+    return cameras
+
+
+def _frame(field, background, camera, view, config, folder: Path, threads, attributes) -> Frame:
+    name = camera.name if view is not None else f"{int(camera.name):04d}" if camera.name.isdigit() else camera.name
+    frame = Frame(name, f"exr/{name}.exr" if config.exr else "", f"png/{name}.png", _camera_entry(camera), view)
+    if (folder / frame.png).is_file() and (not config.exr or (folder / frame.exr).is_file()):
+        return frame
+    rendered = render_view(field, camera, chunks=threads)
+    if config.exr:
+        write_exr(folder / frame.exr, exr_view(rendered, camera, field, attributes))
+    if config.depth:
+        write_png(folder / f"depth/{name}.png", depth_picture(rendered.z, rendered.alpha))
+    # The PNG comes last: its presence says that the frame is whole.
+    level = 1.0 if background == "white" else 0.0
+    rgb = rendered.rgb + (1 - rendered.alpha[..., None]) * np.float32(level)
+    write_png(folder / frame.png, to_uint8(np.clip(rgb, 0, 1)))
+    return frame
+
+
+def exr_view(rendered: RenderedView, camera: Camera, field: RadianceField, attributes: dict[str, str]) -> ExrView:
+    """Linear and premultiplied: the encoded colour is divided by alpha, made linear, and multiplied again."""
+    alpha = rendered.alpha[..., None]
+    straight = np.clip(rendered.rgb / np.maximum(alpha, 1e-6), 0, 1)
+    return ExrView(
+        rgb=linear_from_srgb(straight) * alpha,
+        alpha=rendered.alpha,
+        z=rendered.z,
+        ray_distance=rendered.ray_distance,
+        world_from_camera=camera.world_from_camera,
+        intrinsics=(camera.fx, camera.fy, camera.cx, camera.cy),
+        near=max(field.space.near, 1e-3),
+        far=field.space.far,
+        attributes=attributes,
+    )
+
+
+def _camera_entry(camera: Camera) -> FrameCamera:
+    return FrameCamera(
+        camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy, as_matrix(camera.world_from_camera)
+    )
+
+
+def _video(folder: Path, pictures: list[str], config: RenderConfig, context: Context) -> str:
+    from schemas.video import write_video
+
+    path, how = write_video(folder / "video", [folder / p for p in pictures], config.fps)
+    context.progress.say(f"video: {path.name}, by {how}")
+    return path.name

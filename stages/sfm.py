@@ -1,0 +1,171 @@
+"""Structure from motion: photos without poses into posed ones, by COLMAP in a child process that can be stopped.
+
+Ctrl-C ends the child at once; finished photos, features and matches stay in the checkpoint folder, and the next run goes
+on from there.
+"""
+
+import json
+import os
+import queue
+import signal
+import subprocess
+import sys
+import threading
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+
+from schemas.errors import BadInput, OutOfResources
+from stages.progress import Context
+from stages.readers.colmap import from_reconstruction, load
+from stages.readers.source import SourceCamera, SourceScene, find_mask, natural
+from stages.structure.job import Job
+from stages.structure.pairs import chosen_matching
+
+ROOT = Path(__file__).resolve().parent.parent
+POLL_SECONDS = 0.2
+
+
+def reconstructed(
+    photos: list[Path], root: Path, checkpoint: Path, context: Context, *, matching: str, side: int, features: int,
+    shared: bool,
+) -> SourceScene:  # fmt: skip
+    """The posed photos of a folder. root: what their names are told relative to; checkpoint: where steps are kept.
+
+    matching: auto, exhaustive or sequential; side, features and shared: see Job. BadInput where photos are damaged, too
+    few, or the result cannot be believed; KeyboardInterrupt passes within a second.
+    """
+    photos = sorted(photos, key=lambda photo: natural(str(photo)))
+    method, reason = chosen_matching(matching, [photo.name for photo in photos])
+    context.progress.say(f"no poses found: structure from motion of {len(photos)} photos, {method} matching ({reason})")
+    folder = checkpoint / "sfm"
+    folder.mkdir(parents=True, exist_ok=True)
+    paths = tuple(str(photo) for photo in photos)
+    job = Job(str(folder), paths, side, features, method, shared, context.seed, context.threads)
+    job.write(folder / "job.json")
+    result = folder / "result.json"
+    if not result.is_file():
+        run_child(folder / "job.json", context)
+    return _scene(json.loads(result.read_text()), folder / "model", root, context)
+
+
+def _scene(result: dict, model: Path, root: Path, context: Context) -> SourceScene:
+    figures = result["figures"]
+    context.progress.say(
+        f"structure from motion: {figures['registered']} of {figures['photos']} photos placed, {figures['points']} "
+        f"points, {figures['error_px']:.2f} px"
+    )
+    copies = {copy["file"]: copy for copy in result["copies"]}
+    scene = from_reconstruction(load(model), model, root, "photos, by structure from motion")
+    cameras = [_of_photo(camera, copies[camera.source], root) for camera in scene.cameras]
+    placed = {camera.image for camera in cameras}
+    skipped = [
+        (_told(Path(copy["photo"]), root), copy["unusable"] or "structure from motion could not place it")
+        for copy in result["copies"]
+        if Path(copy["photo"]) not in placed
+    ]
+    return replace(scene, cameras=cameras, sfm=figures, skipped=tuple(skipped))
+
+
+def _of_photo(camera: SourceCamera, copy: dict, root: Path) -> SourceCamera:
+    """The camera of a working copy as that of the photo itself."""
+    photo, size = Path(copy["photo"]), tuple(copy["full_size"])
+    kx, ky = size[0] / copy["size"][0], size[1] / copy["size"][1]
+    fx, fy, cx, cy = camera.intrinsics
+    return replace(
+        camera, name=photo.stem, source=_told(photo, root), image=photo, size=size, mask=find_mask(root, photo),
+        intrinsics=(fx * kx, fy * ky, cx * kx, cy * ky),
+    )  # fmt: skip
+
+
+def _told(photo: Path, root: Path) -> str:
+    return str(photo.relative_to(root)) if photo.is_relative_to(root) else str(photo)
+
+
+def run_child(job: Path, context: Context) -> None:
+    """Runs `stages.sfm_child` to its end, showing its progress; raises the fault that it tells.
+
+    The child leads a process group of its own, so the terminal's Ctrl-C reaches this process alone, which then ends the
+    group whatever it is doing.
+    """
+    log = job.with_suffix(".log")
+    path = os.pathsep.join([str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])])
+    with open(log, "wb") as errors:
+        child = subprocess.Popen(
+            [sys.executable, "-m", "stages.sfm_child", str(job)], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+            stderr=errors, start_new_session=True, env={**os.environ, "PYTHONPATH": path},
+        )  # fmt: skip
+    try:
+        fault = _follow(child, context)
+        code = child.wait()
+    finally:
+        _end(child)
+    if fault:
+        raise _fault(fault["kind"], fault["text"])
+    if code:
+        raise _death(code, log)
+
+
+def _end(child: subprocess.Popen) -> None:
+    if child.poll() is None:
+        with suppress(ProcessLookupError):
+            os.killpg(child.pid, signal.SIGKILL)
+        child.wait()
+    for stream in (child.stdin, child.stdout):
+        stream.close()
+
+
+def _follow(child: subprocess.Popen, context: Context) -> dict | None:
+    """Passes the child's events on until it closes its channel; the fault it told, if any."""
+    events: queue.Queue[dict | None] = queue.Queue()
+    threading.Thread(target=_read, args=(child.stdout, events), daemon=True).start()
+    fault = None
+    while True:
+        try:
+            # A wait without end would not be left by a signal on every system.
+            event = events.get(timeout=POLL_SECONDS)
+        except queue.Empty:
+            continue
+        if event is None:
+            context.progress.finish()
+            return fault
+        if event["event"] == "step":
+            context.progress.start(event["label"], event["total"], event["unit"])
+        elif event["event"] == "done":
+            context.progress.update(event["count"], event["note"])
+        elif event["event"] == "say":
+            context.progress.say(event["text"])
+        else:
+            fault = event
+
+
+def _read(stream, events: "queue.Queue[dict | None]") -> None:
+    with suppress(ValueError, OSError):  # closed by _end while we were reading
+        for line in stream:
+            with suppress(ValueError):
+                events.put(json.loads(line))
+    events.put(None)
+
+
+def _fault(kind: str, text: str) -> BaseException:
+    if kind == "MemoryError":
+        return MemoryError(text)
+    if kind == "OSError":
+        number, _, words = text.partition(" ")
+        return OSError(int(number), words)
+    return {"OutOfResources": OutOfResources}.get(kind, BadInput)(text)
+
+
+def _death(code: int, log: Path) -> BaseException:
+    """What to tell when the child died without a word."""
+    if code == -signal.SIGKILL:
+        return OutOfResources(
+            "structure from motion was killed by the system, most likely for its memory; give a smaller --sfm-side or "
+            "--sfm-features and run the same command"
+        )
+    if code == -signal.SIGTERM:
+        return KeyboardInterrupt()
+    lines = [line for line in log.read_text(errors="replace").splitlines() if line.strip()]
+    last = next((line for line in reversed(lines) if line[:1] in "EF" or "Error" in line), lines[-1] if lines else "")
+    how = f"signal {-code}" if code < 0 else f"exit code {code}"
+    return BadInput(f"structure from motion ended by itself ({how}: {last.strip()[:200]}); check the photos")

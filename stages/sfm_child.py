@@ -1,0 +1,76 @@
+"""The child process of structure from motion: `python -m stages.sfm_child JOB.json`.
+
+COLMAP ignores Ctrl-C for minutes, may abort the process, and writes to stdout; so it runs here, where it can be killed
+at any moment. Events go to stdout as JSON lines (structure/job.py), COLMAP's log to stderr. The process ends when its
+stdin closes, that is when the parent dies.
+"""
+
+import os
+import sys
+import threading
+from pathlib import Path
+
+from schemas.atomic import write_json
+from schemas.errors import BadInput, StylerfError
+from stages.structure.job import Job, Teller
+
+RESULT = "result.json"
+
+
+def main(path: str) -> int:
+    """Runs the job at `path`; 0 when its result is written, 1 after a fault that was told."""
+    channel = os.fdopen(os.dup(1), "w", encoding="utf-8")
+    os.dup2(2, 1)  # whatever else writes to stdout goes to the log
+    tell = Teller(channel)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    try:
+        run(Job.read(Path(path)), tell)
+    except StylerfError as error:
+        tell.fault(type(error).__name__, str(error))
+        return 1
+    except OSError as error:
+        tell.fault("OSError", f"{error.errno or 0} {error}")
+        return 1
+    except MemoryError:
+        tell.fault("MemoryError", "out of memory")
+        return 1
+    return 0
+
+
+def run(job: Job, tell: Teller) -> None:
+    """All steps; finished ones of an interrupted run are skipped. Writes model/ and result.json into the job's folder."""
+    import pycolmap
+
+    from stages.structure import copies, database, judging, mapping
+
+    pycolmap.logging.minloglevel = 1
+    pycolmap.set_random_seed(job.seed)
+    folder = Path(job.folder)
+    every = copies.make_copies(job, tell)
+    used = copies.usable(every, judging.FEWEST_PHOTOS)
+    path = database.register(job, used, tell)
+    database.extract(job, path, used, tell)
+    database.match(job, path, used, tell)
+    models = mapping.reconstruct(job, path, len(used), tell)
+    refined = False
+    if models:
+        models[0], refined = mapping.refined(models[0], folder)
+    found = judging.quality(models, len(used), database.matched_pairs(path), database.keypoints(path), refined)
+    refusal, warnings = judging.verdict(found)
+    if refusal:
+        raise BadInput(refusal)
+    for warning in warnings:
+        tell.say(warning)
+    (folder / mapping.REFINED).mkdir(exist_ok=True)
+    models[0].write(folder / mapping.REFINED)
+    write_json(folder / RESULT, {"copies": every, "figures": found.as_dict()})
+
+
+def _end_with_parent() -> None:
+    while os.read(0, 1):  # not sys.stdin: Python aborts at its end where a thread holds that stream
+        pass
+    os._exit(2)
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1]))

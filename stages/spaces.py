@@ -1,0 +1,34 @@
+"""Which warp of space a scene is fitted in."""
+
+import numpy as np
+
+from stages.scenes import SceneData
+from stylerf.geometry.space import Space
+
+KIND_OF_LAYOUT = {"object": "box", "forward": "frustum", "unbounded": "contraction"}
+_MARGIN = 1.02
+
+
+def space_of(scene: SceneData, wanted: str) -> tuple[Space, str]:
+    """The warp, and in words why. wanted: a kind, or auto for the one of the scene's layout."""
+    bounds = scene.bounds
+    kind = KIND_OF_LAYOUT[scene.layout] if wanted == "auto" else wanted
+    reason = f"{scene.layout} layout ({scene.scene.layout_reason})" if wanted == "auto" else "asked for"
+    if kind == "box":
+        return Space.box(*bounds.aabb), reason
+    if kind == "contraction":
+        return Space.box(*bounds.aabb, near=bounds.near, far=max(bounds.far, 1e3), kind="contraction"), reason
+    half_width, half_height = _frustum_sides(scene, bounds.near)
+    return Space.frustum(half_width, half_height, bounds.near, max(bounds.far, 1e4)), reason
+
+
+def _frustum_sides(scene: SceneData, near: float) -> tuple[float, float]:
+    """Largest |x/z| and |y/z| that any view's corner sees beyond `near`, in the frame of the average camera."""
+    slopes = []
+    for camera in scene.cameras:
+        corners = np.array([[0, 0], [camera.width, 0], [0, camera.height], [camera.width, camera.height]], float)
+        for depth in (near, 4 * near, 1000 * near):
+            points = camera.unproject(corners, np.full(4, depth))
+            slopes.append(np.abs(points[:, :2]) / np.maximum(points[:, 2:], near / 2))
+    widest = np.concatenate(slopes).max(0) * _MARGIN
+    return float(widest[0]), float(widest[1])

@@ -1,0 +1,130 @@
+"""Working copies of the photos: upright, strictly read, of bounded size, with what their EXIF data tell of the lens.
+
+COLMAP itself reads a truncated JPEG without a word, drops a broken one, and handles orientation in its own way; the
+copies keep all of that away from it.
+"""
+
+import json
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+import pycolmap
+
+from schemas.atomic import replacing, write_json
+from schemas.canonical import file_sha256
+from schemas.errors import BadInput
+from schemas.images import read_image, to_uint8
+from stages.readers.photos import DARKEST_WHITE
+from stages.structure.job import Job, Teller
+from stylerf.geometry.resampling import shrunk
+
+JPEG_QUALITY = 95
+
+
+@dataclass(frozen=True)
+class Copy:
+    """One photo's copy. photo: the original's path; full_size: its upright (width, height); file: name of the copy;
+    size: (width, height) of the copy.
+
+    lens: photos with equal lens share a camera. focal: in pixels of the copy by EXIF, 0 where EXIF tells none.
+    unusable: in words why the photo takes no part; empty when it does.
+    """
+
+    photo: str
+    full_size: tuple[int, int]
+    file: str
+    size: tuple[int, int]
+    lens: str
+    focal: float
+    sha256: str
+    unusable: str = ""
+
+
+def make_copies(job: Job, tell: Teller) -> list[Copy]:
+    """Copies of all photos, those of an earlier, interrupted run included; BadInput at the first damaged photo."""
+    folder = Path(job.folder) / "copies"
+    folder.mkdir(exist_ok=True)
+    tell.step("reading photos", len(job.photos), "photo")
+    made: list[Copy] = []
+    with ThreadPoolExecutor(max(1, job.threads)) as pool:
+        for copy in pool.map(lambda pair: _copy(folder, job.side, *pair), enumerate(job.photos)):
+            made.append(copy)
+            tell.done(len(made))
+    return _without_doubles(made)
+
+
+def restored(content: dict) -> Copy:
+    """A Copy from its JSON form."""
+    return Copy(**{**content, "full_size": tuple(content["full_size"]), "size": tuple(content["size"])})
+
+
+def _copy(folder: Path, side: int, index: int, photo: str) -> Copy:
+    facts = folder / f"{index:05d}.json"
+    if facts.is_file():  # written after its picture, so that is whole
+        return restored(json.loads(facts.read_text()))
+    image = read_image(photo)
+    pixels = image.pixels
+    if image.channels == 4:
+        pixels = pixels[..., :3] * pixels[..., 3:]
+    width, height = image.size
+    factor = min(1.0, side / max(width, height))
+    size = (max(1, round(width * factor)), max(1, round(height * factor)))
+    lens, focal = _lens(photo, (width, height))
+    copy = Copy(
+        photo=photo,
+        full_size=(width, height),
+        file=f"{index:05d}.jpg",
+        size=size,
+        lens=f"{lens} {size[0]}x{size[1]}",
+        focal=focal * size[0] / width,
+        sha256=file_sha256(photo),
+        unusable="it is black" if pixels.max() < DARKEST_WHITE else "",
+    )
+    _write_jpeg(folder / copy.file, to_uint8(shrunk(np.ascontiguousarray(pixels), size)))
+    write_json(facts, asdict(copy))
+    return copy
+
+
+def _lens(photo: str, size: tuple[int, int]) -> tuple[str, float]:
+    """What distinguishes lens and zoom, and the focal length in pixels of the photo where EXIF tells it (else 0)."""
+    camera = pycolmap.infer_camera_from_image(photo)
+    if not camera.has_prior_focal_length:
+        return "unknown", 0.0
+    focal = float(camera.mean_focal_length())
+    plausible = 0.2 < focal / max(size) < 20
+    return (f"{focal / max(size):.4f}", focal) if plausible else ("unknown", 0.0)
+
+
+def _write_jpeg(path: Path, pixels: np.ndarray) -> None:
+    bitmap = pycolmap.Bitmap.from_array(np.ascontiguousarray(np.broadcast_to(pixels, (*pixels.shape[:2], 3))))
+    bitmap.set_jpeg_quality(JPEG_QUALITY)
+    with replacing(path) as temporary:
+        if not bitmap.write(str(temporary)):
+            raise OSError(f"{path}: the JPEG writer failed")
+
+
+def _without_doubles(copies: list[Copy]) -> list[Copy]:
+    """Marks photos whose bytes equal an earlier one's: a pair without a baseline only misleads."""
+    first: dict[str, Copy] = {}
+    marked = []
+    for copy in copies:
+        earlier = first.setdefault(copy.sha256, copy)
+        if earlier is not copy and not copy.unusable:
+            copy = Copy(**{**asdict(copy), "unusable": f"it is the same file as {Path(earlier.photo).name}"})
+        marked.append(copy)
+    return marked
+
+
+def usable(copies: list[Copy], fewest: int) -> list[Copy]:
+    """Those that take part; BadInput where they are fewer than `fewest`."""
+    kept = [copy for copy in copies if not copy.unusable]
+    if len(kept) < fewest:
+        first = next((copy for copy in copies if copy.unusable), None)
+        why = f" ({Path(first.photo).name}: {first.unusable})" if first else ""
+        raise BadInput(
+            f"{len(kept)} of {len(copies)} photos can be used{why}; structure from motion needs at least {fewest} "
+            "different ones, 20 or more are better"
+        )
+    return kept

@@ -1,0 +1,121 @@
+"""COLMAP's database: photos and cameras, features, matches. Each step skips what an interrupted run has finished."""
+
+from pathlib import Path
+
+import numpy as np
+import pycolmap
+
+from schemas.atomic import write_bytes
+from schemas.errors import BadInput
+from stages.structure.copies import Copy
+from stages.structure.job import Job, Teller
+from stages.structure.pairs import pairs
+
+DATABASE, REGISTERED = "database.db", "registered"
+# One radial coefficient: with few photos more of them are free to explain errors away; refinement adds the second.
+CAMERA_MODEL = "SIMPLE_RADIAL"
+PHOTOS_AT_ONCE, PAIRS_AT_ONCE = 4, 40
+# The octave of twice the photo's size costs four times all others and holds the least repeatable features: it is
+# searched only in photos so small (longest side) that they would have few without.
+SMALL_PHOTO = 800
+
+
+def register(job: Job, copies: list[Copy], tell: Teller) -> Path:
+    """The database with its cameras and photos, in this order whatever happens later, so that numbers are repeatable."""
+    folder = Path(job.folder)
+    path, done = folder / DATABASE, folder / REGISTERED
+    if done.is_file():
+        return path
+    for leftover in folder.glob(f"{DATABASE}*"):  # with its journal
+        leftover.unlink()
+    pycolmap.Database.open(path).close()
+    for group in _by_lens(copies, job.shared):
+        options = pycolmap.ImageReaderOptions()
+        options.camera_model = CAMERA_MODEL
+        first = group[0]
+        if first.focal:
+            options.camera_params = f"{first.focal},{first.size[0] / 2},{first.size[1] / 2},0"
+        mode = pycolmap.CameraMode.SINGLE
+        pycolmap.import_images(path, folder / "copies", mode, [copy.file for copy in group], options)
+    with pycolmap.Database.open(path) as database:
+        found = database.num_images()
+    if found != len(copies):
+        raise BadInput(f"COLMAP took in {found} of {len(copies)} photos; remove unusual ones and run again")
+    write_bytes(done, b"")
+    return path
+
+
+def _by_lens(copies: list[Copy], shared: bool) -> list[list[Copy]]:
+    if not shared:
+        return [[copy] for copy in copies]
+    groups: dict[str, list[Copy]] = {}
+    for copy in copies:
+        groups.setdefault(copy.lens, []).append(copy)
+    return list(groups.values())
+
+
+def extract(job: Job, path: Path, copies: list[Copy], tell: Teller) -> None:
+    """SIFT features of every photo; BadInput where hardly any has some."""
+    options = pycolmap.FeatureExtractionOptions()
+    options.num_threads, options.use_gpu = job.threads, False
+    options.sift.max_num_features = job.features
+    options.sift.first_octave = -1 if max(max(copy.size) for copy in copies) <= SMALL_PHOTO else 0
+    reader = pycolmap.ImageReaderOptions()
+    tell.step("finding features", len(copies), "photo")
+    missing = _without_features(path, copies)
+    for start in range(0, len(missing), PHOTOS_AT_ONCE):
+        names = [copy.file for copy in missing[start : start + PHOTOS_AT_ONCE]]
+        mode = pycolmap.CameraMode.AUTO  # cameras are there already
+        pycolmap.extract_features(path, Path(job.folder) / "copies", names, mode, reader, options)
+        tell.done(len(copies) - len(missing) + start + len(names))
+
+
+def _without_features(path: Path, copies: list[Copy]) -> list[Copy]:
+    with pycolmap.Database.open(path) as database:
+        numbers = {image.name: image.image_id for image in database.read_all_images()}
+        return [
+            copy
+            for copy in copies
+            if not (database.exists_keypoints(numbers[copy.file]) and database.exists_descriptors(numbers[copy.file]))
+        ]
+
+
+def match(job: Job, path: Path, copies: list[Copy], tell: Teller) -> None:
+    """Matches of the chosen pairs and their two-view geometry, each pair's RANSAC with the same seed."""
+    matching, verification = pycolmap.FeatureMatchingOptions(), pycolmap.TwoViewGeometryOptions()
+    matching.num_threads, matching.use_gpu = job.threads, False
+    verification.ransac.random_seed = job.seed
+    pairing = pycolmap.ImportedPairingOptions()
+    listing, journal = Path(job.folder) / "pairs.txt", Path(job.folder) / "pairs_done"
+    pairing.match_list_path = str(listing)
+    wanted = pairs(len(copies), job.matching)
+    finished = int(journal.read_text()) if journal.is_file() else 0
+    tell.step("matching", len(wanted), "pair")
+    tell.done(finished)
+    while finished < len(wanted):
+        part = wanted[finished : finished + PAIRS_AT_ONCE]
+        write_bytes(listing, "".join(f"{copies[i].file} {copies[j].file}\n" for i, j in part).encode())
+        # Pairs of a part that was cut short are in the database already and are skipped there.
+        pycolmap.match_image_pairs(path, matching, pairing, verification)
+        finished += len(part)
+        write_bytes(journal, str(finished).encode())
+        tell.done(finished)
+
+
+def matched_pairs(path: Path) -> list[tuple[str, str, pycolmap.TwoViewGeometry]]:
+    """Names of the two copies and the verified geometry of every pair with inliers."""
+    with pycolmap.Database.open(path) as database:
+        names = {image.image_id: image.name for image in database.read_all_images()}
+        numbers, geometries = database.read_two_view_geometries()
+        found = []
+        for number, geometry in zip(numbers, geometries, strict=True):
+            if len(geometry.inlier_matches):
+                first, second = pycolmap.pair_id_to_image_pair(number)
+                found.append((names[first], names[second], geometry))
+        return found
+
+
+def keypoints(path: Path) -> dict[str, np.ndarray]:
+    """Feature positions [n, 2] in pixels of the copies, by file name."""
+    with pycolmap.Database.open(path) as database:
+        return {image.name: database.read_keypoints(image.image_id)[:, :2] for image in database.read_all_images()}

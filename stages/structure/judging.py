@@ -1,0 +1,142 @@
+"""Whether a reconstruction can be believed. COLMAP ends quietly whatever comes out, so all of it is judged here."""
+
+from dataclasses import asdict, dataclass
+
+import numpy as np
+import pycolmap
+
+from stylerf.geometry.conventions import from_colmap
+from stylerf.geometry.epipolar import epipolar_distance, essential, largest_parallax
+
+FEWEST_PHOTOS = 3
+REFUSED_SHARE, WORRYING_SHARE = 0.5, 0.8
+LARGEST_ERROR = 2.0  # pixels of the copies, mean over all points
+LEAST_PARALLAX, LITTLE_PARALLAX = 1.0, 3.0  # degrees, median over points
+REFUSED_AGREEMENT, WORRYING_AGREEMENT = 0.5, 0.8
+AGREEING_DISTANCE = 4.0  # pixels, the tolerance that matches were verified with
+# A pair tells something where it has so many matches, and points where they lie on so many tracks.
+MATCHES_TO_TELL, POINTS_TO_TELL = 30, 2000
+
+
+@dataclass(frozen=True)
+class Quality:
+    """Figures of a reconstruction.
+
+    error_px: mean reprojection error in pixels of the copies. parallax_deg: median over points of the widest angle
+    between their rays. agreement: share of matched pairs whose own two-view matches fit the poses, of pairs_checked.
+    flat_share: share of all matched pairs that a plane or a turn on the spot explains. models: photos of each model.
+    """
+
+    photos: int
+    registered: int
+    points: int
+    error_px: float
+    track_length: float
+    parallax_deg: float
+    agreement: float
+    pairs_checked: int
+    flat_share: float
+    models: tuple[int, ...]
+    refined: bool
+
+    def as_dict(self) -> dict:
+        """For JSON."""
+        return asdict(self)
+
+
+def quality(models: list, photos: int, pairs: list, keypoints: dict[str, np.ndarray], refined: bool) -> Quality:
+    """Figures of models[0] (others only counted); all zero where there is no model. pairs: see matched_pairs."""
+    flat = (pycolmap.TwoViewGeometryConfiguration.PLANAR, pycolmap.TwoViewGeometryConfiguration.PANORAMIC,
+            pycolmap.TwoViewGeometryConfiguration.PLANAR_OR_PANORAMIC)  # fmt: skip
+    flat_share = float(np.mean([geometry.config in [int(one) for one in flat] for *_, geometry in pairs] or [0.0]))
+    if not models:
+        return Quality(photos, 0, 0, 0.0, 0.0, 0.0, 0.0, 0, flat_share, (), False)
+    model = models[0]
+    agreements = pair_agreements(model, pairs, keypoints)
+    return Quality(
+        photos=photos,
+        registered=model.num_reg_images(),
+        points=model.num_points3D(),
+        error_px=float(model.compute_mean_reprojection_error()),
+        track_length=float(model.compute_mean_track_length()),
+        parallax_deg=_median_parallax(model),
+        agreement=float(np.mean(agreements)) if agreements else 0.0,
+        pairs_checked=len(agreements),
+        flat_share=flat_share,
+        models=tuple(one.num_reg_images() for one in models),
+        refined=refined,
+    )
+
+
+def pair_agreements(model, pairs: list, keypoints: dict[str, np.ndarray]) -> list[bool]:
+    """For each pair of registered photos with matches enough: whether their median distance from the epipolar lines
+    of the poses is within tolerance. Poses that contradict the photos fail here whatever their reprojection error."""
+    images = {model.images[number].name: model.images[number] for number in model.reg_image_ids()}
+    agreeing = []
+    for first, second, geometry in pairs:
+        matches = geometry.inlier_matches
+        if first not in images or second not in images or len(matches) < MATCHES_TO_TELL:
+            continue
+        poses, rays, focal = [], [], 0.0
+        for name, column in ((first, 0), (second, 1)):
+            camera = model.cameras[images[name].camera_id]
+            poses.append(from_colmap(np.asarray(images[name].cam_from_world().matrix())))
+            rays.append(camera.cam_from_img(keypoints[name][matches[:, column]].astype(np.float64)))
+            focal = max(focal, float(camera.mean_focal_length()))
+        distances = focal * epipolar_distance(essential(*poses), *rays)
+        agreeing.append(bool(np.median(distances) < AGREEING_DISTANCE))
+    return agreeing
+
+
+def _median_parallax(model) -> float:
+    points = [model.points3D[number] for number in sorted(model.points3D)]
+    if not points:
+        return 0.0
+    centres = {number: model.images[number].projection_center() for number in model.reg_image_ids()}
+    told = points[:: max(1, len(points) // POINTS_TO_TELL)]
+    angles = [
+        largest_parallax(point.xyz, np.array([centres[element.image_id] for element in point.track.elements]))
+        for point in told
+    ]
+    return float(np.median(angles))
+
+
+def verdict(found: Quality) -> tuple[str, list[str]]:
+    """Why the reconstruction is refused (empty: it is not), and warnings."""
+    remedy = "photograph in small steps (each thing in three photos or more), move between photos, keep them sharp"
+    if not found.registered:
+        cause = "too few matches between any two photos"
+        if found.flat_share > 0.5:
+            cause = f"{found.flat_share:.0%} of the matched pairs show a turn on the spot or a flat surface alone"
+        return f"structure from motion found no poses: {cause}; {remedy}", []
+    share = found.registered / found.photos
+    told = f"{found.registered} of {found.photos} photos"
+    if found.registered < FEWEST_PHOTOS or share < REFUSED_SHARE:
+        return f"structure from motion placed only {told}; {remedy}, or remove photos of other things", []
+    if found.error_px > LARGEST_ERROR:
+        return f"the reconstruction is off by {found.error_px:.2f} px on average (limit {LARGEST_ERROR:g}); {remedy}", []
+    if found.parallax_deg < LEAST_PARALLAX:
+        return (
+            f"the camera hardly moved: points are seen under {found.parallax_deg:.2f} degrees of parallax (at least "
+            f"{LEAST_PARALLAX:g} is needed); step sideways between photos in place of turning"
+        ), []
+    if found.pairs_checked and found.agreement < REFUSED_AGREEMENT:
+        return (
+            f"the poses contradict the photos: only {found.agreement:.0%} of {found.pairs_checked} matched pairs fit "
+            f"them; things that look alike may have been taken for one: {remedy}"
+        ), []
+    return "", _warnings(found, told, share)
+
+
+def _warnings(found: Quality, told: str, share: float) -> list[str]:
+    warnings = []
+    if share < WORRYING_SHARE:
+        warnings.append(f"warning: only {told} were placed; parts of the scene may be missing")
+    if found.parallax_deg < LITTLE_PARALLAX:
+        warnings.append(f"warning: the camera moved little ({found.parallax_deg:.1f} degrees of parallax)")
+    if found.agreement < WORRYING_AGREEMENT:
+        warnings.append(f"warning: {found.agreement:.0%} of the matched pairs fit the poses; look at the result")
+    if len(found.models) > 1:
+        sizes = ", ".join(map(str, found.models))
+        warnings.append(f"warning: the photos fell apart into {len(found.models)} groups ({sizes} photos); the largest is used")
+    return warnings

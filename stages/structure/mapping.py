@@ -1,0 +1,83 @@
+"""From matches to poses and points: COLMAP's incremental mapper, then a refinement of the lens.
+
+Incremental, not global: the global mapper was found grossly wrong on two of three databases of the same photos while it
+reported all of them registered at half a pixel.
+"""
+
+import shutil
+from pathlib import Path
+
+import pycolmap
+
+from stages.structure.job import Job, Teller
+
+MODELS, REFINED = "models", "model"
+# A lens is refined beyond its focal length and first coefficient only where so many photos share it.
+PHOTOS_TO_REFINE = 10
+# Points are kept while their error is under this (pixels of the copies) and their parallax above this (degrees).
+LARGEST_ERROR, LEAST_PARALLAX = 4.0, 1.5
+# A refined principal point further from the centre than this share of the side is an error absorbed, no lens.
+FARTHEST_CENTRE = 0.08
+
+
+def reconstruct(job: Job, database: Path, photos: int, tell: Teller) -> list[pycolmap.Reconstruction]:
+    """All models, that with the most photos first; none where no pair of photos has matches enough to begin with."""
+    folder = Path(job.folder) / MODELS
+    shutil.rmtree(folder, ignore_errors=True)  # of an interrupted mapping
+    folder.mkdir()
+    options = pycolmap.IncrementalPipelineOptions()
+    options.num_threads = 1  # more threads add up residuals in another order every time
+    options.random_seed = options.mapper.random_seed = options.triangulation.random_seed = job.seed
+    options.min_model_size = 3
+    # Few photos seldom hold the wide parallax that the default asks of the first pair.
+    options.mapper.init_min_tri_angle = 16.0 if photos > 20 else 8.0
+    tell.step("reconstructing", photos, "photo")
+    count = 0
+
+    def registered(of_first_pair: int = 1) -> None:
+        nonlocal count
+        count = 2 if of_first_pair == 2 else count + 1
+        tell.done(min(count, photos))
+
+    images = Path(job.folder) / "copies"
+    models = pycolmap.incremental_mapping(
+        database, images, folder, options,
+        initial_image_pair_callback=lambda: registered(2), next_image_callback=registered,
+    )  # fmt: skip
+    return sorted(models.values(), key=lambda model: (-model.num_reg_images(), -model.num_points3D()))
+
+
+def refined(model: pycolmap.Reconstruction, folder: Path) -> tuple[pycolmap.Reconstruction, bool]:
+    """The model with a second radial coefficient and the principal point set free, and whether that was done.
+
+    COLMAP leaves both alone. On phone photos freeing them brought rotations from 0.6 to 0.2 degrees of reference poses
+    and the error down by 5 %. The model comes back as it was where a lens has few photos, or the result is no lens.
+    """
+    used = [model.images[number].camera_id for number in model.reg_image_ids()]
+    if any(used.count(number) < PHOTOS_TO_REFINE for number in set(used)):
+        return model, False
+    before = folder / "unrefined"
+    shutil.rmtree(before, ignore_errors=True)
+    before.mkdir()
+    model.write(before)
+    old_error = model.compute_mean_reprojection_error()
+    for number in set(used):
+        camera = model.cameras[number]
+        camera.model, camera.params = pycolmap.CameraModelId.RADIAL, [*camera.params, 0.0]
+    options = pycolmap.BundleAdjustmentOptions()
+    options.refine_principal_point, options.print_summary = True, False
+    options.ceres.solver_options.num_threads = 1
+    pycolmap.bundle_adjustment(model, options)
+    model.update_point_3d_errors()
+    sound = all(_is_lens(model.cameras[number]) for number in set(used))
+    if not sound or model.compute_mean_reprojection_error() > old_error:
+        return pycolmap.Reconstruction(before), False
+    pycolmap.ObservationManager(model).filter_all_points3D(LARGEST_ERROR, LEAST_PARALLAX)
+    model.update_point_3d_errors()
+    return model, True
+
+
+def _is_lens(camera: pycolmap.Camera) -> bool:
+    f, cx, cy, k1, k2 = camera.params
+    off_centre = max(abs(cx / camera.width - 0.5), abs(cy / camera.height - 0.5))
+    return 0.2 < f / max(camera.width, camera.height) < 10 and off_centre < FARTHEST_CENTRE and abs(k1) + abs(k2) < 1

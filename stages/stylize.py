@@ -1,0 +1,151 @@
+"""Stylise: a field of the same shapes in the colours and strokes of a painting."""
+
+import time
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from schemas.errors import BadInput
+from schemas.images import read_image, to_uint8, write_png
+from schemas.store import Artefact, Partial
+from stages.configs.fit import budget_of
+from stages.configs.stylize import StylizeConfig
+from stages.fields import load_checkpoint, load_field, save_checkpoint, save_field
+from stages.progress import Context
+from stages.runner import Spec
+from stages.scenes import SceneData, load_scene
+from stages.weights import resolve
+from stylerf.errors import Diverged, InvalidValue
+from stylerf.fields.hash import HashColour
+from stylerf.kernels.cpu.compiling import compiling_note, set_threads
+from stylerf.style.objective import StyleWeights
+from stylerf.style.trunks import Trunk
+from stylerf.training.stylize import StyleSettings, Stylizer
+
+SPEC = Spec(stage="stylize", verb="stylize", revision=1, writes="field")
+
+
+def run(inputs: dict[str, Artefact], config: StylizeConfig, partial: Partial, context: Context) -> dict:
+    """Writes the stylised field; returns the figures, among them the curve of the loss."""
+    scene = load_scene(inputs["scene"])
+    field, background = load_field(inputs["field"])
+    threads = set_threads(context.threads)
+    torch.set_num_threads(threads)
+    resolved = resolve(config.features or None)
+    context.progress.say(f"features: {resolved.name}, from {resolved.source}")
+    views = scene.splits["train"]
+    painting = read_painting(Path(config.style))
+    level = 1.0 if background == "white" else 0.0
+    try:
+        stylizer = Stylizer(
+            field,
+            [scene.cameras[i] for i in views],
+            [_photo(scene, i, level) for i in views],
+            level,
+            painting,
+            Trunk(resolved.state, config.taps, resolved.kind),
+            _settings(config, max(max(c.width, c.height) for c in scene.cameras)),
+            context.seed,
+            threads,
+            lambda generator: HashColour.create(
+                generator, levels=config.levels, finest=config.finest, table=1 << config.table_bits
+            ),
+        )
+    except InvalidValue as error:
+        raise BadInput(f"{config.style} on {inputs['field'].path}: {error}") from error
+    if (saved := load_checkpoint(partial.checkpoint)) is not None:
+        stylizer.resume(*saved)
+        context.progress.say(f"going on from step {stylizer.state.step} of phase {stylizer.state.phase}")
+    with compiling_note(context.progress.say):
+        _train(stylizer, config, partial, context)
+    save_field(partial.path, stylizer.field, background)
+    # The painting stays with what was made from it, for whoever evaluates it later.
+    write_png(partial.path / "style.png", to_uint8(painting.permute(1, 2, 0).numpy()))
+    state = stylizer.state
+    return {
+        "method": config.method,
+        "steps": state.step,
+        "train_seconds": round(state.seconds, 2),
+        "curve_style": state.curve,
+        "parameters": stylizer.field.parameters,
+        "features": resolved.manifest(),
+        "views": len(views),
+    }
+
+
+def _train(stylizer: Stylizer, config: StylizeConfig, partial: Partial, context: Context) -> None:
+    saved_at, shown = time.monotonic(), ""
+
+    def on_step(now: Stylizer) -> None:
+        nonlocal saved_at, shown
+        state = now.state
+        if state.phase != shown:
+            shown = state.phase
+            seconds, steps = budget_of(config.budget)
+            total = config.refit_steps if shown == "refit" else steps or seconds
+            context.progress.start(
+                "new colours" if shown == "refit" else "style", total, "step" if shown == "refit" or steps else "s"
+            )
+        counted = state.phase == "refit" or now.settings.steps
+        note = ""
+        if state.curve:
+            last = state.curve[-1]
+            note = f"style distance {last['style']:.3f}" if "style" in last else f"squared error {last['mse']:.4f}"
+        context.progress.update(state.step if counted else min(state.seconds, now.settings.seconds), note)
+        if time.monotonic() - saved_at > config.checkpoint_every_seconds:
+            save_checkpoint(partial.checkpoint, *now.checkpoint())
+            saved_at = time.monotonic()
+
+    try:
+        stylizer.run(on_step)
+    except KeyboardInterrupt:
+        if stylizer.between_steps:
+            save_checkpoint(partial.checkpoint, *stylizer.checkpoint())
+        raise
+    except Diverged as error:
+        raise BadInput(f"the stylisation does not converge: {error}") from error
+    finally:
+        context.progress.finish()
+
+
+def _settings(config: StylizeConfig, long_side: int) -> StyleSettings:
+    seconds, steps = budget_of(config.budget)
+    return StyleSettings(
+        steps=steps,
+        seconds=seconds or 1.0,
+        refit_steps=config.refit_steps,
+        rate=config.rate,
+        strategy=config.rays,
+        dilation=config.dilation,
+        blur=config.blur,
+        remember=config.remember,
+        match=config.match,
+        weights=StyleWeights(config.style_weight, config.content_weight, config.variation_weight),
+        feature_scale=config.feature_scale or min(1.0, max(0.5, 256 / long_side)),
+        style_scale=config.style_scale,
+        style_rows=config.style_rows,
+        style_basis=config.style_basis,
+    )
+
+
+def read_painting(path: Path) -> torch.Tensor:
+    """[3, h, w] float32 sRGB 0..1; transparent parts of a painting count as white."""
+    pixels = read_image(path).pixels
+    if pixels.shape[2] == 4:
+        pixels = pixels[..., :3] * pixels[..., 3:] + (1 - pixels[..., 3:])
+    if pixels.shape[2] == 1:
+        pixels = np.repeat(pixels, 3, axis=2)
+    if min(pixels.shape[:2]) < 16:
+        raise BadInput(
+            f"{path} is {pixels.shape[1]}x{pixels.shape[0]}; a painting of at least 16 pixels a side is needed"
+        )
+    return torch.from_numpy(np.ascontiguousarray(pixels)).permute(2, 0, 1).contiguous()
+
+
+def _photo(scene: SceneData, index: int, level: float) -> np.ndarray:
+    """[h, w, 3] over the background."""
+    pixels = scene.images(index)
+    if pixels.shape[2] == 4:
+        pixels = pixels[..., :3] * pixels[..., 3:] + (1 - pixels[..., 3:]) * np.float32(level)
+    return np.ascontiguousarray(pixels, dtype=np.float32)

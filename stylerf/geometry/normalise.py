@@ -1,0 +1,163 @@
+"""How a capture is laid out, and the similarity and bounds that bring it to scene units.
+
+Similarities are [4, 4] (scale * rotation | translation), scene_from_source. Poses are world_from_camera, OpenCV axes.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from stylerf.errors import InvalidValue
+from stylerf.geometry.cameras import Camera
+
+# Capture is forward-facing where 95 % of the viewing axes are this close (degrees) to their mean: LLFF's captures have
+# about 10, a walk around something has 50 and more.
+FORWARD_SPREAD = 25.0
+# Near plane of a forward capture, as a share of the nearest depth told; 1 in scene units.
+FORWARD_NEAR = 0.75
+UNBOUNDED_NEAR, UNBOUNDED_FAR = 0.05, 1e3
+
+
+@dataclass(frozen=True)
+class Layout:
+    """object, forward or unbounded, and why in words."""
+
+    name: str
+    reason: str
+
+
+def axes_spread(poses: np.ndarray) -> float:
+    """Angle in degrees within which 95 % of the viewing axes lie about their mean."""
+    forward = poses[:, :3, 2]
+    mean = forward.sum(0) / max(np.linalg.norm(forward.sum(0)), 1e-12)
+    return float(np.percentile(np.degrees(np.arccos(np.clip(forward @ mean, -1, 1))), 95))
+
+
+def decided_layout(poses: np.ndarray, cut_out: str) -> Layout:
+    """The layout of a capture. cut_out: in words, by what the object is told from its background; empty: by nothing."""
+    if cut_out:
+        return Layout("object", f"the object is cut out by {cut_out}")
+    spread = axes_spread(poses)
+    if spread <= FORWARD_SPREAD:
+        return Layout("forward", f"the viewing axes lie within {spread:.0f} degrees of their mean")
+    return Layout(
+        "unbounded", f"the viewing axes spread {spread:.0f} degrees about their mean and nothing cuts the object out"
+    )
+
+
+def focus_of(poses: np.ndarray) -> np.ndarray:
+    """The point nearest (least squares) to all viewing axes, [3].
+
+    Where the axes are near parallel it lies along the mean axis, at four times the spread of the centres.
+    """
+    centres, forward = poses[:, :3, 3], poses[:, :3, 2]
+    across = np.eye(3) - forward[:, :, None] * forward[:, None, :]  # [n, 3, 3]
+    total = across.sum(0)
+    middle, spread = centres.mean(0), np.linalg.norm(centres - centres.mean(0), axis=1).max()
+    if spread == 0:
+        raise InvalidValue("all cameras stand at one point: without a baseline there is no depth")
+    if np.linalg.eigvalsh(total)[0] / len(poses) > 1e-4:
+        focus = np.linalg.solve(total, (across @ centres[:, :, None]).sum(0)[:, 0])
+        if ((focus - centres) * forward).sum(1).mean() > 0:
+            return focus
+    mean = forward.mean(0)
+    return middle + 4 * spread * mean / max(np.linalg.norm(mean), 1e-12)
+
+
+def up_of(poses: np.ndarray) -> np.ndarray:
+    """Unit vector upwards, [3]: what the cameras' horizontal axes are square to, as photographers hold them level.
+
+    Where those axes all point one way, or cameras are rolled, the mean of the cameras' own up.
+    """
+    sideways, mean = poses[:, :3, 0], -poses[:, :3, 1].mean(0)
+    values, vectors = np.linalg.eigh(sideways.T @ sideways / len(poses))
+    level = vectors[:, 0] * (1 if vectors[:, 0] @ mean >= 0 else -1)
+    if values[1] < 0.05 or values[0] > 0.3 * values[1]:
+        level = mean
+    length = np.linalg.norm(level)
+    return level / length if length > 1e-6 else np.array([0.0, 0.0, 1.0])
+
+
+def rotation_between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """The least rotation [3, 3] that turns unit vector a into b."""
+    axis, cosine = np.cross(a, b), float(a @ b)
+    if cosine < -1 + 1e-9:
+        other = np.eye(3)[np.argmin(np.abs(a))]
+        axis = np.cross(a, other) / np.linalg.norm(np.cross(a, other))
+        return 2 * np.outer(axis, axis) - np.eye(3)
+    cross = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
+    return np.eye(3) + cross + cross @ cross / (1 + cosine)
+
+
+def similarity(scale: float, rotation: np.ndarray, centre: np.ndarray) -> np.ndarray:
+    """[4, 4] of x -> scale * rotation (x - centre)."""
+    matrix = np.eye(4)
+    matrix[:3, :3] = scale * rotation
+    matrix[:3, 3] = -scale * rotation @ centre
+    return matrix
+
+
+def moved(pose: np.ndarray, scene_from_source: np.ndarray) -> np.ndarray:
+    """A pose [4, 4] brought through a similarity: its centre is moved and scaled, its rotation stays one."""
+    scale = np.cbrt(np.linalg.det(scene_from_source[:3, :3]))
+    out = scene_from_source @ pose
+    out[:3, :3] /= scale
+    return out
+
+
+def centred(poses: np.ndarray) -> np.ndarray:
+    """For captures around something: focus at the origin, up = +z, median distance of the cameras to the focus 1."""
+    focus = focus_of(poses)
+    distance = float(np.median(np.linalg.norm(poses[:, :3, 3] - focus, axis=1)))
+    return similarity(1 / distance, rotation_between(up_of(poses), np.array([0.0, 0.0, 1.0])), focus)
+
+
+def facing(poses: np.ndarray, nearest: float) -> np.ndarray:
+    """For forward captures: the average camera at the origin looks along +z, y down; the near plane, FORWARD_NEAR of
+    the nearest depth told, is at 1."""
+    forward = poses[:, :3, 2].mean(0)
+    forward /= np.linalg.norm(forward)
+    right = np.cross(poses[:, :3, 1].mean(0), forward)
+    right /= np.linalg.norm(right)
+    rotation = np.stack([right, np.cross(forward, right), forward])
+    return similarity(1 / (FORWARD_NEAR * nearest), rotation, poses[:, :3, 3].mean(0))
+
+
+def nearest_depth(poses: np.ndarray, near_far: np.ndarray | None, points: np.ndarray | None) -> tuple[float, str]:
+    """Depth in source units before which a forward capture shows nothing, and in words where it is known from.
+
+    near_far: [n, 2] planar depths told per camera; points: [m, 3] sparse points. Neither: from the baseline.
+    """
+    if near_far is not None:
+        return float(near_far[:, 0].min()), "the depth bounds that the files tell"
+    if points is not None and len(points) >= 50:
+        depths = np.concatenate([(points - pose[:3, 3]) @ pose[:3, 2] for pose in poses])
+        if (depths > 0).mean() > 0.5:
+            return float(np.percentile(depths[depths > 0], 0.5)), "the sparse points"
+    spread = float(np.linalg.norm(poses[:, :3, 3] - poses[:, :3, 3].mean(0), axis=1).max())
+    if spread == 0:
+        raise InvalidValue("all cameras stand at one point: without a baseline there is no depth")
+    return spread, "the baseline of the cameras, for want of better"
+
+
+def frustum_box(cameras: list[Camera], near: float, far: float) -> np.ndarray:
+    """[2, 3] box of everything that forward cameras see between planar depths near and far."""
+    corners = []
+    for camera in cameras:
+        w, h = camera.width, camera.height
+        pixels = np.array([[0, 0], [w, 0], [0, h], [w, h]], dtype=np.float64)
+        corners += [camera.unproject(pixels, np.full(4, depth)) for depth in (near, far)]
+    every = np.concatenate(corners)
+    box = np.stack([every.min(0), every.max(0)])
+    box[0, 2] = max(box[0, 2], near)
+    return box
+
+
+def depths_of_box(cameras: list[Camera], box: np.ndarray) -> tuple[float, float]:
+    """Planar depths between which all cameras see the box [2, 3]; near is at least a thousandth of far."""
+    corners = np.array([[box[i, 0], box[j, 1], box[k, 2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
+    depths = np.concatenate([camera.project(corners)[1] for camera in cameras])
+    far = float(depths.max())
+    if far <= 0:
+        raise InvalidValue("the object lies behind every camera; check the convention of the poses")
+    return max(float(depths.min()), far * 1e-3), far

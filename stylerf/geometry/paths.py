@@ -1,0 +1,140 @@
+"""Camera paths: frame i of n is a function of the scene's cameras, i and n alone, so shards of a job agree."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from stylerf.errors import InvalidValue
+from stylerf.geometry.cameras import Camera
+
+PATHS = ("orbit", "spiral", "interpolate")
+
+
+def path_camera(kind: str, cameras: list[Camera], index: int, count: int, focus_depth: float) -> Camera:
+    """Camera `index` of `count` on a path of `kind` through the space that `cameras` were in.
+
+    focus_depth: distance in front of the average camera at which a spiral looks, scene units.
+    """
+    if not cameras:
+        raise InvalidValue("a camera path needs the scene's cameras to follow")
+    if kind == "orbit":
+        pose = _orbit_pose(cameras, index / count)
+    elif kind == "spiral":
+        pose = _spiral_pose(cameras, index / count, focus_depth)
+    elif kind == "interpolate":
+        pose = _between_pose(cameras, index / max(count - 1, 1))
+    else:
+        raise InvalidValue(f"camera path {kind!r} is none of {', '.join(PATHS)}")
+    return replace(cameras[0], name=f"{index:04d}", world_from_camera=pose)
+
+
+def look_at(centre: np.ndarray, target: np.ndarray, up: np.ndarray) -> np.ndarray:
+    """World-from-camera [4, 4] (x right, y down, z forward) at `centre` looking at `target`, `up` towards the top."""
+    forward = _unit(target - centre)
+    right = _unit(np.cross(forward, up))
+    pose = np.eye(4)
+    pose[:3, 0], pose[:3, 1], pose[:3, 2], pose[:3, 3] = right, np.cross(forward, right), forward, centre
+    return pose
+
+
+def focus_point(cameras: list[Camera]) -> np.ndarray:
+    """The point nearest to all viewing axes in least squares, [3]; with parallel axes, one ahead of the average."""
+    centres = np.array([c.centre for c in cameras])
+    axes = np.array([c.forward for c in cameras])
+    projectors = np.eye(3) - axes[:, :, None] * axes[:, None, :]
+    matrix = projectors.sum(0) + 1e-6 * len(cameras) * np.eye(3)
+    right = (projectors @ centres[:, :, None]).sum(0)[:, 0] + 1e-6 * len(cameras) * centres.mean(0)
+    return np.linalg.solve(matrix, right)
+
+
+def average_up(cameras: list[Camera]) -> np.ndarray:
+    """Unit vector towards the top of the pictures on average, [3]."""
+    return _unit(-np.array([c.world_from_camera[:3, 1] for c in cameras]).mean(0))
+
+
+def _orbit_pose(cameras: list[Camera], share: float) -> np.ndarray:
+    """A closed ellipse over the angles that the cameras cover, at their height and distance, looking at the focus.
+
+    Cameras all around give a full turn; cameras on an arc give a swing along it and back.
+    """
+    focus, up = focus_point(cameras), average_up(cameras)
+    offsets = np.array([c.centre for c in cameras]) - focus
+    heights = offsets @ up
+    flat = offsets - heights[:, None] * up
+    first = (
+        _unit(flat.mean(0))
+        if np.linalg.norm(flat.mean(0)) > 0.2 * np.linalg.norm(flat, axis=1).mean()
+        else _unit(flat[0])
+    )
+    second = np.cross(up, first)
+    angles = np.arctan2(flat @ second, flat @ first)
+    ordered = np.sort(angles)
+    gaps = np.diff(np.append(ordered, ordered[0] + 2 * np.pi))
+    if gaps.max() < np.pi / 2:
+        angle = 2 * np.pi * share
+    else:
+        start = ordered[(int(gaps.argmax()) + 1) % len(ordered)]
+        width = 2 * np.pi - gaps.max()
+        angle = start + width * (0.5 - 0.45 * np.cos(2 * np.pi * share))
+    radius, height = float(np.median(np.linalg.norm(flat, axis=1))), float(np.median(heights))
+    centre = focus + radius * (np.cos(angle) * first + np.sin(angle) * second) + height * up
+    return look_at(centre, focus, up)
+
+
+def _spiral_pose(cameras: list[Camera], share: float, focus_depth: float) -> np.ndarray:
+    """Two turns of an ellipse in the plane of the cameras, as wide as most, looking at a common point (LLFF)."""
+    poses = np.array([c.world_from_camera for c in cameras])
+    centre, forward, up = poses[:, :3, 3].mean(0), _unit(poses[:, :3, 2].mean(0)), average_up(cameras)
+    base = look_at(centre, centre + forward, up)
+    local = (poses[:, :3, 3] - centre) @ base[:3, :3]
+    reach = np.percentile(np.abs(local), 80, axis=0)
+    angle = 4 * np.pi * share
+    offset = reach * np.array([np.cos(angle), -np.sin(angle), -np.sin(angle / 2)]) * np.array([1, 1, 0.5])
+    return look_at(centre + base[:3, :3] @ offset, centre + forward * focus_depth, up)
+
+
+def _between_pose(cameras: list[Camera], share: float) -> np.ndarray:
+    """Through the cameras by nearest neighbours: centres by Catmull-Rom, rotations by spherical interpolation."""
+    from scipy.spatial.transform import Rotation, Slerp
+
+    order = _tour(np.array([c.centre for c in cameras]))
+    poses = np.array([cameras[i].world_from_camera for i in order])
+    if len(poses) == 1:
+        return poses[0]
+    at = share * (len(poses) - 1)
+    k = min(int(at), len(poses) - 2)
+    points = poses[np.clip([k - 1, k, k + 1, k + 2], 0, len(poses) - 1), :3, 3]
+    pose = np.eye(4)
+    pose[:3, 3] = _catmull_rom(points, at - k)
+    turns = Slerp([0, 1], Rotation.from_matrix(poses[k : k + 2, :3, :3]))
+    pose[:3, :3] = turns(at - k).as_matrix()
+    return pose
+
+
+def _catmull_rom(p: np.ndarray, u: float) -> np.ndarray:
+    return 0.5 * (
+        2 * p[1]
+        + (p[2] - p[0]) * u
+        + (2 * p[0] - 5 * p[1] + 4 * p[2] - p[3]) * u**2
+        + (3 * p[1] - p[0] - 3 * p[2] + p[3]) * u**3
+    )
+
+
+def _tour(centres: np.ndarray) -> list[int]:
+    """Every camera once, each time the nearest not yet visited, from an outermost one."""
+    left = set(range(len(centres)))
+    here = int(np.argmax(np.linalg.norm(centres - centres.mean(0), axis=1)))
+    order = [here]
+    left.remove(here)
+    while left:
+        here = min(left, key=lambda i: (float(np.linalg.norm(centres[i] - centres[here])), i))
+        order.append(here)
+        left.remove(here)
+    return order
+
+
+def _unit(vector: np.ndarray) -> np.ndarray:
+    length = np.linalg.norm(vector)
+    if length < 1e-12:
+        raise InvalidValue("a direction of no length: cameras coincide or look against each other")
+    return vector / length

@@ -1,0 +1,15 @@
+"""How the procedural scene is compiled: once, cached on disk, and quickly, since a user waits for it.
+
+`compiled` is a kernel function called by kernels only: leaving out its wrappers for Python and C takes a tenth off the
+compilation. `released` is one called from Python, during which other Python threads run.
+Infinities and NaN must not occur in any of them (fast-math).
+"""
+
+import numba
+
+from stylerf.kernels.cpu.compiling import FAST
+
+compiled = numba.njit(
+    cache=True, fastmath=FAST, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True
+)
+released = numba.njit(cache=True, fastmath=FAST, error_model="numpy", nogil=True)

@@ -1,0 +1,127 @@
+"""A still life with known ground truth: fruit, vase, book, cube, ring, ball and candle on a round wooden table.
+
+Rendered by sphere tracing of signed distance functions. Nothing in it is random from view to view: shadows and
+occlusion are closed-form estimates, so that the same point has the same diffuse colour from everywhere.
+"""
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+
+from stylerf.errors import InvalidValue
+from stylerf.geometry.cameras import Camera
+from stylerf.procedural.shading import shade_rows
+from stylerf.procedural.solids import arrangement, pack
+from stylerf.procedural.tracing import MISS, point_distances, trace_rays
+
+TRACE_TOLERANCE = 1e-6  # scene units
+EXPOSURE = 0.54
+
+
+@dataclass(frozen=True, eq=False)
+class TrueView:
+    """What a camera sees, with ground truth.
+
+    rgba: [h, w, 4] float32, straight alpha: sRGB-encoded colour 0..1 and coverage 0..1, box-filtered.
+    ray_distance, z: [h, w] float32, at pixel centres, not filtered, scene units; inf where the centre's ray misses.
+    """
+
+    rgba: np.ndarray
+    ray_distance: np.ndarray
+    z: np.ndarray
+
+
+class StillLife:
+    """The scene as mathematics: distances, hits and pictures. z is up; all of it lies within [-1.25, 1.25]^3.
+
+    seed: of the textures (grain, mottling); the arrangement is always the same.
+    """
+
+    def __init__(self, seed: int = 0) -> None:
+        self.seed = seed
+        self.solids = arrangement()
+        self._packed = pack(self.solids)
+
+    def distance(self, points: np.ndarray) -> np.ndarray:
+        """Signed distance bound [n] float64 of points [n, 3]: 0 on the surface, negative inside, never too long."""
+        return point_distances(self._packed, np.ascontiguousarray(points, np.float64))
+
+    def trace(self, origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
+        """Distance [n] float64 to the first surface along rays [n, 3] (directions of any length); inf on a miss."""
+        return self.trace_owners(origins, directions)[0]
+
+    def trace_owners(self, origins: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """As `trace`, and the index [n] into `solids` of what was hit; -1 on a miss."""
+        directions = np.array(directions, np.float64)
+        lengths = np.linalg.norm(directions, axis=-1, keepdims=True)
+        if not (lengths > 0).all():
+            raise InvalidValue("a ray has no direction")
+        origins = np.ascontiguousarray(np.broadcast_to(np.asarray(origins, np.float64), directions.shape))
+        distances, owners = trace_rays(self._packed, origins, directions / lengths, TRACE_TOLERANCE)
+        return np.where(owners < 0, np.inf, np.minimum(distances, MISS)), owners
+
+    def render(self, camera: Camera, samples: int = 2, edge_samples: int = 4, threads: int = 1) -> TrueView:
+        """A camera's view. Every pixel is the mean of samples^2 rays, of edge_samples^2 where those differ."""
+        out = np.empty((camera.height, camera.width, 4), np.float32)
+        lens = (float(camera.fx), float(camera.fy), float(camera.cx), float(camera.cy))
+        pose = np.ascontiguousarray(camera.world_from_camera)
+
+        def shade(rows: np.ndarray) -> None:
+            first, last = int(rows[0]), int(rows[-1]) + 1
+            shade_rows(
+                self._packed, self.seed, EXPOSURE, lens, pose, first, out[first:last], samples, edge_samples
+            )
+
+        bands = [rows for rows in np.array_split(np.arange(camera.height), 8 * threads) if len(rows)]
+        if threads > 1:
+            with ThreadPoolExecutor(threads) as pool:
+                list(pool.map(shade, bands))
+        else:
+            shade(np.arange(camera.height))
+        distance = self._centre_distances(camera)
+        return TrueView(out, distance.astype(np.float32), (distance * camera.ray_cosines()).astype(np.float32))
+
+    def _centre_distances(self, camera: Camera) -> np.ndarray:
+        """Ray distance [h, w] float64 at pixel centres, from float64 rays; inf on a miss."""
+        rows, columns = np.meshgrid(np.arange(camera.height) + 0.5, np.arange(camera.width) + 0.5, indexing="ij")
+        pixels = np.stack([columns.ravel(), rows.ravel()], axis=-1)
+        directions = camera.unproject(pixels, np.ones(len(pixels))) - camera.centre
+        return self.trace(camera.centre[None], directions).reshape(camera.height, camera.width)
+
+
+def looking_at(name: str, eye: np.ndarray, target: np.ndarray, width: int, height: int, focal: float) -> Camera:
+    """Camera at `eye` whose axis meets `target`, +z up in the picture, principal point in the middle."""
+    forward = np.asarray(target, np.float64) - eye
+    forward /= np.linalg.norm(forward)
+    right = np.cross(forward, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
+    pose = np.eye(4)
+    pose[:3, :3] = np.stack([right, np.cross(forward, right), forward], axis=1)
+    pose[:3, 3] = eye
+    return Camera(name, width, height, focal, focal, width / 2, height / 2, pose)
+
+
+def dome_cameras(
+    count: int,
+    size: int,
+    prefix: str,
+    seed: int,
+    radius: float = 4.03,
+    angle_x: float = 0.6911112,
+    elevations_deg: tuple[float, float] = (10.0, 72.0),
+) -> list[Camera]:
+    """`count` cameras spread evenly over a dome about the origin, all looking at it.
+
+    size: pixels, square pictures; radius: scene units; angle_x: horizontal field of view, radians (NeRF-synthetic's).
+    A golden-angle spiral, equal area between the elevations, turned and jittered by the seed.
+    """
+    random = np.random.default_rng(seed)
+    low, high = np.sin(np.radians(elevations_deg))
+    order = (np.arange(count) + random.uniform(0.25, 0.75, count)) / max(count, 1)
+    heights = low + (high - low) * order
+    turns = np.arange(count) * np.pi * (3.0 - np.sqrt(5.0)) + random.uniform(0, 2 * np.pi)
+    flat = np.sqrt(1.0 - heights**2)
+    eyes = radius * np.stack([flat * np.cos(turns), flat * np.sin(turns), heights], axis=-1)
+    focal = 0.5 * size / np.tan(0.5 * angle_x)
+    return [looking_at(f"{prefix}_{i:03d}", eye, np.zeros(3), size, size, focal) for i, eye in enumerate(eyes)]

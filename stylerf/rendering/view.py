@@ -1,0 +1,50 @@
+"""Whole views of a field."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from stylerf.fields.field import RadianceField
+from stylerf.fields.samples import Rays
+from stylerf.geometry.cameras import Camera
+from stylerf.rendering.rays import render_rays
+
+RAYS_AT_ONCE = 8192
+
+
+@dataclass(frozen=True)
+class RenderedView:
+    """rgb [h, w, 3]: sRGB-encoded, premultiplied (sum of w c, no background). alpha [h, w].
+
+    ray_distance [h, w]: expected distance along the ray, sum(w t)/alpha, scene units (0 where alpha is 0);
+    z [h, w]: the same along the viewing axis.
+    """
+
+    rgb: np.ndarray
+    alpha: np.ndarray
+    ray_distance: np.ndarray
+    z: np.ndarray
+
+
+def render_view(
+    field: RadianceField,
+    camera: Camera,
+    *,
+    chunks: int,
+    opaque: float = 1e-3,
+    rays_at_once: int = RAYS_AT_ONCE,
+    on_rays: Callable[[int], None] = lambda done: None,
+) -> RenderedView:
+    """Render every pixel centre of a camera; memory is bounded by rays_at_once. on_rays: told after each part."""
+    origins, directions = camera.rays()
+    out = np.empty((len(origins), 5), np.float32)
+    for at in range(0, len(origins), rays_at_once):
+        part = slice(at, at + rays_at_once)
+        rays = Rays.of(origins[part], directions[part], field.space.near)
+        out[part] = render_rays(field, rays, chunks=chunks, opaque=opaque, share=field.share).out
+        on_rays(min(at + rays_at_once, len(origins)))
+    out = out.reshape(camera.height, camera.width, 5)
+    alpha = np.clip(out[..., 3], 0, 1)
+    distance = np.where(alpha > 0, out[..., 4] / np.maximum(alpha, 1e-8), 0).astype(np.float32)
+    return RenderedView(out[..., :3], alpha, distance, distance * camera.ray_cosines())

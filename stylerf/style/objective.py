@@ -1,0 +1,86 @@
+"""What a stylised view is asked to be: the painting's features, the photo's content, and smooth (ARF eq. 4)."""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from stylerf.style.images import feature_size, resized, style_picture
+from stylerf.style.losses import (
+    by_block,
+    content_distance,
+    image_variation,
+    nearest_neighbour_distance,
+    position_weights,
+)
+from stylerf.style.matching import StyleRows, style_rows
+from stylerf.style.trunks import Trunk
+
+
+@dataclass(frozen=True)
+class StyleWeights:
+    """Weights of the mean nearest-neighbour distance, content distance and total variation."""
+
+    style: float = 1.0
+    content: float = 1e-3
+    variation: float = 1.0
+
+
+class StyleObjective:
+    """Loss of a picture [3, h, w] against a painting, with the painting's features computed once.
+
+    scale: size of the picture that features are taken from (0.5: ARF). most_rows: style features kept for matching;
+    basis: leading directions in which neighbours are sought (0: all, exact).
+    """
+
+    def __init__(
+        self,
+        trunk: Trunk,
+        painting: Tensor,
+        size: tuple[int, int],
+        weights: StyleWeights,
+        scale: float = 0.5,
+        most_rows: int = 4096,
+        basis: int = 96,
+        style_scale: float = 1.0,
+        seed: int = 0,
+    ) -> None:
+        self.trunk, self.weights, self.scale = trunk, weights, scale
+        picture = style_picture(painting, *size, scale=scale * style_scale)
+        with torch.no_grad():
+            found = by_block(trunk.taps, trunk(picture[None]))
+        self.style: dict[str, StyleRows] = {}
+        for block, feature in found.items():
+            rows = style_rows(feature, most_rows, seed=seed)
+            self.style[block] = rows.with_basis(basis) if 0 < basis < feature.shape[0] else rows
+
+    def features_of(self, picture: Tensor) -> dict[str, Tensor]:
+        """Features by block of a picture [3, h, w], at the feature scale."""
+        small = resized(picture, *feature_size(*picture.shape[1:], self.scale))
+        return by_block(self.trunk.taps, self.trunk(small[None]))
+
+    @torch.no_grad()
+    def content_of(self, photo: Tensor) -> dict[str, Tensor]:
+        """The reference for a view's content loss, in half precision (it is kept for every view)."""
+        return {block: f.half() for block, f in self.features_of(photo).items()}
+
+    def __call__(
+        self, picture: Tensor, content: dict[str, Tensor], alpha: Tensor | None = None
+    ) -> tuple[Tensor, dict[str, float]]:
+        """(loss, its parts). alpha [h, w]: where the object is; what lies outside is neither matched nor kept."""
+        found = self.features_of(picture)
+        style_loss, content_loss = picture.new_zeros(()), picture.new_zeros(())
+        for block, rows in self.style.items():
+            weights = None if alpha is None else position_weights(alpha, found[block])
+            distances, _ = nearest_neighbour_distance(found[block], rows, weights)
+            total = distances.numel() if weights is None else weights.sum().clamp_min(1e-6)
+            style_loss = style_loss + distances.sum() / total
+            if self.weights.content > 0:
+                apart = content_distance(found[block], content[block].float())
+                content_loss = content_loss + (apart.mean() if weights is None else (apart * weights).sum() / total)
+        variation = image_variation(picture)
+        loss = (
+            self.weights.style * style_loss + self.weights.content * content_loss + self.weights.variation * variation
+        )
+        parts = {"style": style_loss.item(), "content": float(content_loss.detach()), "variation": variation.item()}
+        return loss, parts

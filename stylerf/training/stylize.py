@@ -1,0 +1,281 @@
+"""Stylise a whole scene with one painting, its shapes held fast (ARF, Zhang et al. 2022).
+
+The density part stays. A new colour part with local detail is fitted to the colour-matched photos (refit), then taught
+the painting one view a step (style); at the end colours are matched to the painting once more.
+"""
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import torch
+
+from stylerf.errors import Diverged
+from stylerf.fields.field import RadianceField
+from stylerf.geometry.cameras import Camera
+from stylerf.rendering.strategies import selected_gradient, selected_pixels
+from stylerf.style.colour import ColourMap, match_colours, pixels_of
+from stylerf.style.objective import StyleObjective, StyleWeights
+from stylerf.style.trunks import Trunk
+from stylerf.training.geometry import FixedGeometry
+from stylerf.training.optimiser import Adam
+
+PIXELS_AT_ONCE = 65536
+
+
+@dataclass(frozen=True)
+class StyleSettings:
+    """How a scene is stylised. seconds: budget of the style steps; steps: their number if > 0.
+
+    strategy, dilation, blur: see rendering/strategies. remember: unselected pixels are taken from the view's last
+    render instead of being rendered anew. match: before, after, both or none. rates: per step, falling to
+    `final_rate` of themselves.
+    """
+
+    steps: int = 0
+    seconds: float = 120.0
+    refit_steps: int = 300
+    refit_pixels: int = 8192
+    refit_rate: float = 1e-2
+    rate: float = 1e-2
+    final_rate: float = 0.2
+    strategy: str = "deferred"
+    dilation: int = 2
+    blur: int = 3
+    remember: bool = True
+    match: str = "both"
+    weights: StyleWeights = field(default_factory=StyleWeights)
+    share: float = 0.3
+    feature_scale: float = 0.5
+    style_scale: float = 1.0
+    style_rows: int = 4096
+    style_basis: int = 96
+
+
+@dataclass
+class StyleState:
+    """Where the stylisation stands."""
+
+    phase: str = "refit"
+    step: int = 0
+    seconds: float = 0.0
+    curve: list[dict] = field(default_factory=list)
+
+
+class Stylizer:
+    """photos: per view [h, w, 3] float32 over the background, sRGB 0..1. background: level of grey behind the field."""
+
+    def __init__(
+        self,
+        scene: RadianceField,
+        cameras: list[Camera],
+        photos: list[np.ndarray],
+        background: float,
+        painting: torch.Tensor,
+        trunk: Trunk,
+        settings: StyleSettings,
+        seed: int,
+        chunks: int,
+        new_colour: Callable[[np.random.Generator], object],
+    ) -> None:
+        self.settings, self.seed, self.chunks, self.background = settings, seed, chunks, np.float32(background)
+        self.cameras, self.painting, self.trunk = cameras, painting, trunk
+        self.field = replace(
+            scene, colour=new_colour(np.random.default_rng([seed, 1])), colour_map=None, share=settings.share
+        )
+        self.closed = scene.closed
+        self.geometry = FixedGeometry(self.field, cameras, settings.share, chunks)
+        self.adam = Adam(self.field.colour.values, self.field.colour.groups(), chunks)
+        self.photos = self._matched(photos)
+        self.state = StyleState()
+        self._objective: StyleObjective | None = None
+        self._content: dict[int, dict[str, torch.Tensor]] = {}
+        self._remembered: dict[int, np.ndarray] = {}
+        self.between_steps = True
+
+    def _matched(self, photos: list[np.ndarray]) -> list[np.ndarray]:
+        """The photos in the painting's colours, where that is asked for; the background stays as it is."""
+        if self.settings.match not in ("before", "both"):
+            return photos
+        stacked = [self._rgba(photo, view) for view, photo in enumerate(photos)]
+        colours, weights = pixels_of(stacked, seed=self.seed)
+        colour_map = match_colours(colours, self.painting.flatten(1).T, weights)
+        return [self._over(colour_map.image(rgba[:3]).permute(1, 2, 0).numpy(), rgba[3].numpy()) for rgba in stacked]
+
+    def _rgba(self, photo: np.ndarray, view: int) -> torch.Tensor:
+        """[4, h, w]: straight colour of the object and its coverage by the field's own alpha."""
+        alpha = np.ones(photo.shape[:2], np.float32) if self.closed else self.geometry.alpha(view)
+        return torch.from_numpy(np.concatenate([photo, alpha[..., None]], -1)).permute(2, 0, 1)
+
+    def _over(self, rgb: np.ndarray, alpha: np.ndarray) -> np.ndarray:
+        """Straight rgb over the background."""
+        return (rgb * alpha[..., None] + (1 - alpha[..., None]) * self.background).astype(np.float32)
+
+    # -- steps ------------------------------------------------------------------------------------------------------
+
+    @property
+    def progress(self) -> float:
+        """Done share of the present phase, 0..1."""
+        s, state = self.settings, self.state
+        if state.phase == "refit":
+            return min(1.0, state.step / max(1, s.refit_steps))
+        return min(1.0, state.step / s.steps if s.steps else state.seconds / s.seconds)
+
+    def refit_step(self) -> float:
+        """One step of colours towards the matched photos; its mean squared error."""
+        generator = np.random.default_rng([self.seed, 2, self.state.step])
+        view = int(generator.integers(len(self.cameras)))
+        surface = self.geometry.surface(view)
+        lit = np.flatnonzero(surface.alpha.ravel() > 1e-3)
+        if len(lit) == 0:
+            return 0.0
+        pixels = lit[generator.integers(0, len(lit), self.settings.refit_pixels)]
+        rgb, kept = self.geometry.paint(view, pixels)
+        alpha = surface.alpha.ravel()[pixels, None]
+        difference = rgb + (1 - alpha) * self.background - self.photos[view].reshape(-1, 3)[pixels]
+        self.geometry.learn(kept, difference * np.float32(2 / difference.size), self.adam.gradients)
+        self.adam.step(self.settings.refit_rate * 0.1**self.progress)
+        return float(np.square(difference).mean())
+
+    def style_step(self) -> dict[str, float]:
+        """One view towards the painting; the parts of the loss."""
+        settings, view = self.settings, self._view_of_step()
+        generator = np.random.default_rng([self.seed, 4, self.state.step])
+        camera = self.cameras[view]
+        pixels = selected_pixels(settings.strategy, camera.height, camera.width, settings.dilation, generator)
+        picture, kept = self._picture(view, pixels)
+        gradient, parts = self._gradient(view, picture)
+        chosen = selected_gradient(gradient, pixels, settings.blur)
+        if kept is not None:
+            self.geometry.learn(kept, chosen, self.adam.gradients)
+        else:
+            for at in range(0, len(pixels), PIXELS_AT_ONCE):
+                part = slice(at, at + PIXELS_AT_ONCE)
+                _, kept_part = self.geometry.paint(view, pixels[part])
+                self.geometry.learn(kept_part, chosen[part], self.adam.gradients)
+        self.adam.step(settings.rate * settings.final_rate**self.progress)
+        return parts
+
+    def _view_of_step(self) -> int:
+        """Every view once an epoch, in an order drawn anew for each."""
+        epoch, at = divmod(self.state.step, len(self.cameras))
+        return int(np.random.default_rng([self.seed, 3, epoch]).permutation(len(self.cameras))[at])
+
+    def _picture(self, view: int, pixels: np.ndarray) -> tuple[np.ndarray, tuple | None]:
+        """Premultiplied rgb of the whole view [h*w, 3], and what the selected pixels need to learn (None: repaint)."""
+        whole = len(pixels) == self.cameras[view].width * self.cameras[view].height
+        if whole:
+            if self.settings.strategy == "full":
+                return self.geometry.paint(view, pixels)
+            return self.paint_view(view), None
+        if not self.settings.remember or view not in self._remembered:
+            self._remembered[view] = self.paint_view(view)
+        painted, kept = self.geometry.paint(view, pixels)
+        self._remembered[view][pixels] = painted
+        return self._remembered[view], kept
+
+    def paint_view(self, view: int) -> np.ndarray:
+        """Premultiplied rgb of a whole view, [h*w, 3], in parts of bounded memory."""
+        count = self.cameras[view].width * self.cameras[view].height
+        parts = [np.arange(at, min(at + PIXELS_AT_ONCE, count)) for at in range(0, count, PIXELS_AT_ONCE)]
+        return np.concatenate([self.geometry.paint(view, part)[0] for part in parts])
+
+    def _gradient(self, view: int, premultiplied: np.ndarray) -> tuple[np.ndarray, dict[str, float]]:
+        """dL/d(picture) [h, w, 3] and the parts of the loss."""
+        camera = self.cameras[view]
+        rgb = premultiplied.reshape(camera.height, camera.width, 3)
+        alpha = None
+        if not self.closed:
+            coverage = self.geometry.alpha(view)
+            rgb = rgb + (1 - coverage[..., None]) * self.background
+            alpha = torch.from_numpy(coverage)
+        picture = torch.from_numpy(np.ascontiguousarray(rgb)).permute(2, 0, 1).contiguous().requires_grad_()
+        loss, parts = self.objective(picture, self._content_of(view), alpha)
+        loss.backward()
+        return picture.grad.permute(1, 2, 0).contiguous().numpy(), parts
+
+    @property
+    def objective(self) -> StyleObjective:
+        """The loss, its features of the painting computed at first use."""
+        if self._objective is None:
+            s, size = self.settings, (self.cameras[0].height, self.cameras[0].width)
+            self._objective = StyleObjective(
+                self.trunk,
+                self.painting,
+                size,
+                s.weights,
+                s.feature_scale,
+                s.style_rows,
+                s.style_basis,
+                s.style_scale,
+                self.seed,
+            )
+        return self._objective
+
+    def _content_of(self, view: int) -> dict[str, torch.Tensor]:
+        if self.settings.weights.content <= 0:
+            return {}
+        if view not in self._content:
+            photo = torch.from_numpy(self.photos[view]).permute(2, 0, 1).contiguous()
+            self._content[view] = self.objective.content_of(photo)
+        return self._content[view]
+
+    # -- the loop ---------------------------------------------------------------------------------------------------
+
+    def run(self, on_step: Callable[["Stylizer"], None] = lambda stylizer: None) -> None:
+        """All phases; on_step is told after every step."""
+        state = self.state
+        while state.phase != "done":
+            while self.progress < 1.0:
+                begun, self.between_steps = time.perf_counter(), False
+                parts = {"mse": self.refit_step()} if state.phase == "refit" else self.style_step()
+                if not all(math.isfinite(v) for v in parts.values()):
+                    raise Diverged(f"{state.phase} step {state.step}: the loss left the finite numbers ({parts})")
+                state.seconds += time.perf_counter() - begun
+                state.step += 1
+                if state.step % 10 == 0:
+                    rounded = {k: round(v, 5) for k, v in parts.items()}
+                    state.curve.append(
+                        {"phase": state.phase, "step": state.step, "seconds": round(state.seconds, 2), **rounded}
+                    )
+                self.between_steps = True
+                on_step(self)
+            self._next_phase()
+
+    def _next_phase(self) -> None:
+        state = self.state
+        if state.phase == "refit":
+            state.phase, state.step, state.seconds = "style", 0, 0.0
+            self.adam = Adam(self.field.colour.values, self.field.colour.groups(), self.chunks)
+            return
+        state.phase = "done"
+        if self.settings.match in ("after", "both"):
+            self.field = replace(self.field, colour_map=self.final_match())
+
+    def final_match(self) -> ColourMap:
+        """The map from the rendered views' colours to the painting's (ARF's last step)."""
+        stacked = []
+        for view, camera in enumerate(self.cameras):
+            rgb = self.paint_view(view).reshape(camera.height, camera.width, 3)
+            alpha = self.geometry.alpha(view)[..., None]
+            rgba = np.concatenate([rgb / np.maximum(alpha, 1e-3), np.where(alpha > 0.5, alpha, 0)], -1)
+            stacked.append(torch.from_numpy(rgba.astype(np.float32)).permute(2, 0, 1))
+        colours, weights = pixels_of(stacked, seed=self.seed)
+        return match_colours(colours.clamp(0, 1), self.painting.flatten(1).T, weights)
+
+    def checkpoint(self) -> tuple[dict, dict[str, np.ndarray]]:
+        """(JSON, arrays) to go on from."""
+        arrays = {"colour": self.field.colour.values.copy()}
+        arrays |= {f"adam.{k}": v.copy() for k, v in self.adam.arrays().items()}
+        arrays |= {f"seen.{view}": picture.astype(np.float32) for view, picture in self._remembered.items()}
+        return {"state": vars(self.state)}, arrays
+
+    def resume(self, data: dict, arrays: dict[str, np.ndarray]) -> None:
+        """From checkpoint()."""
+        self.state = StyleState(**data["state"])
+        self.field.colour.values[:] = arrays["colour"]
+        self.adam = Adam(self.field.colour.values, self.field.colour.groups(), self.chunks)
+        self.adam.restore({k: arrays[f"adam.{k}"] for k in ("first", "second", "steps")})
+        self._remembered = {int(k[5:]): v.copy() for k, v in arrays.items() if k.startswith("seen.")}

@@ -1,0 +1,42 @@
+"""What a verb needs made before it: each step is announced by the session, or refused with --only."""
+
+from typing import Any
+
+from schemas.errors import UsageError
+from schemas.store import Artefact
+from stages.configs.fit import FitConfig
+from stages.configs.render import RenderConfig
+
+FIT_NAME = "fit"
+
+
+def scene_of_work(session: Any) -> Artefact:
+    """The only scene of the work folder."""
+    scenes = session.work.artefacts("scene")
+    if len(scenes) > 1:
+        raise UsageError(f"{session.work.root} holds several scenes; expected one a work folder")
+    return scenes[0] if scenes else session.work.get("scene", "main")
+
+
+def ensure_field(session: Any, scene: Artefact) -> Artefact:
+    """The fitted field: whichever field the scene was fitted to already, else one fitted with default options."""
+    fields = [
+        one
+        for one in session.work.artefacts("field")
+        if one.manifest.stage == "nerf_fit" and any(ref.digest == scene.digest for ref in one.manifest.inputs)
+    ]
+    if fields:
+        return max(fields, key=lambda one: one.manifest.created)
+    from stages import nerf_fit
+
+    return session.run(nerf_fit.SPEC, nerf_fit.run, {"scene": scene}, session.config_of("fit", FitConfig), FIT_NAME)
+
+
+def ensure_frames(session: Any, field: Artefact, path: str) -> Artefact:
+    """Frames of a field along a path, named <field>-<path>."""
+    from stages import render
+    from stylerf_cli.verbs.eval_ import scene_of
+
+    config = RenderConfig(path=path, count=30 if path not in ("test", "train", "views") else 1)
+    inputs = {"scene": scene_of(session.work, field), "field": field}
+    return session.run(render.SPEC, render.run, inputs, config, f"{field.name}-{path}")

@@ -1,0 +1,97 @@
+"""`stylerf demo`: the whole path on an embedded scene, with nothing but the install."""
+
+from pathlib import Path
+
+from stages.configs.demo import DemoConfig
+
+NAME = "demo"
+HELP = "the whole path on an embedded scene: photos, fit, painting, film, report"
+CONFIG = DemoConfig
+
+
+def add_arguments(parser) -> None:
+    """WORK."""
+    parser.add_argument(
+        "work", metavar="WORK", nargs="?", default="stylerf-demo", help="the work folder (default: stylerf-demo)"
+    )
+
+
+def run(args, session) -> dict:
+    """Places of the contact sheet, the report and the film."""
+    from schemas.canonical import file_sha256
+    from stages import demo_data, evaluate, nerf_fit, pose_import, render, stylize
+    from stages.configs.evaluate import EvaluateConfig
+    from stages.configs.fit import FitConfig
+    from stages.configs.render import RenderConfig
+    from stages.configs.stylize import StylizeConfig
+    from stylerf_cli.verbs.import_ import config_for
+
+    config, work = session.config, session.work
+    photos = work.root / "photos"
+    context = session.context
+    demo_data.write_demo(
+        photos, config.size, config.train_views, config.test_views, context.seed, context.threads, session.progress
+    )
+    scene = session.run(pose_import.SPEC, pose_import.run, {}, config_for(photos), "main")
+    fit = session.run(
+        nerf_fit.SPEC, nerf_fit.run, {"scene": scene}, FitConfig(budget=config.fit_budget, buffers=False), "fit"
+    )
+    painting = photos / demo_data.PAINTING
+    style = StylizeConfig(
+        style=str(painting.resolve()),
+        style_digest=file_sha256(painting),
+        budget=config.style_budget,
+        method=config.method,
+    )
+    inputs = {"scene": scene, "field": fit}
+    stylised = session.run(stylize.SPEC, stylize.run, inputs, style, f"painting-{config.method}")
+
+    def frames(field, path: str, **options):
+        wanted = RenderConfig(path=path, **options)
+        return session.run(render.SPEC, render.run, {"scene": scene, "field": field}, wanted, f"{field.name}-{path}")
+
+    fit_test, style_test = frames(fit, "test"), frames(stylised, "test")
+    film = frames(stylised, "orbit", count=config.frames, video=True, fps=12.0)
+    fit_report = session.run(
+        evaluate.SPEC, evaluate.run, {"scene": scene, "field": fit, "frames": fit_test}, EvaluateConfig(), fit.name
+    )
+    report = session.run(
+        evaluate.SPEC,
+        evaluate.run,
+        {"scene": scene, "field": stylised, "frames": style_test, "base_frames": fit_test, "path_frames": film},
+        EvaluateConfig(),
+        stylised.name,
+    )
+    sheet = write_sheet(work.root / "contact-sheet.png", photos, fit_test, style_test)
+    result = {
+        "sheet": sheet,
+        "report": report.path / "report.html",
+        "fit_report": fit_report.path / "report.html",
+        "film": film.path / film.manifest.figures["video"],
+        "psnr": fit_report.manifest.figures["psnr"],
+    }
+    words = [
+        f"held-out views: {result['psnr']:.2f} dB after {config.fit_budget}",
+        f"contact sheet: {result['sheet']}",
+        f"report:        {result['report']}",
+        f"fit report:    {result['fit_report']}",
+        f"film:          {result['film']}",
+    ]
+    return session.emit(result, "\n".join(words))
+
+
+def write_sheet(path: Path, photos: Path, fit, stylised) -> Path:
+    """Held-out photos, their renders and the stylised renders one under another, the painting at the side."""
+    from schemas.frames import read_frames
+    from schemas.images import read_image, to_uint8, write_png
+    from stages.demo_data import PAINTING
+    from stylerf.rendering.pictures import sheet_of
+
+    shown = read_frames(fit.path).views[:4]
+    rows = []
+    over_white = [read_image(photos / "test" / f"{view.name}.png").pixels for view in shown]
+    rows.append([p[..., :3] * p[..., 3:] + 1 - p[..., 3:] for p in over_white])
+    for frames in (fit, stylised):
+        rows.append([read_image(frames.path / view.png).pixels for view in read_frames(frames.path).views[:4]])
+    write_png(path, to_uint8(sheet_of(rows, read_image(photos / PAINTING).pixels)))
+    return path

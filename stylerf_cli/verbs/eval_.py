@@ -1,0 +1,125 @@
+"""`stylerf eval WORK [--of NAME]`: figures, charts and a page about one field."""
+
+from typing import Any
+
+from schemas.errors import ArtefactStale
+from schemas.frames import read_frames
+from schemas.store import Artefact, Work
+from stages.configs.evaluate import EvaluateConfig
+
+NAME = "eval"
+HELP = "measure a field: quality, style, consistency, cost; a report with pictures"
+CONFIG = EvaluateConfig
+NO_FILM = ("test", "train")  # their views lie too far apart to be warped onto one another
+
+
+def add_arguments(parser) -> None:
+    """WORK, --of, --path."""
+    parser.add_argument("work", metavar="WORK", help="the work folder")
+    parser.add_argument("--of", metavar="FIELD", help="field to measure (default: the one made last)")
+    parser.add_argument(
+        "--path",
+        metavar="PATH",
+        help="camera path for consistency between views, rendered if it is not there (default: one that is there)",
+    )
+
+
+def run(args, session) -> dict:
+    """The report's place, its figures, its warnings and what was not measured."""
+    from stages import evaluate
+    from stages.evaluation.lineage import fields_behind, is_stylised
+
+    field = chosen_field(session.work, args.of)
+    session.say(f"measuring field {field.name}")
+    inputs = {"scene": scene_of(session.work, field), "field": field, "frames": frames_of(session, field, "test")}
+    if is_stylised(field):
+        plain = next((one for one in fields_behind(field) if not is_stylised(one)), None)
+        if plain is not None:
+            inputs["base_frames"] = frames_of(session, plain, "test")
+    film = frames_of(session, field, args.path) if args.path else film_there(session.work, field)
+    if film is not None:
+        inputs["path_frames"] = film
+    report = session.run(evaluate.SPEC, evaluate.run, inputs, session.config, field.name)
+    return told(report, session)
+
+
+def chosen_field(work: Work, name: str | None) -> Artefact:
+    """The field called `name`, else the one made last; ArtefactStale with the command to run where there is none."""
+    if name:
+        return work.find("field", name)
+    fields = work.artefacts("field")
+    if not fields:
+        raise ArtefactStale(f"no field in {work.root}; make one with: stylerf fit {work.root}")
+    from stages.evaluation.lineage import fields_behind
+
+    # The time is kept to the second: of two made within one, that made from the other is the later.
+    return max(fields, key=lambda one: (one.manifest.created, len(fields_behind(one))))
+
+
+def scene_of(work: Work, field: Artefact) -> Artefact:
+    """The scene that a field was made from, directly or through other fields."""
+    from stages.evaluation.lineage import fields_behind
+
+    for one in [field, *fields_behind(field)]:
+        for ref in one.manifest.inputs:
+            if ref.kind == "scene":
+                return work.get("scene", ref.name)
+    raise ArtefactStale(f"field {field.name} names no scene it was made from; make it again: stylerf fit {work.root}")
+
+
+def frames_of(session: Any, field: Artefact, path: str) -> Artefact:
+    """Frames of the field along `path`: those that are there and up to date, else rendered now."""
+    name = f"{field.name}-{path}"
+    there = next((one for one in session.work.artefacts("frames") if one.name == name), None)
+    if there is not None and shows(there, field):
+        return there
+    from stylerf_cli.chains import ensure_frames
+
+    return ensure_frames(session, field, path=path)
+
+
+def film_there(work: Work, field: Artefact) -> Artefact | None:
+    """The last rendered frames of the field along a camera path, None where there are none."""
+    films = [
+        one
+        for one in work.artefacts("frames")
+        if shows(one, field) and (one.path / "frames.json").is_file() and read_frames(one.path).path not in NO_FILM
+    ]
+    return max(films, key=lambda one: one.manifest.created, default=None)
+
+
+def shows(frames: Artefact, field: Artefact) -> bool:
+    """Whether frames were rendered from this field as it stands."""
+    return any(ref.kind == "field" and ref.digest == field.digest for ref in frames.manifest.inputs)
+
+
+def told(report: Artefact, session: Any) -> dict:
+    """The result for --json, printed in words too."""
+    import json
+
+    content = json.loads(report.file("report.json").read_text())
+    page = report.file("report.html")
+    result = {
+        "report": report.path,
+        "page": page,
+        "field": content["field"],
+        "stylised": content["stylised"],
+        "figures": {figure["key"]: figure["mean"] for figure in content["figures"]},
+        "protocols": {figure["key"]: figure["protocol"] for figure in content["figures"]},
+        "warnings": content["warnings"],
+        "not_measured": content["not_measured"],
+        "seconds": report.manifest.seconds,
+    }
+    width = max((len(figure["label"]) for figure in content["figures"]), default=0)
+    lines = [f"{content['field']} on {content['scene']}, {content['view_count']} held-out views"]
+    lines += [_figure_line(figure, width) for figure in content["figures"]]
+    lines += [f"  note: {text}" for text in content["warnings"]]
+    lines.append(f"page: {page}")
+    return session.emit(result, "\n".join(lines))
+
+
+def _figure_line(figure: dict, width: int) -> str:
+    unit = "" if figure["unit"] == "share" else figure["unit"]
+    value = f"{figure['mean']:.{figure['digits']}f} {unit}".rstrip()
+    beside = "".join(f"; {name}: {number:.{figure['digits']}f}" for name, number in figure["reference"].items())
+    return f"  {figure['label']:<{width}}  {value}{beside}"

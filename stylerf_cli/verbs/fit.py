@@ -1,0 +1,42 @@
+"""`stylerf fit WORK`: a radiance field from the scene's photos."""
+
+from stages.configs.fit import FitConfig
+
+NAME = "fit"
+HELP = "fit a radiance field to a scene, no larger than it needs"
+CONFIG = FitConfig
+
+
+def add_arguments(parser) -> None:
+    """WORK."""
+    parser.add_argument("work", metavar="WORK", help="the work folder")
+
+
+def run(args, session) -> dict:
+    """The field's place and figures."""
+    from stages import nerf_fit, render
+    from stages.configs.render import RenderConfig
+    from stylerf_cli.chains import FIT_NAME, scene_of_work
+
+    scene = scene_of_work(session)
+    field = session.run(nerf_fit.SPEC, nerf_fit.run, {"scene": scene}, session.config, FIT_NAME)
+    figures = field.manifest.figures
+    result = {"field": field.path, "name": field.name, "figures": figures, "seconds": field.manifest.seconds}
+    if session.config.buffers and not session.only:
+        buffers = session.run(
+            render.SPEC, render.run, {"scene": scene, "field": field}, RenderConfig(path="views"), f"{field.name}-views"
+        )
+        result["buffers"] = buffers.path
+    return session.emit(result, "\n".join(_words(field, figures)))
+
+
+def _words(field, figures: dict) -> list[str]:
+    quality = figures["held_out_psnr"]
+    lines = [
+        f"field {field.name}: {figures['resolution']}^3, ranks {figures['density_rank']} and {figures['colour_rank']}, "
+        f"{figures['parameters'] / 1e6:.2f} M parameters, {figures['train_seconds']:.0f} s, {figures['steps']} steps"
+    ]
+    if quality is not None:
+        lines.append(f"  held-out views: {quality:.2f} dB ({figures['held_out_views']} training views kept aside)")
+    lines += [f"  {decision}" for decision in figures["decisions"]]
+    return [*lines, f"  {field.path}"]

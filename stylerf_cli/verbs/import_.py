@@ -1,0 +1,63 @@
+"""`stylerf import SOURCE WORK`: photos, with poses or without, into a scene."""
+
+from dataclasses import asdict
+from pathlib import Path
+
+from stages.configs.pose_import import ImportConfig, ImportOptions
+
+NAME = "import"
+HELP = "bring photos into a work folder, with their camera poses"
+CONFIG = ImportOptions
+SCENE = "main"
+_DEFAULTS = ImportOptions()
+
+
+def add_arguments(parser) -> None:
+    """SOURCE and WORK."""
+    parser.add_argument("source", type=Path, metavar="SOURCE", help="folder of photos, alone or with transforms.json, "
+                        "a COLMAP model (sparse/0) or poses_bounds.npy; or one such file")  # fmt: skip
+    parser.add_argument("work", type=Path, metavar="WORK", help="work folder, made where it does not exist")
+
+
+def run(args, session) -> dict:
+    """{"scene": name, "path", "digest", "seconds", ...figures of the import}."""
+    from stages import pose_import
+
+    config = config_for(args.source, session.config)
+    artefact = session.run(pose_import.SPEC, pose_import.run, {}, config, SCENE)
+    figures = artefact.manifest.figures
+    result = {
+        "scene": artefact.name, "path": artefact.path, "digest": artefact.digest,
+        "seconds": artefact.manifest.seconds, **figures,
+    }  # fmt: skip
+    return session.emit(result, _words(result))
+
+
+def config_for(source: Path, options: ImportOptions = _DEFAULTS) -> ImportConfig:
+    """The options of an import with its source and the source's digest, so that changed photos are seen."""
+    from stages.readers.digest import digest_of_source
+
+    source = source.resolve()
+    return ImportConfig(
+        **asdict(options), source=str(source), source_digest=digest_of_source(source, options.images)
+    )
+
+
+def _words(result: dict) -> str:
+    low, high = ([f"{value:.3g}" for value in corner] for corner in result["aabb"])
+    lines = [
+        f"scene {result['scene']} ({result['path']}) from {result['format']}",
+        f"  views       {result['views']}: {result['train']} to train on, {result['test']} for tests",
+        f"  sizes       {', '.join(result['sizes'][:4])}{', ...' if len(result['sizes']) > 4 else ''}",
+        f"  layout      {result['layout']}: {result['layout_reason']}",
+        f"  background  {result['background']}",
+        f"  bounds      [{', '.join(low)}] to [{', '.join(high)}], near {result['near']:.3g}, far {result['far']:.4g}",
+    ]
+    if result["points"]:
+        lines.append(f"  points      {result['points']}")
+    if result["truth_depths"]:
+        lines.append(f"  truth       {result['truth_depths']} depth images")
+    if result["skipped"]:
+        names = ", ".join(result["skipped"][:5]) + (", ..." if len(result["skipped"]) > 5 else "")
+        lines.append(f"  skipped     {len(result['skipped'])}: {names}")
+    return "\n".join(lines)

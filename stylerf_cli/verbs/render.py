@@ -1,0 +1,36 @@
+"""`stylerf render WORK`: views of a field as EXR, PNG and video."""
+
+from stages.configs.render import RenderConfig
+
+NAME = "render"
+HELP = "render a field along a path: EXR with depth for compositors, PNG, video"
+CONFIG = RenderConfig
+
+
+def add_arguments(parser) -> None:
+    """WORK, --of."""
+    parser.add_argument("work", metavar="WORK", help="the work folder")
+    parser.add_argument("--of", metavar="FIELD", help="field to render (default: the one made last)")
+
+
+def run(args, session) -> dict:
+    """The frames' place."""
+    from pathlib import Path
+
+    from stages import render
+    from stylerf_cli.verbs.eval_ import chosen_field, scene_of
+
+    field = chosen_field(session.work, args.of)
+    config = session.config
+    label = Path(config.path).stem if Path(config.path).suffix else config.path
+    name = f"{field.name}-{label}" + (f"-{config.frames}" if config.frames else "")
+    frames = session.run(
+        render.SPEC, render.run, {"scene": scene_of(session.work, field), "field": field}, config, name
+    )
+    figures = frames.manifest.figures
+    rate = figures["pixels"] / max(frames.manifest.seconds, 1e-9)
+    result = {"frames": frames.path, "name": frames.name, "figures": figures, "seconds": frames.manifest.seconds}
+    words = [f"{figures['frames']} frames of {field.name}, {rate / 1e3:.0f} thousand rays a second", f"  {frames.path}"]
+    if figures["video"]:
+        words.insert(1, f"  video: {frames.path / figures['video']}")
+    return session.emit(result, "\n".join(words))

@@ -1,0 +1,104 @@
+"""Colour matching: statistics after it are the painting's, on colours and through spherical harmonics."""
+
+import numpy as np
+import pytest
+import torch
+
+from stylerf.errors import InvalidValue
+from stylerf.style import colour
+
+
+def colours(count: int, seed: int) -> torch.Tensor:
+    generator = torch.Generator().manual_seed(seed)
+    mixing = torch.rand(3, 3, generator=generator, dtype=torch.float64)
+    return torch.rand(count, 3, generator=generator, dtype=torch.float64) @ mixing * 0.5 + 0.1
+
+
+def test_matched_colours_have_exactly_the_mean_and_covariance_of_the_style():
+    content, style = colours(500, 0), colours(700, 1)
+    found = colour.match_colours(content, style)(content).numpy()
+    np.testing.assert_allclose(found.mean(axis=0), style.numpy().mean(axis=0), atol=1e-12)
+    np.testing.assert_allclose(np.cov(found.T, bias=True), np.cov(style.numpy().T, bias=True), atol=1e-12)
+
+
+def test_weights_count_pixels():
+    content, style = colours(400, 2), colours(300, 3)
+    weights = torch.randint(0, 4, (400,), generator=torch.Generator().manual_seed(0))
+    repeated = torch.repeat_interleave(content, weights, dim=0)
+    one, other = colour.match_colours(content, style, weights), colour.match_colours(repeated, style)
+    torch.testing.assert_close(one.matrix, other.matrix)
+    torch.testing.assert_close(one.offset, other.offset)
+
+
+def test_colours_already_matched_stay_and_the_matrix_is_of_symmetric_roots():
+    content = colours(400, 4)
+    same = colour.match_colours(content, content)
+    torch.testing.assert_close(same.matrix, torch.eye(3, dtype=torch.float64), atol=1e-9, rtol=0)
+    root = colour.symmetric_power(colour.colour_statistics(content)[1], 0.5)
+    torch.testing.assert_close(root, root.T)
+    torch.testing.assert_close(root @ root, colour.colour_statistics(content)[1])
+
+
+def test_a_grey_picture_stays_finite():
+    grey = torch.linspace(0, 1, 50, dtype=torch.float64)[:, None].expand(50, 3)
+    found = colour.match_colours(grey, colours(300, 5))
+    assert torch.isfinite(found.matrix).all()
+    torch.testing.assert_close(found(grey).mean(dim=0), colours(300, 5).mean(dim=0))
+    assert torch.isfinite(colour.match_colours(torch.full((9, 3), 0.5), colours(300, 5)).matrix).all()
+
+
+def test_spherical_harmonics_are_mapped_as_the_colours_they_stand_for():
+    generator = torch.Generator().manual_seed(6)
+    coefficients = torch.randn(20, 4, 3, generator=generator, dtype=torch.float64) * 0.2
+    direction = torch.tensor([0.48, -0.6, 0.64], dtype=torch.float64)
+    c1 = 0.4886025119029199
+    basis = torch.stack(
+        [torch.tensor(0.28209479177387814, dtype=torch.float64), -c1 * direction[1], c1 * direction[2],
+         -c1 * direction[0]]
+    )  # fmt: skip
+
+    def seen(values):
+        return 0.5 + torch.einsum("k,nkc->nc", basis, values)
+
+    change = colour.match_colours(colours(400, 7), colours(400, 8))
+    torch.testing.assert_close(seen(colour.match_harmonics(coefficients, change)), change(seen(coefficients)))
+    naive = change(coefficients)  # what the released code of ARF does
+    assert float((seen(naive) - change(seen(coefficients))).abs().max()) > 0.05
+
+
+def test_maps_compose_and_act_on_images_and_premultiplied_colours():
+    first, second = (colour.match_colours(colours(300, a), colours(300, a + 1)) for a in (9, 11))
+    sample = colours(10, 13)
+    torch.testing.assert_close(second.after(first)(sample), second(first(sample)))
+    image = sample[:6].T.reshape(3, 2, 3).float()
+    torch.testing.assert_close(
+        first.image(image).flatten(1).T, first(sample[:6].float()).clamp(0, 1), atol=1e-6, rtol=0
+    )
+    alpha = torch.linspace(0, 1, 10, dtype=torch.float64)
+    torch.testing.assert_close(first.premultiplied(sample * alpha[:, None], alpha), first(sample) * alpha[:, None])
+
+
+def test_luminance_matching_keeps_differences_between_channels():
+    content, style = colours(400, 14), colours(400, 15)
+    found = colour.match_luminance(content, style)(content)
+    luma = torch.tensor(colour.LUMA, dtype=torch.float64)
+    torch.testing.assert_close((found @ luma).mean(), (style @ luma).mean())
+    torch.testing.assert_close((found @ luma).var(unbiased=False), (style @ luma).var(unbiased=False))
+    torch.testing.assert_close(found[:, 0] - found[:, 1], content[:, 0] - content[:, 1])
+
+
+def test_pixels_are_sampled_with_their_alpha():
+    images = [torch.rand(4, 50, 40), torch.rand(3, 20, 10)]
+    everything, weights = colour.pixels_of(images)
+    assert everything.shape == (2200, 3) and weights.shape == (2200,)
+    assert torch.equal(weights[:2000], images[0][3].flatten()) and float(weights[2000:].min()) == 1
+    few, _ = colour.pixels_of(images, most=220)
+    assert few.shape == (220, 3) and torch.equal(few, colour.pixels_of(images, most=220)[0])
+
+
+def test_nonsense_is_refused():
+    for wrong in (torch.zeros(0, 3), torch.zeros(5, 4), torch.full((5, 3), torch.nan)):
+        with pytest.raises(InvalidValue):
+            colour.match_colours(wrong, colours(10, 0))
+    with pytest.raises(InvalidValue):
+        colour.match_colours(colours(10, 0), colours(10, 1), torch.zeros(10))

@@ -1,0 +1,166 @@
+"""The main path on a tiny still life, through the command's front door, against its known geometry."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import OpenImageIO as oiio
+import pytest
+
+from schemas.images import read_image, write_png
+from schemas.store import Work
+from stylerf.procedural.still_life import StillLife
+from stylerf_cli.main import main
+
+DEMO = ["--size", "48", "--train-views", "16", "--test-views", "2", "--fit-budget", "250", "--style-budget", "6",
+        "--frames", "4"]  # fmt: skip
+
+
+def said(capsys, *arguments: str) -> dict:
+    """The --json object of one command that must succeed."""
+    assert main([*arguments, "--json", "--quiet"]) == 0, capsys.readouterr().err
+    return json.loads(capsys.readouterr().out)
+
+
+@pytest.fixture(scope="module")
+def demo(tmp_path_factory) -> Path:
+    """A finished tiny demo."""
+    work = tmp_path_factory.mktemp("demo") / "work"
+    assert main(["demo", str(work), "--quiet", *DEMO]) == 0
+    return work
+
+
+def test_demo_leaves_what_it_promises_and_a_field_that_has_learned(demo, capsys):
+    result = said(capsys, "demo", str(demo), *DEMO)
+    for what in ("sheet", "report", "film"):
+        assert Path(result[what]).stat().st_size > 1000
+    # An empty field renders white: what that scores is the bar that a fit of 250 steps must clear by far.
+    photos = [read_image(p).pixels for p in sorted((demo / "photos" / "test").glob("*.png"))]
+    over_white = [p[..., :3] * p[..., 3:] + 1 - p[..., 3:] for p in photos]
+    white = -10 * np.log10(np.mean([np.mean((1 - p) ** 2) for p in over_white]))
+    assert result["psnr"] > white + 6
+
+
+def test_everything_made_verifies_and_a_flipped_byte_is_found(demo, capsys, tmp_path):
+    assert main(["verify", str(demo), "--quiet"]) == 0
+    victim = next((demo / "field" / "fit").glob("*.safetensors"))
+    data = bytearray(victim.read_bytes())
+    data[len(data) // 2] ^= 1
+    whole = victim.read_bytes()
+    victim.write_bytes(bytes(data))
+    try:
+        assert main(["verify", str(demo), "--quiet"]) == 4
+        assert victim.name in capsys.readouterr().err
+    finally:
+        victim.write_bytes(whole)
+
+
+def test_written_depth_unprojects_onto_the_still_life(demo):
+    frames = demo / "frames" / "fit-test" / "exr"
+    life, errors = StillLife(0), []
+    for path in sorted(frames.glob("*.exr")):
+        picture = oiio.ImageInput.open(str(path))
+        spec = picture.spec()
+        pixels = dict(zip(spec.channelnames, np.moveaxis(picture.read_image(oiio.FLOAT), -1, 0)))
+        to_camera = np.array(spec.getattribute("worldToCamera")).reshape(4, 4)  # row vectors: p_camera = p_world @ M
+        fx = next(v for k, v in demo_intrinsics(demo) if k == path.stem)
+        height, width = pixels["Z"].shape
+        rows, columns = np.nonzero(pixels["A"] > 0.95)
+        z = pixels["Z"][rows, columns]
+        # The EXR camera has y up.
+        local = np.stack([(columns + 0.5 - width / 2) / fx * z, -(rows + 0.5 - height / 2) / fx * z, z, 1 + 0 * z], -1)
+        world = (local @ np.linalg.inv(to_camera))[:, :3]
+        errors.append(np.abs(life.distance(world)))
+        picture.close()
+    # 48 pixels see a 2.5 unit wide scene: a pixel is 0.05 units, and the fit has had 250 steps.
+    assert np.median(np.concatenate(errors)) < 0.05
+
+
+def demo_intrinsics(demo: Path):
+    scene = json.loads((demo / "scene" / "main" / "scene.json").read_text())
+    return [(Path(view["name"]).name, view["fx"]) for view in scene["views"]]
+
+
+def test_stylised_colours_are_nearer_to_the_painting(demo):
+    painting = read_image(demo / "photos" / "painting.png").pixels[..., :3].reshape(-1, 3).mean(0)
+
+    def mean_of(name: str) -> np.ndarray:
+        views = [read_image(p).pixels for p in sorted((demo / "frames" / name / "png").glob("*.png"))]
+        lit = np.concatenate([v[..., :3][(v[..., :3] < 0.98).any(-1)] for v in views])
+        return lit.mean(0)
+
+    before = np.linalg.norm(mean_of("fit-test") - painting)
+    after = np.linalg.norm(mean_of("painting-arf-test") - painting)
+    assert after < 0.5 * before
+
+
+def test_shards_of_a_path_are_the_bytes_of_the_whole(demo, capsys):
+    common = ("render", str(demo), "--of", "fit", "--path", "orbit", "--count", "4", "--scale", "0.5")
+    said(capsys, *common, "--name", "whole")
+    said(capsys, *common, "--frames", "2-3", "--name", "shard")
+    for kind in ("png", "exr"):
+        for frame in ("0002", "0003"):
+            whole, shard = (demo / "frames" / n / kind / f"{frame}.{kind}" for n in ("whole", "shard"))
+            assert whole.read_bytes() == shard.read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "word"),
+    [
+        (("stylize", "--style", "missing.jpg"), 3, "no such image"),
+        (("stylize", "--style", "tiny.png"), 3, "16 pixels"),
+        (("fit", "--budget", "soon"), 2, "soon"),
+        (("fit", "--capacity", "fixed:9x3"), 2, "fixed:9x3"),
+        (("render", "--path", "nowhere.json"), 3, "nowhere.json"),
+        (("render", "--path", "test", "--frames", "90-99"), 3, "90-99"),
+        (("render", "--of", "nothing"), 2, "nothing"),
+    ],
+)
+def test_what_cannot_be_done_is_one_line_and_its_exit_code(demo, capsys, arguments, code, word, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    write_png(tmp_path / "tiny.png", np.zeros((8, 8, 3), np.uint8))
+    verb, *rest = arguments
+    assert main([verb, str(demo), *rest, "--quiet"]) == code
+    error = capsys.readouterr().err
+    assert word in error and error.count("\n") == 1
+
+
+def test_a_killed_fit_goes_on_and_ends_as_if_nothing_had_happened(demo, tmp_path, capsys):
+    """In steps a fit is the same however often it was killed; see stylerf/training/fit.py.
+
+    Both run as processes of their own: the kernels must come from the cache, since those that a process has compiled
+    itself may round differently in the last bit.
+    """
+    command = ["--budget", "260", "--no-buffers", "--checkpoint-every-seconds", "0.05", "--threads", "2", "--quiet"]
+    results = []
+    for kill in (False, True):
+        work = tmp_path / ("killed" if kill else "whole")
+        said(capsys, "import", str(demo / "photos"), str(work))
+        if kill:
+            _kill_while_it_runs(work, command)
+        subprocess.run([sys.executable, "-m", "stylerf_cli.main", "fit", str(work), *command], check=True)
+        results.append(Work(work).get("field", "fit").file("field.safetensors").read_bytes())
+    assert results[0] == results[1]
+
+
+def _kill_while_it_runs(work: Path, command: list[str]) -> None:
+    """kill -9 as soon as a checkpoint lies there, twice."""
+    checkpoint = work / "field" / ".fit.partial" / "checkpoint" / "checkpoint.safetensors"
+    for _ in range(2):
+        before = checkpoint.stat().st_mtime_ns if checkpoint.exists() else 0
+        child = subprocess.Popen(
+            [sys.executable, "-m", "stylerf_cli.main", "fit", str(work), *command], env=os.environ
+        )
+        deadline = time.monotonic() + 120
+        while child.poll() is None and time.monotonic() < deadline:
+            if checkpoint.exists() and checkpoint.stat().st_mtime_ns > before:
+                child.send_signal(signal.SIGKILL)
+            time.sleep(0.01)
+        child.wait()
+        assert child.returncode == -signal.SIGKILL
+        assert not (work / "field" / "fit").exists()
