@@ -1,4 +1,4 @@
-"""Fit the real scenes at fixed budgets and measure held-out views: `python -m benchmarks.fits DATA OUT.json BUDGETS [NAMES]`.
+"""Fit the real scenes and measure held-out views: `python -m benchmarks.fits DATA OUT.json BUDGETS [NAMES]`.
 
 Protocol: `stylerf import` with the flags below, `stylerf fit --budget B` (the clock is the training itself, without
 reading, compiling, decisions or rendering), `stylerf eval`: mean PSNR of the test views (every 8th, or the files' own)
@@ -57,7 +57,8 @@ def main() -> None:
                 print(rows[-1], flush=True)
                 machine = {"cpu": platform.processor() or platform.machine(), "cores": os.cpu_count()}
                 report = {
-                    "command": f"python -m benchmarks.fits DATA OUT.json {sys.argv[3]}", "protocol": __doc__.split("Protocol: ")[1],
+                    "command": f"python -m benchmarks.fits DATA OUT.json {sys.argv[3]}",
+                    "protocol": __doc__.split("Protocol: ")[1],
                     "machine": machine, "python": platform.python_version(), "rows": rows,
                     "date": datetime.now(UTC).date().isoformat(),
                 }  # fmt: skip
