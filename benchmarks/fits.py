@@ -1,4 +1,4 @@
-"""Fit the real scenes at fixed budgets and measure held-out views: `python -m benchmarks.fits DATA OUT.json [NAMES]`.
+"""Fit the real scenes and measure held-out views: `python -m benchmarks.fits DATA OUT.json BUDGETS [NAMES]`.
 
 Protocol: `stylerf import` with the flags below, `stylerf fit --budget B` (the clock is the training itself, without
 reading, compiling, decisions or rendering), `stylerf eval`: mean PSNR of the test views (every 8th, or the files' own)
@@ -21,7 +21,6 @@ SCENES = {
     "fox 270x480": ("fox", ["--downscale", "4"]),
     "cup 400x300": ("cup", ["--downscale", "2"]),
 }
-BUDGETS = ("60s", "300s")
 
 
 def stylerf(*arguments: str) -> dict:
@@ -48,17 +47,18 @@ def measure(data: Path, name: str, budget: str, work: Path) -> dict:
 
 
 def main() -> None:
-    data, out = Path(sys.argv[1]), Path(sys.argv[2])
-    wanted = sys.argv[3:] or list(SCENES)
+    data, out, budgets = Path(sys.argv[1]), Path(sys.argv[2]), sys.argv[3].split(",")
+    wanted = sys.argv[4:] or list(SCENES)
     rows = []
     with tempfile.TemporaryDirectory() as scratch:
         for name in wanted:
-            for budget in BUDGETS:
+            for budget in budgets:
                 rows.append(measure(data, name, budget, Path(scratch) / name.replace(" ", "-")))
                 print(rows[-1], flush=True)
                 machine = {"cpu": platform.processor() or platform.machine(), "cores": os.cpu_count()}
                 report = {
-                    "command": "python -m benchmarks.fits DATA OUT.json", "protocol": __doc__.split("Protocol: ")[1],
+                    "command": f"python -m benchmarks.fits DATA OUT.json {sys.argv[3]}",
+                    "protocol": __doc__.split("Protocol: ")[1],
                     "machine": machine, "python": platform.python_version(), "rows": rows,
                     "date": datetime.now(UTC).date().isoformat(),
                 }  # fmt: skip

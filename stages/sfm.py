@@ -1,6 +1,6 @@
 """Structure from motion: photos without poses into posed ones, by COLMAP in a child process that can be stopped.
 
-Ctrl-C ends the child at once; finished photos, features and matches stay in the checkpoint folder, and the next run goes
+Ctrl-C ends the child at once; finished photos, features and matches stay in the checkpoint, and the next run goes
 on from there.
 """
 

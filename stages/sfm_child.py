@@ -38,7 +38,7 @@ def main(path: str) -> int:
 
 
 def run(job: Job, tell: Teller) -> None:
-    """All steps; finished ones of an interrupted run are skipped. Writes model/ and result.json into the job's folder."""
+    """All steps, but those an interrupted run has finished. Writes model/ and result.json into the job's folder."""
     import pycolmap
 
     from stages.structure import copies, database, judging, mapping

@@ -17,13 +17,17 @@ def photos_of(source: Path, images: str = "") -> list[Path]:
     if source.is_file():
         raise _no_folder(source)
     folder = image_folder(source, images) if images else _folder(source)
-    found = [photo for photo in images_in(folder) if not photo.stem.endswith("_mask") and not photo.name.startswith(".")]
+    found = [
+        photo for photo in images_in(folder) if not photo.stem.endswith("_mask") and not photo.name.startswith(".")
+    ]
     if found:
         return found
     names = [item.name for item in folder.iterdir()]
     foreign = sorted({Path(name).suffix for name in names if Path(name).suffix.lower() in UNREADABLE})
     if foreign:
-        raise BadInput(f"{folder} holds only files of kinds that cannot be read ({', '.join(foreign)}); convert them to JPEG or PNG")
+        raise BadInput(
+            f"{folder} holds only files that cannot be read ({', '.join(foreign)}); convert them to JPEG or PNG"
+        )
     films = [name for name in names if Path(name).suffix.lower() in FILMS]
     if films:
         raise _film(folder / films[0])

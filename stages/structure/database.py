@@ -21,7 +21,7 @@ SMALL_PHOTO = 800
 
 
 def register(job: Job, copies: list[Copy], tell: Teller) -> Path:
-    """The database with its cameras and photos, in this order whatever happens later, so that numbers are repeatable."""
+    """The database with its cameras and photos, in this order whatever happens later: numbers are repeatable."""
     folder = Path(job.folder)
     path, done = folder / DATABASE, folder / REGISTERED
     if done.is_file():

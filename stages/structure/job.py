@@ -14,7 +14,7 @@ class Job:
     """folder: where steps are kept. photos: files, in the order that they were taken in as far as names tell.
 
     side: longest side in pixels of the copies that are searched for features; features: at most so many per photo.
-    matching: exhaustive or sequential. shared: one camera for photos of one size, lens and zoom, else one each. seed: of
+    matching: exhaustive or sequential. shared: one camera for photos of one size and zoom, else one each. seed: of
     every RANSAC. threads: for features and matches; the mapper takes one, so that it is reproducible.
     """
 

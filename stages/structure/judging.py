@@ -114,7 +114,10 @@ def verdict(found: Quality) -> tuple[str, list[str]]:
     if found.registered < FEWEST_PHOTOS or share < REFUSED_SHARE:
         return f"structure from motion placed only {told}; {remedy}, or remove photos of other things", []
     if found.error_px > LARGEST_ERROR:
-        return f"the reconstruction is off by {found.error_px:.2f} px on average (limit {LARGEST_ERROR:g}); {remedy}", []
+        return (
+            f"the reconstruction is off by {found.error_px:.2f} px on average (limit {LARGEST_ERROR:g}); {remedy}",
+            [],
+        )
     if found.parallax_deg < LEAST_PARALLAX:
         return (
             f"the camera hardly moved: points are seen under {found.parallax_deg:.2f} degrees of parallax (at least "
@@ -138,5 +141,7 @@ def _warnings(found: Quality, told: str, share: float) -> list[str]:
         warnings.append(f"warning: {found.agreement:.0%} of the matched pairs fit the poses; look at the result")
     if len(found.models) > 1:
         sizes = ", ".join(map(str, found.models))
-        warnings.append(f"warning: the photos fell apart into {len(found.models)} groups ({sizes} photos); the largest is used")
+        warnings.append(
+            f"warning: the photos fell apart into {len(found.models)} groups ({sizes} photos); the largest is used"
+        )
     return warnings

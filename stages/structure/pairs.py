@@ -1,6 +1,7 @@
 """Which photos are compared with which."""
 
 import re
+from itertools import pairwise
 
 # Above this many photos `auto` takes neighbours only, if the names count frames: all pairs grow with the square.
 MOST_FOR_ALL_PAIRS = 80
@@ -26,9 +27,13 @@ def _are_frames(names: list[str]) -> bool:
         return False
     stems = {name[: match.start()] for name, match in zip(names, found, strict=True)}
     numbers = [int(match.group()) for match in found]
-    steps = [after - before for before, after in zip(numbers, numbers[1:], strict=False)]
+    steps = [after - before for before, after in pairwise(numbers)]
     # Dropped frames leave gaps, but most steps of a sampled video are equal.
-    return len(stems) == 1 and all(step > 0 for step in steps) and steps.count(max(steps, key=steps.count)) > len(steps) / 2
+    return (
+        len(stems) == 1
+        and all(step > 0 for step in steps)
+        and steps.count(max(steps, key=steps.count)) > len(steps) / 2
+    )
 
 
 def pairs(count: int, matching: str) -> list[tuple[int, int]]:

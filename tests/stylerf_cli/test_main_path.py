@@ -136,7 +136,8 @@ def test_a_killed_fit_goes_on_and_ends_as_if_nothing_had_happened(demo, tmp_path
     Both run as processes of their own: the kernels must come from the cache, since those that a process has compiled
     itself may round differently in the last bit.
     """
-    command = ["--budget", "260", "--no-buffers", "--checkpoint-every-seconds", "0.05", "--threads", "2", "--quiet"]
+    command = ["--budget", "200", "--no-buffers", "--checkpoint-every-seconds", "0.05", "--threads", "2", "--quiet",
+               "--capacity", "fixed:48"]  # fmt: skip
     results = []
     for kill in (False, True):
         work = tmp_path / ("killed" if kill else "whole")

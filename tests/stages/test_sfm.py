@@ -1,0 +1,305 @@
+"""Structure from motion on procedural photos whose cameras are known: poses, refusals, interruption, repetition."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pycolmap
+import pytest
+
+from schemas.canonical import file_sha256
+from schemas.errors import BadInput
+from schemas.images import write_png
+from stages import sfm
+from stages.progress import Context, Silent
+from stages.scenes import load_scene
+from stages.structure import judging
+from stages.structure.database import keypoints, matched_pairs
+from stages.structure.job import Job
+from tests.conftest import REPOSITORY
+from tests.stages.importing import Said, imported, scene_of
+from tests.stages.photo_room import aligned, look_at, walk, write_photos
+
+CAMERAS = walk(8, (0.45, 1.1), width=240, height=180, focal=230.0)
+
+
+@pytest.fixture(scope="session")
+def room(tmp_path_factory) -> Path:
+    """Eight photos of the corner of a room, 240 x 180."""
+    folder = tmp_path_factory.mktemp("room")
+    write_photos(folder, CAMERAS)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def finished(room, tmp_path_factory) -> Path:
+    """The folder of an undisturbed run of the child process."""
+    folder = tmp_path_factory.mktemp("finished")
+    sfm.run_child(job_in(folder, room), Context())
+    return folder
+
+
+def job_in(folder: Path, photos: Path, **options) -> Path:
+    job = Job(str(folder), tuple(map(str, sorted(photos.glob("*.png")))), **options)
+    job.write(folder / "job.json")
+    return folder / "job.json"
+
+
+def model_digests(folder: Path) -> dict[str, str]:
+    return {path.name: file_sha256(path) for path in sorted((folder / "model").iterdir())}
+
+
+def test_the_poses_of_the_room(room, tmp_path):
+    source = tmp_path / "s"
+    source.mkdir()
+    for photo in room.iterdir():
+        (source / photo.name).write_bytes(photo.read_bytes())
+    (source / "p90.png").write_bytes((room / "p01.png").read_bytes())
+    write_png(source / "p91.png", np.zeros((180, 240, 3), np.uint8))
+    said = Said()
+    artefact = imported(source, tmp_path / "w", said)
+    scene = scene_of(artefact)
+    assert [view.name for view in scene.views] == [camera.name for camera in CAMERAS]
+    assert [(one.source, one.reason) for one in scene.skipped] == [
+        ("p90.png", "it is the same file as p01.png"), ("p91.png", "it is black"),
+    ]  # fmt: skip
+    found = np.array([view.world_from_camera for view in scene.views])
+    angles, distances = aligned(found, np.array([camera.world_from_camera for camera in CAMERAS]))
+    assert angles.max() < 0.5 and distances.max() < 0.01
+    assert abs(scene.views[0].fx / 230 - 1) < 0.02
+    assert scene.sfm["registered"] == 8 and scene.sfm["error_px"] < 0.5 and scene.sfm["agreement"] == 1
+    assert any("structure from motion: 8 of 8 photos placed" in line for line in said.lines)
+    # Points lie on the faces of the room: one coordinate is 0 in the room's own frame.
+    points = load_scene(artefact).points.xyz
+    onto = similarity(found[:, :3, 3], np.array([camera.centre for camera in CAMERAS]))
+    inside = points @ onto[:3, :3].T + onto[:3, 3]
+    assert np.median(np.abs(inside).min(axis=1)) < 0.01 and len(points) > 300
+
+
+def similarity(p: np.ndarray, q: np.ndarray) -> np.ndarray:
+    """[4, 4] that brings points p [n, 3] onto q, by pycolmap."""
+    found = pycolmap.estimate_sim3d(p, q)
+    matrix = np.eye(4)
+    matrix[:3] = found.matrix()
+    return matrix
+
+
+def test_two_runs_give_the_same_bytes_whatever_the_threads(finished, room, tmp_path):
+    sfm.run_child(job_in(tmp_path, room, threads=1), Context())
+    assert model_digests(tmp_path) == model_digests(finished)
+
+
+def killed_runs(room, folder, moments):
+    """Starts the child, kills it after so many of its events, and so on; then lets it finish."""
+    for moment in moments:
+        job = job_in(folder, room)
+        with subprocess.Popen(
+            [sys.executable, "-m", "stages.sfm_child", str(job)], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL, cwd=REPOSITORY,
+        ) as child:  # fmt: skip
+            for _ in range(moment):
+                if not child.stdout.readline():
+                    break
+            time.sleep(0.01 * (moment % 7))
+            child.kill()
+    sfm.run_child(job_in(folder, room), Context())
+
+
+def test_a_run_killed_in_every_step_ends_with_the_same_bytes(finished, room, tmp_path):
+    killed_runs(room, tmp_path, (5, 3, 4, 5))
+    assert model_digests(tmp_path) == model_digests(finished)
+
+
+@pytest.mark.slow
+def test_a_run_killed_at_twenty_random_moments_ends_with_the_same_bytes(finished, room, tmp_path):
+    random = np.random.default_rng(0)
+    for trial in range(20):
+        folder = tmp_path / str(trial)
+        folder.mkdir()
+        killed_runs(room, folder, random.integers(1, 25, 2).tolist())
+        assert model_digests(folder) == model_digests(finished), trial
+
+
+def processes_of(folder: Path) -> list[int]:
+    """Processes whose command line names the folder."""
+    found = []
+    for item in Path("/proc").glob("[0-9]*"):
+        try:
+            if str(folder) in (item / "cmdline").read_text():
+                found.append(int(item.name))
+        except OSError:
+            continue
+    return found
+
+
+def command(room, work):
+    return subprocess.Popen(
+        [sys.executable, "-m", "stylerf_cli.main", "import", str(room), str(work)], cwd=REPOSITORY,
+        stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True, start_new_session=True,
+    )  # fmt: skip
+
+
+def wait_for(condition, seconds=30.0):
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, "waited too long"
+        time.sleep(0.02)
+
+
+@pytest.mark.parametrize("sign", ["copies/00003.jpg", "registered", "pairs.txt", "models"])
+def test_ctrl_c_ends_it_within_ten_seconds_and_leaves_what_is_done(room, tmp_path, sign):
+    """As soon as the file `sign` shows that a step has begun, the terminal's signal comes."""
+    work = tmp_path / "w"
+    step = work / "scene" / ".main.partial" / "checkpoint" / "sfm"
+    with command(room, work) as running:
+        wait_for((step / sign).exists)
+        asked = time.monotonic()
+        running.send_signal(signal.SIGINT)
+        _, errors = running.communicate(timeout=15)
+        assert time.monotonic() - asked < 10
+    assert running.returncode == 130 and "interrupted" in errors
+    assert processes_of(work) == [] and (step / sign).exists()
+
+
+@pytest.mark.skipif(not Path("/proc").is_dir(), reason="looks at /proc")
+def test_the_child_dies_with_its_parent(room, tmp_path):
+    work = tmp_path / "w"
+    with command(room, work) as running:
+        wait_for((work / "scene" / ".main.partial" / "checkpoint" / "sfm" / "copies").exists)
+        running.kill()
+    wait_for(lambda: not processes_of(work), 10)
+
+
+def test_an_interrupted_import_goes_on(finished, room, tmp_path):
+    """KeyboardInterrupt out of the progress callback, in the midst of matching; the second run ends as an undisturbed
+    one does."""
+
+    class Stopping(Silent):
+        label = ""
+
+        def start(self, label, total=None, unit="step"):
+            self.label = label
+
+        def update(self, done, note=""):
+            if self.label == "reconstructing":
+                raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        imported(room, tmp_path / "w", Stopping())
+    said = Said()
+    scene = scene_of(imported(room, tmp_path / "w", said))
+    assert any("going on" in line for line in said.lines)
+    result = json.loads((finished / "result.json").read_text())["figures"]
+    assert scene.sfm == result
+
+
+def refused(source, tmp_path, **options) -> str:
+    with pytest.raises(BadInput) as caught:
+        imported(source, tmp_path / "w", **options)
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_too_few_photos(room, tmp_path, count):
+    for number in range(count):
+        name = f"p0{number}.png"
+        (tmp_path / name).write_bytes((room / name).read_bytes())
+    assert f"{count} of {count} photos can be used; structure from motion needs at least 3" in refused(
+        tmp_path, tmp_path
+    )
+
+
+def test_black_photos(tmp_path):
+    for number in range(4):
+        write_png(tmp_path / f"{number}.png", np.zeros((60, 80, 3), np.uint8))
+    assert "0 of 4 photos can be used (0.png: it is black)" in refused(tmp_path, tmp_path)
+
+
+def test_copies_of_one_photo(room, tmp_path):
+    for number in range(4):
+        (tmp_path / f"{number}.png").write_bytes((room / "p00.png").read_bytes())
+    assert "1 of 4 photos can be used (1.png: it is the same file as 0.png)" in refused(tmp_path, tmp_path)
+
+
+def test_photos_of_noise(tmp_path):
+    random = np.random.default_rng(0)
+    for number in range(4):
+        write_png(tmp_path / f"{number}.png", random.integers(0, 256, (90, 120, 3)).astype(np.uint8))
+    assert "found no poses: too few matches" in refused(tmp_path, tmp_path)
+
+
+def test_a_truncated_photo(room, tmp_path):
+    for photo in room.iterdir():
+        data = photo.read_bytes()
+        (tmp_path / photo.name).write_bytes(data[: len(data) // 2] if photo.name == "p03.png" else data)
+    assert "p03.png cannot be read whole" in refused(tmp_path, tmp_path)
+
+
+def test_photos_turned_on_the_spot(tmp_path):
+    """No baseline: COLMAP may still end quietly, with points anywhere."""
+    cameras = [
+        look_at((2.2, 2.2, 1.2), (0.3 + 0.1 * k, 0.3 - 0.1 * k, 0.9), f"t{k}", 200, 150, 190.0) for k in range(6)
+    ]
+    write_photos(tmp_path, cameras)
+    line = refused(tmp_path, tmp_path)
+    assert "turn on the spot" in line or "parallax" in line or "placed only" in line
+
+
+def test_poses_that_contradict_the_photos_are_found_out(finished):
+    """Two photos' poses are exchanged: their pairs disagree, all others still agree."""
+    model = pycolmap.Reconstruction(finished / "model")
+    pairs, points = matched_pairs(finished / "database.db"), keypoints(finished / "database.db")
+    assert all(judging.pair_agreements(model, pairs, points))
+    images = {model.images[number].name: model.images[number] for number in model.reg_image_ids()}
+    one, two = images["00001.jpg"], images["00005.jpg"]
+    poses = one.cam_from_world(), two.cam_from_world()
+    one.frame.set_cam_from_world(one.camera_id, poses[1])
+    two.frame.set_cam_from_world(two.camera_id, poses[0])
+    agreeing = dict(zip([pair[:2] for pair in pairs], judging.pair_agreements(model, pairs, points), strict=True))
+    for names, agrees in agreeing.items():
+        touched = {"00001.jpg", "00005.jpg"} & set(names)
+        assert agrees == (not touched) or len(touched) == 2, names
+
+
+@pytest.mark.realdata
+def test_the_castle(data_dir, tmp_path):
+    """Eleven real photos whose focal length K.txt tells: 2905.88 pixels at 2832 x 2128."""
+    artefact = imported(data_dir / "castle", tmp_path / "w", sfm_side=800, sfm_features=1500, max_side=300)
+    scene = scene_of(artefact)
+    assert scene.sfm["registered"] == 11 and scene.sfm["error_px"] < 0.8 and scene.sfm["agreement"] > 0.9
+    model = tmp_path / "w"
+    assert model.is_dir() and scene.layout == "unbounded" and len(scene.split("test")) == 2
+    # The walk along the facade: neighbours in the file names are neighbours in space.
+    centres = np.array([view.world_from_camera for view in scene.views])[:, :3, 3]
+    gaps = np.linalg.norm(centres[:, None] - centres[None], axis=-1) + 10 * np.eye(11)
+    assert all(abs(int(np.argmin(row)) - index) <= 2 for index, row in enumerate(gaps))
+
+
+@pytest.mark.realdata
+@pytest.mark.slow
+def test_the_fox_from_photos_alone_stands_as_its_file_tells(data_dir, tmp_path):
+    photos = imported(data_dir / "fox" / "images", tmp_path / "p", downscale=8)
+    told = imported(data_dir / "fox", tmp_path / "t", downscale=8)
+    one = {view.name: view.world_from_camera for view in scene_of(photos).views}
+    two = {view.name: view.world_from_camera for view in scene_of(told).views}
+    names = sorted(one.keys() & two.keys())
+    assert len(names) == 50
+    angles, distances = aligned(np.array([one[name] for name in names]), np.array([two[name] for name in names]))
+    assert angles.mean() < 0.3 and distances.mean() < 0.002
+
+
+def test_a_child_that_dies_is_told(tmp_path, room, monkeypatch):
+    """An end without a word, as a crash inside COLMAP would be."""
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    (tmp_path / "sitecustomize.py").write_text(
+        "import os, sys, signal\nif 'stages.sfm_child' in ' '.join(sys.orig_argv): os.kill(os.getpid(), signal.SIGABRT)"
+    )
+    with pytest.raises(BadInput, match="signal 6"):
+        sfm.run_child(job_in(tmp_path, room), Context())
+    assert os.environ["PYTHONPATH"] == str(tmp_path)
