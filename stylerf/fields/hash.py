@@ -3,6 +3,7 @@
 import numpy as np
 
 from stylerf.errors import InvalidValue
+from stylerf.fields.samples import Samples
 from stylerf.kernels.cpu import hash as kernels
 from stylerf.kernels.cpu.vector_hash import PRIME_X, PRIME_Y, ROW
 
@@ -73,6 +74,23 @@ class HashColour:
     def backward(self, x, basis, starts, ends, colours, colour_gradients, to: np.ndarray) -> None:
         """Add dL/d(values) to the chunks' buffers `to` [chunks, len(values)]."""
         kernels.colour_backward(self.layout, self._levels, x, starts, ends, colours, colour_gradients, len(to), to)
+
+    def add_position_gradients(
+        self, samples: Samples, colours: np.ndarray, colour_gradients: np.ndarray, out: np.ndarray, chunks: int
+    ) -> None:
+        """Add dL/dx to out [n, 3], x the samples' positions in the cube."""
+        kernels.colour_position_gradient(
+            self.values,
+            self.layout,
+            self._levels,
+            samples.x,
+            samples.starts,
+            samples.ends,
+            colours,
+            colour_gradients,
+            chunks,
+            out,
+        )
 
     def colours_at(self, x: np.ndarray, chunks: int) -> np.ndarray:
         """[n, 3] colours of packed warped points [n, 3] float32."""

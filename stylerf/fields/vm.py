@@ -11,6 +11,7 @@ import torch.nn.functional as F
 from stylerf.fields.samples import Samples
 from stylerf.geometry.harmonics import BANDS, C0
 from stylerf.kernels.cpu import vm as kernels
+from stylerf.kernels.cpu.deform import density_position_gradient
 
 _AXES = ((1, 2), (2, 0), (0, 1))
 
@@ -151,6 +152,21 @@ class VmDensity:
         """Add dL/d(values) to the chunks' buffers `to` [chunks, len(values)]."""
         kernels.density_backward(
             self.table, self.size, self.values[-1], self._ranks, x, starts, ends, sigma, sigma_gradients, len(to), to
+        )
+
+    def add_position_gradients(self, samples: Samples, sigma_gradients, out: np.ndarray, chunks: int) -> None:
+        """Add dL/dx to out [n, 3], x the samples' positions in the cube."""
+        density_position_gradient(
+            self.table,
+            self.size,
+            self._ranks,
+            samples.x,
+            samples.starts,
+            samples.ends,
+            samples.sigma,
+            sigma_gradients,
+            chunks,
+            out,
         )
 
     def smooth(self, strength: float, to: np.ndarray) -> None:

@@ -10,8 +10,8 @@ No network stands behind the grid: docs/decisions/hash-colour.md has the figures
 import numpy as np
 from numba import prange
 
-from stylerf.kernels.cpu.compiling import parallel_kernel
-from stylerf.kernels.cpu.vector_hash import hash_features_backward, hash_logits, sigmoid_three
+from stylerf.kernels.cpu.compiling import inline, parallel_kernel
+from stylerf.kernels.cpu.vector_hash import hash_features_backward, hash_logits, hash_slopes, sigmoid_three
 
 _ONE, _ZERO = np.float32(1), np.float32(0)
 
@@ -37,6 +37,14 @@ def colour(table, layout, levels, x, starts, ends, weights, least, chunks, out):
                     sigmoid_three(flat, k * 3)
 
 
+@inline
+def _logit_gradient(colours, colour_gradients, k, g):
+    """g = dL/df of sample k: the three logits are f[0:3] + f[3]."""
+    for j in range(3):
+        g[j] = colour_gradients[k, j] * colours[k, j] * (_ONE - colours[k, j])
+    g[3] = g[0] + g[1] + g[2]
+
+
 @parallel_kernel
 def colour_backward(layout, levels, x, starts, ends, colours, colour_gradients, chunks, to):
     """Add dL/d(table) to the chunk's buffer to[chunk]; samples with colours[k, 0] < 0 are skipped."""
@@ -50,7 +58,21 @@ def colour_backward(layout, levels, x, starts, ends, colours, colour_gradients, 
             for k in range(starts[r], ends[r]):
                 if colours[k, 0] < _ZERO:
                     continue
-                for j in range(3):
-                    g[j] = colour_gradients[k, j] * colours[k, j] * (_ONE - colours[k, j])
-                g[3] = g[0] + g[1] + g[2]
+                _logit_gradient(colours, colour_gradients, k, g)
                 hash_features_backward(flat, base, layout, x[k, 0], x[k, 1], x[k, 2], g, np.int64(0), levels)
+
+
+@parallel_kernel
+def colour_position_gradient(
+    table, layout, levels, x, starts, ends, colours, colour_gradients, chunks, position_gradients
+):
+    """Add dL/dx [n, 3] of the samples that have a colour; the grid's slope is that of the cell a sample lies in."""
+    n = len(ends)
+    flat = position_gradients.reshape(-1)
+    for c in prange(chunks):
+        g = np.empty(4, np.float32)
+        for r in range(c * n // chunks, (c + 1) * n // chunks):
+            for k in range(starts[r], ends[r]):
+                if colours[k, 0] >= _ZERO:
+                    _logit_gradient(colours, colour_gradients, k, g)
+                    hash_slopes(table, layout, x[k, 0], x[k, 1], x[k, 2], g, np.int64(0), flat, k * 3, levels)

@@ -186,3 +186,31 @@ def hash_features_backward(typing, buffer, at, layout, x, y, z, gradients, row, 
         return context.get_dummy_value()
 
     return types.void(buffer, INDEX, layout, SCALAR, SCALAR, SCALAR, gradients, INDEX, levels), generate
+
+
+@intrinsic
+def hash_slopes(typing, table, layout, x, y, z, gradients, row, out, at, levels):
+    """out[at:at+3] += dL/d(x, y, z) of f (see hash_logits); gradients[row:row+4] = dL/df."""
+
+    def generate(context, builder, sig, args):
+        rows, count = Rows(builder, ROW), sig.args[-1].count
+        pointers = [data_pointer(context, builder, sig.args[i], args[i]) for i in (0, 1, 5, 7)]
+        where = _Levels(context, builder, pointers[1], args[2:5], count)
+        gradient = rows.load(pointers[2], args[6])
+        totals = [[], [], []]
+        for level in range(count):
+            values, fractions = _level_rows(rows, where, pointers[0], level)
+            scale = rows.splat(_lane(builder, where.resolutions, level))
+            for axis in range(3):
+                half = len(values) // 2
+                steps = [rows.sub(high, low) for low, high in zip(values[:half], values[half:])]
+                slope = _interpolate(rows, steps, fractions[axis + 1 :])
+                totals[axis].append(rows.mul(scale, slope))
+                values = [_mix(rows, low, high, fractions[axis]) for low, high in zip(values[:half], values[half:])]
+        for axis, terms in enumerate(totals):
+            place = builder.gep(pointers[3], [_after(builder, args[8], axis)])
+            slope = rows.total(rows.mul(gradient, _sum(rows, terms)))
+            builder.store(builder.fadd(builder.load(place), slope), place)
+        return context.get_dummy_value()
+
+    return types.void(table, layout, SCALAR, SCALAR, SCALAR, gradients, INDEX, out, INDEX, levels), generate

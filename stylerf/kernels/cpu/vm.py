@@ -19,7 +19,7 @@ EXPONENT_MIN, EXPONENT_MAX = np.float32(-15), np.float32(12)
 
 
 @inline
-def _cell(x, size):
+def cell(x, size):
     """Lower cell index and position inside the cell of x in 0..1 on `size` vertices."""
     s = x * np.float32(size - 1)
     i = min(max(np.int64(s), np.int64(0)), np.int64(size - 2))
@@ -27,12 +27,12 @@ def _cell(x, size):
 
 
 @inline
-def _place(m, x, size, rank):
+def place(m, x, size, rank):
     """Row offsets in the table and cell positions of point x for plane m."""
     a, b = (m + 1) % 3, (m + 2) % 3
-    iu, fu = _cell(x[a], size[a])
-    iv, fv = _cell(x[b], size[b])
-    iw, fw = _cell(x[m], size[m])
+    iu, fu = cell(x[a], size[a])
+    iv, fv = cell(x[b], size[b])
+    iw, fw = cell(x[m], size[m])
     # Planes lie one after another, then the lines.
     at = np.int64(0)
     for before in range(m):
@@ -49,7 +49,7 @@ def raw_density(table, size, shift, x, ranks):
     """exp(shift + features) of one warped point."""
     total = shift
     for m in range(3):
-        first, second, line, fu, fv, fw = _place(m, x, size, np.int64(len(ranks)))
+        first, second, line, fu, fv, fw = place(m, x, size, np.int64(len(ranks)))
         total += vm_dot(table, first, second, line, fu, fv, fw, ranks)
     return np.float32(math.exp(min(max(total, EXPONENT_MIN), EXPONENT_MAX)))
 
@@ -66,9 +66,9 @@ def density(table, size, shift, ranks, x, chunks, sigma):
 @inline
 def displace(displacement, cells, q, out):
     """out = q + trilinear(displacement, q), clamped to the cube; displacement: flat [cells^3, 3] on vertices."""
-    i, fx = _cell(q[0], cells)
-    j, fy = _cell(q[1], cells)
-    k, fz = _cell(q[2], cells)
+    i, fx = cell(q[0], cells)
+    j, fy = cell(q[1], cells)
+    k, fz = cell(q[2], cells)
     at = (i * cells + j) * cells + k
     for a in range(3):
         moved = q[a]
@@ -137,7 +137,8 @@ def march_density(
                 dt = step / speed
                 distance = cell_distance(occupancy, cells, q)
                 if distance > 0:
-                    t += dt * np.float32(leap(distance, cells, step))
+                    taken = leap(kind, space, ox, oy, oz, dx, dy, dz, t, dt, distance, cells, step, q, moved)
+                    t += dt * np.float32(taken)
                     continue
                 if displacement_cells > 0:
                     displace(displacement, displacement_cells, q, moved)
@@ -179,7 +180,7 @@ def density_backward(table, size, shift, ranks, x, starts, ends, sigma, sigma_gr
                 if g != _ZERO:
                     shift_gradient += g
                     for m in range(3):
-                        first, second, line, fu, fv, fw = _place(m, x[k], size, np.int64(len(ranks)))
+                        first, second, line, fu, fv, fw = place(m, x[k], size, np.int64(len(ranks)))
                         vm_dot_backward(table, first, second, line, fu, fv, fw, g, flat, np.int64(c * stride), ranks)
         to[c, stride - 1] += shift_gradient
 
@@ -219,7 +220,7 @@ def colour(table, size, ranks, head, bias, basis, x, starts, ends, weights, leas
                     _ray_head(head, basis, r, bands, width, ray_head)
                     ready = True
                 for m in range(3):
-                    first, second, line, fu, fv, fw = _place(m, x[k], size, rank)
+                    first, second, line, fu, fv, fw = place(m, x[k], size, rank)
                     vm_features(table, first, second, line, fu, fv, fw, feature, m * rank, ranks)
                 for j in range(3):
                     z = bias[j]
@@ -257,7 +258,7 @@ def colour_backward(table, size, ranks, head, basis, x, starts, ends, colours, c
                     ray_head_gradient[:] = _ZERO
                     ready = True
                 for m in range(3):
-                    first, second, line, fu, fv, fw = _place(m, x[k], size, rank)
+                    first, second, line, fu, fv, fw = place(m, x[k], size, rank)
                     vm_features(table, first, second, line, fu, fv, fw, feature, m * rank, ranks)
                 feature_gradient[:] = _ZERO
                 for j in range(3):
@@ -267,7 +268,7 @@ def colour_backward(table, size, ranks, head, basis, x, starts, ends, colours, c
                         axpy_row(g, ray_head, j * width + m * rank, feature_gradient, m * rank, ranks)
                         axpy_row(g, feature, m * rank, ray_head_gradient, j * width + m * rank, ranks)
                 for m in range(3):
-                    first, second, line, fu, fv, fw = _place(m, x[k], size, rank)
+                    first, second, line, fu, fv, fw = place(m, x[k], size, rank)
                     vm_features_backward(
                         table, first, second, line, fu, fv, fw, feature_gradient, m * rank, flat, base, ranks
                     )
