@@ -63,6 +63,7 @@ def _source(config: ImportConfig, partial: Partial, context: Context) -> SourceS
 def import_scene(source: SourceScene, config: ImportConfig, partial: Partial, context: Context) -> dict:
     """The scene of what a reader found, poses told or reconstructed."""
     here, missing = present(source.cameras)
+    here, doubled = _without_doubles(here)
     _tell_missing(source, here, missing, context)
     here = _with_splits(here, config.test_every)
     alike: dict = {}
@@ -86,6 +87,7 @@ def import_scene(source: SourceScene, config: ImportConfig, partial: Partial, co
         background=backdrop.kind,
         scene_from_source=as_matrix(frame.scene_from_source),
         skipped=tuple(Skipped(one.source, "no such image file") for one in missing)
+        + tuple(Skipped(one.source, "listed twice") for one in doubled)
         + tuple(Skipped(*one) for one in source.skipped),
         truth=Truth("truth/depth_000.exr" if depths else None),
         sfm=source.sfm,
@@ -104,6 +106,15 @@ def _tell_missing(source: SourceScene, here: list, missing: list[SourceCamera], 
             f"{len(here)} of {len(source.cameras)} listed photos {'is' if len(here) == 1 else 'are'} there{first}; at "
             f"least {FEWEST_PHOTOS} are needed: put the photos where the list says, or name their folder with --images"
         )
+
+
+def _without_doubles(cameras: list[SourceCamera]) -> tuple[list[SourceCamera], list[SourceCamera]]:
+    """The first camera of each photo, and the others: lists joined by hand name a photo twice."""
+    first: dict[Path, SourceCamera] = {}
+    for one in cameras:
+        first.setdefault(one.image.resolve(), one)
+    kept = list(first.values())
+    return kept, [one for one in cameras if one not in kept]
 
 
 def _with_splits(cameras: list[SourceCamera], every: int) -> list[SourceCamera]:
@@ -237,7 +248,8 @@ def _figures(source: SourceScene, scene: Scene, depths: int) -> dict:
         "views": len(scene.views),
         "train": len(scene.split("train")),
         "test": len(scene.split("test")),
-        "skipped": [f"{one.source}: {one.reason}" for one in scene.skipped],
+        "skipped": [one.source for one in scene.skipped],
+        "skipped_why": sorted({one.reason for one in scene.skipped}),
         "sizes": [f"{width}x{height}" for width, height in widths],
         "layout": scene.layout,
         "layout_reason": scene.layout_reason,

@@ -17,7 +17,8 @@ from pathlib import Path
 
 from schemas.errors import BadInput, OutOfResources
 from stages.progress import Context
-from stages.readers.colmap import from_reconstruction, load
+from stages.readers.colmap import scene_of
+from stages.readers.colmap_model import read_model
 from stages.readers.source import SourceCamera, SourceScene, find_mask, natural
 from stages.structure.job import Job
 from stages.structure.pairs import chosen_matching
@@ -56,7 +57,7 @@ def _scene(result: dict, model: Path, root: Path, context: Context) -> SourceSce
         f"points, {figures['error_px']:.2f} px"
     )
     copies = {copy["file"]: copy for copy in result["copies"]}
-    scene = from_reconstruction(load(model), model, root, "photos, by structure from motion")
+    scene = scene_of(read_model(model), model, root, "photos, by structure from motion")
     cameras = [_of_photo(camera, copies[camera.source], root) for camera in scene.cameras]
     placed = {camera.image for camera in cameras}
     skipped = [

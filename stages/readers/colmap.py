@@ -2,11 +2,9 @@
 
 from pathlib import Path
 
-import numpy as np
-
 from schemas.errors import BadInput
-from schemas.silence import native_output_silenced
 from stages.readers import model_folder
+from stages.readers.colmap_model import Model, read_model
 from stages.readers.source import SourceCamera, SourcePoints, SourceScene, find_image, find_mask, image_folder, natural
 from stylerf.errors import InvalidValue
 from stylerf.geometry import distortion
@@ -18,36 +16,18 @@ def read(source: Path, images: str) -> SourceScene:
     model = model_folder(source)
     if model is None:
         raise BadInput(f"{source} holds no COLMAP model (cameras.bin or cameras.txt, also in sparse/0)")
-    reconstruction = load(model)
     root = _root(source, model)
     folder = image_folder(root, images) if images else root / "images"
-    return from_reconstruction(reconstruction, folder, root, "COLMAP model", bool(images))
+    return scene_of(read_model(model), folder, root, "COLMAP model", bool(images))
 
 
-def load(model: Path):
-    """pycolmap.Reconstruction of a folder; BadInput where it is damaged: pycolmap answers that in several ways."""
-    import pycolmap
-
-    try:
-        with native_output_silenced():
-            reconstruction = pycolmap.Reconstruction(str(model))
-    except (ValueError, IndexError, MemoryError, RuntimeError, OSError) as error:
-        first = (str(error).strip().splitlines() or [type(error).__name__])[0]
-        raise BadInput(f"the COLMAP model {model} cannot be read ({first}); export it again") from error
-    if not reconstruction.num_reg_images():
-        raise BadInput(f"the COLMAP model {model} holds no photo with a pose; reconstruct again")
-    return reconstruction
-
-
-def from_reconstruction(reconstruction, folder: Path, root: Path, kind: str, rescalable: bool = False) -> SourceScene:
-    """The posed photos of a pycolmap.Reconstruction whose photos lie in `folder`, in the order of their names."""
+def scene_of(model: Model, folder: Path, root: Path, kind: str, rescalable: bool = False) -> SourceScene:
+    """The posed photos of a model whose photos lie in `folder`, in the order of their names."""
     cameras = []
-    for image in sorted(reconstruction.images.values(), key=lambda one: natural(one.name)):
-        if not image.has_pose:
-            continue
-        camera = reconstruction.cameras[image.camera_id]
+    for image in sorted(model.images, key=lambda one: natural(one.name)):
+        camera = model.cameras[image.camera]
         try:
-            intrinsics, warp = distortion.from_colmap(camera.model.name, list(camera.params))
+            intrinsics, warp = distortion.from_colmap(camera.model, list(camera.params))
         except InvalidValue as error:
             raise BadInput(f"{image.name}: {error}") from error
         photo = find_image(folder / image.name)
@@ -56,26 +36,15 @@ def from_reconstruction(reconstruction, folder: Path, root: Path, kind: str, res
                 name=str(Path(image.name).with_suffix("")),
                 source=image.name,
                 image=photo,
-                world_from_camera=from_colmap(np.asarray(image.cam_from_world().matrix())),
+                world_from_camera=from_colmap(image.camera_from_world),
                 size=(camera.width, camera.height),
                 intrinsics=intrinsics,
                 distortion=warp,
                 mask=find_mask(root, photo),
             )
         )
-    return SourceScene(kind, cameras, points_of(reconstruction), rescalable=rescalable)
-
-
-def points_of(reconstruction) -> SourcePoints | None:
-    """The sparse points, in the order of their numbers; None where there are none."""
-    points = [reconstruction.points3D[key] for key in sorted(reconstruction.points3D)]
-    if not points:
-        return None
-    return SourcePoints(
-        np.array([point.xyz for point in points], dtype=np.float64),
-        np.array([point.color for point in points], dtype=np.uint8),
-        np.array([point.error for point in points], dtype=np.float32),
-    )
+    points = SourcePoints(model.xyz, model.rgb, model.error) if len(model.xyz) else None
+    return SourceScene(kind, cameras, points, rescalable=rescalable)
 
 
 def _root(source: Path, model: Path) -> Path:

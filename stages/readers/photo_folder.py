@@ -17,10 +17,7 @@ def photos_of(source: Path, images: str = "") -> list[Path]:
     if source.is_file():
         raise _no_folder(source)
     folder = image_folder(source, images) if images else _folder(source)
-    found = [
-        photo for photo in images_in(folder) if not photo.stem.endswith("_mask") and not photo.name.startswith(".")
-    ]
-    if found:
+    if found := images_in(folder):
         return found
     names = [item.name for item in folder.iterdir()]
     foreign = sorted({Path(name).suffix for name in names if Path(name).suffix.lower() in UNREADABLE})

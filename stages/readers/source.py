@@ -75,18 +75,22 @@ def find_image(path: Path) -> Path | None:
 
 
 def find_mask(root: Path, image: Path | None) -> Path | None:
-    """root/masks/NAME.png for images/NAME.jpg, or COLMAP's root/masks/NAME.jpg.png."""
-    if image is None or not (root / "masks").is_dir():
+    """root/masks/NAME.png for images/NAME.jpg, COLMAP's root/masks/NAME.jpg.png, or NAME_mask.png beside the photo."""
+    if image is None:
         return None
-    for name in (f"{image.stem}.png", f"{image.name}.png", image.name):
-        if (root / "masks" / name).is_file():
-            return root / "masks" / name
-    return None
+    folder = root / "masks"
+    places = [folder / name for name in (f"{image.stem}.png", f"{image.name}.png", image.name)]
+    return next((place for place in [*places, image.parent / f"{image.stem}_mask.png"] if place.is_file()), None)
 
 
 def images_in(folder: Path) -> list[Path]:
-    """Images of a folder in the order that people count: 2 before 10."""
-    found = [item for item in folder.iterdir() if item.suffix.lower() in IMAGE_SUFFIXES and item.is_file()]
+    """Photos of a folder in the order that people count: 2 before 10. Masks and hidden files are left out."""
+    found = [
+        item
+        for item in folder.iterdir()
+        if item.suffix.lower() in IMAGE_SUFFIXES and item.is_file() and not item.name.startswith(".")
+        and not item.stem.endswith("_mask")
+    ]  # fmt: skip
     return sorted(found, key=lambda item: natural(item.name))
 
 

@@ -13,7 +13,7 @@ from stages.structure.job import Job, Teller
 
 MODELS, REFINED = "models", "model"
 # A lens is refined beyond its focal length and first coefficient only where so many photos share it.
-PHOTOS_TO_REFINE = 10
+PHOTOS_TO_REFINE = 20
 # Points are kept while their error is under this (pixels of the copies) and their parallax above this (degrees).
 LARGEST_ERROR, LEAST_PARALLAX = 4.0, 1.5
 # A refined principal point further from the centre than this share of the side is an error absorbed, no lens.

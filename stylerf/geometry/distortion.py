@@ -95,8 +95,9 @@ def _series(coefficients: tuple[float, ...], squared: np.ndarray) -> np.ndarray:
 
 def from_colmap(model: str, params: list[float]) -> tuple[tuple[float, float, float, float], Distortion]:
     """COLMAP's camera model and parameters -> (fx, fy, cx, cy) and the distortion; InvalidValue for other models."""
-    shared = {"SIMPLE_PINHOLE": 0, "SIMPLE_RADIAL": 1, "RADIAL": 2, "SIMPLE_RADIAL_FISHEYE": 1, "RADIAL_FISHEYE": 2}
-    separate = {"PINHOLE": 0, "OPENCV": 4, "FULL_OPENCV": 8, "OPENCV_FISHEYE": 4}
+    shared = {"SIMPLE_PINHOLE": 0, "SIMPLE_RADIAL": 1, "RADIAL": 2, "SIMPLE_RADIAL_FISHEYE": 1, "RADIAL_FISHEYE": 2,
+              "SIMPLE_FISHEYE": 0}  # fmt: skip
+    separate = {"PINHOLE": 0, "OPENCV": 4, "FULL_OPENCV": 8, "OPENCV_FISHEYE": 4, "FISHEYE": 0}
     count = shared.get(model, separate.get(model))
     if count is None:
         known = ", ".join([*shared, *separate])

@@ -59,5 +59,5 @@ def _words(result: dict) -> str:
         lines.append(f"  truth       {result['truth_depths']} depth images")
     if result["skipped"]:
         names = ", ".join(result["skipped"][:5]) + (", ..." if len(result["skipped"]) > 5 else "")
-        lines.append(f"  skipped     {len(result['skipped'])}: {names}")
+        lines.append(f"  skipped     {len(result['skipped'])} ({'; '.join(result['skipped_why'])}): {names}")
     return "\n".join(lines)
