@@ -82,8 +82,8 @@ def compose(size: int, seed: int) -> Subject:
     field = 0.72 - 0.07 * np.cos(3.4 * (u - 0.62)) + 0.02 * np.sin(12 * u) + bend
     near = 0.985 - 0.20 * np.exp(-(((u - 0.02) / 0.36) ** 2)) - 0.13 * np.exp(-(((u - 1.05) / 0.33) ** 2)) + bend
     trunk = 0.205 + 0.035 * np.sin(8.5 * v + 0.6) + 0.3 * (v - 0.6) ** 2 * (v > 0.6)
-    rise = np.clip((v - 0.2) / 0.72, 0, 1)
-    half = 0.098 * np.sqrt(rise) * (1 - 0.55 * rise**3) * (1 + 0.16 * np.sin(34 * v + 9 * u) + 0.1 * np.sin(61 * v))
+    rise = np.clip((v - 0.17) / 0.75, 0, 1)
+    half = 0.115 * rise**0.8 * (1 - 0.5 * rise**3) * (1 + 0.13 * np.sin(34 * v + 9 * u) + 0.1 * np.sin(61 * v))
     sky = _sky(u, v, random, suns)
     streams = {
         "sky": sky,
@@ -104,14 +104,14 @@ def compose(size: int, seed: int) -> Subject:
         ("far hill", v > far),
         ("field", v > field),
         ("near hill", v > near),
-        ("tree", (np.abs(u - trunk) < half) & (v > 0.2)),
+        ("tree", np.abs(u - trunk) < half),
     ):
         regions[inside] = names.index(name)
     bands = {name: 0.5 + 0.5 * np.sin(2 * np.pi * cycles * streams[name]) for name, cycles in (
         ("sky", 7.0), ("range", 7.0), ("far hill", 13.0), ("field", 5.0), ("near hill", 9.0), ("tree", 9.0)
     )}  # fmt: skip
     bands["sky"] = 0.72 * bands["sky"] ** 1.6 + 0.26 * np.exp(-((v - crest + 0.05) ** 2) / 0.004)
-    bands["glow"] = glow / 1.45
+    bands["glow"] = np.clip(glow / 1.45, 0, 1) ** 1.35
     angles, tones = np.zeros((size, size)), np.zeros((size, size))
     for index, name in enumerate(names):
         down, right = np.gradient(streams[name])

@@ -57,7 +57,8 @@ def _paint_layer(canvas, height, subject: Subject, layer: Layer, random, seed: i
     size = len(canvas)
     width, length = layer.width * size, layer.length * size
     wanted = int(layer.cover * size * size / (0.75 * width * length))
-    starts = random.uniform(0, size, (wanted, 2))
+    # Those that would start outside start at the edge, which is otherwise painted over less often.
+    starts = np.clip(random.uniform(-0.04 * size, 1.04 * size, (wanted, 2)), 0, size - 1)
     columns, rows = starts.astype(int).T
     kept = subject.detail[rows, columns] >= layer.detail
     starts, columns, rows = starts[kept], columns[kept], rows[kept]

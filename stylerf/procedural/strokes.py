@@ -116,7 +116,7 @@ def relief(paint: np.ndarray, height: np.ndarray, depth: float) -> np.ndarray:
     lit = (0.50 * right + 0.62 * down + 0.61) / norm
     gloss = np.clip((0.27 * right + 0.33 * down + 0.90) / norm, 0.0, 1.0) ** 40
     flat_gloss = 0.90**40
-    shade = np.clip(1.0 + 0.75 * (lit - 0.61), 0.35, 1.6)[..., None]
+    shade = np.clip(1.10 + 0.75 * (lit - 0.61), 0.4, 1.7)[..., None]
     return np.clip(paint * shade + 0.10 * np.clip(gloss - flat_gloss, 0.0, 1.0)[..., None], 0.0, 1.0)
 
 
