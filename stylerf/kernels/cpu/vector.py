@@ -183,6 +183,17 @@ def vm_features_backward(typing, table, first, second, line, fu, fv, fw, gradien
     return types.void(table, *_PLACE, gradients, INDEX, buffer, INDEX, ranks), generate
 
 
+def _slopes(product, table, fu, fv):
+    """Rows of d(P L) / d(fu, fv, fw)."""
+    rows, one = product.rows, ir.Constant(FLOAT, 1.0)
+    corners = [rows.load(table, o) for o in product.corners]
+    ends = [rows.load(table, o) for o in product.ends]
+    along_u = rows.mix([rows.sub(one, fv), fv], [rows.sub(corners[c + 2], corners[c]) for c in (0, 1)])
+    along_v = rows.mix([rows.sub(one, fu), fu], [rows.sub(corners[c + 1], corners[c]) for c in (0, 2)])
+    along_w = rows.sub(ends[1], ends[0])
+    return [rows.mul(a, b) for a, b in ((along_u, product.line), (along_v, product.line), (along_w, product.plane))]
+
+
 @intrinsic
 def vm_slopes(typing, table, first, second, line, fu, fv, fw, out, ranks):
     """out[0:3] = d(vm_dot) / d(fu, fv, fw)."""
@@ -190,20 +201,28 @@ def vm_slopes(typing, table, first, second, line, fu, fv, fw, out, ranks):
     def generate(context, builder, sig, args):
         rows = Rows(builder, sig.args[-1].count)
         pointer = data_pointer(context, builder, sig.args[0], args[0])
-        product = _Product(rows, pointer, *args[1:7])
-        corners = [rows.load(pointer, o) for o in product.corners]
-        ends = [rows.load(pointer, o) for o in product.ends]
-        one = ir.Constant(FLOAT, 1.0)
-        along_u = rows.mix([rows.sub(one, args[5]), args[5]], [rows.sub(corners[c + 2], corners[c]) for c in (0, 1)])
-        along_v = rows.mix([rows.sub(one, args[4]), args[4]], [rows.sub(corners[c + 1], corners[c]) for c in (0, 2)])
-        along_w = rows.sub(ends[1], ends[0])
-        slopes = ((along_u, product.line), (along_v, product.line), (along_w, product.plane))
         target = data_pointer(context, builder, sig.args[7], args[7])
-        for axis, (a, b) in enumerate(slopes):
-            builder.store(rows.total(rows.mul(a, b)), builder.gep(target, [ir.Constant(INT32, axis)]))
+        for axis, slope in enumerate(_slopes(_Product(rows, pointer, *args[1:7]), pointer, args[4], args[5])):
+            builder.store(rows.total(slope), builder.gep(target, [ir.Constant(INT32, axis)]))
         return context.get_dummy_value()
 
     return types.void(table, *_PLACE, out, ranks), generate
+
+
+@intrinsic
+def vm_features_slopes(typing, table, first, second, line, fu, fv, fw, gradients, row, out, ranks):
+    """As vm_slopes, of sum_r gradients[row + r] P_r L_r."""
+
+    def generate(context, builder, sig, args):
+        rows = Rows(builder, sig.args[-1].count)
+        pointer = data_pointer(context, builder, sig.args[0], args[0])
+        gradient = rows.load(data_pointer(context, builder, sig.args[7], args[7]), args[8])
+        target = data_pointer(context, builder, sig.args[9], args[9])
+        for axis, slope in enumerate(_slopes(_Product(rows, pointer, *args[1:7]), pointer, args[4], args[5])):
+            builder.store(rows.total(rows.mul(gradient, slope)), builder.gep(target, [ir.Constant(INT32, axis)]))
+        return context.get_dummy_value()
+
+    return types.void(table, *_PLACE, gradients, INDEX, out, ranks), generate
 
 
 @intrinsic
