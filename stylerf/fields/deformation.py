@@ -8,7 +8,6 @@ from torch import Tensor
 
 from stylerf.errors import InvalidValue
 
-
 # A step of Adam moves every weight by its rate, and a sum over 256 of them by as much as 256 times that: without this a
 # rate of 1e-3 throws a scene about by a twentieth of its size at every step.
 SCALE = 0.05

@@ -17,7 +17,6 @@ from stylerf.style.losses import (
 from stylerf.style.matching import StyleRows, style_rows
 from stylerf.style.trunks import Trunk
 
-
 VARIATIONS = {"squared": image_variation, "diagonal": lambda picture: diagonal_variation(picture).mean()}
 
 
@@ -26,7 +25,7 @@ class StyleWeights:
     """Weights of the mean nearest-neighbour distance, content distance and total variation.
 
     The content distance is counted in units of the painting's own mean squared feature: trunks differ ten thousandfold
-    in the size of their features, so that a weight in the features' own units (ARF: 1e-3) means nothing without its trunk.
+    in their features' squares, so that a weight in the features' own units (ARF: 1e-3) means nothing without the trunk.
     """
 
     style: float = 1.0

@@ -29,7 +29,13 @@ class Deformer:
     """
 
     def __init__(
-        self, field: RadianceField, deformation: Deformation, cameras: list[Camera], vertices: int, seed: int, chunks: int
+        self,
+        field: RadianceField,
+        deformation: Deformation,
+        cameras: list[Camera],
+        vertices: int,
+        seed: int,
+        chunks: int,
     ) -> None:
         self.field, self.deformation, self.vertices = field, deformation, vertices
         self.rest = field.occupancy  # of the field at rest

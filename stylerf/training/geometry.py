@@ -63,7 +63,13 @@ class MovingGeometry:
     """
 
     def __init__(
-        self, field: RadianceField, cameras: list[Camera], share: float, chunks: int, background: float, deformer: Deformer
+        self,
+        field: RadianceField,
+        cameras: list[Camera],
+        share: float,
+        chunks: int,
+        background: float,
+        deformer: Deformer,
     ) -> None:
         self.field, self.cameras, self.share, self.chunks = field, cameras, share, chunks
         self.background, self.deformer = np.float32(background), deformer

@@ -1,8 +1,8 @@
 """Stylise a whole scene with one painting: its colours alone (ARF, Zhang et al. 2022) or its shapes too (DeSRF).
 
 The density part stays. A new colour part with local detail is fitted to the colour-matched photos (refit), then taught
-the painting one view a step (style), and with it, where there is one, the deformation; at the end colours are matched to
-the painting once more.
+the painting one view a step (style), and with it the deformation, where there is one; at the end colours are matched
+to the painting once more.
 """
 
 import math

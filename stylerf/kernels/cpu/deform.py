@@ -36,7 +36,7 @@ def density_position_gradient(table, size, ranks, x, starts, ends, sigma, sigma_
 def colour_position_gradient(
     table, size, ranks, head, basis, x, starts, ends, colours, colour_gradients, chunks, position_gradients
 ):
-    """Add dL/dx [n, 3] of vm colours; head, basis, colours as vm.colour has them. Samples without a colour add nothing."""
+    """Add dL/dx [n, 3] of vm colours; head, basis, colours as in vm.colour. A sample without a colour adds nothing."""
     n = len(ends)
     rank, bands = np.int64(len(ranks)), basis.shape[1]
     width = 3 * rank
