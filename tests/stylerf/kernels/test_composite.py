@@ -75,7 +75,9 @@ def test_a_backdrop_and_what_lies_behind_an_opaque_sample_teach_no_density():
     out, gradients = np.empty((len(COUNTS), 5), np.float32), np.ones((len(COUNTS), 5), np.float32)
     kernels.composite(weights, colours, t, starts, ends, 1, out)
     to_sigma, to_colours = np.empty_like(sigma), np.empty_like(colours)
-    kernels.composite_backward(sigma, weights, optical, colours, t, starts, ends, out, gradients, 1, to_sigma, to_colours)
+    kernels.composite_backward(
+        sigma, weights, optical, colours, t, starts, ends, out, gradients, 1, to_sigma, to_colours
+    )
     assert to_sigma[ends[6] - 1] == 0
     np.testing.assert_allclose(to_sigma[starts[4] + 3 : ends[4]], 0, atol=1e-5)
 
@@ -122,7 +124,7 @@ def test_packing_and_unpacking_equal_a_loop(chunks):
 
 
 def test_shade_and_its_backward_equal_the_oracle():
-    starts, ends, at, optical, sigma, t, colours = samples(4)
+    starts, ends, at, _, sigma, t, colours = samples(4)
     colours[at] = np.abs(colours[at])
     weights = np.random.default_rng(5).random(len(sigma)).astype(np.float32)
     out = np.empty((len(COUNTS), 3), np.float32)

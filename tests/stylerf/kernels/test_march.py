@@ -10,7 +10,17 @@ from stylerf.fields.vm import VmDensity
 from stylerf.geometry.space import Space
 from stylerf.kernels import oracle
 from stylerf.kernels.cpu.march import OPTICAL_SCALE, warp_points
-from tests.stylerf.small import SPACES, Packed, close, density, displacement_grid, float64, occupied, points_on, rays_into
+from tests.stylerf.small import (
+    SPACES,
+    Packed,
+    close,
+    density,
+    displacement_grid,
+    float64,
+    occupied,
+    points_on,
+    rays_into,
+)
 
 NO_DISPLACEMENT = (np.empty(0, np.float32), 0)
 STEP = 1 / 24

@@ -139,7 +139,9 @@ def test_hash_colour_equals_a_loop_over_levels_and_corners():
                     index = (i * (cells + 1) + j) * (cells + 1) + k
                 else:
                     index = (i * 805459861 % 2**32 ^ j * 2654435761 % 2**32 ^ k) % table
-                share = math.prod(f if d else 1 - f for f, d in zip((p * cells - a for p, a in zip(point, low)), corner))
+                share = math.prod(
+                    f if d else 1 - f for f, d in zip((p * cells - a for p, a in zip(point, low)), corner)
+                )
                 total += share * rows[index]
         np.testing.assert_allclose(found[n], sigmoid(total[:3] + total[3]), **TIGHT)
     assert len(HashColour.create(np.random.default_rng(0), levels, base, finest, table).values) == at
