@@ -9,7 +9,5 @@ import numba
 
 from stylerf.kernels.cpu.compiling import FAST
 
-compiled = numba.njit(
-    cache=True, fastmath=FAST, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True
-)
+compiled = numba.njit(cache=True, fastmath=FAST, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
 released = numba.njit(cache=True, fastmath=FAST, error_model="numpy", nogil=True)

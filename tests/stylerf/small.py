@@ -128,3 +128,20 @@ def oracle_colour(colour, values: torch.Tensor, basis: torch.Tensor, x: torch.Te
 
 def oracle_density(density: VmDensity, values: torch.Tensor, x: torch.Tensor) -> torch.Tensor:
     return oracle.vm_density(values, density.size.tolist(), density.rank, x)
+
+
+def oracle_pixels(field, rays, rendered, density_values, colour_values, grid=None) -> tuple[torch.Tensor, torch.Tensor]:
+    """([rays, 5], warped positions [n, 3]) of the samples that the kernels chose, from values that may need gradients.
+
+    The kernels decide where samples lie and which take their ray's mean; all else is worked out anew.
+    """
+    packed = Packed.of(rendered.samples)
+    x = oracle.warp(field.space, points_on(rays, packed)[0])
+    if grid is not None:
+        x = torch.where(packed.backdrop[:, None], x, oracle.displaced(grid, x))
+    sigma = oracle_density(field.density, density_values, x)
+    weights, _ = oracle.weights(sigma, packed.optical, packed.rays, packed.backdrop)
+    basis = float64(rendered.basis)[packed.rays]
+    colours = oracle_colour(field.colour, colour_values, basis, x)
+    coloured = torch.from_numpy(rendered.colours[packed.at, 0] >= 0)
+    return oracle.composite(weights, colours, coloured, packed.t, packed.rays, len(rays.origins)), x
