@@ -298,7 +298,7 @@ class Fitter:
             self._roll_back(f"held-out views fell from {state.best:.1f} to {quality:.1f} dB")
             return
         if self._trial_over():
-            self._judge(quality)
+            quality = self._judge(quality)
         if state.trial is None and quality >= state.best:
             state.best = quality
             self._anchor = self._snapshot()
@@ -330,7 +330,8 @@ class Fitter:
         state.trial, state.rung = quality, state.rung + 1
         self._grow(self.settings.ladder[state.rung])
 
-    def _judge(self, quality: float) -> None:
+    def _judge(self, quality: float) -> float:
+        """Keep or drop the rung on trial; the held-out quality of the field that stands."""
         state, before = self.state, self.state.trial
         gain = quality - before
         new, old = (self.settings.ladder[state.rung - i] for i in (0, 1))
@@ -341,7 +342,7 @@ class Fitter:
             )
             state.best = max(state.best, quality)
             self._anchor = self._snapshot()
-            return
+            return quality
         parameters = self.field.parameters
         self._restore(self._anchor)
         state.rung, state.fixed = state.rung - 1, True
@@ -351,6 +352,7 @@ class Fitter:
         )
         state.decisions.append(text)
         self.on_say(text)
+        return before
 
     def _roll_back(self, reason: str) -> None:
         state = self.state
