@@ -41,9 +41,9 @@ def box_bank(views: int = 10, size: int = 24) -> RayBank:
 
 
 def wall_bank(views: int = 8, size: int = 24) -> tuple[Space, RayBank]:
-    """A wall of one colour that fills every picture, seen from a row of places; a frustum."""
+    """A wall of one colour that fills every picture, seen from a row of places, the outermost first; a frustum."""
     cameras = []
-    for x in np.linspace(-0.4, 0.4, views):
+    for x in sorted(np.linspace(-0.4, 0.4, views), key=lambda x: -abs(x)):
         pose = np.eye(4)
         pose[:2, 3] = x, 0.2 * np.sin(7 * x)
         cameras.append(Camera(f"w{x:.2f}", size, size, float(size), float(size), size / 2, size / 2, pose))
