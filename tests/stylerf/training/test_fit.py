@@ -9,7 +9,6 @@ from stylerf.training.fit import Fitter
 from tests.stylerf.training.running import Stopped, assert_same_bits, now, result_of, resumed, run_until
 from tests.stylerf.training.scenes import LADDER, box_fitter
 
-
 # -- resuming -------------------------------------------------------------------------------------------------------
 
 
