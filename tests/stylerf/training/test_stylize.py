@@ -10,7 +10,7 @@ from stylerf.geometry.paths import look_at
 from stylerf.geometry.space import Space
 from stylerf.style.objective import StyleObjective, StyleWeights
 from stylerf.training import stylize as module
-from stylerf.training.stylize import Stylizer, StyleSettings
+from stylerf.training.stylize import StyleSettings, Stylizer
 from tests.stylerf.small import field_of, float64, hash_colour, oracle_colour, vm_colour
 from tests.stylerf.style.small_trunk import picture, small_trunk
 from tests.stylerf.training.running import Stopped, assert_same_bits, result_of, resumed, run_until
@@ -109,8 +109,8 @@ def test_full_and_deferred_steps_equal_each_other_and_the_oracle(monkeypatch, ch
     # Only the order of float32 sums differs.
     assert apart(deferred, full) < 1e-6
     expected, _ = oracle_gradients(made, view, 1)
-    # Features of two blocks in float32, squared and divided by their lengths: a few hundred roundings.
-    assert apart(full, expected) < 2e-4
+    # Features of two blocks in float32, squared and divided by their lengths: some tens of roundings.
+    assert apart(full, expected) < 5e-5
 
 
 @pytest.mark.parametrize("strategy", ["dilated", "random", "patch"])
@@ -123,7 +123,7 @@ def test_chosen_rays_learn_their_share_of_the_whole_pictures_gradient(strategy):
     (gradient,) = torch.autograd.grad(oracle_loss(made, view, cached), cached)
     chosen = gradient[pixels] * (HEIGHT * WIDTH / len(pixels))
     (oracle_picture(made, view, values, pixels) * chosen).sum().backward()
-    assert apart(style_gradient(made), values.grad.numpy()) < 5e-4
+    assert apart(style_gradient(made), values.grad.numpy()) < 5e-5
 
 
 def test_what_is_remembered_stands_in_for_pixels_that_are_not_rendered():
