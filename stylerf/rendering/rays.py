@@ -16,9 +16,13 @@ SAMPLE_LIMIT = 512
 
 @dataclass
 class Rendered:
-    """What rays came back with. out [rays, 5]: premultiplied rgb, alpha, sum of w t; the rest serves the backward."""
+    """What rays came back with. out [rays, 5]: premultiplied rgb, alpha, sum of w t; the rest serves the backward.
+
+    unmapped: out before the field's colour map.
+    """
 
     out: np.ndarray
+    unmapped: np.ndarray
     rays: Rays
     samples: Samples
     basis: np.ndarray
@@ -35,12 +39,13 @@ def render_rays(field: RadianceField, rays: Rays, *, chunks: int, opaque=1e-3, s
     shown = np.empty_like(samples.weights)
     significant(samples.weights, samples.starts, samples.ends, np.float32(share), chunks, shown)
     colours = field.colour.colours(samples.x, basis, samples.starts, samples.ends, shown, 0.0, chunks)
-    out = np.empty((len(rays.origins), 5), np.float32)
-    composite(samples.weights, colours, samples.t, samples.starts, samples.ends, chunks, out)
+    unmapped = np.empty((len(rays.origins), 5), np.float32)
+    composite(samples.weights, colours, samples.t, samples.starts, samples.ends, chunks, unmapped)
+    out = unmapped
     if field.colour_map is not None:
         mapped = field.colour_map.premultiplied(torch.from_numpy(out[:, :3]), torch.from_numpy(out[:, 3]))
-        out[:, :3] = np.clip(mapped.numpy(), 0, out[:, 3:4])
-    return Rendered(out, rays, samples, basis, colours)
+        out = np.concatenate([np.clip(mapped.numpy(), 0, out[:, 3:4]), out[:, 3:]], 1)
+    return Rendered(out, unmapped, rays, samples, basis, colours)
 
 
 def backward(
@@ -64,7 +69,7 @@ def backward(
         s.t,
         s.starts,
         s.ends,
-        rendered.out,
+        rendered.unmapped,
         gradients,
         chunks,
         sigma_gradients,
