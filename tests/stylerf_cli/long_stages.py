@@ -5,7 +5,9 @@ import re
 import shutil
 import signal
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +20,8 @@ TAKEN = re.compile(r"seconds|runs|peak_memory_mb")
 
 @dataclass(frozen=True)
 class LongStage:
-    """A verb's command without its name, the kind that it writes, and how long it works, once its partial is there."""
+    """A verb's command without its name, the kind that it writes, and the processor time of its work, from its first
+    file to its last."""
 
     arguments: tuple[object, ...]
     kind: str
@@ -38,7 +41,7 @@ def arguments_of(verb: str, work: Path, photos: Path, room: Path) -> tuple[tuple
     often = ("--checkpoint-every-seconds", "0.03")
     return {
         "import": (("import", room, work, "--sfm-features", "1024"), "scene"),
-        "fit": (("fit", work, "--budget", "150", "--no-buffers", "--capacity", "fixed:96x8x8", "--samples", "6000",
+        "fit": (("fit", work, "--budget", "150", "--no-buffers", "--capacity", "fixed:96x8x8", "--samples", "3000",
                  *often), "field"),
         "stylize": (("stylize", work, "--of", "fit", "--style", photos / "painting.png", "--budget", "12",
                      "--rays", "dilated", "--refit-steps", "60", "--levels", "4", "--finest", "64", "--table-bits",
@@ -65,16 +68,27 @@ def undisturbed(nursery: Nursery, arguments: tuple, kind: str, work: Path) -> Lo
     stage = LongStage(arguments, kind)
     command = nursery.start(work.parent / "said", *stage.command("whole"))
     assert appeared(stage.partial(work, "whole"), command)
-    begun = time.monotonic()
-    assert command.wait() == 0, command.err
-    return LongStage(arguments, kind, time.monotonic() - begun)
+    begun = used = command.cpu_seconds()
+    while command.poll(FOLLOWED_EVERY_SECONDS) is None:
+        used = max(used, command.cpu_seconds())
+    assert command.code == 0, command.err
+    return LongStage(arguments, kind, used - begun)
 
 
-def stopped(nursery: Nursery, stage: LongStage, work: Path, name: str, number: int, chance: random.Random) -> Command:
-    """Starts the stage and sends it a signal at a moment that `chance` picks, from its first file to its last."""
+def moments(seed: int, count: int) -> Iterator[float]:
+    """Random shares of a stage's time, evenly spread, the late ones first: what a late death leaves tells the most."""
+    chance = random.Random(seed)
+    while True:
+        yield from ((part + chance.random()) / count for part in reversed(range(count)))
+
+
+def stopped(nursery: Nursery, stage: LongStage, work: Path, name: str, number: int, moment: float) -> Command:
+    """Starts the stage and sends it a signal after that share of its time, counted from its first file."""
     command = nursery.start(work.parent / "said", *stage.command(name))
     if appeared(stage.partial(work, name), command):
-        command.poll(chance.uniform(0, stage.seconds))
+        begun = command.cpu_seconds()
+        while command.poll(FOLLOWED_EVERY_SECONDS) is None and command.cpu_seconds() - begun < moment * stage.seconds:
+            pass
         command.send(number)
     command.wait(30)
     return command
@@ -85,17 +99,20 @@ def killed_until_done(nursery: Nursery, stage: LongStage, work: Path, kills: int
 
     A run that ends before its moment comes is looked at, deleted, and begun again.
     """
-    chance, deaths, store = random.Random(seed), 0, Work(work)
-    for _ in range(6 * kills):
-        command = stopped(nursery, stage, work, "killed", signal.SIGKILL, chance)
+    deaths, store = 0, Work(work)
+    for moment in islice(moments(seed, kills), 6 * kills):
+        command = stopped(nursery, stage, work, "killed", signal.SIGKILL, moment)
         for artefact in store.artefacts():
             artefact.verify()
-        deaths += command.code == -signal.SIGKILL
+        if (work / stage.kind / "killed").exists():
+            assert command.code in (0, -signal.SIGKILL), command.err
+            assert digests(store.get(stage.kind, "killed")) == digests(store.get(stage.kind, "whole"))
+            shutil.rmtree(work / stage.kind / "killed")
+            continue
+        assert command.code == -signal.SIGKILL, command.err
+        deaths += 1
         if deaths == kills:
             break
-        if command.code == 0:
-            assert_same(store, stage)
-            shutil.rmtree(work / stage.kind / "killed")
     assert deaths == kills, f"{deaths} deaths only: {command.err}"
     last = nursery.run(work.parent / "said", *stage.command("killed"))
     assert last.code == 0, last.err

