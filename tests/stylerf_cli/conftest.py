@@ -3,12 +3,15 @@
 import os
 import shutil
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from stages.demo_data import PAINTING, write_demo
 from stages.progress import Silent
+from tests.stages.photo_room import walk, write_photos
+from tests.stylerf_cli.long_stages import LongStage, arguments_of, undisturbed
 from tests.stylerf_cli.nursery import Nursery
 
 FIT = ("--budget", "60", "--no-buffers", "--capacity", "fixed:32x8x8", "--samples", "3000")
@@ -56,9 +59,31 @@ def finished(in_memory, nursery, photos) -> Path:
 
 
 @pytest.fixture
-def work(finished, in_memory, request):
+def work(finished, in_memory):
     """A copy of the finished work folder."""
     folder = Path(tempfile.mkdtemp(dir=in_memory))
     shutil.copytree(finished, folder / "work")
     yield folder / "work"
     shutil.rmtree(folder)
+
+
+@pytest.fixture(scope="session")
+def room(in_memory) -> Path:
+    """Eight photos without poses, 240 x 180."""
+    write_photos(in_memory / "room", walk(8, (0.45, 1.1), width=240, height=180, focal=230.0))
+    return in_memory / "room"
+
+
+@pytest.fixture(scope="session")
+def long_stage(in_memory, finished, nursery, photos, room) -> Callable[[str], tuple[LongStage, Path]]:
+    """By verb: a stage that has run to its end once, and the work folder where `whole` is what it made."""
+    made: dict[str, tuple[LongStage, Path]] = {}
+
+    def prepared(verb: str) -> tuple[LongStage, Path]:
+        if verb not in made:
+            work = in_memory / f"long {verb}" / "work"
+            shutil.copytree(finished, work)
+            made[verb] = undisturbed(nursery, *arguments_of(verb, work, photos, room), work), work
+        return made[verb]
+
+    return prepared

@@ -15,6 +15,7 @@ from schemas.store import Artefact, Work
 from tests.stylerf_cli.nursery import Command, Nursery
 
 FOLLOWED_EVERY_SECONDS = 0.002
+VERBS = ("import", "fit", "stylize", "render", "eval")
 TAKEN = re.compile(r"seconds|runs|peak_memory_mb")
 
 
@@ -90,7 +91,6 @@ def stopped(nursery: Nursery, stage: LongStage, work: Path, name: str, number: i
         while command.poll(FOLLOWED_EVERY_SECONDS) is None and command.cpu_seconds() - begun < moment * stage.seconds:
             pass
         command.send(number)
-    command.wait(30)
     return command
 
 
@@ -100,8 +100,10 @@ def killed_until_done(nursery: Nursery, stage: LongStage, work: Path, kills: int
     A run that ends before its moment comes is looked at, deleted, and begun again.
     """
     deaths, store = 0, Work(work)
+    shutil.rmtree(work / stage.kind / "killed", ignore_errors=True)
     for moment in islice(moments(seed, kills), 6 * kills):
         command = stopped(nursery, stage, work, "killed", signal.SIGKILL, moment)
+        command.wait()
         for artefact in store.artefacts():
             artefact.verify()
         if (work / stage.kind / "killed").exists():
