@@ -49,7 +49,7 @@ def _train(fitter: Fitter, config: FitConfig, partial: Partial, context: Context
     def on_step(now: Fitter) -> None:
         nonlocal saved_at
         if now.state.step % 10 == 0:
-            note = f"{now.state.curve[-1]['psnr']:.1f} dB held out" if now.state.curve else ""
+            note = _quality(now.state.curve[-1]) if now.state.curve else ""
             done = now.state.step if steps else min(now.state.seconds, now.settings.seconds)
             context.progress.update(done, f"{note}, {now.field.parameters / 1e6:.2f} M parameters")
         if time.monotonic() - saved_at > config.checkpoint_every_seconds:
@@ -67,6 +67,10 @@ def _train(fitter: Fitter, config: FitConfig, partial: Partial, context: Context
         raise BadInput(f"the fit does not converge: {error}") from error
     finally:
         context.progress.finish()
+
+
+def _quality(point: dict) -> str:
+    return f"{point['psnr']:.1f} dB {'held out' if point['held_out'] else 'on training views'}"
 
 
 def _settings(config: FitConfig, scene: SceneData) -> FitSettings:
@@ -113,13 +117,14 @@ def _shown(background: str) -> str:
 
 def _figures(fitter: Fitter, held_out: list[int], reason: str) -> dict:
     state, curve = fitter.state, fitter.state.curve
-    decided = [p["psnr"] for p in curve if p["held_out"]]
+    decided, trained = ([p["psnr"] for p in curve if p["held_out"] == kept_aside] for kept_aside in (True, False))
     rung = fitter.settings.ladder[state.rung]
     return {
         "steps": state.step,
         "train_seconds": round(state.seconds, 2),
         "parameters": fitter.field.parameters,
         "held_out_psnr": decided[-1] if decided else None,
+        "training_psnr": trained[-1] if trained else None,
         "curve": curve,
         "decisions": state.decisions,
         "resolution": rung.resolution,

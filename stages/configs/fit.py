@@ -29,7 +29,7 @@ class FitConfig:
     samples: int = option(90_000, help="density samples a step; the number of rays follows from it")
     rate: float = option(0.0, help="learning rate (0: by the scene's layout)")
     held_out: int = option(
-        -1, help="training views kept aside for decisions until the last quarter (-1: every tenth, at most 4)"
+        -1, help="training views kept aside for decisions until the last quarter (-1: every tenth, at most 4; 0: none)"
     )
     checkpoint_every_seconds: float = option(15.0, help="time between checkpoints")
     buffers: bool = option(True, help="also render every view to EXR when the field stands")

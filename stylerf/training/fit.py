@@ -150,8 +150,12 @@ class Fitter:
         pixels = (generator.random(len(views)) * self.bank.sizes[views]).astype(np.int64)
         return self.bank.at(views, pixels)
 
+    @property
+    def _judges(self) -> str:
+        return "held-out views" if self.held_out else "training views"
+
     def held_out_psnr(self) -> float:
-        """PSNR over the held-out rays, on the evaluation background, dB."""
+        """PSNR over the held-out rays (training rays where no view is held out), on the evaluation background, dB."""
         origins, directions, colours = self._held_out_rays
         background = self._background(len(origins), None)
         total = 0.0
@@ -290,12 +294,12 @@ class Fitter:
                 "seconds": round(state.seconds, 2),
                 "psnr": round(quality, 3),
                 "parameters": self.field.parameters,
-                "held_out": self.progress < self.settings.held_out_until,
+                "held_out": self.held_out > 0 and self.progress < self.settings.held_out_until,
             }
         )
         # A fall this deep is no noise: the fit is on its way to a collapse, and more training would only deepen it.
         if not min(state.best, TELLING_PSNR) - quality <= 2.0:  # so written, NaN is a fall too
-            self._roll_back(f"held-out views fell from {state.best:.1f} to {quality:.1f} dB")
+            self._roll_back(f"{self._judges} fell from {state.best:.1f} to {quality:.1f} dB")
             return
         if self._trial_over():
             quality = self._judge(quality)
@@ -338,7 +342,7 @@ class Fitter:
         state.trial = None
         if gain >= self.settings.min_gain or self.settings.always_climb:
             state.decisions.append(
-                f"{new.resolution}^3 kept: held-out views gained {gain:.2f} dB over {old.resolution}^3"
+                f"{new.resolution}^3 kept: {self._judges} gained {gain:.2f} dB over {old.resolution}^3"
             )
             state.best = max(state.best, quality)
             self._anchor = self._snapshot()

@@ -267,13 +267,16 @@ class Stylizer:
     def _next_phase(self) -> None:
         state = self.state
         if state.phase == "refit":
+            self.between_steps = False  # half of this change would make a checkpoint of neither phase
             state.phase, state.step, state.seconds = "style", 0, 0.0
             self._let_shapes_move()
             self.adam = Adam(self.field.colour.values, self.field.colour.groups(), self.chunks)
+            self.between_steps = True
             return
-        state.phase = "done"
         if self.settings.match in ("after", "both"):
             self.field = replace(self.field, colour_map=self.final_match())
+        # Last: a checkpoint holds no colour map, so one of an interrupted match must not say that all is done.
+        state.phase = "done"
 
     def _let_shapes_move(self) -> None:
         if self.deformer is not None:

@@ -31,12 +31,14 @@ def run(args, session) -> dict:
 
 
 def _words(field, figures: dict) -> list[str]:
-    quality = figures["held_out_psnr"]
     lines = [
         f"field {field.name}: {figures['resolution']}^3, ranks {figures['density_rank']} and {figures['colour_rank']}, "
         f"{figures['parameters'] / 1e6:.2f} M parameters, {figures['train_seconds']:.0f} s, {figures['steps']} steps"
     ]
-    if quality is not None:
-        lines.append(f"  held-out views: {quality:.2f} dB ({figures['held_out_views']} training views kept aside)")
+    if figures["held_out_psnr"] is not None:
+        kept = figures["held_out_views"]
+        lines.append(f"  held-out views: {figures['held_out_psnr']:.2f} dB ({kept} training views kept aside)")
+    elif figures["training_psnr"] is not None:
+        lines.append(f"  training views: {figures['training_psnr']:.2f} dB (no view was held out; see --held-out)")
     lines += [f"  {decision}" for decision in figures["decisions"]]
     return [*lines, f"  {field.path}"]

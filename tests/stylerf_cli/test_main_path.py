@@ -1,11 +1,6 @@
 """The main path on a tiny still life, through the command's front door, against its known geometry."""
 
 import json
-import os
-import signal
-import subprocess
-import sys
-import time
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +8,6 @@ import OpenImageIO as oiio
 import pytest
 
 from schemas.images import read_image, write_png
-from schemas.store import Work
 from stylerf.procedural.still_life import StillLife
 from stylerf_cli.main import main
 
@@ -128,40 +122,3 @@ def test_what_cannot_be_done_is_one_line_and_its_exit_code(demo, capsys, argumen
     assert main([verb, str(demo), *rest, "--quiet"]) == code
     error = capsys.readouterr().err
     assert word in error and error.count("\n") == 1
-
-
-def test_a_killed_fit_goes_on_and_ends_as_if_nothing_had_happened(demo, tmp_path, capsys):
-    """In steps a fit is the same however often it was killed; see stylerf/training/fit.py.
-
-    Both run as processes of their own: the kernels must come from the cache, since those that a process has compiled
-    itself may round differently in the last bit.
-    """
-    command = ["--budget", "200", "--no-buffers", "--checkpoint-every-seconds", "0.05", "--threads", "2", "--quiet",
-               "--capacity", "fixed:48"]  # fmt: skip
-    results = []
-    for kill in (False, True):
-        work = tmp_path / ("killed" if kill else "whole")
-        said(capsys, "import", str(demo / "photos"), str(work))
-        if kill:
-            _kill_while_it_runs(work, command)
-        subprocess.run([sys.executable, "-m", "stylerf_cli.main", "fit", str(work), *command], check=True)
-        results.append(Work(work).get("field", "fit").file("field.safetensors").read_bytes())
-    assert results[0] == results[1]
-
-
-def _kill_while_it_runs(work: Path, command: list[str]) -> None:
-    """kill -9 as soon as a checkpoint lies there, twice."""
-    checkpoint = work / "field" / ".fit.partial" / "checkpoint" / "checkpoint.safetensors"
-    for _ in range(2):
-        before = checkpoint.stat().st_mtime_ns if checkpoint.exists() else 0
-        child = subprocess.Popen(
-            [sys.executable, "-m", "stylerf_cli.main", "fit", str(work), *command], env=os.environ
-        )
-        deadline = time.monotonic() + 120
-        while child.poll() is None and time.monotonic() < deadline:
-            if checkpoint.exists() and checkpoint.stat().st_mtime_ns > before:
-                child.send_signal(signal.SIGKILL)
-            time.sleep(0.01)
-        child.wait()
-        assert child.returncode == -signal.SIGKILL
-        assert not (work / "field" / "fit").exists()

@@ -59,7 +59,7 @@ def test_position_gradient_equals_the_oracle(layout):
     (oracle_colour(made, float64(made.values), None, x) * float64(gradients[at]))[shown].sum().backward()
     for chunks in (1, 3):
         out = np.full(s.x.shape, 0.5, np.float32)
-        made.add_position_gradients(s, colours, gradients, out, chunks)
+        made.add_position_gradients(s, None, colours, gradients, out, chunks)
         close(out[at] - 0.5, x.grad, 1e-5)
         assert (np.delete(out, at, 0) == 0.5).all()
 

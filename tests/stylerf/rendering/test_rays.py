@@ -90,7 +90,7 @@ def test_displacement_gradient_of_a_render_equals_the_oracle(kind, bends):
         to_colours,
     )
     part = field.colour if bends == "both" else None
-    to_x = position_gradients(field.density, part, s, to_sigma, rendered.colours, to_colours, 2)
+    to_x = position_gradients(field.density, part, s, rendered.basis, to_sigma, rendered.colours, to_colours, 2)
     to = np.zeros((2, moved.size), np.float32)
     displacement_gradient(field.space, rays, s, to_x, len(moved), to)
     grid = float64(moved).requires_grad_()

@@ -1,0 +1,143 @@
+"""The long stages on tiny inputs: each as a command, brought to its end or to a sudden one, and compared."""
+
+import random
+import re
+import shutil
+import signal
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+from schemas.store import Artefact, Work
+from tests.stylerf_cli.nursery import Command, Nursery
+
+FOLLOWED_EVERY_SECONDS = 0.002
+VERBS = ("import", "fit", "stylize", "render", "eval")
+TAKEN = re.compile(r"seconds|runs|peak_memory_mb")
+
+
+@dataclass(frozen=True)
+class LongStage:
+    """A verb's command without its name, the kind that it writes, and the processor time of its work, from its first
+    file to its last."""
+
+    arguments: tuple[object, ...]
+    kind: str
+    seconds: float = 0.0
+
+    def command(self, name: str) -> tuple[object, ...]:
+        """Writes the artefact `name`."""
+        return (*self.arguments, "--name", name)
+
+    def partial(self, work: Path, name: str) -> Path:
+        """Where the run in progress lies."""
+        return work / self.kind / f".{name}.partial"
+
+
+def arguments_of(verb: str, work: Path, photos: Path, room: Path) -> tuple[tuple[object, ...], str]:
+    """A command of that verb that takes about a second, and the kind it writes."""
+    often = ("--checkpoint-every-seconds", "0.03")
+    return {
+        "import": (("import", room, work, "--sfm-features", "1024"), "scene"),
+        "fit": (("fit", work, "--budget", "150", "--no-buffers", "--capacity", "fixed:96x8x8", "--samples", "3000",
+                 *often), "field"),
+        "stylize": (("stylize", work, "--of", "fit", "--style", photos / "painting.png", "--budget", "12",
+                     "--rays", "dilated", "--refit-steps", "60", "--levels", "4", "--finest", "64", "--table-bits",
+                     "12", *often), "field"),
+        "render": (("render", work, "--of", "fit", "--path", "orbit", "--count", "40", "--scale", "2", "--video"),
+                   "frames"),
+        "eval": (("eval", work, "--of", "painting-arf", "--perceptual", "none"), "report"),
+    }[verb]  # fmt: skip
+
+
+def appeared(path: Path, command: Command, seconds: float = 120.0) -> bool:
+    """Waits for `path`; False where the command ends before it is there."""
+    end = time.monotonic() + seconds
+    while not path.exists():
+        if command.poll() is not None:
+            return False
+        assert time.monotonic() < end, f"{path} did not appear; the command said: {command.err}"
+        time.sleep(FOLLOWED_EVERY_SECONDS)
+    return True
+
+
+def undisturbed(nursery: Nursery, arguments: tuple, kind: str, work: Path) -> LongStage:
+    """Makes the artefact `whole` and takes the time."""
+    stage = LongStage(arguments, kind)
+    command = nursery.start(work.parent / "said", *stage.command("whole"))
+    assert appeared(stage.partial(work, "whole"), command)
+    begun = used = command.cpu_seconds()
+    while command.poll(FOLLOWED_EVERY_SECONDS) is None:
+        used = max(used, command.cpu_seconds())
+    assert command.code == 0, command.err
+    return LongStage(arguments, kind, used - begun)
+
+
+def moments(seed: int, count: int) -> Iterator[float]:
+    """Random shares of a stage's time, evenly spread, the late ones first: what a late death leaves tells the most."""
+    chance = random.Random(seed)
+    while True:
+        yield from ((part + chance.random()) / count for part in reversed(range(count)))
+
+
+def stopped(nursery: Nursery, stage: LongStage, work: Path, name: str, number: int, moment: float) -> Command:
+    """Starts the stage and sends it a signal after that share of its time, counted from its first file."""
+    command = nursery.start(work.parent / "said", *stage.command(name))
+    if appeared(stage.partial(work, name), command):
+        begun = command.cpu_seconds()
+        while command.poll(FOLLOWED_EVERY_SECONDS) is None and command.cpu_seconds() - begun < moment * stage.seconds:
+            pass
+        command.send(number)
+    return command
+
+
+def killed_until_done(nursery: Nursery, stage: LongStage, work: Path, kills: int, seed: int) -> Artefact:
+    """kill -9 at `kills` random moments, each run going on from what the one before left; then undisturbed.
+
+    A run that ends before its moment comes is looked at, deleted, and begun again.
+    """
+    deaths, store = 0, Work(work)
+    shutil.rmtree(work / stage.kind / "killed", ignore_errors=True)
+    for moment in islice(moments(seed, kills), 6 * kills):
+        command = stopped(nursery, stage, work, "killed", signal.SIGKILL, moment)
+        command.wait()
+        for artefact in store.artefacts():
+            artefact.verify()
+        if (work / stage.kind / "killed").exists():
+            assert command.code in (0, -signal.SIGKILL), command.err
+            assert digests(store.get(stage.kind, "killed")) == digests(store.get(stage.kind, "whole"))
+            shutil.rmtree(work / stage.kind / "killed")
+            continue
+        assert command.code == -signal.SIGKILL, command.err
+        deaths += 1
+        if deaths == kills:
+            break
+    assert deaths == kills, f"{deaths} deaths only: {command.err}"
+    last = nursery.run(work.parent / "said", *stage.command("killed"))
+    assert last.code == 0, last.err
+    return assert_same(store, stage)
+
+
+def assert_same(store: Work, stage: LongStage, name: str = "killed") -> Artefact:
+    """The artefact `name` has the files and figures of `whole`, but for the time it took, and left nothing behind."""
+    made, whole = store.get(stage.kind, name), store.get(stage.kind, "whole")
+    made.verify()
+    assert digests(made) == digests(whole)
+    assert timeless(made.manifest.figures) == timeless(whole.manifest.figures)
+    assert not stage.partial(store.root, name).exists()
+    return made
+
+
+def digests(artefact: Artefact) -> dict[str, str]:
+    """Digest of each file: to compare these is quick even where megabytes differ."""
+    return {record.path: record.sha256 for record in artefact.manifest.files}
+
+
+def timeless(figures: Any) -> Any:
+    """Figures without those that tell how long it took."""
+    if isinstance(figures, dict):
+        return {key: timeless(value) for key, value in figures.items() if not TAKEN.search(key)}
+    return [timeless(one) for one in figures] if isinstance(figures, list) else figures

@@ -1,0 +1,68 @@
+"""Ctrl-C in the midst of every long stage: a quick end with one line, and the same command goes on."""
+
+import json
+import random
+import shutil
+import signal
+import time
+
+import numpy as np
+import pytest
+
+from schemas.store import Work
+from stylerf.training.stylize import Stylizer
+from stylerf_cli.main import main
+from tests.stylerf_cli.long_stages import VERBS, assert_same, stopped
+
+LONGEST_SECONDS = 10
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_ctrl_c_ends_a_stage_within_ten_seconds_and_the_next_run_goes_on(long_stage, nursery, verb):
+    stage, work = long_stage(verb)
+    chance, ended = random.Random(3), 0
+    for _ in range(6):
+        command, seconds = interrupted(nursery, stage, work, chance.random())
+        if (work / stage.kind / "stopped").exists():  # the signal came when all was done
+            shutil.rmtree(work / stage.kind / "stopped")
+            continue
+        assert seconds < LONGEST_SECONDS
+        assert command.code == 130 and "Traceback" not in command.err, command.err
+        line = " ".join(map(str, stage.command("stopped")))
+        said = f"stylerf: error: interrupted; the same command goes on where it stopped: stylerf {line}"
+        assert command.err.splitlines()[-1] == said and command.err.count("stylerf: error") == 1
+        assert command.out == ""
+        ended += 1
+        if ended == 2:
+            break
+    assert ended == 2
+    last = nursery.run(work.parent / "said", *stage.command("stopped"))
+    assert last.code == 0 and "going on with the interrupted" in last.err, last.err
+    assert_same(Work(work), stage, "stopped")
+
+
+def interrupted(nursery, stage, work, moment):
+    """The command after Ctrl-C at that share of its time, and the seconds it then took to end."""
+    command = stopped(nursery, stage, work, "stopped", signal.SIGINT, moment)
+    asked = time.monotonic()
+    command.wait(30)
+    return command, time.monotonic() - asked
+
+
+def test_ctrl_c_while_the_last_colours_are_matched_loses_nothing(long_stage, capsys, monkeypatch):
+    """All style steps are done then, but the colour map that ends a stylisation is not."""
+    stage, work = long_stage("stylize")
+    command = [*map(str, stage.command("matched")), "--quiet"]
+
+    def stop(stylizer):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Stylizer, "final_match", stop)
+        assert main(command) == 130
+    assert stage.partial(work, "matched").is_dir()
+    assert main(command) == 0
+    maps = [json.loads(Work(work).get("field", name).file("field.json").read_text())["colour_map"]
+            for name in ("whole", "matched")]  # fmt: skip
+    np.testing.assert_allclose(maps[1]["matrix"], maps[0]["matrix"], atol=1e-3)
+    np.testing.assert_allclose(maps[1]["offset"], maps[0]["offset"], atol=1e-3)

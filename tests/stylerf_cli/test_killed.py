@@ -1,0 +1,19 @@
+"""kill -9 at random moments of every long stage: what stands stays whole, and the same command ends as if nothing had
+happened."""
+
+import pytest
+
+from tests.stylerf_cli.long_stages import VERBS, killed_until_done
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_a_stage_killed_at_two_moments_ends_as_an_undisturbed_one(long_stage, nursery, verb):
+    stage, work = long_stage(verb)
+    killed_until_done(nursery, stage, work, 2, seed=1)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("verb", VERBS)
+def test_a_stage_killed_at_twenty_moments_ends_as_an_undisturbed_one(long_stage, nursery, verb):
+    stage, work = long_stage(verb)
+    killed_until_done(nursery, stage, work, 20, seed=2)
