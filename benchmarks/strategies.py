@@ -3,8 +3,8 @@
 Protocol: the field of WORK is stylised by each strategy in a process of its own, one after another, from the same
 seed, refit and settings (METHOD arf or desrf, dilation 2, blur 3, dilated also without the memory of the last render).
 `full` runs STEPS steps, which take it T seconds; every other runs until it has done STEPS steps and used T seconds.
-Style distance (exact nearest neighbours, conv3) and content distance are means over the held-out views, at equal steps and
-at equal time. Field seconds: painting the picture and learning from its gradient; the rest of a step is the feature
+Style distance (exact nearest neighbours, conv3) and content distance are means over the held-out views, at equal steps
+and at equal time. Field seconds: painting the picture and learning from its gradient; the rest of a step is the feature
 trunk, the matching and the optimisers. Field memory: rise of the process's peak resident memory from before the first
 painted picture to the end of the field's part of a step, the trunk left out.
 """
@@ -70,7 +70,7 @@ def stylizer_for(work: str, style: str, method: str, case: str):
         settings_of(config, long_side),
         0,
         threads,
-        lambda generator: HashColour.create(generator),
+        HashColour.create,
         Deformation.create(np.random.default_rng([0, 8])) if method == "desrf" else None,
     )
     held_out = [(scene.cameras[i], photo_over(scene, i, level)) for i in scene.splits["test"]]
@@ -107,7 +107,7 @@ def measure(work: str, style: str, method: str, case: str, steps: int, seconds: 
         made.refit_step()
         made.state.step += 1
     made._next_phase()
-    made.objective  # the painting's features are computed here, not within the first step
+    _ = made.objective  # the painting's features are computed here, not within the first step
     field = {"seconds": 0.0, "peak": 0.0}
 
     def timed(function):
@@ -168,7 +168,8 @@ def main() -> None:
     rows: list[dict] = []
     for case in CASES:
         seconds = rows[0]["seconds_at_equal_steps"] if rows else 0.0
-        command = [sys.executable, "-m", "benchmarks.strategies", work, style, out, str(steps), method, case, str(seconds)]
+        asked = [work, style, out, str(steps), method, case, str(seconds)]
+        command = [sys.executable, "-m", "benchmarks.strategies", *asked]
         rows.append(json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout))
         print(rows[-1], flush=True)
     report = {
