@@ -39,10 +39,10 @@ def slow_parts(made: StyleObjective, image, photo, alpha=None) -> tuple[float, f
             f = found[:, i, j]
             cosines = (f @ rows) / (np.linalg.norm(f) * np.linalg.norm(rows, axis=0) + 1e-12)
             style_sum += share * (1 - cosines.max())
-            content_sum += share * ((f - wanted[:, i, j]) ** 2).mean() / (rows**2).mean()  # in the painting's own unit
+            content_sum += share * ((f - wanted[:, i, j]) ** 2).mean()
             total += share
         style_loss = style_loss + style_sum / total
-        content_loss = content_loss + content_sum / total / (style**2).mean()
+        content_loss = content_loss + content_sum / total / (style**2).mean()  # in the painting's own unit
     x = image.detach().double().numpy()
     across, down = np.diff(x, axis=2) ** 2, np.diff(x, axis=1) ** 2
     return style_loss, content_loss, (across.mean() + down.mean()) / 2
