@@ -53,7 +53,7 @@ def stylizer_for(work: str, style: str, method: str, case: str):
 
     threads, store = set_threads(os.cpu_count() or 1), Work(Path(work))
     scene = load_scene(store.artefacts("scene")[0])
-    field, background = load_field(store.get("field", "fit"))
+    field, background = load_field(next(f for f in store.artefacts("field") if f.manifest.stage == "nerf_fit"))
     options = {"rays" if k == "strategy" else k: v for k, v in CASES[case].items()}
     config = StylizeConfig(style=style, method=method, budget="100000", **options)
     level, found = level_of(background), resolve(None)
