@@ -11,6 +11,7 @@ import pytest
 from stages.demo_data import PAINTING, write_demo
 from stages.progress import Silent
 from tests.stages.photo_room import walk, write_photos
+from tests.stylerf_cli import capture
 from tests.stylerf_cli.long_stages import LongStage, arguments_of, undisturbed
 from tests.stylerf_cli.nursery import Nursery
 
@@ -87,3 +88,17 @@ def long_stage(in_memory, finished, nursery, photos, room) -> Callable[[str], tu
         return made[verb]
 
     return prepared
+
+
+@pytest.fixture
+def source(tmp_path) -> Path:
+    """Four photos without poses."""
+    capture.write_images(tmp_path / "source")
+    return tmp_path / "source"
+
+
+@pytest.fixture
+def posed(source) -> Path:
+    """The same with a sound transforms.json."""
+    capture.write_transforms(source, capture.transforms())
+    return source
