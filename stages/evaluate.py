@@ -267,4 +267,3 @@ def _write_csv(path: Path, rows: Sequence[Row]) -> None:
         writer = csv.DictWriter(stream, keys, restval="", lineterminator="\n")
         writer.writeheader()
         writer.writerows([{key: "" if value is None else value for key, value in row.items()} for row in rows])
-

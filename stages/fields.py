@@ -10,9 +10,10 @@ from schemas.errors import ArtefactDamaged
 from schemas.store import Artefact
 from schemas.tensors import load_tensors, save_tensors
 from stylerf.errors import InvalidValue
+from stylerf.fields.deformation import Deformation
 from stylerf.fields.field import RadianceField
 
-DESCRIPTION, NUMBERS = "field.json", "field.safetensors"
+DESCRIPTION, NUMBERS, DEFORMATION = "field.json", "field.safetensors", "deformation.safetensors"
 
 
 def save_field(folder: Path, field: RadianceField, background: str) -> None:
@@ -30,6 +31,22 @@ def load_field(artefact: Artefact) -> tuple[RadianceField, str]:
         return RadianceField.restore(data, arrays), data["background"]
     except (KeyError, TypeError, ValueError, InvalidValue) as error:
         raise ArtefactDamaged(f"{artefact.path} does not hold a sound field ({error}); make it anew") from error
+
+
+def save_deformation(folder: Path, deformation: Deformation) -> None:
+    """The network behind a field's displacement grid, for whoever moves it further."""
+    save_tensors(folder / DEFORMATION, {"values": deformation.values}, {"kind": json.dumps(deformation.describe())})
+
+
+def load_deformation(artefact: Artefact) -> Deformation | None:
+    """The network behind a field's displacement grid; None for a field without one."""
+    if not (artefact.path / DEFORMATION).is_file():
+        return None
+    arrays, metadata = load_tensors(artefact.file(DEFORMATION))
+    try:
+        return Deformation.restore(json.loads(metadata["kind"]), arrays["values"].copy())
+    except (KeyError, TypeError, ValueError, InvalidValue) as error:
+        raise ArtefactDamaged(f"{artefact.path / DEFORMATION} is not sound ({error}); make it anew") from error
 
 
 def save_checkpoint(folder: Path, data: dict, arrays: dict[str, np.ndarray]) -> None:

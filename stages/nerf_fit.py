@@ -2,12 +2,11 @@
 
 import time
 
-import numpy as np
-
 from schemas.errors import BadInput
 from schemas.store import Artefact, Partial
 from stages.configs.fit import FitConfig, budget_of, capacity_of
 from stages.fields import load_checkpoint, save_checkpoint, save_field
+from stages.photos import bank_of
 from stages.progress import Context
 from stages.runner import Spec
 from stages.scenes import SceneData, load_scene
@@ -15,7 +14,6 @@ from stages.spaces import space_of
 from stylerf.errors import Diverged
 from stylerf.kernels.cpu.compiling import compiling_note, set_threads
 from stylerf.training.fit import LADDER, FitSettings, Fitter, Rung
-from stylerf.training.rays import RayBank
 
 SPEC = Spec(stage="nerf_fit", verb="fit", revision=1, writes="field")
 RATE = {"object": 2e-2, "forward": 4e-2, "unbounded": 4e-2}
@@ -32,7 +30,7 @@ def run(inputs: dict[str, Artefact], config: FitConfig, partial: Partial, contex
     if len(train) - len(held_out) < 2:
         raise BadInput(f"{inputs['scene'].path}: {len(train)} training views; at least 3 are needed to fit a field")
     order = [i for i in train if i not in held_out] + held_out
-    bank = RayBank([scene.cameras[i] for i in order], _same_channels([_bytes(scene, i) for i in order]))
+    bank = bank_of(scene, order)
     settings = _settings(config, scene)
     fitter = Fitter(space, bank, len(held_out), settings, context.seed, threads, context.progress.say)
     if (saved := load_checkpoint(partial.checkpoint)) is not None:
@@ -111,17 +109,6 @@ def _held_out(train: list[int], wanted: int) -> list[int]:
     if count >= len(train) - 1:
         raise BadInput(f"{count} of {len(train)} training views cannot be held out; lower --held-out")
     return [train[int((k + 0.5) * len(train) / count)] for k in range(count)]
-
-
-def _bytes(scene: SceneData, index: int) -> np.ndarray:
-    return (scene.images(index) * 255 + 0.5).astype(np.uint8)
-
-
-def _same_channels(images: list[np.ndarray]) -> list[np.ndarray]:
-    """Images with and without alpha together: those without are opaque."""
-    if len({i.shape[2] for i in images}) == 1:
-        return images
-    return [i if i.shape[2] == 4 else np.dstack([i, np.full(i.shape[:2], 255, np.uint8)]) for i in images]
 
 
 def _shown(background: str) -> str:

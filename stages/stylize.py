@@ -11,10 +11,18 @@ from schemas.images import read_image, to_uint8, write_png
 from schemas.store import Artefact, Partial
 from stages.configs.fit import budget_of
 from stages.configs.stylize import StylizeConfig
-from stages.fields import load_checkpoint, load_field, save_checkpoint, save_field
+from stages.fields import (
+    load_checkpoint,
+    load_deformation,
+    load_field,
+    save_checkpoint,
+    save_deformation,
+    save_field,
+)
+from stages.photos import level_of, photo_over
 from stages.progress import Context
 from stages.runner import Spec
-from stages.scenes import SceneData, load_scene
+from stages.scenes import load_scene
 from stages.weights import resolve
 from stylerf.errors import Diverged, InvalidValue
 from stylerf.fields.hash import HashColour
@@ -30,18 +38,21 @@ def run(inputs: dict[str, Artefact], config: StylizeConfig, partial: Partial, co
     """Writes the stylised field; returns the figures, among them the curve of the loss."""
     scene = load_scene(inputs["scene"])
     field, background = load_field(inputs["field"])
+    deformation = load_deformation(inputs["field"]) if config.method == "desrf" else None
+    if config.method == "desrf" and deformation is None:
+        raise BadInput(f"{inputs['field'].path} has no deformation to move; run `stylerf deform` on it first")
     threads = set_threads(context.threads)
     torch.set_num_threads(threads)
     resolved = resolve(config.features or None)
     context.progress.say(f"features: {resolved.name}, from {resolved.source}")
     views = scene.splits["train"]
     painting = read_painting(Path(config.style))
-    level = 1.0 if background == "white" else 0.0
+    level = level_of(background)
     try:
         stylizer = Stylizer(
             field,
             [scene.cameras[i] for i in views],
-            [_photo(scene, i, level) for i in views],
+            [photo_over(scene, i, level) for i in views],
             level,
             painting,
             Trunk(resolved.state, config.taps, resolved.kind),
@@ -51,6 +62,7 @@ def run(inputs: dict[str, Artefact], config: StylizeConfig, partial: Partial, co
             lambda generator: HashColour.create(
                 generator, levels=config.levels, finest=config.finest, table=1 << config.table_bits
             ),
+            deformation,
         )
     except InvalidValue as error:
         raise BadInput(f"{config.style} on {inputs['field'].path}: {error}") from error
@@ -60,6 +72,8 @@ def run(inputs: dict[str, Artefact], config: StylizeConfig, partial: Partial, co
     with compiling_note(context.progress.say):
         _train(stylizer, config, partial, context)
     save_field(partial.path, stylizer.field, background)
+    if deformation is not None:
+        save_deformation(partial.path, deformation)
     # The painting stays with what was made from it, for whoever evaluates it later.
     write_png(partial.path / "style.png", to_uint8(painting.permute(1, 2, 0).numpy()))
     state = stylizer.state
@@ -116,6 +130,10 @@ def _settings(config: StylizeConfig, long_side: int) -> StyleSettings:
         seconds=seconds or 1.0,
         refit_steps=config.refit_steps,
         rate=config.rate,
+        deform_rate=config.deform_rate,
+        displacement_weight=config.displacement_weight,
+        displacement_vertices=config.displacement_vertices,
+        variation="diagonal" if config.method == "desrf" else "squared",
         strategy=config.rays,
         dilation=config.dilation,
         blur=config.blur,
@@ -141,11 +159,3 @@ def read_painting(path: Path) -> torch.Tensor:
             f"{path} is {pixels.shape[1]}x{pixels.shape[0]}; a painting of at least 16 pixels a side is needed"
         )
     return torch.from_numpy(np.ascontiguousarray(pixels)).permute(2, 0, 1).contiguous()
-
-
-def _photo(scene: SceneData, index: int, level: float) -> np.ndarray:
-    """[h, w, 3] over the background."""
-    pixels = scene.images(index)
-    if pixels.shape[2] == 4:
-        pixels = pixels[..., :3] * pixels[..., 3:] + (1 - pixels[..., 3:]) * np.float32(level)
-    return np.ascontiguousarray(pixels, dtype=np.float32)

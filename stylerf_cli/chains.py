@@ -4,6 +4,7 @@ from typing import Any
 
 from schemas.errors import UsageError
 from schemas.store import Artefact
+from stages.configs.deform import DeformConfig
 from stages.configs.fit import FitConfig
 from stages.configs.render import RenderConfig
 
@@ -30,6 +31,28 @@ def ensure_field(session: Any, scene: Artefact) -> Artefact:
     from stages import nerf_fit
 
     return session.run(nerf_fit.SPEC, nerf_fit.run, {"scene": scene}, session.config_of("fit", FitConfig), FIT_NAME)
+
+
+def deform(session: Any, scene: Artefact, field: Artefact, config: DeformConfig) -> Artefact:
+    """A field with a deformation that has been initialised on the photos, named <field>-deformed."""
+    from stages import deform_init
+
+    inputs = {"scene": scene, "field": field}
+    return session.run(deform_init.SPEC, deform_init.run, inputs, config, f"{field.name}-deformed")
+
+
+def ensure_deformed(session: Any, scene: Artefact, field: Artefact) -> Artefact:
+    """The field itself where it has a deformation, else what `stylerf deform` makes of it."""
+    if field.manifest.stage == "deform_init":
+        return field
+    made = [
+        one
+        for one in session.work.artefacts("field")
+        if one.manifest.stage == "deform_init" and any(ref.digest == field.digest for ref in one.manifest.inputs)
+    ]
+    if made:
+        return max(made, key=lambda one: one.manifest.created)
+    return deform(session, scene, field, session.config_of("deform", DeformConfig))
 
 
 def ensure_frames(session: Any, field: Artefact, path: str) -> Artefact:

@@ -9,22 +9,41 @@ from stages.configs import option
 class ImportOptions:
     """How posed photos become a scene."""
 
-    format: str = option("auto", choices=("auto", "transforms", "colmap", "llff", "photos"), help="format of the "
-                         "poses (auto: by the files that are there; photos: none, find them by structure from motion)")
-    images: str = option("", metavar="FOLDER", help="folder of photos to use in place of the source's own, such as "
-                         "images_8; its photos may be smaller copies")
+    format: str = option(
+        "auto",
+        choices=("auto", "transforms", "colmap", "llff", "photos"),
+        help="format of the "
+        "poses (auto: by the files that are there; photos: none, find them by structure from motion)",
+    )
+    images: str = option(
+        "",
+        metavar="FOLDER",
+        help="folder of photos to use in place of the source's own, such as images_8; its photos may be smaller copies",
+    )
     downscale: float = option(1.0, help="divide the photos' sides by this")
     max_side: int = option(0, help="and limit the longer side to this many pixels (0: no limit)")
-    layout: str = option("auto", choices=("auto", "object", "forward", "unbounded"), help="arrangement of the capture "
-                         "(auto: decided from cameras and transparency)")
-    background: str = option("auto", choices=("auto", "alpha", "white", "black", "none"), help="what stands behind the "
-                             "object (auto: alpha where there is any, else by the pictures' borders)")
-    test_every: int = option(8, help="every how many-th photo is kept for tests where the source tells no split (0: "
-                             "none)")
-    matching: str = option("auto", choices=("auto", "exhaustive", "sequential"), help="structure from motion compares "
-                           "all pairs of photos, or neighbours in a video (auto: all pairs up to 80 photos)")
-    sfm_side: int = option(1600, help="structure from motion looks at copies whose longer side has at most so many "
-                           "pixels")
+    layout: str = option(
+        "auto",
+        choices=("auto", "object", "forward", "unbounded"),
+        help="arrangement of the capture (auto: decided from cameras and transparency)",
+    )
+    background: str = option(
+        "auto",
+        choices=("auto", "alpha", "white", "black", "none"),
+        help="what stands behind the object (auto: alpha where there is any, else by the pictures' borders)",
+    )
+    test_every: int = option(
+        8, help="every how many-th photo is kept for tests where the source tells no split (0: none)"
+    )
+    matching: str = option(
+        "auto",
+        choices=("auto", "exhaustive", "sequential"),
+        help="structure from motion compares "
+        "all pairs of photos, or neighbours in a video (auto: all pairs up to 80 photos)",
+    )
+    sfm_side: int = option(
+        1600, help="structure from motion looks at copies whose longer side has at most so many pixels"
+    )
     sfm_features: int = option(2048, help="and at so many features in each")
     one_camera: bool = option(True, help="photos of one size, lens and zoom share their intrinsics")
 

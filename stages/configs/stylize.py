@@ -12,7 +12,9 @@ class StylizeConfig:
 
     style: str = option(help="the painting: an image file")
     style_digest: str = option("", help="sha256 of the painting (filled in; guards against a changed file)")
-    method: str = option("arf", choices=("arf",), help="arf: colours alone, shapes held fast")
+    method: str = option(
+        "arf", choices=("arf", "desrf"), help="arf: colours alone, shapes held fast; desrf: colours and shapes"
+    )
     budget: str = option("2m", help="time of the style steps (60s, 2m) or their number")
     rays: str = option(
         "deferred",
@@ -28,17 +30,20 @@ class StylizeConfig:
     )
     taps: str = option("conv3", help="layers of the trunk that are matched: conv2, conv3, conv3_1 ...")
     style_weight: float = option(1.0, help="weight of the nearest-neighbour feature distance")
-    content_weight: float = option(1e-3, help="weight of the content distance")
+    content_weight: float = option(2e-2, help="weight of the content distance, in the painting's mean squared feature")
     variation_weight: float = option(1.0, help="weight of the picture's total variation")
+    deform_rate: float = option(3e-3, help="learning rate of the deformation (desrf)")
+    displacement_weight: float = option(0.015, help="weight of the root mean square of the displacement (desrf)")
+    displacement_vertices: int = option(32, help="side of the grid that the deformation is baked to (desrf)")
     match: str = option("both", choices=("both", "before", "after", "none"), help="exact colour matching")
     refit_steps: int = option(300, help="steps that fit the new colours to the matched photos")
-    rate: float = option(2e-2, help="learning rate of the colours")
+    rate: float = option(3e-2, help="learning rate of the colours")
     feature_scale: float = option(
         0.0,
         help="size, relative to the view, of the picture that features are taken from (0: half, as ARF, but no less "
         "than 256 pixels where the view has them)",
     )
-    style_scale: float = option(1.0, help="size of the painting relative to the view: larger gives larger strokes")
+    style_scale: float = option(1.5, help="size of the painting relative to the view: larger gives larger strokes")
     style_rows: int = option(4096, help="most features of the painting that are matched against")
     style_basis: int = option(96, help="directions of feature space in which the nearest are sought (0: all, exact)")
     levels: int = option(8, help="levels of the colour field's hash grid")

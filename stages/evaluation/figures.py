@@ -76,4 +76,3 @@ def summarise(
 def is_number(value: object) -> bool:
     """A finite number, no truth value and no text."""
     return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
-

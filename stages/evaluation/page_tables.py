@@ -77,9 +77,7 @@ def stages_table(stages: Sequence[dict]) -> str:
     return _table("Stages with their cost", caption, heads, range(2, 6), rows)
 
 
-def _table(
-    label: str, caption: str, heads: Sequence[str], numeric: range, rows: Sequence[str], look: str = ""
-) -> str:
+def _table(label: str, caption: str, heads: Sequence[str], numeric: range, rows: Sequence[str], look: str = "") -> str:
     """A table in a region that a keyboard can scroll sideways."""
     head = "".join(
         f'<th scope="col"{" class=number" if i in numeric else ""}>{escape(text)}</th>' for i, text in enumerate(heads)

@@ -142,9 +142,7 @@ def _is_point(point: object) -> bool:
     return isinstance(point, dict) and is_number(point.get("seconds")) and is_number(point.get("psnr"))
 
 
-def draw_charts(
-    stylised: bool, rows: Sequence[Row], pairs: Sequence[Row], curve: dict | None, gap: int
-) -> list[Chart]:
+def draw_charts(stylised: bool, rows: Sequence[Row], pairs: Sequence[Row], curve: dict | None, gap: int) -> list[Chart]:
     """Bars of the leading figure, quality against seconds, consistency along the path: what there is data for."""
     charts = []
     key, title, unit = BAR_FIGURES[stylised]

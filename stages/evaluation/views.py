@@ -162,5 +162,3 @@ def _camera(frame: Frame, artefact: Artefact) -> Camera:
                       np.array(given.world_from_camera))  # fmt: skip
     except InvalidValue as error:
         raise ArtefactDamaged(f"frames {artefact.name}: {error}; render them again") from error
-
-

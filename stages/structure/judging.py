@@ -14,6 +14,7 @@ LARGEST_ERROR = 2.0  # pixels of the copies, mean over all points
 LEAST_PARALLAX, LITTLE_PARALLAX = 1.0, 3.0  # degrees, median over points
 REFUSED_AGREEMENT, WORRYING_AGREEMENT = 0.5, 0.8
 AGREEING_DISTANCE = 4.0  # pixels, the tolerance that matches were verified with
+TURNED_SHARE, TURNED_DISTANCE = 0.9, 2.0  # share of pairs that a turn alone explains, to this median in pixels
 # A pair tells something where it has so many matches, and points where they lie on so many tracks.
 MATCHES_TO_TELL, POINTS_TO_TELL = 30, 2000
 
@@ -24,7 +25,8 @@ class Quality:
 
     error_px: mean reprojection error in pixels of the copies. parallax_deg: median over points of the widest angle
     between their rays. agreement: share of matched pairs whose own two-view matches fit the poses, of pairs_checked.
-    flat_share: share of all matched pairs that a plane or a turn on the spot explains. models: photos of each model.
+    flat_share: share of all matched pairs that a plane or a turn on the spot explains. turned_share: share of
+    pairs_checked that a turn alone explains. models: photos of each model.
     """
 
     photos: int
@@ -36,6 +38,7 @@ class Quality:
     agreement: float
     pairs_checked: int
     flat_share: float
+    turned_share: float
     models: tuple[int, ...]
     refined: bool
 
@@ -50,9 +53,12 @@ def quality(models: list, photos: int, pairs: list, keypoints: dict[str, np.ndar
             pycolmap.TwoViewGeometryConfiguration.PLANAR_OR_PANORAMIC)  # fmt: skip
     flat_share = float(np.mean([geometry.config in [int(one) for one in flat] for *_, geometry in pairs] or [0.0]))
     if not models:
-        return Quality(photos, 0, 0, 0.0, 0.0, 0.0, 0.0, 0, flat_share, (), False)
+        return Quality(photos, 0, 0, 0.0, 0.0, 0.0, 0.0, 0, flat_share, 0.0, (), False)
     model = models[0]
     agreements = pair_agreements(model, pairs, keypoints)
+    turned = [
+        _turn_distance(*rays) * focal < TURNED_DISTANCE for *_, rays, focal in _told_pairs(model, pairs, keypoints)
+    ]
     return Quality(
         photos=photos,
         registered=model.num_reg_images(),
@@ -63,6 +69,7 @@ def quality(models: list, photos: int, pairs: list, keypoints: dict[str, np.ndar
         agreement=float(np.mean(agreements)) if agreements else 0.0,
         pairs_checked=len(agreements),
         flat_share=flat_share,
+        turned_share=float(np.mean(turned)) if turned else 0.0,
         models=tuple(one.num_reg_images() for one in models),
         refined=refined,
     )
@@ -71,21 +78,36 @@ def quality(models: list, photos: int, pairs: list, keypoints: dict[str, np.ndar
 def pair_agreements(model, pairs: list, keypoints: dict[str, np.ndarray]) -> list[bool]:
     """For each pair of registered photos with matches enough: whether their median distance from the epipolar lines
     of the poses is within tolerance. Poses that contradict the photos fail here whatever their reprojection error."""
-    images = {model.images[number].name: model.images[number] for number in model.reg_image_ids()}
     agreeing = []
+    for first, second, rays, focal in _told_pairs(model, pairs, keypoints):
+        poses = [from_colmap(np.asarray(image.cam_from_world().matrix())) for image in (first, second)]
+        distances = focal * epipolar_distance(essential(*poses), *rays)
+        agreeing.append(bool(np.median(distances) < AGREEING_DISTANCE))
+    return agreeing
+
+
+def _told_pairs(model, pairs: list, keypoints: dict[str, np.ndarray]):
+    """(image, image, rays [n, 2] of the matches in each, larger focal length) of pairs with matches enough."""
+    images = {model.images[number].name: model.images[number] for number in model.reg_image_ids()}
     for first, second, geometry in pairs:
         matches = geometry.inlier_matches
         if first not in images or second not in images or len(matches) < MATCHES_TO_TELL:
             continue
-        poses, rays, focal = [], [], 0.0
+        rays, focal = [], 0.0
         for name, column in ((first, 0), (second, 1)):
             camera = model.cameras[images[name].camera_id]
-            poses.append(from_colmap(np.asarray(images[name].cam_from_world().matrix())))
             rays.append(camera.cam_from_img(keypoints[name][matches[:, column]].astype(np.float64)))
             focal = max(focal, float(camera.mean_focal_length()))
-        distances = focal * epipolar_distance(essential(*poses), *rays)
-        agreeing.append(bool(np.median(distances) < AGREEING_DISTANCE))
-    return agreeing
+        yield images[first], images[second], rays, focal
+
+
+def _turn_distance(first: np.ndarray, second: np.ndarray) -> float:
+    """Median angle, radians, that the best single rotation of rays [n, 2] (at depth 1) leaves to their matches."""
+    units = [np.append(rays, np.ones((len(rays), 1)), 1) for rays in (first, second)]
+    units = [rays / np.linalg.norm(rays, axis=1, keepdims=True) for rays in units]
+    left, _, right = np.linalg.svd(units[1].T @ units[0])
+    turn = left @ np.diag([1, 1, np.linalg.det(left @ right)]) @ right
+    return float(np.median(np.linalg.norm(units[0] @ turn.T - units[1], axis=1)))
 
 
 def _median_parallax(model) -> float:
@@ -122,6 +144,11 @@ def verdict(found: Quality) -> tuple[str, list[str]]:
         return (
             f"the camera hardly moved: points are seen under {found.parallax_deg:.2f} degrees of parallax (at least "
             f"{LEAST_PARALLAX:g} is needed); step sideways between photos in place of turning"
+        ), []
+    if found.turned_share >= TURNED_SHARE:
+        return (
+            f"the photos turn on the spot: a rotation alone explains {found.turned_share:.0%} of the matched pairs, so "
+            "nothing tells how far anything is; step sideways between photos in place of turning"
         ), []
     if found.pairs_checked and found.agreement < REFUSED_AGREEMENT:
         return (

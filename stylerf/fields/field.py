@@ -6,7 +6,6 @@ import numpy as np
 import torch
 
 from stylerf.fields.hash import HashColour
-from stylerf.fields.matched import INNER_KINDS, MatchedColour
 from stylerf.fields.occupancy import Occupancy
 from stylerf.fields.samples import Rays, Samples
 from stylerf.fields.vm import VmColour, VmDensity
@@ -14,7 +13,7 @@ from stylerf.geometry.space import Space
 from stylerf.style.colour import ColourMap
 
 DENSITY_KINDS = {"vm": VmDensity}
-COLOUR_KINDS = {**INNER_KINDS, "matched": MatchedColour}
+COLOUR_KINDS = {"vm": VmColour, "hash": HashColour}
 _NO_DISPLACEMENT = np.empty(0, np.float32)
 
 
@@ -30,7 +29,7 @@ class RadianceField:
 
     space: Space
     density: VmDensity
-    colour: VmColour | HashColour | MatchedColour
+    colour: VmColour | HashColour
     occupancy: Occupancy
     step: float
     displacement: np.ndarray | None = None

@@ -76,7 +76,7 @@ class HashColour:
         kernels.colour_backward(self.layout, self._levels, x, starts, ends, colours, colour_gradients, len(to), to)
 
     def add_position_gradients(
-        self, samples: Samples, colours: np.ndarray, colour_gradients: np.ndarray, out: np.ndarray, chunks: int
+        self, samples: Samples, basis, colours: np.ndarray, colour_gradients: np.ndarray, out, chunks: int
     ) -> None:
         """Add dL/dx to out [n, 3], x the samples' positions in the cube."""
         kernels.colour_position_gradient(

@@ -11,7 +11,7 @@ import torch.nn.functional as F
 from stylerf.fields.samples import Samples
 from stylerf.geometry.harmonics import BANDS, C0
 from stylerf.kernels.cpu import vm as kernels
-from stylerf.kernels.cpu.deform import density_position_gradient
+from stylerf.kernels.cpu.deform import colour_position_gradient, density_position_gradient
 
 _AXES = ((1, 2), (2, 0), (0, 1))
 
@@ -267,6 +267,25 @@ class VmColour:
             colour_gradients,
             len(to),
             to,
+        )
+
+    def add_position_gradients(
+        self, samples: Samples, basis: np.ndarray, colours: np.ndarray, colour_gradients: np.ndarray, out, chunks: int
+    ) -> None:
+        """Add dL/dx to out [n, 3], x the samples' positions in the cube."""
+        colour_position_gradient(
+            self.table,
+            self.size,
+            self._ranks,
+            self.head,
+            basis,
+            samples.x,
+            samples.starts,
+            samples.ends,
+            colours,
+            colour_gradients,
+            chunks,
+            out,
         )
 
     def smooth(self, strength: float, to: np.ndarray) -> None:

@@ -7,9 +7,7 @@ Infinities and NaN must not occur in any of them (fast-math).
 
 import numba
 
-from stylerf.kernels.cpu.compiling import FAST
+FAST = {"reassoc", "nnan", "ninf", "nsz", "arcp", "contract", "afn"}
 
-compiled = numba.njit(
-    cache=True, fastmath=FAST, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True
-)
+compiled = numba.njit(cache=True, fastmath=FAST, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
 released = numba.njit(cache=True, fastmath=FAST, error_model="numpy", nogil=True)

@@ -67,9 +67,7 @@ def _paint_layer(canvas, height, subject: Subject, layer: Layer, random, seed: i
     turned = subject.angles + 0.16 * np.sin(np.arange(size) * 0.02)[None]
     points, offsets = follow_flow(starts, length * scale, turned, subject.regions, 0.6)
     first, second = _paints(subject, rows, columns, layer.accent, random)
-    lay_strokes(
-        canvas, height, points, offsets, width * scale, first, second, layer.dryness, layer.thickness, seed
-    )
+    lay_strokes(canvas, height, points, offsets, width * scale, first, second, layer.dryness, layer.thickness, seed)
 
 
 def _paints(subject: Subject, rows, columns, accent: float, random) -> tuple[np.ndarray, np.ndarray]:

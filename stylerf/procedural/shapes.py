@@ -12,7 +12,6 @@ from stylerf.procedural.compiling import compiled
 DISC, VASE, PEAR, APPLE, LEMON, BOX, BOOK, TORUS, SPHERE, HOLDER, CANDLE, FLAME, GRAPES = range(13)
 
 
-
 @compiled
 def smooth_min(a, b, k):
     """Quadratic smooth minimum of two distances with blend width k; under min(a, b) by at most k/4."""

@@ -69,9 +69,7 @@ class StillLife:
 
         def shade(rows: np.ndarray) -> None:
             first, last = int(rows[0]), int(rows[-1]) + 1
-            shade_rows(
-                self._packed, self.seed, EXPOSURE, lens, pose, first, out[first:last], samples, edge_samples
-            )
+            shade_rows(self._packed, self.seed, EXPOSURE, lens, pose, first, out[first:last], samples, edge_samples)
 
         bands = [rows for rows in np.array_split(np.arange(camera.height), 8 * threads) if len(rows)]
         if threads > 1:

@@ -17,7 +17,6 @@ from stylerf.procedural.shapes import DISC, FLAME, shape_distance
 MISS = 1e9  # distance reported inside the kernels for "nothing hit"; infinities are not allowed under fastmath
 
 
-
 @compiled
 def to_local(pose, x, y, z):
     """World point -> local point of a solid: R^T (p - t)."""

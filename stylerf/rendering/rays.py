@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
+from stylerf.fields.displacement import displacement_gradient, position_gradients
 from stylerf.fields.field import RadianceField
 from stylerf.fields.samples import Rays, Samples
 from stylerf.geometry.harmonics import harmonics
@@ -15,9 +16,14 @@ SAMPLE_LIMIT = 512
 
 @dataclass
 class Rendered:
-    """What rays came back with. out [rays, 5]: premultiplied rgb, alpha, sum of w t; the rest serves the backward."""
+    """What rays came back with. out [rays, 5]: premultiplied rgb, alpha, sum of w t; the rest serves the backward.
+
+    unmapped: out before the field's colour map.
+    """
 
     out: np.ndarray
+    unmapped: np.ndarray
+    rays: Rays
     samples: Samples
     basis: np.ndarray
     colours: np.ndarray
@@ -33,23 +39,28 @@ def render_rays(field: RadianceField, rays: Rays, *, chunks: int, opaque=1e-3, s
     shown = np.empty_like(samples.weights)
     significant(samples.weights, samples.starts, samples.ends, np.float32(share), chunks, shown)
     colours = field.colour.colours(samples.x, basis, samples.starts, samples.ends, shown, 0.0, chunks)
-    out = np.empty((len(rays.origins), 5), np.float32)
-    composite(samples.weights, colours, samples.t, samples.starts, samples.ends, chunks, out)
+    unmapped = np.empty((len(rays.origins), 5), np.float32)
+    composite(samples.weights, colours, samples.t, samples.starts, samples.ends, chunks, unmapped)
+    out = unmapped
     if field.colour_map is not None:
         mapped = field.colour_map.premultiplied(torch.from_numpy(out[:, :3]), torch.from_numpy(out[:, 3]))
-        out[:, :3] = np.clip(mapped.numpy(), 0, out[:, 3:4])
-    return Rendered(out, samples, basis, colours)
+        out = np.concatenate([np.clip(mapped.numpy(), 0, out[:, 3:4]), out[:, 3:]], 1)
+    return Rendered(out, unmapped, rays, samples, basis, colours)
 
 
-def backward(field: RadianceField, rendered: Rendered, gradients: np.ndarray, density_to, colour_to) -> None:
-    """From dL/d(out) [rays, 5] to gradient buffers [chunks, parameters] of the two parts; None leaves a part out.
+def backward(
+    field: RadianceField, rendered: Rendered, gradients: np.ndarray, density_to, colour_to, displacement_to=None
+) -> None:
+    """From dL/d(out) [rays, 5] to gradient buffers [chunks, parameters] of the parts; None leaves a part out.
+
+    displacement_to: for the displacement grid, [chunks, 3 m^3].
 
     A field's colour_map is for its pictures: the gradient is that of the colours before it.
     """
     s = rendered.samples
     sigma_gradients = np.empty_like(s.sigma)
     colour_gradients = np.empty_like(rendered.colours)
-    chunks = len(colour_to if colour_to is not None else density_to)
+    chunks = len(next(to for to in (colour_to, density_to, displacement_to) if to is not None))
     composite_backward(
         s.sigma,
         s.weights,
@@ -58,7 +69,7 @@ def backward(field: RadianceField, rendered: Rendered, gradients: np.ndarray, de
         s.t,
         s.starts,
         s.ends,
-        rendered.out,
+        rendered.unmapped,
         gradients,
         chunks,
         sigma_gradients,
@@ -68,3 +79,9 @@ def backward(field: RadianceField, rendered: Rendered, gradients: np.ndarray, de
         field.colour.backward(s.x, rendered.basis, s.starts, s.ends, rendered.colours, colour_gradients, colour_to)
     if density_to is not None:
         field.density.backward(s.x, s.starts, s.ends, s.sigma, sigma_gradients, density_to)
+    if displacement_to is not None:
+        at_positions = position_gradients(
+            field.density, field.colour, s, rendered.basis, sigma_gradients, rendered.colours, colour_gradients, chunks
+        )
+        cells = field.displacement.shape[0]
+        displacement_gradient(field.space, rendered.rays, s, at_positions, cells, displacement_to)

@@ -25,8 +25,9 @@ def selected_pixels(
     if strategy == "random":
         return generator.choice(height * width, max(1, height * width // dilation**2), replace=False)
     if strategy == "dilated":
-        rows = np.arange(int(generator.integers(min(dilation, height))), height, dilation)
-        columns = np.arange(int(generator.integers(min(dilation, width))), width, dilation)
+        # An offset is as likely as it has rows: sides that dilation does not divide stay unbiased.
+        rows = np.arange(int(generator.integers(height)) % dilation, height, dilation)
+        columns = np.arange(int(generator.integers(width)) % dilation, width, dilation)
     else:
         tall, wide = max(1, height // dilation), max(1, width // dilation)
         top = int(generator.integers(height - tall + 1))
@@ -38,6 +39,7 @@ def selected_pixels(
 def selected_gradient(gradient: np.ndarray, pixels: np.ndarray, blur: int) -> np.ndarray:
     """dL/d(picture) [h, w, 3] at the selected pixels [n, 3], scaled by all/selected: the full gradient in expectation.
 
+    Not pixel by pixel for `patch`: its windows hold the middle of the picture more often than its sides.
     blur: side of a box filter applied first (0: none). With a blur as wide as the dilation's gaps the selected rays
     speak for their neighbours too, instead of dropping what these were asked for.
     """

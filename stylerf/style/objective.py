@@ -9,6 +9,7 @@ from stylerf.style.images import feature_size, resized, style_picture
 from stylerf.style.losses import (
     by_block,
     content_distance,
+    diagonal_variation,
     image_variation,
     nearest_neighbour_distance,
     position_weights,
@@ -16,13 +17,19 @@ from stylerf.style.losses import (
 from stylerf.style.matching import StyleRows, style_rows
 from stylerf.style.trunks import Trunk
 
+VARIATIONS = {"squared": image_variation, "diagonal": lambda picture: diagonal_variation(picture).mean()}
+
 
 @dataclass(frozen=True)
 class StyleWeights:
-    """Weights of the mean nearest-neighbour distance, content distance and total variation."""
+    """Weights of the mean nearest-neighbour distance, content distance and total variation.
+
+    The content distance is counted in units of the painting's own mean squared feature: trunks differ ten thousandfold
+    in their features' squares, so that a weight in the features' own units (ARF: 1e-3) means nothing without the trunk.
+    """
 
     style: float = 1.0
-    content: float = 1e-3
+    content: float = 1e-2
     variation: float = 1.0
 
 
@@ -30,7 +37,8 @@ class StyleObjective:
     """Loss of a picture [3, h, w] against a painting, with the painting's features computed once.
 
     scale: size of the picture that features are taken from (0.5: ARF). most_rows: style features kept for matching;
-    basis: leading directions in which neighbours are sought (0: all, exact).
+    basis: leading directions in which neighbours are sought (0: all, exact). variation: squared (ARF) or diagonal
+    (DeSRF eq. 6, its mean over pixels).
     """
 
     def __init__(
@@ -44,12 +52,15 @@ class StyleObjective:
         basis: int = 96,
         style_scale: float = 1.0,
         seed: int = 0,
+        variation: str = "squared",
     ) -> None:
+        self.variation = VARIATIONS[variation]
         self.trunk, self.weights, self.scale = trunk, weights, scale
         picture = style_picture(painting, *size, scale=scale * style_scale)
         with torch.no_grad():
             found = by_block(trunk.taps, trunk(picture[None]))
         self.style: dict[str, StyleRows] = {}
+        self.unit = {block: float(feature.square().mean().clamp_min(1e-12)) for block, feature in found.items()}
         for block, feature in found.items():
             rows = style_rows(feature, most_rows, seed=seed)
             self.style[block] = rows.with_basis(basis) if 0 < basis < feature.shape[0] else rows
@@ -76,9 +87,9 @@ class StyleObjective:
             total = distances.numel() if weights is None else weights.sum().clamp_min(1e-6)
             style_loss = style_loss + distances.sum() / total
             if self.weights.content > 0:
-                apart = content_distance(found[block], content[block].float())
+                apart = content_distance(found[block], content[block].float()) / self.unit[block]
                 content_loss = content_loss + (apart.mean() if weights is None else (apart * weights).sum() / total)
-        variation = image_variation(picture)
+        variation = self.variation(picture)
         loss = (
             self.weights.style * style_loss + self.weights.content * content_loss + self.weights.variation * variation
         )

@@ -37,6 +37,8 @@ class Rung:
 # One pair of ranks on every rung: each pair is a set of kernels to compile.
 LADDER = (Rung(64, 16, 24), Rung(128, 16, 24), Rung(192, 16, 24), Rung(256, 16, 24))
 LEAST_STEPS_PER_RUNG = 100
+# An error of one step of an eight-bit photo. What lies beyond is rounding: no reason to grow, and no collapse to lose.
+TELLING_PSNR = 20 * math.log10(255)
 
 
 @dataclass(frozen=True)
@@ -279,7 +281,9 @@ class Fitter:
         shares = self.settings.shares
         last = min(len(self.settings.ladder) - 1, len(shares))
         ripe = s.step >= LEAST_STEPS_PER_RUNG * (s.rung + 1)
-        return not s.fixed and ripe and s.rung < last and self.progress >= shares[s.rung]
+        # Views that are trained on decide nothing; a capacity that was asked for is climbed to all the same.
+        decidable = self.settings.always_climb or self.progress < self.settings.held_out_until
+        return not s.fixed and ripe and decidable and s.rung < last and self.progress >= shares[s.rung]
 
     def _check(self) -> None:
         state = self.state
@@ -294,16 +298,19 @@ class Fitter:
             }
         )
         # A fall this deep is no noise: the fit is on its way to a collapse, and more training would only deepen it.
-        if state.best - quality > 2.0:
+        if not min(state.best, TELLING_PSNR) - quality <= 2.0:  # so written, NaN is a fall too
             self._roll_back(f"{self._judges} fell from {state.best:.1f} to {quality:.1f} dB")
             return
         if self._trial_over():
-            self._judge(quality)
+            quality = self._judge(quality)
         if state.trial is None and quality >= state.best:
             state.best = quality
             self._anchor = self._snapshot()
         if self._rung_due():
-            self._try_next(quality)
+            if quality >= TELLING_PSNR and not self.settings.always_climb:
+                self._stay(quality)
+            else:
+                self._try_next(quality)
 
     def _trial_over(self) -> bool:
         if self.state.trial is None:
@@ -312,6 +319,14 @@ class Fitter:
         end = shares[self.state.rung] if self.state.rung < len(shares) else self.settings.held_out_until
         return self.progress >= end or self.progress >= self.settings.held_out_until
 
+    def _stay(self, quality: float) -> None:
+        """Leave the ladder: the field is as exact as its photos."""
+        self.state.fixed = True
+        here = self.settings.ladder[self.state.rung].resolution
+        self.state.decisions.append(
+            f"staying at {here}^3: held-out views are met within the photos' rounding, {quality:.1f} dB"
+        )
+
     def _try_next(self, quality: float) -> None:
         state = self.state
         self._anchor = self._snapshot()
@@ -319,7 +334,8 @@ class Fitter:
         state.trial, state.rung = quality, state.rung + 1
         self._grow(self.settings.ladder[state.rung])
 
-    def _judge(self, quality: float) -> None:
+    def _judge(self, quality: float) -> float:
+        """Keep or drop the rung on trial; the held-out quality of the field that stands."""
         state, before = self.state, self.state.trial
         gain = quality - before
         new, old = (self.settings.ladder[state.rung - i] for i in (0, 1))
@@ -330,7 +346,7 @@ class Fitter:
             )
             state.best = max(state.best, quality)
             self._anchor = self._snapshot()
-            return
+            return quality
         parameters = self.field.parameters
         self._restore(self._anchor)
         state.rung, state.fixed = state.rung - 1, True
@@ -340,6 +356,7 @@ class Fitter:
         )
         state.decisions.append(text)
         self.on_say(text)
+        return before
 
     def _roll_back(self, reason: str) -> None:
         state = self.state

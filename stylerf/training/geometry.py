@@ -3,9 +3,14 @@
 import numpy as np
 
 from stylerf.fields.field import RadianceField
+from stylerf.fields.samples import Rays
 from stylerf.fields.surface import Surface, surface_of
 from stylerf.geometry.cameras import Camera
 from stylerf.kernels.cpu.composite import shade, shade_backward
+from stylerf.rendering.rays import Rendered, backward, render_rays
+from stylerf.training.deformer import Deformer
+
+RAYS_AT_ONCE = 8192
 
 
 class FixedGeometry:
@@ -48,3 +53,57 @@ class FixedGeometry:
         colour_gradients = np.empty_like(x)
         shade_backward(weights, gradients, starts, ends, colour_gradients)
         self.field.colour.backward(x, None, starts, ends, colours, colour_gradients, colour_to)
+
+
+class MovingGeometry:
+    """Rays walked anew through a field that deforms, which learn its colours and its deformation.
+
+    share: part of a ray's largest weight that a sample needs to be coloured. background: level of grey behind the
+    field, which shows where a moving silhouette lets it; not used for a closed scene.
+    """
+
+    def __init__(
+        self,
+        field: RadianceField,
+        cameras: list[Camera],
+        share: float,
+        chunks: int,
+        background: float,
+        deformer: Deformer,
+    ) -> None:
+        self.field, self.cameras, self.share, self.chunks = field, cameras, share, chunks
+        self.background, self.deformer = np.float32(background), deformer
+        self.alphas: dict[int, np.ndarray] = {}
+
+    def alpha(self, view: int) -> np.ndarray:
+        """[h, w], each pixel as it was last painted."""
+        camera = self.cameras[view]
+        if view not in self.alphas:
+            self.alphas[view] = np.ones(camera.height * camera.width, np.float32)
+            self.paint(view, np.arange(camera.height * camera.width))
+        return self.alphas[view].reshape(camera.height, camera.width)
+
+    def paint(self, view: int, pixels: np.ndarray) -> tuple[np.ndarray, list[tuple[slice, Rendered]]]:
+        """Premultiplied rgb [n, 3] of pixels, and what learn() needs."""
+        if view not in self.alphas:
+            self.alpha(view)
+        origins, directions = self.cameras[view].rays()
+        rgb, kept = np.empty((len(pixels), 3), np.float32), []
+        for at in range(0, len(pixels), RAYS_AT_ONCE):
+            part = slice(at, min(at + RAYS_AT_ONCE, len(pixels)))
+            chosen = pixels[part]
+            rays = Rays.of(origins[chosen], directions[chosen], self.field.space.near)
+            rendered = render_rays(self.field, rays, chunks=self.chunks, share=self.share)
+            rgb[part] = rendered.out[:, :3]
+            self.alphas[view][chosen] = np.clip(rendered.out[:, 3], 0, 1)
+            kept.append((part, rendered))
+        return rgb, kept
+
+    def learn(self, kept: list[tuple[slice, Rendered]], gradients: np.ndarray, colour_to: np.ndarray) -> None:
+        """Add dL/d(colour values) and dL/dD, from dL/d(rgb over the background) [n, 3], to the chunks' buffers."""
+        for part, rendered in kept:
+            to = np.zeros((len(rendered.out), 5), np.float32)
+            to[:, :3] = gradients[part]
+            if not self.field.closed:
+                to[:, 3] = -self.background * gradients[part].sum(1)
+            backward(self.field, rendered, to, None, colour_to, self.deformer.gradients)

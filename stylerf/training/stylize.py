@@ -1,7 +1,8 @@
-"""Stylise a whole scene with one painting, its shapes held fast (ARF, Zhang et al. 2022).
+"""Stylise a whole scene with one painting: its colours alone (ARF, Zhang et al. 2022) or its shapes too (DeSRF).
 
 The density part stays. A new colour part with local detail is fitted to the colour-matched photos (refit), then taught
-the painting one view a step (style); at the end colours are matched to the painting once more.
+the painting one view a step (style), and with it the deformation, where there is one; at the end colours are matched
+to the painting once more.
 """
 
 import math
@@ -13,13 +14,15 @@ import numpy as np
 import torch
 
 from stylerf.errors import Diverged
+from stylerf.fields.deformation import Deformation
 from stylerf.fields.field import RadianceField
 from stylerf.geometry.cameras import Camera
 from stylerf.rendering.strategies import selected_gradient, selected_pixels
 from stylerf.style.colour import ColourMap, match_colours, pixels_of
 from stylerf.style.objective import StyleObjective, StyleWeights
 from stylerf.style.trunks import Trunk
-from stylerf.training.geometry import FixedGeometry
+from stylerf.training.deformer import Deformer
+from stylerf.training.geometry import FixedGeometry, MovingGeometry
 from stylerf.training.optimiser import Adam
 
 PIXELS_AT_ONCE = 65536
@@ -31,7 +34,7 @@ class StyleSettings:
 
     strategy, dilation, blur: see rendering/strategies. remember: unselected pixels are taken from the view's last
     render instead of being rendered anew. match: before, after, both or none. rates: per step, falling to
-    `final_rate` of themselves.
+    `final_rate` of themselves. deform_rate, displacement_weight, displacement_vertices: see training/deformer.
     """
 
     steps: int = 0
@@ -52,6 +55,10 @@ class StyleSettings:
     style_scale: float = 1.0
     style_rows: int = 4096
     style_basis: int = 96
+    variation: str = "squared"
+    deform_rate: float = 1e-3
+    displacement_weight: float = 0.5
+    displacement_vertices: int = 32
 
 
 @dataclass
@@ -65,7 +72,10 @@ class StyleState:
 
 
 class Stylizer:
-    """photos: per view [h, w, 3] float32 over the background, sRGB 0..1. background: level of grey behind the field."""
+    """photos: per view [h, w, 3] float32 over the background, sRGB 0..1. background: level of grey behind the field.
+
+    deformation: moves the shapes too, from how it stands (DeSRF); None holds them fast (ARF).
+    """
 
     def __init__(
         self,
@@ -79,6 +89,7 @@ class Stylizer:
         seed: int,
         chunks: int,
         new_colour: Callable[[np.random.Generator], object],
+        deformation: Deformation | None = None,
     ) -> None:
         self.settings, self.seed, self.chunks, self.background = settings, seed, chunks, np.float32(background)
         self.cameras, self.painting, self.trunk = cameras, painting, trunk
@@ -86,6 +97,10 @@ class Stylizer:
             scene, colour=new_colour(np.random.default_rng([seed, 1])), colour_map=None, share=settings.share
         )
         self.closed = scene.closed
+        self.deformer = None
+        if deformation is not None:
+            vertices = settings.displacement_vertices
+            self.deformer = Deformer(self.field, deformation, cameras, vertices, seed, chunks)
         self.geometry = FixedGeometry(self.field, cameras, settings.share, chunks)
         self.adam = Adam(self.field.colour.values, self.field.colour.groups(), chunks)
         self.photos = self._matched(photos)
@@ -155,7 +170,11 @@ class Stylizer:
                 part = slice(at, at + PIXELS_AT_ONCE)
                 _, kept_part = self.geometry.paint(view, pixels[part])
                 self.geometry.learn(kept_part, chosen[part], self.adam.gradients)
-        self.adam.step(settings.rate * settings.final_rate**self.progress)
+        falling = settings.final_rate**self.progress
+        self.adam.step(settings.rate * falling)
+        if self.deformer is not None:
+            weight = settings.displacement_weight
+            parts["displacement"] = self.deformer.step(settings.deform_rate * falling, weight)
         return parts
 
     def _view_of_step(self) -> int:
@@ -211,6 +230,7 @@ class Stylizer:
                 s.style_basis,
                 s.style_scale,
                 self.seed,
+                s.variation,
             )
         return self._objective
 
@@ -249,6 +269,7 @@ class Stylizer:
         if state.phase == "refit":
             self.between_steps = False  # half of this change would make a checkpoint of neither phase
             state.phase, state.step, state.seconds = "style", 0, 0.0
+            self._let_shapes_move()
             self.adam = Adam(self.field.colour.values, self.field.colour.groups(), self.chunks)
             self.between_steps = True
             return
@@ -256,6 +277,13 @@ class Stylizer:
             self.field = replace(self.field, colour_map=self.final_match())
         # Last: a checkpoint holds no colour map, so one of an interrupted match must not say that all is done.
         state.phase = "done"
+
+    def _let_shapes_move(self) -> None:
+        if self.deformer is not None:
+            s = self.settings
+            self.geometry = MovingGeometry(
+                self.field, self.cameras, s.share, self.chunks, float(self.background), self.deformer
+            )
 
     def final_match(self) -> ColourMap:
         """The map from the rendered views' colours to the painting's (ARF's last step)."""
@@ -273,6 +301,10 @@ class Stylizer:
         arrays = {"colour": self.field.colour.values.copy()}
         arrays |= {f"adam.{k}": v.copy() for k, v in self.adam.arrays().items()}
         arrays |= {f"seen.{view}": picture.astype(np.float32) for view, picture in self._remembered.items()}
+        if self.deformer is not None:
+            arrays |= {f"deform.{k}": v for k, v in self.deformer.arrays().items()}
+            if self.state.phase != "refit":
+                arrays |= {f"alpha.{view}": alpha for view, alpha in self.geometry.alphas.items()}
         return {"state": vars(self.state)}, arrays
 
     def resume(self, data: dict, arrays: dict[str, np.ndarray]) -> None:
@@ -282,3 +314,8 @@ class Stylizer:
         self.adam = Adam(self.field.colour.values, self.field.colour.groups(), self.chunks)
         self.adam.restore({k: arrays[f"adam.{k}"] for k in ("first", "second", "steps")})
         self._remembered = {int(k[5:]): v.copy() for k, v in arrays.items() if k.startswith("seen.")}
+        if self.deformer is not None:
+            self.deformer.restore({k[7:]: v for k, v in arrays.items() if k.startswith("deform.")})
+            if self.state.phase != "refit":
+                self._let_shapes_move()
+                self.geometry.alphas = {int(k[6:]): v.copy() for k, v in arrays.items() if k.startswith("alpha.")}

@@ -10,6 +10,10 @@ VERBS: dict[str, tuple[str, str]] = {
     "demo": ("stylerf_cli.verbs.demo", "the whole path on an embedded scene: photos, fit, painting, film, report"),
     "import": ("stylerf_cli.verbs.import_", "bring photos into a work folder, with their camera poses"),
     "fit": ("stylerf_cli.verbs.fit", "fit a radiance field to a scene, no larger than it needs"),
+    "deform": (
+        "stylerf_cli.verbs.deform",
+        "give a fitted field a deformation, the start of a stylisation that bends shapes",
+    ),
     "stylize": ("stylerf_cli.verbs.stylize", "stylise the whole scene with a painting"),
     "render": ("stylerf_cli.verbs.render", "render a field along a path: EXR with depth for compositors, PNG, video"),
     "eval": ("stylerf_cli.verbs.eval_", "measure a field: quality, style, consistency, cost; a report with pictures"),

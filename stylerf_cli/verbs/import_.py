@@ -38,9 +38,7 @@ def config_for(source: Path, options: ImportOptions = _DEFAULTS) -> ImportConfig
     from stages.readers.digest import digest_of_source
 
     source = source.resolve()
-    return ImportConfig(
-        **asdict(options), source=str(source), source_digest=digest_of_source(source, options.images)
-    )
+    return ImportConfig(**asdict(options), source=str(source), source_digest=digest_of_source(source, options.images))
 
 
 def _words(result: dict) -> str:

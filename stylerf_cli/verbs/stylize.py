@@ -22,7 +22,7 @@ def run(args, session) -> dict:
     from schemas.canonical import file_sha256
     from schemas.errors import BadInput
     from stages import stylize
-    from stylerf_cli.chains import ensure_field, scene_of_work
+    from stylerf_cli.chains import ensure_deformed, ensure_field, scene_of_work
 
     style = Path(session.config.style)
     if not style.is_file():
@@ -31,6 +31,8 @@ def run(args, session) -> dict:
     stylize.read_painting(style)
     scene = scene_of_work(session)
     field = session.work.find("field", args.of) if args.of else ensure_field(session, scene)
+    if session.config.method == "desrf":
+        field = ensure_deformed(session, scene, field)
     config = replace(session.config, style=str(style.resolve()), style_digest=file_sha256(style))
     made = session.run(
         stylize.SPEC, stylize.run, {"scene": scene, "field": field}, config, f"{_name_of(style)}-{config.method}"

@@ -6,13 +6,11 @@ from pathlib import Path
 
 import numba
 
-# Everything that fast-math allows but the assumption about infinities in comparisons: reassociation is what lets sums
-# over ranks use the vector unit; the order is fixed at compile time, so results stay reproducible.
-FAST = {"reassoc", "nnan", "ninf", "nsz", "arcp", "contract", "afn"}
-
-parallel_kernel = numba.njit(parallel=True, fastmath=FAST, cache=True, nogil=True)
-serial_kernel = numba.njit(fastmath=FAST, cache=True, nogil=True)
-inline = numba.njit(inline="always", fastmath=FAST)
+# No fast-math: what a compiler may reorder it reorders differently when it compiles a kernel and when it links one from
+# the cache, and a fit would not repeat to the bit. Division by zero gives what numpy gives.
+parallel_kernel = numba.njit(parallel=True, error_model="numpy", cache=True, nogil=True)
+serial_kernel = numba.njit(error_model="numpy", cache=True, nogil=True)
+inline = numba.njit(inline="always", error_model="numpy")
 
 
 def set_threads(threads: int) -> int:

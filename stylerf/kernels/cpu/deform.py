@@ -6,10 +6,10 @@ The grid is flat [cells^3, 3] on the vertices of the cube, interpolated trilinea
 import numpy as np
 from numba import prange
 
-from stylerf.kernels.cpu.compiling import parallel_kernel
-from stylerf.kernels.cpu.march import warp_at
-from stylerf.kernels.cpu.vector import vm_slopes
-from stylerf.kernels.cpu.vm import cell, place
+from stylerf.kernels.cpu.compiling import parallel_kernel, serial_kernel
+from stylerf.kernels.cpu.march import cell_distance, warp_at
+from stylerf.kernels.cpu.vector import axpy_row, vm_features_slopes, vm_slopes
+from stylerf.kernels.cpu.vm import cell, displace, head_of_ray, place
 
 _ONE, _ZERO = np.float32(1), np.float32(0)
 
@@ -30,6 +30,38 @@ def density_position_gradient(table, size, ranks, x, starts, ends, sigma, sigma_
                         for axis in range(3):
                             along = (m + 1 + axis) % 3
                             position_gradients[k, along] += g * slopes[axis] * np.float32(size[along] - 1)
+
+
+@parallel_kernel
+def colour_position_gradient(
+    table, size, ranks, head, basis, x, starts, ends, colours, colour_gradients, chunks, position_gradients
+):
+    """Add dL/dx [n, 3] of vm colours; head, basis, colours as in vm.colour. A sample without a colour adds nothing."""
+    n = len(ends)
+    rank, bands = np.int64(len(ranks)), basis.shape[1]
+    width = 3 * rank
+    for c in prange(chunks):
+        ray_head, gradient = np.empty(3 * width, np.float32), np.empty(width, np.float32)
+        slopes = np.empty(3, np.float32)
+        for r in range(c * n // chunks, (c + 1) * n // chunks):
+            ready = False
+            for k in range(starts[r], ends[r]):
+                if colours[k, 0] < _ZERO:
+                    continue
+                if not ready:
+                    head_of_ray(head, basis, r, bands, width, ray_head)
+                    ready = True
+                gradient[:] = _ZERO
+                for j in range(3):
+                    g = colour_gradients[k, j] * colours[k, j] * (_ONE - colours[k, j])
+                    for m in range(3):
+                        axpy_row(g, ray_head, j * width + m * rank, gradient, m * rank, ranks)
+                for m in range(3):
+                    first, second, line, fu, fv, fw = place(m, x[k], size, rank)
+                    vm_features_slopes(table, first, second, line, fu, fv, fw, gradient, m * rank, slopes, ranks)
+                    for axis in range(3):
+                        along = (m + 1 + axis) % 3
+                        position_gradients[k, along] += slopes[axis] * np.float32(size[along] - 1)
 
 
 @parallel_kernel
@@ -62,3 +94,38 @@ def displacement_backward(
                     for a in range(3):
                         if x[k, a] > _ZERO and x[k, a] < _ONE:
                             to[c, (at + (di * cells + dj) * cells + dh) * 3 + a] += w * position_gradients[k, a]
+
+
+@parallel_kernel
+def displaced_cells(distances, cells, reach, displacement, displacement_cells, occupied):
+    """occupied[cell]: whether D takes any of 27 points of a cell, out to its sides, into a cell of distance 0.
+
+    distances: as Occupancy's, flat [cells^3]. Cells farther than `reach` from what is occupied are not looked at.
+    """
+    for i in prange(cells):
+        p, q = np.empty(3, np.float32), np.empty(3, np.float32)
+        for j in range(cells):
+            for k in range(cells):
+                at = (i * cells + j) * cells + k
+                if distances[at] > reach:
+                    continue
+                for point in range(27):
+                    p[0] = (np.float32(i) + np.float32(0.02) + np.float32(0.48) * np.float32(point // 9)) / cells
+                    p[1] = (np.float32(j) + np.float32(0.02) + np.float32(0.48) * np.float32(point // 3 % 3)) / cells
+                    p[2] = (np.float32(k) + np.float32(0.02) + np.float32(0.48) * np.float32(point % 3)) / cells
+                    displace(displacement, displacement_cells, p, q)
+                    if cell_distance(distances, cells, q) == 0:
+                        occupied[at] = True
+                        break
+
+
+@serial_kernel
+def mark_cells(shown, x, starts, ends, vertices, seen):
+    """seen [vertices, vertices, vertices]: the lower vertex of each grid cell that holds a sample with shown > 0."""
+    for r in range(len(ends)):
+        for k in range(starts[r], ends[r]):
+            if shown[k] > _ZERO:
+                i, _ = cell(x[k, 0], vertices)
+                j, _ = cell(x[k, 1], vertices)
+                h, _ = cell(x[k, 2], vertices)
+                seen[i, j, h] = True

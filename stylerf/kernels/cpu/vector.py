@@ -4,6 +4,9 @@ A vm sample touches, per plane, four rows of `rank` floats and, per line, two. n
 most of their time in alias checks and loop prologues (measured: 141 ns against 85 a sample for the backward at rank 8,
 233 against 156 at rank 16), so these intrinsics load and store whole rows as one vector. The rank is a compile-time
 constant: the length of the tuple `ranks`.
+
+Where multiplications and additions are fused, and in which order rows are summed, is written here and not left to the
+compiler: see docs/decisions/0007.
 """
 
 from llvmlite import ir
@@ -13,7 +16,6 @@ from numba.extending import intrinsic
 
 FLOAT = ir.FloatType()
 INT32 = ir.IntType(32)
-FAST = ("contract", "nsz", "reassoc", "arcp", "nnan", "ninf")
 
 
 class Rows:
@@ -31,8 +33,11 @@ class Rows:
         return row
 
     def add_to(self, pointer, offset, row) -> None:
-        stored = self.builder.store(self.add(self.load(pointer, offset), row), self._address(pointer, offset))
-        stored.align = 4
+        self.store(pointer, offset, self.add(self.load(pointer, offset), row))
+
+    def add_product(self, pointer, offset, a, b) -> None:
+        """Add a * b, rounded once, to what is stored."""
+        self.store(pointer, offset, self.fused(a, b, self.load(pointer, offset)))
 
     def store(self, pointer, offset, row) -> None:
         stored = self.builder.store(row, self._address(pointer, offset))
@@ -45,24 +50,43 @@ class Rows:
         return self.builder.shuffle_vector(first, undefined, lanes)
 
     def mul(self, a, b):
-        return self.builder.fmul(a, b, flags=FAST)
+        return self.builder.fmul(a, b)
 
     def add(self, a, b):
-        return self.builder.fadd(a, b, flags=FAST)
+        return self.builder.fadd(a, b)
 
     def sub(self, a, b):
-        return self.builder.fsub(a, b, flags=FAST)
+        return self.builder.fsub(a, b)
+
+    def fused(self, a, b, c):
+        """a * b + c, rounded once."""
+        name = f"llvm.fma.v{self.rank}f32"
+        function = cgutils.get_or_insert_function(
+            self.builder.module, ir.FunctionType(self.type, [self.type] * 3), name
+        )
+        return self.builder.call(function, [a, b, c])
 
     def total(self, row):
-        kind = ir.FunctionType(FLOAT, [FLOAT, self.type])
-        reduce = cgutils.get_or_insert_function(self.builder.module, kind, f"llvm.vector.reduce.fadd.v{self.rank}f32")
-        return self.builder.call(reduce, [ir.Constant(FLOAT, 0.0), row], fastmath=FAST)
+        """Sum of a row's elements: its halves are added until an odd number is left."""
+        count, b = self.rank, self.builder
+        while count % 2 == 0:
+            count //= 2
+            low, high = (
+                b.shuffle_vector(row, row, ir.Constant(ir.VectorType(INT32, count), list(range(at, at + count))))
+                for at in (0, count)
+            )
+            row = b.fadd(low, high)
+        terms = [b.extract_element(row, ir.Constant(INT32, k)) for k in range(count)]
+        total = terms[0]
+        for term in terms[1:]:
+            total = b.fadd(total, term)
+        return total
 
     def mix(self, weights, rows):
         """Sum of rows, each times a scalar."""
         result = self.mul(self.splat(weights[0]), rows[0])
         for weight, row in zip(weights[1:], rows[1:]):
-            result = self.add(result, self.mul(self.splat(weight), row))
+            result = self.fused(self.splat(weight), row, result)
         return result
 
 
@@ -97,9 +121,9 @@ class _Product:
         """Add gradient * dP and gradient * dL to the rows of `buffer`, laid out as the table."""
         plane, line = self.rows.mul(gradient, self.line), self.rows.mul(gradient, self.plane)
         for offset, weight in zip(self.ends, self.line_weights):
-            self.rows.add_to(buffer, offset, self.rows.mul(self.rows.splat(weight), line))
+            self.rows.add_product(buffer, offset, self.rows.splat(weight), line)
         for offset, weight in zip(self.corners, self.plane_weights):
-            self.rows.add_to(buffer, offset, self.rows.mul(self.rows.splat(weight), plane))
+            self.rows.add_product(buffer, offset, self.rows.splat(weight), plane)
 
 
 SCALAR, INDEX = types.float32, types.intp
@@ -159,6 +183,17 @@ def vm_features_backward(typing, table, first, second, line, fu, fv, fw, gradien
     return types.void(table, *_PLACE, gradients, INDEX, buffer, INDEX, ranks), generate
 
 
+def _slopes(product, table, fu, fv):
+    """Rows of d(P L) / d(fu, fv, fw)."""
+    rows, one = product.rows, ir.Constant(FLOAT, 1.0)
+    corners = [rows.load(table, o) for o in product.corners]
+    ends = [rows.load(table, o) for o in product.ends]
+    along_u = rows.mix([rows.sub(one, fv), fv], [rows.sub(corners[c + 2], corners[c]) for c in (0, 1)])
+    along_v = rows.mix([rows.sub(one, fu), fu], [rows.sub(corners[c + 1], corners[c]) for c in (0, 2)])
+    along_w = rows.sub(ends[1], ends[0])
+    return [rows.mul(a, b) for a, b in ((along_u, product.line), (along_v, product.line), (along_w, product.plane))]
+
+
 @intrinsic
 def vm_slopes(typing, table, first, second, line, fu, fv, fw, out, ranks):
     """out[0:3] = d(vm_dot) / d(fu, fv, fw)."""
@@ -166,20 +201,28 @@ def vm_slopes(typing, table, first, second, line, fu, fv, fw, out, ranks):
     def generate(context, builder, sig, args):
         rows = Rows(builder, sig.args[-1].count)
         pointer = data_pointer(context, builder, sig.args[0], args[0])
-        product = _Product(rows, pointer, *args[1:7])
-        corners = [rows.load(pointer, o) for o in product.corners]
-        ends = [rows.load(pointer, o) for o in product.ends]
-        one = ir.Constant(FLOAT, 1.0)
-        along_u = rows.mix([rows.sub(one, args[5]), args[5]], [rows.sub(corners[c + 2], corners[c]) for c in (0, 1)])
-        along_v = rows.mix([rows.sub(one, args[4]), args[4]], [rows.sub(corners[c + 1], corners[c]) for c in (0, 2)])
-        along_w = rows.sub(ends[1], ends[0])
-        slopes = ((along_u, product.line), (along_v, product.line), (along_w, product.plane))
         target = data_pointer(context, builder, sig.args[7], args[7])
-        for axis, (a, b) in enumerate(slopes):
-            builder.store(rows.total(rows.mul(a, b)), builder.gep(target, [ir.Constant(INT32, axis)]))
+        for axis, slope in enumerate(_slopes(_Product(rows, pointer, *args[1:7]), pointer, args[4], args[5])):
+            builder.store(rows.total(slope), builder.gep(target, [ir.Constant(INT32, axis)]))
         return context.get_dummy_value()
 
     return types.void(table, *_PLACE, out, ranks), generate
+
+
+@intrinsic
+def vm_features_slopes(typing, table, first, second, line, fu, fv, fw, gradients, row, out, ranks):
+    """As vm_slopes, of sum_r gradients[row + r] P_r L_r."""
+
+    def generate(context, builder, sig, args):
+        rows = Rows(builder, sig.args[-1].count)
+        pointer = data_pointer(context, builder, sig.args[0], args[0])
+        gradient = rows.load(data_pointer(context, builder, sig.args[7], args[7]), args[8])
+        target = data_pointer(context, builder, sig.args[9], args[9])
+        for axis, slope in enumerate(_slopes(_Product(rows, pointer, *args[1:7]), pointer, args[4], args[5])):
+            builder.store(rows.total(rows.mul(gradient, slope)), builder.gep(target, [ir.Constant(INT32, axis)]))
+        return context.get_dummy_value()
+
+    return types.void(table, *_PLACE, gradients, INDEX, out, ranks), generate
 
 
 @intrinsic
@@ -189,7 +232,7 @@ def axpy_row(typing, scale, source, source_at, to, to_at, ranks):
     def generate(context, builder, sig, args):
         rows = Rows(builder, sig.args[-1].count)
         row = rows.load(data_pointer(context, builder, sig.args[1], args[1]), args[2])
-        rows.add_to(data_pointer(context, builder, sig.args[3], args[3]), args[4], rows.mul(rows.splat(args[0]), row))
+        rows.add_product(data_pointer(context, builder, sig.args[3], args[3]), args[4], rows.splat(args[0]), row)
         return context.get_dummy_value()
 
     return types.void(SCALAR, source, INDEX, to, INDEX, ranks), generate

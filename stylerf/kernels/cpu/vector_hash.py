@@ -82,7 +82,7 @@ def _after(builder, index, steps: int):
 
 def _mix(rows, low, high, weight):
     """low + weight (high - low)."""
-    return rows.add(low, rows.mul(weight, rows.sub(high, low)))
+    return rows.fused(weight, rows.sub(high, low), low)
 
 
 def _interpolate(rows, values, fractions):
@@ -115,7 +115,7 @@ def _sigmoid(rows, z):
     fraction = rows.sub(u, b.sitofp(whole, rows.type))
     power = number(math.log(2) ** 7 / math.factorial(7))
     for order in range(6, -1, -1):
-        power = rows.add(rows.mul(power, fraction), number(math.log(2) ** order / math.factorial(order)))
+        power = rows.fused(power, fraction, number(math.log(2) ** order / math.factorial(order)))
     exponent = b.shl(b.add(whole, ir.Constant(ints, [127] * count)), ir.Constant(ints, [23] * count))
     power = rows.mul(power, b.bitcast(exponent, rows.type))
     return b.fdiv(number(1.0), rows.add(number(1.0), power))

@@ -186,7 +186,7 @@ def density_backward(table, size, shift, ranks, x, starts, ends, sigma, sigma_gr
 
 
 @inline
-def _ray_head(head, basis, r, bands, features, out):
+def head_of_ray(head, basis, r, bands, features, out):
     """out[j, f] = sum_b head[j, b, f] basis[r, b]: the colour head seen from one ray's direction."""
     for j in range(3):
         for f in range(features):
@@ -217,7 +217,7 @@ def colour(table, size, ranks, head, bias, basis, x, starts, ends, weights, leas
                     out[k, 0] = -_ONE
                     continue
                 if not ready:
-                    _ray_head(head, basis, r, bands, width, ray_head)
+                    head_of_ray(head, basis, r, bands, width, ray_head)
                     ready = True
                 for m in range(3):
                     first, second, line, fu, fv, fw = place(m, x[k], size, rank)
@@ -254,7 +254,7 @@ def colour_backward(table, size, ranks, head, basis, x, starts, ends, colours, c
                 if colours[k, 0] < _ZERO:
                     continue
                 if not ready:
-                    _ray_head(head, basis, r, bands, width, ray_head)
+                    head_of_ray(head, basis, r, bands, width, ray_head)
                     ray_head_gradient[:] = _ZERO
                     ready = True
                 for m in range(3):

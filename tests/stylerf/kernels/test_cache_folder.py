@@ -1,6 +1,9 @@
 """Compiled kernels are found again only while every source file that they are made of is the same."""
 
+import os
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import stylerf.kernels as package
@@ -23,3 +26,23 @@ def test_cache_folder_moves_when_any_kernel_source_changes(monkeypatch, tmp_path
 def test_a_folder_that_the_user_names_is_taken_as_it_is(monkeypatch, tmp_path):
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
     assert package.kernel_cache_dir() == tmp_path
+
+
+def test_a_kernel_just_compiled_and_the_same_from_the_cache_give_the_same_bits(tmp_path):
+    """With fast-math a quarter of the densities differed in the last bit; see docs/decisions/0007."""
+    program = """
+import hashlib, numpy as np
+from stylerf.fields.vm import VmDensity, kernels
+random = np.random.default_rng(0)
+field = VmDensity.create(np.full(3, 24), 16, random)
+sigma = field.sigma(random.random((20000, 3), dtype=np.float32), 2)
+print(hashlib.sha256(sigma.tobytes()).hexdigest(), sum(kernels.density.stats.cache_hits.values()))
+"""
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path), "PYTHONPATH": str(Path(package.__file__).parents[2])}
+    said = [
+        subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=True)
+        for _ in range(2)
+    ]
+    (first, compiled), (second, loaded) = (run.stdout.split() for run in said)
+    assert (compiled, loaded) == ("0", "1")
+    assert first == second

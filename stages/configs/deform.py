@@ -1,0 +1,26 @@
+"""Options of `stylerf deform`."""
+
+from dataclasses import dataclass
+
+from stages.configs import option
+
+
+@dataclass(frozen=True)
+class DeformConfig:
+    """How the deformation of a fitted field is initialised (DeSRF)."""
+
+    steps: int = option(2000, help="most steps; fewer where the photos gain nothing any more")
+    rays: int = option(1024, help="random rays a step")
+    rate: float = option(1e-3, help="learning rate of the deformation network")
+    smoothness: float = option(1.0, help="weight of the displacement's total variation")
+    vertices: int = option(32, help="side of the grid that the deformation is baked to")
+    width: int = option(256, help="width of the network's two hidden layers")
+    frequencies: int = option(5, help="octaves of the positional encoding")
+    patience_db: float = option(0.02, help="dB that the photos must gain every 200 steps to go on (0: all steps)")
+    checkpoint_every_seconds: float = option(20.0, help="time between checkpoints")
+
+    def __post_init__(self) -> None:
+        if not (self.steps >= 0 and 16 <= self.rays <= 65536 and self.rate > 0 and self.smoothness >= 0):
+            raise ValueError("steps and smoothness must not be negative, rays 16 to 65536, rate positive")
+        if not (4 <= self.vertices <= 128 and 8 <= self.width <= 1024 and 0 <= self.frequencies <= 10):
+            raise ValueError("vertices 4 to 128, width 8 to 1024, frequencies 0 to 10")

@@ -1,0 +1,88 @@
+"""Deform init: a fitted field with a deformation that starts from nothing and learns what the photos ask for."""
+
+import time
+
+import numpy as np
+import torch
+
+from schemas.errors import BadInput
+from schemas.store import Artefact, Partial
+from stages.configs.deform import DeformConfig
+from stages.fields import load_checkpoint, load_field, save_checkpoint, save_deformation, save_field
+from stages.photos import bank_of, level_of
+from stages.progress import Context
+from stages.runner import Spec
+from stages.scenes import load_scene
+from stylerf.errors import Diverged, InvalidValue
+from stylerf.fields.deformation import Deformation
+from stylerf.kernels.cpu.compiling import compiling_note, set_threads
+from stylerf.training.deform import DeformationFitter, DeformSettings
+
+SPEC = Spec(stage="deform_init", verb="deform", revision=1, writes="field")
+
+
+def run(inputs: dict[str, Artefact], config: DeformConfig, partial: Partial, context: Context) -> dict:
+    """Writes the field with its displacement grid, and the network behind it; returns the figures."""
+    scene = load_scene(inputs["scene"])
+    field, background = load_field(inputs["field"])
+    if field.displacement is not None:
+        raise BadInput(f"{inputs['field'].path} is deformed already; give the field it was made from")
+    threads = set_threads(context.threads)
+    torch.set_num_threads(threads)
+    generator = np.random.default_rng([context.seed, 8])
+    deformation = Deformation.create(generator, config.frequencies, config.width)
+    settings = DeformSettings(
+        steps=config.steps,
+        rays=config.rays,
+        rate=config.rate,
+        smoothness=config.smoothness,
+        vertices=config.vertices,
+        background=level_of(background),
+        patience=config.patience_db,
+    )
+    bank = bank_of(scene, scene.splits["train"])
+    with compiling_note(context.progress.say):
+        try:
+            fitter = DeformationFitter(field, deformation, bank, settings, context.seed, threads)
+        except InvalidValue as error:
+            raise BadInput(f"{inputs['field'].path}: {error}") from error
+        if (saved := load_checkpoint(partial.checkpoint)) is not None:
+            fitter.resume(*saved)
+            context.progress.say(f"going on from step {fitter.state.step}")
+        _train(fitter, config, partial, context)
+    save_field(partial.path, field, background)
+    save_deformation(partial.path, deformation)
+    state = fitter.state
+    return {
+        "steps": state.step,
+        "train_seconds": round(state.seconds, 2),
+        "curve": state.curve,
+        "psnr_before": round(state.before, 3),
+        "psnr_after": round(state.best, 3),
+        "displacement_rms": float(np.sqrt(np.square(2 * field.displacement).sum(-1).mean())),
+        "parameters": field.parameters + len(deformation.values),
+    }
+
+
+def _train(fitter: DeformationFitter, config: DeformConfig, partial: Partial, context: Context) -> None:
+    saved_at = time.monotonic()
+    context.progress.start("deform", config.steps, "step")
+
+    def on_step(now: DeformationFitter) -> None:
+        nonlocal saved_at
+        if now.state.step % 10 == 0:
+            context.progress.update(now.state.step, f"{now.state.best:.2f} dB on the photos")
+        if time.monotonic() - saved_at > config.checkpoint_every_seconds:
+            save_checkpoint(partial.checkpoint, *now.checkpoint())
+            saved_at = time.monotonic()
+
+    try:
+        fitter.run(on_step)
+    except KeyboardInterrupt:
+        if fitter.between_steps:
+            save_checkpoint(partial.checkpoint, *fitter.checkpoint())
+        raise
+    except Diverged as error:
+        raise BadInput(f"the deformation does not converge: {error}") from error
+    finally:
+        context.progress.finish()

@@ -1,0 +1,131 @@
+"""Deformation initialised on the photos before a stylisation moves it (DeSRF, section 3.2, L_init)."""
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from stylerf.errors import Diverged
+from stylerf.fields.deformation import Deformation
+from stylerf.fields.field import RadianceField
+from stylerf.fields.samples import Rays
+from stylerf.rendering.rays import Rendered, backward, render_rays
+from stylerf.training.deformer import Deformer
+from stylerf.training.fit import psnr_from_mse
+from stylerf.training.rays import RayBank
+
+FIXED_RAYS = 8192
+LOOK_EVERY = 200  # steps
+
+
+@dataclass(frozen=True)
+class DeformSettings:
+    """steps of `rays` random rays; smoothness: weight of the displacement's total variation; vertices: side of the grid
+    that the deformation is baked to; rate falls to a tenth. background: level of grey behind the field. patience: dB
+    that a fixed set of the photos' rays must gain between two looks for the training to go on (0: always)."""
+
+    steps: int = 2000
+    rays: int = 1024
+    rate: float = 1e-3
+    smoothness: float = 1.0
+    vertices: int = 32
+    background: float = 1.0
+    share: float = 0.1
+    patience: float = 0.02
+
+
+@dataclass
+class DeformState:
+    """Where the initialisation stands."""
+
+    step: int = 0
+    seconds: float = 0.0
+    before: float = 0.0  # dB on the fixed rays, at rest
+    best: float = 0.0
+    settled: bool = False
+    curve: list[dict] = field(default_factory=list)
+
+
+class DeformationFitter:
+    """The scene's density and colours stay; the deformation learns to explain what they leave of the photos."""
+
+    def __init__(
+        self,
+        scene: RadianceField,
+        deformation: Deformation,
+        bank: RayBank,
+        settings: DeformSettings,
+        seed: int,
+        chunks: int,
+    ) -> None:
+        self.field, self.bank, self.settings, self.seed, self.chunks = scene, bank, settings, seed, chunks
+        self.deformer = Deformer(scene, deformation, bank.cameras, settings.vertices, seed, chunks)
+        self._fixed = bank.draw(FIXED_RAYS, np.random.default_rng([seed, 9]))[:3]
+        self.state = DeformState()
+        self.state.before = self.state.best = self.quality()
+        self._best = deformation.values.copy()
+        self.between_steps = True
+
+    def _rendered(self, drawn, jitter: np.ndarray | None = None) -> tuple[Rendered, np.ndarray]:
+        """What rays come back with, and its difference from the photos over the background."""
+        origins, directions, colours = drawn
+        rays = Rays.of(origins, directions, self.field.space.near, jitter)
+        rendered = render_rays(self.field, rays, chunks=self.chunks, share=self.settings.share)
+        back = np.float32(self.settings.background)
+        target = colours[:, :3] * colours[:, 3:] + (1 - colours[:, 3:]) * back
+        return rendered, rendered.out[:, :3] + (1 - rendered.out[:, 3:4]) * back - target
+
+    def quality(self) -> float:
+        """PSNR over a fixed set of the photos' rays, dB."""
+        return psnr_from_mse(float(np.square(self._rendered(self._fixed)[1]).mean()))
+
+    def step(self) -> tuple[float, float]:
+        """One step; mean squared error and root mean square of the displacement (cube two units wide)."""
+        settings, state = self.settings, self.state
+        generator = np.random.default_rng([self.seed, 6, state.step])
+        drawn = self.bank.draw(settings.rays, generator)[:3]
+        rendered, difference = self._rendered(drawn, generator.random(settings.rays, dtype=np.float32))
+        gradients = np.zeros_like(rendered.out)
+        gradients[:, :3] = difference * np.float32(2 / difference.size)
+        gradients[:, 3] = -gradients[:, :3].sum(1) * np.float32(settings.background)
+        backward(self.field, rendered, gradients, None, None, self.deformer.gradients)
+        rate = settings.rate * 0.1 ** (state.step / max(1, settings.steps))
+        size = self.deformer.step(rate, 0.0, settings.smoothness)
+        state.step += 1
+        return float(np.square(difference).mean()), size
+
+    def run(self, on_step: Callable[["DeformationFitter"], None] = lambda fitter: None) -> None:
+        """Steps until they are used up or gain nothing; the field ends with the best deformation that was seen."""
+        state = self.state
+        while state.step < self.settings.steps and not state.settled:
+            begun, self.between_steps = time.perf_counter(), False
+            error, size = self.step()
+            if not math.isfinite(error + size):
+                raise Diverged(f"step {state.step} of the deformation: the loss left the finite numbers")
+            if state.step % LOOK_EVERY == 0 or state.step == self.settings.steps:
+                self._look(size)
+            state.seconds += time.perf_counter() - begun
+            self.between_steps = True
+            on_step(self)
+        self.deformer.deformation.values[:] = self._best
+        self.deformer.bake()
+        self.deformer.look()
+
+    def _look(self, size: float) -> None:
+        state, quality = self.state, self.quality()
+        state.curve.append({"step": state.step, "psnr": round(quality, 3), "displacement": round(size, 5)})
+        state.settled = self.settings.patience > 0 and quality < state.best + self.settings.patience
+        if quality > state.best:
+            state.best, self._best = quality, self.deformer.deformation.values.copy()
+
+    def checkpoint(self) -> tuple[dict, dict[str, np.ndarray]]:
+        """(JSON, arrays) to go on from."""
+        return {"state": vars(self.state)}, {**self.deformer.arrays(), "best": self._best}
+
+    def resume(self, data: dict, arrays: dict[str, np.ndarray]) -> None:
+        """From checkpoint()."""
+        self.state = DeformState(**data["state"])
+        self.deformer.restore(arrays)
+        self._best = arrays["best"].copy()

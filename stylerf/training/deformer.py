@@ -1,0 +1,127 @@
+"""Learns a deformation through the grid that it is baked to (DeSRF, section 3.2).
+
+Rays read a grid of displacements; gradients come back to the grid's vertices, and from there through the network. Only
+vertices near something are asked: the network is evaluated some tens of thousands of times a step, not once a sample.
+"""
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from stylerf.errors import InvalidValue
+from stylerf.fields.deformation import Deformation
+from stylerf.fields.displacement import displaced_occupancy, nearest_of, visible_vertices
+from stylerf.fields.field import RadianceField
+from stylerf.fields.occupancy import Occupancy
+from stylerf.fields.samples import Rays
+from stylerf.geometry.cameras import Camera
+from stylerf.training.optimiser import Adam
+
+REFRESH_EVERY = 16  # steps between looks at what the deformation has moved where
+SIGHT_RAYS = 1 << 17  # rays that find out which vertices are seen
+
+
+class Deformer:
+    """Gives `field` a displacement grid of `vertices`^3 that follows `deformation`, and teaches it.
+
+    The network is asked at the vertices around what the cameras see of the field at rest; every other vertex moves as
+    the nearest of these. gradients [chunks, 3 vertices^3]: where backward() adds dL/dD.
+    """
+
+    def __init__(
+        self,
+        field: RadianceField,
+        deformation: Deformation,
+        cameras: list[Camera],
+        vertices: int,
+        seed: int,
+        chunks: int,
+    ) -> None:
+        self.field, self.deformation, self.vertices = field, deformation, vertices
+        self.rest = field.occupancy  # of the field at rest
+        self.gradients = np.zeros((chunks, 3 * vertices**3), np.float32)
+        self.adam = Adam(deformation.values, [(0, len(deformation.values), 1.0)], 1)
+        self.taken = 0
+        field.displacement = None
+        rays = random_rays(cameras, SIGHT_RAYS, field.space.near, np.random.default_rng([seed, 7]))
+        active = visible_vertices(field, rays, vertices, 0.1, chunks)
+        if not len(active):
+            raise InvalidValue("no camera sees anything of the field: there is nothing to deform")
+        places = np.stack(np.unravel_index(active, (vertices,) * 3), -1) / (vertices - 1)
+        self._encoded = deformation.encode(torch.from_numpy(places.astype(np.float32)))
+        self._active, self._nearest = torch.from_numpy(active), torch.from_numpy(nearest_of(active, vertices))
+        field.displacement = np.zeros((vertices,) * 3 + (3,), np.float32)
+        self.bake()
+        self.look()
+
+    def look(self) -> None:
+        """Find anew where the deformed field is occupied."""
+        self.field.occupancy = displaced_occupancy(self.rest, self.field.displacement)
+
+    def bake(self) -> None:
+        """Write the present deformation into the field's grid."""
+        self._values = torch.from_numpy(self.deformation.values).requires_grad_()
+        self._live = self.deformation.network(self._encoded, self._values)
+        self.field.displacement.reshape(-1, 3)[:] = self._live.detach()[self._nearest].numpy()
+
+    def step(self, rate: float, weight: float, smoothness: float = 0.0) -> float:
+        """One step down dL/dD plus weight |D| plus smoothness TV(D); the root mean square of D, in the network's units.
+
+        |D|: root of the mean squared displacement of the vertices that matter, the cube two units wide (L_dx of eq. 7).
+        TV: mean squared difference of neighbouring vertices, in the same units.
+        """
+        whole = torch.from_numpy(self.gradients.sum(0)).view(-1, 3)
+        gradient = torch.zeros_like(self._live).index_add_(0, self._nearest, whole)
+        self.gradients[:] = 0
+        size = (2 * self._live).square().sum(1).mean().add(1e-12).sqrt()
+        loss = (self._live * gradient).sum() + weight * size
+        if smoothness > 0:
+            loss = loss + smoothness * self._variation()
+        (found,) = torch.autograd.grad(loss, self._values)
+        self.adam.gradients[0] += found.numpy()
+        self.adam.step(rate)
+        self.taken += 1
+        self.bake()
+        if self.taken % REFRESH_EVERY == 0:
+            self.look()
+        return float(size.detach())
+
+    def _variation(self) -> Tensor:
+        m, live = self.vertices, 2 * self._live
+        grid, own = live[self._nearest].view(m, m, m, 3), torch.zeros(m**3, dtype=torch.bool)
+        own[self._active] = True
+        own, total = own.view(m, m, m), grid.new_zeros(())
+        for axis in range(3):
+            both = own.narrow(axis, 1, m - 1) & own.narrow(axis, 0, m - 1)
+            total = total + (grid.diff(dim=axis).square().sum(-1) * both).sum()
+        return total / len(live)
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """For a checkpoint."""
+        moments = {f"adam.{name}": array for name, array in self.adam.arrays().items()}
+        return {
+            "values": self.deformation.values.copy(),
+            "taken": np.asarray([self.taken]),
+            "distances": self.field.occupancy.distances,
+            **moments,
+        }
+
+    def restore(self, arrays: dict[str, np.ndarray]) -> None:
+        """From arrays()."""
+        self.deformation.values[:] = arrays["values"]
+        self.adam.restore({name: arrays[f"adam.{name}"] for name in ("first", "second", "steps")})
+        self.taken = int(arrays["taken"][0])
+        self.bake()
+        self.field.occupancy = Occupancy(self.rest.cells, self.rest.highest)
+        self.field.occupancy.distances = arrays["distances"].copy()
+
+
+def random_rays(cameras: list[Camera], count: int, near: float, generator: np.random.Generator) -> Rays:
+    """About `count` rays through random pixels, as many of each camera."""
+    origins, directions = [], []
+    for camera in cameras:
+        pixels = generator.integers(0, camera.width * camera.height, max(1, count // len(cameras)))
+        all_origins, all_directions = camera.rays()
+        origins.append(all_origins[pixels])
+        directions.append(all_directions[pixels])
+    return Rays.of(np.concatenate(origins), np.concatenate(directions), near)

@@ -1,0 +1,29 @@
+"""`stylerf deform WORK`: the fitted field with a deformation, ready to be bent by a painting."""
+
+from stages.configs.deform import DeformConfig
+
+NAME = "deform"
+HELP = "give a fitted field a deformation, the start of a stylisation that bends shapes"
+CONFIG = DeformConfig
+
+
+def add_arguments(parser) -> None:
+    """WORK, --of."""
+    parser.add_argument("work", metavar="WORK", help="the work folder")
+    parser.add_argument("--of", metavar="FIELD", help="field to deform (default: the fitted one)")
+
+
+def run(args, session) -> dict:
+    """The deformed field's place and figures."""
+    from stylerf_cli.chains import deform, ensure_field, scene_of_work
+
+    scene = scene_of_work(session)
+    field = session.work.find("field", args.of) if args.of else ensure_field(session, scene)
+    made = deform(session, scene, field, session.config)
+    figures = made.manifest.figures
+    result = {"field": made.path, "name": made.name, "figures": figures, "seconds": made.manifest.seconds}
+    words = (
+        f"field {made.name}: {figures['steps']} steps in {figures['train_seconds']:.0f} s, photos "
+        f"{figures['psnr_before']:.2f} -> {figures['psnr_after']:.2f} dB\n  {made.path}"
+    )
+    return session.emit(result, words)

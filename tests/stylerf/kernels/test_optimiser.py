@@ -1,0 +1,80 @@
+"""Adam against torch's, but for runs of eight that no gradient has touched."""
+
+import numpy as np
+import pytest
+import torch
+
+from stylerf.training.optimiser import BETA1, BETA2, EPSILON, Adam
+
+
+def gradients_of(step: int, length: int) -> np.ndarray:
+    return np.random.default_rng([1, step]).normal(size=length).astype(np.float32)
+
+
+@pytest.mark.parametrize("chunks", [1, 3])
+def test_steps_equal_torch_and_clear_the_buffers(chunks):
+    length, rates = 45, [0.1, 0.05, 0.02, 0.01]
+    start = np.random.default_rng(0).normal(size=length).astype(np.float32)
+    values = start.copy()
+    adam = Adam(values, [(0, length, 1.0)], chunks)
+    leaf = torch.from_numpy(start.astype(np.float64)).requires_grad_()
+    reference = torch.optim.Adam([leaf], lr=1.0, betas=(BETA1, BETA2), eps=EPSILON)
+    for step, rate in enumerate(rates):
+        gradient = gradients_of(step, length)
+        shares = np.random.default_rng(2).dirichlet(np.ones(chunks))
+        adam.gradients[:] = shares[:, None] * gradient
+        adam.step(rate)
+        assert not adam.gradients.any()
+        reference.param_groups[0]["lr"] = rate
+        leaf.grad = torch.from_numpy(gradient.astype(np.float64))
+        reference.step()
+        np.testing.assert_allclose(values, leaf.detach(), atol=2e-6)
+
+
+def test_runs_without_a_gradient_are_left_as_they_are_and_others_go_on():
+    values = np.zeros(40, np.float32)
+    adam = Adam(values, [(0, 40, 1.0)], 2)
+    adam.gradients[0] = 1.0
+    adam.step(0.1)
+    kept = [array.copy() for array in (values, adam.first, adam.second)]
+    adam.gradients[0, 3], adam.gradients[1, 21] = -2.0, 1e-30  # the runs 0..7 and 16..23
+    adam.step(0.1)
+    touched = np.zeros(40, bool)
+    touched[0:8] = touched[16:24] = True
+    for array, before in zip((values, adam.first, adam.second), kept):
+        assert np.array_equal(array[~touched], before[~touched]) and (array[touched] != before[touched]).all()
+    # In a touched run, elements whose own gradient is 0 go on by their momentum: m = 0.09, v = 0.0099.
+    expected = -0.1 - 0.1 * (0.09 / (1 - 0.9**2)) / np.sqrt(0.0099 / (1 - 0.99**2))
+    np.testing.assert_allclose(values[:8][np.arange(8) != 3], expected, rtol=1e-5)
+
+
+def test_gradients_that_cancel_between_chunks_count_as_touched():
+    values = np.zeros(8, np.float32)
+    adam = Adam(values, [(0, 8, 1.0)], 2)
+    adam.gradients[0], adam.gradients[1] = 1.0, -1.0
+    adam.first[:] = 1.0
+    adam.second[:] = 1.0
+    adam.step(0.1)
+    assert (adam.first == np.float32(0.9)).all() and (values < 0).all() and not adam.gradients.any()
+
+
+def test_groups_have_rates_of_their_own_and_odd_ends():
+    values = np.zeros(21, np.float32)
+    adam = Adam(values, [(0, 10, 1.0), (10, 21, 0.5)], 1)
+    adam.gradients[:] = 3.0
+    adam.step(0.2)
+    np.testing.assert_allclose(values, [-0.2] * 10 + [-0.1] * 11, rtol=1e-5)  # the first step is the rate itself
+
+
+def test_restored_moments_go_on_bit_by_bit():
+    def three_more(adam):
+        for step in range(3):
+            adam.gradients[0] = gradients_of(step + 9, 19)
+            adam.step(0.1)
+        return adam.values.copy()
+
+    adam = Adam(np.zeros(19, np.float32), [(0, 19, 1.0)], 1)
+    three_more(adam)
+    other = Adam(adam.values.copy(), [(0, 19, 1.0)], 1)
+    other.restore({k: v.copy() for k, v in adam.arrays().items()})
+    assert np.array_equal(three_more(adam), three_more(other)) and other.steps == 6

@@ -1,0 +1,181 @@
+"""Rays to pixels and back as a whole, against the oracle's autograd; a displacement grid's gradient with them."""
+
+import numpy as np
+import pytest
+import torch
+
+from stylerf.fields.displacement import displacement_gradient, position_gradients
+from stylerf.fields.field import RadianceField
+from stylerf.kernels import oracle
+from stylerf.kernels.cpu.composite import composite_backward
+from stylerf.rendering.rays import backward, render_rays
+from stylerf.style.colour import ColourMap
+from tests.stylerf.small import (
+    SPACES,
+    Packed,
+    close,
+    displacement_grid,
+    field_of,
+    float64,
+    hash_colour,
+    oracle_colour,
+    oracle_density,
+    oracle_pixels,
+    points_on,
+    rays_into,
+    vm_colour,
+)
+
+COLOURS = {"vm": lambda: vm_colour(2), "hash": lambda: hash_colour(2)}
+CASES = [("box", "vm"), ("contraction", "hash"), ("frustum", "vm"), ("box", "hash")]
+
+
+def thin(space, colour, **more) -> RadianceField:
+    """A field that rays see many samples of, some too faint for a colour of their own."""
+    made = field_of(space, 3, colour, **more)
+    made.density.values[-1] = -3.5
+    return made
+
+
+def pixel_gradients(count: int) -> np.ndarray:
+    return np.random.default_rng(7).normal(size=(count, 5)).astype(np.float32)
+
+
+@pytest.mark.parametrize("displaced", [False, True])
+@pytest.mark.parametrize(("kind", "colour"), CASES)
+def test_pixels_and_parameter_gradients_equal_the_oracle(kind, colour, displaced):
+    moved = displacement_grid(5) if displaced else None
+    field, rays = thin(SPACES[kind], COLOURS[colour](), displacement=moved), rays_into(SPACES[kind], 40, 4)
+    gradients = pixel_gradients(40)
+    values = [float64(part.values).requires_grad_() for part in (field.density, field.colour)]
+    for chunks in (1, 2):
+        rendered = render_rays(field, rays, chunks=chunks, share=0.1)
+        coloured = rendered.colours[Packed.of(rendered.samples).at, 0] >= 0
+        assert 0.2 < coloured.mean() < 0.95
+        expected, _ = oracle_pixels(field, rays, rendered, *values, None if moved is None else float64(moved))
+        # Distances along a contraction's rays reach a thousand units; each column is as exact as its own scale.
+        for column in (slice(0, 3), slice(3, 4), slice(4, 5)):
+            close(rendered.out[:, column], expected[:, column], 1e-5)
+        used = gradients.copy()
+        if kind != "box":
+            used[:, 4] *= 1e-2
+        loss = (expected * float64(used)).sum()
+        wanted = torch.autograd.grad(loss, values)
+        to = [np.zeros((chunks, len(part.values)), np.float32) for part in (field.density, field.colour)]
+        backward(field, rendered, used, *to)
+        for found, gradient in zip(to, wanted):
+            close(found.sum(0, dtype=np.float64), gradient, 1e-4)
+
+
+@pytest.mark.parametrize(("kind", "bends"), [("box", "both"), ("frustum", "both"), ("contraction", "density")])
+def test_displacement_gradient_of_a_render_equals_the_oracle(kind, bends):
+    moved = displacement_grid(6)
+    field, rays = thin(SPACES[kind], hash_colour(2), displacement=moved), rays_into(SPACES[kind], 40, 4)
+    rendered, gradients = render_rays(field, rays, chunks=2, share=0.1), pixel_gradients(40)
+    gradients[:, 4] *= 1e-2
+    s = rendered.samples
+    to_sigma, to_colours = np.empty_like(s.sigma), np.empty_like(rendered.colours)
+    composite_backward(
+        s.sigma,
+        s.weights,
+        s.optical,
+        rendered.colours,
+        s.t,
+        s.starts,
+        s.ends,
+        rendered.out,
+        gradients,
+        2,
+        to_sigma,
+        to_colours,
+    )
+    part = field.colour if bends == "both" else None
+    to_x = position_gradients(field.density, part, s, rendered.basis, to_sigma, rendered.colours, to_colours, 2)
+    to = np.zeros((2, moved.size), np.float32)
+    displacement_gradient(field.space, rays, s, to_x, len(moved), to)
+    grid = float64(moved).requires_grad_()
+    values = [float64(p.values) for p in (field.density, field.colour)]
+    if bends == "both":
+        out, _ = oracle_pixels(field, rays, rendered, *values, grid)
+    else:
+        out = with_fixed_colours(field, rays, rendered, values, grid)
+    (wanted,) = torch.autograd.grad((out * float64(gradients)).sum(), grid)
+    close(to.sum(0, dtype=np.float64), wanted.flatten(), 2e-4)
+
+
+def with_fixed_colours(field, rays, rendered, values, grid) -> torch.Tensor:
+    """As oracle_pixels, the colours taken where they are and not moved along with the grid."""
+    kept = oracle_pixels(field, rays, rendered, *values, grid)[1].detach()
+    packed = Packed.of(rendered.samples)
+    x = oracle.warp(field.space, points_on(rays, packed)[0])
+    x = torch.where(packed.backdrop[:, None], x, oracle.displaced(grid, x))
+    sigma = oracle_density(field.density, values[0], x)
+    weights, _ = oracle.weights(sigma, packed.optical, packed.rays, packed.backdrop)
+    colours = oracle_colour(field.colour, values[1], None, kept)
+    coloured = torch.from_numpy(rendered.colours[packed.at, 0] >= 0)
+    return oracle.composite(weights, colours, coloured, packed.t, packed.rays, len(rays.origins))
+
+
+def test_a_grid_of_zeros_changes_nothing_and_an_even_shift_moves_the_field():
+    space, rays = SPACES["box"], rays_into(SPACES["box"], 30, 4)
+    plain = render_rays(thin(space, hash_colour(2)), rays, chunks=1)
+    still = render_rays(thin(space, hash_colour(2), displacement=np.zeros((4, 4, 4, 3), np.float32)), rays, chunks=1)
+    np.testing.assert_allclose(still.out, plain.out, atol=1e-6)
+    shift = np.full((4, 4, 4, 3), 0.02, np.float32)
+    moved = render_rays(thin(space, hash_colour(2), displacement=shift), rays, chunks=1)
+    assert np.abs(moved.out - plain.out).max() > 0.02
+    inside = Packed.of(moved.samples)
+    where = oracle_positions(space, rays, inside) + 0.02
+    np.testing.assert_allclose(inside.x, where.clamp(0, 1), atol=3e-6)
+
+
+def oracle_positions(space, rays, packed) -> torch.Tensor:
+    origins, directions = float64(rays.origins)[packed.rays], float64(rays.directions)[packed.rays]
+    return torch.from_numpy(space.warp((origins + packed.t[:, None] * directions).numpy()))
+
+
+def test_parts_without_a_buffer_are_left_out():
+    field, rays = thin(SPACES["box"], vm_colour(2)), rays_into(SPACES["box"], 20, 4)
+    rendered, gradients = render_rays(field, rays, chunks=1), pixel_gradients(20)
+    both = [np.zeros((1, len(part.values)), np.float32) for part in (field.density, field.colour)]
+    backward(field, rendered, gradients, *both)
+    alone = [np.zeros_like(b) for b in both]
+    backward(field, rendered, gradients, alone[0], None)
+    backward(field, rendered, gradients, None, alone[1])
+    assert all(np.array_equal(a, b) and a.any() for a, b in zip(alone, both))
+
+
+def test_rays_through_nothing_are_black_clear_and_teach_nothing():
+    field, rays = thin(SPACES["box"], vm_colour(2)), rays_into(SPACES["box"], 5, 4)
+    rays.directions[:] = -rays.directions
+    rendered = render_rays(field, rays, chunks=2)
+    assert rendered.samples.count == 0 and not rendered.out.any()
+    to = [np.zeros((2, len(part.values)), np.float32) for part in (field.density, field.colour)]
+    backward(field, rendered, pixel_gradients(5), *to)
+    assert not to[0].any() and not to[1].any()
+
+
+def matched(field: RadianceField) -> RadianceField:
+    field.colour_map = ColourMap(torch.diag(torch.tensor([0.5, 0.4, 2.0])), torch.tensor([0.1, -0.3, 0.5]))
+    return field
+
+
+def test_a_colour_map_acts_on_premultiplied_pixels_within_their_alpha():
+    rays = rays_into(SPACES["box"], 40, 4)
+    plain = render_rays(thin(SPACES["box"], vm_colour(2)), rays, chunks=1).out
+    found = render_rays(matched(thin(SPACES["box"], vm_colour(2))), rays, chunks=1).out
+    alpha = plain[:, 3:4]
+    expected = np.clip(plain[:, :3] * [0.5, 0.4, 2.0] + alpha * [0.1, -0.3, 0.5], 0, alpha)
+    np.testing.assert_allclose(found[:, :3], expected, atol=1e-6)
+    assert np.array_equal(found[:, 3:], plain[:, 3:])
+    assert (found[:, 1] == 0).any() and (found[:, 2:3] == alpha).any()  # the clamp has something to do
+
+
+def test_gradients_are_those_of_the_colours_before_a_colour_map():
+    rays, gradients, found = rays_into(SPACES["box"], 40, 4), pixel_gradients(40), []
+    for field in (thin(SPACES["box"], vm_colour(2)), matched(thin(SPACES["box"], vm_colour(2)))):
+        rendered = render_rays(field, rays, chunks=1, share=0.3)
+        to = [np.zeros((1, len(part.values)), np.float32) for part in (field.density, field.colour)]
+        backward(field, rendered, gradients, *to)
+        found.append(to)
+    assert all(np.array_equal(a, b) for a, b in zip(*found))

@@ -1,0 +1,56 @@
+"""Whole views: parts are the whole, depth is where the surface is."""
+
+import numpy as np
+import pytest
+
+from stylerf.geometry.cameras import Camera
+from stylerf.geometry.paths import look_at
+from stylerf.geometry.space import Space
+from stylerf.rendering.view import render_view
+from tests.stylerf.small import density, field_of, hash_colour, vm_colour
+
+BOX = Space.box([-1, -1, -1], [1, 1, 1])
+
+
+def camera(centre=(2.6, 0.9, 0.7), width=13, height=9, focal=14.0) -> Camera:
+    pose = look_at(np.array(centre, float), np.zeros(3), np.array([0, 0, 1.0]))
+    return Camera("view", width, height, focal, focal + 1, width / 2, height / 2, pose)
+
+
+@pytest.mark.parametrize("colour", [vm_colour(2), hash_colour(2)], ids=["vm", "hash"])
+def test_shares_of_a_view_are_the_same_bits_as_the_whole(colour):
+    field, told = field_of(BOX, 1, colour), []
+    whole = render_view(field, camera(), chunks=1)
+    assert 0.2 < (whole.alpha > 0.5).mean() < 1
+    for rays_at_once, chunks in ((7, 1), (50, 3), (117, 2)):
+        told.clear()
+        found = render_view(field, camera(), chunks=chunks, rays_at_once=rays_at_once, on_rays=told.append)
+        for name in ("rgb", "alpha", "ray_distance", "z"):
+            assert np.array_equal(getattr(found, name), getattr(whole, name)), name
+        assert told[-1] == 117 and told == sorted(told) and len(told) == -(-117 // rays_at_once)
+
+
+def test_a_solid_box_has_its_front_as_a_plane_of_even_depth():
+    step = 1 / 50
+    field = field_of(BOX, 1, hash_colour(2), step=step)
+    field.density = density(0, size=(2, 2, 2))
+    field.density.values[:-1], field.density.values[-1] = 0, 12
+    seen = render_view(field, camera(centre=(4.0, 0, 0), focal=20), chunks=1)
+    front = (np.abs(np.indices((9, 13))[1] + 0.5 - 6.5) / 20 * 3 < 0.99) & (
+        np.abs(np.indices((9, 13))[0] + 0.5 - 4.5) / 21 * 3 < 0.99
+    )
+    assert 40 < front.sum() and np.array_equal(seen.alpha == 1, front)
+    # The box's front is 3 away; a ray is asked first half a step (of a cube two units wide) behind it.
+    np.testing.assert_allclose(seen.z[front], 3 + 0.5 * step * 2, rtol=1e-5)
+    np.testing.assert_allclose(seen.ray_distance, seen.z / camera(focal=20).ray_cosines(), rtol=1e-6)
+    assert not seen.z[~front].any() and not seen.rgb[~front].any()
+
+
+def test_depth_in_fog_is_the_mean_over_what_is_seen():
+    """Even fog of raw density s: mean distance into it (1/k - L/(exp(k L) - 1)), k = 100 s a cube's width, L = 1."""
+    field = field_of(BOX, 1, hash_colour(2), step=1 / 400)
+    field.density = density(0, size=(2, 2, 2))
+    field.density.values[:-1], field.density.values[-1] = 0, np.log(0.03)
+    seen = render_view(field, camera(centre=(4.0, 0, 0), width=1, height=1, focal=20), chunks=1, opaque=0.0)
+    assert seen.alpha[0, 0] == pytest.approx(1 - np.exp(-3), rel=1e-4)
+    assert seen.z[0, 0] == pytest.approx(3 + 2 * (1 / 3 - 1 / (np.exp(3) - 1)), rel=1e-4)

@@ -1,0 +1,147 @@
+"""Small fields, spaces and rays that the tests of kernels, rendering and training share; the oracle's view of samples.
+
+Ranks 16 and 24 and 8 hash levels are those that `fit` and `stylize` compile.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from stylerf.fields.field import RadianceField
+from stylerf.fields.hash import HashColour
+from stylerf.fields.occupancy import Occupancy
+from stylerf.fields.samples import Rays, Samples
+from stylerf.fields.vm import VmColour, VmDensity
+from stylerf.geometry.space import Space
+from stylerf.kernels import oracle
+
+DENSITY_RANK, COLOUR_RANK = 16, 24
+SIZE = (7, 6, 8)
+
+SPACES = {
+    "box": Space.box([-1, -0.8, -0.5], [1.2, 0.9, 0.7]),
+    "contraction": Space.box([-1, -0.8, -0.5], [1.2, 0.9, 0.7], near=0.05, far=1e3, kind="contraction"),
+    "frustum": Space.frustum(0.7, 0.6, 1.0, 1e4),
+}
+
+
+def float64(array: np.ndarray) -> torch.Tensor:
+    return torch.from_numpy(np.asarray(array, np.float64).copy())
+
+
+def close(found, expected, rounding: float, what: str = "") -> None:
+    """Equal up to `rounding` times the largest number expected: sums in float32 lose that much and no more."""
+    found, expected = (np.asarray(v.detach() if torch.is_tensor(v) else v, np.float64) for v in (found, expected))
+    largest = np.abs(expected).max() if expected.size else 0.0
+    np.testing.assert_allclose(found, expected, rtol=rounding, atol=rounding * largest, err_msg=what)
+
+
+def density(seed: int, size=SIZE, rank: int = DENSITY_RANK, shift: float = -2.0) -> VmDensity:
+    """A fog whose raw density varies a few times over around exp(shift)."""
+    made = VmDensity.create(np.array(size), rank, np.random.default_rng(seed), shift)
+    made.values[:-1] = np.random.default_rng(seed).normal(scale=0.5, size=len(made.table))
+    return made
+
+
+def vm_colour(seed: int, size=SIZE, rank: int = COLOUR_RANK, degree: int = 1) -> VmColour:
+    made = VmColour.create(np.array(size), rank, degree, np.random.default_rng(seed))
+    made.values[: len(made.table)] = np.random.default_rng(seed).normal(scale=0.6, size=len(made.table))
+    made.values[-3:] = 0.3, -0.2, 0.1
+    return made
+
+
+def hash_colour(seed: int, levels: int = 8, base: int = 3, finest: int = 40, table: int = 512) -> HashColour:
+    """Coarse levels are indexed directly (4^3 and 6^3 vertices), fine ones are hashed."""
+    made = HashColour.create(np.random.default_rng(seed), levels, base, finest, table)
+    made.values[:] = np.random.default_rng(seed).normal(scale=0.4, size=len(made.values))
+    return made
+
+
+def occupied(cells: int = 8) -> Occupancy:
+    """Every cell counts: no leaps."""
+    return Occupancy(cells)
+
+
+def rays_into(space: Space, count: int, seed: int, jitter: bool = True) -> Rays:
+    """Rays through the middle of the space from around it (or, into a frustum, along its axis)."""
+    generator = np.random.default_rng(seed)
+    if space.kind == "frustum":
+        origins = generator.uniform(-0.2, 0.2, (count, 3))
+        directions = generator.uniform([-0.5, -0.4, 1], [0.5, 0.4, 1], (count, 3))
+    else:
+        way = generator.normal(size=(count, 3))
+        origins = (1.9 if space.kind == "contraction" else 2.5) * way / np.linalg.norm(way, axis=1, keepdims=True)
+        directions = generator.uniform(-0.4, 0.4, (count, 3)) - origins
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    where = generator.random(count).astype(np.float32) if jitter else None
+    return Rays.of(origins.astype(np.float32), directions.astype(np.float32), space.near, where)
+
+
+def field_of(space: Space, seed: int, colour=None, step: float = 1 / 24, displacement=None) -> RadianceField:
+    made = vm_colour(seed + 1) if colour is None else colour
+    return RadianceField(space, density(seed), made, occupied(), step, displacement)
+
+
+def displacement_grid(seed: int, cells: int = 5, reach: float = 0.05) -> np.ndarray:
+    return np.random.default_rng(seed).uniform(-reach, reach, (cells, cells, cells, 3)).astype(np.float32)
+
+
+@dataclass
+class Packed:
+    """What lies on the rays, ray after ray, as float64: the form the oracle takes. at: indices into Samples' arrays."""
+
+    at: np.ndarray
+    rays: torch.Tensor
+    t: torch.Tensor
+    optical: torch.Tensor
+    x: torch.Tensor
+    sigma: torch.Tensor
+    weights: torch.Tensor
+
+    @property
+    def backdrop(self) -> torch.Tensor:
+        return self.optical == 0
+
+    @staticmethod
+    def of(samples: Samples) -> "Packed":
+        spans = [np.arange(a, b) for a, b in zip(samples.starts, samples.ends)]
+        at = np.concatenate(spans) if spans else np.empty(0, np.int64)
+        rays = np.repeat(np.arange(len(samples.ends)), samples.ends - samples.starts)
+        parts = (
+            float64(array[at]) for array in (samples.t, samples.optical, samples.x, samples.sigma, samples.weights)
+        )
+        return Packed(at, torch.from_numpy(rays), *parts)
+
+
+def points_on(rays: Rays, packed: Packed) -> tuple[torch.Tensor, torch.Tensor]:
+    """World positions and directions [n, 3] of packed samples."""
+    directions = float64(rays.directions)[packed.rays]
+    return float64(rays.origins)[packed.rays] + packed.t[:, None] * directions, directions
+
+
+def oracle_colour(colour, values: torch.Tensor, basis: torch.Tensor, x: torch.Tensor) -> torch.Tensor:
+    if colour.kind == "hash":
+        return oracle.hash_colour(values, colour.levels, colour.base, colour.finest, colour.table, x)
+    return oracle.vm_colour(values, colour.size.tolist(), colour.rank, basis, x)
+
+
+def oracle_density(density: VmDensity, values: torch.Tensor, x: torch.Tensor) -> torch.Tensor:
+    return oracle.vm_density(values, density.size.tolist(), density.rank, x)
+
+
+def oracle_pixels(field, rays, rendered, density_values, colour_values, grid=None) -> tuple[torch.Tensor, torch.Tensor]:
+    """([rays, 5], warped positions [n, 3]) of the samples that the kernels chose, from values that may need gradients.
+
+    The kernels decide where samples lie and which take their ray's mean; all else is worked out anew.
+    """
+    packed = Packed.of(rendered.samples)
+    x = oracle.warp(field.space, points_on(rays, packed)[0])
+    if grid is not None:
+        x = torch.where(packed.backdrop[:, None], x, oracle.displaced(grid, x))
+    sigma = oracle_density(field.density, density_values, x)
+    weights, _ = oracle.weights(sigma, packed.optical, packed.rays, packed.backdrop)
+    basis = float64(rendered.basis)[packed.rays]
+    colours = oracle_colour(field.colour, colour_values, basis, x)
+    coloured = torch.from_numpy(rendered.colours[packed.at, 0] >= 0)
+    return oracle.composite(weights, colours, coloured, packed.t, packed.rays, len(rays.origins)), x

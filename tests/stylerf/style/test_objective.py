@@ -1,0 +1,132 @@
+"""The style objective against slow loops over positions and features, its alpha weights, its gradient."""
+
+import numpy as np
+import pytest
+import torch
+
+from stylerf.style.images import resized, style_picture
+from stylerf.style.objective import StyleObjective, StyleWeights
+from tests.stylerf.style.small_trunk import picture, small_trunk
+
+HEIGHT, WIDTH = 20, 44
+WEIGHTS = StyleWeights(0.7, 0.05, 0.3)
+
+
+def objective(weights=WEIGHTS, double=False, **more) -> StyleObjective:
+    trunk, painting = small_trunk(), picture(30, 40, 1)
+    if double:
+        trunk, painting = trunk.double(), painting.double()
+    return StyleObjective(trunk, painting, (HEIGHT, WIDTH), weights, **{"basis": 0, **more})
+
+
+def blocks_of(trunk, image) -> list[np.ndarray]:
+    """[c, h, w] of conv1 and of conv2 (its two layers joined), float64."""
+    first, second, third = (f[0].detach().double().numpy() for f in trunk(image[None]))
+    return [first, np.concatenate([second, third])]
+
+
+def slow_parts(made: StyleObjective, image, photo, alpha=None) -> tuple[float, float, float]:
+    """(style, content, variation): loops over positions and over all features of the painting."""
+    small = [resized(i, HEIGHT // 2, WIDTH // 2) for i in (image, photo)]
+    painted = blocks_of(made.trunk, style_picture(picture(30, 40, 1).to(image), HEIGHT, WIDTH, 0.5))
+    style_loss, content_loss = 0.0, 0.0
+    for found, wanted, style in zip(*(blocks_of(made.trunk, i) for i in small), painted):
+        h, w = found.shape[1:]
+        rows, a, b = style.reshape(len(style), -1), HEIGHT // h, WIDTH // w
+        style_sum, content_sum, total = 0.0, 0.0, 0.0
+        for i, j in np.ndindex(h, w):
+            share = 1.0 if alpha is None else float(alpha[i * a : (i + 1) * a, j * b : (j + 1) * b].mean())
+            f = found[:, i, j]
+            cosines = (f @ rows) / (np.linalg.norm(f) * np.linalg.norm(rows, axis=0) + 1e-12)
+            style_sum += share * (1 - cosines.max())
+            content_sum += share * ((f - wanted[:, i, j]) ** 2).mean()
+            total += share
+        style_loss, content_loss = style_loss + style_sum / total, content_loss + content_sum / total
+    x = image.detach().double().numpy()
+    across, down = np.diff(x, axis=2) ** 2, np.diff(x, axis=1) ** 2
+    return style_loss, content_loss, (across.mean() + down.mean()) / 2
+
+
+def object_alpha() -> torch.Tensor:
+    """An object in the left half with a soft rim; nothing at the right."""
+    alpha = torch.zeros(HEIGHT, WIDTH)
+    alpha[2:18, 3:12] = 1
+    alpha[2:18, 12:14] = 0.5
+    return alpha
+
+
+@pytest.mark.parametrize("masked", [False, True])
+@pytest.mark.parametrize("double", [False, True])
+def test_loss_and_its_parts_equal_a_slow_loop(masked, double):
+    made = objective(double=double)
+    image, photo = (p.double() if double else p for p in (picture(HEIGHT, WIDTH, 2), picture(HEIGHT, WIDTH, 3)))
+    alpha = object_alpha() if masked else None
+    expected = slow_parts(made, image, photo, alpha)
+    loss, parts = made(image, made.content_of(photo), alpha)
+    # The content's reference is kept in half precision: eleven bits.
+    assert parts["style"] == pytest.approx(expected[0], rel=1e-5)
+    assert parts["content"] == pytest.approx(expected[1], rel=2e-3)
+    assert parts["variation"] == pytest.approx(expected[2], rel=1e-5)
+    together = 0.7 * parts["style"] + 0.05 * parts["content"] + 0.3 * parts["variation"]
+    assert float(loss) == pytest.approx(together, rel=1e-5)
+    assert min(expected) > 1e-3
+
+
+def test_what_lies_outside_the_object_is_neither_matched_nor_kept():
+    made, image, alpha = objective(StyleWeights(1, 1, 0)), picture(HEIGHT, WIDTH, 2), object_alpha()
+    content = made.content_of(picture(HEIGHT, WIDTH, 3))
+    other = image.clone()
+    other[:, :, 32:] = 0.9  # beyond the reach of the second block's filters from the last column that counts, 13
+    losses, gradients = [], []
+    for candidate in (image, other):
+        leaf = candidate.clone().requires_grad_()
+        loss, _ = made(leaf, content, alpha)
+        loss.backward()
+        losses.append(float(loss.detach()))
+        gradients.append(leaf.grad)
+    assert losses[0] == pytest.approx(losses[1], rel=1e-6)
+    torch.testing.assert_close(gradients[0][:, :, :14], gradients[1][:, :, :14])
+    assert not gradients[0][:, :, 32:].any() and gradients[0][:, 2:18, 3:12].abs().min() > 0
+
+
+def test_an_object_that_is_nowhere_costs_nothing():
+    made, image = objective(), picture(HEIGHT, WIDTH, 2).requires_grad_()
+    loss, parts = made(image, made.content_of(image.detach()), torch.zeros(HEIGHT, WIDTH))
+    loss.backward()
+    assert parts["style"] == parts["content"] == 0 and torch.isfinite(image.grad).all()
+
+
+def test_a_weight_of_zero_needs_no_content_and_drops_its_part():
+    made, image = objective(StyleWeights(2.0, 0.0, 0.0)), picture(HEIGHT, WIDTH, 2)
+    loss, parts = made(image, {})
+    assert parts["content"] == 0 and float(loss) == pytest.approx(2 * parts["style"], rel=1e-6)
+
+
+@pytest.mark.parametrize("masked", [False, True])
+def test_gradient_equals_finite_differences_in_float64(masked):
+    made, alpha = objective(double=True), object_alpha() if masked else None
+    image, content = picture(HEIGHT, WIDTH, 2).double(), made.content_of(picture(HEIGHT, WIDTH, 3).double())
+    leaf = image.clone().requires_grad_()
+    made(leaf, content, alpha)[0].backward()
+    generator = torch.Generator().manual_seed(5)
+    for _ in range(6):
+        # Small enough that no neighbour changes and no ReLU turns: the loss is smooth between such events.
+        way = torch.randn(image.shape, generator=generator, dtype=torch.float64)
+        up, down = (float(made(image + sign * 1e-6 * way, content, alpha)[0]) for sign in (1, -1))
+        assert (up - down) / 2e-6 == pytest.approx(float((leaf.grad * way).sum()), rel=1e-5, abs=1e-8)
+
+
+def test_fewer_rows_and_a_basis_choose_worse_or_equal_neighbours():
+    image = picture(HEIGHT, WIDTH, 2)
+    style = StyleWeights(1, 0, 0)
+    exact, few, short = (
+        objective(style, **more)(image, {})[1]["style"] for more in ({}, {"most_rows": 20}, {"basis": 3})
+    )
+    assert exact < few < 1 and exact < short < 1
+
+
+def test_the_painting_itself_is_at_no_distance_but_where_all_features_are_silent():
+    painting = picture(30, 40, 1)
+    made = StyleObjective(small_trunk(), painting, (30, 40), StyleWeights(1, 0, 0), scale=1.0, basis=0)
+    silent = sum((f == 0).all(0).mean() for f in blocks_of(made.trunk, painting))
+    assert made(painting, {})[1]["style"] == pytest.approx(silent, abs=1e-5) and silent < 0.01

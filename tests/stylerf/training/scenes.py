@@ -1,0 +1,62 @@
+"""Tiny captures in closed form: a coloured box in nothing, a wall of one colour; and fitters for them."""
+
+import numpy as np
+
+from stylerf.geometry.cameras import Camera
+from stylerf.geometry.paths import look_at
+from stylerf.geometry.space import Space
+from stylerf.training.fit import FitSettings, Fitter, Rung
+from stylerf.training.rays import RayBank
+
+SIDE = 0.6
+LADDER = (Rung(8, 16, 24, 8), Rung(12, 16, 24, 8), Rung(16, 16, 24, 16))
+AROUND = Space.box([-0.8] * 3, [0.8] * 3)
+
+
+def dome(count: int, seed: int, size: int = 24) -> list[Camera]:
+    """Cameras on a sphere about the origin, none straight above or below."""
+    generator = np.random.default_rng(seed)
+    heights = generator.permutation(np.linspace(-0.6, 0.8, count))
+    angles = 2.4 * np.arange(count) + generator.random()
+    eyes = 2.2 * np.stack([*(np.sqrt(1 - heights**2) * f(angles) for f in (np.cos, np.sin)), heights], 1)
+    poses = [look_at(eye, np.zeros(3), np.array([0, 0, 1.0])) for eye in eyes]
+    return [Camera(f"v{i}", size, size, 1.1 * size, 1.1 * size, size / 2, size / 2, p) for i, p in enumerate(poses)]
+
+
+def box_photo(camera: Camera) -> np.ndarray:
+    """[h, w, 4] uint8: a box whose colour waves over its surface, nothing around it."""
+    origins, directions = (a.astype(np.float64) for a in camera.rays())
+    sides = np.stack([(s * SIDE - origins) / directions for s in (-1, 1)])
+    near, far = sides.min(0).max(1), sides.max(0).min(1)
+    hit = (near < far) & (far > 0)
+    points = origins + np.where(hit, near, 0)[:, None] * directions
+    rgb = 0.5 + 0.4 * np.sin(points @ np.array([[5.0, 2.0, 1.0], [1.0, 5.0, 3.0], [2.0, 1.0, 6.0]]) + [0, 1, 2])
+    rgba = np.concatenate([rgb, hit[:, None]], 1) * hit[:, None]
+    return np.rint(rgba * 255).astype(np.uint8).reshape(camera.height, camera.width, 4)
+
+
+def box_bank(views: int = 10, size: int = 24) -> RayBank:
+    cameras = dome(views, 1, size)
+    return RayBank(cameras, [box_photo(c) for c in cameras])
+
+
+def wall_bank(views: int = 8, size: int = 24) -> tuple[Space, RayBank]:
+    """A wall of one colour that fills every picture, seen from a row of places, the outermost first; a frustum."""
+    cameras = []
+    for x in sorted(np.linspace(-0.4, 0.4, views), key=lambda x: -abs(x)):
+        pose = np.eye(4)
+        pose[:2, 3] = x, 0.2 * np.sin(7 * x)
+        cameras.append(Camera(f"w{x:.2f}", size, size, float(size), float(size), size / 2, size / 2, pose))
+    photo = np.broadcast_to(np.uint8([180, 120, 60]), (size, size, 3))
+    return Space.frustum(1.0, 1.0, 1.0, 1e4), RayBank(cameras, [photo.copy() for _ in cameras])
+
+
+def settings(steps: int, **more) -> FitSettings:
+    return FitSettings(**{"steps": steps, "samples": 4000, "ladder": LADDER, **more})
+
+
+def box_fitter(steps: int, seed: int = 0, held_out: int = 2, bank: RayBank | None = None, **more) -> Fitter:
+    said: list[str] = []
+    made = Fitter(AROUND, bank or box_bank(), held_out, settings(steps, **more), seed, 1, said.append)
+    made.said = said
+    return made

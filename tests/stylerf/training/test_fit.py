@@ -1,0 +1,220 @@
+"""The fitting loop on a tiny scene: it resumes to the bit, and survives NaN, falls and lack of memory."""
+
+import numpy as np
+import pytest
+
+from stylerf.errors import Diverged
+from stylerf.training import fit as module
+from stylerf.training.fit import Fitter
+from tests.stylerf.training.running import Stopped, assert_same_bits, now, result_of, resumed, run_until
+from tests.stylerf.training.scenes import LADDER, box_fitter
+
+# -- resuming -------------------------------------------------------------------------------------------------------
+
+
+def test_a_fit_that_was_stopped_goes_on_to_the_same_bits():
+    """Stopped before any look at held-out views, at a growth, within a trial, after a drop, at the end."""
+    steps, more = 240, {"shares": (0.42, 0.6), "min_gain": 0.3, "background": "random"}
+    whole = box_fitter(steps, **more)
+    whole.run()
+    expected, arrays = result_of(whole)
+    assert (
+        whole.state.decisions and max(e["parameters"] for e in whole.state.curve) > whole.state.curve[0]["parameters"]
+    )
+    at = box_fitter(steps, **more)
+    for stop in (3, 101, 130, 201, 239):
+        at = run_until(at, stop)
+        at = resumed(box_fitter(steps, **more), at)
+        assert at.state.step == stop
+    at.run()
+    state, found = result_of(at)
+    assert state == expected
+    assert_same_bits(found, arrays)
+
+
+def test_another_seed_is_another_fit_and_the_same_seed_the_same():
+    results = []
+    for seed in (5, 5, 6):
+        fitter = box_fitter(30, seed=seed)
+        fitter.run()
+        results.append(fitter.field.arrays())
+    assert_same_bits(results[0], results[1])
+    assert not np.array_equal(results[0]["colour"], results[2]["colour"])
+
+
+# -- faults on the way ----------------------------------------------------------------------------------------------
+
+
+def poison(fitter: Fitter, steps) -> None:
+    """NaN among the colours that the rays of these steps should meet."""
+    draw = fitter.bank.draw
+
+    def drawn(*arguments):
+        origins, directions, colours, views = draw(*arguments)
+        if fitter.state.step in steps:
+            colours[7] = np.nan
+        return origins, directions, colours, views
+
+    fitter.bank.draw = drawn
+
+
+def test_a_loss_of_nan_brings_back_the_best_field_with_half_the_rate():
+    fitter, before = box_fitter(60), {}
+    poison(fitter, {40})
+
+    def on_step(now_: Fitter) -> None:
+        if now_.state.step == 40:
+            before.update(now(now_.checkpoint()[1], "anchor."))
+        if now_.state.step == 41:
+            assert_same_bits(now(now_.checkpoint()[1]), before)
+            assert now_.state.rollbacks == 1 and now_.state.rate_scale == 0.5
+            raise Stopped
+
+    with pytest.raises(Stopped):
+        fitter.run(on_step)
+    assert any("finite" in text and "half" in text for text in fitter.said)
+    again = box_fitter(60)
+    poison(again, {40})
+    again.run()
+    assert all(np.isfinite(v).all() for v in (again.field.density.values, again.field.colour.values))
+    assert again.state.decisions == fitter.state.decisions
+    clean = box_fitter(60)
+    clean.run()
+    assert again.state.curve[-1]["psnr"] > clean.state.curve[-1]["psnr"] - 1.5
+
+
+def spoil(fitter: Fitter, step: int, shift: float):
+    """on_step that makes the density exp(shift) times what it was."""
+
+    def on_step(now_: Fitter) -> None:
+        if now_.state.step == step:
+            now_.field.density.values[-1] += shift
+
+    return on_step
+
+
+def test_held_out_views_that_fall_by_more_than_two_db_bring_back_the_best_field():
+    fitter, anchor = box_fitter(200), {}
+    damage = spoil(fitter, 90, -9.0)
+
+    def on_step(now_: Fitter) -> None:
+        if now_.state.step == 90:
+            anchor.update(now(now_.checkpoint()[1], "anchor."))
+        damage(now_)
+        if now_.state.rollbacks:
+            raise Stopped
+
+    with pytest.raises(Stopped):
+        fitter.run(on_step)
+    assert 90 < fitter.state.step <= 98 and fitter.state.rate_scale == 0.5
+    assert_same_bits(now(fitter.checkpoint()[1]), anchor)
+    assert fitter.state.decisions[-1].startswith("held-out views fell from 15.")
+    best, last = fitter.state.best, fitter.state.curve[-1]["psnr"]
+    assert best - last > 2 and fitter.held_out_psnr() == pytest.approx(best, abs=1e-9)
+
+
+def test_a_fall_of_less_is_noise():
+    fitter = box_fitter(120)
+    fitter.run(spoil(fitter, 90, -0.4))
+    assert fitter.state.rollbacks == 0
+
+
+def test_a_fall_within_the_trial_of_a_rung_leaves_the_ladder():
+    fitter = box_fitter(300, shares=(0.34, 0.68), ladder=LADDER[:2])
+    fitter.run(spoil(fitter, 120, -9.0))
+    assert fitter.state.rollbacks == 1 and fitter.state.fixed and fitter.state.rung == 0
+    assert fitter.field.density.size.max() == 8 and fitter.state.trial is None
+
+
+def test_nan_in_the_field_itself_is_found_by_the_next_look():
+    """Kernels clamp a NaN density to an ordinary one; a picture that is wrong without NaN must not be kept either."""
+
+    def on_step(now_: Fitter) -> None:
+        if now_.state.step == 97:
+            now_.field.density.values[:] = np.nan
+            now_.field.colour.values[:] = np.nan
+
+    fitter = box_fitter(100)
+    fitter.run(on_step)
+    assert fitter.state.rollbacks >= 1
+    assert np.isfinite(fitter.field.density.values).all() and np.isfinite(fitter.field.colour.values).all()
+
+
+def test_quality_that_is_no_number_counts_as_a_fall(monkeypatch):
+    fitter = box_fitter(40)
+    looks = iter([12.0, 13.0, float("nan")])
+    monkeypatch.setattr(fitter, "held_out_psnr", lambda: next(looks, 14.0))
+    fitter.run()
+    assert fitter.state.rollbacks == 1 and "nan" in fitter.state.decisions[0]
+
+
+def test_the_fifth_return_is_a_divergence_and_the_first_where_nothing_is_to_return_to():
+    fitter = box_fitter(60)
+    poison(fitter, range(20, 60))
+    with pytest.raises(Diverged, match="5 times"):
+        fitter.run()
+    assert fitter.state.rollbacks == 5 and fitter.state.rate_scale == 0.5**4
+    fresh = box_fitter(60)
+    poison(fresh, {0})
+    with pytest.raises(Diverged, match="finite"):
+        fresh.run()
+
+
+# -- memory ---------------------------------------------------------------------------------------------------------
+
+
+def limit_rays(monkeypatch, most: int) -> list[int]:
+    """No more than `most` rays at once fit in memory, but for looks at held-out views; returns the sizes rendered."""
+    render, sizes = module.render_rays, []
+
+    def limited(field, rays, **more):
+        if field.occupancy.cells != 8 or len(rays.origins) in (16, 4096):  # warm-up and held-out views
+            return render(field, rays, **more)
+        if len(rays.origins) > most:
+            raise MemoryError
+        sizes.append(len(rays.origins))
+        return render(field, rays, **more)
+
+    monkeypatch.setattr(module, "render_rays", limited)
+    return sizes
+
+
+def test_a_batch_that_does_not_fit_is_worked_off_in_parts(monkeypatch):
+    sizes = limit_rays(monkeypatch, 300)
+    fitter = box_fitter(12)
+    fitter.run()
+    assert fitter.state.step == 12 and fitter.state.parts == 4 and max(sizes) <= 300  # 1024 rays at first
+    assert [text for text in fitter.said if "memory" in text] == [
+        "out of memory: batches are now worked off in 2 parts",
+        "out of memory: batches are now worked off in 4 parts",
+    ]
+    monkeypatch.undo()
+    straight = box_fitter(12)
+    straight.state.parts = 4
+    straight.run()
+    assert_same_bits(straight.field.arrays(), fitter.field.arrays())  # what had been added before the fault is gone
+
+
+def test_not_even_a_sixty_fourth_fits(monkeypatch):
+    limit_rays(monkeypatch, 2)
+    with pytest.raises(MemoryError, match="sixty-fourth"):
+        box_fitter(12).run()
+
+
+def step_gradients(parts: int) -> list[np.ndarray]:
+    """Gradients of one step in a half-learnt field, before the optimiser takes them."""
+    fitter, found = resumed(box_fitter(60), run_until(box_fitter(60), 33)), []
+    fitter.state.parts = parts
+    for adam in (fitter.density_adam, fitter.colour_adam):
+        adam.step = lambda rate, adam=adam: found.append(adam.gradients.sum(0, dtype=np.float64))
+    fitter.step()
+    return found
+
+
+def test_the_gradient_of_a_step_in_parts_is_the_gradient_of_the_whole():
+    whole = step_gradients(1)
+    for parts in (2, 7):
+        for found, expected in zip(step_gradients(parts), whole):
+            largest = np.abs(expected).max()
+            assert largest > 0
+            np.testing.assert_allclose(found, expected, atol=1e-6 * largest)

@@ -1,0 +1,110 @@
+"""Capacity on tiny scenes: what is kept, dropped, not even tried; and that time spent longer is never lost."""
+
+import numpy as np
+import pytest
+
+from stylerf.rendering.view import render_view
+from stylerf.training.fit import LEAST_STEPS_PER_RUNG, TELLING_PSNR, Fitter
+from tests.stylerf.training.running import Stopped, assert_same_bits, now, resumed, run_until
+from tests.stylerf.training.scenes import LADDER, box_bank, box_fitter, box_photo, dome, settings, wall_bank
+
+
+def test_a_rung_that_gains_too_little_is_dropped_for_the_field_before_it():
+    fitter, seen, tried = box_fitter(300, min_gain=50.0, shares=(0.34, 0.68)), {}, []
+
+    def on_step(now_: Fitter) -> None:
+        state = now_.state
+        if state.trial is not None and not seen:
+            seen.update(now(now_.checkpoint()[1], "anchor."))
+            tried.append(state.trial)
+            assert now_.field.density.size.max() == 12
+        if state.fixed:
+            assert_same_bits(now(now_.checkpoint()[1]), seen)
+            assert now_.held_out_psnr() == pytest.approx(tried[0], abs=1e-9)
+            raise Stopped
+
+    with pytest.raises(Stopped):
+        fitter.run(on_step)
+    assert fitter.state.rung == 0 and fitter.field.density.size.max() == 8 and fitter.state.step > 200
+    assert len(fitter.state.decisions) == 1 and "12^3 dropped" in fitter.state.decisions[0]
+    fitter = resumed(box_fitter(300, min_gain=50.0, shares=(0.34, 0.68)), fitter)
+    fitter.run()
+    assert fitter.state.rung == 0 and len(fitter.state.decisions) == 1  # not tried twice
+
+
+def test_a_rung_that_gains_is_kept():
+    fitter = box_fitter(300, ladder=LADDER[:2])
+    fitter.run()
+    assert fitter.state.rung == 1 and fitter.field.density.size.max() == 12
+    assert "12^3 kept" in fitter.state.decisions[0]
+    sizes = [entry["parameters"] for entry in fitter.state.curve]
+    assert sizes == sorted(sizes) and sizes[-1] == fitter.field.parameters > sizes[0]
+
+
+def test_growing_holds_the_same_picture():
+    fitter = run_until(box_fitter(300), 60)
+    before = fitter.held_out_psnr()
+    fitter._grow(LADDER[2])
+    assert fitter.field.density.size.max() == 16 and fitter.field.occupancy.cells == 16 and fitter.field.step == 1 / 16
+    fitter.field.step = 1 / 8
+    assert fitter.held_out_psnr() == pytest.approx(before, abs=0.3)  # sixteen vertices do not hold eight exactly
+
+
+def test_nothing_is_tried_once_held_out_views_are_trained_on():
+    """Rungs ripen by steps: in a short fit the second would be due in the last quarter, and would never be judged."""
+    fitter = box_fitter(2 * LEAST_STEPS_PER_RUNG, min_gain=0.0)
+    fitter.run()
+    assert fitter.state.trial is None
+    assert all(e["parameters"] == fitter.field.parameters for e in fitter.state.curve if not e["held_out"])
+
+
+def test_a_capacity_that_was_asked_for_is_reached_whatever_it_gains():
+    fitter = box_fitter(300, min_gain=50.0, always_climb=True)
+    fitter.run()
+    assert fitter.field.density.size.max() == 16 and all("kept" in d for d in fitter.state.decisions)
+
+
+@pytest.mark.parametrize("steps", [200, 600])
+def test_a_wall_of_one_colour_stays_at_the_smallest_capacity(steps):
+    space, bank = wall_bank()
+    fitter = Fitter(space, bank, 2, settings(steps), 0, 1)
+    fitter.run()
+    assert fitter.state.rung == 0 and fitter.field.density.size.max() == LADDER[0].resolution
+    assert {entry["parameters"] for entry in fitter.state.curve} == {fitter.field.parameters}
+    assert fitter.state.rollbacks == 0 and fitter.state.curve[-1]["psnr"] > TELLING_PSNR
+
+
+# -- time -----------------------------------------------------------------------------------------------------------
+
+
+def unseen_psnr(fitter: Fitter) -> float:
+    """Over views that no fit has had, on white."""
+    error = []
+    for camera in dome(4, 99):
+        photo = box_photo(camera).astype(np.float64) / 255
+        seen = render_view(fitter.field, camera, chunks=1)
+        over = seen.rgb + (1 - seen.alpha[..., None])
+        error.append((over - photo[..., :3] * photo[..., 3:] - (1 - photo[..., 3:])) ** 2)
+    return -10 * np.log10(np.mean(error))
+
+
+def qualities(lengths, views: int, size: int = 24, **more) -> list[float]:
+    found = []
+    for steps in lengths:
+        fitter = box_fitter(steps, bank=box_bank(views, size), **more)
+        fitter.run()
+        found.append(unseen_psnr(fitter))
+    return found
+
+
+def test_a_longer_fit_never_ends_worse():
+    found = qualities((80, 160, 320), views=12)
+    assert found[1] > found[0] - 0.2 and found[2] > found[1] - 0.2 and found[2] > found[0] + 1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("rate", [2e-2, 1e-1])
+def test_a_much_longer_fit_never_ends_worse(rate):
+    """A rate of 0.1 is one at which fits fall apart: the returns to the best field are what holds them."""
+    found = qualities((200, 600, 1800), views=16, size=32, rate=rate)
+    assert found[1] > found[0] - 0.2 and found[2] > found[1] - 0.2
