@@ -13,14 +13,14 @@ import pytest
 from schemas.store import Work
 from stylerf.training.stylize import Stylizer
 from stylerf_cli.main import main
-from tests.stylerf_cli.long_stages import FOLLOWED_EVERY_SECONDS, VERBS, assert_same, stopped
+from tests.stylerf_cli.long_stages import FOLLOWED_EVERY_SECONDS, STAGES, assert_same, stopped
 
 LONGEST_SECONDS = 10
 
 
-@pytest.mark.parametrize("verb", VERBS)
-def test_ctrl_c_ends_a_stage_within_ten_seconds_and_the_next_run_goes_on(long_stage, nursery, verb):
-    stage, work = long_stage(verb)
+@pytest.mark.parametrize("name", STAGES)
+def test_ctrl_c_ends_a_stage_within_ten_seconds_and_the_next_run_goes_on(long_stage, nursery, name):
+    stage, work = long_stage(name)
     chance, ended = random.Random(3), 0
     for _ in range(6):
         command, seconds = interrupted(nursery, stage, work, chance.random())
