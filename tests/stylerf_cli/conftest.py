@@ -45,7 +45,7 @@ def photos(in_memory) -> Path:
 
 @pytest.fixture(scope="session")
 def finished(in_memory, nursery, photos) -> Path:
-    """A work folder with the scene `main`, fields `fit`, `fit-deformed` and `painting-arf`, frames; nobody may change it."""
+    """A work folder with scene `main`, fields `fit`, `fit-deformed`, `painting-arf`, and frames; nobody changes it."""
     work = in_memory / "finished"
     for arguments in (
         ("import", photos, work),
