@@ -23,7 +23,7 @@ from stylerf.fields.field import RadianceField
 from stylerf.geometry.cameras import Camera
 from stylerf.geometry.paths import PATHS, path_camera
 from stylerf.kernels.cpu.compiling import compiling_note, set_threads
-from stylerf.rendering.pictures import depth_picture
+from stylerf.rendering.pictures import depth_picture, displacement_picture
 from stylerf.rendering.view import RenderedView, render_view
 
 SPEC = Spec(stage="render", verb="render", revision=1, writes="frames")
@@ -38,6 +38,8 @@ def run(inputs: dict[str, Artefact], config: RenderConfig, partial: Partial, con
     threads = set_threads(context.threads)
     shots = shots_of(scene, config)
     attributes = {"field": inputs["field"].name, "fieldDigest": inputs["field"].digest, "path": config.path}
+    if config.displacement and field.displacement is None:
+        context.progress.say(f"field {inputs['field'].name} has no deformation: no displacement pictures")
     context.progress.start("render", len(shots), "frame")
     frames = []
     with compiling_note(context.progress.say):
@@ -124,6 +126,8 @@ def _frame(field, background, camera, view, config, folder: Path, threads, attri
         write_exr(folder / frame.exr, exr_view(rendered, camera, field, attributes))
     if config.depth:
         write_png(folder / f"depth/{name}.png", depth_picture(rendered.z, rendered.alpha))
+    if config.displacement and field.displacement is not None:
+        write_png(folder / f"displacement/{name}.png", displacement_picture(field, camera, rendered))
     # The PNG comes last: its presence says that the frame is whole.
     level = 1.0 if background == "white" else 0.0
     rgb = rendered.rgb + (1 - rendered.alpha[..., None]) * np.float32(level)

@@ -22,6 +22,7 @@ class RenderConfig:
     scale: float = option(1.0, help="size of the pictures relative to the scene's views")
     exr: bool = option(True, help="write OpenEXR: R G B A, Z, rayDistance.Z")
     depth: bool = option(False, help="also write depth in a perceptual colour map")
+    displacement: bool = option(False, help="also write how far a deformed field's surfaces moved, in a colour map")
     video: bool = option(False, help="also write MP4 (extra `video`), else GIF")
     fps: float = option(24.0, help="frames a second of the video")
 

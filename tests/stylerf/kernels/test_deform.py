@@ -4,11 +4,13 @@ import numpy as np
 import pytest
 
 from stylerf.fields.displacement import displacement_gradient
+from stylerf.fields.occupancy import Occupancy
 from stylerf.fields.samples import Rays
 from stylerf.kernels import oracle
+from stylerf.kernels.cpu.deform import displaced_cells, mark_cells
 from stylerf.kernels.cpu.march import OPTICAL_SCALE
 from tests.stylerf.kernels.test_march import STEP, even_fog, march
-from tests.stylerf.kernels.test_vm import owned, samples
+from tests.stylerf.kernels.test_vm import RAYS, basis_of, owned, samples
 from tests.stylerf.small import (
     SPACES,
     Packed,
@@ -16,9 +18,11 @@ from tests.stylerf.small import (
     density,
     displacement_grid,
     float64,
+    oracle_colour,
     oracle_density,
     points_on,
     rays_into,
+    vm_colour,
 )
 
 
@@ -35,6 +39,24 @@ def test_density_position_gradient_equals_the_oracle():
     for chunks in (1, 2):
         out = np.full(s.x.shape, 0.25, np.float32)
         made.add_position_gradients(s, gradients, out, chunks)
+        close(out[at] - 0.25, x.grad, 2e-5)
+        assert (np.delete(out, at, 0) == 0.25).all()
+
+
+@pytest.mark.parametrize("degree", [0, 1])
+def test_vm_colour_position_gradient_equals_the_oracle(degree):
+    made, s = vm_colour(4, degree=degree), samples(5)
+    s.x[:] = np.random.default_rng(4).uniform(0.01, 0.99, s.x.shape)
+    s.weights[[4, 11, 30]] = 0
+    at, rays, basis = owned(s), np.repeat(np.arange(RAYS), s.ends - s.starts), basis_of(s, degree)
+    x = float64(s.x[at]).requires_grad_()
+    gradients = np.random.default_rng(6).normal(size=(len(s.x), 3)).astype(np.float32)
+    colours = made.colours(s.x, basis, s.starts, s.ends, s.weights, 0.0, 1)
+    expected = oracle_colour(made, float64(made.values), float64(basis[rays]), x)
+    (expected * float64(gradients[at]))[s.weights[at] > 0].sum().backward()
+    for chunks in (1, 3):
+        out = np.full(s.x.shape, 0.25, np.float32)
+        made.add_position_gradients(s, basis, colours, gradients, out, chunks)
         close(out[at] - 0.25, x.grad, 2e-5)
         assert (np.delete(out, at, 0) == 0.25).all()
 
@@ -96,3 +118,31 @@ def test_one_sample_spreads_its_gradient_over_eight_vertices():
     to[:] = 0
     displacement_gradient(space, rays, found, gradients, 2, to)
     np.testing.assert_allclose(to.reshape(8, 3), np.tile([1, 0, 3], (8, 1)), rtol=1e-5)
+
+
+@pytest.mark.parametrize("reach", [0.05, 0.3])
+def test_cells_are_occupied_where_any_of_27_points_is_moved_into_an_occupied_one(reach):
+    cells, moved = 7, displacement_grid(2, cells=4, reach=reach)
+    full = np.random.default_rng(3).random(cells**3) < 0.03
+    occupancy = Occupancy(cells)
+    occupancy.set_occupied(full)
+    found = np.zeros(cells**3, np.bool_)
+    displaced_cells(occupancy.distances, cells, cells, moved.reshape(-1), 4, found)
+    corner = np.stack(np.unravel_index(np.arange(cells**3), (cells,) * 3), 1)
+    within = np.array(list(np.ndindex(3, 3, 3))) * 0.48 + 0.02  # just inside the sides, and the middle
+    points = (corner[:, None] + within[None]) / cells
+    x = oracle.displaced(float64(moved), float64(points.reshape(-1, 3))).numpy()
+    place = np.minimum((x * cells).astype(int), cells - 1)
+    expected = full[(place[:, 0] * cells + place[:, 1]) * cells + place[:, 2]].reshape(-1, 27).any(1)
+    assert np.array_equal(found, expected) and 0 < found.sum() < cells**3 and not np.array_equal(found, full)
+
+
+def test_marked_cells_are_those_of_samples_that_show():
+    s, seen = samples(3), np.zeros((5, 5, 5), np.bool_)
+    shown = np.random.default_rng(0).integers(0, 2, len(s.x)).astype(np.float32)
+    mark_cells(shown, s.x, s.starts, s.ends, 5, seen)
+    at = owned(s)[shown[owned(s)] > 0]
+    lower = np.minimum((s.x[at] * 4).astype(int), 3)  # five vertices, four cells
+    expected = np.zeros((5, 5, 5), bool)
+    expected[tuple(lower.T)] = True
+    assert np.array_equal(seen, expected) and 5 < seen.sum() < 60

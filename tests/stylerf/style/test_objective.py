@@ -41,7 +41,8 @@ def slow_parts(made: StyleObjective, image, photo, alpha=None) -> tuple[float, f
             style_sum += share * (1 - cosines.max())
             content_sum += share * ((f - wanted[:, i, j]) ** 2).mean()
             total += share
-        style_loss, content_loss = style_loss + style_sum / total, content_loss + content_sum / total
+        style_loss = style_loss + style_sum / total
+        content_loss = content_loss + content_sum / total / (style**2).mean()  # in the painting's own unit
     x = image.detach().double().numpy()
     across, down = np.diff(x, axis=2) ** 2, np.diff(x, axis=1) ** 2
     return style_loss, content_loss, (across.mean() + down.mean()) / 2
@@ -70,6 +71,17 @@ def test_loss_and_its_parts_equal_a_slow_loop(masked, double):
     together = 0.7 * parts["style"] + 0.05 * parts["content"] + 0.3 * parts["variation"]
     assert float(loss) == pytest.approx(together, rel=1e-5)
     assert min(expected) > 1e-3
+
+
+def test_the_diagonal_variation_is_the_mean_of_its_pixels():
+    image = picture(HEIGHT, WIDTH, 2)
+    x, total = image.double().numpy(), 0.0
+    for i, j in np.ndindex(HEIGHT, WIDTH):
+        right = x[:, i, j + 1] - x[:, i, j] if j + 1 < WIDTH else 0
+        down = x[:, i + 1, j] - x[:, i, j] if i + 1 < HEIGHT else 0
+        total += np.linalg.norm(np.zeros(3) + right + down)
+    parts = objective(variation="diagonal")(image, objective().content_of(image))[1]
+    assert parts["variation"] == pytest.approx(total / (HEIGHT * WIDTH), rel=1e-5)
 
 
 def test_what_lies_outside_the_object_is_neither_matched_nor_kept():

@@ -1,0 +1,73 @@
+"""The deformation network, and the grid that it is baked to."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from stylerf.errors import InvalidValue
+from stylerf.fields.deformation import SCALE, Deformation
+from stylerf.fields.displacement import displaced_occupancy, nearest_of
+from stylerf.fields.occupancy import Occupancy
+
+
+def test_it_starts_as_the_identity_and_every_other_weight_is_alive():
+    made = Deformation.create(np.random.default_rng(0))
+    places = torch.rand(50, 3, generator=torch.Generator().manual_seed(0))
+    assert not made.network(made.encode(places), torch.from_numpy(made.values)).any()
+    assert np.mean(made.values != 0) > 0.95
+
+
+def test_encoding_is_position_and_octaves_of_sine_and_cosine():
+    made = Deformation.create(np.random.default_rng(0), frequencies=3, width=8)
+    x = torch.tensor([[0.3, 0.5, 0.9]])
+    p = [-0.4, 0.0, 0.8]
+    expected = list(p)
+    for octave in range(3):
+        expected += [math.sin(2**octave * math.pi * v) for v in p] + [math.cos(2**octave * math.pi * v) for v in p]
+    np.testing.assert_allclose(made.encode(x)[0], expected, atol=1e-5)
+
+
+def test_network_equals_matrices_by_hand():
+    random = np.random.default_rng(1)
+    made = Deformation.create(random, frequencies=1, width=4)
+    made.values[:] = random.normal(size=len(made.values))
+    v, at, layers = made.values.astype(np.float64), 0, []
+    for inside, outside in ((9, 4), (4, 4), (4, 3)):
+        layers.append((v[at : at + inside * outside].reshape(outside, inside), v[at + inside * outside :][:outside]))
+        at += (inside + 1) * outside
+    encoded = made.encode(torch.rand(5, 3, generator=torch.Generator().manual_seed(1)))
+    out = encoded.double().numpy()
+    for number, (weight, bias) in enumerate(layers):
+        out = out @ weight.T + bias
+        out = np.maximum(out, 0) if number < 2 else out
+    found = made.network(encoded, torch.from_numpy(made.values))
+    np.testing.assert_allclose(found, 0.5 * SCALE * out, rtol=1e-4, atol=1e-6)
+
+
+def test_values_of_another_size_are_refused():
+    with pytest.raises(InvalidValue, match="do not make a network of width 4"):
+        Deformation(1, 4, np.zeros(10, np.float32))
+
+
+def test_occupancy_follows_a_shift_by_whole_cells():
+    """x is occupied where x + D is: an even D of two cells moves the occupied block two cells back."""
+    cells = 8
+    occupied = np.zeros((cells,) * 3, bool)
+    occupied[4:6, 3, 3] = True
+    rest = Occupancy(cells)
+    rest.set_occupied(occupied.ravel())
+    shift = np.zeros((5, 5, 5, 3), np.float32)
+    shift[..., 0] = 2 / cells
+    moved = displaced_occupancy(rest, shift).distances.reshape((cells,) * 3) == 0
+    np.testing.assert_array_equal(moved, np.roll(occupied, -2, 0))
+
+
+def test_nearest_chosen_vertex_by_brute_force():
+    vertices, random = 6, np.random.default_rng(2)
+    chosen = np.sort(random.choice(vertices**3, 9, replace=False))
+    where = np.stack(np.unravel_index(np.arange(vertices**3), (vertices,) * 3), -1)
+    squares = np.square(where[:, None] - where[chosen][None]).sum(-1)
+    found = squares[np.arange(vertices**3), nearest_of(chosen, vertices)]
+    np.testing.assert_array_equal(found, squares.min(1))
