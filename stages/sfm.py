@@ -15,6 +15,7 @@ from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
+from schemas.atomic import refusal_of_disk
 from schemas.errors import BadInput, OutOfResources
 from stages.progress import Context
 from stages.readers.colmap import scene_of
@@ -25,6 +26,7 @@ from stages.structure.pairs import chosen_matching
 
 ROOT = Path(__file__).resolve().parent.parent
 POLL_SECONDS = 0.2
+PROBED_BYTES = 4_000_000  # what a disk that is not full must be able to take
 
 
 def reconstructed(
@@ -101,10 +103,10 @@ def run_child(job: Path, context: Context) -> None:
         code = child.wait()
     finally:
         _end(child)
-    if fault:
-        raise _fault(fault["kind"], fault["text"])
-    if code:
-        raise _death(code, log)
+    if fault or code:
+        # On a full disk COLMAP and the libraries below it end in many ways, few of which say so.
+        full = refusal_of_disk(job, PROBED_BYTES) if code != -signal.SIGTERM else None
+        raise full or (_fault(fault["kind"], fault["text"]) if fault else _death(code, log))
 
 
 def _end(child: subprocess.Popen) -> None:
