@@ -1,5 +1,7 @@
 """Fit the real scenes and measure held-out views: `python -m benchmarks.fits DATA OUT.json BUDGETS [NAMES]`.
 
+With $STYLERF_BENCH_WORK the work folders are kept there.
+
 Protocol: `stylerf import` with the flags below, `stylerf fit --budget B` (the clock is the training itself, without
 reading, compiling, decisions or rendering), `stylerf eval`: mean PSNR of the test views (every 8th, or the files' own)
 on white for objects, on black for captures. One seed. Peak memory is that of the fit's process.
@@ -51,9 +53,10 @@ def main() -> None:
     wanted = sys.argv[4:] or list(SCENES)
     rows = []
     with tempfile.TemporaryDirectory() as scratch:
+        kept = os.environ.get("STYLERF_BENCH_WORK", scratch)
         for name in wanted:
             for budget in budgets:
-                rows.append(measure(data, name, budget, Path(scratch) / name.replace(" ", "-")))
+                rows.append(measure(data, name, budget, Path(kept) / name.replace(" ", "-")))
                 print(rows[-1], flush=True)
                 machine = {"cpu": platform.processor() or platform.machine(), "cores": os.cpu_count()}
                 report = {

@@ -1,16 +1,27 @@
-"""Write README's figures from benchmarks/results: `python -m benchmarks.readme` (`--check` only compares)."""
+"""Write README's figures and charts from benchmarks/results: `python -m benchmarks.readme` (`--check`: compare only)."""
 
 import json
 import sys
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
-BEGIN, END = "<!-- figures -->", "<!-- /figures -->"
+RESULTS = ROOT / "benchmarks" / "results"
+CHART = ROOT / "docs" / "images" / "strategies.svg"
 
 
-def table() -> str:
+def result(name: str) -> dict:
+    return json.loads((RESULTS / name).read_text())
+
+
+def where(report: dict) -> str:
+    """Machine, day and command of a report."""
+    cores = report["machine"]["cores"]
+    return f"{cores} CPU cores, no GPU, {report['date']}; `{report['command']}`; one seed. Not measured on a GPU."
+
+
+def fits() -> str:
     """Markdown of the fits, with the protocol under it."""
-    report = json.loads((ROOT / "benchmarks" / "results" / "fit.json").read_text())
+    report = result("fit.json")
     lines = [
         "| scene | training | held-out PSNR | SSIM | parameters | grid | peak memory |",
         "|---|---|---|---|---|---|---|",
@@ -20,23 +31,77 @@ def table() -> str:
             f"| {row['scene']} | {row['train_seconds']:.0f} s | {row['psnr']:.2f} dB | {row['ssim']:.3f} "
             f"| {row['parameters'] / 1e6:.2f} M | {row['resolution']}^3 | {row['peak_memory_mb'] / 1000:.1f} GB |"
         )
-    lines += [
-        "",
-        f"{report['machine']['cores']} CPU cores, no GPU, {report['date']}; `{report['command']}`; one seed. "
-        "Not measured on a GPU.",
+    return "\n".join([*lines, "", where(report)])
+
+
+def strategies() -> str:
+    """Markdown of the ray strategies: everything relative to `full`."""
+    report = result("strategies.json")
+    full = report["rows"][0]
+    lines = [
+        "| rays that learn | step | its field part | field memory | style, equal steps | style, equal time "
+        "| content, equal time |",
+        "|---|---|---|---|---|---|---|",
     ]
-    return "\n".join(lines)
+    for row in report["rows"]:
+        faster = full["field_seconds"] / row["field_seconds"]
+        lines.append(
+            f"| {row['case']} | {row['step_seconds']:.2f} s | {row['field_seconds']:.2f} s ({faster:.1f}x) "
+            f"| {row['field_memory_mb']:.0f} MB | {row['at_equal_steps']['style']:.4f} "
+            f"| {row['at_equal_time']['style']:.4f} | {row['at_equal_time']['content']:.3f} |"
+        )
+    steps = full["steps"]
+    return "\n".join(
+        [
+            "![Style distance against the field's seconds a step](docs/images/strategies.svg)",
+            "",
+            *lines,
+            "",
+            f"{report['scene']}, {report['method']}, {steps} steps of `full` and as long for the others; "
+            "distances on held-out views, lower is better. " + where(report),
+        ]
+    )
+
+
+def chart() -> str:
+    """The strategies as a chart: SVG text, the same for the same figures."""
+    import io
+
+    import matplotlib
+
+    matplotlib.use("svg")
+    matplotlib.rcParams["svg.hashsalt"] = "stylerf"
+    from matplotlib import pyplot
+
+    figure, axes = pyplot.subplots(figsize=(7, 3.4))
+    for row in result("strategies.json")["rows"]:
+        x, y = row["field_seconds"], row["at_equal_time"]["style"]
+        axes.scatter(x, y, s=20 + row["field_memory_mb"] / 4, alpha=0.7)
+        axes.annotate(row["case"], (x, y), xytext=(6, 4), textcoords="offset points", fontsize=8)
+    axes.set_xlabel("seconds a step spends in the field (area: its memory)")
+    axes.set_ylabel("style distance at equal time")
+    axes.margins(0.18)
+    figure.tight_layout()
+    out = io.StringIO()
+    figure.savefig(out, format="svg", metadata={"Date": None})
+    return out.getvalue()
+
+
+BLOCKS = {"figures": fits, "strategies": strategies}
 
 
 def main() -> int:
     readme = ROOT / "README.md"
-    text = readme.read_text()
-    head, _, rest = text.partition(BEGIN)
-    _, _, tail = rest.partition(END)
-    wanted = f"{head}{BEGIN}\n{table()}\n{END}{tail}"
+    text = wanted = readme.read_text()
+    for name, block in BLOCKS.items():
+        begin, end = f"<!-- {name} -->", f"<!-- /{name} -->"
+        head, _, rest = wanted.partition(begin)
+        _, _, tail = rest.partition(end)
+        wanted = f"{head}{begin}\n{block()}\n{end}{tail}"
     if "--check" in sys.argv:
         return int(wanted != text)
     readme.write_text(wanted)
+    CHART.write_text(chart())
     return 0
 
 

@@ -6,8 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
+from schemas.canonical import file_sha256
 from schemas.errors import BadInput
-from schemas.exr import ExrView, write_exr
+from schemas.exr import LARGEST_SIDE, ExrView, write_exr
 from schemas.frames import Frame, FrameCamera, Frames, write_frames
 from schemas.images import linear_from_srgb, to_uint8, write_png
 from schemas.scene import as_matrix
@@ -22,10 +23,11 @@ from stylerf.fields.field import RadianceField
 from stylerf.geometry.cameras import Camera
 from stylerf.geometry.paths import PATHS, path_camera
 from stylerf.kernels.cpu.compiling import compiling_note, set_threads
-from stylerf.rendering.pictures import depth_picture
+from stylerf.rendering.pictures import depth_picture, displacement_picture
 from stylerf.rendering.view import RenderedView, render_view
 
 SPEC = Spec(stage="render", verb="render", revision=1, writes="frames")
+OWN_VIEWS = ("train", "test", "views")
 Shot = tuple[Camera, int | None]
 
 
@@ -36,6 +38,8 @@ def run(inputs: dict[str, Artefact], config: RenderConfig, partial: Partial, con
     threads = set_threads(context.threads)
     shots = shots_of(scene, config)
     attributes = {"field": inputs["field"].name, "fieldDigest": inputs["field"].digest, "path": config.path}
+    if config.displacement and field.displacement is None:
+        context.progress.say(f"field {inputs['field'].name} has no deformation: no displacement pictures")
     context.progress.start("render", len(shots), "frame")
     frames = []
     with compiling_note(context.progress.say):
@@ -48,10 +52,17 @@ def run(inputs: dict[str, Artefact], config: RenderConfig, partial: Partial, con
     return {"frames": len(frames), "pixels": int(sum(c.width * c.height for c, _ in shots)), "video": video}
 
 
+def pinned(config: RenderConfig) -> RenderConfig:
+    """The config with the digest of its file of cameras, so that frames of an older file are not taken for its own."""
+    path = Path(config.path)
+    known = config.path in OWN_VIEWS or config.path in PATHS
+    return replace(config, path_digest="" if known or not path.is_file() else file_sha256(path))
+
+
 def shots_of(scene: SceneData, config: RenderConfig) -> list[Shot]:
     """The cameras to render, each with the index of the scene's view it repeats (None: none)."""
     splits = scene.splits
-    own = {"train": splits["train"], "test": splits["test"], "views": sorted(splits["train"] + splits["test"])}
+    own = dict(zip(OWN_VIEWS, (splits["train"], splits["test"], sorted(splits["train"] + splits["test"])), strict=True))
     if config.path in own:
         shots: list[Shot] = [(scene.cameras[i], i if config.scale == 1 else None) for i in own[config.path]]
         if not shots:
@@ -59,15 +70,19 @@ def shots_of(scene: SceneData, config: RenderConfig) -> list[Shot]:
     elif config.path in PATHS:
         cameras = [scene.cameras[i] for i in own["views"]]
         focus = _focus_depth(scene)
-        wanted = frames_of(config.frames, config.count)
+        wanted = _chosen(config, config.count)
         shots = [(path_camera(config.path, cameras, i, config.count, focus), None) for i in wanted]
         return [(c.scaled(config.scale), v) for c, v in shots]
     else:
         shots = [(camera, None) for camera in _cameras_of_file(Path(config.path), scene.cameras[0])]
-    chosen = frames_of(config.frames, len(shots))
+    return [(shots[i][0].scaled(config.scale), shots[i][1]) for i in _chosen(config, len(shots))]
+
+
+def _chosen(config: RenderConfig, count: int) -> range:
+    chosen = frames_of(config.frames, count)
     if not len(chosen):
-        raise BadInput(f"--frames {config.frames}: the path {config.path} has {len(shots)} frames, counted from 0")
-    return [(shots[i][0].scaled(config.scale), shots[i][1]) for i in chosen]
+        raise BadInput(f"--frames {config.frames}: the path {config.path} has {count} frames, counted from 0")
+    return chosen
 
 
 def _focus_depth(scene: SceneData) -> float:
@@ -81,7 +96,7 @@ def _cameras_of_file(path: Path, like: Camera) -> list[Camera]:
         entries = json.loads(path.read_text())
     except OSError as error:
         raise BadInput(f"--path {path}: neither a known path nor a readable file ({error.strerror})") from error
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise BadInput(f"--path {path} is not JSON: {error}") from error
     cameras = []
     for number, entry in enumerate(entries if isinstance(entries, list) else []):
@@ -89,11 +104,13 @@ def _cameras_of_file(path: Path, like: Camera) -> list[Camera]:
             own = {
                 k: type(getattr(like, k))(entry[k]) for k in ("width", "height", "fx", "fy", "cx", "cy") if k in entry
             }
-            cameras.append(
-                replace(like, name=f"{number:04d}", world_from_camera=np.array(entry["world_from_camera"]), **own)
-            )
-        except (KeyError, TypeError, ValueError, InvalidValue) as error:
+            camera = replace(like, name=f"{number:04d}", world_from_camera=np.array(entry["world_from_camera"]), **own)
+        except (KeyError, TypeError, ValueError, OverflowError, InvalidValue) as error:
             raise BadInput(f"--path {path}: camera {number} is not sound ({error})") from error
+        if max(camera.width, camera.height) > LARGEST_SIDE:
+            size = f"{camera.width}x{camera.height}"
+            raise BadInput(f"--path {path}: camera {number} has {size} pixels; at most {LARGEST_SIDE} a side")
+        cameras.append(camera)
     if not cameras:
         raise BadInput(f"--path {path}: a list of cameras was expected, each with world_from_camera")
     return cameras
@@ -109,6 +126,8 @@ def _frame(field, background, camera, view, config, folder: Path, threads, attri
         write_exr(folder / frame.exr, exr_view(rendered, camera, field, attributes))
     if config.depth:
         write_png(folder / f"depth/{name}.png", depth_picture(rendered.z, rendered.alpha))
+    if config.displacement and field.displacement is not None:
+        write_png(folder / f"displacement/{name}.png", displacement_picture(field, camera, rendered))
     # The PNG comes last: its presence says that the frame is whole.
     level = 1.0 if background == "white" else 0.0
     rgb = rendered.rgb + (1 - rendered.alpha[..., None]) * np.float32(level)

@@ -56,7 +56,7 @@ def run(inputs: dict[str, Artefact], config: StylizeConfig, partial: Partial, co
             level,
             painting,
             Trunk(resolved.state, config.taps, resolved.kind),
-            _settings(config, max(max(c.width, c.height) for c in scene.cameras)),
+            settings_of(config, max(max(c.width, c.height) for c in scene.cameras)),
             context.seed,
             threads,
             lambda generator: HashColour.create(
@@ -123,7 +123,7 @@ def _train(stylizer: Stylizer, config: StylizeConfig, partial: Partial, context:
         context.progress.finish()
 
 
-def _settings(config: StylizeConfig, long_side: int) -> StyleSettings:
+def settings_of(config: StylizeConfig, long_side: int) -> StyleSettings:
     seconds, steps = budget_of(config.budget)
     return StyleSettings(
         steps=steps,

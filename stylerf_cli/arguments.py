@@ -150,12 +150,13 @@ def build_config(config: type, given: argparse.Namespace, table: dict[str, Any],
     whatever the config itself refuses.
     """
     kinds = dict((item.name, (item, kind)) for item, kind in _fields(config))
-    values = {}
+    values: dict[str, Any] = {}
     for key, value in table.items():
         name = key.replace("-", "_")
         if name not in kinds:
             raise UsageError(f"{where}: there is no option {key!r}{nearest(name, list(kinds))}")
         values[name] = _from_toml(value, *kinds[name], f"{where}: {key}")
+    of_file = {name for name in values if not hasattr(given, name)}
     for name, (item, _) in kinds.items():
         if hasattr(given, name):
             value = getattr(given, name)
@@ -166,7 +167,9 @@ def build_config(config: type, given: argparse.Namespace, table: dict[str, Any],
     try:
         return config(**values)
     except ValueError as error:
-        raise UsageError(str(error)) from error
+        # A config refuses in its own words, which do not know where a value came from.
+        source = f" (options from {where}: {', '.join(sorted(of_file))})" if of_file else ""
+        raise UsageError(f"{error}{source}") from error
 
 
 def _from_toml(value: Any, item: dataclasses.Field, kind: Any, where: str) -> Any:

@@ -6,7 +6,7 @@ from schemas.errors import UsageError
 from schemas.store import Artefact
 from stages.configs.deform import DeformConfig
 from stages.configs.fit import FitConfig
-from stages.configs.render import RenderConfig
+from stages.configs.render import RenderConfig, label_of
 
 FIT_NAME = "fit"
 
@@ -60,6 +60,6 @@ def ensure_frames(session: Any, field: Artefact, path: str) -> Artefact:
     from stages import render
     from stylerf_cli.verbs.eval_ import scene_of
 
-    config = RenderConfig(path=path, count=30 if path not in ("test", "train", "views") else 1)
+    config = render.pinned(RenderConfig(path=path, count=30 if path not in render.OWN_VIEWS else 1))
     inputs = {"scene": scene_of(session.work, field), "field": field}
-    return session.run(render.SPEC, render.run, inputs, config, f"{field.name}-{path}")
+    return session.run(render.SPEC, render.run, inputs, config, f"{field.name}-{label_of(path)}")

@@ -16,7 +16,7 @@ class DemoConfig:
     fit_budget: str = option("60s", help="time of the fit, or steps")
     style_budget: str = option("60s", help="time of the stylisation, or steps")
     frames: int = option(36, help="frames of the film")
-    method: str = option("arf", choices=("arf",), help="how the scene is stylised")
+    method: str = option("desrf", choices=("arf", "desrf"), help="how the scene is stylised")
 
     def __post_init__(self) -> None:
         budget_of(self.fit_budget)

@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import dataclass
+from pathlib import Path
 
 from stages.configs import option
 
@@ -15,11 +16,13 @@ class RenderConfig:
         metavar="test|train|views|orbit|spiral|interpolate|FILE",
         help="cameras: the scene's own views, a path around, in front of or through them, or a JSON file of cameras",
     )
+    path_digest: str = option("", help="sha256 of the file of cameras (filled in; guards against a changed file)")
     count: int = option(60, help="frames of a whole path (orbit, spiral, interpolate)")
     frames: str = option("", metavar="A-B", help="only frames A to B of the path, counted from 0: a shard of the job")
     scale: float = option(1.0, help="size of the pictures relative to the scene's views")
     exr: bool = option(True, help="write OpenEXR: R G B A, Z, rayDistance.Z")
     depth: bool = option(False, help="also write depth in a perceptual colour map")
+    displacement: bool = option(False, help="also write how far a deformed field's surfaces moved, in a colour map")
     video: bool = option(False, help="also write MP4 (extra `video`), else GIF")
     fps: float = option(24.0, help="frames a second of the video")
 
@@ -27,6 +30,11 @@ class RenderConfig:
         frames_of(self.frames, 1 << 30)
         if self.count < 1 or not 0 < self.scale <= 8 or not 0 < self.fps <= 240:
             raise ValueError("count must be at least 1, scale in (0, 8] and fps in (0, 240]")
+
+
+def label_of(path: str) -> str:
+    """What frames along a path are named after: the path, or the name of its file."""
+    return Path(path).stem if Path(path).suffix else path
 
 
 def frames_of(text: str, count: int) -> range:

@@ -13,6 +13,7 @@ from stylerf.geometry.distortion import Distortion
 
 _PINHOLES = ("PINHOLE", "SIMPLE_PINHOLE", "PERSPECTIVE", "OPENCV", "SIMPLE_RADIAL", "RADIAL")
 _FISHEYES = ("OPENCV_FISHEYE", "FISHEYE")
+LARGEST_SIDE = 1_000_000
 
 
 def read(source: Path, images: str) -> SourceScene:
@@ -23,7 +24,7 @@ def read(source: Path, images: str) -> SourceScene:
         content = _content(path)
         kinds.add(_kind(content))
         undo = _undo(content, path)
-        told = _told_splits(content)
+        told = _told_splits(content, path)
         for index, frame in enumerate(content["frames"]):
             cameras.append(_camera(root, path, content, frame, index, undo, told, split, images))
     if not cameras:
@@ -53,6 +54,9 @@ def _content(path: Path) -> dict:
         raise BadInput(f"{path} is no JSON ({error}); export it again") from error
     if not isinstance(content, dict) or not isinstance(content.get("frames"), list):
         raise BadInput(f"{path} has no list `frames`; expected a transforms.json of Blender, instant-ngp or nerfstudio")
+    for index, frame in enumerate(content["frames"]):
+        if not isinstance(frame, dict):
+            raise BadInput(f"{path}: frame {index} is {frame!r:.40}, no object with file_path; export it again")
     return content
 
 
@@ -76,23 +80,28 @@ def _undo(content: dict, path: Path) -> np.ndarray:
 def _matrix(values: object, where: str) -> np.ndarray:
     try:
         matrix = np.asarray(values, dtype=np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         matrix = np.empty(0)
     if matrix.shape not in ((3, 4), (4, 4)):
         raise BadInput(f"{where} is no 4x4 matrix; export it again")
+    if not np.isfinite(matrix).all():
+        raise BadInput(f"{where} holds NaN or infinity; repair it or remove the photo from the list")
     return with_last_row(matrix)
 
 
-def _told_splits(content: dict) -> dict[str, str]:
+def _told_splits(content: dict, path: Path) -> dict[str, str]:
     told = {}
     for key, split in (("val_filenames", "test"), ("test_filenames", "test"), ("train_filenames", "train")):
-        told |= {str(name): split for name in content.get(key, ())}
+        names = content.get(key, [])
+        if not isinstance(names, list):
+            raise BadInput(f"{path}: {key} is {names!r:.40}, expected a list of photos; export it again")
+        told |= {str(name): split for name in names}
     return told
 
 
 def _camera(root, path, content, frame, index, undo, told, split, images) -> SourceCamera:
     where = f"{path}: frame {index}"
-    if not isinstance(frame, dict) or not isinstance(frame.get("file_path"), str) or "transform_matrix" not in frame:
+    if not isinstance(frame.get("file_path"), str) or "transform_matrix" not in frame:
         raise BadInput(f"{where} lacks file_path or transform_matrix; export it again")
     listed = Path(frame["file_path"].replace("\\", "/"))
     wanted = image_folder(root, images) / listed.name if images else root / listed
@@ -126,13 +135,23 @@ class _Numbers:
         value = self.values.get(key, default)
         if not isinstance(value, int | float) or isinstance(value, bool):
             raise BadInput(f"{self.where}: {key} is {value!r}, expected a number; export it again")
-        return float(value)
+        try:
+            return float(value)
+        except OverflowError as error:
+            raise BadInput(f"{self.where}: {key} is beyond all numbers; export it again") from error
+
+    def side(self, key: str) -> int:
+        """A width or height in pixels."""
+        value = self.get(key)
+        if not 1 <= value < LARGEST_SIDE:
+            raise BadInput(f"{self.where}: {key} is {value:g}, expected a size in pixels; export it again")
+        return round(value)
 
 
 def _intrinsics(numbers: _Numbers):
     """size or None, (fx, fy, cx, cy) or None, horizontal angle or None: what the frame tells of them."""
     has = numbers.values.keys()
-    size = (round(numbers.get("w")), round(numbers.get("h"))) if {"w", "h"} <= has else None
+    size = (numbers.side("w"), numbers.side("h")) if {"w", "h"} <= has else None
     if "fl_x" in has:
         fx = numbers.get("fl_x")
         return size, (fx, numbers.get("fl_y", fx), numbers.get("cx"), numbers.get("cy")), None
@@ -146,7 +165,8 @@ def _distortion(numbers: _Numbers) -> Distortion:
     if numbers.values.get("is_fisheye"):
         model = "OPENCV_FISHEYE"
     k = tuple(numbers.get(f"k{i}", 0.0) for i in range(1, 5))
-    if not all(map(math.isfinite, k)):
+    p = (numbers.get("p1", 0.0), numbers.get("p2", 0.0))
+    if not all(map(math.isfinite, (*k, *p))):
         raise BadInput(f"{numbers.where}: a distortion coefficient is not finite; export it again")
     if model in _FISHEYES:
         return Distortion("fisheye", k)
@@ -155,7 +175,7 @@ def _distortion(numbers: _Numbers) -> Distortion:
             f"{numbers.where}: its camera model {model} is not known; undistort the pictures first, or use one of "
             f"{', '.join(_PINHOLES + _FISHEYES)}"
         )
-    return Distortion("brown", k, (numbers.get("p1", 0.0), numbers.get("p2", 0.0)))
+    return Distortion("brown", k, p)
 
 
 def _distinct(cameras: list[SourceCamera]) -> list[SourceCamera]:

@@ -116,6 +116,8 @@ def from_colmap(model: str, params: list[float]) -> tuple[tuple[float, float, fl
     return tuple(f[:4]), Distortion("brown", rest)
 
 
+# A search that runs off to infinity ends in NaN, which is asked for below; numpy need not warn of it too.
+@np.errstate(over="ignore", invalid="ignore")
 def pinhole_of(
     size: tuple[int, int], intrinsics: tuple[float, float, float, float], distortion: Distortion
 ) -> tuple[float, float, float, float]:

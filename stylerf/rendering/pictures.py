@@ -1,6 +1,11 @@
 """Buffers as pictures for the eye."""
 
 import numpy as np
+from scipy.ndimage import map_coordinates
+
+from stylerf.fields.field import RadianceField
+from stylerf.geometry.cameras import Camera
+from stylerf.rendering.view import RenderedView
 
 
 def depth_picture(z: np.ndarray, alpha: np.ndarray) -> np.ndarray:
@@ -13,6 +18,23 @@ def depth_picture(z: np.ndarray, alpha: np.ndarray) -> np.ndarray:
     level = np.clip((inverse - low) / max(high - low, 1e-9), 0, 1)
     colours = colormaps["viridis"](level)[..., :3] * seen[..., None]
     return (colours * 255 + 0.5).astype(np.uint8)
+
+
+def displacement_picture(field: RadianceField, camera: Camera, seen: RenderedView) -> np.ndarray:
+    """How far each pixel's surface asks from where it is, |D| there, black none, bright most; [h, w, 3] uint8.
+
+    The scale ends at the 99th percentile of what is seen.
+    """
+    from matplotlib import colormaps
+
+    origins, directions = camera.rays()
+    points = field.space.warp(origins + directions * seen.ray_distance.reshape(-1, 1))
+    grid = field.displacement
+    places = (points * (np.array(grid.shape[:3]) - 1)).T
+    moved = np.stack([map_coordinates(grid[..., axis], places, order=1) for axis in range(3)], -1)
+    far = np.linalg.norm(moved, axis=1).reshape(seen.alpha.shape) * (seen.alpha > 0.5)
+    most = max(float(np.percentile(far[seen.alpha > 0.5], 99)) if (seen.alpha > 0.5).any() else 0.0, 1e-9)
+    return (colormaps["magma"](np.clip(far / most, 0, 1))[..., :3] * 255 + 0.5).astype(np.uint8)
 
 
 def sheet_of(rows: list[list[np.ndarray]], beside: np.ndarray, gap: int = 6) -> np.ndarray:

@@ -19,7 +19,8 @@ def add_arguments(parser) -> None:
 def run(args, session) -> dict:
     """Places of the contact sheet, the report and the film."""
     from schemas.canonical import file_sha256
-    from stages import demo_data, evaluate, nerf_fit, pose_import, render, stylize
+    from stages import deform_init, demo_data, evaluate, nerf_fit, pose_import, render, stylize
+    from stages.configs.deform import DeformConfig
     from stages.configs.evaluate import EvaluateConfig
     from stages.configs.fit import FitConfig
     from stages.configs.render import RenderConfig
@@ -43,7 +44,11 @@ def run(args, session) -> dict:
         budget=config.style_budget,
         method=config.method,
     )
-    inputs = {"scene": scene, "field": fit}
+    shaped = fit
+    if config.method == "desrf":
+        options = {"scene": scene, "field": fit}
+        shaped = session.run(deform_init.SPEC, deform_init.run, options, DeformConfig(), "fit-deformed")
+    inputs = {"scene": scene, "field": shaped}
     stylised = session.run(stylize.SPEC, stylize.run, inputs, style, f"painting-{config.method}")
 
     def frames(field, path: str, **options):

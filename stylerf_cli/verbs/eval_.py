@@ -1,11 +1,13 @@
 """`stylerf eval WORK [--of NAME]`: figures, charts and a page about one field."""
 
+from pathlib import Path
 from typing import Any
 
 from schemas.errors import ArtefactStale
 from schemas.frames import read_frames
 from schemas.store import Artefact, Work
 from stages.configs.evaluate import EvaluateConfig
+from stages.configs.render import label_of
 
 NAME = "eval"
 HELP = "measure a field: quality, style, consistency, cost; a report with pictures"
@@ -69,9 +71,10 @@ def scene_of(work: Work, field: Artefact) -> Artefact:
 
 def frames_of(session: Any, field: Artefact, path: str) -> Artefact:
     """Frames of the field along `path`: those that are there and up to date, else rendered now."""
-    name = f"{field.name}-{path}"
+    name = f"{field.name}-{label_of(path)}"
     there = next((one for one in session.work.artefacts("frames") if one.name == name), None)
-    if there is not None and shows(there, field):
+    # A file of cameras may have changed since; whether it has, only its digest in the recipe tells.
+    if there is not None and shows(there, field) and not Path(path).is_file():
         return there
     from stylerf_cli.chains import ensure_frames
 

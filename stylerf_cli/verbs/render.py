@@ -1,6 +1,6 @@
 """`stylerf render WORK`: views of a field as EXR, PNG and video."""
 
-from stages.configs.render import RenderConfig
+from stages.configs.render import RenderConfig, label_of
 
 NAME = "render"
 HELP = "render a field along a path: EXR with depth for compositors, PNG, video"
@@ -15,15 +15,12 @@ def add_arguments(parser) -> None:
 
 def run(args, session) -> dict:
     """The frames' place."""
-    from pathlib import Path
-
     from stages import render
     from stylerf_cli.verbs.eval_ import chosen_field, scene_of
 
     field = chosen_field(session.work, args.of)
-    config = session.config
-    label = Path(config.path).stem if Path(config.path).suffix else config.path
-    name = f"{field.name}-{label}" + (f"-{config.frames}" if config.frames else "")
+    config = render.pinned(session.config)
+    name = f"{field.name}-{label_of(config.path)}" + (f"-{config.frames}" if config.frames else "")
     frames = session.run(
         render.SPEC, render.run, {"scene": scene_of(session.work, field), "field": field}, config, name
     )

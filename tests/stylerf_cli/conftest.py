@@ -11,10 +11,12 @@ import pytest
 from stages.demo_data import PAINTING, write_demo
 from stages.progress import Silent
 from tests.stages.photo_room import walk, write_photos
+from tests.stylerf_cli import capture
 from tests.stylerf_cli.long_stages import LongStage, arguments_of, undisturbed
 from tests.stylerf_cli.nursery import Nursery
 
 FIT = ("--budget", "60", "--no-buffers", "--capacity", "fixed:32x8x8", "--samples", "3000")
+DEFORM = ("--steps", "20", "--vertices", "12", "--width", "16", "--patience-db", "0")
 STYLIZE = ("--budget", "6", "--refit-steps", "40", "--levels", "4", "--finest", "64", "--table-bits", "12")
 
 
@@ -43,12 +45,13 @@ def photos(in_memory) -> Path:
 
 @pytest.fixture(scope="session")
 def finished(in_memory, nursery, photos) -> Path:
-    """A work folder with the scene `main`, the fields `fit` and `painting-arf`, and frames. Nobody may change it."""
+    """A work folder with scene `main`, fields `fit`, `fit-deformed`, `painting-arf`, and frames; nobody changes it."""
     work = in_memory / "finished"
     for arguments in (
         ("import", photos, work),
         ("fit", work, *FIT),
         ("stylize", work, "--style", photos / PAINTING, *STYLIZE),
+        ("deform", work, "--of", "fit", *DEFORM),
         ("render", work, "--of", "fit", "--path", "test"),
         ("render", work, "--of", "painting-arf", "--path", "test"),
         ("render", work, "--of", "fit", "--path", "orbit", "--count", "9"),
@@ -76,14 +79,28 @@ def room(in_memory) -> Path:
 
 @pytest.fixture(scope="session")
 def long_stage(in_memory, finished, nursery, photos, room) -> Callable[[str], tuple[LongStage, Path]]:
-    """By verb: a stage that has run to its end once, and the work folder where `whole` is what it made."""
+    """By name: a stage that has run to its end once, and the work folder where `whole` is what it made."""
     made: dict[str, tuple[LongStage, Path]] = {}
 
-    def prepared(verb: str) -> tuple[LongStage, Path]:
-        if verb not in made:
-            work = in_memory / f"long {verb}" / "work"
+    def prepared(name: str) -> tuple[LongStage, Path]:
+        if name not in made:
+            work = in_memory / f"long {name}" / "work"
             shutil.copytree(finished, work)
-            made[verb] = undisturbed(nursery, *arguments_of(verb, work, photos, room), work), work
-        return made[verb]
+            made[name] = undisturbed(nursery, *arguments_of(name, work, photos, room), work), work
+        return made[name]
 
     return prepared
+
+
+@pytest.fixture
+def source(tmp_path) -> Path:
+    """Four photos without poses."""
+    capture.write_images(tmp_path / "source")
+    return tmp_path / "source"
+
+
+@pytest.fixture
+def posed(source) -> Path:
+    """The same with a sound transforms.json."""
+    capture.write_transforms(source, capture.transforms())
+    return source

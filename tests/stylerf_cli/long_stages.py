@@ -15,7 +15,7 @@ from schemas.store import Artefact, Work
 from tests.stylerf_cli.nursery import Command, Nursery
 
 FOLLOWED_EVERY_SECONDS = 0.002
-VERBS = ("import", "fit", "stylize", "render", "eval")
+STAGES = ("import", "fit", "deform", "stylize", "stylize with shapes", "render", "eval")
 TAKEN = re.compile(r"seconds|runs|peak_memory_mb")
 
 
@@ -37,20 +37,24 @@ class LongStage:
         return work / self.kind / f".{name}.partial"
 
 
-def arguments_of(verb: str, work: Path, photos: Path, room: Path) -> tuple[tuple[object, ...], str]:
-    """A command of that verb that takes about a second, and the kind it writes."""
+def arguments_of(stage: str, work: Path, photos: Path, room: Path) -> tuple[tuple[object, ...], str]:
+    """A command of that stage that takes about a second, and the kind it writes."""
     often = ("--checkpoint-every-seconds", "0.03")
+    style = ("--style", photos / "painting.png", "--refit-steps", "60", "--levels", "4", "--finest", "64",
+             "--table-bits", "12", *often)  # fmt: skip
     return {
         "import": (("import", room, work, "--sfm-features", "1024"), "scene"),
         "fit": (("fit", work, "--budget", "150", "--no-buffers", "--capacity", "fixed:96x8x8", "--samples", "3000",
                  *often), "field"),
-        "stylize": (("stylize", work, "--of", "fit", "--style", photos / "painting.png", "--budget", "12",
-                     "--rays", "dilated", "--refit-steps", "60", "--levels", "4", "--finest", "64", "--table-bits",
-                     "12", *often), "field"),
+        "deform": (("deform", work, "--of", "fit", "--steps", "60", "--vertices", "16", "--width", "32",
+                    "--patience-db", "0", *often), "field"),
+        "stylize": (("stylize", work, "--of", "fit", "--budget", "12", "--rays", "dilated", *style), "field"),
+        "stylize with shapes": (("stylize", work, "--of", "fit-deformed", "--method", "desrf", "--budget", "12",
+                                 *style), "field"),
         "render": (("render", work, "--of", "fit", "--path", "orbit", "--count", "40", "--scale", "2", "--video"),
                    "frames"),
         "eval": (("eval", work, "--of", "painting-arf", "--perceptual", "none"), "report"),
-    }[verb]  # fmt: skip
+    }[stage]  # fmt: skip
 
 
 def appeared(path: Path, command: Command, seconds: float = 120.0) -> bool:

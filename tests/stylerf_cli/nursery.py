@@ -14,7 +14,7 @@ import time
 from pathlib import Path
 
 REPOSITORY = Path(__file__).resolve().parents[2]
-LONGEST_SECONDS = 300.0
+LONGEST_SECONDS = 500.0
 
 
 class Nursery:
@@ -111,6 +111,7 @@ def _ticks(pid: int) -> int:
 
 def serve() -> None:
     """Reads orders from stdin; answers each with the child's number, and, when it has ended, its exit code."""
+    import stages.deform_init
     import stages.evaluate  # all of them: what the children find imported
     import stages.nerf_fit
     import stages.pose_import

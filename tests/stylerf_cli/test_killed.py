@@ -3,17 +3,17 @@ happened."""
 
 import pytest
 
-from tests.stylerf_cli.long_stages import VERBS, killed_until_done
+from tests.stylerf_cli.long_stages import STAGES, killed_until_done
 
 
-@pytest.mark.parametrize("verb", VERBS)
-def test_a_stage_killed_at_two_moments_ends_as_an_undisturbed_one(long_stage, nursery, verb):
-    stage, work = long_stage(verb)
+@pytest.mark.parametrize("name", STAGES)
+def test_a_stage_killed_at_two_moments_ends_as_an_undisturbed_one(long_stage, nursery, name):
+    stage, work = long_stage(name)
     killed_until_done(nursery, stage, work, 2, seed=1)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("verb", VERBS)
-def test_a_stage_killed_at_twenty_moments_ends_as_an_undisturbed_one(long_stage, nursery, verb):
-    stage, work = long_stage(verb)
+@pytest.mark.parametrize("name", STAGES)
+def test_a_stage_killed_at_twenty_moments_ends_as_an_undisturbed_one(long_stage, nursery, name):
+    stage, work = long_stage(name)
     killed_until_done(nursery, stage, work, 20, seed=2)

@@ -89,7 +89,7 @@ def test_stylised_colours_are_nearer_to_the_painting(demo):
         return lit.mean(0)
 
     before = np.linalg.norm(mean_of("fit-test") - painting)
-    after = np.linalg.norm(mean_of("painting-arf-test") - painting)
+    after = np.linalg.norm(mean_of("painting-desrf-test") - painting)
     assert after < 0.5 * before
 
 

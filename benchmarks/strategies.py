@@ -1,0 +1,188 @@
+"""Ray strategies compared on one scene: `python -m benchmarks.strategies WORK STYLE OUT.json [STEPS [METHOD]]`.
+
+Protocol: the field of WORK is stylised by each strategy in a process of its own, one after another, from the same
+seed, refit and settings (METHOD arf or desrf, dilation 2, blur 3, dilated also without the memory of the last render).
+`full` runs STEPS steps, which take it T seconds; every other runs until it has done STEPS steps and used T seconds.
+Style distance (exact nearest neighbours, conv3) and content distance are means over the held-out views, at equal steps
+and at equal time. Field seconds: painting the picture and learning from its gradient; the rest of a step is the feature
+trunk, the matching and the optimisers. Field memory: rise of the process's peak resident memory from before the first
+painted picture to the end of the field's part of a step, the trunk left out.
+"""
+
+import json
+import os
+import platform
+import resource
+import subprocess
+import sys
+import time
+from datetime import UTC, datetime
+from pathlib import Path
+
+CASES = {
+    "full": {"strategy": "full"},
+    "deferred": {"strategy": "deferred"},
+    "dilated": {"strategy": "dilated"},
+    "dilated, others rendered anew": {"strategy": "dilated", "remember": False},
+    "random": {"strategy": "random"},
+    "patch": {"strategy": "patch"},
+}
+
+
+def peak_mb() -> float:
+    """Most resident memory so far, MB."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
+
+
+def stylizer_for(work: str, style: str, method: str, case: str):
+    """The stylizer of a case, the scene, and its held-out views with their photos."""
+    import numpy as np
+
+    from schemas.store import Work
+    from stages.configs.stylize import StylizeConfig
+    from stages.fields import load_field
+    from stages.photos import level_of, photo_over
+    from stages.scenes import load_scene
+    from stages.stylize import read_painting, settings_of
+    from stages.weights import resolve
+    from stylerf.fields.deformation import Deformation
+    from stylerf.fields.hash import HashColour
+    from stylerf.kernels.cpu.compiling import set_threads
+    from stylerf.style.trunks import Trunk
+    from stylerf.training.stylize import Stylizer
+
+    threads, store = set_threads(os.cpu_count() or 1), Work(Path(work))
+    scene = load_scene(store.artefacts("scene")[0])
+    field, background = load_field(next(f for f in store.artefacts("field") if f.manifest.stage == "nerf_fit"))
+    options = {"rays" if k == "strategy" else k: v for k, v in CASES[case].items()}
+    config = StylizeConfig(style=style, method=method, budget="100000", **options)
+    level, found = level_of(background), resolve(None)
+    views = scene.splits["train"]
+    trunk = Trunk(found.state, config.taps, found.kind)
+    long_side = max(max(c.width, c.height) for c in scene.cameras)
+    made = Stylizer(
+        field,
+        [scene.cameras[i] for i in views],
+        [photo_over(scene, i, level) for i in views],
+        level,
+        read_painting(Path(style)),
+        trunk,
+        settings_of(config, long_side),
+        0,
+        threads,
+        HashColour.create,
+        Deformation.create(np.random.default_rng([0, 8])) if method == "desrf" else None,
+    )
+    held_out = [(scene.cameras[i], photo_over(scene, i, level)) for i in scene.splits["test"]]
+    return made, held_out, level
+
+
+def distances(made, held_out, level) -> dict[str, float]:
+    """Mean style and content distance of the held-out views."""
+    import numpy as np
+    import torch
+
+    from stylerf.rendering.view import render_view
+    from stylerf.style.objective import StyleObjective
+
+    s, size = made.settings, (made.cameras[0].height, made.cameras[0].width)
+    exact = StyleObjective(made.trunk, made.painting, size, s.weights, s.feature_scale, 100000, 0, s.style_scale)
+    sums = {"style": 0.0, "content": 0.0}
+    for camera, photo in held_out:
+        seen = render_view(made.field, camera, chunks=made.chunks)
+        rgb = np.clip(seen.rgb + (1 - seen.alpha[..., None]) * np.float32(level), 0, 1)
+        picture, wanted = (torch.from_numpy(np.ascontiguousarray(i)).permute(2, 0, 1) for i in (rgb, photo))
+        with torch.no_grad():
+            alpha = None if made.closed else torch.from_numpy(seen.alpha)
+            parts = exact(picture, exact.content_of(wanted), alpha)[1]
+        for name in sums:
+            sums[name] += parts[name] / len(held_out)
+    return {name: round(value, 5) for name, value in sums.items()}
+
+
+def measure(work: str, style: str, method: str, case: str, steps: int, seconds: float) -> dict:
+    """One case, in this process. seconds 0: as long as `steps` steps take."""
+    made, held_out, level = stylizer_for(work, style, method, case)
+    while made.progress < 1:
+        made.refit_step()
+        made.state.step += 1
+    made._next_phase()
+    _ = made.objective  # the painting's features are computed here, not within the first step
+    field = {"seconds": 0.0, "peak": 0.0}
+
+    def timed(function):
+        def call(*arguments):
+            begun = time.perf_counter()
+            result = function(*arguments)
+            field["seconds"] += time.perf_counter() - begun
+            field["peak"] = max(field["peak"], peak_mb())
+            return result
+
+        return call
+
+    gradient = made._gradient
+    made._picture, made.geometry.learn = timed(made._picture), timed(made.geometry.learn)
+    for view in range(len(made.cameras)):  # what later visits of a view need is made at the first: not part of a step
+        made.geometry.alpha(view)
+        if made.settings.strategy not in ("full", "deferred"):
+            made._remembered[view] = made.paint_view(view)
+    # Memory of the field alone: one step whose gradient comes from nowhere, before the trunk has run.
+    import numpy as np
+
+    before, camera = peak_mb(), made.cameras[0]
+    made._gradient = lambda view, picture: (
+        np.zeros((camera.height, camera.width, 3), np.float32), {"style": 0.0})  # fmt: skip
+    rates = made.adam.step
+    made.adam.step = lambda rate: None
+    made.style_step()
+    memory = field["peak"] - before
+    made.adam.step, made._gradient = rates, gradient
+    row: dict = {"case": case, "field_memory_mb": round(memory, 1)}
+    made.style_step()  # the first runs slower
+    made.state.step, field["seconds"], used = 1, 0.0, 0.0
+    while made.state.step <= steps or used < seconds:
+        begun = time.perf_counter()
+        made.style_step()
+        used += time.perf_counter() - begun
+        made.state.step += 1
+        if made.state.step == steps + 1:
+            row["seconds_at_equal_steps"] = round(used, 2)
+            row["at_equal_steps"] = distances(made, held_out, level)
+        if seconds and "at_equal_time" not in row and used >= seconds:
+            row["steps_at_equal_time"] = made.state.step - 1
+            row["at_equal_time"] = distances(made, held_out, level)
+    done = made.state.step - 1
+    row |= {"steps": done, "step_seconds": round(used / done, 4), "field_seconds": round(field["seconds"] / done, 4)}
+    row["peak_memory_mb"] = round(peak_mb())
+    if not seconds:
+        row["steps_at_equal_time"], row["at_equal_time"] = steps, row["at_equal_steps"]
+    return row
+
+
+def main() -> None:
+    work, style, out = sys.argv[1:4]
+    steps, method = int(sys.argv[4]) if len(sys.argv) > 4 else 30, sys.argv[5] if len(sys.argv) > 5 else "desrf"
+    if len(sys.argv) > 6:
+        print(json.dumps(measure(work, style, method, sys.argv[6], steps, float(sys.argv[7]))))
+        return
+    rows: list[dict] = []
+    for case in CASES:
+        seconds = rows[0]["seconds_at_equal_steps"] if rows else 0.0
+        asked = [work, style, out, str(steps), method, case, str(seconds)]
+        command = [sys.executable, "-m", "benchmarks.strategies", *asked]
+        rows.append(json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout))
+        print(rows[-1], flush=True)
+    report = {
+        "command": f"python -m benchmarks.strategies WORK {Path(style).name} OUT.json {steps} {method}",
+        "scene": Path(work).name,
+        "protocol": __doc__.split("Protocol: ")[1],
+        "machine": {"cpu": platform.processor() or platform.machine(), "cores": os.cpu_count()},
+        "method": method,
+        "rows": rows,
+        "date": datetime.now(UTC).date().isoformat(),
+    }
+    Path(out).write_text(json.dumps(report, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,211 @@
+"""Paintings, camera files, option files and artefacts that cannot be used: the exit code of their kind and one line
+that says what, where and what to do."""
+
+import hashlib
+import json
+import math
+
+import numpy as np
+import OpenImageIO as oiio
+import pytest
+
+from schemas.images import write_png
+from schemas.manifest import MANIFEST
+from stylerf_cli.main import main
+
+pytestmark = pytest.mark.filterwarnings("error")
+
+
+def told(capsys, code: int, *arguments) -> str:
+    """The one line on stderr of a command that must end with `code`."""
+    assert main([*map(str, arguments), "--quiet"]) == code, capsys.readouterr().err
+    err = capsys.readouterr().err
+    assert err.count("\n") == 1 and err.startswith("stylerf: error: "), err
+    return err
+
+
+# -- paintings ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def paintings(tmp_path):
+    """Files that are none, by name."""
+    random = np.random.default_rng(0)
+    sound = random.integers(0, 256, (64, 64, 3)).astype(np.uint8)
+    write_png(tmp_path / "sound.png", sound)
+    write_png(tmp_path / "narrow.png", sound[:, :3])
+    (tmp_path / "text.png").write_text("Starry Night")
+    (tmp_path / "empty.jpg").write_bytes(b"")
+    (tmp_path / "folder.png").mkdir()
+    (tmp_path / "cut.png").write_bytes((tmp_path / "sound.png").read_bytes()[:6000])
+    assert oiio.ImageBuf(sound).write(str(tmp_path / "whole.jpg"))
+    (tmp_path / "cut.jpg").write_bytes((tmp_path / "whole.jpg").read_bytes()[:1500])
+    spoilt = np.ones((32, 32, 3), np.float32)
+    spoilt[3, 4] = math.nan
+    assert oiio.ImageBuf(spoilt).write(str(tmp_path / "nan.exr"), "half")
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("missing.jpg", "there is no such image"),
+        ("folder.png", "there is no such image"),
+        ("text.png", "is no readable image"),
+        ("empty.jpg", "is no readable image"),
+        ("cut.png", "cannot be read whole"),
+        ("cut.jpg", "cannot be read whole"),
+        ("nan.exr", "holds NaN"),
+        ("narrow.png", "is 3x64; a painting of at least 16 pixels a side is needed"),
+    ],
+)
+def test_paintings_that_are_none_are_refused_before_any_work(paintings, capsys, name, words):
+    """The work folder does not even exist: hours of fitting must not come first."""
+    line = told(capsys, 3, "stylize", paintings / "work", "--style", paintings / name)
+    assert words in line and name in line
+    assert not (paintings / "work").exists()
+
+
+def test_a_sound_painting_gets_past_that(paintings, capsys):
+    assert "stylerf import" in told(capsys, 4, "stylize", paintings / "work", "--style", paintings / "sound.png")
+
+
+def test_a_painting_to_measure_against_that_is_none(work, paintings, capsys):
+    for name, words in (
+        ("missing.jpg", "no such file"),
+        ("cut.png", "cannot be read whole"),
+        ("text.png", "no readable"),
+    ):
+        line = told(capsys, 3, "eval", work, "--of", "fit", "--style", paintings / name, "--perceptual", "none")
+        assert words in line and name in line
+
+
+# -- cameras of a path -------------------------------------------------------------------------------------------------
+
+SOUND = {"world_from_camera": [[1, 0, 0, 0], [0, -1, 0, 0], [0, 0, -1, 4], [0, 0, 0, 1]], "width": 16, "height": 16,
+         "fx": 20, "fy": 20, "cx": 8, "cy": 8}  # fmt: skip
+SCALED = [[2, 0, 0, 0], [0, 2, 0, 0], [0, 0, 2, 4], [0, 0, 0, 1]]
+PATHS = {
+    "no JSON": ("{", "is not JSON"),
+    "binary": ("\x00\x01", "is not JSON"),
+    "nested without end": ("[" * 100_000, "is not JSON"),
+    "an object": (json.dumps(SOUND), "a list of cameras was expected"),
+    "nothing": ("[]", "a list of cameras was expected"),
+    "numbers": ("[1, 2]", "camera 0 is not sound"),
+    "no pose": (json.dumps([SOUND, {"width": 3}]), "camera 1 is not sound"),
+    "NaN": (json.dumps([SOUND | {"world_from_camera": np.full((4, 4), math.nan).tolist()}]), "camera 0 is not sound"),
+    "scaled": (json.dumps([SOUND | {"world_from_camera": SCALED}]), "not a rotation"),
+    "3x3": (json.dumps([SOUND | {"world_from_camera": np.eye(3).tolist()}]), "camera 0 is not sound"),
+    "no size": (json.dumps([SOUND | {"width": 0}]), "camera 0 is not sound"),
+    "endless": (json.dumps([SOUND | {"height": math.inf}]), "camera 0 is not sound"),
+    "beyond numbers": (json.dumps([SOUND | {"fx": 10**400}]), "camera 0 is not sound"),
+    "no focal length": (json.dumps([SOUND | {"fx": 0}]), "camera 0 is not sound"),
+    "words": (json.dumps([SOUND | {"width": "wide"}]), "camera 0 is not sound"),
+    "null": (json.dumps([SOUND | {"cx": None}]), "camera 0 is not sound"),
+    "outside": (json.dumps([SOUND | {"width": 10**7, "height": 10**7}]), "camera 0"),
+}
+
+
+@pytest.mark.parametrize("name", PATHS)
+def test_camera_files_that_are_none(work, tmp_path, capsys, name):
+    text, words = PATHS[name]
+    (tmp_path / "cameras.json").write_text(text)
+    line = told(capsys, 3, "render", work, "--of", "fit", "--path", tmp_path / "cameras.json")
+    assert words in line and "cameras.json" in line
+    assert not (work / "frames" / "fit-cameras").exists()
+
+
+def test_a_sound_camera_file_is_followed_and_followed_anew_when_it_changes(work, tmp_path, capsys):
+    (tmp_path / "cameras.json").write_text(json.dumps([SOUND]))
+    command = ["render", str(work), "--of", "fit", "--path", str(tmp_path / "cameras.json"), "--json", "--quiet"]
+    frames = []
+    for cameras in ([SOUND], [SOUND, SOUND], [SOUND, SOUND]):
+        (tmp_path / "cameras.json").write_text(json.dumps(cameras))
+        assert main(command) == 0
+        result = json.loads(capsys.readouterr().out)
+        frames.append((result["figures"]["frames"], (work / "frames/fit-cameras" / MANIFEST).read_bytes()))
+    assert [count for count, _ in frames] == [1, 2, 2]
+    assert frames[1][1] == frames[2][1]  # the same file is not rendered twice
+
+
+# -- option files ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("bugdet = '60s'", "no option 'bugdet'; did you mean 'budget'"),
+        ("budget = 60", "budget takes a text in quotes"),
+        ("budget = 'soon'", "'soon' is neither a time"),
+        ("samples = 'many'", "samples takes a whole number"),
+        ("samples = 3.5", "samples takes a whole number"),
+        ("background = 'green'", "white, black, random"),
+        ("buffers = 'yes'", "true or false"),
+        ("seed = 'seven'", "seed takes a value of type int"),
+        ("[fti]\nbudget = '60s'", "no verb 'fti'; did you mean 'fit'"),
+        ("budget = ", "is no TOML"),
+        ("\x00", "is no TOML"),
+    ],
+)
+def test_option_files_that_are_none(tmp_path, capsys, text, words):
+    (tmp_path / "options.toml").write_text(text)
+    line = told(capsys, 2, "fit", tmp_path / "work", "--config", tmp_path / "options.toml")
+    assert words in line and "options.toml" in line
+    assert not (tmp_path / "work").exists()
+
+
+# -- artefacts ---------------------------------------------------------------------------------------------------------
+
+VERBS = (("fit", "scene/main"), ("deform", "field/fit"), ("stylize", "field/fit"), ("render", "field/fit"),
+         ("eval", "frames/fit-test"))  # fmt: skip
+
+
+def arguments_for(verb: str, work, photos) -> list:
+    """A command that would make something of the artefact."""
+    own = {
+        "fit": ["--budget", "5", "--no-buffers", "--name", "new"],
+        "deform": ["--of", "fit", "--name", "new"],
+        "stylize": ["--of", "fit", "--style", photos / "painting.png", "--name", "new"],
+        "render": ["--of", "fit", "--path", "test", "--name", "new"],
+        "eval": ["--of", "fit", "--perceptual", "none", "--name", "new"],
+    }
+    return [verb, work, *own[verb]]
+
+
+@pytest.mark.parametrize(("verb", "place"), VERBS)
+@pytest.mark.parametrize("which", ["largest", "manifest"])
+def test_a_flipped_byte_in_what_a_stage_reads_stops_it(work, photos, capsys, verb, place, which):
+    folder = work / place
+    files = [path for path in folder.rglob("*") if path.is_file() and path.name != MANIFEST]
+    victim = max(files, key=lambda path: path.stat().st_size) if which == "largest" else folder / MANIFEST
+    data = bytearray(victim.read_bytes())
+    data[len(data) // 2] ^= 1
+    victim.write_bytes(data)
+    line = told(capsys, 4, *arguments_for(verb, work, photos))
+    assert victim.name in line and place.split("/")[1] in line
+    assert not list(work.glob("*/new"))
+
+
+@pytest.mark.parametrize(("verb", "place"), VERBS)
+def test_an_artefact_of_a_newer_version_stops_a_stage(work, photos, capsys, verb, place):
+    reseal(work / place, schema=99)
+    line = told(capsys, 4, *arguments_for(verb, work, photos))
+    assert "newer stylerf" in line
+    assert not list(work.glob("*/new"))
+
+
+def reseal(folder, **changes) -> None:
+    """Writes the manifest again as an honest writer of another version would (docs/artefacts.md)."""
+    content = json.loads((folder / MANIFEST).read_text()) | changes
+    content["self_sha256"] = "0" * 64
+    text = json.dumps(content, indent=1, ensure_ascii=False) + "\n"
+    seal = hashlib.sha256(text.encode()).hexdigest()
+    (folder / MANIFEST).write_text(text.replace("0" * 64, seal))
+
+
+def test_a_stage_without_its_input_names_the_command_that_makes_it(tmp_path, capsys):
+    for verb in ("fit", "deform"):
+        assert "stylerf import" in told(capsys, 4, verb, tmp_path / "work")
+    for verb in ("render", "eval"):
+        assert "stylerf fit" in told(capsys, 4, verb, tmp_path / "work")
+    assert not (tmp_path / "work").exists()
