@@ -1,5 +1,6 @@
 """Films of rendered frames: MP4 where PyAV is installed (extra `video`), else GIF."""
 
+from fractions import Fraction
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -10,6 +11,7 @@ from schemas.errors import BadInput
 from schemas.images import read_image, to_uint8
 
 PALETTE_FRAMES = 12
+SHORTEST_MS = 20  # players show a GIF's frame of less than this for a tenth of a second
 
 
 def write_video(path: Path, pictures: list[Path], fps: float) -> tuple[Path, str]:
@@ -32,7 +34,7 @@ def _write_mp4(path: Path, pictures: list[Path], fps: float) -> Path:
     # H.264 with halved colour takes even sides only.
     height, width = first.shape[0] // 2 * 2, first.shape[1] // 2 * 2
     with replacing(path) as temporary, av.open(str(temporary), "w", format="mp4") as film:
-        stream = film.add_stream("libx264", rate=round(fps))
+        stream = film.add_stream("libx264", rate=Fraction(fps).limit_denominator(1001))
         stream.width, stream.height, stream.pix_fmt = width, height, "yuv420p"
         stream.options = {"crf": "18"}
         for picture in pictures:
@@ -57,6 +59,11 @@ def _write_gif(path: Path, pictures: list[Path], fps: float) -> Path:
     ]
     with replacing(path) as temporary:
         frames[0].save(
-            temporary, format="GIF", save_all=True, append_images=frames[1:], duration=round(1000 / fps), loop=0
+            temporary,
+            format="GIF",
+            save_all=True,
+            append_images=frames[1:],
+            loop=0,
+            duration=max(SHORTEST_MS, round(1000 / fps)),
         )
     return path
