@@ -5,8 +5,8 @@ seed, refit and settings (METHOD arf or desrf, dilation 2, blur 3, dilated also 
 `full` runs STEPS steps, which take it T seconds; every other runs until it has done STEPS steps and used T seconds.
 Style distance (exact nearest neighbours, conv3) and content distance are means over the held-out views, at equal steps
 and at equal time. Field seconds: painting the picture and learning from its gradient; the rest of a step is the feature
-trunk, the matching and the optimisers. Field memory: rise of the process's peak resident memory from before the first
-painted picture to the end of the field's part of a step, the trunk left out.
+trunk, the matching and the optimisers. Field memory: what is resident at the end of painting and of learning, at most,
+above what was before the step; the trunk is left out.
 """
 
 import json
@@ -21,8 +21,8 @@ from pathlib import Path
 
 CASES = {
     "full": {"strategy": "full"},
-    "deferred": {"strategy": "deferred"},
     "dilated": {"strategy": "dilated"},
+    "deferred": {"strategy": "deferred"},
     "dilated, others rendered anew": {"strategy": "dilated", "remember": False},
     "random": {"strategy": "random"},
     "patch": {"strategy": "patch"},
@@ -32,6 +32,11 @@ CASES = {
 def peak_mb() -> float:
     """Most resident memory so far, MB."""
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
+
+
+def resident_mb() -> float:
+    """Resident memory now, MB (Linux)."""
+    return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize() / 1e6
 
 
 def stylizer_for(work: str, style: str, method: str, case: str):
@@ -115,7 +120,7 @@ def measure(work: str, style: str, method: str, case: str, steps: int, seconds: 
             begun = time.perf_counter()
             result = function(*arguments)
             field["seconds"] += time.perf_counter() - begun
-            field["peak"] = max(field["peak"], peak_mb())
+            field["peak"] = max(field["peak"], resident_mb())
             return result
 
         return call
@@ -129,13 +134,14 @@ def measure(work: str, style: str, method: str, case: str, steps: int, seconds: 
     # Memory of the field alone: one step whose gradient comes from nowhere, before the trunk has run.
     import numpy as np
 
-    before, camera = peak_mb(), made.cameras[0]
+    before, camera = resident_mb(), made.cameras[0]
+    field["peak"] = 0.0
     made._gradient = lambda view, picture: (
         np.zeros((camera.height, camera.width, 3), np.float32), {"style": 0.0})  # fmt: skip
     rates = made.adam.step
     made.adam.step = lambda rate: None
     made.style_step()
-    memory = field["peak"] - before
+    memory = max(field["peak"] - before, 0.0)
     made.adam.step, made._gradient = rates, gradient
     row: dict = {"case": case, "field_memory_mb": round(memory, 1)}
     made.style_step()  # the first runs slower
@@ -172,16 +178,16 @@ def main() -> None:
         command = [sys.executable, "-m", "benchmarks.strategies", *asked]
         rows.append(json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout))
         print(rows[-1], flush=True)
-    report = {
-        "command": f"python -m benchmarks.strategies WORK {Path(style).name} OUT.json {steps} {method}",
-        "scene": Path(work).name,
-        "protocol": __doc__.split("Protocol: ")[1],
-        "machine": {"cpu": platform.processor() or platform.machine(), "cores": os.cpu_count()},
-        "method": method,
-        "rows": rows,
-        "date": datetime.now(UTC).date().isoformat(),
-    }
-    Path(out).write_text(json.dumps(report, indent=1) + "\n")
+        report = {
+            "command": f"python -m benchmarks.strategies WORK {Path(style).name} OUT.json {steps} {method}",
+            "scene": Path(work).name,
+            "protocol": __doc__.split("Protocol: ")[1],
+            "machine": {"cpu": platform.processor() or platform.machine(), "cores": os.cpu_count()},
+            "method": method,
+            "rows": rows,
+            "date": datetime.now(UTC).date().isoformat(),
+        }
+        Path(out).write_text(json.dumps(report, indent=1) + "\n")
 
 
 if __name__ == "__main__":
