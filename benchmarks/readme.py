@@ -16,7 +16,8 @@ def result(name: str) -> dict:
 def where(report: dict) -> str:
     """Machine, day and command of a report."""
     cores = report["machine"]["cores"]
-    return f"{cores} CPU cores, no GPU, {report['date']}; `{report['command']}`; one seed. Not measured on a GPU."
+    remark = f" Remark: {report['remark']}." if "remark" in report else ""
+    return f"{cores} CPU cores, no GPU, {report['date']}; `{report['command']}`; one seed. Not measured on a GPU.{remark}"
 
 
 def fits() -> str:
