@@ -17,7 +17,8 @@ def where(report: dict) -> str:
     """Machine, day and command of a report."""
     cores = report["machine"]["cores"]
     remark = f" Remark: {report['remark']}." if "remark" in report else ""
-    return f"{cores} CPU cores, no GPU, {report['date']}; `{report['command']}`; one seed. Not measured on a GPU.{remark}"
+    measured = f"{cores} CPU cores, no GPU, {report['date']}; `{report['command']}`; one seed."
+    return f"{measured} Not measured on a GPU.{remark}"
 
 
 def fits() -> str:
