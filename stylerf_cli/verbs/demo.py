@@ -47,7 +47,7 @@ def run(args, session) -> dict:
     shaped = fit
     if config.method == "desrf":
         options = {"scene": scene, "field": fit}
-        shaped = session.run(deform_init.SPEC, deform_init.run, options, DeformConfig(), "fit-deformed")
+        shaped = session.run(deform_init.SPEC, deform_init.run, options, DeformConfig(steps=200), "fit-deformed")
     inputs = {"scene": scene, "field": shaped}
     stylised = session.run(stylize.SPEC, stylize.run, inputs, style, f"painting-{config.method}")
 
