@@ -1,4 +1,4 @@
-"""Write README's figures and charts from benchmarks/results: `python -m benchmarks.readme` (`--check`: compare only)."""
+"""Write README's figures and charts from benchmarks/results: `python -m benchmarks.readme` (or with --check)."""
 
 import json
 import sys

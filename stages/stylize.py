@@ -123,6 +123,11 @@ def _train(stylizer: Stylizer, config: StylizeConfig, partial: Partial, context:
         context.progress.finish()
 
 
+def rays_of(config: StylizeConfig) -> str:
+    """Shapes held fast cost little to paint; walked anew, a whole view costs ten times what its picture teaches."""
+    return {"arf": "deferred", "desrf": "dilated"}[config.method] if config.rays == "auto" else config.rays
+
+
 def settings_of(config: StylizeConfig, long_side: int) -> StyleSettings:
     seconds, steps = budget_of(config.budget)
     return StyleSettings(
@@ -134,7 +139,7 @@ def settings_of(config: StylizeConfig, long_side: int) -> StyleSettings:
         displacement_weight=config.displacement_weight,
         displacement_vertices=config.displacement_vertices,
         variation="diagonal" if config.method == "desrf" else "squared",
-        strategy=config.rays,
+        strategy=rays_of(config),
         dilation=config.dilation,
         blur=config.blur,
         remember=config.remember,

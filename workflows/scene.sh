@@ -28,14 +28,15 @@ settings=$(dirname "$0")/../examples/render.toml
 # shellcheck disable=SC2086
 run() { "${STYLERF:-stylerf}" "$@" ${OPTIONS:-}; }
 
-# The field that a painting called night.jpg makes is named night-arf: its file's name, and the method.
+# The field that a painting called night.jpg makes is named night-arf: its file's name, and the method (METHOD: arf or desrf).
 field=$(basename "$painting")
-field=${field%.*}-arf
+method=${METHOD:-arf}
+field=${field%.*}-$method
 
 run import "$photos" "$work"
 run fit "$work" --budget "$fit_time"
 run eval "$work" --of fit
-run stylize "$work" --style "$painting" --method arf --budget "$style_time"
+run stylize "$work" --style "$painting" --method "$method" --budget "$style_time"
 run render "$work" --of "$field" --config "$settings"
 run eval "$work" --of "$field"
 run verify "$work"

@@ -17,9 +17,9 @@ class StylizeConfig:
     )
     budget: str = option("2m", help="time of the style steps (60s, 2m) or their number")
     rays: str = option(
-        "deferred",
-        choices=("full", "deferred", "dilated", "random", "patch"),
-        help="rays that carry gradient in a step",
+        "auto",
+        choices=("auto", "full", "deferred", "dilated", "random", "patch"),
+        help="rays that carry gradient in a step (auto: deferred for arf, dilated for desrf)",
     )
     dilation: int = option(2, help="Nc: every Nc-th ray in both axes (dilated), or as few rays (random, patch)")
     blur: int = option(3, help="box filter on dL/dRGB before rays are picked (0: none)")

@@ -1,7 +1,7 @@
 """A field's displacement grid: gradients, from those of its densities and colours, and where it matters."""
 
 import numpy as np
-from scipy.ndimage import distance_transform_edt
+from scipy.ndimage import binary_dilation, distance_transform_edt
 
 from stylerf.fields.field import RadianceField
 from stylerf.fields.occupancy import Occupancy
@@ -58,25 +58,40 @@ def displaced_occupancy(occupancy: Occupancy, displacement: np.ndarray) -> Occup
     return moved
 
 
-def visible_vertices(
-    field: RadianceField, rays: Rays, vertices: int, share: float, chunks: int, at_once: int = 8192
-) -> np.ndarray:
-    """Flat indices, ascending, of the vertices of a [vertices]^3 grid around what rays see of a field at rest.
+def seen_cells(field: RadianceField, rays: Rays, cells: int, share: float, chunks: int) -> np.ndarray:
+    """[cells, cells, cells] bool: cells of an even grid over the cube that rays see something of the field in.
 
     share: part of its ray's largest weight that a sample needs to be seen.
     """
-    seen = np.zeros((vertices,) * 3, np.bool_)
-    for at in range(0, len(rays.origins), at_once):
-        part = slice(at, at + at_once)
+    seen = np.zeros((cells,) * 3, np.bool_)
+    for at in range(0, len(rays.origins), 8192):
+        part = slice(at, at + 8192)
         some = Rays(rays.origins[part], rays.directions[part], rays.jitter[part], rays.near[part])
         samples = field.march(some, 512, 1e-3, chunks)
         shown = np.empty_like(samples.weights)
         significant(samples.weights, samples.starts, samples.ends, np.float32(share), chunks, shown)
-        mark_cells(shown, samples.x, samples.starts, samples.ends, vertices, seen)
-    for axis in range(3):  # a cell's lower vertex stands for the cell so far; it has upper ones too
-        later = np.moveaxis(seen, axis, 0)
-        later[1:] |= later[:-1].copy()
-    return np.flatnonzero(seen)
+        mark_cells(shown, samples.x, samples.starts, samples.ends, cells + 1, seen)
+    return seen
+
+
+def vertices_of(seen: np.ndarray) -> np.ndarray:
+    """Flat indices, ascending, of the vertices of the cells that are seen, on a grid of one vertex more a side."""
+    vertices = np.zeros([side + 1 for side in seen.shape], np.bool_)
+    for corner in np.ndindex(2, 2, 2):
+        vertices[tuple(slice(low, low + side) for low, side in zip(corner, seen.shape))] |= seen
+    return np.flatnonzero(vertices)
+
+
+def occupancy_of_seen(field: RadianceField, rays: Rays, chunks: int) -> Occupancy:
+    """The field's occupancy without what no ray sees: behind surfaces and in fog (fern: 28 % of the cells, of 40 %).
+
+    Kept are cells that hold a fiftieth of some ray's largest weight, and those around them.
+    """
+    rest = field.occupancy
+    seen = binary_dilation(seen_cells(field, rays, rest.cells, 0.02, chunks), np.ones((3, 3, 3)))
+    found = Occupancy(rest.cells, rest.highest)
+    found.set_occupied(seen.ravel() & (rest.distances == 0))
+    return found
 
 
 def nearest_of(chosen: np.ndarray, vertices: int) -> np.ndarray:

@@ -10,7 +10,13 @@ from torch import Tensor
 
 from stylerf.errors import InvalidValue
 from stylerf.fields.deformation import Deformation
-from stylerf.fields.displacement import displaced_occupancy, nearest_of, visible_vertices
+from stylerf.fields.displacement import (
+    displaced_occupancy,
+    nearest_of,
+    occupancy_of_seen,
+    seen_cells,
+    vertices_of,
+)
 from stylerf.fields.field import RadianceField
 from stylerf.fields.occupancy import Occupancy
 from stylerf.fields.samples import Rays
@@ -38,13 +44,13 @@ class Deformer:
         chunks: int,
     ) -> None:
         self.field, self.deformation, self.vertices = field, deformation, vertices
-        self.rest = field.occupancy  # of the field at rest
         self.gradients = np.zeros((chunks, 3 * vertices**3), np.float32)
         self.adam = Adam(deformation.values, [(0, len(deformation.values), 1.0)], 1)
         self.taken = 0
         field.displacement = None
         rays = random_rays(cameras, SIGHT_RAYS, field.space.near, np.random.default_rng([seed, 7]))
-        active = visible_vertices(field, rays, vertices, 0.1, chunks)
+        self.rest = occupancy_of_seen(field, rays, chunks)  # of the field at rest
+        active = vertices_of(seen_cells(field, rays, vertices - 1, 0.1, chunks))
         if not len(active):
             raise InvalidValue("no camera sees anything of the field: there is nothing to deform")
         places = np.stack(np.unravel_index(active, (vertices,) * 3), -1) / (vertices - 1)

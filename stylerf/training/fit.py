@@ -276,14 +276,18 @@ class Fitter:
         self.colour_adam.gradients[:] = 0
         self.on_say(f"out of memory: batches are now worked off in {self.state.parts} parts")
 
+    @property
+    def _ripe(self) -> bool:
+        """Whether the present rung has had its least steps."""
+        return self.state.step >= LEAST_STEPS_PER_RUNG * (self.state.rung + 1)
+
     def _rung_due(self) -> bool:
-        s = self.state
-        shares = self.settings.shares
-        last = min(len(self.settings.ladder) - 1, len(shares))
-        ripe = s.step >= LEAST_STEPS_PER_RUNG * (s.rung + 1)
-        # Views that are trained on decide nothing; a capacity that was asked for is climbed to all the same.
-        decidable = self.settings.always_climb or self.progress < self.settings.held_out_until
-        return not s.fixed and ripe and decidable and s.rung < last and self.progress >= shares[s.rung]
+        s, settings = self.state, self.settings
+        last = min(len(settings.ladder) - 1, len(settings.shares))
+        due = not s.fixed and self._ripe and s.rung < last and self.progress >= settings.shares[s.rung]
+        # Views that are trained on decide nothing: a trial needs its least steps before that, unless it is none.
+        left = (settings.held_out_until / max(self.progress, 1e-9) - 1) * s.step
+        return due and (settings.always_climb or left >= LEAST_STEPS_PER_RUNG)
 
     def _check(self) -> None:
         state = self.state
@@ -317,7 +321,7 @@ class Fitter:
             return False
         shares = self.settings.shares
         end = shares[self.state.rung] if self.state.rung < len(shares) else self.settings.held_out_until
-        return self.progress >= end or self.progress >= self.settings.held_out_until
+        return (self._ripe and self.progress >= end) or self.progress >= self.settings.held_out_until
 
     def _stay(self, quality: float) -> None:
         """Leave the ladder: the field is as exact as its photos."""

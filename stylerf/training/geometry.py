@@ -11,6 +11,7 @@ from stylerf.rendering.rays import Rendered, backward, render_rays
 from stylerf.training.deformer import Deformer
 
 RAYS_AT_ONCE = 8192
+OPAQUE = 1e-2  # transmittance at which a walked ray ends
 
 
 class FixedGeometry:
@@ -79,21 +80,23 @@ class MovingGeometry:
         """[h, w], each pixel as it was last painted."""
         camera = self.cameras[view]
         if view not in self.alphas:
-            self.alphas[view] = np.ones(camera.height * camera.width, np.float32)
             self.paint(view, np.arange(camera.height * camera.width))
         return self.alphas[view].reshape(camera.height, camera.width)
 
     def paint(self, view: int, pixels: np.ndarray) -> tuple[np.ndarray, list[tuple[slice, Rendered]]]:
         """Premultiplied rgb [n, 3] of pixels, and what learn() needs."""
+        camera = self.cameras[view]
         if view not in self.alphas:
-            self.alpha(view)
-        origins, directions = self.cameras[view].rays()
+            self.alphas[view] = np.ones(camera.height * camera.width, np.float32)
+            if len(pixels) < camera.height * camera.width:
+                self.paint(view, np.arange(camera.height * camera.width))
+        origins, directions = camera.rays()
         rgb, kept = np.empty((len(pixels), 3), np.float32), []
         for at in range(0, len(pixels), RAYS_AT_ONCE):
             part = slice(at, min(at + RAYS_AT_ONCE, len(pixels)))
             chosen = pixels[part]
             rays = Rays.of(origins[chosen], directions[chosen], self.field.space.near)
-            rendered = render_rays(self.field, rays, chunks=self.chunks, share=self.share)
+            rendered = render_rays(self.field, rays, chunks=self.chunks, opaque=OPAQUE, share=self.share)
             rgb[part] = rendered.out[:, :3]
             self.alphas[view][chosen] = np.clip(rendered.out[:, 3], 0, 1)
             kept.append((part, rendered))

@@ -26,6 +26,7 @@ from stylerf.training.geometry import FixedGeometry, MovingGeometry
 from stylerf.training.optimiser import Adam
 
 PIXELS_AT_ONCE = 65536
+COARSEST_STEP = 1 / 128  # cube units; of a field whose rays are walked anew in every step
 
 
 @dataclass(frozen=True)
@@ -100,6 +101,8 @@ class Stylizer:
         self.deformer = None
         if deformation is not None:
             vertices = settings.displacement_vertices
+            # A walk costs by its samples, and its step cannot change later: colours are learnt where it samples them.
+            self.field.step = max(self.field.step, COARSEST_STEP)
             self.deformer = Deformer(self.field, deformation, cameras, vertices, seed, chunks)
         self.geometry = FixedGeometry(self.field, cameras, settings.share, chunks)
         self.adam = Adam(self.field.colour.values, self.field.colour.groups(), chunks)

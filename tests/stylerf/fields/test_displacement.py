@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from stylerf.fields.displacement import visible_vertices
+from stylerf.fields.displacement import occupancy_of_seen, seen_cells, vertices_of
 from stylerf.fields.samples import Rays
 from tests.stylerf.small import SPACES, field_of, hash_colour, rays_into
 
@@ -20,7 +20,17 @@ def expected_vertices(field, rays: Rays, vertices: int, share: float) -> set[int
 def test_vertices_around_what_is_seen():
     for kind in ("box", "frustum"):
         field, rays = field_of(SPACES[kind], 3, hash_colour(2)), rays_into(SPACES[kind], 30, 4, jitter=False)
-        for share, at_once in ((0.1, 8192), (0.9, 7)):
-            found = visible_vertices(field, rays, 9, share, 2, at_once)
+        for share in (0.1, 0.9):
+            found = vertices_of(seen_cells(field, rays, 8, share, 2))
             assert (np.diff(found) > 0).all() and 20 < len(found) < 9**3
             assert set(found.tolist()) == expected_vertices(field, rays, 9, share)
+
+
+def test_occupancy_without_what_no_ray_sees():
+    """Nothing is added; each cell that holds a large weight stays."""
+    field, rays = field_of(SPACES["box"], 3, hash_colour(2)), rays_into(SPACES["box"], 30, 4, jitter=False)
+    field.density.values[-1] += 3  # opaque enough that the far side of the box is out of sight
+    found = occupancy_of_seen(field, rays, 2)
+    before, after = field.occupancy.distances == 0, found.distances == 0
+    seen = seen_cells(field, rays, field.occupancy.cells, 0.02, 2).ravel()
+    assert not (after & ~before).any() and (after[seen & before]).all() and after.sum() < before.sum()

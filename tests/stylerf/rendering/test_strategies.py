@@ -111,14 +111,15 @@ def test_every_offset_of_a_lattice_together_is_exactly_the_full_gradient():
     np.testing.assert_allclose(total.reshape(gradient.shape), gradient, rtol=1e-6)
 
 
-def test_a_blur_lets_chosen_pixels_speak_for_their_neighbours():
-    gradient, pixels = picture_gradient(), drawn("dilated", 1)
-    found = selected_gradient(gradient, pixels, 3)
-    padded = np.pad(gradient.astype(np.float64), ((1, 1), (1, 1), (0, 0)), mode="edge")
+@pytest.mark.parametrize("blur", [3, 5])
+def test_a_blur_lets_chosen_pixels_speak_for_their_neighbours(blur):
+    gradient, pixels, rim = picture_gradient(), drawn("dilated", 1), blur // 2
+    found = selected_gradient(gradient, pixels, blur)
+    padded = np.pad(gradient.astype(np.float64), ((rim, rim), (rim, rim), (0, 0)), mode="edge")
     for n, p in enumerate(pixels):
         i, j = divmod(int(p), WIDTH)
-        expected = padded[i : i + 3, j : j + 3].mean((0, 1)) * HEIGHT * WIDTH / len(pixels)
+        expected = padded[i : i + blur, j : j + blur].mean((0, 1)) * HEIGHT * WIDTH / len(pixels)
         np.testing.assert_allclose(found[n], expected, rtol=1e-4, atol=1e-5)
     everything = np.arange(HEIGHT * WIDTH)
-    assert np.array_equal(selected_gradient(gradient, everything, 3), gradient.reshape(-1, 3))
+    assert np.array_equal(selected_gradient(gradient, everything, blur), gradient.reshape(-1, 3))
     assert found.dtype == np.float32 and found.flags["C_CONTIGUOUS"]

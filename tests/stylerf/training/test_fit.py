@@ -14,7 +14,7 @@ from tests.stylerf.training.scenes import LADDER, box_fitter
 
 def test_a_fit_that_was_stopped_goes_on_to_the_same_bits():
     """Stopped before any look at held-out views, at a growth, within a trial, after a drop, at the end."""
-    steps, more = 240, {"shares": (0.42, 0.6), "min_gain": 0.3, "background": "random"}
+    steps, more = 320, {"shares": (0.32, 0.63), "min_gain": 9.0, "background": "random"}
     whole = box_fitter(steps, **more)
     whole.run()
     expected, arrays = result_of(whole)
@@ -22,7 +22,7 @@ def test_a_fit_that_was_stopped_goes_on_to_the_same_bits():
         whole.state.decisions and max(e["parameters"] for e in whole.state.curve) > whole.state.curve[0]["parameters"]
     )
     at = box_fitter(steps, **more)
-    for stop in (3, 101, 130, 201, 239):
+    for stop in (3, 103, 130, 203, 319):
         at = run_until(at, stop)
         at = resumed(box_fitter(steps, **more), at)
         assert at.state.step == stop

@@ -50,12 +50,25 @@ def test_growing_holds_the_same_picture():
     assert fitter.held_out_psnr() == pytest.approx(before, abs=0.3)  # sixteen vertices do not hold eight exactly
 
 
-def test_nothing_is_tried_once_held_out_views_are_trained_on():
-    """Rungs ripen by steps: in a short fit the second would be due in the last quarter, and would never be judged."""
-    fitter = box_fitter(2 * LEAST_STEPS_PER_RUNG, min_gain=0.0)
+def sizes_by_step(steps: int, **more) -> dict[int, int]:
+    """Parameters at each look of a fit."""
+    fitter = box_fitter(steps, **more)
     fitter.run()
     assert fitter.state.trial is None
-    assert all(e["parameters"] == fitter.field.parameters for e in fitter.state.curve if not e["held_out"])
+    return {entry["step"]: entry["parameters"] for entry in fitter.state.curve}
+
+
+def test_a_trial_has_its_least_steps_however_few_a_fit_has():
+    """By its share of the budget the trial of 12^3 would end at step 96 of 320, before it has begun."""
+    sizes = sizes_by_step(320, min_gain=50.0)
+    tried = [step for step, size in sizes.items() if size > min(sizes.values())]
+    assert LEAST_STEPS_PER_RUNG < min(tried) < 120 and 200 <= max(tried) < 220
+
+
+@pytest.mark.parametrize("steps", [150, 200])
+def test_nothing_is_tried_without_the_steps_to_judge_it(steps):
+    """Three quarters into a fit the held-out views are trained on, and decide nothing any more."""
+    assert len(set(sizes_by_step(steps, min_gain=0.0).values())) == 1
 
 
 def test_a_capacity_that_was_asked_for_is_reached_whatever_it_gains():
@@ -98,7 +111,7 @@ def qualities(lengths, views: int, size: int = 24, **more) -> list[float]:
 
 
 def test_a_longer_fit_never_ends_worse():
-    found = qualities((80, 160, 320), views=12)
+    found = qualities((80, 160, 320), views=20)
     assert found[1] > found[0] - 0.2 and found[2] > found[1] - 0.2 and found[2] > found[0] + 1
 
 
