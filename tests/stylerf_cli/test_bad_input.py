@@ -103,6 +103,7 @@ def test_truncated_photos(posed, capsys, suffix, keep):
     whole.write_bytes(data[: int(keep * len(data))])
     line = refused(posed, capsys)
     assert f"p01.{suffix}" in line and "replace or remove it" in line
+    assert line.count(str(whole)) == 1 and "(it)" not in line
 
 
 def test_truncated_truth_and_masks(posed, capsys):
