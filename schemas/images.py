@@ -52,7 +52,8 @@ def _open(path: Path) -> "oiio.ImageInput":
 
 
 def _first_line(message: str, path: Path) -> str:
-    lines = [line.strip() for line in message.replace(f'"{path}"', "it").splitlines() if line.strip()]
+    message = message.replace(f' ("{path}")', "").replace(f'"{path}"', "it")
+    lines = [line.strip() for line in message.splitlines() if line.strip()]
     return lines[0].rstrip(".") if lines else "damaged or cut short"  # some codecs fail without a word
 
 

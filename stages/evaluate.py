@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from schemas.atomic import replacing, write_bytes, write_json
+from schemas.canonical import file_sha256
 from schemas.errors import UsageError
 from schemas.store import Artefact, Partial
 from stages.configs.evaluate import EvaluateConfig
@@ -246,6 +247,12 @@ class Evaluation:
             heading = f"{render.name} ({word})" if word else render.name
             sheet.add(heading, self.rows[index], render, photo, self._base_of(render) if self.stylised else None)
         return sheet
+
+
+def pinned(config: EvaluateConfig) -> EvaluateConfig:
+    """The config with the digest of its painting, so that a changed one is measured against anew."""
+    path = Path(config.style).expanduser()
+    return replace(config, style_digest=file_sha256(path)) if config.style and path.is_file() else config
 
 
 def _check(config: EvaluateConfig) -> None:

@@ -63,7 +63,7 @@ def _source(config: ImportConfig, partial: Partial, context: Context) -> SourceS
 def import_scene(source: SourceScene, config: ImportConfig, partial: Partial, context: Context) -> dict:
     """The scene of what a reader found, poses told or reconstructed."""
     here, missing = present(source.cameras)
-    here, doubled = _without_doubles(here)
+    here, doubled = _without_doubles([replace(one, name=_inside(one.name)) for one in here])
     _tell_missing(source, here, missing, context)
     here = _with_splits(here, config.test_every)
     alike: dict = {}
@@ -115,6 +115,11 @@ def _without_doubles(cameras: list[SourceCamera]) -> tuple[list[SourceCamera], l
         first.setdefault(one.image.resolve(), one)
     kept = list(first.values())
     return kept, [one for one in cameras if one not in kept]
+
+
+def _inside(name: str) -> str:
+    """The name without steps out of a folder: pictures and frames are filed under it."""
+    return "/".join(part for part in Path(name).parts if part not in ("..", "/"))
 
 
 def _with_splits(cameras: list[SourceCamera], every: int) -> list[SourceCamera]:

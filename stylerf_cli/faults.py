@@ -5,6 +5,7 @@ stale, 5 out of resources, 130 interrupted.
 """
 
 import platform
+import shlex
 import sys
 import tempfile
 import traceback
@@ -21,7 +22,7 @@ def told(error: BaseException, argv: list[str], work: Path | None) -> tuple[int,
     if isinstance(error, StylerfError):
         return error.exit_code, _one_line(error)
     if isinstance(error, KeyboardInterrupt):
-        return INTERRUPTED, f"interrupted; the same command goes on where it stopped: stylerf {' '.join(argv)}"
+        return INTERRUPTED, f"interrupted; the same command goes on where it stopped: stylerf {shlex.join(argv)}"
     if isinstance(error, MemoryError):
         return OUT_OF_RESOURCES, "out of memory; use smaller images or a smaller capacity, or free memory"
     if refusal := _refusal_of_disk(error):
@@ -53,7 +54,7 @@ def _write_crash_log(error: BaseException, argv: list[str], work: Path | None) -
     name = f"stylerf-crash-{datetime.now():%Y%m%d-%H%M%S}.log"
     text = "\n".join(
         [
-            f"command: stylerf {' '.join(argv)}",
+            f"command: stylerf {shlex.join(argv)}",
             f"system: {platform.platform()}",
             f"versions: {versions()}",
             "".join(traceback.format_exception(error)),

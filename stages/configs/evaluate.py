@@ -10,6 +10,7 @@ class EvaluateConfig:
     """What is measured and how much of it is shown."""
 
     style: str = option("", help="painting to measure a stylised field against (default: the one it was made with)")
+    style_digest: str = option("", help="sha256 of that painting (filled in; guards against a changed file)")
     features: str = option("", help="feature trunk of the style distances: a name or a file of VGG weights")
     style_side: int = option(256, help="longer side, in pixels, at which render and painting are compared")
     perceptual: str = option("auto", choices=("auto", "none"), help="perceptual distances where their weights are here")

@@ -41,7 +41,7 @@ def run(args, session) -> dict:
     film = frames_of(session, field, args.path) if args.path else film_there(session.work, field)
     if film is not None:
         inputs["path_frames"] = film
-    report = session.run(evaluate.SPEC, evaluate.run, inputs, session.config, field.name)
+    report = session.run(evaluate.SPEC, evaluate.run, inputs, evaluate.pinned(session.config), field.name)
     return told(report, session)
 
 

@@ -11,11 +11,17 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 from schemas.store import Artefact, Work
 from tests.stylerf_cli.nursery import Command, Nursery
 
 FOLLOWED_EVERY_SECONDS = 0.002
 STAGES = ("import", "fit", "deform", "stylize", "stylize with shapes", "render", "eval")
+# The rest goes the same ways: its turn comes with the slow tests.
+IN_THE_GATE = [
+    pytest.param(name, marks=[pytest.mark.slow] if name in ("deform", "stylize with shapes") else []) for name in STAGES
+]
 TAKEN = re.compile(r"seconds|runs|peak_memory_mb")
 
 
@@ -51,7 +57,7 @@ def arguments_of(stage: str, work: Path, photos: Path, room: Path) -> tuple[tupl
         "stylize": (("stylize", work, "--of", "fit", "--budget", "12", "--rays", "dilated", *style), "field"),
         "stylize with shapes": (("stylize", work, "--of", "fit-deformed", "--method", "desrf", "--budget", "12",
                                  *style), "field"),
-        "render": (("render", work, "--of", "fit", "--path", "orbit", "--count", "40", "--scale", "2", "--video"),
+        "render": (("render", work, "--of", "fit", "--path", "orbit", "--count", "24", "--scale", "2", "--video"),
                    "frames"),
         "eval": (("eval", work, "--of", "painting-arf", "--perceptual", "none"), "report"),
     }[stage]  # fmt: skip

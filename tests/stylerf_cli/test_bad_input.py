@@ -103,6 +103,7 @@ def test_truncated_photos(posed, capsys, suffix, keep):
     whole.write_bytes(data[: int(keep * len(data))])
     line = refused(posed, capsys)
     assert f"p01.{suffix}" in line and "replace or remove it" in line
+    assert line.count(str(whole)) == 1 and "(it)" not in line
 
 
 def test_truncated_truth_and_masks(posed, capsys):
@@ -138,6 +139,16 @@ def test_a_photo_of_another_size_than_its_camera(posed, capsys):
     write_png(posed / "images" / "p02.png", np.full((40, 48, 3), 99, np.uint8))
     line = refused(posed, capsys)
     assert "images/p02.png: the photo is 48x40 where its camera says 48x36" in line
+
+
+def test_names_that_lead_out_of_the_folder_stay_inside_the_artefacts(source, tmp_path):
+    """COLMAP lists photos of a sibling folder so; frames are filed under the names of their views."""
+    capture.write_colmap(source)
+    listed = source / "sparse" / "0" / "images.txt"
+    listed.write_text(listed.read_text().replace(" p0", " ../../source/images/p0"))
+    assert main(["import", str(source), str(tmp_path / "work"), "--quiet"]) == 0
+    scene = json.loads((tmp_path / "work/scene/main/scene.json").read_text())
+    assert [view["name"] for view in scene["views"]] == [f"source/images/p0{number}" for number in range(4)]
 
 
 # -- poses and lenses --------------------------------------------------------------------------------------------------

@@ -80,6 +80,17 @@ def test_a_painting_to_measure_against_that_is_none(work, paintings, capsys):
         assert words in line and name in line
 
 
+def test_a_painting_that_has_changed_is_measured_against_anew(work, paintings, capsys):
+    command = ["eval", str(work), "--of", "fit", "--style", str(paintings / "sound.png"), "--perceptual", "none"]
+    palettes = []
+    for spoil in (False, True, False):
+        if spoil:
+            write_png(paintings / "sound.png", np.full((64, 64, 3), 200, np.uint8))
+        assert main([*command, "--json", "--quiet"]) == 0
+        palettes.append(json.loads(capsys.readouterr().out)["figures"]["palette"])
+    assert palettes[0] != palettes[1] == palettes[2]
+
+
 # -- cameras of a path -------------------------------------------------------------------------------------------------
 
 SOUND = {"world_from_camera": [[1, 0, 0, 0], [0, -1, 0, 0], [0, 0, -1, 4], [0, 0, 0, 1]], "width": 16, "height": 16,

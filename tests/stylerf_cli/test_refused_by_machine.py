@@ -14,7 +14,7 @@ from schemas.store import Work
 from stylerf.training import fit as fitting
 from stylerf_cli.main import main
 from tests.stylerf_cli.conftest import FIT
-from tests.stylerf_cli.long_stages import STAGES, assert_same
+from tests.stylerf_cli.long_stages import IN_THE_GATE, assert_same
 
 # Below the largest file of every stage, above that of a recipe.
 SMALL_FILE = 12_000
@@ -36,7 +36,7 @@ def half_written(folder: Path) -> list[Path]:
     return [path for path in found if path.parent.name != "copies"]
 
 
-@pytest.mark.parametrize("name", STAGES)
+@pytest.mark.parametrize("name", IN_THE_GATE)
 def test_a_disk_that_takes_no_more_stops_a_stage_which_then_goes_on(long_stage, nursery, name):
     """A limit on the size of files, which the system meets with EFBIG as it meets a full disk with ENOSPC."""
     stage, work = long_stage(name)

@@ -1,0 +1,108 @@
+"""`stylerf render`: shards, sizes, depth pictures, films, frames that are there already."""
+
+import json
+
+import numpy as np
+import pytest
+
+from schemas import video
+from schemas.exr import read_exr
+from schemas.frames import read_frames
+from schemas.images import read_image
+from stages import render as stage
+from stylerf_cli.main import main
+
+ORBIT = ("--of", "fit", "--path", "orbit", "--count", "5", "--depth")
+
+
+def rendered(work, capsys, *options, name: str = "new"):
+    """The folder of the frames, and what was noted."""
+    assert main(["render", str(work), *map(str, options), "--name", name]) == 0
+    return work / "frames" / name, capsys.readouterr().err
+
+
+@pytest.mark.parametrize("path", ["orbit", "spiral", "interpolate", "test", "file"])
+def test_shards_of_any_path_are_the_bytes_of_the_whole(work, tmp_path, capsys, path):
+    options = ["--of", "fit", "--path", path, "--count", "4", "--depth", "--scale", "0.5"]
+    if path == "file":
+        views = read_frames(rendered(work, capsys, *ORBIT)[0]).views
+        (tmp_path / "cameras.json").write_text(
+            json.dumps([{"world_from_camera": one.camera.world_from_camera} for one in views[:4]])
+        )
+        options[3] = tmp_path / "cameras.json"
+    whole, _ = rendered(work, capsys, *options, name="whole")
+    count = len(read_frames(whole).views)
+    shards = [
+        rendered(work, capsys, *options, "--frames", span, name=f"shard-{span}")[0] for span in ("0", f"1-{count - 1}")
+    ]
+    views = [view for shard in shards for view in read_frames(shard).views]
+    assert views == list(read_frames(whole).views) and count == (2 if path == "test" else 4)
+    for view in views:
+        shard = shards[0] if (shards[0] / view.png).exists() else shards[1]
+        for relative in (view.png, view.exr, view.png.replace("png/", "depth/")):
+            assert (shard / relative).read_bytes() == (whole / relative).read_bytes()
+
+
+@pytest.mark.parametrize(("path", "span"), [("orbit", "5-9"), ("test", "2"), ("spiral", "70-71")])
+def test_a_span_beyond_the_path_is_refused(work, capsys, path, span):
+    command = ["render", str(work), "--of", "fit", "--path", path, "--count", "5", "--frames", span, "--quiet"]
+    assert main(command) == 3
+    err = capsys.readouterr().err
+    assert f"--frames {span}: the path {path} has" in err and err.count("\n") == 1
+
+
+def test_a_scaled_view_is_the_same_view_in_more_pixels(work, capsys):
+    small, _ = rendered(work, capsys, "--of", "fit", "--path", "test")
+    large, _ = rendered(work, capsys, "--of", "fit", "--path", "test", "--scale", "2", name="large")
+    for one, two in zip(read_frames(small).views, read_frames(large).views, strict=True):
+        assert one.scene_view is not None and two.scene_view is None  # no photo has that size
+        assert (two.camera.width, two.camera.fx) == (2 * one.camera.width, 2 * one.camera.fx)
+        coarse, fine = read_exr(small / one.exr), read_exr(large / two.exr)
+        halved = fine.alpha.reshape(32, 2, 32, 2).mean(axis=(1, 3))
+        assert np.corrcoef(halved.ravel(), coarse.alpha.ravel())[0, 1] > 0.95
+
+
+def test_exr_and_png_show_the_same(work, capsys):
+    """PNG: over the background, sRGB. EXR: premultiplied, linear."""
+    folder, _ = rendered(work, capsys, *ORBIT)
+    for view in read_frames(folder).views:
+        exr, png = read_exr(folder / view.exr), read_image(folder / view.png).pixels
+        alpha = exr.alpha[..., None]
+        light = np.where(alpha > 0.02, exr.rgb / np.maximum(alpha, 1e-6), 0)
+        encoded = np.where(light <= 0.0031308, 12.92 * light, 1.055 * np.maximum(light, 1e-9) ** (1 / 2.4) - 0.055)
+        expected = encoded * alpha + (1 - alpha)  # the still life is shown over white
+        assert np.abs(expected - png)[alpha[..., 0] > 0.02].max() < 0.01
+        assert read_image(folder / "depth" / f"{view.name}.png").size == (32, 32)
+
+
+def test_no_exr_where_none_is_wanted(work, capsys):
+    folder, _ = rendered(work, capsys, *ORBIT, "--no-exr")
+    assert not (folder / "exr").exists() and [view.exr for view in read_frames(folder).views] == [""] * 5
+
+
+def test_without_the_extra_a_film_is_a_gif_and_that_is_said(work, capsys, monkeypatch):
+    found = video.find_spec
+    monkeypatch.setattr(video, "find_spec", lambda name: None if name == "av" else found(name))
+    folder, notes = rendered(work, capsys, *ORBIT, "--video", "--fps", "10")
+    assert "video: video.gif, by GIF (pip install 'stylerf[video]' for MP4)" in notes
+    assert (folder / "video.gif").read_bytes()[:6] == b"GIF89a"
+    assert read_frames(folder).fps == 10
+
+
+def test_frames_that_are_there_are_not_rendered_again(work, capsys, monkeypatch):
+    real, seen = stage.render_view, []
+
+    def counted(field, camera, **options):
+        if len(seen) == 2 and stopping:
+            raise KeyboardInterrupt
+        seen.append(camera.name)
+        return real(field, camera, **options)
+
+    monkeypatch.setattr(stage, "render_view", counted)
+    stopping = True
+    assert main(["render", str(work), *ORBIT, "--name", "new", "--quiet"]) == 130
+    stopping = False
+    rendered(work, capsys, *ORBIT)
+    assert seen == ["0000", "0001", "0002", "0003", "0004"]
+    rendered(work, capsys, *ORBIT)
+    assert len(seen) == 5  # all stands
