@@ -65,16 +65,18 @@ class Camera:
             self, width=width, height=height, fx=self.fx * kx, fy=self.fy * ky, cx=self.cx * kx, cy=self.cy * ky
         )
 
-    def rays(self) -> tuple[np.ndarray, np.ndarray]:
-        """Origins and unit directions of all pixel centres, row by row: [height*width, 3] each, float32, world."""
-        rows, columns = np.meshgrid(np.arange(self.height) + 0.5, np.arange(self.width) + 0.5, indexing="ij")
-        local = np.stack(
-            [(columns - self.cx) / self.fx, (rows - self.cy) / self.fy, np.ones_like(columns)], axis=-1
-        ).reshape(-1, 3)
-        directions = local @ self.world_from_camera[:3, :3].T
-        directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
-        origins = np.broadcast_to(self.centre, directions.shape)
-        return np.ascontiguousarray(origins, dtype=np.float32), np.ascontiguousarray(directions, dtype=np.float32)
+    def rays(self, pixels: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """Origins and unit directions of pixel centres, [n, 3] each, float32, world.
+
+        pixels: row-major indices [n]; all of them, row by row, if None. A pixel's ray is the same either way.
+        """
+        rows, columns = np.divmod(np.arange(self.height * self.width) if pixels is None else pixels, self.width)
+        x, y = (columns + 0.5 - self.cx) / self.fx, (rows + 0.5 - self.cy) / self.fy
+        length = np.sqrt(x * x + y * y + 1)
+        directions = np.empty((len(x), 3), np.float32)
+        for axis, (right, down, forward) in enumerate(self.world_from_camera[:3, :3]):
+            directions[:, axis] = (right * x + down * y + forward) / length
+        return np.tile(self.centre.astype(np.float32), (len(x), 1)), directions
 
     def ray_cosines(self) -> np.ndarray:
         """Cosine between each pixel's ray and the viewing axis, [height, width] float32: Z = distance * cosine."""

@@ -49,3 +49,25 @@ def selected_gradient(gradient: np.ndarray, pixels: np.ndarray, blur: int) -> np
     return np.ascontiguousarray(
         gradient.reshape(-1, 3)[pixels] * np.float32(height * width / len(pixels)), dtype=np.float32
     )
+
+
+def spread_over_picture(changes: np.ndarray, pixels: np.ndarray, height: int, width: int, dilation: int) -> np.ndarray:
+    """Changes [n, k] of a dilated selection's pixels, linear in between: what all pixels [h * w, k] may have changed by.
+
+    Rays that were not walked anew stay true to what the field has learnt since, all but its finest detail.
+    """
+    top, left = divmod(int(pixels[0]), width)
+    rows, columns = -(-(height - top) // dilation), -(-(width - left) // dilation)
+    lattice = changes.reshape(rows, columns, -1)
+    return _stretched(_stretched(lattice, top, height, dilation, 0), left, width, dilation, 1).reshape(
+        height * width, -1
+    )
+
+
+def _stretched(lattice: np.ndarray, offset: int, length: int, dilation: int, axis: int) -> np.ndarray:
+    """The lattice along one axis at every pixel, linear between its places, level outside them."""
+    at = np.clip((np.arange(length) - offset) / dilation, 0, lattice.shape[axis] - 1)
+    below = np.minimum(at.astype(np.int64), max(0, lattice.shape[axis] - 2))
+    share = (at - below).astype(np.float32).reshape([-1 if a == axis else 1 for a in range(3)])
+    above = np.minimum(below + 1, lattice.shape[axis] - 1)
+    return lattice.take(below, axis) * (1 - share) + lattice.take(above, axis) * share

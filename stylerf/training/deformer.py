@@ -127,7 +127,7 @@ def random_rays(cameras: list[Camera], count: int, near: float, generator: np.ra
     origins, directions = [], []
     for camera in cameras:
         pixels = generator.integers(0, camera.width * camera.height, max(1, count // len(cameras)))
-        all_origins, all_directions = camera.rays()
-        origins.append(all_origins[pixels])
-        directions.append(all_directions[pixels])
+        of_camera = camera.rays(pixels)
+        origins.append(of_camera[0])
+        directions.append(of_camera[1])
     return Rays.of(np.concatenate(origins), np.concatenate(directions), near)

@@ -90,12 +90,11 @@ class MovingGeometry:
             self.alphas[view] = np.ones(camera.height * camera.width, np.float32)
             if len(pixels) < camera.height * camera.width:
                 self.paint(view, np.arange(camera.height * camera.width))
-        origins, directions = camera.rays()
         rgb, kept = np.empty((len(pixels), 3), np.float32), []
         for at in range(0, len(pixels), RAYS_AT_ONCE):
             part = slice(at, min(at + RAYS_AT_ONCE, len(pixels)))
             chosen = pixels[part]
-            rays = Rays.of(origins[chosen], directions[chosen], self.field.space.near)
+            rays = Rays.of(*camera.rays(chosen), self.field.space.near)
             rendered = render_rays(self.field, rays, chunks=self.chunks, opaque=OPAQUE, share=self.share)
             rgb[part] = rendered.out[:, :3]
             self.alphas[view][chosen] = np.clip(rendered.out[:, 3], 0, 1)

@@ -17,7 +17,7 @@ from stylerf.errors import Diverged
 from stylerf.fields.deformation import Deformation
 from stylerf.fields.field import RadianceField
 from stylerf.geometry.cameras import Camera
-from stylerf.rendering.strategies import selected_gradient, selected_pixels
+from stylerf.rendering.strategies import selected_gradient, selected_pixels, spread_over_picture
 from stylerf.style.colour import ColourMap, match_colours, pixels_of
 from stylerf.style.objective import StyleObjective, StyleWeights
 from stylerf.style.trunks import Trunk
@@ -195,8 +195,13 @@ class Stylizer:
         if not self.settings.remember or view not in self._remembered:
             self._remembered[view] = self.paint_view(view)
         painted, kept = self.geometry.paint(view, pixels)
-        self._remembered[view][pixels] = painted
-        return self._remembered[view], kept
+        picture, settings = self._remembered[view], self.settings
+        if settings.strategy == "dilated":
+            camera = self.cameras[view]
+            changes = painted - picture[pixels]
+            picture += spread_over_picture(changes, pixels, camera.height, camera.width, settings.dilation)
+        picture[pixels] = painted
+        return picture, kept
 
     def paint_view(self, view: int) -> np.ndarray:
         """Premultiplied rgb of a whole view, [h*w, 3], in parts of bounded memory."""

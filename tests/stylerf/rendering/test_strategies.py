@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from stylerf.errors import InvalidValue
-from stylerf.rendering.strategies import STRATEGIES, selected_gradient, selected_pixels
+from stylerf.rendering.strategies import STRATEGIES, selected_gradient, selected_pixels, spread_over_picture
 
 HEIGHT, WIDTH = 9, 14
 
@@ -123,3 +123,23 @@ def test_a_blur_lets_chosen_pixels_speak_for_their_neighbours(blur):
     everything = np.arange(HEIGHT * WIDTH)
     assert np.array_equal(selected_gradient(gradient, everything, blur), gradient.reshape(-1, 3))
     assert found.dtype == np.float32 and found.flags["C_CONTIGUOUS"]
+
+
+def test_changes_spread_linearly_between_the_pixels_of_a_lattice():
+    """A plane in the picture comes back as itself within the lattice, and as its nearest place outside."""
+    rows, columns = np.mgrid[:HEIGHT, :WIDTH].astype(np.float32)
+    plane = np.stack([2 + 0.5 * rows - columns, 3 * columns], -1)
+    for seed in range(12):
+        pixels = drawn("dilated", seed)
+        at_rows, at_columns = np.divmod(pixels, WIDTH)
+        spread = spread_over_picture(plane.reshape(-1, 2)[pixels], pixels, HEIGHT, WIDTH, 3)
+        assert spread.shape == (HEIGHT * WIDTH, 2) and spread.dtype == np.float32
+        near_row = np.clip(rows, at_rows.min(), at_rows.max())
+        near_column = np.clip(columns, at_columns.min(), at_columns.max())
+        expected = np.stack([2 + 0.5 * near_row - near_column, 3 * near_column], -1)
+        assert np.abs(spread - expected.reshape(-1, 2)).max() < 1e-5
+
+
+def test_a_change_spreads_from_a_single_pixel_over_a_small_picture():
+    pixels = drawn("dilated", 0, 5, 2, 3)
+    assert np.array_equal(spread_over_picture(np.float32([[4.0]]), pixels, 2, 3, 5), np.full((6, 1), 4.0, np.float32))

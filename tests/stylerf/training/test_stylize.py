@@ -133,10 +133,12 @@ def test_chosen_rays_learn_their_share_of_the_whole_pictures_gradient(strategy):
     assert apart(style_gradient(made), values.grad.numpy()) < 5e-5
 
 
-def test_what_is_remembered_stands_in_for_pixels_that_are_not_rendered():
+@pytest.mark.parametrize("strategy", ["random", "patch"])
+def test_what_is_remembered_stands_in_for_pixels_that_are_not_rendered(strategy):
     """The second visit of a view renders the chosen pixels only; the others are as they were at the first."""
-    kept, fresh = (stylizer(strategy="dilated", match="none", remember=r, dilation=3) for r in (True, False))
+    kept, fresh = (stylizer(strategy=strategy, match="none", remember=r, dilation=3) for r in (True, False))
     pixels = np.arange(0, HEIGHT * WIDTH, 9)
+    before = kept.paint_view(0)
     for made in (kept, fresh):
         made._picture(0, pixels)
         made.field.colour.values += 0.3
@@ -144,7 +146,18 @@ def test_what_is_remembered_stands_in_for_pixels_that_are_not_rendered():
     old, new = kept._picture(0, pixels + 1)[0], fresh._picture(0, pixels + 1)[0]
     assert np.array_equal(new, now_) and np.array_equal(old[pixels + 1], now_[pixels + 1])
     rest = np.setdiff1d(np.arange(HEIGHT * WIDTH), pixels + 1)
-    assert np.abs(old[rest] - now_[rest]).max() > 0.05
+    assert np.array_equal(old[rest], before[rest]) and np.abs(old[rest] - now_[rest]).max() > 0.05
+
+
+def test_what_is_remembered_follows_what_dilated_rays_have_learnt():
+    made = stylizer(strategy="dilated", match="none", dilation=2)
+    before = made.paint_view(0)
+    made._picture(0, module.selected_pixels("dilated", HEIGHT, WIDTH, 2, np.random.default_rng(0)))
+    made.field.colour.values += 0.3
+    now_, chosen = made.paint_view(0), module.selected_pixels("dilated", HEIGHT, WIDTH, 2, np.random.default_rng(1))
+    seen = made._picture(0, chosen)[0]
+    assert np.array_equal(seen[chosen], now_[chosen])
+    assert np.abs(seen - now_).mean() < 0.2 * np.abs(before - now_).mean()
 
 
 def test_a_refit_step_teaches_the_mean_squared_error_of_its_pixels():
