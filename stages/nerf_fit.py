@@ -17,6 +17,8 @@ from stylerf.training.fit import LADDER, FitSettings, Fitter, Rung
 
 SPEC = Spec(stage="nerf_fit", verb="fit", revision=1, writes="field")
 RATE = {"object": 2e-2, "forward": 4e-2, "unbounded": 4e-2}
+SMOOTHNESS = {"object": 0.0, "forward": 3e-4, "unbounded": 3e-4}
+EVEN_FROM = {"object": 0.0, "forward": 0.0, "unbounded": 1.0}  # 1: the median distance of the cameras from their focus
 
 
 def run(inputs: dict[str, Artefact], config: FitConfig, partial: Partial, context: Context) -> dict:
@@ -82,11 +84,14 @@ def _settings(config: FitConfig, scene: SceneData) -> FitSettings:
         background = scene.background
     else:
         background = "white" if config.background == "auto" else config.background
+    smoothness = SMOOTHNESS[scene.layout] if config.smoothness < 0 else config.smoothness
     return FitSettings(
         seconds=seconds or 1.0,
         steps=steps,
         samples=config.samples,
         rate=config.rate or RATE[scene.layout],
+        smoothness=(smoothness, smoothness),
+        even_from=EVEN_FROM[scene.layout] if config.even_from < 0 else config.even_from,
         degree=config.degree,
         min_gain=config.min_gain,
         background=background,

@@ -28,6 +28,12 @@ class FitConfig:
     degree: int = option(1, choices=(0, 1, 2), help="degree of the spherical harmonics of the colour")
     samples: int = option(90_000, help="density samples a step; the number of rays follows from it")
     rate: float = option(0.0, help="learning rate (0: by the scene's layout)")
+    smoothness: float = option(-1.0, help="weight of the planes' total variation (-1: by the scene's layout)")
+    even_from: float = option(
+        -1.0,
+        help="distance, scene units, below which samples learn by the square of their distance, so that nothing builds "
+        "up close to the cameras (0: all alike; -1: by the scene's layout)",
+    )
     held_out: int = option(
         -1, help="training views kept aside for decisions until the last quarter (-1: every tenth, at most 4; 0: none)"
     )

@@ -9,7 +9,7 @@ from stylerf.fields.displacement import displacement_gradient, position_gradient
 from stylerf.fields.field import RadianceField
 from stylerf.fields.samples import Rays, Samples
 from stylerf.geometry.harmonics import harmonics
-from stylerf.kernels.cpu.composite import composite, composite_backward, significant
+from stylerf.kernels.cpu.composite import composite, composite_backward, scale_near, significant
 
 SAMPLE_LIMIT = 512
 
@@ -49,11 +49,19 @@ def render_rays(field: RadianceField, rays: Rays, *, chunks: int, opaque=1e-3, s
 
 
 def backward(
-    field: RadianceField, rendered: Rendered, gradients: np.ndarray, density_to, colour_to, displacement_to=None
+    field: RadianceField,
+    rendered: Rendered,
+    gradients: np.ndarray,
+    density_to,
+    colour_to,
+    displacement_to=None,
+    *,
+    even_from: float = 0.0,
 ) -> None:
     """From dL/d(out) [rays, 5] to gradient buffers [chunks, parameters] of the parts; None leaves a part out.
 
-    displacement_to: for the displacement grid, [chunks, 3 m^3].
+    displacement_to: for the displacement grid, [chunks, 3 m^3]. even_from: distance, scene units, below which samples
+    learn by the square of their distance (0: all alike).
 
     A field's colour_map is for its pictures: the gradient is that of the colours before it.
     """
@@ -75,6 +83,8 @@ def backward(
         sigma_gradients,
         colour_gradients,
     )
+    if even_from > 0:
+        scale_near(s.t, s.starts, s.ends, np.float32(even_from), chunks, sigma_gradients, colour_gradients)
     if colour_to is not None:
         field.colour.backward(s.x, rendered.basis, s.starts, s.ends, rendered.colours, colour_gradients, colour_to)
     if density_to is not None:

@@ -37,6 +37,7 @@ class Rung:
 # One pair of ranks on every rung: each pair is a set of kernels to compile.
 LADDER = (Rung(64, 16, 24), Rung(128, 16, 24), Rung(192, 16, 24), Rung(256, 16, 24))
 LEAST_STEPS_PER_RUNG = 100
+SMOOTH_EVERY = 8  # steps; the planes' total variation costs a third of a step, and is felt over hundreds of them
 # An error of one step of an eight-bit photo. What lies beyond is rounding: no reason to grow, and no collapse to lose.
 TELLING_PSNR = 20 * math.log10(255)
 
@@ -46,7 +47,8 @@ class FitSettings:
     """How a field is fitted. Budget: seconds of training, or steps if `steps` > 0.
 
     samples: density samples a step; the number of rays follows, so that fog early on does not slow the steps down;
-    rates in value units per step; smoothness: weights of the planes' total variation (density, colour);
+    rates in value units per step; smoothness: weights of the planes' total variation (density, colour); even_from:
+    distance, scene units, below which samples learn by the square of their distance, against floaters (0: all alike);
     shares: parts of the budget at which the next rung is tried; held_out_until: part of the budget from which the
     held-out views are trained on as well.
     """
@@ -58,6 +60,7 @@ class FitSettings:
     final_rate: float = 0.05
     degree: int = 1
     smoothness: tuple[float, float] = (0.0, 0.0)
+    even_from: float = 0.0
     ladder: tuple[Rung, ...] = LADDER
     shares: tuple[float, ...] = (0.12, 0.3, 0.55)
     held_out_until: float = 0.75
@@ -213,18 +216,22 @@ class Fitter:
             gradients = np.zeros_like(out)
             gradients[:, :3] = difference * np.float32(2 / (3 * count))
             gradients[:, 3] = -(gradients[:, :3] * back).sum(1)
-            backward(self.field, rendered, gradients, self.density_adam.gradients, self.colour_adam.gradients)
-        for weight, part_, adam in zip(
-            settings.smoothness, (self.field.density, self.field.colour), (self.density_adam, self.colour_adam)
-        ):
-            if weight > 0:
-                part_.smooth(weight, adam.gradients[0])
+            to = self.density_adam.gradients, self.colour_adam.gradients
+            backward(self.field, rendered, gradients, *to, even_from=settings.even_from)
+        if state.step % SMOOTH_EVERY == 0:
+            self._smooth()
         rate = settings.rate * settings.final_rate**self.progress * state.rate_scale
         self.density_adam.step(rate)
         self.colour_adam.step(rate)
         state.step += 1
         state.rays = _rays_for(settings.samples, live / count, state.rays)
         return error / (3 * count)
+
+    def _smooth(self) -> None:
+        both = (self.field.density, self.density_adam), (self.field.colour, self.colour_adam)
+        for weight, (part, adam) in zip(self.settings.smoothness, both):
+            if weight > 0:
+                part.smooth(SMOOTH_EVERY * weight, adam.gradients[0])
 
     # -- the loop ---------------------------------------------------------------------------------------------------
 
@@ -262,7 +269,8 @@ class Fitter:
             scratch.occupancy.refresh(lambda x, d=density: d.sigma(x, self.chunks), 1 / 8, 0, 1, 0.9)
             rendered = render_rays(scratch, rays, chunks=self.chunks)
             adams = [Adam(part.values, part.groups(), self.chunks) for part in (density, colour)]
-            backward(scratch, rendered, np.ones_like(rendered.out), adams[0].gradients, adams[1].gradients)
+            to = adams[0].gradients, adams[1].gradients
+            backward(scratch, rendered, np.ones_like(rendered.out), *to, even_from=self.settings.even_from)
             for part, adam, weight in zip((density, colour), adams, self.settings.smoothness):
                 if weight > 0:
                     part.smooth(weight, adam.gradients[0])

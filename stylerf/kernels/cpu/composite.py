@@ -74,6 +74,23 @@ def composite_backward(
 
 
 @parallel_kernel
+def scale_near(t, starts, ends, distance, chunks, sigma_gradients, colour_gradients):
+    """Gradients of samples nearer than `distance` times (t / distance)^2 (Philip and Deschaintre, "Floaters No More", 2023).
+
+    A camera's rays are that much denser there, and a step would otherwise teach what is close to it first of all.
+    """
+    n = len(ends)
+    for c in prange(chunks):
+        for r in range(c * n // chunks, (c + 1) * n // chunks):
+            for k in range(starts[r], ends[r]):
+                if t[k] < distance:
+                    share = (t[k] / distance) * (t[k] / distance)
+                    sigma_gradients[k] *= share
+                    for a in range(3):
+                        colour_gradients[k, a] *= share
+
+
+@parallel_kernel
 def significant(weights, starts, ends, share, chunks, shown):
     """shown[k] = weights[k] where it is at least `share` of its ray's largest weight, else 0: never a whole ray."""
     n = len(ends)

@@ -82,6 +82,20 @@ def test_a_backdrop_and_what_lies_behind_an_opaque_sample_teach_no_density():
     np.testing.assert_allclose(to_sigma[starts[4] + 3 : ends[4]], 0, atol=1e-5)
 
 
+@pytest.mark.parametrize("chunks", [1, 3])
+def test_gradients_of_near_samples_fall_with_the_square_of_the_distance(chunks):
+    starts, ends, at, _, sigma, t, colours = samples()
+    to_sigma, to_colours = sigma + 1, colours + 1
+    before = to_sigma.copy(), to_colours.copy()
+    kernels.scale_near(t, starts, ends, np.float32(5), chunks, to_sigma, to_colours)
+    share = np.minimum(1, (t[at] / 5) ** 2)
+    assert (share < 0.9).any() and (share == 1).any()
+    np.testing.assert_allclose(to_sigma[at], before[0][at] * share, rtol=1e-6)
+    np.testing.assert_allclose(to_colours[at], before[1][at] * share[:, None], rtol=1e-6)
+    rubbish = np.setdiff1d(np.arange(len(sigma)), at)
+    assert np.array_equal(to_sigma[rubbish], before[0][rubbish], equal_nan=True)
+
+
 def test_significant_keeps_the_largest_and_drops_the_small():
     weights = np.float32([0.5, 0.01, 0.0099, 0.2, 0.3, 0.1, 0, 0, 0.7])
     starts, ends = np.array([0, 3, 6, 8, 9]), np.array([3, 6, 8, 9, 9])

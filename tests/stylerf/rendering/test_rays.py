@@ -154,3 +154,25 @@ def test_gradients_are_those_of_the_colours_before_a_colour_map():
         backward(field, rendered, gradients, *to)
         found.append(to)
     assert all(np.array_equal(a, b) for a, b in zip(*found))
+
+
+@pytest.mark.parametrize("kind", ["box", "contraction"])
+def test_near_samples_learn_by_the_square_of_their_distance(kind):
+    """One ray of one coloured sample: what it teaches falls as (t / distance)^2, and not at all beyond `distance`."""
+    field, rays = thin(SPACES[kind], vm_colour(2)), rays_into(SPACES[kind], 12, 4)
+    rendered = render_rays(field, rays, chunks=1, share=1.0)  # of each ray only its heaviest sample has a colour
+    packed = Packed.of(rendered.samples).at
+    lit = packed[rendered.colours[packed, 0] >= 0]
+    gradients = np.zeros((12, 5), np.float32)
+    ray = int(np.searchsorted(rendered.samples.ends, lit[0], side="right"))
+    gradients[ray, :3] = 1.0
+    at = float(rendered.samples.t[lit[0]])
+    learnt = {}
+    for even_from in (0.0, 0.5 * at, at, 2 * at, 4 * at):
+        to = np.zeros((1, len(field.colour.values)), np.float32)
+        backward(field, rendered, gradients, None, to, even_from=even_from)
+        learnt[even_from] = to[0]
+    plain = learnt.pop(0.0)
+    assert np.abs(plain).max() > 0
+    for even_from, found in learnt.items():
+        np.testing.assert_allclose(found, plain * min(1.0, at / even_from) ** 2, atol=1e-6 * np.abs(plain).max())

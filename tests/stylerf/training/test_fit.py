@@ -201,7 +201,7 @@ def test_not_even_a_sixty_fourth_fits(monkeypatch):
         box_fitter(12).run()
 
 
-def step_gradients(parts: int) -> list[np.ndarray]:
+def step_gradients(parts: int, **more) -> list[np.ndarray]:
     """Gradients of one step in a half-learnt field, before the optimiser takes them."""
     fitter, found = resumed(box_fitter(60), run_until(box_fitter(60), 33)), []
     fitter.state.parts = parts
@@ -218,3 +218,25 @@ def test_the_gradient_of_a_step_in_parts_is_the_gradient_of_the_whole():
             largest = np.abs(expected).max()
             assert largest > 0
             np.testing.assert_allclose(found, expected, atol=1e-6 * largest)
+
+
+def test_planes_are_smoothed_every_eighth_step_by_as_much_as_eight():
+    """The gradient of a smoothing step is the plain one and eight times that of the planes' total variation."""
+    found: dict = {}
+    for smoothness in (0.0, 0.5):
+        for at in (31, 32):
+            fitter = resumed(box_fitter(60, smoothness=(smoothness, 2 * smoothness)), run_until(box_fitter(60), at))
+            parts = (fitter.field.density, fitter.density_adam, 0.5), (fitter.field.colour, fitter.colour_adam, 1.0)
+            expected = []
+            for part, adam, weight in parts:
+                expected.append(np.zeros(len(part.values), np.float32))
+                part.smooth(8 * weight, expected[-1])
+                adam.step = lambda rate, adam=adam: found[smoothness, at].append(adam.gradients.sum(0))
+            found[smoothness, at] = []
+            fitter.step()
+            found["expected", at] = expected
+    for plain, smoothed in zip(found[0.0, 31], found[0.5, 31]):
+        assert np.array_equal(plain, smoothed)
+    for plain, smoothed, expected in zip(found[0.0, 32], found[0.5, 32], found["expected", 32]):
+        assert np.abs(expected).max() > 0
+        np.testing.assert_allclose(smoothed - plain, expected, atol=1e-5 * np.abs(smoothed).max())
