@@ -17,7 +17,7 @@ from stylerf.training.fit import LADDER, FitSettings, Fitter, Rung
 
 SPEC = Spec(stage="nerf_fit", verb="fit", revision=1, writes="field")
 RATE = {"object": 2e-2, "forward": 4e-2, "unbounded": 4e-2}
-SMOOTHNESS = {"object": 0.0, "forward": 3e-4, "unbounded": 3e-4}
+SMOOTHNESS = {"object": 0.0, "forward": 1e-3, "unbounded": 1e-3}
 EVEN_FROM = {"object": 0.0, "forward": 0.0, "unbounded": 1.0}  # 1: the median distance of the cameras from their focus
 
 

@@ -49,7 +49,8 @@ class FitSettings:
     samples: density samples a step; the number of rays follows, so that fog early on does not slow the steps down;
     rates in value units per step; smoothness: weights of the planes' total variation (density, colour); even_from:
     distance, scene units, below which samples learn by the square of their distance, against floaters (0: all alike);
-    shares: parts of the budget at which the next rung is tried; held_out_until: part of the budget from which the
+    shares: parts of the budget at which the next rung is tried, at the latest after so many steps in all (`longest`,
+    of every rung: what a coarse field is taught for longer is wrong); held_out_until: part of the budget from which the
     held-out views are trained on as well.
     """
 
@@ -63,6 +64,7 @@ class FitSettings:
     even_from: float = 0.0
     ladder: tuple[Rung, ...] = LADDER
     shares: tuple[float, ...] = (0.12, 0.3, 0.55)
+    longest: tuple[int, ...] = (350, 850, 1350, 2100)
     held_out_until: float = 0.75
     min_gain: float = 0.1
     background: str = "white"  # white, black, random or none
@@ -289,10 +291,17 @@ class Fitter:
         """Whether the present rung has had its least steps."""
         return self.state.step >= LEAST_STEPS_PER_RUNG * (self.state.rung + 1)
 
+    @property
+    def _used_up(self) -> bool:
+        """Whether the present rung has had its share of the budget, or as many steps as do it good."""
+        rung, settings = self.state.rung, self.settings
+        end = settings.shares[rung] if rung < len(settings.shares) else settings.held_out_until
+        return self.progress >= end or (rung < len(settings.longest) and self.state.step >= settings.longest[rung])
+
     def _rung_due(self) -> bool:
         s, settings = self.state, self.settings
         last = min(len(settings.ladder) - 1, len(settings.shares))
-        due = not s.fixed and self._ripe and s.rung < last and self.progress >= settings.shares[s.rung]
+        due = not s.fixed and self._ripe and s.rung < last and self._used_up
         # Views that are trained on decide nothing: a trial needs its least steps before that, unless it is none.
         left = (settings.held_out_until / max(self.progress, 1e-9) - 1) * s.step
         return due and (settings.always_climb or left >= LEAST_STEPS_PER_RUNG)
@@ -327,9 +336,7 @@ class Fitter:
     def _trial_over(self) -> bool:
         if self.state.trial is None:
             return False
-        shares = self.settings.shares
-        end = shares[self.state.rung] if self.state.rung < len(shares) else self.settings.held_out_until
-        return (self._ripe and self.progress >= end) or self.progress >= self.settings.held_out_until
+        return (self._ripe and self._used_up) or self.progress >= self.settings.held_out_until
 
     def _stay(self, quality: float) -> None:
         """Leave the ladder: the field is as exact as its photos."""

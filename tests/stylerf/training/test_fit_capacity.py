@@ -41,6 +41,22 @@ def test_a_rung_that_gains_is_kept():
     assert sizes == sorted(sizes) and sizes[-1] == fitter.field.parameters > sizes[0]
 
 
+def test_a_long_budget_leaves_a_coarse_rung_after_its_longest():
+    """Rungs of shares of a long budget would last longer; the last trial too ends by its steps, not by the budget."""
+    fitter, climbed = box_fitter(3000, longest=(110, 240, 350), shares=(0.4, 0.6)), {}
+
+    def on_step(now_: Fitter) -> None:
+        climbed.setdefault(now_.state.rung, now_.state.step)
+        if len(now_.state.decisions) == 2:
+            raise Stopped
+
+    with pytest.raises(Stopped):
+        fitter.run(on_step)
+    assert climbed == {0: 1, 1: 110, 2: 240}
+    # The last trial is judged at the first look after its longest; looks are a twenty-fifth of the budget apart.
+    assert 350 <= fitter.state.step <= 350 + 120 and fitter.state.trial is None
+
+
 def test_growing_holds_the_same_picture():
     fitter = run_until(box_fitter(300), 60)
     before = fitter.held_out_psnr()
