@@ -52,7 +52,7 @@ def selected_gradient(gradient: np.ndarray, pixels: np.ndarray, blur: int) -> np
 
 
 def spread_over_picture(changes: np.ndarray, pixels: np.ndarray, height: int, width: int, dilation: int) -> np.ndarray:
-    """Changes [n, k] of a dilated selection's pixels, linear in between: what all pixels [h * w, k] may have changed by.
+    """Changes [n, k] of a dilated selection's pixels, linear in between: what all pixels [h * w, k] changed by, about.
 
     Rays that were not walked anew stay true to what the field has learnt since, all but its finest detail.
     """

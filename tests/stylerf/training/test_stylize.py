@@ -45,9 +45,7 @@ def stylizer(chunks: int = 1, seed: int = 0, space: Space = BOX, deform: bool = 
     painting = picture(20, 24, 9)
     deformation = Deformation.create(np.random.default_rng(0), frequencies=2, width=16) if deform else None
     given = settings(**more, **({"displacement_vertices": 8} if deform else {}))
-    return Stylizer(
-        field, cameras, photos, GREY, painting, small_trunk(), given, seed, chunks, new_colour, deformation
-    )
+    return Stylizer(field, cameras, photos, GREY, painting, small_trunk(), given, seed, chunks, new_colour, deformation)
 
 
 def style_gradient(made: Stylizer) -> np.ndarray:
