@@ -75,7 +75,7 @@ def composite_backward(
 
 @parallel_kernel
 def scale_near(t, starts, ends, distance, chunks, sigma_gradients, colour_gradients):
-    """Gradients of samples nearer than `distance` times (t / distance)^2 ("Floaters No More", Philip, Deschaintre 2023).
+    """Gradients of samples nearer than `distance` times (t / distance)^2 (Philip, Deschaintre 2023).
 
     A camera's rays are that much denser there, and a step would otherwise teach what is close to it first of all.
     """
