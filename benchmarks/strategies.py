@@ -1,7 +1,8 @@
 """Ray strategies compared on one scene: `python -m benchmarks.strategies WORK STYLE OUT.json [STEPS [METHOD]]`.
 
 Protocol: the field of WORK is stylised by each strategy in a process of its own, one after another, from the same
-seed, refit and settings (METHOD arf or desrf, dilation 2, blur 3, dilated also without the memory of the last render).
+seed, refit and settings (METHOD arf or desrf, dilation 2, no blur; dilated also with the paper's 3x3 blur, and without
+the memory of the last render).
 `full` runs STEPS steps, which take it T seconds; every other runs until it has done STEPS steps and used T seconds.
 Style distance (exact nearest neighbours, conv3) and content distance are means over the held-out views, at equal steps
 and at equal time. Field seconds: painting the picture and learning from its gradient; the rest of a step is the feature
@@ -22,8 +23,9 @@ from pathlib import Path
 CASES = {
     "full": {"strategy": "full"},
     "dilated": {"strategy": "dilated"},
-    "deferred": {"strategy": "deferred"},
+    "dilated, blur 3": {"strategy": "dilated", "blur": 3},
     "dilated, others rendered anew": {"strategy": "dilated", "remember": False},
+    "deferred": {"strategy": "deferred"},
     "random": {"strategy": "random"},
     "patch": {"strategy": "patch"},
 }

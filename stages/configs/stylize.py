@@ -22,7 +22,7 @@ class StylizeConfig:
         help="rays that carry gradient in a step (auto: deferred for arf, dilated for desrf)",
     )
     dilation: int = option(2, help="Nc: every Nc-th ray in both axes (dilated), or as few rays (random, patch)")
-    blur: int = option(3, help="box filter on dL/dRGB before rays are picked (0: none)")
+    blur: int = option(0, help="side of a box filter on dL/dRGB before rays are picked, odd (DeSRF: 3; 0: none)")
     remember: bool = option(True, help="take rays that do not learn from the view's last render")
     features: str = option(
         "",
@@ -53,7 +53,9 @@ class StylizeConfig:
 
     def __post_init__(self) -> None:
         budget_of(self.budget)
-        if self.dilation < 1 or self.blur < 0 or not 0 <= self.feature_scale <= 1 or self.style_scale <= 0:
-            raise ValueError("dilation must be at least 1, blur not negative, feature_scale in 0..1, style_scale > 0")
+        if self.blur < 0 or (self.blur > 0 and self.blur % 2 == 0):
+            raise ValueError("blur must be odd, or 0 for none: an even box would shift the picture by half a pixel")
+        if self.dilation < 1 or not 0 <= self.feature_scale <= 1 or self.style_scale <= 0:
+            raise ValueError("dilation must be at least 1, feature_scale in 0..1, style_scale > 0")
         if not (1 <= self.levels <= 16 and 16 <= self.finest <= 4096 and 10 <= self.table_bits <= 24):
             raise ValueError("the colour field takes 1 to 16 levels, 16 to 4096 cells and 10 to 24 table bits")

@@ -47,7 +47,7 @@ class StyleSettings:
     final_rate: float = 0.2
     strategy: str = "deferred"
     dilation: int = 2
-    blur: int = 3
+    blur: int = 0
     remember: bool = True
     match: str = "both"
     weights: StyleWeights = field(default_factory=StyleWeights)
