@@ -40,8 +40,8 @@ def selected_gradient(gradient: np.ndarray, pixels: np.ndarray, blur: int) -> np
     """dL/d(picture) [h, w, 3] at the selected pixels [n, 3], scaled by all/selected: the full gradient in expectation.
 
     Not pixel by pixel for `patch`: its windows hold the middle of the picture more often than its sides.
-    blur: side of a box filter applied first, odd (0: none): selected rays then speak for their neighbours too, instead of
-    dropping what these were asked for (DeSRF: 3), at the price of the finest strokes.
+    blur: side of a box filter applied first, odd (0: none): selected rays then speak for their neighbours too
+    (DeSRF: 3), instead of dropping what these were asked for, at the price of the finest strokes.
     """
     height, width = gradient.shape[:2]
     if blur > 1 and len(pixels) < height * width:

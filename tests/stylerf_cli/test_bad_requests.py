@@ -66,6 +66,19 @@ def test_paintings_that_are_none_are_refused_before_any_work(paintings, capsys, 
     assert not (paintings / "work").exists()
 
 
+@pytest.mark.parametrize(
+    ("flags", "words"),
+    [
+        (("--blur", "2"), "blur must be odd"), (("--blur", "-1"), "blur must be odd"),
+        (("--dilation", "0"), "dilation must be at least 1"), (("--budget", "soon"), "neither a time"),
+        (("--finest", "8"), "16 to 4096 cells"), (("--style-scale", "0"), "style_scale > 0"),
+    ],
+)  # fmt: skip
+def test_settings_of_a_stylisation_that_mean_nothing(paintings, capsys, flags, words):
+    assert words in told(capsys, 2, "stylize", paintings / "work", "--style", paintings / "sound.png", *flags)
+    assert not (paintings / "work").exists()
+
+
 def test_a_sound_painting_gets_past_that(paintings, capsys):
     assert "stylerf import" in told(capsys, 4, "stylize", paintings / "work", "--style", paintings / "sound.png")
 
