@@ -4,10 +4,11 @@ Protocol: the field of WORK is stylised by each strategy in a process of its own
 seed, refit and settings (METHOD arf or desrf, dilation 2, no blur; dilated also with the paper's 3x3 blur, and without
 the memory of the last render).
 `full` runs STEPS steps, which take it T seconds; every other runs until it has done STEPS steps and used T seconds.
-Style distance (exact nearest neighbours, conv3) and content distance are means over the held-out views, at equal steps
-and at equal time. Field seconds: painting the picture and learning from its gradient; the rest of a step is the feature
-trunk, the matching and the optimisers. Field memory: what is resident at the end of painting and of learning, at most,
-above what was before the step; the trunk is left out.
+Style distance (exact nearest neighbours, conv3) and content distance are means over the held-out views and over LOOKS
+looks two steps apart, the first at equal steps or at equal time: at a steady rate they swing by a tenth between steps.
+Field seconds: painting the picture and learning from its gradient; the rest of a step is the feature trunk, the
+matching and the optimisers. Field memory: what is resident at the end of painting and of learning, at most, above what
+was before the step; the trunk is left out.
 """
 
 import json
@@ -17,9 +18,11 @@ import resource
 import subprocess
 import sys
 import time
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 
+LOOKS = 5
 CASES = {
     "full": {"strategy": "full"},
     "dilated": {"strategy": "dilated"},
@@ -107,6 +110,26 @@ def distances(made, held_out, level) -> dict[str, float]:
     return {name: round(value, 5) for name, value in sums.items()}
 
 
+@dataclass
+class Mark:
+    """LOOKS looks at the held-out views, two steps apart; step and seconds are those of the first."""
+
+    looks: list[dict[str, float]] = field(default_factory=list)
+    step: int = 0
+    seconds: float = 0.0
+
+    def due(self, step: int) -> bool:
+        return not self.looks or (len(self.looks) < LOOKS and step >= self.step + 2 * len(self.looks))
+
+    def take(self, look: dict[str, float], step: int, seconds: float) -> None:
+        if not self.looks:
+            self.step, self.seconds = step, seconds
+        self.looks.append(look)
+
+    def mean(self) -> dict[str, float]:
+        return {name: round(sum(look[name] for look in self.looks) / len(self.looks), 5) for name in self.looks[0]}
+
+
 def measure(work: str, style: str, method: str, case: str, steps: int, seconds: float) -> dict:
     """One case, in this process. seconds 0: as long as `steps` steps take."""
     made, held_out, level = stylizer_for(work, style, method, case)
@@ -115,14 +138,14 @@ def measure(work: str, style: str, method: str, case: str, steps: int, seconds: 
         made.state.step += 1
     made._next_phase()
     _ = made.objective  # the painting's features are computed here, not within the first step
-    field = {"seconds": 0.0, "peak": 0.0}
+    spent = {"seconds": 0.0, "peak": 0.0}
 
     def timed(function):
         def call(*arguments):
             begun = time.perf_counter()
             result = function(*arguments)
-            field["seconds"] += time.perf_counter() - begun
-            field["peak"] = max(field["peak"], resident_mb())
+            spent["seconds"] += time.perf_counter() - begun
+            spent["peak"] = max(spent["peak"], resident_mb())
             return result
 
         return call
@@ -137,33 +160,35 @@ def measure(work: str, style: str, method: str, case: str, steps: int, seconds: 
     import numpy as np
 
     before, camera = resident_mb(), made.cameras[0]
-    field["peak"] = 0.0
+    spent["peak"] = 0.0
     made._gradient = lambda view, picture: (
         np.zeros((camera.height, camera.width, 3), np.float32), {"style": 0.0})  # fmt: skip
     rates = made.adam.step
     made.adam.step = lambda rate: None
     made.style_step()
-    memory = max(field["peak"] - before, 0.0)
+    memory = max(spent["peak"] - before, 0.0)
     made.adam.step, made._gradient = rates, gradient
     row: dict = {"case": case, "field_memory_mb": round(memory, 1)}
     made.style_step()  # the first runs slower
-    made.state.step, field["seconds"], used = 1, 0.0, 0.0
-    while made.state.step <= steps or used < seconds:
+    made.state.step, spent["seconds"], used = 1, 0.0, 0.0
+    marks = {"at_equal_steps": Mark()} | ({"at_equal_time": Mark()} if seconds else {})
+    while any(len(mark.looks) < LOOKS for mark in marks.values()):
         begun = time.perf_counter()
         made.style_step()
         used += time.perf_counter() - begun
         made.state.step += 1
-        if made.state.step == steps + 1:
-            row["seconds_at_equal_steps"] = round(used, 2)
-            row["at_equal_steps"] = distances(made, held_out, level)
-        if seconds and "at_equal_time" not in row and used >= seconds:
-            row["steps_at_equal_time"] = made.state.step - 1
-            row["at_equal_time"] = distances(made, held_out, level)
-    done = made.state.step - 1
-    row |= {"steps": done, "step_seconds": round(used / done, 4), "field_seconds": round(field["seconds"] / done, 4)}
+        done = made.state.step - 1
+        reached = {"at_equal_steps": done >= steps, "at_equal_time": used >= seconds}
+        if due := [mark for name, mark in marks.items() if reached[name] and mark.due(done)]:
+            now = distances(made, held_out, level)
+            for mark in due:
+                mark.take(now, done, used)
+    row |= {name: mark.mean() for name, mark in marks.items()}
+    row["seconds_at_equal_steps"] = round(marks["at_equal_steps"].seconds, 2)
+    row |= {"steps": done, "step_seconds": round(used / done, 4), "field_seconds": round(spent["seconds"] / done, 4)}
     row["peak_memory_mb"] = round(peak_mb())
-    if not seconds:
-        row["steps_at_equal_time"], row["at_equal_time"] = steps, row["at_equal_steps"]
+    row["steps_at_equal_time"] = marks["at_equal_time"].step if seconds else steps
+    row.setdefault("at_equal_time", row["at_equal_steps"])
     return row
 
 
