@@ -52,7 +52,7 @@ def strategies() -> str:
             f"| {row['field_memory_mb']:.0f} MB | {row['at_equal_steps']['style']:.4f} "
             f"| {row['at_equal_time']['style']:.4f} | {row['at_equal_time']['content']:.3f} |"
         )
-    steps = full["steps"]
+    steps = full["steps_at_equal_time"]
     return "\n".join(
         [
             "![Style distance against the field's seconds a step](docs/images/strategies.svg)",

@@ -144,7 +144,7 @@ def settings_of(config: StylizeConfig, long_side: int) -> StyleSettings:
         blur=config.blur,
         remember=config.remember,
         match=config.match,
-        weights=StyleWeights(config.style_weight, config.content_weight, config.variation_weight),
+        weights=StyleWeights(config.style_weight, config.content_weight, config.variation_weight, config.colour_weight),
         feature_scale=config.feature_scale or min(1.0, max(0.5, 256 / long_side)),
         style_scale=config.style_scale,
         style_rows=config.style_rows,

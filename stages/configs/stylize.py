@@ -31,6 +31,9 @@ class StylizeConfig:
     taps: str = option("conv3", help="layers of the trunk that are matched: conv2, conv3, conv3_1 ...")
     style_weight: float = option(1.0, help="weight of the nearest-neighbour feature distance")
     content_weight: float = option(2e-2, help="weight of the content distance, in the painting's mean squared feature")
+    colour_weight: float = option(
+        10.0, help="weight of the squared difference from the photo's matched colours, in cells a 32nd of the view wide"
+    )
     variation_weight: float = option(1.0, help="weight of the picture's total variation")
     deform_rate: float = option(3e-3, help="learning rate of the deformation (desrf)")
     displacement_weight: float = option(0.015, help="weight of the root mean square of the displacement (desrf)")

@@ -1,8 +1,11 @@
-"""What a stylised view is asked to be: the painting's features, the photo's content, and smooth (ARF eq. 4)."""
+"""What a stylised view is asked to be: the painting's features, the photo's content, and smooth (ARF eq. 4); and where
+the photo, in the painting's colours, is dark, bright or yellow, to stay so as a whole.
+"""
 
 from dataclasses import dataclass
 
 import torch
+import torch.nn.functional as F
 from torch import Tensor
 
 from stylerf.style.images import feature_size, resized, style_picture
@@ -17,12 +20,13 @@ from stylerf.style.losses import (
 from stylerf.style.matching import StyleRows, style_rows
 from stylerf.style.trunks import Trunk
 
+CELLS = 32  # of the longer side: the grain at which colours are kept
 VARIATIONS = {"squared": image_variation, "diagonal": lambda picture: diagonal_variation(picture).mean()}
 
 
 @dataclass(frozen=True)
 class StyleWeights:
-    """Weights of the mean nearest-neighbour distance, content distance and total variation.
+    """Weights of the mean nearest-neighbour distance, content distance, total variation and colour distance.
 
     The content distance is counted in units of the painting's own mean squared feature: trunks differ ten thousandfold
     in their features' squares, so that a weight in the features' own units (ARF: 1e-3) means nothing without the trunk.
@@ -31,6 +35,20 @@ class StyleWeights:
     style: float = 1.0
     content: float = 1e-2
     variation: float = 1.0
+    colour: float = 10.0
+
+    @property
+    def need_photo(self) -> bool:
+        """Whether anything of the photo is kept at all."""
+        return self.content > 0 or self.colour > 0
+
+
+@dataclass(frozen=True)
+class Content:
+    """What a view keeps of its photo: features by block, and the mean colours of its cells [3, few, few]."""
+
+    features: dict[str, Tensor]
+    colours: Tensor
 
 
 class StyleObjective:
@@ -71,14 +89,17 @@ class StyleObjective:
         return by_block(self.trunk.taps, self.trunk(small[None]))
 
     @torch.no_grad()
-    def content_of(self, photo: Tensor) -> dict[str, Tensor]:
-        """The reference for a view's content loss, in half precision (it is kept for every view)."""
-        return {block: f.half() for block, f in self.features_of(photo).items()}
+    def content_of(self, photo: Tensor) -> Content:
+        """What a view is to keep of a photo [3, h, w]; features in half precision (it is held for every view)."""
+        return Content({block: f.half() for block, f in self.features_of(photo).items()}, cell_colours(photo))
 
     def __call__(
-        self, picture: Tensor, content: dict[str, Tensor], alpha: Tensor | None = None
+        self, picture: Tensor, content: Content | None, alpha: Tensor | None = None
     ) -> tuple[Tensor, dict[str, float]]:
-        """(loss, its parts). alpha [h, w]: where the object is; what lies outside is neither matched nor kept."""
+        """(loss, its parts). alpha [h, w]: where the object is; what lies outside is neither matched nor kept.
+
+        content: None where nothing is kept (StyleWeights.need_photo).
+        """
         found = self.features_of(picture)
         style_loss, content_loss = picture.new_zeros(()), picture.new_zeros(())
         for block, rows in self.style.items():
@@ -86,12 +107,22 @@ class StyleObjective:
             distances, _ = nearest_neighbour_distance(found[block], rows, weights)
             total = distances.numel() if weights is None else weights.sum().clamp_min(1e-6)
             style_loss = style_loss + distances.sum() / total
-            if self.weights.content > 0:
-                apart = content_distance(found[block], content[block].float()) / self.unit[block]
+            if content is not None and self.weights.content > 0:
+                apart = content_distance(found[block], content.features[block].float()) / self.unit[block]
                 content_loss = content_loss + (apart.mean() if weights is None else (apart * weights).sum() / total)
         variation = self.variation(picture)
-        loss = (
-            self.weights.style * style_loss + self.weights.content * content_loss + self.weights.variation * variation
-        )
-        parts = {"style": style_loss.item(), "content": float(content_loss.detach()), "variation": variation.item()}
-        return loss, parts
+        colour_loss = picture.new_zeros(())
+        if content is not None and self.weights.colour > 0:
+            apart = (cell_colours(picture) - content.colours).square().mean(0)
+            weights = torch.ones_like(apart) if alpha is None else cell_colours(alpha[None])[0]
+            colour_loss = (apart * weights).sum() / weights.sum().clamp_min(1e-6)
+        parts = {"style": style_loss, "content": content_loss, "variation": variation, "colour": colour_loss}
+        loss = sum(getattr(self.weights, name) * part for name, part in parts.items())
+        return loss, {name: float(part.detach()) for name, part in parts.items()}
+
+
+def cell_colours(picture: Tensor) -> Tensor:
+    """Mean colours of a picture [c, h, w] in CELLS cells along its longer side, as many for their size on the other."""
+    height, width = picture.shape[1:]
+    share = min(1.0, CELLS / max(height, width))
+    return F.adaptive_avg_pool2d(picture, (max(1, round(height * share)), max(1, round(width * share))))

@@ -19,7 +19,7 @@ from stylerf.fields.field import RadianceField
 from stylerf.geometry.cameras import Camera
 from stylerf.rendering.strategies import selected_gradient, selected_pixels, spread_over_picture
 from stylerf.style.colour import ColourMap, match_colours, pixels_of
-from stylerf.style.objective import StyleObjective, StyleWeights
+from stylerf.style.objective import Content, StyleObjective, StyleWeights
 from stylerf.style.trunks import Trunk
 from stylerf.training.deformer import Deformer
 from stylerf.training.geometry import FixedGeometry, MovingGeometry
@@ -109,7 +109,7 @@ class Stylizer:
         self.photos = self._matched(photos)
         self.state = StyleState()
         self._objective: StyleObjective | None = None
-        self._content: dict[int, dict[str, torch.Tensor]] = {}
+        self._content: dict[int, Content] = {}
         self._remembered: dict[int, np.ndarray] = {}
         self.between_steps = True
 
@@ -242,9 +242,9 @@ class Stylizer:
             )
         return self._objective
 
-    def _content_of(self, view: int) -> dict[str, torch.Tensor]:
-        if self.settings.weights.content <= 0:
-            return {}
+    def _content_of(self, view: int) -> Content | None:
+        if not self.settings.weights.need_photo:
+            return None
         if view not in self._content:
             photo = torch.from_numpy(self.photos[view]).permute(2, 0, 1).contiguous()
             self._content[view] = self.objective.content_of(photo)

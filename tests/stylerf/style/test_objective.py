@@ -5,11 +5,11 @@ import pytest
 import torch
 
 from stylerf.style.images import resized, style_picture
-from stylerf.style.objective import StyleObjective, StyleWeights
+from stylerf.style.objective import CELLS, StyleObjective, StyleWeights
 from tests.stylerf.style.small_trunk import picture, small_trunk
 
 HEIGHT, WIDTH = 20, 44
-WEIGHTS = StyleWeights(0.7, 0.05, 0.3)
+WEIGHTS = StyleWeights(0.7, 0.05, 0.3, 2.0)
 
 
 def objective(weights=WEIGHTS, double=False, **more) -> StyleObjective:
@@ -68,9 +68,31 @@ def test_loss_and_its_parts_equal_a_slow_loop(masked, double):
     assert parts["style"] == pytest.approx(expected[0], rel=1e-5)
     assert parts["content"] == pytest.approx(expected[1], rel=2e-3)
     assert parts["variation"] == pytest.approx(expected[2], rel=1e-5)
-    together = 0.7 * parts["style"] + 0.05 * parts["content"] + 0.3 * parts["variation"]
+    together = 0.7 * parts["style"] + 0.05 * parts["content"] + 0.3 * parts["variation"] + 2 * parts["colour"]
     assert float(loss) == pytest.approx(together, rel=1e-5)
     assert min(expected) > 1e-3
+
+
+@pytest.mark.parametrize("masked", [False, True])
+def test_the_colour_distance_is_that_of_cells(masked):
+    """A picture as wide as two cells' pixels: cells of two by two, those of the object alone."""
+    generator = torch.Generator().manual_seed(1)
+    image, photo = (torch.rand(3, 2 * 20, 2 * CELLS, generator=generator) for _ in range(2))
+    alpha = torch.zeros(40, 2 * CELLS)
+    alpha[4:20, 6:30] = 1.0
+    made = objective(StyleWeights(0, 0, 0, 3.0))
+    loss, parts = made(image, made.content_of(photo), alpha if masked else None)
+    apart = (image - photo).double().reshape(3, 20, 2, CELLS, 2).mean((2, 4)).square()
+    expected = apart[:, 2:10, 3:15].mean() if masked else apart.mean()
+    assert parts["colour"] == pytest.approx(float(expected), rel=1e-5) and float(loss) == pytest.approx(
+        3 * float(expected), rel=1e-5
+    )
+
+
+def test_colours_finer_than_a_cell_are_free():
+    made, photo = objective(StyleWeights(0, 0, 0, 1.0)), torch.full((3, 2 * CELLS, 2 * CELLS), 0.5)
+    checks = (torch.arange(2 * CELLS)[:, None] + torch.arange(2 * CELLS)) % 2 * 0.8 - 0.4
+    assert made(photo + checks, made.content_of(photo))[1]["colour"] < 1e-12
 
 
 def test_the_diagonal_variation_is_the_mean_of_its_pixels():
@@ -85,7 +107,7 @@ def test_the_diagonal_variation_is_the_mean_of_its_pixels():
 
 
 def test_what_lies_outside_the_object_is_neither_matched_nor_kept():
-    made, image, alpha = objective(StyleWeights(1, 1, 0)), picture(HEIGHT, WIDTH, 2), object_alpha()
+    made, image, alpha = objective(StyleWeights(1, 1, 0, 1)), picture(HEIGHT, WIDTH, 2), object_alpha()
     content = made.content_of(picture(HEIGHT, WIDTH, 3))
     other = image.clone()
     other[:, :, 32:] = 0.9  # beyond the reach of the second block's filters from the last column that counts, 13
@@ -105,13 +127,13 @@ def test_an_object_that_is_nowhere_costs_nothing():
     made, image = objective(), picture(HEIGHT, WIDTH, 2).requires_grad_()
     loss, parts = made(image, made.content_of(image.detach()), torch.zeros(HEIGHT, WIDTH))
     loss.backward()
-    assert parts["style"] == parts["content"] == 0 and torch.isfinite(image.grad).all()
+    assert parts["style"] == parts["content"] == parts["colour"] == 0 and torch.isfinite(image.grad).all()
 
 
 def test_a_weight_of_zero_needs_no_content_and_drops_its_part():
-    made, image = objective(StyleWeights(2.0, 0.0, 0.0)), picture(HEIGHT, WIDTH, 2)
-    loss, parts = made(image, {})
-    assert parts["content"] == 0 and float(loss) == pytest.approx(2 * parts["style"], rel=1e-6)
+    made, image = objective(StyleWeights(2.0, 0.0, 0.0, 0.0)), picture(HEIGHT, WIDTH, 2)
+    loss, parts = made(image, None)
+    assert parts["content"] == parts["colour"] == 0 and float(loss) == pytest.approx(2 * parts["style"], rel=1e-6)
 
 
 @pytest.mark.parametrize("masked", [False, True])
@@ -130,15 +152,15 @@ def test_gradient_equals_finite_differences_in_float64(masked):
 
 def test_fewer_rows_and_a_basis_choose_worse_or_equal_neighbours():
     image = picture(HEIGHT, WIDTH, 2)
-    style = StyleWeights(1, 0, 0)
+    style = StyleWeights(1, 0, 0, 0)
     exact, few, short = (
-        objective(style, **more)(image, {})[1]["style"] for more in ({}, {"most_rows": 20}, {"basis": 3})
+        objective(style, **more)(image, None)[1]["style"] for more in ({}, {"most_rows": 20}, {"basis": 3})
     )
     assert exact < few < 1 and exact < short < 1
 
 
 def test_the_painting_itself_is_at_no_distance_but_where_all_features_are_silent():
     painting = picture(30, 40, 1)
-    made = StyleObjective(small_trunk(), painting, (30, 40), StyleWeights(1, 0, 0), scale=1.0, basis=0)
+    made = StyleObjective(small_trunk(), painting, (30, 40), StyleWeights(1, 0, 0, 0), scale=1.0, basis=0)
     silent = sum((f == 0).all(0).mean() for f in blocks_of(made.trunk, painting))
-    assert made(painting, {})[1]["style"] == pytest.approx(silent, abs=1e-5) and silent < 0.01
+    assert made(painting, None)[1]["style"] == pytest.approx(silent, abs=1e-5) and silent < 0.01

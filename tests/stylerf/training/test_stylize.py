@@ -207,7 +207,7 @@ def test_a_stylisation_that_was_stopped_goes_on_to_the_same_bits(strategy, defor
 
 
 def test_learning_lowers_the_loss_and_leaves_the_density_alone():
-    made, losses = stylizer(steps=30, strategy="deferred", match="none", weights=StyleWeights(1, 0, 0)), []
+    made, losses = stylizer(steps=30, strategy="deferred", match="none", weights=StyleWeights(1, 0, 0, 0)), []
     before = made.field.density.values.copy()
     step = made.style_step
     made.style_step = lambda: losses.append(step()) or losses[-1]
