@@ -30,7 +30,7 @@ class StyleWeights:
 
     The content distance is counted in units of the painting's own mean squared feature: trunks differ ten thousandfold
     in their features' squares, so that a weight in the features' own units (ARF: 1e-3) means nothing without the trunk.
-    The colour distance is the mean squared difference of the mean colours of cells, a 32nd of the picture wide: features
+    The colour distance is the mean squared difference of the mean colours of cells a 32nd of the picture wide: features
     hardly see colour, which drifts where nothing holds it (docs/decisions/0012).
     """
 
