@@ -178,6 +178,20 @@ class Partial:
         self._lock.release()
 
 
+def sweep_finished(root: Path, kind: str, name: str) -> None:
+    """Deletes what a run left that was killed between its last rename and its own tidying up; never a resumable run."""
+    folder = root / kind / f".{name}.partial"
+    if not folder.is_dir() or (folder / "files").is_dir():
+        return
+    with suppress(OutOfResources):  # another process is at work here, or we may not write: no harm done
+        lock = Lock(root / kind / f".{name}.lock")
+        try:
+            if not (folder / "files").is_dir() and (root / kind / name).exists():
+                shutil.rmtree(folder, ignore_errors=True)
+        finally:
+            lock.release()
+
+
 def _exchange(one: Path, other: Path) -> bool:
     """Swaps two folders in one step where the system can (Linux), so that there is no moment without an artefact."""
     try:

@@ -10,7 +10,7 @@ from schemas.artefact import MADE_BY, Artefact
 from schemas.errors import ArtefactDamaged, ArtefactStale, UsageError
 from schemas.manifest import MANIFEST, InputRef, Recipe
 from schemas.migrations import CURRENT
-from schemas.partial import Partial
+from schemas.partial import Partial, sweep_finished
 
 __all__ = ["MADE_BY", "Artefact", "InputRef", "Partial", "Recipe", "Work"]
 
@@ -70,6 +70,10 @@ class Work:
         except (ArtefactDamaged, ArtefactStale):
             return None  # a damaged or unreadable one is made again
         return artefact
+
+    def sweep(self, kind: str, name: str) -> None:
+        """Deletes what is left of the run that made the artefact of that name, where a kill kept it from doing so."""
+        sweep_finished(self.root, _known(kind), _sound(name))
 
     def begin(self, kind: str, name: str, recipe: Recipe) -> Partial:
         """Goes on with an interrupted run of this recipe, or starts afresh; see Partial."""

@@ -71,6 +71,7 @@ def execute(
     recipe = recipe_of(spec, inputs, config, context.seed)
     standing = None if force else work.standing(spec.writes, name, recipe)
     if standing:
+        work.sweep(spec.writes, name)
         return standing, True
     for artefact in inputs.values():
         artefact.verify()

@@ -4,6 +4,7 @@ import errno
 import itertools
 import os
 import random
+import shutil
 import signal
 import subprocess
 import sys
@@ -126,7 +127,7 @@ def files_of(artefact: Artefact) -> list[str]:
 
 
 def die_at(number: int, action) -> None:
-    """Runs `action` and kills this process at the `number`th flush or rename of anything."""
+    """Runs `action` and kills this process before the `number`th flush, rename or removal of anything."""
     count = itertools.count()
 
     def deadly(function):
@@ -140,11 +141,12 @@ def die_at(number: int, action) -> None:
     for name in ("fsync", "replace", "rename"):
         setattr(os, name, deadly(getattr(os, name)))
     partial._exchange = deadly(partial._exchange)
+    shutil.rmtree = deadly(shutil.rmtree)
     action()
 
 
 @pytest.mark.parametrize("replaced", [False, True])
-def test_a_death_before_any_flush_or_rename_leaves_old_or_new_and_resumes(tmp_path, replaced):
+def test_a_death_before_any_flush_rename_or_removal_leaves_old_or_new_and_resumes(tmp_path, replaced):
     config = ToyConfig(steps=4)
     wanted = files_of(toy(Work(tmp_path / "undisturbed"), config=config)[0])
     for number in itertools.count():
@@ -159,6 +161,8 @@ def test_a_death_before_any_flush_or_rename_leaves_old_or_new_and_resumes(tmp_pa
         made = toy(work, config=config)[0]
         made.verify()
         assert files_of(made) == wanted
+        # Also where the run died with its artefact in place, before it had tidied up.
+        assert work.unfinished() == [] and not list(work.root.rglob(".*.partial"))
         if not died:
             break
     assert number > 15
