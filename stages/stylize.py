@@ -25,13 +25,20 @@ from stages.runner import Spec
 from stages.scenes import load_scene
 from stages.weights import resolve
 from stylerf.errors import Diverged, InvalidValue
+from stylerf.fields.field import RadianceField
 from stylerf.fields.hash import HashColour
+from stylerf.fields.surface import cells_of, surface_of
+from stylerf.geometry.cameras import Camera
 from stylerf.kernels.cpu.compiling import compiling_note, set_threads
 from stylerf.style.objective import StyleWeights
 from stylerf.style.trunks import Trunk
 from stylerf.training.stylize import StyleSettings, Stylizer
 
-SPEC = Spec(stage="stylize", verb="stylize", revision=1, writes="field")
+SPEC = Spec(stage="stylize", verb="stylize", revision=2, writes="field")
+SMALL_VIEW = 256  # pixels of its longer side
+FINER = 1.25  # cells for each pixel's width
+SEEN = 0.3  # of a ray's largest weight: what a sample must have to say where the surface is
+VARIATION = {"arf": ("squared", 1.0), "desrf": ("diagonal", 0.1)}  # DeSRF: 0.5 beside a style weight of 5
 
 
 def run(inputs: dict[str, Artefact], config: StylizeConfig, partial: Partial, context: Context) -> dict:
@@ -48,10 +55,12 @@ def run(inputs: dict[str, Artefact], config: StylizeConfig, partial: Partial, co
     views = scene.splits["train"]
     painting = read_painting(Path(config.style))
     level = level_of(background)
+    cameras = [scene.cameras[i] for i in views]
+    finest = config.finest or finest_of(field, cameras, threads)
     try:
         stylizer = Stylizer(
             field,
-            [scene.cameras[i] for i in views],
+            cameras,
             [photo_over(scene, i, level) for i in views],
             level,
             painting,
@@ -60,7 +69,7 @@ def run(inputs: dict[str, Artefact], config: StylizeConfig, partial: Partial, co
             context.seed,
             threads,
             lambda generator: HashColour.create(
-                generator, levels=config.levels, finest=config.finest, table=1 << config.table_bits
+                generator, levels=config.levels, finest=finest, table=1 << config.table_bits
             ),
             deformation,
         )
@@ -82,6 +91,7 @@ def run(inputs: dict[str, Artefact], config: StylizeConfig, partial: Partial, co
         "steps": state.step,
         "train_seconds": round(state.seconds, 2),
         "curve_style": state.curve,
+        "finest": finest,
         "parameters": stylizer.field.parameters,
         "features": resolved.manifest(),
         "views": len(views),
@@ -123,13 +133,32 @@ def _train(stylizer: Stylizer, config: StylizeConfig, partial: Partial, context:
         context.progress.finish()
 
 
-def rays_of(config: StylizeConfig) -> str:
-    """Shapes held fast cost little to paint; walked anew, a whole view costs ten times what its picture teaches."""
-    return {"arf": "deferred", "desrf": "dilated"}[config.method] if config.rays == "auto" else config.rays
+def finest_of(field: RadianceField, cameras: list[Camera], chunks: int) -> int:
+    """Cells a side of the colour's finest level: a little finer than a pixel sees, from up to four of the views.
+
+    Finer ones are taught by single views, each its own cell, and what they learn shows as grain from between them.
+    """
+    chosen = np.unique(np.linspace(0, len(cameras) - 1, 4).round().astype(int))
+    found = [cells_of(surface_of(field, cameras[i], SEEN, chunks)) for i in chosen]
+    found = [one for one in found if np.isfinite(one)]
+    return int(np.clip(round(FINER * np.median(found) / 16) * 16, 64, 1024)) if found else 512
+
+
+def rays_of(config: StylizeConfig, long_side: int) -> str:
+    """Shapes held fast cost little to paint, and so do small views; walked anew, a large one costs more than the trunk.
+
+    Dilated rays leave grain in small views, where a cell of the colour is hardly wider than the gaps (decision 0014).
+    """
+    if config.rays != "auto":
+        return config.rays
+    return "dilated" if config.method == "desrf" and long_side > SMALL_VIEW else "deferred"
 
 
 def settings_of(config: StylizeConfig, long_side: int) -> StyleSettings:
     seconds, steps = budget_of(config.budget)
+    variation, variation_weight = VARIATION[config.method]
+    if config.variation_weight >= 0:
+        variation_weight = config.variation_weight
     return StyleSettings(
         steps=steps,
         seconds=seconds or 1.0,
@@ -138,13 +167,14 @@ def settings_of(config: StylizeConfig, long_side: int) -> StyleSettings:
         deform_rate=config.deform_rate,
         displacement_weight=config.displacement_weight,
         displacement_vertices=config.displacement_vertices,
-        variation="diagonal" if config.method == "desrf" else "squared",
-        strategy=rays_of(config),
+        variation=variation,
+        strategy=rays_of(config, long_side),
         dilation=config.dilation,
         blur=config.blur,
         remember=config.remember,
         match=config.match,
-        weights=StyleWeights(config.style_weight, config.content_weight, config.variation_weight, config.colour_weight),
+        weights=StyleWeights(config.style_weight, config.content_weight, variation_weight, config.colour_weight),
+        coarse=config.coarse,
         feature_scale=config.feature_scale or min(1.0, max(0.5, 256 / long_side)),
         style_scale=config.style_scale,
         style_rows=config.style_rows,

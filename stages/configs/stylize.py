@@ -19,7 +19,7 @@ class StylizeConfig:
     rays: str = option(
         "auto",
         choices=("auto", "full", "deferred", "dilated", "random", "patch"),
-        help="rays that carry gradient in a step (auto: deferred for arf, dilated for desrf)",
+        help="rays that carry gradient in a step (auto: dilated for desrf on views over 256 pixels, else deferred)",
     )
     dilation: int = option(2, help="Nc: every Nc-th ray in both axes (dilated), or as few rays (random, patch)")
     blur: int = option(0, help="side of a box filter on dL/dRGB before rays are picked, odd (DeSRF: 3; 0: none)")
@@ -34,7 +34,9 @@ class StylizeConfig:
     colour_weight: float = option(
         10.0, help="weight of the squared difference from the photo's matched colours, in cells a 32nd of the view wide"
     )
-    variation_weight: float = option(1.0, help="weight of the picture's total variation")
+    variation_weight: float = option(
+        -1.0, help="weight of the picture's total variation (-1: as in the papers, 1 for arf, 0.1 for desrf)"
+    )
     deform_rate: float = option(3e-3, help="learning rate of the deformation (desrf)")
     displacement_weight: float = option(0.015, help="weight of the root mean square of the displacement (desrf)")
     displacement_vertices: int = option(32, help="side of the grid that the deformation is baked to (desrf)")
@@ -46,11 +48,14 @@ class StylizeConfig:
         help="size, relative to the view, of the picture that features are taken from (0: half, as ARF, but no less "
         "than 256 pixels where the view has them)",
     )
+    coarse: float = option(0.0, help="share of the style steps, the first, that see features at half that size")
     style_scale: float = option(1.5, help="size of the painting relative to the view: larger gives larger strokes")
     style_rows: int = option(4096, help="most features of the painting that are matched against")
     style_basis: int = option(96, help="directions of feature space in which the nearest are sought (0: all, exact)")
     levels: int = option(8, help="levels of the colour field's hash grid")
-    finest: int = option(512, help="cells a side of its finest level")
+    finest: int = option(
+        0, help="cells a side of its finest level (0: a little finer than a pixel of the photos, 64 to 1024 of them)"
+    )
     table_bits: int = option(17, help="its table entries a level, as a power of two")
     checkpoint_every_seconds: float = option(20.0, help="time between checkpoints")
 
@@ -60,5 +65,8 @@ class StylizeConfig:
             raise ValueError("blur must be odd, or 0 for none: an even box would shift the picture by half a pixel")
         if self.dilation < 1 or not 0 <= self.feature_scale <= 1 or self.style_scale <= 0:
             raise ValueError("dilation must be at least 1, feature_scale in 0..1, style_scale > 0")
-        if not (1 <= self.levels <= 16 and 16 <= self.finest <= 4096 and 10 <= self.table_bits <= 24):
-            raise ValueError("the colour field takes 1 to 16 levels, 16 to 4096 cells and 10 to 24 table bits")
+        if not 0 <= self.coarse <= 1 or (self.variation_weight < 0 and self.variation_weight != -1):
+            raise ValueError("coarse must be in 0..1, and variation_weight at least 0 (or -1: the method's own)")
+        finest = self.finest == 0 or 16 <= self.finest <= 4096
+        if not (1 <= self.levels <= 16 and finest and 10 <= self.table_bits <= 24):
+            raise ValueError("the colour field takes 1 to 16 levels, 16 to 4096 cells (or 0), 10 to 24 table bits")

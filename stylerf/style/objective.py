@@ -4,6 +4,7 @@ the photo, in the painting's colours, is dark, bright or yellow, to stay so as a
 
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 import torch.nn.functional as F
 from torch import Tensor
@@ -21,6 +22,8 @@ from stylerf.style.matching import StyleRows, style_rows
 from stylerf.style.trunks import Trunk
 
 CELLS = 32  # of the longer side: the grain at which colours are kept
+Window = tuple[slice, slice]  # rows and columns of a picture
+EVERYTHING: Window = (slice(None), slice(None))
 VARIATIONS = {"squared": image_variation, "diagonal": lambda picture: diagonal_variation(picture).mean()}
 
 
@@ -85,27 +88,29 @@ class StyleObjective:
             rows = style_rows(feature, most_rows, seed=seed)
             self.style[block] = rows.with_basis(basis) if 0 < basis < feature.shape[0] else rows
 
-    def features_of(self, picture: Tensor) -> dict[str, Tensor]:
-        """Features by block of a picture [3, h, w], at the feature scale."""
-        small = resized(picture, *feature_size(*picture.shape[1:], self.scale))
+    def features_of(self, picture: Tensor, window: Window = EVERYTHING) -> dict[str, Tensor]:
+        """Features by block of a window of a picture [3, h, w], at the feature scale."""
+        part = picture[:, *window]
+        small = resized(part, *feature_size(*part.shape[1:], self.scale))
         return by_block(self.trunk.taps, self.trunk(small[None]))
 
     @torch.no_grad()
-    def content_of(self, photo: Tensor) -> Content:
+    def content_of(self, photo: Tensor, window: Window = EVERYTHING) -> Content:
         """What a view is to keep of a photo [3, h, w]; features in half precision (it is held for every view)."""
-        return Content({block: f.half() for block, f in self.features_of(photo).items()}, cell_colours(photo))
+        return Content({block: f.half() for block, f in self.features_of(photo, window).items()}, cell_colours(photo))
 
     def __call__(
-        self, picture: Tensor, content: Content | None, alpha: Tensor | None = None
+        self, picture: Tensor, content: Content | None, alpha: Tensor | None = None, window: Window = EVERYTHING
     ) -> tuple[Tensor, dict[str, float]]:
         """(loss, its parts). alpha [h, w]: where the object is; what lies outside is neither matched nor kept.
 
-        content: None where nothing is kept (StyleWeights.need_photo).
+        content: None where nothing is kept (StyleWeights.need_photo). window: features are taken from it alone (see
+        window_of), the content's too.
         """
-        found = self.features_of(picture)
+        found = self.features_of(picture, window)
         style_loss, content_loss = picture.new_zeros(()), picture.new_zeros(())
         for block, rows in self.style.items():
-            weights = None if alpha is None else position_weights(alpha, found[block])
+            weights = None if alpha is None else position_weights(alpha[window], found[block])
             distances, _ = nearest_neighbour_distance(found[block], rows, weights)
             total = distances.numel() if weights is None else weights.sum().clamp_min(1e-6)
             style_loss = style_loss + distances.sum() / total
@@ -121,6 +126,28 @@ class StyleObjective:
         parts = {"style": style_loss, "content": content_loss, "variation": variation, "colour": colour_loss}
         loss = sum(getattr(self.weights, name) * part for name, part in parts.items())
         return loss, {name: float(part.detach()) for name, part in parts.items()}
+
+
+def window_of(alpha: np.ndarray, least: int = 0) -> Window:
+    """The part of a view [h, w] that its object fills, with a margin of a 16th of the longer side and 8 pixels more.
+
+    Most of a view of an object is background, which costs the trunk as much as the object does and counts for nothing.
+    The margin is for shapes that move and for what a feature sees around it. Sides begin and end at multiples of 8,
+    where the view has the room, so that pooled features lie as they would in the whole. least: pixels a side that it
+    has at least, where the view has them. The whole view where nothing is seen.
+    """
+    margin = round(max(alpha.shape) / 16) + 8
+    sides = []
+    for axis, length in ((1, alpha.shape[0]), (0, alpha.shape[1])):
+        seen = np.flatnonzero((alpha > 0.01).any(axis))
+        if len(seen) == 0:
+            return EVERYTHING
+        wide = max(margin, -(-(least - (seen[-1] + 1 - seen[0])) // 2))
+        first, last = max(0, seen[0] - wide) // 8 * 8, min(length, -(-(seen[-1] + 1 + wide) // 8) * 8)
+        first = max(0, min(first, last - least))
+        last = min(length, max(last, first + least))
+        sides.append(slice(int(first), int(last)))
+    return sides[0], sides[1]
 
 
 def cell_colours(picture: Tensor) -> Tensor:

@@ -19,7 +19,7 @@ from stylerf.fields.field import RadianceField
 from stylerf.geometry.cameras import Camera
 from stylerf.rendering.strategies import selected_gradient, selected_pixels, spread_over_picture
 from stylerf.style.colour import ColourMap, match_colours, pixels_of
-from stylerf.style.objective import Content, StyleObjective, StyleWeights
+from stylerf.style.objective import EVERYTHING, Content, StyleObjective, StyleWeights, window_of
 from stylerf.style.trunks import Trunk
 from stylerf.training.deformer import Deformer
 from stylerf.training.geometry import FixedGeometry, MovingGeometry
@@ -34,8 +34,9 @@ class StyleSettings:
     """How a scene is stylised. seconds: budget of the style steps; steps: their number if > 0.
 
     strategy, dilation, blur: see rendering/strategies. remember: unselected pixels are taken from the view's last
-    render instead of being rendered anew. match: before, after, both or none. rates: per step, falling to
-    `final_rate` of themselves. deform_rate, displacement_weight, displacement_vertices: see training/deformer.
+    render instead of being rendered anew. match: before, after, both or none. coarse: share of the style steps, the
+    first, that see features at half of `feature_scale` (docs/decisions/0013). rates: per step, falling to `final_rate`
+    of themselves. deform_rate, displacement_weight, displacement_vertices: see training/deformer.
     """
 
     steps: int = 0
@@ -53,6 +54,7 @@ class StyleSettings:
     weights: StyleWeights = field(default_factory=StyleWeights)
     share: float = 0.3
     feature_scale: float = 0.5
+    coarse: float = 0.0
     style_scale: float = 1.0
     style_rows: int = 4096
     style_basis: int = 96
@@ -106,6 +108,10 @@ class Stylizer:
             self.deformer = Deformer(self.field, deformation, cameras, vertices, seed, chunks)
         self.geometry = FixedGeometry(self.field, cameras, settings.share, chunks)
         self.adam = Adam(self.field.colour.values, self.field.colour.groups(), chunks)
+        least = math.ceil(2 * trunk.stride / settings.feature_scale * (2 if settings.coarse > 0 else 1))
+        self.windows = [
+            EVERYTHING if self.closed else window_of(self.geometry.alpha(view), least) for view in range(len(cameras))
+        ]
         self.photos = self._matched(photos)
         self.state = StyleState()
         self._objective: StyleObjective | None = None
@@ -219,21 +225,23 @@ class Stylizer:
             rgb = rgb + (1 - coverage[..., None]) * self.background
             alpha = torch.from_numpy(coverage)
         picture = torch.from_numpy(np.ascontiguousarray(rgb)).permute(2, 0, 1).contiguous().requires_grad_()
-        loss, parts = self.objective(picture, self._content_of(view), alpha)
+        loss, parts = self.objective(picture, self._content_of(view), alpha, self.windows[view])
         loss.backward()
         return picture.grad.permute(1, 2, 0).contiguous().numpy(), parts
 
     @property
     def objective(self) -> StyleObjective:
-        """The loss, its features of the painting computed at first use."""
-        if self._objective is None:
-            s, size = self.settings, (self.cameras[0].height, self.cameras[0].width)
+        """The loss as it stands at this step, its features of the painting computed at first use."""
+        s = self.settings
+        scale = s.feature_scale / 2 if self.progress < s.coarse else s.feature_scale
+        if self._objective is None or self._objective.scale != scale:
+            self._content.clear()  # at another scale
             self._objective = StyleObjective(
                 self.trunk,
                 self.painting,
-                size,
+                (self.cameras[0].height, self.cameras[0].width),
                 s.weights,
-                s.feature_scale,
+                scale,
                 s.style_rows,
                 s.style_basis,
                 s.style_scale,
@@ -247,7 +255,7 @@ class Stylizer:
             return None
         if view not in self._content:
             photo = torch.from_numpy(self.photos[view]).permute(2, 0, 1).contiguous()
-            self._content[view] = self.objective.content_of(photo)
+            self._content[view] = self.objective.content_of(photo, self.windows[view])
         return self._content[view]
 
     # -- the loop ---------------------------------------------------------------------------------------------------

@@ -43,6 +43,11 @@ def run(args, session) -> dict:
         style_digest=file_sha256(painting),
         budget=config.style_budget,
         method=config.method,
+        # Plain shapes in small photos bear large strokes, and stay recognisable without being held hard.
+        coarse=0.5,
+        style_scale=2.0,
+        colour_weight=3.0,
+        content_weight=5e-3,
     )
     shaped = fit
     if config.method == "desrf":

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from stylerf.fields import surface as module
-from stylerf.fields.surface import surface_of
+from stylerf.fields.surface import Surface, cells_of, surface_of
 from stylerf.geometry.cameras import Camera
 from stylerf.geometry.paths import look_at
 from stylerf.geometry.space import Space
@@ -103,3 +103,28 @@ def test_views_beyond_the_memory_are_marched_again_and_look_the_same():
     plenty, none = (FixedGeometry(field, views, SHARE, 1, memory_mb) for memory_mb in (100, 1e-6))
     assert plenty.surface(1) is plenty.surface(1) and none.surface(1) is not none.surface(1)
     assert np.array_equal(plenty.paint(1, np.arange(117))[0], none.paint(1, np.arange(117))[0])
+
+
+def wall(height: int, width: int, apart: tuple[float, float], alpha: np.ndarray) -> Surface:
+    """A wall seen head on, two samples a pixel that average to a grid of points `apart` across and down."""
+    down, across = np.mgrid[:height, :width]
+    points = np.stack([0.1 + across * apart[0], 0.2 + down * apart[1], np.full(across.shape, 0.5)], -1).reshape(-1, 3)
+    pair = np.stack([points - [0, 0, 0.02], points + [0, 0, 0.01]], 1).reshape(-1, 3)  # weights 1 : 2
+    weights = (alpha.ravel()[:, None] * [1 / 3, 2 / 3]).ravel().astype(np.float32)
+    offsets = np.arange(height * width + 1, dtype=np.int64) * 2
+    return Surface(offsets, np.rint(pair * 65535).astype(np.uint16), weights, alpha)
+
+
+def test_cells_are_as_wide_as_a_pixel_sees_by_its_finer_side():
+    alpha = np.ones((20, 30), np.float32)
+    assert cells_of(wall(20, 30, (1 / 64, 1 / 40), alpha)) == pytest.approx(64, rel=5e-3)
+    assert cells_of(wall(20, 30, (1 / 50, 1 / 200), alpha)) == pytest.approx(200, rel=2e-2)
+    assert np.isnan(cells_of(wall(20, 30, (0.01, 0.01), alpha * 0.5)))
+
+
+def test_what_is_not_opaque_does_not_count_for_cells():
+    alpha = np.ones((20, 30), np.float32)
+    alpha[:, 10:] = 0.3
+    made = wall(20, 30, (1 / 64, 1 / 64), alpha)
+    made.x[made.offsets[:-1].reshape(20, 30)[:, 10:].ravel()] = 0  # far off, were it looked at
+    assert cells_of(made) == pytest.approx(64, rel=5e-3)

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from stylerf.style.images import resized, style_picture
-from stylerf.style.objective import CELLS, StyleObjective, StyleWeights
+from stylerf.style.objective import CELLS, EVERYTHING, StyleObjective, StyleWeights, window_of
 from tests.stylerf.style.small_trunk import picture, small_trunk
 
 HEIGHT, WIDTH = 20, 44
@@ -164,3 +164,39 @@ def test_the_painting_itself_is_at_no_distance_but_where_all_features_are_silent
     made = StyleObjective(small_trunk(), painting, (30, 40), StyleWeights(1, 0, 0, 0), scale=1.0, basis=0)
     silent = sum((f == 0).all(0).mean() for f in blocks_of(made.trunk, painting))
     assert made(painting, None)[1]["style"] == pytest.approx(silent, abs=1e-5) and silent < 0.01
+
+
+# -- windows --------------------------------------------------------------------------------------------------------
+
+
+def test_a_window_holds_the_object_and_a_margin_on_sides_of_eight():
+    alpha = np.zeros((100, 160), np.float32)
+    alpha[40:50, 60:70] = 0.5
+    rows, columns = window_of(alpha)
+    assert (rows, columns) == (slice(16, 72), slice(40, 88))  # 10 + 8 pixels around 40..50 and 60..70
+    alpha[0, 159] = 1.0
+    assert window_of(alpha) == (slice(0, 72), slice(40, 160))
+    assert window_of(np.zeros((9, 9), np.float32)) == EVERYTHING
+
+
+@pytest.mark.parametrize("at", [0, 20, 59])
+def test_a_window_is_as_wide_as_a_trunk_needs(at):
+    alpha = np.zeros((60, 40), np.float32)
+    alpha[at, 5] = 1.0
+    rows, columns = window_of(alpha, 50)
+    assert rows.stop - rows.start >= 50 and 0 <= rows.start <= at < rows.stop <= 60
+    assert columns == slice(0, 40)  # no more than the view has
+
+
+def test_the_loss_in_a_window_is_that_of_the_whole_where_the_window_is_wide_enough():
+    """Beyond the object lies an even background, which the small trunk's filters do not see across the margin."""
+    generator = torch.Generator().manual_seed(3)
+    alpha = torch.zeros(64, 96)
+    alpha[24:40, 40:64] = 1.0
+    image, photo = (torch.where(alpha > 0, torch.rand(3, 64, 96, generator=generator), 0.8) for _ in range(2))
+    made, window = objective(scale=1.0), window_of(alpha.numpy())
+    assert window == (slice(8, 56), slice(24, 80))
+    whole = made(image, made.content_of(photo), alpha)[1]
+    part = made(image, made.content_of(photo, window), alpha, window)[1]
+    for name in whole:
+        assert part[name] == pytest.approx(whole[name], rel=1e-4), name

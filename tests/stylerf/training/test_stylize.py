@@ -296,6 +296,30 @@ def test_a_view_that_sees_nothing_is_passed_over():
     made = stylizer(match="none", refit_steps=4)
     away = look_at(np.array([3.0, 0, 0]), np.array([9.0, 0, 0]), np.array([0, 0, 1.0]))
     made.cameras[:] = [Camera("away", WIDTH, HEIGHT, 20.0, 20.0, WIDTH / 2, HEIGHT / 2, away)] * 3
+    made.geometry = geometry.FixedGeometry(made.field, made.cameras, 0.1, 1)
     before = made.field.colour.values.copy()
     assert made.refit_step() == 0 and np.array_equal(made.field.colour.values, before)
     assert all(np.isfinite(v) for v in made.style_step().values())
+
+
+def test_large_strokes_come_first():
+    """The coarse share of the steps takes features at half the size; the photos' are taken anew after it."""
+    made, scales, contents = stylizer(steps=4, coarse=0.5, match="none"), [], []
+
+    def look(now: Stylizer) -> None:
+        if now.state.phase == "style":
+            scales.append(now.objective.scale)
+            contents.append({view: kept.features["conv1"].shape for view, kept in now._content.items()})
+
+    made.run(look)
+    # Told after a step, the objective is that of the next one.
+    assert scales == [0.5, 1.0, 1.0, 1.0]
+    assert contents[1] == {} and {shape[1:] for shape in contents[3].values()} == {(HEIGHT, WIDTH)}
+
+
+def test_features_are_taken_around_the_object_alone():
+    made = stylizer()
+    assert all(window == (slice(0, HEIGHT), slice(0, WIDTH)) for window in made.windows)  # no room for a margin here
+    made.windows = [(slice(2, 12), slice(4, 16))] * 3
+    made.run()
+    assert all(kept.features["conv1"].shape[1:] == (10, 12) for kept in made._content.values())
