@@ -7,6 +7,7 @@ from stages.configs.demo import DemoConfig
 NAME = "demo"
 HELP = "the whole path on an embedded scene: photos, fit, painting, film, report"
 CONFIG = DemoConfig
+MARGIN = 4  # pixels around the object on the contact sheet
 
 
 def add_arguments(parser) -> None:
@@ -91,17 +92,23 @@ def run(args, session) -> dict:
 
 
 def write_sheet(path: Path, photos: Path, fit, stylised) -> Path:
-    """Held-out photos, their renders and the stylised renders one under another, the painting at the side."""
+    """Held-out photos, their renders and the stylised renders one under another, the painting at the side.
+
+    Pictures are cut to what the object fills in any of them.
+    """
+    import numpy as np
+
     from schemas.frames import read_frames
     from schemas.images import read_image, to_uint8, write_png
     from stages.demo_data import PAINTING
     from stylerf.rendering.pictures import sheet_of
 
     shown = read_frames(fit.path).views[:4]
-    rows = []
-    over_white = [read_image(photos / "test" / f"{view.name}.png").pixels for view in shown]
-    rows.append([p[..., :3] * p[..., 3:] + 1 - p[..., 3:] for p in over_white])
+    taken = [read_image(photos / "test" / f"{view.name}.png").pixels for view in shown]
+    filled = np.max([photo[..., 3] for photo in taken], 0) > 0
+    box = tuple(slice(max(0, at.min() - MARGIN), at.max() + 1 + MARGIN) for at in np.nonzero(filled))
+    rows = [[(p[..., :3] * p[..., 3:] + 1 - p[..., 3:])[box] for p in taken]]
     for frames in (fit, stylised):
-        rows.append([read_image(frames.path / view.png).pixels for view in read_frames(frames.path).views[:4]])
+        rows.append([read_image(frames.path / view.png).pixels[box] for view in read_frames(frames.path).views[:4]])
     write_png(path, to_uint8(sheet_of(rows, read_image(photos / PAINTING).pixels)))
     return path
