@@ -48,6 +48,10 @@ class FixedGeometry:
         shade(weights, colours, starts, ends, out)
         return out, (starts, ends, x, weights, colours)
 
+    def first_look(self, view: int) -> np.ndarray:
+        """Premultiplied rgb of a whole view, [h*w, 3], to be remembered before any ray of it has learnt."""
+        return self.paint(view, np.arange(self.surface(view).alpha.size))[0]
+
     def learn(self, kept: tuple, gradients: np.ndarray, colour_to: np.ndarray) -> None:
         """Add dL/d(colour values), from dL/d(rgb) [n, 3], to the chunks' buffers."""
         starts, ends, x, weights, colours = kept
@@ -60,7 +64,9 @@ class MovingGeometry:
     """Rays walked anew through a field that deforms, which learn its colours and its deformation.
 
     share: part of a ray's largest weight that a sample needs to be coloured. background: level of grey behind the
-    field, which shows where a moving silhouette lets it; not used for a closed scene.
+    field, which shows where a moving silhouette lets it; not used for a closed scene. still: the same field before
+    anything moved. A view that was not painted yet looks as it does there, which is known already: with a hundred views
+    to walk once each, half of a short stylisation would be gone before it began.
     """
 
     def __init__(
@@ -71,25 +77,25 @@ class MovingGeometry:
         chunks: int,
         background: float,
         deformer: Deformer,
+        still: FixedGeometry,
     ) -> None:
         self.field, self.cameras, self.share, self.chunks = field, cameras, share, chunks
-        self.background, self.deformer = np.float32(background), deformer
+        self.background, self.deformer, self.still = np.float32(background), deformer, still
         self.alphas: dict[int, np.ndarray] = {}
 
     def alpha(self, view: int) -> np.ndarray:
         """[h, w], each pixel as it was last painted."""
-        camera = self.cameras[view]
         if view not in self.alphas:
-            self.paint(view, np.arange(camera.height * camera.width))
-        return self.alphas[view].reshape(camera.height, camera.width)
+            self.alphas[view] = self.still.alpha(view).ravel().copy()
+        return self.alphas[view].reshape(self.cameras[view].height, self.cameras[view].width)
+
+    def first_look(self, view: int) -> np.ndarray:
+        """As it would be painted if nothing had moved."""
+        return self.still.first_look(view)
 
     def paint(self, view: int, pixels: np.ndarray) -> tuple[np.ndarray, list[tuple[slice, Rendered]]]:
         """Premultiplied rgb [n, 3] of pixels, and what learn() needs."""
-        camera = self.cameras[view]
-        if view not in self.alphas:
-            self.alphas[view] = np.ones(camera.height * camera.width, np.float32)
-            if len(pixels) < camera.height * camera.width:
-                self.paint(view, np.arange(camera.height * camera.width))
+        camera, alphas = self.cameras[view], self.alpha(view).reshape(-1)
         rgb, kept = np.empty((len(pixels), 3), np.float32), []
         for at in range(0, len(pixels), RAYS_AT_ONCE):
             part = slice(at, min(at + RAYS_AT_ONCE, len(pixels)))
@@ -97,7 +103,7 @@ class MovingGeometry:
             rays = Rays.of(*camera.rays(chosen), self.field.space.near)
             rendered = render_rays(self.field, rays, chunks=self.chunks, opaque=OPAQUE, share=self.share)
             rgb[part] = rendered.out[:, :3]
-            self.alphas[view][chosen] = np.clip(rendered.out[:, 3], 0, 1)
+            alphas[chosen] = np.clip(rendered.out[:, 3], 0, 1)
             kept.append((part, rendered))
         return rgb, kept
 

@@ -26,6 +26,7 @@ from stylerf.training.geometry import FixedGeometry, MovingGeometry
 from stylerf.training.optimiser import Adam
 
 PIXELS_AT_ONCE = 65536
+MATCHED_VIEWS = 24  # their colours are those of all
 COARSEST_STEP = 1 / 128  # cube units; of a field whose rays are walked anew in every step
 
 
@@ -106,7 +107,8 @@ class Stylizer:
             # A walk costs by its samples, and its step cannot change later: colours are learnt where it samples them.
             self.field.step = max(self.field.step, COARSEST_STEP)
             self.deformer = Deformer(self.field, deformation, cameras, vertices, seed, chunks)
-        self.geometry = FixedGeometry(self.field, cameras, settings.share, chunks)
+        self.still = FixedGeometry(self._at_rest(), cameras, settings.share, chunks)
+        self.geometry: FixedGeometry | MovingGeometry = self.still
         self.adam = Adam(self.field.colour.values, self.field.colour.groups(), chunks)
         least = math.ceil(2 * trunk.stride / settings.feature_scale * (2 if settings.coarse > 0 else 1))
         self.windows = [
@@ -118,6 +120,11 @@ class Stylizer:
         self._content: dict[int, Content] = {}
         self._remembered: dict[int, np.ndarray] = {}
         self.between_steps = True
+
+    def _at_rest(self) -> RadianceField:
+        """The field with its shapes as they now are, for good; its colours go on learning."""
+        moved = self.field.displacement
+        return replace(self.field, displacement=None if moved is None else moved.copy())
 
     def _matched(self, photos: list[np.ndarray]) -> list[np.ndarray]:
         """The photos in the painting's colours, where that is asked for; the background stays as it is."""
@@ -198,8 +205,10 @@ class Stylizer:
             if self.settings.strategy == "full":
                 return self.geometry.paint(view, pixels)
             return self.paint_view(view), None
-        if not self.settings.remember or view not in self._remembered:
+        if not self.settings.remember:
             self._remembered[view] = self.paint_view(view)
+        elif view not in self._remembered:
+            self._remembered[view] = self.geometry.first_look(view)
         painted, kept = self.geometry.paint(view, pixels)
         picture, settings = self._remembered[view], self.settings
         if settings.strategy == "dilated":
@@ -298,13 +307,14 @@ class Stylizer:
         if self.deformer is not None:
             s = self.settings
             self.geometry = MovingGeometry(
-                self.field, self.cameras, s.share, self.chunks, float(self.background), self.deformer
+                self.field, self.cameras, s.share, self.chunks, float(self.background), self.deformer, self.still
             )
 
     def final_match(self) -> ColourMap:
-        """The map from the rendered views' colours to the painting's (ARF's last step)."""
-        stacked = []
-        for view, camera in enumerate(self.cameras):
+        """The map from the rendered views' colours to the painting's (ARF's last step), from up to MATCHED_VIEWS."""
+        stacked, count = [], len(self.cameras)
+        for view in np.unique(np.linspace(0, count - 1, min(count, MATCHED_VIEWS)).round().astype(int)):
+            camera = self.cameras[view]
             rgb = self.paint_view(view).reshape(camera.height, camera.width, 3)
             alpha = self.geometry.alpha(view)[..., None]
             rgba = np.concatenate([rgb / np.maximum(alpha, 1e-3), np.where(alpha > 0.5, alpha, 0)], -1)
