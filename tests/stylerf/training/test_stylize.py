@@ -1,5 +1,7 @@
 """Stylising a tiny scene: what a step teaches, against the float64 oracle; resuming; what stops it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -300,6 +302,25 @@ def test_a_view_that_sees_nothing_is_passed_over():
     before = made.field.colour.values.copy()
     assert made.refit_step() == 0 and np.array_equal(made.field.colour.values, before)
     assert all(np.isfinite(v) for v in made.style_step().values())
+
+
+def test_a_view_is_first_remembered_as_it_looked_at_rest():
+    """Shapes have moved since; what was there before them is neither walked again nor moved along."""
+    made = stylizer(deform=True, strategy="dilated", match="none", refit_steps=4)
+    made.settings = replace(made.settings, steps=1)
+    rest = made.still.alpha(2).copy()
+    while made.state.phase == "refit":
+        made.refit_step()
+        made.state.step += 1
+        if made.progress >= 1:
+            made._next_phase()
+    made.field.displacement += 0.1
+    made.deformer.look()
+    assert np.array_equal(made.geometry.alpha(2), rest)
+    everything = np.arange(HEIGHT * WIDTH)
+    assert np.array_equal(made.geometry.first_look(2), made.still.paint(2, everything)[0])
+    walked, _ = made.geometry.paint(2, everything)
+    assert np.abs(walked - made.still.first_look(2)).max() > 0.05 and not np.array_equal(made.geometry.alpha(2), rest)
 
 
 def test_large_strokes_come_first():
