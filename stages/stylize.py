@@ -147,7 +147,7 @@ def finest_of(field: RadianceField, cameras: list[Camera], chunks: int) -> int:
 def rays_of(config: StylizeConfig, long_side: int) -> str:
     """Shapes held fast cost little to paint, and so do small views; walked anew, a large one costs more than the trunk.
 
-    Dilated rays leave grain in small views, where a cell of the colour is hardly wider than the gaps (docs/decisions/0013).
+    Dilated rays leave grain in small views, where a cell of the colour is hardly wider than the gaps: decision 0013.
     """
     if config.rays != "auto":
         return config.rays
