@@ -20,6 +20,7 @@ import sys
 import time
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 
 LOOKS = 5
@@ -53,10 +54,9 @@ def stylizer_for(work: str, style: str, method: str, case: str):
     from stages.fields import load_field
     from stages.photos import level_of, photo_over
     from stages.scenes import load_scene
-    from stages.stylize import finest_of, read_painting, settings_of
+    from stages.stylize import new_colour, read_painting, settings_of
     from stages.weights import resolve
     from stylerf.fields.deformation import Deformation
-    from stylerf.fields.hash import HashColour
     from stylerf.kernels.cpu.compiling import set_threads
     from stylerf.style.trunks import Trunk
     from stylerf.training.stylize import Stylizer
@@ -65,16 +65,14 @@ def stylizer_for(work: str, style: str, method: str, case: str):
     scene = load_scene(store.artefacts("scene")[0])
     field, background = load_field(next(f for f in store.artefacts("field") if f.manifest.stage == "nerf_fit"))
     options = {"rays" if k == "strategy" else k: v for k, v in CASES[case].items()}
-    config = StylizeConfig(style=style, method=method, budget="100000", coarse=0.0, **options)
+    config = StylizeConfig(style=style, method=method, budget="100000", **options)
     level, found = level_of(background), resolve(None)
     views = scene.splits["train"]
     trunk = Trunk(found.state, config.taps, found.kind)
     long_side = max(max(c.width, c.height) for c in scene.cameras)
-    cameras = [scene.cameras[i] for i in views]
-    finest = finest_of(field, cameras, threads)
     made = Stylizer(
         field,
-        cameras,
+        [scene.cameras[i] for i in views],
         [photo_over(scene, i, level) for i in views],
         level,
         read_painting(Path(style)),
@@ -82,7 +80,7 @@ def stylizer_for(work: str, style: str, method: str, case: str):
         settings_of(config, long_side),
         0,
         threads,
-        lambda generator: HashColour.create(generator, finest=finest),
+        partial(new_colour, config),
         Deformation.create(np.random.default_rng([0, 8])) if method == "desrf" else None,
     )
     held_out = [(scene.cameras[i], photo_over(scene, i, level)) for i in scene.splits["test"]]

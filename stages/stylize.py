@@ -1,5 +1,6 @@
 """Stylise: a field of the same shapes in the colours and strokes of a painting."""
 
+import functools
 import time
 from pathlib import Path
 
@@ -10,7 +11,7 @@ from schemas.errors import BadInput
 from schemas.images import read_image, to_uint8, write_png
 from schemas.store import Artefact, Partial
 from stages.configs.fit import budget_of
-from stages.configs.stylize import StylizeConfig
+from stages.configs.stylize import COLOUR_CELLS, StylizeConfig
 from stages.fields import (
     load_checkpoint,
     load_deformation,
@@ -25,10 +26,7 @@ from stages.runner import Spec
 from stages.scenes import load_scene
 from stages.weights import resolve
 from stylerf.errors import Diverged, InvalidValue
-from stylerf.fields.field import RadianceField
 from stylerf.fields.hash import HashColour
-from stylerf.fields.surface import cells_of, surface_of
-from stylerf.geometry.cameras import Camera
 from stylerf.kernels.cpu.compiling import compiling_note, set_threads
 from stylerf.style.objective import StyleWeights
 from stylerf.style.trunks import Trunk
@@ -37,7 +35,6 @@ from stylerf.training.stylize import StyleSettings, Stylizer
 SPEC = Spec(stage="stylize", verb="stylize", revision=2, writes="field")
 SMALL_VIEW = 256  # pixels of its longer side
 FINER = 1.25  # cells for each pixel's width
-SEEN = 0.3  # of a ray's largest weight: what a sample must have to say where the surface is
 VARIATION = {"arf": ("squared", 1.0), "desrf": ("diagonal", 0.1)}  # DeSRF: 0.5 beside a style weight of 5
 
 
@@ -55,12 +52,10 @@ def run(inputs: dict[str, Artefact], config: StylizeConfig, partial: Partial, co
     views = scene.splits["train"]
     painting = read_painting(Path(config.style))
     level = level_of(background)
-    cameras = [scene.cameras[i] for i in views]
-    finest = config.finest or finest_of(field, cameras, threads)
     try:
         stylizer = Stylizer(
             field,
-            cameras,
+            [scene.cameras[i] for i in views],
             [photo_over(scene, i, level) for i in views],
             level,
             painting,
@@ -68,9 +63,7 @@ def run(inputs: dict[str, Artefact], config: StylizeConfig, partial: Partial, co
             settings_of(config, max(max(c.width, c.height) for c in scene.cameras)),
             context.seed,
             threads,
-            lambda generator: HashColour.create(
-                generator, levels=config.levels, finest=finest, table=1 << config.table_bits
-            ),
+            functools.partial(new_colour, config),
             deformation,
         )
     except InvalidValue as error:
@@ -91,7 +84,7 @@ def run(inputs: dict[str, Artefact], config: StylizeConfig, partial: Partial, co
         "steps": state.step,
         "train_seconds": round(state.seconds, 2),
         "curve_style": state.curve,
-        "finest": finest,
+        "finest": stylizer.field.colour.finest,
         "parameters": stylizer.field.parameters,
         "features": resolved.manifest(),
         "views": len(views),
@@ -133,15 +126,16 @@ def _train(stylizer: Stylizer, config: StylizeConfig, partial: Partial, context:
         context.progress.finish()
 
 
-def finest_of(field: RadianceField, cameras: list[Camera], chunks: int) -> int:
-    """Cells a side of the colour's finest level: a little finer than a pixel sees, from up to four of the views.
+def new_colour(config: StylizeConfig, generator: np.random.Generator, pixel_cells: float) -> HashColour:
+    """The colour field to learn. pixel_cells: cells a side as wide as what a pixel sees, nan if nothing is seen.
 
     Finer ones are taught by single views, each its own cell, and what they learn shows as grain from between them.
     """
-    chosen = np.unique(np.linspace(0, len(cameras) - 1, 4).round().astype(int))
-    found = [cells_of(surface_of(field, cameras[i], SEEN, chunks)) for i in chosen]
-    found = [one for one in found if np.isfinite(one)]
-    return int(np.clip(round(FINER * np.median(found) / 16) * 16, 64, 1024)) if found else 512
+    least, most = COLOUR_CELLS
+    finest = config.finest
+    if not finest:
+        finest = int(np.clip(round(FINER * pixel_cells / 16) * 16, least, most)) if np.isfinite(pixel_cells) else least
+    return HashColour.create(generator, levels=config.levels, finest=finest, table=1 << config.table_bits)
 
 
 def rays_of(config: StylizeConfig, long_side: int) -> str:

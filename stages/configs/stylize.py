@@ -5,6 +5,8 @@ from dataclasses import dataclass
 from stages.configs import option
 from stages.configs.fit import budget_of
 
+COLOUR_CELLS = (64, 1024)  # fewest and most cells a side that the colour field takes by itself
+
 
 @dataclass(frozen=True)
 class StylizeConfig:
@@ -54,7 +56,9 @@ class StylizeConfig:
     style_basis: int = option(96, help="directions of feature space in which the nearest are sought (0: all, exact)")
     levels: int = option(8, help="levels of the colour field's hash grid")
     finest: int = option(
-        0, help="cells a side of its finest level (0: a little finer than a pixel of the photos, 64 to 1024 of them)"
+        0,
+        help="cells a side of its finest level (0: a little finer than a pixel of the photos, "
+        f"{COLOUR_CELLS[0]} to {COLOUR_CELLS[1]} of them)",
     )
     table_bits: int = option(17, help="its table entries a level, as a power of two")
     checkpoint_every_seconds: float = option(20.0, help="time between checkpoints")

@@ -48,10 +48,6 @@ class FixedGeometry:
         shade(weights, colours, starts, ends, out)
         return out, (starts, ends, x, weights, colours)
 
-    def first_look(self, view: int) -> np.ndarray:
-        """Premultiplied rgb of a whole view, [h*w, 3], to be remembered before any ray of it has learnt."""
-        return self.paint(view, np.arange(self.surface(view).alpha.size))[0]
-
     def learn(self, kept: tuple, gradients: np.ndarray, colour_to: np.ndarray) -> None:
         """Add dL/d(colour values), from dL/d(rgb) [n, 3], to the chunks' buffers."""
         starts, ends, x, weights, colours = kept
@@ -65,8 +61,7 @@ class MovingGeometry:
 
     share: part of a ray's largest weight that a sample needs to be coloured. background: level of grey behind the
     field, which shows where a moving silhouette lets it; not used for a closed scene. still: the same field before
-    anything moved. A view that was not painted yet looks as it does there, which is known already: with a hundred views
-    to walk once each, half of a short stylisation would be gone before it began.
+    anything moved; a view that was not painted yet has the alpha that it has there.
     """
 
     def __init__(
@@ -88,10 +83,6 @@ class MovingGeometry:
         if view not in self.alphas:
             self.alphas[view] = self.still.alpha(view).ravel().copy()
         return self.alphas[view].reshape(self.cameras[view].height, self.cameras[view].width)
-
-    def first_look(self, view: int) -> np.ndarray:
-        """As it would be painted if nothing had moved."""
-        return self.still.first_look(view)
 
     def paint(self, view: int, pixels: np.ndarray) -> tuple[np.ndarray, list[tuple[slice, Rendered]]]:
         """Premultiplied rgb [n, 3] of pixels, and what learn() needs."""

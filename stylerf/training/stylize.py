@@ -16,6 +16,7 @@ import torch
 from stylerf.errors import Diverged
 from stylerf.fields.deformation import Deformation
 from stylerf.fields.field import RadianceField
+from stylerf.fields.surface import cells_of
 from stylerf.geometry.cameras import Camera
 from stylerf.rendering.strategies import selected_gradient, selected_pixels, spread_over_picture
 from stylerf.style.colour import ColourMap, match_colours, pixels_of
@@ -78,7 +79,8 @@ class StyleState:
 class Stylizer:
     """photos: per view [h, w, 3] float32 over the background, sRGB 0..1. background: level of grey behind the field.
 
-    deformation: moves the shapes too, from how it stands (DeSRF); None holds them fast (ARF).
+    deformation: moves the shapes too, from how it stands (DeSRF); None holds them fast (ARF). new_colour: the colour to
+    learn, from a generator and the cells a side that are as wide as a pixel sees (nan: nothing is seen).
     """
 
     def __init__(
@@ -92,14 +94,12 @@ class Stylizer:
         settings: StyleSettings,
         seed: int,
         chunks: int,
-        new_colour: Callable[[np.random.Generator], object],
+        new_colour: Callable[[np.random.Generator, float], object],
         deformation: Deformation | None = None,
     ) -> None:
         self.settings, self.seed, self.chunks, self.background = settings, seed, chunks, np.float32(background)
         self.cameras, self.painting, self.trunk = cameras, painting, trunk
-        self.field = replace(
-            scene, colour=new_colour(np.random.default_rng([seed, 1])), colour_map=None, share=settings.share
-        )
+        self.field = replace(scene, colour_map=None, share=settings.share)
         self.closed = scene.closed
         self.deformer = None
         if deformation is not None:
@@ -109,6 +109,8 @@ class Stylizer:
             self.deformer = Deformer(self.field, deformation, cameras, vertices, seed, chunks)
         self.still = FixedGeometry(self._at_rest(), cameras, settings.share, chunks)
         self.geometry: FixedGeometry | MovingGeometry = self.still
+        self.field.colour = new_colour(np.random.default_rng([seed, 1]), self._pixel_cells())
+        self.still.field.colour = self.field.colour
         self.adam = Adam(self.field.colour.values, self.field.colour.groups(), chunks)
         least = math.ceil(2 * trunk.stride / settings.feature_scale * (2 if settings.coarse > 0 else 1))
         self.windows = [
@@ -120,6 +122,12 @@ class Stylizer:
         self._content: dict[int, Content] = {}
         self._remembered: dict[int, np.ndarray] = {}
         self.between_steps = True
+
+    def _pixel_cells(self) -> float:
+        """Cells a side of the cube as wide as what a pixel sees: the median of up to four views, nan if none sees."""
+        chosen = np.unique(np.linspace(0, len(self.cameras) - 1, 4).round().astype(int))
+        found = np.array([cells_of(self.still.surface(view)) for view in chosen])
+        return float(np.median(found[np.isfinite(found)])) if np.isfinite(found).any() else float("nan")
 
     def _at_rest(self) -> RadianceField:
         """The field with its shapes as they now are, for good; its colours go on learning."""
@@ -208,7 +216,7 @@ class Stylizer:
         if not self.settings.remember:
             self._remembered[view] = self.paint_view(view)
         elif view not in self._remembered:
-            self._remembered[view] = self.geometry.first_look(view)
+            self._remembered[view] = self.paint_view(view, self.still)
         painted, kept = self.geometry.paint(view, pixels)
         picture, settings = self._remembered[view], self.settings
         if settings.strategy == "dilated":
@@ -218,11 +226,12 @@ class Stylizer:
         picture[pixels] = painted
         return picture, kept
 
-    def paint_view(self, view: int) -> np.ndarray:
-        """Premultiplied rgb of a whole view, [h*w, 3], in parts of bounded memory."""
+    def paint_view(self, view: int, geometry: FixedGeometry | None = None) -> np.ndarray:
+        """Premultiplied rgb of a whole view, [h*w, 3], in parts of bounded memory; as it stands, or in `geometry`."""
+        geometry = geometry or self.geometry
         count = self.cameras[view].width * self.cameras[view].height
         parts = [np.arange(at, min(at + PIXELS_AT_ONCE, count)) for at in range(0, count, PIXELS_AT_ONCE)]
-        return np.concatenate([self.geometry.paint(view, part)[0] for part in parts])
+        return np.concatenate([geometry.paint(view, part)[0] for part in parts])
 
     def _gradient(self, view: int, premultiplied: np.ndarray) -> tuple[np.ndarray, dict[str, float]]:
         """dL/d(picture) [h, w, 3] and the parts of the loss."""

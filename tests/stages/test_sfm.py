@@ -171,6 +171,7 @@ def test_the_child_dies_with_its_parent(room, tmp_path):
     work = tmp_path / "w"
     with command(room, work) as running:
         wait_for((work / "scene" / ".main.partial" / "checkpoint" / "sfm" / "copies").exists)
+        assert len(processes_of(work)) > 1  # there is a child to die
         running.kill()
     wait_for(lambda: not processes_of(work), 10)
 
