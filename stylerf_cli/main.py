@@ -6,7 +6,7 @@ import signal
 import sys
 import threading
 from argparse import SUPPRESS, Namespace, RawDescriptionHelpFormatter
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from schemas.errors import UsageError
@@ -41,7 +41,8 @@ def main(argv: list[str] | None = None) -> int:
         return 0
     except BaseException as error:
         code, line = told(error, argv, state["work"])
-        sys.stderr.write(f"stylerf: error: {line}\n")
+        with suppress(OSError):  # nobody may be reading; the exit code still tells
+            sys.stderr.write(f"stylerf: error: {line}\n")
         if as_json:
             print_json({"error": line, "exit_code": code, **getattr(error, "details", {})})
         return code

@@ -25,6 +25,7 @@ class Bars:
         unicode = "utf" in (getattr(stream, "encoding", None) or "").lower()
         self._full, self._empty = ("█", "░") if unicode else ("#", ".")
         self._open = False
+        self._unread = False  # whoever read the stream is gone
         self._drawn = False  # an unfinished bar stands on the terminal's last line
 
     def start(self, label: str, total: float | None = None, unit: str = "step") -> None:
@@ -109,18 +110,26 @@ class Bars:
             width = os.get_terminal_size(self._stream.fileno()).columns
         except (OSError, ValueError):
             width = 80
-        self._stream.write("\r\x1b[K" + line[: width - 1])
-        self._stream.flush()
+        self._put("\r\x1b[K" + line[: width - 1])
         self._drawn = True
 
     def _clear(self) -> None:
         if self._drawn:
-            self._stream.write("\r\x1b[K")
+            self._put("\r\x1b[K")
             self._drawn = False
 
     def _write(self, line: str) -> None:
-        self._stream.write(line + "\n")
-        self._stream.flush()
+        self._put(line + "\n")
+
+    def _put(self, text: str) -> None:
+        """Writes at once; a stream that nobody reads any more (`2>&1 | head`) is no reason to end the work."""
+        if self._unread:
+            return
+        try:
+            self._stream.write(text)
+            self._stream.flush()
+        except OSError:
+            self._unread = True
 
 
 def duration(seconds: float) -> str:

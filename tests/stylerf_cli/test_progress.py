@@ -1,6 +1,8 @@
 """Bars on a terminal, sparse lines elsewhere, nothing for what is soon over."""
 
 import io
+import os
+from contextlib import suppress
 
 import pytest
 
@@ -83,6 +85,20 @@ def test_notes_stand_above_the_bar():
     bars.update(1)
     bars.say("second")
     assert stream.getvalue().endswith("\r\x1b[Ksecond\n") and stream.getvalue().startswith("first\n")
+
+
+def test_a_stream_that_nobody_reads_any_more_ends_no_run():
+    read, write = os.pipe()
+    os.close(read)
+    stream = open(write, "w")
+    bars = Bars(stream)
+    bars.say("to nobody")  # would raise BrokenPipeError
+    bars.start("fit", 10)
+    bars.update(5)
+    bars.finish()
+    bars.say("again")
+    with suppress(BrokenPipeError):  # of what was left in its buffer
+        stream.close()
 
 
 def test_terminals_without_unicode():
