@@ -3,7 +3,6 @@
 import json
 from pathlib import Path
 
-
 from schemas.atomic import write_json
 from schemas.errors import ArtefactDamaged
 from schemas.store import Artefact

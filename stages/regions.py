@@ -1,4 +1,4 @@
-"""Reads and writes region artefacts: region.json tells what was asked for, region.safetensors holds the marked cells."""
+"""Reads and writes region artefacts: region.json tells what was asked for, region.safetensors holds the cells."""
 
 import json
 from pathlib import Path

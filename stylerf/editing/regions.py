@@ -1,4 +1,4 @@
-"""A part of a scene as marked cells of the cube: the edit grid E, and the growing grid G around it (LAENeRF, section 3.2).
+"""A part of a scene as marked cells of the cube: the edit grid E, and the growing grid G around it (LAENeRF, 3.2).
 
 LAENeRF keeps cascades of grids, one for each doubling of the scene; here the field's own warp draws all of space into
 one cube, so that a neighbour is a neighbour everywhere and growth has no levels to cross.

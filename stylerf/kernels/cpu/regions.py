@@ -33,7 +33,7 @@ def weights_inside(marked, cells, x, weights, starts, ends, chunks, out):
 
 @parallel_kernel
 def add_to_cells(values, cells, x, weights, starts, ends, to):
-    """Add sum w (values[r], 1) of ray r's samples to to[cell of the sample]; values: [rays, m], to: [cells^3, m + 1]."""
+    """Add sum w (values[r], 1) of ray r's samples to to[its cell]; values: [rays, m], to: [cells^3, m + 1]."""
     m = values.shape[1]
     for _ in prange(1):  # one after another: rays share cells
         for r in range(len(ends)):
