@@ -77,7 +77,7 @@ def stylizer_for(work: str, style: str, method: str, case: str):
         level,
         read_painting(Path(style)),
         trunk,
-        settings_of(config, long_side),
+        settings_of(config, long_side, field.closed),
         0,
         threads,
         partial(new_colour, config),

@@ -2,6 +2,7 @@
 
 import functools
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -32,9 +33,13 @@ from stylerf.style.objective import StyleWeights
 from stylerf.style.trunks import Trunk
 from stylerf.training.stylize import StyleSettings, Stylizer
 
-SPEC = Spec(stage="stylize", verb="stylize", revision=2, writes="field")
+SPEC = Spec(stage="stylize", verb="stylize", revision=3, writes="field")
 SMALL_VIEW = 256  # pixels of its longer side
 FINER = 1.25  # cells for each pixel's width
+# What holds shapes in a capture holds the silhouettes of an object alone so fast that nothing is seen to bend; its
+# shapes have nothing around them to tear (docs/decisions/0015).
+BENT_OBJECT = {"colour_weight": 1.0, "displacement_weight": 0.0, "coarse": 0.6}
+ELSE = {"colour_weight": 10.0, "displacement_weight": 0.003, "coarse": 0.0}
 VARIATION = {"arf": ("squared", 1.0), "desrf": ("diagonal", 0.1)}  # DeSRF: 0.5 beside a style weight of 5
 
 
@@ -60,7 +65,7 @@ def run(inputs: dict[str, Artefact], config: StylizeConfig, partial: Partial, co
             level,
             painting,
             Trunk(resolved.state, config.taps, resolved.kind),
-            settings_of(config, max(max(c.width, c.height) for c in scene.cameras)),
+            settings_of(config, max(max(c.width, c.height) for c in scene.cameras), field.closed),
             context.seed,
             threads,
             functools.partial(new_colour, config),
@@ -148,7 +153,10 @@ def rays_of(config: StylizeConfig, long_side: int) -> str:
     return "dilated" if config.method == "desrf" and long_side > SMALL_VIEW else "deferred"
 
 
-def settings_of(config: StylizeConfig, long_side: int) -> StyleSettings:
+def settings_of(config: StylizeConfig, long_side: int, closed: bool) -> StyleSettings:
+    """closed: whether the field is a capture, rather than an object alone."""
+    own = BENT_OBJECT if config.method == "desrf" and not closed else ELSE
+    config = replace(config, **{name: value for name, value in own.items() if getattr(config, name) == -1})
     seconds, steps = budget_of(config.budget)
     variation, variation_weight = VARIATION[config.method]
     if config.variation_weight >= 0:

@@ -90,39 +90,58 @@ def solid_cells(field: RadianceField, cells: int, chunks: int, opacity: float = 
 
 @dataclass(frozen=True)
 class Growth:
-    """What growing came to. reached: cells newly marked; left: frontier cells that were not looked at any more."""
+    """What growing came to. shells: cells newly marked at each distance; whole: nothing was left to look at."""
 
     grown: np.ndarray
-    reached: int
-    left: int
+    shells: list[int]
+    whole: bool
 
 
-def grow(start: np.ndarray, allowed: np.ndarray, most: int) -> Growth:
+def grow(start: np.ndarray, allowed: np.ndarray, most: int, neck: float = 0.0) -> Growth:
     """Region growing over faces, breadth first, from `start` through `allowed` cells, looking at up to `most` cells.
 
     start, allowed: [s, s, s] bool. Cells of `start` stay marked, allowed or not. The order is that of LAENeRF's queue:
     whole shells at equal distance, cut within the last by the cells' numbers, so that the result does not depend on
     how the work is shared out.
+
+    neck: growing ends where the object is thin: at the narrowest shell that follows on one of less than `neck` times
+    the widest so far (see `narrowest`). 0: never.
     """
     s = start.shape[0]
     marked, open_to = start.reshape(-1).copy(), allowed.reshape(-1)
-    frontier = neighbours(np.flatnonzero(marked), s)
-    frontier = frontier[~marked[frontier]]
-    seen = marked.copy()
-    seen[frontier] = True
-    looked, reached = 0, 0
+    shells: list[np.ndarray] = []
+    frontier, seen, looked = np.flatnonzero(marked), marked.copy(), 0
     while len(frontier) and looked < most:
-        now, frontier = frontier[: most - looked], frontier[most - looked :]
-        looked += len(now)
-        taken = now[open_to[now]]
-        marked[taken] = True
-        reached += len(taken)
-        if len(frontier):
-            break
-        around = neighbours(taken, s)
-        frontier = around[~seen[around]]
-        seen[frontier] = True
-    return Growth(marked.reshape(start.shape), reached, len(frontier))
+        around = neighbours(frontier, s)
+        around = around[~seen[around]][: most - looked]
+        seen[around] = True
+        looked += len(around)
+        frontier = around[open_to[around]]
+        shells.append(frontier)
+    sizes = [len(shell) for shell in shells]
+    kept = narrowest(sizes, neck)
+    for shell in shells[:kept]:
+        marked[shell] = True
+    return Growth(marked.reshape(start.shape), sizes[:kept], kept == len(shells) and not len(frontier))
+
+
+def narrowest(sizes: list[int], neck: float) -> int:
+    """How many shells to keep: all, or those before the first neck.
+
+    A neck is where the shells' sizes, the mean of three, have fallen under `neck` times the largest before; it ends
+    where they are least before they rise to that again. What dwindles to nothing is no neck but the end.
+    """
+    if neck <= 0 or len(sizes) < 3:
+        return len(sizes)
+    smooth = np.convolve(np.pad(sizes, 1, mode="edge"), np.full(3, 1 / 3), mode="valid")
+    highest, thin = 0.0, None
+    for i, size in enumerate(smooth):
+        highest = max(highest, size)
+        if size < neck * highest:
+            thin = i if thin is None or size < smooth[thin] else thin
+        elif thin is not None:
+            return thin
+    return len(sizes)
 
 
 def neighbours(cells: np.ndarray, s: int) -> np.ndarray:

@@ -11,13 +11,17 @@ from stylerf.errors import InvalidValue
 # A step of Adam moves every weight by its rate, and a sum over 256 of them by as much as 256 times that: without this a
 # rate of 1e-3 throws a scene about by a twentieth of its size at every step.
 SCALE = 0.05
+# Cube units beyond which nothing moves on any axis. Without it a rate that bends an object at all tears it sooner or
+# later, since nothing in a style loss holds its parts together (docs/decisions/0015).
+FARTHEST = 0.04
 
 
 class Deformation:
     """D = MLP(gamma(p)), p = 2 x - 1 of cube positions x in 0..1; values: weights and biases, layer after layer.
 
     gamma(p) = (p, sin 2^l pi p, cos 2^l pi p for l < frequencies); three linear layers with ReLU between. D is in cube
-    units: half of SCALE times the network's output, since the cube is two units of p wide.
+    units: half of SCALE times the network's output, since the cube is two units of p wide, bent by a hyperbolic tangent
+    so that no coordinate moves by FARTHEST or more.
     """
 
     def __init__(self, frequencies: int, width: int, values: np.ndarray) -> None:
@@ -54,7 +58,7 @@ class Deformation:
             out = torch.nn.functional.linear(out, weight, bias)
             out = out.relu() if number + 1 < len(layers) else out
             at += (inside + 1) * outside
-        return (0.5 * SCALE) * out
+        return FARTHEST * torch.tanh((0.5 * SCALE / FARTHEST) * out)
 
     def describe(self) -> dict:
         return {"kind": "mlp", "frequencies": self.frequencies, "width": self.width}

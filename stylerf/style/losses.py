@@ -20,9 +20,13 @@ def by_block(taps: tuple[str, ...], features: list[Tensor]) -> dict[str, Tensor]
     return {block: parts[0] if len(parts) == 1 else torch.cat(parts) for block, parts in blocks.items()}
 
 
-def position_weights(alpha: Tensor, features: Tensor) -> Tensor:
-    """Share of each feature position that the object covers, [h', w'] in [0, 1]: alpha [h, w] averaged there."""
-    return F.interpolate(alpha[None, None], size=features.shape[1:], mode="area")[0, 0]
+def position_weights(alpha: Tensor, features: Tensor, around: int = 0) -> Tensor:
+    """Share of each feature position that the object covers, [h', w'] in [0, 1]: alpha [h, w] averaged there.
+
+    around: positions beside the object that count as much as the fullest within this reach of them.
+    """
+    covered = F.interpolate(alpha[None, None], size=features.shape[1:], mode="area")
+    return F.max_pool2d(covered, 2 * around + 1, 1, around)[0, 0]
 
 
 def nearest_neighbour_distance(

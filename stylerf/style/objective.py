@@ -61,7 +61,7 @@ class StyleObjective:
 
     scale: size of the picture that features are taken from (0.5: ARF). most_rows: style features kept for matching;
     basis: leading directions in which neighbours are sought (0: all, exact). variation: squared (ARF) or diagonal
-    (DeSRF eq. 6, its mean over pixels).
+    (DeSRF eq. 6, its mean over pixels). around: feature positions beside the object that count too.
     """
 
     def __init__(
@@ -76,7 +76,9 @@ class StyleObjective:
         style_scale: float = 1.0,
         seed: int = 0,
         variation: str = "squared",
+        around: int = 0,
     ) -> None:
+        self.around = around
         self.variation = VARIATIONS[variation]
         self.trunk, self.weights, self.scale = trunk, weights, scale
         picture = style_picture(painting, *size, scale=scale * style_scale)
@@ -110,7 +112,7 @@ class StyleObjective:
         found = self.features_of(picture, window)
         style_loss, content_loss = picture.new_zeros(()), picture.new_zeros(())
         for block, rows in self.style.items():
-            weights = None if alpha is None else position_weights(alpha[window], found[block])
+            weights = None if alpha is None else position_weights(alpha[window], found[block], self.around)
             distances, _ = nearest_neighbour_distance(found[block], rows, weights)
             total = distances.numel() if weights is None else weights.sum().clamp_min(1e-6)
             style_loss = style_loss + distances.sum() / total

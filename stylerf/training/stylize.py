@@ -28,6 +28,7 @@ from stylerf.training.optimiser import Adam
 
 PIXELS_AT_ONCE = 65536
 MATCHED_VIEWS = 24  # their colours are those of all
+BESIDE = 3  # feature positions beside a silhouette that may move: what stands out from it shows there, or is missing
 COARSEST_STEP = 1 / 128  # cube units; of a field whose rays are walked anew in every step
 
 
@@ -265,6 +266,7 @@ class Stylizer:
                 s.style_scale,
                 self.seed,
                 s.variation,
+                BESIDE if self.deformer is not None else 0,
             )
         return self._objective
 

@@ -15,6 +15,7 @@ VERBS: dict[str, tuple[str, str]] = {
         "give a fitted field a deformation, the start of a stylisation that bends shapes",
     ),
     "stylize": ("stylerf_cli.verbs.stylize", "stylise the whole scene with a painting"),
+    "select": ("stylerf_cli.verbs.select", "select a part of the scene in 3D, by pixels, masks, a box or a colour"),
     "render": ("stylerf_cli.verbs.render", "render a field along a path: EXR with depth for compositors, PNG, video"),
     "eval": ("stylerf_cli.verbs.eval_", "measure a field: quality, style, consistency, cost; a report with pictures"),
     "show": ("stylerf_cli.verbs.show", "tell what a work folder or an artefact holds"),

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from stages.configs.stylize import COLOUR_CELLS, StylizeConfig
-from stages.stylize import new_colour, rays_of
+from stages.stylize import new_colour, rays_of, settings_of
 
 
 @pytest.mark.parametrize(
@@ -32,3 +32,19 @@ def test_cells_that_are_asked_for_are_taken():
 )
 def test_rays_follow_from_method_and_size_unless_asked_for(options, side, rays):
     assert rays_of(StylizeConfig(style="x", **options), side) == rays
+
+
+@pytest.mark.parametrize(
+    ("options", "closed", "colour", "displacement", "coarse"),
+    [
+        ({"method": "desrf"}, False, 1.0, 0.0, 0.6),
+        ({"method": "desrf"}, True, 10.0, 0.003, 0.0),
+        ({"method": "arf"}, False, 10.0, 0.003, 0.0),
+        ({"method": "desrf", "coarse": 0.0, "colour_weight": 4.0}, False, 4.0, 0.0, 0.0),
+    ],
+)
+def test_what_holds_shapes_follows_from_method_and_scene_unless_asked_for(
+    options, closed, colour, displacement, coarse
+):
+    found = settings_of(StylizeConfig(style="x", **options), 200, closed)
+    assert (found.weights.colour, found.displacement_weight, found.coarse) == (colour, displacement, coarse)

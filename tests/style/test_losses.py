@@ -83,6 +83,15 @@ def test_given_matches_are_used_instead_of_a_search():
     assert float(worse.sum()) > float(distances.sum())
 
 
+def test_position_weights_reach_beside_the_object():
+    alpha = torch.zeros(8, 12)
+    alpha[2:4, 4:6] = 1  # one position of the 4 x 6 features
+    found = losses.position_weights(alpha, torch.zeros(5, 4, 6), around=1)
+    expected = torch.zeros(4, 6)
+    expected[0:3, 1:4] = 1
+    torch.testing.assert_close(found, expected)
+
+
 def test_position_weights_average_the_pixels_they_stand_for():
     alpha = torch.zeros(8, 12)
     alpha[:, 6:] = 1

@@ -44,3 +44,23 @@ def add_to_cells(values, cells, x, weights, starts, ends, to):
                     for i in range(m):
                         to[cell, i] += w * values[r, i]
                     to[cell, m] += w
+
+
+@parallel_kernel
+def ends_inside(marked, cells, x, t, weights, starts, ends, chunks, out):
+    """out[r] = (sum w, sum over marked cells of w, of w t, of w x): [rays, 6]. What a ray's end in the region is."""
+    n = len(ends)
+    for c in prange(chunks):
+        for r in range(c * n // chunks, (c + 1) * n // chunks):
+            for i in range(6):
+                out[r, i] = _ZERO
+            for k in range(starts[r], ends[r]):
+                w = weights[k]
+                if w <= _ZERO:
+                    continue
+                out[r, 0] += w
+                if marked[cell_of(x, k, cells)]:
+                    out[r, 1] += w
+                    out[r, 2] += w * t[k]
+                    for a in range(3):
+                        out[r, 3 + a] += w * x[k, a]

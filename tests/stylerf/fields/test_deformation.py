@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from stylerf.errors import InvalidValue
-from stylerf.fields.deformation import SCALE, Deformation
+from stylerf.fields.deformation import FARTHEST, SCALE, Deformation
 from stylerf.fields.displacement import displaced_occupancy, nearest_of
 from stylerf.fields.occupancy import Occupancy
 
@@ -43,7 +43,16 @@ def test_network_equals_matrices_by_hand():
         out = out @ weight.T + bias
         out = np.maximum(out, 0) if number < 2 else out
     found = made.network(encoded, torch.from_numpy(made.values))
-    np.testing.assert_allclose(found, 0.5 * SCALE * out, rtol=1e-4, atol=1e-6)
+    np.testing.assert_allclose(found, FARTHEST * np.tanh(0.5 * SCALE / FARTHEST * out), rtol=1e-4, atol=1e-6)
+
+
+def test_nothing_moves_farther_than_the_bound_whatever_the_weights():
+    made = Deformation.create(np.random.default_rng(3), 2, 8)
+    encoded = made.encode(torch.rand(50, 3, generator=torch.Generator().manual_seed(1)))
+    wild = torch.full((len(made.values),), 30.0)
+    moved = made.network(encoded, wild).abs()
+    assert float(moved.max()) <= FARTHEST * 1.001
+    assert float(moved.max()) > 0.9 * FARTHEST  # the bound, and not weakness, holds it
 
 
 def test_values_of_another_size_are_refused():

@@ -1,0 +1,89 @@
+"""Options of `stylerf select`."""
+
+import re
+from dataclasses import dataclass
+
+from stages.configs import option
+
+
+@dataclass(frozen=True)
+class SelectConfig:
+    """How a part of the scene is selected: seeds, what it grows through, and other regions it is joined with."""
+
+    at: tuple[str, ...] = option((), metavar="VIEW:X,Y", help="seed: a pixel of a view, counted from its upper left")
+    scribble: tuple[str, ...] = option((), metavar="VIEW=MASK.png", help="seeds: the bright pixels of a mask of a view")
+    avoid: tuple[str, ...] = option((), metavar="VIEW:X,Y", help="a pixel of what does not belong to it")
+    mask: tuple[str, ...] = option(
+        (), metavar="VIEW=MASK.png", help="what most of these masks show, of whatever tool made them; not grown"
+    )
+    box: tuple[float, ...] = option((), metavar="S", help="two corners x y z x y z, scene units; not grown")
+    sphere: tuple[float, ...] = option((), metavar="S", help="centre and radius x y z r, scene units; not grown")
+    colour: str = option("", metavar="#RRGGBB", help="all that has this colour within --tolerance; not grown")
+    depth: str = option("", metavar="VIEW:NEAR,FAR", help="what a view sees between two depths, scene units; not grown")
+    steps: int = option(5, help="rounds of growing")
+    iterations: int = option(200000, help="cells looked at in a round")
+    neck: float = option(
+        0.5, help="grow no further than where the object narrows to this share of its widest so far (0: go on)"
+    )
+    tolerance: float = option(
+        18.0, help="greatest difference of colour from the seeds, CIELAB, light counted half (0: grow through anything)"
+    )
+    reach: float = option(0.0, help="greatest distance from the seeds, scene units (0: any)")
+    transition: int = option(2, help="width of the growing grid around the region, in cells")
+    cells: int = option(0, help="cells a side of the cube (0: about a pixel and a half of the photos, 64 to 256)")
+    solid: float = option(0.02, help="opacity across one cell from which growing goes through it")
+    most: float = option(0.5, help="share of all that is solid at which growing is taken for having run away")
+    union: tuple[str, ...] = option((), metavar="REGION", help="regions that are joined to it")
+    subtract: tuple[str, ...] = option((), metavar="REGION", help="regions that are taken from it")
+    intersect: tuple[str, ...] = option((), metavar="REGION", help="regions that it must lie in too")
+    preview: tuple[str, ...] = option((), metavar="VIEW", help="views to draw it over (default: named ones, two more)")
+    files_digest: str = option("", help="sha256 of the masks (filled in; guards against changed files)")
+
+    def __post_init__(self) -> None:
+        for text in (*self.at, *self.avoid):
+            pixel_of(text)
+        for text in (*self.scribble, *self.mask):
+            mask_of(text)
+        if self.depth:
+            depth_of(self.depth)
+        if self.colour and not re.fullmatch(r"#[0-9a-fA-F]{6}", self.colour):
+            raise ValueError(f"colour {self.colour!r} is not written as #rrggbb")
+        if len(self.box) not in (0, 6) or len(self.sphere) not in (0, 4):
+            raise ValueError("a box takes six numbers (two corners), a sphere four (centre and radius)")
+        if self.sphere and self.sphere[3] <= 0:
+            raise ValueError("the radius of a sphere must be over 0")
+        seeds = self.at or self.scribble or self.mask or self.box or self.sphere or self.colour or self.depth
+        if not (seeds or self.union):
+            raise ValueError("nothing is selected; give --at, --scribble, --mask, --box, --sphere, --colour, --depth")
+        if self.steps < 0 or self.iterations < 1 or self.tolerance < 0 or self.reach < 0 or self.transition < 0:
+            raise ValueError("steps, tolerance, reach and transition must be at least 0, iterations at least 1")
+        if self.cells and not 16 <= self.cells <= 512:
+            raise ValueError("cells must be 16 to 512, or 0")
+        if not 0 <= self.neck <= 1:
+            raise ValueError("neck must be in 0..1")
+        if not 0 < self.solid < 1 or not 0 < self.most <= 1:
+            raise ValueError("solid must be over 0 and under 1, most in (0, 1]")
+
+
+def pixel_of(text: str) -> tuple[str, float, float]:
+    """'0012:200,140' -> ('0012', 200.0, 140.0); ValueError for anything else."""
+    match = re.fullmatch(r"(.+):(\d+(?:\.\d+)?),(\d+(?:\.\d+)?)", text)
+    if not match:
+        raise ValueError(f"{text!r} is not a pixel of a view, written VIEW:X,Y")
+    return match[1], float(match[2]), float(match[3])
+
+
+def mask_of(text: str) -> tuple[str, str]:
+    """'0012=head.png' -> ('0012', 'head.png'); ValueError for anything else."""
+    view, equals, path = text.partition("=")
+    if not (view and equals and path):
+        raise ValueError(f"{text!r} is not a mask of a view, written VIEW=MASK.png")
+    return view, path
+
+
+def depth_of(text: str) -> tuple[str, float, float]:
+    """'0012:1.5,2' -> ('0012', 1.5, 2.0); ValueError for anything else."""
+    match = re.fullmatch(r"(.+):([0-9.]+),([0-9.]+)", text)
+    if not match or float(match[2]) >= float(match[3]):
+        raise ValueError(f"{text!r} is not a span of depths in a view, written VIEW:NEAR,FAR")
+    return match[1], float(match[2]), float(match[3])

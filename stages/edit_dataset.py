@@ -1,0 +1,106 @@
+"""Extract: what the training views show of a region, for its edit to learn from (LAENeRF, 3.3)."""
+
+import numpy as np
+
+from schemas.errors import BadInput
+from schemas.exr import ExrView, write_exr
+from schemas.images import linear_from_srgb
+from schemas.store import Artefact, Partial
+from stages.configs.extract import ExtractConfig
+from stages.edit_views import save_edit_views
+from stages.fields import load_field
+from stages.progress import Context
+from stages.regions import load_region
+from stages.runner import Spec
+from stages.scenes import load_scene
+from stylerf.editing.extraction import Extraction, Seen, seen_of_view
+from stylerf.editing.regions import Region
+from stylerf.fields.field import RadianceField
+from stylerf.geometry.cameras import Camera
+from stylerf.geometry.space import Space
+from stylerf.kernels.cpu.compiling import compiling_note, set_threads
+
+SPEC = Spec(stage="edit_dataset", verb="extract", revision=1, writes="edit-dataset")
+FADING = 1 / 20  # of the region's size
+
+
+def run(inputs: dict[str, Artefact], config: ExtractConfig, partial: Partial, context: Context) -> dict:
+    """Writes the views' pixels, and what they are as EXR; returns the figures."""
+    scene = load_scene(inputs["scene"])
+    field, _ = load_field(inputs["field"])
+    region, space = load_region(inputs["region"])
+    if space != field.space:
+        raise BadInput(
+            f"region {inputs['region'].name} divides the space of another field than {inputs['field'].name}; "
+            f"select it anew with `stylerf select --of {inputs['field'].name}`"
+        )
+    chunks = set_threads(context.threads)
+    size = _size(region, space)
+    reach = FADING * size if config.transition < 0 else config.transition
+    settings = Extraction(config.tolerance, reach)
+    train = scene.splits["train"]
+    views, hidden = [], []
+    context.progress.start("extract", len(train), "view")
+    with compiling_note(context.progress.say):
+        for done, index in enumerate(train):
+            camera = scene.cameras[index]
+            seen = seen_of_view(field, camera, scene.images(index), region, settings, index, chunks)
+            if seen.edit is None:
+                hidden.append(camera.name)
+            else:
+                views.append(seen.edit)
+                if config.exr:
+                    write_exr(partial.path / "exr" / f"{camera.name}.exr", _exr(seen, camera, field))
+            context.progress.update(done + 1)
+    context.progress.finish()
+    if not views:
+        raise BadInput(
+            f"no training view shows region {inputs['region'].name}: it is hidden, or more than --tolerance "
+            f"{config.tolerance:g} of every pixel lies outside it"
+        )
+    pixels = int(sum(len(view) for view in views))
+    save_edit_views(partial.path, views, {"hidden": hidden, "region": inputs["region"].name, "reach": reach})
+    return {"views": len(views), "hidden": hidden, "pixels": pixels, "region_size": round(size, 5)}
+
+
+def _size(region: Region, space: Space) -> float:
+    """Diagonal of the box of the region's cells, scene units; cells at the very border of the cube left out."""
+    s = region.cells
+    where = np.argwhere(region.edit)
+    inner = where[((where > 0) & (where < s - 1)).all(1)]
+    where = inner if len(inner) else where
+    ends = space.unwarp(np.clip((where + 0.5) / s, 1e-3, 1 - 1e-3))
+    low, high = np.percentile(ends, [2, 98], axis=0)
+    return float(np.linalg.norm(high - low))
+
+
+def _exr(seen: Seen, camera: Camera, field: RadianceField) -> ExrView:
+    """The photo where it shows the region, by the field's alpha there; masks: region, transition, edges."""
+    edit = seen.edit
+    full = {name: np.zeros(seen.alpha.size, np.float32) for name in ("alpha", "transition", "below", "beside")}
+    rgb = np.zeros((seen.alpha.size, 3), np.float32)
+    rgb[edit.pixels] = linear_from_srgb(edit.target) * edit.weight[:, None]
+    for name, values in (
+        ("alpha", edit.weight),
+        ("transition", edit.transition),
+        ("below", edit.edges[:, 0]),
+        ("beside", edit.edges[:, 1]),
+    ):
+        full[name][edit.pixels] = values
+    planes = {name: plane.reshape(seen.alpha.shape) for name, plane in full.items()}
+    return ExrView(
+        rgb=rgb.reshape(*seen.alpha.shape, 3),
+        alpha=planes["alpha"],
+        z=seen.depth * camera.ray_cosines(),
+        ray_distance=seen.depth,
+        world_from_camera=camera.world_from_camera,
+        intrinsics=(camera.fx, camera.fy, camera.cx, camera.cy),
+        near=max(field.space.near, 1e-3),
+        far=field.space.far,
+        masks={
+            "region": seen.alpha_edit,
+            "transition": planes["transition"],
+            "edge_below": planes["below"],
+            "edge_beside": planes["beside"],
+        },
+    )

@@ -1,0 +1,284 @@
+"""Select: a part of the scene in 3D, from pixels, masks, boxes or colours, grown over the density (LAENeRF, 3.2)."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from schemas.errors import BadInput
+from schemas.images import read_image, to_uint8, write_png
+from schemas.store import Artefact, Partial
+from stages.configs.select import SelectConfig, depth_of, mask_of, pixel_of
+from stages.fields import load_field
+from stages.photos import level_of, photo_over
+from stages.progress import Context
+from stages.regions import load_region, save_region
+from stages.runner import Spec
+from stages.scenes import SceneData, load_scene
+from stylerf.editing.regions import (
+    FEWEST_CELLS,
+    MOST_CELLS,
+    Region,
+    alpha_inside,
+    grow,
+    march_view,
+    marked_at,
+    solid_cells,
+)
+from stylerf.editing.selection import (
+    SeenCells,
+    centres_of,
+    ends_of_rays,
+    halved_light,
+    inside_box,
+    inside_sphere,
+    modes,
+    padded,
+    shell,
+    shown_by_masks,
+)
+from stylerf.fields.field import RadianceField
+from stylerf.fields.surface import cells_of, surface_of
+from stylerf.kernels.cpu.compiling import compiling_note, set_threads
+
+SPEC = Spec(stage="region_select", verb="select", revision=1, writes="region")
+LOOKING_VIEWS = 24  # views whose photos give the cells their colours
+PIXELS_A_CELL = 1.5
+TINT = np.array([1.0, 0.1, 0.8], np.float32)
+
+
+@dataclass
+class Looking:
+    """What the parts of a selection look at."""
+
+    scene: SceneData
+    field: RadianceField
+    level: float
+    cells: int
+    chunks: int
+
+    def view(self, name: str) -> int:
+        """Index of a view by its name, or by its number in the scene; BadInput naming some of those there are."""
+        names = [view.name for view in self.scene.views]
+        if name in names:
+            return names.index(name)
+        if name.isdigit() and int(name) < len(names):
+            return int(name)
+        shown = ", ".join(names[:6]) + (" ..." if len(names) > 6 else "")
+        raise BadInput(f"there is no view {name!r}; the scene's {len(names)} views are {shown}")
+
+    def mask(self, text: str) -> tuple[int, np.ndarray]:
+        """View and mask [h, w] in 0..1 of VIEW=MASK.png."""
+        name, path = mask_of(text)
+        view, pixels = self.view(name), read_image(Path(path)).pixels
+        camera = self.scene.cameras[view]
+        if pixels.shape[:2] != (camera.height, camera.width):
+            raise BadInput(
+                f"{path} has {pixels.shape[1]}x{pixels.shape[0]} pixels where view {name} has "
+                f"{camera.width}x{camera.height}; give a mask of that size"
+            )
+        # With transparency, that is the mask; else brightness is.
+        return view, pixels[..., 3] if pixels.shape[2] == 4 else pixels.mean(2)
+
+
+def run(inputs: dict[str, Artefact], config: SelectConfig, partial: Partial, context: Context) -> dict:
+    """Writes the region and previews of it over the photos; returns the figures."""
+    scene = load_scene(inputs["scene"])
+    field, background = load_field(inputs["field"])
+    chunks = set_threads(context.threads)
+    others = {role: load_region(artefact) for role, artefact in inputs.items() if role.partition(".")[2]}
+    with compiling_note(context.progress.say):
+        looking = Looking(scene, field, level_of(background), _cells(field, scene, config, others, chunks), chunks)
+        solid = solid_cells(field, looking.cells, chunks, config.solid)
+        if not solid.any():
+            raise BadInput(f"{inputs['field'].path}: nothing in the field is solid; give a smaller --solid")
+        edit = _marked(looking, solid, config, context)
+        edit = _combined(edit, others, field, inputs)
+        share = float((edit & solid).sum() / solid.sum())
+        _check(edit, solid, share, config)
+        region = Region(edit, shell(edit, config.transition, solid))
+        told = {"solid_share": round(share, 5), "edit_cells": int((edit & solid).sum())}
+        seen_in = _previews(looking, region, config, partial.path)
+    save_region(partial.path, region, field.space, told)
+    return {**told, "cells": looking.cells, "grow_cells": int(region.grow.sum()), "previews": seen_in}
+
+
+def _cells(field: RadianceField, scene: SceneData, config: SelectConfig, others: dict, chunks: int) -> int:
+    """Cells a side: as asked for, as regions to combine with have them, or by what a pixel sees."""
+    for region, _ in others.values():
+        if config.cells and config.cells != region.cells:
+            raise BadInput(f"--cells {config.cells}: a region to combine with has {region.cells}; leave it out")
+        return region.cells
+    if config.cells:
+        return config.cells
+    train = scene.splits["train"]
+    chosen = np.unique(np.linspace(0, len(train) - 1, 3).round().astype(int))
+    found = [cells_of(surface_of(field, scene.cameras[train[i]], 0.05, chunks)) for i in chosen]
+    wide = float(np.nanmedian(found)) if np.isfinite(found).any() else FEWEST_CELLS
+    return int(np.clip(round(wide / PIXELS_A_CELL / 16) * 16, 64, MOST_CELLS))
+
+
+def _marked(looking: Looking, solid: np.ndarray, config: SelectConfig, context: Context) -> np.ndarray:
+    """What the config marks and what grows from it, before other regions are joined or taken away."""
+    edit = np.zeros_like(solid)
+    space, cells = looking.field.space, looking.cells
+    if config.box:
+        edit |= inside_box(space, cells, np.array(config.box[:3]), np.array(config.box[3:]))
+    if config.sphere:
+        edit |= inside_sphere(space, cells, np.array(config.sphere[:3]), config.sphere[3])
+    if config.mask:
+        views, masks = zip(*(looking.mask(text) for text in config.mask), strict=True)
+        cameras = [looking.scene.cameras[view] for view in views]
+        shown = shown_by_masks(looking.field, cameras, list(masks), cells, looking.chunks)
+        edit |= padded(shown, np.zeros_like(shown))
+    if config.depth:
+        edit |= _between_depths(looking, config.depth)
+    points = _seeds(looking, config.at, config.scribble)
+    if config.colour or len(points):
+        context.progress.say("looking at the colours of the scene")
+        seen = _seen(looking)
+        if config.colour:
+            wanted = np.array([[int(config.colour[i : i + 2], 16) / 255 for i in (1, 3, 5)]])
+            tolerance = config.tolerance or 18.0
+            alike = seen.like(halved_light(wanted), tolerance)
+            edit |= padded(alike & solid, seen.seen & ~alike)
+        if len(points):
+            edit |= _grown(looking, solid, seen, points, config)
+    return edit
+
+
+def _seen(looking: Looking) -> SeenCells:
+    train = looking.scene.splits["train"]
+    chosen = [train[i] for i in np.unique(np.linspace(0, len(train) - 1, LOOKING_VIEWS).round().astype(int))]
+    photos = (photo_over(looking.scene, i, looking.level) for i in chosen)
+    cameras = [looking.scene.cameras[i] for i in chosen]
+    return SeenCells(looking.field, cameras, photos, looking.cells, looking.chunks)
+
+
+def _seeds(looking: Looking, at: tuple[str, ...], scribbles: tuple[str, ...]) -> np.ndarray:
+    """[n, 3] cube points where the rays of the seeds end; BadInput for a seed that meets nothing."""
+    by_view: dict[int, list[int]] = {}
+    for text in at:
+        name, x, y = pixel_of(text)
+        view = looking.view(name)
+        camera = looking.scene.cameras[view]
+        if not (0 <= x < camera.width and 0 <= y < camera.height):
+            raise BadInput(f"{text}: view {name} has {camera.width}x{camera.height} pixels")
+        by_view.setdefault(view, []).append(int(y) * camera.width + int(x))
+    for text in scribbles:
+        view, mask = looking.mask(text)
+        bright = np.flatnonzero(mask.ravel() > 0.5)
+        if not len(bright):
+            raise BadInput(f"{text}: no pixel of the scribble is brighter than half")
+        by_view.setdefault(view, []).extend(bright.tolist())
+    found = []
+    for view, pixels in by_view.items():
+        camera = looking.scene.cameras[view]
+        x, alpha = ends_of_rays(looking.field, camera, np.array(pixels), looking.chunks)
+        if not (alpha > 0.5).any():
+            raise BadInput(
+                f"the {len(pixels)} seed pixels in view {camera.name} meet nothing of the field: "
+                "choose pixels where the render shows the object"
+            )
+        found.append(x[alpha > 0.5])
+    return np.concatenate(found) if found else np.empty((0, 3))
+
+
+def _grown(looking: Looking, solid, seen: SeenCells, points: np.ndarray, config: SelectConfig) -> np.ndarray:
+    """Grown from seeds over solid cells of the seeds' colours, with a margin of one cell."""
+    start, allowed = marked_at(points, looking.cells), solid
+    refused = np.zeros_like(solid)
+    if config.tolerance > 0:
+        colours = modes(seen.lab[start], config.tolerance / 2)
+        if len(colours):
+            alike = seen.like(colours, config.tolerance)
+            avoided = _seeds(looking, config.avoid, ())
+            if len(avoided):
+                alike &= ~_nearer(seen, colours, modes(seen.lab[marked_at(avoided, looking.cells)], 1.0))
+            allowed, refused = solid & alike, seen.seen & ~alike
+    if config.reach > 0:
+        ends = looking.field.space.unwarp(points)
+        centres = looking.field.space.unwarp(centres_of(looking.cells))
+        near = np.zeros(len(centres), bool)
+        for end in ends[:: max(1, len(ends) // 16)]:
+            near |= np.linalg.norm(centres - end, axis=1) <= config.reach
+        allowed = allowed & near.reshape(allowed.shape)
+    found = grow(start, allowed, config.steps * config.iterations, config.neck).grown
+    return padded(found, refused) | start
+
+
+def _nearer(seen: SeenCells, wanted: np.ndarray, avoided: np.ndarray) -> np.ndarray:
+    """[s, s, s] bool: cells whose colour is nearer to one that is avoided than to any that is wanted."""
+
+    def least(colours: np.ndarray) -> np.ndarray:
+        apart = np.full(seen.seen.shape, np.inf, np.float32)
+        for colour in colours:
+            apart = np.fmin(apart, np.linalg.norm(seen.lab - colour, axis=-1))
+        return apart
+
+    return least(avoided) < least(wanted)
+
+
+def _between_depths(looking: Looking, text: str) -> np.ndarray:
+    name, near, far = depth_of(text)
+    view = looking.view(name)
+    camera = looking.scene.cameras[view]
+    pixels = np.arange(camera.width * camera.height)
+    x, alpha = ends_of_rays(looking.field, camera, pixels, looking.chunks)
+    world = looking.field.space.unwarp(np.clip(x, 1e-6, 1 - 1e-6))
+    z = (world - camera.world_from_camera[:3, 3]) @ camera.world_from_camera[:3, 2]
+    chosen = (alpha > 0.5) & (z >= near) & (z <= far)
+    if not chosen.any():
+        spread = f"{z[alpha > 0.5].min():.3g} to {z[alpha > 0.5].max():.3g}" if (alpha > 0.5).any() else "nothing"
+        raise BadInput(f"--depth {text}: view {name} sees nothing there; what it sees lies at {spread}")
+    found = marked_at(x[chosen], looking.cells)
+    return padded(found, np.zeros_like(found))
+
+
+def _combined(edit: np.ndarray, others: dict, field: RadianceField, inputs: dict[str, Artefact]) -> np.ndarray:
+    """Joined with, cut to and without other regions, in this order."""
+    for role, (_, space) in others.items():
+        if space != field.space:
+            raise BadInput(f"region {inputs[role].name} divides the space of another field; select it anew on this one")
+    for kind, act in (
+        ("union", lambda a, b: a | b),
+        ("intersect", lambda a, b: a & b),
+        ("subtract", lambda a, b: a & ~b),
+    ):
+        for role in sorted(others):
+            if role.startswith(f"{kind}."):
+                edit = act(edit, others[role][0].edit)
+    return edit
+
+
+def _check(edit: np.ndarray, solid: np.ndarray, share: float, config: SelectConfig) -> None:
+    if not (edit & solid).any():
+        raise BadInput("the selection holds nothing of the scene: seeds, masks or box meet no solid part of the field")
+    if share > config.most:
+        raise BadInput(
+            f"the region has grown over {share:.0%} of all that is solid (limit --most {config.most:g}): lower "
+            "--tolerance or --iterations, set --reach, or mark what does not belong to it with --avoid VIEW:X,Y"
+        )
+
+
+def _previews(looking: Looking, region: Region, config: SelectConfig, folder: Path) -> list[str]:
+    """Pictures of the region over the photos, preview/NAME.png; the names of their views."""
+    named = [pixel_of(t)[0] for t in config.at] + [mask_of(t)[0] for t in (*config.scribble, *config.mask)]
+    views = [looking.view(name) for name in (config.preview or named)]
+    every = looking.scene.splits["train"] + looking.scene.splits["test"]
+    if not config.preview:
+        views += [every[len(every) // 3], every[2 * len(every) // 3]]
+    names = []
+    for view in dict.fromkeys(views):
+        camera = looking.scene.cameras[view]
+        alpha = np.zeros((camera.height * camera.width, 2), np.float32)
+        for part, samples in march_view(looking.field, camera, looking.chunks):
+            alpha[part, 0] = region.alpha(samples, looking.chunks)
+            alpha[part, 1] = alpha_inside(region.grow, samples, looking.chunks)
+        shown = alpha.reshape(camera.height, camera.width, 2)
+        photo = photo_over(looking.scene, view, looking.level)
+        tinted = photo * (1 - 0.55 * shown[..., :1]) + 0.55 * shown[..., :1] * TINT
+        tinted = tinted * (1 - 0.35 * shown[..., 1:]) + 0.35 * shown[..., 1:] * TINT[::-1]
+        write_png(folder / "preview" / f"{camera.name}.png", to_uint8(np.clip(tinted, 0, 1)))
+        names.append(camera.name)
+    return names

@@ -1,0 +1,45 @@
+"""`stylerf select WORK --at VIEW:X,Y`: a part of the scene in 3D, to be edited or masked out."""
+
+from dataclasses import replace
+from pathlib import Path
+
+from stages.configs.select import SelectConfig, mask_of
+
+NAME = "select"
+HELP = "select a part of the scene in 3D, by pixels, masks, a box or a colour"
+CONFIG = SelectConfig
+
+
+def add_arguments(parser) -> None:
+    """WORK, --of."""
+    parser.add_argument("work", metavar="WORK", help="the work folder")
+    parser.add_argument("--of", metavar="FIELD", help="field to select in (default: the fitted one)")
+
+
+def run(args, session) -> dict:
+    """The region's place, figures and previews."""
+    from schemas.canonical import digest_of, file_sha256
+    from schemas.errors import BadInput
+    from stages import region_select
+    from stylerf_cli.chains import ensure_field, scene_of_work
+
+    config = session.config
+    files = [Path(mask_of(text)[1]) for text in (*config.scribble, *config.mask)]
+    if missing := [path for path in files if not path.is_file()]:
+        raise BadInput(f"{missing[0]}: there is no such mask")
+    scene = scene_of_work(session)
+    field = session.work.find("field", args.of) if args.of else ensure_field(session, scene)
+    inputs = {"scene": scene, "field": field}
+    for kind in ("union", "subtract", "intersect"):
+        for name in getattr(config, kind):
+            inputs[f"{kind}.{name}"] = session.work.find("region", name)
+    config = replace(config, files_digest=digest_of([file_sha256(path) for path in files]) if files else "")
+    made = session.run(region_select.SPEC, region_select.run, inputs, config, "region")
+    figures = made.manifest.figures
+    previews = [str(made.path / "preview" / f"{name}.png") for name in figures["previews"]]
+    result = {"region": made.path, "name": made.name, "figures": figures, "previews": previews}
+    words = (
+        f"region {made.name}: {figures['edit_cells']} cells of a {figures['cells']}^3 grid, "
+        f"{figures['solid_share']:.1%} of what is solid\n  " + "\n  ".join(previews)
+    )
+    return session.emit(result, words)
