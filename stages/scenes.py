@@ -14,6 +14,8 @@ from schemas.tensors import load_tensors
 from stylerf.errors import InvalidValue
 from stylerf.geometry.cameras import Camera
 
+EDIT_TARGETS = "edit/targets.safetensors"  # of a scene whose photos carry an edit: which pixels, and their depths
+
 
 @dataclass(frozen=True, eq=False)
 class Points:

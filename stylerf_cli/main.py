@@ -61,14 +61,16 @@ def _run(argv: list[str], state: dict[str, Path | None]) -> dict | None:
         prog=f"stylerf {verb}", description=f"{module.HELP[0].upper()}{module.HELP[1:]}.", epilog=EXIT_CODES
     )
     module.add_arguments(parser)
-    if module.CONFIG is not None:
-        add_config(parser, module.CONFIG)
+    # A verb may have other options in one use than in another.
+    config = module.config_for(argv[1:]) if hasattr(module, "config_for") else module.CONFIG
+    if config is not None:
+        add_config(parser, config)
     add_common(parser)
     args = _parsed(parser, argv[1:])
     if args is None:
         return None
     state["work"] = _existing_folder(args)
-    return _run_verb(verb, module, args)
+    return _run_verb(verb, module, args, config)
 
 
 def _parsed(parser: Parser, argv: list[str]) -> Namespace | None:
@@ -79,12 +81,12 @@ def _parsed(parser: Parser, argv: list[str]) -> Namespace | None:
         return None
 
 
-def _run_verb(verb: str, module, args: Namespace) -> dict:
+def _run_verb(verb: str, module, args: Namespace, config: type | None) -> dict:
     # Late, so that --help and usage faults do not wait for what only a run needs.
     from stylerf_cli.options import Options
     from stylerf_cli.session import Session
 
-    session = Session(verb, args, Options(verb, args, list(VERBS)), module.CONFIG)
+    session = Session(verb, args, Options(verb, args, list(VERBS)), config)
     try:
         return module.run(args, session)
     finally:

@@ -26,6 +26,7 @@ class Session:
         self.verb, self.args, self.options = verb, args, options
         self.json, self.quiet, self.only, self.force = args.json, args.quiet, args.only, args.force
         self.name: str | None = args.name
+        self.own_verbs = {verb}  # whose stages are this verb's own work
         self.config = options.config(config)
         self.common = options.common()
         self.progress: Any = Silent() if self.quiet else Bars(sys.stderr)
@@ -51,16 +52,18 @@ class Session:
         """The config of another verb's stage: its table of the --config file, else defaults."""
         return self.options.config_of(verb, config)
 
-    def run(self, spec: Any, run: Any, inputs: dict[str, Artefact], config: Any, name: str) -> Artefact:
+    def run(
+        self, spec: Any, run: Any, inputs: dict[str, Artefact], config: Any, name: str, own: bool | None = None
+    ) -> Artefact:
         """Runs a stage, or reuses what stands.
 
         The stage of this very verb writes under --name where given and obeys --force. Any other stage is an earlier
         one that is missing or out of date: it is announced and brought up to date, or, with --only, refused with the
-        command that does it (ArtefactStale).
+        command that does it (ArtefactStale). own: says which of the two it is, for a verb of several stages.
         """
         from stages.runner import execute, recipe_of
 
-        own = spec.verb == self.verb
+        own = spec.verb in self.own_verbs if own is None else own
         name = self.name or name if own else name
         if not own:
             recipe = recipe_of(spec, inputs, config, self.context.seed)

@@ -1,6 +1,7 @@
 """The verbs: one module each, named in one table so that `stylerf --help` imports none of them.
 
-A verb module has NAME, HELP (one line, the same as here), CONFIG (its stage's config dataclass, or None),
+A verb module has NAME, HELP (one line, the same as here), CONFIG (its stage's config dataclass, or None; where its
+options depend on how it is used, `config_for(argv)` gives the one that holds),
 `add_arguments(parser)` for what is no option of the stage, and `run(args, session) -> dict`, whose result is what
 `--json` prints.
 """
@@ -14,8 +15,15 @@ VERBS: dict[str, tuple[str, str]] = {
         "stylerf_cli.verbs.deform",
         "give a fitted field a deformation, the start of a stylisation that bends shapes",
     ),
-    "stylize": ("stylerf_cli.verbs.stylize", "stylise the whole scene with a painting"),
+    "stylize": ("stylerf_cli.verbs.stylize", "stylise the whole scene with a painting, or a region (--region)"),
     "select": ("stylerf_cli.verbs.select", "select a part of the scene in 3D, by pixels, masks, a box or a colour"),
+    "extract": ("stylerf_cli.verbs.extract", "gather what the views show of a region, for its edit"),
+    "distill": ("stylerf_cli.verbs.distill", "paint an edit into the training photos"),
+    "finetune": ("stylerf_cli.verbs.finetune", "teach a field an edit"),
+    "edit": (
+        "stylerf_cli.verbs.edit",
+        "select, recolour or stylise a part of the scene, and teach the field: all in one",
+    ),
     "render": ("stylerf_cli.verbs.render", "render a field along a path: EXR with depth for compositors, PNG, video"),
     "eval": ("stylerf_cli.verbs.eval_", "measure a field: quality, style, consistency, cost; a report with pictures"),
     "show": ("stylerf_cli.verbs.show", "tell what a work folder or an artefact holds"),

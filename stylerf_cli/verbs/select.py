@@ -18,23 +18,7 @@ def add_arguments(parser) -> None:
 
 def run(args, session) -> dict:
     """The region's place, figures and previews."""
-    from schemas.canonical import digest_of, file_sha256
-    from schemas.errors import BadInput
-    from stages import region_select
-    from stylerf_cli.chains import ensure_field, scene_of_work
-
-    config = session.config
-    files = [Path(mask_of(text)[1]) for text in (*config.scribble, *config.mask)]
-    if missing := [path for path in files if not path.is_file()]:
-        raise BadInput(f"{missing[0]}: there is no such mask")
-    scene = scene_of_work(session)
-    field = session.work.find("field", args.of) if args.of else ensure_field(session, scene)
-    inputs = {"scene": scene, "field": field}
-    for kind in ("union", "subtract", "intersect"):
-        for name in getattr(config, kind):
-            inputs[f"{kind}.{name}"] = session.work.find("region", name)
-    config = replace(config, files_digest=digest_of([file_sha256(path) for path in files]) if files else "")
-    made = session.run(region_select.SPEC, region_select.run, inputs, config, "region")
+    made = selected(session, session.config, args.of)
     figures = made.manifest.figures
     previews = [str(made.path / "preview" / f"{name}.png") for name in figures["previews"]]
     result = {"region": made.path, "name": made.name, "figures": figures, "previews": previews}
@@ -43,3 +27,27 @@ def run(args, session) -> dict:
         f"{figures['solid_share']:.1%} of what is solid\n  " + "\n  ".join(previews)
     )
     return session.emit(result, words)
+
+
+def selected(session, config: SelectConfig, of: str | None, name: str = "region"):
+    """The region artefact. of: the field to select in, None for the fitted one."""
+    from schemas.canonical import digest_of, file_sha256
+    from schemas.errors import BadInput
+    from stages import region_select
+    from stylerf_cli.chains import ensure_field, scene_behind, scene_of_work
+
+    files = [Path(mask_of(text)[1]) for text in (*config.scribble, *config.mask)]
+    if missing := [path for path in files if not path.is_file()]:
+        raise BadInput(f"{missing[0]}: there is no such mask")
+    if of:
+        field = session.work.find("field", of)
+        scene = scene_behind(session, field)
+    else:
+        scene = scene_of_work(session)
+        field = ensure_field(session, scene)
+    inputs = {"scene": scene, "field": field}
+    for kind in ("union", "subtract", "intersect"):
+        for other in getattr(config, kind):
+            inputs[f"{kind}.{other}"] = session.work.find("region", other)
+    config = replace(config, files_digest=digest_of([file_sha256(path) for path in files]) if files else "")
+    return session.run(region_select.SPEC, region_select.run, inputs, config, name)

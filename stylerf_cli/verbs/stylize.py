@@ -1,32 +1,44 @@
-"""`stylerf stylize WORK --style IMAGE`: the scene in a painting's colours and strokes."""
+"""`stylerf stylize WORK --style IMAGE`: the scene, or with --region a part of it, in a painting's colours and strokes."""
 
 import re
 from dataclasses import replace
 from pathlib import Path
 
+from stages.configs.region import RegionConfig
 from stages.configs.stylize import StylizeConfig
 
 NAME = "stylize"
-HELP = "stylise the whole scene with a painting"
+HELP = "stylise the whole scene with a painting, or a region (--region)"
 CONFIG = StylizeConfig
 
 
+def config_for(argv: list[str]) -> type:
+    """The options of a region are others than those of a whole scene."""
+    return RegionConfig if any(one == "--region" or one.startswith("--region=") for one in argv) else StylizeConfig
+
+
 def add_arguments(parser) -> None:
-    """WORK, --of."""
+    """WORK, --of, --region."""
     parser.add_argument("work", metavar="WORK", help="the work folder")
     parser.add_argument("--of", metavar="FIELD", help="field to stylise (default: the fitted one)")
+    parser.add_argument(
+        "--region",
+        metavar="REGION",
+        help="recolour (--recolor) or stylise a region alone; `stylerf stylize --region NAME --help` tells its options",
+    )
 
 
 def run(args, session) -> dict:
-    """The stylised field's place and figures."""
+    """The stylised field's, or the edit's, place and figures."""
+    return _region(args, session) if args.region else _whole(args, session)
+
+
+def _whole(args, session) -> dict:
     from schemas.canonical import file_sha256
-    from schemas.errors import BadInput
     from stages import stylize
     from stylerf_cli.chains import ensure_deformed, ensure_field, scene_of_work
 
-    style = Path(session.config.style)
-    if not style.is_file():
-        raise BadInput(f"--style {style}: there is no such image")
+    style = painting_of(session.config.style)
     # Refused before hours of upstream work, not after them.
     stylize.read_painting(style)
     scene = scene_of_work(session)
@@ -35,7 +47,7 @@ def run(args, session) -> dict:
         field = ensure_deformed(session, scene, field)
     config = replace(session.config, style=str(style.resolve()), style_digest=file_sha256(style))
     made = session.run(
-        stylize.SPEC, stylize.run, {"scene": scene, "field": field}, config, f"{_name_of(style)}-{config.method}"
+        stylize.SPEC, stylize.run, {"scene": scene, "field": field}, config, f"{name_of(style)}-{config.method}"
     )
     figures = made.manifest.figures
     result = {"field": made.path, "name": made.name, "figures": figures, "seconds": made.manifest.seconds}
@@ -46,6 +58,51 @@ def run(args, session) -> dict:
     return session.emit(result, words)
 
 
-def _name_of(style: Path) -> str:
+def _region(args, session) -> dict:
+    from stylerf_cli.chains import learnt_edit, region_of
+
+    region = region_of(session, args.region)
+    config, name = pinned(session.config, region.name)
+    made = learnt_edit(session, region, config.learning, config.changes, name)
+    result = {"edit": made.path, "name": made.name, "figures": made.manifest.figures, "seconds": made.manifest.seconds}
+    return session.emit(result, told_palette(made))
+
+
+def pinned(config: RegionConfig, region: str) -> tuple[RegionConfig, str]:
+    """The options with the painting's digest, checked before any work is done, and the name of the edit."""
+    from schemas.canonical import file_sha256
+    from stages import edit_learn
+
+    if not config.style:
+        return config, f"{region}-recolor"
+    style = painting_of(config.style)
+    config = replace(config, style=str(style.resolve()), style_digest=file_sha256(style))
+    edit_learn.cropped(config.learning)
+    return config, f"{region}-{name_of(style)}"
+
+
+def told_palette(made) -> str:
+    """An edit in words: its palette, colour by colour."""
+    import json
+
+    colours = json.loads(made.file("palette.json").read_text())["colours"]
+    lines = [
+        f"  {one['index']}  {one['now']}  {one['share']:6.1%}  {one['name']}"
+        + (f" (was {one['learnt']})" if one["now"] != one["learnt"] else "")
+        for one in colours
+    ]
+    return f"edit {made.name}: a palette of {len(colours)} colours\n" + "\n".join(lines) + f"\n  {made.path}"
+
+
+def painting_of(text: str) -> Path:
+    """The painting's file; BadInput where there is none."""
+    from schemas.errors import BadInput
+
+    if not Path(text).is_file():
+        raise BadInput(f"--style {text}: there is no such image")
+    return Path(text)
+
+
+def name_of(style: Path) -> str:
     """The painting's file name as an artefact's name may be written."""
     return re.sub(r"[^A-Za-z0-9._+-]+", "_", style.stem).strip("._+-") or "style"

@@ -1,0 +1,85 @@
+"""Options of `stylerf stylize --region`, palette changes apart."""
+
+import re
+from dataclasses import dataclass
+
+from stages.configs import option
+from stages.configs.fit import budget_of
+
+
+@dataclass(frozen=True)
+class EditConfig:
+    """How the look of a region is learnt."""
+
+    recolor: bool = option(False, help="learn a palette to recolour with; shapes and shading stay")
+    style: str = option("", help="the painting: an image file")
+    style_digest: str = option("", help="sha256 of the painting (filled in; guards against a changed file)")
+    crop: tuple[int, ...] = option((), metavar="N", help="x y size: the square of the painting that is taken")
+    preserve_colour: bool = option(False, help="strokes of the painting in the colours of the region")
+    colours: int = option(8, help="palette colours at the beginning")
+    most_colours: int = option(5, help="palette colours at the end, at most")
+    start: str = option(
+        "clusters", choices=("clusters", "random"), help="where palette colours begin (LAENeRF: random)"
+    )
+    palette_steps: int = option(300, help="steps towards the photos alone")
+    style_steps: int = option(100, help="steps towards the painting")
+    pruned_steps: int = option(100, help="steps after colours were removed")
+    budget: str = option("90s", metavar="TIME", help="time of all steps, at most")
+    style_weight: float = option(0.1, help="weight of the Gram distance to the painting")
+    style_side: int = option(128, help="longer side of the picture that features are taken from")
+    offset_weight: float = option(5.0, help="weight of what is added to palette colours")
+    certainty_weight: float = option(1e-2, help="weight of the share that is not of a pixel's first colour")
+    variation_weight: float = option(10.0, help="weight of differences between neighbours, edges of geometry apart")
+    edge_weight: float = option(50.0, help="weight of contrast at edges of geometry")
+    smooth_weight: float = option(100.0, help="weight of the photo's colours where the edit fades")
+    features: str = option("", help="feature trunk: a name or a file of VGG weights (default: the first found)")
+    taps: str = option("conv3", help="layers of the trunk whose Gram matrices are matched")
+    preview_every: float = option(
+        0.0, metavar="SECONDS", help="draw a view of the region into the run's folder (0: never)"
+    )
+    checkpoint_every_seconds: float = option(20.0, help="time between checkpoints")
+
+    def __post_init__(self) -> None:
+        if self.recolor == bool(self.style):
+            raise ValueError("a region is either recoloured (--recolor) or given a painting (--style IMAGE)")
+        if self.crop and (len(self.crop) != 3 or min(self.crop) < 0 or self.crop[2] < 16):
+            raise ValueError("crop takes x, y and a size of at least 16 pixels")
+        if not 1 <= self.most_colours <= self.colours <= 16:
+            raise ValueError("colours must be 1 to 16, most_colours 1 to colours")
+        if budget_of(self.budget)[1]:
+            raise ValueError(f"budget {self.budget!r} is a time here, such as 90s; steps have options of their own")
+
+
+@dataclass(frozen=True)
+class PaletteConfig:
+    """What is changed of a learnt palette; nothing is trained for it."""
+
+    palette: tuple[str, ...] = option((), metavar="I=#RRGGBB", help="give palette colour I another colour")
+    palette_weight: tuple[str, ...] = option((), metavar="I=S", help="multiply the weight of palette colour I by S")
+    palette_bias: tuple[str, ...] = option((), metavar="I=B", help="add B to the weight of palette colour I")
+
+    def __post_init__(self) -> None:
+        for text in self.palette:
+            colour_of(text)
+        for text in (*self.palette_weight, *self.palette_bias):
+            number_of(text)
+
+    def __bool__(self) -> bool:
+        return bool(self.palette or self.palette_weight or self.palette_bias)
+
+
+def colour_of(text: str) -> tuple[int, tuple[float, float, float]]:
+    """'2=#c03020' -> (2, sRGB in 0..1); ValueError for anything else."""
+    match = re.fullmatch(r"(\d+)=#([0-9a-fA-F]{6})", text)
+    if not match:
+        raise ValueError(f"{text!r} is not a palette colour, written I=#rrggbb")
+    red, green, blue = (int(match[2][i : i + 2], 16) / 255 for i in (0, 2, 4))
+    return int(match[1]), (red, green, blue)
+
+
+def number_of(text: str) -> tuple[int, float]:
+    """'2=0.5' -> (2, 0.5); ValueError for anything else."""
+    match = re.fullmatch(r"(\d+)=([-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?)", text)
+    if not match:
+        raise ValueError(f"{text!r} is not a palette index and a number, written I=S")
+    return int(match[1]), float(match[2])

@@ -1,0 +1,27 @@
+"""Options of `stylerf finetune`."""
+
+from dataclasses import dataclass
+
+from stages.configs import option
+from stages.configs.fit import budget_of
+
+
+@dataclass(frozen=True)
+class FinetuneConfig:
+    """How a field learns edited photos."""
+
+    budget: str = option("45s", help="time of the training (45s, 2m) or its number of steps")
+    rays: int = option(6144, help="rays a step")
+    inside: float = option(0.4, help="share of them that goes through edited pixels")
+    rate: float = option(5e-3, help="learning rate of the colours")
+    density_factor: float = option(0.3, help="learning rate of the density, relative to that")
+    freeze_density: bool = option(False, help="keep the shapes as they are")
+    depth_weight: float = option(1e-3, help="weight of the squared relative change of depth at edited pixels")
+    checkpoint_every_seconds: float = option(20.0, help="time between checkpoints")
+
+    def __post_init__(self) -> None:
+        budget_of(self.budget)
+        if self.rays < 64 or not 0 < self.inside <= 1 or self.rate <= 0:
+            raise ValueError("rays must be at least 64, inside in (0, 1], rate over 0")
+        if self.density_factor < 0 or self.depth_weight < 0:
+            raise ValueError("density_factor and depth_weight must be at least 0")

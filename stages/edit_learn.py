@@ -1,0 +1,139 @@
+"""Stylize, a region: a palette and where its colours go, by the photos and a painting (LAENeRF, 3.4)."""
+
+import time
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from schemas.errors import BadInput
+from schemas.images import read_image, to_uint8, write_png
+from schemas.store import Artefact, Partial
+from stages.configs.edit import EditConfig
+from stages.configs.fit import budget_of
+from stages.edit_views import load_edit_views
+from stages.edits import Edit, save_edit
+from stages.fields import load_checkpoint, save_checkpoint
+from stages.progress import Context
+from stages.runner import Spec
+from stages.weights import resolve
+from stylerf.editing.edits import PaletteEdits
+from stylerf.editing.losses import EditWeights
+from stylerf.editing.painting import crop_of
+from stylerf.editing.views import EditView
+from stylerf.errors import Diverged, InvalidValue
+from stylerf.kernels.cpu.compiling import compiling_note, set_threads
+from stylerf.style.trunks import Trunk
+from stylerf.training.edit import EditSettings, EditTrainer, start_module
+
+SPEC = Spec(stage="edit_learn", verb="stylize", revision=1, writes="edit")
+
+
+def run(inputs: dict[str, Artefact], config: EditConfig, partial: Partial, context: Context) -> dict:
+    """Writes the palette module, its palette and a preview; returns the figures."""
+    views, _ = load_edit_views(inputs["edit-dataset"])
+    threads = set_threads(context.threads)
+    torch.set_num_threads(threads)
+    painting, trunk, features = None, None, None
+    if config.style:
+        resolved = resolve(config.features or None)
+        context.progress.say(f"features: {resolved.name}, from {resolved.source}")
+        painting, trunk = cropped(config), Trunk(resolved.state, config.taps, resolved.kind)
+        features = resolved.manifest()
+    try:
+        settings = settings_of(config)
+        module = start_module(views, settings, context.seed)
+        trainer = EditTrainer(views, module, settings, painting, trunk, context.seed, threads)
+    except InvalidValue as error:
+        raise BadInput(f"{inputs['edit-dataset'].path}: {error}") from error
+    if (saved := load_checkpoint(partial.checkpoint)) is not None:
+        trainer.resume(*saved)
+        context.progress.say(f"going on from step {trainer.state.step} of phase {trainer.state.phase}")
+    shown = max(views, key=len)
+    with compiling_note(context.progress.say):
+        _train(trainer, shown, config, partial, context)
+    figures = trainer.figures()
+    told = {"sparsity": figures["sparsity"], "palette_variation": figures["palette_variation"]}
+    save_edit(partial.path, Edit(module, PaletteEdits()), figures["shares"], told)
+    write_png(partial.path / "preview.png", drawn(trainer, shown, threads))
+    if painting is not None:
+        write_png(partial.path / "style.png", to_uint8(painting.permute(1, 2, 0).numpy()))
+    return {**figures, "features": features, "views": len(views), "curve_edit": trainer.state.curve}
+
+
+def settings_of(config: EditConfig) -> EditSettings:
+    """What the config asks for, in the trainer's terms."""
+    return EditSettings(
+        colours=config.colours,
+        palette=config.start,
+        most_colours=config.most_colours,
+        palette_steps=config.palette_steps,
+        style_steps=config.style_steps,
+        pruned_steps=config.pruned_steps,
+        seconds=budget_of(config.budget)[0],
+        weights=EditWeights(
+            certainty=config.certainty_weight,
+            offset=config.offset_weight,
+            style=config.style_weight,
+            variation=config.variation_weight,
+            edges=config.edge_weight,
+            smooth=config.smooth_weight,
+        ),
+        style_side=config.style_side,
+        preserve_colour=config.preserve_colour,
+    )
+
+
+def cropped(config: EditConfig) -> torch.Tensor:
+    """The painting, or the part of it that is asked for, [3, h, w] sRGB 0..1; transparency counts as white."""
+    pixels = read_image(Path(config.style)).pixels
+    if pixels.shape[2] == 4:
+        pixels = pixels[..., :3] * pixels[..., 3:] + (1 - pixels[..., 3:])
+    if pixels.shape[2] == 1:
+        pixels = np.repeat(pixels, 3, axis=2)
+    painting = torch.from_numpy(np.ascontiguousarray(pixels)).permute(2, 0, 1).contiguous()
+    try:
+        return crop_of(painting, *config.crop) if config.crop else painting
+    except InvalidValue as error:
+        raise BadInput(f"{config.style}: {error}") from error
+
+
+def drawn(trainer: EditTrainer, view: EditView, chunks: int) -> np.ndarray:
+    """[h, 2 w, 3] uint8: the region in one view as the photo has it, and as the module paints it now; grey around."""
+    found = trainer.module.colours(view.x, view.directions, chunks=chunks)
+    pictures = []
+    for colours in (view.target, found):
+        picture = np.full((view.height * view.width, 3), 0.5, np.float32)
+        picture[view.pixels] = colours
+        pictures.append(picture.reshape(view.height, view.width, 3))
+    return to_uint8(np.concatenate(pictures, 1))
+
+
+def _train(trainer: EditTrainer, shown: EditView, config: EditConfig, partial: Partial, context: Context) -> None:
+    saved_at = drawn_at = time.monotonic()
+    context.progress.start("edit", 1.0, "share")
+
+    def on_step(now: EditTrainer) -> None:
+        nonlocal saved_at, drawn_at
+        last = now.state.curve[-1] if now.state.curve else {}
+        note = f"squared error {last['reconstruction']:.4f}" if "reconstruction" in last else now.state.phase
+        context.progress.update(now.whole_progress, note)
+        if config.preview_every and time.monotonic() - drawn_at > config.preview_every:
+            target = partial.path.parent / "preview-now.png"
+            write_png(target, drawn(now, shown, now.chunks))
+            context.progress.say(f"preview: {target}")
+            drawn_at = time.monotonic()
+        if time.monotonic() - saved_at > config.checkpoint_every_seconds:
+            save_checkpoint(partial.checkpoint, *now.checkpoint())
+            saved_at = time.monotonic()
+
+    try:
+        trainer.run(on_step)
+    except KeyboardInterrupt:
+        if trainer.between_steps:
+            save_checkpoint(partial.checkpoint, *trainer.checkpoint())
+        raise
+    except Diverged as error:
+        raise BadInput(f"the edit does not converge: {error}") from error
+    finally:
+        context.progress.finish()

@@ -1,0 +1,86 @@
+"""Reads and writes edit artefacts: edit.json, edit.safetensors for the module, palette.json, palette.png to be read."""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from schemas.atomic import write_json
+from schemas.errors import ArtefactDamaged
+from schemas.images import to_uint8, write_png
+from schemas.store import Artefact
+from schemas.tensors import load_tensors, save_tensors
+from stylerf.editing.edits import PaletteEdits
+from stylerf.editing.palette import PaletteModule
+from stylerf.errors import InvalidValue
+
+DESCRIPTION, NUMBERS, PALETTE, SWATCH = "edit.json", "edit.safetensors", "palette.json", "palette.png"
+SWATCH_SIDE = 64
+
+
+@dataclass(frozen=True, eq=False)
+class Edit:
+    """A palette module, and what the user changed of its palette."""
+
+    module: PaletteModule
+    changes: PaletteEdits
+
+
+def save_edit(folder: Path, edit: Edit, shares: list[float], told: dict) -> None:
+    """shares: of the palette's colours in the region. told: what else palette.json says, such as sparsity."""
+    save_tensors(folder / NUMBERS, edit.module.arrays())
+    write_json(folder / DESCRIPTION, {"module": edit.module.describe(), "changes": edit.changes.describe()})
+    learnt = edit.module.palette
+    now = edit.changes.palette(learnt)
+    entries = [
+        {"index": i, "name": _name(was), "learnt": _hex(was), "now": _hex(is_now), "share": round(share, 4)}
+        for i, (was, is_now, share) in enumerate(zip(learnt, now, shares, strict=True))
+    ]
+    write_json(folder / PALETTE, {"colours": entries, **told})
+    write_png(folder / SWATCH, swatch(learnt, now, shares))
+
+
+def load_edit(artefact: Artefact) -> Edit:
+    """The edit; ArtefactDamaged where its files do not make one."""
+    artefact.check_sizes()
+    arrays, _ = load_tensors(artefact.file(NUMBERS))
+    try:
+        data = json.loads(artefact.file(DESCRIPTION).read_text())
+        return Edit(PaletteModule.restore(data["module"], arrays), PaletteEdits.restore(data["changes"]))
+    except (KeyError, TypeError, ValueError, InvalidValue) as error:
+        raise ArtefactDamaged(f"{artefact.path} does not hold a sound edit ({error}); make it anew") from error
+
+
+def shares_of(artefact: Artefact) -> list[float]:
+    """Shares of the palette's colours, as palette.json tells them."""
+    data = json.loads(artefact.file(PALETTE).read_text())
+    return [float(entry["share"]) for entry in data["colours"]]
+
+
+def swatch(learnt: np.ndarray, now: np.ndarray, shares: list[float]) -> np.ndarray:
+    """[h, w, 3] uint8: a column for each colour, as wide as its share; what was learnt above, what it is now below."""
+    widths = np.maximum(np.round(np.array(shares) / max(sum(shares), 1e-9) * 8 * SWATCH_SIDE).astype(int), 12)
+    rows = [np.concatenate([np.tile(c, (SWATCH_SIDE, w, 1)) for c, w in zip(p, widths)], 1) for p in (learnt, now)]
+    return to_uint8(np.clip(np.concatenate(rows), 0, 1))
+
+
+def _hex(colour: np.ndarray) -> str:
+    return "#" + "".join(f"{value:02x}" for value in to_uint8(np.clip(colour, 0, 1)))
+
+
+def _name(colour: np.ndarray) -> str:
+    """A word for a colour, of lightness and hue, for whoever reads a list of them."""
+    from skimage.color import rgb2lab
+
+    light, a, b = rgb2lab(np.clip(colour, 0, 1).reshape(1, 1, 3))[0, 0]
+    chroma = float(np.hypot(a, b))
+    if light < 12:
+        return "black"
+    if chroma < 8:
+        return "white" if light > 92 else "light grey" if light > 65 else "grey" if light > 35 else "dark grey"
+    hues = ("pink", "red", "orange", "yellow", "green", "cyan", "blue", "violet", "pink")
+    begins = (0, 15, 48, 78, 108, 170, 230, 290, 325)  # degrees of CIELAB hue
+    hue = float(np.degrees(np.arctan2(b, a))) % 360
+    word = hues[int(np.searchsorted(begins, hue, side="right")) - 1]
+    return f"{'dark ' if light < 35 else 'light ' if light > 78 else ''}{word}"

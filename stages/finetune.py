@@ -1,0 +1,105 @@
+"""Fine-tune: the field learns the edited photos (LAENeRF, section 3.5)."""
+
+import time
+
+import numpy as np
+
+from schemas.errors import ArtefactDamaged, BadInput
+from schemas.store import Artefact, Partial
+from schemas.tensors import load_tensors
+from stages.configs.finetune import FinetuneConfig
+from stages.configs.fit import budget_of
+from stages.fields import load_checkpoint, load_field, save_checkpoint, save_field
+from stages.photos import bank_of, level_of
+from stages.progress import Context
+from stages.runner import Spec
+from stages.scenes import EDIT_TARGETS, SceneData, load_scene
+from stylerf.errors import Diverged
+from stylerf.kernels.cpu.compiling import compiling_note, set_threads
+from stylerf.training.finetune import EditedPixels, FineTuner, FineTuneSettings
+
+SPEC = Spec(stage="finetune", verb="finetune", revision=1, writes="field")
+
+
+def run(inputs: dict[str, Artefact], config: FinetuneConfig, partial: Partial, context: Context) -> dict:
+    """Writes the field that shows the edit; returns the figures."""
+    scene = load_scene(inputs["scene"])
+    field, background = load_field(inputs["field"])
+    threads = set_threads(context.threads)
+    train = scene.splits["train"]
+    edited = edited_pixels(scene, train)
+    seconds, steps = budget_of(config.budget)
+    settings = FineTuneSettings(
+        seconds=seconds or 1.0,
+        steps=steps,
+        rays=config.rays,
+        inside=config.inside,
+        rate=config.rate,
+        density_factor=0.0 if config.freeze_density else config.density_factor,
+        depth_weight=config.depth_weight,
+        background=level_of(background),
+    )
+    tuner = FineTuner(field, bank_of(scene, train), edited, settings, context.seed, threads)
+    if (saved := load_checkpoint(partial.checkpoint)) is not None:
+        tuner.resume(*saved)
+        context.progress.say(f"going on from step {tuner.state.step}")
+    with compiling_note(context.progress.say):
+        _train(tuner, config, partial, context)
+    save_field(partial.path, field, background)
+    state = tuner.state
+    return {
+        "steps": state.step,
+        "train_seconds": round(state.seconds, 2),
+        "curve_finetune": state.curve,
+        "edited_pixels": len(edited.pixels),
+        "parameters": field.parameters,
+    }
+
+
+def edited_pixels(scene: SceneData, train: list[int]) -> EditedPixels:
+    """The edited pixels of an edited scene's training views, by their place in `train`."""
+    path = scene.folder / EDIT_TARGETS
+    if not path.is_file():
+        raise BadInput(f"{scene.folder} carries no edit; give a scene that `stylerf distill` made")
+    arrays, _ = load_tensors(path)
+    views, pixels, depths = [], [], []
+    try:
+        for place, index in enumerate(train):
+            if f"{index}.pixels" in arrays:
+                own = arrays[f"{index}.pixels"]
+                views.append(np.full(len(own), place, np.int64))
+                pixels.append(own.astype(np.int64))
+                depths.append(arrays[f"{index}.depth"])
+    except KeyError as missing:
+        raise ArtefactDamaged(f"{path} lacks {missing}; run `stylerf distill` again") from missing
+    if not pixels:
+        raise BadInput(f"{scene.folder}: no training view carries the edit")
+    return EditedPixels(np.concatenate(views), np.concatenate(pixels), np.concatenate(depths))
+
+
+def _train(tuner: FineTuner, config: FinetuneConfig, partial: Partial, context: Context) -> None:
+    saved_at = time.monotonic()
+    steps = tuner.settings.steps
+    context.progress.start("finetune", steps or tuner.settings.seconds, "step" if steps else "s")
+
+    def on_step(now: FineTuner) -> None:
+        nonlocal saved_at
+        note = ""
+        if now.state.curve:
+            last = now.state.curve[-1]
+            note = f"squared error {last['inside']:.4f} in the edit, {last['outside']:.4f} outside"
+        context.progress.update(now.state.step if steps else min(now.state.seconds, now.settings.seconds), note)
+        if time.monotonic() - saved_at > config.checkpoint_every_seconds:
+            save_checkpoint(partial.checkpoint, *now.checkpoint())
+            saved_at = time.monotonic()
+
+    try:
+        tuner.run(on_step)
+    except KeyboardInterrupt:
+        if tuner.between_steps:
+            save_checkpoint(partial.checkpoint, *tuner.checkpoint())
+        raise
+    except Diverged as error:
+        raise BadInput(f"the fine-tuning does not converge: {error}") from error
+    finally:
+        context.progress.finish()

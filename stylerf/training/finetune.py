@@ -1,0 +1,169 @@
+"""Fine-tune a field on photos that carry an edit (LAENeRF, section 3.5): colours follow, density where it has to.
+
+LAENeRF adds a depth term whose gradient its compositing discards; ours acts.
+"""
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from stylerf.errors import Diverged
+from stylerf.fields.field import RadianceField
+from stylerf.fields.samples import Rays
+from stylerf.rendering.rays import backward, render_rays
+from stylerf.training.optimiser import Adam
+from stylerf.training.rays import RayBank
+
+REFRESH_EVERY = 64  # steps between looks at where the density is
+
+
+@dataclass(frozen=True)
+class FineTuneSettings:
+    """seconds: budget, or steps if > 0. rays: of a step. inside: share of them through edited pixels.
+
+    rates: per step, of the colours and (times density_factor) of the density, falling to final_rate of themselves;
+    density_factor 0 keeps the shapes. depth_weight: of the squared difference of sum(w t) from the depth before the
+    edit, in units of that depth, at edited pixels. background: level of grey behind the field.
+    """
+
+    seconds: float = 60.0
+    steps: int = 0
+    rays: int = 6144
+    inside: float = 0.4
+    rate: float = 5e-3
+    density_factor: float = 0.3
+    final_rate: float = 0.05
+    depth_weight: float = 1e-3
+    background: float = 1.0
+
+
+@dataclass
+class FineTuneState:
+    """Where the fine-tuning stands."""
+
+    step: int = 0
+    seconds: float = 0.0
+    curve: list[dict] | None = None
+
+    def __post_init__(self) -> None:
+        self.curve = [] if self.curve is None else self.curve
+
+
+@dataclass(frozen=True, eq=False)
+class EditedPixels:
+    """views, pixels [n]: edited pixels of the bank, by place of the view and row-major number. depth [n]: sum(w t) of
+
+    their rays before the edit, scene units.
+    """
+
+    views: np.ndarray
+    pixels: np.ndarray
+    depth: np.ndarray
+
+
+class FineTuner:
+    """bank: all training views, edited. The field is changed in place."""
+
+    def __init__(
+        self,
+        field: RadianceField,
+        bank: RayBank,
+        edited: EditedPixels,
+        settings: FineTuneSettings,
+        seed: int,
+        chunks: int,
+    ) -> None:
+        self.field, self.bank, self.edited, self.settings = field, bank, edited, settings
+        self.seed, self.chunks = seed, chunks
+        self.state = FineTuneState()
+        self.colour_adam = Adam(field.colour.values, field.colour.groups(), chunks)
+        self.density_adam = Adam(field.density.values, field.density.groups(), chunks)
+        self.between_steps = True
+
+    @property
+    def progress(self) -> float:
+        """Used share of the budget, 0..1."""
+        s = self.settings
+        return min(1.0, self.state.step / s.steps if s.steps else self.state.seconds / s.seconds)
+
+    def step(self) -> dict[str, float]:
+        """One step; mean squared errors of colours outside and inside the edit, and of depths."""
+        s, state = self.settings, self.state
+        generator = np.random.default_rng([self.seed, 9, state.step])
+        moving = s.density_factor > 0
+        if moving and self.field.displacement is None and state.step and state.step % REFRESH_EVERY == 0:
+            sigma = self.field.density.sigma
+            self.field.occupancy.refresh(
+                lambda x: sigma(x, self.chunks), self.field.step, self.seed + state.step, 4, 0.9
+            )
+        inside = min(round(s.rays * s.inside), s.rays) if len(self.edited.pixels) else 0
+        chosen = generator.integers(0, max(1, len(self.edited.pixels)), inside)
+        near = self.bank.at(self.edited.views[chosen], self.edited.pixels[chosen])
+        far = self.bank.draw(s.rays - inside, generator)[:3]
+        origins, directions, colours = (np.concatenate(pair) for pair in zip(near, far))
+        jitter = generator.random(s.rays, dtype=np.float32)
+        rays = Rays.of(origins, directions, self.field.space.near, jitter)
+        rendered = render_rays(self.field, rays, chunks=self.chunks)
+        out, level = rendered.out, np.float32(s.background)
+        wanted = colours[:, :3] * colours[:, 3:] + (1 - colours[:, 3:]) * level
+        difference = out[:, :3] + (1 - out[:, 3:4]) * level - wanted
+        gradients = np.zeros_like(out)
+        gradients[:, :3] = difference * np.float32(2 / (3 * s.rays))
+        gradients[:, 3] = -level * gradients[:, :3].sum(1)
+        if self.field.colour_map is not None:
+            # The map comes after compositing: rgb' = A rgb + alpha b.
+            matrix, offset = self.field.colour_map.matrix.numpy(), self.field.colour_map.offset.numpy()
+            gradients[:, 3] += gradients[:, :3] @ offset.astype(np.float32)
+            gradients[:, :3] = gradients[:, :3] @ matrix.astype(np.float32)
+        depth_error = 0.0
+        if inside and moving and s.depth_weight > 0:
+            known = np.maximum(self.edited.depth[chosen], np.float32(1e-6))
+            off = out[:inside, 4] / known - 1
+            gradients[:inside, 4] = (2 * s.depth_weight / inside) * off / known
+            depth_error = float(np.square(off).mean())
+        density_to = self.density_adam.gradients if moving else None
+        backward(self.field, rendered, gradients, density_to, self.colour_adam.gradients)
+        rate = s.rate * s.final_rate**self.progress
+        self.colour_adam.step(rate)
+        if moving:
+            self.density_adam.step(rate * s.density_factor)
+        squares = np.square(difference).mean(1)
+        return {
+            "outside": float(squares[inside:].mean()) if inside < s.rays else 0.0,
+            "inside": float(squares[:inside].mean()) if inside else 0.0,
+            "depth": depth_error,
+        }
+
+    def run(self, on_step: Callable[["FineTuner"], None] = lambda tuner: None) -> None:
+        """Until the budget is spent; on_step is told after every step."""
+        state = self.state
+        while self.progress < 1.0:
+            begun, self.between_steps = time.perf_counter(), False
+            parts = self.step()
+            if not all(math.isfinite(value) for value in parts.values()):
+                raise Diverged(f"step {state.step}: the loss left the finite numbers ({parts})")
+            state.seconds += time.perf_counter() - begun
+            state.step += 1
+            if state.step % 10 == 0:
+                told = {name: float(f"{value:.4g}") for name, value in parts.items()}
+                state.curve.append({"step": state.step, "seconds": round(state.seconds, 2), **told})
+            self.between_steps = True
+            on_step(self)
+
+    def checkpoint(self) -> tuple[dict, dict[str, np.ndarray]]:
+        """(JSON, arrays) to go on from."""
+        arrays = {f"field.{k}": v.copy() for k, v in self.field.arrays().items()}
+        for name, adam in (("density", self.density_adam), ("colour", self.colour_adam)):
+            arrays |= {f"{name}.{k}": v.copy() for k, v in adam.arrays().items()}
+        return {"state": vars(self.state)}, arrays
+
+    def resume(self, data: dict, arrays: dict[str, np.ndarray]) -> None:
+        """From checkpoint()."""
+        self.state = FineTuneState(**data["state"])
+        for name, own in self.field.arrays().items():
+            own[:] = arrays[f"field.{name}"]
+        for name, adam in (("density", self.density_adam), ("colour", self.colour_adam)):
+            adam.restore({k: arrays[f"{name}.{k}"] for k in ("first", "second", "steps")})

@@ -1,0 +1,42 @@
+"""`stylerf edit WORK --at VIEW:X,Y --recolor --palette 0=#c03020`: a whole local edit in one command."""
+
+from stages.configs.finetune import FinetuneConfig
+from stages.configs.whole_edit import WholeEditConfig
+
+NAME = "edit"
+HELP = "select, recolour or stylise a part of the scene, and teach the field: all in one"
+CONFIG = WholeEditConfig
+
+
+def add_arguments(parser) -> None:
+    """WORK, --of."""
+    parser.add_argument("work", metavar="WORK", help="the work folder")
+    parser.add_argument("--of", metavar="FIELD", help="field to edit (default: the fitted one)")
+
+
+def run(args, session) -> dict:
+    """The edited field's place, what came between, and the seconds of each stage."""
+    from stylerf_cli.chains import edit_dataset_of, ensure_distilled, finetuned, learnt_edit
+    from stylerf_cli.verbs.select import selected
+    from stylerf_cli.verbs.stylize import pinned, told_palette
+
+    config = session.config
+    name = args.name or "edit"
+    session.name = None  # each artefact of the chain has a name of its own
+    session.own_verbs = {"select", "extract", "stylize", "distill", "finetune"}
+    look, _ = pinned(config.look, name)
+    region = selected(session, config.selection, args.of, name)
+    edit = learnt_edit(session, region, look.learning, look.changes, name)
+    scene = ensure_distilled(session, edit)
+    field = finetuned(session, edit, args.of, session.config_of("finetune", FinetuneConfig))
+    made = {
+        "region": region,
+        "edit-dataset": edit_dataset_of(session, edit),
+        "edit": edit,
+        "scene": scene,
+        "field": field,
+    }
+    seconds = {kind: round(one.manifest.seconds, 1) for kind, one in made.items()}
+    result = {kind.replace("-", "_"): one.path for kind, one in made.items()} | {"name": name, "seconds": seconds}
+    times = ", ".join(f"{kind} {value:.0f} s" for kind, value in seconds.items())
+    return session.emit(result, f"{told_palette(edit)}\nfield {field.name}: {times}\n  {field.path}")
