@@ -1,0 +1,112 @@
+"""Fine-tuning: the edit is learnt, the rest stays, depth acts, and a resumed run ends with the same bits."""
+
+import numpy as np
+import pytest
+
+from stylerf.rendering.view import render_view
+from stylerf.training.finetune import EditedPixels, FineTuner, FineTuneSettings
+from stylerf.training.rays import RayBank
+from tests.stylerf.training.scenes import box_fitter, box_photo, dome
+
+RED = np.uint8([230, 20, 30])
+
+
+@pytest.fixture(scope="module")
+def fitted():
+    made = box_fitter(220, held_out=0)
+    made.run()
+    return made.field
+
+
+def copy_of(field):
+    from stylerf.fields.field import RadianceField
+
+    return RadianceField.restore(field.describe(), {k: v.copy() for k, v in field.arrays().items()})
+
+
+@pytest.fixture(scope="module")
+def edited():
+    """Photos whose upper half is red where the box is."""
+    cameras = dome(10, 1)
+    photos, views, pixels = [], [], []
+    for number, camera in enumerate(cameras):
+        photo = box_photo(camera)
+        chosen = (photo[..., 3] > 128) & (np.arange(24)[:, None] < 12)
+        photo[chosen, :3] = RED
+        photos.append(photo)
+        found = np.flatnonzero(chosen.ravel())
+        pixels.append(found)
+        views.append(np.full(len(found), number))
+    depth = np.full(sum(map(len, pixels)), 1.7, np.float32)
+    return RayBank(cameras, photos), EditedPixels(np.concatenate(views), np.concatenate(pixels), depth)
+
+
+def tuner(fitted, edited, **more) -> FineTuner:
+    settings = FineTuneSettings(**{"steps": 60, "rays": 512, "rate": 2e-2, "background": 1.0, **more})
+    return FineTuner(copy_of(fitted), *edited, settings, 0, 1)
+
+
+def errors(field, bank) -> tuple[float, float]:
+    """Mean squared error inside and outside the red halves, over all views."""
+    inside, outside = [], []
+    for number, camera in enumerate(bank.cameras):
+        seen = render_view(field, camera, chunks=1)
+        shown = seen.rgb + 1 - seen.alpha[..., None]
+        start = bank.starts[number]
+        photo = bank.bytes[start : start + 24 * 24 * 4].reshape(24, 24, 4) / 255
+        wanted = photo[..., :3] * photo[..., 3:] + 1 - photo[..., 3:]
+        red = (photo[..., :3] * 255 == RED).all(-1)
+        inside.append(np.square(shown - wanted)[red].mean())
+        outside.append(np.square(shown - wanted)[~red].mean())
+    return float(np.mean(inside)), float(np.mean(outside))
+
+
+def test_the_edit_is_learnt_and_the_rest_stays(fitted, edited):
+    before = errors(fitted, edited[0])
+    made = tuner(fitted, edited, steps=150)
+    made.run()
+    after = errors(made.field, edited[0])
+    assert after[0] < 0.35 * before[0]
+    assert after[1] < 1.3 * before[1]
+
+
+def test_frozen_density_keeps_every_value(fitted, edited):
+    made = tuner(fitted, edited, density_factor=0.0, steps=5)
+    made.run()
+    np.testing.assert_array_equal(made.field.density.values, fitted.density.values)
+    assert (made.field.colour.values != fitted.colour.values).any()
+
+
+def test_the_depth_term_moves_the_density_by_its_own_gradient(fitted, edited):
+    """With colours that are right already, only the depth term asks for anything of the density in the edit."""
+    pulled, free = (tuner(fitted, edited, depth_weight=w, steps=1) for w in (10.0, 0.0))
+    for made in (pulled, free):
+        made.step()
+    assert (pulled.field.density.values != free.field.density.values).any()
+    far = EditedPixels(edited[1].views, edited[1].pixels, np.full(len(edited[1].pixels), 2.2, np.float32))
+    made = tuner(fitted, (edited[0], far), depth_weight=3.0, steps=80, density_factor=1.0, inside=0.9)
+    begun = made.step()["depth"]
+    made.run()
+    assert made.state.curve[-1]["depth"] < 0.8 * begun
+
+
+def test_a_resumed_run_ends_with_the_same_bits(fitted, edited):
+    whole = tuner(fitted, edited, steps=24)
+    whole.run()
+    first = tuner(fitted, edited, steps=24)
+
+    class Stop(Exception):
+        pass
+
+    def stop(now):
+        if now.state.step == 11:
+            raise Stop
+
+    with pytest.raises(Stop):
+        first.run(stop)
+    data, arrays = first.checkpoint()
+    second = tuner(fitted, edited, steps=24)
+    second.resume(data, arrays)
+    second.run()
+    for name, values in whole.field.arrays().items():
+        np.testing.assert_array_equal(second.field.arrays()[name], values, err_msg=name)
