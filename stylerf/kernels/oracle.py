@@ -118,10 +118,11 @@ def vm_colour(values: Tensor, size: list[int], rank: int, basis: Tensor, x: Tens
     return torch.sigmoid(values[-3:] + torch.einsum("nb,jbf,nf->nj", basis, head, features))
 
 
-def hash_colour(values: Tensor, levels: int, base: int, finest: int, table: int, x: Tensor) -> Tensor:
-    """Colour [n, 3] of a multi-resolution hash grid (Mueller et al. 2022, eqs. 2 to 4)."""
-    total, at = torch.zeros(len(x), 4, dtype=values.dtype), 0
+def hash_levels(values: Tensor, levels: int, base: int, finest: int, table: int, x: Tensor) -> Tensor:
+    """Rows [n, levels, 4] of a multi-resolution hash grid (Mueller et al. 2022, eqs. 2 to 4)."""
+    rows_of_levels, at = [], 0
     for level in range(levels):
+        total = torch.zeros(len(x), 4, dtype=values.dtype)
         cells = round(base * math.exp(math.log(finest / base) / max(levels - 1, 1) * level))
         entries = min((cells + 1) ** 3, table)
         rows = values[at : at + 4 * entries].reshape(entries, 4)
@@ -135,6 +136,13 @@ def hash_colour(values: Tensor, levels: int, base: int, finest: int, table: int,
                 index = ((i + di) * 805459861 ^ (j + dj) * 2654435761 ^ (k + dk)) % entries
             weight = (fx if di else 1 - fx) * (fy if dj else 1 - fy) * (fz if dk else 1 - fz)
             total = total + weight[:, None] * rows[index]
+        rows_of_levels.append(total)
+    return torch.stack(rows_of_levels, 1)
+
+
+def hash_colour(values: Tensor, levels: int, base: int, finest: int, table: int, x: Tensor) -> Tensor:
+    """Colour [n, 3] of a hash grid whose levels are added up."""
+    total = hash_levels(values, levels, base, finest, table, x).sum(1)
     return torch.sigmoid(total[:, :3] + total[:, 3:])
 
 

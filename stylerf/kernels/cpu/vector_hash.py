@@ -98,6 +98,17 @@ def _level_rows(rows, levels, table, level):
     return values, [rows.splat(_lane(rows.builder, f, level)) for f in levels.fractions]
 
 
+def _scatter(rows, levels, target, level, gradient) -> None:
+    """Add each of a level's eight vertices' share of a gradient row to the buffer at `target`."""
+    shares = [gradient]
+    for fraction in levels.fractions:
+        weight = rows.splat(_lane(rows.builder, fraction, level))
+        high = [rows.mul(weight, share) for share in shares]
+        shares = [s for share, h in zip(shares, high) for s in (rows.sub(share, h), h)]
+    for offset, share in zip(levels.corner_offsets(level), shares):
+        rows.add_to(target, offset, share)
+
+
 def _sigmoid(rows, z):
     """1 / (1 + 2^u), u = -z log2 e clamped to +-80; 2^u = 2^n 2^f with |f| <= 1/2, to order 7: error under 3e-7."""
     b, count = rows.builder, rows.rank
@@ -176,13 +187,39 @@ def hash_features_backward(typing, buffer, at, layout, x, y, z, gradients, row, 
         target = builder.gep(data_pointer(context, builder, sig.args[0], args[0]), [args[1]])
         gradient = rows.load(data_pointer(context, builder, sig.args[6], args[6]), args[7])
         for level in range(count):
-            shares = [gradient]
-            for fraction in where.fractions:
-                weight = rows.splat(_lane(builder, fraction, level))
-                high = [rows.mul(weight, share) for share in shares]
-                shares = [s for share, h in zip(shares, high) for s in (rows.sub(share, h), h)]
-            for offset, share in zip(where.corner_offsets(level), shares):
-                rows.add_to(target, offset, share)
+            _scatter(rows, where, target, level, gradient)
+        return context.get_dummy_value()
+
+    return types.void(buffer, INDEX, layout, SCALAR, SCALAR, SCALAR, gradients, INDEX, levels), generate
+
+
+@intrinsic
+def hash_rows(typing, table, layout, x, y, z, out, at, levels):
+    """out[at + 4 l : at + 4 l + 4] = the trilinear mix of level l at (x, y, z) in 0..1: levels side by side."""
+
+    def generate(context, builder, sig, args):
+        rows, count = Rows(builder, ROW), sig.args[-1].count
+        pointers = [data_pointer(context, builder, sig.args[i], args[i]) for i in (0, 1, 5)]
+        where = _Levels(context, builder, pointers[1], args[2:5], count)
+        for level in range(count):
+            mixed = _interpolate(rows, *_level_rows(rows, where, pointers[0], level))
+            rows.store(pointers[2], _after(builder, args[6], ROW * level), mixed)
+        return context.get_dummy_value()
+
+    return types.void(table, layout, SCALAR, SCALAR, SCALAR, out, INDEX, levels), generate
+
+
+@intrinsic
+def hash_rows_backward(typing, buffer, at, layout, x, y, z, gradients, row, levels):
+    """As hash_features_backward, of hash_rows: every level has its own dL/df, gradients[row + 4 l : row + 4 l + 4]."""
+
+    def generate(context, builder, sig, args):
+        rows, count = Rows(builder, ROW), sig.args[-1].count
+        where = _Levels(context, builder, data_pointer(context, builder, sig.args[2], args[2]), args[3:6], count)
+        target = builder.gep(data_pointer(context, builder, sig.args[0], args[0]), [args[1]])
+        pointer = data_pointer(context, builder, sig.args[6], args[6])
+        for level in range(count):
+            _scatter(rows, where, target, level, rows.load(pointer, _after(builder, args[7], ROW * level)))
         return context.get_dummy_value()
 
     return types.void(buffer, INDEX, layout, SCALAR, SCALAR, SCALAR, gradients, INDEX, levels), generate

@@ -1,0 +1,322 @@
+"""Learns a palette module from what the views show of a region, towards a painting where there is one (LAENeRF).
+
+Phases: palette (colours and their mixture, by the photos), style (with a painting: the same and the picture losses),
+pruned (colours that hardly anything is made of are gone), done.
+"""
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from stylerf.editing import losses
+from stylerf.editing.losses import EditWeights, Neighbours
+from stylerf.editing.painting import Canvas, RegionStyle, in_colours_of
+from stylerf.editing.palette import (
+    DEGREE,
+    MOST_COLOURS,
+    Mixture,
+    PaletteModule,
+    box_around,
+    clustered_palette,
+    random_palette,
+)
+from stylerf.editing.views import EditView
+from stylerf.errors import Diverged, InvalidValue
+from stylerf.geometry.harmonics import harmonics
+from stylerf.style.trunks import Trunk
+from stylerf.training.optimiser import Adam
+
+LEAST_SHARE = 0.025  # of the weights: a colour with less is removed
+PRUNED_BY = 10  # views that are asked for the shares, and for the figures
+SAMPLED_COLOURS = 20_000  # pixels of the region that a first palette and the painting's colours are taken from
+# Shares of `seconds` that the phases may take.
+TIME = {"recolour": {"palette": 0.75, "pruned": 0.25}, "style": {"palette": 0.2, "style": 0.55, "pruned": 0.25}}
+
+
+@dataclass(frozen=True)
+class EditSettings:
+    """How an edit is learnt.
+
+    colours: of the palette at first; palette: where they begin, "clusters" or "random" (LAENeRF). most_colours: kept by
+    pruning at most. *_steps: of each phase. seconds: a bound for all of them, 0 for none. pixels: of a view that a step
+    without a painting learns from. rates: per step, of networks and palette (twice it) and of the table, falling to
+    `final_rate` of themselves. style_side: see RegionStyle. preserve_colour: the painting is first given the region's
+    mean colour and covariance.
+    """
+
+    colours: int = 8
+    palette: str = "clusters"
+    most_colours: int = 8
+    palette_steps: int = 300
+    style_steps: int = 100
+    pruned_steps: int = 100
+    pruned_style_steps: int = 40
+    seconds: float = 0.0
+    pixels: int = 8192
+    rate: float = 5e-3
+    table_rate: float = 1e-2
+    final_rate: float = 0.1
+    weights: EditWeights = field(default_factory=EditWeights)
+    style_side: int = 128
+    preserve_colour: bool = False
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.most_colours <= self.colours <= MOST_COLOURS:
+            raise InvalidValue(
+                f"palette: {self.colours} colours (1..{MOST_COLOURS}) of which {self.most_colours} may stay"
+            )
+        if self.palette not in ("clusters", "random"):
+            raise InvalidValue(f"palette: begins as clusters or random, not {self.palette!r}")
+
+
+@dataclass
+class EditState:
+    """Where the training stands. seconds: of the present phase; spent: of those before."""
+
+    phase: str = "palette"
+    step: int = 0
+    seconds: float = 0.0
+    spent: dict[str, float] = field(default_factory=dict)
+    curve: list[dict] = field(default_factory=list)
+
+
+def start_module(views: list[EditView], settings: EditSettings, seed: int) -> PaletteModule:
+    """A module for the region that the views show, its palette as the settings ask."""
+    generator = np.random.default_rng([seed, 1])
+    box = box_around(np.concatenate([view.x for view in views]))
+    if settings.palette == "random":
+        palette = random_palette(generator, settings.colours)
+    else:
+        palette = clustered_palette(generator, sampled_colours(views, generator), settings.colours)
+    return PaletteModule.create(generator, palette, box)
+
+
+def sampled_colours(views: list[EditView], generator: np.random.Generator) -> np.ndarray:
+    """[up to SAMPLED_COLOURS, 3] what the photos show of the region."""
+    colours = np.concatenate([view.target for view in views])
+    if len(colours) <= SAMPLED_COLOURS:
+        return colours
+    return colours[generator.integers(0, len(colours), SAMPLED_COLOURS)]
+
+
+class EditTrainer:
+    """module: from start_module, taught in place. style: painting [3, h, w], or a crop of it, sRGB 0..1, with a trunk;
+    None recolours."""
+
+    def __init__(
+        self,
+        views: list[EditView],
+        module: PaletteModule,
+        settings: EditSettings,
+        style: Tensor | None,
+        trunk: Trunk | None,
+        seed: int,
+        chunks: int,
+    ) -> None:
+        self.views = [view for view in views if len(view)]
+        if not self.views:
+            raise InvalidValue("no view shows anything of the region: there is nothing to learn from")
+        if (style is None) != (trunk is None):
+            raise InvalidValue("a painting needs a feature trunk, and a trunk a painting")
+        self.module, self.settings, self.seed, self.chunks = module, settings, seed, chunks
+        self.style: RegionStyle | None = None
+        if style is not None:
+            if settings.preserve_colour:
+                style = in_colours_of(style, sampled_colours(self.views, np.random.default_rng([seed, 6])))
+            self.style = RegionStyle(trunk, style, settings.style_side)
+        self.table = Adam(module.encoding.values, [(0, len(module.encoding.values), 1.0)], chunks)
+        palette = 3 * len(module.active)
+        self.networks = Adam(module.values, [(0, palette, 2.0), (palette, len(module.values), 1.0)], 1)
+        self.state = EditState()
+        self._neighbours: dict[int, Neighbours] = {}
+        self._canvases: dict[int, Canvas] = {}
+        self.between_steps = True
+
+    # -- steps ------------------------------------------------------------------------------------------------------
+
+    def _steps(self) -> dict[str, int]:
+        """Of each phase, in order."""
+        s = self.settings
+        if self.style is None:
+            return {"palette": s.palette_steps, "pruned": s.pruned_steps}
+        return {"palette": s.palette_steps, "style": s.style_steps, "pruned": s.pruned_style_steps}
+
+    @property
+    def progress(self) -> float:
+        """Done share of the present phase, 0..1."""
+        phase, seconds = self.state.phase, self.settings.seconds
+        if phase == "done":
+            return 1.0
+        done = self.state.step / max(1, self._steps()[phase]) if self._steps()[phase] else 1.0
+        if seconds > 0:
+            share = TIME["recolour" if self.style is None else "style"][phase]
+            done = max(done, self.state.seconds / (seconds * share))
+        return min(1.0, done)
+
+    @property
+    def whole_progress(self) -> float:
+        """Done share of all steps, 0..1."""
+        steps, done = self._steps(), 0.0
+        for phase, count in steps.items():
+            if phase == self.state.phase:
+                return (done + self.progress * count) / max(1, sum(steps.values()))
+            done += count
+        return 1.0
+
+    def step(self) -> dict[str, float]:
+        """One view; the parts of the loss."""
+        number = list(self._steps()).index(self.state.phase)
+        generator = np.random.default_rng([self.seed, 3, number, self.state.step])
+        at = self._view_of_step(number)
+        view, pictured = self.views[at], self.style is not None and self.state.phase != "palette"
+        rows = np.arange(len(view))
+        if not pictured and len(view) > self.settings.pixels:
+            rows = generator.integers(0, len(view), self.settings.pixels)
+        # The ray ends somewhere within what it sees: LAENeRF's jitter.
+        jitter = (generator.random((len(rows), 1)) - 0.5).astype(np.float32)
+        x = self.module.local(view.x[rows] + view.along[rows] * jitter)
+        phi = self.module.encoding(x, self.table.gradients)
+        values = self.module.leaf()
+        mixture = self.module.mix(values, phi, torch.from_numpy(harmonics(view.directions[rows], DEGREE)))
+        target = torch.from_numpy(view.target[rows])
+        parts = self._of_pixels(mixture, target, self.module.palette_of(values))
+        if pictured:
+            parts |= self._of_picture(at, mixture.colours, target)
+        # A part of weight 0 is not even asked for its gradient.
+        weights = {name: getattr(self.settings.weights, name) for name in parts}
+        loss = sum(weights[name] * part for name, part in parts.items() if weights[name])
+        loss.backward()
+        self.networks.gradients[0] += values.grad.numpy()
+        falling = self.settings.final_rate**self.whole_progress
+        self.networks.step(self.settings.rate * falling)
+        self.table.step(self.settings.table_rate * falling)
+        return {name: float(part.detach()) for name, part in parts.items() if weights[name]}
+
+    def _view_of_step(self, number: int) -> int:
+        """Every view once an epoch, in an order drawn anew for each."""
+        epoch, at = divmod(self.state.step, len(self.views))
+        return int(np.random.default_rng([self.seed, 2, number, epoch]).permutation(len(self.views))[at])
+
+    def _of_pixels(self, mixture: Mixture, target: Tensor, palette: Tensor) -> dict[str, Tensor]:
+        parts = {
+            "reconstruction": losses.reconstruction(mixture.colours, target).mean(),
+            "certainty": losses.uncertainty(mixture.weights).mean(),
+            "offset": losses.offset_size(mixture.offsets).mean(),
+            "valid": losses.outside_gamut(palette),
+        }
+        if self.settings.weights.uniform:
+            parts["uniform"] = losses.largest_share(mixture.weights)
+        if self.settings.weights.distinct:
+            parts["distinct"] = losses.likeness(palette[torch.from_numpy(np.flatnonzero(self.module.active))])
+        return parts
+
+    def _of_picture(self, at: int, colours: Tensor, target: Tensor) -> dict[str, Tensor]:
+        view = self.views[at]
+        if at not in self._neighbours:
+            self._neighbours[at] = Neighbours.of(view)
+            self._canvases[at] = self.style.canvas(view)
+        neighbours = self._neighbours[at]
+        differences = neighbours.differences(colours)
+        transition = torch.from_numpy(view.transition)
+        return {
+            "style": self.style.distance(colours, self._canvases[at]),
+            "variation": losses.variation(differences, neighbours),
+            "edges": losses.edge_contrast(differences, neighbours),
+            "smooth": losses.transition_error(colours, target, transition).mean(),
+        }
+
+    # -- the loop ---------------------------------------------------------------------------------------------------
+
+    def run(self, on_step: Callable[["EditTrainer"], None] = lambda trainer: None) -> None:
+        """All phases; on_step is told after every step."""
+        state = self.state
+        while state.phase != "done":
+            while self.progress < 1.0:
+                begun, self.between_steps = time.perf_counter(), False
+                parts = self.step()
+                if not all(math.isfinite(v) for v in parts.values()):
+                    raise Diverged(f"{state.phase} step {state.step}: the loss left the finite numbers ({parts})")
+                state.seconds += time.perf_counter() - begun
+                state.step += 1
+                if state.step % 10 == 0:
+                    rounded = {k: round(v, 6) for k, v in parts.items()}
+                    seconds = round(state.seconds, 2)
+                    state.curve.append({"phase": state.phase, "step": state.step, "seconds": seconds, **rounded})
+                self.between_steps = True
+                on_step(self)
+            self._next_phase()
+
+    def _next_phase(self) -> None:
+        state, phases = self.state, [*self._steps(), "done"]
+        following = phases[phases.index(state.phase) + 1]
+        self.between_steps = False  # half of this change would make a checkpoint of neither phase
+        if following == "pruned":
+            self.module.active = kept_colours(self.module.active, self.shares(), self.settings.most_colours)
+        state.spent[state.phase] = round(state.seconds, 3)
+        state.phase, state.step, state.seconds = following, 0, 0.0
+        self.between_steps = True
+
+    def shares(self) -> np.ndarray:
+        """[A] mean weight of each active colour: over pixels of a view, then over up to PRUNED_BY views."""
+        return np.mean([self.module.weights(view.x, self.chunks).mean(0) for view in self._some_views()], 0)
+
+    def _some_views(self) -> list[EditView]:
+        count = len(self.views)
+        chosen = np.unique(np.linspace(0, count - 1, min(count, PRUNED_BY)).round().astype(int))
+        return [self.views[at] for at in chosen]
+
+    def figures(self) -> dict:
+        """What the module came to, on up to PRUNED_BY views: colours and their shares, sparsity L_sp, palette TV, and
+        PSNR in dB of the region's pixels against the photos."""
+        errors, sparse, varied, shares, pixels = 0.0, [], [], [], 0
+        for view in self._some_views():
+            mixture = self.module.mixture(view.x, view.directions, self.chunks)
+            weights = mixture.weights.numpy()
+            errors += float(np.square(mixture.colours.numpy() - view.target, dtype=np.float64).sum())
+            pixels += len(view)
+            sparse.append(losses.sparsity(weights))
+            varied.append(losses.weight_variation(weights, view))
+            shares.append(weights.mean(0))
+        return {
+            "colours": int(self.module.active.sum()),
+            "palette": self.module.palette.round(4).tolist(),
+            "shares": [round(float(share), 4) for share in np.mean(shares, 0)],
+            "sparsity": round(float(np.mean(sparse)), 4),
+            "palette_variation": round(float(np.mean(varied)), 5),
+            "psnr": round(-10 * math.log10(max(errors / (3 * pixels), 1e-10)), 2),
+            "seconds": {phase: round(seconds, 2) for phase, seconds in self.state.spent.items()},
+        }
+
+    def checkpoint(self) -> tuple[dict, dict[str, np.ndarray]]:
+        """(JSON, arrays) to go on from."""
+        arrays = {f"module.{k}": v.copy() for k, v in self.module.arrays().items()}
+        arrays["active"] = self.module.active.copy()
+        for name, adam in (("table", self.table), ("networks", self.networks)):
+            arrays |= {f"{name}.{k}": v.copy() for k, v in adam.arrays().items()}
+        return {"state": vars(self.state)}, arrays
+
+    def resume(self, data: dict, arrays: dict[str, np.ndarray]) -> None:
+        """From checkpoint()."""
+        self.state = EditState(**data["state"])
+        self.module.active = arrays["active"].copy()
+        for name, values in self.module.arrays().items():
+            values[:] = arrays[f"module.{name}"]
+        for name, adam in (("table", self.table), ("networks", self.networks)):
+            adam.restore({k: arrays[f"{name}.{k}"] for k in ("first", "second", "steps")})
+
+
+def kept_colours(active: np.ndarray, shares: np.ndarray, most: int) -> np.ndarray:
+    """Which colours stay active, bool as `active`: of LEAST_SHARE or more, the `most` largest, and at least one.
+
+    shares: [A] of the active ones.
+    """
+    order = np.argsort(-shares, kind="stable")
+    chosen = [at for at in order[:most] if shares[at] >= LEAST_SHARE] or [order[0]]
+    out = np.zeros_like(active)
+    out[np.flatnonzero(active)[chosen]] = True
+    return out
