@@ -61,5 +61,17 @@ def ensure_frames(session: Any, field: Artefact, path: str) -> Artefact:
     from stylerf_cli.verbs.eval_ import scene_of
 
     config = render.pinned(RenderConfig(path=path, count=30 if path not in render.OWN_VIEWS else 1))
-    inputs = {"scene": scene_of(session.work, field), "field": field}
+    inputs = {"scene": scene_of(session.work, field), "field": field, **regions_shown(session, field, config)}
     return session.run(render.SPEC, render.run, inputs, config, f"{field.name}-{label_of(path)}")
+
+
+def regions_shown(session: Any, field: Artefact, config: RenderConfig) -> dict[str, Artefact]:
+    """The regions of the work folder that frames of a field show, by role; says which belong to another space."""
+    if not config.shows_regions:
+        return {}
+    from stages.masks import regions_fitting
+
+    fitting, others = regions_fitting(session.work, field)
+    if others:
+        session.say(f"no masks of {', '.join(others)}: selected in the space of another field than {field.name}")
+    return fitting
