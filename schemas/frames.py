@@ -2,7 +2,7 @@
 
 import json
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -39,12 +39,16 @@ class Frame:
 
 @dataclass(frozen=True)
 class Frames:
-    """frames.json. path: `test`, `train`, `orbit` or another; fps: for a film, None where the views are no film."""
+    """frames.json. path: `test`, `train`, `orbit` or another; fps: for a film, None where the views are no film.
+
+    masks: the EXR channel of each region that the views show, by the region's name.
+    """
 
     field: str
     path: str
     views: tuple[Frame, ...]
     fps: float | None = None
+    masks: dict[str, str] = field(default_factory=dict)
 
 
 def write_frames(folder: Path, frames: Frames) -> None:
@@ -62,7 +66,8 @@ def read_frames(folder: Path) -> Frames:
         content = json.loads(path.read_text())
         views = tuple(_frame(entry) for entry in content["views"])
         fps = content.get("fps")
-        return Frames(str(content["field"]), str(content["path"]), views, None if fps is None else float(fps))
+        masks = {str(name): str(channel) for name, channel in content.get("masks", {}).items()}
+        return Frames(str(content["field"]), str(content["path"]), views, None if fps is None else float(fps), masks)
     except FileNotFoundError:
         raise ArtefactDamaged(f"{path} is missing; run `stylerf render` again") from None
     except (ValueError, TypeError, KeyError, AttributeError) as error:

@@ -1,24 +1,27 @@
 """Evaluate: how good a field is by held-out views, along a path, and by its cost; as JSON, CSV, charts and HTML.
 
 Roles of the inputs: `scene`, `frames` (test views); where at hand `path_frames` (a camera path, for consistency),
-`base_frames` (the unstylised field at the same test views) and `field`.
+`base_frames` (the unstylised field at the same test views) and `field`. Of a local edit also `unedited_frames` and
+`base_field` (the field before it), `region.<name>` for each region that counts as edited, and where training views are
+wanted `train_frames` and `unedited_train_frames`.
 """
 
-import csv
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from schemas.atomic import replacing, write_bytes, write_json
+from schemas.atomic import write_bytes, write_json
 from schemas.canonical import file_sha256
 from schemas.errors import UsageError
 from schemas.store import Artefact, Partial
 from stages.configs.evaluate import EvaluateConfig
-from stages.evaluation.figures import Figure, Row, summarise
+from stages.evaluation.edited import LocalEdit
+from stages.evaluation.figures import Figure, Row, summarise, write_csv
 from stages.evaluation.lenses import Lenses
 from stages.evaluation.lineage import is_stylised, upstream
+from stages.evaluation.masks import masks_digest
 from stages.evaluation.measuring import (
     ViewRow,
     measure_content,
@@ -44,7 +47,7 @@ STYLE_KEYS = ("nnfm", "gram", "palette", "palette_mean", "palette_covariance", "
 
 
 def run(inputs: dict[str, Artefact], config: EvaluateConfig, partial: Partial, context: Context) -> dict:
-    """Writes report.json, views.csv, pairs.csv, charts/ and report.html; returns the means by key."""
+    """Writes report.json, views.csv, pairs.csv, training.csv, charts/ and report.html; returns the means by key."""
     task = Evaluation(inputs, config, context)
     task.measure_views()
     task.measure_path()
@@ -54,9 +57,9 @@ def run(inputs: dict[str, Artefact], config: EvaluateConfig, partial: Partial, c
         write_bytes(partial.path / "charts" / f"{chart.name}.svg", chart.svg.encode())
         write_bytes(partial.path / "charts" / f"{chart.name}.png", chart.png)
     write_json(partial.path / "report.json", report)
-    _write_csv(partial.path / "views.csv", task.rows)
-    if task.pairs:
-        _write_csv(partial.path / "pairs.csv", task.pairs)
+    for name, rows in (("views", task.rows), ("pairs", task.pairs), ("training", task.training_rows)):
+        if rows or name == "views":
+            write_csv(partial.path / f"{name}.csv", rows)
     page = build_page(report, replace(task.sheet().encoded(task.stylised), charts=charts))
     write_bytes(partial.path / "report.html", page.encode())
     return {
@@ -77,6 +80,7 @@ class Evaluation:
         self.base = self._frames("base_frames")
         self.path = self._frames("path_frames")
         self.field = inputs.get("field")
+        self.edit = LocalEdit.found(inputs, config, self.scene, context)
         self.lenses = Lenses.found(config, self.field, context)
         made_by_style = self.field is not None and is_stylised(self.field)
         self.stylised = made_by_style or self.base is not None or bool(config.style)
@@ -91,6 +95,11 @@ class Evaluation:
     def _frames(self, role: str) -> FrameViews | None:
         return FrameViews(self.inputs[role], self.scene.background) if role in self.inputs else None
 
+    @property
+    def training_rows(self) -> list[Row]:
+        """Figures of a local edit on training views."""
+        return self.edit.training_rows if self.edit else []
+
     def measure_views(self) -> None:
         """Fills `rows` (and `reference_rows` for a stylised field), view by view."""
         progress = self.context.progress
@@ -104,6 +113,8 @@ class Evaluation:
                 self._measure_stylised(row, render, photo)
             else:
                 self._measure_fitted(row, render, photo)
+            if self.edit is not None:
+                self.edit.measure(row, render, photo)
             if before is not None:
                 measure_see_through(row, render, before)
             before = render
@@ -111,6 +122,8 @@ class Evaluation:
             leading = self.rows[-1].get("nnfm" if self.stylised else "psnr")
             progress.update(done, "" if leading is None else f"{leading:.3f}" if self.stylised else f"{leading:.2f} dB")
         progress.finish()
+        if self.edit is not None:
+            self.edit.measure_training()
 
     def _photo(self, render: Render) -> Photo | None:
         if render.scene_view is None or not 0 <= render.scene_view < len(self.scene):
@@ -153,10 +166,7 @@ class Evaluation:
 
     def _base_of(self, render: Render) -> Render | None:
         """The unstylised render of the same view of the scene."""
-        if self.base is None or render.scene_view is None:
-            return None
-        views = self.base.frames.views
-        found = next((i for i, view in enumerate(views) if view.scene_view == render.scene_view), None)
+        found = self.base.showing(render.scene_view) if self.base is not None else None
         return None if found is None else self.base.render(found)
 
     def measure_path(self) -> None:
@@ -177,6 +187,7 @@ class Evaluation:
         """What the protocols are filled in with."""
         lenses = self.lenses
         return {
+            **(self.edit.facts() if self.edit else {}),
             "background": self.scene.background_words,
             "stlpips_net": lenses.tolerant.words if lenses.tolerant else "absent",
             "lpips_net": lenses.lpips.words if lenses.lpips else "absent",
@@ -194,9 +205,19 @@ class Evaluation:
         facts = self.facts()
         name = "the unstylised renders" if self.base is not None else "the photos"
         reference = {figure.key: {name: figure.mean} for figure in summarise(self.reference_rows, facts)}
-        figures = summarise([*self.rows, *self.pairs], facts, reference)
-        roles = ("field", "frames", "path_frames", "base_frames", "scene")
-        stages = upstream(self.inputs[role] for role in roles if role in self.inputs)
+        figures = summarise([*self.rows, *self.pairs, *self.training_rows], facts, reference)
+        if self.edit is not None:
+            figures = self.edit.told(figures, self.rows)
+        roles = (
+            "base_field",
+            "field",
+            "frames",
+            "path_frames",
+            "base_frames",
+            *sorted({*self.inputs} - {"scene"}),
+            "scene",
+        )
+        stages = upstream(self.inputs[role] for role in dict.fromkeys(roles) if role in self.inputs)
         report = {
             "field": self.frames.frames.field,
             "scene": self.inputs["scene"].name,
@@ -207,9 +228,14 @@ class Evaluation:
             "figures": [figure.as_json() for figure in figures],
             "views": self.rows,
             "pairs": self.pairs,
+            "edit": self.edit.as_json() if self.edit else None,
+            "training_views": self.training_rows,
             "stages": [made.as_json() for made in stages],
             "curve": curve_of(self.field),
-            "warnings": warnings_of(self.rows, self.pairs, stages, self.unmatched, self.resized),
+            "warnings": [
+                *warnings_of(self.rows, self.pairs, stages, self.unmatched, self.resized),
+                *(self.edit.warnings() if self.edit else []),
+            ],
             "not_measured": not_measured(self._presence()),
             "device": self.context.device,
             "seed": self.context.seed,
@@ -232,45 +258,40 @@ class Evaluation:
             path_length=len(self.path) if self.path else 0,
             gap=self.config.gap,
             field=self.field is not None,
+            edited=self.edit is not None,
         )
 
     def sheet(self) -> Sheet:
         """The contact sheet of the views worth seeing."""
         key = "content_ssim" if self.stylised else "psnr"
         painting = self.lenses.painting.image if self.lenses.painting else None
-        sheet = Sheet(painting, self.lenses.painting_name)
+        sheet = Sheet(painting, self.lenses.painting_name, edited=self.edit is not None)
         for index, word in chosen_views(self.rows, key, self.config.sheet):
             render = self.frames.render(index)
             known = render.name not in self.unmatched
             size = (render.camera.width, render.camera.height)
             photo = self.scene.photo(render.scene_view, *size) if known else None
             heading = f"{render.name} ({word})" if word else render.name
-            sheet.add(heading, self.rows[index], render, photo, self._base_of(render) if self.stylised else None)
+            base = self.edit.unedited_twin(render) if self.edit else self._base_of(render) if self.stylised else None
+            sheet.add(heading, self.rows[index], render, photo, base)
         return sheet
 
 
 def pinned(config: EvaluateConfig) -> EvaluateConfig:
-    """The config with the digest of its painting, so that a changed one is measured against anew."""
+    """The config with the digests of its painting and masks, so that changed ones are measured against anew."""
     path = Path(config.style).expanduser()
-    return replace(config, style_digest=file_sha256(path)) if config.style and path.is_file() else config
+    masks = masks_digest(Path(config.masks).expanduser()) if config.masks else ""
+    style = file_sha256(path) if config.style and path.is_file() else config.style_digest
+    return replace(config, style_digest=style, masks_digest=masks)
 
 
 def _check(config: EvaluateConfig) -> None:
     for name, value, least in (
         ("gap", config.gap, 2), ("pairs", config.pairs, 0), ("sheet", config.sheet, 1),
         ("perceptual-pairs", config.perceptual_pairs, 0),
-        ("style-side", config.style_side, SMALLEST_SIDE),
+        ("style-side", config.style_side, SMALLEST_SIDE), ("margin", config.margin, 0), ("ring", config.ring, 1),
     ):  # fmt: skip
         if value < least:
             raise UsageError(f"--{name} {value}: expected at least {least}")
     if not 0 < config.depth_tolerance < 1:
         raise UsageError(f"--depth-tolerance {config.depth_tolerance:g}: expected a share between 0 and 1")
-
-
-def _write_csv(path: Path, rows: Sequence[Row]) -> None:
-    """One line a row under the union of their keys; what was not measured is empty."""
-    keys = list(dict.fromkeys(key for row in rows for key in row))
-    with replacing(path) as temporary, open(temporary, "w", newline="", encoding="utf-8") as stream:
-        writer = csv.DictWriter(stream, keys, restval="", lineterminator="\n")
-        writer.writeheader()
-        writer.writerows([{key: "" if value is None else value for key, value in row.items()} for row in rows])

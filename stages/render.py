@@ -1,6 +1,10 @@
-"""Render: a field seen from the scene's views or along a path, as EXR, PNG and video."""
+"""Render: a field seen from the scene's views or along a path, as EXR, PNG and video.
+
+Roles of the inputs: `scene`, `field`, and `region.<name>` for every region whose mask is to be written.
+"""
 
 import json
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,6 +19,7 @@ from schemas.scene import as_matrix
 from schemas.store import Artefact, Partial
 from stages.configs.render import RenderConfig, frames_of
 from stages.fields import load_field
+from stages.masks import CHANNEL, channels_of, regions_among
 from stages.progress import Context
 from stages.runner import Spec
 from stages.scenes import SceneData, load_scene
@@ -37,18 +42,25 @@ def run(inputs: dict[str, Artefact], config: RenderConfig, partial: Partial, con
     field, background = load_field(inputs["field"])
     threads = set_threads(context.threads)
     shots = shots_of(scene, config)
+    regions = regions_among(inputs, field.space) if config.shows_regions else {}
+    channels = channels_of(regions)
     attributes = {"field": inputs["field"].name, "fieldDigest": inputs["field"].digest, "path": config.path}
+    attributes |= {CHANNEL + channels[name]: f"{name} {regions[name].digest}" for name in channels}
+    cells = {name: region.cells for name, region in regions.items()}
     if config.displacement and field.displacement is None:
         context.progress.say(f"field {inputs['field'].name} has no deformation: no displacement pictures")
     context.progress.start("render", len(shots), "frame")
     frames = []
     with compiling_note(context.progress.say):
         for done, (camera, view) in enumerate(shots):
-            frames.append(_frame(field, background, camera, view, config, partial.path, threads, attributes))
+            frames.append(_frame(field, background, camera, view, config, partial.path, threads, attributes, cells))
             context.progress.update(done + 1)
     context.progress.finish()
     video = _video(partial.path, [f.png for f in frames], config, context) if config.video else None
-    write_frames(partial.path, Frames(inputs["field"].name, config.path, tuple(frames), config.fps))
+    write_frames(
+        partial.path,
+        Frames(inputs["field"].name, config.path, tuple(frames), config.fps, channels if config.exr else {}),
+    )
     return {"frames": len(frames), "pixels": int(sum(c.width * c.height for c, _ in shots)), "video": video}
 
 
@@ -116,14 +128,17 @@ def _cameras_of_file(path: Path, like: Camera) -> list[Camera]:
     return cameras
 
 
-def _frame(field, background, camera, view, config, folder: Path, threads, attributes) -> Frame:
+def _frame(field, background, camera, view, config, folder: Path, threads, attributes, regions) -> Frame:
     name = camera.name if view is not None else f"{int(camera.name):04d}" if camera.name.isdigit() else camera.name
     frame = Frame(name, f"exr/{name}.exr" if config.exr else "", f"png/{name}.png", _camera_entry(camera), view)
     if (folder / frame.png).is_file() and (not config.exr or (folder / frame.exr).is_file()):
         return frame
-    rendered = render_view(field, camera, chunks=threads)
+    rendered = render_view(field, camera, chunks=threads, regions=regions)
     if config.exr:
         write_exr(folder / frame.exr, exr_view(rendered, camera, field, attributes))
+    if config.masks:
+        for region, mask in rendered.masks.items():
+            write_png(folder / f"masks/{region}/{name}.png", to_uint8(mask))
     if config.depth:
         write_png(folder / f"depth/{name}.png", depth_picture(rendered.z, rendered.alpha))
     if config.displacement and field.displacement is not None:
@@ -135,8 +150,9 @@ def _frame(field, background, camera, view, config, folder: Path, threads, attri
     return frame
 
 
-def exr_view(rendered: RenderedView, camera: Camera, field: RadianceField, attributes: dict[str, str]) -> ExrView:
+def exr_view(rendered: RenderedView, camera: Camera, field: RadianceField, attributes: Mapping[str, str]) -> ExrView:
     """Linear and premultiplied: the encoded colour is divided by alpha, made linear, and multiplied again."""
+    channels = channels_of(rendered.masks)
     alpha = rendered.alpha[..., None]
     straight = np.clip(rendered.rgb / np.maximum(alpha, 1e-6), 0, 1)
     return ExrView(
@@ -148,7 +164,8 @@ def exr_view(rendered: RenderedView, camera: Camera, field: RadianceField, attri
         intrinsics=(camera.fx, camera.fy, camera.cx, camera.cy),
         near=max(field.space.near, 1e-3),
         far=field.space.far,
-        attributes=attributes,
+        masks={channels[name]: mask for name, mask in rendered.masks.items()},
+        attributes=dict(attributes),
     )
 
 

@@ -21,6 +21,8 @@ class RenderConfig:
     frames: str = option("", metavar="A-B", help="only frames A to B of the path, counted from 0: a shard of the job")
     scale: float = option(1.0, help="size of the pictures relative to the scene's views")
     exr: bool = option(True, help="write OpenEXR: R G B A, Z, rayDistance.Z")
+    regions: bool = option(True, help="write the work folder's regions as EXR channels mask.<name>")
+    masks: bool = option(False, help="also write the regions as pictures, masks/<name>/NNNN.png")
     depth: bool = option(False, help="also write depth in a perceptual colour map")
     displacement: bool = option(False, help="also write how far a deformed field's surfaces moved, in a colour map")
     video: bool = option(False, help="also write MP4 (extra `video`), else GIF")
@@ -30,6 +32,13 @@ class RenderConfig:
         frames_of(self.frames, 1 << 30)
         if self.count < 1 or not 0 < self.scale <= 8 or not 0 < self.fps <= 240:
             raise ValueError("count must be at least 1, scale in (0, 8] and fps in (0, 240]")
+        if self.masks and not self.regions:
+            raise ValueError("masks are pictures of the regions, which no-regions leaves out")
+
+    @property
+    def shows_regions(self) -> bool:
+        """Whether regions are written anywhere."""
+        return self.regions and (self.exr or self.masks)
 
 
 def label_of(path: str) -> str:

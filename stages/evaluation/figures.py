@@ -1,9 +1,12 @@
 """Values of views and pairs brought together to figures with their protocol and spread."""
 
+import csv
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
+from pathlib import Path
 
+from schemas.atomic import replacing
 from stages.evaluation.kinds import KINDS
 
 Row = dict[str, object]  # one view or one pair of views: name and values by key; None where not measured
@@ -76,3 +79,12 @@ def summarise(
 def is_number(value: object) -> bool:
     """A finite number, no truth value and no text."""
     return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def write_csv(path: Path, rows: Sequence[Row]) -> None:
+    """One line a row under the union of their keys; what was not measured is empty."""
+    keys = list(dict.fromkeys(key for row in rows for key in row))
+    with replacing(path) as temporary, open(temporary, "w", newline="", encoding="utf-8") as stream:
+        writer = csv.DictWriter(stream, keys, restval="", lineterminator="\n")
+        writer.writeheader()
+        writer.writerows([{key: "" if value is None else value for key, value in row.items()} for row in rows])

@@ -1,6 +1,6 @@
 """Which figures there are: what each is called, which way is better, and by which protocol it is measured."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 
 @dataclass(frozen=True)
@@ -17,6 +17,41 @@ class Kind:
 
 _PHOTO = "against the photo {background}, sRGB values clipped to 0..1"
 _SAME_PIXELS = "over the pixels of the relative depth error"
+
+EDITED = (
+    Kind(
+        "background_mse", "Background MSE", "", "lower", 6,
+        f"Sum of m (render - photo)^2 over pixels and RGB by 3 sum m, {_PHOTO}; m is 0 on pixels {{masked}} and 1 "
+        "elsewhere. Mean of the views' values.",
+    ),
+    Kind(
+        "background_ratio", "Background MSE over that of the unedited field", "", "lower", 3,
+        "Ratio of the two means, over the views that have both; lowest and highest are ratios of single views.",
+    ),
+    Kind(
+        "change_inside", "Change in the region", "", "", 4,
+        "Mean |edited - unedited| of the two fields' renders over RGB (sRGB values 0..1) and over the pixels "
+        "{inside}; views that show the region.",
+    ),
+    Kind(
+        "change_lab", "Change in the region, CIELAB", "", "", 2,
+        "Mean CIE76 colour difference (D65; about 2.3 is just seen) over the same pixels.",
+    ),
+    Kind(
+        "bleeding", "Change beside the region", "", "lower", 4,
+        "Mean |edited - unedited| over RGB in a ring of {ring} pixels around what counts as the region: an edit that "
+        "runs over its edge.",
+    ),
+    Kind("region_share", "Region in view", "share", "", 4, "Pixels {inside}, over all pixels of the view."),
+)  # fmt: skip
+
+EDITED_TRAINING = tuple(
+    replace(
+        kind, key=f"train_{kind.key}", label=f"{kind.label}, training views",
+        protocol=f"On training views. {kind.protocol}",
+    )
+    for kind in EDITED
+)  # fmt: skip
 
 FITTED = (
     Kind(
@@ -125,5 +160,5 @@ SHARED = (
     ),
 )  # fmt: skip
 
-KINDS: tuple[Kind, ...] = (*FITTED, *STYLISED, *SHARED)
+KINDS: tuple[Kind, ...] = (*EDITED, *EDITED_TRAINING, *FITTED, *STYLISED, *SHARED)
 BY_KEY: dict[str, Kind] = {kind.key: kind for kind in KINDS}

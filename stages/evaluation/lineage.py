@@ -4,7 +4,7 @@ from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 
-from schemas.errors import StylerfError
+from schemas.errors import ArtefactStale, StylerfError
 from schemas.store import Artefact, Work
 
 
@@ -41,6 +41,24 @@ def fields_behind(field: Artefact) -> list[Artefact]:
                     found.append(work.get(ref.kind, ref.name))
                     waiting.append(found[-1])
     return found
+
+
+def original_scene(scene: Artefact) -> Artefact:
+    """The scene of photos that a scene of edited ones (stage `distill`) was made from, through all artefacts between.
+
+    The scene itself where it is no such scene; ArtefactStale where an artefact on the way is gone.
+    """
+    waiting, seen = [scene], set()
+    while waiting:
+        artefact = waiting.pop(0)
+        if artefact.manifest.kind == "scene" and artefact.manifest.stage != "distill":
+            return artefact
+        work = Work(artefact.path.parent.parent)
+        for ref in sorted(artefact.manifest.inputs, key=lambda one: one.kind != "scene"):
+            if (ref.kind, ref.name) not in seen:
+                seen.add((ref.kind, ref.name))
+                waiting.append(work.get(ref.kind, ref.name))
+    raise ArtefactStale(f"scene {scene.name} holds edited pictures and names no scene of photos they were made from")
 
 
 def is_stylised(field: Artefact) -> bool:

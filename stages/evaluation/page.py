@@ -6,7 +6,7 @@ from html import escape
 
 from stages.evaluation.charts import Chart
 from stages.evaluation.page_style import CSS
-from stages.evaluation.page_tables import figures_table, stages_table, views_table
+from stages.evaluation.page_tables import TRAINING, figures_table, stages_table, views_table
 from stages.evaluation.pictures import DEPTH_COLOURS, ERROR_COLOURS, ERROR_FULL, Encoded, colour_bar
 from stages.evaluation.wording import clock, count, number
 
@@ -29,6 +29,7 @@ class Pictures:
     charts: Sequence[Chart] = field(default_factory=list)
 
 
+EDIT_TILES = ("background_mse", "background_ratio", "change_lab", "bleeding", "short_rmse")
 TILES = {
     False: ("psnr", "ssim", "lpips", "stlpips", "depth_abs_rel"),
     True: ("nnfm", "content_ssim", "palette", "short_rmse", "long_rmse"),
@@ -43,6 +44,7 @@ def build_page(report: dict, pictures: Pictures) -> str:
         ("figures", "Figures", figures_table(report["figures"])),
         ("charts", "Charts", "".join(_chart(chart) for chart in pictures.charts)),
         ("views", "View by view", views_table(report["views"], report["figures"])),
+        ("training", "Training views", views_table(report.get("training_views", ()), report["figures"], TRAINING)),
         ("cost", "What it cost", stages_table(report["stages"])),
         ("notes", "What was not measured, and why", _notes(report["not_measured"])),
     ]
@@ -65,7 +67,7 @@ def build_page(report: dict, pictures: Pictures) -> str:
 
 
 def _header(report: dict, painting: Encoded | None, links: str) -> str:
-    kind = "stylised field" if report["stylised"] else "radiance field"
+    kind = "edited field" if report.get("edit") else "stylised field" if report["stylised"] else "radiance field"
     told = (
         f"{report['view_count']} held-out view{'s' if report['view_count'] != 1 else ''} of "
         f"{report['resolution']} pixels of the scene “{report['scene']}”, rendered from the {kind} “{report['field']}”."
@@ -84,11 +86,11 @@ def _header(report: dict, painting: Encoded | None, links: str) -> str:
 def _tiles(report: dict) -> str:
     by_key = {figure["key"]: figure for figure in report["figures"]}
     tiles = []
-    for key in TILES[report["stylised"]]:
+    for key in EDIT_TILES if report.get("edit") else TILES[report["stylised"]]:
         if figure := by_key.get(key):
             notes = [f"{name} {number(value, figure['digits'])}" for name, value in figure["reference"].items()]
             better = {"higher": "higher is better", "lower": "lower is better"}.get(figure["better"], "")
-            digits = min(figure["digits"], 3)
+            digits = figure["digits"] if report.get("edit") else min(figure["digits"], 3)
             unit = "" if figure["unit"] == "share" else figure["unit"]
             tiles.append((figure["label"], number(figure["mean"], digits), unit, "; ".join(notes) or better))
     maker = next((made for made in reversed(report["stages"]) if made["kind"] == "field"), None)
@@ -139,6 +141,8 @@ def _legends(pictures: Pictures, remarked: bool) -> str:
     legends = []
     if any(caption.startswith("error") for caption in captions):
         legends.append(("Error: 0", f"{ERROR_FULL:g} or more, mean over RGB", colour_bar(ERROR_COLOURS)))
+    if "change" in captions:
+        legends.append(("Change: 0", f"{ERROR_FULL:g} or more, mean over RGB", colour_bar(ERROR_COLOURS)))
     if pictures.depth_range and any("depth" in caption for caption in captions):
         near, far = pictures.depth_range
         legends.append((f"Depth: {near:.3g}", f"{far:.3g} scene units; grey: nothing", colour_bar(DEPTH_COLOURS)))

@@ -6,6 +6,8 @@ from html import escape
 from stages.evaluation.figures import is_number
 from stages.evaluation.wording import count, duration, megabytes, number
 
+HELD_OUT = "Values of each held-out view; the same stand in views.csv"
+TRAINING = "Values of each training view; the same stand in training.csv"
 BETTER = {"higher": "higher", "lower": "lower", "": "–"}
 
 
@@ -33,7 +35,7 @@ def figures_table(figures: Sequence[dict]) -> str:
     return _table("Figures with their protocols", caption, heads, numeric, rows)
 
 
-def views_table(views: Sequence[dict], figures: Sequence[dict]) -> str:
+def views_table(views: Sequence[dict], figures: Sequence[dict], caption: str = HELD_OUT) -> str:
     """One row a view with its measured values; views that hold values that are not finite are marked in words."""
     keys = [figure for figure in figures if any(figure["key"] in view for view in views)]
     if not views or not keys:
@@ -47,8 +49,7 @@ def views_table(views: Sequence[dict], figures: Sequence[dict]) -> str:
             f'<tr{marked}><th scope="row">{escape(str(view["name"]))}</th>{cells}'
             f"<td>{escape(str(view.get('remark') or ''))}</td></tr>"
         )
-    caption = "Values of each held-out view; the same stand in views.csv"
-    return _table("Values of each view", caption, heads, range(1, 1 + len(keys)), rows, "dense")
+    return _table(caption.partition(";")[0], caption, heads, range(1, 1 + len(keys)), rows, "dense")
 
 
 def stages_table(stages: Sequence[dict]) -> str:

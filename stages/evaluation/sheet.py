@@ -36,22 +36,26 @@ def chosen_views(rows: Sequence[Row], key: str, most: int) -> list[tuple[int, st
 class Sheet:
     """Gathers views and encodes all their pictures at once, so that the whole fits its budget."""
 
-    def __init__(self, painting: np.ndarray | None, painting_name: str) -> None:
+    def __init__(self, painting: np.ndarray | None, painting_name: str, edited: bool = False) -> None:
+        self._edited = edited
         self._painting = painting
         self._painting_name = painting_name
         self._views: list[tuple[str, Row, Render, Photo | None, Render | None]] = []
 
     def add(self, heading: str, row: Row, render: Render, photo: Photo | None, base: Render | None = None) -> None:
-        """One view; `base` is the unstylised render of the same view."""
+        """One view; `base` is the unstylised (of a local edit the unedited) render of the same view."""
         self._views.append((heading, row, render, photo, base))
 
     def encoded(self, stylised: bool) -> Pictures:
-        """Rows ready for the page: photo, render, error, depth; or photo, unstylised render, stylised render, depth."""
+        """Rows ready for the page: photo, render, error, depth; or photo, unstylised render, stylised render, depth.
+
+        Of a local edit: photo, unedited render, edited render, what differs between the two, depth.
+        """
         renders = [view[2] for view in self._views]
         near, far = depth_range([render.z for render in renders], [render.alpha for render in renders])
         groups = []
         for _, row, render, photo, base in self._views:
-            make = _stylised_pictures if stylised else _fit_pictures
+            make = _edited_pictures if self._edited else _stylised_pictures if stylised else _fit_pictures
             groups.append([*make(row, render, photo, base), _depth(render, near, far)])
         flat = [picture for group in groups for picture in group]
         if self._painting is not None:
@@ -82,6 +86,17 @@ def _stylised_pictures(row: Row, render: Render, photo: Photo | None, base: Rend
     ssim = row.get("content_ssim")
     told = f", content SSIM {number(ssim, 3)}" if is_number(ssim) else ""
     return [*pictures, Picture(shown(render.image), f"stylised{told}", f"Stylised render of view {render.name}{told}")]
+
+
+def _edited_pictures(row: Row, render: Render, photo: Photo | None, base: Render | None) -> list[Picture]:
+    pictures = [] if photo is None else [_photo(render, photo)]
+    edited = Picture(shown(render.image), "edited", f"Render of view {render.name} after the edit")
+    if base is None or base.image.shape != render.image.shape:
+        return [*pictures, edited]
+    change = error_picture(render.image, np.nan_to_num(base.image))
+    where = f"Absolute difference between the renders of view {render.name} before and after the edit; bright is large"
+    before = Picture(shown(base.image), "unedited", f"Render of view {render.name} before the edit")
+    return [*pictures, before, edited, Picture(change, "change", where)]
 
 
 def _photo(render: Render, photo: Photo) -> Picture:

@@ -29,11 +29,15 @@ class Presence:
     path_length: int
     gap: int
     field: bool
+    edited: bool = False  # a local edit, with its region
 
 
 def not_measured(have: Presence) -> list[dict]:
     """What and why, for every figure that this evaluation knows and could not or did not measure."""
     notes = _style_notes(have) if have.stylised else _fit_notes(have)
+    if have.edited and not have.stylised:
+        why = "They are of whole views, where the edit counts as an error; background MSE leaves it out."
+        notes.append(_note("PSNR, SSIM and LPIPS without the edit", why))
     notes += _consistency_notes(have)
     if not have.field:
         notes.append(_note("Parameters of the field", "The field itself was not given, only its frames."))

@@ -113,6 +113,24 @@ class FrameViews:
     def __iter__(self) -> Iterator[Render]:
         return (self.render(i) for i in range(len(self)))
 
+    def showing(self, scene_view: int | None) -> int | None:
+        """Index of the frame that repeats this view of the scene, None where none does."""
+        if scene_view is None:
+            return None
+        return next((i for i, view in enumerate(self.frames.views) if view.scene_view == scene_view), None)
+
+    def mask(self, index: int, region: str, digest: str) -> np.ndarray | None:
+        """Coverage [h, w] that frame `index` holds of this very region, None where it holds none."""
+        own = {ref.name: ref.digest for ref in self.artefact.manifest.inputs if ref.kind == "region"}
+        if own.get(region) != digest or region not in self.frames.masks:
+            return None
+        channel = f"mask.{self.frames.masks[region]}"
+        path = self.artefact.file(self.frames.views[index].exr)
+        try:
+            return read_channels(path, (channel,))[0][channel].astype(np.float32)
+        except BadInput as error:
+            raise ArtefactDamaged(f"frames {self.artefact.name}: {error}") from error
+
     def render(self, index: int) -> Render:
         """Frame `index`. Values that are not finite are kept and counted, not refused: an evaluation has to tell them.
 

@@ -191,9 +191,7 @@ def random_palette(generator: np.random.Generator, count: int) -> np.ndarray:
     return generator.random((count, 3)).astype(np.float32)
 
 
-def clustered_palette(
-    generator: np.random.Generator, colours: np.ndarray, count: int, rounds: int = 12
-) -> np.ndarray:
+def clustered_palette(generator: np.random.Generator, colours: np.ndarray, count: int, rounds: int = 12) -> np.ndarray:
     """[count, 3] centres of k-means over colours [n, 3], begun by k-means++ (Arthur and Vassilvitskii 2007).
 
     A cluster left empty keeps its centre. Ordered by size, the largest first.

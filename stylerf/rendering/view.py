@@ -1,10 +1,11 @@
 """Whole views of a field."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 
+from stylerf.editing.regions import alpha_inside
 from stylerf.fields.field import RadianceField
 from stylerf.fields.samples import Rays
 from stylerf.geometry.cameras import Camera
@@ -18,13 +19,14 @@ class RenderedView:
     """rgb [h, w, 3]: sRGB-encoded, premultiplied (sum of w c, no background). alpha [h, w].
 
     ray_distance [h, w]: expected distance along the ray, sum(w t)/alpha, scene units (0 where alpha is 0);
-    z [h, w]: the same along the viewing axis.
+    z [h, w]: the same along the viewing axis. masks: by region, [h, w] the part of alpha that lies in it, 0..alpha.
     """
 
     rgb: np.ndarray
     alpha: np.ndarray
     ray_distance: np.ndarray
     z: np.ndarray
+    masks: dict[str, np.ndarray] = field(default_factory=dict)
 
 
 def render_view(
@@ -34,17 +36,26 @@ def render_view(
     chunks: int,
     opaque: float = 1e-3,
     rays_at_once: int = RAYS_AT_ONCE,
+    regions: Mapping[str, np.ndarray] | None = None,
     on_rays: Callable[[int], None] = lambda done: None,
 ) -> RenderedView:
-    """Render every pixel centre of a camera; memory is bounded by rays_at_once. on_rays: told after each part."""
+    """Render every pixel centre of a camera; memory is bounded by rays_at_once. on_rays: told after each part.
+
+    regions: marked cells [s, s, s] by name, whose share of each ray comes from the very samples of the picture.
+    """
     origins, directions = camera.rays()
     out = np.empty((len(origins), 5), np.float32)
+    inside = {name: np.empty(len(origins), np.float32) for name in regions or {}}
     for at in range(0, len(origins), rays_at_once):
         part = slice(at, at + rays_at_once)
         rays = Rays.of(origins[part], directions[part], field.space.near)
-        out[part] = render_rays(field, rays, chunks=chunks, opaque=opaque, share=field.share).out
+        rendered = render_rays(field, rays, chunks=chunks, opaque=opaque, share=field.share)
+        out[part] = rendered.out
+        for name, mask in inside.items():
+            mask[part] = alpha_inside(regions[name], rendered.samples, chunks)
         on_rays(min(at + rays_at_once, len(origins)))
     out = out.reshape(camera.height, camera.width, 5)
     alpha = np.clip(out[..., 3], 0, 1)
     distance = np.where(alpha > 0, out[..., 4] / np.maximum(alpha, 1e-8), 0).astype(np.float32)
-    return RenderedView(out[..., :3], alpha, distance, distance * camera.ray_cosines())
+    masks = {name: np.minimum(mask.reshape(alpha.shape), alpha) for name, mask in inside.items()}
+    return RenderedView(out[..., :3], alpha, distance, distance * camera.ray_cosines(), masks)

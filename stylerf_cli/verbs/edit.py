@@ -16,7 +16,7 @@ def add_arguments(parser) -> None:
 
 def run(args, session) -> dict:
     """The edited field's place, what came between, and the seconds of each stage."""
-    from stylerf_cli.chains import edit_dataset_of, ensure_distilled, finetuned, learnt_edit
+    from stylerf_cli.edit_chain import edit_dataset_of, ensure_distilled, finetuned, learnt_edit
     from stylerf_cli.verbs.select import selected
     from stylerf_cli.verbs.stylize import pinned, told_palette
 

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Any
 
-from schemas.errors import ArtefactStale
+from schemas.errors import ArtefactStale, UsageError
 from schemas.frames import read_frames
 from schemas.store import Artefact, Work
 from stages.configs.evaluate import EvaluateConfig
@@ -16,13 +16,23 @@ NO_FILM = ("test", "train")  # their views lie too far apart to be warped onto o
 
 
 def add_arguments(parser) -> None:
-    """WORK, --of, --path."""
+    """WORK, --of, --path, --region, --base."""
     parser.add_argument("work", metavar="WORK", help="the work folder")
     parser.add_argument("--of", metavar="FIELD", help="field to measure (default: the one made last)")
     parser.add_argument(
         "--path",
         metavar="PATH",
         help="camera path for consistency between views, rendered if it is not there (default: one that is there)",
+    )
+    parser.add_argument(
+        "--region",
+        metavar="NAME",
+        action="append",
+        default=[],
+        help="region of a local edit: what it changed there, and what it left of the background (several: their union)",
+    )
+    parser.add_argument(
+        "--base", metavar="FIELD", help="unedited field to compare a local edit with (default: the one it started from)"
     )
 
 
@@ -38,6 +48,7 @@ def run(args, session) -> dict:
         plain = next((one for one in fields_behind(field) if not is_stylised(one)), None)
         if plain is not None:
             inputs["base_frames"] = frames_of(session, plain, "test")
+    inputs |= edit_inputs(session, field, args)
     film = frames_of(session, field, args.path) if args.path else film_there(session.work, field)
     if film is not None:
         inputs["path_frames"] = film
@@ -58,14 +69,39 @@ def chosen_field(work: Work, name: str | None) -> Artefact:
     return max(fields, key=lambda one: (one.manifest.created, len(fields_behind(one))))
 
 
-def scene_of(work: Work, field: Artefact) -> Artefact:
-    """The scene that a field was made from, directly or through other fields."""
+def edit_inputs(session: Any, field: Artefact, args: Any) -> dict[str, Artefact]:
+    """What the evaluation of a local edit needs, by role: the field before it, frames of both, its regions.
+
+    Empty where none is asked for; UsageError where the field before it is not known.
+    """
     from stages.evaluation.lineage import fields_behind
+    from stages.masks import ROLE
+
+    config = session.config
+    if not (args.region or config.masks):
+        if args.base or config.train_views:
+            raise UsageError("--base and --train-views are for a local edit; name it by --region, or give its --masks")
+        return {}
+    regions = [session.work.find("region", name) for name in args.region]
+    base = session.work.find("field", args.base) if args.base else next(iter(fields_behind(field)), None)
+    if base is None or base.name == field.name:
+        raise UsageError(f"field {field.name} was made from no other field; name the unedited one by --base")
+    session.say(f"comparing with field {base.name}")
+    inputs = {"base_field": base, "unedited_frames": frames_of(session, base, "test")}
+    if config.train_views:
+        inputs["train_frames"] = frames_of(session, field, "train")
+        inputs["unedited_train_frames"] = frames_of(session, base, "train")
+    return inputs | {ROLE + one.name: one for one in regions}
+
+
+def scene_of(work: Work, field: Artefact) -> Artefact:
+    """The scene of photos that a field was made from, directly, through other fields or through edited pictures."""
+    from stages.evaluation.lineage import fields_behind, original_scene
 
     for one in [field, *fields_behind(field)]:
         for ref in one.manifest.inputs:
             if ref.kind == "scene":
-                return work.get("scene", ref.name)
+                return original_scene(work.get("scene", ref.name))
     raise ArtefactStale(f"field {field.name} names no scene it was made from; make it again: stylerf fit {work.root}")
 
 

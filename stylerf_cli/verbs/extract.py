@@ -16,7 +16,7 @@ def add_arguments(parser) -> None:
 
 def run(args, session) -> dict:
     """The edit dataset's place and figures."""
-    from stylerf_cli.chains import ensure_edit_dataset, region_of
+    from stylerf_cli.edit_chain import ensure_edit_dataset, region_of
 
     region = region_of(session, args.region)
     field = session.work.find("field", args.of) if args.of else None

@@ -16,7 +16,7 @@ def add_arguments(parser) -> None:
 
 def run(args, session) -> dict:
     """The edited field's place and figures."""
-    from stylerf_cli.chains import edit_of, finetuned
+    from stylerf_cli.edit_chain import edit_of, finetuned
 
     edit = edit_of(session, args.edit)
     made = finetuned(session, edit, args.of, session.config)

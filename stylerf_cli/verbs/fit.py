@@ -16,16 +16,16 @@ def run(args, session) -> dict:
     """The field's place and figures."""
     from stages import nerf_fit, render
     from stages.configs.render import RenderConfig
-    from stylerf_cli.chains import FIT_NAME, scene_of_work
+    from stylerf_cli.chains import FIT_NAME, regions_shown, scene_of_work
 
     scene = scene_of_work(session)
     field = session.run(nerf_fit.SPEC, nerf_fit.run, {"scene": scene}, session.config, FIT_NAME)
     figures = field.manifest.figures
     result = {"field": field.path, "name": field.name, "figures": figures, "seconds": field.manifest.seconds}
     if session.config.buffers and not session.only:
-        buffers = session.run(
-            render.SPEC, render.run, {"scene": scene, "field": field}, RenderConfig(path="views"), f"{field.name}-views"
-        )
+        config = RenderConfig(path="views")
+        inputs = {"scene": scene, "field": field, **regions_shown(session, field, config)}
+        buffers = session.run(render.SPEC, render.run, inputs, config, f"{field.name}-views")
         result["buffers"] = buffers.path
     return session.emit(result, "\n".join(_words(field, figures)))
 

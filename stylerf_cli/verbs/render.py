@@ -3,7 +3,7 @@
 from stages.configs.render import RenderConfig, label_of
 
 NAME = "render"
-HELP = "render a field along a path: EXR with depth for compositors, PNG, video"
+HELP = "render a field along a path: EXR with depth and region masks for compositors, PNG, video"
 CONFIG = RenderConfig
 
 
@@ -16,18 +16,21 @@ def add_arguments(parser) -> None:
 def run(args, session) -> dict:
     """The frames' place."""
     from stages import render
+    from stylerf_cli.chains import regions_shown
     from stylerf_cli.verbs.eval_ import chosen_field, scene_of
 
     field = chosen_field(session.work, args.of)
     config = render.pinned(session.config)
     name = f"{field.name}-{label_of(config.path)}" + (f"-{config.frames}" if config.frames else "")
-    frames = session.run(
-        render.SPEC, render.run, {"scene": scene_of(session.work, field), "field": field}, config, name
-    )
+    inputs = {"scene": scene_of(session.work, field), "field": field, **regions_shown(session, field, config)}
+    frames = session.run(render.SPEC, render.run, inputs, config, name)
     figures = frames.manifest.figures
     rate = figures["pixels"] / max(frames.manifest.seconds, 1e-9)
     result = {"frames": frames.path, "name": frames.name, "figures": figures, "seconds": frames.manifest.seconds}
     words = [f"{figures['frames']} frames of {field.name}, {rate / 1e3:.0f} thousand rays a second", f"  {frames.path}"]
     if figures["video"]:
         words.insert(1, f"  video: {frames.path / figures['video']}")
+    if shown := [ref.name for ref in frames.manifest.inputs if ref.kind == "region"]:
+        result["regions"] = shown
+        words.append(f"  masks of {', '.join(shown)}")
     return session.emit(result, "\n".join(words))

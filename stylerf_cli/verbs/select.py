@@ -34,7 +34,8 @@ def selected(session, config: SelectConfig, of: str | None, name: str = "region"
     from schemas.canonical import digest_of, file_sha256
     from schemas.errors import BadInput
     from stages import region_select
-    from stylerf_cli.chains import ensure_field, scene_behind, scene_of_work
+    from stylerf_cli.chains import ensure_field, scene_of_work
+    from stylerf_cli.edit_chain import scene_behind
 
     files = [Path(mask_of(text)[1]) for text in (*config.scribble, *config.mask)]
     if missing := [path for path in files if not path.is_file()]:

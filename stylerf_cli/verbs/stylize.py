@@ -59,7 +59,7 @@ def _whole(args, session) -> dict:
 
 
 def _region(args, session) -> dict:
-    from stylerf_cli.chains import learnt_edit, region_of
+    from stylerf_cli.edit_chain import learnt_edit, region_of
 
     region = region_of(session, args.region)
     config, name = pinned(session.config, region.name)
