@@ -1,4 +1,4 @@
-"""`stylerf stylize WORK --style IMAGE`: the scene, or with --region a part of it, in a painting's colours and strokes."""
+"""`stylerf stylize WORK --style IMAGE`: the scene, or with --region a part of it, in a painting's strokes."""
 
 import re
 from dataclasses import replace

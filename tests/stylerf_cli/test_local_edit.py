@@ -1,0 +1,186 @@
+"""A local edit of a tiny still life, command by command: select, extract, recolour, distill, finetune; and undone."""
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from schemas.exr import read_exr
+from schemas.images import read_image, write_png
+from schemas.store import Work
+from stages.scenes import load_scene
+from stylerf_cli.main import main
+
+DEMO = ["--size", "48", "--train-views", "16", "--test-views", "2", "--fit-budget", "250", "--style-budget", "2",
+        "--frames", "2", "--method", "arf"]  # fmt: skip
+QUICK = ["--palette-steps", "60", "--pruned-steps", "20", "--colours", "4", "--most-colours", "3"]
+
+
+def said(capsys, *arguments: object) -> dict:
+    """The --json object of one command that must succeed."""
+    assert main([*map(str, arguments), "--json", "--quiet"]) == 0, capsys.readouterr().err
+    return json.loads(capsys.readouterr().out)
+
+
+def refused(capsys, *arguments: object) -> str:
+    """The one line of a command that must fail by its user's fault."""
+    assert main([*map(str, arguments), "--quiet"]) in (2, 3, 4)
+    text = capsys.readouterr().err.strip()
+    assert text.startswith("stylerf: error: ") and "\n" not in text
+    return text
+
+
+@pytest.fixture(scope="module")
+def still_life(tmp_path_factory) -> Path:
+    """A fitted tiny still life, without what the demo makes of it after that."""
+    work = tmp_path_factory.mktemp("edit") / "work"
+    assert main(["demo", str(work), "--quiet", *DEMO]) == 0
+    for kind in ("frames", "report"):
+        shutil.rmtree(work / kind)
+    return work
+
+
+@pytest.fixture(scope="module")
+def middle(still_life) -> str:
+    """VIEW:X,Y of the most saturated pixel in the middle of the first training view: one of the objects."""
+    scene = load_scene(Work(still_life).artefacts("scene")[0])
+    view = scene.splits["train"][0]
+    rgb = scene.images(view)[..., :3]
+    saturation = (rgb.max(2) - rgb.min(2))[14:34, 14:34]
+    row, column = np.unravel_index(saturation.argmax(), saturation.shape)
+    return f"{scene.views[view].name}:{column + 14},{row + 14}"
+
+
+@pytest.fixture(scope="module")
+def edited(still_life, middle) -> Path:
+    """The whole chain in one command."""
+    assert main(["edit", str(still_life), "--at", middle, "--recolor", "--palette", "0=#10e020", "--name", "ball",
+                 "--config", str(_finetune(still_life)), "--quiet", *QUICK]) == 0  # fmt: skip
+    return still_life
+
+
+def _finetune(work: Path) -> Path:
+    path = work.parent / "options.toml"
+    path.write_text('[finetune]\nbudget = "60"\nrays = 1024\n')
+    return path
+
+
+def test_one_command_leaves_every_artefact_and_each_verifies(edited, capsys):
+    for kind, name in (
+        ("region", "ball"),
+        ("edit-dataset", "ball"),
+        ("edit", "ball"),
+        ("edit", "ball-learnt"),
+        ("scene", "ball"),
+        ("field", "ball"),
+    ):
+        assert (edited / kind / name / "manifest.json").is_file(), f"{kind} {name}"
+    assert main(["verify", str(edited), "--quiet"]) == 0
+
+
+def test_commands_one_by_one_reuse_what_the_one_command_made(edited, middle, capsys):
+    made = {kind: edited / kind / "ball" / "manifest.json" for kind in ("region", "edit-dataset", "edit", "field")}
+    before = {kind: path.stat().st_mtime_ns for kind, path in made.items()}
+    said(capsys, "select", edited, "--at", middle, "--name", "ball")
+    said(capsys, "extract", edited, "--region", "ball")
+    said(capsys, "stylize", edited, "--region", "ball", "--recolor", "--palette", "0=#10e020", "--name", "ball", *QUICK)
+    said(capsys, "distill", edited, "--edit", "ball")
+    said(capsys, "finetune", edited, "--edit", "ball", "--budget", "60", "--rays", "1024")
+    for kind, moment in before.items():
+        assert (edited / kind / "ball" / "manifest.json").stat().st_mtime_ns == moment, kind
+
+
+def test_only_pixels_of_the_region_change_and_they_turn_green(edited):
+    work = Work(edited)
+    plain = load_scene(next(s for s in work.artefacts("scene") if s.manifest.stage == "pose_import"))
+    green = load_scene(work.get("scene", "ball"))
+    changed, towards = 0, []
+    for view in plain.splits["train"]:
+        before, after = plain.images(view), green.images(view)
+        seen = edited / "edit-dataset" / "ball" / "exr" / f"{plain.views[view].name}.exr"
+        if not seen.is_file():
+            np.testing.assert_array_equal(before, after)
+            continue
+        region = read_exr(seen).alpha > 0.01
+        np.testing.assert_array_equal(before[~region], after[~region])
+        moved = np.abs(after - before)[..., :3].max(2) > 0.1
+        changed += int(moved.sum())
+        towards.append((after - before)[moved])
+    assert changed > 50
+    shift = np.concatenate(towards).mean(0)
+    assert shift[1] - shift[0] > 0.1  # less red, more green
+    for view in plain.splits["test"]:
+        np.testing.assert_array_equal(plain.images(view), green.images(view))
+
+
+def test_other_palette_changes_need_no_training(edited, capsys):
+    learnt = (edited / "edit" / "ball-learnt" / "manifest.json").stat().st_mtime_ns
+    made = said(
+        capsys, "stylize", edited, "--region", "ball", "--recolor", "--palette", "0=#2030f0", "--name", "ball", *QUICK
+    )
+    assert (edited / "edit" / "ball-learnt" / "manifest.json").stat().st_mtime_ns == learnt
+    colours = json.loads((Path(made["edit"]) / "palette.json").read_text())["colours"]
+    assert colours[0]["now"] == "#2030f0" != colours[0]["learnt"]
+    assert abs(sum(one["share"] for one in colours) - 1) < 0.01
+    assert read_image(Path(made["edit"]) / "palette.png").pixels.shape[2] == 3
+
+
+def test_regions_are_joined_and_cut(edited, capsys):
+    scene = load_scene(next(s for s in Work(edited).artefacts("scene") if s.manifest.stage == "pose_import"))
+    low, high = scene.bounds.aabb
+    middle = [(a + b) / 2 for a, b in zip(low, high)]
+    left = [*low, middle[0], high[1], high[2]]
+    said(capsys, "select", edited, "--box", *left, "--most", "1", "--name", "left")
+    kept = said(capsys, "select", edited, "--union", "ball", "--intersect", "left", "--name", "ball-left")["figures"]
+    cut = said(capsys, "select", edited, "--union", "ball", "--subtract", "left", "--name", "ball-right")["figures"]
+    whole = json.loads((edited / "region" / "ball" / "manifest.json").read_text())["figures"]
+    assert kept["edit_cells"] + cut["edit_cells"] == whole["edit_cells"]
+
+
+@pytest.mark.parametrize(
+    ("flags", "words"),
+    [
+        (["select", "--at", "nowhere:1,1"], "there is no view 'nowhere'"),
+        (["select", "--at", "MIDDLE", "--most", "0.0001"], "has grown over"),
+        (["select"], "nothing is selected"),
+        (["select", "--at", "FIRST:400,1"], "48x48 pixels"),
+        (["stylize", "--region", "ball", "--recolor", "--palette", "9=#000000", *QUICK], "does not exist"),
+        (["stylize", "--region", "ball"], "either recoloured"),
+        (["stylize", "--region", "ball", "--style", "PAINTING", "--crop", "0", "0", "9000"], "does not fit"),
+        (["stylize", "--region", "no-such", "--recolor"], "none found"),
+        (["distill", "--edit", "no-such"], "none found"),
+    ],
+)
+def test_bad_requests_are_one_line_and_lose_nothing(edited, middle, capsys, flags, words):
+    first = middle.partition(":")[0]
+    painting = str(edited / "photos" / "painting.png")
+    swapped = {"MIDDLE": middle, "PAINTING": painting}
+    verb, *more = [swapped.get(flag, flag).replace("FIRST", first) for flag in flags]
+    before = sorted(path.relative_to(edited) for path in edited.rglob("*") if path.is_file())
+    assert words in refused(capsys, verb, edited, *more, "--name", "other") or verb in ("distill",)
+    after = sorted(path.relative_to(edited) for path in edited.rglob("*") if path.is_file())
+    assert [p for p in before if p not in after] == []
+
+
+def test_a_scribble_of_another_size_or_of_nothing_is_refused(edited, middle, capsys, tmp_path):
+    first = middle.partition(":")[0]
+    write_png(tmp_path / "small.png", np.full((8, 8, 3), 255, np.uint8))
+    assert "8x8 pixels where view" in refused(capsys, "select", edited, "--scribble", f"{first}={tmp_path}/small.png")
+    write_png(tmp_path / "black.png", np.zeros((48, 48, 3), np.uint8))
+    assert "no pixel of the scribble" in refused(
+        capsys, "select", edited, "--scribble", f"{first}={tmp_path}/black.png"
+    )
+
+
+def test_an_edit_of_a_region_of_another_field_is_refused(edited, capsys, tmp_path):
+    """A region divides the space of the field that it was selected in."""
+    other = tmp_path / "other"
+    shutil.copytree(edited, other)
+    text = (other / "region" / "ball" / "region.json").read_text()
+    data = json.loads(text)
+    data["space"]["far"] *= 2
+    (other / "region" / "ball" / "region.json").write_text(json.dumps(data))
+    assert main(["extract", str(other), "--region", "ball", "--force", "--quiet"]) == 4  # altered: its digest differs
+    capsys.readouterr()
