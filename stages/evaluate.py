@@ -6,7 +6,7 @@ Roles of the inputs: `scene`, `frames` (test views); where at hand `path_frames`
 wanted `train_frames` and `unedited_train_frames`.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -208,8 +208,9 @@ class Evaluation:
         figures = summarise([*self.rows, *self.pairs, *self.training_rows], facts, reference)
         if self.edit is not None:
             figures = self.edit.told(figures, self.rows)
-        roles = ("base_field", "field", "frames", "path_frames", "base_frames", *sorted({*self.inputs} - {"scene"}), "scene")
-        stages = upstream(self.inputs[role] for role in dict.fromkeys(roles) if role in self.inputs)
+        first = ("base_field", "field", "frames", "path_frames", "base_frames")
+        roles = dict.fromkeys((*first, *sorted({*self.inputs} - {"scene"}), "scene"))
+        stages = upstream(self.inputs[role] for role in roles if role in self.inputs)
         report = {
             "field": self.frames.frames.field,
             "scene": self.inputs["scene"].name,

@@ -57,7 +57,10 @@ def run(inputs: dict[str, Artefact], config: RenderConfig, partial: Partial, con
             context.progress.update(done + 1)
     context.progress.finish()
     video = _video(partial.path, [f.png for f in frames], config, context) if config.video else None
-    write_frames(partial.path, Frames(inputs["field"].name, config.path, tuple(frames), config.fps, channels if config.exr else {}))
+    write_frames(
+        partial.path,
+        Frames(inputs["field"].name, config.path, tuple(frames), config.fps, channels if config.exr else {}),
+    )
     return {"frames": len(frames), "pixels": int(sum(c.width * c.height for c, _ in shots)), "video": video}
 
 
@@ -147,9 +150,7 @@ def _frame(field, background, camera, view, config, folder: Path, threads, attri
     return frame
 
 
-def exr_view(
-    rendered: RenderedView, camera: Camera, field: RadianceField, attributes: Mapping[str, str]
-) -> ExrView:
+def exr_view(rendered: RenderedView, camera: Camera, field: RadianceField, attributes: Mapping[str, str]) -> ExrView:
     """Linear and premultiplied: the encoded colour is divided by alpha, made linear, and multiplied again."""
     channels = channels_of(rendered.masks)
     alpha = rendered.alpha[..., None]

@@ -26,7 +26,9 @@ def make_region(work: Path, name: str, edit: np.ndarray, stretch: float = 1.0) -
     """A region in the space of the field `fit`, or in one that reaches `stretch` times as far."""
     field, _ = load_field(Work(work).get("field", "fit"))
     partial = Work(work).begin("region", name, Recipe("select", 1, {"cells": int(edit.sum())}, [], 0))
-    save_region(partial.path, Region(edit, np.zeros_like(edit)), replace(field.space, far=field.space.far * stretch), {})
+    save_region(
+        partial.path, Region(edit, np.zeros_like(edit)), replace(field.space, far=field.space.far * stretch), {}
+    )
     return partial.commit()
 
 

@@ -74,7 +74,9 @@ def test_change_is_the_mean_over_the_pixels_asked_for():
         absolute += [abs(A[row, column, c] - B[row, column, c]) for c in range(3)]
         difference.append(np.sqrt(((lab(A[row, column]) - lab(B[row, column])) ** 2).sum()))
     assert found.absolute == pytest.approx(np.mean(absolute), rel=1e-12)
-    assert found.lab == pytest.approx(np.mean(difference), rel=1e-3)  # tables of the sRGB matrix differ in the 4th digit
+    assert found.lab == pytest.approx(
+        np.mean(difference), rel=1e-3
+    )  # tables of the sRGB matrix differ in the 4th digit
     white = mean_change(np.ones((2, 2, 3)), np.zeros((2, 2, 3)), np.ones((2, 2), bool))
     assert white.lab == pytest.approx(100, abs=1e-3) and white.absolute == 1
 
