@@ -208,16 +208,9 @@ class Evaluation:
         figures = summarise([*self.rows, *self.pairs, *self.training_rows], facts, reference)
         if self.edit is not None:
             figures = self.edit.told(figures, self.rows)
-        roles = (
-            "base_field",
-            "field",
-            "frames",
-            "path_frames",
-            "base_frames",
-            *sorted({*self.inputs} - {"scene"}),
-            "scene",
-        )
-        stages = upstream(self.inputs[role] for role in dict.fromkeys(roles) if role in self.inputs)
+        first = ("base_field", "field", "frames", "path_frames", "base_frames")
+        roles = dict.fromkeys((*first, *sorted({*self.inputs} - {"scene"}), "scene"))
+        stages = upstream(self.inputs[role] for role in roles if role in self.inputs)
         report = {
             "field": self.frames.frames.field,
             "scene": self.inputs["scene"].name,

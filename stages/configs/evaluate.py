@@ -18,9 +18,7 @@ class EvaluateConfig:
     pairs: int = option(24, help="most pairs of views measured per range, evenly spread (0: all)")
     perceptual_pairs: int = option(8, help="most pairs per range measured by the perceptual distance too (0: all)")
     depth_tolerance: float = option(0.02, help="relative depth difference up to which a warped pixel counts as visible")
-    masks: str = option(
-        "", metavar="DIR", help="pictures of a local edit's masks, named like the views (white: edited)"
-    )
+    masks: str = option("", metavar="DIR", help="masks of a local edit: pictures named like views, white: edited")
     masks_digest: str = option("", help="sha256 of those masks (filled in; guards against changed ones)")
     margin: int = option(2, help="pixels around a region, as its cells tell it, that do not count as background")
     ring: int = option(8, help="width in pixels of the ring around a region where bleeding is measured")

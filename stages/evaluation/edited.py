@@ -86,8 +86,8 @@ class LocalEdit:
         frames, unedited = self._frames("train_frames"), self._frames("unedited_train_frames")
         self._context.progress.start("measuring training views", len(frames), "view")
         for done, render in enumerate(frames, start=1):
-            row, size = ViewRow(render.name), (render.camera.width, render.camera.height)
-            photo = None if render.scene_view is None else self._scene.photo(render.scene_view, *size)
+            row, at, size = ViewRow(render.name), render.scene_view, (render.camera.width, render.camera.height)
+            photo = None if at is None or at >= len(self._scene) else self._scene.photo(at, *size)
             self.measure(row, render, photo, unedited, TRAIN)
             self.training_rows.append(row.row())
             self._context.progress.update(done)

@@ -42,7 +42,7 @@ class RegionMasks:
         missing = []
         for name, region in self._regions.items():
             mask = frames.mask(index, name, region.digest)
-            if mask is None:
+            if mask is None or mask.shape != shown.shape:
                 missing.append(region.cells)
             else:
                 shown |= mask > SHOWN

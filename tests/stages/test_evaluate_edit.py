@@ -1,0 +1,263 @@
+"""Evaluation of a local edit on made-up pictures: every figure is worked out anew, pixel by pixel."""
+
+import csv
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from schemas.errors import BadInput, UsageError
+from schemas.exr import write_exr
+from schemas.frames import Frame, FrameCamera, Frames, write_frames
+from schemas.images import write_png
+from schemas.store import Work
+from stages import evaluate
+from stages.configs.evaluate import EvaluateConfig
+from stages.evaluation import masks as mask_module
+from stages.fields import save_field
+from stages.progress import Context
+from stages.regions import save_region
+from stages.runner import execute
+from stylerf.editing.regions import Region
+from stylerf.geometry.space import Space
+from tests.stages import evaluation_fixture as made
+from tests.stylerf.small import density, field_of, hash_colour
+
+POSITIONS = [0.0, 0.25]
+BOX = Space.box([-1, -1, 3], [1, 1, 5])
+QUIET = EvaluateConfig(perceptual="none", sheet=2, margin=2, ring=4)
+ROWS, COLUMNS = np.indices((72, 96))
+
+
+def region_of(space: Space = BOX, cells: int = 8):
+    """The half of the cube towards +x."""
+    edit = np.indices((cells,) * 3)[0] >= cells // 2
+    return lambda folder: save_region(folder, Region(edit, np.zeros_like(edit)), space, {})
+
+
+def seen_of_region(x: float) -> np.ndarray:
+    """Pixels whose ray meets the solid box's front, at z = 3, between x = 0 and x = 1."""
+    at_x, at_y = x + (COLUMNS + 0.5 - 48) / 90 * 3, (ROWS + 0.5 - 36) / 90 * 3
+    return (at_x > 0) & (at_x < 1) & (np.abs(at_y) < 1)
+
+
+def solid():
+    field = field_of(BOX, 1, hash_colour(2), step=1 / 100)
+    field.density = density(0, size=(2, 2, 2))
+    field.density.values[:-1], field.density.values[-1] = 0, 12
+    return field
+
+
+def nearest(inside: np.ndarray) -> np.ndarray:
+    """Distance of each pixel to the nearest of the region, by looking at all of them."""
+    places = np.argwhere(inside)
+    return np.sqrt(((np.stack([ROWS, COLUMNS], -1)[:, :, None] - places) ** 2).sum(-1)).min(-1)
+
+
+@pytest.fixture(scope="module")
+def made_up(tmp_path_factory):
+    """Unedited renders are 0.02 brighter than the photos; the edit paints the region and runs over by four pixels."""
+    work = Work(tmp_path_factory.mktemp("edit"))
+    scene = made.make_scene(work, POSITIONS)
+    base = made.commit(work, "field", "fit", "nerf_fit", {"scene": scene}, lambda at: save_field(at, solid(), "black"))
+    edited = made.make_field(work, "blue", "finetune", {"scene": scene, "field": base})
+    region = made.commit(work, "region", "half.x", "select", {"field": base}, region_of())
+    cameras = [made.camera(x, f"photo_{i:02d}") for i, x in enumerate(POSITIONS)]
+    plain, painted = [], []
+    for x, view in zip(POSITIONS, cameras, strict=True):
+        seen = made.look(view)
+        plain.append(replace(seen, rgb=seen.rgb + 0.02))
+        distance = nearest(seen_of_region(x))[..., None]
+        run_over = plain[-1].rgb + np.where(distance <= 6, np.float32(0.08), 0)
+        painted.append(replace(seen, rgb=np.where(distance == 0, np.float32([0.1, 0.3, 0.9]), run_over)))
+    inputs = {
+        "scene": scene, "field": edited, "base_field": base, "region.half.x": region,
+        "frames": made.make_frames(work, "blue-test", "test", cameras, painted, edited),
+        "unedited_frames": made.make_frames(work, "fit-test", "test", cameras, plain, base),
+    }  # fmt: skip
+    return work, inputs, plain, painted, cameras
+
+
+def evaluated(work, inputs, config=QUIET, name="report"):
+    report, _ = execute(evaluate.SPEC, evaluate.run, work, name, inputs, config, Context(threads=2), force=True)
+    return report, json.loads(report.file("report.json").read_text())
+
+
+def expected(made_up, view: int, margin: float, ring: float, inside: np.ndarray | None = None) -> dict[str, float]:
+    """The figures of one view, by loops."""
+    _, _, plain, painted, cameras = made_up
+    inside = seen_of_region(POSITIONS[view]) if inside is None else inside
+    distance, photo = nearest(inside), np.round(made.look(cameras[view]).rgb * 255) / 255
+    before, after = (np.clip(one[view].rgb, 0, 1) for one in (plain, painted))
+    sums = dict.fromkeys(("mse", "before", "outside", "bleeding", "ring", "change", "inside"), 0.0)
+    for row, column in np.ndindex(72, 96):
+        at, d = (row, column), distance[row, column]
+        if d > margin:
+            sums["outside"] += 1
+            sums["mse"] += ((after[at] - photo[at]) ** 2).mean()
+            sums["before"] += ((before[at] - photo[at]) ** 2).mean()
+        if margin < d <= margin + ring:
+            sums["ring"] += 1
+            sums["bleeding"] += np.abs(after[at] - before[at]).mean()
+        if d == 0:
+            sums["inside"] += 1
+            sums["change"] += np.abs(after[at] - before[at]).mean()
+    return {
+        "background_mse": sums["mse"] / sums["outside"],
+        "background_mse_unedited": sums["before"] / sums["outside"],
+        "bleeding": sums["bleeding"] / sums["ring"],
+        "change_inside": sums["change"] / sums["inside"],
+        "region_share": sums["inside"] / (72 * 96),
+    }
+
+
+def figure(report, key):
+    return next(item for item in report["figures"] if item["key"] == key)
+
+
+@pytest.fixture(scope="module")
+def measured(made_up):
+    return evaluated(made_up[0], made_up[1])
+
+
+def test_figures_of_a_known_edit_are_the_known_figures(made_up, measured):
+    _, report = measured
+    wanted = [expected(made_up, view, 2, 4) for view in range(2)]
+    for view, values in enumerate(wanted):
+        for key, value in values.items():
+            assert report["views"][view][key] == pytest.approx(value, rel=0.01), key  # half floats, mask by 1/100 steps
+    assert wanted[0]["bleeding"] == pytest.approx(0.08, rel=0.03)  # as it was painted, but for what clips
+    means = {key: np.mean([values[key] for values in wanted]) for key in wanted[0]}
+    mse = figure(report, "background_mse")
+    assert mse["mean"] == pytest.approx(means["background_mse"], rel=0.01)
+    assert mse["reference"]["the unedited renders"] == pytest.approx(means["background_mse_unedited"], rel=0.01)
+    ratio = figure(report, "background_ratio")["mean"]
+    assert ratio == pytest.approx(means["background_mse"] / means["background_mse_unedited"], rel=0.01)
+    assert figure(report, "change_lab")["mean"] > 20
+    assert "within 2 pixels" in mse["protocol"] and not any("{" in item["protocol"] for item in report["figures"])
+    assert report["edit"] == {"regions": ["half.x"], "unedited": "fit", "masks": "", "margin": 2, "ring": 4}
+    assert not report["stylised"] and figure(report, "psnr")["mean"] < 25  # the edit is an error there
+    assert any("edit counts as an error" in note["why"] for note in report["not_measured"])
+
+
+def test_the_page_shows_what_changed(measured):
+    artefact, _ = measured
+    page = artefact.file("report.html").read_text()
+    assert page.count("<img") == 2 * 5 and "before the edit" in page and "Change: 0" in page
+    assert "Background MSE" in page and "edited field" in page
+    with open(artefact.file("views.csv"), newline="") as stream:
+        assert {"background_mse", "background_mse_unedited", "bleeding"} <= {*next(csv.reader(stream))}
+
+
+def test_masks_that_the_frames_hold_are_taken_instead_of_marching(made_up, measured, monkeypatch):
+    work, inputs, plain, _, cameras = made_up
+    region, base = inputs["region.half.x"], inputs["base_field"]
+
+    def write(folder):
+        frames = []
+        for i, (view, seen, x) in enumerate(zip(cameras, plain, POSITIONS, strict=True)):
+            exr = replace(made.exr_of(view, seen), masks={"half_x": seen_of_region(x) * 0.75})
+            write_exr(folder / f"exr/{i}.exr", exr)
+            write_png(folder / f"png/{i}.png", np.zeros((72, 96, 3), np.uint8))
+            frames.append(Frame(view.name, f"exr/{i}.exr", f"png/{i}.png", FrameCamera(**made.camera_entry(view)), i))
+        write_frames(folder, Frames("fit", "test", tuple(frames), masks={"half.x": "half_x"}))
+
+    def never(*_):
+        raise AssertionError("marched")
+
+    masked = made.commit(work, "frames", "masked", "render", {"field": base, "region.half.x": region}, write)
+    with monkeypatch.context() as patch:
+        patch.setattr(mask_module, "march_view", never)
+        _, report = evaluated(work, inputs | {"unedited_frames": masked}, name="masked")
+        assert report["views"][0]["background_mse"] == pytest.approx(
+            measured[1]["views"][0]["background_mse"], rel=1e-3
+        )
+        # A region made anew since then is not that of the channel.
+        other = made.commit(work, "region", "half.x", "select", {"field": base}, region_of(), config={"other": 1})
+        with pytest.raises(AssertionError, match="marched"):
+            evaluated(work, inputs | {"unedited_frames": masked, "region.half.x": other}, name="masked")
+
+
+def test_given_masks_at_any_size_and_depth(made_up, tmp_path):
+    """Half the size, of 0 and 1 in eight bits: taken without a margin; a view without a picture takes no part."""
+    work, inputs, *_ = made_up
+    half = seen_of_region(POSITIONS[0])[::2, ::2]
+    write_png(tmp_path / "photo_00_mask.png", half.astype(np.uint8))
+    config = replace(QUIET, masks=str(tmp_path))
+    _, report = evaluated(work, inputs, evaluate.pinned(config), name="given")
+    whole = np.kron(half, np.ones((2, 2), bool))  # twice the size by lines between values: the same, over a half
+    for key, value in expected(made_up, 0, 0, 4, whole).items():
+        assert report["views"][0][key] == pytest.approx(value, rel=0.01), key
+    assert "background_mse" not in report["views"][1] and figure(report, "background_mse")["count"] == 1
+    assert any("1 views have no mask" in text and "photo_01" in text for text in report["warnings"])
+    assert report["edit"]["margin"] == 0 and "given mask" in figure(report, "background_mse")["protocol"]
+    first = evaluate.pinned(config).masks_digest
+    write_png(tmp_path / "photo_00_mask.png", (~half).astype(np.uint8))
+    assert evaluate.pinned(config).masks_digest != first
+
+
+def test_masks_of_another_shape_and_empty_folders_are_refused(made_up, tmp_path):
+    work, inputs, *_ = made_up
+    with pytest.raises(BadInput, match="no picture"):
+        evaluate.pinned(replace(QUIET, masks=str(tmp_path)))
+    write_png(tmp_path / "photo_00.png", np.zeros((72, 72), np.uint8))
+    with pytest.raises(BadInput, match="72x72 where the view is 96x72"):
+        evaluated(work, inputs, replace(QUIET, masks=str(tmp_path)), name="refused")
+
+
+def test_names_with_folders_are_not_mixed_up(tmp_path):
+    write_png(tmp_path / "r_0.png", np.full((4, 4), 255, np.uint8))
+    assert mask_module.PictureMasks(tmp_path, ["test/r_0.png"])._file("test/r_0.png") == tmp_path / "r_0.png"
+    assert mask_module.PictureMasks(tmp_path, ["test/r_0", "train/r_0"])._file("test/r_0") is None
+    write_png(tmp_path / "train" / "r_0.png", np.full((4, 4), 255, np.uint8))
+    both = mask_module.PictureMasks(tmp_path, ["test/r_0", "train/r_0"])
+    assert both._file("train/r_0") == tmp_path / "train" / "r_0.png" and both._file("test/r_0") is None
+
+
+def test_training_views_have_figures_of_their_own(made_up, measured):
+    work, inputs, *_ = made_up
+    more = {"train_frames": inputs["frames"], "unedited_train_frames": inputs["unedited_frames"]}
+    artefact, report = evaluated(work, inputs | more, name="trained")
+    assert figure(report, "train_background_mse")["mean"] == figure(report, "background_mse")["mean"]
+    assert figure(report, "train_background_mse")["reference"] == figure(report, "background_mse")["reference"]
+    assert figure(report, "train_background_ratio")["mean"] == figure(report, "background_ratio")["mean"]
+    assert figure(report, "train_bleeding")["protocol"].startswith("On training views.")
+    assert len(report["training_views"]) == 2 and artefact.file("training.csv").is_file()
+    assert report["views"] == measured[1]["views"] and "Training views" in artefact.file("report.html").read_text()
+
+
+def test_a_view_that_does_not_show_the_region_is_all_background(made_up):
+    work, inputs, *_ = made_up
+    nothing = np.zeros((8,) * 3, bool)
+    empty = made.commit(
+        work, "region", "empty", "select", {}, lambda at: save_region(at, Region(nothing, nothing), BOX, {})
+    )
+    chosen = {role: one for role, one in inputs.items() if not role.startswith("region")} | {"region.empty": empty}
+    _, report = evaluated(work, chosen, name="empty")
+    assert report["views"][0]["region_share"] == 0 and "change_inside" not in report["views"][0]
+    assert report["views"][0]["background_mse"] > 0.01  # the whole edit counts
+    assert report["warnings"] == []
+
+
+def test_a_region_of_another_space_is_refused(made_up):
+    work, inputs, *_ = made_up
+    other = made.commit(work, "region", "other", "select", {}, region_of(replace(BOX, far=77.0)))
+    with pytest.raises(BadInput, match="region other was selected in the space of another field"):
+        evaluated(work, inputs | {"region.other": other}, name="refused")
+
+
+@pytest.mark.parametrize("wrong", [{"margin": -1}, {"ring": 0}])
+def test_options_out_of_range_are_usage_faults(made_up, wrong):
+    with pytest.raises(UsageError, match=next(iter(wrong))):
+        evaluated(made_up[0], made_up[1], replace(QUIET, **wrong), name="refused")
+
+
+def test_without_an_edit_nothing_of_it_is_told(made_up):
+    work, inputs, *_ = made_up
+    artefact, report = evaluated(work, {role: inputs[role] for role in ("scene", "frames", "field")}, name="plain")
+    assert report["edit"] is None and report["training_views"] == []
+    assert not any("background" in item["key"] or "change" in item["key"] for item in report["figures"])
+    assert {record.path for record in artefact.manifest.files} == {
+        "charts/psnr_views.png", "charts/psnr_views.svg", "report.html", "report.json", "views.csv",
+    }  # fmt: skip
