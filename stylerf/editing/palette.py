@@ -179,7 +179,7 @@ class PaletteModule:
 
 
 def box_around(points: np.ndarray) -> np.ndarray:
-    """[2, 3]: the corners of what cube points [n, 3] fill, with a margin; no side is thinner than a tenth of another."""
+    """[2, 3]: corners of what cube points [n, 3] fill, with a margin; no side is thinner than a tenth of another."""
     low, high = points.min(0), points.max(0)
     size = np.maximum(high - low, max(0.1 * float((high - low).max()), 1e-3))
     middle = (low + high) / 2
@@ -191,9 +191,7 @@ def random_palette(generator: np.random.Generator, count: int) -> np.ndarray:
     return generator.random((count, 3)).astype(np.float32)
 
 
-def clustered_palette(
-    generator: np.random.Generator, colours: np.ndarray, count: int, rounds: int = 12
-) -> np.ndarray:
+def clustered_palette(generator: np.random.Generator, colours: np.ndarray, count: int, rounds: int = 12) -> np.ndarray:
     """[count, 3] centres of k-means over colours [n, 3], begun by k-means++ (Arthur and Vassilvitskii 2007).
 
     A cluster left empty keeps its centre. Ordered by size, the largest first.
