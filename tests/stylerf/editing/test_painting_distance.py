@@ -1,5 +1,7 @@
 """The style distance of a region against Gram matrices taken by hand."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -54,17 +56,19 @@ def test_what_lies_outside_the_region_counts_for_little():
 
 
 def test_gradient_reaches_the_regions_pixels():
-    style = RegionStyle(small_trunk(), picture(30, 40, 0), 24)
+    """In float64: the trunk's kinks lie so close together that only tiny steps stay between them."""
     view = view_of(0, 20)
-    colours = torch.rand(len(view), 3, generator=torch.Generator().manual_seed(1)).requires_grad_()
-    canvas = style.canvas(view)
+    canvas = RegionStyle(small_trunk(), picture(30, 40, 0), 24).canvas(view)
+    canvas = replace(canvas, coverage=[c.double() for c in canvas.coverage])
+    style = RegionStyle(small_trunk().double(), picture(30, 40, 0).double(), 24)
+    generator = torch.Generator().manual_seed(1)
+    colours, along = (torch.rand(len(view), 3, generator=generator, dtype=torch.float64) for _ in range(2))
+    colours.requires_grad_()
     (gradient,) = torch.autograd.grad(style.distance(colours, canvas), colours)
     assert (gradient.abs().sum(1) > 0).all()
     with torch.no_grad():
-        along = torch.randn(colours.shape, generator=torch.Generator().manual_seed(2))
-        step = 1e-3
-        ends = [float(style.distance(colours + sign * step * along, canvas)) for sign in (-1, 1)]
-    assert float((gradient * along).sum()) == pytest.approx((ends[1] - ends[0]) / (2 * step), rel=0.05)
+        ends = [float(style.distance(colours + step * along, canvas)) for step in (-1e-6, 1e-6)]
+    assert float((gradient * along).sum()) == pytest.approx((ends[1] - ends[0]) / 2e-6, rel=1e-5)
 
 
 def test_crops_and_recoloured_paintings():

@@ -140,7 +140,7 @@ def test_the_painting_in_the_regions_own_colours():
 def test_a_budget_of_seconds_ends_it():
     made = trainer(count=1, seconds=0.4, palette_steps=10**6, pruned_steps=10**6)
     made.run()
-    assert made.state.phase == "done" and made.state.curve and made.state.curve[-1]["phase"] == "pruned"
+    assert made.state.phase == "done" and min(made.state.spent.values()) > 0.09
     assert 0.4 < sum(made.state.spent.values()) < 2 and made.progress == made.whole_progress == 1
 
 
@@ -162,6 +162,6 @@ def test_what_cannot_be_learnt_is_refused():
         EditTrainer(views, module, SMALL, picture(40, 40, 0), None, 0, 1)
     with pytest.raises(InvalidValue, match=r"8 colours .* of which 9 may stay"):
         replace(SMALL, most_colours=9)
-    views[0].target[5] = np.nan
+    views[0].target[:] = np.nan
     with pytest.raises(Diverged, match="palette step 0"):
         EditTrainer(views, module, SMALL, None, None, 0, 1).run()
