@@ -1,4 +1,4 @@
-"""What a user changes of a learnt palette; nothing is trained again (LAENeRF, section 3.5 and eq. 4 of its supplement)."""
+"""What a user changes of a learnt palette; nothing is trained again (LAENeRF, 3.5 and eq. 4 of its supplement)."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field

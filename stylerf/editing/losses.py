@@ -69,7 +69,7 @@ def outside_gamut(palette: Tensor) -> Tensor:
 
 
 def likeness(palette: Tensor) -> Tensor:
-    """L_distinct, scalar: mean over pairs jk, j = k too, of 1 - |P_j - P_k|^2 / the largest such; 1 if all are equal."""
+    """L_distinct, scalar: mean over all jk of 1 - |P_j - P_k|^2 / the largest such; 1 if all are equal."""
     apart = (palette[:, None] - palette).square().sum(-1)
     return (1 - apart / apart.max().clamp_min(1e-12)).mean()
 

@@ -179,7 +179,7 @@ class PaletteModule:
 
 
 def box_around(points: np.ndarray) -> np.ndarray:
-    """[2, 3]: the corners of what cube points [n, 3] fill, with a margin; no side is thinner than a tenth of another."""
+    """[2, 3]: corners of what cube points [n, 3] fill, with a margin; no side is thinner than a tenth of another."""
     low, high = points.min(0), points.max(0)
     size = np.maximum(high - low, max(0.1 * float((high - low).max()), 1e-3))
     middle = (low + high) / 2

@@ -25,14 +25,13 @@ from stylerf.editing.palette import (
     clustered_palette,
     random_palette,
 )
+from stylerf.editing.shares import figures_of, kept_colours, shares_of
 from stylerf.editing.views import EditView
 from stylerf.errors import Diverged, InvalidValue
 from stylerf.geometry.harmonics import harmonics
 from stylerf.style.trunks import Trunk
 from stylerf.training.optimiser import Adam
 
-LEAST_SHARE = 0.025  # of the weights: a colour with less is removed
-PRUNED_BY = 10  # views that are asked for the shares, and for the figures
 SAMPLED_COLOURS = 20_000  # pixels of the region that a first palette and the painting's colours are taken from
 # Shares of `seconds` that the phases may take.
 TIME = {"recolour": {"palette": 0.75, "pruned": 0.25}, "style": {"palette": 0.2, "style": 0.55, "pruned": 0.25}}
@@ -152,7 +151,8 @@ class EditTrainer:
         phase, seconds = self.state.phase, self.settings.seconds
         if phase == "done":
             return 1.0
-        done = self.state.step / max(1, self._steps()[phase]) if self._steps()[phase] else 1.0
+        steps = self._steps()[phase]
+        done = self.state.step / steps if steps else 1.0
         if seconds > 0:
             share = TIME["recolour" if self.style is None else "style"][phase]
             done = max(done, self.state.seconds / (seconds * share))
@@ -256,41 +256,16 @@ class EditTrainer:
         following = phases[phases.index(state.phase) + 1]
         self.between_steps = False  # half of this change would make a checkpoint of neither phase
         if following == "pruned":
-            self.module.active = kept_colours(self.module.active, self.shares(), self.settings.most_colours)
+            shares = shares_of(self.module, self.views, self.chunks)
+            self.module.active = kept_colours(self.module.active, shares, self.settings.most_colours)
         state.spent[state.phase] = round(state.seconds, 3)
         state.phase, state.step, state.seconds = following, 0, 0.0
         self.between_steps = True
 
-    def shares(self) -> np.ndarray:
-        """[A] mean weight of each active colour: over pixels of a view, then over up to PRUNED_BY views."""
-        return np.mean([self.module.weights(view.x, self.chunks).mean(0) for view in self._some_views()], 0)
-
-    def _some_views(self) -> list[EditView]:
-        count = len(self.views)
-        chosen = np.unique(np.linspace(0, count - 1, min(count, PRUNED_BY)).round().astype(int))
-        return [self.views[at] for at in chosen]
-
     def figures(self) -> dict:
-        """What the module came to, on up to PRUNED_BY views: colours and their shares, sparsity L_sp, palette TV, and
-        PSNR in dB of the region's pixels against the photos."""
-        errors, sparse, varied, shares, pixels = 0.0, [], [], [], 0
-        for view in self._some_views():
-            mixture = self.module.mixture(view.x, view.directions, self.chunks)
-            weights = mixture.weights.numpy()
-            errors += float(np.square(mixture.colours.numpy() - view.target, dtype=np.float64).sum())
-            pixels += len(view)
-            sparse.append(losses.sparsity(weights))
-            varied.append(losses.weight_variation(weights, view))
-            shares.append(weights.mean(0))
-        return {
-            "colours": int(self.module.active.sum()),
-            "palette": self.module.palette.round(4).tolist(),
-            "shares": [round(float(share), 4) for share in np.mean(shares, 0)],
-            "sparsity": round(float(np.mean(sparse)), 4),
-            "palette_variation": round(float(np.mean(varied)), 5),
-            "psnr": round(-10 * math.log10(max(errors / (3 * pixels), 1e-10)), 2),
-            "seconds": {phase: round(seconds, 2) for phase, seconds in self.state.spent.items()},
-        }
+        """As figures_of, and the seconds of each phase that is over."""
+        seconds = {phase: round(seconds, 2) for phase, seconds in self.state.spent.items()}
+        return {**figures_of(self.module, self.views, self.chunks), "seconds": seconds}
 
     def checkpoint(self) -> tuple[dict, dict[str, np.ndarray]]:
         """(JSON, arrays) to go on from."""
@@ -308,15 +283,3 @@ class EditTrainer:
             values[:] = arrays[f"module.{name}"]
         for name, adam in (("table", self.table), ("networks", self.networks)):
             adam.restore({k: arrays[f"{name}.{k}"] for k in ("first", "second", "steps")})
-
-
-def kept_colours(active: np.ndarray, shares: np.ndarray, most: int) -> np.ndarray:
-    """Which colours stay active, bool as `active`: of LEAST_SHARE or more, the `most` largest, and at least one.
-
-    shares: [A] of the active ones.
-    """
-    order = np.argsort(-shares, kind="stable")
-    chosen = [at for at in order[:most] if shares[at] >= LEAST_SHARE] or [order[0]]
-    out = np.zeros_like(active)
-    out[np.flatnonzero(active)[chosen]] = True
-    return out
