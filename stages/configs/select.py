@@ -23,14 +23,14 @@ class SelectConfig:
     steps: int = option(5, help="rounds of growing")
     iterations: int = option(200000, help="cells looked at in a round")
     neck: float = option(
-        0.5, help="grow no further than where the object narrows to this share of its widest so far (0: go on)"
+        0.3, help="grow no further than where the object narrows to this share of its widest so far (0: go on)"
     )
     tolerance: float = option(
         18.0, help="greatest difference of colour from the seeds, CIELAB, light counted half (0: grow through anything)"
     )
     reach: float = option(0.0, help="greatest distance from the seeds, scene units (0: any)")
     transition: int = option(2, help="width of the growing grid around the region, in cells")
-    cells: int = option(0, help="cells a side of the cube (0: about a pixel and a half of the photos, 64 to 256)")
+    cells: int = option(0, help="cells a side of the cube (0: about a pixel and a half of the photos, 64 to 192)")
     solid: float = option(0.02, help="opacity across one cell from which growing goes through it")
     most: float = option(0.5, help="share of all that is solid at which growing is taken for having run away")
     union: tuple[str, ...] = option((), metavar="REGION", help="regions that are joined to it")

@@ -16,9 +16,9 @@ from stylerf.fields.samples import Rays, Samples
 from stylerf.kernels.cpu.march import OPTICAL_SCALE
 from stylerf.kernels.cpu.regions import weights_inside
 
-FEWEST_CELLS, MOST_CELLS = 32, 256
+FEWEST_CELLS, MOST_CELLS = 32, 192
 SOLID = 0.02  # opacity of a walk across one cell from which it can belong to something
-PROBES = 2  # points a side of a cell at which its density is asked
+FINE = 128  # cells a side from which one point tells a cell's density; of larger ones two a side are asked
 POINTS_AT_ONCE = 1 << 20
 
 
@@ -70,7 +70,8 @@ def solid_cells(field: RadianceField, cells: int, chunks: int, opacity: float = 
     """[cells, cells, cells] bool: where a walk across one cell would be at least `opacity` opaque.
 
     LAENeRF asks for a raw density of 10 instead, which means nothing where densities are counted per cell or cube.
-    The density of a cell is the largest of PROBES^3 points in it; only the field's occupied cells are asked.
+    The density of a cell is that of its centre, or the largest of eight points where there are fewer than FINE cells a
+    side; only the field's occupied cells are asked.
     """
     least = -np.log1p(-opacity) / (float(OPTICAL_SCALE) / cells)
     occupied = field.occupancy.distances == 0
@@ -79,8 +80,9 @@ def solid_cells(field: RadianceField, cells: int, chunks: int, opacity: float = 
     inside = ((corner * 2 + 1) * own // (2 * cells)).astype(np.int64)
     asked = np.flatnonzero(occupied[(inside[:, 0] * own + inside[:, 1]) * own + inside[:, 2]])
     highest = np.zeros(cells**3, np.float32)
-    for probe in np.ndindex((PROBES,) * 3):
-        shift = (np.array(probe, np.float32) + 0.5) / PROBES
+    probes = 1 if cells >= FINE else 2
+    for probe in np.ndindex((probes,) * 3):
+        shift = (np.array(probe, np.float32) + 0.5) / probes
         for at in range(0, len(asked), POINTS_AT_ONCE):
             some = asked[at : at + POINTS_AT_ONCE]
             points = np.ascontiguousarray((corner[some] + shift) / np.float32(cells), np.float32)
