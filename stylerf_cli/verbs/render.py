@@ -3,7 +3,7 @@
 from stages.configs.render import RenderConfig, label_of
 
 NAME = "render"
-HELP = "render a field along a path: EXR with depth and region masks for compositors, PNG, video"
+HELP = "render a field along a path: EXR with depth for compositors, PNG, video"
 CONFIG = RenderConfig
 
 

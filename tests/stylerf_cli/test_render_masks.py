@@ -73,7 +73,7 @@ def test_every_region_is_a_channel_of_every_frame(work, regions, capsys):
                       np.array(given.world_from_camera))  # fmt: skip
         expected = slow_mask(field, view, regions["low"], every := 37)
         np.testing.assert_allclose(planes["mask.low"].reshape(-1)[::every], expected, atol=1e-3)  # half precision
-        assert (expected > 0.5).any() and (expected < 0.1).any()
+        assert (expected > 0.3).any() and (expected < 0.01).any()
 
 
 def slow_mask(field, view: Camera, marked: np.ndarray, every: int) -> np.ndarray:
