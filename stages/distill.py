@@ -61,8 +61,7 @@ def _edited(
     pixels = view.pixels[chosen]
     out = photo.reshape(-1, photo.shape[2]).copy()
     if photo.shape[2] == 4:
-        # The module paints colours times alpha; a photo keeps them apart.
-        out[pixels, :3] = np.clip(found[chosen] / np.maximum(out[pixels, 3:], 1e-3), 0, 1)
+        out[pixels, :3] = found[chosen]  # its alpha stays
     else:
         # What the region does not cover of a pixel stays the photo's.
         share = view.weight[chosen, None]

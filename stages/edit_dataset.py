@@ -21,7 +21,7 @@ from stylerf.geometry.space import Space
 from stylerf.kernels.cpu.compiling import compiling_note, set_threads
 
 SPEC = Spec(stage="edit_dataset", verb="extract", revision=1, writes="edit-dataset")
-FADING = 1 / 20  # of the region's size
+FADING = 1 / 40  # of the region's size
 
 
 def run(inputs: dict[str, Artefact], config: ExtractConfig, partial: Partial, context: Context) -> dict:

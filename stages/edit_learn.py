@@ -1,6 +1,7 @@
 """Stylize, a region: a palette and where its colours go, by the photos and a painting (LAENeRF, 3.4)."""
 
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -23,8 +24,9 @@ from stylerf.editing.painting import crop_of
 from stylerf.editing.views import EditView
 from stylerf.errors import Diverged, InvalidValue
 from stylerf.kernels.cpu.compiling import compiling_note, set_threads
+from stylerf.style.colour import match_colours
 from stylerf.style.trunks import Trunk
-from stylerf.training.edit import EditSettings, EditTrainer, start_module
+from stylerf.training.edit import EditSettings, EditTrainer, sampled_colours, start_module
 
 SPEC = Spec(stage="edit_learn", verb="stylize", revision=1, writes="edit")
 
@@ -32,6 +34,7 @@ SPEC = Spec(stage="edit_learn", verb="stylize", revision=1, writes="edit")
 def run(inputs: dict[str, Artefact], config: EditConfig, partial: Partial, context: Context) -> dict:
     """Writes the palette module, its palette and a preview; returns the figures."""
     views, _ = load_edit_views(inputs["edit-dataset"])
+    shown = max(views, key=len)
     threads = set_threads(context.threads)
     torch.set_num_threads(threads)
     painting, trunk, features = None, None, None
@@ -40,6 +43,8 @@ def run(inputs: dict[str, Artefact], config: EditConfig, partial: Partial, conte
         context.progress.say(f"features: {resolved.name}, from {resolved.source}")
         painting, trunk = cropped(config), Trunk(resolved.state, config.taps, resolved.kind)
         features = resolved.manifest()
+        if config.match and not config.preserve_colour:
+            views = in_colours_of_painting(views, painting, context.seed)
     try:
         settings = settings_of(config)
         module = start_module(views, settings, context.seed)
@@ -49,7 +54,6 @@ def run(inputs: dict[str, Artefact], config: EditConfig, partial: Partial, conte
     if (saved := load_checkpoint(partial.checkpoint)) is not None:
         trainer.resume(*saved)
         context.progress.say(f"going on from step {trainer.state.step} of phase {trainer.state.phase}")
-    shown = max(views, key=len)
     with compiling_note(context.progress.say):
         _train(trainer, shown, config, partial, context)
     figures = trainer.figures()
@@ -84,6 +88,22 @@ def settings_of(config: EditConfig) -> EditSettings:
     )
 
 
+def in_colours_of_painting(views: list[EditView], painting: torch.Tensor, seed: int) -> list[EditView]:
+    """The views with the painting's mean colour and covariance where the edit does not fade into its surroundings.
+
+    A palette that begins with the region's colours moves to the painting's only as far as its Gram matrices pull it,
+    which are nearly blind to hue: a yellow shovel came out in yellow strokes.
+    """
+    colours = sampled_colours(views, np.random.default_rng([seed, 6]))
+    matching = match_colours(torch.from_numpy(colours), painting.flatten(1).T)
+    matched = []
+    for view in views:
+        new = matching(torch.from_numpy(view.target)).clamp(0, 1).numpy().astype(np.float32)
+        own = view.transition[:, None]
+        matched.append(replace(view, target=own * view.target + (1 - own) * new))
+    return matched
+
+
 def cropped(config: EditConfig) -> torch.Tensor:
     """The painting, or the part of it that is asked for, [3, h, w] sRGB 0..1; transparency counts as white."""
     pixels = read_image(Path(config.style)).pixels
@@ -111,13 +131,13 @@ def drawn(trainer: EditTrainer, view: EditView, chunks: int) -> np.ndarray:
 
 def _train(trainer: EditTrainer, shown: EditView, config: EditConfig, partial: Partial, context: Context) -> None:
     saved_at = drawn_at = time.monotonic()
-    context.progress.start("edit", 1.0, "share")
+    context.progress.start("edit", 100.0, "%")
 
     def on_step(now: EditTrainer) -> None:
         nonlocal saved_at, drawn_at
         last = now.state.curve[-1] if now.state.curve else {}
         note = f"squared error {last['reconstruction']:.4f}" if "reconstruction" in last else now.state.phase
-        context.progress.update(now.whole_progress, note)
+        context.progress.update(round(100 * now.whole_progress, 1), note)
         if config.preview_every and time.monotonic() - drawn_at > config.preview_every:
             target = partial.path.parent / "preview-now.png"
             write_png(target, drawn(now, shown, now.chunks))

@@ -1,6 +1,7 @@
 """Select: a part of the scene in 3D, from pixels, masks, boxes or colours, grown over the density (LAENeRF, 3.2)."""
 
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -29,6 +30,7 @@ from stylerf.editing.selection import (
     SeenCells,
     centres_of,
     ends_of_rays,
+    filled,
     halved_light,
     inside_box,
     inside_sphere,
@@ -56,6 +58,14 @@ class Looking:
     level: float
     cells: int
     chunks: int
+
+    @cached_property
+    def seen(self) -> SeenCells:
+        """What some of the training views see in the cells."""
+        train = self.scene.splits["train"]
+        chosen = [train[i] for i in np.unique(np.linspace(0, len(train) - 1, LOOKING_VIEWS).round().astype(int))]
+        photos = (photo_over(self.scene, i, self.level) for i in chosen)
+        return SeenCells(self.field, [self.scene.cameras[i] for i in chosen], photos, self.cells, self.chunks)
 
     def view(self, name: str) -> int:
         """Index of a view by its name, or by its number in the scene; BadInput naming some of those there are."""
@@ -96,11 +106,17 @@ def run(inputs: dict[str, Artefact], config: SelectConfig, partial: Partial, con
         edit = _combined(edit, others, field, inputs)
         share = float((edit & solid).sum() / solid.sum())
         _check(edit, solid, share, config)
-        region = Region(edit, shell(edit, config.transition, solid))
+        region = Region(edit, _around(looking, edit, solid, config))
         told = {"solid_share": round(share, 5), "edit_cells": int((edit & solid).sum())}
         seen_in = _previews(looking, region, config, partial.path)
     save_region(partial.path, region, field.space, told)
     return {**told, "cells": looking.cells, "grow_cells": int(region.grow.sum()), "previews": seen_in}
+
+
+def _around(looking: Looking, edit: np.ndarray, solid: np.ndarray, config: SelectConfig) -> np.ndarray:
+    """G: what views see of the scene beside the region; what lies behind its surface is no neighbour of its look."""
+    near = shell(edit, config.transition, solid)
+    return near & looking.seen.seen if near.any() else near
 
 
 def _cells(field: RadianceField, scene: SceneData, config: SelectConfig, others: dict, chunks: int) -> int:
@@ -135,8 +151,7 @@ def _marked(looking: Looking, solid: np.ndarray, config: SelectConfig, context: 
         edit |= _between_depths(looking, config.depth)
     points = _seeds(looking, config.at, config.scribble)
     if config.colour or len(points):
-        context.progress.say("looking at the colours of the scene")
-        seen = _seen(looking)
+        seen = looking.seen
         if config.colour:
             wanted = np.array([[int(config.colour[i : i + 2], 16) / 255 for i in (1, 3, 5)]])
             tolerance = config.tolerance or 18.0
@@ -145,14 +160,6 @@ def _marked(looking: Looking, solid: np.ndarray, config: SelectConfig, context: 
         if len(points):
             edit |= _grown(looking, solid, seen, points, config)
     return edit
-
-
-def _seen(looking: Looking) -> SeenCells:
-    train = looking.scene.splits["train"]
-    chosen = [train[i] for i in np.unique(np.linspace(0, len(train) - 1, LOOKING_VIEWS).round().astype(int))]
-    photos = (photo_over(looking.scene, i, looking.level) for i in chosen)
-    cameras = [looking.scene.cameras[i] for i in chosen]
-    return SeenCells(looking.field, cameras, photos, looking.cells, looking.chunks)
 
 
 def _seeds(looking: Looking, at: tuple[str, ...], scribbles: tuple[str, ...]) -> np.ndarray:
@@ -203,8 +210,8 @@ def _grown(looking: Looking, solid, seen: SeenCells, points: np.ndarray, config:
         for end in ends[:: max(1, len(ends) // 16)]:
             near |= np.linalg.norm(centres - end, axis=1) <= config.reach
         allowed = allowed & near.reshape(allowed.shape)
-    found = grow(start, allowed, config.steps * config.iterations, config.neck).grown
-    return padded(found, refused) | start
+    found = filled(grow(start, allowed, config.steps * config.iterations, config.neck).grown, config.fill, solid)
+    return padded(found, refused & ~found) | start
 
 
 def _nearer(seen: SeenCells, wanted: np.ndarray, avoided: np.ndarray) -> np.ndarray:

@@ -11,7 +11,7 @@ class ExtractConfig:
 
     tolerance: float = option(0.5, help="opacity of a pixel that may lie outside the region (LAENeRF: 0.5 to 0.85)")
     transition: float = option(
-        -1.0, help="width over which an edit fades towards what surrounds the region, scene units (-1: a 20th of it)"
+        -1.0, help="width over which an edit fades towards what surrounds the region, scene units (-1: a 40th of it)"
     )
     exr: bool = option(True, help="also write what each view shows as OpenEXR")
 

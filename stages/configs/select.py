@@ -28,6 +28,7 @@ class SelectConfig:
     tolerance: float = option(
         18.0, help="greatest difference of colour from the seeds, CIELAB, light counted half (0: grow through anything)"
     )
+    fill: int = option(2, help="gaps in what has grown are filled up to twice so many cells (0: never)")
     reach: float = option(0.0, help="greatest distance from the seeds, scene units (0: any)")
     transition: int = option(2, help="width of the growing grid around the region, in cells")
     cells: int = option(0, help="cells a side of the cube (0: about a pixel and a half of the photos, 64 to 192)")
@@ -57,6 +58,8 @@ class SelectConfig:
             raise ValueError("nothing is selected; give --at, --scribble, --mask, --box, --sphere, --colour, --depth")
         if self.steps < 0 or self.iterations < 1 or self.tolerance < 0 or self.reach < 0 or self.transition < 0:
             raise ValueError("steps, tolerance, reach and transition must be at least 0, iterations at least 1")
+        if self.fill < 0:
+            raise ValueError("fill must be at least 0")
         if self.cells and not 16 <= self.cells <= 512:
             raise ValueError("cells must be 16 to 512, or 0")
         if not 0 <= self.neck <= 1:

@@ -15,6 +15,7 @@ from stylerf.geometry.cameras import Camera
 from stylerf.kernels.cpu.regions import ends_inside
 
 JITTERS = 512  # the depths of a view are that many jitters apart
+OPAQUE = 0.5  # alpha, of the field and of the photo, under which a pixel is too little of anything to be edited
 SURE = 0.98  # weight of a pixel from which its depth counts for an edge
 TOUCHING = 0.5  # share of a ray's opacity inside the growing grid from which the ray ends there
 
@@ -63,18 +64,21 @@ def seen_of_view(
     """What view number `view` shows of the region; edit is None where it shows nothing.
 
     photo: [h, w, 3 or 4] sRGB 0..1. A pixel counts where at most `tolerance` of its opacity lies outside the region,
-    which leaves out what floats before it or hides it.
+    which leaves out what floats before it or hides it. Colours are the photo's own, not times its alpha as in LAENeRF:
+    silhouettes would teach the palette a black that is not there.
     """
     ends = ends_of_view(field, camera, region.edit, chunks)
     alpha, inside = np.clip(ends[:, 0], 0, 1), np.clip(ends[:, 1], 0, 1)
     shape = (camera.height, camera.width)
-    shown = (inside > 1e-3) & (np.abs(alpha - inside) <= settings.tolerance) & (inside > 0.05 * alpha)
+    shown = (alpha > OPAQUE) & (alpha - inside <= settings.tolerance) & (inside > 1e-3)
+    if photo.shape[2] == 4:
+        shown &= photo[..., 3].ravel() > OPAQUE
     depth = np.where(shown, ends[:, 2], 0).astype(np.float32)
     whole = Seen(None, alpha.reshape(shape), inside.reshape(shape), depth.reshape(shape))
     pixels = np.flatnonzero(shown)
     if not len(pixels):
         return whole
-    colours = photo[..., :3] * photo[..., 3:] if photo.shape[2] == 4 else photo
+    colours = photo[..., :3]
     weight = np.where(shown, alpha, 0).reshape(shape).astype(np.float32)
     origins, directions = camera.rays(pixels)
     x = np.ascontiguousarray(np.clip(ends[pixels, 3:], 0, 1))

@@ -3,7 +3,7 @@
 from collections.abc import Iterable
 
 import numpy as np
-from scipy.ndimage import binary_dilation, distance_transform_edt
+from scipy.ndimage import binary_dilation, binary_erosion, distance_transform_edt
 from skimage.color import rgb2lab
 
 from stylerf.editing.regions import march_view
@@ -128,6 +128,16 @@ def shell(marked: np.ndarray, width: int, among: np.ndarray) -> np.ndarray:
     if width < 1:
         return np.zeros_like(marked)
     return binary_dilation(marked, EVERYWHERE, iterations=width) & among & ~marked
+
+
+def filled(marked: np.ndarray, reach: int, among: np.ndarray) -> np.ndarray:
+    """The marked cells and those of `among` in gaps of up to twice `reach` cells between them: highlights, print."""
+    if reach < 1:
+        return marked
+    room = np.pad(marked, reach)  # a closing must not be cut off at the cube's border
+    closed = binary_erosion(binary_dilation(room, EVERYWHERE, iterations=reach), EVERYWHERE, iterations=reach)
+    inner = (slice(reach, -reach),) * 3
+    return marked | (closed[inner] & among)
 
 
 def padded(marked: np.ndarray, others: np.ndarray) -> np.ndarray:

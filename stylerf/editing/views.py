@@ -11,7 +11,7 @@ class EditView:
 
     view: index of the scene's view. pixels: [n] int64 row-major numbers, ascending. x: [n, 3] where their rays end, in
     the cube. along: [n, 3] what x moves by when the ray ends one jitter further. directions: [n, 3] unit, from the
-    camera. target: [n, 3] sRGB 0..1 of the photo, times its alpha where it has one. weight: [n] alpha of the field.
+    camera. target: [n, 3] sRGB 0..1 of the photo. weight: [n] alpha of the field.
     depth: [n] distance along the ray, scene units. transition: [n] lambda, 1 where the region meets what surrounds it,
     0 far from it. edges: [n, 2] geometry edges zeta >= 0 between a pixel and the one below it, the one right of it.
     """
