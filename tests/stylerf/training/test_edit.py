@@ -96,7 +96,7 @@ def test_pruning_by_shares():
 @pytest.mark.parametrize("style", [False, True])
 @pytest.mark.parametrize("at", ["palette", "last", "pruned"])
 def test_a_killed_run_goes_on_to_the_same_bits(style, at):
-    more = {"palette_steps": 6, "style_steps": 4, "pruned_steps": 5, "pruned_style_steps": 5}
+    more = {"palette_steps": 6, "style_steps": 4, "pruned_steps": 5, "pruned_style_steps": 5, "most_colours": 3}
 
     def stop(running: EditTrainer) -> None:
         if running.state.phase == phase and running.state.step == step:
@@ -113,6 +113,7 @@ def test_a_killed_run_goes_on_to_the_same_bits(style, at):
     (state, arrays), (other, others) = result_of(whole), result_of(going_on)
     assert state | {"spent": 0} == other | {"spent": 0} and state["spent"].keys() == other["spent"].keys()
     assert_same_bits(arrays, others)
+    assert arrays["active"].sum() == 3
     assert not np.array_equal(arrays["module.networks"], stopped.checkpoint()[1]["module.networks"])
 
 
