@@ -38,7 +38,7 @@ class EditWeights:
     offset: float = 0.5
     valid: float = 1.0
     distinct: float = 0.0
-    style: float = 0.1
+    style: float = 1.0
     variation: float = 1e-4 * REFERENCE_PIXELS
     edges: float = 5e-4 * REFERENCE_PIXELS
     smooth: float = 1e-3 * REFERENCE_PIXELS

@@ -41,7 +41,8 @@ TIME = {"recolour": {"palette": 0.75, "pruned": 0.25}, "style": {"palette": 0.2,
 class EditSettings:
     """How an edit is learnt.
 
-    colours: of the palette at first; palette: where they begin, "clusters" or "random" (LAENeRF). most_colours: kept by
+    colours: of the palette at first; palette: where they begin, "clusters" or "random" (LAENeRF); of four
+    shaded colours clusters leave these four with L_sp 0.1, random ones six with 0.5. most_colours: kept by
     pruning at most. *_steps: of each phase. seconds: a bound for all of them, 0 for none. pixels: of a view that a step
     without a painting learns from. rates: per step, of networks and palette (twice it) and of the table, falling to
     `final_rate` of themselves. style_side: see RegionStyle. preserve_colour: the painting is first given the region's

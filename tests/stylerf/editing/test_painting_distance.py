@@ -40,8 +40,7 @@ def test_pixels_lie_in_their_window_with_proportions_kept():
     assert float(drawn[0, 0, 0]) == 0 and float(drawn[2, -1, -1]) == 17
 
 
-def test_what_lies_outside_the_region_counts_for_little():
-    """A disc on black beside the same pattern without an outside."""
+def test_features_count_by_how_much_of_the_region_they_show():
     style = RegionStyle(small_trunk("conv1_2"), picture(48, 48, 1), 48)
     view = view_of(0, 48)
     canvas = style.canvas(view)
@@ -49,10 +48,14 @@ def test_what_lies_outside_the_region_counts_for_little():
     assert (canvas.height, canvas.width) == (46, 46) and canvas.coverage[0].shape == (48, 48)
     assert float(canvas.coverage[0].sum()) == pytest.approx(len(view) * (48 / 46) ** 2, rel=1e-3)
     flat = torch.full((len(view), 3), 0.6)
-    features = style.trunk(torch.full((1, 3, 48, 48), 0.6))[0][0]
-    gram = features.flatten(1) @ features.flatten(1).T / features.numel()
-    bare = float((gram - style.grams[0]).square().mean() / style.units[0])
-    assert float(style.distance(flat, canvas)) == pytest.approx(bare, rel=0.35)
+    features = style.trunk(style.picture(flat, canvas)[None])[0][0]
+    gram, total = torch.zeros(6, 6), 0.0
+    for row in range(48):
+        for column in range(48):
+            share, f = float(canvas.coverage[0][row, column]), features[:, row, column]
+            gram, total = gram + share * torch.outer(f, f), total + share
+    expected = float((gram / (6 * total) - style.grams[0]).square().mean() / style.units[0])
+    assert float(style.distance(flat, canvas)) == pytest.approx(expected, rel=1e-3)
 
 
 def test_gradient_reaches_the_regions_pixels():
