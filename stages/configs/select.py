@@ -31,7 +31,7 @@ class SelectConfig:
     fill: int = option(2, help="gaps in what has grown are filled up to twice so many cells (0: never)")
     reach: float = option(0.0, help="greatest distance from the seeds, scene units (0: any)")
     transition: int = option(2, help="width of the growing grid around the region, in cells")
-    cells: int = option(0, help="cells a side of the cube (0: about a pixel and a half of the photos, 64 to 192)")
+    cells: int = option(0, help="cells a side of the cube (0: about a pixel and a half of the photos, 64 to 256)")
     solid: float = option(0.02, help="opacity across one cell from which growing goes through it")
     most: float = option(0.5, help="share of all that is solid at which growing is taken for having run away")
     union: tuple[str, ...] = option((), metavar="REGION", help="regions that are joined to it")

@@ -38,18 +38,20 @@ class Seen:
     depth: np.ndarray
 
 
-def ends_of_view(field: RadianceField, camera: Camera, marked: np.ndarray, chunks: int) -> np.ndarray:
-    """[pixels, 6]: alpha, alpha inside marked cells, depth there (scene units along the ray) and x there (cube).
+def ends_of_view(field: RadianceField, camera: Camera, grids: list[np.ndarray], chunks: int) -> list[np.ndarray]:
+    """By grid of marked cells [pixels, 6]: alpha, alpha inside, depth (scene units, along the ray) and x there.
 
     Depth and x are means over the samples inside, by weight. LAENeRF takes sums over all samples of the ray, not
     divided by alpha, which puts ends short of their surface wherever the ray is not quite opaque.
     """
-    flat = np.ascontiguousarray(marked).reshape(-1)
-    out = np.empty((camera.height * camera.width, 6), np.float32)
+    flat = [np.ascontiguousarray(marked).reshape(-1) for marked in grids]
+    outs = [np.empty((camera.height * camera.width, 6), np.float32) for _ in grids]
     for part, s in march_view(field, camera, chunks):
-        ends_inside(flat, marked.shape[0], s.x, s.t, s.weights, s.starts, s.ends, chunks, out[part])
-    out[:, 2:] /= np.maximum(out[:, 1:2], 1e-8)
-    return out
+        for marked, own, out in zip(grids, flat, outs):
+            ends_inside(own, marked.shape[0], s.x, s.t, s.weights, s.starts, s.ends, chunks, out[part])
+    for out in outs:
+        out[:, 2:] /= np.maximum(out[:, 1:2], 1e-8)
+    return outs
 
 
 def seen_of_view(
@@ -67,7 +69,8 @@ def seen_of_view(
     which leaves out what floats before it or hides it. Colours are the photo's own, not times its alpha as in LAENeRF:
     silhouettes would teach the palette a black that is not there.
     """
-    ends = ends_of_view(field, camera, region.edit, chunks)
+    fading = settings.reach > 0 and bool(region.grow.any())
+    ends, *around = ends_of_view(field, camera, [region.edit, region.grow] if fading else [region.edit], chunks)
     alpha, inside = np.clip(ends[:, 0], 0, 1), np.clip(ends[:, 1], 0, 1)
     shape = (camera.height, camera.width)
     shown = (alpha > OPAQUE) & (alpha - inside <= settings.tolerance) & (inside > 1e-3)
@@ -93,7 +96,7 @@ def seen_of_view(
         target=np.ascontiguousarray(colours.reshape(-1, 3)[pixels], np.float32),
         weight=weight.ravel()[pixels],
         depth=depth[pixels],
-        transition=_transition(field, camera, region, x, settings.reach, chunks),
+        transition=_transition(field, x, around[0], settings.reach) if fading else np.zeros(len(x), np.float32),
         edges=_edges(depth.reshape(shape), weight, colours)[pixels],
     )
     return Seen(edit, whole.alpha, whole.alpha_edit, whole.depth)
@@ -106,17 +109,14 @@ def _along(field: RadianceField, origins: np.ndarray, directions: np.ndarray, de
     return (ends[1] - ends[0]).astype(np.float32)
 
 
-def _transition(
-    field: RadianceField, camera: Camera, region: Region, x: np.ndarray, reach: float, chunks: int
-) -> np.ndarray:
+def _transition(field: RadianceField, x: np.ndarray, ends: np.ndarray, reach: float) -> np.ndarray:
     """lambda [n]: 1 where the region touches the growing grid, falling to 0 at `reach` from it, scene units.
+
+    ends: of all rays of the view, in the growing grid.
 
     Distances are to the ends of this view's rays in the growing grid. LAENeRF divides by the largest distance in the
     view; a fixed width makes one place the same in every view.
     """
-    if reach <= 0 or not region.grow.any():
-        return np.zeros(len(x), np.float32)
-    ends = ends_of_view(field, camera, region.grow, chunks)
     touching = ends[:, 1] > TOUCHING * np.maximum(ends[:, 0], 1e-3)
     if not touching.any():
         return np.zeros(len(x), np.float32)
