@@ -8,7 +8,7 @@ from schemas.errors import ArtefactDamaged, BadInput
 from schemas.store import Artefact, Partial
 from schemas.tensors import load_tensors
 from stages.configs.finetune import FinetuneConfig
-from stages.configs.fit import budget_of
+from stages.configs.fit import EVEN_FROM, SMOOTHNESS, budget_of
 from stages.fields import load_checkpoint, load_field, save_checkpoint, save_field
 from stages.photos import bank_of, level_of
 from stages.progress import Context
@@ -38,6 +38,8 @@ def run(inputs: dict[str, Artefact], config: FinetuneConfig, partial: Partial, c
         density_factor=0.0 if config.freeze_density else config.density_factor,
         depth_weight=config.depth_weight,
         background=level_of(background),
+        smoothness=SMOOTHNESS[scene.layout],
+        even_from=EVEN_FROM[scene.layout],
     )
     tuner = FineTuner(field, bank_of(scene, train), edited, settings, context.seed, threads)
     if (saved := load_checkpoint(partial.checkpoint)) is not None:

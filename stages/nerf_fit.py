@@ -4,7 +4,7 @@ import time
 
 from schemas.errors import BadInput
 from schemas.store import Artefact, Partial
-from stages.configs.fit import FitConfig, budget_of, capacity_of
+from stages.configs.fit import EVEN_FROM, SMOOTHNESS, FitConfig, budget_of, capacity_of
 from stages.fields import load_checkpoint, save_checkpoint, save_field
 from stages.photos import bank_of
 from stages.progress import Context
@@ -17,8 +17,6 @@ from stylerf.training.fit import LADDER, FitSettings, Fitter, Rung
 
 SPEC = Spec(stage="nerf_fit", verb="fit", revision=1, writes="field")
 RATE = {"object": 2e-2, "forward": 4e-2, "unbounded": 4e-2}
-SMOOTHNESS = {"object": 0.0, "forward": 1e-3, "unbounded": 1e-3}
-EVEN_FROM = {"object": 0.0, "forward": 0.0, "unbounded": 1.0}  # 1: the median distance of the cameras from their focus
 
 
 def run(inputs: dict[str, Artefact], config: FitConfig, partial: Partial, context: Context) -> dict:

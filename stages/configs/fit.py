@@ -5,6 +5,10 @@ from dataclasses import dataclass
 
 from stages.configs import option
 
+# By layout; of every training of a field's shapes (docs/decisions/0011).
+SMOOTHNESS = {"object": 0.0, "forward": 1e-3, "unbounded": 1e-3}
+EVEN_FROM = {"object": 0.0, "forward": 0.0, "unbounded": 1.0}  # 1: the median distance of the cameras from their focus
+
 
 @dataclass(frozen=True)
 class FitConfig:

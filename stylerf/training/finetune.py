@@ -1,6 +1,7 @@
 """Fine-tune a field on photos that carry an edit (LAENeRF, section 3.5): colours follow, density where it has to.
 
-LAENeRF adds a depth term whose gradient its compositing discards; ours acts.
+LAENeRF adds a depth term whose gradient its compositing discards; ours acts. The occupancy stays as it is: looked at
+anew, it lost thin cells all over the scene (fox: background error 1.14 times that before the edit, else 1.05).
 """
 
 import math
@@ -14,10 +15,9 @@ from stylerf.errors import Diverged
 from stylerf.fields.field import RadianceField
 from stylerf.fields.samples import Rays
 from stylerf.rendering.rays import backward, render_rays
+from stylerf.training.fit import SMOOTH_EVERY
 from stylerf.training.optimiser import Adam
 from stylerf.training.rays import RayBank
-
-REFRESH_EVERY = 64  # steps between looks at where the density is
 
 
 @dataclass(frozen=True)
@@ -26,7 +26,8 @@ class FineTuneSettings:
 
     rates: per step, of the colours and (times density_factor) of the density, falling to final_rate of themselves;
     density_factor 0 keeps the shapes. depth_weight: of the squared difference of sum(w t) from the depth before the
-    edit, in units of that depth, at edited pixels. background: level of grey behind the field.
+    edit, in units of that depth, at edited pixels. background: level of grey behind the field. smoothness, even_from: as in
+    FitSettings.
     """
 
     seconds: float = 60.0
@@ -38,6 +39,8 @@ class FineTuneSettings:
     final_rate: float = 0.05
     depth_weight: float = 1e-3
     background: float = 1.0
+    smoothness: float = 0.0
+    even_from: float = 0.0
 
 
 @dataclass
@@ -94,11 +97,6 @@ class FineTuner:
         s, state = self.settings, self.state
         generator = np.random.default_rng([self.seed, 9, state.step])
         moving = s.density_factor > 0
-        if moving and self.field.displacement is None and state.step and state.step % REFRESH_EVERY == 0:
-            sigma = self.field.density.sigma
-            self.field.occupancy.refresh(
-                lambda x: sigma(x, self.chunks), self.field.step, self.seed + state.step, 4, 0.9
-            )
         inside = min(round(s.rays * s.inside), s.rays) if len(self.edited.pixels) else 0
         chosen = generator.integers(0, max(1, len(self.edited.pixels)), inside)
         near = self.bank.at(self.edited.views[chosen], self.edited.pixels[chosen])
@@ -125,7 +123,11 @@ class FineTuner:
             gradients[:inside, 4] = (2 * s.depth_weight / inside) * off / known
             depth_error = float(np.square(off).mean())
         density_to = self.density_adam.gradients if moving else None
-        backward(self.field, rendered, gradients, density_to, self.colour_adam.gradients)
+        backward(self.field, rendered, gradients, density_to, self.colour_adam.gradients, even_from=s.even_from)
+        if s.smoothness > 0 and state.step % SMOOTH_EVERY == 0:
+            self.field.colour.smooth(SMOOTH_EVERY * s.smoothness, self.colour_adam.gradients[0])
+            if moving:
+                self.field.density.smooth(SMOOTH_EVERY * s.smoothness, self.density_adam.gradients[0])
         rate = s.rate * s.final_rate**self.progress
         self.colour_adam.step(rate)
         if moving:
