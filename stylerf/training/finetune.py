@@ -24,10 +24,10 @@ from stylerf.training.rays import RayBank
 class FineTuneSettings:
     """seconds: budget, or steps if > 0. rays: of a step. inside: share of them through edited pixels.
 
-    rates: per step, of the colours and (times density_factor) of the density, falling to final_rate of themselves;
+    rate: per step, of the colours and (times density_factor) of the density, falling to final_rate of itself;
     density_factor 0 keeps the shapes. depth_weight: of the squared difference of sum(w t) from the depth before the
-    edit, in units of that depth, at edited pixels. background: level of grey behind the field. smoothness, even_from: as in
-    FitSettings.
+    edit, in units of that depth, at edited pixels. background: level of grey behind the field. smoothness, even_from:
+    as in FitSettings.
     """
 
     seconds: float = 60.0

@@ -10,6 +10,7 @@ import pytest
 from schemas.exr import read_exr
 from schemas.images import read_image, write_png
 from schemas.store import Work
+from stages.regions import load_region
 from stages.scenes import load_scene
 from stylerf_cli.main import main
 
@@ -128,10 +129,10 @@ def test_other_palette_changes_need_no_training(edited, capsys):
 
 
 def test_regions_are_joined_and_cut(edited, capsys):
-    scene = load_scene(next(s for s in Work(edited).artefacts("scene") if s.manifest.stage == "pose_import"))
-    low, high = scene.bounds.aabb
-    middle = [(a + b) / 2 for a, b in zip(low, high)]
-    left = [*low, middle[0], high[1], high[2]]
+    region, space = load_region(Work(edited).get("region", "ball"))
+    ends = space.unwarp((np.argwhere(region.edit) + 0.5) / region.cells)
+    low, high = ends.min(0) - 0.1, ends.max(0) + 0.1
+    left = [*low, np.median(ends[:, 0]), *high[1:]]
     said(capsys, "select", edited, "--box", *left, "--most", "1", "--name", "left")
     kept = said(capsys, "select", edited, "--union", "ball", "--intersect", "left", "--name", "ball-left")["figures"]
     cut = said(capsys, "select", edited, "--union", "ball", "--subtract", "left", "--name", "ball-right")["figures"]

@@ -6,7 +6,7 @@ import pytest
 from stylerf.rendering.view import render_view
 from stylerf.training.finetune import EditedPixels, FineTuner, FineTuneSettings
 from stylerf.training.rays import RayBank
-from tests.stylerf.training.scenes import box_fitter, box_photo, dome
+from tests.stylerf.training.scenes import SIDE, box_fitter, box_photo, dome
 
 RED = np.uint8([230, 20, 30])
 
@@ -24,14 +24,21 @@ def copy_of(field):
     return RadianceField.restore(field.describe(), {k: v.copy() for k, v in field.arrays().items()})
 
 
+def heights(camera) -> np.ndarray:
+    """z of the point where each pixel's ray enters the box, [24, 24]."""
+    origins, directions = (a.astype(np.float64) for a in camera.rays())
+    near = np.stack([(s * SIDE - origins) / directions for s in (-1, 1)]).min(0).max(1)
+    return (origins + near[:, None] * directions)[:, 2].reshape(24, 24)
+
+
 @pytest.fixture(scope="module")
 def edited():
-    """Photos whose upper half is red where the box is."""
+    """Photos of the box with its upper half, z > 0, in red."""
     cameras = dome(10, 1)
     photos, views, pixels = [], [], []
     for number, camera in enumerate(cameras):
         photo = box_photo(camera)
-        chosen = (photo[..., 3] > 128) & (np.arange(24)[:, None] < 12)
+        chosen = (photo[..., 3] > 128) & (heights(camera) > 0)
         photo[chosen, :3] = RED
         photos.append(photo)
         found = np.flatnonzero(chosen.ravel())
@@ -47,7 +54,7 @@ def tuner(fitted, edited, **more) -> FineTuner:
 
 
 def errors(field, bank) -> tuple[float, float]:
-    """Mean squared error inside and outside the red halves, over all views."""
+    """Mean squared error inside the red halves, and well below them, over all views."""
     inside, outside = [], []
     for number, camera in enumerate(bank.cameras):
         seen = render_view(field, camera, chunks=1)
@@ -55,9 +62,10 @@ def errors(field, bank) -> tuple[float, float]:
         start = bank.starts[number]
         photo = bank.bytes[start : start + 24 * 24 * 4].reshape(24, 24, 4) / 255
         wanted = photo[..., :3] * photo[..., 3:] + 1 - photo[..., 3:]
-        red = (photo[..., :3] * 255 == RED).all(-1)
-        inside.append(np.square(shown - wanted)[red].mean())
-        outside.append(np.square(shown - wanted)[~red].mean())
+        squares, red = np.square(shown - wanted), (photo[..., :3] * 255 == RED).all(-1)
+        inside.append(squares[red].mean())
+        # Sixteen cells a side draw no sharp seam: what lies below it by two of them must stay.
+        outside.append(squares[~red & (heights(camera) < -0.2)].mean())
     return float(np.mean(inside)), float(np.mean(outside))
 
 
