@@ -62,7 +62,7 @@ def _run(argv: list[str], state: dict[str, Path | None]) -> dict | None:
     )
     module.add_arguments(parser)
     # A verb may have other options in one use than in another.
-    config = module.config_for(argv[1:]) if hasattr(module, "config_for") else module.CONFIG
+    config = module.options_for(argv[1:]) if hasattr(module, "options_for") else module.CONFIG
     if config is not None:
         add_config(parser, config)
     add_common(parser)

@@ -1,7 +1,7 @@
 """The verbs: one module each, named in one table so that `stylerf --help` imports none of them.
 
 A verb module has NAME, HELP (one line, the same as here), CONFIG (its stage's config dataclass, or None; where its
-options depend on how it is used, `config_for(argv)` gives the one that holds),
+options depend on how it is used, `options_for(argv)` gives the one that holds),
 `add_arguments(parser)` for what is no option of the stage, and `run(args, session) -> dict`, whose result is what
 `--json` prints.
 """

@@ -12,7 +12,7 @@ HELP = "stylise the whole scene with a painting, or a region (--region)"
 CONFIG = StylizeConfig
 
 
-def config_for(argv: list[str]) -> type:
+def options_for(argv: list[str]) -> type:
     """The options of a region are others than those of a whole scene."""
     return RegionConfig if any(one == "--region" or one.startswith("--region=") for one in argv) else StylizeConfig
 

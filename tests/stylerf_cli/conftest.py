@@ -12,7 +12,7 @@ from stages.demo_data import PAINTING, write_demo
 from stages.progress import Silent
 from tests.stages.photo_room import walk, write_photos
 from tests.stylerf_cli import capture
-from tests.stylerf_cli.long_stages import LongStage, arguments_of, undisturbed
+from tests.stylerf_cli.long_stages import LongStage, arguments_of, before, undisturbed
 from tests.stylerf_cli.nursery import Nursery
 
 FIT = ("--budget", "60", "--no-buffers", "--capacity", "fixed:32x8x8", "--samples", "3000")
@@ -86,6 +86,9 @@ def long_stage(in_memory, finished, nursery, photos, room) -> Callable[[str], tu
         if name not in made:
             work = in_memory / f"long {name}" / "work"
             shutil.copytree(finished, work)
+            for arguments in before(name, work):
+                command = nursery.run(in_memory / "said", *arguments, "--quiet")
+                assert command.code == 0, command.err
             made[name] = undisturbed(nursery, *arguments_of(name, work, photos, room), work), work
         return made[name]
 

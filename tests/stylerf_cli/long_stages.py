@@ -17,11 +17,10 @@ from schemas.store import Artefact, Work
 from tests.stylerf_cli.nursery import Command, Nursery
 
 FOLLOWED_EVERY_SECONDS = 0.002
-STAGES = ("import", "fit", "deform", "stylize", "stylize with shapes", "render", "eval")
+STAGES = ("import", "fit", "deform", "stylize", "stylize with shapes", "stylize a region", "finetune", "render", "eval")
+IN_THE_SLOW_TESTS = ("deform", "stylize with shapes", "stylize a region")
 # The rest goes the same ways: its turn comes with the slow tests.
-IN_THE_GATE = [
-    pytest.param(name, marks=[pytest.mark.slow] if name in ("deform", "stylize with shapes") else []) for name in STAGES
-]
+IN_THE_GATE = [pytest.param(name, marks=[pytest.mark.slow] if name in IN_THE_SLOW_TESTS else []) for name in STAGES]
 TAKEN = re.compile(r"seconds|runs|peak_memory_mb")
 
 
@@ -57,10 +56,26 @@ def arguments_of(stage: str, work: Path, photos: Path, room: Path) -> tuple[tupl
         "stylize": (("stylize", work, "--of", "fit", "--budget", "12", "--rays", "dilated", *style), "field"),
         "stylize with shapes": (("stylize", work, "--of", "fit-deformed", "--method", "desrf", "--budget", "12",
                                  *style), "field"),
+        "stylize a region": (("stylize", work, "--region", "all", "--style", photos / "painting.png", "--palette-steps",
+                              "30", "--style-steps", "8", "--style-side", "64", *often), "edit"),
+        "finetune": (("finetune", work, "--edit", "grey", "--budget", "40", "--rays", "1024", *often), "field"),
         "render": (("render", work, "--of", "fit", "--path", "orbit", "--count", "24", "--scale", "2", "--video"),
                    "frames"),
         "eval": (("eval", work, "--of", "painting-arf", "--perceptual", "none"), "report"),
     }[stage]  # fmt: skip
+
+
+def before(stage: str, work: Path) -> tuple[tuple[object, ...], ...]:
+    """Commands that make what a stage of a local edit starts from: a region of all that is solid, and its edit."""
+    if stage not in ("stylize a region", "finetune"):
+        return ()
+    everything = ("--at", "0:16,16", "--tolerance", "0", "--neck", "0", "--most", "1")
+    made = (("select", work, *everything, "--name", "all"), ("extract", work, "--region", "all"))
+    if stage == "stylize a region":
+        return made
+    few = ("--palette-steps", "10", "--pruned-steps", "4", "--colours", "3", "--most-colours", "3")
+    edit = ("stylize", work, "--region", "all", "--recolor", "--palette", "0=#808080", "--name", "grey", *few)
+    return (*made, edit, ("distill", work, "--edit", "grey"))
 
 
 def appeared(path: Path, command: Command, seconds: float = 120.0) -> bool:
