@@ -65,6 +65,29 @@ def strategies() -> str:
     )
 
 
+def edits() -> str:
+    """Markdown of the local edits, with the published seconds beside ours."""
+    report = result("edits.json")
+    lines = [
+        "| edit | extract | learn | distill | finetune | in all | background MSE (before) | change inside | colours, L_sp |",
+        "|---|---|---|---|---|---|---|---|---|",
+    ]
+    for row in report["rows"]:
+        s = row["seconds"]
+        before = row["background_mse"] / row["background_ratio"]
+        lines.append(
+            f"| {row['case']} | {s['edit-dataset']:.0f} s | {s['edit']:.0f} s | {s['scene']:.0f} s | {s['field']:.0f} s "
+            f"| {row['seconds_after_selection']:.0f} s | {row['background_mse']:.5f} ({before:.5f}) "
+            f"| {row['change_lab']:.0f} dE | {row['colours']}, {row['sparsity']:.2f} |"
+        )
+    p = report["published_seconds"]
+    lines.append(
+        f"| LAENeRF, published, on a GPU | {p['edit-dataset']} s | {p['edit']} s | {p['scene']} s | {p['field']} s "
+        f"| {sum(p.values())} s | | | |"
+    )
+    return "\n".join([*lines, "", where(report)])
+
+
 def chart() -> str:
     """The strategies as a chart: SVG text, the same for the same figures."""
     import io
@@ -89,7 +112,7 @@ def chart() -> str:
     return out.getvalue()
 
 
-BLOCKS = {"figures": fits, "strategies": strategies}
+BLOCKS = {"figures": fits, "strategies": strategies, "edits": edits}
 
 
 def main() -> int:
