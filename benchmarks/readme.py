@@ -69,7 +69,8 @@ def edits() -> str:
     """Markdown of the local edits, with the published seconds beside ours."""
     report = result("edits.json")
     lines = [
-        "| edit | extract | learn | distill | finetune | in all | background MSE (before) | change inside | colours, L_sp |",
+        "| edit | extract | learn | distill | finetune | in all | background MSE (before) | change inside "
+        "| colours, L_sp |",
         "|---|---|---|---|---|---|---|---|---|",
     ]
     for row in report["rows"]:
