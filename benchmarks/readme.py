@@ -77,8 +77,8 @@ def edits() -> str:
         s = row["seconds"]
         before = row["background_mse"] / row["background_ratio"]
         lines.append(
-            f"| {row['case']} | {s['edit-dataset']:.0f} s | {s['edit']:.0f} s | {s['scene']:.0f} s | {s['field']:.0f} s "
-            f"| {row['seconds_after_selection']:.0f} s | {row['background_mse']:.5f} ({before:.5f}) "
+            f"| {row['case']} | {s['edit-dataset']:.0f} s | {s['edit']:.0f} s | {s['scene']:.0f} s "
+            f"| {s['field']:.0f} s | {row['seconds_after_selection']:.0f} s | {row['background_mse']:.5f} ({before:.5f}) "
             f"| {row['change_lab']:.0f} dE | {row['colours']}, {row['sparsity']:.2f} |"
         )
     p = report["published_seconds"]
