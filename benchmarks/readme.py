@@ -76,11 +76,15 @@ def edits() -> str:
     for row in report["rows"]:
         s = row["seconds"]
         before = row["background_mse"] / row["background_ratio"]
-        lines.append(
-            f"| {row['case']} | {s['edit-dataset']:.0f} s | {s['edit']:.0f} s | {s['scene']:.0f} s "
-            f"| {s['field']:.0f} s | {row['seconds_after_selection']:.0f} s | {row['background_mse']:.5f} ({before:.5f}) "
-            f"| {row['change_lab']:.0f} dE | {row['colours']}, {row['sparsity']:.2f} |"
-        )
+        cells = [
+            row["case"],
+            *(f"{s[stage]:.0f} s" for stage in report["published_seconds"]),
+            f"{row['seconds_after_selection']:.0f} s",
+            f"{row['background_mse']:.5f} ({before:.5f})",
+            f"{row['change_lab']:.0f} dE",
+            f"{row['colours']}, {row['sparsity']:.2f}",
+        ]
+        lines.append(f"| {' | '.join(cells)} |")
     p = report["published_seconds"]
     lines.append(
         f"| LAENeRF, published, on a GPU | {p['edit-dataset']} s | {p['edit']} s | {p['scene']} s | {p['field']} s "
