@@ -6,7 +6,7 @@ import shutil
 from schemas.errors import BadInput
 from schemas.store import Artefact, Partial
 from stages.configs.edit import PaletteConfig, colour_of, number_of
-from stages.edits import PALETTE, Edit, load_edit, save_edit, shares_of
+from stages.edits import PALETTE, Edit, columns_and_shares, load_edit, save_edit
 from stages.progress import Context
 from stages.runner import Spec
 from stylerf.editing.edits import PaletteEdits
@@ -19,17 +19,24 @@ def run(inputs: dict[str, Artefact], config: PaletteConfig, partial: Partial, co
     """Writes the same module with the changes; returns the figures."""
     learnt = inputs["edit"]
     edit = load_edit(learnt)
+    columns, shares = columns_and_shares(learnt)
     changes = changes_of(config)
     try:
-        changes.check(len(edit.module.palette))
+        changes.check(len(columns))
     except InvalidValue as error:
         raise BadInput(f"{learnt.path}: {error}; see {learnt.path / PALETTE}") from error
     told = json.loads(learnt.file(PALETTE).read_text())
     told.pop("colours")
-    save_edit(partial.path, Edit(edit.module, changes), shares_of(learnt), told)
+    save_edit(partial.path, Edit(edit.module, by_column(changes, columns)), shares, told)
     if (learnt.path / "style.png").is_file():
         shutil.copyfile(learnt.path / "style.png", partial.path / "style.png")
     return {"learnt": learnt.name, "changes": changes.describe(), **told}
+
+
+def by_column(changes: PaletteEdits, columns: list[int]) -> PaletteEdits:
+    """Changes counted as palette.json counts colours, as the module counts them."""
+    named = (changes.colours, changes.scales, changes.biases)
+    return PaletteEdits(*({columns[index]: value for index, value in one.items()} for one in named))
 
 
 def changes_of(config: PaletteConfig) -> PaletteEdits:

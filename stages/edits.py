@@ -28,17 +28,28 @@ class Edit:
 
 
 def save_edit(folder: Path, edit: Edit, shares: list[float], told: dict) -> None:
-    """shares: of the palette's colours in the region. told: what else palette.json says, such as sparsity."""
+    """shares: of the palette's colours in the region. told: what else palette.json says, such as sparsity.
+
+    Whoever reads the palette counts its colours by their shares, the largest first; `column` is the module's own count.
+    """
     save_tensors(folder / NUMBERS, edit.module.arrays())
     write_json(folder / DESCRIPTION, {"module": edit.module.describe(), "changes": edit.changes.describe()})
     learnt = edit.module.palette
     now = edit.changes.palette(learnt)
+    order = [int(column) for column in np.argsort(-np.asarray(shares), kind="stable")]
     entries = [
-        {"index": i, "name": _name(was), "learnt": _hex(was), "now": _hex(is_now), "share": round(share, 4)}
-        for i, (was, is_now, share) in enumerate(zip(learnt, now, shares, strict=True))
+        {
+            "index": index,
+            "name": _name(learnt[column]),
+            "learnt": _hex(learnt[column]),
+            "now": _hex(now[column]),
+            "share": round(shares[column], 4),
+            "column": column,
+        }
+        for index, column in enumerate(order)
     ]
     write_json(folder / PALETTE, {"colours": entries, **told})
-    write_png(folder / SWATCH, swatch(learnt, now, shares))
+    write_png(folder / SWATCH, swatch(learnt[order], now[order], [shares[column] for column in order]))
 
 
 def load_edit(artefact: Artefact) -> Edit:
@@ -52,10 +63,15 @@ def load_edit(artefact: Artefact) -> Edit:
         raise ArtefactDamaged(f"{artefact.path} does not hold a sound edit ({error}); make it anew") from error
 
 
-def shares_of(artefact: Artefact) -> list[float]:
-    """Shares of the palette's colours, as palette.json tells them."""
-    data = json.loads(artefact.file(PALETTE).read_text())
-    return [float(entry["share"]) for entry in data["colours"]]
+def columns_and_shares(artefact: Artefact) -> tuple[list[int], list[float]]:
+    """(the module's number of each colour as palette.json counts them, shares by the module's numbers)."""
+    try:
+        entries = json.loads(artefact.file(PALETTE).read_text())["colours"]
+        columns = [int(entry["column"]) for entry in entries]
+        shares = {column: float(entry["share"]) for column, entry in zip(columns, entries)}
+        return columns, [shares[column] for column in range(len(columns))]
+    except (KeyError, TypeError, ValueError) as error:
+        raise ArtefactDamaged(f"{artefact.path / PALETTE} is not sound ({error}); make it anew") from error
 
 
 def swatch(learnt: np.ndarray, now: np.ndarray, shares: list[float]) -> np.ndarray:
