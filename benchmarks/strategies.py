@@ -52,9 +52,10 @@ def stylizer_for(work: str, style: str, method: str, case: str):
     from schemas.store import Work
     from stages.configs.stylize import StylizeConfig
     from stages.fields import load_field
+    from stages.paintings import read_painting
     from stages.photos import level_of, photo_over
     from stages.scenes import load_scene
-    from stages.stylize import new_colour, read_painting, settings_of
+    from stages.stylize import new_colour, settings_of
     from stages.weights import resolve
     from stylerf.fields.deformation import Deformation
     from stylerf.kernels.cpu.compiling import set_threads

@@ -6,9 +6,8 @@ import numpy as np
 
 from schemas.errors import BadInput
 from schemas.images import to_uint8, write_png
-from schemas.scene import SCENE_FILE
 from schemas.store import Artefact, Partial
-from schemas.tensors import save_tensors
+from schemas.tensors import load_tensors, save_tensors
 from stages.configs.distill import DistillConfig
 from stages.edit_views import load_edit_views
 from stages.edits import Edit, load_edit
@@ -46,7 +45,6 @@ def run(inputs: dict[str, Artefact], config: DistillConfig, partial: Partial, co
     context.progress.finish()
     _keep_earlier(inputs["scene"], targets)
     save_tensors(partial.path / EDIT_TARGETS, targets)
-    assert (partial.path / SCENE_FILE).is_file()
     return {"views": len(views), "pixels": int(sum(len(v) for k, v in targets.items() if k.endswith(".pixels")))}
 
 
@@ -72,8 +70,6 @@ def _edited(
 
 def _keep_earlier(scene: Artefact, targets: dict[str, np.ndarray]) -> None:
     """Pixels of an earlier edit of the same photos stay edited pixels: a field that learns both must see both."""
-    from schemas.tensors import load_tensors
-
     path = scene.path / EDIT_TARGETS
     if not path.is_file():
         return

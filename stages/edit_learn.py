@@ -8,13 +8,14 @@ import numpy as np
 import torch
 
 from schemas.errors import BadInput
-from schemas.images import read_image, to_uint8, write_png
+from schemas.images import to_uint8, write_png
 from schemas.store import Artefact, Partial
 from stages.configs.edit import EditConfig
 from stages.configs.fit import budget_of
 from stages.edit_views import load_edit_views
 from stages.edits import Edit, save_edit
 from stages.fields import load_checkpoint, save_checkpoint
+from stages.paintings import read_painting
 from stages.progress import Context
 from stages.runner import Spec
 from stages.weights import resolve
@@ -106,12 +107,7 @@ def in_colours_of_painting(views: list[EditView], painting: torch.Tensor, seed: 
 
 def cropped(config: EditConfig) -> torch.Tensor:
     """The painting, or the part of it that is asked for, [3, h, w] sRGB 0..1; transparency counts as white."""
-    pixels = read_image(Path(config.style)).pixels
-    if pixels.shape[2] == 4:
-        pixels = pixels[..., :3] * pixels[..., 3:] + (1 - pixels[..., 3:])
-    if pixels.shape[2] == 1:
-        pixels = np.repeat(pixels, 3, axis=2)
-    painting = torch.from_numpy(np.ascontiguousarray(pixels)).permute(2, 0, 1).contiguous()
+    painting = read_painting(Path(config.style))
     try:
         return crop_of(painting, *config.crop) if config.crop else painting
     except InvalidValue as error:

@@ -16,6 +16,7 @@ from stages.progress import Context
 from stages.regions import load_region, save_region
 from stages.runner import Spec
 from stages.scenes import SceneData, load_scene
+from stylerf.editing.extraction import ends_of_view
 from stylerf.editing.regions import (
     FEWEST_CELLS,
     MOST_CELLS,
@@ -102,7 +103,7 @@ def run(inputs: dict[str, Artefact], config: SelectConfig, partial: Partial, con
         solid = solid_cells(field, looking.cells, chunks, config.solid)
         if not solid.any():
             raise BadInput(f"{inputs['field'].path}: nothing in the field is solid; give a smaller --solid")
-        edit = _marked(looking, solid, config, context)
+        edit = _marked(looking, solid, config)
         edit = _combined(edit, others, field, inputs)
         share = float((edit & solid).sum() / solid.sum())
         _check(edit, solid, share, config)
@@ -131,10 +132,10 @@ def _cells(field: RadianceField, scene: SceneData, config: SelectConfig, others:
     chosen = np.unique(np.linspace(0, len(train) - 1, 3).round().astype(int))
     found = [cells_of(surface_of(field, scene.cameras[train[i]], 0.05, chunks)) for i in chosen]
     wide = float(np.nanmedian(found)) if np.isfinite(found).any() else FEWEST_CELLS
-    return int(np.clip(round(wide / PIXELS_A_CELL / 16) * 16, 64, MOST_CELLS))
+    return int(np.clip(round(wide / PIXELS_A_CELL / 16) * 16, FEWEST_CELLS, MOST_CELLS))
 
 
-def _marked(looking: Looking, solid: np.ndarray, config: SelectConfig, context: Context) -> np.ndarray:
+def _marked(looking: Looking, solid: np.ndarray, config: SelectConfig) -> np.ndarray:
     """What the config marks and what grows from it, before other regions are joined or taken away."""
     edit = np.zeros_like(solid)
     space, cells = looking.field.space, looking.cells
@@ -154,8 +155,7 @@ def _marked(looking: Looking, solid: np.ndarray, config: SelectConfig, context: 
         seen = looking.seen
         if config.colour:
             wanted = np.array([[int(config.colour[i : i + 2], 16) / 255 for i in (1, 3, 5)]])
-            tolerance = config.tolerance or 18.0
-            alike = seen.like(halved_light(wanted), tolerance)
+            alike = seen.like(halved_light(wanted), config.tolerance)
             edit |= padded(alike & solid, seen.seen & ~alike)
         if len(points):
             edit |= _grown(looking, solid, seen, points, config)
@@ -230,8 +230,8 @@ def _between_depths(looking: Looking, text: str) -> np.ndarray:
     name, near, far = depth_of(text)
     view = looking.view(name)
     camera = looking.scene.cameras[view]
-    pixels = np.arange(camera.width * camera.height)
-    x, alpha = ends_of_rays(looking.field, camera, pixels, looking.chunks)
+    ends = ends_of_view(looking.field, camera, [np.ones((1, 1, 1), bool)], looking.chunks)[0]
+    x, alpha = ends[:, 3:], ends[:, 0]
     world = looking.field.space.unwarp(np.clip(x, 1e-6, 1 - 1e-6))
     z = (world - camera.world_from_camera[:3, 3]) @ camera.world_from_camera[:3, 2]
     chosen = (alpha > 0.5) & (z >= near) & (z <= far)

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 from schemas.errors import BadInput
-from schemas.images import read_image, to_uint8, write_png
+from schemas.images import to_uint8, write_png
 from schemas.store import Artefact, Partial
 from stages.configs.fit import budget_of
 from stages.configs.stylize import COLOUR_CELLS, StylizeConfig
@@ -21,6 +21,7 @@ from stages.fields import (
     save_deformation,
     save_field,
 )
+from stages.paintings import read_painting
 from stages.photos import level_of, photo_over
 from stages.progress import Context
 from stages.runner import Spec
@@ -182,17 +183,3 @@ def settings_of(config: StylizeConfig, long_side: int, closed: bool) -> StyleSet
         style_rows=config.style_rows,
         style_basis=config.style_basis,
     )
-
-
-def read_painting(path: Path) -> torch.Tensor:
-    """[3, h, w] float32 sRGB 0..1; transparent parts of a painting count as white."""
-    pixels = read_image(path).pixels
-    if pixels.shape[2] == 4:
-        pixels = pixels[..., :3] * pixels[..., 3:] + (1 - pixels[..., 3:])
-    if pixels.shape[2] == 1:
-        pixels = np.repeat(pixels, 3, axis=2)
-    if min(pixels.shape[:2]) < 16:
-        raise BadInput(
-            f"{path} is {pixels.shape[1]}x{pixels.shape[0]}; a painting of at least 16 pixels a side is needed"
-        )
-    return torch.from_numpy(np.ascontiguousarray(pixels)).permute(2, 0, 1).contiguous()

@@ -49,6 +49,8 @@ class SelectConfig:
             depth_of(self.depth)
         if self.colour and not re.fullmatch(r"#[0-9a-fA-F]{6}", self.colour):
             raise ValueError(f"colour {self.colour!r} is not written as #rrggbb")
+        if self.colour and not self.tolerance:
+            raise ValueError("a colour is selected by --tolerance; it must be over 0")
         if len(self.box) not in (0, 6) or len(self.sphere) not in (0, 4):
             raise ValueError("a box takes six numbers (two corners), a sphere four (centre and radius)")
         if self.sphere and self.sphere[3] <= 0:

@@ -16,7 +16,7 @@ from stylerf.fields.samples import Rays, Samples
 from stylerf.kernels.cpu.march import OPTICAL_SCALE
 from stylerf.kernels.cpu.regions import weights_inside
 
-FEWEST_CELLS, MOST_CELLS = 32, 256
+FEWEST_CELLS, MOST_CELLS = 64, 256
 SOLID = 0.02  # opacity of a walk across one cell from which it can belong to something
 FINE = 128  # cells a side from which one point tells a cell's density; of larger ones two a side are asked
 POINTS_AT_ONCE = 1 << 20

@@ -8,9 +8,10 @@ from skimage.color import rgb2lab
 
 from stylerf.editing.regions import march_view
 from stylerf.fields.field import RadianceField
+from stylerf.fields.samples import Rays
 from stylerf.geometry.cameras import Camera
 from stylerf.geometry.space import Space
-from stylerf.kernels.cpu.regions import add_to_cells
+from stylerf.kernels.cpu.regions import add_to_cells, ends_inside
 
 LIGHT = 0.5  # of a difference in lightness counts: one thing lies in light and in shadow
 SEEN = 0.05  # summed weight from which a cell is known to be seen
@@ -76,18 +77,11 @@ def modes(lab: np.ndarray, apart: float) -> np.ndarray:
 
 def ends_of_rays(field: RadianceField, camera: Camera, pixels: np.ndarray, chunks: int) -> tuple[np.ndarray, ...]:
     """(x [n, 3] in the cube, alpha [n]) where the rays of pixels end: the means of their samples, by weight."""
-    from stylerf.fields.samples import Rays
-
     origins, directions = camera.rays(pixels)
-    samples = field.march(Rays.of(origins, directions, field.space.near), 512, 1e-3, chunks)
-    x, alpha = np.zeros((len(pixels), 3)), np.zeros(len(pixels))
-    for r in range(len(pixels)):
-        part = slice(samples.starts[r], samples.ends[r])
-        w = samples.weights[part].astype(np.float64)
-        alpha[r] = w.sum()
-        if alpha[r] > 0:
-            x[r] = (samples.x[part] * w[:, None]).sum(0) / alpha[r]
-    return x, alpha
+    s = field.march(Rays.of(origins, directions, field.space.near), 512, 1e-3, chunks)
+    out = np.empty((len(pixels), 6), np.float32)
+    ends_inside(np.ones(1, bool), 1, s.x, s.t, s.weights, s.starts, s.ends, chunks, out)  # one cell: the whole cube
+    return out[:, 3:] / np.maximum(out[:, :1], 1e-8), out[:, 0]
 
 
 def inside_box(space: Space, cells: int, low, high) -> np.ndarray:

@@ -36,11 +36,12 @@ def run(args, session) -> dict:
 def _whole(args, session) -> dict:
     from schemas.canonical import file_sha256
     from stages import stylize
+    from stages.paintings import read_painting
     from stylerf_cli.chains import ensure_deformed, ensure_field, scene_of_work
 
     style = painting_of(session.config.style)
     # Refused before hours of upstream work, not after them.
-    stylize.read_painting(style)
+    read_painting(style)
     scene = scene_of_work(session)
     field = session.work.find("field", args.of) if args.of else ensure_field(session, scene)
     if session.config.method == "desrf":
