@@ -3,13 +3,15 @@
 import json
 import shutil
 
+import numpy as np
+
 from schemas.errors import BadInput
 from schemas.store import Artefact, Partial
 from stages.configs.edit import PaletteConfig, colour_of, number_of
 from stages.edits import PALETTE, Edit, columns_and_shares, load_edit, save_edit
 from stages.progress import Context
 from stages.runner import Spec
-from stylerf.editing.edits import PaletteEdits
+from stylerf.editing.edits import PaletteEdits, tinted
 from stylerf.errors import InvalidValue
 
 SPEC = Spec(stage="edit_palette", verb="stylize", revision=1, writes="edit")
@@ -20,7 +22,7 @@ def run(inputs: dict[str, Artefact], config: PaletteConfig, partial: Partial, co
     learnt = inputs["edit"]
     edit = load_edit(learnt)
     columns, shares = columns_and_shares(learnt)
-    changes = changes_of(config)
+    changes = changes_of(config, edit.module.palette[columns], np.array(shares)[columns])
     try:
         changes.check(len(columns))
     except InvalidValue as error:
@@ -39,10 +41,15 @@ def by_column(changes: PaletteEdits, columns: list[int]) -> PaletteEdits:
     return PaletteEdits(*({columns[index]: value for index, value in one.items()} for one in named))
 
 
-def changes_of(config: PaletteConfig) -> PaletteEdits:
-    """The changes that a config asks for."""
+def changes_of(config: PaletteConfig, palette: np.ndarray, shares: np.ndarray) -> PaletteEdits:
+    """The changes that a config asks for; palette [A, 3] and shares [A], counted as palette.json counts."""
+    asked = dict(map(colour_of, config.palette))
+    colours = {index: colour for index, colour in asked.items() if index is not None}
+    if None in asked:
+        every = enumerate(tinted(palette, shares, asked[None]).tolist())
+        colours = {index: tuple(colour) for index, colour in every} | colours
     return PaletteEdits(
-        dict(map(colour_of, config.palette)),
+        colours,
         dict(map(number_of, config.palette_weight)),
         dict(map(number_of, config.palette_bias)),
     )

@@ -3,6 +3,7 @@
 import time
 
 import numpy as np
+from scipy.ndimage import binary_dilation
 
 from schemas.errors import ArtefactDamaged, BadInput
 from schemas.store import Artefact, Partial
@@ -12,13 +13,19 @@ from stages.configs.fit import EVEN_FROM, SMOOTHNESS, budget_of
 from stages.fields import load_checkpoint, load_field, save_checkpoint, save_field
 from stages.photos import bank_of, level_of
 from stages.progress import Context
+from stages.regions import load_region
 from stages.runner import Spec
 from stages.scenes import EDIT_TARGETS, SceneData, load_scene
 from stylerf.errors import Diverged
+from stylerf.fields.field import RadianceField
+from stylerf.fields.patch import PatchColour
+from stylerf.fields.surface import pixel_cells, surface_of
+from stylerf.geometry.cameras import Camera
 from stylerf.kernels.cpu.compiling import compiling_note, set_threads
 from stylerf.training.finetune import EditedPixels, FineTuner, FineTuneSettings
 
-SPEC = Spec(stage="finetune", verb="finetune", revision=1, writes="field")
+SPEC = Spec(stage="finetune", verb="finetune", revision=2, writes="field")
+MARGIN = 2  # cells: samples in front of a surface, which is where its colour is looked for too
 
 
 def run(inputs: dict[str, Artefact], config: FinetuneConfig, partial: Partial, context: Context) -> dict:
@@ -28,12 +35,15 @@ def run(inputs: dict[str, Artefact], config: FinetuneConfig, partial: Partial, c
     threads = set_threads(context.threads)
     train = scene.splits["train"]
     edited = edited_pixels(scene, train)
+    if config.colours == "region":
+        field.colour = _patch(inputs, field, [scene.cameras[train[view]] for view in np.unique(edited.views)], threads)
     seconds, steps = budget_of(config.budget)
     settings = FineTuneSettings(
         seconds=seconds or 1.0,
         steps=steps,
         rays=config.rays,
         inside=config.inside,
+        beside=config.beside,
         rate=config.rate,
         density_factor=0.0 if config.freeze_density else config.density_factor,
         depth_weight=config.depth_weight,
@@ -58,13 +68,28 @@ def run(inputs: dict[str, Artefact], config: FinetuneConfig, partial: Partial, c
     }
 
 
+def _patch(
+    inputs: dict[str, Artefact], field: RadianceField, cameras: list[Camera], chunks: int
+) -> PatchColour:
+    """Colours for the region and MARGIN cells around it, over the field's. cameras: that see it."""
+    region, space = load_region(inputs["region"])
+    if space != field.space:
+        raise BadInput(
+            f"region {inputs['region'].name} divides the space of another field than {inputs['field'].name}; select it "
+            f"anew with `stylerf select --of {inputs['field'].name}`, or teach the whole field with --colours field"
+        )
+    some = [cameras[i] for i in np.unique(np.linspace(0, len(cameras) - 1, 4).round().astype(int))]
+    seen = pixel_cells(surface_of(field, camera, 2e-2, chunks) for camera in some)
+    return PatchColour.create(field.colour, binary_dilation(region.edit, iterations=MARGIN), seen)
+
+
 def edited_pixels(scene: SceneData, train: list[int]) -> EditedPixels:
     """The edited pixels of an edited scene's training views, by their place in `train`."""
     path = scene.folder / EDIT_TARGETS
     if not path.is_file():
         raise BadInput(f"{scene.folder} carries no edit; give a scene that `stylerf distill` made")
     arrays, _ = load_tensors(path)
-    views, pixels, depths = [], [], []
+    views, pixels, depths, beside = [], [], [], []
     try:
         for place, index in enumerate(train):
             if f"{index}.pixels" in arrays:
@@ -72,11 +97,21 @@ def edited_pixels(scene: SceneData, train: list[int]) -> EditedPixels:
                 views.append(np.full(len(own), place, np.int64))
                 pixels.append(own.astype(np.int64))
                 depths.append(arrays[f"{index}.depth"])
+                beside.append(_around(own, scene.cameras[index]))
     except KeyError as missing:
         raise ArtefactDamaged(f"{path} lacks {missing}; run `stylerf distill` again") from missing
     if not pixels:
         raise BadInput(f"{scene.folder}: no training view carries the edit")
-    return EditedPixels(np.concatenate(views), np.concatenate(pixels), np.concatenate(depths))
+    around = np.concatenate([np.full(len(own), group[0]) for group, own in zip(views, beside)]), np.concatenate(beside)
+    return EditedPixels(np.concatenate(views), np.concatenate(pixels), np.concatenate(depths), around)
+
+
+def _around(pixels: np.ndarray, camera: Camera) -> np.ndarray:
+    """Row-major numbers of the pixels that lie beside edited ones: within a fiftieth of the picture's longer side."""
+    edited = np.zeros((camera.height, camera.width), bool)
+    edited.reshape(-1)[pixels] = True
+    reach = max(2, max(edited.shape) // 50)
+    return np.flatnonzero(binary_dilation(edited, iterations=reach) & ~edited)
 
 
 def _train(tuner: FineTuner, config: FinetuneConfig, partial: Partial, context: Context) -> None:

@@ -95,7 +95,7 @@ def finetuned(session: Any, edit: Artefact, of: str | None, config: Any) -> Arte
 
     dataset = edit_dataset_of(session, edit)
     field = session.work.find("field", of) if of else input_of(session, dataset, "field", "field")
-    inputs = {"scene": ensure_distilled(session, edit), "field": field}
+    inputs = {"scene": ensure_distilled(session, edit), "field": field, "region": input_of(session, dataset, "region")}
     return session.run(finetune.SPEC, finetune.run, inputs, config, edit.name)
 
 

@@ -55,13 +55,18 @@ class EditConfig:
 class PaletteConfig:
     """What is changed of a learnt palette; nothing is trained for it."""
 
-    palette: tuple[str, ...] = option((), metavar="I=#RRGGBB", help="give palette colour I another colour")
+    palette: tuple[str, ...] = option(
+        (),
+        metavar="I=#RRGGBB",
+        help="give palette colour I another colour; all=#RRGGBB: all of them, lights and darks kept",
+    )
     palette_weight: tuple[str, ...] = option((), metavar="I=S", help="multiply the weight of palette colour I by S")
     palette_bias: tuple[str, ...] = option((), metavar="I=B", help="add B to the weight of palette colour I")
 
     def __post_init__(self) -> None:
-        for text in self.palette:
-            colour_of(text)
+        given = [colour_of(text)[0] for text in self.palette]
+        if given.count(None) > 1:
+            raise ValueError("palette all=#rrggbb can be given once")
         for text in (*self.palette_weight, *self.palette_bias):
             number_of(text)
 
@@ -69,13 +74,13 @@ class PaletteConfig:
         return bool(self.palette or self.palette_weight or self.palette_bias)
 
 
-def colour_of(text: str) -> tuple[int, tuple[float, float, float]]:
-    """'2=#c03020' -> (2, sRGB in 0..1); ValueError for anything else."""
-    match = re.fullmatch(r"(\d+)=#([0-9a-fA-F]{6})", text)
+def colour_of(text: str) -> tuple[int | None, tuple[float, float, float]]:
+    """'2=#c03020' -> (2, sRGB in 0..1), 'all=#c03020' -> (None, ...); ValueError for anything else."""
+    match = re.fullmatch(r"(\d+|all)=#([0-9a-fA-F]{6})", text)
     if not match:
-        raise ValueError(f"{text!r} is not a palette colour, written I=#rrggbb")
+        raise ValueError(f"{text!r} is not a palette colour, written I=#rrggbb or all=#rrggbb")
     red, green, blue = (int(match[2][i : i + 2], 16) / 255 for i in (0, 2, 4))
-    return int(match[1]), (red, green, blue)
+    return None if match[1] == "all" else int(match[1]), (red, green, blue)
 
 
 def number_of(text: str) -> tuple[int, float]:

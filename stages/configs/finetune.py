@@ -13,8 +13,15 @@ class FinetuneConfig:
     budget: str = option("45s", help="time of the training (45s, 2m) or its number of steps")
     rays: int = option(6144, help="rays a step")
     inside: float = option(0.4, help="share of them that goes through edited pixels")
+    beside: float = option(0.3, help="share of them that goes through pixels around those")
     rate: float = option(5e-3, help="learning rate of the colours")
     density_factor: float = option(0.3, help="learning rate of the density, relative to that")
+    colours: str = option(
+        "region",
+        choices=("region", "field"),
+        help="what learns the colours: a part of the region's own, so that nothing beyond it is tinted, or the whole "
+        "field's",
+    )
     freeze_density: bool = option(False, help="keep the shapes as they are")
     depth_weight: float = option(1e-3, help="weight of the squared relative change of depth at edited pixels")
     checkpoint_every_seconds: float = option(20.0, help="time between checkpoints")
@@ -23,5 +30,7 @@ class FinetuneConfig:
         budget_of(self.budget)
         if self.rays < 64 or not 0 < self.inside <= 1 or self.rate <= 0:
             raise ValueError("rays must be at least 64, inside in (0, 1], rate over 0")
+        if not 0 <= self.beside <= 1 - self.inside:
+            raise ValueError("beside must be at least 0, inside and beside together at most 1")
         if self.density_factor < 0 or self.depth_weight < 0:
             raise ValueError("density_factor and depth_weight must be at least 0")

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from stylerf.errors import InvalidValue
+from stylerf.style.colour import LUMA
 
 
 @dataclass(frozen=True)
@@ -74,3 +75,14 @@ class PaletteEdits:
     def restore(cls, data: dict) -> "PaletteEdits":
         colours = {int(i): tuple(colour) for i, colour in data["colours"].items()}
         return cls(colours, *({int(i): v for i, v in data[name].items()} for name in ("scales", "biases")))
+
+
+def tinted(palette: np.ndarray, shares: np.ndarray, target: tuple[float, float, float]) -> np.ndarray:
+    """[A, 3]: `target` in the palette's own lights and darks: each colour is target times luma / mean luma, in 0..1.
+
+    shares: of the colours in the region, which weigh the mean. All in sRGB; an encoded ratio is a power of that of
+    light, so that shading keeps its contrast.
+    """
+    lumas = palette @ np.asarray(LUMA, palette.dtype)
+    mean = float((lumas * shares).sum() / max(float(np.sum(shares)), 1e-9))
+    return np.clip(np.asarray(target, palette.dtype) * (lumas / max(mean, 1e-3))[:, None], 0, 1)

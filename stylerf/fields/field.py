@@ -7,6 +7,7 @@ import torch
 
 from stylerf.fields.hash import HashColour
 from stylerf.fields.occupancy import Occupancy
+from stylerf.fields.patch import PatchColour
 from stylerf.fields.samples import Rays, Samples
 from stylerf.fields.vm import VmColour, VmDensity
 from stylerf.geometry.space import Space
@@ -29,7 +30,7 @@ class RadianceField:
 
     space: Space
     density: VmDensity
-    colour: VmColour | HashColour
+    colour: VmColour | HashColour | PatchColour
     occupancy: Occupancy
     step: float
     displacement: np.ndarray | None = None
@@ -54,14 +55,14 @@ class RadianceField:
     @property
     def parameters(self) -> int:
         """Learnable numbers."""
-        return len(self.density.values) + len(self.colour.values)
+        return len(self.density.values) + sum(len(part.values) for part in layers_of(self.colour))
 
     def describe(self) -> dict:
         """JSON form of everything that is not an array."""
         return {
             "space": self.space.describe(),
             "density": self.density.describe(),
-            "colour": self.colour.describe(),
+            "colour": _described(self.colour),
             "step": self.step,
             "cells": self.occupancy.cells,
             "share": self.share,
@@ -77,7 +78,7 @@ class RadianceField:
         """Named arrays that restore() takes."""
         arrays = {
             "density": self.density.values,
-            "colour": self.colour.values,
+            **_colour_arrays(self.colour, "colour"),
             "occupancy.highest": self.occupancy.highest,
             "occupancy.distances": self.occupancy.distances,
         }
@@ -91,13 +92,47 @@ class RadianceField:
         return RadianceField(
             Space.restore(data["space"]),
             DENSITY_KINDS[data["density"]["kind"]].restore(data["density"], arrays["density"]),
-            COLOUR_KINDS[data["colour"]["kind"]].restore(data["colour"], arrays["colour"]),
+            _colour(data["colour"], arrays, "colour"),
             occupancy,
             data["step"],
             arrays.get("displacement"),
             _colour_map(data.get("colour_map")),
             data.get("share", 1e-3),
         )
+
+
+def layers_of(colour) -> list:
+    """A colour part and what lies under it, where it is a patch over another."""
+    return [colour, *layers_of(colour.base)] if isinstance(colour, PatchColour) else [colour]
+
+
+def _described(colour) -> dict:
+    if not isinstance(colour, PatchColour):
+        return colour.describe()
+    return {
+        "kind": colour.kind,
+        "cells": colour.cells,
+        "own": colour.own.describe(),
+        "base": _described(colour.base),
+    }
+
+
+def _colour_arrays(colour, name: str) -> dict[str, np.ndarray]:
+    arrays = {name: colour.values}
+    if isinstance(colour, PatchColour):
+        arrays |= {f"{name}.marked": np.packbits(colour.marked.reshape(-1))}
+        arrays |= _colour_arrays(colour.base, f"{name}.base")
+    return arrays
+
+
+def _colour(data: dict, arrays: dict[str, np.ndarray], name: str):
+    """What _described and _colour_arrays tell."""
+    if data["kind"] != PatchColour.kind:
+        return COLOUR_KINDS[data["kind"]].restore(data, arrays[name])
+    cells = data["cells"]
+    marked = np.unpackbits(arrays[f"{name}.marked"], count=cells**3).astype(bool).reshape((cells,) * 3)
+    own = HashColour.restore(data["own"], arrays[name])
+    return PatchColour(_colour(data["base"], arrays, f"{name}.base"), own, marked)
 
 
 def _colour_map(data: dict | None) -> ColourMap | None:

@@ -4,6 +4,7 @@ While the density does not move, where rays end does not either: a stylisation t
 march it once. Positions are kept in 16 bits an axis (1/128 of the finest cell of a 512^3 colour grid).
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -58,6 +59,12 @@ def cells_of(surface: Surface) -> float:
     apart = np.minimum(np.linalg.norm(points[:-1, 1:] - here, axis=-1), np.linalg.norm(points[1:, :-1] - here, axis=-1))
     apart = apart[np.isfinite(apart) & (apart > 0)]
     return float(1 / np.median(apart)) if len(apart) else float("nan")
+
+
+def pixel_cells(surfaces: Iterable[Surface]) -> float:
+    """The median of cells_of over views, nan if none of them sees anything."""
+    found = np.array([cells_of(surface) for surface in surfaces])
+    return float(np.median(found[np.isfinite(found)])) if np.isfinite(found).any() else float("nan")
 
 
 def surface_of(field: RadianceField, camera: Camera, share: float, chunks: int, opaque: float = 1e-3) -> Surface:

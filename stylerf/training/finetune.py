@@ -34,6 +34,7 @@ class FineTuneSettings:
     steps: int = 0
     rays: int = 6144
     inside: float = 0.4
+    beside: float = 0.3
     rate: float = 5e-3
     density_factor: float = 0.3
     final_rate: float = 0.05
@@ -59,12 +60,13 @@ class FineTuneState:
 class EditedPixels:
     """views, pixels [n]: edited pixels of the bank, by place of the view and row-major number. depth [n]: sum(w t) of
 
-    their rays before the edit, scene units.
+    their rays before the edit, scene units. beside: (views, pixels) of pixels around them that must stay.
     """
 
     views: np.ndarray
     pixels: np.ndarray
     depth: np.ndarray
+    beside: tuple[np.ndarray, np.ndarray]
 
 
 class FineTuner:
@@ -99,9 +101,15 @@ class FineTuner:
         moving = s.density_factor > 0
         inside = min(round(s.rays * s.inside), s.rays) if len(self.edited.pixels) else 0
         chosen = generator.integers(0, max(1, len(self.edited.pixels)), inside)
-        near = self.bank.at(self.edited.views[chosen], self.edited.pixels[chosen])
-        far = self.bank.draw(s.rays - inside, generator)[:3]
-        origins, directions, colours = (np.concatenate(pair) for pair in zip(near, far))
+        views, pixels = self.edited.beside
+        beside = min(round(s.rays * s.beside), s.rays - inside) if len(pixels) else 0
+        around = generator.integers(0, max(1, len(pixels)), beside)
+        drawn = (
+            self.bank.at(self.edited.views[chosen], self.edited.pixels[chosen]),
+            self.bank.at(views[around], pixels[around]),
+            self.bank.draw(s.rays - inside - beside, generator)[:3],
+        )
+        origins, directions, colours = (np.concatenate(three) for three in zip(*drawn))
         jitter = generator.random(s.rays, dtype=np.float32)
         rays = Rays.of(origins, directions, self.field.space.near, jitter)
         rendered = render_rays(self.field, rays, chunks=self.chunks)

@@ -16,7 +16,7 @@ import torch
 from stylerf.errors import Diverged
 from stylerf.fields.deformation import Deformation
 from stylerf.fields.field import RadianceField
-from stylerf.fields.surface import cells_of
+from stylerf.fields.surface import pixel_cells
 from stylerf.geometry.cameras import Camera
 from stylerf.rendering.strategies import selected_gradient, selected_pixels, spread_over_picture
 from stylerf.style.colour import ColourMap, match_colours, pixels_of
@@ -127,8 +127,7 @@ class Stylizer:
     def _pixel_cells(self) -> float:
         """Cells a side of the cube as wide as what a pixel sees: the median of up to four views, nan if none sees."""
         chosen = np.unique(np.linspace(0, len(self.cameras) - 1, 4).round().astype(int))
-        found = np.array([cells_of(self.still.surface(view)) for view in chosen])
-        return float(np.median(found[np.isfinite(found)])) if np.isfinite(found).any() else float("nan")
+        return pixel_cells(self.still.surface(view) for view in chosen)
 
     def _at_rest(self) -> RadianceField:
         """The field with its shapes as they now are, for good; its colours go on learning."""
