@@ -68,9 +68,7 @@ def run(inputs: dict[str, Artefact], config: FinetuneConfig, partial: Partial, c
     }
 
 
-def _patch(
-    inputs: dict[str, Artefact], field: RadianceField, cameras: list[Camera], chunks: int
-) -> PatchColour:
+def _patch(inputs: dict[str, Artefact], field: RadianceField, cameras: list[Camera], chunks: int) -> PatchColour:
     """Colours for the region and MARGIN cells around it, over the field's. cameras: that see it."""
     region, space = load_region(inputs["region"])
     if space != field.space:

@@ -28,8 +28,10 @@ from stylerf.editing.regions import (
     solid_cells,
 )
 from stylerf.editing.selection import (
+    Look,
     SeenCells,
     centres_of,
+    claimed,
     ends_of_rays,
     filled,
     halved_light,
@@ -41,13 +43,15 @@ from stylerf.editing.selection import (
     shown_by_masks,
 )
 from stylerf.fields.field import RadianceField
-from stylerf.fields.surface import cells_of, surface_of
+from stylerf.fields.surface import cells_of
 from stylerf.kernels.cpu.compiling import compiling_note, set_threads
 
 SPEC = Spec(stage="region_select", verb="select", revision=1, writes="region")
 LOOKING_VIEWS = 24  # views whose photos give the cells their colours
 PIXELS_A_CELL = 1.5
-TINT = np.array([1.0, 0.1, 0.8], np.float32)
+CLAIMS = 2  # rounds in which views claim what is as much the region as what has grown
+TINT = np.array([1.0, 0.1, 0.8], np.float32)  # of the region, in previews
+AROUND = np.array([0.1, 0.9, 1.0], np.float32)  # of what takes part in the transition
 
 
 @dataclass
@@ -57,16 +61,33 @@ class Looking:
     scene: SceneData
     field: RadianceField
     level: float
-    cells: int
+    asked_cells: int
     chunks: int
 
     @cached_property
-    def seen(self) -> SeenCells:
-        """What some of the training views see in the cells."""
+    def cells(self) -> int:
+        """Cells a side: as asked for, or PIXELS_A_CELL of what a pixel sees."""
+        if self.asked_cells:
+            return self.asked_cells
+        some = self.looks[:: max(1, len(self.looks) // 3)]
+        wide = float(np.median([cells_of(look.surface) * look.stride for look in some]))
+        wide = wide if np.isfinite(wide) else FEWEST_CELLS
+        return int(np.clip(round(wide / PIXELS_A_CELL / 16) * 16, FEWEST_CELLS, MOST_CELLS))
+
+    @cached_property
+    def looks(self) -> list[Look]:
+        """Some of the training views."""
         train = self.scene.splits["train"]
         chosen = [train[i] for i in np.unique(np.linspace(0, len(train) - 1, LOOKING_VIEWS).round().astype(int))]
-        photos = (photo_over(self.scene, i, self.level) for i in chosen)
-        return SeenCells(self.field, [self.scene.cameras[i] for i in chosen], photos, self.cells, self.chunks)
+        return [
+            Look.at(self.field, self.scene.cameras[i], photo_over(self.scene, i, self.level), self.chunks)
+            for i in chosen
+        ]
+
+    @cached_property
+    def seen(self) -> SeenCells:
+        """What they see in the cells."""
+        return SeenCells(self.looks, self.cells)
 
     def view(self, name: str) -> int:
         """Index of a view by its name, or by its number in the scene; BadInput naming some of those there are."""
@@ -99,7 +120,7 @@ def run(inputs: dict[str, Artefact], config: SelectConfig, partial: Partial, con
     chunks = set_threads(context.threads)
     others = {role: load_region(artefact) for role, artefact in inputs.items() if role.partition(".")[2]}
     with compiling_note(context.progress.say):
-        looking = Looking(scene, field, level_of(background), _cells(field, scene, config, others, chunks), chunks)
+        looking = Looking(scene, field, level_of(background), _asked_cells(config, others), chunks)
         solid = solid_cells(field, looking.cells, chunks, config.solid)
         if not solid.any():
             raise BadInput(f"{inputs['field'].path}: nothing in the field is solid; give a smaller --solid")
@@ -120,19 +141,13 @@ def _around(looking: Looking, edit: np.ndarray, solid: np.ndarray, config: Selec
     return near & looking.seen.seen if near.any() else near
 
 
-def _cells(field: RadianceField, scene: SceneData, config: SelectConfig, others: dict, chunks: int) -> int:
-    """Cells a side: as asked for, as regions to combine with have them, or by what a pixel sees."""
+def _asked_cells(config: SelectConfig, others: dict) -> int:
+    """Cells a side as asked for, or as regions to combine with have them; 0: by what a pixel sees."""
     for region, _ in others.values():
         if config.cells and config.cells != region.cells:
             raise BadInput(f"--cells {config.cells}: a region to combine with has {region.cells}; leave it out")
         return region.cells
-    if config.cells:
-        return config.cells
-    train = scene.splits["train"]
-    chosen = np.unique(np.linspace(0, len(train) - 1, 3).round().astype(int))
-    found = [cells_of(surface_of(field, scene.cameras[train[i]], 0.05, chunks)) for i in chosen]
-    wide = float(np.nanmedian(found)) if np.isfinite(found).any() else FEWEST_CELLS
-    return int(np.clip(round(wide / PIXELS_A_CELL / 16) * 16, FEWEST_CELLS, MOST_CELLS))
+    return config.cells
 
 
 def _marked(looking: Looking, solid: np.ndarray, config: SelectConfig) -> np.ndarray:
@@ -201,7 +216,7 @@ def _grown(looking: Looking, solid, seen: SeenCells, points: np.ndarray, config:
             alike = seen.like(colours, config.tolerance)
             avoided = _seeds(looking, config.avoid, ())
             if len(avoided):
-                alike &= ~_nearer(seen, colours, modes(seen.lab[marked_at(avoided, looking.cells)], 1.0))
+                alike &= ~seen.nearer(modes(seen.lab[marked_at(avoided, looking.cells)], 1.0), colours)
             allowed, refused = solid & alike, seen.seen & ~alike
     if config.reach > 0:
         ends = looking.field.space.unwarp(points)
@@ -211,19 +226,10 @@ def _grown(looking: Looking, solid, seen: SeenCells, points: np.ndarray, config:
             near |= np.linalg.norm(centres - end, axis=1) <= config.reach
         allowed = allowed & near.reshape(allowed.shape)
     found = filled(grow(start, allowed, config.steps * config.iterations, config.neck).grown, config.fill, solid)
-    return padded(found, refused & ~found) | start
-
-
-def _nearer(seen: SeenCells, wanted: np.ndarray, avoided: np.ndarray) -> np.ndarray:
-    """[s, s, s] bool: cells whose colour is nearer to one that is avoided than to any that is wanted."""
-
-    def least(colours: np.ndarray) -> np.ndarray:
-        apart = np.full(seen.seen.shape, np.inf, np.float32)
-        for colour in colours:
-            apart = np.fmin(apart, np.linalg.norm(seen.lab - colour, axis=-1))
-        return apart
-
-    return least(avoided) < least(wanted)
+    found = padded(found, refused & ~found) | start
+    for _ in range(CLAIMS):
+        found = claimed(looking.looks, found, looking.chunks)
+    return found
 
 
 def _between_depths(looking: Looking, text: str) -> np.ndarray:
@@ -285,7 +291,7 @@ def _previews(looking: Looking, region: Region, config: SelectConfig, folder: Pa
         shown = alpha.reshape(camera.height, camera.width, 2)
         photo = photo_over(looking.scene, view, looking.level)
         tinted = photo * (1 - 0.55 * shown[..., :1]) + 0.55 * shown[..., :1] * TINT
-        tinted = tinted * (1 - 0.35 * shown[..., 1:]) + 0.35 * shown[..., 1:] * TINT[::-1]
+        tinted = tinted * (1 - 0.35 * shown[..., 1:]) + 0.35 * shown[..., 1:] * AROUND
         write_png(folder / "preview" / f"{camera.name}.png", to_uint8(np.clip(tinted, 0, 1)))
         names.append(camera.name)
     return names

@@ -1,6 +1,8 @@
 """Selecting a region in 3D: seeds from pixels, boxes, masks and colours, and what they may grow through."""
 
+import math
 from collections.abc import Iterable
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.ndimage import binary_dilation, binary_erosion, distance_transform_edt
@@ -9,14 +11,50 @@ from skimage.color import rgb2lab
 from stylerf.editing.regions import march_view
 from stylerf.fields.field import RadianceField
 from stylerf.fields.samples import Rays
+from stylerf.fields.surface import Surface, surface_of
 from stylerf.geometry.cameras import Camera
 from stylerf.geometry.space import Space
-from stylerf.kernels.cpu.regions import add_to_cells, ends_inside
+from stylerf.kernels.cpu.regions import add_to_cells, ends_inside, weights_inside
 
 LIGHT = 0.5  # of a difference in lightness counts: one thing lies in light and in shadow
 SEEN = 0.05  # summed weight from which a cell is known to be seen
 INHERIT = 2.0  # cells that a colour reaches beyond the cells that are seen, into what is solid
+MOST_RAYS = 1 << 16  # of a view that is looked at; cells are wider than a pixel, and many views see each
+SHARE = 0.02  # part of its ray's largest weight that a sample needs to be looked at
+CLAIM_REACH = 2  # cells
 EVERYWHERE = np.ones((3, 3, 3), bool)
+
+
+@dataclass(frozen=True, eq=False)
+class Look:
+    """A view as a selection looks at it: what its rays end in, and the photo's sRGB colours there [rays, 3].
+
+    stride: every stride-th pixel of every stride-th row has a ray.
+    """
+
+    surface: Surface
+    colours: np.ndarray
+    stride: int
+
+    @staticmethod
+    def at(field: RadianceField, camera: Camera, photo: np.ndarray, chunks: int) -> "Look":
+        """A view and its photo [h, w, 3], of which at most about MOST_RAYS pixels are looked at."""
+        stride = math.ceil(math.sqrt(camera.height * camera.width / MOST_RAYS))
+        surface = surface_of(field, camera, SHARE, chunks, stride=stride)
+        colours = np.ascontiguousarray(photo[::stride, ::stride].reshape(-1, 3), np.float32)
+        return Look(surface, colours, stride)
+
+    def add(self, values: np.ndarray, cells: int, to: np.ndarray) -> None:
+        """Add sum w (values, 1) of rays with values [rays, m] to the cells of their samples, to [cells^3, m + 1]."""
+        starts, ends, x, weights = self.surface.samples(np.arange(self.surface.alpha.size))
+        add_to_cells(values, cells, x, weights, starts, ends, to)
+
+    def share_inside(self, marked: np.ndarray, chunks: int) -> np.ndarray:
+        """[rays, 1]: part of each ray's opacity that lies in marked cells [s, s, s]."""
+        starts, ends, x, weights = self.surface.samples(np.arange(self.surface.alpha.size))
+        inside, flat = np.empty(len(starts), np.float32), np.ascontiguousarray(marked).reshape(-1)
+        weights_inside(flat, marked.shape[0], x, weights, starts, ends, chunks, inside)
+        return (inside / np.maximum(self.surface.alpha.ravel(), 1e-6))[:, None]
 
 
 class SeenCells:
@@ -24,17 +62,13 @@ class SeenCells:
 
     weight: [s, s, s] summed weights of the samples in a cell. lab: [s, s, s, 3] CIELAB of the photos' mean colour
     there, its lightness halved; cells that are not seen have that of the nearest seen one up to INHERIT cells away,
-    others nan.
+    others nan. known: [s, s, s] which have one.
     """
 
-    def __init__(
-        self, field: RadianceField, cameras: Iterable[Camera], photos: Iterable[np.ndarray], cells: int, chunks: int
-    ) -> None:
+    def __init__(self, looks: Iterable[Look], cells: int) -> None:
         sums = np.zeros((cells**3, 4), np.float32)
-        for camera, photo in zip(cameras, photos, strict=True):
-            colours = np.ascontiguousarray(photo.reshape(-1, 3), np.float32)
-            for part, samples in march_view(field, camera, chunks):
-                add_to_cells(colours[part], cells, samples.x, samples.weights, samples.starts, samples.ends, sums)
+        for look in looks:
+            look.add(look.colours, cells, sums)
         shape = (cells,) * 3
         self.weight = sums[:, 3].reshape(shape)
         seen = self.weight > SEEN
@@ -44,18 +78,28 @@ class SeenCells:
         away, nearest = distance_transform_edt(~seen, return_indices=True)
         near = (away > 0) & (away <= INHERIT)
         lab[near] = lab[tuple(axis[near] for axis in nearest)]
-        self.lab, self.seen = lab, seen
+        self.lab, self.seen, self.known = lab, seen, seen | near
 
     def like(self, colours: np.ndarray, tolerance: float) -> np.ndarray:
         """[s, s, s] bool: cells whose colour is within `tolerance` of any of the Lab colours [n, 3]."""
-        known = np.isfinite(self.lab[..., 0])
-        out = np.zeros(known.shape, bool)
-        apart = np.full(int(known.sum()), np.inf, np.float32)
-        own = self.lab[known]
-        for colour in colours:
-            apart = np.minimum(apart, np.linalg.norm(own - colour, axis=1))
-        out[known] = apart <= tolerance
+        out = np.zeros(self.known.shape, bool)
+        out[self.known] = self._apart(colours) <= tolerance
         return out
+
+    def nearer(self, these: np.ndarray, those: np.ndarray) -> np.ndarray:
+        """[s, s, s] bool: cells whose colour is nearer to one of `these` Lab colours [n, 3] than to any of `those`."""
+        out = np.zeros(self.known.shape, bool)
+        out[self.known] = self._apart(these) < self._apart(those)
+        return out
+
+    def _apart(self, colours: np.ndarray) -> np.ndarray:
+        """Of known cells, the distance to the nearest of colours [n, 3]; infinite for none."""
+        own = self.lab[self.known]
+        squares = np.full(len(own), np.inf, np.float32)
+        for colour in colours.astype(np.float32):
+            off = own - colour
+            squares = np.minimum(squares, np.einsum("ij,ij->i", off, off))
+        return np.sqrt(squares)
 
 
 def halved_light(srgb: np.ndarray) -> np.ndarray:
@@ -115,6 +159,21 @@ def shown_by_masks(
         for part, samples in march_view(field, camera, chunks):
             add_to_cells(values[part], cells, samples.x, samples.weights, samples.starts, samples.ends, sums)
     return ((sums[:, 1] > SEEN) & (sums[:, 0] > 0.5 * sums[:, 1])).reshape((cells,) * 3)
+
+
+def claimed(looks: Iterable[Look], marked: np.ndarray, chunks: int) -> np.ndarray:
+    """The marked cells [s, s, s], and those around them that the views see as the same thing.
+
+    A surface that a fit left soft is spread over cells before and behind those that growing found, which look like
+    whatever shines through. A cell within CLAIM_REACH is taken where the rays that see something in it have, by
+    weight, more than half of their opacity in marked cells; rays that see it without the region outvote those.
+    """
+    cells = marked.shape[0]
+    sums = np.zeros((cells**3, 2), np.float32)
+    for look in looks:
+        look.add(look.share_inside(marked, chunks), cells, sums)
+    known = (sums[:, 1] > SEEN) & (sums[:, 0] > 0.5 * sums[:, 1])
+    return marked | (known.reshape(marked.shape) & binary_dilation(marked, EVERYWHERE, iterations=CLAIM_REACH))
 
 
 def shell(marked: np.ndarray, width: int, among: np.ndarray) -> np.ndarray:

@@ -96,9 +96,7 @@ class PatchColour:
         """(colours, with -1 in the first channel where a sample is not inside or has none; positions in the box)."""
         inside, own_x = np.empty_like(colours), np.empty_like(x)
         low, scale = self.low.astype(np.float32), np.float32(1 / self.side)
-        kernels.restrict_coloured(
-            self._flat, self.cells, low, scale, x, colours, starts, ends, chunks, own_x, inside
-        )
+        kernels.restrict_coloured(self._flat, self.cells, low, scale, x, colours, starts, ends, chunks, own_x, inside)
         return inside, own_x
 
 

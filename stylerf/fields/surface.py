@@ -67,9 +67,15 @@ def pixel_cells(surfaces: Iterable[Surface]) -> float:
     return float(np.median(found[np.isfinite(found)])) if np.isfinite(found).any() else float("nan")
 
 
-def surface_of(field: RadianceField, camera: Camera, share: float, chunks: int, opaque: float = 1e-3) -> Surface:
-    """March one view. share: part of a ray's largest weight that a sample must have to be kept."""
-    origins, directions = camera.rays()
+def surface_of(
+    field: RadianceField, camera: Camera, share: float, chunks: int, opaque: float = 1e-3, stride: int = 1
+) -> Surface:
+    """March one view. share: part of a ray's largest weight that a sample must have to be kept.
+
+    stride: only each stride-th pixel of each stride-th row is walked; the surface is that of so much smaller a view.
+    """
+    pixels = np.arange(camera.height * camera.width).reshape(camera.height, camera.width)[::stride, ::stride]
+    origins, directions = camera.rays(pixels.ravel())
     counts, parts_x, parts_w, alphas = [], [], [], []
     for at in range(0, len(origins), RAYS_AT_ONCE):
         part = slice(at, at + RAYS_AT_ONCE)
@@ -87,5 +93,5 @@ def surface_of(field: RadianceField, camera: Camera, share: float, chunks: int, 
         sums = np.concatenate([[0.0], np.cumsum(weights, dtype=np.float64)])
         alphas.append((sums[offsets[1:]] - sums[offsets[:-1]]).astype(np.float32))
     offsets = np.concatenate([[0], np.cumsum(np.concatenate(counts))]).astype(np.int64)
-    alpha = np.clip(np.concatenate(alphas), 0, 1).reshape(camera.height, camera.width)
+    alpha = np.clip(np.concatenate(alphas), 0, 1).reshape(pixels.shape)
     return Surface(offsets, np.concatenate(parts_x), np.concatenate(parts_w), alpha)
