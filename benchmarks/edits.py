@@ -21,18 +21,18 @@ from pathlib import Path
 
 HEAD = ["--at", "0021:101,129"]
 SHOVEL = ["--at", "r_10:300,90", "--at", "r_10:244,100", "--neck", "0", "--tolerance", "26", "--reach", "0.38"]
-CUP = ["--at", "13:200,125", "--at", "13:150,140", "--tolerance", "14"]
-CUP += ["--avoid", "13:330,200", "--avoid", "13:60,60", "--avoid", "13:300,60"]
+CUP = ["--at", "13:200,125", "--at", "13:150,140", "--at", "13:190,105", "--at", "13:230,135", "--at", "31:195,110"]
+CUP += ["--tolerance", "14", "--avoid", "13:330,200", "--avoid", "13:60,60", "--avoid", "13:300,60"]
 PLANT = ["--at", "image005:231,200", "--at", "image005:180,110", "--tolerance", "14"]
 PLANT += ["--avoid", "image005:450,300", "--avoid", "image005:230,325", "--avoid", "image005:80,80"]
 # name: (work folder, flags of the selection, what becomes of it)
 CASES = {
-    "lego shovel, recoloured": ("lego-400x400", SHOVEL, ["--recolor", "--palette", "0=#2050d0"]),
+    "lego shovel, recoloured": ("lego-400x400", SHOVEL, ["--recolor", "--palette", "all=#2050d0"]),
     "lego shovel, starry_night": ("lego-400x400", SHOVEL, ["--style", "starry_night.jpg"]),
-    "fox head, recoloured": ("fox-270x480", HEAD, ["--recolor", "--palette", "0=#2050d0"]),
+    "fox head, recoloured": ("fox-270x480", HEAD, ["--recolor", "--palette", "all=#2050d0"]),
     "fox head, starry_night": ("fox-270x480", HEAD, ["--style", "starry_night.jpg"]),
-    "cup, recoloured": ("cup-400x300", CUP, ["--recolor", "--palette", "0=#d03040"]),
-    "fern plant, recoloured": ("fern-504x378", PLANT, ["--recolor", "--palette", "0=#d06020"]),
+    "cup, recoloured": ("cup-400x300", CUP, ["--recolor", "--palette", "all=#d03040"]),
+    "fern plant, recoloured": ("fern-504x378", PLANT, ["--recolor", "--palette", "all=#d06020"]),
 }
 PUBLISHED = {"edit-dataset": 16, "edit": 133, "scene": 32, "field": 129}  # LAENeRF, supplement, table 3, on a GPU
 

@@ -38,14 +38,15 @@ def run(inputs: dict[str, Artefact], config: FinetuneConfig, partial: Partial, c
     if config.colours == "region":
         field.colour = _patch(inputs, field, [scene.cameras[train[view]] for view in np.unique(edited.views)], threads)
     seconds, steps = budget_of(config.budget)
+    rate, density_factor = config.rates
     settings = FineTuneSettings(
         seconds=seconds or 1.0,
         steps=steps,
         rays=config.rays,
         inside=config.inside,
         beside=config.beside,
-        rate=config.rate,
-        density_factor=0.0 if config.freeze_density else config.density_factor,
+        rate=rate,
+        density_factor=density_factor,
         depth_weight=config.depth_weight,
         background=level_of(background),
         smoothness=SMOOTHNESS[scene.layout],

@@ -10,6 +10,7 @@ from stylerf.fields.field import RadianceField
 from stylerf.fields.samples import Rays, Samples
 from stylerf.geometry.harmonics import harmonics
 from stylerf.kernels.cpu.composite import composite, composite_backward, scale_near, significant
+from stylerf.kernels.cpu.regions import keep_inside
 
 SAMPLE_LIMIT = 512
 
@@ -57,11 +58,13 @@ def backward(
     displacement_to=None,
     *,
     even_from: float = 0.0,
+    density_within: np.ndarray | None = None,
 ) -> None:
     """From dL/d(out) [rays, 5] to gradient buffers [chunks, parameters] of the parts; None leaves a part out.
 
     displacement_to: for the displacement grid, [chunks, 3 m^3]. even_from: distance, scene units, below which samples
-    learn by the square of their distance (0: all alike).
+    learn by the square of their distance (0: all alike). density_within: cells [s, s, s] of the cube outside of which
+    no density learns.
 
     A field's colour_map is for its pictures: the gradient is that of the colours before it.
     """
@@ -88,6 +91,9 @@ def backward(
     if colour_to is not None:
         field.colour.backward(s.x, rendered.basis, s.starts, s.ends, rendered.colours, colour_gradients, colour_to)
     if density_to is not None:
+        if density_within is not None:
+            flat, cells = density_within.reshape(-1), density_within.shape[0]
+            keep_inside(flat, cells, s.x, s.starts, s.ends, chunks, sigma_gradients)
         field.density.backward(s.x, s.starts, s.ends, s.sigma, sigma_gradients, density_to)
     if displacement_to is not None:
         at_positions = position_gradients(

@@ -13,6 +13,7 @@ import numpy as np
 
 from stylerf.errors import Diverged
 from stylerf.fields.field import RadianceField
+from stylerf.fields.patch import PatchColour
 from stylerf.fields.samples import Rays
 from stylerf.rendering.rays import backward, render_rays
 from stylerf.training.fit import SMOOTH_EVERY
@@ -94,6 +95,11 @@ class FineTuner:
         s = self.settings
         return min(1.0, self.state.step / s.steps if s.steps else self.state.seconds / s.seconds)
 
+    @property
+    def local(self) -> bool:
+        """Whether all that learns is near the edit: rays far from it would tell nothing."""
+        return isinstance(self.field.colour, PatchColour) and self.settings.density_factor == 0
+
     def step(self) -> dict[str, float]:
         """One step; mean squared errors of colours outside and inside the edit, and of depths."""
         s, state = self.settings, self.state
@@ -102,7 +108,8 @@ class FineTuner:
         inside = min(round(s.rays * s.inside), s.rays) if len(self.edited.pixels) else 0
         chosen = generator.integers(0, max(1, len(self.edited.pixels)), inside)
         views, pixels = self.edited.beside
-        beside = min(round(s.rays * s.beside), s.rays - inside) if len(pixels) else 0
+        beside = s.rays - inside if self.local else min(round(s.rays * s.beside), s.rays - inside)
+        beside = beside if len(pixels) else 0
         around = generator.integers(0, max(1, len(pixels)), beside)
         drawn = (
             self.bank.at(self.edited.views[chosen], self.edited.pixels[chosen]),
@@ -131,7 +138,9 @@ class FineTuner:
             gradients[:inside, 4] = (2 * s.depth_weight / inside) * off / known
             depth_error = float(np.square(off).mean())
         density_to = self.density_adam.gradients if moving else None
-        backward(self.field, rendered, gradients, density_to, self.colour_adam.gradients, even_from=s.even_from)
+        own = self.field.colour.marked if isinstance(self.field.colour, PatchColour) else None
+        to = density_to, self.colour_adam.gradients
+        backward(self.field, rendered, gradients, *to, even_from=s.even_from, density_within=own)
         if s.smoothness > 0 and state.step % SMOOTH_EVERY == 0:
             self.field.colour.smooth(SMOOTH_EVERY * s.smoothness, self.colour_adam.gradients[0])
             if moving:

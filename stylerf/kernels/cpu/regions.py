@@ -64,3 +64,14 @@ def ends_inside(marked, cells, x, t, weights, starts, ends, chunks, out):
                     out[r, 2] += w * t[k]
                     for a in range(3):
                         out[r, 3 + a] += w * x[k, a]
+
+
+@parallel_kernel
+def keep_inside(marked, cells, x, starts, ends, chunks, values):
+    """values[k] = 0 for samples whose cell is not marked; marked: [cells^3] bool."""
+    n = len(ends)
+    for c in prange(chunks):
+        for r in range(c * n // chunks, (c + 1) * n // chunks):
+            for k in range(starts[r], ends[r]):
+                if not marked[cell_of(x, k, cells)]:
+                    values[k] = _ZERO
