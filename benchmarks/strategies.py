@@ -8,7 +8,7 @@ Style distance (exact nearest neighbours, conv3) and content distance are means 
 looks two steps apart, the first at equal steps or at equal time: at a steady rate they swing by a tenth between steps.
 Field seconds: painting the picture and learning from its gradient; the rest of a step is the feature trunk, the
 matching and the optimisers. Field memory: what is resident at the end of painting and of learning, at most, above what
-was before the step; the trunk is left out.
+was before the step; the trunk is left out; in a process of its own that gives freed memory back at once.
 """
 
 import json
@@ -24,6 +24,9 @@ from functools import partial
 from pathlib import Path
 
 LOOKS = 5
+# Of glibc: every array of 64 KiB is given back to the system when it is freed. Otherwise what was freed before stays
+# resident by chance, and the same step was read as 142 MB and as 221.
+GIVEN_BACK = {"MALLOC_MMAP_THRESHOLD_": "65536"}
 CASES = {
     "full": {"strategy": "full"},
     "dilated": {"strategy": "dilated"},
@@ -131,14 +134,8 @@ class Mark:
         return {name: round(sum(look[name] for look in self.looks) / len(self.looks), 5) for name in self.looks[0]}
 
 
-def measure(work: str, style: str, method: str, case: str, steps: int, seconds: float) -> dict:
-    """One case, in this process. seconds 0: as long as `steps` steps take."""
-    made, held_out, level = stylizer_for(work, style, method, case)
-    while made.progress < 1:
-        made.refit_step()
-        made.state.step += 1
-    made._next_phase()
-    _ = made.objective  # the painting's features are computed here, not within the first step
+def watched(made) -> dict:
+    """What painting and learning cost from now on: seconds, and the peak of what is resident, MB."""
     spent = {"seconds": 0.0, "peak": 0.0, "inside": 0}
 
     def timed(function):
@@ -154,26 +151,45 @@ def measure(work: str, style: str, method: str, case: str, steps: int, seconds: 
 
         return call
 
-    gradient = made._gradient
     made._picture, made.geometry.learn = timed(made._picture), timed(made.geometry.learn)
     made.geometry.paint = timed(made.geometry.paint)  # deferred walks its rays again
+    return spent
+
+
+def ready(work: str, style: str, method: str, case: str) -> tuple:
+    """(stylizer at its first step, held-out views, background, what it costs)."""
+    made, held_out, level = stylizer_for(work, style, method, case)
+    while made.progress < 1:
+        made.refit_step()
+        made.state.step += 1
+    made._next_phase()
+    _ = made.objective  # the painting's features are computed here, not within the first step
+    spent = watched(made)
     for view in range(len(made.cameras)):  # what later visits of a view need is made at the first: not part of a step
         made.geometry.alpha(view)
         if made.settings.strategy not in ("full", "deferred"):
             made._remembered[view] = made.paint_view(view)
-    # Memory of the field alone: one step whose gradient comes from nowhere, before the trunk has run.
+    return made, held_out, level, spent
+
+
+def field_memory(work: str, style: str, method: str, case: str) -> float:
+    """MB of the field alone: a step whose gradient comes from nowhere, before the trunk has run."""
     import numpy as np
 
+    made, _, _, spent = ready(work, style, method, case)
     before, camera = resident_mb(), made.cameras[0]
     spent["peak"] = 0.0
     made._gradient = lambda view, picture: (
         np.zeros((camera.height, camera.width, 3), np.float32), {"style": 0.0})  # fmt: skip
-    rates = made.adam.step
     made.adam.step = lambda rate: None
     made.style_step()
-    memory = max(spent["peak"] - before, 0.0)
-    made.adam.step, made._gradient = rates, gradient
-    row: dict = {"case": case, "field_memory_mb": round(memory, 1)}
+    return round(max(spent["peak"] - before, 0.0), 1)
+
+
+def measure(work: str, style: str, method: str, case: str, steps: int, seconds: float) -> dict:
+    """One case, in this process. seconds 0: as long as `steps` steps take."""
+    made, held_out, level, spent = ready(work, style, method, case)
+    row: dict = {"case": case}
     made.style_step()  # the first runs slower
     made.state.step, spent["seconds"], used = 1, 0.0, 0.0
     marks = {"at_equal_steps": Mark()} | ({"at_equal_time": Mark()} if seconds else {})
@@ -200,7 +216,10 @@ def measure(work: str, style: str, method: str, case: str, steps: int, seconds: 
 def main() -> None:
     work, style, out = sys.argv[1:4]
     steps, method = int(sys.argv[4]) if len(sys.argv) > 4 else 30, sys.argv[5] if len(sys.argv) > 5 else "desrf"
-    if len(sys.argv) > 6:
+    if len(sys.argv) == 7:
+        print(field_memory(work, style, method, sys.argv[6]))
+        return
+    if len(sys.argv) > 7:
         print(json.dumps(measure(work, style, method, sys.argv[6], steps, float(sys.argv[7]))))
         return
     rows: list[dict] = []
@@ -208,7 +227,9 @@ def main() -> None:
         seconds = rows[0]["seconds_at_equal_steps"] if rows else 0.0
         asked = [work, style, out, str(steps), method, case, str(seconds)]
         command = [sys.executable, "-m", "benchmarks.strategies", *asked]
-        rows.append(json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout))
+        said = subprocess.run(command, check=True, capture_output=True, text=True).stdout
+        memory = subprocess.run(command[:-1], check=True, capture_output=True, text=True, env=os.environ | GIVEN_BACK)
+        rows.append({**json.loads(said), "field_memory_mb": float(memory.stdout)})
         print(rows[-1], flush=True)
         report = {
             "command": f"python -m benchmarks.strategies WORK {Path(style).name} OUT.json {steps} {method}",

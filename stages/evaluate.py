@@ -178,7 +178,8 @@ class Evaluation:
         self.context.progress.start("warping views", sum(map(len, ranges.values())), "pair")
         size = self.path.render(0).alpha.shape
         pixels, most = self.lenses.pixel_distance(size), self.config.perceptual_pairs
-        for row in measure_pairs(self.path, ranges, pixels, most, self.config.depth_tolerance):
+        inside = self.edit.inside_film(self.path) if self.edit else None
+        for row in measure_pairs(self.path, ranges, pixels, most, self.config.depth_tolerance, inside):
             self.pairs.append(row)
             self.context.progress.update(len(self.pairs))
         self.context.progress.finish()

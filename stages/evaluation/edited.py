@@ -1,8 +1,10 @@
 """Figures of a local edit: what it left of the background, how far it bleeds, what it changed in its region."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+
+import numpy as np
 
 from schemas.store import Artefact
 from stages.configs.evaluate import EvaluateConfig
@@ -78,6 +80,12 @@ class LocalEdit:
             row.measure(keys, lambda: _both(mean_change(render.image, base.image, parts.inside)))
         if parts.ring.any():
             row.measure((prefix + "bleeding",), lambda: mean_change(render.image, base.image, parts.ring).absolute)
+
+    def inside_film(self, film: FrameViews) -> Callable[[int, Render], np.ndarray] | None:
+        """The region's pixels [h, w] of a film's frames; None where the region is known by pictures of other views."""
+        if isinstance(self._masks, PictureMasks):
+            return None
+        return lambda index, render: self._masks.inside(film, index, render)
 
     def measure_training(self) -> None:
         """Fills `training_rows` where frames of the training views were given."""

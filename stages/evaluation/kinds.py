@@ -138,6 +138,14 @@ SHARED = (
         "of the pairs.",
     ),
     Kind(
+        "edit_short_rmse", "Consistency short within the region, RMSE", "", "lower", 4,
+        "The same over the visible pixels of frame k+1 {inside}.",
+    ),
+    Kind(
+        "edit_long_rmse", "Consistency long within the region, RMSE", "", "lower", 4,
+        "As short range, with frames {gap} apart.",
+    ),
+    Kind(
         "short_perceptual", "Consistency short, {perceptual_net}", "", "lower", 4,
         "{perceptual_net} per pixel of the same pairs, averaged over visible pixels; elsewhere both images show the "
         "target, so nothing counts.",

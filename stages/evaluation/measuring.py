@@ -130,8 +130,11 @@ def measure_pairs(
     perceptual: PixelDistance | None,
     most_perceptual: int,
     tolerance: float,
+    inside: Callable[[int, Render], np.ndarray] | None = None,
 ) -> Iterator[Row]:
     """One row a pair: `range` (short, long), names, values under `<range>_rmse`, `_share`, `_perceptual`.
+
+    inside: of a local edit, the pixels [h, w] of a frame that show its region, for `edit_<range>_rmse` over these.
 
     The perceptual distance, by far the slowest, is taken of at most `most_perceptual` (0: all) pairs a range.
     """
@@ -155,4 +158,11 @@ def measure_pairs(
                     return (found.rmse, found.share, found.perceptual)[: 2 if score is None else 3]
 
                 row.measure(keys, values)
+                if inside is not None:
+                    within = inside(target, b)
+
+                    def values(a: Render = a, b: Render = b, within: np.ndarray = within) -> float | None:
+                        return pair_consistency(a.posed(), b.posed(), None, tolerance, within=within).rmse
+
+                    row.measure((f"edit_{label}_rmse",), values)
             yield {**row.row(), "range": label, "frame": target}

@@ -84,14 +84,19 @@ def pair_consistency(
     perceptual: PixelDistance | None = None,
     tolerance: float = 0.02,
     erode: int = 1,
+    within: np.ndarray | None = None,
 ) -> PairConsistency:
     """Difference between the warped source and the target over the visible pixels.
+
+    within: bool [h, w], the pixels of the target that are asked about (None: all of them), of visible and opaque alike.
 
     For `perceptual` the target's own colours are laid where nothing is visible, so that these places are equal in
     both and only what leaks across the border through the distance's receptive field is shared.
     """
     warped, visible = warp(source, target, tolerance, erode)
-    opaque = int((target.alpha > 0.5).sum())
+    asked = np.ones_like(visible) if within is None else within
+    visible &= asked
+    opaque = int(((target.alpha > 0.5) & asked).sum())
     count = int(visible.sum())
     if count == 0:
         return PairConsistency(None, None, 0.0, 0)

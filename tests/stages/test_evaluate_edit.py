@@ -261,3 +261,20 @@ def test_without_an_edit_nothing_of_it_is_told(made_up):
     assert {record.path for record in artefact.manifest.files} == {
         "charts/psnr_views.png", "charts/psnr_views.svg", "report.html", "report.json", "views.csv",
     }  # fmt: skip
+
+
+def test_consistency_of_the_edit_is_that_of_its_own_pixels(made_up):
+    """Along a slide the region turns brighter by 0.1 a frame, and nothing else does."""
+    work, inputs, *_ = made_up
+    path = [0.0, 0.05, 0.1]
+    cameras = [made.camera(x, f"slide_{i}") for i, x in enumerate(path)]
+    steady = [made.look(camera) for camera in cameras]
+    flickering = []
+    for i, (x, seen) in enumerate(zip(path, steady)):
+        rgb = np.where(seen_of_region(x)[..., None], np.float32(0.3 + 0.1 * i), seen.rgb)
+        flickering.append(replace(seen, rgb=rgb))
+    film = made.make_frames(work, "blue-slide", "slide", cameras, flickering, inputs["field"], matched=False)
+    _, report = evaluated(work, {**inputs, "path_frames": film}, replace(QUIET, gap=2), "film")
+    assert figure(report, "edit_short_rmse")["mean"] == pytest.approx(0.1, abs=0.01)
+    assert figure(report, "edit_long_rmse")["mean"] == pytest.approx(0.2, abs=0.01)
+    assert figure(report, "short_rmse")["mean"] < 0.08

@@ -10,8 +10,11 @@ import pytest
 from schemas.exr import read_exr
 from schemas.images import read_image, write_png
 from schemas.store import Work
+from stages.fields import load_field
 from stages.regions import load_region
 from stages.scenes import load_scene
+from stylerf.fields.field import layers_of
+from stylerf.rendering.view import render_view
 from stylerf_cli.main import main
 
 DEMO = ["--size", "48", "--train-views", "16", "--test-views", "2", "--fit-budget", "250", "--style-budget", "2",
@@ -126,6 +129,54 @@ def test_other_palette_changes_need_no_training(edited, capsys):
     assert colours[0]["now"] == "#2030f0" != colours[0]["learnt"]
     assert abs(sum(one["share"] for one in colours) - 1) < 0.01
     assert read_image(Path(made["edit"]) / "palette.png").pixels.shape[2] == 3
+
+
+def test_a_tint_takes_every_palette_colour_and_one_that_is_named_goes_its_own_way(edited, capsys):
+    asked = ("--palette", "all=#2030f0", "--palette", "1=#ffffff", "--name", "tint")
+    made = said(capsys, "stylize", edited, "--region", "ball", "--recolor", *asked, *QUICK)
+    colours = json.loads((Path(made["edit"]) / "palette.json").read_text())["colours"]
+    rgb = [[int(one["now"][i : i + 2], 16) for i in (1, 3, 5)] for one in colours]
+    assert rgb[1] == [255, 255, 255]
+    blues = [one for place, one in enumerate(rgb) if place != 1 and max(one) > 8]
+    assert blues and all(one[2] > one[1] > one[0] for one in blues)
+    said(capsys, "stylize", edited, "--region", "ball", "--recolor", "--palette", "0=#10e020", "--name", "ball", *QUICK)
+
+
+def test_a_second_edit_of_the_edited_field_keeps_the_first_and_either_can_be_gone_back_to(edited, middle, capsys):
+    work, first = Work(edited), middle.partition(":")[0]
+    kept = {name: work.get("field", name).digest for name in ("ball", "fit-250")}
+    flags = ["--at", f"{first}:24,44", "--tolerance", "0", "--reach", "0.5", "--most", "1", "--palette", "all=#2030f0"]
+    said(capsys, "edit", edited, "--of", "ball", *flags, "--recolor", "--name", "table", "--config",
+         _finetune(edited), *QUICK)  # fmt: skip
+    (plain, _), (ball, _), (both, _) = (load_field(work.get("field", name)) for name in ("fit-250", "ball", "table"))
+    assert [part.kind for part in layers_of(both.colour)] == ["patch", "patch", plain.colour.kind]
+    assert {name: work.get("field", name).digest for name in kept} == kept
+    scene = load_scene(work.get("scene", "table"))
+    camera = scene.cameras[scene.splits["train"][0]]
+    regions = {name: load_region(work.get("region", name))[0].edit for name in ("ball", "table")}
+    views = [render_view(one, camera, chunks=1, regions=regions) for one in (plain, ball, both)]
+    in_ball, in_table = ((views[0].masks[name] > 0.9) for name in ("ball", "table"))
+    assert in_ball.sum() > 8 and in_table.sum() > 8
+
+    def shift(a, b, where):
+        return (views[b].rgb - views[a].rgb)[where].mean(0)
+
+    green, blue = shift(0, 2, in_ball & ~in_table), shift(0, 2, in_table & ~in_ball)
+    assert green[1] > green[0] and blue[2] > blue[0] + 0.05
+    # What the first edit made of the ball, the second leaves as it is, but for a seam.
+    assert np.abs(shift(1, 2, in_ball & (views[0].masks["table"] < 0.01))).max() < 0.03
+
+
+def test_the_whole_fields_colours_can_learn_instead(edited, capsys):
+    said(capsys, "finetune", edited, "--edit", "ball", "--colours", "field", "--budget", "5", "--name", "whole")
+    field, _ = load_field(Work(edited).get("field", "whole"))
+    plain, _ = load_field(Work(edited).get("field", "fit-250"))
+    assert field.colour.kind == plain.colour.kind
+    assert (field.density.values != plain.density.values).any()
+    said(capsys, "finetune", edited, "--edit", "ball", "--colours", "field", "--freeze-density", "--budget", "5",
+         "--name", "held")  # fmt: skip
+    held, _ = load_field(Work(edited).get("field", "held"))
+    np.testing.assert_array_equal(held.density.values, plain.density.values)
 
 
 def test_regions_are_joined_and_cut(edited, capsys):

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from stylerf.editing.edits import PaletteEdits
+from stylerf.editing.edits import PaletteEdits, tinted
 from stylerf.errors import InvalidValue
 
 WEIGHTS = np.array([[0.5, 0.3, 0.2], [0.0, 1.0, 0.0]], np.float32)
@@ -49,3 +49,12 @@ def test_go_through_json():
     edits = PaletteEdits({1: (0.1, 0.2, 0.3)}, {0: 2.0}, {3: -0.5})
     assert PaletteEdits.restore(json.loads(json.dumps(edits.describe()))) == edits
     assert edits and not PaletteEdits()
+
+
+def test_a_tint_keeps_lights_and_darks_about_their_mean():
+    palette = np.array([[0.8, 0.8, 0.8], [0.4, 0.4, 0.4], [0.0, 0.0, 0.0]])
+    found = tinted(palette, np.array([0.5, 0.5, 0.0]), (0.5, 0.2, 0.1))
+    # The mean luma is 0.6: 4/3 and 2/3 of the target, and black.
+    np.testing.assert_allclose(found, [[2 / 3, 0.8 / 3, 0.4 / 3], [1 / 3, 0.4 / 3, 0.2 / 3], [0, 0, 0]], rtol=1e-6)
+    assert tinted(palette, np.array([0.1, 0.9, 0.0]), (0.9, 0.9, 0.9)).max() == 1.0  # cut, not wrapped
+    assert np.isfinite(tinted(palette[2:], np.array([1.0]), (0.5, 0.5, 0.5))).all()

@@ -5,7 +5,9 @@ import pytest
 from skimage.color import rgb2lab
 
 from stylerf.editing.selection import (
+    Look,
     SeenCells,
+    claimed,
     halved_light,
     inside_box,
     inside_sphere,
@@ -15,6 +17,7 @@ from stylerf.editing.selection import (
     shown_by_masks,
 )
 from stylerf.fields.field import RadianceField
+from stylerf.fields.surface import Surface
 from stylerf.geometry.cameras import Camera
 from tests.stylerf.small import SPACES, occupied, vm_colour
 
@@ -39,13 +42,58 @@ def test_cells_take_the_colours_of_the_photo_that_sees_them(field):
     camera = looking_in()
     photo = np.zeros((24, 24, 3), np.float32)
     photo[:, :12], photo[:, 12:] = (0.9, 0.1, 0.1), (0.1, 0.2, 0.8)
-    seen = SeenCells(field, [camera], [photo], CELLS, 2)
+    seen = SeenCells([Look.at(field, camera, photo, 2)], CELLS)
     assert seen.seen.sum() > 20
     red = seen.like(halved_light(np.array([[0.9, 0.1, 0.1]])), 10)
     blue = seen.like(halved_light(np.array([[0.1, 0.2, 0.8]])), 10)
     assert red.any() and blue.any() and not (red & blue).any()
+    np.testing.assert_array_equal(
+        seen.nearer(halved_light(np.array([[0.9, 0.1, 0.1]])), halved_light(np.array([[0.1, 0.2, 0.8]])))[red | blue],
+        red[red | blue],
+    )
     # x of the camera is x of the cube: what is red lies left of what is blue.
     assert np.argwhere(red)[:, 0].mean() < np.argwhere(blue)[:, 0].mean() - 2
+
+
+def test_a_large_view_is_looked_at_by_every_other_ray(field, monkeypatch):
+    camera = looking_in()
+    photo = np.random.default_rng(1).random((24, 24, 3)).astype(np.float32)
+    whole = Look.at(field, camera, photo, 2)
+    monkeypatch.setattr("stylerf.editing.selection.MOST_RAYS", 24 * 24 // 4)
+    half = Look.at(field, camera, photo, 2)
+    assert (whole.stride, half.stride) == (1, 2) and half.surface.alpha.shape == (12, 12)
+    np.testing.assert_array_equal(half.colours.reshape(12, 12, 3), photo[::2, ::2])
+    np.testing.assert_array_equal(half.surface.alpha, whole.surface.alpha[::2, ::2])
+    sums = [np.zeros((CELLS**3, 4), np.float32) for _ in range(2)]
+    for look, to in zip((whole, half), sums):
+        look.add(look.colours, CELLS, to)
+    assert sums[1][:, 3].sum() == pytest.approx(sums[0][:, 3].sum() / 4, rel=0.1)
+
+
+def test_what_is_seen_only_with_the_region_is_claimed_and_what_is_seen_alone_is_not():
+    """Rays along z through a soft slab: most of their weight in marked cells, some behind; others see only behind."""
+
+    def look(columns: range) -> Look:
+        rays = [(c, r) for c in columns for r in range(8)]
+        x = np.array([[(c + 0.5) / 8, (r + 0.5) / 8, z] for c, r in rays for z in (0.3, 0.45)])
+        weights = np.tile(np.float32([0.7, 0.3]), len(rays))
+        offsets = np.arange(len(rays) + 1) * 2
+        surface = Surface(offsets, np.round(x * 65535).astype(np.uint16), weights, np.ones((len(columns), 8)))
+        return Look(surface, np.zeros((len(rays), 3), np.float32), 1)
+
+    marked = np.zeros((8,) * 3, bool)
+    marked[:4, :, 2] = True  # z = 0.3 of the left half
+    found = claimed([look(range(8))], marked, 1)
+    behind = np.zeros_like(marked)
+    behind[:4, :, 3] = True
+    np.testing.assert_array_equal(found, marked | behind)
+    twice = look(range(4))
+    alone = Look(  # the same places behind, seen by rays that do not pass the region
+        Surface(twice.surface.offsets, twice.surface.x, np.tile(np.float32([0, 1.0]), 32), twice.surface.alpha),
+        twice.colours,
+        1,
+    )
+    np.testing.assert_array_equal(claimed([look(range(8)), alone], marked, 1), marked)
 
 
 def test_masks_mark_the_cells_that_most_of_their_views_show_inside(field):

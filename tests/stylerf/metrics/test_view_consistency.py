@@ -78,6 +78,19 @@ def test_a_wrong_pose_shows():
     assert pair_consistency(a, lied).rmse > 20 * pair_consistency(a, b).rmse
 
 
+def test_only_the_pixels_asked_about_count():
+    a, b = see(camera_at(), PLANE), see(camera_at(x=0.1), PLANE)
+    left = np.zeros((48, 64), bool)
+    left[:, :32] = True
+    image = b.image.copy()
+    image[:, 32:] += 0.2  # the right half tells another story
+    other = PosedView(b.camera, image, b.alpha, b.z)
+    assert pair_consistency(a, other, within=left).rmse == pytest.approx(pair_consistency(a, b, within=left).rmse)
+    assert pair_consistency(a, other, within=~left).rmse > 0.15
+    assert 0.8 < pair_consistency(a, b, within=left, erode=0).share <= 1
+    assert pair_consistency(a, b, within=np.zeros_like(left)).rmse is None
+
+
 def test_occlusion_is_excluded():
     planes = [(3.0, -50.0, 50.0, 1.0), (1.5, -0.2, 0.2, 0.3)]  # a dark board before the wall
     a, b = see(camera_at(), planes), see(camera_at(x=0.5), planes)

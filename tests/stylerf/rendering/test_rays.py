@@ -120,6 +120,18 @@ def test_parts_without_a_buffer_are_left_out():
     assert all(np.array_equal(a, b) and a.any() for a, b in zip(alone, both))
 
 
+def test_density_learns_within_cells_or_without_and_both_add_up_to_all():
+    field, rays = thin(SPACES["box"], vm_colour(2)), rays_into(SPACES["box"], 20, 4)
+    rendered, gradients = render_rays(field, rays, chunks=1), pixel_gradients(20)
+    cells = np.random.default_rng(6).random((5, 5, 5)) < 0.4
+    parts = []
+    for within in (None, cells, ~cells):
+        parts.append(np.zeros((1, len(field.density.values)), np.float32))
+        backward(field, rendered, gradients, parts[-1], None, density_within=within)
+    assert parts[1].any() and parts[2].any()
+    close(parts[1] + parts[2], parts[0], 1e-5)
+
+
 def test_rays_through_nothing_are_black_clear_and_teach_nothing():
     field, rays = thin(SPACES["box"], vm_colour(2)), rays_into(SPACES["box"], 5, 4)
     rays.directions[:] = -rays.directions

@@ -3,6 +3,9 @@
 import numpy as np
 import pytest
 
+from stylerf.editing.regions import alpha_inside, march_view
+from stylerf.fields.patch import PatchColour
+from stylerf.fields.vm import split_table
 from stylerf.rendering.view import render_view
 from stylerf.training.finetune import EditedPixels, FineTuner, FineTuneSettings
 from stylerf.training.rays import RayBank
@@ -45,7 +48,9 @@ def edited():
         pixels.append(found)
         views.append(np.full(len(found), number))
     depth = np.full(sum(map(len, pixels)), 1.7, np.float32)
-    return RayBank(cameras, photos), EditedPixels(np.concatenate(views), np.concatenate(pixels), depth)
+    beside = [np.flatnonzero(heights(camera).ravel() < 0) for camera in cameras]
+    around = np.repeat(np.arange(10), [len(own) for own in beside]), np.concatenate(beside)
+    return RayBank(cameras, photos), EditedPixels(np.concatenate(views), np.concatenate(pixels), depth, around)
 
 
 def tuner(fitted, edited, **more) -> FineTuner:
@@ -78,6 +83,48 @@ def test_the_edit_is_learnt_and_the_rest_stays(fitted, edited):
     assert after[1] < 1.3 * before[1]
 
 
+def patched(fitted):
+    """The field with colours of its own for the cube's upper half."""
+    field = copy_of(fitted)
+    marked = np.zeros((8,) * 3, bool)
+    marked[:, :, 4:] = True
+    field.colour = PatchColour.create(field.colour, marked, 16.0, table=256)
+    return field
+
+
+def test_a_patch_learns_the_edit_and_leaves_all_else_to_the_bit(fitted, edited):
+    before = errors(fitted, edited[0])
+    settings = FineTuneSettings(steps=150, rays=512, rate=3e-2, density_factor=0.0)
+    made = FineTuner(patched(fitted), *edited, settings, 0, 1)
+    made.run()
+    after = errors(made.field, edited[0])
+    assert after[0] < 0.2 * before[0]
+    for camera in edited[0].cameras[:3]:
+        plain, taught = (render_view(field, camera, chunks=1) for field in (fitted, made.field))
+        parts = march_view(fitted, camera, 1)
+        free = np.concatenate([alpha_inside(made.field.colour.marked, samples, 1) == 0 for _, samples in parts])
+        assert free.sum() > 30
+        np.testing.assert_array_equal(taught.rgb.reshape(-1, 3)[free], plain.rgb.reshape(-1, 3)[free])
+        np.testing.assert_array_equal(taught.alpha, plain.alpha)
+    np.testing.assert_array_equal(made.field.colour.base.values, fitted.colour.values)
+
+
+def test_density_beside_a_patch_learns_within_its_cells_only(fitted, edited):
+    settings = FineTuneSettings(steps=1, rays=512, rate=2e-2, density_factor=1.0)
+    made = FineTuner(patched(fitted), *edited, settings, 0, 1)
+    values = made.field.density.values
+    made.step()
+    changed = np.flatnonzero(values != fitted.density.values)
+    assert len(changed)
+    # Lines along z (the first table's line) of vertices well under the marked cells keep their values.
+    size, rank = made.field.density.size, made.field.density.rank
+    table = np.arange(len(values) - 1)
+    _, lines = split_table(table, size, rank)
+    under = lines[2][: int(0.4 * size[2])]
+    assert not np.isin(under.ravel(), changed).any()
+    assert np.isin(lines[2].ravel(), changed).any()
+
+
 def test_frozen_density_keeps_every_value(fitted, edited):
     made = tuner(fitted, edited, density_factor=0.0, steps=5)
     made.run()
@@ -91,7 +138,9 @@ def test_the_depth_term_moves_the_density_by_its_own_gradient(fitted, edited):
     for made in (pulled, free):
         made.step()
     assert (pulled.field.density.values != free.field.density.values).any()
-    far = EditedPixels(edited[1].views, edited[1].pixels, np.full(len(edited[1].pixels), 2.2, np.float32))
+    far = EditedPixels(
+        edited[1].views, edited[1].pixels, np.full(len(edited[1].pixels), 2.2, np.float32), edited[1].beside
+    )
     made = tuner(fitted, (edited[0], far), depth_weight=3.0, steps=80, density_factor=1.0, inside=0.9)
     begun = made.step()["depth"]
     made.run()

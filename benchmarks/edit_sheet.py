@@ -1,0 +1,67 @@
+"""Before and after of local edits: `python -m benchmarks.edit_sheet WORK OUT.png REGION VIEW,VIEW EDIT...`.
+
+One row a view: the photo, the region over it, the field before, and each edited field. The frames of the test views
+must be there (`stylerf eval WORK --of EDIT --region REGION` renders them).
+"""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+from skimage.transform import resize
+
+from schemas.exr import read_channels
+from schemas.frames import read_frames
+from schemas.images import read_image, to_uint8, write_png
+from schemas.store import Artefact, Work
+from stages.scenes import load_scene
+
+SIDE = 300  # pixels of a picture's longer side
+GAP = 6
+TINT = np.array([1.0, 0.1, 0.8])
+
+
+def picture(frames: Artefact, name: str) -> np.ndarray:
+    """[h, w, 3] a frame over the scene's background."""
+    frame = next(one for one in read_frames(frames.path).views if one.name == name)
+    return read_image(frames.file(frame.png)).pixels[..., :3]
+
+
+def region_over(frames: Artefact, name: str, region: str, photo: np.ndarray) -> np.ndarray:
+    """The photo, tinted where a frame's EXR has the region."""
+    found = read_frames(frames.path)
+    frame = next(one for one in found.views if one.name == name)
+    channel = f"mask.{found.masks[region]}"
+    mask = read_channels(frames.file(frame.exr), (channel,))[0][channel].astype(np.float64)[..., None]
+    return photo * (1 - 0.6 * mask) + 0.6 * mask * TINT
+
+
+def small(image: np.ndarray) -> np.ndarray:
+    """Its longer side SIDE pixels."""
+    scale = SIDE / max(image.shape[:2])
+    return resize(image, (round(image.shape[0] * scale), round(image.shape[1] * scale), 3), anti_aliasing=scale < 1)
+
+
+def main() -> None:
+    root, out, region, views, *edits = sys.argv[1:]
+    work = Work(Path(root))
+    scene = load_scene(next(one for one in work.artefacts("scene") if one.manifest.stage == "pose_import"))
+    field = next(ref.name for ref in work.get("region", region).manifest.inputs if ref.kind == "field")
+    rows = []
+    for name in views.split(","):
+        view = next(i for i, one in enumerate(scene.views) if one.name == name)
+        photo = scene.images(view)
+        photo = photo[..., :3] if photo.shape[2] == 3 else photo[..., :3] * photo[..., 3:] + 1 - photo[..., 3:]
+        of = {one: work.get("frames", f"{one}-test") for one in (field, *edits)}
+        row = [photo, region_over(of[edits[0]], name, region, photo)]
+        row += [picture(frames, name) for frames in of.values()]
+        cells = [small(one) for one in row]
+        gap = np.ones((cells[0].shape[0], GAP, 3))
+        rows.append(np.concatenate([part for cell in cells for part in (cell, gap)][:-1], 1))
+    gap = np.ones((GAP, rows[0].shape[1], 3))
+    sheet = np.concatenate([part for row in rows for part in (row, gap)][:-1], 0)
+    write_png(Path(out), to_uint8(np.clip(sheet, 0, 1)))
+
+
+if __name__ == "__main__":
+    main()
