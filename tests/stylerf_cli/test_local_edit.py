@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.ndimage import binary_erosion
 
 from schemas.exr import read_exr
 from schemas.images import read_image, write_png
@@ -63,6 +64,11 @@ def edited(still_life, middle) -> Path:
     assert main(["edit", str(still_life), "--at", middle, "--recolor", "--palette", "0=#10e020", "--name", "ball",
                  "--config", str(_finetune(still_life)), "--quiet", *QUICK]) == 0  # fmt: skip
     return still_life
+
+
+def fitted(work: Path) -> str:
+    """Name of the field that was fitted to the photos."""
+    return next(one.name for one in Work(work).artefacts("field") if one.manifest.stage == "nerf_fit")
 
 
 def _finetune(work: Path) -> Path:
@@ -144,11 +150,15 @@ def test_a_tint_takes_every_palette_colour_and_one_that_is_named_goes_its_own_wa
 
 def test_a_second_edit_of_the_edited_field_keeps_the_first_and_either_can_be_gone_back_to(edited, middle, capsys):
     work, first = Work(edited), middle.partition(":")[0]
-    kept = {name: work.get("field", name).digest for name in ("ball", "fit-250")}
-    flags = ["--at", f"{first}:24,44", "--tolerance", "0", "--reach", "0.5", "--most", "1", "--palette", "all=#2030f0"]
+    scene = load_scene(next(one for one in work.artefacts("scene") if one.manifest.stage == "pose_import"))
+    covered = binary_erosion(scene.images(scene.splits["train"][0])[..., 3] > 0.99, iterations=4)
+    column, row = map(int, middle.partition(":")[2].split(","))
+    far = max(np.argwhere(covered), key=lambda at: np.hypot(at[0] - row, at[1] - column))
+    kept = {name: work.get("field", name).digest for name in ("ball", fitted(edited))}
+    flags = ["--at", f"{first}:{far[1]},{far[0]}", "--tolerance", "0", "--reach", "0.5", "--most", "1", "--palette", "all=#2030f0"]
     said(capsys, "edit", edited, "--of", "ball", *flags, "--recolor", "--name", "table", "--config",
          _finetune(edited), *QUICK)  # fmt: skip
-    (plain, _), (ball, _), (both, _) = (load_field(work.get("field", name)) for name in ("fit-250", "ball", "table"))
+    (plain, _), (ball, _), (both, _) = (load_field(work.get("field", name)) for name in (fitted(edited), "ball", "table"))
     assert [part.kind for part in layers_of(both.colour)] == ["patch", "patch", plain.colour.kind]
     assert {name: work.get("field", name).digest for name in kept} == kept
     scene = load_scene(work.get("scene", "table"))
@@ -170,7 +180,7 @@ def test_a_second_edit_of_the_edited_field_keeps_the_first_and_either_can_be_gon
 def test_the_whole_fields_colours_can_learn_instead(edited, capsys):
     said(capsys, "finetune", edited, "--edit", "ball", "--colours", "field", "--budget", "5", "--name", "whole")
     field, _ = load_field(Work(edited).get("field", "whole"))
-    plain, _ = load_field(Work(edited).get("field", "fit-250"))
+    plain, _ = load_field(Work(edited).get("field", fitted(edited)))
     assert field.colour.kind == plain.colour.kind
     assert (field.density.values != plain.density.values).any()
     said(capsys, "finetune", edited, "--edit", "ball", "--colours", "field", "--freeze-density", "--budget", "5",
