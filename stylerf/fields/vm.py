@@ -9,6 +9,7 @@ import torch
 import torch.nn.functional as F
 
 from stylerf.fields.samples import Samples
+from stylerf.fields.walking import walk
 from stylerf.geometry.harmonics import BANDS, C0
 from stylerf.kernels.cpu import vm as kernels
 from stylerf.kernels.cpu.deform import colour_position_gradient, density_position_gradient
@@ -113,40 +114,21 @@ class VmDensity:
         return out
 
     def march(self, space, rays, occupancy, step, displacement, limit, opaque, closed, chunks) -> "Samples":
-        """Walk rays (origins, directions, jitter, near) through the density; see kernels.march_density."""
-        n = len(rays.origins)
-        samples = Samples.empty(n, limit)
-        flat, cells = displacement
-        kernels.march_density(
-            space.code,
-            space.packed(),
-            rays.origins,
-            rays.directions,
-            rays.jitter,
-            rays.near,
-            np.float32(space.far),
-            np.float32(step),
-            occupancy.distances,
-            occupancy.cells,
+        """Walk rays through the density."""
+        numbers = self.table, self.size, self.values[-1], self._ranks
+        return walk(
+            kernels.march_density,
+            numbers,
+            space,
+            rays,
+            occupancy,
+            step,
+            displacement,
             limit,
-            self.table,
-            self.size,
-            self.values[-1],
-            self._ranks,
-            flat,
-            cells,
-            np.float32(opaque),
+            opaque,
             closed,
             chunks,
-            samples.starts,
-            samples.ends,
-            samples.t,
-            samples.optical,
-            samples.x,
-            samples.sigma,
-            samples.weights,
         )
-        return samples
 
     def backward(self, x, starts, ends, sigma, sigma_gradients, to: np.ndarray) -> None:
         """Add dL/d(values) to the chunks' buffers `to` [chunks, len(values)]."""
