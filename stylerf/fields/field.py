@@ -6,14 +6,16 @@ import numpy as np
 import torch
 
 from stylerf.fields.hash import HashColour
+from stylerf.fields.hash_density import HashDensity
+from stylerf.fields.headed import HeadedColour
 from stylerf.fields.occupancy import Occupancy
 from stylerf.fields.samples import Rays, Samples
 from stylerf.fields.vm import VmColour, VmDensity
 from stylerf.geometry.space import Space
 from stylerf.style.colour import ColourMap
 
-DENSITY_KINDS = {"vm": VmDensity}
-COLOUR_KINDS = {"vm": VmColour, "hash": HashColour}
+DENSITY_KINDS = {"vm": VmDensity, "hash": HashDensity}
+COLOUR_KINDS = {"vm": VmColour, "hash": HashColour, "headed": HeadedColour}
 _NO_DISPLACEMENT = np.empty(0, np.float32)
 
 
