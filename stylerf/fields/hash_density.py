@@ -14,7 +14,7 @@ BASE = 16
 
 def levels_of(capacity: Capacity, width: int) -> Levels:
     """The levels that a capacity asks for."""
-    base = min(BASE, capacity.finest)
+    base = max(2, min(BASE, capacity.finest // 4))
     whole = Levels(capacity.levels, base, capacity.finest, capacity.table, width, capacity.levels)
     return whole.within(capacity.resolution)
 

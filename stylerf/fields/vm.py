@@ -8,6 +8,7 @@ import numpy as np
 import torch
 import torch.nn.functional as F
 
+from stylerf.fields.capacity import Capacity
 from stylerf.fields.samples import Samples
 from stylerf.fields.walking import walk
 from stylerf.geometry.harmonics import BANDS, C0
@@ -107,6 +108,10 @@ class VmDensity:
         table = _widened_table(self.table, self.size, self.rank, rank, generator)
         return VmDensity(self.size, rank, np.append(table, self.values[-1]))
 
+    def grown(self, capacity: Capacity, generator: np.random.Generator) -> "VmDensity":
+        """The same density at another capacity."""
+        return self.with_rank(capacity.density_rank, generator).resized(capacity.size)
+
     def sigma(self, x: np.ndarray, chunks: int) -> np.ndarray:
         """Raw density of warped points [n, 3] float32 -> [n]."""
         out = np.empty(len(x), np.float32)
@@ -205,6 +210,10 @@ class VmColour:
         head = VmColour.create(np.full(3, 8), rank, self.degree, generator).head.reshape(3, bands, 3, rank)
         head[..., : self.rank] = self.head.reshape(3, bands, 3, self.rank)
         return VmColour(self.size, rank, self.degree, np.concatenate([table, head.ravel(), self.values[-3:]]))
+
+    def grown(self, capacity: Capacity, generator: np.random.Generator) -> "VmColour":
+        """The same colour at another capacity."""
+        return self.with_rank(capacity.colour_rank, generator).resized(capacity.size)
 
     def with_degree(self, degree: int) -> "VmColour":
         """The same colour with more (zero) or fewer spherical-harmonic bands."""
