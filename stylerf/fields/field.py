@@ -9,12 +9,14 @@ from stylerf.fields.hash import HashColour
 from stylerf.fields.hash_density import HashDensity
 from stylerf.fields.headed import HeadedColour
 from stylerf.fields.occupancy import Occupancy
+from stylerf.fields.protocol import ColourPart, DensityPart
 from stylerf.fields.samples import Rays, Samples
 from stylerf.fields.vm import VmColour, VmDensity
+from stylerf.fields.voxel import VoxelDensity
 from stylerf.geometry.space import Space
 from stylerf.style.colour import ColourMap
 
-DENSITY_KINDS = {"vm": VmDensity, "hash": HashDensity}
+DENSITY_KINDS = {"vm": VmDensity, "hash": HashDensity, "voxel": VoxelDensity}
 COLOUR_KINDS = {"vm": VmColour, "hash": HashColour, "headed": HeadedColour}
 _NO_DISPLACEMENT = np.empty(0, np.float32)
 
@@ -30,8 +32,8 @@ class RadianceField:
     """
 
     space: Space
-    density: VmDensity
-    colour: VmColour | HashColour
+    density: DensityPart
+    colour: ColourPart
     occupancy: Occupancy
     step: float
     displacement: np.ndarray | None = None

@@ -29,8 +29,9 @@ class HeadedColour:
     def create(
         cls, kind: str, head: str, capacity: Capacity, degree: int, generator: np.random.Generator
     ) -> "HeadedColour":
-        features = FEATURES[kind].of(capacity)
-        made = HEADS[head](features.width, degree)
+        """head: linear or mlp. What a voxel holds are coefficients already: `linear` leaves them as they are."""
+        features = FEATURES[kind].of(capacity, degree)
+        made = HEADS["harmonic" if (kind, head) == ("voxel", "linear") else head](features.width, degree)
         return cls(features, made, np.concatenate([features.initial(generator), made.initial(generator)]))
 
     @property
@@ -49,7 +50,7 @@ class HeadedColour:
 
     def groups(self) -> list[tuple[int, int, float]]:
         """(begin, end, learning-rate factor) of parts of `values`."""
-        return [(0, self.features.length, 1.0), (self.features.length, len(self.values), 0.25)]
+        return [(self.features.fixed, self.features.length, 1.0), (self.features.length, len(self.values), 0.25)]
 
     def grown(self, capacity: Capacity, generator: np.random.Generator) -> "HeadedColour":
         """The same colour at a larger capacity."""

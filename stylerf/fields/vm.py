@@ -38,7 +38,7 @@ def split_table(table: np.ndarray, size: np.ndarray, rank: int) -> tuple[list[np
     return planes, lines
 
 
-def _initial_table(size: np.ndarray, rank: int, generator: np.random.Generator, spread: float) -> np.ndarray:
+def initial_table(size: np.ndarray, rank: int, generator: np.random.Generator, spread: float) -> np.ndarray:
     table = np.empty(table_length(size, rank), np.float32)
     planes, lines = split_table(table, size, rank)
     for plane in planes:
@@ -52,7 +52,7 @@ def _widened_table(
     table: np.ndarray, size: np.ndarray, old: int, new: int, generator: np.random.Generator
 ) -> np.ndarray:
     """The same field with more ranks: new planes random, new lines zero, so that nothing changes until they learn."""
-    out = _initial_table(np.asarray(size), new, generator, 0.1)
+    out = initial_table(np.asarray(size), new, generator, 0.1)
     for source, target in zip(split_table(table, size, old)[0], split_table(out, size, new)[0]):
         target[..., :old] = source
     for source, target in zip(split_table(table, size, old)[1], split_table(out, size, new)[1]):
@@ -61,7 +61,7 @@ def _widened_table(
     return out
 
 
-def _resized_table(table: np.ndarray, old: np.ndarray, new: np.ndarray, rank: int) -> np.ndarray:
+def resized_table(table: np.ndarray, old: np.ndarray, new: np.ndarray, rank: int) -> np.ndarray:
     out = np.empty(table_length(new, rank), np.float32)
     for source, target in zip(split_table(table, old, rank)[0], split_table(out, new, rank)[0]):
         image = torch.from_numpy(np.ascontiguousarray(source)).permute(2, 0, 1)[None]
@@ -85,7 +85,7 @@ class VmDensity:
     @classmethod
     def create(cls, size: np.ndarray, rank: int, generator: np.random.Generator, shift: float = -4.0) -> "VmDensity":
         """A thin fog: exp(-4) is an optical depth of about 1.8 across the cube, so the first rays see all of it."""
-        table = _initial_table(np.asarray(size), rank, generator, 0.1)
+        table = initial_table(np.asarray(size), rank, generator, 0.1)
         return cls(size, rank, np.append(table, np.float32(shift)))
 
     @property
@@ -98,7 +98,7 @@ class VmDensity:
 
     def resized(self, size: np.ndarray) -> "VmDensity":
         """The same density on another grid, interpolated."""
-        table = _resized_table(self.table, self.size, np.asarray(size), self.rank)
+        table = resized_table(self.table, self.size, np.asarray(size), self.rank)
         return VmDensity(size, self.rank, np.append(table, self.values[-1]))
 
     def with_rank(self, rank: int, generator: np.random.Generator) -> "VmDensity":
@@ -180,7 +180,7 @@ class VmColour:
 
     @classmethod
     def create(cls, size: np.ndarray, rank: int, degree: int, generator: np.random.Generator) -> "VmColour":
-        table = _initial_table(np.asarray(size), rank, generator, 0.1)
+        table = initial_table(np.asarray(size), rank, generator, 0.1)
         head = generator.uniform(-1, 1, size=(3, BANDS[degree], 3 * rank)) / np.sqrt(3 * rank) / C0
         head[:, 1:] *= 0.1
         values = np.concatenate([table, head.ravel(), np.zeros(3)]).astype(np.float32)
@@ -198,7 +198,7 @@ class VmColour:
         return [(0, len(self.table), 1.0), (len(self.table), len(self.values), 1.0)]
 
     def resized(self, size: np.ndarray) -> "VmColour":
-        table = _resized_table(self.table, self.size, np.asarray(size), self.rank)
+        table = resized_table(self.table, self.size, np.asarray(size), self.rank)
         return VmColour(size, self.rank, self.degree, np.concatenate([table, self.head, self.values[-3:]]))
 
     def with_rank(self, rank: int, generator: np.random.Generator) -> "VmColour":

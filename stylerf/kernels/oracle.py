@@ -165,6 +165,31 @@ def linear_head(numbers: Tensor, phi: Tensor, basis: Tensor) -> Tensor:
     return torch.sigmoid(numbers[-3:] + torch.einsum("nb,jbf,nf->nj", basis, head, phi))
 
 
+def harmonic_head(numbers: Tensor, phi: Tensor, basis: Tensor) -> Tensor:
+    """Colour [n, 3] of coefficients phi [n, 3 bands]; numbers: none."""
+    return torch.sigmoid(torch.einsum("nb,njb->nj", basis, phi.reshape(len(phi), 3, -1)))
+
+
+def mlp_head(numbers: Tensor, phi: Tensor, basis: Tensor) -> Tensor:
+    """Colour [n, 3]; numbers: W1 [f + bands, h], b1 [h], W2 [3, h], b2 [3]."""
+    inputs = torch.cat([phi, basis], 1)
+    h = (len(numbers) - 3) // (inputs.shape[1] + 4)
+    first, bias, second = numbers[:-3].split([inputs.shape[1] * h, h, 3 * h])
+    return torch.sigmoid(torch.relu(inputs @ first.reshape(-1, h) + bias) @ second.reshape(3, h).T + numbers[-3:])
+
+
+def voxel_rows(table: Tensor, kept: Tensor, size: list[int], width: int, x: Tensor) -> Tensor:
+    """[n, width]: trilinear mix of a sparse grid's rows; kept [blocks of 4^3] bool; the first block of `table` stands
+
+    for all that are not kept.
+    """
+    blocks = table.reshape(-1, 4, 4, 4, width)
+    numbers = torch.where(kept, torch.cumsum(kept.flatten().long(), 0).reshape(kept.shape), 0)
+    a, b, c = kept.shape
+    dense = blocks[numbers.flatten()].reshape(a, b, c, 4, 4, 4, width).permute(0, 3, 1, 4, 2, 5, 6)
+    return trilinear(dense.reshape(4 * a, 4 * b, 4 * c, width)[: size[0], : size[1], : size[2]], x)
+
+
 # -- volume rendering -----------------------------------------------------------------------------------------------
 
 

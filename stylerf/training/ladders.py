@@ -9,6 +9,7 @@ from stylerf.fields.hash_density import HashDensity
 from stylerf.fields.headed import HeadedColour
 from stylerf.fields.occupancy import Occupancy
 from stylerf.fields.vm import VmColour, VmDensity
+from stylerf.fields.voxel import VoxelDensity
 from stylerf.geometry.space import Space
 
 
@@ -65,4 +66,4 @@ def first_parts(kinds: Kinds, capacity: Capacity, degree: int, generator: np.ran
     return density, HeadedColour.create(kinds.colour, kinds.head, capacity, degree, generator)
 
 
-DENSITIES = {"hash": HashDensity}
+DENSITIES = {"hash": HashDensity, "voxel": VoxelDensity}

@@ -17,6 +17,7 @@ from stylerf.fields.levels import Levels
 from stylerf.fields.occupancy import Occupancy
 from stylerf.fields.samples import Rays, Samples
 from stylerf.fields.vm import VmColour, VmDensity
+from stylerf.fields.voxel import Grid, VoxelDensity
 from stylerf.geometry.space import Space
 from stylerf.kernels import oracle
 
@@ -62,7 +63,18 @@ def hash_colour(seed: int, levels: int = 8, base: int = 3, finest: int = 40, tab
     return made
 
 
+def half_empty(cells: int = 8) -> Occupancy:
+    """Occupied in one corner of the cube only, so that a voxel grid leaves blocks out."""
+    made = Occupancy(cells)
+    full = np.zeros((cells,) * 3, bool)
+    full[: cells // 4, : cells // 2, : cells // 2] = True
+    made.set_occupied(full.ravel())
+    return made
+
+
 SMALL = Capacity(np.array(SIZE), 40, DENSITY_RANK, COLOUR_RANK, table=512, levels=8, finest=64)
+# As small, but with room for blocks that are not kept.
+SPARSE = Capacity(np.array([18, 14, 17]), 40, DENSITY_RANK, COLOUR_RANK, occupancy=half_empty())
 
 
 def hash_density(seed: int, capacity: Capacity = SMALL) -> HashDensity:
@@ -72,10 +84,17 @@ def hash_density(seed: int, capacity: Capacity = SMALL) -> HashDensity:
     return made
 
 
+def voxel_density(seed: int, capacity: Capacity = SPARSE) -> VoxelDensity:
+    made = VoxelDensity.create(capacity, np.random.default_rng(seed), -2.0)
+    made.values[:-1] = np.random.default_rng(seed).normal(scale=0.6, size=len(made.table))
+    return made
+
+
 def headed(seed: int, kind: str, head: str, degree: int = 1, capacity: Capacity = SMALL) -> HeadedColour:
     made = HeadedColour.create(kind, head, capacity, degree, np.random.default_rng(seed))
     made.table[:] = np.random.default_rng(seed).normal(scale=0.6, size=len(made.table))
-    made.numbers[-3:] = 0.3, -0.2, 0.1
+    if made.head.length:
+        made.numbers[-3:] = 0.3, -0.2, 0.1
     return made
 
 
@@ -156,13 +175,23 @@ def oracle_levels(levels: Levels, table: torch.Tensor, x: torch.Tensor) -> torch
     return oracle.hash_levels(table, *shape, x, levels.width, levels.active)
 
 
+def oracle_grid(grid: Grid, table: torch.Tensor, width: int, x: torch.Tensor) -> torch.Tensor:
+    return oracle.voxel_rows(table, torch.from_numpy(grid.kept), grid.size.tolist(), width, x)
+
+
 def oracle_features(features, table: torch.Tensor, x: torch.Tensor) -> torch.Tensor:
+    if features.kind == "vm":
+        return oracle.vm_features(table, features.size.tolist(), features.rank, x)
+    if features.kind == "voxel":
+        return oracle_grid(features.grid, table, features.width, x)
     return oracle_levels(features.levels, table, x).flatten(1)
 
 
 def oracle_density(density, values: torch.Tensor, x: torch.Tensor) -> torch.Tensor:
     if density.kind == "hash":
         return oracle.raw_density(values[-1] + oracle_levels(density.levels, values[:-1], x).sum((1, 2)))
+    if density.kind == "voxel":
+        return oracle.raw_density(values[-1] + oracle_grid(density.grid, values[:-1], 1, x)[:, 0])
     return oracle.vm_density(values, density.size.tolist(), density.rank, x)
 
 

@@ -129,3 +129,32 @@ def linear_backward(phi, widths, head, basis, index, ray, colours, colour_gradie
                 axpy_row(g, flat, here, seen_gradient, np.int64(j * width), widths)
         if last >= 0:
             _spread_head(seen_gradient, basis, last, width, buffers, base, widths)
+
+
+# -- harmonics: features that are spherical-harmonic coefficients themselves ------------------------------------------
+
+
+@parallel_kernel
+def harmonic(phi, basis, index, ray, chunks, out):
+    """out[index[i], j] = sigmoid(sum_b Y_b phi_i[j, b]); phi [m, 3 bands]."""
+    m, bands = len(phi), basis.shape[1]
+    for c in prange(chunks):
+        for i in range(c * m // chunks, (c + 1) * m // chunks):
+            for j in range(3):
+                z = _ZERO
+                for b in range(bands):
+                    z += basis[ray[i], b] * phi[i, j * bands + b]
+                out[index[i], j] = sigmoid(z)
+
+
+@parallel_kernel
+def harmonic_backward(basis, index, ray, colours, colour_gradients, chunks, phi_gradients):
+    """phi_gradients [m, 3 bands] = dL/d(phi)."""
+    m, bands = len(phi_gradients), basis.shape[1]
+    for c in prange(chunks):
+        for i in range(c * m // chunks, (c + 1) * m // chunks):
+            k = index[i]
+            for j in range(3):
+                g = colour_gradients[k, j] * colours[k, j] * (_ONE - colours[k, j])
+                for b in range(bands):
+                    phi_gradients[i, j * bands + b] = g * basis[ray[i], b]

@@ -8,9 +8,20 @@ import pytest
 from stylerf.fields.field import DENSITY_KINDS
 from tests.stylerf.kernels.test_march import march
 from tests.stylerf.kernels.test_vm import added, buffers, owned, samples
-from tests.stylerf.small import SMALL, SPACES, Packed, close, float64, hash_density, oracle_density, rays_into
+from tests.stylerf.small import (
+    SMALL,
+    SPACES,
+    Packed,
+    close,
+    density,
+    float64,
+    hash_density,
+    oracle_density,
+    rays_into,
+    voxel_density,
+)
 
-MADE = {"hash": hash_density}
+MADE = {"vm": density, "hash": hash_density, "voxel": voxel_density}
 
 
 @pytest.fixture(params=MADE)

@@ -10,7 +10,7 @@ from stylerf.fields.field import COLOUR_KINDS
 from tests.stylerf.kernels.test_vm import RAYS, added, basis_of, buffers, owned, samples
 from tests.stylerf.small import SMALL, close, float64, headed, oracle_colour
 
-PAIRS = [("hash", "linear")]
+PAIRS = [("hash", "linear"), ("voxel", "linear"), ("hash", "mlp"), ("vm", "mlp"), ("voxel", "mlp")]
 
 
 @pytest.fixture(params=PAIRS, ids="-".join)
