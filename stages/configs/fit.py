@@ -19,8 +19,8 @@ class FitConfig:
     field: str = option(
         "vm",
         metavar="KIND|DENSITY+COLOUR",
-        help="what density and colour are kept in: vm (planes and lines), hash (a hash grid), voxel (a sparse grid); or "
-        "two kinds, as vm+hash",
+        help="what density and colour are kept in: vm (planes and lines), hash (a hash grid), voxel (a sparse grid); "
+        "or two kinds, as vm+hash",
     )
     head: str = option(
         "linear", choices=("linear", "mlp"), help="from features to colours: spherical harmonics, or a small network"
@@ -28,8 +28,8 @@ class FitConfig:
     capacity: str = option(
         "grow",
         metavar="grow|fixed:N[xD[xC]]",
-        help="grow while held-out views gain, or N vertices an axis (hash: cells at most), of vm with density rank D and "
-        "colour rank C",
+        help="grow while held-out views gain, or N vertices an axis (hash: cells at most), of vm with density rank D "
+        "and colour rank C",
     )
     min_gain: float = option(0.1, help="dB that held-out views must gain for a larger field to be kept")
     space: str = option(

@@ -1,4 +1,4 @@
-"""Colour heads: what turns a place's features and a direction into a colour. Each is pure: its numbers are handed in."""
+"""Colour heads: what turns a place's features and a direction into a colour. Its numbers are handed in."""
 
 import numpy as np
 
@@ -73,7 +73,7 @@ class LinearHead:
 
 
 class HarmonicHead:
-    """sigmoid(sum_b Y_b(d) phi_b): features that are spherical-harmonic coefficients, [3, bands], as ARF's voxels hold."""
+    """sigmoid(sum_b Y_b(d) phi_b): features that are spherical-harmonic coefficients, [3, bands]: ARF's voxels."""
 
     kind = "harmonic"
     length = 0
@@ -129,9 +129,7 @@ class MlpHead:
     def backward(self, phi, numbers, basis, packed, colours, colour_gradients, at: int, to: np.ndarray) -> np.ndarray:
         """dL/d(phi) [m, features]; dL/d(numbers) is added to the chunks' buffers to[:, at:]."""
         out, where = np.empty_like(phi), (basis, packed.index, packed.ray)
-        mlp_head.mlp_backward(
-            phi, self._hidden, numbers, *where, colours, colour_gradients, len(to), out, at, to
-        )
+        mlp_head.mlp_backward(phi, self._hidden, numbers, *where, colours, colour_gradients, len(to), out, at, to)
         return out
 
     def describe(self) -> dict:

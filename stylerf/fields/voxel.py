@@ -47,7 +47,7 @@ class Grid:
         return (int(self.kept.sum()) + 1) * BLOCK**3
 
     def vertices(self) -> np.ndarray:
-        """Positions [rows, 3] in the cube of a table's rows, the first block's at 0; some lie beyond the last vertex."""
+        """Positions [rows, 3] in the cube of a table's rows, the first block's at 0; some lie beyond the grid."""
         corner = np.concatenate([np.zeros((1, 3), np.int64), np.argwhere(self.kept)]) * BLOCK
         within = np.stack(np.unravel_index(np.arange(BLOCK**3), (BLOCK,) * 3), 1)
         places = (corner[:, None] + within[None]).reshape(-1, 3)

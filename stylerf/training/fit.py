@@ -24,7 +24,6 @@ from stylerf.training.ladders import LADDER, Kinds, Rung, capacity_at, first_par
 from stylerf.training.optimiser import Adam
 from stylerf.training.rays import RayBank
 
-
 LEAST_STEPS_PER_RUNG = 100
 SMOOTH_EVERY = 8  # steps; the planes' total variation costs a third of a step, and is felt over hundreds of them
 # An error of one step of an eight-bit photo. What lies beyond is rounding: no reason to grow, and no collapse to lose.
@@ -51,7 +50,7 @@ class FitSettings:
     degree: int = 1
     smoothness: tuple[float, float] = (0.0, 0.0)
     even_from: float = 0.0
-    kinds: Kinds = Kinds()
+    kinds: Kinds = field(default_factory=Kinds)
     ladder: tuple[Rung, ...] = LADDER
     shares: tuple[float, ...] = (0.12, 0.3, 0.55)
     longest: tuple[int, ...] = (350, 850, 1350, 2100)

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from stylerf.fields.field import RadianceField
 from stylerf.fields.capacity import Capacity
+from stylerf.fields.field import RadianceField
 from stylerf.fields.hash import HashColour
 from stylerf.fields.hash_density import HashDensity
 from stylerf.fields.headed import HeadedColour

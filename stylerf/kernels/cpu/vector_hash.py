@@ -244,7 +244,9 @@ def steps(rows, values, fractions):
     found = []
     for axis in range(3):
         half = len(values) // 2
-        found.append(interpolate(rows, [rows.sub(h, l) for l, h in zip(values[:half], values[half:])], fractions[axis + 1 :]))
+        found.append(
+            interpolate(rows, [rows.sub(h, l) for l, h in zip(values[:half], values[half:])], fractions[axis + 1 :])
+        )
         values = [_mix(rows, low, high, fractions[axis]) for low, high in zip(values[:half], values[half:])]
     return found
 

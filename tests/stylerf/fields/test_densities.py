@@ -11,6 +11,7 @@ from tests.stylerf.kernels.test_vm import added, buffers, owned, samples
 from tests.stylerf.small import (
     SMALL,
     SPACES,
+    SPARSE,
     Packed,
     close,
     density,
@@ -86,11 +87,25 @@ def test_the_exponent_is_clamped_and_lets_gradients_pass(made, shift, limit):
     assert to[0, -1] == pytest.approx(len(owned(s)), rel=1e-5)
 
 
+LARGER = {
+    "vm": replace(SMALL, size=2 * SMALL.size - 1),  # every old vertex is one of the new
+    "hash": replace(SMALL, resolution=64, table=2048),
+    "voxel": replace(SPARSE, size=2 * SPARSE.size - 1),
+}
+OCCUPIED = np.array([0.25, 0.5, 0.5])  # of SPARSE
+
+
 def test_a_grown_density_is_the_same_density(made):
     s = samples()
-    grown = made.grown(replace(SMALL, size=np.array([13, 11, 15]), resolution=64, table=2048), np.random.default_rng(0))
+    x = s.x * np.float32(OCCUPIED) if made.kind == "voxel" else s.x
+    grown = made.grown(LARGER[made.kind], np.random.default_rng(0))
     assert len(grown.values) > 2 * len(made.values)
-    close(grown.sigma(s.x, 1), made.sigma(s.x, 1), 5e-6)
+    close(grown.sigma(x, 1), made.sigma(x, 1), 5e-6)
+    if made.kind == "voxel":
+        dense = len(np.ravel(grown.grid.kept)) * 64
+        assert len(grown.values) < dense / 2  # what is not occupied is not kept
+        far = np.full((1, 3), 0.9, np.float32)
+        np.testing.assert_allclose(grown.sigma(far, 1), np.exp(-2 - 8.0), rtol=1e-5)
 
 
 def test_a_restored_density_is_the_same_bits(made):

@@ -1,21 +1,20 @@
 """Every encoder with every head: colours, gradients to numbers and positions, growth; against the float64 oracle."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 import torch
 
 from stylerf.fields.field import COLOUR_KINDS
+from tests.stylerf.fields.test_densities import LARGER, OCCUPIED
 from tests.stylerf.kernels.test_vm import RAYS, added, basis_of, buffers, owned, samples
-from tests.stylerf.small import SMALL, close, float64, headed, oracle_colour
+from tests.stylerf.small import SMALL, SPARSE, close, float64, headed, oracle_colour
 
 PAIRS = [("hash", "linear"), ("voxel", "linear"), ("hash", "mlp"), ("vm", "mlp"), ("voxel", "mlp")]
 
 
 @pytest.fixture(params=PAIRS, ids="-".join)
 def made(request):
-    return headed(4, *request.param)
+    return headed(4, *request.param, capacity=SPARSE if request.param[0] == "voxel" else SMALL)
 
 
 def test_colours_and_gradients_equal_the_oracle(made):
@@ -61,11 +60,12 @@ def test_least_is_a_bound_that_must_be_passed(made):
 
 
 def test_a_grown_colour_is_the_same_colour_and_a_restored_one_the_same_bits(made):
-    s, basis = samples(5), basis_of(samples(5), 1)
+    s, basis, kind = samples(5), basis_of(samples(5), 1), made.features.kind
+    if kind == "voxel":
+        s.x *= np.float32(OCCUPIED)
     at = owned(s)
     before = made.colours(s.x, basis, s.starts, s.ends, s.weights, 0.0, 1)[at]
-    larger = replace(SMALL, size=np.array([13, 11, 15]), resolution=64, table=2048)
-    grown = made.grown(larger, np.random.default_rng(0))
+    grown = made.grown(LARGER[kind], np.random.default_rng(0))
     assert len(grown.values) > 2 * len(made.values)
     close(grown.colours(s.x, basis, s.starts, s.ends, s.weights, 0.0, 1)[at], before, 5e-6)
     again = COLOUR_KINDS[made.kind].restore(made.describe(), made.values.copy())
