@@ -15,7 +15,8 @@ class HashFeatures:
     """The levels of a hash grid side by side, four floats each (Mueller et al. 2022, section 3)."""
 
     kind = "hash"
-    fixed = 0
+    fixed = 0  # floats, the table's first, that never learn
+    rate = 1.0  # factor of the learning rate
 
     def __init__(self, levels: Levels) -> None:
         self.levels, self.layout = levels, levels.layout()
@@ -74,7 +75,8 @@ class VmFeatures:
     """Products of planes and lines, three times `rank` of them (TensoRF, eq. 7)."""
 
     kind = "vm"
-    fixed = 0
+    fixed = 0  # floats, the table's first, that never learn
+    rate = 1.0  # factor of the learning rate
 
     def __init__(self, size: np.ndarray, rank: int) -> None:
         self.size, self.rank = np.asarray(size, np.int64), int(rank)

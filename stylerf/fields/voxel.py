@@ -15,6 +15,8 @@ from stylerf.geometry.harmonics import BANDS
 from stylerf.kernels.cpu import voxel as kernels
 
 BLOCK = 4  # vertices a side; as many as a cell of a 64^3 occupancy grid is wide at 256^3
+# Of the learning rate: a voxel is alone where vm multiplies rows and a hash grid adds levels, which all move at once.
+FASTER = 5.0
 EMPTY = -8.0  # what is not kept adds to the density's exponent: an optical depth of 6e-4 across the cube
 
 
@@ -112,7 +114,7 @@ class VoxelDensity:
 
     def groups(self) -> list[tuple[int, int, float]]:
         """(begin, end, learning-rate factor) of parts of `values`; what stands for blocks not kept never learns."""
-        return [(BLOCK**3, len(self.values), 1.0)]
+        return [(BLOCK**3, len(self.values), FASTER)]
 
     def grown(self, capacity: Capacity, generator: np.random.Generator) -> "VoxelDensity":
         """The same density on another grid, interpolated, where something is occupied; elsewhere next to nothing."""
@@ -198,6 +200,8 @@ class VoxelFeatures:
     def fixed(self) -> int:
         """Floats, the table's first, that never learn."""
         return BLOCK**3 * self.width
+
+    rate = FASTER  # factor of the learning rate
 
     def initial(self, generator: np.random.Generator) -> np.ndarray:
         return generator.uniform(-1e-1, 1e-1, self.length).astype(np.float32)
