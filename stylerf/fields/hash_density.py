@@ -9,12 +9,12 @@ from stylerf.fields.samples import Samples
 from stylerf.fields.walking import walk
 from stylerf.kernels.cpu import hash_density as kernels
 
-BASE = 16
+SPAN = 16  # the finest level is so many times as fine as the coarsest
 
 
 def levels_of(capacity: Capacity, width: int) -> Levels:
     """The levels that a capacity asks for."""
-    base = max(2, min(BASE, capacity.finest // 4))
+    base = max(2, capacity.finest // SPAN)
     whole = Levels(capacity.levels, base, capacity.finest, capacity.table, width, capacity.levels)
     return whole.within(capacity.resolution)
 

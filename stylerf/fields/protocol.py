@@ -29,15 +29,20 @@ class Part(Protocol):
     def smooth(self, strength: float, to: np.ndarray) -> None:
         """Add the gradient of `strength` times the part's total variation to one buffer `to` [len(values)]."""
 
-    def grown(self, capacity: Capacity, generator: np.random.Generator) -> "Part":
-        """The same part at another capacity: as good as the same answers, to be taught further."""
-
     def describe(self) -> dict:
         """JSON form of everything that is not in `values`; its "kind" says who restores it."""
 
     @classmethod
     def restore(cls, data: dict, values: np.ndarray) -> "Part":
         """From describe() and `values`."""
+
+
+@runtime_checkable
+class Growing(Protocol):
+    """What a part needs beside to be fitted by a ladder of capacities (training/ladders.py)."""
+
+    def grown(self, capacity: Capacity, generator: np.random.Generator) -> "Growing":
+        """The same part at a larger capacity: as near to the same answers as that can say, to be taught further."""
 
 
 @runtime_checkable
