@@ -4,7 +4,7 @@ import time
 
 from schemas.errors import BadInput
 from schemas.store import Artefact, Partial
-from stages.configs.fit import EVEN_FROM, SMOOTHNESS, FitConfig, budget_of, capacity_of
+from stages.configs.fit import EVEN_FROM, SMOOTHNESS, FitConfig, budget_of, capacity_of, kinds_of
 from stages.fields import load_checkpoint, save_checkpoint, save_field
 from stages.photos import bank_of
 from stages.progress import Context
@@ -13,7 +13,8 @@ from stages.scenes import SceneData, load_scene
 from stages.spaces import space_of
 from stylerf.errors import Diverged
 from stylerf.kernels.cpu.compiling import compiling_note, set_threads
-from stylerf.training.fit import LADDER, FitSettings, Fitter, Rung
+from stylerf.training.fit import FitSettings, Fitter
+from stylerf.training.ladders import LADDER, Kinds, Rung
 
 SPEC = Spec(stage="nerf_fit", verb="fit", revision=1, writes="field")
 RATE = {"object": 2e-2, "forward": 4e-2, "unbounded": 4e-2}
@@ -82,10 +83,12 @@ def _settings(config: FitConfig, scene: SceneData) -> FitSettings:
         background = scene.background
     else:
         background = "white" if config.background == "auto" else config.background
+    kinds = Kinds(*kinds_of(config.field), config.head)
     smoothness = SMOOTHNESS[scene.layout] if config.smoothness < 0 else config.smoothness
     return FitSettings(
         seconds=seconds or 1.0,
         steps=steps,
+        kinds=kinds,
         samples=config.samples,
         rate=config.rate or RATE[scene.layout],
         smoothness=(smoothness, smoothness),
@@ -103,8 +106,18 @@ def _fixed_ladder(resolution: int, density: int, colour: int) -> tuple[Rung, ...
     """Coarse to fine towards one capacity: the same end, reached sooner than by starting there."""
     coarser = [n for n in (64, 128, 192) if n < resolution]
     return tuple(
-        Rung(n, min(density, 8) if n == 64 else density, min(colour, 16) if n == 64 else colour) for n in coarser
-    ) + (Rung(resolution, density, colour),)
+        Rung(
+            n,
+            min(density, 8) if n == 64 else density,
+            min(colour, 16) if n == 64 else colour,
+            table_bits=_table_bits(n),
+        )
+        for n in coarser
+    ) + (Rung(resolution, density, colour, table_bits=_table_bits(resolution)),)
+
+
+def _table_bits(resolution: int) -> int:
+    return max([LADDER[0].table_bits] + [rung.table_bits for rung in LADDER if rung.resolution <= resolution])
 
 
 def _held_out(train: list[int], wanted: int) -> list[int]:
@@ -121,7 +134,7 @@ def _shown(background: str) -> str:
 def _figures(fitter: Fitter, held_out: list[int], reason: str) -> dict:
     state, curve = fitter.state, fitter.state.curve
     decided, trained = ([p["psnr"] for p in curve if p["held_out"] == kept_aside] for kept_aside in (True, False))
-    rung = fitter.settings.ladder[state.rung]
+    rung, kinds = fitter.settings.ladder[state.rung], fitter.settings.kinds
     return {
         "steps": state.step,
         "train_seconds": round(state.seconds, 2),
@@ -130,9 +143,11 @@ def _figures(fitter: Fitter, held_out: list[int], reason: str) -> dict:
         "training_psnr": trained[-1] if trained else None,
         "curve": curve,
         "decisions": state.decisions,
+        "kinds": [kinds.density, kinds.colour, kinds.head],
         "resolution": rung.resolution,
-        "density_rank": rung.density_rank,
-        "colour_rank": rung.colour_rank,
+        "density_rank": rung.density_rank if kinds.density == "vm" else None,
+        "colour_rank": rung.colour_rank if kinds.colour == "vm" else None,
+        "table_bits": rung.table_bits if "hash" in (kinds.density, kinds.colour) else None,
         "occupied_share": round(fitter.field.occupancy.share, 4),
         "rollbacks": state.rollbacks,
         "held_out_views": len(held_out),

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 from stages.configs import option
 
+FIELD_KINDS = ("vm", "hash", "voxel")
 # By layout; of every training of a field's shapes (docs/decisions/0011).
 SMOOTHNESS = {"object": 0.0, "forward": 1e-3, "unbounded": 1e-3}
 EVEN_FROM = {"object": 0.0, "forward": 0.0, "unbounded": 1.0}  # 1: the median distance of the cameras from their focus
@@ -15,10 +16,20 @@ class FitConfig:
     """How a radiance field is fitted to a scene."""
 
     budget: str = option("5m", help="training time (60s, 5m, 1h) or a number of steps; the quality of longer is higher")
+    field: str = option(
+        "vm",
+        metavar="KIND|DENSITY+COLOUR",
+        help="what density and colour are kept in: vm (planes and lines), hash (a hash grid), voxel (a sparse grid); "
+        "or two kinds, as vm+hash",
+    )
+    head: str = option(
+        "linear", choices=("linear", "mlp"), help="from features to colours: spherical harmonics, or a small network"
+    )
     capacity: str = option(
         "grow",
         metavar="grow|fixed:N[xD[xC]]",
-        help="grow while held-out views gain, or N vertices an axis at density rank D and colour rank C",
+        help="grow while held-out views gain, or N vertices an axis (hash: cells at most), of vm with density rank D "
+        "and colour rank C",
     )
     min_gain: float = option(0.1, help="dB that held-out views must gain for a larger field to be kept")
     space: str = option(
@@ -47,6 +58,7 @@ class FitConfig:
     def __post_init__(self) -> None:
         budget_of(self.budget)
         capacity_of(self.capacity)
+        kinds_of(self.field)
         if not (self.min_gain >= 0 and self.checkpoint_every_seconds > 0 and self.samples >= 1000 and self.rate >= 0):
             raise ValueError(
                 "min_gain and rate must not be negative, checkpoint_every_seconds positive, samples 1000 or more"
@@ -74,3 +86,11 @@ def capacity_of(text: str) -> tuple[int, int, int] | None:
     if not (16 <= resolution <= 1024 and all(0 < rank <= 64 and rank % 8 == 0 for rank in (density, colour))):
         raise ValueError(f"capacity {text!r}: 16 to 1024 vertices and ranks of 8, 16, ... 64 are possible")
     return resolution, density, colour
+
+
+def kinds_of(text: str) -> tuple[str, str]:
+    """'hash' -> ('hash', 'hash'); 'vm+hash' -> ('vm', 'hash'), density first."""
+    kinds = text.split("+") if "+" in text else [text, text]
+    if len(kinds) != 2 or not set(kinds) <= set(FIELD_KINDS):
+        raise ValueError(f"field {text!r} is neither one of {', '.join(FIELD_KINDS)} nor two of them, as vm+hash")
+    return kinds[0], kinds[1]

@@ -6,15 +6,19 @@ import numpy as np
 import torch
 
 from stylerf.fields.hash import HashColour
+from stylerf.fields.hash_density import HashDensity
+from stylerf.fields.headed import HeadedColour
 from stylerf.fields.occupancy import Occupancy
 from stylerf.fields.patch import PatchColour
+from stylerf.fields.protocol import ColourPart, DensityPart
 from stylerf.fields.samples import Rays, Samples
 from stylerf.fields.vm import VmColour, VmDensity
+from stylerf.fields.voxel import VoxelDensity
 from stylerf.geometry.space import Space
 from stylerf.style.colour import ColourMap
 
-DENSITY_KINDS = {"vm": VmDensity}
-COLOUR_KINDS = {"vm": VmColour, "hash": HashColour}
+DENSITY_KINDS = {"vm": VmDensity, "hash": HashDensity, "voxel": VoxelDensity}
+COLOUR_KINDS = {"vm": VmColour, "hash": HashColour, "headed": HeadedColour}
 _NO_DISPLACEMENT = np.empty(0, np.float32)
 
 
@@ -29,8 +33,8 @@ class RadianceField:
     """
 
     space: Space
-    density: VmDensity
-    colour: VmColour | HashColour | PatchColour
+    density: DensityPart
+    colour: ColourPart
     occupancy: Occupancy
     step: float
     displacement: np.ndarray | None = None

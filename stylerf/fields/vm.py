@@ -8,7 +8,9 @@ import numpy as np
 import torch
 import torch.nn.functional as F
 
+from stylerf.fields.capacity import Capacity
 from stylerf.fields.samples import Samples
+from stylerf.fields.walking import walk
 from stylerf.geometry.harmonics import BANDS, C0
 from stylerf.kernels.cpu import vm as kernels
 from stylerf.kernels.cpu.deform import colour_position_gradient, density_position_gradient
@@ -36,7 +38,7 @@ def split_table(table: np.ndarray, size: np.ndarray, rank: int) -> tuple[list[np
     return planes, lines
 
 
-def _initial_table(size: np.ndarray, rank: int, generator: np.random.Generator, spread: float) -> np.ndarray:
+def initial_table(size: np.ndarray, rank: int, generator: np.random.Generator, spread: float) -> np.ndarray:
     table = np.empty(table_length(size, rank), np.float32)
     planes, lines = split_table(table, size, rank)
     for plane in planes:
@@ -50,7 +52,7 @@ def _widened_table(
     table: np.ndarray, size: np.ndarray, old: int, new: int, generator: np.random.Generator
 ) -> np.ndarray:
     """The same field with more ranks: new planes random, new lines zero, so that nothing changes until they learn."""
-    out = _initial_table(np.asarray(size), new, generator, 0.1)
+    out = initial_table(np.asarray(size), new, generator, 0.1)
     for source, target in zip(split_table(table, size, old)[0], split_table(out, size, new)[0]):
         target[..., :old] = source
     for source, target in zip(split_table(table, size, old)[1], split_table(out, size, new)[1]):
@@ -59,7 +61,7 @@ def _widened_table(
     return out
 
 
-def _resized_table(table: np.ndarray, old: np.ndarray, new: np.ndarray, rank: int) -> np.ndarray:
+def resized_table(table: np.ndarray, old: np.ndarray, new: np.ndarray, rank: int) -> np.ndarray:
     out = np.empty(table_length(new, rank), np.float32)
     for source, target in zip(split_table(table, old, rank)[0], split_table(out, new, rank)[0]):
         image = torch.from_numpy(np.ascontiguousarray(source)).permute(2, 0, 1)[None]
@@ -83,7 +85,7 @@ class VmDensity:
     @classmethod
     def create(cls, size: np.ndarray, rank: int, generator: np.random.Generator, shift: float = -4.0) -> "VmDensity":
         """A thin fog: exp(-4) is an optical depth of about 1.8 across the cube, so the first rays see all of it."""
-        table = _initial_table(np.asarray(size), rank, generator, 0.1)
+        table = initial_table(np.asarray(size), rank, generator, 0.1)
         return cls(size, rank, np.append(table, np.float32(shift)))
 
     @property
@@ -96,7 +98,7 @@ class VmDensity:
 
     def resized(self, size: np.ndarray) -> "VmDensity":
         """The same density on another grid, interpolated."""
-        table = _resized_table(self.table, self.size, np.asarray(size), self.rank)
+        table = resized_table(self.table, self.size, np.asarray(size), self.rank)
         return VmDensity(size, self.rank, np.append(table, self.values[-1]))
 
     def with_rank(self, rank: int, generator: np.random.Generator) -> "VmDensity":
@@ -106,6 +108,10 @@ class VmDensity:
         table = _widened_table(self.table, self.size, self.rank, rank, generator)
         return VmDensity(self.size, rank, np.append(table, self.values[-1]))
 
+    def grown(self, capacity: Capacity, generator: np.random.Generator) -> "VmDensity":
+        """The same density at another capacity."""
+        return self.with_rank(capacity.density_rank, generator).resized(capacity.size)
+
     def sigma(self, x: np.ndarray, chunks: int) -> np.ndarray:
         """Raw density of warped points [n, 3] float32 -> [n]."""
         out = np.empty(len(x), np.float32)
@@ -113,40 +119,21 @@ class VmDensity:
         return out
 
     def march(self, space, rays, occupancy, step, displacement, limit, opaque, closed, chunks) -> "Samples":
-        """Walk rays (origins, directions, jitter, near) through the density; see kernels.march_density."""
-        n = len(rays.origins)
-        samples = Samples.empty(n, limit)
-        flat, cells = displacement
-        kernels.march_density(
-            space.code,
-            space.packed(),
-            rays.origins,
-            rays.directions,
-            rays.jitter,
-            rays.near,
-            np.float32(space.far),
-            np.float32(step),
-            occupancy.distances,
-            occupancy.cells,
+        """Walk rays through the density."""
+        numbers = self.table, self.size, self.values[-1], self._ranks
+        return walk(
+            kernels.march_density,
+            numbers,
+            space,
+            rays,
+            occupancy,
+            step,
+            displacement,
             limit,
-            self.table,
-            self.size,
-            self.values[-1],
-            self._ranks,
-            flat,
-            cells,
-            np.float32(opaque),
+            opaque,
             closed,
             chunks,
-            samples.starts,
-            samples.ends,
-            samples.t,
-            samples.optical,
-            samples.x,
-            samples.sigma,
-            samples.weights,
         )
-        return samples
 
     def backward(self, x, starts, ends, sigma, sigma_gradients, to: np.ndarray) -> None:
         """Add dL/d(values) to the chunks' buffers `to` [chunks, len(values)]."""
@@ -193,7 +180,7 @@ class VmColour:
 
     @classmethod
     def create(cls, size: np.ndarray, rank: int, degree: int, generator: np.random.Generator) -> "VmColour":
-        table = _initial_table(np.asarray(size), rank, generator, 0.1)
+        table = initial_table(np.asarray(size), rank, generator, 0.1)
         head = generator.uniform(-1, 1, size=(3, BANDS[degree], 3 * rank)) / np.sqrt(3 * rank) / C0
         head[:, 1:] *= 0.1
         values = np.concatenate([table, head.ravel(), np.zeros(3)]).astype(np.float32)
@@ -211,7 +198,7 @@ class VmColour:
         return [(0, len(self.table), 1.0), (len(self.table), len(self.values), 1.0)]
 
     def resized(self, size: np.ndarray) -> "VmColour":
-        table = _resized_table(self.table, self.size, np.asarray(size), self.rank)
+        table = resized_table(self.table, self.size, np.asarray(size), self.rank)
         return VmColour(size, self.rank, self.degree, np.concatenate([table, self.head, self.values[-3:]]))
 
     def with_rank(self, rank: int, generator: np.random.Generator) -> "VmColour":
@@ -223,6 +210,10 @@ class VmColour:
         head = VmColour.create(np.full(3, 8), rank, self.degree, generator).head.reshape(3, bands, 3, rank)
         head[..., : self.rank] = self.head.reshape(3, bands, 3, self.rank)
         return VmColour(self.size, rank, self.degree, np.concatenate([table, head.ravel(), self.values[-3:]]))
+
+    def grown(self, capacity: Capacity, generator: np.random.Generator) -> "VmColour":
+        """The same colour at another capacity."""
+        return self.with_rank(capacity.colour_rank, generator).resized(capacity.size)
 
     def with_degree(self, degree: int) -> "VmColour":
         """The same colour with more (zero) or fewer spherical-harmonic bands."""

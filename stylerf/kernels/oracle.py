@@ -104,10 +104,14 @@ def vm_features(table: Tensor, size: list[int], rank: int, x: Tensor) -> Tensor:
     return torch.cat(features, 1)
 
 
-def vm_density(values: Tensor, size: list[int], rank: int, x: Tensor) -> Tensor:
-    """Raw density [n]; values: table, shift. The exponent's clamp lets gradients pass, as the kernel's does."""
-    exponent = values[-1] + vm_features(values[:-1], size, rank, x).sum(1)
+def raw_density(exponent: Tensor) -> Tensor:
+    """Raw density of its logarithm. The exponent's clamp lets gradients pass, as the kernels' does."""
     return torch.exp(exponent + (exponent.clamp(EXPONENT_MIN, EXPONENT_MAX) - exponent).detach())
+
+
+def vm_density(values: Tensor, size: list[int], rank: int, x: Tensor) -> Tensor:
+    """Raw density [n]; values: table, shift."""
+    return raw_density(values[-1] + vm_features(values[:-1], size, rank, x).sum(1))
 
 
 def vm_colour(values: Tensor, size: list[int], rank: int, basis: Tensor, x: Tensor) -> Tensor:
@@ -118,15 +122,24 @@ def vm_colour(values: Tensor, size: list[int], rank: int, basis: Tensor, x: Tens
     return torch.sigmoid(values[-3:] + torch.einsum("nb,jbf,nf->nj", basis, head, features))
 
 
-def hash_levels(values: Tensor, levels: int, base: int, finest: int, table: int, x: Tensor) -> Tensor:
-    """Rows [n, levels, 4] of a multi-resolution hash grid (Mueller et al. 2022, eqs. 2 to 4)."""
+def hash_levels(
+    values: Tensor, levels: int, base: int, finest: int, table: int, x: Tensor, width: int = 4, active: int = 32
+) -> Tensor:
+    """Rows [n, levels, width] of a multi-resolution hash grid (Mueller et al. 2022, eqs. 2 to 4).
+
+    Levels from `active` on hold one row, which is the same everywhere.
+    """
     rows_of_levels, at = [], 0
     for level in range(levels):
-        total = torch.zeros(len(x), 4, dtype=values.dtype)
+        total = torch.zeros(len(x), width, dtype=values.dtype)
+        if level >= active:
+            rows_of_levels.append(total + values[at : at + width])
+            at += width
+            continue
         cells = round(base * math.exp(math.log(finest / base) / max(levels - 1, 1) * level))
         entries = min((cells + 1) ** 3, table)
-        rows = values[at : at + 4 * entries].reshape(entries, 4)
-        at += 4 * entries
+        rows = values[at : at + width * entries].reshape(entries, width)
+        at += width * entries
         (i, fx), (j, fy), (k, fz) = (_cell(x[:, a], cells + 1) for a in range(3))
         for corner in range(8):
             di, dj, dk = corner // 4, corner // 2 % 2, corner % 2
@@ -144,6 +157,37 @@ def hash_colour(values: Tensor, levels: int, base: int, finest: int, table: int,
     """Colour [n, 3] of a hash grid whose levels are added up."""
     total = hash_levels(values, levels, base, finest, table, x).sum(1)
     return torch.sigmoid(total[:, :3] + total[:, 3:])
+
+
+def linear_head(numbers: Tensor, phi: Tensor, basis: Tensor) -> Tensor:
+    """Colour [n, 3] of features phi [n, f] and spherical harmonics basis [n, bands]; numbers: head, bias."""
+    head = numbers[:-3].reshape(3, basis.shape[1], phi.shape[1])
+    return torch.sigmoid(numbers[-3:] + torch.einsum("nb,jbf,nf->nj", basis, head, phi))
+
+
+def harmonic_head(numbers: Tensor, phi: Tensor, basis: Tensor) -> Tensor:
+    """Colour [n, 3] of coefficients phi [n, 3 bands]; numbers: none."""
+    return torch.sigmoid(torch.einsum("nb,njb->nj", basis, phi.reshape(len(phi), 3, -1)))
+
+
+def mlp_head(numbers: Tensor, phi: Tensor, basis: Tensor) -> Tensor:
+    """Colour [n, 3]; numbers: W1 [f + bands, h], b1 [h], W2 [3, h], b2 [3]."""
+    inputs = torch.cat([phi, basis], 1)
+    h = (len(numbers) - 3) // (inputs.shape[1] + 4)
+    first, bias, second = numbers[:-3].split([inputs.shape[1] * h, h, 3 * h])
+    return torch.sigmoid(torch.relu(inputs @ first.reshape(-1, h) + bias) @ second.reshape(3, h).T + numbers[-3:])
+
+
+def voxel_rows(table: Tensor, kept: Tensor, size: list[int], width: int, x: Tensor) -> Tensor:
+    """[n, width]: trilinear mix of a sparse grid's rows; kept [blocks of 4^3] bool; the first block of `table` stands
+
+    for all that are not kept.
+    """
+    blocks = table.reshape(-1, 4, 4, 4, width)
+    numbers = torch.where(kept, torch.cumsum(kept.flatten().long(), 0).reshape(kept.shape), 0)
+    a, b, c = kept.shape
+    dense = blocks[numbers.flatten()].reshape(a, b, c, 4, 4, 4, width).permute(0, 3, 1, 4, 2, 5, 6)
+    return trilinear(dense.reshape(4 * a, 4 * b, 4 * c, width)[: size[0], : size[1], : size[2]], x)
 
 
 # -- volume rendering -----------------------------------------------------------------------------------------------

@@ -14,28 +14,16 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from stylerf.errors import Diverged
+from stylerf.fields.capacity import Capacity
 from stylerf.fields.field import RadianceField
 from stylerf.fields.occupancy import Occupancy
 from stylerf.fields.samples import Rays
-from stylerf.fields.vm import VmColour, VmDensity
 from stylerf.geometry.space import Space
 from stylerf.rendering.rays import backward, render_rays
+from stylerf.training.ladders import LADDER, Kinds, Rung, capacity_at, first_parts
 from stylerf.training.optimiser import Adam
 from stylerf.training.rays import RayBank
 
-
-@dataclass(frozen=True)
-class Rung:
-    """One capacity: vertices per axis of an even box, ranks of density and colour, cells of the occupancy grid."""
-
-    resolution: int
-    density_rank: int
-    colour_rank: int
-    cells: int = 64
-
-
-# One pair of ranks on every rung: each pair is a set of kernels to compile.
-LADDER = (Rung(64, 16, 24), Rung(128, 16, 24), Rung(192, 16, 24), Rung(256, 16, 24))
 LEAST_STEPS_PER_RUNG = 100
 SMOOTH_EVERY = 8  # steps; the planes' total variation costs a third of a step, and is felt over hundreds of them
 # An error of one step of an eight-bit photo. What lies beyond is rounding: no reason to grow, and no collapse to lose.
@@ -44,7 +32,7 @@ TELLING_PSNR = 20 * math.log10(255)
 
 @dataclass(frozen=True)
 class FitSettings:
-    """How a field is fitted. Budget: seconds of training, or steps if `steps` > 0.
+    """How a field is fitted. kinds: what it is made of. Budget: seconds of training, or steps if `steps` > 0.
 
     samples: density samples a step; the number of rays follows, so that fog early on does not slow the steps down;
     rates in value units per step; smoothness: weights of the planes' total variation (density, colour); even_from:
@@ -62,6 +50,7 @@ class FitSettings:
     degree: int = 1
     smoothness: tuple[float, float] = (0.0, 0.0)
     even_from: float = 0.0
+    kinds: Kinds = field(default_factory=Kinds)
     ladder: tuple[Rung, ...] = LADDER
     shares: tuple[float, ...] = (0.12, 0.3, 0.55)
     longest: tuple[int, ...] = (350, 850, 1350, 2100)
@@ -115,11 +104,10 @@ class Fitter:
         self.seed, self.chunks, self.on_say = seed, chunks, on_say
         self.state = FitState()
         rung, generator = settings.ladder[0], np.random.default_rng([seed, 1])
-        size = space.cells_per_axis(rung.resolution)
+        parts = first_parts(settings.kinds, self._capacity(rung), settings.degree, generator)
         self.field = RadianceField(
             space,
-            VmDensity.create(size, rung.density_rank, generator),
-            VmColour.create(size, rung.colour_rank, settings.degree, generator),
+            *parts,
             Occupancy(rung.cells),
             1.0 / rung.resolution,
         )
@@ -134,13 +122,18 @@ class Fitter:
         self.density_adam = Adam(self.field.density.values, self.field.density.groups(), self.chunks)
         self.colour_adam = Adam(self.field.colour.values, self.field.colour.groups(), self.chunks)
 
+    def _capacity(self, rung: Rung, occupancy: Occupancy | None = None) -> Capacity:
+        settings = self.settings
+        return capacity_at(rung, settings.ladder[-1].resolution, settings.kinds.levels, self.space, occupancy)
+
     def _grow(self, rung: Rung) -> None:
         generator = np.random.default_rng([self.seed, 2, rung.resolution])
-        size, old = self.space.cells_per_axis(rung.resolution), self.field
+        old = self.field
+        capacity = self._capacity(rung, old.occupancy)
         self.field = RadianceField(
             self.space,
-            old.density.with_rank(rung.density_rank, generator).resized(size),
-            old.colour.with_rank(rung.colour_rank, generator).resized(size),
+            old.density.grown(capacity, generator),
+            old.colour.grown(capacity, generator),
             old.occupancy.resized(rung.cells) if rung.cells != old.occupancy.cells else old.occupancy,
             1.0 / rung.resolution,
         )
@@ -264,9 +257,8 @@ class Fitter:
         origins, directions, _, _ = self.bank.draw(16, generator)
         rays = Rays.of(origins, directions, self.space.near)
         for density_rank, colour_rank in {(r.density_rank, r.colour_rank) for r in self.settings.ladder}:
-            size = np.full(3, 8, np.int64)
-            density = VmDensity.create(size, density_rank, generator)
-            colour = VmColour.create(size, colour_rank, self.settings.degree, generator)
+            rung = Rung(8, density_rank, colour_rank, 8, 8)
+            density, colour = first_parts(self.settings.kinds, self._capacity(rung), self.settings.degree, generator)
             scratch = RadianceField(self.space, density, colour, Occupancy(8), 1 / 8)
             scratch.occupancy.refresh(lambda x, d=density: d.sigma(x, self.chunks), 1 / 8, 0, 1, 0.9)
             rendered = render_rays(scratch, rays, chunks=self.chunks)

@@ -32,7 +32,7 @@ def run(args, session) -> dict:
 
 def _words(field, figures: dict) -> list[str]:
     lines = [
-        f"field {field.name}: {figures['resolution']}^3, ranks {figures['density_rank']} and {figures['colour_rank']}, "
+        f"field {field.name}: {_size(figures)}, "
         f"{figures['parameters'] / 1e6:.2f} M parameters, {figures['train_seconds']:.0f} s, {figures['steps']} steps"
     ]
     if figures["held_out_psnr"] is not None:
@@ -42,3 +42,15 @@ def _words(field, figures: dict) -> list[str]:
         lines.append(f"  training views: {figures['training_psnr']:.2f} dB (no view was held out; see --held-out)")
     lines += [f"  {decision}" for decision in figures["decisions"]]
     return [*lines, f"  {field.path}"]
+
+
+def _size(figures: dict) -> str:
+    """In words: what the field is made of, and how much of it."""
+    density, colour, head = figures["kinds"]
+    words = [f"{density if density == colour else f'{density}+{colour}'} {figures['resolution']}^3"]
+    ranks = [figures[f"{part}_rank"] for part in ("density", "colour")]
+    if any(ranks):
+        words.append(f"rank{'s' if all(ranks) else ''} {' and '.join(str(rank) for rank in ranks if rank)}")
+    if figures["table_bits"]:
+        words.append(f"tables of 2^{figures['table_bits']}")
+    return ", ".join(words if head == "linear" else [*words, "colours by a network"])

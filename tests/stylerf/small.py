@@ -8,11 +8,16 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
+from stylerf.fields.capacity import Capacity
 from stylerf.fields.field import RadianceField
 from stylerf.fields.hash import HashColour
+from stylerf.fields.hash_density import HashDensity
+from stylerf.fields.headed import HeadedColour
+from stylerf.fields.levels import Levels
 from stylerf.fields.occupancy import Occupancy
 from stylerf.fields.samples import Rays, Samples
 from stylerf.fields.vm import VmColour, VmDensity
+from stylerf.fields.voxel import Grid, VoxelDensity
 from stylerf.geometry.space import Space
 from stylerf.kernels import oracle
 
@@ -55,6 +60,41 @@ def hash_colour(seed: int, levels: int = 8, base: int = 3, finest: int = 40, tab
     """Coarse levels are indexed directly (4^3 and 6^3 vertices), fine ones are hashed."""
     made = HashColour.create(np.random.default_rng(seed), levels, base, finest, table)
     made.values[:] = np.random.default_rng(seed).normal(scale=0.4, size=len(made.values))
+    return made
+
+
+def half_empty(cells: int = 8) -> Occupancy:
+    """Occupied in one corner of the cube only, so that a voxel grid leaves blocks out."""
+    made = Occupancy(cells)
+    full = np.zeros((cells,) * 3, bool)
+    full[: cells // 4, : cells // 2, : cells // 2] = True
+    made.set_occupied(full.ravel())
+    return made
+
+
+SMALL = Capacity(np.array(SIZE), 40, DENSITY_RANK, COLOUR_RANK, table=512, levels=8, finest=64)
+# As small, but with room for blocks that are not kept.
+SPARSE = Capacity(np.array([18, 14, 17]), 40, DENSITY_RANK, COLOUR_RANK, occupancy=half_empty())
+
+
+def hash_density(seed: int, capacity: Capacity = SMALL) -> HashDensity:
+    """Direct, hashed and (above 40 cells a side) waiting levels."""
+    made = HashDensity.create(capacity, np.random.default_rng(seed), -2.0)
+    made.values[:-1] = np.random.default_rng(seed).normal(scale=0.3, size=len(made.table))
+    return made
+
+
+def voxel_density(seed: int, capacity: Capacity = SPARSE) -> VoxelDensity:
+    made = VoxelDensity.create(capacity, np.random.default_rng(seed), -2.0)
+    made.values[:-1] = np.random.default_rng(seed).normal(scale=0.6, size=len(made.table))
+    return made
+
+
+def headed(seed: int, kind: str, head: str, degree: int = 1, capacity: Capacity = SMALL) -> HeadedColour:
+    made = HeadedColour.create(kind, head, capacity, degree, np.random.default_rng(seed))
+    made.table[:] = np.random.default_rng(seed).normal(scale=0.6, size=len(made.table))
+    if made.head.length:
+        made.numbers[-3:] = 0.3, -0.2, 0.1
     return made
 
 
@@ -123,10 +163,35 @@ def points_on(rays: Rays, packed: Packed) -> tuple[torch.Tensor, torch.Tensor]:
 def oracle_colour(colour, values: torch.Tensor, basis: torch.Tensor, x: torch.Tensor) -> torch.Tensor:
     if colour.kind == "hash":
         return oracle.hash_colour(values, colour.levels, colour.base, colour.finest, colour.table, x)
+    if colour.kind == "headed":
+        length = colour.features.length
+        phi = oracle_features(colour.features, values[:length], x)
+        return getattr(oracle, f"{colour.head.kind}_head")(values[length:], phi, basis)
     return oracle.vm_colour(values, colour.size.tolist(), colour.rank, basis, x)
 
 
-def oracle_density(density: VmDensity, values: torch.Tensor, x: torch.Tensor) -> torch.Tensor:
+def oracle_levels(levels: Levels, table: torch.Tensor, x: torch.Tensor) -> torch.Tensor:
+    shape = levels.count, levels.base, levels.finest, levels.table
+    return oracle.hash_levels(table, *shape, x, levels.width, levels.active)
+
+
+def oracle_grid(grid: Grid, table: torch.Tensor, width: int, x: torch.Tensor) -> torch.Tensor:
+    return oracle.voxel_rows(table, torch.from_numpy(grid.kept), grid.size.tolist(), width, x)
+
+
+def oracle_features(features, table: torch.Tensor, x: torch.Tensor) -> torch.Tensor:
+    if features.kind == "vm":
+        return oracle.vm_features(table, features.size.tolist(), features.rank, x)
+    if features.kind == "voxel":
+        return oracle_grid(features.grid, table, features.width, x)
+    return oracle_levels(features.levels, table, x).flatten(1)
+
+
+def oracle_density(density, values: torch.Tensor, x: torch.Tensor) -> torch.Tensor:
+    if density.kind == "hash":
+        return oracle.raw_density(values[-1] + oracle_levels(density.levels, values[:-1], x).sum((1, 2)))
+    if density.kind == "voxel":
+        return oracle.raw_density(values[-1] + oracle_grid(density.grid, values[:-1], 1, x)[:, 0])
     return oracle.vm_density(values, density.size.tolist(), density.rank, x)
 
 

@@ -155,10 +155,23 @@ def test_a_second_edit_of_the_edited_field_keeps_the_first_and_either_can_be_gon
     column, row = map(int, middle.partition(":")[2].split(","))
     far = max(np.argwhere(covered), key=lambda at: np.hypot(at[0] - row, at[1] - column))
     kept = {name: work.get("field", name).digest for name in ("ball", fitted(edited))}
-    flags = ["--at", f"{first}:{far[1]},{far[0]}", "--tolerance", "0", "--reach", "0.5", "--most", "1", "--palette", "all=#2030f0"]
+    flags = [
+        "--at",
+        f"{first}:{far[1]},{far[0]}",
+        "--tolerance",
+        "0",
+        "--reach",
+        "0.5",
+        "--most",
+        "1",
+        "--palette",
+        "all=#2030f0",
+    ]
     said(capsys, "edit", edited, "--of", "ball", *flags, "--recolor", "--name", "table", "--config",
          _finetune(edited), *QUICK)  # fmt: skip
-    (plain, _), (ball, _), (both, _) = (load_field(work.get("field", name)) for name in (fitted(edited), "ball", "table"))
+    (plain, _), (ball, _), (both, _) = (
+        load_field(work.get("field", name)) for name in (fitted(edited), "ball", "table")
+    )
     assert [part.kind for part in layers_of(both.colour)] == ["patch", "patch", plain.colour.kind]
     assert {name: work.get("field", name).digest for name in kept} == kept
     scene = load_scene(work.get("scene", "table"))

@@ -7,9 +7,9 @@ import numpy as np
 from numba import prange
 
 from stylerf.kernels.cpu.compiling import parallel_kernel, serial_kernel
-from stylerf.kernels.cpu.march import cell_distance, warp_at
+from stylerf.kernels.cpu.march import cell, cell_distance, displace, warp_at
 from stylerf.kernels.cpu.vector import axpy_row, vm_features_slopes, vm_slopes
-from stylerf.kernels.cpu.vm import cell, displace, head_of_ray, place
+from stylerf.kernels.cpu.vm import head_of_ray, place
 
 _ONE, _ZERO = np.float32(1), np.float32(0)
 

@@ -18,13 +18,14 @@ ROW = 4  # floats of a vertex
 PRIME_X, PRIME_Y = 805459861, 2654435761 - 2**32  # as signed 32-bit numbers; z takes 1 (Mueller et al. 2022, eq. 4)
 
 
-class _Levels:
+class Levels:
     """Where a point lies in every level: offsets of the eight vertices (x slowest, z fastest) and place in the cell.
 
     layout: int32 [6, levels]: resolution, multiplier of x, of y, mask, first float of the level, -1 where hashed.
+    row: floats of a vertex.
     """
 
-    def __init__(self, context, builder, layout, point, count: int) -> None:
+    def __init__(self, context, builder, layout, point, count: int, row: int = ROW) -> None:
         self.builder, self.count = builder, count
         self.lanes = Rows(builder, count)
         self.ints = ir.VectorType(INT32, count)
@@ -44,7 +45,7 @@ class _Levels:
             direct = builder.add(builder.add(x, y), z)
             # Selecting by bits: the two kinds of level share every other instruction.
             index = builder.xor(direct, builder.and_(builder.xor(direct, scrambled), hashed))
-            offset = builder.add(first, builder.mul(index, self._constant(ROW)))
+            offset = builder.add(first, builder.mul(index, self._constant(row)))
             builder.store(offset, builder.gep(self.offsets, [ir.Constant(INT32, corner)])).align = 4
 
     def _constant(self, value: int):
@@ -72,7 +73,7 @@ class _Levels:
         return [self.builder.sext(self.builder.load(self.builder.gep(numbers, [p])), ir.IntType(64)) for p in places]
 
 
-def _lane(builder, vector, lane: int):
+def lane(builder, vector, lane: int):
     return builder.extract_element(vector, ir.Constant(INT32, lane))
 
 
@@ -85,7 +86,7 @@ def _mix(rows, low, high, weight):
     return rows.fused(weight, rows.sub(high, low), low)
 
 
-def _interpolate(rows, values, fractions):
+def interpolate(rows, values, fractions):
     """Trilinear mix of eight rows."""
     for fraction in fractions:
         half = len(values) // 2
@@ -95,14 +96,14 @@ def _interpolate(rows, values, fractions):
 
 def _level_rows(rows, levels, table, level):
     values = [rows.load(table, offset) for offset in levels.corner_offsets(level)]
-    return values, [rows.splat(_lane(rows.builder, f, level)) for f in levels.fractions]
+    return values, [rows.splat(lane(rows.builder, f, level)) for f in levels.fractions]
 
 
 def _scatter(rows, levels, target, level, gradient) -> None:
     """Add each of a level's eight vertices' share of a gradient row to the buffer at `target`."""
     shares = [gradient]
     for fraction in levels.fractions:
-        weight = rows.splat(_lane(rows.builder, fraction, level))
+        weight = rows.splat(lane(rows.builder, fraction, level))
         high = [rows.mul(weight, share) for share in shares]
         shares = [s for share, h in zip(shares, high) for s in (rows.sub(share, h), h)]
     for offset, share in zip(levels.corner_offsets(level), shares):
@@ -146,13 +147,13 @@ def hash_logits(typing, table, layout, x, y, z, out, at, levels):
     def generate(context, builder, sig, args):
         rows, count = Rows(builder, ROW), sig.args[-1].count
         pointers = [data_pointer(context, builder, sig.args[i], args[i]) for i in (0, 1, 5)]
-        where = _Levels(context, builder, pointers[1], args[2:5], count)
-        mixed = [_interpolate(rows, *_level_rows(rows, where, pointers[0], level)) for level in range(count)]
+        where = Levels(context, builder, pointers[1], args[2:5], count)
+        mixed = [interpolate(rows, *_level_rows(rows, where, pointers[0], level)) for level in range(count)]
         total = _sum(rows, mixed)
-        logits = rows.add(total, rows.splat(_lane(builder, total, 3)))
+        logits = rows.add(total, rows.splat(lane(builder, total, 3)))
         for channel in range(3):
             place = builder.gep(pointers[2], [_after(builder, args[6], channel)])
-            builder.store(_lane(builder, logits, channel), place)
+            builder.store(lane(builder, logits, channel), place)
         return context.get_dummy_value()
 
     return types.void(table, layout, SCALAR, SCALAR, SCALAR, out, INDEX, levels), generate
@@ -171,7 +172,7 @@ def sigmoid_three(typing, values, at):
             row = builder.insert_element(row, builder.load(place), ir.Constant(INT32, channel))
         row = _sigmoid(rows, row)
         for channel, place in enumerate(places):
-            builder.store(_lane(builder, row, channel), place)
+            builder.store(lane(builder, row, channel), place)
         return context.get_dummy_value()
 
     return types.void(values, INDEX), generate
@@ -183,7 +184,7 @@ def hash_features_backward(typing, buffer, at, layout, x, y, z, gradients, row, 
 
     def generate(context, builder, sig, args):
         rows, count = Rows(builder, ROW), sig.args[-1].count
-        where = _Levels(context, builder, data_pointer(context, builder, sig.args[2], args[2]), args[3:6], count)
+        where = Levels(context, builder, data_pointer(context, builder, sig.args[2], args[2]), args[3:6], count)
         target = builder.gep(data_pointer(context, builder, sig.args[0], args[0]), [args[1]])
         gradient = rows.load(data_pointer(context, builder, sig.args[6], args[6]), args[7])
         for level in range(count):
@@ -200,9 +201,9 @@ def hash_rows(typing, table, layout, x, y, z, out, at, levels):
     def generate(context, builder, sig, args):
         rows, count = Rows(builder, ROW), sig.args[-1].count
         pointers = [data_pointer(context, builder, sig.args[i], args[i]) for i in (0, 1, 5)]
-        where = _Levels(context, builder, pointers[1], args[2:5], count)
+        where = Levels(context, builder, pointers[1], args[2:5], count)
         for level in range(count):
-            mixed = _interpolate(rows, *_level_rows(rows, where, pointers[0], level))
+            mixed = interpolate(rows, *_level_rows(rows, where, pointers[0], level))
             rows.store(pointers[2], _after(builder, args[6], ROW * level), mixed)
         return context.get_dummy_value()
 
@@ -215,7 +216,7 @@ def hash_rows_backward(typing, buffer, at, layout, x, y, z, gradients, row, leve
 
     def generate(context, builder, sig, args):
         rows, count = Rows(builder, ROW), sig.args[-1].count
-        where = _Levels(context, builder, data_pointer(context, builder, sig.args[2], args[2]), args[3:6], count)
+        where = Levels(context, builder, data_pointer(context, builder, sig.args[2], args[2]), args[3:6], count)
         target = builder.gep(data_pointer(context, builder, sig.args[0], args[0]), [args[1]])
         pointer = data_pointer(context, builder, sig.args[6], args[6])
         for level in range(count):
@@ -225,6 +226,31 @@ def hash_rows_backward(typing, buffer, at, layout, x, y, z, gradients, row, leve
     return types.void(buffer, INDEX, layout, SCALAR, SCALAR, SCALAR, gradients, INDEX, levels), generate
 
 
+def _add_slopes(rows, where, table, gradient_of, out) -> None:
+    """Add sum over levels of gradient_of(level) . d(trilinear mix)/d(x, y, z) to out[0:3]."""
+    totals = [[], [], []]
+    for level in range(where.count):
+        values, fractions = _level_rows(rows, where, table, level)
+        gradient = rows.mul(gradient_of(level), rows.splat(lane(rows.builder, where.resolutions, level)))
+        for axis, step in enumerate(steps(rows, values, fractions)):
+            totals[axis].append(rows.mul(gradient, step))
+    for axis, terms in enumerate(totals):
+        place = rows.builder.gep(out, [ir.Constant(INT32, axis)])
+        rows.builder.store(rows.builder.fadd(rows.builder.load(place), rows.total(_sum(rows, terms))), place)
+
+
+def steps(rows, values, fractions):
+    """Slopes of the trilinear mix of eight rows along each axis, a cell being one wide."""
+    found = []
+    for axis in range(3):
+        half = len(values) // 2
+        found.append(
+            interpolate(rows, [rows.sub(h, l) for l, h in zip(values[:half], values[half:])], fractions[axis + 1 :])
+        )
+        values = [_mix(rows, low, high, fractions[axis]) for low, high in zip(values[:half], values[half:])]
+    return found
+
+
 @intrinsic
 def hash_slopes(typing, table, layout, x, y, z, gradients, row, out, at, levels):
     """out[at:at+3] += dL/d(x, y, z) of f (see hash_logits); gradients[row:row+4] = dL/df."""
@@ -232,22 +258,29 @@ def hash_slopes(typing, table, layout, x, y, z, gradients, row, out, at, levels)
     def generate(context, builder, sig, args):
         rows, count = Rows(builder, ROW), sig.args[-1].count
         pointers = [data_pointer(context, builder, sig.args[i], args[i]) for i in (0, 1, 5, 7)]
-        where = _Levels(context, builder, pointers[1], args[2:5], count)
+        where = Levels(context, builder, pointers[1], args[2:5], count)
         gradient = rows.load(pointers[2], args[6])
-        totals = [[], [], []]
-        for level in range(count):
-            values, fractions = _level_rows(rows, where, pointers[0], level)
-            scale = rows.splat(_lane(builder, where.resolutions, level))
-            for axis in range(3):
-                half = len(values) // 2
-                steps = [rows.sub(high, low) for low, high in zip(values[:half], values[half:])]
-                slope = _interpolate(rows, steps, fractions[axis + 1 :])
-                totals[axis].append(rows.mul(scale, slope))
-                values = [_mix(rows, low, high, fractions[axis]) for low, high in zip(values[:half], values[half:])]
-        for axis, terms in enumerate(totals):
-            place = builder.gep(pointers[3], [_after(builder, args[8], axis)])
-            slope = rows.total(rows.mul(gradient, _sum(rows, terms)))
-            builder.store(builder.fadd(builder.load(place), slope), place)
+        _add_slopes(rows, where, pointers[0], lambda level: gradient, builder.gep(pointers[3], [args[8]]))
+        return context.get_dummy_value()
+
+    return types.void(table, layout, SCALAR, SCALAR, SCALAR, gradients, INDEX, out, INDEX, levels), generate
+
+
+@intrinsic
+def hash_rows_slopes(typing, table, layout, x, y, z, gradients, row, out, at, levels):
+    """As hash_slopes, of hash_rows: every level has its own dL/df, gradients[row + 4 l : row + 4 l + 4]."""
+
+    def generate(context, builder, sig, args):
+        rows, count = Rows(builder, ROW), sig.args[-1].count
+        pointers = [data_pointer(context, builder, sig.args[i], args[i]) for i in (0, 1, 5, 7)]
+        where = Levels(context, builder, pointers[1], args[2:5], count)
+        _add_slopes(
+            rows,
+            where,
+            pointers[0],
+            lambda level: rows.load(pointers[2], _after(builder, args[6], ROW * level)),
+            builder.gep(pointers[3], [args[8]]),
+        )
         return context.get_dummy_value()
 
     return types.void(table, layout, SCALAR, SCALAR, SCALAR, gradients, INDEX, out, INDEX, levels), generate

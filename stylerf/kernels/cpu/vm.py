@@ -11,19 +11,10 @@ import numpy as np
 from numba import prange
 
 from stylerf.kernels.cpu.compiling import inline, parallel_kernel
-from stylerf.kernels.cpu.march import OPTICAL_SCALE, cell_distance, leap, ray_span, warp_at
+from stylerf.kernels.cpu.march import EXPONENT_MAX, EXPONENT_MIN, cell, walk_chunk
 from stylerf.kernels.cpu.vector import axpy_row, dot_rows, vm_dot, vm_dot_backward, vm_features, vm_features_backward
 
 _ONE, _ZERO = np.float32(1), np.float32(0)
-EXPONENT_MIN, EXPONENT_MAX = np.float32(-15), np.float32(12)
-
-
-@inline
-def cell(x, size):
-    """Lower cell index and position inside the cell of x in 0..1 on `size` vertices."""
-    s = x * np.float32(size - 1)
-    i = min(max(np.int64(s), np.int64(0)), np.int64(size - 2))
-    return i, s - np.float32(i)
 
 
 @inline
@@ -45,7 +36,7 @@ def place(m, x, size, rank):
 
 
 @inline
-def raw_density(table, size, shift, x, ranks):
+def raw_density(table, size, shift, ranks, x):
     """exp(shift + features) of one warped point."""
     total = shift
     for m in range(3):
@@ -60,23 +51,7 @@ def density(table, size, shift, ranks, x, chunks, sigma):
     n = len(x)
     for c in prange(chunks):
         for p in range(c * n // chunks, (c + 1) * n // chunks):
-            sigma[p] = raw_density(table, size, shift, x[p], ranks)
-
-
-@inline
-def displace(displacement, cells, q, out):
-    """out = q + trilinear(displacement, q), clamped to the cube; displacement: flat [cells^3, 3] on vertices."""
-    i, fx = cell(q[0], cells)
-    j, fy = cell(q[1], cells)
-    k, fz = cell(q[2], cells)
-    at = (i * cells + j) * cells + k
-    for a in range(3):
-        moved = q[a]
-        for corner in range(8):
-            di, dj, dk = corner >> 2, (corner >> 1) & 1, corner & 1
-            w = (fx if di else _ONE - fx) * (fy if dj else _ONE - fy) * (fz if dk else _ONE - fz)
-            moved += w * displacement[(at + (di * cells + dj) * cells + dk) * 3 + a]
-        out[a] = min(max(moved, _ZERO), _ONE)
+            sigma[p] = raw_density(table, size, shift, ranks, x[p])
 
 
 @parallel_kernel
@@ -109,61 +84,39 @@ def march_density(
     sigma,
     weights,
 ):
-    """Walk each ray front to back until transmittance is under `opaque`, its span ends or `limit` samples lie on it.
-
-    Ray r's samples are starts[r]:ends[r] of t_out, optical (optical length of unit raw density), x (position in the
-    cube, displaced), sigma (raw density) and weights (T (1 - exp(-sigma optical))). Each chunk of rays packs its
-    samples from first_ray * limit on; the arrays have rays * limit elements, of which only those touched cost memory.
-    closed: space ends in an opaque backdrop (captures of the real world), so that weights sum to one.
-    """
-    n = len(origins)
+    """Walk rays through a vm density: see march.walk_chunk."""
     for c in prange(chunks):
-        q = np.empty(3, np.float32)
-        moved = np.empty(3, np.float32)
-        begin = c * n // chunks
-        at = begin * limit
-        for r in range(begin, (c + 1) * n // chunks):
-            starts[r] = at
-            ox, oy, oz = origins[r, 0], origins[r, 1], origins[r, 2]
-            dx, dy, dz = directions[r, 0], directions[r, 1], directions[r, 2]
-            t, end = ray_span(kind, space, ox, oy, oz, dx, dy, dz, near[r], far)
-            through = _ONE
-            last = at + limit
-            if t < end:
-                speed, _ = warp_at(kind, space, ox + t * dx, oy + t * dy, oz + t * dz, dx, dy, dz, q)
-                t += jitter[r] * step / speed
-            while t < end and through >= opaque and at < last:
-                speed, jacobian = warp_at(kind, space, ox + t * dx, oy + t * dy, oz + t * dz, dx, dy, dz, q)
-                dt = step / speed
-                distance = cell_distance(occupancy, cells, q)
-                if distance > 0:
-                    taken = leap(kind, space, ox, oy, oz, dx, dy, dz, t, dt, distance, cells, step, q, moved)
-                    t += dt * np.float32(taken)
-                    continue
-                if displacement_cells > 0:
-                    displace(displacement, displacement_cells, q, moved)
-                    q[0], q[1], q[2] = moved[0], moved[1], moved[2]
-                s = raw_density(table, size, shift, q, ranks)
-                length = dt * jacobian * OPTICAL_SCALE
-                stay = np.float32(math.exp(-s * length))
-                t_out[at] = t
-                optical[at] = length
-                x[at, 0], x[at, 1], x[at, 2] = q[0], q[1], q[2]
-                sigma[at] = s
-                weights[at] = through * (_ONE - stay)
-                through *= stay
-                at += 1
-                t += dt
-            if closed and through >= opaque and at < last:
-                # The far end takes what light is left; its density is fixed, so only its colour learns.
-                warp_at(kind, space, ox + end * dx, oy + end * dy, oz + end * dz, dx, dy, dz, q)
-                t_out[at] = end
-                optical[at] = _ZERO
-                x[at, 0], x[at, 1], x[at, 2] = q[0], q[1], q[2]
-                sigma[at] = _ZERO
-                weights[at] = through
-                at += 1
-            ends[r] = at
+        walk_chunk(
+            raw_density,
+            table,
+            size,
+            shift,
+            ranks,
+            kind,
+            space,
+            origins,
+            directions,
+            jitter,
+            near,
+            far,
+            step,
+            occupancy,
+            cells,
+            limit,
+            displacement,
+            displacement_cells,
+            opaque,
+            closed,
+            c,
+            chunks,
+            starts,
+            ends,
+            t_out,
+            optical,
+            x,
+            sigma,
+            weights,
+        )
 
 
 @parallel_kernel

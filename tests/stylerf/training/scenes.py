@@ -5,7 +5,8 @@ import numpy as np
 from stylerf.geometry.cameras import Camera
 from stylerf.geometry.paths import look_at
 from stylerf.geometry.space import Space
-from stylerf.training.fit import FitSettings, Fitter, Rung
+from stylerf.training.fit import FitSettings, Fitter
+from stylerf.training.ladders import Rung
 from stylerf.training.rays import RayBank
 
 SIDE = 0.6

@@ -1,0 +1,25 @@
+"""How large a field's parts are: what each kind makes of one description, so that one ladder serves all of them."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from stylerf.fields.occupancy import Occupancy
+
+
+@dataclass(frozen=True)
+class Capacity:
+    """size: vertices per axis, [3], of grids and planes; resolution: their mean, and the most cells of a hash level.
+
+    density_rank, colour_rank: of vm. table: vertices that a hash level keeps, of `levels` up to `finest` cells a side.
+    occupancy: what a voxel grid need not keep (None: it keeps all).
+    """
+
+    size: np.ndarray
+    resolution: int
+    density_rank: int = 16
+    colour_rank: int = 24
+    table: int = 1 << 16
+    levels: int = 8
+    finest: int = 256
+    occupancy: Occupancy | None = None

@@ -1,0 +1,121 @@
+"""A multi-resolution hash grid (Mueller et al. 2022) as a density, one float at a vertex."""
+
+import numpy as np
+
+from stylerf.errors import InvalidValue
+from stylerf.fields.capacity import Capacity
+from stylerf.fields.levels import Levels
+from stylerf.fields.samples import Samples
+from stylerf.fields.walking import walk
+from stylerf.kernels.cpu import hash_density as kernels
+
+SPAN = 16  # the finest level is so many times as fine as the coarsest
+
+
+def levels_of(capacity: Capacity, width: int) -> Levels:
+    """The levels that a capacity asks for."""
+    base = max(2, capacity.finest // SPAN)
+    whole = Levels(capacity.levels, base, capacity.finest, capacity.table, width, capacity.levels)
+    return whole.within(capacity.resolution)
+
+
+def add_smoothness(levels: Levels, table: np.ndarray, strength: float, to: np.ndarray) -> None:
+    """Add the gradient of a hash grid's total variation to buffer `to` [len(table) or more].
+
+    Levels whose vertices have entries of their own: strength/2 times the mean squared difference of neighbours. Of a
+    hashed level neighbours may be places far apart; there the values are drawn to zero, which leaves what is seen to
+    the coarser, smooth levels. Means are over all floats of the grid.
+    """
+    strength = np.float32(strength / levels.length)
+    for level in range(levels.active):
+        first, end = levels.firsts[level : level + 2]
+        if levels.is_direct(level):
+            kernels.smoothness_backward(table, levels.cells[level], first, levels.width, strength, to)
+        else:
+            to[first:end] += strength * table[first:end]
+
+
+class HashDensity:
+    """Raw density exp(shift + sum of all levels' trilinear mixes) on the unit cube. values: levels' tables, shift."""
+
+    kind = "hash"
+
+    def __init__(self, levels: Levels, values: np.ndarray) -> None:
+        if len(values) != levels.length + 1:
+            raise InvalidValue(f"hash density: {len(values)} values where {levels.length + 1} were expected")
+        self.levels, self.values = levels, values
+        self.layout = levels.layout()
+        self._levels = (np.int8(0),) * levels.count
+
+    @classmethod
+    def create(cls, capacity: Capacity, generator: np.random.Generator, shift: float = -4.0) -> "HashDensity":
+        """A thin fog, as VmDensity.create's."""
+        levels = levels_of(capacity, 1)
+        values = generator.uniform(-1e-2, 1e-2, levels.length).astype(np.float32)
+        return cls(levels, np.append(values, np.float32(shift)))
+
+    @property
+    def table(self) -> np.ndarray:
+        return self.values[:-1]
+
+    def groups(self) -> list[tuple[int, int, float]]:
+        """(begin, end, learning-rate factor) of parts of `values`."""
+        return [(0, len(self.values), 1.0)]
+
+    def grown(self, capacity: Capacity, generator: np.random.Generator) -> "HashDensity":
+        """The same density with more levels active and larger tables."""
+        levels = levels_of(capacity, 1)
+        return HashDensity(levels, np.append(self.levels.regrown(self.table, levels), self.values[-1]))
+
+    def sigma(self, x: np.ndarray, chunks: int) -> np.ndarray:
+        """Raw density of warped points [n, 3] float32 -> [n]."""
+        out = np.empty(len(x), np.float32)
+        kernels.density(self.table, self.layout, self.values[-1], self._levels, x, chunks, out)
+        return out
+
+    def march(self, space, rays, occupancy, step, displacement, limit, opaque, closed, chunks) -> Samples:
+        """Walk rays through the density."""
+        numbers = self.table, self.layout, self.values[-1], self._levels
+        return walk(
+            kernels.march_density,
+            numbers,
+            space,
+            rays,
+            occupancy,
+            step,
+            displacement,
+            limit,
+            opaque,
+            closed,
+            chunks,
+        )
+
+    def backward(self, x, starts, ends, sigma, sigma_gradients, to: np.ndarray) -> None:
+        """Add dL/d(values) to the chunks' buffers `to` [chunks, len(values)]."""
+        kernels.density_backward(self.layout, self._levels, x, starts, ends, sigma, sigma_gradients, len(to), to)
+
+    def add_position_gradients(self, samples: Samples, sigma_gradients, out: np.ndarray, chunks: int) -> None:
+        """Add dL/dx to out [n, 3], x the samples' positions in the cube."""
+        kernels.density_position_gradient(
+            self.table,
+            self.layout,
+            self._levels,
+            samples.x,
+            samples.starts,
+            samples.ends,
+            samples.sigma,
+            sigma_gradients,
+            chunks,
+            out,
+        )
+
+    def smooth(self, strength: float, to: np.ndarray) -> None:
+        """See add_smoothness."""
+        add_smoothness(self.levels, self.table, strength, to)
+
+    def describe(self) -> dict:
+        return {"kind": self.kind, **self.levels.describe()}
+
+    @classmethod
+    def restore(cls, data: dict, values: np.ndarray) -> "HashDensity":
+        return cls(Levels.restore(data, 1), values)

@@ -1,0 +1,245 @@
+"""A sparse voxel grid (ARF's; Fridovich-Keil et al. 2022) as a density and as features of a colour head."""
+
+import base64
+import zlib
+
+import numpy as np
+from scipy.ndimage import maximum_filter
+
+from stylerf.errors import InvalidValue
+from stylerf.fields.capacity import Capacity
+from stylerf.fields.occupancy import Occupancy
+from stylerf.fields.samples import Samples
+from stylerf.fields.walking import walk
+from stylerf.geometry.harmonics import BANDS
+from stylerf.kernels.cpu import voxel as kernels
+
+BLOCK = 4  # vertices a side; as many as a cell of a 64^3 occupancy grid is wide at 256^3
+# Of the learning rate: a voxel is alone where vm multiplies rows and a hash grid adds levels, which all move at once.
+FASTER = 5.0
+EMPTY = -8.0  # what is not kept adds to the density's exponent: an optical depth of 6e-4 across the cube
+
+
+class Grid:
+    """Which blocks of BLOCK^3 vertices of a grid of size [3] are kept. kept: [blocks per axis] bool.
+
+    A table has one block more than are kept: the first stands for all others.
+    """
+
+    def __init__(self, size: np.ndarray, kept: np.ndarray) -> None:
+        self.size = np.asarray(size, np.int64)
+        blocks = -(-self.size // BLOCK)
+        if (self.size < 2).any() or kept.dtype != bool or kept.shape != tuple(blocks):
+            raise InvalidValue(f"voxel grid {self.size.tolist()}: blocks {kept.shape} {kept.dtype}, {blocks.tolist()}")
+        self.kept = kept
+        numbers = np.where(kept, np.cumsum(kept.ravel()).reshape(kept.shape), 0).ravel()
+        self.links = np.concatenate([self.size, blocks, numbers]).astype(np.int32)
+
+    @classmethod
+    def of(cls, capacity: Capacity) -> "Grid":
+        """All of a capacity's vertices, or those around what is occupied."""
+        blocks = tuple(-(-np.asarray(capacity.size, np.int64) // BLOCK))
+        if capacity.occupancy is None:
+            return cls(capacity.size, np.ones(blocks, np.bool_))
+        return cls(capacity.size, _touched(capacity.occupancy, np.asarray(capacity.size), blocks))
+
+    @property
+    def rows(self) -> int:
+        """Rows of a table."""
+        return (int(self.kept.sum()) + 1) * BLOCK**3
+
+    def vertices(self) -> np.ndarray:
+        """Positions [rows, 3] in the cube of a table's rows, the first block's at 0; some lie beyond the grid."""
+        corner = np.concatenate([np.zeros((1, 3), np.int64), np.argwhere(self.kept)]) * BLOCK
+        within = np.stack(np.unravel_index(np.arange(BLOCK**3), (BLOCK,) * 3), 1)
+        places = (corner[:, None] + within[None]).reshape(-1, 3)
+        return np.clip(places / (self.size - 1), 0, 1).astype(np.float32)
+
+    def describe(self) -> dict:
+        """kept: its bits, deflated, as text: a 256^3 grid's take some kilobytes."""
+        bits = zlib.compress(np.packbits(self.kept).tobytes(), 9)
+        return {"size": self.size.tolist(), "kept": base64.b64encode(bits).decode()}
+
+    @classmethod
+    def restore(cls, data: dict) -> "Grid":
+        size = np.asarray(data["size"], np.int64)
+        blocks = -(-size // BLOCK)
+        try:
+            bits = np.frombuffer(zlib.decompress(base64.b64decode(data["kept"])), np.uint8)
+        except zlib.error as error:
+            raise InvalidValue(f"voxel grid: the list of its blocks is damaged ({error})") from error
+        count = int(np.prod(blocks))
+        if len(bits) != -(-count // 8):
+            raise InvalidValue(f"voxel grid {size.tolist()}: {len(bits)} bytes of blocks")
+        return cls(size, np.unpackbits(bits, count=count).astype(bool).reshape(blocks))
+
+
+def _touched(occupancy: Occupancy, size: np.ndarray, blocks: tuple[int, int, int]) -> np.ndarray:
+    """[blocks] bool: which hold a vertex of a grid cell that reaches into an occupied cell or one beside it."""
+    occupied = (occupancy.distances == 0).reshape((occupancy.cells,) * 3)
+    found = maximum_filter(occupied, 3)
+    for axis in range(3):
+        first = np.arange(blocks[axis]) * BLOCK
+        # Vertex v is read from v - 1 to v + 1, in cells of the grid.
+        low = np.clip((first - 1) / (size[axis] - 1) * occupancy.cells, 0, occupancy.cells - 1).astype(np.int64)
+        high = np.clip((first + BLOCK) / (size[axis] - 1) * occupancy.cells, 0, occupancy.cells - 1).astype(np.int64)
+        sums = np.cumsum(found, axis=axis, dtype=np.int64)
+        sums = np.concatenate([np.zeros_like(sums.take([0], axis)), sums], axis)
+        found = sums.take(high + 1, axis) > sums.take(low, axis)
+    return found
+
+
+class VoxelDensity:
+    """Raw density exp(shift + trilinear mix of the vertices) on the unit cube. values: table [rows], shift."""
+
+    kind = "voxel"
+
+    def __init__(self, grid: Grid, values: np.ndarray) -> None:
+        if len(values) != grid.rows + 1:
+            raise InvalidValue(f"voxel density: {len(values)} values where {grid.rows + 1} were expected")
+        self.grid, self.values = grid, values
+        self._widths = (np.int8(0),)
+
+    @classmethod
+    def create(cls, capacity: Capacity, generator: np.random.Generator, shift: float = -4.0) -> "VoxelDensity":
+        """A thin fog, as VmDensity.create's."""
+        grid = Grid.of(capacity)
+        values = np.append(generator.normal(scale=1e-2, size=grid.rows), shift).astype(np.float32)
+        values[: BLOCK**3] = EMPTY
+        return cls(grid, values)
+
+    @property
+    def table(self) -> np.ndarray:
+        return self.values[:-1]
+
+    def groups(self) -> list[tuple[int, int, float]]:
+        """(begin, end, learning-rate factor) of parts of `values`; what stands for blocks not kept never learns."""
+        return [(BLOCK**3, len(self.values), FASTER)]
+
+    def grown(self, capacity: Capacity, generator: np.random.Generator) -> "VoxelDensity":
+        """The same density on another grid, interpolated, where something is occupied; elsewhere next to nothing."""
+        grid = Grid.of(capacity)
+        table = sampled(self.grid, self.table, (np.int8(0),), grid)
+        table[: BLOCK**3] = EMPTY
+        return VoxelDensity(grid, np.append(table, self.values[-1]))
+
+    def sigma(self, x: np.ndarray, chunks: int) -> np.ndarray:
+        """Raw density of warped points [n, 3] float32 -> [n]."""
+        out = np.empty(len(x), np.float32)
+        kernels.density(self.table, self.grid.links, self.values[-1], self._widths, x, chunks, out)
+        return out
+
+    def march(self, space, rays, occupancy, step, displacement, limit, opaque, closed, chunks) -> Samples:
+        """Walk rays through the density."""
+        numbers = self.table, self.grid.links, self.values[-1], self._widths
+        return walk(
+            kernels.march_density,
+            numbers,
+            space,
+            rays,
+            occupancy,
+            step,
+            displacement,
+            limit,
+            opaque,
+            closed,
+            chunks,
+        )
+
+    def backward(self, x, starts, ends, sigma, sigma_gradients, to: np.ndarray) -> None:
+        """Add dL/d(values) to the chunks' buffers `to` [chunks, len(values)]."""
+        kernels.density_backward(self.grid.links, self._widths, x, starts, ends, sigma, sigma_gradients, len(to), to)
+
+    def add_position_gradients(self, samples: Samples, sigma_gradients, out: np.ndarray, chunks: int) -> None:
+        """Add dL/dx to out [n, 3], x the samples' positions in the cube."""
+        kernels.density_position_gradient(
+            self.table,
+            self.grid.links,
+            self._widths,
+            samples.x,
+            samples.starts,
+            samples.ends,
+            samples.sigma,
+            sigma_gradients,
+            chunks,
+            out,
+        )
+
+    def smooth(self, strength: float, to: np.ndarray) -> None:
+        """Add the gradient of strength/2 times the mean squared difference of neighbours to buffer `to`."""
+        strength = np.float32(strength / len(self.table))
+        kernels.smoothness_backward(self.table, self.grid.links, 1, strength, to)
+
+    def describe(self) -> dict:
+        return {"kind": self.kind, **self.grid.describe()}
+
+    @classmethod
+    def restore(cls, data: dict, values: np.ndarray) -> "VoxelDensity":
+        return cls(Grid.restore(data), values)
+
+
+class VoxelFeatures:
+    """What a voxel grid's vertices hold, trilinear in between: `width` numbers, for the harmonics head its own."""
+
+    kind = "voxel"
+
+    def __init__(self, grid: Grid, width: int) -> None:
+        self.grid, self.width = grid, width
+        self._widths = (np.int8(0),) * width
+
+    @classmethod
+    def of(cls, capacity: Capacity, degree: int) -> "VoxelFeatures":
+        return cls(Grid.of(capacity), 3 * BANDS[degree])
+
+    @property
+    def length(self) -> int:
+        """Floats of the table."""
+        return self.grid.rows * self.width
+
+    @property
+    def fixed(self) -> int:
+        """Floats, the table's first, that never learn."""
+        return BLOCK**3 * self.width
+
+    rate = FASTER  # factor of the learning rate
+
+    def initial(self, generator: np.random.Generator) -> np.ndarray:
+        return generator.uniform(-1e-1, 1e-1, self.length).astype(np.float32)
+
+    def grown(self, table: np.ndarray, capacity: Capacity, generator) -> tuple["VoxelFeatures", np.ndarray]:
+        """The same features on another grid, interpolated, and their table."""
+        new = VoxelFeatures(Grid.of(capacity), self.width)
+        return new, sampled(self.grid, table, self._widths, new.grid)
+
+    def encode(self, table: np.ndarray, x: np.ndarray, index: np.ndarray, chunks: int) -> np.ndarray:
+        """[m, width] of samples x[index]."""
+        out = np.empty((len(index), self.width), np.float32)
+        kernels.features(table, self.grid.links, self._widths, x, index, chunks, out)
+        return out
+
+    def backward(self, table, x, index, gradients: np.ndarray, to: np.ndarray) -> None:
+        """Add dL/d(table) to the chunks' buffers `to` [chunks, length or more]; gradients [m, width]."""
+        kernels.features_backward(self.grid.links, self._widths, x, index, gradients, len(to), to)
+
+    def add_position_gradients(self, table, x, index, gradients: np.ndarray, out: np.ndarray, chunks: int) -> None:
+        """Add dL/dx to out [n, 3]."""
+        kernels.features_position_gradient(table, self.grid.links, self._widths, x, index, gradients, chunks, out)
+
+    def smooth(self, table: np.ndarray, strength: float, to: np.ndarray) -> None:
+        """As VoxelDensity.smooth."""
+        kernels.smoothness_backward(table, self.grid.links, self.width, np.float32(strength / self.length), to)
+
+    def describe(self) -> dict:
+        return {"kind": self.kind, **self.grid.describe(), "width": self.width}
+
+    @classmethod
+    def restore(cls, data: dict) -> "VoxelFeatures":
+        return cls(Grid.restore(data), data["width"])
+
+
+def sampled(old: Grid, table: np.ndarray, widths: tuple, new: Grid) -> np.ndarray:
+    """The rows of `new`, flat, read from `old`'s table."""
+    x = new.vertices()
+    out = np.empty((len(x), len(widths)), np.float32)
+    kernels.features(table, old.links, widths, x, np.arange(len(x)), 1, out)
+    return out.ravel()

@@ -1,0 +1,103 @@
+"""A colour head of one hidden layer: sigmoid(W2 relu(W1 (phi, Y) + b1) + b2), packed samples as in heads.py.
+
+numbers, flat: W1 of the features [f, h], W1 of the harmonics [bands, h], b1 [h], W2 [3, h], b2 [3]. h is a compile-time
+constant, the length of the tuple `hidden`: a row of h floats is one vector. What the direction adds to the hidden layer
+is worked out once a ray.
+"""
+
+import numpy as np
+from numba import prange
+
+from stylerf.kernels.cpu.compiling import inline, parallel_kernel
+from stylerf.kernels.cpu.heads import sigmoid
+from stylerf.kernels.cpu.vector import axpy_row, dot_rows
+
+_ONE, _ZERO = np.float32(1), np.float32(0)
+
+
+@inline
+def from_direction(numbers, at, basis, r, hidden, out):
+    """out = b1 + sum_b Y_b W1_b; at: where the harmonics' rows begin."""
+    h, bands = len(out), basis.shape[1]
+    for u in range(h):
+        out[u] = numbers[at + bands * h + u]
+    for b in range(bands):
+        axpy_row(basis[r, b], numbers, np.int64(at + b * h), out, np.int64(0), hidden)
+
+
+@inline
+def hidden_layer(numbers, phi, i, seen, hidden, out):
+    """out = relu(seen + W1 phi_i)."""
+    width = phi.shape[1]
+    for u in range(len(out)):
+        out[u] = seen[u]
+    for f in range(width):
+        axpy_row(phi[i, f], numbers, np.int64(f * len(out)), out, np.int64(0), hidden)
+    for u in range(len(out)):
+        out[u] = max(out[u], _ZERO)
+
+
+@parallel_kernel
+def mlp(phi, hidden, numbers, basis, index, ray, chunks, out):
+    """out[index[i]] = the colour of sample i."""
+    m, width = phi.shape
+    h, bands = np.int64(len(hidden)), basis.shape[1]
+    second = (width + bands + 1) * h
+    for c in prange(chunks):
+        seen, layer = np.empty(h, np.float32), np.empty(h, np.float32)
+        last = np.int64(-1)
+        for i in range(c * m // chunks, (c + 1) * m // chunks):
+            if ray[i] != last:
+                last = ray[i]
+                from_direction(numbers, width * h, basis, last, hidden, seen)
+            hidden_layer(numbers, phi, i, seen, hidden, layer)
+            for j in range(3):
+                z = numbers[second + 3 * h + j]
+                out[index[i], j] = sigmoid(z + dot_rows(numbers, np.int64(second + j * h), layer, np.int64(0), hidden))
+
+
+@inline
+def _teach_direction(learnt, basis, r, buffers, at, hidden):
+    """Add what a ray's samples taught the hidden layer to W1 of the harmonics and b1, at `at`."""
+    h, bands = len(learnt), basis.shape[1]
+    for b in range(bands):
+        axpy_row(basis[r, b], learnt, np.int64(0), buffers, np.int64(at + b * h), hidden)
+    axpy_row(_ONE, learnt, np.int64(0), buffers, np.int64(at + bands * h), hidden)
+
+
+@parallel_kernel
+def mlp_backward(phi, hidden, numbers, basis, index, ray, colours, colour_gradients, chunks, phi_gradients, at, to):
+    """phi_gradients [m, f] = dL/d(phi), and dL/d(numbers) added to to[chunk, at:]."""
+    m, width = phi.shape
+    h, bands, stride = np.int64(len(hidden)), basis.shape[1], to.shape[1]
+    second = (width + bands + 1) * h
+    buffers = to.reshape(-1)
+    for c in prange(chunks):
+        base = np.int64(c * stride + at)
+        seen, layer, learnt = np.empty(h, np.float32), np.empty(h, np.float32), np.zeros(h, np.float32)
+        back = np.empty(h, np.float32)
+        last = np.int64(-1)
+        for i in range(c * m // chunks, (c + 1) * m // chunks):
+            if ray[i] != last:
+                if last >= 0:
+                    _teach_direction(learnt, basis, last, buffers, base + width * h, hidden)
+                    learnt[:] = _ZERO
+                last = ray[i]
+                from_direction(numbers, width * h, basis, last, hidden, seen)
+            hidden_layer(numbers, phi, i, seen, hidden, layer)
+            k = index[i]
+            back[:] = _ZERO
+            for j in range(3):
+                g = colour_gradients[k, j] * colours[k, j] * (_ONE - colours[k, j])
+                buffers[base + second + 3 * h + j] += g
+                axpy_row(g, layer, np.int64(0), buffers, np.int64(base + second + j * h), hidden)
+                axpy_row(g, numbers, np.int64(second + j * h), back, np.int64(0), hidden)
+            for u in range(h):
+                if layer[u] <= _ZERO:
+                    back[u] = _ZERO
+                learnt[u] += back[u]
+            for f in range(width):
+                phi_gradients[i, f] = dot_rows(numbers, np.int64(f * h), back, np.int64(0), hidden)
+                axpy_row(phi[i, f], back, np.int64(0), buffers, np.int64(base + f * h), hidden)
+        if last >= 0:
+            _teach_direction(learnt, basis, last, buffers, base + width * h, hidden)

@@ -1,0 +1,55 @@
+"""encode, vm: the products of planes and lines as features of chosen samples for a head; tables as vm.py has them."""
+
+import numpy as np
+from numba import prange
+
+from stylerf.kernels.cpu.compiling import parallel_kernel
+from stylerf.kernels.cpu.vector import vm_features, vm_features_backward, vm_features_slopes
+from stylerf.kernels.cpu.vm import place
+
+
+@parallel_kernel
+def features(table, size, ranks, x, index, chunks, out):
+    """out [m, 3 rank] of samples x[index[i]] in 0..1."""
+    n, width = out.shape
+    rank = np.int64(len(ranks))
+    flat = out.reshape(-1)
+    for c in prange(chunks):
+        for i in range(c * n // chunks, (c + 1) * n // chunks):
+            for m in range(3):
+                first, second, line, fu, fv, fw = place(m, x[index[i]], size, rank)
+                vm_features(table, first, second, line, fu, fv, fw, flat, np.int64(i * width + m * rank), ranks)
+
+
+@parallel_kernel
+def features_backward(table, size, ranks, x, index, gradients, chunks, to):
+    """Add dL/d(table) to the chunk's buffer to[chunk]; gradients [m, 3 rank] = dL/d(out)."""
+    n, width = gradients.shape
+    rank, stride = np.int64(len(ranks)), to.shape[1]
+    buffers, flat = to.reshape(-1), gradients.reshape(-1)
+    for c in prange(chunks):
+        base = np.int64(c * stride)
+        for i in range(c * n // chunks, (c + 1) * n // chunks):
+            for m in range(3):
+                first, second, line, fu, fv, fw = place(m, x[index[i]], size, rank)
+                here = np.int64(i * width + m * rank)
+                vm_features_backward(table, first, second, line, fu, fv, fw, flat, here, buffers, base, ranks)
+
+
+@parallel_kernel
+def features_position_gradient(table, size, ranks, x, index, gradients, chunks, position_gradients):
+    """Add dL/dx of the chosen samples to position_gradients [n, 3]."""
+    n, width = gradients.shape
+    rank = np.int64(len(ranks))
+    flat = gradients.reshape(-1)
+    for c in prange(chunks):
+        slopes = np.empty(3, np.float32)
+        for i in range(c * n // chunks, (c + 1) * n // chunks):
+            k = index[i]
+            for m in range(3):
+                first, second, line, fu, fv, fw = place(m, x[k], size, rank)
+                here = np.int64(i * width + m * rank)
+                vm_features_slopes(table, first, second, line, fu, fv, fw, flat, here, slopes, ranks)
+                for axis in range(3):
+                    along = (m + 1 + axis) % 3
+                    position_gradients[k, along] += slopes[axis] * np.float32(size[along] - 1)

@@ -1,0 +1,225 @@
+"""encode, voxel: a sparse grid of vertices with a row of numbers each, trilinear in between (ARF's; Plenoxels, 2022).
+
+Vertices are kept in blocks of 4 x 4 x 4. links: int32, the grid's vertices per axis (3), its blocks per axis (3), then
+for each block (x slowest) which block of the table is its; 0 is the block of all that is not kept. A row lies at
+((link * 4 + i % 4) * 4 + j % 4) * 4 + k % 4. Raw density is exp(shift + mix), the exponent clamped to [-15, 12].
+"""
+
+import math
+
+import numpy as np
+from numba import prange
+
+from stylerf.kernels.cpu.compiling import inline, parallel_kernel
+from stylerf.kernels.cpu.march import EXPONENT_MAX, EXPONENT_MIN, cell, walk_chunk
+from stylerf.kernels.cpu.vector_voxel import voxel_row, voxel_row_backward, voxel_row_slopes
+
+_ZERO = np.float32(0)
+
+
+@inline
+def row_of(links, i, j, k):
+    """Row of vertex i, j, k in the table."""
+    block = (np.int64(i >> 2) * links[4] + (j >> 2)) * links[5] + (k >> 2)
+    return (np.int64(links[6 + block]) << 6) | ((i & 3) << 4) | ((j & 3) << 2) | (k & 3)
+
+
+@inline
+def corners(links, x, width, offsets):
+    """Offsets in the table of the eight vertices around x, and x's place in their cell."""
+    i, fx = cell(x[0], np.int64(links[0]))
+    j, fy = cell(x[1], np.int64(links[1]))
+    k, fz = cell(x[2], np.int64(links[2]))
+    for corner in range(8):
+        offsets[corner] = row_of(links, i + (corner >> 2), j + ((corner >> 1) & 1), k + (corner & 1)) * width
+    return fx, fy, fz
+
+
+@inline
+def raw_density(table, links, shift, widths, x):
+    """exp(shift + trilinear mix) of one warped point."""
+    i, fx = cell(x[0], np.int64(links[0]))
+    j, fy = cell(x[1], np.int64(links[1]))
+    k, fz = cell(x[2], np.int64(links[2]))
+    total = shift
+    for corner in range(8):
+        di, dj, dk = corner >> 2, (corner >> 1) & 1, corner & 1
+        w = (fx if di else np.float32(1) - fx) * (fy if dj else np.float32(1) - fy)
+        total += w * (fz if dk else np.float32(1) - fz) * table[row_of(links, i + di, j + dj, k + dk)]
+    return np.float32(math.exp(min(max(total, EXPONENT_MIN), EXPONENT_MAX)))
+
+
+@parallel_kernel
+def density(table, links, shift, widths, x, chunks, sigma):
+    """Raw density of warped points x [n, 3]."""
+    n = len(x)
+    for c in prange(chunks):
+        for p in range(c * n // chunks, (c + 1) * n // chunks):
+            sigma[p] = raw_density(table, links, shift, widths, x[p])
+
+
+@parallel_kernel
+def march_density(
+    kind,
+    space,
+    origins,
+    directions,
+    jitter,
+    near,
+    far,
+    step,
+    occupancy,
+    cells,
+    limit,
+    table,
+    links,
+    shift,
+    widths,
+    displacement,
+    displacement_cells,
+    opaque,
+    closed,
+    chunks,
+    starts,
+    ends,
+    t_out,
+    optical,
+    x,
+    sigma,
+    weights,
+):
+    """Walk rays through a voxel density: see march.walk_chunk."""
+    for c in prange(chunks):
+        walk_chunk(
+            raw_density,
+            table,
+            links,
+            shift,
+            widths,
+            kind,
+            space,
+            origins,
+            directions,
+            jitter,
+            near,
+            far,
+            step,
+            occupancy,
+            cells,
+            limit,
+            displacement,
+            displacement_cells,
+            opaque,
+            closed,
+            c,
+            chunks,
+            starts,
+            ends,
+            t_out,
+            optical,
+            x,
+            sigma,
+            weights,
+        )
+
+
+@parallel_kernel
+def density_backward(links, widths, x, starts, ends, sigma, sigma_gradients, chunks, to):
+    """Add dL/d(table) and, behind the table's last element, dL/d(shift) to the chunk's own buffer to[chunk]."""
+    n = len(ends)
+    stride = to.shape[1]
+    flat = to.reshape(-1)
+    for c in prange(chunks):
+        shift_gradient = _ZERO
+        offsets, g = np.empty(8, np.int64), np.empty(1, np.float32)
+        for r in range(c * n // chunks, (c + 1) * n // chunks):
+            for k in range(starts[r], ends[r]):
+                g[0] = sigma_gradients[k] * sigma[k]  # d exp(e)/de = exp(e)
+                if g[0] != _ZERO:
+                    shift_gradient += g[0]
+                    fx, fy, fz = corners(links, x[k], np.int64(1), offsets)
+                    voxel_row_backward(flat, np.int64(c * stride), offsets, fx, fy, fz, g, np.int64(0), widths)
+        to[c, stride - 1] += shift_gradient
+
+
+@parallel_kernel
+def density_position_gradient(table, links, widths, x, starts, ends, sigma, sigma_gradients, chunks, gradients):
+    """Add dL/dx to gradients [n, 3]; the slope is that of the cell a sample lies in."""
+    n = len(ends)
+    for c in prange(chunks):
+        offsets, g, slopes = np.empty(8, np.int64), np.empty(1, np.float32), np.empty(3, np.float32)
+        for r in range(c * n // chunks, (c + 1) * n // chunks):
+            for k in range(starts[r], ends[r]):
+                g[0] = sigma_gradients[k] * sigma[k]
+                if g[0] != _ZERO:
+                    fx, fy, fz = corners(links, x[k], np.int64(1), offsets)
+                    voxel_row_slopes(table, offsets, fx, fy, fz, g, np.int64(0), slopes, widths)
+                    for a in range(3):
+                        gradients[k, a] += slopes[a] * np.float32(links[a] - 1)
+
+
+# -- rows as features of chosen samples -------------------------------------------------------------------------------
+
+
+@parallel_kernel
+def features(table, links, widths, x, index, chunks, out):
+    """out [m, width]: the trilinear mix of rows at samples x[index[i]]."""
+    n, width = out.shape
+    flat = out.reshape(-1)
+    for c in prange(chunks):
+        offsets = np.empty(8, np.int64)
+        for i in range(c * n // chunks, (c + 1) * n // chunks):
+            fx, fy, fz = corners(links, x[index[i]], width, offsets)
+            voxel_row(table, offsets, fx, fy, fz, flat, np.int64(i * width), widths)
+
+
+@parallel_kernel
+def features_backward(links, widths, x, index, gradients, chunks, to):
+    """Add dL/d(table) to the chunk's buffer to[chunk]; gradients [m, width] = dL/d(out)."""
+    n, width = gradients.shape
+    stride = to.shape[1]
+    buffers, flat = to.reshape(-1), gradients.reshape(-1)
+    for c in prange(chunks):
+        offsets = np.empty(8, np.int64)
+        base = np.int64(c * stride)
+        for i in range(c * n // chunks, (c + 1) * n // chunks):
+            fx, fy, fz = corners(links, x[index[i]], width, offsets)
+            voxel_row_backward(buffers, base, offsets, fx, fy, fz, flat, np.int64(i * width), widths)
+
+
+@parallel_kernel
+def features_position_gradient(table, links, widths, x, index, gradients, chunks, position_gradients):
+    """Add dL/dx of the chosen samples to position_gradients [n, 3]."""
+    n, width = gradients.shape
+    flat = gradients.reshape(-1)
+    for c in prange(chunks):
+        offsets, slopes = np.empty(8, np.int64), np.empty(3, np.float32)
+        for i in range(c * n // chunks, (c + 1) * n // chunks):
+            k = index[i]
+            fx, fy, fz = corners(links, x[k], width, offsets)
+            voxel_row_slopes(table, offsets, fx, fy, fz, flat, np.int64(i * width), slopes, widths)
+            for a in range(3):
+                position_gradients[k, a] += slopes[a] * np.float32(links[a] - 1)
+
+
+@parallel_kernel
+def smoothness_backward(table, links, width, strength, to):
+    """Add strength * d/dt of half the summed squared differences between neighbouring vertices, both of them kept."""
+    size = links[:3].astype(np.int64)
+    for i in prange(size[0]):
+        for j in range(size[1]):
+            for k in range(size[2]):
+                here = row_of(links, i, j, k)
+                if here < 64:
+                    continue
+                for axis in range(3):
+                    for way in (-1, 1):
+                        u = i + (way if axis == 0 else 0)
+                        v = j + (way if axis == 1 else 0)
+                        w = k + (way if axis == 2 else 0)
+                        if u < 0 or v < 0 or w < 0 or u >= size[0] or v >= size[1] or w >= size[2]:
+                            continue
+                        there = row_of(links, u, v, w)
+                        if there >= 64:
+                            for f in range(width):
+                                to[here * width + f] += strength * (table[here * width + f] - table[there * width + f])

@@ -1,0 +1,69 @@
+"""The capacities that a fit climbs, and the field's parts at each of them, whatever their kinds."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from stylerf.fields.capacity import Capacity
+from stylerf.fields.hash_density import HashDensity
+from stylerf.fields.headed import HeadedColour
+from stylerf.fields.occupancy import Occupancy
+from stylerf.fields.vm import VmColour, VmDensity
+from stylerf.fields.voxel import VoxelDensity
+from stylerf.geometry.space import Space
+
+
+@dataclass(frozen=True)
+class Rung:
+    """One capacity: vertices per axis of an even box (of a hash grid: most cells a side), ranks of vm's density and
+
+    colour, cells of the occupancy grid, and the power of two of a hash level's vertices.
+    """
+
+    resolution: int
+    density_rank: int = 16
+    colour_rank: int = 24
+    cells: int = 64
+    table_bits: int = 16
+
+
+@dataclass(frozen=True)
+class Kinds:
+    """What a field is made of. density, colour: vm, hash or voxel. head: linear or mlp. levels: of hash grids."""
+
+    density: str = "vm"
+    colour: str = "vm"
+    head: str = "linear"
+    levels: int = 8
+
+
+# One pair of ranks on every rung: each pair is a set of kernels to compile.
+LADDER = (Rung(64, table_bits=16), Rung(128, table_bits=17), Rung(192, table_bits=17), Rung(256, table_bits=18))
+
+
+def capacity_at(rung: Rung, finest: int, levels: int, space: Space, occupancy: Occupancy | None = None) -> Capacity:
+    """A rung's capacity in a space; finest: the resolution of the ladder's last rung."""
+    return Capacity(
+        space.cells_per_axis(rung.resolution),
+        rung.resolution,
+        rung.density_rank,
+        rung.colour_rank,
+        1 << rung.table_bits,
+        levels,
+        finest,
+        occupancy,
+    )
+
+
+def first_parts(kinds: Kinds, capacity: Capacity, degree: int, generator: np.random.Generator) -> tuple:
+    """(density, colour) that know nothing yet."""
+    if kinds.density == "vm":
+        density = VmDensity.create(capacity.size, capacity.density_rank, generator)
+    else:
+        density = DENSITIES[kinds.density].create(capacity, generator)
+    if kinds.colour == "vm" and kinds.head == "linear":
+        return density, VmColour.create(capacity.size, capacity.colour_rank, degree, generator)
+    return density, HeadedColour.create(kinds.colour, kinds.head, capacity, degree, generator)
+
+
+DENSITIES = {"hash": HashDensity, "voxel": VoxelDensity}
