@@ -41,7 +41,8 @@ def run(inputs: dict[str, Artefact], config: FinetuneConfig, partial: Partial, c
         smoothness=SMOOTHNESS[scene.layout],
         even_from=EVEN_FROM[scene.layout],
     )
-    tuner = FineTuner(field, bank_of(scene, train), edited, settings, context.seed, threads)
+    bank = bank_of(scene, train, partial.folder, context)
+    tuner = FineTuner(field, bank, edited, settings, context.seed, threads)
     if (saved := load_checkpoint(partial.checkpoint)) is not None:
         tuner.resume(*saved)
         context.progress.say(f"going on from step {tuner.state.step}")

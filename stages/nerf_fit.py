@@ -30,7 +30,7 @@ def run(inputs: dict[str, Artefact], config: FitConfig, partial: Partial, contex
     if len(train) - len(held_out) < 2:
         raise BadInput(f"{inputs['scene'].path}: {len(train)} training views; at least 3 are needed to fit a field")
     order = [i for i in train if i not in held_out] + held_out
-    bank = bank_of(scene, order)
+    bank = bank_of(scene, order, partial.folder, context)
     settings = _settings(config, scene)
     fitter = Fitter(space, bank, len(held_out), settings, context.seed, threads, context.progress.say)
     if (saved := load_checkpoint(partial.checkpoint)) is not None:

@@ -34,9 +34,13 @@ class Silent:
 
 @dataclass(frozen=True)
 class Context:
-    """What every stage is run with beside its inputs and options."""
+    """What every stage is run with beside its inputs and options; nothing of it but the seed changes a result.
+
+    memory: bytes that the process may take, 0: most of what is free.
+    """
 
     seed: int = 0
     device: str = "cpu"
     threads: int = 2
+    memory: int = 0
     progress: Any = Silent()

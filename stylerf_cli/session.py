@@ -45,6 +45,7 @@ class Session:
             seed=self.common.seed,
             device=resolved_device(self.common.device),
             threads=self.common.threads,
+            memory=self.common.memory,
             progress=self.progress,
         )
 
