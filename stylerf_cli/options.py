@@ -94,6 +94,11 @@ class Options:
 
 
 def _usable_threads() -> int:
+    """Those of this process; of what a machine has, where several are started side by side on it, a part."""
+    return max(1, _usable_cores() // int(os.environ.get("LOCAL_WORLD_SIZE", "1")))
+
+
+def _usable_cores() -> int:
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1

@@ -17,6 +17,7 @@ from stylerf.fields.samples import Rays
 from stylerf.rendering.rays import backward, render_rays
 from stylerf.training.fit import SMOOTH_EVERY
 from stylerf.training.optimiser import Adam
+from stylerf.training.ranks import ALONE, Ranks
 from stylerf.training.rays import RayBank
 
 
@@ -68,7 +69,10 @@ class EditedPixels:
 
 
 class FineTuner:
-    """bank: all training views, edited. The field is changed in place."""
+    """bank: all training views, edited. The field is changed in place.
+
+    ranks: the processes that train it together; settings.rays are of all of them.
+    """
 
     def __init__(
         self,
@@ -78,7 +82,9 @@ class FineTuner:
         settings: FineTuneSettings,
         seed: int,
         chunks: int,
+        ranks: Ranks = ALONE,
     ) -> None:
+        self.ranks = ranks
         self.field, self.bank, self.edited, self.settings = field, bank, edited, settings
         self.seed, self.chunks = seed, chunks
         self.state = FineTuneState()
@@ -99,10 +105,14 @@ class FineTuner:
         moving = s.density_factor > 0
         inside = min(round(s.rays * s.inside), s.rays) if len(self.edited.pixels) else 0
         chosen = generator.integers(0, max(1, len(self.edited.pixels)), inside)
+        # Edited pixels come first; of these and of the others this process takes what lies in its part.
+        own = self.ranks.own(s.rays)
+        chosen = chosen[own]
         near = self.bank.at(self.edited.views[chosen], self.edited.pixels[chosen])
-        far = self.bank.draw(s.rays - inside, generator)[:3]
+        others = slice(max(0, own.start - inside), max(0, own.stop - inside))
+        far = self.bank.draw(s.rays - inside, generator, part=others)[:3]
         origins, directions, colours = (np.concatenate(pair) for pair in zip(near, far))
-        jitter = generator.random(s.rays, dtype=np.float32)
+        jitter = generator.random(s.rays, dtype=np.float32)[own]
         rays = Rays.of(origins, directions, self.field.space.near, jitter)
         rendered = render_rays(self.field, rays, chunks=self.chunks)
         out, level = rendered.out, np.float32(s.background)
@@ -116,28 +126,30 @@ class FineTuner:
             matrix, offset = self.field.colour_map.matrix.numpy(), self.field.colour_map.offset.numpy()
             gradients[:, 3] += gradients[:, :3] @ offset.astype(np.float32)
             gradients[:, :3] = gradients[:, :3] @ matrix.astype(np.float32)
-        depth_error = 0.0
-        if inside and moving and s.depth_weight > 0:
+        depth_error, edited = 0.0, len(chosen)
+        if edited and moving and s.depth_weight > 0:
             known = np.maximum(self.edited.depth[chosen], np.float32(1e-6))
-            off = out[:inside, 4] / known - 1
-            gradients[:inside, 4] = (2 * s.depth_weight / inside) * off / known
-            depth_error = float(np.square(off).mean())
+            off = out[:edited, 4] / known - 1
+            gradients[:edited, 4] = (2 * s.depth_weight / inside) * off / known
+            depth_error = float(np.square(off).sum())
         density_to = self.density_adam.gradients if moving else None
         backward(self.field, rendered, gradients, density_to, self.colour_adam.gradients, even_from=s.even_from)
-        if s.smoothness > 0 and state.step % SMOOTH_EVERY == 0:
+        if s.smoothness > 0 and self.ranks.first and state.step % SMOOTH_EVERY == 0:
             self.field.colour.smooth(SMOOTH_EVERY * s.smoothness, self.colour_adam.gradients[0])
             if moving:
                 self.field.density.smooth(SMOOTH_EVERY * s.smoothness, self.density_adam.gradients[0])
         rate = s.rate * s.final_rate**self.progress
+        self.ranks.add_gradients(self.colour_adam.gradients)
+        if moving:
+            self.ranks.add_gradients(self.density_adam.gradients)
         self.colour_adam.step(rate)
         if moving:
             self.density_adam.step(rate * s.density_factor)
         squares = np.square(difference).mean(1)
-        return {
-            "outside": float(squares[inside:].mean()) if inside < s.rays else 0.0,
-            "inside": float(squares[:inside].mean()) if inside else 0.0,
-            "depth": depth_error,
-        }
+        sums = np.array([squares[edited:].sum(), squares[:edited].sum(), depth_error], np.float64)
+        self.ranks.add(sums)
+        of = np.maximum([s.rays - inside, inside, inside], 1)
+        return dict(zip(("outside", "inside", "depth"), (sums / of).tolist(), strict=True))
 
     def run(self, on_step: Callable[["FineTuner"], None] = lambda tuner: None) -> None:
         """Until the budget is spent; on_step is told after every step."""
@@ -147,7 +159,7 @@ class FineTuner:
             parts = self.step()
             if not all(math.isfinite(value) for value in parts.values()):
                 raise Diverged(f"step {state.step}: the loss left the finite numbers ({parts})")
-            state.seconds += time.perf_counter() - begun
+            state.seconds += self.ranks.of_first(time.perf_counter() - begun)
             state.step += 1
             if state.step % 10 == 0:
                 told = {name: float(f"{value:.4g}") for name, value in parts.items()}

@@ -47,8 +47,18 @@ class RayBank:
     def __len__(self) -> int:
         return int(self._ends[-1])
 
-    def draw(self, count: int, generator: np.random.Generator, among: int | None = None, lit_share: float = 0.9):
-        """`count` random rays of the first `among` views: (origins, directions [n, 3], colours [n, 4], views [n])."""
+    def draw(
+        self,
+        count: int,
+        generator: np.random.Generator,
+        among: int | None = None,
+        lit_share: float = 0.9,
+        part: slice = slice(None),
+    ):
+        """`count` random rays of the first `among` views, of them those of `part`: the rest is drawn, but not made.
+
+        Gives origins, directions [n, 3], colours [n, 4], views [n].
+        """
         total = len(self) if among is None else int(self._ends[among - 1])
         index = generator.integers(0, total, count)
         if self.lit is not None and lit_share > 0:
@@ -56,6 +66,7 @@ class RayBank:
             if most:
                 chosen = int(count * lit_share)
                 index[:chosen] = self.lit[generator.integers(0, most, chosen)]
+        index = index[part]
         views = np.searchsorted(self._ends, index, side="right")
         pixels = index - (self._ends[views] - self.sizes[views])
         return *self.at(views, pixels), views
