@@ -38,7 +38,9 @@ def joined(verb: str, device: str) -> Any:
     if launched() == 1:
         return ALONE
     if verb not in VERBS:
-        raise UsageError(f"{verb} runs in one process; start it without torchrun ({' and '.join(VERBS)} run in several)")
+        raise UsageError(
+            f"{verb} runs in one process; start it without torchrun ({' and '.join(VERBS)} run in several)"
+        )
     return _told(Together, device)
 
 

@@ -1,7 +1,7 @@
 """The options that a verb runs with: from its flags, and from `--config FILE.toml`.
 
-A file holds options of the verb that is run at its top, `seed`, `device`, `threads` and `memory`, and tables named after verbs,
-of which each verb reads its own: one file serves a whole chain of stages.
+A file holds options of the verb that is run at its top, `seed`, `device`, `threads` and `memory`, and tables named
+after verbs, of which each verb reads its own: one file serves a whole chain of stages.
 
     seed = 7
     [fit]

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import distance_transform_cdt
 
-
 STRETCH = 65536  # bytes that a look at one byte of a mapped file can bring into memory (Linux maps 16 pages around it)
 
 

@@ -30,7 +30,7 @@ def test_near_is_what_rounds_of_dilation_by_a_cross_reach(shape):
 
 
 def test_numbers_of_lit_pixels_are_those_of_a_list_of_all():
-    """Among them a view with nothing in it, one that is full, and runs that end with one view and begin with the next."""
+    """Among them an empty view, a full one, and runs that end with one view and begin with the next."""
     alphas = [
         blobs(0),
         np.zeros((8, 9), np.uint8),

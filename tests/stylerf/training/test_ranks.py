@@ -1,36 +1,13 @@
 """Two processes that train together against one with both their rays; parts, sums, and a process that is lost."""
 
 import json
-import os
-import socket
-import subprocess
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from stylerf.training.ranks import ALONE
+from tests.ranks import start
 from tests.stylerf.training import two_ranks
-
-REPOSITORY = Path(__file__).parents[3]
-
-
-def start(count: int, *command: str, folder: Path, **more) -> list[subprocess.Popen]:
-    """A command in `count` processes, as torchrun would start it on one machine, but for its agent."""
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = str(free.getsockname()[1])
-    made = []
-    for place in range(count):
-        told = {"RANK": str(place), "LOCAL_RANK": str(place), "WORLD_SIZE": str(count), "LOCAL_WORLD_SIZE": str(count),
-                "MASTER_ADDR": "127.0.0.1", "MASTER_PORT": port, "NUMBA_NUM_THREADS": "1"}  # fmt: skip
-        with open(folder / f"said{place}", "wb") as said:
-            process = subprocess.Popen(
-                [sys.executable, "-m", *command], cwd=REPOSITORY, env=os.environ | told, stdout=said, stderr=said, **more
-            )
-        made.append(process)
-    return made
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +15,7 @@ def together(tmp_path_factory) -> dict[str, dict[str, np.ndarray]]:
     """What each of two processes came to."""
     folder = tmp_path_factory.mktemp("ranks")
     processes = start(2, "tests.stylerf.training.two_ranks", str(folder), folder=folder)
-    assert [process.wait(240) for process in processes] == [0, 0], (folder / "said0").read_text()
+    assert [process.wait(240) for process in processes] == [0, 0], (folder / "err0").read_text()
     return {path.stem: dict(np.load(path)) for path in sorted(folder.glob("*.npz"))}
 
 

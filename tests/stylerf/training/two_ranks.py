@@ -12,7 +12,7 @@ from stylerf.training.ranks import ALONE, Ranks, Together
 from tests.stylerf.training.running import saved
 from tests.stylerf.training.scenes import AROUND, box_bank, settings
 
-MORE = {"shares": (0.4,), "background": "random", "smoothness": (1e-4, 1e-4), "min_gain": 9.0, "samples": 4000}
+MORE = {"shares": (0.36,), "background": "random", "smoothness": (1e-4, 1e-4), "min_gain": 9.0, "samples": 4000}
 
 
 def fitted(chunks: int, ranks: Ranks = ALONE) -> dict[str, np.ndarray]:
