@@ -13,8 +13,8 @@ STRETCH = 65536  # bytes that a look at one byte of a mapped file can bring into
 class Pixels:
     """Photos one after another, row-major: values uint8 [sum of h w channels], straight alpha where channels is 4.
 
-    values may be mapped from elsewhere, a part of it in memory at a time: `read` is told at how many places it was looked
-    at since, each with up to STRETCH bytes around it, and lets go of what is too much.
+    values may be mapped from elsewhere, a part of it in memory at a time: `read` is told at how many places it has been
+    looked at since, each with up to STRETCH bytes around it, and lets go of what is too much.
     """
 
     values: np.ndarray
