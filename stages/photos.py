@@ -17,7 +17,7 @@ from stylerf.training.rays import RayBank
 
 # What training takes beside its photos, as measured: a field of 256^3, its gradients, moments and two copies of it.
 WORKING_BYTES = 1.2e9
-LEAST_MAPPED_BYTES = 64e6  # of a file of photos that may stay mapped, however little room there is
+LEAST_BYTES = 64e6  # of photos that may be in memory, however little of it is left
 
 
 def bank_of(scene: SceneData, views: list[int], folder: Path, context: Context) -> RayBank:
@@ -28,7 +28,7 @@ def bank_of(scene: SceneData, views: list[int], folder: Path, context: Context) 
     cameras = [scene.cameras[i] for i in views]
     channels = max(scene.channels(i) for i in views)
     size = sum(c.width * c.height for c in cameras) * channels
-    left = room(context.memory) - WORKING_BYTES
+    left = max(room(context.memory) - WORKING_BYTES, LEAST_BYTES)
     if size <= left:
         pixels = Pixels(np.empty(size, np.uint8), channels)
         _fill(lambda at, photo: pixels.values.__setitem__(slice(at, at + len(photo)), photo), scene, views, channels)
@@ -37,7 +37,7 @@ def bank_of(scene: SceneData, views: list[int], folder: Path, context: Context) 
         f"{len(views)} photos take {in_words(size)}, more than the {in_words(left)} of memory that training leaves "
         "them: they are read from a file while it runs"
     )
-    return RayBank(cameras, _on_disk(scene, views, channels, size, max(left, LEAST_MAPPED_BYTES), folder))
+    return RayBank(cameras, _on_disk(scene, views, channels, size, left, folder))
 
 
 def _fill(put: Callable[[int, np.ndarray], None], scene: SceneData, views: list[int], channels: int) -> None:

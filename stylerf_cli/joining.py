@@ -55,6 +55,11 @@ def led(ranks: Any, run: Any, parallel: bool) -> Any:
     return run_led
 
 
+def release(ranks: Any, name: str) -> None:
+    """Lets the other processes go on, with the stage's artefact."""
+    _told(ranks.tell, name)
+
+
 def follow(ranks: Any, session: Any, spec: Any, run: Any, inputs: dict[str, Artefact], config: Any) -> Artefact:
     """The part of a process that does not lead: joins the stage if it is run, and gives the artefact that it made."""
     # What a stage may keep for its own run only, beside the work folder: nothing with a name.

@@ -10,7 +10,7 @@ from typing import Any
 from schemas.errors import ArtefactStale, UsageError
 from schemas.store import Artefact, Work
 from stages.progress import Context, Silent
-from stylerf_cli.joining import follow, joined, launched, led, speaks
+from stylerf_cli.joining import follow, joined, launched, led, release, speaks
 from stylerf_cli.options import Options
 from stylerf_cli.output import write_out
 from stylerf_cli.progress import Bars
@@ -71,7 +71,7 @@ class Session:
             run = led(self.ranks, run, spec.parallel)
         made = self._run(spec, run, inputs, config, name, own)
         if self.ranks.count > 1:
-            self.ranks.tell(made.name)
+            release(self.ranks, made.name)
         return made
 
     def _run(

@@ -28,7 +28,7 @@ class Ranks(Protocol):
         """This process's part of `count` rays: one after another, in the order of the processes."""
 
     def add(self, values: np.ndarray) -> None:
-        """Puts the sum over all processes in the place of values, the same bits everywhere."""
+        """Puts the sum over all processes in the place of values (numpy, or torch on any device), the same everywhere."""
 
     def add_gradients(self, buffers: np.ndarray) -> None:
         """Buffers [chunks, n] of all processes, summed into the first row; the others are cleared."""
@@ -100,7 +100,7 @@ class Together:
         return slice(self.place * count // self.count, (self.place + 1) * count // self.count)
 
     def add(self, values: np.ndarray) -> None:
-        self._try(self._distributed.all_reduce, self._torch.from_numpy(values))
+        self._try(self._distributed.all_reduce, self._torch.as_tensor(values))
 
     def add_gradients(self, buffers: np.ndarray) -> None:
         for chunk in buffers[1:]:  # in the order in which one process adds them
@@ -114,7 +114,7 @@ class Together:
         return float(told[0])
 
     def take_first(self, values: np.ndarray) -> None:
-        self._try(self._distributed.broadcast, self._torch.from_numpy(values), 0)
+        self._try(self._distributed.broadcast, self._torch.as_tensor(values), 0)
 
     def checkpoint(self, saved: Checkpoint | None) -> Checkpoint | None:
         data, arrays = saved or (None, {})
