@@ -103,6 +103,16 @@ def _upright(pixels: np.ndarray, orientation: int) -> np.ndarray:
     return np.ascontiguousarray(turned.get_pixels(oiio.FLOAT))
 
 
+def image_channels(path: Path | str) -> int:
+    """Channels that read_image gives (1, 3 or 4), from the header alone; BadInput as read_image."""
+    path = Path(path)
+    with native_output_silenced():
+        source = _open(path)
+        names = source.spec().channelnames
+        source.close()
+    return _colour_channels(np.empty((1, 1, len(names)), np.float32), names, path).shape[2]
+
+
 def image_size(path: Path | str) -> tuple[int, int]:
     """(width, height) of the upright image, from its header alone; BadInput as read_image."""
     path = Path(path)

@@ -40,7 +40,7 @@ def run(inputs: dict[str, Artefact], config: DeformConfig, partial: Partial, con
         background=level_of(background),
         patience=config.patience_db,
     )
-    bank = bank_of(scene, scene.splits["train"])
+    bank = bank_of(scene, scene.splits["train"], partial.folder, context)
     with compiling_note(context.progress.say):
         try:
             fitter = DeformationFitter(field, deformation, bank, settings, context.seed, threads)

@@ -24,7 +24,7 @@ from stylerf.geometry.cameras import Camera
 from stylerf.kernels.cpu.compiling import compiling_note, set_threads
 from stylerf.training.finetune import EditedPixels, FineTuner, FineTuneSettings
 
-SPEC = Spec(stage="finetune", verb="finetune", revision=2, writes="field")
+SPEC = Spec(stage="finetune", verb="finetune", revision=2, writes="field", parallel=True)
 MARGIN = 2  # cells: samples in front of a surface, which is where its colour is looked for too
 
 
@@ -52,13 +52,16 @@ def run(inputs: dict[str, Artefact], config: FinetuneConfig, partial: Partial, c
         smoothness=SMOOTHNESS[scene.layout],
         even_from=EVEN_FROM[scene.layout],
     )
-    tuner = FineTuner(field, bank_of(scene, train), edited, settings, context.seed, threads)
-    if (saved := load_checkpoint(partial.checkpoint)) is not None:
+    bank = bank_of(scene, train, partial.folder, context)
+    tuner = FineTuner(field, bank, edited, settings, context.seed, threads, context.ranks)
+    saved = context.ranks.checkpoint(load_checkpoint(partial.checkpoint) if context.ranks.first else None)
+    if saved is not None:
         tuner.resume(*saved)
         context.progress.say(f"going on from step {tuner.state.step}")
     with compiling_note(context.progress.say):
         _train(tuner, config, partial, context)
-    save_field(partial.path, field, background)
+    if context.ranks.first:
+        save_field(partial.path, field, background)
     state = tuner.state
     return {
         "steps": state.step,
@@ -125,14 +128,14 @@ def _train(tuner: FineTuner, config: FinetuneConfig, partial: Partial, context: 
             last = now.state.curve[-1]
             note = f"squared error {last['inside']:.4f} in the edit, {last['outside']:.4f} outside"
         context.progress.update(now.state.step if steps else min(now.state.seconds, now.settings.seconds), note)
-        if time.monotonic() - saved_at > config.checkpoint_every_seconds:
+        if context.ranks.first and time.monotonic() - saved_at > config.checkpoint_every_seconds:
             save_checkpoint(partial.checkpoint, *now.checkpoint())
             saved_at = time.monotonic()
 
     try:
         tuner.run(on_step)
     except KeyboardInterrupt:
-        if tuner.between_steps:
+        if tuner.between_steps and context.ranks.first:
             save_checkpoint(partial.checkpoint, *tuner.checkpoint())
         raise
     except Diverged as error:

@@ -16,7 +16,7 @@ from stylerf.kernels.cpu.compiling import compiling_note, set_threads
 from stylerf.training.fit import FitSettings, Fitter
 from stylerf.training.ladders import LADDER, Kinds, Rung
 
-SPEC = Spec(stage="nerf_fit", verb="fit", revision=1, writes="field")
+SPEC = Spec(stage="nerf_fit", verb="fit", revision=1, writes="field", parallel=True)
 RATE = {"object": 2e-2, "forward": 4e-2, "unbounded": 4e-2}
 
 
@@ -31,15 +31,17 @@ def run(inputs: dict[str, Artefact], config: FitConfig, partial: Partial, contex
     if len(train) - len(held_out) < 2:
         raise BadInput(f"{inputs['scene'].path}: {len(train)} training views; at least 3 are needed to fit a field")
     order = [i for i in train if i not in held_out] + held_out
-    bank = bank_of(scene, order)
+    bank = bank_of(scene, order, partial.folder, context)
     settings = _settings(config, scene)
-    fitter = Fitter(space, bank, len(held_out), settings, context.seed, threads, context.progress.say)
-    if (saved := load_checkpoint(partial.checkpoint)) is not None:
+    fitter = Fitter(space, bank, len(held_out), settings, context.seed, threads, context.progress.say, context.ranks)
+    saved = context.ranks.checkpoint(load_checkpoint(partial.checkpoint) if context.ranks.first else None)
+    if saved is not None:
         fitter.resume(*saved)
         context.progress.say(f"going on from step {fitter.state.step}, {fitter.state.seconds:.0f} s into the fit")
     with compiling_note(context.progress.say):
         _train(fitter, config, partial, context)
-    save_field(partial.path, fitter.field, "none" if fitter.field.closed else _shown(settings.background))
+    if context.ranks.first:
+        save_field(partial.path, fitter.field, "none" if fitter.field.closed else _shown(settings.background))
     return _figures(fitter, held_out, reason)
 
 
@@ -53,7 +55,7 @@ def _train(fitter: Fitter, config: FitConfig, partial: Partial, context: Context
             note = _quality(now.state.curve[-1]) if now.state.curve else ""
             done = now.state.step if steps else min(now.state.seconds, now.settings.seconds)
             context.progress.update(done, f"{note}, {now.field.parameters / 1e6:.2f} M parameters")
-        if time.monotonic() - saved_at > config.checkpoint_every_seconds:
+        if context.ranks.first and time.monotonic() - saved_at > config.checkpoint_every_seconds:
             save_checkpoint(partial.checkpoint, *now.checkpoint())
             saved_at = time.monotonic()
 
@@ -61,7 +63,7 @@ def _train(fitter: Fitter, config: FitConfig, partial: Partial, context: Context
         fitter.run(on_step)
     except KeyboardInterrupt:
         # The step that was cut short may have left half a gradient: only whole steps are saved.
-        if fitter.between_steps:
+        if fitter.between_steps and context.ranks.first:
             save_checkpoint(partial.checkpoint, *fitter.checkpoint())
         raise
     except Diverged as error:

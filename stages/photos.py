@@ -1,17 +1,77 @@
-"""A scene's photos as training wants them."""
+"""A scene's photos as training wants them: in memory while they fit, else read from a file that has no name."""
+
+import mmap
+import os
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 
+from schemas.atomic import TEMPORARY_SUFFIX, writing
+from stages.memory import in_words, room
+from stages.progress import Context
 from stages.scenes import SceneData
+from stylerf.training.pixels import STRETCH, Pixels
 from stylerf.training.rays import RayBank
 
+# What training takes beside its photos, as measured: a field of 256^3, its gradients, moments and two copies of it.
+WORKING_BYTES = 1.2e9
+LEAST_BYTES = 64e6  # of photos that may be in memory, however little of it is left
 
-def bank_of(scene: SceneData, views: list[int]) -> RayBank:
-    """Rays of the views, in this order. With and without alpha together: those without are opaque."""
-    images = [(scene.images(i) * 255 + 0.5).astype(np.uint8) for i in views]
-    if len({image.shape[2] for image in images}) > 1:
-        images = [i if i.shape[2] == 4 else np.dstack([i, np.full(i.shape[:2], 255, np.uint8)]) for i in images]
-    return RayBank([scene.cameras[i] for i in views], images)
+
+def bank_of(scene: SceneData, views: list[int], folder: Path, context: Context) -> RayBank:
+    """Rays of the views, in this order. With and without alpha together: those without are opaque.
+
+    Every photo is decoded once. Where they do not fit in the memory that is left, they go to a file in `folder`.
+    """
+    cameras = [scene.cameras[i] for i in views]
+    channels = max(scene.channels(i) for i in views)
+    size = sum(c.width * c.height for c in cameras) * channels
+    left = max(room(context.memory) - WORKING_BYTES, LEAST_BYTES)
+    if size <= left:
+        pixels = Pixels(np.empty(size, np.uint8), channels)
+        _fill(lambda at, photo: pixels.values.__setitem__(slice(at, at + len(photo)), photo), scene, views, channels)
+        return RayBank(cameras, pixels)
+    context.progress.say(
+        f"{len(views)} photos take {in_words(size)}, more than the {in_words(left)} of memory that training leaves "
+        "them: they are read from a file while it runs"
+    )
+    return RayBank(cameras, _on_disk(scene, views, channels, size, left, folder))
+
+
+def _fill(put: Callable[[int, np.ndarray], None], scene: SceneData, views: list[int], channels: int) -> None:
+    """put(place, bytes) for every view in turn."""
+    at = 0
+    for index in views:
+        photo = (scene.images(index) * 255 + 0.5).astype(np.uint8)
+        if photo.shape[2] < channels:
+            photo = np.dstack([photo, np.full(photo.shape[:2], 255, np.uint8)])
+        put(at, photo.reshape(-1))
+        at += photo.size
+
+
+def _on_disk(scene: SceneData, views: list[int], channels: int, size: int, most: float, folder: Path) -> Pixels:
+    """The photos in a file of `folder` without a name: the system deletes it with the process, however that ends.
+
+    most: bytes of it that may be in this process's memory. What the system keeps of it beside it takes back by itself.
+    """
+    with writing(folder), tempfile.TemporaryFile(dir=folder, prefix=".photos.", suffix=TEMPORARY_SUFFIX) as file:
+        os.posix_fallocate(file.fileno(), 0, size)  # a full disk is met here, not where it would be a fault of memory
+        _fill(lambda at, photo: file.write(photo.data), scene, views, channels)
+        file.flush()
+        mapped = mmap.mmap(file.fileno(), size, access=mmap.ACCESS_READ)
+    mapped.madvise(mmap.MADV_RANDOM)
+    looked_at = 0
+
+    def read(places: int) -> None:
+        nonlocal looked_at
+        looked_at += places * STRETCH
+        if looked_at > most:
+            mapped.madvise(mmap.MADV_DONTNEED)
+            looked_at = 0
+
+    return Pixels(np.frombuffer(mapped, np.uint8), channels, read)
 
 
 def photo_over(scene: SceneData, index: int, level: float) -> np.ndarray:

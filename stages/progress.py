@@ -3,6 +3,8 @@
 from dataclasses import dataclass
 from typing import Any, Protocol
 
+from stylerf.training.ranks import ALONE
+
 
 class Progress(Protocol):
     """Told by stages and training loops; never asked anything."""
@@ -34,9 +36,14 @@ class Silent:
 
 @dataclass(frozen=True)
 class Context:
-    """What every stage is run with beside its inputs and options."""
+    """What every stage is run with beside its inputs and options; nothing of it but the seed changes a result.
+
+    memory: bytes that the process may take, 0: most of what is free. ranks: the processes that run a stage together.
+    """
 
     seed: int = 0
     device: str = "cpu"
     threads: int = 2
+    memory: int = 0
+    ranks: Any = ALONE
     progress: Any = Silent()

@@ -35,13 +35,15 @@ RECORDED_PACKAGES = {
 class Spec:
     """What a stage is: its name, the verb that runs it, its code revision, and the kind of artefact that it writes.
 
-    Raise `revision` when the same inputs and options give another result than before.
+    Raise `revision` when the same inputs and options give another result than before. parallel: several processes can
+    run it together (Context.ranks).
     """
 
     stage: str
     verb: str
     revision: int
     writes: str
+    parallel: bool = False
 
 
 def recipe_of(spec: Spec, inputs: dict[str, Artefact], config: Any, seed: int) -> Recipe:

@@ -7,7 +7,7 @@ import numpy as np
 
 from schemas.errors import ArtefactDamaged, BadInput
 from schemas.exr import read_depth
-from schemas.images import read_image
+from schemas.images import image_channels, read_image
 from schemas.scene import POINTS_FILE, Bounds, Scene, View, read_scene
 from schemas.store import Artefact
 from schemas.tensors import load_tensors
@@ -76,6 +76,13 @@ class SceneData:
                 f"{view.width}x{view.height}; run `stylerf import` again"
             )
         return pixels if pixels.shape[2] >= 3 else np.repeat(pixels, 3, axis=2)
+
+    def channels(self, index: int) -> int:
+        """3 or 4: those that images(index) has, by the file's header."""
+        try:
+            return max(3, image_channels(self._path(self.views[index].image)))
+        except BadInput as error:
+            raise ArtefactDamaged(f"{error}; run `stylerf import` again") from error
 
     def truth_depth(self, index: int) -> np.ndarray | None:
         """Known planar depth of view `index`, [height, width] float32 scene units; None where there is no truth."""

@@ -21,20 +21,24 @@ from stages.fields import (
     save_deformation,
     save_field,
 )
+from stages.memory import in_words, room
 from stages.paintings import read_painting
 from stages.photos import level_of, photo_over
 from stages.progress import Context
 from stages.runner import Spec
-from stages.scenes import load_scene
+from stages.scenes import SceneData, load_scene
 from stages.weights import resolve
 from stylerf.errors import Diverged, InvalidValue
 from stylerf.fields.hash import HashColour
 from stylerf.kernels.cpu.compiling import compiling_note, set_threads
 from stylerf.style.objective import StyleWeights
 from stylerf.style.trunks import Trunk
+from stylerf.training.kept import Kept
 from stylerf.training.stylize import StyleSettings, Stylizer
 
 SPEC = Spec(stage="stylize", verb="stylize", revision=3, writes="field")
+WORKING_BYTES = 1.5e9  # what a step takes beside what is kept of the views: pictures at full size, the trunk's graph
+KEPT_BYTES = 60  # about, for each pixel of a view: its photo, samples on its surfaces, features at half its size
 SMALL_VIEW = 256  # pixels of its longer side
 FINER = 1.25  # cells for each pixel's width
 # What holds shapes in a capture holds the silhouettes of an object alone so fast that nothing is seen to bend; its
@@ -58,11 +62,12 @@ def run(inputs: dict[str, Artefact], config: StylizeConfig, partial: Partial, co
     views = scene.splits["train"]
     painting = read_painting(Path(config.style))
     level = level_of(background)
+    memory = _room_for(scene, views, context)
     try:
         stylizer = Stylizer(
             field,
             [scene.cameras[i] for i in views],
-            [photo_over(scene, i, level) for i in views],
+            Kept(lambda place: photo_over(scene, views[place], level), len, len(views), 0),
             level,
             painting,
             Trunk(resolved.state, config.taps, resolved.kind),
@@ -71,6 +76,7 @@ def run(inputs: dict[str, Artefact], config: StylizeConfig, partial: Partial, co
             threads,
             functools.partial(new_colour, config),
             deformation,
+            memory,
         )
     except InvalidValue as error:
         raise BadInput(f"{config.style} on {inputs['field'].path}: {error}") from error
@@ -95,6 +101,18 @@ def run(inputs: dict[str, Artefact], config: StylizeConfig, partial: Partial, co
         "features": resolved.manifest(),
         "views": len(views),
     }
+
+
+def _room_for(scene: SceneData, views: list[int], context: Context) -> float:
+    """Bytes for what is kept of the views; says where not all of it will be."""
+    left = max(room(context.memory) - WORKING_BYTES, 0)
+    needed = KEPT_BYTES * sum(scene.cameras[i].width * scene.cameras[i].height for i in views)
+    if needed > left:
+        context.progress.say(
+            f"{len(views)} views take about {in_words(needed)} to keep, more than the {in_words(left)} of memory left "
+            "for them: what does not fit is made anew whenever its view comes up"
+        )
+    return left
 
 
 def _train(stylizer: Stylizer, config: StylizeConfig, partial: Partial, context: Context) -> None:

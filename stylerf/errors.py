@@ -7,3 +7,7 @@ class InvalidValue(ValueError):
 
 class Diverged(RuntimeError):
     """An optimisation left the finite numbers and could not be brought back."""
+
+
+class ProcessLost(RuntimeError):
+    """Another of the processes that train together has ended; its own words where it left any."""

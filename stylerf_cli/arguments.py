@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from schemas.errors import UsageError
+from stages.memory import bytes_of
 
 NONE_WORDS = ("none", "None")
 
@@ -37,6 +38,9 @@ def add_common(parser: Parser) -> None:
     common.add_argument("--seed", type=_whole, help="seed of everything random (default: 0)")
     common.add_argument("--device", choices=("auto", "cpu", "cuda"), help="where to compute (default: auto)")
     common.add_argument("--threads", type=_positive, metavar="N", help="CPU threads (default: all)")
+    common.add_argument(
+        "--memory", type=_memory, metavar="SIZE", help="most memory to take, 512M or 8G (default: most of what is free)"
+    )
     common.add_argument("--name", help="name of the artefact to write (default: told by the verb)")
     common.add_argument("--config", type=Path, metavar="FILE.toml", help="options from a file; flags win over it")
     common.add_argument("--only", action="store_true", help="do not bring earlier stages up to date; stop instead")
@@ -122,6 +126,14 @@ def _positive(text: str) -> int:
     if value < 1:
         raise argparse.ArgumentTypeError(f"a number of at least 1 was expected, not {text!r}")
     return value
+
+
+def _memory(text: str) -> str:
+    try:
+        bytes_of(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
+    return text
 
 
 def _number(text: str) -> float:

@@ -13,6 +13,7 @@ from datetime import datetime
 from pathlib import Path
 
 from schemas.errors import OutOfResources, StylerfError
+from stylerf_cli.joining import launched
 
 FAILED, BAD_INPUT, OUT_OF_RESOURCES, INTERRUPTED = 1, 3, OutOfResources.exit_code, 130
 
@@ -22,7 +23,8 @@ def told(error: BaseException, argv: list[str], work: Path | None) -> tuple[int,
     if isinstance(error, StylerfError):
         return error.exit_code, _one_line(error)
     if isinstance(error, KeyboardInterrupt):
-        return INTERRUPTED, f"interrupted; the same command goes on where it stopped: stylerf {shlex.join(argv)}"
+        why = ", by hand or because another process of the run has ended" if launched() > 1 else ""
+        return INTERRUPTED, f"interrupted{why}; the same command goes on where it stopped: stylerf {shlex.join(argv)}"
     if isinstance(error, MemoryError):
         return OUT_OF_RESOURCES, "out of memory; use smaller images or a smaller capacity, or free memory"
     if refusal := _refusal_of_disk(error):

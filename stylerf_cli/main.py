@@ -12,6 +12,7 @@ from pathlib import Path
 from schemas.errors import UsageError
 from stylerf_cli.arguments import Parser, add_common, add_config, nearest
 from stylerf_cli.faults import told
+from stylerf_cli.joining import leave_fault, speaks
 from stylerf_cli.output import OutputClosed, print_json, stdout_kept_free, write_out
 from stylerf_cli.verbs import VERBS
 
@@ -31,7 +32,7 @@ def main(argv: list[str] | None = None) -> int:
     try:
         with _terminable(), stdout_kept_free(as_json):
             result = _run(argv, state)
-        if as_json and result is not None:
+        if as_json and result is not None and speaks():
             print_json(result)
         write_out("")
         return 0
@@ -40,6 +41,8 @@ def main(argv: list[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
         return 0
     except BaseException as error:
+        if not speaks():
+            return getattr(error, "exit_code", 1)
         code, line = told(error, argv, state["work"])
         with suppress(OSError):  # nobody may be reading; the exit code still tells
             sys.stderr.write(f"stylerf: error: {line}\n")
@@ -89,6 +92,9 @@ def _run_verb(verb: str, module, args: Namespace, config: type | None) -> dict:
     session = Session(verb, args, Options(verb, args, list(VERBS)), config)
     try:
         return module.run(args, session)
+    except BaseException as error:
+        leave_fault(session.ranks, error)
+        raise
     finally:
         session.progress.finish()
 

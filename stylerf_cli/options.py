@@ -1,7 +1,7 @@
 """The options that a verb runs with: from its flags, and from `--config FILE.toml`.
 
-A file holds options of the verb that is run at its top, `seed`, `device` and `threads`, and tables named after verbs,
-of which each verb reads its own: one file serves a whole chain of stages.
+A file holds options of the verb that is run at its top, `seed`, `device`, `threads` and `memory`, and tables named
+after verbs, of which each verb reads its own: one file serves a whole chain of stages.
 
     seed = 7
     [fit]
@@ -17,15 +17,16 @@ from pathlib import Path
 from typing import Any
 
 from schemas.errors import UsageError
+from stages.memory import bytes_of
 from stylerf_cli.arguments import build_config, nearest, read_toml
 
-COMMON_KEYS: dict[str, type] = {"seed": int, "device": str, "threads": int}
+COMMON_KEYS: dict[str, type] = {"seed": int, "device": str, "threads": int, "memory": str}
 _DEVICES = ("auto", "cpu", "cuda")
 
 
 @dataclass(frozen=True)
 class Common:
-    """The common options as they apply. device may still be `auto`.
+    """The common options as they apply. device may still be `auto`. memory: bytes, 0 for most of what is free.
 
     threads: as asked for, or (not threads_given) as many as this process may use, in which case the libraries' own
     defaults stand: torch leaves the second thread of a core alone, and rightly.
@@ -35,6 +36,7 @@ class Common:
     device: str = "auto"
     threads: int = 1
     threads_given: bool = False
+    memory: int = 0
 
 
 class Options:
@@ -70,7 +72,7 @@ class Options:
         return build_config(config, argparse.Namespace(), self._tables.get(verb, {}), f"{self._path} [{verb}]")
 
     def common(self) -> Common:
-        """Seed, device and threads by flag, file or default."""
+        """Seed, device, threads and memory by flag, file or default."""
         values: dict[str, Any] = {}
         for key in COMMON_KEYS:
             flag = getattr(self._given, key, None)
@@ -81,12 +83,22 @@ class Options:
         if values.get("device", "auto") not in _DEVICES:
             raise UsageError(f"{self._path}: device is {values['device']!r}; expected one of {', '.join(_DEVICES)}")
         given = "threads" in values
+        if "memory" in values:
+            try:
+                values["memory"] = bytes_of(values["memory"])
+            except ValueError as error:
+                raise UsageError(f"{self._path}: memory is {error}") from error
         if values.setdefault("threads", _usable_threads()) < 1:
             raise UsageError(f"{self._path}: threads is {values['threads']}; expected at least 1")
         return Common(**values, threads_given=given)
 
 
 def _usable_threads() -> int:
+    """Those of this process; of what a machine has, where several are started side by side on it, a part."""
+    return max(1, _usable_cores() // int(os.environ.get("LOCAL_WORLD_SIZE", "1")))
+
+
+def _usable_cores() -> int:
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1

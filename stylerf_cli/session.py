@@ -10,6 +10,7 @@ from typing import Any
 from schemas.errors import ArtefactStale, UsageError
 from schemas.store import Artefact, Work
 from stages.progress import Context, Silent
+from stylerf_cli.joining import follow, joined, launched, led, release, speaks
 from stylerf_cli.options import Options
 from stylerf_cli.output import write_out
 from stylerf_cli.progress import Bars
@@ -29,7 +30,8 @@ class Session:
         self.own_verbs = {verb}  # whose stages are this verb's own work
         self.config = options.config(config)
         self.common = options.common()
-        self.progress: Any = Silent() if self.quiet else Bars(sys.stderr)
+        self.progress: Any = Silent() if self.quiet or not speaks() else Bars(sys.stderr)
+        self.ranks = joined(verb, resolved_device(self.common.device) if launched() > 1 else "cpu")
         if self.common.threads_given:
             _use_threads(self.common.threads)
 
@@ -45,7 +47,9 @@ class Session:
             seed=self.common.seed,
             device=resolved_device(self.common.device),
             threads=self.common.threads,
+            memory=self.common.memory,
             progress=self.progress,
+            ranks=self.ranks,
         )
 
     def config_of(self, verb: str, config: type) -> Any:
@@ -61,6 +65,18 @@ class Session:
         one that is missing or out of date: it is announced and brought up to date, or, with --only, refused with the
         command that does it (ArtefactStale). own: says which of the two it is, for a verb of several stages.
         """
+        if not self.ranks.first:
+            return follow(self.ranks, self, spec, run, inputs, config)
+        if self.ranks.count > 1:
+            run = led(self.ranks, run, spec.parallel)
+        made = self._run(spec, run, inputs, config, name, own)
+        if self.ranks.count > 1:
+            release(self.ranks, made.name)
+        return made
+
+    def _run(
+        self, spec: Any, run: Any, inputs: dict[str, Artefact], config: Any, name: str, own: bool | None
+    ) -> Artefact:
         from stages.runner import execute, recipe_of
 
         own = spec.verb in self.own_verbs if own is None else own
@@ -88,7 +104,7 @@ class Session:
     def emit(self, result: dict, words: str) -> dict:
         """The result of a verb: prints `words` on stdout, unless --json; returns `result`, which main prints then."""
         self.progress.finish()
-        if not self.json:
+        if not self.json and self.ranks.first:
             write_out(words.rstrip("\n") + "\n")
         return result
 

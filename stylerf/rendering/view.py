@@ -43,17 +43,18 @@ def render_view(
 
     regions: marked cells [s, s, s] by name, whose share of each ray comes from the very samples of the picture.
     """
-    origins, directions = camera.rays()
-    out = np.empty((len(origins), 5), np.float32)
-    inside = {name: np.empty(len(origins), np.float32) for name in regions or {}}
-    for at in range(0, len(origins), rays_at_once):
+    count = camera.width * camera.height
+    out = np.empty((count, 5), np.float32)
+    inside = {name: np.empty(count, np.float32) for name in regions or {}}
+    for at in range(0, count, rays_at_once):
         part = slice(at, at + rays_at_once)
-        rays = Rays.of(origins[part], directions[part], field.space.near)
+        pixels = np.arange(at, min(at + rays_at_once, count))
+        rays = Rays.of(*camera.rays(pixels), field.space.near)
         rendered = render_rays(field, rays, chunks=chunks, opaque=opaque, share=field.share)
         out[part] = rendered.out
         for name, mask in inside.items():
             mask[part] = alpha_inside(regions[name], rendered.samples, chunks)
-        on_rays(min(at + rays_at_once, len(origins)))
+        on_rays(min(at + rays_at_once, count))
     out = out.reshape(camera.height, camera.width, 5)
     alpha = np.clip(out[..., 3], 0, 1)
     distance = np.where(alpha > 0, out[..., 4] / np.maximum(alpha, 1e-8), 0).astype(np.float32)

@@ -7,6 +7,7 @@ colours as they are seen (sRGB-encoded, [0, 1]). Spherical-harmonic coefficients
 `match_harmonics`.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import torch
@@ -109,15 +110,19 @@ def match_harmonics(coefficients: Tensor, colour_map: ColourMap) -> Tensor:
 
 
 def pixels_of(
-    images: list[Tensor],  # each [3 or 4, h, w]; a fourth channel is straight alpha and becomes the weight
+    images: Iterable[
+        Tensor
+    ],  # each [3 or 4, h, w], looked at once and let go; a fourth channel is straight alpha and becomes the weight
     most: int = 200_000,
     seed: int = 0,
+    count: int | None = None,  # pixels of all; needed where images are made one at a time
 ) -> tuple[Tensor, Tensor]:
     """Colours [n, 3] and weights [n] of a set of images, a seeded sample of at most about `most` pixels.
 
     Every image gives the same share of its pixels, so that large ones count for more, as in the whole set.
     """
-    count = sum(image.shape[1] * image.shape[2] for image in images)
+    if count is None:
+        count = sum(image.shape[1] * image.shape[2] for image in images)
     generator = torch.Generator().manual_seed(seed)
     colours, weights = [], []
     for image in images:

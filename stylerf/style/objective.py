@@ -55,6 +55,11 @@ class Content:
     features: dict[str, Tensor]
     colours: Tensor
 
+    @property
+    def bytes(self) -> int:
+        """Memory it takes."""
+        return sum(t.numel() * t.element_size() for t in (*self.features.values(), self.colours))
+
 
 class StyleObjective:
     """Loss of a picture [3, h, w] against a painting, with the painting's features computed once.

@@ -18,6 +18,7 @@ from stylerf.fields.samples import Rays
 from stylerf.rendering.rays import backward, render_rays
 from stylerf.training.fit import SMOOTH_EVERY
 from stylerf.training.optimiser import Adam
+from stylerf.training.ranks import ALONE, Ranks
 from stylerf.training.rays import RayBank
 
 
@@ -71,7 +72,10 @@ class EditedPixels:
 
 
 class FineTuner:
-    """bank: all training views, edited. The field is changed in place."""
+    """bank: all training views, edited. The field is changed in place.
+
+    ranks: the processes that train it together; settings.rays are of all of them.
+    """
 
     def __init__(
         self,
@@ -81,7 +85,9 @@ class FineTuner:
         settings: FineTuneSettings,
         seed: int,
         chunks: int,
+        ranks: Ranks = ALONE,
     ) -> None:
+        self.ranks = ranks
         self.field, self.bank, self.edited, self.settings = field, bank, edited, settings
         self.seed, self.chunks = seed, chunks
         self.state = FineTuneState()
@@ -100,25 +106,34 @@ class FineTuner:
         """Whether all that learns is near the edit: rays far from it would tell nothing."""
         return isinstance(self.field.colour, PatchColour) and self.settings.density_factor == 0
 
-    def step(self) -> dict[str, float]:
-        """One step; mean squared errors of colours outside and inside the edit, and of depths."""
-        s, state = self.settings, self.state
-        generator = np.random.default_rng([self.seed, 9, state.step])
-        moving = s.density_factor > 0
+    def _drawn(self) -> tuple[Rays, np.ndarray, np.ndarray, int]:
+        """(this process's rays, their photos' colours [n, 4], which edited pixels come first, how many do in all).
+
+        Edited pixels come first in a step, then those beside them, then any; a process takes its part of all.
+        """
+        s, generator = self.settings, np.random.default_rng([self.seed, 9, self.state.step])
         inside = min(round(s.rays * s.inside), s.rays) if len(self.edited.pixels) else 0
         chosen = generator.integers(0, max(1, len(self.edited.pixels)), inside)
         views, pixels = self.edited.beside
         beside = s.rays - inside if self.local else min(round(s.rays * s.beside), s.rays - inside)
         beside = beside if len(pixels) else 0
         around = generator.integers(0, max(1, len(pixels)), beside)
+        own, others = self.ranks.own(s.rays), s.rays - inside - beside
+        chosen, around = chosen[_overlap(own, 0, inside)], around[_overlap(own, inside, beside)]
         drawn = (
             self.bank.at(self.edited.views[chosen], self.edited.pixels[chosen]),
             self.bank.at(views[around], pixels[around]),
-            self.bank.draw(s.rays - inside - beside, generator)[:3],
+            self.bank.draw(others, generator, part=_overlap(own, s.rays - others, others))[:3],
         )
         origins, directions, colours = (np.concatenate(three) for three in zip(*drawn))
-        jitter = generator.random(s.rays, dtype=np.float32)
-        rays = Rays.of(origins, directions, self.field.space.near, jitter)
+        jitter = generator.random(s.rays, dtype=np.float32)[own]
+        return Rays.of(origins, directions, self.field.space.near, jitter), colours, chosen, inside
+
+    def step(self) -> dict[str, float]:
+        """One step; mean squared errors of colours outside and inside the edit, and of depths."""
+        s, state = self.settings, self.state
+        moving = s.density_factor > 0
+        rays, colours, chosen, inside = self._drawn()
         rendered = render_rays(self.field, rays, chunks=self.chunks)
         out, level = rendered.out, np.float32(s.background)
         wanted = colours[:, :3] * colours[:, 3:] + (1 - colours[:, 3:]) * level
@@ -131,30 +146,32 @@ class FineTuner:
             matrix, offset = self.field.colour_map.matrix.numpy(), self.field.colour_map.offset.numpy()
             gradients[:, 3] += gradients[:, :3] @ offset.astype(np.float32)
             gradients[:, :3] = gradients[:, :3] @ matrix.astype(np.float32)
-        depth_error = 0.0
-        if inside and moving and s.depth_weight > 0:
+        depth_error, edited = 0.0, len(chosen)
+        if edited and moving and s.depth_weight > 0:
             known = np.maximum(self.edited.depth[chosen], np.float32(1e-6))
-            off = out[:inside, 4] / known - 1
-            gradients[:inside, 4] = (2 * s.depth_weight / inside) * off / known
-            depth_error = float(np.square(off).mean())
+            off = out[:edited, 4] / known - 1
+            gradients[:edited, 4] = (2 * s.depth_weight / inside) * off / known
+            depth_error = float(np.square(off).sum())
         density_to = self.density_adam.gradients if moving else None
-        own = self.field.colour.marked if isinstance(self.field.colour, PatchColour) else None
+        within = self.field.colour.marked if isinstance(self.field.colour, PatchColour) else None
         to = density_to, self.colour_adam.gradients
-        backward(self.field, rendered, gradients, *to, even_from=s.even_from, density_within=own)
-        if s.smoothness > 0 and state.step % SMOOTH_EVERY == 0:
+        backward(self.field, rendered, gradients, *to, even_from=s.even_from, density_within=within)
+        if s.smoothness > 0 and self.ranks.first and state.step % SMOOTH_EVERY == 0:
             self.field.colour.smooth(SMOOTH_EVERY * s.smoothness, self.colour_adam.gradients[0])
             if moving:
                 self.field.density.smooth(SMOOTH_EVERY * s.smoothness, self.density_adam.gradients[0])
         rate = s.rate * s.final_rate**self.progress
+        self.ranks.add_gradients(self.colour_adam.gradients)
+        if moving:
+            self.ranks.add_gradients(self.density_adam.gradients)
         self.colour_adam.step(rate)
         if moving:
             self.density_adam.step(rate * s.density_factor)
         squares = np.square(difference).mean(1)
-        return {
-            "outside": float(squares[inside:].mean()) if inside < s.rays else 0.0,
-            "inside": float(squares[:inside].mean()) if inside else 0.0,
-            "depth": depth_error,
-        }
+        sums = np.array([squares[edited:].sum(), squares[:edited].sum(), depth_error], np.float64)
+        self.ranks.add(sums)
+        of = np.maximum([s.rays - inside, inside, inside], 1)
+        return dict(zip(("outside", "inside", "depth"), (sums / of).tolist(), strict=True))
 
     def run(self, on_step: Callable[["FineTuner"], None] = lambda tuner: None) -> None:
         """Until the budget is spent; on_step is told after every step."""
@@ -164,7 +181,7 @@ class FineTuner:
             parts = self.step()
             if not all(math.isfinite(value) for value in parts.values()):
                 raise Diverged(f"step {state.step}: the loss left the finite numbers ({parts})")
-            state.seconds += time.perf_counter() - begun
+            state.seconds += self.ranks.of_first(time.perf_counter() - begun)
             state.step += 1
             if state.step % 10 == 0:
                 told = {name: float(f"{value:.4g}") for name, value in parts.items()}
@@ -186,3 +203,8 @@ class FineTuner:
             own[:] = arrays[f"field.{name}"]
         for name, adam in (("density", self.density_adam), ("colour", self.colour_adam)):
             adam.restore({k: arrays[f"{name}.{k}"] for k in ("first", "second", "steps")})
+
+
+def _overlap(own: slice, begin: int, count: int) -> slice:
+    """What of `count` rays, the first of which is number `begin` of a step, lies in `own`; counted from that first."""
+    return slice(min(max(own.start - begin, 0), count), min(max(own.stop - begin, 0), count))

@@ -22,6 +22,7 @@ from stylerf.geometry.space import Space
 from stylerf.rendering.rays import backward, render_rays
 from stylerf.training.ladders import LADDER, Kinds, Rung, capacity_at, first_parts
 from stylerf.training.optimiser import Adam
+from stylerf.training.ranks import ALONE, Ranks
 from stylerf.training.rays import RayBank
 
 LEAST_STEPS_PER_RUNG = 100
@@ -88,6 +89,7 @@ class Fitter:
     """The loop: `run()` trains until the budget is spent, calling `on_step` after every step.
 
     bank: training rays, the `held_out` last views kept for decisions. on_say: told of choices in words.
+    ranks: the processes that train this field together; settings.samples are of all of them.
     """
 
     def __init__(
@@ -99,9 +101,10 @@ class Fitter:
         seed: int,
         chunks: int,
         on_say: Callable[[str], None] = lambda text: None,
+        ranks: Ranks = ALONE,
     ) -> None:
         self.space, self.bank, self.held_out, self.settings = space, bank, held_out, settings
-        self.seed, self.chunks, self.on_say = seed, chunks, on_say
+        self.seed, self.chunks, self.on_say, self.ranks = seed, chunks, on_say, ranks
         self.state = FitState()
         rung, generator = settings.ladder[0], np.random.default_rng([seed, 1])
         parts = first_parts(settings.kinds, self._capacity(rung), settings.degree, generator)
@@ -114,6 +117,7 @@ class Fitter:
         self._reset_optimisers()
         self._held_out_rays = self._choose_held_out()
         self._anchor: dict | None = None
+        self._refreshed_at = -1
         self.between_steps = True
 
     # -- capacity ---------------------------------------------------------------------------------------------------
@@ -156,14 +160,16 @@ class Fitter:
         """PSNR over the held-out rays (training rays where no view is held out), on the evaluation background, dB."""
         origins, directions, colours = self._held_out_rays
         background = self._background(len(origins), None)
-        total = 0.0
-        for at in range(0, len(origins), 4096):
-            part = slice(at, at + 4096)
+        begins = range(0, len(origins), 4096)
+        sums = np.zeros(len(begins))
+        for number in range(self.ranks.place, len(begins), self.ranks.count):
+            part = slice(begins[number], begins[number] + 4096)
             rays = Rays.of(origins[part], directions[part], self.space.near)
             out = render_rays(self.field, rays, chunks=self.chunks).out
             error = _over(out[:, :3], out[:, 3:4], background[part]) - _target(colours[part], background[part])
-            total += float(np.square(np.clip(error, -1, 1)).sum())
-        return psnr_from_mse(total / (3 * len(origins)))
+            sums[number] = np.square(np.clip(error, -1, 1)).sum()
+        self.ranks.add(sums)
+        return psnr_from_mse(sum(sums.tolist()) / (3 * len(origins)))
 
     def _background(self, count: int, generator) -> np.ndarray:
         if self.settings.background == "random" and generator is not None:
@@ -183,7 +189,9 @@ class Fitter:
         """One optimisation step; its mean squared error."""
         settings, state = self.settings, self.state
         generator = np.random.default_rng([self.seed, 4, state.step])
-        if state.step >= 16 and state.step % _refresh_every(state.step) == 0:
+        # Once a step, however often lack of memory has it begun anew: processes must not differ in it.
+        if state.step >= 16 and state.step % _refresh_every(state.step) == 0 and self._refreshed_at != state.step:
+            self._refreshed_at = state.step
             share = 1 if state.step < 300 else 4
             self.field.occupancy.refresh(
                 lambda x: self.field.density.sigma(x, self.chunks),
@@ -193,14 +201,15 @@ class Fitter:
                 0.9,
             )
         count = state.rays
+        own = self.ranks.own(count)
         among = len(self.bank.cameras)
         if self.held_out and self.progress < settings.held_out_until:
             among -= self.held_out
-        origins, directions, colours, _ = self.bank.draw(count, generator, among, settings.lit_share)
-        jitter = generator.random(count, dtype=np.float32)
-        background = self._background(count, generator)
+        origins, directions, colours, _ = self.bank.draw(count, generator, among, settings.lit_share, own)
+        jitter = generator.random(count, dtype=np.float32)[own]
+        background = self._background(count, generator)[own]
         error, live = 0.0, 0
-        for part in np.array_split(np.arange(count), state.parts):
+        for part in np.array_split(np.arange(len(origins)), state.parts):
             part = slice(int(part[0]), int(part[-1]) + 1)
             rays = Rays.of(origins[part], directions[part], self.space.near, jitter[part])
             rendered = render_rays(self.field, rays, chunks=self.chunks)
@@ -216,6 +225,11 @@ class Fitter:
         if state.step % SMOOTH_EVERY == 0:
             self._smooth()
         rate = settings.rate * settings.final_rate**self.progress * state.rate_scale
+        totals = np.array([error, live], np.float64)
+        self.ranks.add(totals)
+        error, live = totals.tolist()
+        for adam in (self.density_adam, self.colour_adam):
+            self.ranks.add_gradients(adam.gradients)
         self.density_adam.step(rate)
         self.colour_adam.step(rate)
         state.step += 1
@@ -225,7 +239,7 @@ class Fitter:
     def _smooth(self) -> None:
         both = (self.field.density, self.density_adam), (self.field.colour, self.colour_adam)
         for weight, (part, adam) in zip(self.settings.smoothness, both):
-            if weight > 0:
+            if weight > 0 and self.ranks.first:
                 part.smooth(SMOOTH_EVERY * weight, adam.gradients[0])
 
     # -- the loop ---------------------------------------------------------------------------------------------------
@@ -242,7 +256,7 @@ class Fitter:
             except MemoryError:
                 self._halve_parts()
                 continue
-            state.seconds += time.perf_counter() - begun
+            state.seconds += self.ranks.of_first(time.perf_counter() - begun)
             if not math.isfinite(error):
                 self._roll_back("the loss left the finite numbers")
             elif self.progress >= next_check or self._rung_due():
@@ -300,6 +314,9 @@ class Fitter:
 
     def _check(self) -> None:
         state = self.state
+        # Sums are the same everywhere; what unlike processors round otherwise in what follows them must not add up.
+        for part in (self.field.density, self.field.colour):
+            self.ranks.take_first(part.values)
         quality = self.held_out_psnr()
         state.curve.append(
             {

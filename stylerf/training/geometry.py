@@ -9,32 +9,30 @@ from stylerf.geometry.cameras import Camera
 from stylerf.kernels.cpu.composite import shade, shade_backward
 from stylerf.rendering.rays import Rendered, backward, render_rays
 from stylerf.training.deformer import Deformer
+from stylerf.training.kept import Kept
 
 RAYS_AT_ONCE = 8192
 OPAQUE = 1e-2  # transmittance at which a walked ray ends
 
 
 class FixedGeometry:
-    """Colours on surfaces that do not move: every view is marched once and its samples are kept, up to `memory_mb`.
+    """Colours on surfaces that do not move: every view is marched once and its samples are kept, up to `memory` bytes.
 
     share: part of a ray's largest weight that a sample needs to take part.
     """
 
     def __init__(
-        self, field: RadianceField, cameras: list[Camera], share: float, chunks: int, memory_mb: float = 2048.0
+        self, field: RadianceField, cameras: list[Camera], share: float, chunks: int, memory: float = 2048e6
     ) -> None:
         self.field, self.cameras, self.share, self.chunks = field, cameras, share, chunks
-        self.memory_bytes = memory_mb * 1e6
-        self._kept: dict[int, Surface] = {}
+        self._surfaces = Kept(self._marched, lambda surface: surface.bytes, len(cameras), memory)
+
+    def _marched(self, view: int) -> Surface:
+        return surface_of(self.field, self.cameras[view], self.share, self.chunks)
 
     def surface(self, view: int) -> Surface:
         """The samples of a view."""
-        found = self._kept.get(view)
-        if found is None:
-            found = surface_of(self.field, self.cameras[view], self.share, self.chunks)
-            if sum(s.bytes for s in self._kept.values()) + found.bytes <= self.memory_bytes:
-                self._kept[view] = found
-        return found
+        return self._surfaces[view]
 
     def alpha(self, view: int) -> np.ndarray:
         """[h, w]."""

@@ -1,54 +1,72 @@
 """The training set as the loop sees it: random rays with their target colours."""
 
+import math
+from collections.abc import Iterator
+
 import numpy as np
 
 from stylerf.errors import InvalidValue
 from stylerf.geometry.cameras import Camera
 from stylerf.kernels.cpu.pixels import gather
+from stylerf.training.pixels import STRETCH, LitPixels, Pixels
 
 
 class RayBank:
-    """8-bit images in memory and their cameras; rays are made when asked for.
+    """8-bit photos and their cameras; rays are made when asked for, and none is ever stored.
 
-    images: list of uint8 [h, w, 3 or 4] (straight alpha), of any sizes, all with as many channels.
+    photos: uint8 [h, w, 3 or 4] (straight alpha) of every camera, of any sizes, all with as many channels; or the same
+    as Pixels, whose bytes need not be in memory. What is drawn does not depend on where they are.
     """
 
-    def __init__(self, cameras: list[Camera], images: list[np.ndarray]) -> None:
-        for camera, image in zip(cameras, images, strict=True):
-            if image.shape[:2] != (camera.height, camera.width) or image.dtype != np.uint8:
-                raise InvalidValue(f"view {camera.name}: image {image.shape} does not fit its camera")
-        self.channels = images[0].shape[2]
+    def __init__(self, cameras: list[Camera], photos: list[np.ndarray] | Pixels) -> None:
         self.cameras = cameras
         self.widths = np.array([c.width for c in cameras], np.int64)
         self.sizes = np.array([c.width * c.height for c in cameras], np.int64)
-        self.starts = np.concatenate([[0], np.cumsum(self.sizes * self.channels)[:-1]]).astype(np.int64)
-        self.bytes = np.concatenate([i.reshape(-1) for i in images])
+        self._ends = np.cumsum(self.sizes)
+        if not isinstance(photos, Pixels):
+            for camera, image in zip(cameras, photos, strict=True):
+                if image.shape[:2] != (camera.height, camera.width) or image.dtype != np.uint8:
+                    raise InvalidValue(f"view {camera.name}: image {image.shape} does not fit its camera")
+            photos = Pixels.of(photos)
+        self.channels, self.bytes, self._read = photos.channels, photos.values, photos.read
+        if self.bytes.dtype != np.uint8 or len(self.bytes) != self._ends[-1] * self.channels:
+            raise InvalidValue(f"{len(self.bytes)} bytes do not make {self._ends[-1]} pixels of {self.channels}")
+        self.starts = (self._ends - self.sizes) * self.channels
         self.intrinsics = np.array([[c.fx, c.fy, c.cx, c.cy] for c in cameras], np.float32)
         self.poses = np.array([c.world_from_camera[:3] for c in cameras], np.float32)
-        self._ends = np.cumsum(self.sizes)
         # Fully transparent pixels away from any object teach little: they are drawn less often.
-        self.lit = None
-        if self.channels == 4:
-            self.lit = self._near_opaque(images)
+        self.lit = LitPixels(self._alphas()) if self.channels == 4 else None
 
-    def _near_opaque(self, images: list[np.ndarray]) -> np.ndarray:
-        from scipy.ndimage import binary_dilation
-
-        lit = [binary_dilation(i[..., 3] > 0, iterations=max(2, i.shape[0] // 50)).ravel() for i in images]
-        return np.flatnonzero(np.concatenate(lit))
+    def _alphas(self) -> Iterator[np.ndarray]:
+        """[h, w] of every view in turn."""
+        for camera, start, size in zip(self.cameras, self.starts, self.sizes):
+            rgba = self.bytes[start : start + 4 * size].reshape(camera.height, camera.width, 4)
+            yield rgba[..., 3].copy()
+            self._read(math.ceil(4 * size / STRETCH))
 
     def __len__(self) -> int:
         return int(self._ends[-1])
 
-    def draw(self, count: int, generator: np.random.Generator, among: int | None = None, lit_share: float = 0.9):
-        """`count` random rays of the first `among` views: (origins, directions [n, 3], colours [n, 4], views [n])."""
+    def draw(
+        self,
+        count: int,
+        generator: np.random.Generator,
+        among: int | None = None,
+        lit_share: float = 0.9,
+        part: slice = slice(None),
+    ):
+        """`count` random rays of the first `among` views, of them those of `part`: the rest is drawn, but not made.
+
+        Gives origins, directions [n, 3], colours [n, 4], views [n].
+        """
         total = len(self) if among is None else int(self._ends[among - 1])
         index = generator.integers(0, total, count)
         if self.lit is not None and lit_share > 0:
-            most = np.searchsorted(self.lit, total)
+            most = self.lit.below(total)
             if most:
                 chosen = int(count * lit_share)
                 index[:chosen] = self.lit[generator.integers(0, most, chosen)]
+        index = index[part]
         views = np.searchsorted(self._ends, index, side="right")
         pixels = index - (self._ends[views] - self.sizes[views])
         return *self.at(views, pixels), views
@@ -71,4 +89,5 @@ class RayBank:
             directions,
             colours,
         )
+        self._read(n)
         return origins, directions, colours

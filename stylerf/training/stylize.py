@@ -7,7 +7,7 @@ to the painting once more.
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -24,11 +24,15 @@ from stylerf.style.objective import EVERYTHING, Content, StyleObjective, StyleWe
 from stylerf.style.trunks import Trunk
 from stylerf.training.deformer import Deformer
 from stylerf.training.geometry import FixedGeometry, MovingGeometry
+from stylerf.training.kept import Kept
 from stylerf.training.optimiser import Adam
 
 PIXELS_AT_ONCE = 65536
 MATCHED_VIEWS = 24  # their colours are those of all
 BESIDE = 3  # feature positions beside a silhouette that may move: what stands out from it shows there, or is missing
+MEMORY = 8e9  # bytes
+# Parts of the memory: a march takes seconds to repeat, features about as long, a photo a tenth of that.
+SURFACES, CONTENT, PHOTOS = 0.5, 0.35, 0.15
 COARSEST_STEP = 1 / 128  # cube units; of a field whose rays are walked anew in every step
 
 
@@ -78,17 +82,19 @@ class StyleState:
 
 
 class Stylizer:
-    """photos: per view [h, w, 3] float32 over the background, sRGB 0..1. background: level of grey behind the field.
+    """photos: per view [h, w, 3] float32 over the background, sRGB 0..1; read anew where they are not kept.
 
-    deformation: moves the shapes too, from how it stands (DeSRF); None holds them fast (ARF). new_colour: the colour to
-    learn, from a generator and the cells a side that are as wide as a pixel sees (nan: nothing is seen).
+    background: level of grey behind the field. deformation: moves the shapes too, from how it stands (DeSRF); None
+    holds them fast (ARF). new_colour: the colour to learn, from a generator and the cells a side that are as wide as a
+    pixel sees (nan: nothing is seen). memory: bytes that surfaces, features and photos may take together; those beyond
+    are made anew each time.
     """
 
     def __init__(
         self,
         scene: RadianceField,
         cameras: list[Camera],
-        photos: list[np.ndarray],
+        photos: Sequence[np.ndarray],
         background: float,
         painting: torch.Tensor,
         trunk: Trunk,
@@ -97,6 +103,7 @@ class Stylizer:
         chunks: int,
         new_colour: Callable[[np.random.Generator, float], object],
         deformation: Deformation | None = None,
+        memory: float = MEMORY,
     ) -> None:
         self.settings, self.seed, self.chunks, self.background = settings, seed, chunks, np.float32(background)
         self.cameras, self.painting, self.trunk = cameras, painting, trunk
@@ -108,7 +115,7 @@ class Stylizer:
             # A walk costs by its samples, and its step cannot change later: colours are learnt where it samples them.
             self.field.step = max(self.field.step, COARSEST_STEP)
             self.deformer = Deformer(self.field, deformation, cameras, vertices, seed, chunks)
-        self.still = FixedGeometry(self._at_rest(), cameras, settings.share, chunks)
+        self.still = FixedGeometry(self._at_rest(), cameras, settings.share, chunks, SURFACES * memory)
         self.geometry: FixedGeometry | MovingGeometry = self.still
         self.field.colour = new_colour(np.random.default_rng([seed, 1]), self._pixel_cells())
         self.still.field.colour = self.field.colour
@@ -117,10 +124,11 @@ class Stylizer:
         self.windows = [
             EVERYTHING if self.closed else window_of(self.geometry.alpha(view), least) for view in range(len(cameras))
         ]
-        self.photos = self._matched(photos)
+        self.memory = memory
+        self.photos = Kept(self._matched(photos), lambda photo: photo.nbytes, len(cameras), PHOTOS * memory)
         self.state = StyleState()
         self._objective: StyleObjective | None = None
-        self._content: dict[int, Content] = {}
+        self._content = self._kept_content()
         self._remembered: dict[int, np.ndarray] = {}
         self.between_steps = True
 
@@ -134,18 +142,24 @@ class Stylizer:
         moved = self.field.displacement
         return replace(self.field, displacement=None if moved is None else moved.copy())
 
-    def _matched(self, photos: list[np.ndarray]) -> list[np.ndarray]:
+    def _matched(self, photos: Sequence[np.ndarray]) -> Callable[[int], np.ndarray]:
         """The photos in the painting's colours, where that is asked for; the background stays as it is."""
         if self.settings.match not in ("before", "both"):
-            return photos
-        stacked = [self._rgba(photo, view) for view, photo in enumerate(photos)]
-        colours, weights = pixels_of(stacked, seed=self.seed)
+            return photos.__getitem__
+        count = sum(camera.width * camera.height for camera in self.cameras)
+        stacked = (self._rgba(photos[view], view) for view in range(len(self.cameras)))
+        colours, weights = pixels_of(stacked, seed=self.seed, count=count)
         colour_map = match_colours(colours, self.painting.flatten(1).T, weights)
-        return [self._over(colour_map.image(rgba[:3]).permute(1, 2, 0).numpy(), rgba[3].numpy()) for rgba in stacked]
+
+        def matched(view: int) -> np.ndarray:
+            rgba = self._rgba(photos[view], view)
+            return self._over(colour_map.image(rgba[:3]).permute(1, 2, 0).numpy(), rgba[3].numpy())
+
+        return matched
 
     def _rgba(self, photo: np.ndarray, view: int) -> torch.Tensor:
-        """[4, h, w]: straight colour of the object and its coverage by the field's own alpha."""
-        alpha = np.ones(photo.shape[:2], np.float32) if self.closed else self.geometry.alpha(view)
+        """[4, h, w]: straight colour of the object and its coverage by the field's own alpha, before anything moves."""
+        alpha = np.ones(photo.shape[:2], np.float32) if self.closed else self.still.alpha(view)
         return torch.from_numpy(np.concatenate([photo, alpha[..., None]], -1)).permute(2, 0, 1)
 
     def _over(self, rgb: np.ndarray, alpha: np.ndarray) -> np.ndarray:
@@ -253,7 +267,7 @@ class Stylizer:
         s = self.settings
         scale = s.feature_scale / 2 if self.progress < s.coarse else s.feature_scale
         if self._objective is None or self._objective.scale != scale:
-            self._content.clear()  # at another scale
+            self._content = self._kept_content()  # at another scale
             self._objective = StyleObjective(
                 self.trunk,
                 self.painting,
@@ -272,10 +286,16 @@ class Stylizer:
     def _content_of(self, view: int) -> Content | None:
         if not self.settings.weights.need_photo:
             return None
-        if view not in self._content:
-            photo = torch.from_numpy(self.photos[view]).permute(2, 0, 1).contiguous()
-            self._content[view] = self.objective.content_of(photo, self.windows[view])
         return self._content[view]
+
+    def _kept_content(self) -> Kept:
+        """What the views' photos show to the objective as it stands."""
+
+        def content(view: int) -> Content:
+            photo = torch.from_numpy(self.photos[view]).permute(2, 0, 1).contiguous()
+            return self.objective.content_of(photo, self.windows[view])
+
+        return Kept(content, lambda made: made.bytes, len(self.cameras), CONTENT * self.memory)
 
     # -- the loop ---------------------------------------------------------------------------------------------------
 

@@ -15,7 +15,7 @@ from stylerf.geometry.space import Space
 from stylerf.style.objective import StyleObjective, StyleWeights
 from stylerf.training import geometry
 from stylerf.training import stylize as module
-from stylerf.training.stylize import StyleSettings, Stylizer
+from stylerf.training.stylize import MEMORY, StyleSettings, Stylizer
 from tests.stylerf.small import field_of, float64, hash_colour, oracle_colour, vm_colour
 from tests.stylerf.style.small_trunk import picture, small_trunk
 from tests.stylerf.training.running import Stopped, assert_same_bits, result_of, resumed, run_until
@@ -35,7 +35,9 @@ def settings(**more) -> StyleSettings:
     return StyleSettings(**{**small, "weights": StyleWeights(1.0, 0.02, 0.5), **more})
 
 
-def stylizer(chunks: int = 1, seed: int = 0, space: Space = BOX, deform: bool = False, **more) -> Stylizer:
+def stylizer(
+    chunks: int = 1, seed: int = 0, space: Space = BOX, deform: bool = False, memory: float = MEMORY, **more
+) -> Stylizer:
     field = field_of(space, 3, vm_colour(4))
     field.density.values[-1] = -3.0
     photos = [picture(HEIGHT, WIDTH, 20 + i).permute(1, 2, 0).numpy().copy() for i in range(3)]
@@ -47,7 +49,8 @@ def stylizer(chunks: int = 1, seed: int = 0, space: Space = BOX, deform: bool = 
     painting = picture(20, 24, 9)
     deformation = Deformation.create(np.random.default_rng(0), frequencies=2, width=16) if deform else None
     given = settings(**more, **({"displacement_vertices": 8} if deform else {}))
-    return Stylizer(field, cameras, photos, GREY, painting, small_trunk(), given, seed, chunks, new_colour, deformation)
+    more = (painting, small_trunk(), given, seed, chunks, new_colour, deformation, memory)
+    return Stylizer(field, cameras, photos, GREY, *more)
 
 
 def style_gradient(made: Stylizer) -> np.ndarray:
@@ -332,7 +335,7 @@ def test_large_strokes_come_first():
     def look(now: Stylizer) -> None:
         if now.state.phase == "style":
             scales.append(now.objective.scale)
-            contents.append({view: kept.features["conv1"].shape for view, kept in now._content.items()})
+            contents.append({view: kept.features["conv1"].shape for view, kept in now._content.kept.items()})
 
     made.run(look)
     # Told after a step, the objective is that of the next one.

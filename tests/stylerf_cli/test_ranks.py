@@ -1,0 +1,77 @@
+"""`stylerf fit` in two processes: the same artefact, one voice; a process that dies ends it in one line."""
+
+import json
+import signal
+import time
+
+import pytest
+
+from schemas.store import Work
+from tests.ranks import start
+from tests.stylerf_cli.long_stages import timeless
+
+FIT = ("--capacity", "fixed:32x8x8", "--samples", "3000", "--no-buffers", "--held-out", "2")
+
+
+@pytest.fixture
+def scene(in_memory, nursery, photos, tmp_path):
+    """A work folder with a scene and nothing else."""
+    command = nursery.run(tmp_path, "import", photos, tmp_path / "work", "--quiet")
+    assert command.code == 0, command.err
+    return tmp_path / "work"
+
+
+def command(work, steps: int, *more: str) -> tuple[str, ...]:
+    return "stylerf_cli.main", "fit", str(work), "--budget", str(steps), *FIT, *more
+
+
+def test_two_processes_make_the_artefact_of_one(scene, nursery, tmp_path):
+    processes = start(2, *command(scene, 30, "--name", "two", "--json"), folder=tmp_path)
+    assert [process.wait(200) for process in processes] == [0, 0], (tmp_path / "err0").read_text()
+    assert json.loads((tmp_path / "out0").read_text())["name"] == "two"
+    assert (tmp_path / "out1").read_text() == (tmp_path / "err1").read_text() == ""
+    one = nursery.run(tmp_path / "one", *command(scene, 30, "--name", "one", "--threads", "2")[1:])
+    assert one.code == 0, one.err
+    fields = [Work(scene).get("field", name) for name in ("one", "two")]
+    assert len({artefact.manifest.recipe for artefact in fields}) == 1
+    assert len({artefact.file("field.safetensors").read_bytes() for artefact in fields}) == 1
+    assert timeless(fields[0].manifest.figures) == timeless(fields[1].manifest.figures)
+    # What stands is not made again, and every process knows.
+    again = start(2, *command(scene, 30, "--name", "two"), folder=tmp_path)
+    assert [process.wait(100) for process in again] == [0, 0]
+    assert "stands up to date" in (tmp_path / "err0").read_text() and (tmp_path / "err1").read_text() == ""
+
+
+def test_a_process_that_dies_ends_the_run_in_one_line_and_leaves_it_resumable(scene, nursery, tmp_path):
+    more = ("--checkpoint-every-seconds", "0.2", "--quiet")
+    processes = start(2, *command(scene, 100_000, *more), folder=tmp_path)
+    saved = scene / "field/.fit.partial/checkpoint/checkpoint.safetensors"
+    end = time.monotonic() + 200
+    while not saved.is_file() and time.monotonic() < end:
+        time.sleep(0.05)
+    assert saved.is_file(), (tmp_path / "err0").read_text()
+    processes[1].send_signal(signal.SIGKILL)
+    assert [process.wait(60) for process in processes] == [5, -signal.SIGKILL]
+    told = (tmp_path / "err0").read_text().splitlines()
+    assert len(told) == 1 and told[0].startswith("stylerf: error: another process of this run has ended;"), told
+    assert saved.is_file() and not (scene / "field/fit").exists() and (tmp_path / "err1").read_text() == ""
+
+
+def test_a_fault_of_a_process_that_is_silent_is_told_by_the_first(scene, tmp_path, monkeypatch):
+    """The second finds no scene, as on a machine that does not share the work folder."""
+    (tmp_path / "elsewhere").mkdir()
+    first = ("tests.stylerf_cli.elsewhere", *command(scene, 100_000, "--quiet")[1:])
+    monkeypatch.setenv("STYLERF_TEST_ELSEWHERE", str(tmp_path / "elsewhere"))
+    processes = start(2, *first, folder=tmp_path)
+    codes = [process.wait(100) for process in processes]
+    told = (tmp_path / "err0").read_text().splitlines()
+    assert codes[0] == 5 and codes[1] != 0 and len(told) == 1, told
+    assert "(process 1: ArtefactStale:" in told[0] and "elsewhere" in told[0]
+    assert (tmp_path / "err1").read_text() == ""
+
+
+def test_verbs_of_one_process_say_so(tmp_path):
+    processes = start(2, "stylerf_cli.main", "render", str(tmp_path / "work"), folder=tmp_path)
+    assert [process.wait(60) for process in processes] == [2, 2]
+    assert "without torchrun (fit and finetune run in several)" in (tmp_path / "err0").read_text()
+    assert (tmp_path / "err1").read_text() == ""
