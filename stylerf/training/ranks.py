@@ -28,7 +28,7 @@ class Ranks(Protocol):
         """This process's part of `count` rays: one after another, in the order of the processes."""
 
     def add(self, values: np.ndarray) -> None:
-        """Puts the sum over all processes in the place of values (numpy, or torch anywhere), the same for all."""
+        """Puts the sum over all processes in the place of values (numpy, or torch on any device), alike everywhere."""
 
     def add_gradients(self, buffers: np.ndarray) -> None:
         """Buffers [chunks, n] of all processes, summed into the first row; the others are cleared."""

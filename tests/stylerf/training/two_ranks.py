@@ -36,9 +36,9 @@ def tuned(chunks: int, ranks: Ranks = ALONE) -> dict[str, np.ndarray]:
     fitter = Fitter(AROUND, box_bank(), 0, settings(20), 0, 1)
     fitter.run()
     generator = np.random.default_rng(4)
-    pixels = EditedPixels(
-        generator.integers(0, 10, 300), generator.integers(0, 576, 300), generator.random(300, np.float32) + 1
-    )
+    views, numbers = generator.integers(0, 10, 500), generator.integers(0, 576, 500)
+    depth = generator.random(300, np.float32) + 1
+    pixels = EditedPixels(views[:300], numbers[:300], depth, (views[300:], numbers[300:]))
     more = {"steps": 20, "rays": 501, "depth_weight": 0.1, "smoothness": 1e-4}
     tuner = FineTuner(fitter.field, fitter.bank, pixels, FineTuneSettings(**more), 0, chunks, ranks)
     tuner.run()
