@@ -86,7 +86,7 @@ def composite_backward_kernel(
         d += tl.where(shown, g0 * c0 + g1 * c1 + g2 * c2, mean)
         behind -= tl.where(own, w * d, 0.0)
         through -= w
-        near = far / tl.maximum(even_from, 1e-30)
+        near = far / tl.maximum(even_from, 1e-9)
         even = tl.where(far < even_from, near * near, 1.0)
         s = tl.load(optical + k, mask=own, other=0.0) * (through * d - behind)
         tl.store(sigma_gradients + k, s * even, mask=own)

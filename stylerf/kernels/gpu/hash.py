@@ -70,8 +70,8 @@ def colour_kernel(
     """out [n, 3]: sigmoid(f[0:3] + f[3]); samples with less than `share` of their ray's largest weight get -1."""
     count = tl.load(total)
     lane = tl.arange(0, 4)
-    for block in range(tl.program_id(0), tl.cdiv(count, BLOCK), tl.num_programs(0)):
-        k = block.to(tl.int64) * BLOCK + tl.arange(0, BLOCK)
+    for block in range(tl.program_id(0).to(tl.int64), tl.cdiv(count, BLOCK), tl.num_programs(0)):
+        k = block * BLOCK + tl.arange(0, BLOCK)
         inside = k < count
         ray = tl.load(ray_of + k, mask=inside, other=0)
         w = tl.load(weights + k, mask=inside, other=0.0)
@@ -95,8 +95,8 @@ def colour_backward_kernel(
     """Add dL/d(table); samples with colours[k, 0] < 0 are skipped."""
     count = tl.load(total)
     lane = tl.arange(0, 4)
-    for block in range(tl.program_id(0), tl.cdiv(count, BLOCK), tl.num_programs(0)):
-        k = block.to(tl.int64) * BLOCK + tl.arange(0, BLOCK)
+    for block in range(tl.program_id(0).to(tl.int64), tl.cdiv(count, BLOCK), tl.num_programs(0)):
+        k = block * BLOCK + tl.arange(0, BLOCK)
         live = tl.load(colours + offset(k, 3, 0), mask=k < count, other=-1.0) >= 0.0
         c0, c1, c2 = vector(colours, k, live)
         g0, g1, g2 = vector(colour_gradients, k, live)

@@ -93,8 +93,8 @@ def density_backward_kernel(
     """Add dL/d(table) to `to` and dL/d(shift) to shift_to[0]; total: pointer to the number of samples."""
     count = tl.load(total)
     columns = tl.arange(0, WIDTH)
-    for block in range(tl.program_id(0), tl.cdiv(count, BLOCK), tl.num_programs(0)):
-        k = block.to(tl.int64) * BLOCK + tl.arange(0, BLOCK)
+    for block in range(tl.program_id(0).to(tl.int64), tl.cdiv(count, BLOCK), tl.num_programs(0)):
+        k = block * BLOCK + tl.arange(0, BLOCK)
         inside = k < count
         g = tl.load(sigma_gradients + k, mask=inside, other=0.0) * tl.load(sigma + k, mask=inside, other=0.0)
         live = inside & (g != 0.0)
@@ -138,8 +138,8 @@ def colour_kernel(
     """
     count = tl.load(total)
     columns, output = tl.arange(0, WIDTH), tl.arange(0, OUTPUTS)
-    for block in range(tl.program_id(0), tl.cdiv(count, BLOCK), tl.num_programs(0)):
-        k = block.to(tl.int64) * BLOCK + tl.arange(0, BLOCK)
+    for block in range(tl.program_id(0).to(tl.int64), tl.cdiv(count, BLOCK), tl.num_programs(0)):
+        k = block * BLOCK + tl.arange(0, BLOCK)
         inside = k < count
         ray = tl.load(ray_of + k, mask=inside, other=0)
         w = tl.load(weights + k, mask=inside, other=0.0)
@@ -178,8 +178,8 @@ def colour_backward_kernel(
     head1 = tl.zeros([OUTPUTS, WIDTH], tl.float32)
     head2 = tl.zeros([OUTPUTS, WIDTH], tl.float32)
     red, green, blue = 0.0, 0.0, 0.0
-    for block in range(tl.program_id(0), tl.cdiv(count, BLOCK), tl.num_programs(0)):
-        k = block.to(tl.int64) * BLOCK + tl.arange(0, BLOCK)
+    for block in range(tl.program_id(0).to(tl.int64), tl.cdiv(count, BLOCK), tl.num_programs(0)):
+        k = block * BLOCK + tl.arange(0, BLOCK)
         inside = k < count
         c0 = tl.load(colours + offset(k, 3, 0), mask=inside, other=-1.0)
         live = c0 >= 0.0
