@@ -121,9 +121,9 @@ def loss_kernel(
         tl.store(gradients + offset(r, 5, a), tl.where(own, g, 0.0), mask=live)
     tl.store(gradients + offset(r, 5, 3), tl.where(own, of_alpha, 0.0), mask=live)
     tl.store(gradients + offset(r, 5, 4), 0.0, mask=live)
-    tl.atomic_add(sums, tl.sum(error, axis=0))
-    tl.atomic_add(sums + 1, tl.sum(held.to(tl.float32), axis=0))
-    tl.atomic_add(sums + 2, tl.sum(lost.to(tl.float32), axis=0))
+    tl.atomic_add(sums, tl.sum(error, axis=0), sem="relaxed")
+    tl.atomic_add(sums + 1, tl.sum(held.to(tl.float32), axis=0), sem="relaxed")
+    tl.atomic_add(sums + 2, tl.sum(lost.to(tl.float32), axis=0), sem="relaxed")
 
 
 @triton.jit(do_not_specialize=["count"])

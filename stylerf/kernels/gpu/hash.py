@@ -53,7 +53,7 @@ def level_scatter(to, layout, level: tl.constexpr, LEVELS: tl.constexpr, x, y, z
     for corner in tl.static_range(8):
         row = vertex_row(layout, level, LEVELS, i + corner // 4, j + (corner // 2) % 2, k + corner % 2)
         share = trilinear_corner(corner, fx, fy, fz)[:, None] * gradient
-        tl.atomic_add(to + row[:, None] + lane[None, :], share, mask=mask[:, None])
+        tl.atomic_add(to + row[:, None] + lane[None, :], share, mask=mask[:, None], sem="relaxed")
 
 
 @triton.jit

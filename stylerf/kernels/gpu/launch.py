@@ -8,10 +8,12 @@ from torch import Tensor
 
 from stylerf.kernels.gpu import composite as composite_kernels
 from stylerf.kernels.gpu import hash as hash_kernels
-from stylerf.kernels.gpu import interpreted, march, optimiser, vm
+from stylerf.kernels.gpu import interpreted, march, optimiser, pixels, vm
 
 # Rays or samples to a program. A walk diverges, so that few rays share one; the interpreter pays by the program instead.
 RAYS, SAMPLES, POINTS, RUNS = (256, 512, 1024, 4096) if interpreted() else (32, 64, 128, 128)
+# No software pipeline: it would copy the gathered rows through 170 KB of shared memory, more than most GPUs have.
+STAGES = 1
 PROGRAMS_PER_PROCESSOR = 8  # of kernels that walk a list whose length only the device knows
 
 
@@ -132,7 +134,7 @@ def vm_density_backward(density, samples: DeviceSamples, sigma_gradients: Tensor
     """Add dL/d(values) to `to` [len(values)]: table, shift."""
     vm.density_backward_kernel[persistent_grid(to.device, samples.room, SAMPLES)](
         density.table, samples.x, samples.sigma, sigma_gradients, samples.total, to, to[-1:], *density.size,
-        RANK=density.rank, WIDTH=width_of(density.rank), BLOCK=SAMPLES,
+        RANK=density.rank, WIDTH=width_of(density.rank), BLOCK=SAMPLES, num_stages=STAGES,
     )  # fmt: skip
 
 
@@ -143,7 +145,7 @@ def vm_colours(colour, samples: DeviceSamples, directions: Tensor, share: float)
         colour.table, colour.head, colour.bias, samples.x, directions, samples.ray_of, samples.weights,
         samples.largest, share, samples.total, out, *colour.size,
         RANK=colour.rank, WIDTH=width_of(colour.rank), BANDS=colour.bands, OUTPUTS=outputs_of(colour.bands),
-        BLOCK=SAMPLES,
+        BLOCK=SAMPLES, num_stages=STAGES,
     )  # fmt: skip
     return out
 
@@ -155,7 +157,7 @@ def vm_colours_backward(colour, samples: DeviceSamples, directions, colours, col
         colour.table, colour.head, samples.x, directions, samples.ray_of, colours, colour_gradients, samples.total,
         to, to[table:-3], to[-3:], *colour.size,
         RANK=colour.rank, WIDTH=width_of(colour.rank), BANDS=colour.bands, OUTPUTS=outputs_of(colour.bands),
-        BLOCK=SAMPLES,
+        BLOCK=SAMPLES, num_stages=STAGES,
     )  # fmt: skip
 
 
@@ -164,7 +166,7 @@ def hash_colours(colour, samples: DeviceSamples, share: float) -> Tensor:
     out = torch.empty((samples.room, 3), device=samples.x.device)
     hash_kernels.colour_kernel[persistent_grid(out.device, samples.room, SAMPLES)](
         colour.table, colour.layout, samples.x, samples.ray_of, samples.weights, samples.largest, share,
-        samples.total, out, LEVELS=colour.levels, BLOCK=SAMPLES,
+        samples.total, out, LEVELS=colour.levels, BLOCK=SAMPLES, num_stages=STAGES,
     )  # fmt: skip
     return out
 
@@ -172,8 +174,9 @@ def hash_colours(colour, samples: DeviceSamples, share: float) -> Tensor:
 def hash_colours_backward(colour, samples: DeviceSamples, colours, colour_gradients, to: Tensor) -> None:
     """Add dL/d(values) to `to`."""
     hash_kernels.colour_backward_kernel[persistent_grid(to.device, samples.room, SAMPLES)](
-        colour.layout, samples.x, colours, colour_gradients, samples.total, to, LEVELS=colour.levels, BLOCK=SAMPLES
-    )
+        colour.layout, samples.x, colours, colour_gradients, samples.total, to, LEVELS=colour.levels, BLOCK=SAMPLES,
+        num_stages=STAGES,
+    )  # fmt: skip
 
 
 def smoothness(part, strength: float, to: Tensor) -> None:
@@ -227,3 +230,16 @@ def adam(values, gradients, first, second, rate, betas, epsilon, corrections, be
     optimiser.adam_kernel[(triton.cdiv(triton.cdiv(end - begin, 8), RUNS),)](
         values, gradients, first, second, rate, *betas, epsilon, *corrections, begin, end, BLOCK=RUNS
     )
+
+
+def draw_rays(
+    bank, seed, first, total, lit_total, lit_rays, level, origins, directions, wanted, jitter, background
+) -> None:
+    """Random rays of a DeviceBank; see pixels.draw_kernel. level None: random background."""
+    n = len(origins)
+    pixels.draw_kernel[(triton.cdiv(n, POINTS),)](
+        seed, first, n, total, bank.lit, lit_total, lit_rays, bank.view_ends, bank.view_sizes, bank.views, bank.widths,
+        bank.intrinsics, bank.poses, bank.bytes, float(level or 0), origins, directions, wanted, jitter, background,
+        CHANNELS=bank.channels, RANDOM_BACKGROUND=level is None, STEPS=max(1, (bank.views - 1).bit_length()),
+        BLOCK=POINTS,
+    )  # fmt: skip

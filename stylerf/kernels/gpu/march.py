@@ -10,7 +10,7 @@ import triton.language as tl
 
 from stylerf.kernels.gpu.indexing import cell, offset, store_vector, trilinear_corner, vector
 from stylerf.kernels.gpu.space import cell_number, leap, ray_span, warp_at
-from stylerf.kernels.gpu.vm import raw_density
+from stylerf.kernels.gpu.vm import SIZES, raw_density
 
 OPTICAL_SCALE = tl.constexpr(100.0)
 MOST_TURNS = tl.constexpr(1 << 16)  # of a walk: a step too small for float32 to move the ray must not hang the GPU
@@ -44,7 +44,9 @@ def _keep(t_out, optical, points, sigma, weights, ray_of, at, t, length, x, y, z
     tl.store(ray_of + at, ray, mask=mask)
 
 
-@triton.jit(do_not_specialize=["rays", "room"])
+@triton.jit(
+    do_not_specialize=[*SIZES, "cells", "limit", "grid_cells", "rays", "room"], do_not_specialize_on_alignment=["shift"]
+)
 def march_kernel(
     space, origins, directions, jitter, near, far, step, occupancy, cells, limit, opaque,
     table, shift, s0, s1, s2, grid, grid_cells,
@@ -117,7 +119,7 @@ def march_kernel(
         tl.store(starts + r, begin, mask=live)
         tl.store(ends + r, begin + most, mask=live)
         tl.store(largest + r, peak, mask=live)
-        tl.atomic_max(total, tl.max(tl.where(most > 0, begin + most, 0), axis=0))
+        tl.atomic_max(total, tl.max(tl.where(most > 0, begin + most, 0), axis=0), sem="relaxed")
         # Both launches walk alike but for rounding; a sample that the second one lacks must not be left unwritten.
         while tl.max((found < most).to(tl.int32), axis=0) > 0:
             lacks = found < most
@@ -131,7 +133,7 @@ def march_kernel(
         tl.store(counts + r, found, mask=live)
 
 
-@triton.jit
+@triton.jit(do_not_specialize=["count"])
 def warp_kernel(space, world, out, jacobians, count, KIND: tl.constexpr, BLOCK: tl.constexpr):
     """Positions in the cube and density jacobians of free points [count, 3]."""
     k = tl.program_id(0).to(tl.int64) * BLOCK + tl.arange(0, BLOCK)
@@ -142,7 +144,7 @@ def warp_kernel(space, world, out, jacobians, count, KIND: tl.constexpr, BLOCK: 
     tl.store(jacobians + k, jacobian, mask=live)
 
 
-@triton.jit
+@triton.jit(do_not_specialize=["width", "column"])
 def offsets_kernel(rows, out, width, column, BLOCK: tl.constexpr):
     """out[i] = offset(rows[i], width, column): for the test of what lies beyond 2^31."""
     i = tl.arange(0, BLOCK)

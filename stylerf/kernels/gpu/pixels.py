@@ -55,7 +55,7 @@ def ray_of_pixel(index, view, view_ends, view_sizes, widths, intrinsics, poses, 
     return tl.load(row + 3), tl.load(row + 7), tl.load(row + 11), dx, dy, dz, red, green, blue, alpha
 
 
-@triton.jit(do_not_specialize=["seed", "first", "rays", "total", "lit_total", "lit_rays"])
+@triton.jit(do_not_specialize=["seed", "first", "rays", "total", "lit_total", "lit_rays", "views"])
 def draw_kernel(
     seed, first, rays, total, lit, lit_total, lit_rays, view_ends, view_sizes, views, widths, intrinsics, poses, bytes_,
     level, origins, directions, wanted, jitter, background,

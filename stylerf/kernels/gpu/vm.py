@@ -11,6 +11,8 @@ from stylerf.kernels.gpu.harmonics import bands_of
 from stylerf.kernels.gpu.indexing import cell, offset, vector
 
 EXPONENT_MIN, EXPONENT_MAX = tl.constexpr(-15.0), tl.constexpr(12.0)
+# A kernel compiled for every size that is a multiple of sixteen, and again for the others, gains nothing by it.
+SIZES = ["s0", "s1", "s2"]
 
 
 @triton.jit
@@ -53,12 +55,12 @@ def product(table, first, second, line, fu, fv, fw, columns, RANK: tl.constexpr,
 def scatter(to, first, second, line, fu, fv, fw, plane, along, gradient, columns, RANK: tl.constexpr, mask):
     """Add gradient [samples, WIDTH] times d(plane * along) to the rows of `to`, laid out as the table."""
     dp, dl = gradient * along, gradient * plane
-    tl.atomic_add(to + offset(first[:, None], RANK, columns[None, :]), (1.0 - fu) * (1.0 - fv) * dp, mask=mask)
-    tl.atomic_add(to + offset(first[:, None] + 1, RANK, columns[None, :]), (1.0 - fu) * fv * dp, mask=mask)
-    tl.atomic_add(to + offset(second[:, None], RANK, columns[None, :]), fu * (1.0 - fv) * dp, mask=mask)
-    tl.atomic_add(to + offset(second[:, None] + 1, RANK, columns[None, :]), fu * fv * dp, mask=mask)
-    tl.atomic_add(to + offset(line[:, None], RANK, columns[None, :]), (1.0 - fw) * dl, mask=mask)
-    tl.atomic_add(to + offset(line[:, None] + 1, RANK, columns[None, :]), fw * dl, mask=mask)
+    tl.atomic_add(to + offset(first[:, None], RANK, columns[None, :]), (1.0 - fu) * (1.0 - fv) * dp, mask=mask, sem="relaxed")
+    tl.atomic_add(to + offset(first[:, None] + 1, RANK, columns[None, :]), (1.0 - fu) * fv * dp, mask=mask, sem="relaxed")
+    tl.atomic_add(to + offset(second[:, None], RANK, columns[None, :]), fu * (1.0 - fv) * dp, mask=mask, sem="relaxed")
+    tl.atomic_add(to + offset(second[:, None] + 1, RANK, columns[None, :]), fu * fv * dp, mask=mask, sem="relaxed")
+    tl.atomic_add(to + offset(line[:, None], RANK, columns[None, :]), (1.0 - fw) * dl, mask=mask, sem="relaxed")
+    tl.atomic_add(to + offset(line[:, None] + 1, RANK, columns[None, :]), fw * dl, mask=mask, sem="relaxed")
 
 
 @triton.jit
@@ -74,7 +76,7 @@ def raw_density(table, shift, x, y, z, s0, s1, s2, live, RANK: tl.constexpr, WID
     return tl.exp(tl.minimum(tl.maximum(total, EXPONENT_MIN), EXPONENT_MAX))
 
 
-@triton.jit(do_not_specialize=["count"])
+@triton.jit(do_not_specialize=[*SIZES, "count"], do_not_specialize_on_alignment=["shift"])
 def density_kernel(
     table, shift, points, sigma, count, s0, s1, s2, RANK: tl.constexpr, WIDTH: tl.constexpr, BLOCK: tl.constexpr
 ):
@@ -85,7 +87,7 @@ def density_kernel(
     tl.store(sigma + k, raw_density(table, shift, x, y, z, s0, s1, s2, live, RANK, WIDTH), mask=live)
 
 
-@triton.jit
+@triton.jit(do_not_specialize=SIZES, do_not_specialize_on_alignment=["shift_to"])
 def density_backward_kernel(
     table, points, sigma, sigma_gradients, total, to, shift_to, s0, s1, s2,
     RANK: tl.constexpr, WIDTH: tl.constexpr, BLOCK: tl.constexpr,
@@ -100,7 +102,7 @@ def density_backward_kernel(
         live = inside & (g != 0.0)
         x, y, z = vector(points, k, live)
         mask = live[:, None] & (columns[None, :] < RANK)
-        tl.atomic_add(shift_to, tl.sum(tl.where(live, g, 0.0), axis=0))
+        tl.atomic_add(shift_to, tl.sum(tl.where(live, g, 0.0), axis=0), sem="relaxed")
         for m in tl.static_range(3):
             first, second, line, fu, fv, fw = place(m, x, y, z, s0, s1, s2)
             plane, along = product(table, first, second, line, fu, fv, fw, columns, RANK, mask)
@@ -127,7 +129,7 @@ def _sigmoid(z):
     return 1.0 / (1.0 + tl.exp(-z))
 
 
-@triton.jit
+@triton.jit(do_not_specialize=SIZES, do_not_specialize_on_alignment=["head", "bias"])
 def colour_kernel(
     table, head, bias, points, directions, ray_of, weights, largest, share, total, out, s0, s1, s2,
     RANK: tl.constexpr, WIDTH: tl.constexpr, BANDS: tl.constexpr, OUTPUTS: tl.constexpr, BLOCK: tl.constexpr,
@@ -165,7 +167,7 @@ def colour_kernel(
         tl.store(out + offset(k, 3, 0), -1.0, mask=inside & (live == 0))
 
 
-@triton.jit
+@triton.jit(do_not_specialize=SIZES, do_not_specialize_on_alignment=["head", "head_to", "bias_to"])
 def colour_backward_kernel(
     table, head, points, directions, ray_of, colours, colour_gradients, total, to, head_to, bias_to, s0, s1, s2,
     RANK: tl.constexpr, WIDTH: tl.constexpr, BANDS: tl.constexpr, OUTPUTS: tl.constexpr, BLOCK: tl.constexpr,
@@ -210,15 +212,15 @@ def colour_backward_kernel(
                 head2 = tl.dot(tl.trans(own), plane * along, acc=head2, input_precision="ieee")
     at = output[:, None] * (3 * RANK) + columns[None, :]
     mask = (output[:, None] < 3 * BANDS) & (columns[None, :] < RANK)
-    tl.atomic_add(head_to + at, head0, mask=mask)
-    tl.atomic_add(head_to + at + RANK, head1, mask=mask)
-    tl.atomic_add(head_to + at + 2 * RANK, head2, mask=mask)
-    tl.atomic_add(bias_to, red)
-    tl.atomic_add(bias_to + 1, green)
-    tl.atomic_add(bias_to + 2, blue)
+    tl.atomic_add(head_to + at, head0, mask=mask, sem="relaxed")
+    tl.atomic_add(head_to + at + RANK, head1, mask=mask, sem="relaxed")
+    tl.atomic_add(head_to + at + 2 * RANK, head2, mask=mask, sem="relaxed")
+    tl.atomic_add(bias_to, red, sem="relaxed")
+    tl.atomic_add(bias_to + 1, green, sem="relaxed")
+    tl.atomic_add(bias_to + 2, blue, sem="relaxed")
 
 
-@triton.jit
+@triton.jit(do_not_specialize=["rows", "columns", "begin"])
 def smoothness_kernel(
     table, to, strength, rows, columns, begin, RANK: tl.constexpr, WIDTH: tl.constexpr, BLOCK: tl.constexpr
 ):
