@@ -1,10 +1,13 @@
 """Fit: a radiance field from a scene's training views."""
 
+import functools
 import time
+from contextlib import nullcontext
 
 from schemas.errors import BadInput
 from schemas.store import Artefact, Partial
 from stages.configs.fit import EVEN_FROM, SMOOTHNESS, FitConfig, budget_of, capacity_of
+from stages.devices import gpu_of
 from stages.fields import load_checkpoint, save_checkpoint, save_field
 from stages.photos import bank_of
 from stages.progress import Context
@@ -32,14 +35,26 @@ def run(inputs: dict[str, Artefact], config: FitConfig, partial: Partial, contex
     order = [i for i in train if i not in held_out] + held_out
     bank = bank_of(scene, order)
     settings = _settings(config, scene)
-    fitter = Fitter(space, bank, len(held_out), settings, context.seed, threads, context.progress.say)
+    device = gpu_of(context)
+    fitter = Fitter(
+        space, bank, len(held_out), settings, context.seed, threads, context.progress.say, _engine(device, settings)
+    )
     if (saved := load_checkpoint(partial.checkpoint)) is not None:
         fitter.resume(*saved)
         context.progress.say(f"going on from step {fitter.state.step}, {fitter.state.seconds:.0f} s into the fit")
-    with compiling_note(context.progress.say):
+    with nullcontext() if device else compiling_note(context.progress.say):
         _train(fitter, config, partial, context)
     save_field(partial.path, fitter.field, "none" if fitter.field.closed else _shown(settings.background))
     return _figures(fitter, held_out, reason)
+
+
+def _engine(device: str | None, settings: FitSettings):
+    """What the fit computes with; None: the CPU's."""
+    if device is None:
+        return None
+    from stylerf.training.device_engine import DeviceEngine
+
+    return functools.partial(DeviceEngine, device=device, samples=settings.samples)
 
 
 def _train(fitter: Fitter, config: FitConfig, partial: Partial, context: Context) -> None:
@@ -51,7 +66,7 @@ def _train(fitter: Fitter, config: FitConfig, partial: Partial, context: Context
         if now.state.step % 10 == 0:
             note = _quality(now.state.curve[-1]) if now.state.curve else ""
             done = now.state.step if steps else min(now.state.seconds, now.settings.seconds)
-            context.progress.update(done, f"{note}, {now.field.parameters / 1e6:.2f} M parameters")
+            context.progress.update(done, f"{note}, {now.parameters / 1e6:.2f} M parameters")
         if time.monotonic() - saved_at > config.checkpoint_every_seconds:
             save_checkpoint(partial.checkpoint, *now.checkpoint())
             saved_at = time.monotonic()

@@ -243,3 +243,13 @@ def draw_rays(
         CHANNELS=bank.channels, RANDOM_BACKGROUND=level is None, STEPS=max(1, (bank.views - 1).bit_length()),
         BLOCK=POINTS,
     )  # fmt: skip
+
+
+def shade_backward(samples: DeviceSamples, gradients: Tensor) -> Tensor:
+    """dL/d(colour) [n, 3] of samples that fill their room, from dL/d(sum w c) [rays, 3]."""
+    out, n = torch.empty_like(samples.x), len(samples.weights)
+    if n:
+        composite_kernels.shade_backward_kernel[(triton.cdiv(n, POINTS),)](
+            samples.weights, gradients, samples.ray_of, out, n, BLOCK=POINTS
+        )
+    return out
