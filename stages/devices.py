@@ -20,3 +20,12 @@ def gpu_of(context: Context, field=None) -> str | None:
         return "cuda"
     context.progress.say(f"computing on the CPU: {why}")
     return None
+
+
+def gpu_figures(device: str | None) -> dict:
+    """The most memory that this process has held on the GPU, MB, for a stage's figures; nothing on the CPU."""
+    if device is None:
+        return {}
+    import torch
+
+    return {"gpu_memory_mb": round(torch.cuda.max_memory_allocated() / 1e6)}

@@ -7,7 +7,7 @@ from contextlib import nullcontext
 from schemas.errors import BadInput
 from schemas.store import Artefact, Partial
 from stages.configs.fit import EVEN_FROM, SMOOTHNESS, FitConfig, budget_of, capacity_of
-from stages.devices import gpu_of
+from stages.devices import gpu_figures, gpu_of
 from stages.fields import load_checkpoint, save_checkpoint, save_field
 from stages.photos import bank_of
 from stages.progress import Context
@@ -45,7 +45,7 @@ def run(inputs: dict[str, Artefact], config: FitConfig, partial: Partial, contex
     with nullcontext() if device else compiling_note(context.progress.say):
         _train(fitter, config, partial, context)
     save_field(partial.path, fitter.field, "none" if fitter.field.closed else _shown(settings.background))
-    return _figures(fitter, held_out, reason)
+    return _figures(fitter, held_out, reason) | gpu_figures(device)
 
 
 def _engine(device: str | None, settings: FitSettings):

@@ -20,7 +20,7 @@ from schemas.images import linear_from_srgb, to_uint8, write_png
 from schemas.scene import as_matrix
 from schemas.store import Artefact, Partial
 from stages.configs.render import RenderConfig, frames_of
-from stages.devices import gpu_of
+from stages.devices import gpu_figures, gpu_of
 from stages.fields import load_field
 from stages.masks import CHANNEL, channels_of, regions_among
 from stages.progress import Context
@@ -66,7 +66,11 @@ def run(inputs: dict[str, Artefact], config: RenderConfig, partial: Partial, con
         partial.path,
         Frames(inputs["field"].name, config.path, tuple(frames), config.fps, channels if config.exr else {}),
     )
-    return {"frames": len(frames), "pixels": int(sum(c.width * c.height for c, _ in shots)), "video": video}
+    return {
+        "frames": len(frames),
+        "pixels": int(sum(c.width * c.height for c, _ in shots)),
+        "video": video,
+    } | gpu_figures(device)
 
 
 def _on_device(field: RadianceField, device: str) -> Callable[..., RenderedView]:

@@ -13,7 +13,7 @@ from schemas.images import to_uint8, write_png
 from schemas.store import Artefact, Partial
 from stages.configs.fit import budget_of
 from stages.configs.stylize import COLOUR_CELLS, StylizeConfig
-from stages.devices import gpu_of
+from stages.devices import gpu_figures, gpu_of
 from stages.fields import (
     load_checkpoint,
     load_deformation,
@@ -99,6 +99,7 @@ def run(inputs: dict[str, Artefact], config: StylizeConfig, partial: Partial, co
         "parameters": stylizer.field.parameters,
         "features": resolved.manifest(),
         "views": len(views),
+        **gpu_figures(device),
     }
 
 

@@ -95,7 +95,8 @@ class DeviceRenderer:
         on_rays: Callable[[int], None] = lambda done: None,
     ) -> RenderedView:
         """As rendering/view.py's render_view."""
-        marked = {name: torch.from_numpy(np.ascontiguousarray(m)).to(self.device) for name, m in (regions or {}).items()}
+        given = {name: np.ascontiguousarray(cells) for name, cells in (regions or {}).items()}
+        marked = {name: torch.from_numpy(cells).to(self.device) for name, cells in given.items()}
         out, inside = self.pixels(camera, opaque=opaque, regions=marked, on_rays=on_rays)
         out = out.cpu().numpy().reshape(camera.height, camera.width, 5)
         alpha = np.clip(out[..., 3], 0, 1)

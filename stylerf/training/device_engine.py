@@ -5,6 +5,8 @@ of samples, comes back by itself a few steps later; the loop never runs more tha
 that its clock is the device's.
 """
 
+from itertools import pairwise
+
 import numpy as np
 import torch
 from torch import Tensor
@@ -156,7 +158,7 @@ class DeviceEngine:
         seed = (self.seed * 1_000_003 + batch.step) & 0x7FFFFFFF
         level = None if batch.background == "random" else 0.0 if batch.background in ("black", "none") else 1.0
         edges = [batch.rays * i // batch.parts for i in range(batch.parts + 1)]
-        for first, end in zip(edges, edges[1:]):
+        for first, end in pairwise(edges):
             drawn = self.bank.draw(seed, first, end - first, batch.rays, batch.among, batch.lit_share, level)
             rendered = field.render_rays(drawn.rays, room=-(-self.room // batch.parts))
             scale = 2 / (3 * batch.rays)
@@ -207,8 +209,9 @@ class DeviceEngine:
             for level in levels:
                 drawn = self.bank.draw(0, 0, 16, 16, self.bank.views, 0.5, level)
                 rendered = scratch.render_rays(drawn.rays, room=16 * 64)
+                sums = torch.zeros(3, device=self.device)
                 gradients = launch.photometric_loss(
-                    rendered.out, drawn.wanted, drawn.background, rendered.samples, 1.0, torch.zeros(3, device=self.device)
+                    rendered.out, drawn.wanted, drawn.background, rendered.samples, 1.0, sums
                 )
                 scratch.backward(rendered, gradients, *(adam.gradients for adam in adams), even_from=even_from)
             for part, adam, weight in zip((scratch.density, scratch.colour), adams, smoothness):

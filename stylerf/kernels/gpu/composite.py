@@ -1,4 +1,4 @@
-"""composite: kernels/cpu/composite.py, a lane to a ray; and the photometric loss, so that no pixel leaves the device."""
+"""composite: kernels/cpu/composite.py, a lane to a ray; and the photometric loss: no pixel leaves the device."""
 
 import triton
 import triton.language as tl
@@ -94,9 +94,7 @@ def composite_backward_kernel(
 
 
 @triton.jit(do_not_specialize=["rays"])
-def loss_kernel(
-    out, wanted, background, counts, starts, ends, scale, gradients, sums, rays, BLOCK: tl.constexpr
-):
+def loss_kernel(out, wanted, background, counts, starts, ends, scale, gradients, sums, rays, BLOCK: tl.constexpr):
     """dL/d(out) [rays, 5] of the squared error against straight rgba [rays, 4], both over a background [rays, 3].
 
     scale: 2 / (3 rays of the whole batch). sums += squared error, samples, rays that found no room (they teach nothing

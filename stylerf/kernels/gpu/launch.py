@@ -10,7 +10,7 @@ from stylerf.kernels.gpu import composite as composite_kernels
 from stylerf.kernels.gpu import hash as hash_kernels
 from stylerf.kernels.gpu import interpreted, march, optimiser, pixels, vm
 
-# Rays or samples to a program. A walk diverges, so that few rays share one; the interpreter pays by the program instead.
+# Rays or samples to a program. A walk diverges, so that few rays share one; the interpreter pays by the program.
 RAYS, SAMPLES, POINTS, RUNS = (256, 512, 1024, 4096) if interpreted() else (32, 64, 128, 128)
 # No software pipeline: it would copy the gathered rows through 170 KB of shared memory, more than most GPUs have.
 STAGES = 1

@@ -63,8 +63,8 @@ def draw_kernel(
 ):  # fmt: skip
     """Rays `first` .. `first` + rays of the batch that `seed` names, which is the same however it is cut into parts.
 
-    Of the batch's rays those below lit_rays take a pixel of lit[0:lit_total], the others one of 0..total. level: grey of
-    the background where it is not random.
+    Of the batch's rays those below lit_rays take a pixel of lit[0:lit_total], the others one of 0..total. level: grey
+    of the background where it is not random.
     """
     local = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
     mask = local < rays

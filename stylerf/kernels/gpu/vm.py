@@ -55,12 +55,14 @@ def product(table, first, second, line, fu, fv, fw, columns, RANK: tl.constexpr,
 def scatter(to, first, second, line, fu, fv, fw, plane, along, gradient, columns, RANK: tl.constexpr, mask):
     """Add gradient [samples, WIDTH] times d(plane * along) to the rows of `to`, laid out as the table."""
     dp, dl = gradient * along, gradient * plane
-    tl.atomic_add(to + offset(first[:, None], RANK, columns[None, :]), (1.0 - fu) * (1.0 - fv) * dp, mask=mask, sem="relaxed")
-    tl.atomic_add(to + offset(first[:, None] + 1, RANK, columns[None, :]), (1.0 - fu) * fv * dp, mask=mask, sem="relaxed")
-    tl.atomic_add(to + offset(second[:, None], RANK, columns[None, :]), fu * (1.0 - fv) * dp, mask=mask, sem="relaxed")
-    tl.atomic_add(to + offset(second[:, None] + 1, RANK, columns[None, :]), fu * fv * dp, mask=mask, sem="relaxed")
-    tl.atomic_add(to + offset(line[:, None], RANK, columns[None, :]), (1.0 - fw) * dl, mask=mask, sem="relaxed")
-    tl.atomic_add(to + offset(line[:, None] + 1, RANK, columns[None, :]), fw * dl, mask=mask, sem="relaxed")
+    upper, lower, ends = first[:, None], second[:, None], line[:, None]
+    at = columns[None, :]
+    tl.atomic_add(to + offset(upper, RANK, at), (1.0 - fu) * (1.0 - fv) * dp, mask=mask, sem="relaxed")
+    tl.atomic_add(to + offset(upper + 1, RANK, at), (1.0 - fu) * fv * dp, mask=mask, sem="relaxed")
+    tl.atomic_add(to + offset(lower, RANK, at), fu * (1.0 - fv) * dp, mask=mask, sem="relaxed")
+    tl.atomic_add(to + offset(lower + 1, RANK, at), fu * fv * dp, mask=mask, sem="relaxed")
+    tl.atomic_add(to + offset(ends, RANK, at), (1.0 - fw) * dl, mask=mask, sem="relaxed")
+    tl.atomic_add(to + offset(ends + 1, RANK, at), fw * dl, mask=mask, sem="relaxed")
 
 
 @triton.jit

@@ -1,5 +1,7 @@
 """Compiles every GPU kernel to machine code for GPUs that need not be there; one JSON line a kernel on stdout.
 
+Arguments: a part of the kernels' names (empty: all), compute capabilities such as 80 and 90.
+
 The launches are those of stylerf/kernels/gpu/launch.py on CPU tensors, recorded instead of run. A program of its own,
 because Triton decides at its import whether it interprets.
 """
@@ -49,8 +51,11 @@ def main() -> None:
     torch.manual_seed(0)
     np.random.seed(0)
     launches.everything()
+    wanted, *capabilities = sys.argv[1:]
     for key, (function, signature, constants, attributes, options) in LAUNCHES.items():
-        for capability in [int(word) for word in sys.argv[1:]] or [90]:
+        if wanted not in key.split(" ")[0]:
+            continue
+        for capability in map(int, capabilities):
             source = ASTSource(function, signature, constants, attributes)
             made = triton.compile(source, target=GPUTarget("cuda", capability, 32), options=options)
             told = {

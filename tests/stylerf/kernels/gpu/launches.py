@@ -28,6 +28,7 @@ def everything() -> None:
         made.density.sigma(torch.zeros(5, 3))
         moments = [torch.zeros_like(to[0]) for _ in range(2)]
         launch.adam(made.density.values, to[0], *moments, 0.1, (0.9, 0.99), 1e-15, (0.1, 0.01), 0, len(to[0]))
+    launch.shade_backward(rendered.samples, torch.zeros(8, 3))
     from stylerf.training.device_rays import DeviceBank
     from tests.stylerf.training.scenes import box_bank
 

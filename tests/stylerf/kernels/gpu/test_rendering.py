@@ -111,7 +111,7 @@ def test_pixels_and_gradients_equal_the_oracle(case, device):
 
 
 def test_near_samples_learn_by_the_square_of_their_distance(device):
-    field, rays, made, rendered, towards, plain = walked("frustum", device)
+    field, _, made, rendered, towards, plain = walked("frustum", device)
     found = gradients_of(made, rendered, towards, even_from=2.0)
     far = gradients_of(made, rendered, towards, even_from=0.5)  # nearer than the near plane: all alike
     close(far[0], plain[0], 1e-6)
