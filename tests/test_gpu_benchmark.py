@@ -1,5 +1,6 @@
 """benchmarks/gpu.py: every part of it runs, on tiny sizes and through Triton's interpreter; commands are understood."""
 
+import importlib
 import json
 
 import numpy as np
@@ -7,7 +8,19 @@ import pytest
 import torch
 
 from benchmarks import gpu
-from stylerf_cli.main import build_parser
+from stylerf_cli.arguments import Parser, add_common, add_config
+from stylerf_cli.verbs import VERBS
+
+
+def understood(arguments: list[str]) -> None:
+    """Parsed as main() does; a flag that is not known raises."""
+    module, parser = importlib.import_module(VERBS[arguments[0]][0]), Parser(prog=arguments[0])
+    module.add_arguments(parser)
+    config = module.options_for(arguments[1:]) if hasattr(module, "options_for") else module.CONFIG
+    if config is not None:
+        add_config(parser, config)
+    add_common(parser)
+    parser.parse_args(arguments[1:])
 
 
 @pytest.fixture
@@ -16,7 +29,7 @@ def commands(monkeypatch, tmp_path):
     seen = []
 
     def run(*arguments: str) -> dict:
-        build_parser().parse_args([*arguments, "--json"])
+        understood([*arguments, "--json"])
         seen.append(arguments)
         verb, work = arguments[:2]
         named = arguments[arguments.index("--name") + 1] if "--name" in arguments else verb
@@ -28,7 +41,9 @@ def commands(monkeypatch, tmp_path):
         budget = float(named.split("-")[1][:-1]) if named.startswith("fit-") else 1.0
         figures = {"train_seconds": budget, "steps": 9, "parameters": 5, "resolution": 64, "ssim": 0.9}
         figures |= {"features": {"name": "vgg16"}, "curve_style": [{"style": 0.5}]}
-        figures["psnr"] = 28 + 2 * np.log2(float(seen[-2][seen[-2].index("--budget") + 1][:-1])) if verb == "eval" else 0
+        figures["psnr"] = (
+            28 + 2 * np.log2(float(seen[-2][seen[-2].index("--budget") + 1][:-1])) if verb == "eval" else 0
+        )
         return {"figures": figures, "seconds": {"region": 1.0, "edit": 2.5}}
 
     monkeypatch.setattr(gpu, "stylerf", run)
