@@ -110,8 +110,8 @@ def _walk_rays(walk, density, origins, directions, jitter, samples: DeviceSample
     moved = origins if walk.displacement is None else walk.displacement
     s = samples
     march.march_kernel[(triton.cdiv(n, RAYS),)](
-        walk.space, origins, directions, jitter, walk.near, walk.far, walk.step,
-        walk.distances, walk.cells, walk.limit, walk.opaque, density.table, density.shift, *density.size,
+        walk.space, origins, directions, jitter, float(walk.near), float(walk.far), float(walk.step),
+        walk.distances, walk.cells, walk.limit, float(walk.opaque), density.table, density.shift, *density.size,
         moved, walk.vertices, s.counts, last, room, s.starts, s.ends, s.largest, s.total,
         s.t, s.optical, s.x, s.sigma, s.weights, s.ray_of, n,
         KIND=walk.code, CLOSED=walk.closed, DISPLACED=walk.displacement is not None, FILL=fill,
@@ -143,7 +143,7 @@ def vm_colours(colour, samples: DeviceSamples, directions: Tensor, share: float)
     out = torch.empty((samples.room, 3), device=directions.device)
     vm.colour_kernel[persistent_grid(out.device, samples.room, SAMPLES)](
         colour.table, colour.head, colour.bias, samples.x, directions, samples.ray_of, samples.weights,
-        samples.largest, share, samples.total, out, *colour.size,
+        samples.largest, float(share), samples.total, out, *colour.size,
         RANK=colour.rank, WIDTH=width_of(colour.rank), BANDS=colour.bands, OUTPUTS=outputs_of(colour.bands),
         BLOCK=SAMPLES, num_stages=STAGES,
     )  # fmt: skip
@@ -165,7 +165,7 @@ def hash_colours(colour, samples: DeviceSamples, share: float) -> Tensor:
     """As vm_colours, of a hash grid."""
     out = torch.empty((samples.room, 3), device=samples.x.device)
     hash_kernels.colour_kernel[persistent_grid(out.device, samples.room, SAMPLES)](
-        colour.table, colour.layout, samples.x, samples.ray_of, samples.weights, samples.largest, share,
+        colour.table, colour.layout, samples.x, samples.ray_of, samples.weights, samples.largest, float(share),
         samples.total, out, LEVELS=colour.levels, BLOCK=SAMPLES, num_stages=STAGES,
     )  # fmt: skip
     return out
@@ -185,7 +185,7 @@ def smoothness(part, strength: float, to: Tensor) -> None:
     for a, b in ((1, 2), (2, 0), (0, 1)):
         rows, columns = size[a], size[b]
         vm.smoothness_kernel[(triton.cdiv(rows * columns, SAMPLES),)](
-            part.values, to, strength, rows, columns, begin,
+            part.values, to, float(strength), rows, columns, begin,
             RANK=part.rank, WIDTH=width_of(part.rank), BLOCK=SAMPLES,
         )  # fmt: skip
         begin += rows * columns
@@ -210,7 +210,7 @@ def composite_backward(
     if len(out):
         composite_kernels.composite_backward_kernel[(triton.cdiv(len(out), POINTS),)](
             samples.weights, samples.optical, colours, samples.t, samples.starts, samples.ends, out, gradients,
-            even_from, sigma_gradients, colour_gradients, len(out), BLOCK=POINTS,
+            float(even_from), sigma_gradients, colour_gradients, len(out), BLOCK=POINTS,
         )  # fmt: skip
     return sigma_gradients, colour_gradients
 
@@ -219,7 +219,7 @@ def photometric_loss(out: Tensor, wanted, background, samples: DeviceSamples, sc
     """dL/d(out) of the squared error; adds (squared error, samples, rays without room) to sums [3]."""
     gradients = torch.empty_like(out)
     composite_kernels.loss_kernel[(triton.cdiv(len(out), POINTS),)](
-        out, wanted, background, samples.counts, samples.starts, samples.ends, scale, gradients, sums, len(out),
+        out, wanted, background, samples.counts, samples.starts, samples.ends, float(scale), gradients, sums, len(out),
         BLOCK=POINTS,
     )  # fmt: skip
     return gradients
@@ -228,7 +228,7 @@ def photometric_loss(out: Tensor, wanted, background, samples: DeviceSamples, sc
 def adam(values, gradients, first, second, rate, betas, epsilon, corrections, begin: int, end: int) -> None:
     """One step of Adam on values[begin:end]."""
     optimiser.adam_kernel[(triton.cdiv(triton.cdiv(end - begin, 8), RUNS),)](
-        values, gradients, first, second, rate, *betas, epsilon, *corrections, begin, end, BLOCK=RUNS
+        values, gradients, first, second, float(rate), *betas, epsilon, *corrections, begin, end, BLOCK=RUNS
     )
 
 
