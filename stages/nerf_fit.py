@@ -1,10 +1,13 @@
 """Fit: a radiance field from a scene's training views."""
 
+import functools
 import time
+from contextlib import nullcontext
 
 from schemas.errors import BadInput
 from schemas.store import Artefact, Partial
 from stages.configs.fit import EVEN_FROM, SMOOTHNESS, FitConfig, budget_of, capacity_of, kinds_of
+from stages.devices import gpu_figures, gpu_of
 from stages.fields import load_checkpoint, save_checkpoint, save_field
 from stages.photos import bank_of
 from stages.progress import Context
@@ -33,16 +36,31 @@ def run(inputs: dict[str, Artefact], config: FitConfig, partial: Partial, contex
     order = [i for i in train if i not in held_out] + held_out
     bank = bank_of(scene, order, partial.folder, context)
     settings = _settings(config, scene)
-    fitter = Fitter(space, bank, len(held_out), settings, context.seed, threads, context.progress.say, context.ranks)
-    saved = context.ranks.checkpoint(load_checkpoint(partial.checkpoint) if context.ranks.first else None)
+    device = gpu_of(context)
+    if device and settings.kinds != Kinds():
+        context.progress.say("computing on the CPU: of the kinds of fields only vm has GPU kernels to fit it with")
+        device = None
+    engine = _engine(device, settings)
+    say, ranks = context.progress.say, context.ranks
+    fitter = Fitter(space, bank, len(held_out), settings, context.seed, threads, say, ranks, engine)
+    saved = ranks.checkpoint(load_checkpoint(partial.checkpoint) if ranks.first else None)
     if saved is not None:
         fitter.resume(*saved)
         context.progress.say(f"going on from step {fitter.state.step}, {fitter.state.seconds:.0f} s into the fit")
-    with compiling_note(context.progress.say):
+    with nullcontext() if device else compiling_note(context.progress.say):
         _train(fitter, config, partial, context)
-    if context.ranks.first:
+    if ranks.first:
         save_field(partial.path, fitter.field, "none" if fitter.field.closed else _shown(settings.background))
-    return _figures(fitter, held_out, reason)
+    return _figures(fitter, held_out, reason) | gpu_figures(device)
+
+
+def _engine(device: str | None, settings: FitSettings):
+    """What the fit computes with; None: the CPU's."""
+    if device is None:
+        return None
+    from stylerf.training.device_engine import DeviceEngine
+
+    return functools.partial(DeviceEngine, device=device, samples=settings.samples)
 
 
 def _train(fitter: Fitter, config: FitConfig, partial: Partial, context: Context) -> None:
@@ -54,7 +72,7 @@ def _train(fitter: Fitter, config: FitConfig, partial: Partial, context: Context
         if now.state.step % 10 == 0:
             note = _quality(now.state.curve[-1]) if now.state.curve else ""
             done = now.state.step if steps else min(now.state.seconds, now.settings.seconds)
-            context.progress.update(done, f"{note}, {now.field.parameters / 1e6:.2f} M parameters")
+            context.progress.update(done, f"{note}, {now.parameters / 1e6:.2f} M parameters")
         if context.ranks.first and time.monotonic() - saved_at > config.checkpoint_every_seconds:
             save_checkpoint(partial.checkpoint, *now.checkpoint())
             saved_at = time.monotonic()

@@ -3,8 +3,10 @@
 Roles of the inputs: `scene`, `field`, and `region.<name>` for every region whose mask is to be written.
 """
 
+import functools
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,6 +20,7 @@ from schemas.images import linear_from_srgb, to_uint8, write_png
 from schemas.scene import as_matrix
 from schemas.store import Artefact, Partial
 from stages.configs.render import RenderConfig, frames_of
+from stages.devices import gpu_figures, gpu_of
 from stages.fields import load_field
 from stages.masks import CHANNEL, channels_of, regions_among
 from stages.progress import Context
@@ -51,9 +54,11 @@ def run(inputs: dict[str, Artefact], config: RenderConfig, partial: Partial, con
         context.progress.say(f"field {inputs['field'].name} has no deformation: no displacement pictures")
     context.progress.start("render", len(shots), "frame")
     frames = []
-    with compiling_note(context.progress.say):
+    device = gpu_of(context, field)
+    seen = _on_device(field, device) if device else functools.partial(render_view, field, chunks=threads)
+    with nullcontext() if device else compiling_note(context.progress.say):
         for done, (camera, view) in enumerate(shots):
-            frames.append(_frame(field, background, camera, view, config, partial.path, threads, attributes, cells))
+            frames.append(_frame(field, background, camera, view, config, partial.path, seen, attributes, cells))
             context.progress.update(done + 1)
     context.progress.finish()
     video = _video(partial.path, [f.png for f in frames], config, context) if config.video else None
@@ -61,7 +66,17 @@ def run(inputs: dict[str, Artefact], config: RenderConfig, partial: Partial, con
         partial.path,
         Frames(inputs["field"].name, config.path, tuple(frames), config.fps, channels if config.exr else {}),
     )
-    return {"frames": len(frames), "pixels": int(sum(c.width * c.height for c, _ in shots)), "video": video}
+    return {
+        "frames": len(frames),
+        "pixels": int(sum(c.width * c.height for c, _ in shots)),
+        "video": video,
+    } | gpu_figures(device)
+
+
+def _on_device(field: RadianceField, device: str) -> Callable[..., RenderedView]:
+    from stylerf.rendering.device_view import DeviceRenderer
+
+    return DeviceRenderer(field, device).view
 
 
 def pinned(config: RenderConfig) -> RenderConfig:
@@ -128,12 +143,12 @@ def _cameras_of_file(path: Path, like: Camera) -> list[Camera]:
     return cameras
 
 
-def _frame(field, background, camera, view, config, folder: Path, threads, attributes, regions) -> Frame:
+def _frame(field, background, camera, view, config, folder: Path, seen, attributes, regions) -> Frame:
     name = camera.name if view is not None else f"{int(camera.name):04d}" if camera.name.isdigit() else camera.name
     frame = Frame(name, f"exr/{name}.exr" if config.exr else "", f"png/{name}.png", _camera_entry(camera), view)
     if (folder / frame.png).is_file() and (not config.exr or (folder / frame.exr).is_file()):
         return frame
-    rendered = render_view(field, camera, chunks=threads, regions=regions)
+    rendered = seen(camera, regions=regions)
     if config.exr:
         write_exr(folder / frame.exr, exr_view(rendered, camera, field, attributes))
     if config.masks:

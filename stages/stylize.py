@@ -13,6 +13,7 @@ from schemas.images import to_uint8, write_png
 from schemas.store import Artefact, Partial
 from stages.configs.fit import budget_of
 from stages.configs.stylize import COLOUR_CELLS, StylizeConfig
+from stages.devices import gpu_figures, gpu_of
 from stages.fields import (
     load_checkpoint,
     load_deformation,
@@ -63,6 +64,9 @@ def run(inputs: dict[str, Artefact], config: StylizeConfig, partial: Partial, co
     painting = read_painting(Path(config.style))
     level = level_of(background)
     memory = _room_for(scene, views, context)
+    device = gpu_of(context)
+    if device and deformation is not None:
+        context.progress.say("features and matching run on the GPU, rays through a moving field on the CPU")
     try:
         stylizer = Stylizer(
             field,
@@ -70,13 +74,14 @@ def run(inputs: dict[str, Artefact], config: StylizeConfig, partial: Partial, co
             Kept(lambda place: photo_over(scene, views[place], level), len, len(views), 0),
             level,
             painting,
-            Trunk(resolved.state, config.taps, resolved.kind),
+            Trunk(resolved.state, config.taps, resolved.kind).to(device or "cpu"),
             settings_of(config, max(max(c.width, c.height) for c in scene.cameras), field.closed),
             context.seed,
             threads,
             functools.partial(new_colour, config),
             deformation,
             memory,
+            device,
         )
     except InvalidValue as error:
         raise BadInput(f"{config.style} on {inputs['field'].path}: {error}") from error
@@ -100,6 +105,7 @@ def run(inputs: dict[str, Artefact], config: StylizeConfig, partial: Partial, co
         "parameters": stylizer.field.parameters,
         "features": resolved.manifest(),
         "views": len(views),
+        **gpu_figures(device),
     }
 
 

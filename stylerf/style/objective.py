@@ -19,7 +19,7 @@ from stylerf.style.losses import (
     position_weights,
 )
 from stylerf.style.matching import StyleRows, style_rows
-from stylerf.style.trunks import Trunk
+from stylerf.style.trunks import Trunk, features
 
 CELLS = 32  # of the longer side: the grain at which colours are kept
 Window = tuple[slice, slice]  # rows and columns of a picture
@@ -64,6 +64,9 @@ class Content:
 class StyleObjective:
     """Loss of a picture [3, h, w] against a painting, with the painting's features computed once.
 
+    Pictures, photos and alphas lie where the trunk does. On a GPU the trunk runs in bfloat16 and neighbours are sought
+    among features rounded to it; what is summed up is float32.
+
     scale: size of the picture that features are taken from (0.5: ARF). most_rows: style features kept for matching;
     basis: leading directions in which neighbours are sought (0: all, exact). variation: squared (ARF) or diagonal
     (DeSRF eq. 6, its mean over pixels). around: feature positions beside the object that count too.
@@ -86,9 +89,11 @@ class StyleObjective:
         self.around = around
         self.variation = VARIATIONS[variation]
         self.trunk, self.weights, self.scale = trunk, weights, scale
-        picture = style_picture(painting, *size, scale=scale * style_scale)
+        self.device = trunk.input_scale.device
+        self.half, self.memory_mb = (torch.bfloat16, 1024.0) if self.device.type == "cuda" else (None, 64.0)
+        picture = style_picture(painting, *size, scale=scale * style_scale).to(self.device)
         with torch.no_grad():
-            found = by_block(trunk.taps, trunk(picture[None]))
+            found = by_block(trunk.taps, features(trunk, picture[None], self.half))
         self.style: dict[str, StyleRows] = {}
         self.unit = {block: float(feature.square().mean().clamp_min(1e-12)) for block, feature in found.items()}
         for block, feature in found.items():
@@ -99,7 +104,7 @@ class StyleObjective:
         """Features by block of a window of a picture [3, h, w], at the feature scale."""
         part = picture[:, *window]
         small = resized(part, *feature_size(*part.shape[1:], self.scale))
-        return by_block(self.trunk.taps, self.trunk(small[None]))
+        return by_block(self.trunk.taps, features(self.trunk, small[None], self.half))
 
     @torch.no_grad()
     def content_of(self, photo: Tensor, window: Window = EVERYTHING) -> Content:
@@ -118,7 +123,7 @@ class StyleObjective:
         style_loss, content_loss = picture.new_zeros(()), picture.new_zeros(())
         for block, rows in self.style.items():
             weights = None if alpha is None else position_weights(alpha[window], found[block], self.around)
-            distances, _ = nearest_neighbour_distance(found[block], rows, weights)
+            distances, _ = nearest_neighbour_distance(found[block], rows, weights, self.memory_mb, self.half)
             total = distances.numel() if weights is None else weights.sum().clamp_min(1e-6)
             style_loss = style_loss + distances.sum() / total
             if content is not None and self.weights.content > 0:

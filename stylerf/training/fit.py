@@ -17,11 +17,9 @@ from stylerf.errors import Diverged
 from stylerf.fields.capacity import Capacity
 from stylerf.fields.field import RadianceField
 from stylerf.fields.occupancy import Occupancy
-from stylerf.fields.samples import Rays
 from stylerf.geometry.space import Space
-from stylerf.rendering.rays import backward, render_rays
+from stylerf.training.engine import Batch, CpuEngine, Engine, background_of
 from stylerf.training.ladders import LADDER, Kinds, Rung, capacity_at, first_parts
-from stylerf.training.optimiser import Adam
 from stylerf.training.ranks import ALONE, Ranks
 from stylerf.training.rays import RayBank
 
@@ -88,8 +86,9 @@ def psnr_from_mse(mse: float) -> float:
 class Fitter:
     """The loop: `run()` trains until the budget is spent, calling `on_step` after every step.
 
-    bank: training rays, the `held_out` last views kept for decisions. on_say: told of choices in words.
-    ranks: the processes that train this field together; settings.samples are of all of them.
+    bank: training rays, the `held_out` last views kept for decisions. on_say: told of choices in words. ranks: the
+    processes that train this field together; settings.samples are of all of them. engine: from (bank, seed, chunks, the
+    first field, ranks); None: the CPU's.
     """
 
     def __init__(
@@ -102,19 +101,19 @@ class Fitter:
         chunks: int,
         on_say: Callable[[str], None] = lambda text: None,
         ranks: Ranks = ALONE,
+        engine: Callable[[RayBank, int, int, RadianceField, Ranks], Engine] | None = None,
     ) -> None:
         self.space, self.bank, self.held_out, self.settings = space, bank, held_out, settings
         self.seed, self.chunks, self.on_say, self.ranks = seed, chunks, on_say, ranks
         self.state = FitState()
         rung, generator = settings.ladder[0], np.random.default_rng([seed, 1])
-        parts = first_parts(settings.kinds, self._capacity(rung), settings.degree, generator)
-        self.field = RadianceField(
+        first = RadianceField(
             space,
-            *parts,
+            *first_parts(settings.kinds, self._capacity(rung), settings.degree, generator),
             Occupancy(rung.cells),
             1.0 / rung.resolution,
         )
-        self._reset_optimisers()
+        self.engine = (engine or CpuEngine)(bank, seed, chunks, first, ranks)
         self._held_out_rays = self._choose_held_out()
         self._anchor: dict | None = None
         self._refreshed_at = -1
@@ -122,9 +121,15 @@ class Fitter:
 
     # -- capacity ---------------------------------------------------------------------------------------------------
 
-    def _reset_optimisers(self) -> None:
-        self.density_adam = Adam(self.field.density.values, self.field.density.groups(), self.chunks)
-        self.colour_adam = Adam(self.field.colour.values, self.field.colour.groups(), self.chunks)
+    @property
+    def field(self) -> RadianceField:
+        """The field as it now stands."""
+        return self.engine.field
+
+    @property
+    def parameters(self) -> int:
+        """Learnable numbers of the field; asks nothing of a device."""
+        return self.engine.parameters
 
     def _capacity(self, rung: Rung, occupancy: Occupancy | None = None) -> Capacity:
         settings = self.settings
@@ -134,15 +139,15 @@ class Fitter:
         generator = np.random.default_rng([self.seed, 2, rung.resolution])
         old = self.field
         capacity = self._capacity(rung, old.occupancy)
-        self.field = RadianceField(
+        grown = RadianceField(
             self.space,
             old.density.grown(capacity, generator),
             old.colour.grown(capacity, generator),
             old.occupancy.resized(rung.cells) if rung.cells != old.occupancy.cells else old.occupancy,
             1.0 / rung.resolution,
         )
-        self.field.occupancy.decide(self.field.step)
-        self._reset_optimisers()
+        grown.occupancy.decide(grown.step)
+        self.engine.adopt(grown)
 
     def _choose_held_out(self):
         """At most 16,384 rays of the held-out views, or of all views where none is held out."""
@@ -158,24 +163,9 @@ class Fitter:
 
     def held_out_psnr(self) -> float:
         """PSNR over the held-out rays (training rays where no view is held out), on the evaluation background, dB."""
-        origins, directions, colours = self._held_out_rays
-        background = self._background(len(origins), None)
-        begins = range(0, len(origins), 4096)
-        sums = np.zeros(len(begins))
-        for number in range(self.ranks.place, len(begins), self.ranks.count):
-            part = slice(begins[number], begins[number] + 4096)
-            rays = Rays.of(origins[part], directions[part], self.space.near)
-            out = render_rays(self.field, rays, chunks=self.chunks).out
-            error = _over(out[:, :3], out[:, 3:4], background[part]) - _target(colours[part], background[part])
-            sums[number] = np.square(np.clip(error, -1, 1)).sum()
-        self.ranks.add(sums)
-        return psnr_from_mse(sum(sums.tolist()) / (3 * len(origins)))
-
-    def _background(self, count: int, generator) -> np.ndarray:
-        if self.settings.background == "random" and generator is not None:
-            return generator.random((count, 3), dtype=np.float32)
-        level = 0.0 if self.settings.background in ("black", "none") else 1.0
-        return np.full((count, 3), level, np.float32)
+        background = background_of(self.settings.background, len(self._held_out_rays[0]), None)
+        total = self.engine.squared_error(*self._held_out_rays, background)
+        return psnr_from_mse(total / (3 * len(background)))
 
     # -- one step ---------------------------------------------------------------------------------------------------
 
@@ -188,59 +178,30 @@ class Fitter:
     def step(self) -> float:
         """One optimisation step; its mean squared error."""
         settings, state = self.settings, self.state
-        generator = np.random.default_rng([self.seed, 4, state.step])
         # Once a step, however often lack of memory has it begun anew: processes must not differ in it.
         if state.step >= 16 and state.step % _refresh_every(state.step) == 0 and self._refreshed_at != state.step:
             self._refreshed_at = state.step
-            share = 1 if state.step < 300 else 4
-            self.field.occupancy.refresh(
-                lambda x: self.field.density.sigma(x, self.chunks),
-                self.field.step,
-                self.seed + state.step,
-                share,
-                0.9,
-            )
-        count = state.rays
-        own = self.ranks.own(count)
+            self.engine.refresh(self.seed + state.step, 1 if state.step < 300 else 4)
         among = len(self.bank.cameras)
         if self.held_out and self.progress < settings.held_out_until:
             among -= self.held_out
-        origins, directions, colours, _ = self.bank.draw(count, generator, among, settings.lit_share, own)
-        jitter = generator.random(count, dtype=np.float32)[own]
-        background = self._background(count, generator)[own]
-        error, live = 0.0, 0
-        for part in np.array_split(np.arange(len(origins)), state.parts):
-            part = slice(int(part[0]), int(part[-1]) + 1)
-            rays = Rays.of(origins[part], directions[part], self.space.near, jitter[part])
-            rendered = render_rays(self.field, rays, chunks=self.chunks)
-            out, back = rendered.out, background[part]
-            difference = _over(out[:, :3], out[:, 3:4], back) - _target(colours[part], back)
-            error += float(np.square(difference).sum())
-            live += rendered.samples.count
-            gradients = np.zeros_like(out)
-            gradients[:, :3] = difference * np.float32(2 / (3 * count))
-            gradients[:, 3] = -(gradients[:, :3] * back).sum(1)
-            to = self.density_adam.gradients, self.colour_adam.gradients
-            backward(self.field, rendered, gradients, *to, even_from=settings.even_from)
-        if state.step % SMOOTH_EVERY == 0:
-            self._smooth()
-        rate = settings.rate * settings.final_rate**self.progress * state.rate_scale
-        totals = np.array([error, live], np.float64)
-        self.ranks.add(totals)
-        error, live = totals.tolist()
-        for adam in (self.density_adam, self.colour_adam):
-            self.ranks.add_gradients(adam.gradients)
-        self.density_adam.step(rate)
-        self.colour_adam.step(rate)
+        smoothing = SMOOTH_EVERY if state.step % SMOOTH_EVERY == 0 else 0
+        learnt = self.engine.learn(
+            Batch(
+                step=state.step,
+                rays=state.rays,
+                parts=state.parts,
+                among=among,
+                lit_share=settings.lit_share,
+                background=settings.background,
+                rate=settings.rate * settings.final_rate**self.progress * state.rate_scale,
+                smoothness=tuple(smoothing * weight for weight in settings.smoothness),
+                even_from=settings.even_from,
+            )
+        )
         state.step += 1
-        state.rays = _rays_for(settings.samples, live / count, state.rays)
-        return error / (3 * count)
-
-    def _smooth(self) -> None:
-        both = (self.field.density, self.density_adam), (self.field.colour, self.colour_adam)
-        for weight, (part, adam) in zip(self.settings.smoothness, both):
-            if weight > 0 and self.ranks.first:
-                part.smooth(SMOOTH_EVERY * weight, adam.gradients[0])
+        state.rays = _rays_for(settings.samples, learnt.live, state.rays, self.engine.most_rays)
+        return learnt.error
 
     # -- the loop ---------------------------------------------------------------------------------------------------
 
@@ -267,29 +228,18 @@ class Fitter:
 
     def warm_up(self) -> None:
         """Compile every kernel that a step uses, for every rank of the ladder, without learning anything."""
-        generator = np.random.default_rng(0)
-        origins, directions, _, _ = self.bank.draw(16, generator)
-        rays = Rays.of(origins, directions, self.space.near)
-        for density_rank, colour_rank in {(r.density_rank, r.colour_rank) for r in self.settings.ladder}:
-            rung = Rung(8, density_rank, colour_rank, 8, 8)
-            density, colour = first_parts(self.settings.kinds, self._capacity(rung), self.settings.degree, generator)
-            scratch = RadianceField(self.space, density, colour, Occupancy(8), 1 / 8)
-            scratch.occupancy.refresh(lambda x, d=density: d.sigma(x, self.chunks), 1 / 8, 0, 1, 0.9)
-            rendered = render_rays(scratch, rays, chunks=self.chunks)
-            adams = [Adam(part.values, part.groups(), self.chunks) for part in (density, colour)]
-            to = adams[0].gradients, adams[1].gradients
-            backward(scratch, rendered, np.ones_like(rendered.out), *to, even_from=self.settings.even_from)
-            for part, adam, weight in zip((density, colour), adams, self.settings.smoothness):
-                if weight > 0:
-                    part.smooth(weight, adam.gradients[0])
-                adam.step(1e-3)
+        settings, generator, scratch = self.settings, np.random.default_rng(0), []
+        for density_rank, colour_rank in {(r.density_rank, r.colour_rank) for r in settings.ladder}:
+            capacity = self._capacity(Rung(8, density_rank, colour_rank, 8, 8))
+            parts = first_parts(settings.kinds, capacity, settings.degree, generator)
+            scratch.append(RadianceField(self.space, *parts, Occupancy(8), 1 / 8))
+        self.engine.warm_up(scratch, settings.smoothness, settings.even_from)
 
     def _halve_parts(self) -> None:
         self.state.parts *= 2
         if self.state.parts > 64:
             raise MemoryError("not even a sixty-fourth of a batch fits in memory")
-        self.density_adam.gradients[:] = 0
-        self.colour_adam.gradients[:] = 0
+        self.engine.discard()
         self.on_say(f"out of memory: batches are now worked off in {self.state.parts} parts")
 
     @property
@@ -314,16 +264,14 @@ class Fitter:
 
     def _check(self) -> None:
         state = self.state
-        # Sums are the same everywhere; what unlike processors round otherwise in what follows them must not add up.
-        for part in (self.field.density, self.field.colour):
-            self.ranks.take_first(part.values)
+        self.engine.agree()
         quality = self.held_out_psnr()
         state.curve.append(
             {
                 "step": state.step,
                 "seconds": round(state.seconds, 2),
                 "psnr": round(quality, 3),
-                "parameters": self.field.parameters,
+                "parameters": self.parameters,
                 "held_out": self.held_out > 0 and self.progress < self.settings.held_out_until,
             }
         )
@@ -375,11 +323,11 @@ class Fitter:
             state.best = max(state.best, quality)
             self._anchor = self._snapshot()
             return quality
-        parameters = self.field.parameters
+        parameters = self.parameters
         self._restore(self._anchor)
         state.rung, state.fixed = state.rung - 1, True
         text = (
-            f"{new.resolution}^3 dropped: {gain:+.2f} dB for {parameters / self.field.parameters:.1f} times the size; "
+            f"{new.resolution}^3 dropped: {gain:+.2f} dB for {parameters / self.parameters:.1f} times the size; "
             f"staying at {old.resolution}^3"
         )
         state.decisions.append(text)
@@ -402,17 +350,14 @@ class Fitter:
     # -- snapshots --------------------------------------------------------------------------------------------------
 
     def _snapshot(self) -> dict:
-        arrays = {k: v.copy() for k, v in self.field.arrays().items()}
-        for name, adam in (("density", self.density_adam), ("colour", self.colour_adam)):
-            arrays |= {f"{name}.{k}": v.copy() for k, v in adam.arrays().items()}
-        return {"field": self.field.describe(), "arrays": arrays}
+        field = self.field
+        arrays = {k: v.copy() for k, v in (field.arrays() | self.engine.moments()).items()}
+        return {"field": field.describe(), "arrays": arrays}
 
     def _restore(self, snapshot: dict) -> None:
         arrays = {k: v.copy() for k, v in snapshot["arrays"].items()}
-        self.field = RadianceField.restore(snapshot["field"], arrays)
-        self._reset_optimisers()
-        for name, adam in (("density", self.density_adam), ("colour", self.colour_adam)):
-            adam.restore({k: arrays[f"{name}.{k}"] for k in ("first", "second", "steps")})
+        self.engine.adopt(RadianceField.restore(snapshot["field"], arrays))
+        self.engine.restore_moments(arrays)
 
     def checkpoint(self) -> tuple[dict, dict[str, np.ndarray]]:
         """(JSON, arrays) from which `resume` goes on exactly as if nothing had happened."""
@@ -436,10 +381,10 @@ class Fitter:
             self._anchor = {"field": data["anchor"], "arrays": kept}
 
 
-def _rays_for(samples: int, live: float, before: int) -> int:
-    """Rays of the next step: as many as bring `samples` samples at `live` a ray, moving slowly, 256 to 16,384."""
+def _rays_for(samples: int, live: float, before: int, most: int) -> int:
+    """Rays of the next step: as many as bring `samples` samples at `live` a ray, moving slowly, 256 to `most`."""
     wanted = samples / max(live, 1.0)
-    return int(np.clip(0.8 * before + 0.2 * wanted, 256, 16384))
+    return int(np.clip(0.8 * before + 0.2 * wanted, 256, most))
 
 
 def _finite(value: float) -> float | None:
@@ -448,13 +393,3 @@ def _finite(value: float) -> float | None:
 
 def _refresh_every(step: int) -> int:
     return 8 if step < 64 else 16 if step < 300 else 64
-
-
-def _over(rgb: np.ndarray, alpha: np.ndarray, background: np.ndarray) -> np.ndarray:
-    """Premultiplied rgb over a background."""
-    return rgb + (1 - alpha) * background
-
-
-def _target(colours: np.ndarray, background: np.ndarray) -> np.ndarray:
-    """Straight rgba over a background."""
-    return colours[:, :3] * colours[:, 3:] + (1 - colours[:, 3:]) * background

@@ -87,7 +87,8 @@ class Stylizer:
     background: level of grey behind the field. deformation: moves the shapes too, from how it stands (DeSRF); None
     holds them fast (ARF). new_colour: the colour to learn, from a generator and the cells a side that are as wide as a
     pixel sees (nan: nothing is seen). memory: bytes that surfaces, features and photos may take together; those beyond
-    are made anew each time.
+    are made anew each time. device: where fixed shapes are painted; None: the CPU's kernels, on which shapes that move
+    stay. The trunk works where it lies.
     """
 
     def __init__(
@@ -104,7 +105,9 @@ class Stylizer:
         new_colour: Callable[[np.random.Generator, float], object],
         deformation: Deformation | None = None,
         memory: float = MEMORY,
+        device: str | None = None,
     ) -> None:
+        self.device, self.memory = device if deformation is None else None, memory
         self.settings, self.seed, self.chunks, self.background = settings, seed, chunks, np.float32(background)
         self.cameras, self.painting, self.trunk = cameras, painting, trunk
         self.field = replace(scene, colour_map=None, share=settings.share)
@@ -115,22 +118,40 @@ class Stylizer:
             # A walk costs by its samples, and its step cannot change later: colours are learnt where it samples them.
             self.field.step = max(self.field.step, COARSEST_STEP)
             self.deformer = Deformer(self.field, deformation, cameras, vertices, seed, chunks)
-        self.still = FixedGeometry(self._at_rest(), cameras, settings.share, chunks, SURFACES * memory)
+        self.still = self._fixed_geometry()
         self.geometry: FixedGeometry | MovingGeometry = self.still
         self.field.colour = new_colour(np.random.default_rng([seed, 1]), self._pixel_cells())
         self.still.field.colour = self.field.colour
-        self.adam = Adam(self.field.colour.values, self.field.colour.groups(), chunks)
+        self.adam = self._new_adam()
         least = math.ceil(2 * trunk.stride / settings.feature_scale * (2 if settings.coarse > 0 else 1))
         self.windows = [
             EVERYTHING if self.closed else window_of(self.geometry.alpha(view), least) for view in range(len(cameras))
         ]
-        self.memory = memory
         self.photos = Kept(self._matched(photos), lambda photo: photo.nbytes, len(cameras), PHOTOS * memory)
         self.state = StyleState()
         self._objective: StyleObjective | None = None
         self._content = self._kept_content()
         self._remembered: dict[int, np.ndarray] = {}
         self.between_steps = True
+
+    def _fixed_geometry(self) -> FixedGeometry:
+        still = self._at_rest()
+        if self.device is None:
+            return FixedGeometry(still, self.cameras, self.settings.share, self.chunks, SURFACES * self.memory)
+        from stylerf.training.device_geometry import DeviceFixedGeometry
+
+        return DeviceFixedGeometry(still, self.cameras, self.settings.share, self.device)
+
+    def _new_adam(self) -> Adam:
+        """An optimiser of the colours as they stand, without a past."""
+        if self.device is None:
+            return Adam(self.field.colour.values, self.field.colour.groups(), self.chunks)
+        return self.still.new_adam()
+
+    def _collect(self) -> None:
+        """Bring what the colours have learnt on a device into the field's own array."""
+        if self.device is not None:
+            self.still.collect()
 
     def _pixel_cells(self) -> float:
         """Cells a side of the cube as wide as what a pixel sees: the median of up to four views, nan if none sees."""
@@ -180,13 +201,13 @@ class Stylizer:
         """One step of colours towards the matched photos; its mean squared error."""
         generator = np.random.default_rng([self.seed, 2, self.state.step])
         view = int(generator.integers(len(self.cameras)))
-        surface = self.geometry.surface(view)
-        lit = np.flatnonzero(surface.alpha.ravel() > 1e-3)
+        covered = self.geometry.alpha(view).ravel()
+        lit = np.flatnonzero(covered > 1e-3)
         if len(lit) == 0:
             return 0.0
         pixels = lit[generator.integers(0, len(lit), self.settings.refit_pixels)]
         rgb, kept = self.geometry.paint(view, pixels)
-        alpha = surface.alpha.ravel()[pixels, None]
+        alpha = covered[pixels, None]
         difference = rgb + (1 - alpha) * self.background - self.photos[view].reshape(-1, 3)[pixels]
         self.geometry.learn(kept, difference * np.float32(2 / difference.size), self.adam.gradients)
         self.adam.step(self.settings.refit_rate * 0.1**self.progress)
@@ -255,11 +276,12 @@ class Stylizer:
         if not self.closed:
             coverage = self.geometry.alpha(view)
             rgb = rgb + (1 - coverage[..., None]) * self.background
-            alpha = torch.from_numpy(coverage)
-        picture = torch.from_numpy(np.ascontiguousarray(rgb)).permute(2, 0, 1).contiguous().requires_grad_()
+            alpha = torch.from_numpy(coverage).to(self.objective.device)
+        there = torch.from_numpy(np.ascontiguousarray(rgb)).to(self.objective.device)
+        picture = there.permute(2, 0, 1).contiguous().requires_grad_()
         loss, parts = self.objective(picture, self._content_of(view), alpha, self.windows[view])
         loss.backward()
-        return picture.grad.permute(1, 2, 0).contiguous().numpy(), parts
+        return picture.grad.permute(1, 2, 0).contiguous().cpu().numpy(), parts
 
     @property
     def objective(self) -> StyleObjective:
@@ -292,7 +314,7 @@ class Stylizer:
         """What the views' photos show to the objective as it stands."""
 
         def content(view: int) -> Content:
-            photo = torch.from_numpy(self.photos[view]).permute(2, 0, 1).contiguous()
+            photo = torch.from_numpy(self.photos[view]).to(self.objective.device).permute(2, 0, 1).contiguous()
             return self.objective.content_of(photo, self.windows[view])
 
         return Kept(content, lambda made: made.bytes, len(self.cameras), CONTENT * self.memory)
@@ -325,11 +347,13 @@ class Stylizer:
             self.between_steps = False  # half of this change would make a checkpoint of neither phase
             state.phase, state.step, state.seconds = "style", 0, 0.0
             self._let_shapes_move()
-            self.adam = Adam(self.field.colour.values, self.field.colour.groups(), self.chunks)
+            self._collect()
+            self.adam = self._new_adam()
             self.between_steps = True
             return
         if self.settings.match in ("after", "both"):
             self.field = replace(self.field, colour_map=self.final_match())
+        self._collect()
         # Last: a checkpoint holds no colour map, so one of an interrupted match must not say that all is done.
         state.phase = "done"
 
@@ -354,6 +378,7 @@ class Stylizer:
 
     def checkpoint(self) -> tuple[dict, dict[str, np.ndarray]]:
         """(JSON, arrays) to go on from."""
+        self._collect()
         arrays = {"colour": self.field.colour.values.copy()}
         arrays |= {f"adam.{k}": v.copy() for k, v in self.adam.arrays().items()}
         arrays |= {f"seen.{view}": picture.astype(np.float32) for view, picture in self._remembered.items()}
@@ -367,7 +392,7 @@ class Stylizer:
         """From checkpoint()."""
         self.state = StyleState(**data["state"])
         self.field.colour.values[:] = arrays["colour"]
-        self.adam = Adam(self.field.colour.values, self.field.colour.groups(), self.chunks)
+        self.adam = self._new_adam()
         self.adam.restore({k: arrays[f"adam.{k}"] for k in ("first", "second", "steps")})
         self._remembered = {int(k[5:]): v.copy() for k, v in arrays.items() if k.startswith("seen.")}
         if self.deformer is not None:

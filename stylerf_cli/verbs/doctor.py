@@ -103,7 +103,18 @@ def _kernels() -> list[dict]:
     if not compiled:
         words += "; the first fit compiles them, which takes a minute or so"
     how = "set STYLERF_CACHE to a folder that you may write to; without it every run compiles anew"
-    return [_check("kernels", "cache", _writable(folder), words, how)]
+    return [_check("kernels", "cache", _writable(folder), words, how), _gpu_kernels()]
+
+
+def _gpu_kernels() -> dict:
+    from stylerf.kernels.gpu import unavailable
+
+    why = unavailable()
+    if why is None:
+        parts = "march, vm density and colour, hash colour, composite, Adam"
+        return _check("kernels", "gpu", True, f"Triton {version('triton')}: {parts}", needed=False)
+    how = "on a machine with an NVIDIA GPU: the CUDA build of torch; without it the CPU's kernels are used"
+    return _check("kernels", "gpu", False, why, how, needed=False)
 
 
 def _writable(folder: Path) -> bool:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from stylerf.errors import Diverged
-from stylerf.training import fit as module
+from stylerf.training import engine as module
 from stylerf.training.fit import Fitter
 from tests.stylerf.training.running import Stopped, assert_same_bits, now, result_of, resumed, run_until
 from tests.stylerf.training.scenes import LADDER, box_fitter
@@ -205,7 +205,7 @@ def step_gradients(parts: int, **more) -> list[np.ndarray]:
     """Gradients of one step in a half-learnt field, before the optimiser takes them."""
     fitter, found = resumed(box_fitter(60), run_until(box_fitter(60), 33)), []
     fitter.state.parts = parts
-    for adam in (fitter.density_adam, fitter.colour_adam):
+    for adam in (fitter.engine.density_adam, fitter.engine.colour_adam):
         adam.step = lambda rate, adam=adam: found.append(adam.gradients.sum(0, dtype=np.float64))
     fitter.step()
     return found
@@ -238,7 +238,7 @@ def gradients_and_variation(at: int, weight: float) -> tuple[list[np.ndarray], l
     variation = [np.zeros(len(part.values), np.float32) for part in (fitter.field.density, fitter.field.colour)]
     fitter.field.density.smooth(8 * weight, variation[0])
     fitter.field.colour.smooth(16 * weight, variation[1])
-    for adam in (fitter.density_adam, fitter.colour_adam):
+    for adam in (fitter.engine.density_adam, fitter.engine.colour_adam):
         adam.step = lambda rate, adam=adam: found.append(adam.gradients.sum(0))
     fitter.step()
     return found, variation

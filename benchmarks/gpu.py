@@ -1,0 +1,313 @@
+"""The GPU path measured: `python -m benchmarks.gpu DATA OUT.json [PARTS]`.
+
+DATA holds lego, fern and styles (see benchmarks/fits.py). PARTS: ceilings, kernels, lego, fern, arf, desrf, edit,
+render; all if none is named. Writes no figure where there is no GPU: it stops.
+
+Protocol: fits, stylisations and edits are the stylerf commands below with --device cuda, one process each; seconds are
+the manifests' (training alone where it says so). Lego is fitted anew for each budget; its time to a quality is the
+smallest budget whose fit reaches it on the test views, white background. Frames are whole views of the longest fit,
+kept on the device. Kernels: median of 30 launches after 5, timed by events, inputs random. `bound` counts each input
+once and each output once; what a kernel gathers again from the cache is not counted, so its share of the bandwidth is
+a lower bound. One seed.
+"""
+
+import json
+import os
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+import torch
+
+BUDGETS = ("5s", "10s", "20s", "40s")
+GOALS = (31.0, 33.0)
+SAMPLES = "262144"  # a step's; a batch of the CPU's size leaves a GPU waiting for launches
+SHOVEL = ["--at", "r_10:600,180", "--at", "r_10:488,200", "--neck", "0", "--tolerance", "26", "--reach", "0.38"]
+
+
+class NoGpu(SystemExit):
+    """Nothing was measured."""
+
+
+def device_here() -> torch.device:
+    """The GPU, or NoGpu in one line."""
+    from stylerf.kernels.gpu import interpreted, unavailable
+
+    why = "Triton's interpreter is on (TRITON_INTERPRET=1)" if interpreted() else unavailable()
+    if why is not None:
+        raise NoGpu(f"no figures written: {why}")
+    return torch.device("cuda")
+
+
+def stylerf(*arguments: str) -> dict:
+    """One command, its --json object."""
+    command = [sys.executable, "-m", "stylerf_cli.main", *arguments, "--json"]
+    return json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
+
+
+def seconds_of(call, device: torch.device, repeats: int = 30) -> tuple[float, float]:
+    """(median, spread: half of the range of the middle half) of one call, seconds."""
+    times = []
+    for number in range(5 + repeats):
+        if device.type == "cuda":
+            begin, end = (torch.cuda.Event(enable_timing=True) for _ in range(2))
+            begin.record()
+            call()
+            end.record()
+            end.synchronize()
+            took = begin.elapsed_time(end) / 1e3
+        else:
+            begun = time.perf_counter()
+            call()
+            took = time.perf_counter() - begun
+        if number >= min(5, repeats):
+            times.append(took)
+    quarters = statistics.quantiles(times, n=4) if len(times) > 1 else [times[0]] * 3
+    return statistics.median(times), (quarters[2] - quarters[0]) / 2
+
+
+def ceilings(device: torch.device, megabytes: int = 2048, side: int = 8192, repeats: int = 30) -> dict:
+    """Copy bandwidth (bytes read plus bytes written) and matrix products' rate."""
+    source = torch.rand(megabytes << 18, device=device)
+    target = torch.empty_like(source)
+    copy, _ = seconds_of(lambda: target.copy_(source), device, repeats)
+    found = {"copy_gb_per_s": round(2 * source.nbytes / copy / 1e9, 1)}
+    for name, dtype in (("bfloat16", torch.bfloat16), ("float32", torch.float32)):
+        a, b = (torch.randn((side, side), device=device, dtype=dtype) for _ in range(2))
+        product, _ = seconds_of(lambda a=a, b=b: a @ b, device, repeats)
+        found[f"matmul_{name}_tflop_per_s"] = round(2 * side**3 / product / 1e12, 2)
+    return found
+
+
+def random_field(vertices: int, hashed: bool = False):
+    """A box of thin fog at the ladder's ranks, with half of its cells occupied."""
+    from stylerf.fields.field import RadianceField
+    from stylerf.fields.hash import HashColour
+    from stylerf.fields.occupancy import Occupancy
+    from stylerf.fields.vm import VmColour, VmDensity
+    from stylerf.geometry.space import Space
+
+    generator, size = np.random.default_rng(0), np.full(3, vertices)
+    colour = HashColour.create(generator) if hashed else VmColour.create(size, 24, 1, generator)
+    occupancy = Occupancy(min(64, vertices))
+    occupancy.set_occupied(generator.random(occupancy.cells**3) < 0.5)
+    density = VmDensity.create(size, 16, generator, -2.0)
+    return RadianceField(Space.box([-1] * 3, [1] * 3), density, colour, occupancy, 1 / vertices)
+
+
+def random_rays(count: int, device: torch.device):
+    """Rays towards the middle of the box from around it."""
+    from stylerf.fields.device import DeviceRays
+
+    generator = np.random.default_rng(1)
+    origins = generator.normal(size=(count, 3))
+    origins *= 3 / np.linalg.norm(origins, axis=1, keepdims=True)
+    ways = generator.uniform(-0.7, 0.7, (count, 3)) - origins
+    return DeviceRays.of(origins, ways / np.linalg.norm(ways, axis=1, keepdims=True), device)
+
+
+def kernels(device: torch.device, bandwidth: float, rays: int = 1 << 15, vertices: int = 192, repeats=30) -> list[dict]:
+    """Each kernel's time on one batch, and the share of the bandwidth that its fewest bytes would need."""
+    rows = []
+    for hashed in (False, True):
+        calls, samples = launches(device, rays, vertices, hashed)
+        for name, (call, fewest) in calls.items():
+            median, spread = seconds_of(call, device, repeats)
+            rows.append(
+                {
+                    "kernel": name, "rays": rays, "samples": samples, "microseconds": round(median * 1e6, 1),
+                    "spread": round(spread * 1e6, 1), "bound_bytes": int(fewest),
+                    "gb_per_s": round(fewest / median / 1e9, 1),
+                    "share_of_copy": round(fewest / median / 1e9 / bandwidth, 4),
+                }
+            )  # fmt: skip
+    return rows
+
+
+def launches(device: torch.device, rays: int, vertices: int, hashed: bool) -> tuple[dict, int]:
+    """({kernel: (a launch of it, fewest bytes it moves)}, samples) on random rays through a random field."""
+    from stylerf.fields.device import DeviceField
+    from stylerf.kernels.gpu import launch
+
+    field, going = DeviceField(random_field(vertices, hashed), device), random_rays(rays, device)
+    rendered = field.render_rays(going, share=0.0)
+    s, n, colours = rendered.samples, rendered.samples.room, rendered.colours
+    gradients, sums = torch.randn_like(rendered.out), torch.zeros(3, device=device)
+    of_sigma, of_colours = launch.composite_backward(s, colours, rendered.out, gradients, 0.0)
+    to_density, to_colour, *moments = (
+        torch.zeros_like(part.values) for part in (field.density, field.colour, field.colour, field.colour)
+    )
+    wanted, background = torch.rand((rays, 4), device=device), torch.rand((rays, 3), device=device)
+    density, colour, ways = 4 * len(to_density), 4 * len(to_colour), going.directions
+    kind, parameters = "hash" if hashed else "vm", len(to_colour)
+
+    def adam() -> None:
+        to_colour.fill_(1e-9)  # else every run would be skipped
+        launch.adam(field.colour.values, to_colour, *moments, 1e-9, (0.9, 0.99), 1e-15, (0.1, 0.01), 0, parameters)
+
+    calls = {
+        f"{kind} colour": (lambda: field.colour.colours(s, ways, 0.0), n * 32 + colour),
+        f"{kind} colour backward": (
+            lambda: field.colour.backward(s, ways, colours, of_colours, to_colour), n * 40 + 3 * colour,
+        ),
+        f"adam, {kind} colour": (adam, 9 * colour),
+    }  # fmt: skip
+    if not hashed:
+        calls |= {
+            "march and density": (lambda: field.march(going, 512, 1e-3, n), rays * 56 + n * 36 + density),
+            "vm density backward": (lambda: field.density.backward(s, of_sigma, to_density), n * 20 + 3 * density),
+            "composite": (lambda: launch.composite(s, colours), n * 20 + rays * 36),
+            "composite backward": (
+                lambda: launch.composite_backward(s, colours, rendered.out, gradients, 0.0), n * 40 + rays * 56,
+            ),
+            "loss": (lambda: launch.photometric_loss(rendered.out, wanted, background, s, 1.0, sums), rays * 88),
+        }  # fmt: skip
+    return calls, n
+
+
+def fitted(data: Path, work: Path, scene: str, flags: list[str], budget: str) -> dict:
+    """One fit and its figures on the test views."""
+    stylerf("import", str(data / scene), str(work), *flags)
+    name = f"fit-{budget}"
+    common = ["--budget", budget, "--samples", SAMPLES, "--no-buffers", "--name", name]
+    made = stylerf("fit", str(work), "--device", "cuda", *common)["figures"]
+    figures = stylerf("eval", str(work), "--of", name, "--device", "cuda")["figures"]
+    return {
+        "scene": scene, "budget": budget, "psnr": round(figures["psnr"], 2), "ssim": round(figures["ssim"], 4),
+        "train_seconds": made["train_seconds"], "steps": made["steps"], "parameters": made["parameters"],
+        "resolution": made["resolution"], **memory_of(work, "field", name),
+    }  # fmt: skip
+
+
+def memory_of(work: Path, kind: str, name: str) -> dict:
+    """Seconds of the whole stage, its peak memory on the host and on the GPU, by its manifest."""
+    manifest = json.loads((work / kind / name / "manifest.json").read_text())
+    return {
+        "device": manifest["device"], "wall_seconds": round(manifest["seconds"], 1),
+        "peak_memory_mb": round(manifest["peak_memory_mb"]), "gpu_memory_mb": manifest["figures"].get("gpu_memory_mb"),
+    }  # fmt: skip
+
+
+def time_to(rows: list[dict]) -> dict:
+    """The smallest budget's training seconds at which each goal was reached; null: at none."""
+    reached = {goal: [row["train_seconds"] for row in rows if row["psnr"] >= goal] for goal in GOALS}
+    return {f"seconds_to_{goal:g}_db": min(found) if found else None for goal, found in reached.items()}
+
+
+def stylised(data: Path, work: Path, method: str, budget: str = "30s") -> dict:
+    """A stylisation of the fern that stands in the work folder, by the starry night."""
+    source = ["--of", f"fit-{BUDGETS[2]}"]
+    if method == "desrf":
+        stylerf("deform", str(work), *source, "--device", "cuda", "--name", "bent")
+        source = ["--of", "bent"]
+    painting = str(data / "styles" / "starry_night.jpg")
+    asked = ["--style", painting, "--method", method, "--budget", budget, "--name", method]
+    made = stylerf("stylize", str(work), *source, *asked, "--device", "cuda")["figures"]
+    return {
+        "method": method, "budget": budget, "steps": made["steps"], "train_seconds": made["train_seconds"],
+        "features": made["features"]["name"], "style_distance": made["curve_style"][-1].get("style"),
+        **memory_of(work, "field", method),
+    }  # fmt: skip
+
+
+def edited(work: Path) -> dict:
+    """A whole local edit of the lego that stands in the work folder."""
+    name = "shovel"
+    asked = ["--of", f"fit-{BUDGETS[2]}", *SHOVEL, "--recolor", "--palette", "0=#2050d0", "--name", name]
+    seconds = stylerf("edit", str(work), *asked, "--device", "cuda")["seconds"]
+    return {"edit": name, "seconds": seconds, "sum": round(sum(seconds.values()), 1)}
+
+
+def frames(field, cameras: list, device: torch.device, repeats: int = 30) -> dict:
+    """Whole views a second, the pictures left on the device."""
+    from stylerf.rendering.device_view import DeviceRenderer
+
+    made = DeviceRenderer(field, device)
+    turn = iter(range(1 << 30))
+    median, spread = seconds_of(lambda: made.pixels(cameras[next(turn) % len(cameras)]), device, repeats)
+    pixels = cameras[0].width * cameras[0].height
+    return {
+        "width": cameras[0].width, "height": cameras[0].height, "frames_per_s": round(1 / median, 1),
+        "milliseconds": round(median * 1e3, 3), "spread": round(spread * 1e3, 3),
+        "mrays_per_s": round(pixels / median / 1e6, 1), "half_precision": made.half,
+    }  # fmt: skip
+
+
+def frames_of(work: Path, device: torch.device) -> dict:
+    """frames() of the longest lego fit, at the test views."""
+    from schemas.store import Work
+    from stages.fields import load_field
+    from stages.scenes import load_scene
+
+    store = Work(work)
+    scene = load_scene(store.get("scene", "scene"))
+    field, _ = load_field(store.get("field", f"fit-{BUDGETS[-1]}"))
+    return frames(field, [scene.cameras[i] for i in scene.splits["test"][:16]], device)
+
+
+PARTS = ("ceilings", "kernels", "lego", "fern", "arf", "desrf", "edit", "render")
+
+
+def measure(part: str, data: Path, kept: Path, report: dict, device: torch.device) -> None:
+    """Adds one part to the report; later parts stand on earlier ones' work folders."""
+    lego, fern = kept / "lego", kept / "fern"
+    if part == "ceilings":
+        report[part] = ceilings(device)
+    elif part == "kernels":
+        bandwidth = report.get("ceilings", {}).get("copy_gb_per_s") or ceilings(device)["copy_gb_per_s"]
+        report[part] = kernels(device, bandwidth)
+    elif part == "lego":
+        rows = [fitted(data, lego, "lego", [], budget) for budget in BUDGETS]
+        report[part] = {"rows": rows, **time_to(rows), "final_psnr": rows[-1]["psnr"]}
+    elif part == "fern":
+        report[part] = fitted(data, fern, "fern", ["--images", "images_4"], BUDGETS[2])
+    elif part in ("arf", "desrf"):
+        report[part] = stylised(data, fern, part)
+    elif part == "edit":
+        report[part] = edited(lego)
+    else:
+        report[part] = frames_of(lego, device)
+
+
+def machine_of(device: torch.device) -> dict:
+    """What was measured on."""
+    import triton
+
+    properties = torch.cuda.get_device_properties(device)
+    return {
+        "gpu": properties.name, "memory_gb": round(properties.total_memory / 1e9, 1),
+        "multiprocessors": properties.multi_processor_count, "torch": torch.__version__, "cuda": torch.version.cuda,
+        "triton": triton.__version__, "python": sys.version.split()[0], "cores": os.cpu_count(),
+        "commit": subprocess.run(
+            ["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=False
+        ).stdout.strip(),
+    }  # fmt: skip
+
+
+def main(arguments: list[str]) -> None:
+    data, out, wanted = Path(arguments[0]), Path(arguments[1]), arguments[2:] or list(PARTS)
+    device = device_here()
+    report = {
+        "command": "python -m benchmarks.gpu DATA OUT.json", "protocol": __doc__.split("Protocol: ")[1],
+        "machine": machine_of(device), "date": datetime.now(UTC).date().isoformat(),
+    }  # fmt: skip
+    with tempfile.TemporaryDirectory() as scratch:
+        kept = Path(os.environ.get("STYLERF_BENCH_WORK", scratch))
+        for part in wanted:
+            try:
+                measure(part, data, kept, report, device)
+            except (subprocess.CalledProcessError, KeyError, RuntimeError) as error:
+                # A part that fails is told, and the others are measured: a GPU's time is short.
+                words = getattr(error, "stderr", None) or str(error)
+                report[part] = {"failed": f"{type(error).__name__}: {words[-600:]}"}
+            print(part, json.dumps(report[part]), flush=True)
+            out.write_text(json.dumps(report, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

@@ -1,0 +1,31 @@
+"""Which device a stage computes on, and what it says where that is another than was asked for."""
+
+from stages.progress import Context
+from stylerf.kernels.gpu import unavailable
+
+
+def gpu_of(context: Context, field=None) -> str | None:
+    """`cuda` where the context asks for it and the kernels (and the field's kinds) are there; None: the CPU.
+
+    Says in one line why a GPU that was asked for is not used.
+    """
+    if context.device != "cuda":
+        return None
+    why = unavailable()
+    if why is None and field is not None:
+        from stylerf.fields.device import unsupported
+
+        why = unsupported(field)
+    if why is None:
+        return "cuda"
+    context.progress.say(f"computing on the CPU: {why}")
+    return None
+
+
+def gpu_figures(device: str | None) -> dict:
+    """The most memory that this process has held on the GPU, MB, for a stage's figures; nothing on the CPU."""
+    if device is None:
+        return {}
+    import torch
+
+    return {"gpu_memory_mb": round(torch.cuda.max_memory_allocated() / 1e6)}

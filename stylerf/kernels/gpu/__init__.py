@@ -1,0 +1,31 @@
+"""Triton kernels: the same mathematics as `cpu`, on tensors that stay on the device.
+
+Nothing here is imported before it is asked for: torch's CUDA build brings Triton, its CPU build does not. Gradients are
+added by atomics, so that runs agree to rounding and not to the bit. With TRITON_INTERPRET=1 the kernels run on CPU
+tensors, slowly: that is how they are tested where there is no GPU.
+"""
+
+import importlib.util
+import os
+
+
+def interpreted() -> bool:
+    """Whether kernels run through Triton's interpreter instead of being compiled."""
+    return os.environ.get("TRITON_INTERPRET", "0") == "1"
+
+
+def unavailable() -> str | None:
+    """Why no kernel of this package can run here, in one line; None where they can."""
+    if importlib.util.find_spec("triton") is None:
+        return "Triton is not installed; the CUDA build of torch brings it (pip install triton adds it to another)"
+    if interpreted():
+        return None
+    import torch
+
+    if not torch.cuda.is_available():
+        return "torch finds no GPU that CUDA can use"
+    if torch.version.hip:
+        return None
+    major, minor = torch.cuda.get_device_capability()
+    # Triton compiles for Volta too, but 64-bit and vector atomics are only tested from Ampere on.
+    return None if major >= 8 else f"compute capability {major}.{minor}; 8.0 (Ampere) or newer is needed"

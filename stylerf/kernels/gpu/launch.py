@@ -1,0 +1,255 @@
+"""How the kernels are launched: grids, blocks, constants. Nothing here waits for the device."""
+
+from dataclasses import dataclass
+
+import torch
+import triton
+from torch import Tensor
+
+from stylerf.kernels.gpu import composite as composite_kernels
+from stylerf.kernels.gpu import hash as hash_kernels
+from stylerf.kernels.gpu import interpreted, march, optimiser, pixels, vm
+
+# Rays or samples to a program. A walk diverges, so that few rays share one; the interpreter pays by the program.
+RAYS, SAMPLES, POINTS, RUNS = (256, 512, 1024, 4096) if interpreted() else (32, 64, 128, 128)
+# No software pipeline: it would copy the gathered rows through 170 KB of shared memory, more than most GPUs have.
+STAGES = 1
+PROGRAMS_PER_PROCESSOR = 8  # of kernels that walk a list whose length only the device knows
+
+
+@dataclass
+class DeviceSamples:
+    """As fields/samples.py's Samples, packed without gaps. ray_of [room]; largest [rays]: weights; total [1] int64.
+
+    counts [rays]: samples that each ray wanted; starts:ends is empty where they found no room.
+    """
+
+    starts: Tensor
+    ends: Tensor
+    counts: Tensor
+    largest: Tensor
+    total: Tensor
+    t: Tensor
+    optical: Tensor
+    x: Tensor
+    sigma: Tensor
+    weights: Tensor
+    ray_of: Tensor
+
+    @property
+    def room(self) -> int:
+        """Samples there is memory for."""
+        return len(self.t)
+
+
+def width_of(rank: int) -> int:
+    """Columns of a tile of rows: products of tiles need at least sixteen."""
+    return max(16, triton.next_power_of_2(rank))
+
+
+def outputs_of(bands: int) -> int:
+    """Columns of a tile of the colour head's outputs."""
+    return max(16, triton.next_power_of_2(3 * bands))
+
+
+def persistent_grid(device: torch.device, most: int, block: int) -> tuple[int]:
+    """As many programs as keep the device busy, for lists of at most `most` entries."""
+    if device.type != "cuda":
+        return (min(2, max(1, triton.cdiv(most, block))),)
+    processors = torch.cuda.get_device_properties(device).multi_processor_count
+    return (max(1, min(processors * PROGRAMS_PER_PROCESSOR, triton.cdiv(most, block))),)
+
+
+@dataclass(frozen=True)
+class Walk:
+    """What a march is asked: a space's code, parameters [7] on the device and bounds; step in cube units."""
+
+    code: int
+    space: Tensor
+    near: float
+    far: float
+    step: float
+    distances: Tensor  # [cells^3] uint8
+    cells: int
+    closed: bool
+    displacement: Tensor | None  # flat [m^3 * 3]
+    vertices: int
+    limit: int
+    opaque: float
+
+
+def march_density(
+    walk: Walk, density, origins: Tensor, directions: Tensor, jitter: Tensor, room: int | None
+) -> DeviceSamples:
+    """Samples of rays through a vm density. room: most samples there is memory for; None: asked from the device.
+
+    With a room nothing waits for the device. density: has table, shift, size and rank.
+    """
+    n, device = len(origins), origins.device
+    counts, int64 = torch.empty(n, dtype=torch.int32, device=device), {"dtype": torch.int64, "device": device}
+    starts, ends = torch.empty(n, **int64), torch.empty(n, **int64)
+    largest, total = torch.empty(n, device=device), torch.zeros(1, **int64)
+    # What a pass does not use is still an argument: any tensor of the right kind will do.
+    nothing = DeviceSamples(starts, ends, counts, largest, total, *[largest] * 5, counts)
+    _walk_rays(walk, density, origins, directions, jitter, nothing, starts, 0, False)
+    last = torch.cumsum(counts, 0, dtype=torch.int64)
+    if room is None:
+        room = int(last[-1]) if n else 0
+    one = [torch.empty(room, device=device) for _ in range(4)]
+    points = torch.empty((room, 3), device=device)
+    ray_of = torch.empty(room, dtype=torch.int32, device=device)
+    samples = DeviceSamples(starts, ends, counts, largest, total, one[0], one[1], points, one[2], one[3], ray_of)
+    _walk_rays(walk, density, origins, directions, jitter, samples, last, room, True)
+    return samples
+
+
+def _walk_rays(walk, density, origins, directions, jitter, samples: DeviceSamples, last, room, fill: bool) -> None:
+    n = len(origins)
+    if not n:
+        return
+    moved = origins if walk.displacement is None else walk.displacement
+    s = samples
+    march.march_kernel[(triton.cdiv(n, RAYS),)](
+        walk.space, origins, directions, jitter, float(walk.near), float(walk.far), float(walk.step),
+        walk.distances, walk.cells, walk.limit, float(walk.opaque), density.table, density.shift, *density.size,
+        moved, walk.vertices, s.counts, last, room, s.starts, s.ends, s.largest, s.total,
+        s.t, s.optical, s.x, s.sigma, s.weights, s.ray_of, n,
+        KIND=walk.code, CLOSED=walk.closed, DISPLACED=walk.displacement is not None, FILL=fill,
+        RANK=density.rank, WIDTH=width_of(density.rank), BLOCK=RAYS, num_warps=1,
+    )  # fmt: skip
+
+
+def vm_density(density, points: Tensor) -> Tensor:
+    """Raw density [n] of cube points [n, 3]."""
+    out = torch.empty(len(points), device=points.device)
+    if len(points):
+        vm.density_kernel[(triton.cdiv(len(points), POINTS),)](
+            density.table, density.shift, points, out, len(points), *density.size,
+            RANK=density.rank, WIDTH=width_of(density.rank), BLOCK=POINTS,
+        )  # fmt: skip
+    return out
+
+
+def vm_density_backward(density, samples: DeviceSamples, sigma_gradients: Tensor, to: Tensor) -> None:
+    """Add dL/d(values) to `to` [len(values)]: table, shift."""
+    vm.density_backward_kernel[persistent_grid(to.device, samples.room, SAMPLES)](
+        density.table, samples.x, samples.sigma, sigma_gradients, samples.total, to, to[-1:], *density.size,
+        RANK=density.rank, WIDTH=width_of(density.rank), BLOCK=SAMPLES, num_stages=STAGES,
+    )  # fmt: skip
+
+
+def vm_colours(colour, samples: DeviceSamples, directions: Tensor, share: float) -> Tensor:
+    """[room, 3] colours of samples with at least `share` of their ray's largest weight; others have -1 first."""
+    out = torch.empty((samples.room, 3), device=directions.device)
+    vm.colour_kernel[persistent_grid(out.device, samples.room, SAMPLES)](
+        colour.table, colour.head, colour.bias, samples.x, directions, samples.ray_of, samples.weights,
+        samples.largest, float(share), samples.total, out, *colour.size,
+        RANK=colour.rank, WIDTH=width_of(colour.rank), BANDS=colour.bands, OUTPUTS=outputs_of(colour.bands),
+        BLOCK=SAMPLES, num_stages=STAGES,
+    )  # fmt: skip
+    return out
+
+
+def vm_colours_backward(colour, samples: DeviceSamples, directions, colours, colour_gradients, to: Tensor) -> None:
+    """Add dL/d(values) to `to` [len(values)]: table, head, bias."""
+    table = len(colour.table)
+    vm.colour_backward_kernel[persistent_grid(to.device, samples.room, SAMPLES)](
+        colour.table, colour.head, samples.x, directions, samples.ray_of, colours, colour_gradients, samples.total,
+        to, to[table:-3], to[-3:], *colour.size,
+        RANK=colour.rank, WIDTH=width_of(colour.rank), BANDS=colour.bands, OUTPUTS=outputs_of(colour.bands),
+        BLOCK=SAMPLES, num_stages=STAGES,
+    )  # fmt: skip
+
+
+def hash_colours(colour, samples: DeviceSamples, share: float) -> Tensor:
+    """As vm_colours, of a hash grid."""
+    out = torch.empty((samples.room, 3), device=samples.x.device)
+    hash_kernels.colour_kernel[persistent_grid(out.device, samples.room, SAMPLES)](
+        colour.table, colour.layout, samples.x, samples.ray_of, samples.weights, samples.largest, float(share),
+        samples.total, out, LEVELS=colour.levels, BLOCK=SAMPLES, num_stages=STAGES,
+    )  # fmt: skip
+    return out
+
+
+def hash_colours_backward(colour, samples: DeviceSamples, colours, colour_gradients, to: Tensor) -> None:
+    """Add dL/d(values) to `to`."""
+    hash_kernels.colour_backward_kernel[persistent_grid(to.device, samples.room, SAMPLES)](
+        colour.layout, samples.x, colours, colour_gradients, samples.total, to, LEVELS=colour.levels, BLOCK=SAMPLES,
+        num_stages=STAGES,
+    )  # fmt: skip
+
+
+def smoothness(part, strength: float, to: Tensor) -> None:
+    """Add the gradient of strength/2 times the summed squared differences of plane texels to `to`."""
+    size, begin = part.size, 0
+    for a, b in ((1, 2), (2, 0), (0, 1)):
+        rows, columns = size[a], size[b]
+        vm.smoothness_kernel[(triton.cdiv(rows * columns, SAMPLES),)](
+            part.values, to, float(strength), rows, columns, begin,
+            RANK=part.rank, WIDTH=width_of(part.rank), BLOCK=SAMPLES,
+        )  # fmt: skip
+        begin += rows * columns
+
+
+def composite(samples: DeviceSamples, colours: Tensor) -> Tensor:
+    """[rays, 5]: sum w c (3), sum w, sum w t."""
+    n = len(samples.starts)
+    out = torch.empty((n, 5), device=colours.device)
+    if n:
+        composite_kernels.composite_kernel[(triton.cdiv(n, POINTS),)](
+            samples.weights, colours, samples.t, samples.starts, samples.ends, out, n, BLOCK=POINTS
+        )
+    return out
+
+
+def composite_backward(
+    samples: DeviceSamples, colours: Tensor, out: Tensor, gradients: Tensor, even_from: float
+) -> tuple[Tensor, Tensor]:
+    """(dL/d(sigma) [room], dL/d(colour) [room, 3]) from dL/d(out) [rays, 5]; unset beyond the samples there are."""
+    sigma_gradients, colour_gradients = torch.empty_like(samples.sigma), torch.empty_like(colours)
+    if len(out):
+        composite_kernels.composite_backward_kernel[(triton.cdiv(len(out), POINTS),)](
+            samples.weights, samples.optical, colours, samples.t, samples.starts, samples.ends, out, gradients,
+            float(even_from), sigma_gradients, colour_gradients, len(out), BLOCK=POINTS,
+        )  # fmt: skip
+    return sigma_gradients, colour_gradients
+
+
+def photometric_loss(out: Tensor, wanted, background, samples: DeviceSamples, scale: float, sums: Tensor) -> Tensor:
+    """dL/d(out) of the squared error; adds (squared error, samples, rays without room) to sums [3]."""
+    gradients = torch.empty_like(out)
+    composite_kernels.loss_kernel[(triton.cdiv(len(out), POINTS),)](
+        out, wanted, background, samples.counts, samples.starts, samples.ends, float(scale), gradients, sums, len(out),
+        BLOCK=POINTS,
+    )  # fmt: skip
+    return gradients
+
+
+def adam(values, gradients, first, second, rate, betas, epsilon, corrections, begin: int, end: int) -> None:
+    """One step of Adam on values[begin:end]."""
+    optimiser.adam_kernel[(triton.cdiv(triton.cdiv(end - begin, 8), RUNS),)](
+        values, gradients, first, second, float(rate), *betas, epsilon, *corrections, begin, end, BLOCK=RUNS
+    )
+
+
+def draw_rays(
+    bank, seed, first, total, lit_total, lit_rays, level, origins, directions, wanted, jitter, background
+) -> None:
+    """Random rays of a DeviceBank; see pixels.draw_kernel. level None: random background."""
+    n = len(origins)
+    pixels.draw_kernel[(triton.cdiv(n, POINTS),)](
+        seed, first, n, total, bank.lit, lit_total, lit_rays, bank.view_ends, bank.view_sizes, bank.views, bank.widths,
+        bank.intrinsics, bank.poses, bank.bytes, float(level or 0), origins, directions, wanted, jitter, background,
+        CHANNELS=bank.channels, RANDOM_BACKGROUND=level is None, STEPS=max(1, (bank.views - 1).bit_length()),
+        BLOCK=POINTS,
+    )  # fmt: skip
+
+
+def shade_backward(samples: DeviceSamples, gradients: Tensor) -> Tensor:
+    """dL/d(colour) [n, 3] of samples that fill their room, from dL/d(sum w c) [rays, 3]."""
+    out, n = torch.empty_like(samples.x), len(samples.weights)
+    if n:
+        composite_kernels.shade_backward_kernel[(triton.cdiv(n, POINTS),)](
+            samples.weights, gradients, samples.ray_of, out, n, BLOCK=POINTS
+        )
+    return out

@@ -1,0 +1,151 @@
+"""march: rays through the warp of space and over empty cells to packed samples, with their density and weights.
+
+A lane to a ray, BLOCK rays to a program. Two launches of one kernel: the first counts, the second, once a running sum
+over the counts has told each ray its place, fills. Rays that end beyond the room there is get no sample at all; the
+room is fixed before the launch, the number of samples never leaves the device.
+"""
+
+import triton
+import triton.language as tl
+
+from stylerf.kernels.gpu.indexing import cell, offset, store_vector, trilinear_corner, vector
+from stylerf.kernels.gpu.space import cell_number, leap, ray_span, warp_at
+from stylerf.kernels.gpu.vm import SIZES, raw_density
+
+OPTICAL_SCALE = tl.constexpr(100.0)
+MOST_TURNS = tl.constexpr(1 << 16)  # of a walk: a step too small for float32 to move the ray must not hang the GPU
+
+
+@triton.jit
+def displaced(grid, cells, x, y, z, mask):
+    """x + trilinear(grid, x), clamped to the cube; grid: flat [cells^3, 3] on vertices."""
+    i, fx = cell(x, cells)
+    j, fy = cell(y, cells)
+    k, fz = cell(z, cells)
+    at = (i.to(tl.int64) * cells + j) * cells + k
+    for corner in tl.static_range(8):
+        w = trilinear_corner(corner, fx, fy, fz)
+        there = at + ((corner // 4) * cells + (corner // 2) % 2) * cells + corner % 2
+        a, b, c = vector(grid, there, mask)
+        x, y, z = x + w * a, y + w * b, z + w * c
+    x = tl.minimum(tl.maximum(x, 0.0), 1.0)
+    y = tl.minimum(tl.maximum(y, 0.0), 1.0)
+    z = tl.minimum(tl.maximum(z, 0.0), 1.0)
+    return x, y, z
+
+
+@triton.jit
+def _keep(t_out, optical, points, sigma, weights, ray_of, at, t, length, x, y, z, s, w, ray, mask):
+    tl.store(t_out + at, t, mask=mask)
+    tl.store(optical + at, length, mask=mask)
+    store_vector(points, at, x, y, z, mask)
+    tl.store(sigma + at, s, mask=mask)
+    tl.store(weights + at, w, mask=mask)
+    tl.store(ray_of + at, ray, mask=mask)
+
+
+@triton.jit(
+    do_not_specialize=[*SIZES, "cells", "limit", "grid_cells", "rays", "room"], do_not_specialize_on_alignment=["shift"]
+)
+def march_kernel(
+    space, origins, directions, jitter, near, far, step, occupancy, cells, limit, opaque,
+    table, shift, s0, s1, s2, grid, grid_cells,
+    counts, last, room, starts, ends, largest, total, t_out, optical, points, sigma, weights, ray_of, rays,
+    KIND: tl.constexpr, CLOSED: tl.constexpr, DISPLACED: tl.constexpr, FILL: tl.constexpr,
+    RANK: tl.constexpr, WIDTH: tl.constexpr, BLOCK: tl.constexpr,
+):  # fmt: skip
+    """FILL false: counts[r] = samples of ray r. true: with last[r] the sum of counts up to r, write the samples.
+
+    Then ray r's are starts[r]:ends[r] of t_out, optical, points, sigma, weights, ray_of; largest[r] is its largest
+    weight; total[0], zero before, is raised to the end of the last ray that found room. near: one number for all rays.
+    """
+    r = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
+    live = r < rays
+    ox, oy, oz = vector(origins, r, live)
+    dx, dy, dz = vector(directions, r, live)
+    t, end = ray_span(KIND, space, ox, oy, oz, dx, dy, dz, near + 0.0 * ox, far)
+    end = tl.where(live, end, -1.0)
+    most = tl.where(live, limit, 0)
+    begin = r.to(tl.int64) * 0
+    if FILL:
+        wanted = tl.load(counts + r, mask=live, other=0)
+        begin = tl.load(last + r, mask=live, other=0).to(tl.int64) - wanted
+        fits = begin + wanted <= room
+        most = tl.where(fits, wanted, 0)
+        begin = tl.where(fits, begin, 0)
+    open_ray = t < end
+    _x, _y, _z, speed, _j = warp_at(KIND, space, ox + t * dx, oy + t * dy, oz + t * dz, dx, dy, dz)
+    t = tl.where(open_ray, t + tl.load(jitter + r, mask=live, other=0.0) * step / speed, t)
+    through = 1.0 + 0.0 * t
+    peak = 0.0 * t
+    found = r * 0
+    turns = 0
+    walking = ((t < end) & (found < most)).to(tl.int32)
+    while tl.max(walking, axis=0) > 0:
+        walks = walking > 0
+        x, y, z, speed, jacobian = warp_at(KIND, space, ox + t * dx, oy + t * dy, oz + t * dz, dx, dy, dz)
+        dt = step / speed
+        distance = tl.load(occupancy + cell_number(x, y, z, cells), mask=walks, other=0).to(tl.int32)
+        hit = walks & (distance == 0)
+        taken = leap(KIND, space, ox, oy, oz, dx, dy, dz, t, dt, distance, cells, step, x, y, z, walks)
+        if tl.max(hit.to(tl.int32), axis=0) > 0:
+            if DISPLACED:
+                x, y, z = displaced(grid, grid_cells, x, y, z, hit)
+            s = raw_density(table, shift, x, y, z, s0, s1, s2, hit, RANK, WIDTH)
+            length = dt * jacobian * OPTICAL_SCALE
+            stay = tl.exp(-s * length)
+            w = through * (1.0 - stay)
+            if FILL:
+                _keep(t_out, optical, points, sigma, weights, ray_of, begin + found, t, length, x, y, z, s, w, r, hit)
+                peak = tl.where(hit, tl.maximum(peak, w), peak)
+            through = tl.where(hit, through * stay, through)
+            found = tl.where(hit, found + 1, found)
+        t = tl.where(walks, t + dt * taken.to(tl.float32), t)
+        turns += 1
+        walking = ((t < end) & (through >= opaque) & (found < most) & (turns < MOST_TURNS)).to(tl.int32)
+    if CLOSED:
+        # The far end takes what light is left; its density is fixed, so only its colour learns.
+        x, y, z, speed, jacobian = warp_at(KIND, space, ox + end * dx, oy + end * dy, oz + end * dz, dx, dy, dz)
+        takes = live & (through >= opaque) & (found < most)
+        zero = 0.0 * t
+        if FILL:
+            _keep(
+                t_out, optical, points, sigma, weights, ray_of, begin + found, end, zero, x, y, z, zero, through, r,
+                takes,
+            )  # fmt: skip
+            peak = tl.where(takes, tl.maximum(peak, through), peak)
+        found = tl.where(takes, found + 1, found)
+    if FILL:
+        tl.store(starts + r, begin, mask=live)
+        tl.store(ends + r, begin + most, mask=live)
+        tl.store(largest + r, peak, mask=live)
+        tl.atomic_max(total, tl.max(tl.where(most > 0, begin + most, 0), axis=0), sem="relaxed")
+        # Both launches walk alike but for rounding; a sample that the second one lacks must not be left unwritten.
+        while tl.max((found < most).to(tl.int32), axis=0) > 0:
+            lacks = found < most
+            zero = 0.0 * t
+            _keep(
+                t_out, optical, points, sigma, weights, ray_of, begin + found, zero, zero, zero, zero, zero, zero,
+                zero, r, lacks,
+            )  # fmt: skip
+            found = tl.where(lacks, found + 1, found)
+    else:
+        tl.store(counts + r, found, mask=live)
+
+
+@triton.jit(do_not_specialize=["count"])
+def warp_kernel(space, world, out, jacobians, count, KIND: tl.constexpr, BLOCK: tl.constexpr):
+    """Positions in the cube and density jacobians of free points [count, 3]."""
+    k = tl.program_id(0).to(tl.int64) * BLOCK + tl.arange(0, BLOCK)
+    live = k < count
+    px, py, pz = vector(world, k, live)
+    x, y, z, _speed, jacobian = warp_at(KIND, space, px, py, pz, 1.0 + 0.0 * px, 0.0 * px, 0.0 * px)
+    store_vector(out, k, x, y, z, live)
+    tl.store(jacobians + k, jacobian, mask=live)
+
+
+@triton.jit(do_not_specialize=["width", "column"])
+def offsets_kernel(rows, out, width, column, BLOCK: tl.constexpr):
+    """out[i] = offset(rows[i], width, column): for the test of what lies beyond 2^31."""
+    i = tl.arange(0, BLOCK)
+    tl.store(out + i, offset(tl.load(rows + i), width, column))

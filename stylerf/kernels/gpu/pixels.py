@@ -1,0 +1,94 @@
+"""Random rays with their colours, drawn on the device from 8-bit photos that lie there."""
+
+import triton
+import triton.language as tl
+
+from stylerf.kernels.gpu.indexing import offset, store_vector
+
+
+@triton.jit
+def _below(bits, bound):
+    """A whole number 0 <= n < bound (int64, under 2^31) from 32 random bits; biased by less than bound / 2^32."""
+    return (bits.to(tl.uint32).to(tl.int64) * bound) >> 32
+
+
+@triton.jit
+def _unit(bits):
+    """0 <= x < 1 from 32 random bits."""
+    return (bits.to(tl.uint32) >> 8).to(tl.float32) * 5.9604644775390625e-08
+
+
+@triton.jit
+def view_of(index, view_ends, views, STEPS: tl.constexpr):
+    """The view (int32) that holds pixel `index` of all views laid end to end: the first whose end lies beyond it."""
+    low = (index * 0).to(tl.int32)
+    high = low + views - 1
+    for _ in tl.static_range(STEPS):
+        middle = (low + high) // 2
+        beyond = tl.load(view_ends + middle) > index
+        high = tl.where(beyond, middle, high)
+        low = tl.where(beyond, low, tl.minimum(middle + 1, high))
+    return low
+
+
+@triton.jit
+def ray_of_pixel(index, view, view_ends, view_sizes, widths, intrinsics, poses, bytes_, CHANNELS: tl.constexpr, mask):
+    """(origin, direction, rgba) of pixel `index` of all views laid end to end."""
+    v = view.to(tl.int64)
+    width = tl.load(widths + v)
+    pixel = index - tl.load(view_ends + v) + tl.load(view_sizes + v)
+    x = ((pixel % width).to(tl.float32) + 0.5 - tl.load(intrinsics + v * 4 + 2)) / tl.load(intrinsics + v * 4)
+    y = ((pixel // width).to(tl.float32) + 0.5 - tl.load(intrinsics + v * 4 + 3)) / tl.load(intrinsics + v * 4 + 1)
+    norm = 1.0 / tl.sqrt(x * x + y * y + 1.0)
+    row = poses + v * 12
+    dx = (tl.load(row) * x + tl.load(row + 1) * y + tl.load(row + 2)) * norm
+    dy = (tl.load(row + 4) * x + tl.load(row + 5) * y + tl.load(row + 6)) * norm
+    dz = (tl.load(row + 8) * x + tl.load(row + 9) * y + tl.load(row + 10)) * norm
+    at = offset(index, CHANNELS, 0)
+    byte = 0.00392156862745098
+    red = tl.load(bytes_ + at, mask=mask, other=0).to(tl.float32) * byte
+    green = tl.load(bytes_ + at + 1, mask=mask, other=0).to(tl.float32) * byte
+    blue = tl.load(bytes_ + at + 2, mask=mask, other=0).to(tl.float32) * byte
+    alpha = red * 0.0 + 1.0
+    if CHANNELS == 4:
+        alpha = tl.load(bytes_ + at + 3, mask=mask, other=0).to(tl.float32) * byte
+    return tl.load(row + 3), tl.load(row + 7), tl.load(row + 11), dx, dy, dz, red, green, blue, alpha
+
+
+@triton.jit(do_not_specialize=["seed", "first", "rays", "total", "lit_total", "lit_rays", "views"])
+def draw_kernel(
+    seed, first, rays, total, lit, lit_total, lit_rays, view_ends, view_sizes, views, widths, intrinsics, poses, bytes_,
+    level, origins, directions, wanted, jitter, background,
+    CHANNELS: tl.constexpr, RANDOM_BACKGROUND: tl.constexpr, STEPS: tl.constexpr, BLOCK: tl.constexpr,
+):  # fmt: skip
+    """Rays `first` .. `first` + rays of the batch that `seed` names, which is the same however it is cut into parts.
+
+    Of the batch's rays those below lit_rays take a pixel of lit[0:lit_total], the others one of 0..total. level: grey
+    of the background where it is not random.
+    """
+    local = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
+    mask = local < rays
+    number = local + first
+    a, b, c, _d = tl.randint4x(seed, number * 2)
+    r0, r1, r2, _r3 = tl.randint4x(seed, number * 2 + 1)
+    index = _below(a, total + 0 * local.to(tl.int64))
+    among_lit = mask & (number < lit_rays)
+    lit_place = _below(b, lit_total + 0 * local.to(tl.int64))
+    index = tl.where(among_lit, tl.load(lit + lit_place, mask=among_lit, other=0), index)
+    view = view_of(index, view_ends, views, STEPS)
+    ox, oy, oz, dx, dy, dz, red, green, blue, alpha = ray_of_pixel(
+        index, view, view_ends, view_sizes, widths, intrinsics, poses, bytes_, CHANNELS, mask
+    )
+    store_vector(origins, local, ox, oy, oz, mask)
+    store_vector(directions, local, dx, dy, dz, mask)
+    at = offset(local, 4, 0)
+    tl.store(wanted + at, red, mask=mask)
+    tl.store(wanted + at + 1, green, mask=mask)
+    tl.store(wanted + at + 2, blue, mask=mask)
+    tl.store(wanted + at + 3, alpha, mask=mask)
+    tl.store(jitter + local, _unit(c), mask=mask)
+    if RANDOM_BACKGROUND:
+        store_vector(background, local, _unit(r0), _unit(r1), _unit(r2), mask)
+    else:
+        grey = level + 0.0 * dx
+        store_vector(background, local, grey, grey, grey, mask)

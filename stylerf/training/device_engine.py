@@ -1,0 +1,241 @@
+"""The fitting loop's engine on a GPU: field, photos, rays, gradients and moments stay on the device.
+
+A step is about fifteen launches, none of which waits. What the loop wants to know of a step, its error and its number
+of samples, comes back by itself a few steps later; the loop never runs more than BEHIND steps ahead of the device, so
+that its clock is the device's.
+"""
+
+from itertools import pairwise
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from stylerf.fields.device import DeviceField, DeviceRays
+from stylerf.fields.device_occupancy import refresh
+from stylerf.fields.field import RadianceField
+from stylerf.kernels.gpu import launch
+from stylerf.training.device_rays import DeviceBank
+from stylerf.training.engine import Batch, Learnt
+from stylerf.training.optimiser import BETA1, BETA2, EPSILON
+from stylerf.training.ranks import ALONE, Ranks
+from stylerf.training.rays import RayBank
+
+BEHIND = 8
+ROOM = 4  # times the samples that a batch is meant to have; rays beyond that are left out of the step
+LEAST_ROOM = 1 << 18
+
+
+class DeviceAdam:
+    """stylerf/training/optimiser.py's Adam, on tensors: one gradient buffer, added to by atomics."""
+
+    def __init__(self, values: Tensor, groups: list[tuple[int, int, float]]) -> None:
+        self.values, self.groups = values, groups
+        self.gradients, self.first, self.second = (torch.zeros_like(values) for _ in range(3))
+        self.steps = 0
+
+    def step(self, rate: float) -> None:
+        """One update with learning rate `rate` times each group's factor; clears the gradients."""
+        self.steps += 1
+        corrections = 1 - BETA1**self.steps, 1 - BETA2**self.steps
+        for begin, end, factor in _joined(self.groups):
+            launch.adam(
+                self.values, self.gradients, self.first, self.second, rate * factor, (BETA1, BETA2), EPSILON,
+                corrections, begin, end,
+            )  # fmt: skip
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """What a checkpoint needs beside the values."""
+        moments = {"first": self.first.cpu().numpy(), "second": self.second.cpu().numpy()}
+        return moments | {"steps": np.asarray([self.steps])}
+
+    def restore(self, arrays: dict[str, np.ndarray]) -> None:
+        """From arrays()."""
+        self.first.copy_(torch.from_numpy(arrays["first"]))
+        self.second.copy_(torch.from_numpy(arrays["second"]))
+        self.steps = int(arrays["steps"][0])
+
+
+def _joined(groups: list[tuple[int, int, float]]) -> list[tuple[int, int, float]]:
+    """Neighbouring groups of one factor as one: a launch less. A run of eight may then span both."""
+    joined: list[tuple[int, int, float]] = []
+    for begin, end, factor in groups:
+        if joined and joined[-1][1] == begin and joined[-1][2] == factor:
+            joined[-1] = joined[-1][0], end, factor
+        else:
+            joined.append((begin, end, factor))
+    return joined
+
+
+class _Reports:
+    """(squared error, samples, rays left out) of the last steps, on their way from the device."""
+
+    def __init__(self, device: torch.device) -> None:
+        on_gpu = device.type == "cuda"
+        self._there = [torch.zeros(3, device=device) for _ in range(BEHIND)]
+        self._here = [torch.zeros(3, pin_memory=on_gpu) for _ in range(BEHIND)]
+        self._rays = [0] * BEHIND
+        self._done = [torch.cuda.Event() for _ in range(BEHIND)] if on_gpu else None
+        self._sent, self._read = 0, 0
+        self._newest = Learnt(0.0, 0.0)
+
+    def begin(self) -> Tensor:
+        """Sums [3] for the next step, at zero; waits for the step BEHIND steps ago."""
+        if self._sent - self._read == BEHIND:
+            self._take(wait=True)
+        return self._there[self._sent % BEHIND].zero_()
+
+    def send(self, rays: int) -> Learnt:
+        """Have the sums of the step brought over; what is known by now."""
+        place = self._sent % BEHIND
+        self._here[place].copy_(self._there[place], non_blocking=True)
+        self._rays[place] = rays
+        if self._done is not None:
+            self._done[place].record()
+        self._sent += 1
+        while self._read < self._sent and self._take(wait=False):
+            pass
+        return self._newest
+
+    def _take(self, wait: bool) -> bool:
+        place = self._read % BEHIND
+        if self._done is not None:
+            if wait:
+                self._done[place].synchronize()
+            elif not self._done[place].query():
+                return False
+        error, samples, left_out = self._here[place].tolist()
+        rays = max(1.0, self._rays[place] - left_out)
+        # Rays that found no room show that there were more samples than were counted.
+        self._newest = Learnt(error / (3 * rays), samples / rays)
+        self._read += 1
+        return True
+
+
+class DeviceEngine:
+    """stylerf/training/engine.py's Engine on `device`. samples: what the loop aims at in a batch (FitSettings).
+
+    Of several processes each has a device of its own; gradients are summed there.
+    """
+
+    most_rays = 1 << 17
+
+    def __init__(
+        self,
+        bank: RayBank,
+        seed: int,
+        chunks: int,
+        field: RadianceField,
+        ranks: Ranks = ALONE,
+        *,
+        device: torch.device | str,
+        samples: int,
+    ) -> None:
+        self.device, self.ranks = torch.device(device), ranks
+        self.bank, self.seed = DeviceBank(bank, self.device), seed
+        self.room = max(LEAST_ROOM if self.device.type == "cuda" else 0, ROOM * samples)
+        self.adopt(field)
+
+    def adopt(self, field: RadianceField) -> None:
+        self._host, self._stale = field, False
+        self.live = DeviceField(field, self.device)
+        self.density_adam = DeviceAdam(self.live.density.values, self.live.density.groups)
+        self.colour_adam = DeviceAdam(self.live.colour.values, self.live.colour.groups)
+        self._reports = _Reports(self.device)
+
+    @property
+    def field(self) -> RadianceField:
+        if self._stale:
+            self.live.write_to(self._host)
+            self._stale = False
+        return self._host
+
+    @property
+    def parameters(self) -> int:
+        return self._host.parameters
+
+    def refresh(self, seed: int, share: int) -> None:
+        refresh(self.live, seed, share, 0.9)
+        self._stale = True
+
+    def learn(self, batch: Batch) -> Learnt:
+        try:
+            return self._learn(batch)
+        except torch.OutOfMemoryError as error:
+            torch.cuda.empty_cache()
+            raise MemoryError(str(error)) from error
+
+    def _learn(self, batch: Batch) -> Learnt:
+        sums, field = self._reports.begin(), self.live
+        seed = (self.seed * 1_000_003 + batch.step) & 0x7FFFFFFF
+        level = None if batch.background == "random" else 0.0 if batch.background in ("black", "none") else 1.0
+        own = self.ranks.own(batch.rays)
+        edges = [own.start + (own.stop - own.start) * i // batch.parts for i in range(batch.parts + 1)]
+        for first, end in pairwise(edges):
+            drawn = self.bank.draw(seed, first, end - first, batch.rays, batch.among, batch.lit_share, level)
+            rendered = field.render_rays(drawn.rays, room=-(-self.room // batch.parts))
+            scale = 2 / (3 * batch.rays)
+            gradients = launch.photometric_loss(
+                rendered.out, drawn.wanted, drawn.background, rendered.samples, scale, sums
+            )
+            to = self.density_adam.gradients, self.colour_adam.gradients
+            field.backward(rendered, gradients, *to, even_from=batch.even_from)
+        both = (field.density, self.density_adam), (field.colour, self.colour_adam)
+        for strength, (part, adam) in zip(batch.smoothness, both):
+            if strength > 0 and self.ranks.first:
+                part.smooth(strength, adam.gradients)
+        for summed in (sums, self.density_adam.gradients, self.colour_adam.gradients):
+            self.ranks.add(summed)
+        self.density_adam.step(batch.rate)
+        self.colour_adam.step(batch.rate)
+        self._stale = True
+        return self._reports.send(batch.rays)
+
+    def discard(self) -> None:
+        self.density_adam.gradients.zero_()
+        self.colour_adam.gradients.zero_()
+
+    def squared_error(self, origins, directions, colours, background) -> float:
+        total = torch.zeros((), dtype=torch.float64, device=self.device)
+        for at in range(0, len(origins), 1 << 16):
+            part = slice(at, at + (1 << 16))
+            rays = DeviceRays.of(origins[part], directions[part], self.device)
+            out = self.live.render_rays(rays).out
+            wanted, back = (torch.from_numpy(a[part]).to(self.device) for a in (colours, background))
+            cover = wanted[:, 3:]
+            found = out[:, :3] + (1 - out[:, 3:4]) * back
+            total += (found - wanted[:, :3] * cover - (1 - cover) * back).clamp(-1, 1).square().sum(dtype=torch.float64)
+        return float(total)
+
+    def agree(self) -> None:
+        for part in (self.live.density, self.live.colour):
+            self.ranks.take_first(part.values)
+
+    def moments(self) -> dict[str, np.ndarray]:
+        both = ("density", self.density_adam), ("colour", self.colour_adam)
+        return {f"{name}.{k}": v for name, adam in both for k, v in adam.arrays().items()}
+
+    def restore_moments(self, arrays: dict[str, np.ndarray]) -> None:
+        for name, adam in (("density", self.density_adam), ("colour", self.colour_adam)):
+            adam.restore({k: arrays[f"{name}.{k}"] for k in ("first", "second", "steps")})
+
+    def warm_up(self, scratch: list[RadianceField], smoothness: tuple[float, float], even_from: float) -> None:
+        levels = [None, 1.0]
+        for field in scratch:
+            scratch = DeviceField(field, self.device)
+            adams = [DeviceAdam(part.values, part.groups) for part in (scratch.density, scratch.colour)]
+            refresh(scratch, 0, 1, 0.9)
+            for level in levels:
+                drawn = self.bank.draw(0, 0, 16, 16, self.bank.views, 0.5, level)
+                rendered = scratch.render_rays(drawn.rays, room=16 * 64)
+                sums = torch.zeros(3, device=self.device)
+                gradients = launch.photometric_loss(
+                    rendered.out, drawn.wanted, drawn.background, rendered.samples, 1.0, sums
+                )
+                scratch.backward(rendered, gradients, *(adam.gradients for adam in adams), even_from=even_from)
+            for part, adam, weight in zip((scratch.density, scratch.colour), adams, smoothness):
+                if weight > 0:
+                    part.smooth(weight, adam.gradients)
+                adam.step(1e-3)
+        if self.device.type == "cuda":
+            torch.cuda.synchronize(self.device)

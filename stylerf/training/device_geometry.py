@@ -1,0 +1,114 @@
+"""Colours on surfaces that do not move, on a GPU: each view is marched once, its samples and colours stay there."""
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from stylerf.fields.device import COLOUR_KINDS, DeviceField, DeviceRays
+from stylerf.fields.field import RadianceField
+from stylerf.fields.surface import Surface
+from stylerf.geometry.cameras import Camera
+from stylerf.kernels.gpu import launch
+from stylerf.kernels.gpu.launch import DeviceSamples
+from stylerf.training.device_engine import DeviceAdam
+
+RAYS_AT_ONCE = 1 << 17
+
+
+class DeviceFixedGeometry:
+    """stylerf/training/geometry.py's FixedGeometry: numpy in and out, all between on `device`.
+
+    field.colour is what is taught, from new_adam() on; collect() brings it back. share: part of a ray's largest weight
+    that a sample needs to take part.
+    """
+
+    def __init__(
+        self, field: RadianceField, cameras: list[Camera], share: float, device: str | torch.device,
+        memory_mb: float = 8192.0,
+    ) -> None:  # fmt: skip
+        self.field, self.cameras, self.share, self.device = field, cameras, share, torch.device(device)
+        self._marched = DeviceField(field, self.device)
+        self.memory_bytes = memory_mb * 1e6
+        self._kept: dict[int, tuple[Tensor, Tensor, Tensor]] = {}
+        self._alphas: dict[int, np.ndarray] = {}
+        self._colour = None
+
+    def new_adam(self) -> DeviceAdam:
+        """An optimiser of field.colour as it now stands, copied to the device."""
+        self._colour = COLOUR_KINDS[self.field.colour.kind](self.field.colour, self.device)
+        return DeviceAdam(self._colour.values, self._colour.groups)
+
+    def collect(self) -> None:
+        """Bring what was learnt into field.colour."""
+        if self._colour is not None:
+            self.field.colour.values[:] = self._colour.values.cpu().numpy()
+
+    def _samples(self, view: int) -> tuple[Tensor, Tensor, Tensor]:
+        """(offsets [pixels + 1], x [n, 3], weights [n]) of a view, weights scaled so that each ray keeps its alpha."""
+        found = self._kept.get(view)
+        if found is None:
+            found = self._march(self.cameras[view])
+            held = sum(sum(t.nbytes for t in kept) for kept in self._kept.values())
+            if held + sum(t.nbytes for t in found) <= self.memory_bytes:
+                self._kept[view] = found
+        return found
+
+    def _march(self, camera: Camera) -> tuple[Tensor, Tensor, Tensor]:
+        origins, directions = camera.rays()
+        counts, xs, weights = [], [], []
+        for at in range(0, len(origins), RAYS_AT_ONCE):
+            part = slice(at, at + RAYS_AT_ONCE)
+            rays = DeviceRays.of(origins[part], directions[part], self.device)
+            s = self._marched.march(rays, 512, 1e-3, None)
+            ray, n = s.ray_of.long(), len(rays.origins)
+            shown = (s.weights > 0) & (s.weights >= self.share * s.largest[ray])
+            sums = torch.zeros((2, n), device=self.device)
+            sums[0].index_add_(0, ray, s.weights)
+            sums[1].index_add_(0, ray[shown], s.weights[shown])
+            scale = torch.where(sums[1] > 0, sums[0] / sums[1].clamp(min=1e-30), 0.0)
+            counts.append(torch.zeros(n, dtype=torch.int64, device=self.device).index_add_(0, ray, shown.long()))
+            xs.append(s.x[shown])
+            weights.append(s.weights[shown] * scale[ray[shown]])
+        offsets = torch.zeros(len(origins) + 1, dtype=torch.int64, device=self.device)
+        torch.cumsum(torch.cat(counts), 0, out=offsets[1:])
+        return offsets, torch.cat(xs), torch.cat(weights)
+
+    def surface(self, view: int) -> Surface:
+        """The samples of a view, on the host."""
+        offsets, x, weights = (t.cpu().numpy() for t in self._samples(view))
+        return Surface(offsets, (x * 65535 + 0.5).astype(np.uint16), weights, self.alpha(view))
+
+    def alpha(self, view: int) -> np.ndarray:
+        """[h, w]."""
+        if view not in self._alphas:
+            camera, (offsets, _, weights) = self.cameras[view], self._samples(view)
+            sums = torch.zeros(len(weights) + 1, dtype=torch.float64, device=self.device)
+            torch.cumsum(weights.double(), 0, out=sums[1:])
+            alpha = (sums[offsets[1:]] - sums[offsets[:-1]]).clamp(0, 1).float()
+            self._alphas[view] = alpha.view(camera.height, camera.width).cpu().numpy()
+        return self._alphas[view]
+
+    def paint(self, view: int, pixels: np.ndarray) -> tuple[np.ndarray, tuple[DeviceSamples, Tensor]]:
+        """Premultiplied rgb [n, 3] of pixels, and what learn() needs."""
+        offsets, x, weights = self._samples(view)
+        chosen = torch.from_numpy(np.ascontiguousarray(pixels)).to(self.device)
+        counts = offsets[chosen + 1] - offsets[chosen]
+        ends = torch.cumsum(counts, 0)
+        starts, n = ends - counts, int(ends[-1]) if len(pixels) else 0
+        ray = torch.repeat_interleave(counts, output_size=n)
+        place = torch.arange(n, device=self.device) + (offsets[chosen] - starts)[ray]
+        zero = torch.zeros(max(n, len(pixels)), device=self.device)
+        own = weights[place].contiguous()
+        samples = DeviceSamples(
+            starts, ends, counts.int(), zero[: len(pixels)], torch.full((1,), n, dtype=torch.int64, device=self.device),
+            zero[:n], zero[:n], x[place].contiguous(), zero[:n], own, ray.int(),
+        )  # fmt: skip
+        colours = self._colour.colours(samples, None, 0.0)
+        return launch.composite(samples, colours)[:, :3].cpu().numpy(), (samples, colours)
+
+    def learn(self, kept: tuple[DeviceSamples, Tensor], gradients: np.ndarray, colour_to: Tensor) -> None:
+        """Add dL/d(colour values), from dL/d(rgb) [n, 3], to the flat buffer."""
+        samples, colours = kept
+        given = torch.from_numpy(np.ascontiguousarray(gradients, np.float32)).to(self.device)
+        to_colours = launch.shade_backward(samples, given)
+        self._colour.backward(samples, None, colours, to_colours, colour_to)

@@ -1,0 +1,58 @@
+"""The training photos on a device: random rays with their colours, drawn there."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from stylerf.errors import InvalidValue
+from stylerf.fields.device import DeviceRays
+from stylerf.kernels.gpu import launch
+from stylerf.training.rays import RayBank
+
+
+@dataclass
+class Drawn:
+    """rays; wanted [n, 4]: straight rgba 0..1; background [n, 3]."""
+
+    rays: DeviceRays
+    wanted: Tensor
+    background: Tensor
+
+
+class DeviceBank:
+    """bank: photos and cameras, copied to the device once, a byte a channel."""
+
+    def __init__(self, bank: RayBank, device: torch.device) -> None:
+        if len(bank) >= 2**31:
+            raise InvalidValue(f"{len(bank)} pixels of photos; at most {2**31 - 1} can be drawn from on a GPU")
+        self.device, self.channels, self.views = device, bank.channels, len(bank.cameras)
+        self.ends = np.cumsum(bank.sizes)
+        self.bytes, self.widths = self._copy(bank.bytes), self._copy(bank.widths)
+        self.view_ends, self.view_sizes = self._copy(self.ends), self._copy(bank.sizes)
+        self.intrinsics, self.poses = self._copy(bank.intrinsics), self._copy(bank.poses)
+        self._lit_host = bank.lit
+        lit = np.zeros(1, np.int64) if bank.lit is None else bank.lit[np.arange(bank.lit.below(len(bank)))]
+        self.lit = self._copy(lit)
+
+    def _copy(self, array: np.ndarray) -> Tensor:
+        return torch.from_numpy(np.ascontiguousarray(array)).to(self.device)
+
+    def draw(
+        self, seed: int, first: int, count: int, batch: int, among: int, lit_share: float, level: float | None
+    ) -> Drawn:
+        """Rays `first` to `first + count` of the batch of `batch` random rays that `seed` names, of `among` views.
+
+        lit_share: part of the batch that goes through pixels near something opaque. level: grey of the background;
+        None: random colours.
+        """
+        total = int(self.ends[among - 1])
+        most_lit = 0 if self._lit_host is None else self._lit_host.below(total)
+        lit_rays = int(batch * lit_share) if most_lit else 0
+        origins, directions, background = (torch.empty((count, 3), device=self.device) for _ in range(3))
+        wanted, jitter = torch.empty((count, 4), device=self.device), torch.empty(count, device=self.device)
+        launch.draw_rays(
+            self, seed, first, total, most_lit, lit_rays, level, origins, directions, wanted, jitter, background
+        )
+        return Drawn(DeviceRays(origins, directions, jitter), wanted, background)

@@ -1,0 +1,199 @@
+"""What the fitting loop asks of whatever holds its field: to learn from a batch, to judge, to look where density is.
+
+The loop (stylerf/training/fit.py) decides: when to grow, to go back, how fast to learn. An engine does the work, on the
+CPU (here) or on a GPU (stylerf/training/device_engine.py).
+"""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from stylerf.fields.field import RadianceField
+from stylerf.fields.samples import Rays
+from stylerf.rendering.rays import backward, render_rays
+from stylerf.training.optimiser import Adam
+from stylerf.training.ranks import ALONE, Ranks
+from stylerf.training.rays import RayBank
+
+
+@dataclass(frozen=True)
+class Batch:
+    """One step: `rays` random rays of the first `among` views, worked off in `parts`; `step` and seed decide which.
+
+    lit_share: part of the rays near something opaque. background: white, black, random or none. smoothness: strengths
+    (density, colour) of the planes' total variation, 0: none. even_from: see FitSettings.
+    """
+
+    step: int
+    rays: int
+    parts: int
+    among: int
+    lit_share: float
+    background: str
+    rate: float
+    smoothness: tuple[float, float]
+    even_from: float
+
+
+@dataclass(frozen=True)
+class Learnt:
+    """Mean squared error of a batch and samples a ray. A GPU's are those of the newest step that it has finished."""
+
+    error: float
+    live: float
+
+
+class Engine(Protocol):
+    """field: as it now stands, its arrays up to date. most_rays: of a batch.
+
+    Several processes that train together (Ranks) each do their part of a batch: sums are those of all of them.
+    """
+
+    field: RadianceField
+    parameters: int
+    most_rays: int
+
+    def adopt(self, field: RadianceField) -> None:
+        """Go on with this field, moments of the optimiser at zero."""
+
+    def refresh(self, seed: int, share: int) -> None:
+        """Look anew where the field has density, at one cell in `share`."""
+
+    def learn(self, batch: Batch) -> Learnt:
+        """One step of the optimiser. MemoryError where the batch does not fit; then discard() what was begun."""
+
+    def discard(self) -> None:
+        """Drop gradients that no step has taken."""
+
+    def squared_error(self, origins, directions, colours, background) -> float:
+        """Sum over rays and channels of (rendered - target)^2, each clipped at 1, over the background [rays, 3]."""
+
+    def agree(self) -> None:
+        """Take the first process's values: what unlike processors round otherwise must not add up."""
+
+    def moments(self) -> dict[str, np.ndarray]:
+        """What the optimisers remember, by name."""
+
+    def restore_moments(self, arrays: dict[str, np.ndarray]) -> None:
+        """From moments(), for the field adopted last."""
+
+    def warm_up(self, scratch: list[RadianceField], smoothness: tuple[float, float], even_from: float) -> None:
+        """Compile every kernel that a step uses on fields like these, which may be spoiled, without learning."""
+
+
+def background_of(kind: str, count: int, generator: np.random.Generator | None) -> np.ndarray:
+    """[count, 3] float32; `random` is white where there is no generator: where a field is judged."""
+    if kind == "random" and generator is not None:
+        return generator.random((count, 3), dtype=np.float32)
+    level = 0.0 if kind in ("black", "none") else 1.0
+    return np.full((count, 3), level, np.float32)
+
+
+def over(rgb: np.ndarray, alpha: np.ndarray, background: np.ndarray) -> np.ndarray:
+    """Premultiplied rgb over a background."""
+    return rgb + (1 - alpha) * background
+
+
+def target(colours: np.ndarray, background: np.ndarray) -> np.ndarray:
+    """Straight rgba over a background."""
+    return colours[:, :3] * colours[:, 3:] + (1 - colours[:, 3:]) * background
+
+
+class CpuEngine:
+    """numba kernels on `chunks` threads; the same seed gives the same bits."""
+
+    most_rays = 16384
+
+    def __init__(self, bank: RayBank, seed: int, chunks: int, field: RadianceField, ranks: Ranks = ALONE) -> None:
+        self.bank, self.seed, self.chunks, self.ranks = bank, seed, chunks, ranks
+        self.adopt(field)
+
+    def adopt(self, field: RadianceField) -> None:
+        self.field = field
+        self.density_adam = Adam(field.density.values, field.density.groups(), self.chunks)
+        self.colour_adam = Adam(field.colour.values, field.colour.groups(), self.chunks)
+
+    @property
+    def parameters(self) -> int:
+        return self.field.parameters
+
+    def refresh(self, seed: int, share: int) -> None:
+        field = self.field
+        field.occupancy.refresh(lambda x: field.density.sigma(x, self.chunks), field.step, seed, share, 0.9)
+
+    def learn(self, batch: Batch) -> Learnt:
+        generator = np.random.default_rng([self.seed, 4, batch.step])
+        count, near, own = batch.rays, self.field.space.near, self.ranks.own(batch.rays)
+        origins, directions, colours, _ = self.bank.draw(count, generator, batch.among, batch.lit_share, own)
+        jitter = generator.random(count, dtype=np.float32)[own]
+        background = background_of(batch.background, count, generator)[own]
+        error, live = 0.0, 0
+        for part in np.array_split(np.arange(len(origins)), batch.parts):
+            part = slice(int(part[0]), int(part[-1]) + 1)
+            rays = Rays.of(origins[part], directions[part], near, jitter[part])
+            rendered = render_rays(self.field, rays, chunks=self.chunks)
+            out, back = rendered.out, background[part]
+            difference = over(out[:, :3], out[:, 3:4], back) - target(colours[part], back)
+            error += float(np.square(difference).sum())
+            live += rendered.samples.count
+            gradients = np.zeros_like(out)
+            gradients[:, :3] = difference * np.float32(2 / (3 * count))
+            gradients[:, 3] = -(gradients[:, :3] * back).sum(1)
+            to = self.density_adam.gradients, self.colour_adam.gradients
+            backward(self.field, rendered, gradients, *to, even_from=batch.even_from)
+        both = (self.field.density, self.density_adam), (self.field.colour, self.colour_adam)
+        for strength, (part, adam) in zip(batch.smoothness, both):
+            if strength > 0 and self.ranks.first:
+                part.smooth(strength, adam.gradients[0])
+        totals = np.array([error, live], np.float64)
+        self.ranks.add(totals)
+        for adam in (self.density_adam, self.colour_adam):
+            self.ranks.add_gradients(adam.gradients)
+        self.density_adam.step(batch.rate)
+        self.colour_adam.step(batch.rate)
+        error, live = totals.tolist()
+        return Learnt(error / (3 * count), live / count)
+
+    def discard(self) -> None:
+        self.density_adam.gradients[:] = 0
+        self.colour_adam.gradients[:] = 0
+
+    def squared_error(self, origins, directions, colours, background) -> float:
+        begins = range(0, len(origins), 4096)
+        sums = np.zeros(len(begins))
+        for number in range(self.ranks.place, len(begins), self.ranks.count):
+            part = slice(begins[number], begins[number] + 4096)
+            rays = Rays.of(origins[part], directions[part], self.field.space.near)
+            out = render_rays(self.field, rays, chunks=self.chunks).out
+            error = over(out[:, :3], out[:, 3:4], background[part]) - target(colours[part], background[part])
+            sums[number] = np.square(np.clip(error, -1, 1)).sum()
+        self.ranks.add(sums)
+        return sum(sums.tolist())
+
+    def agree(self) -> None:
+        for part in (self.field.density, self.field.colour):
+            self.ranks.take_first(part.values)
+
+    def moments(self) -> dict[str, np.ndarray]:
+        both = ("density", self.density_adam), ("colour", self.colour_adam)
+        return {f"{name}.{k}": v for name, adam in both for k, v in adam.arrays().items()}
+
+    def restore_moments(self, arrays: dict[str, np.ndarray]) -> None:
+        for name, adam in (("density", self.density_adam), ("colour", self.colour_adam)):
+            adam.restore({k: arrays[f"{name}.{k}"] for k in ("first", "second", "steps")})
+
+    def warm_up(self, scratch: list[RadianceField], smoothness: tuple[float, float], even_from: float) -> None:
+        origins, directions, _, _ = self.bank.draw(16, np.random.default_rng(0))
+        rays = Rays.of(origins, directions, self.field.space.near)
+        for field in scratch:
+            field.occupancy.refresh(lambda x, d=field.density: d.sigma(x, self.chunks), field.step, 0, 1, 0.9)
+            rendered = render_rays(field, rays, chunks=self.chunks)
+            parts = field.density, field.colour
+            adams = [Adam(part.values, part.groups(), self.chunks) for part in parts]
+            to = adams[0].gradients, adams[1].gradients
+            backward(field, rendered, np.ones_like(rendered.out), *to, even_from=even_from)
+            for part, adam, weight in zip(parts, adams, smoothness):
+                if weight > 0:
+                    part.smooth(weight, adam.gradients[0])
+                adam.step(1e-3)

@@ -1,0 +1,17 @@
+"""The device of the GPU kernels' tests: a GPU where there is one, else CPU tensors and Triton's interpreter."""
+
+import pytest
+
+
+@pytest.fixture(scope="session")
+def device():
+    pytest.importorskip("triton", reason="Triton is not installed: pip install -e '.[test]' brings it on Linux")
+    import torch
+
+    from stylerf.kernels.gpu import interpreted
+
+    if torch.cuda.is_available() and not interpreted():
+        return torch.device("cuda")
+    if not interpreted():
+        pytest.skip("no GPU, and TRITON_INTERPRET was not set before Triton was imported")
+    return torch.device("cpu")

@@ -1,0 +1,45 @@
+"""Fields, rays and samples between the host and a device, as the tests of the GPU kernels want them."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import torch
+
+from stylerf.fields.samples import Samples
+from stylerf.geometry.harmonics import harmonics
+from tests.stylerf.small import float64, oracle_pixels
+
+
+def device_rays(rays, device):
+    from stylerf.fields.device import DeviceRays
+
+    return DeviceRays(*(torch.from_numpy(a).to(device) for a in (rays.origins, rays.directions, rays.jitter)))
+
+
+def on_host(samples) -> Samples:
+    """Device samples as the CPU kernels would hand them out."""
+    parts = (samples.starts, samples.ends, samples.t, samples.optical, samples.x, samples.sigma, samples.weights)
+    return Samples(*(part.cpu().numpy() for part in parts))
+
+
+def by_oracle(field, rays, rendered, grid=None, even_from: float = 0.0, gradients=None):
+    """(pixels [rays, 5], gradients of the parts' values) in float64, at the samples that the device chose."""
+    degree = getattr(field.colour, "degree", 0)
+    seen = SimpleNamespace(
+        samples=on_host(rendered.samples),
+        colours=rendered.colours.cpu().numpy(),
+        basis=harmonics(rays.directions, degree),
+    )
+    values = [float64(part.values).requires_grad_() for part in (field.density, field.colour)]
+    pixels, _ = oracle_pixels(field, rays, seen, *values, grid)
+    if gradients is None:
+        return pixels.detach(), None
+    (pixels * torch.from_numpy(gradients.astype(np.float64))).sum().backward()
+    return pixels.detach(), [v.grad for v in values]
+
+
+def gradients_of(made, rendered, gradients, even_from: float = 0.0) -> list[torch.Tensor]:
+    """What the device adds to flat buffers of the density and the colour."""
+    to = [torch.zeros_like(part.values) for part in (made.density, made.colour)]
+    made.backward(rendered, torch.from_numpy(gradients).to(made.device), *to, even_from=even_from)
+    return [t.cpu() for t in to]

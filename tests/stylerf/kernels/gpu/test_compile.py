@@ -1,0 +1,41 @@
+"""Every GPU kernel compiles to machine code, whether a GPU is there or not, and fits the GPUs that it is meant for."""
+
+import json
+import os
+import subprocess
+import sys
+
+import pytest
+
+from tests.conftest import REPOSITORY
+
+# Bytes of shared memory a program may have: 99 KB on the smallest of compute capability 8.0 or newer.
+SHARED = 99 * 1024
+
+
+def compiled(folder, *arguments: str) -> list[dict]:
+    pytest.importorskip("triton", reason="Triton is not installed")
+    environment = os.environ | {"TRITON_INTERPRET": "0", "TRITON_CACHE_DIR": str(folder)}
+    command = [sys.executable, "-m", "tests.stylerf.kernels.gpu.compile_all", *arguments]
+    ran = subprocess.run(command, env=environment, cwd=REPOSITORY, capture_output=True, text=True, check=False)
+    assert ran.returncode == 0, ran.stderr[-3000:]
+    return [json.loads(line) for line in ran.stdout.splitlines()]
+
+
+def test_the_smallest_kernel_compiles_for_a_gpu_that_is_not_here(tmp_path):
+    found = compiled(tmp_path, "adam", "90")
+    assert [row["kernel"] for row in found] == ["optimiser.adam_kernel"] and found[0]["cubin"] > 1000
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("capability", ["80", "90"])
+def test_all_kernels_compile_and_fit(tmp_path, capability):
+    found = compiled(tmp_path, "", capability)
+    kernels = {row["kernel"] for row in found}
+    assert kernels == {
+        "march.march_kernel", "vm.density_kernel", "vm.density_backward_kernel", "vm.colour_kernel",
+        "vm.colour_backward_kernel", "vm.smoothness_kernel", "hash.colour_kernel", "hash.colour_backward_kernel",
+        "composite.composite_kernel", "composite.composite_backward_kernel", "composite.loss_kernel",
+        "composite.shade_backward_kernel", "optimiser.adam_kernel", "pixels.draw_kernel",
+    }  # fmt: skip
+    assert all(row["shared"] <= SHARED for row in found), max(found, key=lambda row: row["shared"])

@@ -1,0 +1,125 @@
+"""Edges of the GPU kernels: rays that miss, end at once or find no room; the cube's corners; offsets beyond 2^31."""
+
+import numpy as np
+import pytest
+import torch
+
+from stylerf.fields.field import RadianceField
+from stylerf.fields.occupancy import Occupancy
+from stylerf.fields.samples import Rays
+from stylerf.fields.vm import VmDensity
+from stylerf.geometry.space import Space
+from stylerf.kernels import oracle
+from tests.stylerf.kernels.gpu.on_device import device_rays, on_host
+from tests.stylerf.small import SPACES, close, density, float64, hash_colour, occupied, rays_into
+
+UNIT_BOX = Space.box([0, 0, 0], [1, 1, 1])
+
+
+def even_fog(raw: float) -> VmDensity:
+    made = density(0, size=(2, 2, 2))
+    made.values[:] = 0
+    made.values[-1] = np.log(raw)
+    return made
+
+
+def along_x(*origins: tuple[float, float, float], jitter: float = 0.5) -> Rays:
+    count = len(origins)
+    ways = np.tile(np.float32([1, 0, 0]), (count, 1))
+    return Rays.of(np.array(origins, np.float32), ways, 0.0, np.full(count, jitter, np.float32))
+
+
+def device_field(made, device, space=UNIT_BOX, step=1 / 8, occupancy=None):
+    from stylerf.fields.device import DeviceField
+
+    return DeviceField(RadianceField(space, made, hash_colour(1), occupancy or occupied(), step), device)
+
+
+def test_rays_that_miss_have_no_samples_and_colour_nothing(device):
+    rays = along_x((-1, 1.5, 0.5), (2, 0.5, 0.5), (1, 0.5, 0.5), (-1, 0, 0.5), (-1, 0.5, 0.5))
+    found = device_field(even_fog(0.01), device).render_rays(device_rays(rays, device), opaque=0.0)
+    s = found.samples
+    assert (s.ends - s.starts).tolist() == [0, 0, 0, 8, 8]
+    assert not found.out[:3].any() and bool((found.out[3:, 3] > 0.5).all())
+    # Eight steps from the middle of the first.
+    np.testing.assert_allclose(s.t[:8].cpu(), 1 + (np.arange(8) + 0.5) / 8, rtol=1e-6)
+    np.testing.assert_allclose(found.out[4, 3].cpu(), 1 - np.exp(-1.0), rtol=1e-5)
+    nothing = device_field(even_fog(0.01), device).render_rays(device_rays(along_x((9, 9, 9)), device))
+    assert int(nothing.samples.total) == 0 and not nothing.out.any()
+
+
+def test_an_opaque_ray_ends_at_the_sample_that_stops_it(device):
+    rays = device_rays(along_x((-1, 0.5, 0.5), (0.9, 0.5, 0.5)), device)
+    solid = device_field(even_fog(1e3), device).march(rays, 512, 1e-3, None)
+    assert (solid.ends - solid.starts).tolist() == [1, 1] and solid.weights.tolist() == [1, 1]
+    thin = device_field(even_fog(0.4), device).march(rays, 512, 1e-3, None)  # five a step: under 1e-3 after two
+    assert (thin.ends - thin.starts).tolist() == [2, 1]
+    limited = device_field(even_fog(0.001), device).march(rays, 3, 1e-3, None)
+    assert (limited.ends - limited.starts).tolist() == [3, 1]
+
+
+def test_corners_and_sides_are_asked_at_zero_and_one(device):
+    made = density(8)
+    corners = np.array(list(np.ndindex(2, 2, 2)) + [(0.5, 1, 0)], np.float32)
+    found = device_field(made, device).density.sigma(torch.from_numpy(corners).to(device))
+    expected = oracle.vm_density(float64(made.values), made.size.tolist(), made.rank, float64(corners))
+    close(found.cpu(), expected, 5e-6)
+    along = device_field(made, device).march(device_rays(along_x((-1, 1, 1), jitter=0.0), device), 512, 0.0, None)
+    assert along.x[0].tolist() == [0, 1, 1] and bool((along.x[:, 1:] == 1).all())
+
+
+def test_rays_beyond_the_room_get_no_sample_and_count_for_nothing(device):
+    from stylerf.kernels.gpu import launch
+
+    rays = along_x(*[(-1, 0.5, 0.5)] * 4)
+    made = device_field(even_fog(0.001), device)
+    found = made.render_rays(device_rays(rays, device), room=20, opaque=0.0)
+    s = found.samples
+    assert s.counts.tolist() == [8] * 4 and (s.ends - s.starts).tolist() == [8, 8, 0, 0] and int(s.total) == 16
+    sums, wanted = torch.zeros(3, device=device), torch.zeros((4, 4), device=device)
+    background = torch.ones((4, 3), device=device)
+    gradients = launch.photometric_loss(found.out, wanted, background, s, 0.5, sums)
+    assert sums.tolist()[1:] == [16, 2] and not gradients[2:].any() and gradients[0].any()
+    # Nothing is read or written beyond what there is: the rest of the room is poisoned.
+    for array in (s.x, s.weights, s.sigma, s.optical, s.t, found.colours):
+        array[16:] = float("nan")
+    to = [torch.zeros_like(part.values) for part in (made.density, made.colour)]
+    made.backward(found, gradients, *to)
+    assert all(bool(torch.isfinite(t).all()) and t.any() for t in to)
+
+
+@pytest.mark.parametrize("kind", ["contraction", "frustum"])
+def test_closed_spaces_end_in_a_backdrop_that_takes_the_rest(kind, device):
+    rays, empty = rays_into(SPACES[kind], 5, 9), Occupancy(8)
+    empty.set_occupied(np.zeros(8**3, bool))
+    found = device_field(even_fog(1e-5), device, SPACES[kind], occupancy=empty).march(
+        device_rays(rays, device), 512, 1e-3, None
+    )
+    s = on_host(found)
+    assert (s.ends - s.starts).tolist() == [1] * 5 and (s.weights == 1).all() and (s.optical == 0).all()
+    assert (s.t == np.float32(SPACES[kind].far)).all()
+
+
+@pytest.mark.parametrize("kind", SPACES)
+def test_leaps_reach_every_occupied_cell_that_the_cpu_reaches(kind, device):
+    full, occupancy = np.zeros((8, 8, 8), bool), Occupancy(8)
+    full[3:5, 2:4, 3:6] = True
+    full[6, 6, 6] = True
+    occupancy.set_occupied(full.ravel())
+    made, rays = even_fog(1e-4), rays_into(SPACES[kind], 12, 13)
+    field = RadianceField(SPACES[kind], made, hash_colour(1), occupancy, 1 / 24)
+    cpu = field.march(rays, 512, 1e-3, 1)
+    gpu = device_field(made, device, SPACES[kind], 1 / 24, occupancy)
+    found = on_host(gpu.march(device_rays(rays, device), 512, 1e-3, None))
+    counts = cpu.ends - cpu.starts, found.ends - found.starts
+    assert counts[0].max() > 2 and (np.abs(counts[0] - counts[1]) <= 1).all()
+
+
+def test_offsets_beyond_two_to_the_thirty_first(device):
+    from stylerf.kernels.gpu.march import offsets_kernel
+
+    rows = torch.tensor([0, 715_827_882, 715_827_883, 2**31 - 1], dtype=torch.int32, device=device)
+    out = torch.empty(4, dtype=torch.int64, device=device)
+    for width, column in ((3, 2), (64, 63)):
+        offsets_kernel[(1,)](rows, out, width, column, BLOCK=4)
+        assert out.tolist() == [int(row) * width + column for row in rows]

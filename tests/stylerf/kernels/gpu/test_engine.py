@@ -1,0 +1,200 @@
+"""The device engine, views and surfaces beside the CPU's: same gradients, same pictures, same loop."""
+
+import functools
+
+import numpy as np
+import pytest
+import torch
+
+from stylerf.fields.samples import Rays
+from stylerf.fields.vm import split_table
+from stylerf.rendering.rays import backward, render_rays
+from stylerf.rendering.view import render_view
+from stylerf.training.engine import Batch, CpuEngine, background_of
+from stylerf.training.fit import Fitter
+from tests.stylerf.small import field_of, hash_colour, vm_colour
+from tests.stylerf.training.running import resumed, run_until
+from tests.stylerf.training.scenes import AROUND, Rung, box_bank, dome, settings
+
+
+@pytest.fixture(scope="module")
+def bank():
+    return box_bank(4, 10)
+
+
+def thin_field(space=AROUND, step=1 / 8, colour=None):
+    field = field_of(space, 3, colour or vm_colour(4), step)
+    field.density.values[-1] = -4.0
+    return field
+
+
+def batch(**more) -> Batch:
+    plain = {"step": 3, "rays": 24, "parts": 1, "among": 3, "lit_share": 0.5, "background": "white", "rate": 1e-2}
+    return Batch(**{**plain, "smoothness": (0.0, 0.0), "even_from": 0.0, **more})
+
+
+def engine_on(device, bank, field):
+    from stylerf.training.device_engine import DeviceEngine
+
+    return DeviceEngine(bank, 0, 1, field, device=device, samples=400)
+
+
+def kept_gradients(engine) -> list[torch.Tensor]:
+    """Instead of steps of the optimisers: the gradients they would take."""
+    found = []
+    for adam in (engine.density_adam, engine.colour_adam):
+        adam.step = lambda rate, adam=adam: found.append(adam.gradients.clone().cpu())
+    return found
+
+
+def test_a_step_learns_the_gradient_that_the_cpu_finds_for_the_same_rays(bank, device):
+    field = thin_field()
+    engine = engine_on(device, bank, field)
+    found = kept_gradients(engine)
+    learnt = engine.learn(batch())
+    if device.type == "cuda":
+        torch.cuda.synchronize()
+        learnt = engine._reports.send(24) if engine._reports._take(wait=True) else learnt
+    drawn = engine.bank.draw((0 * 1_000_003 + 3) & 0x7FFFFFFF, 0, 24, 24, 3, 0.5, 1.0)
+    host = [t.cpu().numpy() for t in (drawn.rays.origins, drawn.rays.directions, drawn.rays.jitter)]
+    rendered = render_rays(field, Rays.of(host[0], host[1], 0.0, host[2]), chunks=1)
+    rgba, out = drawn.wanted.cpu().numpy(), rendered.out
+    difference = out[:, :3] + 1 - out[:, 3:4] - (rgba[:, :3] * rgba[:, 3:] + 1 - rgba[:, 3:])
+    gradients = np.zeros_like(out)
+    gradients[:, :3] = difference * np.float32(2 / (3 * 24))
+    gradients[:, 3] = -gradients[:, :3].sum(1)
+    to = [np.zeros((1, len(part.values)), np.float32) for part in (field.density, field.colour)]
+    backward(field, rendered, gradients, *to)
+    for ours, expected in zip(found, to):
+        np.testing.assert_allclose(ours, expected[0], atol=3e-5 * np.abs(expected).max())
+    assert learnt.error == pytest.approx(float(np.square(difference).mean()), rel=1e-4)
+    assert learnt.live == pytest.approx(rendered.samples.count / 24, abs=0.1)
+
+
+@pytest.mark.slow
+def test_parts_smoothness_and_steps(bank, device):
+    whole, cut = (engine_on(device, bank, thin_field()) for _ in range(2))
+    found = [kept_gradients(engine) for engine in (whole, cut)]
+    whole.learn(batch())
+    cut.learn(batch(parts=2, smoothness=(0.5, 0.0)))
+    extra = np.zeros(len(cut.field.density.values), np.float32)
+    thin_field().density.smooth(0.5, extra)
+    np.testing.assert_allclose(found[1][0] - found[0][0], extra, atol=2e-6)
+    np.testing.assert_allclose(found[1][1], found[0][1], atol=1e-6)
+
+
+@pytest.mark.slow
+def test_what_is_learnt_comes_back_and_moments_with_it(bank, device):
+    engine = engine_on(device, bank, thin_field())
+    before = engine.field.colour.values.copy()
+    assert engine.field.colour.values is engine.field.colour.values
+    engine.learn(batch(rate=0.05))
+    now = engine.field.colour.values
+    assert not np.array_equal(now, before) and np.abs(now - before).max() < 0.06
+    moments = engine.moments()
+    assert moments["density.steps"].tolist() == [1] and moments["colour.first"].any()
+    other = engine_on(device, bank, engine.field)
+    other.restore_moments(moments)
+    assert torch.equal(other.colour_adam.second, engine.colour_adam.second) and other.density_adam.steps == 1
+
+
+def test_held_out_views_are_judged_as_on_the_cpu(bank, device):
+    field = thin_field()
+    views = np.repeat(np.arange(3), 8)
+    rays = bank.at(views, np.arange(24) * 4)
+    background = background_of("white", 24, None)
+    expected = CpuEngine(bank, 0, 1, field).squared_error(*rays, background)
+    assert engine_on(device, bank, field).squared_error(*rays, background) == pytest.approx(expected, rel=1e-4)
+
+
+def test_lack_of_memory_is_told_as_the_loop_knows_it(bank, device, monkeypatch):
+    engine = engine_on(device, bank, thin_field())
+
+    def full(*arguments, **named):
+        raise torch.OutOfMemoryError("CUDA out of memory")
+
+    monkeypatch.setattr(engine.live, "render_rays", full)
+    with pytest.raises(MemoryError, match="out of memory"):
+        engine.learn(batch())
+
+
+def small_fitter(bank, device, steps=3):
+    from stylerf.training.device_engine import DeviceEngine
+
+    given = settings(steps, samples=300, ladder=(Rung(8, 16, 24, 8),), shares=(), background="random")
+    made = Fitter(AROUND, bank, 0, given, 0, 1, engine=functools.partial(DeviceEngine, device=device, samples=300))
+    made.state.rays = 32
+    made._held_out_rays = tuple(a[:32] for a in made._held_out_rays)
+    made.warm_up = lambda: None
+    return made
+
+
+@pytest.mark.slow
+def test_the_loop_runs_and_resumes_on_a_device(bank, device):
+    """Three steps, each a second or more in the interpreter."""
+    whole = small_fitter(bank, device)
+    whole.run(check_every=0.5)
+    assert whole.state.step == 3 and whole.state.curve and np.isfinite(whole.state.curve[-1]["psnr"])
+    part = resumed(small_fitter(bank, device), run_until(small_fitter(bank, device), 2))
+    assert part.state.step == 2
+    part.run(check_every=0.5)
+    np.testing.assert_allclose(part.field.colour.values, whole.field.colour.values, atol=1e-3)
+
+
+def test_a_view_is_the_cpus_picture(device):
+    from stylerf.rendering.device_view import DeviceRenderer
+
+    field, camera = thin_field(step=1 / 6, colour=hash_colour(5)), dome(1, 2, 7)[0]
+    cells = np.zeros((4, 4, 4), bool)
+    cells[1:3, :, 2] = True
+    expected = render_view(field, camera, chunks=1, regions={"one": cells})
+    found = DeviceRenderer(field, device, "float32", rays_at_once=30).view(camera, regions={"one": cells})
+    for name in ("rgb", "alpha", "ray_distance", "z"):
+        np.testing.assert_allclose(getattr(found, name), getattr(expected, name), atol=2e-5)
+    np.testing.assert_allclose(found.masks["one"], expected.masks["one"], atol=2e-5)
+    assert expected.masks["one"].any()
+
+
+@pytest.mark.slow
+def test_halves_are_taken_where_pixels_allow_it_and_refused_elsewhere(device):
+    from stylerf.rendering.device_view import TOLERANCE, DeviceRenderer
+
+    field, camera = thin_field(step=1 / 6, colour=hash_colour(5)), dome(1, 2, 4)[0]
+    made = DeviceRenderer(field, device)
+    rgb = made.view(camera).rgb
+    assert made.half and made.field.density.table.dtype == torch.float16
+    assert np.abs(rgb - render_view(field, camera, chunks=1).rgb).max() <= TOLERANCE
+    # What halves round away of large features that all but cancel decides how dense the fog is.
+    planes, lines = split_table(field.density.table, field.density.size, field.density.rank)
+    for plane, line in zip(planes, lines):
+        plane[..., ::2], plane[..., 1::2], line[:] = 2000.3, -2000, 1
+    field.density.values[-1] = -9.5
+    exact = DeviceRenderer(field, device)
+    exact.view(camera)
+    assert exact.half is False and exact.field.density.table.dtype == torch.float32
+
+
+@pytest.mark.slow
+def test_fixed_surfaces_paint_and_learn_as_on_the_cpu(device):
+    from stylerf.training.device_geometry import DeviceFixedGeometry
+    from stylerf.training.geometry import FixedGeometry
+
+    field, cameras = thin_field(step=1 / 6), dome(2, 3, 6)
+    field.density.values[-1] = -2.0
+    cpu, gpu = FixedGeometry(field, cameras, 0.2, 1), DeviceFixedGeometry(field, cameras, 0.2, device)
+    field.colour = hash_colour(6)
+    adam = gpu.new_adam()
+    np.testing.assert_allclose(gpu.alpha(1), cpu.alpha(1), atol=2e-5)
+    assert np.array_equal(gpu.surface(1).offsets, cpu.surface(1).offsets)
+    pixels = np.array([3, 30, 17, 8, 17])
+    (ours, kept), (expected, held) = gpu.paint(1, pixels), cpu.paint(1, pixels)
+    np.testing.assert_allclose(ours, expected, atol=2e-4)  # the CPU keeps positions in sixteen bits
+    towards = np.random.default_rng(0).normal(size=(5, 3)).astype(np.float32)
+    to = np.zeros((1, len(field.colour.values)), np.float32)
+    cpu.learn(held, towards, to)
+    gpu.learn(kept, towards, adam.gradients)
+    np.testing.assert_allclose(adam.gradients.cpu(), to[0], atol=3e-3 * np.abs(to).max())
+    adam.step(0.01)
+    before = field.colour.values.copy()
+    gpu.collect()
+    assert 0 < np.abs(field.colour.values - before).max() < 0.011

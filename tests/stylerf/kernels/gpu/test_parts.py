@@ -1,0 +1,136 @@
+"""Adam, hash rows, smoothing, drawn rays and the occupancy's distances, each against an answer of its own."""
+
+import numpy as np
+import pytest
+import torch
+
+from stylerf.fields.occupancy import Occupancy
+from stylerf.kernels import oracle
+from stylerf.training.optimiser import Adam
+from tests.stylerf.small import close, density, float64, hash_colour, vm_colour
+from tests.stylerf.training.scenes import box_bank
+
+
+def test_adam_steps_as_the_cpus_does_and_leaves_runs_without_gradient_alone(device):
+    from stylerf.training.device_engine import DeviceAdam
+
+    generator, n = np.random.default_rng(0), 1003
+    values = generator.normal(size=n).astype(np.float32)
+    cpu = Adam(values.copy(), [(0, 500, 1.0), (500, n, 0.5)], 1)
+    gpu = DeviceAdam(torch.from_numpy(values.copy()).to(device), cpu.groups)
+    for step in range(3):
+        gradient = generator.normal(size=n).astype(np.float32)
+        gradient[200:400] = 0
+        cpu.gradients[0], gpu.gradients[:] = gradient, torch.from_numpy(gradient).to(device)
+        cpu.step(0.1 / (step + 1))
+        gpu.step(0.1 / (step + 1))
+    np.testing.assert_allclose(gpu.values.cpu(), cpu.values, rtol=2e-6, atol=2e-6)
+    assert np.array_equal(gpu.values.cpu()[200:400], values[200:400]) and not gpu.gradients.any()
+    again = DeviceAdam(gpu.values, cpu.groups)
+    again.restore(gpu.arrays())
+    assert again.steps == 3 and torch.equal(again.second, gpu.second)
+
+
+def test_a_gradient_of_nan_is_no_zero(device):
+    from stylerf.training.device_engine import DeviceAdam
+
+    made = DeviceAdam(torch.ones(16, device=device), [(0, 16, 1.0)])
+    made.gradients[3] = float("nan")
+    made.step(0.1)
+    assert made.values.isnan().tolist() == [k == 3 for k in range(16)]
+
+
+def test_hash_rows_and_their_gradient_equal_the_oracle(device):
+    from stylerf.kernels.gpu import hash as kernels
+
+    made, x = hash_colour(3), np.random.default_rng(1).random((40, 3), dtype=np.float32)
+    x[0], x[1] = 0, 1
+    values, points = (torch.from_numpy(a).to(device) for a in (made.values, x))
+    layout = torch.from_numpy(made.layout).to(device)
+    out = torch.empty((40, 32), device=device)
+    kernels.rows_kernel[(1,)](values, layout, points, out, 40, LEVELS=8, BLOCK=64)
+    exact = float64(made.values).requires_grad_()
+    expected = oracle.hash_levels(exact, 8, made.base, made.finest, made.table, float64(x)).flatten(1)
+    np.testing.assert_allclose(out.cpu(), expected.detach(), atol=2e-6)
+    towards = torch.from_numpy(np.random.default_rng(2).normal(size=(40, 32)))
+    (expected * towards).sum().backward()
+    to = torch.zeros_like(values)
+    kernels.rows_backward_kernel[(1,)](layout, points, towards.float().to(device), to, 40, LEVELS=8, BLOCK=64)
+    close(to.cpu(), exact.grad, 5e-6)
+
+
+@pytest.mark.parametrize("make", [lambda: density(1), lambda: vm_colour(2), lambda: hash_colour(3)])
+def test_smoothing_equals_the_cpus(make, device):
+    from stylerf.fields import device as parts
+
+    part = make()
+    kinds = parts.DENSITY_KINDS if part.values.size == density(1).values.size else parts.COLOUR_KINDS
+    cpu = np.full(len(part.values), 0.25, np.float32)
+    part.smooth(0.7, cpu)
+    to = torch.full((len(part.values),), 0.25, device=device)
+    kinds[part.kind](part, device).smooth(0.7, to)
+    np.testing.assert_allclose(to.cpu(), cpu, rtol=1e-5, atol=1e-6)
+
+
+def test_drawn_rays_are_those_of_pixels_of_the_photos(device):
+    from stylerf.training.device_rays import DeviceBank
+
+    bank = box_bank(5, 12)
+    made = DeviceBank(bank, device)
+    drawn = made.draw(7, 0, 500, 500, 3, 0.5, 1.0)
+    origins, directions, colours = bank.at(*np.divmod(np.arange(3 * 144), 144))
+    # Each ray is one pixel's of the first three views, with its colour.
+    ways = drawn.rays.directions.cpu().numpy()
+    pixel = np.array([np.abs(directions - way).max(1).argmin() for way in ways])
+    np.testing.assert_allclose(ways, directions[pixel], atol=1e-6)
+    np.testing.assert_allclose(drawn.rays.origins.cpu(), origins[pixel], atol=1e-6)
+    np.testing.assert_allclose(drawn.wanted.cpu(), colours[pixel], atol=1e-6)
+    assert np.isin(pixel[:250], bank.lit).all() and not np.isin(pixel[250:], bank.lit).all()
+    assert len(np.unique(pixel)) > 200 and {0, 1, 2} == set((pixel // 144).tolist())
+    jitter = drawn.rays.jitter.cpu()
+    assert 0 <= float(jitter.min()) and float(jitter.max()) < 1 and abs(float(jitter.mean()) - 0.5) < 0.05
+    assert bool((drawn.background == 1).all())
+
+
+def test_a_batch_is_the_same_however_it_is_cut_and_another_for_another_seed(device):
+    from stylerf.training.device_rays import DeviceBank
+
+    made = DeviceBank(box_bank(4, 8), device)
+    whole = made.draw(7, 0, 90, 90, 4, 0.5, None)
+    parts = [made.draw(7, first, count, 90, 4, 0.5, None) for first, count in ((0, 40), (40, 50))]
+    for of in (lambda d: d.rays.directions, lambda d: d.wanted, lambda d: d.background, lambda d: d.rays.jitter):
+        assert torch.equal(of(whole), torch.cat([of(part) for part in parts]))
+    assert not torch.equal(whole.background, made.draw(8, 0, 90, 90, 4, 0.5, None).background)
+    assert 0.3 < float(whole.background.mean()) < 0.7 and float(whole.background.std()) > 0.2
+
+
+def test_distances_are_scipys_and_never_beyond(device):
+    from stylerf.fields.device_occupancy import distances_to
+
+    full, exact = np.random.default_rng(0).random((12, 12, 12)) < 0.004, Occupancy(12)
+    assert full.any()
+    exact.set_occupied(full.ravel())
+    there = torch.from_numpy(full).to(device)
+    assert np.array_equal(distances_to(there).cpu().numpy().ravel(), exact.distances)
+    assert np.array_equal(distances_to(there, 3).cpu().numpy().ravel(), np.minimum(exact.distances, 3))
+
+
+def test_the_occupancy_looks_where_it_should_and_decides_as_the_cpus_does(device):
+    from stylerf.fields.device import DeviceField
+    from stylerf.fields.device_occupancy import refresh
+    from tests.stylerf.small import SPACES, field_of
+
+    field = field_of(SPACES["box"], 3)
+    made = DeviceField(field, device)
+    refresh(made, 5, 1, 0.9)
+    assert bool(torch.isfinite(made.highest).all())
+    # Each cell holds the density of one point in it: nowhere beyond the densest of many points.
+    places = torch.rand((4000, 3), generator=torch.Generator().manual_seed(1)).to(device)
+    assert float(made.highest.max()) <= 1.5 * float(made.density.sigma(places).max())
+    field.occupancy.highest[:] = made.highest.cpu().numpy()
+    field.occupancy.decide(field.step)
+    assert np.array_equal(made.distances.cpu().numpy(), np.minimum(field.occupancy.distances, 32))
+    before = made.highest.clone()
+    refresh(made, 6, 4, 0.5)
+    same = (made.highest == before).float().mean()
+    assert 0.7 < float(same) < 0.8 and bool((made.highest >= 0.5 * before * (1 - 1e-6)).all())

@@ -1,0 +1,131 @@
+"""march, encode and composite on the device against the float64 oracle: samples, pixels and gradients."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+import torch
+
+from stylerf.geometry.harmonics import harmonics
+from stylerf.kernels import oracle
+from tests.stylerf.kernels.gpu.on_device import by_oracle, device_rays, gradients_of, on_host
+from tests.stylerf.small import (
+    SPACES,
+    Packed,
+    close,
+    displacement_grid,
+    field_of,
+    float64,
+    hash_colour,
+    points_on,
+    rays_into,
+    vm_colour,
+)
+
+STEP = 1 / 8
+# Space, colour, displaced: every space, both colours, degrees 0 to 2 and a displacement, at one walk each.
+CASES = {
+    "box": ("box", lambda: vm_colour(4, degree=1), False),
+    "box displaced": ("box", lambda: hash_colour(5), True),
+    "contraction": ("contraction", lambda: vm_colour(4, degree=2), False),
+    "frustum": ("frustum", lambda: vm_colour(4, degree=0), False),
+}
+
+
+@cache
+def walked(case: str, device, rays: int = 14):
+    """(field, rays, device field, what it rendered, dL/d(pixels), device gradients): computed once a case."""
+    from stylerf.fields.device import DeviceField
+
+    kind, colour, displaced = CASES[case]
+    field = field_of(SPACES[kind], 3, colour(), STEP, displacement_grid(6) if displaced else None)
+    field.density.values[-1] = -4.5  # thin: rays go on long enough to end in the backdrop
+    made, going = DeviceField(field, device), rays_into(SPACES[kind], rays, 4)
+    rendered = made.render_rays(device_rays(going, device), share=0.05)
+    towards = np.random.default_rng(7).normal(size=(rays, 5)).astype(np.float32)
+    return field, going, made, rendered, towards, gradients_of(made, rendered, towards)
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_every_sample_equals_the_oracle_at_its_distance(case, device):
+    field, rays, _, rendered, _, _ = walked(case, device)
+    space, packed = field.space, Packed.of(on_host(rendered.samples))
+    assert len(packed.rays) == int(rendered.samples.total) == rendered.samples.room > 20
+    assert torch.equal(rendered.samples.ray_of.cpu().long(), packed.rays)
+    where, ways = points_on(rays, packed)
+    x, end = oracle.warp(space, where), packed.backdrop
+    assert bool(end.any()) == (space.kind != "box")
+    length = STEP / oracle.speed(space, where, ways) * oracle.density_jacobian(space, where) * oracle.OPTICAL_SCALE
+    close(packed.optical[~end], length[~end], 1e-3 if space.kind == "contraction" else 2e-5)
+    if field.displacement is not None:
+        x = torch.where(end[:, None], x, oracle.displaced(float64(field.displacement), x))
+    np.testing.assert_allclose(packed.x, x, atol=3e-6)
+    d = field.density
+    sigma = oracle.vm_density(float64(d.values), d.size.tolist(), d.rank, packed.x)
+    close(packed.sigma[~end], sigma[~end], 5e-6)
+    weights, _ = oracle.weights(packed.sigma, packed.optical, packed.rays, end)
+    np.testing.assert_allclose(packed.weights, weights, atol=3e-6)
+    largest = torch.zeros(len(rays.origins), dtype=torch.float64).index_reduce(0, packed.rays, packed.weights, "amax")
+    assert torch.equal(rendered.samples.largest.cpu().double(), largest)
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_the_device_walks_as_the_cpu_does(case, device):
+    field, rays, _, rendered, _, _ = walked(case, device)
+    cpu = field.march(rays, 512, 1e-3, 1)
+    found = on_host(rendered.samples)
+    # One sample may fall on either side of a ray's end.
+    assert (np.abs((cpu.ends - cpu.starts) - (found.ends - found.starts)) <= 1).all()
+    for r in range(len(rays.origins)):
+        a, b = cpu.t[cpu.starts[r] : cpu.ends[r]], found.t[found.starts[r] : found.ends[r]]
+        both = min(len(a), len(b)) - 1
+        np.testing.assert_allclose(a[:both], b[:both], rtol=2e-4 if field.space.kind != "box" else 2e-6)
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_colours_equal_the_oracle_where_they_weigh_enough_and_are_left_out_elsewhere(case, device):
+    field, rays, _, rendered, _, _ = walked(case, device)
+    packed, c = Packed.of(on_host(rendered.samples)), field.colour
+    largest = rendered.samples.largest.cpu().double()[packed.rays]
+    shown = packed.weights >= np.float32(0.05) * largest
+    found = rendered.colours.cpu().double()
+    assert bool(shown.any()) and not bool(shown.all())
+    assert bool((found[~shown, 0] == -1).all())
+    if c.kind == "hash":
+        expected = oracle.hash_colour(float64(c.values), c.levels, c.base, c.finest, c.table, packed.x)
+    else:
+        basis = float64(harmonics(rays.directions, c.degree))[packed.rays]
+        expected = oracle.vm_colour(float64(c.values), c.size.tolist(), c.rank, basis, packed.x)
+    np.testing.assert_allclose(found[shown], expected[shown], atol=3e-6)
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_pixels_and_gradients_equal_the_oracle(case, device):
+    field, rays, _, rendered, towards, found = walked(case, device)
+    grid = None if field.displacement is None else float64(field.displacement)
+    pixels, expected = by_oracle(field, rays, rendered, grid, gradients=towards)
+    close(rendered.out.cpu(), pixels, 1e-5)
+    close(found[0], expected[0], 1e-4 if field.space.kind == "contraction" else 2e-5, "density")
+    close(found[1], expected[1], 2e-5, "colour")
+    assert all(bool((e != 0).any()) for e in expected)
+
+
+def test_near_samples_learn_by_the_square_of_their_distance(device):
+    field, _, made, rendered, towards, plain = walked("frustum", device)
+    found = gradients_of(made, rendered, towards, even_from=2.0)
+    far = gradients_of(made, rendered, towards, even_from=0.5)  # nearer than the near plane: all alike
+    close(far[0], plain[0], 1e-6)
+    from stylerf.kernels.cpu.composite import composite_backward, scale_near
+
+    s, n = on_host(rendered.samples), rendered.samples.room
+    sigma, colour = np.zeros(n, np.float32), np.zeros((n, 3), np.float32)
+    colours = rendered.colours.cpu().numpy()
+    composite_backward(
+        s.sigma, s.weights, s.optical, colours, s.t, s.starts, s.ends, rendered.out.cpu().numpy(), towards, 1, sigma,
+        colour,
+    )  # fmt: skip
+    scale_near(s.t, s.starts, s.ends, np.float32(2.0), 1, sigma, colour)
+    to = np.zeros((1, len(field.density.values)), np.float32)
+    field.density.backward(s.x, s.starts, s.ends, s.sigma, sigma, to)
+    close(found[0], to[0], 2e-5)
+    assert not np.allclose(found[0], plain[0], rtol=1e-2)
