@@ -18,6 +18,7 @@ from stages.scenes import load_scene
 
 SIDE = 300  # pixels of a picture's longer side
 GAP = 6
+MARGIN = 8  # rows of a white background that are left above and below
 TINT = np.array([1.0, 0.1, 0.8])
 
 
@@ -55,7 +56,9 @@ def main() -> None:
         of = {one: work.get("frames", f"{one}-test") for one in (field, *edits)}
         row = [photo, region_over(of[edits[0]], name, region, photo)]
         row += [picture(frames, name) for frames in of.values()]
-        cells = [small(one) for one in row]
+        shown = np.flatnonzero((photo < 0.97).any((1, 2)))
+        kept = slice(max(int(shown[0]) - MARGIN, 0), int(shown[-1]) + MARGIN) if len(shown) else slice(None)
+        cells = [small(one[kept]) for one in row]
         gap = np.ones((cells[0].shape[0], GAP, 3))
         rows.append(np.concatenate([part for cell in cells for part in (cell, gap)][:-1], 1))
     gap = np.ones((GAP, rows[0].shape[1], 3))
