@@ -36,10 +36,6 @@ def test_two_processes_make_the_artefact_of_one(scene, nursery, tmp_path):
     assert len({artefact.manifest.recipe for artefact in fields}) == 1
     assert len({artefact.file("field.safetensors").read_bytes() for artefact in fields}) == 1
     assert timeless(fields[0].manifest.figures) == timeless(fields[1].manifest.figures)
-    # What stands is not made again, and every process knows.
-    again = start(2, *command(scene, 30, "--name", "two"), folder=tmp_path)
-    assert [process.wait(100) for process in again] == [0, 0]
-    assert "stands up to date" in (tmp_path / "err0").read_text() and (tmp_path / "err1").read_text() == ""
 
 
 def test_a_process_that_dies_ends_the_run_in_one_line_and_leaves_it_resumable(scene, nursery, tmp_path):
@@ -57,6 +53,16 @@ def test_a_process_that_dies_ends_the_run_in_one_line_and_leaves_it_resumable(sc
     assert saved.is_file() and not (scene / "field/fit").exists() and (tmp_path / "err1").read_text() == ""
 
 
+@pytest.mark.slow
+def test_what_stands_is_not_made_again_and_every_process_knows(scene, tmp_path):
+    for told in ("30 steps", "stands up to date"):
+        processes = start(2, *command(scene, 30), folder=tmp_path)
+        assert [process.wait(200) for process in processes] == [0, 0]
+        said = (tmp_path / "out0").read_text() + (tmp_path / "err0").read_text()
+        assert told in said and (tmp_path / "err1").read_text() == ""
+
+
+@pytest.mark.slow
 def test_a_fault_of_a_process_that_is_silent_is_told_by_the_first(scene, tmp_path, monkeypatch):
     """The second finds no scene, as on a machine that does not share the work folder."""
     (tmp_path / "elsewhere").mkdir()
