@@ -3,10 +3,10 @@
 STEP: photos, scene, memory, stream, render (default: all in turn; FOLDER keeps what is done, about 3 GB).
 
 Protocol: the procedural still life from 300 places, rendered at 100x75 and enlarged to 1600x1200 with noise of +-3 of
-255 on every opaque pixel, RGBA: 2.3 GB of pixels; a scene of them, made without importing; `stylerf fit --budget STEPS --memory 8G`, which
-keeps the photos in memory; the same with --memory 2500M, which reads them from a file; the two fields compared bit by
-bit; `stylerf render --frames 0-3`. Peak memory is that of each command's process (VmHWM, mapped files included),
-milliseconds a step are of the training alone.
+255 on every opaque pixel, RGBA: 2.3 GB of pixels; a scene of them, made without importing. `stylerf fit --capacity
+fixed:128 --budget STEPS --memory 8G`, which keeps the photos in memory; the same with --memory 2500M, which reads them
+from a file; the two fields compared bit by bit; `stylerf render --frames 0-3`. Peak memory is that of each command's
+process (VmHWM, mapped files included), milliseconds a step are of the training alone.
 """
 
 import json

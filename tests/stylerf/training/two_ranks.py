@@ -1,5 +1,7 @@
-"""A process of a fit and a fine-tuning by several: `python -m tests.stylerf.training.two_ranks OUT STEPS`, under torchrun's
-variables; and the same by one process."""
+"""A process of trainings by several, and the same by one process.
+
+`python -m tests.stylerf.training.two_ranks OUT STEPS`, under torchrun's variables.
+"""
 
 import json
 import sys
@@ -8,7 +10,7 @@ import time
 import numpy as np
 
 from stylerf.training.finetune import EditedPixels, FineTuner, FineTuneSettings
-from stylerf.training.fit import Fitter, FitSettings
+from stylerf.training.fit import FitSettings, Fitter
 from stylerf.training.ranks import ALONE, Ranks, Together
 from tests.stylerf.training.running import saved
 from tests.stylerf.training.scenes import AROUND, LADDER, box_bank, settings
