@@ -12,7 +12,7 @@ import numpy as np
 from stylerf.training.finetune import EditedPixels, FineTuner, FineTuneSettings
 from stylerf.training.fit import FitSettings, Fitter
 from stylerf.training.ranks import ALONE, Ranks, Together
-from tests.stylerf.training.running import saved
+from tests.stylerf.training.running import run_until, saved
 from tests.stylerf.training.scenes import AROUND, LADDER, box_bank, settings
 
 MORE = {"shares": (0.36,), "background": "random", "smoothness": (1e-4, 1e-4), "min_gain": 9.0, "samples": 4000}
@@ -25,14 +25,10 @@ def fitted(steps: int, chunks: int, ranks: Ranks = ALONE) -> dict[str, np.ndarra
     """
     fitter = Fitter(AROUND, box_bank(), 2, settings(steps, **MORE), 0, chunks, ranks=ranks)
     if ranks.count > 1:
-        fitter.warm_up()
-        for _ in range(3):
-            fitter.step()
-        data, arrays = fitter.checkpoint()
-        first = fitter
+        begun = run_until(fitter, 3)
         fitter = Fitter(AROUND, box_bank(), 2, settings(steps, **MORE), 0, chunks, ranks=ranks)
-        fitter.resume(*ranks.checkpoint((data, arrays) if ranks.first else None))
-        assert first.state.step == fitter.state.step == 3
+        fitter.resume(*ranks.checkpoint(begun.checkpoint() if ranks.first else None))
+        assert fitter.state.step == 3
     fitter.run()
     return outcome(fitter)
 
