@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 
 from stylerf.training.ranks import ALONE
-from tests.ranks import start
+from tests.ranks import ended, start
 from tests.stylerf.training import two_ranks
 
 
 def outcomes(folder: Path, steps: int) -> dict[str, dict[str, np.ndarray]]:
     """What each of two processes came to."""
     processes = start(2, "tests.stylerf.training.two_ranks", str(folder), str(steps), folder=folder)
-    assert [process.wait(400) for process in processes] == [0, 0], (folder / "err0").read_text()
+    assert ended(processes, 400) == [0, 0], (folder / "err0").read_text()
     return {path.stem: dict(np.load(path)) for path in sorted(folder.glob("*.npz"))}
 
 
