@@ -1,12 +1,12 @@
 """A large capture in bounded memory: `python -m benchmarks.large FOLDER OUT.json [STEP ...]`.
 
-STEP: photos, import, memory, stream, render (default: all in turn; FOLDER keeps what is done, about 5 GB).
+STEP: photos, scene, memory, stream, render (default: all in turn; FOLDER keeps what is done, about 3 GB).
 
 Protocol: the procedural still life from 300 places, rendered at 100x75 and enlarged to 1600x1200 with noise of +-3 of
-255 on every opaque pixel, RGBA: 2.3 GB of pixels. `stylerf import`; `stylerf fit --budget STEPS --memory 8G`, which
-keeps the photos in memory; the same with --memory 2500M, which reads them from a file; the two fields compared bit by
-bit; `stylerf render --frames 0-3`. Peak memory is that of each command's process (VmHWM, mapped files included),
-milliseconds a step are of the training alone.
+255 on every opaque pixel, RGBA: 2.3 GB of pixels; a scene of them, made without importing. `stylerf fit --capacity
+fixed:128 --budget STEPS --memory 8G`, which keeps the photos in memory; the same with --memory 2500M, which reads them
+from a file; the two fields compared bit by bit; `stylerf render --frames 0-3`. Peak memory is that of each command's
+process (VmHWM, mapped files included), milliseconds a step are of the training alone.
 """
 
 import json
@@ -21,17 +21,18 @@ import numpy as np
 
 from benchmarks.fits import stylerf
 from schemas.images import to_uint8, write_png
+from schemas.scene import Bounds, Scene, View, as_matrix, write_scene
+from schemas.store import Recipe, Work
 from stages.demo_data import ANGLE_X
 from stylerf.procedural.still_life import StillLife, dome_cameras
 
 VIEWS, SMALL, SCALE, STEPS = 300, 100, 16, "200"
 SIZE = (SMALL * SCALE, SMALL * 3 // 4 * SCALE)  # width, height
 BOUNDS = {"memory": "8G", "stream": "2500M"}
-_GL_FROM_CV = np.diag([1.0, -1.0, -1.0, 1.0])
 
 
 def photos(folder: Path, work: Path) -> dict:
-    """Writes those that are missing, and their cameras."""
+    """Writes those that are missing."""
     life, begun = StillLife(0), time.perf_counter()
     cameras = dome_cameras(VIEWS, SMALL, "train", 0, angle_x=ANGLE_X)
     noise = np.random.default_rng(0).integers(-3, 4, (SIZE[1], SIZE[0], 3), dtype=np.int16)
@@ -44,13 +45,6 @@ def photos(folder: Path, work: Path) -> dict:
         moved = np.roll(noise, 7 * index, (0, 1))
         large[..., :3] = np.clip(large[..., :3] + moved, 0, 255) * (large[..., 3:] > 0)
         write_png(path, large)
-    focal = 0.5 * SIZE[0] / np.tan(0.5 * ANGLE_X)
-    frames = [
-        {"file_path": f"photos/{c.name}.png", "transform_matrix": (c.world_from_camera @ _GL_FROM_CV).tolist()}
-        for c in cameras
-    ]
-    told = {"fl_x": focal, "fl_y": focal, "cx": SIZE[0] / 2, "cy": SIZE[1] / 2, "w": SIZE[0], "h": SIZE[1]}
-    (folder / "transforms.json").write_text(json.dumps({**told, "frames": frames}))
     size = sum(path.stat().st_size for path in (folder / "photos").iterdir())
     return {"photos": VIEWS, "size": SIZE, "files_mb": round(size / 1e6), "seconds": round(time.perf_counter() - begun)}
 
@@ -61,10 +55,20 @@ def taken(work: Path, kind: str, name: str) -> dict:
     return {"wall_seconds": round(manifest["seconds"], 1), "peak_memory_mb": round(manifest["peak_memory_mb"])}
 
 
-def imported(folder: Path, work: Path) -> dict:
-    """The scene."""
-    stylerf("import", str(folder), str(work))
-    return taken(work, "scene", "main")
+def scene_of(folder: Path, work: Path) -> dict:
+    """The scene, made at once: importing would decode and write every photo again, one at a time."""
+    begun = Work(work).begin("scene", "main", Recipe("pose_import", 1, {}, []))
+    focal, views = 0.5 * SIZE[0] / np.tan(0.5 * ANGLE_X), []
+    (begun.path / "images").mkdir()
+    for index, camera in enumerate(dome_cameras(VIEWS, SMALL, "train", 0, angle_x=ANGLE_X)):
+        image, split = f"images/{camera.name}.png", "train" if index else "test"
+        os.link(folder / f"photos/{camera.name}.png", begun.path / image)
+        pinhole = (*SIZE, focal, focal, SIZE[0] / 2, SIZE[1] / 2)
+        views.append(View(camera.name, image, split, *pinhole, as_matrix(camera.world_from_camera)))
+    bounds = Bounds(((-1.5, -1.5, -1.5), (1.5, 1.5, 1.5)), 1.5, 6.5)
+    write_scene(begun.path, Scene(tuple(views), "object", "told", bounds, "alpha", as_matrix(np.eye(4))))
+    begun.commit()
+    return {"views": VIEWS, "pixel_bytes": 4 * SIZE[0] * SIZE[1] * VIEWS}
 
 
 def fit(folder: Path, work: Path, way: str) -> dict:
@@ -89,7 +93,7 @@ def rendered(folder: Path, work: Path) -> dict:
 
 STEPS_OF = {
     "photos": photos,
-    "import": imported,
+    "scene": scene_of,
     "memory": lambda folder, work: fit(folder, work, "memory"),
     "stream": lambda folder, work: fit(folder, work, "stream"),
     "render": rendered,

@@ -4,6 +4,7 @@ import os
 import socket
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 REPOSITORY = Path(__file__).parents[1]
@@ -22,3 +23,13 @@ def start(count: int, *command: str, folder: Path) -> list[subprocess.Popen]:
             line = [sys.executable, "-m", *command]
             made.append(subprocess.Popen(line, cwd=REPOSITORY, env=os.environ | told, stdout=out, stderr=err))
     return made
+
+
+def ended(processes: list[subprocess.Popen], seconds: float) -> list[int]:
+    """Their exit codes. Those that wait for each other for longer are killed: that is a fault to tell, not to sit out."""
+    end = time.monotonic() + seconds
+    try:
+        return [process.wait(max(0.1, end - time.monotonic())) for process in processes]
+    finally:
+        for process in processes:
+            process.kill()

@@ -7,7 +7,7 @@ import time
 import pytest
 
 from schemas.store import Work
-from tests.ranks import start
+from tests.ranks import ended, start
 from tests.stylerf_cli.long_stages import timeless
 
 FIT = ("--capacity", "fixed:32x8x8", "--samples", "3000", "--no-buffers", "--held-out", "2")
@@ -27,7 +27,7 @@ def command(work, steps: int, *more: str) -> tuple[str, ...]:
 
 def test_two_processes_make_the_artefact_of_one(scene, nursery, tmp_path):
     processes = start(2, *command(scene, 30, "--name", "two", "--json"), folder=tmp_path)
-    assert [process.wait(200) for process in processes] == [0, 0], (tmp_path / "err0").read_text()
+    assert ended(processes, 200) == [0, 0], (tmp_path / "err0").read_text()
     assert json.loads((tmp_path / "out0").read_text())["name"] == "two"
     assert (tmp_path / "out1").read_text() == (tmp_path / "err1").read_text() == ""
     one = nursery.run(tmp_path / "one", *command(scene, 30, "--name", "one", "--threads", "2")[1:])
@@ -36,10 +36,6 @@ def test_two_processes_make_the_artefact_of_one(scene, nursery, tmp_path):
     assert len({artefact.manifest.recipe for artefact in fields}) == 1
     assert len({artefact.file("field.safetensors").read_bytes() for artefact in fields}) == 1
     assert timeless(fields[0].manifest.figures) == timeless(fields[1].manifest.figures)
-    # What stands is not made again, and every process knows.
-    again = start(2, *command(scene, 30, "--name", "two"), folder=tmp_path)
-    assert [process.wait(100) for process in again] == [0, 0]
-    assert "stands up to date" in (tmp_path / "err0").read_text() and (tmp_path / "err1").read_text() == ""
 
 
 def test_a_process_that_dies_ends_the_run_in_one_line_and_leaves_it_resumable(scene, nursery, tmp_path):
@@ -51,19 +47,29 @@ def test_a_process_that_dies_ends_the_run_in_one_line_and_leaves_it_resumable(sc
         time.sleep(0.05)
     assert saved.is_file(), (tmp_path / "err0").read_text()
     processes[1].send_signal(signal.SIGKILL)
-    assert [process.wait(60) for process in processes] == [5, -signal.SIGKILL]
+    assert ended(processes, 60) == [5, -signal.SIGKILL]
     told = (tmp_path / "err0").read_text().splitlines()
     assert len(told) == 1 and told[0].startswith("stylerf: error: another process of this run has ended;"), told
     assert saved.is_file() and not (scene / "field/fit").exists() and (tmp_path / "err1").read_text() == ""
 
 
+@pytest.mark.slow
+def test_what_stands_is_not_made_again_and_every_process_knows(scene, tmp_path):
+    for told in ("30 steps", "stands up to date"):
+        processes = start(2, *command(scene, 30), folder=tmp_path)
+        assert ended(processes, 200) == [0, 0]
+        said = (tmp_path / "out0").read_text() + (tmp_path / "err0").read_text()
+        assert told in said and (tmp_path / "err1").read_text() == ""
+
+
+@pytest.mark.slow
 def test_a_fault_of_a_process_that_is_silent_is_told_by_the_first(scene, tmp_path, monkeypatch):
     """The second finds no scene, as on a machine that does not share the work folder."""
     (tmp_path / "elsewhere").mkdir()
     first = ("tests.stylerf_cli.elsewhere", *command(scene, 100_000, "--quiet")[1:])
     monkeypatch.setenv("STYLERF_TEST_ELSEWHERE", str(tmp_path / "elsewhere"))
     processes = start(2, *first, folder=tmp_path)
-    codes = [process.wait(100) for process in processes]
+    codes = ended(processes, 100)
     told = (tmp_path / "err0").read_text().splitlines()
     assert codes[0] == 5 and codes[1] != 0 and len(told) == 1, told
     assert "(process 1: ArtefactStale:" in told[0] and "elsewhere" in told[0]
@@ -72,6 +78,6 @@ def test_a_fault_of_a_process_that_is_silent_is_told_by_the_first(scene, tmp_pat
 
 def test_verbs_of_one_process_say_so(tmp_path):
     processes = start(2, "stylerf_cli.main", "render", str(tmp_path / "work"), folder=tmp_path)
-    assert [process.wait(60) for process in processes] == [2, 2]
+    assert ended(processes, 60) == [2, 2]
     assert "without torchrun (fit and finetune run in several)" in (tmp_path / "err0").read_text()
     assert (tmp_path / "err1").read_text() == ""

@@ -1,37 +1,59 @@
 """Two processes that train together against one with both their rays; parts, sums, and a process that is lost."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from stylerf.training.ranks import ALONE
-from tests.ranks import start
+from tests.ranks import ended, start
 from tests.stylerf.training import two_ranks
+
+
+def outcomes(folder: Path, steps: int) -> dict[str, dict[str, np.ndarray]]:
+    """What each of two processes came to."""
+    processes = start(2, "tests.stylerf.training.two_ranks", str(folder), str(steps), folder=folder)
+    assert ended(processes, 400) == [0, 0], (folder / "err0").read_text()
+    return {path.stem: dict(np.load(path)) for path in sorted(folder.glob("*.npz"))}
 
 
 @pytest.fixture(scope="module")
 def together(tmp_path_factory) -> dict[str, dict[str, np.ndarray]]:
-    """What each of two processes came to."""
-    folder = tmp_path_factory.mktemp("ranks")
-    processes = start(2, "tests.stylerf.training.two_ranks", str(folder), folder=folder)
-    assert [process.wait(240) for process in processes] == [0, 0], (folder / "err0").read_text()
-    return {path.stem: dict(np.load(path)) for path in sorted(folder.glob("*.npz"))}
+    return outcomes(tmp_path_factory.mktemp("ranks"), 40)
 
 
-@pytest.mark.parametrize("kind", ["fit", "tune"])
-def test_two_processes_end_as_one_with_the_rays_of_both(together, kind):
-    """Bit for bit where both add as many buffers: a chunk each, two chunks of one process; the curve is among it."""
-    alone = {"fit": two_ranks.fitted, "tune": two_ranks.tuned}[kind](2)
-    state = json.loads(str(alone["state"]))
-    assert len(state["curve"]) > 1 and state["step"] in (280, 20)
-    if kind == "fit":
-        assert [text.split()[1] for text in state["decisions"]] == ["dropped:"] and state["rays"] > 256
-    for place in (0, 1):
-        found = together[f"{kind}{place}"]
-        assert found.keys() == alone.keys()
+def assert_same(found: list[dict[str, np.ndarray]], alone: dict[str, np.ndarray]) -> dict:
+    """Bit for bit, the curve included; returns the state."""
+    for place, other in enumerate(found):
+        assert other.keys() == alone.keys()
         for name, values in alone.items():
-            assert np.array_equal(found[name], values), (place, name)
+            assert np.array_equal(other[name], values), (place, name)
+    return json.loads(str(alone["state"]))
+
+
+def test_two_processes_fit_as_one_with_the_rays_of_both(together):
+    """The same bits, since both add as many buffers: one chunk in each, two chunks in one process."""
+    state = assert_same([together["fit0"], together["fit1"]], two_ranks.fitted(40, 2))
+    assert state["step"] == 40 and len(state["curve"]) > 10
+
+
+def test_two_processes_fine_tune_as_one_with_the_rays_of_both(together):
+    state = assert_same([together["tune0"], together["tune1"]], two_ranks.tuned(2))
+    assert state["step"] == 20 and len(state["curve"]) == 2
+
+
+@pytest.mark.slow
+def test_two_processes_grow_and_go_back_as_one(tmp_path):
+    found = outcomes(tmp_path, 280)
+    state = assert_same([found["fit0"], found["fit1"]], two_ranks.fitted(280, 2))
+    assert [text.split()[1] for text in state["decisions"]] == ["dropped:"] and state["rays"] > 256
+
+
+def test_a_budget_of_time_ends_for_all_at_the_same_step(together):
+    first, second = together["time0"], together["time1"]
+    assert json.loads(str(first["state"]))["step"] > 2
+    assert all(np.array_equal(second[name], values) for name, values in first.items())
 
 
 def test_one_process_has_it_all():

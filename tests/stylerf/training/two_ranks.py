@@ -1,33 +1,42 @@
-"""A process of a fit and a fine-tuning by several: `python -m tests.stylerf.training.two_ranks OUT`, under torchrun's
-variables; and the same by one process."""
+"""A process of trainings by several, and the same by one process.
+
+`python -m tests.stylerf.training.two_ranks OUT STEPS`, under torchrun's variables.
+"""
 
 import json
 import sys
+import time
 
 import numpy as np
 
 from stylerf.training.finetune import EditedPixels, FineTuner, FineTuneSettings
-from stylerf.training.fit import Fitter
+from stylerf.training.fit import FitSettings, Fitter
 from stylerf.training.ranks import ALONE, Ranks, Together
-from tests.stylerf.training.running import saved
-from tests.stylerf.training.scenes import AROUND, box_bank, settings
+from tests.stylerf.training.running import run_until, saved
+from tests.stylerf.training.scenes import AROUND, LADDER, box_bank, settings
 
 MORE = {"shares": (0.36,), "background": "random", "smoothness": (1e-4, 1e-4), "min_gain": 9.0, "samples": 4000}
 
 
-def fitted(chunks: int, ranks: Ranks = ALONE) -> dict[str, np.ndarray]:
-    """A fit that tries one rung, drops it, and trains on held-out views at the end; several begin from a checkpoint."""
-    fitter = Fitter(AROUND, box_bank(), 2, settings(280, **MORE), 0, chunks, ranks=ranks)
+def fitted(steps: int, chunks: int, ranks: Ranks = ALONE) -> dict[str, np.ndarray]:
+    """A fit that trains on held-out views at its end; in 280 steps it tries one rung and drops it.
+
+    Several processes begin from a checkpoint.
+    """
+    fitter = Fitter(AROUND, box_bank(), 2, settings(steps, **MORE), 0, chunks, ranks=ranks)
     if ranks.count > 1:
-        fitter.warm_up()
-        for _ in range(3):
-            fitter.step()
-        data, arrays = fitter.checkpoint()
-        first = fitter
-        fitter = Fitter(AROUND, box_bank(), 2, settings(280, **MORE), 0, chunks, ranks=ranks)
-        fitter.resume(*ranks.checkpoint((data, arrays) if ranks.first else None))
-        assert first.state.step == fitter.state.step == 3
+        begun = run_until(fitter, 3)
+        fitter = Fitter(AROUND, box_bank(), 2, settings(steps, **MORE), 0, chunks, ranks=ranks)
+        fitter.resume(*ranks.checkpoint(begun.checkpoint() if ranks.first else None))
+        assert fitter.state.step == 3
     fitter.run()
+    return outcome(fitter)
+
+
+def timed(ranks: Ranks) -> dict[str, np.ndarray]:
+    """A fit by the clock, in which the processes are not equally fast."""
+    fitter = Fitter(AROUND, box_bank(), 2, FitSettings(seconds=1.0, samples=2000, ladder=LADDER[:1]), 0, 1, ranks=ranks)
+    fitter.run(lambda now: time.sleep(0.002 * ranks.place))
     return outcome(fitter)
 
 
@@ -53,9 +62,11 @@ def outcome(loop: Fitter | FineTuner) -> dict[str, np.ndarray]:
 
 
 def main() -> None:
+    folder, steps = sys.argv[1], int(sys.argv[2])
     ranks = Together()
-    np.savez(f"{sys.argv[1]}/fit{ranks.place}.npz", **fitted(1, ranks))
-    np.savez(f"{sys.argv[1]}/tune{ranks.place}.npz", **tuned(1, ranks))
+    np.savez(f"{folder}/fit{ranks.place}.npz", **fitted(steps, 1, ranks))
+    np.savez(f"{folder}/time{ranks.place}.npz", **timed(ranks))
+    np.savez(f"{folder}/tune{ranks.place}.npz", **tuned(1, ranks))
 
 
 if __name__ == "__main__":
