@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import torch
 
 from tests.stylerf.training import test_stylize as on_cpu
 
@@ -13,7 +14,8 @@ def gradients_taken(made) -> list[np.ndarray]:
     found = []
 
     def step(rate: float) -> None:
-        found.append(np.array(made.adam.gradients).reshape(-1, len(made.field.colour.values)).sum(0))
+        taken = torch.as_tensor(made.adam.gradients).cpu().numpy()
+        found.append(taken.reshape(-1, len(made.field.colour.values)).sum(0))
         made.adam.gradients[:] = 0
 
     made.adam.step = step
