@@ -26,7 +26,7 @@ def start(count: int, *command: str, folder: Path) -> list[subprocess.Popen]:
 
 
 def ended(processes: list[subprocess.Popen], seconds: float) -> list[int]:
-    """Their exit codes. Those that wait for each other for longer are killed: that is a fault to tell, not to sit out."""
+    """Their exit codes. Those that wait for each other for longer are killed: a fault to tell, not to sit out."""
     end = time.monotonic() + seconds
     try:
         return [process.wait(max(0.1, end - time.monotonic())) for process in processes]
