@@ -11,7 +11,7 @@ import pytest
 
 from schemas.atomic import is_temporary
 from schemas.store import Work
-from stylerf.training import fit as fitting
+from stylerf.training import engine as fitting
 from stylerf_cli.main import main
 from tests.stylerf_cli.conftest import FIT
 from tests.stylerf_cli.long_stages import IN_THE_GATE, assert_same
@@ -149,7 +149,7 @@ def short_of_memory(times: int, real):
 
 def test_a_batch_that_does_not_fit_is_worked_off_in_parts_which_is_said(work, capsys, monkeypatch):
     """The parts' gradients add up to the whole's, so the fit ends as good."""
-    monkeypatch.setattr(fitting.Fitter, "warm_up", lambda fitter: None)  # its renders are not to be counted
+    monkeypatch.setattr(fitting.CpuEngine, "warm_up", lambda *fields: None)  # its renders are not to be counted
     whole = json.loads(fitted(work, capsys, "whole")[0])["figures"]["curve"][-1]["psnr"]
     monkeypatch.setattr(fitting, "render_rays", short_of_memory(2, fitting.render_rays))
     out, err = fitted(work, capsys, "parts")
@@ -158,7 +158,7 @@ def test_a_batch_that_does_not_fit_is_worked_off_in_parts_which_is_said(work, ca
 
 
 def test_not_even_a_part_that_fits_ends_with_5_and_keeps_the_run(work, capsys, monkeypatch):
-    monkeypatch.setattr(fitting.Fitter, "warm_up", lambda fitter: None)
+    monkeypatch.setattr(fitting.CpuEngine, "warm_up", lambda *fields: None)
     monkeypatch.setattr(fitting, "render_rays", short_of_memory(1000, fitting.render_rays))
     assert main(["fit", str(work), *FIT, "--name", "small", "--quiet"]) == 5
     err = capsys.readouterr().err

@@ -348,4 +348,4 @@ def test_features_are_taken_around_the_object_alone():
     assert all(window == (slice(0, HEIGHT), slice(0, WIDTH)) for window in made.windows)  # no room for a margin here
     made.windows = [(slice(2, 12), slice(4, 16))] * 3
     made.run()
-    assert all(kept.features["conv1"].shape[1:] == (10, 12) for kept in made._content.values())
+    assert all(kept.features["conv1"].shape[1:] == (10, 12) for kept in made._content.kept.values())
