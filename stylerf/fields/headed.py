@@ -50,7 +50,7 @@ class HeadedColour:
 
     def groups(self) -> list[tuple[int, int, float]]:
         """(begin, end, learning-rate factor) of parts of `values`."""
-        return [(self.features.fixed, self.features.length, self.features.rate), (self.features.length, len(self.values), 0.25)]
+        return [(self.features.fixed, self.features.length, self.features.rate), (self.features.length, len(self.values), self.head.rate)]
 
     def grown(self, capacity: Capacity, generator: np.random.Generator) -> "HeadedColour":
         """The same colour at a larger capacity."""
