@@ -16,7 +16,7 @@ class HashFeatures:
 
     kind = "hash"
     fixed = 0  # floats, the table's first, that never learn
-    rate = 1.0  # factor of the learning rate
+    rate = 6.0  # factor of the learning rate (docs/decisions/0018)
 
     def __init__(self, levels: Levels) -> None:
         self.levels, self.layout = levels, levels.layout()

@@ -9,6 +9,7 @@ from stylerf.fields.samples import Samples
 from stylerf.fields.walking import walk
 from stylerf.kernels.cpu import hash_density as kernels
 
+FASTER = 5.0  # of the learning rate (docs/decisions/0018)
 SPAN = 16  # the finest level is so many times as fine as the coarsest
 
 
@@ -60,7 +61,7 @@ class HashDensity:
 
     def groups(self) -> list[tuple[int, int, float]]:
         """(begin, end, learning-rate factor) of parts of `values`."""
-        return [(0, len(self.values), 1.0)]
+        return [(0, len(self.values), FASTER)]
 
     def grown(self, capacity: Capacity, generator: np.random.Generator) -> "HashDensity":
         """The same density with more levels active and larger tables."""

@@ -50,10 +50,8 @@ class HeadedColour:
 
     def groups(self) -> list[tuple[int, int, float]]:
         """(begin, end, learning-rate factor) of parts of `values`."""
-        return [
-            (self.features.fixed, self.features.length, self.features.rate),
-            (self.features.length, len(self.values), 0.25),
-        ]
+        features, end = self.features, len(self.values)
+        return [(features.fixed, features.length, features.rate), (features.length, end, self.head.rate)]
 
     def grown(self, capacity: Capacity, generator: np.random.Generator) -> "HeadedColour":
         """The same colour at a larger capacity."""

@@ -29,6 +29,7 @@ class LinearHead:
     """
 
     kind = "linear"
+    rate = 1.0  # factor of the learning rate
 
     def __init__(self, features: int, degree: int) -> None:
         self.features, self.degree = features, degree
@@ -76,6 +77,7 @@ class HarmonicHead:
     """sigmoid(sum_b Y_b(d) phi_b): features that are spherical-harmonic coefficients, [3, bands]: ARF's voxels."""
 
     kind = "harmonic"
+    rate = 1.0
     length = 0
 
     def __init__(self, features: int, degree: int) -> None:
@@ -104,6 +106,7 @@ class MlpHead:
     """sigmoid(W2 relu(W1 (phi, Y(d)) + b1) + b2), HIDDEN units; numbers: see kernels/cpu/mlp_head.py."""
 
     kind = "mlp"
+    rate = 0.25
 
     def __init__(self, features: int, degree: int) -> None:
         self.features, self.degree = features, degree

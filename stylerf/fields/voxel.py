@@ -15,8 +15,8 @@ from stylerf.geometry.harmonics import BANDS
 from stylerf.kernels.cpu import voxel as kernels
 
 BLOCK = 4  # vertices a side; as many as a cell of a 64^3 occupancy grid is wide at 256^3
-# Of the learning rate: a voxel is alone where vm multiplies rows and a hash grid adds levels, which all move at once.
-FASTER = 5.0
+# Of the learning rate: a voxel is alone where vm multiplies rows, which all move at once (docs/decisions/0018).
+FASTER = 15.0
 EMPTY = -8.0  # what is not kept adds to the density's exponent: an optical depth of 6e-4 across the cube
 
 

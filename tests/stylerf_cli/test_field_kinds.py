@@ -81,7 +81,7 @@ def test_every_stage_works_with_it(name, photos, tmp_path, capsys):
     said(capsys, "deform", work, "--of", "fit", "--steps", "10", "--vertices", "12", "--width", "16")
     said(capsys, "stylize", work, "--of", "fit-deformed", "--style", photos / PAINTING, "--method", "desrf", *STYLIZE)
 
-    said(capsys, "select", work, "--of", "fit", "--at", middle_of(work), "--name", "part")
+    said(capsys, "select", work, "--of", "fit", "--at", middle_of(work), "--reach", 0.4, "--name", "part")
     said(capsys, "extract", work, "--region", "part")
     said(capsys, "stylize", work, "--region", "part", "--recolor", "--palette", "0=#10e020", "--name", "part", *PALETTE)
     said(capsys, "distill", work, "--edit", "part")
