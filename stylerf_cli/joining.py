@@ -11,7 +11,6 @@ from types import SimpleNamespace
 from typing import Any
 
 from schemas.errors import OutOfResources, UsageError
-from schemas.store import Artefact
 from stylerf.errors import ProcessLost
 
 VERBS = ("fit", "finetune")
@@ -60,7 +59,7 @@ def release(ranks: Any, name: str) -> None:
     _told(ranks.tell, name)
 
 
-def follow(ranks: Any, session: Any, spec: Any, run: Any, inputs: dict[str, Artefact], config: Any) -> Artefact:
+def follow(ranks: Any, session: Any, spec: Any, run: Any, inputs: dict[str, Any], config: Any) -> Any:
     """The part of a process that does not lead: joins the stage if it is run, and gives the artefact that it made."""
     # What a stage may keep for its own run only, beside the work folder: nothing with a name.
     partial = SimpleNamespace(folder=session.work.root, path=None, checkpoint=None)
