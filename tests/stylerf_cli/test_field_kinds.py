@@ -66,7 +66,7 @@ def test_a_hash_field_is_fitted_told_about_and_rendered(photos, tmp_path, capsys
 @pytest.mark.parametrize("name", FIELDS)
 def test_every_stage_works_with_it(name, photos, tmp_path, capsys):
     work, (kind, head) = tmp_path / "work", FIELDS[name]
-    fitted(capsys, photos, work, kind, head, 250)
+    fitted(capsys, photos, work, kind, head, 400)
     plain = rendered(capsys, work, "fit")
     truth = [read_image(path).pixels for path in sorted((photos / "test").glob("*.png"))]
     over = np.stack([p[..., :3] * p[..., 3:] + 1 - p[..., 3:] for p in truth])
@@ -81,7 +81,7 @@ def test_every_stage_works_with_it(name, photos, tmp_path, capsys):
     said(capsys, "deform", work, "--of", "fit", "--steps", "10", "--vertices", "12", "--width", "16")
     said(capsys, "stylize", work, "--of", "fit-deformed", "--style", photos / PAINTING, "--method", "desrf", *STYLIZE)
 
-    said(capsys, "select", work, "--of", "fit", "--at", middle_of(work), "--reach", 0.4, "--name", "part")
+    said(capsys, "select", work, "--of", "fit", "--at", middle_of(work), "--reach", 0.6, "--name", "part")
     said(capsys, "extract", work, "--region", "part")
     said(capsys, "stylize", work, "--region", "part", "--recolor", "--palette", "0=#10e020", "--name", "part", *PALETTE)
     said(capsys, "distill", work, "--edit", "part")
