@@ -16,10 +16,11 @@ from stages.scenes import SceneData, load_scene
 from stages.spaces import space_of
 from stylerf.errors import Diverged
 from stylerf.kernels.cpu.compiling import compiling_note, set_threads
-from stylerf.training.fit import FitSettings, Fitter
+from stylerf.training.fit import Fitter
+from stylerf.training.fit_state import FitSettings
 from stylerf.training.ladders import LADDER, Kinds, Rung
 
-SPEC = Spec(stage="nerf_fit", verb="fit", revision=1, writes="field", parallel=True)
+SPEC = Spec(stage="nerf_fit", verb="fit", revision=2, writes="field", parallel=True)
 RATE = {"object": 2e-2, "forward": 4e-2, "unbounded": 4e-2}
 
 
@@ -49,6 +50,7 @@ def run(inputs: dict[str, Artefact], config: FitConfig, partial: Partial, contex
         context.progress.say(f"going on from step {fitter.state.step}, {fitter.state.seconds:.0f} s into the fit")
     with nullcontext() if device else compiling_note(context.progress.say):
         _train(fitter, config, partial, context)
+    context.progress.say(fitter.climb.told(fitter.field.parameters))
     if ranks.first:
         save_field(partial.path, fitter.field, "none" if fitter.field.closed else _shown(settings.background))
     return _figures(fitter, held_out, reason) | gpu_figures(device)
@@ -154,7 +156,7 @@ def _shown(background: str) -> str:
 def _figures(fitter: Fitter, held_out: list[int], reason: str) -> dict:
     state, curve = fitter.state, fitter.state.curve
     decided, trained = ([p["psnr"] for p in curve if p["held_out"] == kept_aside] for kept_aside in (True, False))
-    rung, kinds = fitter.settings.ladder[state.rung], fitter.settings.kinds
+    rung, kinds = fitter.climb.rung, fitter.settings.kinds
     return {
         "steps": state.step,
         "train_seconds": round(state.seconds, 2),
@@ -163,10 +165,13 @@ def _figures(fitter: Fitter, held_out: list[int], reason: str) -> dict:
         "training_psnr": trained[-1] if trained else None,
         "curve": curve,
         "decisions": state.decisions,
+        "capacity": fitter.climb.told(fitter.field.parameters),
+        "sizes": state.sizes,
         "kinds": [kinds.density, kinds.colour, kinds.head],
         "resolution": rung.resolution,
         "density_rank": rung.density_rank if kinds.density == "vm" else None,
         "colour_rank": rung.colour_rank if kinds.colour == "vm" else None,
+        "degree": getattr(fitter.field.colour, "degree", None),
         "table_bits": rung.table_bits if "hash" in (kinds.density, kinds.colour) else None,
         "occupied_share": round(fitter.field.occupancy.share, 4),
         "rollbacks": state.rollbacks,

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from stages.configs.stylize import COLOUR_CELLS
-from stylerf.training.fit import LADDER
+from stylerf.training.ladders import LADDER
 from stylerf_cli.verbs import VERBS
 from tests.conftest import REPOSITORY
 

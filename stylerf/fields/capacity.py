@@ -12,7 +12,8 @@ class Capacity:
     """size: vertices per axis, [3], of grids and planes; resolution: their mean, and the most cells of a hash level.
 
     density_rank, colour_rank: of vm. table: vertices that a hash level keeps, of `levels` up to `finest` cells a side.
-    occupancy: what a voxel grid need not keep (None: it keeps all).
+    occupancy: where something is: what a voxel grid keeps (None: it keeps all), what counts when ranks are given up.
+    degree: of the spherical harmonics of the colour.
     """
 
     size: np.ndarray
@@ -23,3 +24,4 @@ class Capacity:
     levels: int = 8
     finest: int = 256
     occupancy: Occupancy | None = None
+    degree: int = 1

@@ -5,7 +5,7 @@ import numpy as np
 from stylerf.fields.capacity import Capacity
 from stylerf.fields.hash_density import add_smoothness, levels_of
 from stylerf.fields.levels import Levels
-from stylerf.fields.vm import initial_table, resized_table, table_length
+from stylerf.fields.vm_tables import initial_table, resized_table, table_length
 from stylerf.fields.voxel import VoxelFeatures
 from stylerf.kernels.cpu import hash_features, vm, vm_features
 from stylerf.kernels.cpu.vector_hash import ROW

@@ -73,11 +73,12 @@ class Levels:
         return replace(self, active=max(1, sum(cells <= resolution for cells in self.cells)))
 
     def regrown(self, values: np.ndarray, new: "Levels") -> np.ndarray:
-        """The same numbers laid out for `new`, which has as many or more levels active, and tables as large or larger.
+        """The same numbers laid out for `new`, with other levels active, and tables as large or larger.
 
-        Nothing changes by it: an entry of a larger table is that which its hash had in the smaller one.
+        With more active, nothing changes: an entry of a larger table is that which its hash had in the smaller one. A
+        level that is active no more says nothing (0).
         """
-        if replace(new, active=self.active, table=self.table) != self or new.active < self.active:
+        if replace(new, active=self.active, table=self.table) != self:
             raise InvalidValue(f"{self} cannot grow to {new}")
         if new.table < self.table:
             raise InvalidValue(f"hash tables of {self.table} vertices cannot become {new.table}")
@@ -85,7 +86,7 @@ class Levels:
         for level in range(self.count):
             source = values[self.firsts[level] : self.firsts[level + 1]].reshape(-1, self.width)
             target = out[new.firsts[level] : new.firsts[level + 1]].reshape(-1, self.width)
-            target[:] = source[self._entries(level, new)]
+            target[:] = 0 if new.active <= level < self.active else source[self._entries(level, new)]
         return out
 
     def _entries(self, level: int, new: "Levels") -> np.ndarray:

@@ -5,72 +5,16 @@ gradients are flat buffers [chunks, len(values)] of the same layout and one opti
 """
 
 import numpy as np
-import torch
-import torch.nn.functional as F
 
 from stylerf.fields.capacity import Capacity
+from stylerf.fields.narrowing import best_ranks, telling_ranks, texel_weights
+from stylerf.fields.occupancy import Occupancy
 from stylerf.fields.samples import Samples
+from stylerf.fields.vm_tables import initial_table, resized_table, split_table, table_length, widened_table
 from stylerf.fields.walking import walk
 from stylerf.geometry.harmonics import BANDS, C0
 from stylerf.kernels.cpu import vm as kernels
 from stylerf.kernels.cpu.deform import colour_position_gradient, density_position_gradient
-
-_AXES = ((1, 2), (2, 0), (0, 1))
-
-
-def table_length(size: np.ndarray, rank: int) -> int:
-    """Floats of the planes and lines."""
-    planes = sum(int(size[a]) * int(size[b]) for a, b in _AXES)
-    return (planes + int(size.sum())) * rank
-
-
-def split_table(table: np.ndarray, size: np.ndarray, rank: int) -> tuple[list[np.ndarray], list[np.ndarray]]:
-    """Views: planes [size[a], size[b], rank] and lines [size[m], rank]."""
-    planes, lines, at = [], [], 0
-    for a, b in _AXES:
-        n = int(size[a] * size[b] * rank)
-        planes.append(table[at : at + n].reshape(int(size[a]), int(size[b]), rank))
-        at += n
-    for m in range(3):
-        n = int(size[m] * rank)
-        lines.append(table[at : at + n].reshape(int(size[m]), rank))
-        at += n
-    return planes, lines
-
-
-def initial_table(size: np.ndarray, rank: int, generator: np.random.Generator, spread: float) -> np.ndarray:
-    table = np.empty(table_length(size, rank), np.float32)
-    planes, lines = split_table(table, size, rank)
-    for plane in planes:
-        plane[:] = generator.normal(scale=spread, size=plane.shape)
-    for line in lines:
-        line[:] = generator.normal(scale=spread, size=line.shape) + 0.3
-    return table
-
-
-def _widened_table(
-    table: np.ndarray, size: np.ndarray, old: int, new: int, generator: np.random.Generator
-) -> np.ndarray:
-    """The same field with more ranks: new planes random, new lines zero, so that nothing changes until they learn."""
-    out = initial_table(np.asarray(size), new, generator, 0.1)
-    for source, target in zip(split_table(table, size, old)[0], split_table(out, size, new)[0]):
-        target[..., :old] = source
-    for source, target in zip(split_table(table, size, old)[1], split_table(out, size, new)[1]):
-        target[..., :old] = source
-        target[..., old:] = 0
-    return out
-
-
-def resized_table(table: np.ndarray, old: np.ndarray, new: np.ndarray, rank: int) -> np.ndarray:
-    out = np.empty(table_length(new, rank), np.float32)
-    for source, target in zip(split_table(table, old, rank)[0], split_table(out, new, rank)[0]):
-        image = torch.from_numpy(np.ascontiguousarray(source)).permute(2, 0, 1)[None]
-        grown = F.interpolate(image, size=target.shape[:2], mode="bilinear", align_corners=True)
-        target[:] = grown[0].permute(1, 2, 0).numpy()
-    for source, target in zip(split_table(table, old, rank)[1], split_table(out, new, rank)[1]):
-        row = torch.from_numpy(np.ascontiguousarray(source)).T[None]
-        target[:] = F.interpolate(row, size=target.shape[0], mode="linear", align_corners=True)[0].T.numpy()
-    return out
 
 
 class VmDensity:
@@ -105,12 +49,27 @@ class VmDensity:
         """The same density with more ranks."""
         if rank <= self.rank:
             return self
-        table = _widened_table(self.table, self.size, self.rank, rank, generator)
+        table = widened_table(self.table, self.size, self.rank, rank, generator)
+        return VmDensity(self.size, rank, np.append(table, self.values[-1]))
+
+    def narrowed(self, rank: int, occupancy: Occupancy) -> "VmDensity":
+        """Nearly the same density with fewer ranks, as near as so few can be where `occupancy` is occupied."""
+        table = np.empty(table_length(self.size, rank), np.float32)
+        weights = texel_weights(occupancy, self.size)
+        old, new = split_table(self.table, self.size, self.rank), split_table(table, self.size, rank)
+        for plane, line, pair, to_plane, to_line in zip(*old, weights, *new):
+            best_plane, best_line = best_ranks(plane.reshape(-1, self.rank), line, pair, rank)
+            to_plane[:], to_line[:] = best_plane.reshape(to_plane.shape), best_line
         return VmDensity(self.size, rank, np.append(table, self.values[-1]))
 
     def grown(self, capacity: Capacity, generator: np.random.Generator) -> "VmDensity":
         """The same density at another capacity."""
-        return self.with_rank(capacity.density_rank, generator).resized(capacity.size)
+        if capacity.density_rank == self.rank and tuple(capacity.size) == tuple(self.size):
+            return self
+        made = self.with_rank(capacity.density_rank, generator)
+        if capacity.density_rank < self.rank:
+            made = self.narrowed(capacity.density_rank, capacity.occupancy)
+        return made.resized(capacity.size)
 
     def sigma(self, x: np.ndarray, chunks: int) -> np.ndarray:
         """Raw density of warped points [n, 3] float32 -> [n]."""
@@ -205,15 +164,33 @@ class VmColour:
         """The same colour with more ranks; the head of a new rank is random, its features zero."""
         if rank <= self.rank:
             return self
-        table = _widened_table(self.table, self.size, self.rank, rank, generator)
+        table = widened_table(self.table, self.size, self.rank, rank, generator)
         bands = BANDS[self.degree]
         head = VmColour.create(np.full(3, 8), rank, self.degree, generator).head.reshape(3, bands, 3, rank)
         head[..., : self.rank] = self.head.reshape(3, bands, 3, self.rank)
         return VmColour(self.size, rank, self.degree, np.concatenate([table, head.ravel(), self.values[-3:]]))
 
+    def narrowed(self, rank: int, occupancy: Occupancy) -> "VmColour":
+        """Nearly the same colour with fewer ranks: those of which most is seen where `occupancy` is occupied."""
+        table = np.empty(table_length(self.size, rank), np.float32)
+        weights = texel_weights(occupancy, self.size)
+        head = self.head.reshape(-1, 3, self.rank)
+        kept_head = np.empty((len(head), 3, rank), np.float32)
+        old, new = split_table(self.table, self.size, self.rank), split_table(table, self.size, rank)
+        for m, (plane, line, pair, to_plane, to_line) in enumerate(zip(*old, weights, *new)):
+            kept = telling_ranks(plane.reshape(-1, self.rank), line, pair, head[:, m], rank)
+            to_plane[:], to_line[:], kept_head[:, m] = plane[..., kept], line[:, kept], head[:, m, kept]
+        values = np.concatenate([table, kept_head.ravel(), self.values[-3:]])
+        return VmColour(self.size, rank, self.degree, values)
+
     def grown(self, capacity: Capacity, generator: np.random.Generator) -> "VmColour":
         """The same colour at another capacity."""
-        return self.with_rank(capacity.colour_rank, generator).resized(capacity.size)
+        if capacity.colour_rank == self.rank and tuple(capacity.size) == tuple(self.size):
+            return self.with_degree(capacity.degree) if capacity.degree != self.degree else self
+        made = self.with_rank(capacity.colour_rank, generator)
+        if capacity.colour_rank < self.rank:
+            made = self.narrowed(capacity.colour_rank, capacity.occupancy)
+        return made.resized(capacity.size).with_degree(capacity.degree)
 
     def with_degree(self, degree: int) -> "VmColour":
         """The same colour with more (zero) or fewer spherical-harmonic bands."""

@@ -55,7 +55,7 @@ class Engine(Protocol):
     most_rays: int
 
     def adopt(self, field: RadianceField) -> None:
-        """Go on with this field, moments of the optimiser at zero."""
+        """Go on with this field, moments of the optimiser at zero but of a part that is the very one before."""
 
     def refresh(self, seed: int, share: int) -> None:
         """Look anew where the field has density, at one cell in `share`."""
@@ -107,12 +107,18 @@ class CpuEngine:
 
     def __init__(self, bank: RayBank, seed: int, chunks: int, field: RadianceField, ranks: Ranks = ALONE) -> None:
         self.bank, self.seed, self.chunks, self.ranks = bank, seed, chunks, ranks
+        self.density_adam = self.colour_adam = None
         self.adopt(field)
 
     def adopt(self, field: RadianceField) -> None:
         self.field = field
-        self.density_adam = Adam(field.density.values, field.density.groups(), self.chunks)
-        self.colour_adam = Adam(field.colour.values, field.colour.groups(), self.chunks)
+        self.density_adam = self._adam_of(field.density, self.density_adam)
+        self.colour_adam = self._adam_of(field.colour, self.colour_adam)
+
+    def _adam_of(self, part, before: Adam | None) -> Adam:
+        if before is not None and before.values is part.values:
+            return before
+        return Adam(part.values, part.groups(), self.chunks)
 
     @property
     def parameters(self) -> int:

@@ -9,7 +9,6 @@ trained on in the last part of the budget, when nothing is left to decide.
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -18,64 +17,14 @@ from stylerf.fields.capacity import Capacity
 from stylerf.fields.field import RadianceField
 from stylerf.fields.occupancy import Occupancy
 from stylerf.geometry.space import Space
+from stylerf.training.climbing import GROW, TELLING_PSNR, Climb
 from stylerf.training.engine import Batch, CpuEngine, Engine, background_of
-from stylerf.training.ladders import LADDER, Kinds, Rung, capacity_at, first_parts
+from stylerf.training.fit_state import FitSettings, FitState
+from stylerf.training.ladders import Rung, capacity_at, first_parts
 from stylerf.training.ranks import ALONE, Ranks
 from stylerf.training.rays import RayBank
 
-LEAST_STEPS_PER_RUNG = 100
 SMOOTH_EVERY = 8  # steps; the planes' total variation costs a third of a step, and is felt over hundreds of them
-# An error of one step of an eight-bit photo. What lies beyond is rounding: no reason to grow, and no collapse to lose.
-TELLING_PSNR = 20 * math.log10(255)
-
-
-@dataclass(frozen=True)
-class FitSettings:
-    """How a field is fitted. kinds: what it is made of. Budget: seconds of training, or steps if `steps` > 0.
-
-    samples: density samples a step; the number of rays follows, so that fog early on does not slow the steps down;
-    rates in value units per step; smoothness: weights of the planes' total variation (density, colour); even_from:
-    distance, scene units, below which samples learn by the square of their distance, against floaters (0: all alike);
-    shares: parts of the budget at which the next rung is tried, at the latest after so many steps in all (`longest`,
-    of every rung: what a coarse field is taught for longer is wrong); held_out_until: part of the budget from which the
-    held-out views are trained on as well.
-    """
-
-    seconds: float = 300.0
-    steps: int = 0
-    samples: int = 90_000
-    rate: float = 2e-2
-    final_rate: float = 0.05
-    degree: int = 1
-    smoothness: tuple[float, float] = (0.0, 0.0)
-    even_from: float = 0.0
-    kinds: Kinds = field(default_factory=Kinds)
-    ladder: tuple[Rung, ...] = LADDER
-    shares: tuple[float, ...] = (0.12, 0.3, 0.55)
-    longest: tuple[int, ...] = (350, 850, 1350, 2100)
-    held_out_until: float = 0.75
-    min_gain: float = 0.1
-    background: str = "white"  # white, black, random or none
-    lit_share: float = 0.9
-    always_climb: bool = False  # take every rung whatever it gains
-
-
-@dataclass
-class FitState:
-    """Everything a checkpoint holds beside the arrays."""
-
-    step: int = 0
-    seconds: float = 0.0
-    rung: int = 0
-    fixed: bool = False  # the ladder has been left: no more growth
-    trial: float | None = None  # held-out dB before the rung on trial
-    rate_scale: float = 1.0
-    rollbacks: int = 0
-    parts: int = 1
-    rays: int = 1024
-    best: float = -math.inf
-    curve: list[dict] = field(default_factory=list)
-    decisions: list[str] = field(default_factory=list)
 
 
 def psnr_from_mse(mse: float) -> float:
@@ -106,10 +55,12 @@ class Fitter:
         self.space, self.bank, self.held_out, self.settings = space, bank, held_out, settings
         self.seed, self.chunks, self.on_say, self.ranks = seed, chunks, on_say, ranks
         self.state = FitState()
+        self.climb = Climb(settings, self.state, self._judges)
+        self._warm: set[tuple[int, int]] = set()
         rung, generator = settings.ladder[0], np.random.default_rng([seed, 1])
         first = RadianceField(
             space,
-            *first_parts(settings.kinds, self._capacity(rung), settings.degree, generator),
+            *first_parts(settings.kinds, self._capacity(rung), generator),
             Occupancy(rung.cells),
             1.0 / rung.resolution,
         )
@@ -133,16 +84,17 @@ class Fitter:
 
     def _capacity(self, rung: Rung, occupancy: Occupancy | None = None) -> Capacity:
         settings = self.settings
-        return capacity_at(rung, settings.ladder[-1].resolution, settings.kinds.levels, self.space, occupancy)
+        finest, levels = settings.ladder[-1].resolution, settings.kinds.levels
+        return capacity_at(rung, finest, levels, self.space, occupancy, settings.degree)
 
-    def _grow(self, rung: Rung) -> None:
+    def _resize(self, rung: Rung) -> None:
         generator = np.random.default_rng([self.seed, 2, rung.resolution])
         old = self.field
         capacity = self._capacity(rung, old.occupancy)
         grown = RadianceField(
             self.space,
             old.density.grown(capacity, generator),
-            old.colour.grown(capacity, generator),
+            old.colour.grown(self._capacity(rung.colour, old.occupancy), generator),
             old.occupancy.resized(rung.cells) if rung.cells != old.occupancy.cells else old.occupancy,
             1.0 / rung.resolution,
         )
@@ -194,7 +146,7 @@ class Fitter:
                 among=among,
                 lit_share=settings.lit_share,
                 background=settings.background,
-                rate=settings.rate * settings.final_rate**self.progress * state.rate_scale,
+                rate=settings.rate * settings.final_rate**self.progress * state.rate_scale * self.climb.rate,
                 smoothness=tuple(smoothing * weight for weight in settings.smoothness),
                 even_from=settings.even_from,
             )
@@ -220,7 +172,7 @@ class Fitter:
             state.seconds += self.ranks.of_first(time.perf_counter() - begun)
             if not math.isfinite(error):
                 self._roll_back("the loss left the finite numbers")
-            elif self.progress >= next_check or self._rung_due():
+            elif self.progress >= next_check or self.climb.rung_due(self.progress) or self.climb.over(self.progress):
                 self._check()
                 next_check = (math.floor(self.progress / check_every) + 1) * check_every
             self.between_steps = True
@@ -228,11 +180,15 @@ class Fitter:
 
     def warm_up(self) -> None:
         """Compile every kernel that a step uses, for every rank of the ladder, without learning anything."""
+        self._warm_up({(rung.density_rank, rung.colour_rank) for rung in (*self.settings.ladder, self.climb.rung)})
+
+    def _warm_up(self, ranks: set[tuple[int, int]]) -> None:
         settings, generator, scratch = self.settings, np.random.default_rng(0), []
-        for density_rank, colour_rank in {(r.density_rank, r.colour_rank) for r in settings.ladder}:
+        for density_rank, colour_rank in ranks - self._warm:
             capacity = self._capacity(Rung(8, density_rank, colour_rank, 8, 8))
-            parts = first_parts(settings.kinds, capacity, settings.degree, generator)
+            parts = first_parts(settings.kinds, capacity, generator)
             scratch.append(RadianceField(self.space, *parts, Occupancy(8), 1 / 8))
+        self._warm |= ranks
         self.engine.warm_up(scratch, settings.smoothness, settings.even_from)
 
     def _halve_parts(self) -> None:
@@ -242,28 +198,8 @@ class Fitter:
         self.engine.discard()
         self.on_say(f"out of memory: batches are now worked off in {self.state.parts} parts")
 
-    @property
-    def _ripe(self) -> bool:
-        """Whether the present rung has had its least steps."""
-        return self.state.step >= LEAST_STEPS_PER_RUNG * (self.state.rung + 1)
-
-    @property
-    def _used_up(self) -> bool:
-        """Whether the present rung has had its share of the budget, or as many steps as do it good."""
-        rung, settings = self.state.rung, self.settings
-        end = settings.shares[rung] if rung < len(settings.shares) else settings.held_out_until
-        return self.progress >= end or (rung < len(settings.longest) and self.state.step >= settings.longest[rung])
-
-    def _rung_due(self) -> bool:
-        s, settings = self.state, self.settings
-        last = min(len(settings.ladder) - 1, len(settings.shares))
-        due = not s.fixed and self._ripe and s.rung < last and self._used_up
-        # Views that are trained on decide nothing: a trial needs its least steps before that, unless it is none.
-        left = (settings.held_out_until / max(self.progress, 1e-9) - 1) * s.step
-        return due and (settings.always_climb or left >= LEAST_STEPS_PER_RUNG)
-
     def _check(self) -> None:
-        state = self.state
+        state, climb = self.state, self.climb
         self.engine.agree()
         quality = self.held_out_psnr()
         state.curve.append(
@@ -275,62 +211,54 @@ class Fitter:
                 "held_out": self.held_out > 0 and self.progress < self.settings.held_out_until,
             }
         )
+        recovering = state.trial is not None and state.trial["what"] != GROW
         # A fall this deep is no noise: the fit is on its way to a collapse, and more training would only deepen it.
-        if not min(state.best, TELLING_PSNR) - quality <= 2.0:  # so written, NaN is a fall too
+        if not min(state.best, TELLING_PSNR) - quality <= 2.0 and not recovering:  # so written, NaN is a fall too
             self._roll_back(f"{self._judges} fell from {state.best:.1f} to {quality:.1f} dB")
             return
-        if self._trial_over():
+        if climb.over(self.progress):
             quality = self._judge(quality)
         if state.trial is None and quality >= state.best:
             state.best = quality
             self._anchor = self._snapshot()
-        if self._rung_due():
+        if climb.rung_due(self.progress):
             if quality >= TELLING_PSNR and not self.settings.always_climb:
                 self._stay(quality)
             else:
-                self._try_next(quality)
-
-    def _trial_over(self) -> bool:
-        if self.state.trial is None:
-            return False
-        return (self._ripe and self._used_up) or self.progress >= self.settings.held_out_until
+                self._try(GROW, quality)
+        while (reduction := climb.reduction_due(self.progress)) is not None:
+            self._try(reduction, quality)
+            reduced = self.held_out_psnr()
+            if not (climb.hopeless(reduced) or climb.enough(reduced)):
+                break  # a while of teaching decides
+            quality = self._judge(reduced)
 
     def _stay(self, quality: float) -> None:
         """Leave the ladder: the field is as exact as its photos."""
         self.state.fixed = True
-        here = self.settings.ladder[self.state.rung].resolution
         self.state.decisions.append(
-            f"staying at {here}^3: held-out views are met within the photos' rounding, {quality:.1f} dB"
+            f"staying at {self.climb.name(self.climb.rung)}: "
+            f"held-out views are met within the photos' rounding, {quality:.1f} dB"
         )
 
-    def _try_next(self, quality: float) -> None:
-        state = self.state
+    def _try(self, what: str, quality: float) -> None:
         self._anchor = self._snapshot()
-        state.best = max(state.best, quality)
-        state.trial, state.rung = quality, state.rung + 1
-        self._grow(self.settings.ladder[state.rung])
+        self.state.best = max(self.state.best, quality)
+        rung = self.climb.begin(what, quality, self.parameters, self.progress)
+        self._warm_up({(rung.density_rank, rung.colour_rank)})
+        self._resize(rung)
 
     def _judge(self, quality: float) -> float:
-        """Keep or drop the rung on trial; the held-out quality of the field that stands."""
-        state, before = self.state, self.state.trial
-        gain = quality - before
-        new, old = (self.settings.ladder[state.rung - i] for i in (0, 1))
-        state.trial = None
-        if gain >= self.settings.min_gain or self.settings.always_climb:
-            state.decisions.append(
-                f"{new.resolution}^3 kept: {self._judges} gained {gain:.2f} dB over {old.resolution}^3"
-            )
-            state.best = max(state.best, quality)
+        """Keep or drop what is on trial; the held-out quality of the field that stands."""
+        state, before = self.state, self.state.trial["before"]
+        reduced = state.trial["what"] != GROW
+        kept, text = self.climb.judge(quality, self.parameters)
+        state.decisions.append(text)
+        if kept:
+            state.best = quality if reduced else max(state.best, quality)
             self._anchor = self._snapshot()
             return quality
-        parameters = self.parameters
         self._restore(self._anchor)
-        state.rung, state.fixed = state.rung - 1, True
-        text = (
-            f"{new.resolution}^3 dropped: {gain:+.2f} dB for {parameters / self.parameters:.1f} times the size; "
-            f"staying at {old.resolution}^3"
-        )
-        state.decisions.append(text)
         self.on_say(text)
         return before
 
@@ -340,7 +268,7 @@ class Fitter:
         if self._anchor is None or state.rollbacks > 4:
             raise Diverged(f"{reason}, {state.rollbacks} times; try another seed, a smaller rate or check the poses")
         if state.trial is not None:
-            state.trial, state.rung, state.fixed = None, state.rung - 1, True
+            self.climb.end(kept=False)
         self._restore(self._anchor)
         state.rate_scale *= 0.5
         text = f"{reason}: back to the best field so far, with half the learning rate"
@@ -374,6 +302,7 @@ class Fitter:
         state = dict(data["state"])
         state["best"] = -math.inf if state["best"] is None else state["best"]
         self.state = FitState(**state)
+        self.climb.state = self.state
         now = {k.removeprefix("now."): v for k, v in arrays.items() if k.startswith("now.")}
         self._restore({"field": data["field"], "arrays": now})
         if "anchor" in data:

@@ -1,6 +1,6 @@
 """The capacities that a fit climbs, and the field's parts at each of them, whatever their kinds."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,7 +17,8 @@ from stylerf.geometry.space import Space
 class Rung:
     """One capacity: vertices per axis of an even box (of a hash grid: most cells a side), ranks of vm's density and
 
-    colour, cells of the occupancy grid, and the power of two of a hash level's vertices.
+    colour, cells of the occupancy grid, the power of two of a hash level's vertices, the highest degree that the
+    harmonics of a vm colour may have, and the resolution of the colour where it is not that of the density.
     """
 
     resolution: int
@@ -25,6 +26,13 @@ class Rung:
     colour_rank: int = 24
     cells: int = 64
     table_bits: int = 16
+    degree: int = 2
+    colour_resolution: int = 0
+
+    @property
+    def colour(self) -> "Rung":
+        """The capacity that the colour has: it may be coarser than the density."""
+        return replace(self, resolution=self.colour_resolution or self.resolution)
 
 
 @dataclass(frozen=True)
@@ -41,8 +49,10 @@ class Kinds:
 LADDER = (Rung(64, table_bits=16), Rung(128, table_bits=17), Rung(192, table_bits=17), Rung(256, table_bits=18))
 
 
-def capacity_at(rung: Rung, finest: int, levels: int, space: Space, occupancy: Occupancy | None = None) -> Capacity:
-    """A rung's capacity in a space; finest: the resolution of the ladder's last rung."""
+def capacity_at(
+    rung: Rung, finest: int, levels: int, space: Space, occupancy: Occupancy | None = None, degree: int = 1
+) -> Capacity:
+    """A rung's capacity in a space; finest: the resolution of the ladder's last rung; degree: asked for at most."""
     return Capacity(
         space.cells_per_axis(rung.resolution),
         rung.resolution,
@@ -52,11 +62,13 @@ def capacity_at(rung: Rung, finest: int, levels: int, space: Space, occupancy: O
         levels,
         finest,
         occupancy,
+        min(rung.degree, degree),
     )
 
 
-def first_parts(kinds: Kinds, capacity: Capacity, degree: int, generator: np.random.Generator) -> tuple:
+def first_parts(kinds: Kinds, capacity: Capacity, generator: np.random.Generator) -> tuple:
     """(density, colour) that know nothing yet."""
+    degree = capacity.degree
     if kinds.density == "vm":
         density = VmDensity.create(capacity.size, capacity.density_rank, generator)
     else:

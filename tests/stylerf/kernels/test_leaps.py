@@ -5,7 +5,8 @@ import pytest
 import torch
 
 from stylerf.fields.occupancy import Occupancy
-from stylerf.fields.vm import VmDensity, split_table
+from stylerf.fields.vm import VmDensity
+from stylerf.fields.vm_tables import split_table
 from stylerf.kernels import oracle
 from tests.stylerf.kernels.test_march import even_fog, march
 from tests.stylerf.small import SPACES, Packed, density, float64, occupied, rays_into

@@ -7,7 +7,8 @@ import pytest
 import torch
 
 from stylerf.fields.hash import HashColour, level_layout
-from stylerf.fields.vm import VmColour, VmDensity, split_table, table_length
+from stylerf.fields.vm import VmColour, VmDensity
+from stylerf.fields.vm_tables import split_table, table_length
 from stylerf.geometry.space import Space
 from stylerf.kernels import oracle
 from tests.stylerf.small import SPACES, float64

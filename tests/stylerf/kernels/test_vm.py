@@ -5,7 +5,8 @@ import pytest
 import torch
 
 from stylerf.fields.samples import Samples
-from stylerf.fields.vm import VmDensity, split_table
+from stylerf.fields.vm import VmDensity
+from stylerf.fields.vm_tables import split_table
 from stylerf.geometry.harmonics import harmonics
 from stylerf.kernels import oracle
 from tests.stylerf.small import SIZE, close, density, float64, oracle_colour, oracle_density, vm_colour

@@ -5,7 +5,8 @@ import numpy as np
 from stylerf.geometry.cameras import Camera
 from stylerf.geometry.paths import look_at
 from stylerf.geometry.space import Space
-from stylerf.training.fit import FitSettings, Fitter
+from stylerf.training.fit import Fitter
+from stylerf.training.fit_state import FitSettings
 from stylerf.training.ladders import Rung
 from stylerf.training.rays import RayBank
 
@@ -53,7 +54,7 @@ def wall_bank(views: int = 8, size: int = 24) -> tuple[Space, RayBank]:
 
 
 def settings(steps: int, **more) -> FitSettings:
-    return FitSettings(**{"steps": steps, "samples": 4000, "ladder": LADDER, **more})
+    return FitSettings(**{"steps": steps, "samples": 4000, "ladder": LADDER, "reductions": (), **more})
 
 
 def box_fitter(steps: int, seed: int = 0, held_out: int = 2, bank: RayBank | None = None, **more) -> Fitter:

@@ -5,7 +5,7 @@ import pytest
 
 from stylerf.editing.regions import alpha_inside, march_view
 from stylerf.fields.patch import PatchColour
-from stylerf.fields.vm import split_table
+from stylerf.fields.vm_tables import split_table
 from stylerf.rendering.view import render_view
 from stylerf.training.finetune import EditedPixels, FineTuner, FineTuneSettings
 from stylerf.training.rays import RayBank

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from stylerf.rendering.view import render_view
-from stylerf.training.fit import LEAST_STEPS_PER_RUNG, TELLING_PSNR, Fitter
+from stylerf.training.climbing import LEAST_STEPS_PER_RUNG, TELLING_PSNR
+from stylerf.training.fit import Fitter
 from tests.stylerf.training.running import Stopped, assert_same_bits, now, resumed, run_until
 from tests.stylerf.training.scenes import LADDER, box_bank, box_fitter, box_photo, dome, settings, wall_bank
 
@@ -16,7 +17,7 @@ def test_a_rung_that_gains_too_little_is_dropped_for_the_field_before_it():
         state = now_.state
         if state.trial is not None and not seen:
             seen.update(now(now_.checkpoint()[1], "anchor."))
-            tried.append(state.trial)
+            tried.append(state.trial["before"])
             assert now_.field.density.size.max() == 12
         if state.fixed:
             assert_same_bits(now(now_.checkpoint()[1]), seen)
@@ -26,7 +27,7 @@ def test_a_rung_that_gains_too_little_is_dropped_for_the_field_before_it():
     with pytest.raises(Stopped):
         fitter.run(on_step)
     assert fitter.state.rung == 0 and fitter.field.density.size.max() == 8 and fitter.state.step > 200
-    assert len(fitter.state.decisions) == 1 and "12^3 dropped" in fitter.state.decisions[0]
+    assert len(fitter.state.decisions) == 1 and "12^3 rank 16+24 dropped" in fitter.state.decisions[0]
     fitter = resumed(box_fitter(300, min_gain=50.0, shares=(0.34, 0.68)), fitter)
     fitter.run()
     assert fitter.state.rung == 0 and len(fitter.state.decisions) == 1  # not tried twice
@@ -36,7 +37,7 @@ def test_a_rung_that_gains_is_kept():
     fitter = box_fitter(300, ladder=LADDER[:2])
     fitter.run()
     assert fitter.state.rung == 1 and fitter.field.density.size.max() == 12
-    assert "12^3 kept" in fitter.state.decisions[0]
+    assert "12^3 rank 16+24 kept" in fitter.state.decisions[0]
     sizes = [entry["parameters"] for entry in fitter.state.curve]
     assert sizes == sorted(sizes) and sizes[-1] == fitter.field.parameters > sizes[0]
 
@@ -60,7 +61,7 @@ def test_a_long_budget_leaves_a_coarse_rung_after_its_longest():
 def test_growing_holds_the_same_picture():
     fitter = run_until(box_fitter(300), 60)
     before = fitter.held_out_psnr()
-    fitter._grow(LADDER[2])
+    fitter._resize(LADDER[2])
     assert fitter.field.density.size.max() == 16 and fitter.field.occupancy.cells == 16 and fitter.field.step == 1 / 16
     fitter.field.step = 1 / 8
     assert fitter.held_out_psnr() == pytest.approx(before, abs=0.3)  # sixteen vertices do not hold eight exactly
@@ -101,6 +102,54 @@ def test_a_wall_of_one_colour_stays_at_the_smallest_capacity(steps):
     assert fitter.state.rung == 0 and fitter.field.density.size.max() == LADDER[0].resolution
     assert {entry["parameters"] for entry in fitter.state.curve} == {fitter.field.parameters}
     assert fitter.state.rollbacks == 0 and fitter.state.curve[-1]["psnr"] > TELLING_PSNR
+
+
+# -- giving up ------------------------------------------------------------------------------------------------------
+
+
+def reducing(steps: int = 400, **more) -> Fitter:
+    given = {"ladder": LADDER[:1], "shares": (0.3,), "reductions": ("density ranks", "colour ranks"), "min_gain": 0.3}
+    return box_fitter(steps, **{**given, **more})
+
+
+def test_ranks_that_the_views_do_not_miss_are_given_up():
+    fitter = reducing()
+    fitter.run()
+    assert fitter.field.density.rank == 8 and fitter.field.colour.rank == 8
+    sizes = [entry["parameters"] for entry in fitter.state.curve]
+    assert sizes[-1] == fitter.field.parameters < 0.5 * sizes[0]
+    whole = box_fitter(400, ladder=LADDER[:1])
+    whole.run()
+    assert unseen_psnr(fitter) > unseen_psnr(whole) - 0.3
+    assert "is enough" in fitter.state.decisions[0] and fitter.climb.told(1).startswith("vm 8^3 rank 8+8")
+
+
+def test_what_the_views_miss_comes_back_to_the_bit():
+    fitter, before = reducing(min_gain=-50.0, reductions=("density ranks",)), {}
+
+    def on_step(now_: Fitter) -> None:
+        if now_.state.trial is not None:
+            before.update(now(now_.checkpoint()[1], "anchor."))
+            assert now_.field.density.rank == 8
+        elif before:
+            assert_same_bits(now(now_.checkpoint()[1]), before)
+            raise Stopped
+
+    with pytest.raises(Stopped):
+        fitter.run(on_step)
+    assert fitter.field.density.rank == 16 and "is too little" in fitter.state.decisions[0]
+    assert fitter.state.refused == ["density ranks"] and fitter.state.rate_scale == 1.0
+
+
+def test_a_fit_stopped_within_a_reduction_goes_on_to_the_same_bits():
+    whole = reducing(260)
+    whole.run()
+    at = run_until(reducing(260), 130)
+    assert at.state.trial is not None
+    at = resumed(reducing(260), at)
+    at.run()
+    assert at.state.decisions == whole.state.decisions
+    assert_same_bits(at.field.arrays(), whole.field.arrays())
 
 
 # -- time -----------------------------------------------------------------------------------------------------------

@@ -10,7 +10,8 @@ import time
 import numpy as np
 
 from stylerf.training.finetune import EditedPixels, FineTuner, FineTuneSettings
-from stylerf.training.fit import FitSettings, Fitter
+from stylerf.training.fit import Fitter
+from stylerf.training.fit_state import FitSettings
 from stylerf.training.ranks import ALONE, Ranks, Together
 from tests.stylerf.training.running import run_until, saved
 from tests.stylerf.training.scenes import AROUND, LADDER, box_bank, settings

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from stylerf.fields.samples import Rays
-from stylerf.fields.vm import split_table
+from stylerf.fields.vm_tables import split_table
 from stylerf.rendering.rays import backward, render_rays
 from stylerf.rendering.view import render_view
 from stylerf.training.engine import Batch, CpuEngine, background_of

@@ -1,0 +1,160 @@
+"""The official TensoRF code on the same views: `python -m benchmarks.tensorf CHECKOUT LEGO OUT.json NAME ITERATIONS`.
+
+CHECKOUT: a clone of github.com/apchenstu/TensoRF, which this runs and never changes; LEGO: the data folder.
+
+Protocol: its own train.py and configs/lego.txt on lego's training photos at 200x200, on the CPU. NAME `shipped` runs
+its schedule as it is, for the first ITERATIONS steps; any other name divides each number of its schedule (steps, grid
+growth, masks) by 30,000 / ITERATIONS. Every LOOK steps VIEWS test views are rendered and measured; that is left out of
+its seconds. On a busy machine only its steps count: `seconds_a_step` of a short run alone turns them into time.
+"""
+
+import json
+import os
+import resource
+import runpy
+import sys
+import tempfile
+import time
+import types
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+
+SIDE, LOOK, VIEWS = 200, 50, 3
+SHIPPED = 30000
+SCHEDULE = {"upsamp_list": (2000, 3000, 4000, 5500, 7000), "update_AlphaMask_list": (2000, 4000)}
+
+
+def stand_in(name: str, **members) -> None:
+    """A module of which the run needs only `members`, where it is not installed."""
+    module = types.ModuleType(name)
+    for member, value in members.items():
+        setattr(module, member, value)
+    sys.modules[name] = module
+
+
+def stand_ins() -> None:
+    """What the code imports and a CPU run on lego needs little or nothing of."""
+    import torch
+
+    def to_tensor(image):
+        return torch.from_numpy(np.asarray(image, np.float32) / 255).permute(2, 0, 1)
+
+    def meshgrid(height, width, normalized_coordinates=True):
+        y, x = torch.meshgrid(torch.arange(height).float(), torch.arange(width).float(), indexing="ij")
+        return torch.stack([x, y], -1)[None]
+
+    transforms = types.SimpleNamespace(ToTensor=lambda: to_tensor)
+    stand_in("torchvision", transforms=transforms)
+    stand_in("torchvision.transforms", ToTensor=lambda: to_tensor)
+    stand_in("kornia", create_meshgrid=meshgrid)
+    writer = type("Writer", (), {"__init__": lambda s, *a, **k: None, "add_scalar": lambda s, *a, **k: None})
+    stand_in("torch.utils.tensorboard", SummaryWriter=writer)
+    for name in ("cv2", "plyfile", "lpips", "imageio"):
+        stand_in(name)
+    sys.modules["plyfile"].PlyData = sys.modules["plyfile"].PlyElement = None
+    sys.modules["cv2"].COLORMAP_JET = 0
+
+
+def small_photos(data: Path, folder: Path) -> None:
+    """Photos at SIDE pixels, averaged premultiplied as `stylerf import` does; its loader does not resize."""
+    from PIL import Image
+
+    for split in ("train", "test"):
+        meta = json.loads((data / f"transforms_{split}.json").read_text())
+        for frame in meta["frames"]:
+            rgba = np.asarray(Image.open(data / f"{frame['file_path']}.png"), np.float64) / 255
+            rgba[..., :3] *= rgba[..., 3:]
+            by = rgba.shape[0] // SIDE
+            mean = rgba.reshape(SIDE, by, SIDE, by, 4).mean((1, 3))
+            mean[..., :3] /= np.maximum(mean[..., 3:], 1e-9)
+            to = folder / f"{frame['file_path']}.png"
+            to.parent.mkdir(parents=True, exist_ok=True)
+            Image.fromarray((mean * 255 + 0.5).clip(0, 255).astype(np.uint8)).save(to)
+        (folder / f"transforms_{split}.json").write_text(json.dumps(meta))
+
+
+class Looks:
+    """In place of its `evaluation`: the PSNR of a few test views, and the clock stopped meanwhile."""
+
+    def __init__(self, out: Path, head: dict) -> None:
+        self.out, self.report = out, head | {"curve": []}
+        self.begun, self.away, self.steps = None, 0.0, 0
+
+    def start(self) -> None:
+        self.begun = time.perf_counter()
+
+    def __call__(self, dataset, field, args, renderer, *_, N_samples=-1, white_bg=True, device="cpu", **__):
+        import torch
+
+        at, found = time.perf_counter(), []
+        self.steps += LOOK
+        with torch.no_grad():
+            for view in range(0, len(dataset.all_rays), len(dataset.all_rays) // VIEWS):
+                rays = dataset.all_rays[view]
+                rgb = renderer(rays, field, chunk=4096, N_samples=N_samples, white_bg=white_bg, device="cpu")[0]
+                error = rgb.clamp(0, 1).reshape(-1, 3) - dataset.all_rgbs[view].reshape(-1, 3)
+                found.append(-10 * np.log10(float(error.square().mean())))
+        seconds = at - self.begun - self.away
+        parameters = sum(p.numel() for group in field.get_optparam_groups() for p in group["params"])
+        self.report["curve"].append(
+            {"step": self.steps, "seconds": round(seconds, 1), "psnr": round(float(np.mean(found)), 3)}
+        )
+        self.report |= {
+            "seconds_a_step": round(seconds / self.steps, 3),
+            "parameters": parameters,
+            "peak_memory_mb": round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3),
+        }
+        self.out.write_text(json.dumps(self.report, indent=1) + "\n")
+        print(self.report["curve"][-1], flush=True)
+        self.away += time.perf_counter() - at
+        return found
+
+
+def main() -> None:
+    checkout, data, out, name, iterations = *map(Path, sys.argv[1:4]), sys.argv[4], int(sys.argv[5])
+    stand_ins()
+    sys.path.insert(0, str(checkout))
+    import renderer
+    from tqdm import tqdm
+
+    head = {
+        "command": f"python -m benchmarks.tensorf CHECKOUT LEGO OUT.json {name} {iterations}",
+        "protocol": __doc__.split("Protocol: ")[1],
+        "machine": {"cores": os.cpu_count()},
+        "name": name,
+        "date": datetime.now(UTC).date().isoformat(),
+    }
+    looks = Looks(out, head)
+    renderer.evaluation = looks
+    scale = 1.0 if name == "shipped" else iterations / SHIPPED
+    with tempfile.TemporaryDirectory() as folder:
+        small_photos(data, Path(folder) / "lego")
+        options = {"datadir": Path(folder) / "lego", "basedir": Path(folder) / "log", "downsample_train": 800 / SIDE,
+                   "n_iters": SHIPPED if name == "shipped" else iterations,
+                   "vis_every": LOOK, "render_test": 0}  # fmt: skip
+        arguments = ["train.py", "--config", str(checkout / "configs" / "lego.txt")]
+        arguments += [f"--{key}={value}" for key, value in options.items()]
+        for key, steps in SCHEDULE.items():
+            for step in steps:
+                arguments += [f"--{key}", str(max(1, round(step * scale)))]
+        sys.argv = arguments
+        # Its loop draws its first step when the bar is asked for it.
+        ask = tqdm.__iter__
+
+        def asked(bar):
+            if bar.total == options["n_iters"]:
+                looks.start()
+            for number in ask(bar):
+                if number >= iterations:
+                    return
+                yield number
+
+        tqdm.__iter__ = asked
+        os.chdir(folder)
+        runpy.run_path(str(checkout / "train.py"), run_name="__main__")
+
+
+if __name__ == "__main__":
+    main()

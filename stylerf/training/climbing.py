@@ -1,0 +1,243 @@
+"""Which capacity a fit takes: up a ladder while held-out views gain, then down where they lose next to nothing.
+
+Climbing alone cannot tell what a rung is worth: views gain from the time it has had as well. So when the ladder ends,
+parts of the field are given up again, each on trial: the field that it leaves is taught for a while where that is
+needed, and compared with what stood before. What the views do not miss stays away, and makes every later step cheaper.
+"""
+
+import math
+from dataclasses import asdict, replace
+
+from stylerf.training.fit_state import FitSettings, FitState
+from stylerf.training.ladders import Kinds, Rung
+
+LEAST_STEPS_PER_RUNG = 100
+# A reduction's trial: part of the budget, within these numbers of steps.
+TRIAL_SHARE, TRIAL_STEPS = 0.08, (50, 250)
+HOPELESS = 0.6  # dB that a reduction may take at first: a trial brings back about a third of a dB
+# Steps in which the rate rises after a reduction: Adam's first steps, without a past, are its largest. (Moments carried
+# over were tried and bring a field back more slowly than none.)
+RAMP = 20
+FEWEST_RANKS = 8
+RESOLUTIONS = (32, 48, 64, 96, 128, 192, 256, 384, 512)
+# An error of one step of an eight-bit photo. What lies beyond is rounding: no reason to grow, and no collapse to lose.
+TELLING_PSNR = 20 * math.log10(255)
+GROW = "grow"
+
+
+def _fewer_density_ranks(rung: Rung, kinds: Kinds, settings: FitSettings) -> dict[str, int]:
+    possible = kinds.density == "vm" and rung.density_rank > FEWEST_RANKS
+    return {"density_rank": FEWEST_RANKS} if possible else {}
+
+
+def _fewer_colour_ranks(rung: Rung, kinds: Kinds, settings: FitSettings) -> dict[str, int]:
+    # A headed colour's network has one width.
+    possible = kinds.colour == "vm" and kinds.head == "linear" and rung.colour_rank > FEWEST_RANKS
+    return {"colour_rank": FEWEST_RANKS} if possible else {}
+
+
+def _coarser(rung: Rung, kinds: Kinds, settings: FitSettings) -> dict[str, int]:
+    below = [n for n in RESOLUTIONS if n < rung.resolution]
+    if not below:
+        return {}
+    coarser_colour = 0 < rung.colour_resolution < below[-1]
+    return {"resolution": below[-1], "colour_resolution": rung.colour_resolution if coarser_colour else 0}
+
+
+def _coarser_colour(rung: Rung, kinds: Kinds, settings: FitSettings) -> dict[str, int]:
+    below = [n for n in RESOLUTIONS if n < rung.colour.resolution]
+    return {"colour_resolution": below[-1]} if below else {}
+
+
+def _seen_alike(rung: Rung, kinds: Kinds, settings: FitSettings) -> dict[str, int]:
+    view_dependent = kinds.colour == "vm" and kinds.head == "linear" and min(rung.degree, settings.degree) > 0
+    return {"degree": 0} if view_dependent else {}
+
+
+# What can be given up, by name: (rung, kinds, settings) -> the rung's fields as they would be; empty: nothing.
+REDUCTIONS = {
+    "density ranks": _fewer_density_ranks,
+    "resolution": _coarser,
+    "colour resolution": _coarser_colour,
+    "colour ranks": _fewer_colour_ranks,
+    "degree": _seen_alike,
+}
+
+
+def named(rung: Rung, kinds: Kinds, settings: FitSettings) -> str:
+    """A capacity in words: 128^3 rank 16+24; where the colour is coarser, 256^3+128^3 rank 16+24."""
+    ranks = []
+    if kinds.density == "vm":
+        ranks.append(rung.density_rank)
+    if kinds.colour == "vm":
+        ranks.append(rung.colour_rank)
+    degree = min(rung.degree, settings.degree)
+    coarser = f"+{rung.colour_resolution}^3" if rung.colour.resolution != rung.resolution else ""
+    words = f"{rung.resolution}^3{coarser}" + (f" rank {'+'.join(map(str, ranks))}" if ranks else "")
+    return words + ("" if degree == settings.degree else f" degree {degree}")
+
+
+class Climb:
+    """What is tried next, and what becomes of it; it knows no array.
+
+    state.trial, while one is on: {what: `grow` or a reduction's name, before: dB, from, parameters: of the field
+    before; of a reduction also its first step, the step `until` which it goes on, and what was `given_up` before}.
+    """
+
+    def __init__(self, settings: FitSettings, state: FitState, judges: str) -> None:
+        self.settings, self.state, self.judges = settings, state, judges
+
+    @property
+    def rung(self) -> Rung:
+        """The present capacity."""
+        return replace(self.settings.ladder[self.state.rung], **self.state.given_up)
+
+    def name(self, rung: Rung) -> str:
+        return named(rung, self.settings.kinds, self.settings)
+
+    # -- when -------------------------------------------------------------------------------------------------------
+
+    @property
+    def _ripe(self) -> bool:
+        """Whether the present rung has had its least steps."""
+        return self.state.step >= LEAST_STEPS_PER_RUNG * (self.state.rung + 1)
+
+    def _used_up(self, progress: float) -> bool:
+        """Whether the present rung has had its share of the budget, or as many steps as do it good."""
+        rung, settings = self.state.rung, self.settings
+        end = settings.shares[rung] if rung < len(settings.shares) else settings.held_out_until
+        return progress >= end or (rung < len(settings.longest) and self.state.step >= settings.longest[rung])
+
+    @property
+    def _last(self) -> int:
+        return min(len(self.settings.ladder) - 1, len(self.settings.shares))
+
+    def rung_due(self, progress: float) -> bool:
+        """Whether the next rung is to be tried."""
+        s, settings = self.state, self.settings
+        due = not s.fixed and s.trial is None and self._ripe and s.rung < self._last and self._used_up(progress)
+        # Views that are trained on decide nothing: a trial needs its least steps before that, unless it is none.
+        return due and (settings.always_climb or self._steps_left(progress) >= LEAST_STEPS_PER_RUNG)
+
+    def _steps_left(self, progress: float) -> float:
+        """Steps until the held-out views are trained on."""
+        return (self.settings.held_out_until / max(progress, 1e-9) - 1) * self.state.step
+
+    def _trial_steps(self, progress: float) -> int:
+        whole = self.state.step / max(progress, 1e-9)
+        return round(min(max(TRIAL_SHARE * whole, TRIAL_STEPS[0]), TRIAL_STEPS[1]))
+
+    def reduction_due(self, progress: float) -> str | None:
+        """The name of what is to be given up next, on trial."""
+        s, settings = self.state, self.settings
+        climbing = not s.fixed and s.rung < self._last
+        if settings.always_climb or s.trial is not None or climbing or not self._ripe:
+            return None
+        if not s.fixed and not self._used_up(progress):
+            return None
+        if self._steps_left(progress) < self._trial_steps(progress):
+            return None
+        for name in settings.reductions:
+            if name not in s.refused and REDUCTIONS[name](self.rung, settings.kinds, settings):
+                return name
+        return None
+
+    def over(self, progress: float) -> bool:
+        """Whether the trial that is on has had its time."""
+        trial = self.state.trial
+        if trial is None:
+            return False
+        if trial["what"] != GROW and self.state.step >= trial["until"]:
+            return True
+        return (trial["what"] == GROW and self._ripe and self._used_up(progress)) or (
+            progress >= self.settings.held_out_until
+        )
+
+    def hopeless(self, quality: float) -> bool:
+        """Whether a reduction, just made, has lost more than it can win back."""
+        return not min(self.state.trial["before"], TELLING_PSNR) - quality <= HOPELESS  # so written, NaN is hopeless
+
+    def enough(self, quality: float) -> bool:
+        """Whether the views lose next to nothing by what is on trial."""
+        return quality >= min(self.state.whole, TELLING_PSNR) - self.settings.min_gain
+
+    @property
+    def rate(self) -> float:
+        """Factor of the learning rate."""
+        trial = self.state.trial
+        if trial is None or trial["what"] == GROW:
+            return 1.0
+        return min(1.0, (self.state.step - trial["step"] + 1) / RAMP)
+
+    # -- what -------------------------------------------------------------------------------------------------------
+
+    def begin(self, what: str, quality: float, parameters: int, progress: float) -> Rung:
+        """Put a change on trial; the capacity to go on with."""
+        state, settings = self.state, self.settings
+        before = self.rung
+        state.trial = {"what": what, "before": quality, "from": asdict(before), "parameters": parameters}
+        if what == GROW:
+            state.rung += 1
+        else:
+            state.whole = quality if state.whole is None else state.whole
+            until = state.step + self._trial_steps(progress)
+            state.trial |= {"step": state.step, "until": until, "given_up": dict(state.given_up)}
+            state.given_up |= REDUCTIONS[what](before, settings.kinds, settings)
+        return self.rung
+
+    def judge(self, quality: float, parameters: int) -> tuple[bool, str]:
+        """End the trial: whether what was tried stays, and why in words. parameters: of the field on trial."""
+        settings, trial = self.settings, self.state.trial
+        old, new, gain = Rung(**trial["from"]), self.rung, quality - trial["before"]
+        names, sizes = (self.name(old), self.name(new)), (trial["parameters"], parameters)
+        if trial["what"] == GROW:
+            kept = gain >= settings.min_gain or settings.always_climb
+            if kept:
+                text = f"{names[1]} kept: {self.judges} gained {gain:.2f} dB over {names[0]}"
+            else:
+                times = parameters / trial["parameters"]
+                text = f"{names[1]} dropped: {gain:+.2f} dB for {times:.1f} times the size; staying at {names[0]}"
+                self._note(names[1], names[0], sizes[1], sizes[0], gain)
+        else:
+            kept = self.enough(quality)
+            times = trial["parameters"] / parameters
+            larger = f"{names[0]}, {times:.1f} times the size" if times > 1.05 else names[0]
+            verdict = "is enough" if kept else "is too little"
+            text = f"{names[1]} {verdict}: {self.judges} {gain:+.2f} dB against {larger}"
+            self._note(names[0], names[1], sizes[0], sizes[1], -gain)
+        self.end(kept)
+        return kept, text
+
+    def _note(self, larger: str, smaller: str, more: int, fewer: int, gain: float) -> None:
+        self.state.sizes.append(
+            {"larger": larger, "smaller": smaller, "parameters": [more, fewer], "gain": round(gain, 3)}
+        )
+
+    def end(self, kept: bool) -> None:
+        """Leave the trial; where it is not kept, the capacity before it stands again."""
+        state, trial = self.state, self.state.trial
+        state.trial = None
+        if kept:
+            return
+        if trial["what"] == GROW:
+            state.rung, state.fixed = state.rung - 1, True
+        else:
+            state.given_up = trial["given_up"]
+            state.refused.append(trial["what"])
+
+    # -- what it came to --------------------------------------------------------------------------------------------
+
+    def told(self, parameters: int) -> str:
+        """The capacity that stands in one line, with what more of it would gain and less of it would lose."""
+        kinds, here = self.settings.kinds, self.name(self.rung)
+        kind = kinds.density if kinds.density == kinds.colour else f"{kinds.density}+{kinds.colour}"
+        line = f"{kind} {here}, {parameters / 1e6:.2f} M parameters"
+        more = [s for s in self.state.sizes if s["smaller"] == here]
+        less = [s for s in self.state.sizes if s["larger"] == here]
+        found = []
+        for s in more[-1:]:
+            times = s["parameters"][0] / s["parameters"][1]
+            found.append(f"{s['larger']} would gain {s['gain']:.2f} dB for {times:.1f}x the size")
+        for s in sorted(less, key=lambda s: s["gain"])[:1]:  # the least costly
+            found.append(f"{s['smaller']} would lose {s['gain']:.2f} dB")
+        return f"{line}: {'; '.join(found)}" if found else line

@@ -1,0 +1,101 @@
+"""Fewer ranks: as near as so few can be, where something is seen."""
+
+import numpy as np
+import pytest
+
+from stylerf.fields.narrowing import EMPTY, best_ranks, telling_ranks, texel_weights
+from stylerf.fields.occupancy import Occupancy
+from stylerf.fields.vm import VmColour, VmDensity
+from stylerf.fields.vm_tables import split_table
+from stylerf.geometry.harmonics import harmonics
+
+SIZE = np.array([7, 9, 11])
+EVERYWHERE = Occupancy(4)  # of a new grid every cell is occupied
+
+
+def factors(seed: int, plane: int = 40, line: int = 9, rank: int = 16) -> tuple[np.ndarray, np.ndarray]:
+    generator = np.random.default_rng(seed)
+    return tuple(generator.normal(size=(n, rank)).astype(np.float32) for n in (plane, line))
+
+
+def test_no_fewer_ranks_come_nearer():
+    plane, line = factors(0)
+    strengths = np.linalg.svd(plane.astype(np.float64) @ line.T.astype(np.float64))[1]
+    for rank in (1, 3, 8):
+        new_plane, new_line = best_ranks(plane, line, (np.ones(40), np.ones(9)), rank)
+        assert new_plane.shape == (40, rank) and new_line.shape == (9, rank)
+        error = np.linalg.norm(plane @ line.T - new_plane @ new_line.T)
+        assert error == pytest.approx(np.sqrt((strengths[rank:] ** 2).sum()), rel=1e-4)
+
+
+def test_what_lies_where_nothing_is_does_not_count():
+    """Four ranks hold what is seen exactly, however much noise lies in the rows that weigh nothing."""
+    plane, line = factors(1)
+    seen = np.arange(40) < 20
+    plane[:20, 4:] = 0
+    weights = np.where(seen, 1.0, EMPTY), np.ones(9)
+    new_plane, new_line = best_ranks(plane, line, weights, 4)
+    np.testing.assert_allclose((new_plane @ new_line.T)[seen], (plane @ line.T)[seen], atol=1e-3)
+    blind = np.ones(40), np.ones(9)
+    new_plane, new_line = best_ranks(plane, line, blind, 4)
+    assert np.abs((new_plane @ new_line.T)[seen] - (plane @ line.T)[seen]).max() > 0.1
+
+
+def test_ranks_that_the_head_does_not_look_at_go_first():
+    plane, line = factors(2, rank=6)
+    head = np.ones((12, 6), np.float32)
+    head[:, [1, 4]] = 0
+    plane[:, 2] *= 1e-3
+    assert telling_ranks(plane, line, (np.ones(40), np.ones(9)), head, 3).tolist() == [0, 3, 5]
+
+
+def test_texels_weigh_what_lies_along_their_columns():
+    """One occupied cell: on each plane and line the texels in its shadow, found by asking cell by cell."""
+    occupancy, there = Occupancy(4), (0, 1, 3)
+    occupied = np.zeros((4, 4, 4), bool)
+    occupied[there] = True
+    occupancy.set_occupied(occupied)
+    for m, (plane, line) in enumerate(texel_weights(occupancy, SIZE)):
+        a, b = (m + 1) % 3, (m + 2) % 3
+        plane = plane.reshape(SIZE[a], SIZE[b])
+        for (i, j), weight in np.ndenumerate(plane):
+            within = [min(int(k * 4 / (SIZE[axis] - 1)), 3) == there[axis] for k, axis in ((i, a), (j, b))]
+            assert weight == pytest.approx(0.5 if all(within) else EMPTY)
+        assert (line > EMPTY).sum() == sum(min(int(k * 4 / (SIZE[m] - 1)), 3) == there[m] for k in range(SIZE[m]))
+
+
+def points(count: int = 200) -> np.ndarray:
+    return np.random.default_rng(7).random((count, 3), dtype=np.float32)
+
+
+def test_a_density_keeps_what_eight_of_its_ranks_hold():
+    made = VmDensity.create(np.array([12, 13, 14]), 16, np.random.default_rng(3))
+    for line in split_table(made.table, made.size, 16)[1]:
+        line[:, 8:] = 0
+    after = made.narrowed(8, EVERYWHERE)
+    assert after.rank == 8 and len(after.values) < 0.6 * len(made.values)
+    np.testing.assert_allclose(after.sigma(points(), 1), made.sigma(points(), 1), rtol=1e-4)
+
+
+def test_a_line_of_fewer_vertices_than_ranks_is_held_exactly():
+    made = VmDensity.create(SIZE, 16, np.random.default_rng(3))  # its shortest line has seven
+    after = made.narrowed(12, EVERYWHERE)
+    np.testing.assert_allclose(after.sigma(points(), 1), made.sigma(points(), 1), rtol=1e-4)
+
+
+def colours_of(made: VmColour) -> np.ndarray:
+    x, directions = points(), np.random.default_rng(8).normal(size=(200, 3)).astype(np.float32)
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    starts = np.arange(200, dtype=np.int64)
+    weights = np.ones(200, np.float32)
+    return made.colours(x, harmonics(directions, made.degree), starts, starts + 1, weights, 0.0, 1)
+
+
+def test_a_colour_loses_the_ranks_of_which_nothing_is_seen():
+    made = VmColour.create(SIZE, 24, 1, np.random.default_rng(5))
+    silent = np.random.default_rng(6).permutation(24)[:16]
+    for line in split_table(made.table, SIZE, 24)[1]:
+        line[:, silent] = 0
+    after = made.narrowed(8, EVERYWHERE)
+    assert after.rank == 8 and after.degree == 1
+    np.testing.assert_allclose(colours_of(after), colours_of(made), atol=1e-5)
