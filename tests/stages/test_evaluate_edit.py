@@ -15,6 +15,7 @@ from schemas.store import Work
 from stages import evaluate
 from stages.configs.evaluate import EvaluateConfig
 from stages.evaluation import masks as mask_module
+from stages.evaluation.asked import pinned
 from stages.fields import save_field
 from stages.progress import Context
 from stages.regions import save_region
@@ -185,22 +186,22 @@ def test_given_masks_at_any_size_and_depth(made_up, tmp_path):
     half = seen_of_region(POSITIONS[0])[::2, ::2]
     write_png(tmp_path / "photo_00_mask.png", half.astype(np.uint8))
     config = replace(QUIET, masks=str(tmp_path))
-    _, report = evaluated(work, inputs, evaluate.pinned(config), name="given")
+    _, report = evaluated(work, inputs, pinned(config), name="given")
     whole = np.kron(half, np.ones((2, 2), bool))  # twice the size by lines between values: the same, over a half
     for key, value in expected(made_up, 0, 0, 4, whole).items():
         assert report["views"][0][key] == pytest.approx(value, rel=0.01), key
     assert "background_mse" not in report["views"][1] and figure(report, "background_mse")["count"] == 1
     assert any("1 views have no mask" in text and "photo_01" in text for text in report["warnings"])
     assert report["edit"]["margin"] == 0 and "given mask" in figure(report, "background_mse")["protocol"]
-    first = evaluate.pinned(config).masks_digest
+    first = pinned(config).masks_digest
     write_png(tmp_path / "photo_00_mask.png", (~half).astype(np.uint8))
-    assert evaluate.pinned(config).masks_digest != first
+    assert pinned(config).masks_digest != first
 
 
 def test_masks_of_another_shape_and_empty_folders_are_refused(made_up, tmp_path):
     work, inputs, *_ = made_up
     with pytest.raises(BadInput, match="no picture"):
-        evaluate.pinned(replace(QUIET, masks=str(tmp_path)))
+        pinned(replace(QUIET, masks=str(tmp_path)))
     write_png(tmp_path / "photo_00.png", np.zeros((72, 72), np.uint8))
     with pytest.raises(BadInput, match="72x72 where the view is 96x72"):
         evaluated(work, inputs, replace(QUIET, masks=str(tmp_path)), name="refused")
