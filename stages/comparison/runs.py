@@ -1,9 +1,10 @@
 """The runs of work folders as their manifests and reports tell them; nothing is run, nothing is measured."""
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from pathlib import Path
 
 from schemas.errors import StylerfError
 from schemas.store import Artefact, Work
@@ -105,7 +106,7 @@ def _called(works: Sequence[Work]) -> list[str]:
 
 def _run(artefact: Artefact, family: str, work: Work, called: str, scenes: dict[str, str]) -> Run:
     manifest = artefact.manifest
-    made = [artefact, *(_made_for(artefact) if family != FITS else ())]
+    made = [*(_made_for(artefact).values() if family != FITS else ()), artefact]
     report = _report(artefact, work)
     told = json.loads(report.file("report.json").read_text()) if report else {}
     return Run(
@@ -116,7 +117,7 @@ def _run(artefact: Artefact, family: str, work: Work, called: str, scenes: dict[
         method=_method(artefact, family),
         settings=_settings(manifest.config),
         device=manifest.device,
-        stages=tuple(dict.fromkeys(one.manifest.stage for one in reversed(made))),
+        stages=tuple(dict.fromkeys(one.manifest.stage for one in made)),
         costs={
             "seconds": sum(one.manifest.seconds for one in made),
             "peak_memory_mb": max(one.manifest.peak_memory_mb for one in made) or None,
@@ -130,16 +131,20 @@ def _run(artefact: Artefact, family: str, work: Work, called: str, scenes: dict[
     )
 
 
-def _made_for(artefact: Artefact) -> Iterator[Artefact]:
-    """What was made on the way from the fitted field to this one: no import, fit, selection or rendering."""
-    work = Work(artefact.path.parent.parent)
+def _made_for(artefact: Artefact) -> dict[Path, Artefact]:
+    """What was made on the way from the fitted field to this one, sources first, each once, by its folder.
+
+    No import, fit, selection or rendering.
+    """
+    work, found = Work(artefact.path.parent.parent), {}
     for ref in artefact.manifest.inputs:
         if ref.kind not in ("field", "scene", "edit", "edit-dataset"):
             continue
         source = work.get(ref.kind, ref.name)
         if ref.kind in ("edit", "edit-dataset") or source.manifest.stage in ("distill", "deform_init"):
-            yield source
-            yield from _made_for(source)
+            found |= {path: one for path, one in _made_for(source).items() if path not in found}
+            found.setdefault(source.path, source)
+    return found
 
 
 def _report(artefact: Artefact, work: Work) -> Artefact | None:

@@ -81,7 +81,7 @@ class Film:
         return {
             "path": f"the path {self.frames.frames.path}",
             "warp_protocol": by_flow if self.config.flow else by_depth,
-            "flow": self.flows.words,
+            "flow": self.flows.words[0].upper() + self.flows.words[1:],
         }
 
     def _pair(self, label: str, views: tuple[Render, Render], places: tuple[int, int], looked_at: bool) -> ViewRow:

@@ -54,12 +54,16 @@ def run(args, session) -> dict:
         plain = next((one for one in fields_behind(field) if not is_stylised(one)), None)
         if plain is not None:
             inputs["base_frames"] = frames_of(session, plain, "test")
+    elif args.robust_to or session.config.reference:
+        raise UsageError(f"--reference and --robust-to are for a stylised field; {field.name} is none")
     if args.robust_to:
         inputs["twin_frames"] = frames_of(session, session.work.find("field", args.robust_to), "test")
     inputs |= edit_inputs(session, field, args)
     film = frames_of(session, field, args.path) if args.path else film_there(session.work, field)
     if film is not None:
         inputs["path_frames"] = film
+    elif session.config.flow:
+        raise UsageError("--flow is of the frames of a camera path, and there are none; name the path by --path")
     report = session.run(evaluate.SPEC, evaluate.run, inputs, pinned(session.config), field.name)
     return told(report, session)
 

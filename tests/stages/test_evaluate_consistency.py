@@ -67,20 +67,20 @@ def test_each_protocol_tells_the_known_change_in_its_own_unit(filmed):
     # Summed over RGB and squared; the script flags all that moves by over half a pixel, and that is everything here.
     assert found["short_laenerf_script_flagged"] > 0.95
     assert 0.03 < found["short_laenerf_script_mse"] < 0.06
-    assert 0.27 < found["long_laenerf_script_mse"] < 0.5
+    assert 0.25 < found["long_laenerf_script_mse"] < 0.5
     labels = {item["key"]: item["label"] for item in report["figures"]}
     assert "(correct)" in labels["short_rmse"] and "(laenerf-script)" in labels["long_laenerf_script_mse"]
     assert "(stylerf-family)" in labels["short_stylerf_family_share"]
     assert not any("{" in item["protocol"] + item["label"] for item in report["figures"])
-    assert all(len(report["pairs"]) == 4 + 2 for _ in "x")
+    assert len(report["pairs"]) == 4 + 2
 
 
 def test_one_mode_measures_nothing_of_the_others(filmed):
     work, inputs, everything = filmed
-    keys = {
-        mode: {key for key in figures(evaluated(work, inputs, replace(QUIET, consistency=mode))) if key[:5] in ("short", "long_")}
-        for mode in PARTS
-    }
+    keys = {}
+    for mode in PARTS:
+        told = figures(evaluated(work, inputs, replace(QUIET, consistency=mode)))
+        keys[mode] = {key for key in told if key.startswith(("short_", "long_"))}
     for mode, found in keys.items():
         assert found == {f"{label}_{part}" for label in ("short", "long") for part in PARTS[mode][:2]}, mode
     assert set.union(*keys.values()) <= {*figures(everything)}

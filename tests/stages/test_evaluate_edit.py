@@ -279,3 +279,15 @@ def test_consistency_of_the_edit_is_that_of_its_own_pixels(made_up):
     assert figure(report, "edit_short_rmse")["mean"] == pytest.approx(0.1, abs=0.01)
     assert figure(report, "edit_long_rmse")["mean"] == pytest.approx(0.2, abs=0.01)
     assert figure(report, "short_rmse")["mean"] < 0.08
+
+
+def test_the_palette_that_the_field_learnt_is_told_as_its_edit_told_it(made_up):
+    work, inputs, *_ = made_up
+    told = {"sparsity": 0.75, "palette_variation": 0.012, "psnr": 30.0}
+    nothing = {"write": lambda at: (at / "a").write_text("a")}
+    edit = made.commit(work, "edit", "blue", "edit_learn", {}, **nothing, figures=told)
+    painted = made.commit(work, "scene", "painted", "distill", {"scene": inputs["scene"], "edit": edit}, **nothing)
+    field = made.make_field(work, "learnt", "finetune", {"scene": painted, "field": inputs["base_field"]})
+    _, report = evaluated(work, {**inputs, "field": field}, name="palette")
+    assert figure(report, "sparsity")["mean"] == 0.75 and figure(report, "palette_variation")["mean"] == 0.012
+    assert figure(report, "sparsity")["count"] == 1

@@ -109,7 +109,7 @@ def test_along_the_fields_own_flow_the_correct_measure_agrees_with_the_warp_by_d
     by_depth = pair_consistency(a, b)
     by_flow = flow_consistency(a.image, b.image, forward, backward)
     assert by_flow.error < 4e-3 and by_depth.rmse < 4e-3
-    assert by_flow.share == pytest.approx(by_depth.share, abs=0.1)
+    assert by_flow.share == pytest.approx(by_depth.share, abs=0.15)
     family = stylerf_family(a.image, b.image, forward)
     assert family.error < 0.1  # the board's halo, but no more
     far = see(camera_at(x=500.0), [(3.0, 400.0, 600.0, 1.0)])
