@@ -1,7 +1,7 @@
 """Accuracy against time, memory and parameters: `python -m benchmarks.pareto DATA STYLES OUT.json [OPTIONS]`.
 
-DATA holds the scenes, STYLES the paintings. With $STYLERF_BENCH_WORK the work folders are kept there, and what stands in
-them is not made again. Options, each a list with commas: --scenes fern,fox,lego --capacities grow,fixed:128x8x16
+DATA holds the scenes, STYLES the paintings. With $STYLERF_BENCH_WORK the work folders are kept there, and what stands
+in them is not made again. Options, each a list with commas: --scenes fern,fox,lego --capacities grow,fixed:128x8x16
 --budgets 60s,300s --methods arf,desrf --rays auto,dilated --style-budgets 60s; --painting FILE; and
 --flags METHOD=FLAGS for what else a method needs. A run that fails is kept as a row that says why.
 
@@ -80,7 +80,9 @@ def measure(asked: argparse.Namespace, scene: str, work: str) -> list[dict]:
                 stylerf(*command)
         except Failed as error:
             failed.append({"scene": scene, "name": name, "failed": str(error)})
-        print(f"{scene} {name}: {failed[-1]['failed'] if failed and failed[-1]['name'] == name else 'done'}", flush=True)
+            print(f"{scene} {name}: {error}", flush=True)
+            return
+        print(f"{scene} {name}: done", flush=True)
 
     stylerf("import", str(asked.data / folder), work, *flags)
     for capacity, budget in product(asked.capacities, asked.budgets):
@@ -100,10 +102,8 @@ def measure(asked: argparse.Namespace, scene: str, work: str) -> list[dict]:
 def rows_of(works: list[str], out: str) -> list[dict]:
     """One row a run, from what stands in the work folders."""
     told = stylerf("compare", *works, "--out", out)
-    return [
-        {**{key: run[key] for key in KEPT}, "figures": {key: round(one["mean"], 6) for key, one in run["figures"].items()}}
-        for run in told["runs"]
-    ]
+    means = [{key: round(one["mean"], 6) for key, one in run["figures"].items()} for run in told["runs"]]
+    return [{key: run[key] for key in KEPT} | {"figures": found} for run, found in zip(told["runs"], means)]
 
 
 def main(argv: list[str] | None = None) -> None:

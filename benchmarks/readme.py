@@ -151,11 +151,12 @@ def pareto_chart(report: dict) -> str:
                 rows = [row for row in rows if key in row["figures"] and row["costs"]["parameters"]]
                 for row in rows:
                     _mark(one, row, key)
-                front = sorted((r for r in rows if f"{key}/seconds" in r["fronts"]), key=lambda r: r["costs"]["seconds"])
-                if front:
-                    places = [(row["costs"]["seconds"], row["figures"][key]) for row in front]
+                leading = [row for row in rows if f"{key}/seconds" in row["fronts"]]
+                places = sorted((row["costs"]["seconds"], row["figures"][key]) for row in leading)
+                if places:
                     one.step(*zip(*places), where="post", color="#888888", linewidth=1)
-                one.set(title=f"{scene}, {family}", xlabel="seconds", ylabel=f"{words} ({'higher' if higher else 'lower'})")
+                better = "higher" if higher else "lower"
+                one.set(title=f"{scene}, {family}", xlabel="seconds", ylabel=f"{words} ({better} is better)")
                 one.margins(0.2)
 
     return drawn((4.6 * len(scenes), 7), draw)

@@ -21,7 +21,8 @@ def commands(monkeypatch):
         if arguments[0] != "compare":
             return {}
         runs = []
-        for family, name, key, seconds in (("fits", "fit-grow-10s", "psnr", 10.0), ("stylisations", "arf", "nnfm", 5.0)):
+        told = (("fits", "fit-grow-10s", "psnr", 10.0), ("stylisations", "arf", "nnfm", 5.0))
+        for family, name, key, seconds in told:
             costs = {"seconds": seconds, "peak_memory_mb": 100.0, "parameters": 5e5}
             more = {"group": "lego", "work": "lego", "method": "vm", "settings": "", "stages": ["fit"]}
             figures = {key: {"mean": 0.25, "label": key}}

@@ -19,8 +19,8 @@ class EvaluateConfig:
     consistency: str = option(
         "correct",
         choices=CONSISTENCY,
-        help="protocol of consistency between views: correct (visibility tested), laenerf-script (as LAENeRF's released "
-        "script, faults included), stylerf-family (softmax splatting), or all three",
+        help="protocol of consistency between views: correct (visibility tested), laenerf-script (as LAENeRF's "
+        "released script, faults included), stylerf-family (softmax splatting), or all three",
     )
     flow: str = option(
         "",

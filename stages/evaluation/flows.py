@@ -24,7 +24,7 @@ class FieldFlows:
 
 
 class FileFlows:
-    """Flow from a folder of `FROM_to_TO.flo` or `.npy`, where FROM and TO are the frames' numbers as in png/NNNN.png."""
+    """Flow from a folder of `FROM_to_TO.flo` or `.npy`; FROM and TO are frames' numbers as in png/NNNN.png."""
 
     def __init__(self, folder: Path, frames: FrameViews) -> None:
         self._folder, self._files = folder, {path.stem: path for path in flow_files(folder)}
@@ -49,8 +49,8 @@ class FileFlows:
         height, width = first.alpha.shape
         if found.shape[:2] != (height, width):
             raise BadInput(
-                f"flow {path} is {found.shape[1]}x{found.shape[0]} where frame {first.name} is {width}x{height}; a flow "
-                "cannot be resized without scaling it: compute it at the frames' size"
+                f"flow {path} is {found.shape[1]}x{found.shape[0]} where frame {first.name} is {width}x{height}; a "
+                "flow cannot be resized without scaling it: compute it at the frames' size"
             )
         return found
 

@@ -240,7 +240,7 @@ def _family(label: str, words: str) -> tuple[Kind, ...]:
 
 
 _RANGES = {"short": "k+1", "long": "k+{gap}"}
-PUBLISHED = tuple(kind for maker in (_script, _family) for label, words in _RANGES.items() for kind in maker(label, words))
+PUBLISHED = tuple(kind for maker in (_script, _family) for some in _RANGES.items() for kind in maker(*some))
 
 KINDS: tuple[Kind, ...] = (*EDITED, *EDITED_TRAINING, *FITTED, *STYLISED, *SHARED, *PUBLISHED)
 BY_KEY: dict[str, Kind] = {kind.key: kind for kind in KINDS}

@@ -98,9 +98,9 @@ class Painting:
 
     @torch.no_grad()
     def distances(self, image: np.ndarray, alpha: np.ndarray) -> tuple[float, float, float]:
-        """NNFM distance (mean 1 - cosine to the nearest feature), relative Gram distance and SIFID of an image [h, w, 3].
+        """Distances of an image [h, w, 3]: NNFM (mean 1 - cosine to the nearest feature), relative Gram, SIFID-style.
 
-        SIFID: squared Frechet distance between the features of conv2_2 at the positions of the two pictures.
+        SIFID-style: squared Frechet distance between the features of conv2_2 at the positions of the two pictures.
         """
         side = min(self.side, max(image.shape[:2]))
         painting = self._at(side)

@@ -65,8 +65,8 @@ def sized_as(picture: np.ndarray, render: Render) -> np.ndarray:
     height, width = render.alpha.shape
     if abs(picture.shape[1] * height / (picture.shape[0] * width) - 1) > SIDES_DIFFER:
         raise BadInput(
-            f"a reference is {picture.shape[1]}x{picture.shape[0]} where view {render.name} is {width}x{height}: it has "
-            "to show a whole view, at any size"
+            f"a reference is {picture.shape[1]}x{picture.shape[0]} where view {render.name} is {width}x{height}: it "
+            "has to show a whole view, at any size"
         )
     if picture.shape[:2] == (height, width):
         return picture.astype(np.float32)

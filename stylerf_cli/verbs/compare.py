@@ -17,7 +17,7 @@ def add_arguments(parser) -> None:
     """WORK..., --out."""
     parser.add_argument("works", metavar="WORK", nargs="+", type=Path, help="work folders; what stands there is read")
     parser.add_argument(
-        "--out", metavar="DIR", type=Path, help=f"folder for page, table and charts (default: {FOLDER} in the first WORK)"
+        "--out", metavar="DIR", type=Path, help=f"folder for page, table, charts (default: {FOLDER} in the first WORK)"
     )
 
 

@@ -14,17 +14,20 @@ LABELS = {"psnr": ("PSNR", "dB", "higher"), "nnfm": ("NNFM distance to the paint
 
 def fit(work: Work, scene: Artefact, name: str, seconds: float, psnr: float | None, **more) -> Artefact:
     """A fitted field, evaluated unless psnr is None."""
-    figures = {"parameters": more.pop("parameters", 1000)}
+    figures, memory = {"parameters": more.pop("parameters", 1000)}, more.pop("memory", 500.0)
+    config = {"budget": f"{seconds:g}s", "field": "vm", "capacity": "grow"} | more
     field = made.make_field(
         work, name, "nerf_fit", {"scene": scene}, seconds=seconds, figures=figures, device="cpu",
-        peak_memory_mb=more.pop("memory", 500.0), config={"budget": f"{seconds:g}s", "field": "vm", "capacity": "grow"} | more,
+        peak_memory_mb=memory, config=config,
     )  # fmt: skip
     if psnr is not None:
         report(work, field, {"psnr": psnr})
     return field
 
 
-def stylised(work: Work, scene: Artefact, base: Artefact, name: str, seconds: float, figures: dict, **config) -> Artefact:
+def stylised(
+    work: Work, scene: Artefact, base: Artefact, name: str, seconds: float, figures: dict, **config
+) -> Artefact:
     """A stylised field of 2,000 parameters, evaluated where there are figures."""
     field = made.make_field(
         work, name, "stylize", {"scene": scene, "field": base}, seconds=seconds, peak_memory_mb=900.0,
@@ -35,7 +38,9 @@ def stylised(work: Work, scene: Artefact, base: Artefact, name: str, seconds: fl
     return field
 
 
-def edited(work: Work, scene: Artefact, base: Artefact, name: str, seconds: tuple[float, ...], figures: dict) -> Artefact:
+def edited(
+    work: Work, scene: Artefact, base: Artefact, name: str, seconds: tuple[float, ...], figures: dict
+) -> Artefact:
     """A field that learnt an edit; seconds of extract, learn, distill and finetune."""
     region = made.commit(work, "region", name, "region_select", {"field": base}, _nothing, seconds=999.0)
     inputs = {"scene": scene, "field": base, "region": region}
