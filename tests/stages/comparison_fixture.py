@@ -52,7 +52,14 @@ def edited(
     painted = made.commit(work, "scene", f"{name}-painted", "distill", inputs, _nothing, seconds=seconds[2])
     inputs = {"scene": painted, "field": base, "region": region}
     field = made.make_field(
-        work, name, "finetune", inputs, seconds=seconds[3], peak_memory_mb=800.0, figures={"parameters": 3000}
+        work,
+        name,
+        "finetune",
+        inputs,
+        seconds=seconds[3],
+        peak_memory_mb=800.0,
+        figures={"parameters": 3000},
+        config={"budget": f"{seconds[3]:g}s"},
     )
     if figures:
         report(work, field, figures, {"regions": [name]})
