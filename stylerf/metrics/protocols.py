@@ -40,7 +40,7 @@ def laenerf_script(
     forward: flow from source to target, backward: from target to source. The source is read along the backward flow.
     Flagged are pixels where the FORWARD flow, read there, does not cancel with the FORWARD flow of the pixel itself
     (it should be the backward one: all that moves by half a pixel is flagged), or where the forward flow has a step.
-    The error is the mean over FLAGGED pixels of the squared difference SUMMED over RGB, without a root though called so.
+    The error is the mean over FLAGGED pixels of the squared difference SUMMED over RGB, without a root.
     The perceptual distance is of the whole image and is given values of 0..1 where LPIPS expects -1..1. Images are
     rounded to eight bits as the script reads them.
     """
