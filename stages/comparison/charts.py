@@ -69,7 +69,7 @@ def _draw(axes: Axes, panel: Panel, groups: dict[str, str], methods: dict[str, s
     costs = [panel.at(run)[0] for run in panel.runs]
     if min(costs) > 0 and max(costs) > WIDE_RANGE * min(costs):
         axes.set_xscale("log")
-    axes.margins(0.14)
+    axes.margins(x=0.2, y=0.14)
     axes.set_xlabel(AXES[panel.cost][0])
     if panel.cost == "parameters":
         axes.xaxis.set_major_formatter(lambda value, _: count(value))
