@@ -6,7 +6,8 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 RESULTS = ROOT / "benchmarks" / "results"
-CHART = ROOT / "docs" / "images" / "strategies.svg"
+IMAGES = ROOT / "docs" / "images"
+PARETO = {"fits": ("psnr", "held-out PSNR, dB", True), "stylisations": ("nnfm", "distance to the painting", False)}
 
 
 def result(name: str) -> dict:
@@ -93,31 +94,84 @@ def edits() -> str:
     return "\n".join([*lines, "", where(report)])
 
 
-def chart() -> str:
-    """The strategies as a chart: SVG text, the same for the same figures."""
+def pareto() -> str:
+    """The chart over methods, rays and capacities, and what failed; nothing where it has not been measured."""
+    if not (RESULTS / "pareto.json").is_file():
+        return ""
+    report = result("pareto.json")
+    lines = [
+        "![Figures against seconds, parameters by area, for every scene](docs/images/pareto.svg)",
+        "",
+        f"Filled: on the Pareto front of accuracy and time. Painting: {report['painting']}. " + where(report),
+    ]
+    lines += [f"Failed: {row['scene']} {row['name']}: {row['failed']}" for row in report["failed"]]
+    return "\n".join(lines)
+
+
+def drawn(size: tuple[float, float], draw) -> str:
+    """SVG text of what `draw(figure)` makes of an empty figure: the same for the same figures."""
     import io
 
     import matplotlib
+    from matplotlib.figure import Figure
 
-    matplotlib.use("svg")
-    matplotlib.rcParams["svg.hashsalt"] = "stylerf"
-    from matplotlib import pyplot
-
-    figure, axes = pyplot.subplots(figsize=(7, 3.4))
-    for row in result("strategies.json")["rows"]:
-        x, y = row["field_seconds"], row["at_equal_time"]["style"]
-        axes.scatter(x, y, s=20 + row["field_memory_mb"] / 4, alpha=0.7)
-        axes.annotate(row["case"], (x, y), xytext=(6, 4), textcoords="offset points", fontsize=8)
-    axes.set_xlabel("seconds a step spends in the field (area: its memory)")
-    axes.set_ylabel("style distance at equal time")
-    axes.margins(0.18)
-    figure.tight_layout()
-    out = io.StringIO()
-    figure.savefig(out, format="svg", metadata={"Date": None})
-    return out.getvalue()
+    with matplotlib.rc_context({"svg.hashsalt": "stylerf"}):
+        figure = Figure(figsize=size, layout="tight")
+        draw(figure)
+        out = io.StringIO()
+        figure.savefig(out, format="svg", metadata={"Date": None})
+        return out.getvalue()
 
 
-BLOCKS = {"figures": fits, "strategies": strategies, "edits": edits}
+def strategies_chart() -> str:
+    """Style distance at equal time against the field's seconds a step."""
+
+    def draw(figure) -> None:
+        axes = figure.add_subplot()
+        for row in result("strategies.json")["rows"]:
+            x, y = row["field_seconds"], row["at_equal_time"]["style"]
+            axes.scatter(x, y, s=20 + row["field_memory_mb"] / 4, alpha=0.7)
+            axes.annotate(row["case"], (x, y), xytext=(6, 4), textcoords="offset points", fontsize=8)
+        axes.set_xlabel("seconds a step spends in the field (area: its memory)")
+        axes.set_ylabel("style distance at equal time")
+        axes.margins(0.18)
+
+    return drawn((7, 3.4), draw)
+
+
+def pareto_chart(report: dict) -> str:
+    """A column a scene; above fits, below stylisations: the figure against seconds, fronts filled and joined."""
+    scenes = list(dict.fromkeys(row["work"] for row in report["rows"]))
+
+    def draw(figure) -> None:
+        axes = figure.subplots(2, len(scenes), squeeze=False)
+        for (family, (key, words, higher)), line in zip(PARETO.items(), axes):
+            for scene, one in zip(scenes, line):
+                rows = [row for row in report["rows"] if (row["work"], row["family"]) == (scene, family)]
+                rows = [row for row in rows if key in row["figures"] and row["costs"]["parameters"]]
+                for row in rows:
+                    _mark(one, row, key)
+                leading = [row for row in rows if f"{key}/seconds" in row["fronts"]]
+                places = sorted((row["costs"]["seconds"], row["figures"][key]) for row in leading)
+                if places:
+                    one.step(*zip(*places), where="post", color="#888888", linewidth=1)
+                better = "higher" if higher else "lower"
+                one.set(title=f"{scene}, {family}", xlabel="seconds", ylabel=f"{words} ({better} is better)")
+                one.margins(0.2)
+
+    return drawn((4.6 * len(scenes), 7), draw)
+
+
+def _mark(axes, row: dict, key: str) -> None:
+    place = (row["costs"]["seconds"], row["figures"][key])
+    colour = "#0072b2" if row["family"] == "fits" else "#d55e00"
+    filled = f"{key}/seconds" in row["fronts"]
+    area = 15 + row["costs"]["parameters"] / 1e5
+    axes.scatter(*place, s=area, facecolors=colour if filled else "none", edgecolors=colour, alpha=0.8)
+    axes.annotate(row["name"], place, xytext=(5, 3), textcoords="offset points", fontsize=6)
+
+
+BLOCKS = {"figures": fits, "strategies": strategies, "edits": edits, "pareto": pareto}
 
 
 def main() -> int:
@@ -131,7 +185,9 @@ def main() -> int:
     if "--check" in sys.argv:
         return int(wanted != text)
     readme.write_text(wanted)
-    CHART.write_text(chart())
+    (IMAGES / "strategies.svg").write_text(strategies_chart())
+    if (RESULTS / "pareto.json").is_file():
+        (IMAGES / "pareto.svg").write_text(pareto_chart(result("pareto.json")))
     return 0
 
 

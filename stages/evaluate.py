@@ -1,49 +1,46 @@
 """Evaluate: how good a field is by held-out views, along a path, and by its cost; as JSON, CSV, charts and HTML.
 
 Roles of the inputs: `scene`, `frames` (test views); where at hand `path_frames` (a camera path, for consistency),
-`base_frames` (the unstylised field at the same test views) and `field`. Of a local edit also `unedited_frames` and
+`base_frames` (the unstylised field at the same test views), `twin_frames` (a field whose renders were the references of
+this one, at the same test views) and `field`. Of a local edit also `unedited_frames` and
 `base_field` (the field before it), `region.<name>` for each region that counts as edited, and where training views are
 wanted `train_frames` and `unedited_train_frames`.
 """
 
 from collections.abc import Mapping
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
 from schemas.atomic import write_bytes, write_json
-from schemas.canonical import file_sha256
-from schemas.errors import UsageError
 from schemas.store import Artefact, Partial
 from stages.configs.evaluate import EvaluateConfig
+from stages.evaluation.asked import check
 from stages.evaluation.edited import LocalEdit
 from stages.evaluation.figures import Figure, Row, summarise, write_csv
+from stages.evaluation.film import Film
 from stages.evaluation.lenses import Lenses
 from stages.evaluation.lineage import is_stylised, upstream
-from stages.evaluation.masks import masks_digest
 from stages.evaluation.measuring import (
     ViewRow,
     measure_content,
     measure_fit,
-    measure_pairs,
     measure_palette,
     measure_see_through,
     measure_shape,
     measure_style,
-    pairs_of,
     spoiled_words,
 )
-from stages.evaluation.nets import SMALLEST_SIDE
 from stages.evaluation.page import build_page
+from stages.evaluation.references import NEAREST, References, measure_robustness
 from stages.evaluation.sheet import Sheet, chosen_views
 from stages.evaluation.telling import Presence, curve_of, draw_charts, not_measured, warnings_of
 from stages.evaluation.views import FrameViews, Photo, Render, SceneViews
 from stages.progress import Context
 from stages.runner import Spec, versions
 
-SPEC = Spec(stage="evaluate", verb="eval", revision=1, writes="report")
-STYLE_KEYS = ("nnfm", "gram", "palette", "palette_mean", "palette_covariance", "content_ssim")
+SPEC = Spec(stage="evaluate", verb="eval", revision=2, writes="report")
+STYLE_KEYS = ("nnfm", "gram", "sifid", "palette", "palette_mean", "palette_covariance", "content_ssim")
 
 
 def run(inputs: dict[str, Artefact], config: EvaluateConfig, partial: Partial, context: Context) -> dict:
@@ -73,20 +70,23 @@ class Evaluation:
     """One evaluation in progress: what it looks at, and the rows measured so far."""
 
     def __init__(self, inputs: Mapping[str, Artefact], config: EvaluateConfig, context: Context) -> None:
-        _check(config)
+        check(config)
         self.inputs, self.config, self.context = dict(inputs), config, context
         self.scene = SceneViews(inputs["scene"])
         self.frames = FrameViews(inputs["frames"], self.scene.background)
         self.base = self._frames("base_frames")
-        self.path = self._frames("path_frames")
+        self.twin = self._frames("twin_frames")
         self.field = inputs.get("field")
         self.edit = LocalEdit.found(inputs, config, self.scene, context)
         self.lenses = Lenses.found(config, self.field, context)
+        path = self._frames("path_frames")
+        inside = self.edit.inside_film(path) if self.edit and path else None
+        self.film = Film(path, config, self.lenses, inside) if path else None
+        self.references = References(config.reference, self.scene, self.frames) if config.reference else None
         made_by_style = self.field is not None and is_stylised(self.field)
         self.stylised = made_by_style or self.base is not None or bool(config.style)
         self.rows: list[Row] = []
         self.reference_rows: list[Row] = []
-        self.pairs: list[Row] = []
         self.unmatched: list[str] = []
         self.resized = 0
         self.depth_sizes_differ = False
@@ -100,6 +100,11 @@ class Evaluation:
         """Figures of a local edit on training views."""
         return self.edit.training_rows if self.edit else []
 
+    @property
+    def pairs(self) -> list[Row]:
+        """Figures of pairs of frames of the path."""
+        return self.film.rows if self.film else []
+
     def measure_views(self) -> None:
         """Fills `rows` (and `reference_rows` for a stylised field), view by view."""
         progress = self.context.progress
@@ -111,6 +116,7 @@ class Evaluation:
             photo = self._photo(render)
             if self.stylised:
                 self._measure_stylised(row, render, photo)
+                self._measure_by_reference(row, done - 1, render)
             else:
                 self._measure_fitted(row, render, photo)
             if self.edit is not None:
@@ -158,6 +164,12 @@ class Evaluation:
             self._measure_look(reference, photo.image, mask)
         self.reference_rows.append(reference.row())
 
+    def _measure_by_reference(self, row: ViewRow, index: int, render: Render) -> None:
+        if self.references is not None:
+            self.references.measure(row, index, render, self.lenses.whole_distance(render.alpha.shape))
+        if self.twin is not None:
+            measure_robustness(row, render, self.twin)
+
     def _measure_look(self, row: ViewRow, image: np.ndarray, alpha: np.ndarray) -> None:
         painting = self.lenses.painting
         if painting is not None:
@@ -171,18 +183,8 @@ class Evaluation:
 
     def measure_path(self) -> None:
         """Fills `pairs`: consistency of frames 1 and `gap` apart."""
-        if self.path is None:
-            return
-        gaps = {"short": 1, "long": self.config.gap}
-        ranges = {label: pairs_of(len(self.path), gap, self.config.pairs) for label, gap in gaps.items()}
-        self.context.progress.start("warping views", sum(map(len, ranges.values())), "pair")
-        size = self.path.render(0).alpha.shape
-        pixels, most = self.lenses.pixel_distance(size), self.config.perceptual_pairs
-        inside = self.edit.inside_film(self.path) if self.edit else None
-        for row in measure_pairs(self.path, ranges, pixels, most, self.config.depth_tolerance, inside):
-            self.pairs.append(row)
-            self.context.progress.update(len(self.pairs))
-        self.context.progress.finish()
+        if self.film is not None:
+            self.film.measure(self.context.progress)
 
     def facts(self) -> dict:
         """What the protocols are filled in with."""
@@ -194,11 +196,11 @@ class Evaluation:
             "lpips_net": lenses.lpips.words if lenses.lpips else "absent",
             "perceptual_net": lenses.pixel_name,
             "style_protocol": lenses.painting.protocol if lenses.painting else "no painting",
-            "path": f"the path {self.path.frames.path}" if self.path else "no path",
+            "style_trunk": lenses.painting.trunk_name if lenses.painting else "no painting",
             "gap": self.config.gap,
-            "warp_protocol": "by the field's own depth and poses; visible where the alpha of both is over 0.5 and "
-            f"their depths agree to {self.config.depth_tolerance * 100:g} % at all four source pixels, worn down by 1 "
-            "pixel",
+            "nearest": NEAREST,
+            "twin": self.twin.frames.field if self.twin else "none",
+            **(self.film.facts() if self.film else {}),
         }
 
     def report(self) -> tuple[dict, list[Figure]]:
@@ -206,7 +208,8 @@ class Evaluation:
         facts = self.facts()
         name = "the unstylised renders" if self.base is not None else "the photos"
         reference = {figure.key: {name: figure.mean} for figure in summarise(self.reference_rows, facts)}
-        figures = summarise([*self.rows, *self.pairs, *self.training_rows], facts, reference)
+        palette = self.edit.palette_rows() if self.edit else []
+        figures = summarise([*self.rows, *self.pairs, *self.training_rows, *palette], facts, reference)
         if self.edit is not None:
             figures = self.edit.told(figures, self.rows)
         first = ("base_field", "field", "frames", "path_frames", "base_frames")
@@ -248,8 +251,11 @@ class Evaluation:
             true_depth=self.scene.has_depth,
             depth_sizes_differ=self.depth_sizes_differ,
             base=self.base is not None,
-            path=self.path.frames.path if self.path else "",
-            path_length=len(self.path) if self.path else 0,
+            path=self.film.frames.frames.path if self.film else "",
+            path_length=len(self.film.frames) if self.film else 0,
+            consistency=self.config.consistency,
+            reference=self.references is not None,
+            twin=self.twin is not None,
             gap=self.config.gap,
             field=self.field is not None,
             edited=self.edit is not None,
@@ -269,23 +275,3 @@ class Evaluation:
             base = self.edit.unedited_twin(render) if self.edit else self._base_of(render) if self.stylised else None
             sheet.add(heading, self.rows[index], render, photo, base)
         return sheet
-
-
-def pinned(config: EvaluateConfig) -> EvaluateConfig:
-    """The config with the digests of its painting and masks, so that changed ones are measured against anew."""
-    path = Path(config.style).expanduser()
-    masks = masks_digest(Path(config.masks).expanduser()) if config.masks else ""
-    style = file_sha256(path) if config.style and path.is_file() else config.style_digest
-    return replace(config, style_digest=style, masks_digest=masks)
-
-
-def _check(config: EvaluateConfig) -> None:
-    for name, value, least in (
-        ("gap", config.gap, 2), ("pairs", config.pairs, 0), ("sheet", config.sheet, 1),
-        ("perceptual-pairs", config.perceptual_pairs, 0),
-        ("style-side", config.style_side, SMALLEST_SIDE), ("margin", config.margin, 0), ("ring", config.ring, 1),
-    ):  # fmt: skip
-        if value < least:
-            raise UsageError(f"--{name} {value}: expected at least {least}")
-    if not 0 < config.depth_tolerance < 1:
-        raise UsageError(f"--depth-tolerance {config.depth_tolerance:g}: expected a share between 0 and 1")

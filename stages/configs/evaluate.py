@@ -4,6 +4,8 @@ from dataclasses import dataclass
 
 from stages.configs import option
 
+CONSISTENCY = ("correct", "laenerf-script", "stylerf-family", "all")
+
 
 @dataclass(frozen=True)
 class EvaluateConfig:
@@ -14,6 +16,24 @@ class EvaluateConfig:
     features: str = option("", help="feature trunk of the style distances: a name or a file of VGG weights")
     style_side: int = option(256, help="longer side, in pixels, at which render and painting are compared")
     perceptual: str = option("auto", choices=("auto", "none"), help="perceptual distances where their weights are here")
+    consistency: str = option(
+        "correct",
+        choices=CONSISTENCY,
+        help="protocol of consistency between views: correct (visibility tested), laenerf-script (as LAENeRF's "
+        "released script, faults included), stylerf-family (softmax splatting), or all three",
+    )
+    flow: str = option(
+        "",
+        metavar="DIR",
+        help="optical flow from files FROM_to_TO.flo or .npy, numbered as the frames (default: by depth and poses)",
+    )
+    flow_digest: str = option("", help="sha256 of those flows (filled in; guards against changed ones)")
+    reference: tuple[str, ...] = option(
+        (),
+        metavar="VIEW=FILE",
+        help="stylised picture of a view of the scene, for Ref-LPIPS against the test views nearest to it",
+    )
+    reference_digest: str = option("", help="sha256 of those pictures (filled in; guards against changed ones)")
     gap: int = option(7, help="frames between the two views of a long-range pair")
     pairs: int = option(24, help="most pairs of views measured per range, evenly spread (0: all)")
     perceptual_pairs: int = option(8, help="most pairs per range measured by the perceptual distance too (0: all)")

@@ -84,7 +84,7 @@ def bar_chart(name: str, title: str, unit: str, labels: Sequence[str], values: S
         axes.set_axisbelow(True)
         axes.grid(axis="y")
         told = f"{title} of {len(known)} views: from {worst:.4g} to {best:.4g}, mean {mean:.4g} {unit}".strip()
-        return _finished(drawing, name, f"{title}, view by view", told)
+        return finished(drawing, name, f"{title}, view by view", told)
 
 
 def curve_chart(name: str, title: str, curve: Sequence[dict]) -> Chart:
@@ -116,7 +116,7 @@ def curve_chart(name: str, title: str, curve: Sequence[dict]) -> Chart:
         lowest.set_xlim(left=0)
         first, last = (f"{quality[i]:.2f} dB at {seconds[i]:.0f} s" for i in (0, -1))
         told = f"PSNR against seconds: {first}, {last}"
-        return _finished(drawing, name, title, told)
+        return finished(drawing, name, title, told)
 
 
 def pairs_chart(name: str, title: str, series: dict[str, Sequence[tuple[float, float]]]) -> Chart:
@@ -134,10 +134,11 @@ def pairs_chart(name: str, title: str, series: dict[str, Sequence[tuple[float, f
         axes.set_ylim(bottom=0)
         axes.grid()
         axes.legend(loc="upper center", bbox_to_anchor=(0.5, 1.18), ncols=2)
-        return _finished(drawing, name, title, f"{title} along the path. {'; '.join(told)}")
+        return finished(drawing, name, title, f"{title} along the path. {'; '.join(told)}")
 
 
-def _finished(drawing: Drawing, name: str, title: str, told: str) -> Chart:
+def finished(drawing: Drawing, name: str, title: str, told: str) -> Chart:
+    """The drawing as a chart; made within `matplotlib.rc_context(SETTINGS)`."""
     FigureCanvasAgg(drawing)
     text, picture = io.StringIO(), io.BytesIO()
     drawing.savefig(text, format="svg", transparent=True, metadata={"Date": None})

@@ -9,6 +9,7 @@ import numpy as np
 from schemas.store import Artefact
 from stages.configs.evaluate import EvaluateConfig
 from stages.evaluation.figures import Figure, Row, is_number
+from stages.evaluation.lineage import edit_behind
 from stages.evaluation.masks import PictureMasks, RegionMasks
 from stages.evaluation.measuring import ViewRow
 from stages.evaluation.views import FrameViews, Photo, Render, SceneViews
@@ -17,6 +18,7 @@ from stages.progress import Context
 from stylerf.metrics.background import background_mse, mean_change, split_view
 
 TRAIN = "train_"
+PALETTE = ("sparsity", "palette_variation")
 UNEDITED = "background_mse_unedited"
 REFERENCE = "the unedited renders"
 
@@ -100,6 +102,14 @@ class LocalEdit:
             self.training_rows.append(row.row())
             self._context.progress.update(done)
         self._context.progress.finish()
+
+    def palette_rows(self) -> list[Row]:
+        """Sparsity and TV of the weights of the palette that the field has learnt, as told when it was made."""
+        made = edit_behind(self._inputs["field"]) if "field" in self._inputs else None
+        if made is None:
+            return []
+        told = made.manifest.figures
+        return [{"name": made.name, **{key: told[key] for key in PALETTE if is_number(told.get(key))}}]
 
     def facts(self) -> dict:
         """What the protocols are filled in with."""

@@ -42,6 +42,16 @@ EDITED = (
         "Mean |edited - unedited| over RGB in a ring of {ring} pixels around what counts as the region: an edit that "
         "runs over its edge.",
     ),
+    Kind(
+        "sparsity", "Palette sparsity L_sp", "", "lower", 4,
+        "Mean over the region's pixels of sum w / sum w^2 - 1 of the palette's weights w (LAENeRF, supplement, eq. 2), "
+        "on up to 10 training views, as told by the edit that the field learnt.",
+    ),
+    Kind(
+        "palette_variation", "Palette TV", "", "lower", 5,
+        "Squared differences of the weights of neighbouring pixels of the region, summed over pairs and colours, by "
+        "the number of pixels; same views.",
+    ),
     Kind("region_share", "Region in view", "share", "", 4, "Pixels {inside}, over all pixels of the view."),
 )  # fmt: skip
 
@@ -51,6 +61,7 @@ EDITED_TRAINING = tuple(
         protocol=f"On training views. {kind.protocol}",
     )
     for kind in EDITED
+    if kind.key not in ("sparsity", "palette_variation")
 )  # fmt: skip
 
 FITTED = (
@@ -103,6 +114,11 @@ STYLISED = (
         "|G - G_s| / |G_s| of the Gram matrices of render and painting; features, sizes and weights as for NNFM.",
     ),
     Kind(
+        "sifid", "SIFID-style distance, {style_trunk}", "", "lower", 3,
+        "Squared Frechet distance between the features of conv2_2 of {style_trunk} at the positions of render and "
+        "painting, sizes and weights as for NNFM. SIFID itself looks through Inception: its values are others.",
+    ),
+    Kind(
         "palette", "Palette distance to the painting", "", "lower", 4,
         "2-Wasserstein distance between the Gaussians that have the mean and covariance of the sRGB colours of render "
         "and painting; pixels with alpha under 0.5 are left out.",
@@ -120,6 +136,16 @@ STYLISED = (
         "SSIM (11x11, sigma 1.5) of Rec.709 luma between the stylised render and the photo {background}.",
     ),
     Kind(
+        "ref_lpips", "Ref-{perceptual_net}", "", "lower", 4,
+        "{perceptual_net} of whole images between the reference picture and the {nearest} test views whose cameras are "
+        "nearest to its view's (Ref-NPR's measure with this network); mean of the views.",
+    ),
+    Kind(
+        "robustness", "Robustness, PSNR", "dB", "higher", 2,
+        "PSNR between the renders of this field and those of field {twin}, whose renders were this one's references "
+        "(Ref-NPR); mean of the views. Equal images count as 100 dB.",
+    ),
+    Kind(
         "shape_change", "Change of depth", "share", "", 4,
         "Mean of |z - z0| / z0 against the unstylised field's depth z0 where both are opaque: zero where the shape "
         "was kept.",
@@ -133,40 +159,88 @@ SHARED = (
         "them. Floaters count, and to a small degree silhouettes.",
     ),
     Kind(
-        "short_rmse", "Consistency short, RMSE", "", "lower", 4,
+        "short_rmse", "Consistency short (correct), RMSE", "", "lower", 4,
         "Frame k of {path} warped onto frame k+1 {warp_protocol}; root mean square over visible pixels and RGB; mean "
         "of the pairs.",
     ),
     Kind(
-        "edit_short_rmse", "Consistency short within the region, RMSE", "", "lower", 4,
+        "edit_short_rmse", "Consistency short within the region (correct), RMSE", "", "lower", 4,
         "The same over the visible pixels of frame k+1 {inside}.",
     ),
     Kind(
-        "edit_long_rmse", "Consistency long within the region, RMSE", "", "lower", 4,
+        "edit_long_rmse", "Consistency long within the region (correct), RMSE", "", "lower", 4,
         "As short range, with frames {gap} apart.",
     ),
     Kind(
-        "short_perceptual", "Consistency short, {perceptual_net}", "", "lower", 4,
+        "short_perceptual", "Consistency short (correct), {perceptual_net}", "", "lower", 4,
         "{perceptual_net} per pixel of the same pairs, averaged over visible pixels; elsewhere both images show the "
         "target, so nothing counts.",
     ),
     Kind(
-        "short_share", "Consistency short, visible", "share", "", 4,
+        "short_share", "Consistency short (correct), visible", "share", "", 4,
         "Visible pixels over opaque pixels of the target.",
     ),
     Kind(
-        "long_rmse", "Consistency long, RMSE", "", "lower", 4,
+        "long_rmse", "Consistency long (correct), RMSE", "", "lower", 4,
         "As short range, with frames {gap} apart.",
     ),
     Kind(
-        "long_perceptual", "Consistency long, {perceptual_net}", "", "lower", 4,
+        "long_perceptual", "Consistency long (correct), {perceptual_net}", "", "lower", 4,
         "As short range, with frames {gap} apart.",
     ),
     Kind(
-        "long_share", "Consistency long, visible", "share", "", 4,
+        "long_share", "Consistency long (correct), visible", "share", "", 4,
         "Visible pixels over opaque pixels of the target.",
     ),
 )  # fmt: skip
 
-KINDS: tuple[Kind, ...] = (*EDITED, *EDITED_TRAINING, *FITTED, *STYLISED, *SHARED)
+
+def _script(label: str, words: str) -> tuple[Kind, ...]:
+    """LAENeRF's released script, of one range."""
+    name = f"Consistency {label} (laenerf-script)"
+    return (
+        Kind(
+            f"{label}_laenerf_script_mse", f"{name}, MSE", "", "lower", 4,
+            f"As LAENeRF's released script, faults included: frame k of {{path}} read along the flow of frame {words}; "
+            "squared difference summed over RGB, mean over the pixels that its check flags; mean of the pairs that "
+            "have any. The check adds the forward flow to itself. {flow}. The script takes RAFT's flow of the "
+            "unstylised film, and all pairs of it.",
+        ),
+        Kind(
+            f"{label}_laenerf_script_perceptual", f"{name}, {{perceptual_net}}", "", "lower", 4,
+            "{perceptual_net} of the same two whole images, given 0..1 where -1..1 is expected. The script takes "
+            "LPIPS on AlexNet.",
+        ),
+        Kind(
+            f"{label}_laenerf_script_flagged", f"{name}, flagged", "share", "", 4,
+            "Pixels that its check flags, which are those it averages over.",
+        ),
+    )  # fmt: skip
+
+
+def _family(label: str, words: str) -> tuple[Kind, ...]:
+    """StyleRF's protocol, of one range."""
+    name = f"Consistency {label} (stylerf-family)"
+    return (
+        Kind(
+            f"{label}_stylerf_family_rmse", f"{name}, RMSE", "", "lower", 4,
+            f"Frame k of {{path}} moved onto frame {words} by softmax splatting (importance -20 times the difference "
+            "of colours); root mean square over RGB and the pixels that anything lands on; mean of the pairs. "
+            "{flow}. Papers take RAFT's flow, and pairs of their own.",
+        ),
+        Kind(
+            f"{label}_stylerf_family_perceptual", f"{name}, {{perceptual_net}}", "", "lower", 4,
+            "{perceptual_net} per pixel of the same pairs, averaged over the pixels that anything lands on; elsewhere "
+            "both images show the target.",
+        ),
+        Kind(
+            f"{label}_stylerf_family_share", f"{name}, reached", "share", "", 4, "Pixels that anything lands on.",
+        ),
+    )  # fmt: skip
+
+
+_RANGES = {"short": "k+1", "long": "k+{gap}"}
+PUBLISHED = tuple(kind for maker in (_script, _family) for some in _RANGES.items() for kind in maker(*some))
+
+KINDS: tuple[Kind, ...] = (*EDITED, *EDITED_TRAINING, *FITTED, *STYLISED, *SHARED, *PUBLISHED)
 BY_KEY: dict[str, Kind] = {kind.key: kind for kind in KINDS}

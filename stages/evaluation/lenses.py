@@ -14,6 +14,7 @@ from stages.evaluation.measuring import Score
 from stages.evaluation.nets import SMALLEST_SIDE, Painting, Perceptual, perceptual_distances
 from stages.progress import Context
 from stylerf.metrics.consistency import PixelDistance
+from stylerf.metrics.protocols import ImageDistance
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,6 +57,11 @@ class Lenses:
         """LPIPS, else ST-LPIPS, as a map over pixels; None where neither can be had."""
         net = self.lpips or self.tolerant
         return net.pixels if net is not None and self.large_enough(shape) else None
+
+    def whole_distance(self, shape: tuple[int, ...]) -> ImageDistance | None:
+        """The same distance of whole images."""
+        net = self.lpips or self.tolerant
+        return net.distance if net is not None and self.large_enough(shape) else None
 
 
 def painting_file(config: EvaluateConfig, field: Artefact | None) -> Path | None:

@@ -61,6 +61,21 @@ def original_scene(scene: Artefact) -> Artefact:
     raise ArtefactStale(f"scene {scene.name} holds edited pictures and names no scene of photos they were made from")
 
 
+def edit_behind(field: Artefact) -> Artefact | None:
+    """The palette edit that a field has learnt last, through the scene of edited pictures; None where there is none."""
+    waiting = [field]
+    while waiting:
+        artefact = waiting.pop(0)
+        if artefact.manifest.kind == "edit":
+            return artefact
+        work = Work(artefact.path.parent.parent)
+        for ref in artefact.manifest.inputs:
+            if ref.kind in ("scene", "edit"):
+                with suppress(StylerfError):
+                    waiting.append(work.get(ref.kind, ref.name))
+    return None
+
+
 def is_stylised(field: Artefact) -> bool:
     """Whether a field, or one that it was made from, came out of the stylize stage."""
     return any(one.manifest.stage == "stylize" for one in [field, *fields_behind(field)])
@@ -96,7 +111,7 @@ def _walk(artefact: Artefact, remark: str, found: dict[tuple[str, str], Made]) -
         seconds=manifest.seconds,
         peak_memory_mb=manifest.peak_memory_mb,
         bytes=sum(record.bytes for record in manifest.files),
-        parameters=_count(manifest.figures.get("parameters")),
+        parameters=counted(manifest.figures.get("parameters")),
         device=manifest.device,
         created=manifest.created,
         remark=remark,
@@ -107,9 +122,9 @@ def _absent(kind: str, name: str, reason: str) -> Made:
     return Made(kind, name, "", None, None, None, None, "", "", f"cannot be read: {reason}")
 
 
-def _count(value: object) -> int | None:
+def counted(value: object) -> int | None:
     """Parameters as one number; a field may list them by part."""
     if isinstance(value, dict):
-        parts = [_count(part) for part in value.values()]
+        parts = [counted(part) for part in value.values()]
         return sum(part for part in parts if part) or None
     return int(value) if isinstance(value, (int, float)) and not isinstance(value, bool) else None

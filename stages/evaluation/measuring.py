@@ -1,21 +1,21 @@
 """The figures of one view, and of one pair of views."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from stages.evaluation.figures import Row, is_number
-from stages.evaluation.views import FrameViews, Photo, Render
+from stages.evaluation.views import Photo, Render
 from stylerf.errors import InvalidValue
 from stylerf.metrics import images
-from stylerf.metrics.consistency import PixelDistance, pair_consistency, seen_through
+from stylerf.metrics.consistency import seen_through
 from stylerf.metrics.depth import depth_errors, shape_change
 from stylerf.metrics.palette import palette_distance
 
 HIGHEST_PSNR = 100.0  # dB: equal images have an infinite PSNR, which no mean and no JSON can hold
 Score = Callable[[np.ndarray, np.ndarray], float]
-StyleDistances = Callable[[np.ndarray, np.ndarray], tuple[float, float]]  # image, alpha -> NNFM, Gram
+StyleDistances = Callable[[np.ndarray, np.ndarray], tuple[float, float, float]]  # image, alpha -> NNFM, Gram, SIFID
 
 
 @dataclass
@@ -91,8 +91,8 @@ def measure_palette(row: ViewRow, image: np.ndarray, alpha: np.ndarray, painting
 
 
 def measure_style(row: ViewRow, image: np.ndarray, alpha: np.ndarray, distances: StyleDistances) -> None:
-    """NNFM and Gram distance of an image, where it is opaque, to the painting."""
-    row.measure(("nnfm", "gram"), lambda: distances(image, alpha))
+    """NNFM, Gram and SIFID-style distance of an image, where it is opaque, to the painting."""
+    row.measure(("nnfm", "gram", "sifid"), lambda: distances(image, alpha))
 
 
 def measure_content(row: ViewRow, image: np.ndarray, photo: Photo) -> None:
@@ -112,57 +112,8 @@ def measure_see_through(row: ViewRow, render: Render, other: Render) -> None:
         row.measure(("see_through",), lambda: seen_through(render.posed(), other.posed()))
 
 
-def pairs_of(count: int, gap: int, most: int) -> list[tuple[int, int]]:
-    """Pairs (k, k + gap) among `count` frames, at most `most` (0: all), evenly spread."""
-    return [(k, k + gap) for k in spread(max(0, count - gap), most)]
-
-
 def spread(count: int, most: int) -> list[int]:
     """At most `most` (0: all) of the numbers below `count`, evenly spread from the first to the last."""
     if most == 0 or count <= most:
         return list(range(count))
     return sorted({round(place) for place in np.linspace(0, count - 1, most).tolist()})
-
-
-def measure_pairs(
-    frames: FrameViews,
-    ranges: dict[str, list[tuple[int, int]]],
-    perceptual: PixelDistance | None,
-    most_perceptual: int,
-    tolerance: float,
-    inside: Callable[[int, Render], np.ndarray] | None = None,
-) -> Iterator[Row]:
-    """One row a pair: `range` (short, long), names, values under `<range>_rmse`, `_share`, `_perceptual`.
-
-    inside: of a local edit, the pixels [h, w] of a frame that show its region, for `edit_<range>_rmse` over these.
-
-    The perceptual distance, by far the slowest, is taken of at most `most_perceptual` (0: all) pairs a range.
-    """
-    last: dict[int, Render] = {}
-    for label, pairs in ranges.items():
-        looked_at = spread(len(pairs), most_perceptual) if perceptual is not None else []
-        for place, (source, target) in enumerate(pairs):
-            score = perceptual if place in looked_at else None
-            last = {i: last[i] if i in last else frames.render(i) for i in (source, target)}
-            a, b = last[source], last[target]
-            row = ViewRow(f"{a.name} > {b.name}")
-            parts = ("rmse", "share") if score is None else ("rmse", "share", "perceptual")
-            keys = tuple(f"{label}_{part}" for part in parts)
-            bad = next((view for view in (a, b) if view.spoiled), None)
-            if bad is not None:
-                row.spoil(keys, f"{bad.name}: {spoiled_words(bad)}")
-            else:
-
-                def values(a: Render = a, b: Render = b, score: PixelDistance | None = score) -> tuple:
-                    found = pair_consistency(a.posed(), b.posed(), score, tolerance)
-                    return (found.rmse, found.share, found.perceptual)[: 2 if score is None else 3]
-
-                row.measure(keys, values)
-                if inside is not None:
-                    within = inside(target, b)
-
-                    def values(a: Render = a, b: Render = b, within: np.ndarray = within) -> float | None:
-                        return pair_consistency(a.posed(), b.posed(), None, tolerance, within=within).rmse
-
-                    row.measure((f"edit_{label}_rmse",), values)
-            yield {**row.row(), "range": label, "frame": target}

@@ -8,6 +8,7 @@ from torch import Tensor
 
 from schemas.errors import UsageError
 from stages import weights
+from stylerf.metrics.frechet import Moments, frechet_squared, moments
 from stylerf.metrics.perceptual import PerceptualDistance
 from stylerf.style.images import fitted
 from stylerf.style.losses import by_block, gram_matrix, nearest_neighbour_distance, position_weights
@@ -15,7 +16,9 @@ from stylerf.style.matching import StyleRows, style_rows
 from stylerf.style.trunks import Trunk
 
 SMALLEST_SIDE = 64  # pixels: below it the deepest layers of the networks have nothing left to see
-TAPS = "conv3"  # conv3_1, conv3_2, conv3_3 joined along channels, as ARF stylises by
+# conv3_1, conv3_2, conv3_3 joined along channels, as ARF stylises by; conv2_2, just before the second halving, as SIFID
+# takes from its own network.
+TAPS = ("conv2_2", "conv3")
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,6 +64,15 @@ def _loaded(names: tuple[str, ...], device: str) -> Perceptual | None:
     return Perceptual(found.name, found.source, network, device)
 
 
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """What is kept of the painting at one size: rows to match against, Gram matrix, moments of conv2_2."""
+
+    rows: StyleRows
+    gram: Tensor
+    moments: Moments
+
+
 class Painting:
     """A painting's features, and how far pictures are from them.
 
@@ -74,7 +86,7 @@ class Painting:
         self.image, self.side, self.device = image, side, device
         self.trunk_name, self.trunk_words = found.name, found.source
         self.trunk = Trunk(found.state, TAPS, found.kind).to(device)
-        self._prepared: dict[int, tuple[StyleRows, Tensor]] = {}
+        self._prepared: dict[int, Prepared] = {}
 
     @property
     def protocol(self) -> str:
@@ -85,28 +97,45 @@ class Painting:
         )
 
     @torch.no_grad()
-    def distances(self, image: np.ndarray, alpha: np.ndarray) -> tuple[float, float]:
-        """NNFM distance (mean 1 - cosine to the nearest feature) and relative Gram distance of an image [h, w, 3]."""
-        side = min(self.side, max(image.shape[:2]))
-        rows, gram = self._at(side)
-        small = fitted(_batch(image, self.device)[0], side)
-        found = self._features(small)
-        coverage = position_weights(torch.from_numpy(np.ascontiguousarray(alpha)).float().to(self.device), found)
-        coverage = torch.where(coverage > 0.5, coverage, torch.zeros_like(coverage))  # not the background's features
-        if float(coverage.sum()) <= 0:
-            return float("nan"), float("nan")
-        nearest, _ = nearest_neighbour_distance(found, rows, coverage)
-        difference = torch.linalg.norm(gram_matrix(found, coverage) - gram) / torch.linalg.norm(gram)
-        return float(nearest.sum() / coverage.sum()), float(difference)
+    def distances(self, image: np.ndarray, alpha: np.ndarray) -> tuple[float, float, float]:
+        """Distances of an image [h, w, 3]: NNFM (mean 1 - cosine to the nearest feature), relative Gram, SIFID-style.
 
-    def _at(self, side: int) -> tuple[StyleRows, Tensor]:
+        SIFID-style: squared Frechet distance between the features of conv2_2 at the positions of the two pictures.
+        """
+        side = min(self.side, max(image.shape[:2]))
+        painting = self._at(side)
+        fine, found = self._features(fitted(_batch(image, self.device)[0], side))
+        coverage, seen = (self._coverage(alpha, features) for features in (found, fine))
+        if float(coverage.sum()) <= 0 or float(seen.sum()) <= 0:
+            return (float("nan"),) * 3
+        nearest, _ = nearest_neighbour_distance(found, painting.rows, coverage)
+        gram = painting.gram
+        difference = torch.linalg.norm(gram_matrix(found, coverage) - gram) / torch.linalg.norm(gram)
+        sifid = frechet_squared(_moments(fine, seen > 0), painting.moments)
+        return float(nearest.sum() / coverage.sum()), float(difference), sifid
+
+    def _coverage(self, alpha: np.ndarray, features: Tensor) -> Tensor:
+        """Weight of each position of the features, 0 where it is half the background's or more."""
+        part = position_weights(torch.from_numpy(np.ascontiguousarray(alpha)).float().to(self.device), features)
+        return torch.where(part > 0.5, part, torch.zeros_like(part))
+
+    def _at(self, side: int) -> Prepared:
         if side not in self._prepared:
-            found = self._features(fitted(_batch(self.image, self.device)[0], side))
-            self._prepared[side] = (style_rows(found, most=None), gram_matrix(found))
+            fine, found = self._features(fitted(_batch(self.image, self.device)[0], side))
+            everywhere = torch.ones(fine.shape[1:], dtype=torch.bool, device=fine.device)
+            self._prepared[side] = Prepared(
+                style_rows(found, most=None), gram_matrix(found), _moments(fine, everywhere)
+            )
         return self._prepared[side]
 
-    def _features(self, image: Tensor) -> Tensor:
-        return by_block(self.trunk.taps, self.trunk(image[None]))["conv3"]
+    def _features(self, image: Tensor) -> tuple[Tensor, Tensor]:
+        """[c, h, w] of conv2_2, and of conv3's layers joined."""
+        found = by_block(self.trunk.taps, self.trunk(image[None]))
+        return found["conv2"], found["conv3"]
+
+
+def _moments(features: Tensor, where: Tensor) -> Moments:
+    return moments(features[:, where].T.cpu().numpy())
 
 
 def _batch(image: np.ndarray, device: str) -> Tensor:

@@ -32,7 +32,7 @@ def figures_table(figures: Sequence[dict]) -> str:
         ]
         rows.append(f'<tr><th scope="row">{escape(figure["label"] + unit)}</th>{"".join(cells)}</tr>')
     caption = "Means over views or pairs of views, with the lowest and highest value among them"
-    return _table("Figures with their protocols", caption, heads, numeric, rows)
+    return table("Figures with their protocols", caption, heads, numeric, rows)
 
 
 def views_table(views: Sequence[dict], figures: Sequence[dict], caption: str = HELD_OUT) -> str:
@@ -49,7 +49,7 @@ def views_table(views: Sequence[dict], figures: Sequence[dict], caption: str = H
             f'<tr{marked}><th scope="row">{escape(str(view["name"]))}</th>{cells}'
             f"<td>{escape(str(view.get('remark') or ''))}</td></tr>"
         )
-    return _table(caption.partition(";")[0], caption, heads, range(1, 1 + len(keys)), rows, "dense")
+    return table(caption.partition(";")[0], caption, heads, range(1, 1 + len(keys)), rows, "dense")
 
 
 def stages_table(stages: Sequence[dict]) -> str:
@@ -75,10 +75,10 @@ def stages_table(stages: Sequence[dict]) -> str:
         '<td colspan="5"></td></tr>'
     )
     caption = "Every stage that led here, sources first; wall time of all its runs, greatest memory of its process"
-    return _table("Stages with their cost", caption, heads, range(2, 6), rows)
+    return table("Stages with their cost", caption, heads, range(2, 6), rows)
 
 
-def _table(label: str, caption: str, heads: Sequence[str], numeric: range, rows: Sequence[str], look: str = "") -> str:
+def table(label: str, caption: str, heads: Sequence[str], numeric: range, rows: Sequence[str], look: str = "") -> str:
     """A table in a region that a keyboard can scroll sideways."""
     head = "".join(
         f'<th scope="col"{" class=number" if i in numeric else ""}>{escape(text)}</th>' for i, text in enumerate(heads)

@@ -30,6 +30,9 @@ class Presence:
     gap: int
     field: bool
     edited: bool = False  # a local edit, with its region
+    consistency: str = "correct"
+    reference: bool = False  # Ref-NPR's: a stylised picture of a view
+    twin: bool = False  # a field whose renders were references
 
 
 def not_measured(have: Presence) -> list[dict]:
@@ -41,13 +44,6 @@ def not_measured(have: Presence) -> list[dict]:
     notes += _consistency_notes(have)
     if not have.field:
         notes.append(_note("Parameters of the field", "The field itself was not given, only its frames."))
-    notes.append(
-        _note(
-            "Consistency by optical flow",
-            "Papers warp along estimated flow and differ among themselves by three times; here the field's own depth "
-            "and poses are used, so that figures of the two kinds must not be put side by side.",
-        )
-    )
     return notes
 
 
@@ -81,6 +77,18 @@ def _style_notes(have: Presence) -> list[dict]:
     if not have.base:
         why = "The unstylised field's frames of the same views were not given, so the photos stand in as reference."
         notes.append(_note("Change of depth, and figures of the unstylised render", why))
+    if not have.reference:
+        notes.append(_note("Ref-LPIPS", "No stylised picture of a view was given; give it with --reference VIEW=FILE."))
+    if not have.twin:
+        why = "No field was named whose renders were this one's references; name it with --robust-to."
+        notes.append(_note("Robustness", why))
+    notes.append(
+        _note(
+            "ArtFID",
+            "Its weights are missing: an Inception network trained on paintings (art_inception.pth), which no package "
+            "known here carries. The SIFID-style distance stands in for its style part, content SSIM for its other.",
+        )
+    )
     notes.append(_note("How beautiful it is", "No figure tells; look at the pictures."))
     return notes
 
@@ -95,6 +103,14 @@ def _consistency_notes(have: Presence) -> list[dict]:
     elif have.path_length <= have.gap:
         why = f"The path {have.path} has {have.path_length} frames; pairs {have.gap} apart need {have.gap + 1}."
         notes.append(_note("Consistency, long range", why))
+    if have.path_length >= 2 and have.consistency == "correct":
+        notes.append(
+            _note(
+                "Consistency by published protocols",
+                "Papers measure otherwise and differ among themselves by three times: figures of two protocols must "
+                "not be put side by side. --consistency all measures by laenerf-script and stylerf-family too.",
+            )
+        )
     if have.path_length >= 2 and not have.perceptual_wanted:
         notes.append(_note("Consistency by a perceptual distance", "Turned off by --perceptual none."))
     return notes

@@ -11,6 +11,7 @@ from schemas.exr import read_channels
 from schemas.frames import Frame, Frames, read_frames
 from schemas.images import srgb_from_linear
 from schemas.store import Artefact
+from stages.evaluation.wording import listed
 from stages.scenes import load_scene
 from stylerf.errors import InvalidValue
 from stylerf.geometry.cameras import Camera
@@ -91,6 +92,13 @@ class SceneViews:
         depth = self._data.truth_depth(index)
         unfit = depth is not None and depth.shape != (height, width)
         return Photo(np.clip(colour, 0, 1).astype(np.float32), mask, None if unfit else depth, other_size, unfit)
+
+    def centre_of(self, name: str) -> np.ndarray:
+        """Camera centre [3] of the view of that name; BadInput where there is none."""
+        names = [view.name for view in self._data.views]
+        if name not in names:
+            raise BadInput(f"the scene has no view {name!r}; it has {listed(names)}")
+        return self._data.cameras[names.index(name)].centre
 
     @property
     def has_depth(self) -> bool:

@@ -26,6 +26,10 @@ VERBS: dict[str, tuple[str, str]] = {
     ),
     "render": ("stylerf_cli.verbs.render", "render a field along a path: EXR with depth for compositors, PNG, video"),
     "eval": ("stylerf_cli.verbs.eval_", "measure a field: quality, style, consistency, cost; a report with pictures"),
+    "compare": (
+        "stylerf_cli.verbs.compare",
+        "set fits, stylisations and edits side by side: figures against time, memory, parameters",
+    ),
     "show": ("stylerf_cli.verbs.show", "tell what a work folder or an artefact holds"),
     "verify": ("stylerf_cli.verbs.verify", "check every file of an artefact or a work folder against its digest"),
     "doctor": ("stylerf_cli.verbs.doctor", "tell what is installed, what is missing, and how to get it"),

@@ -16,7 +16,7 @@ NO_FILM = ("test", "train")  # their views lie too far apart to be warped onto o
 
 
 def add_arguments(parser) -> None:
-    """WORK, --of, --path, --region, --base."""
+    """WORK, --of, --path, --region, --base, --robust-to."""
     parser.add_argument("work", metavar="WORK", help="the work folder")
     parser.add_argument("--of", metavar="FIELD", help="field to measure (default: the one made last)")
     parser.add_argument(
@@ -34,11 +34,17 @@ def add_arguments(parser) -> None:
     parser.add_argument(
         "--base", metavar="FIELD", help="unedited field to compare a local edit with (default: the one it started from)"
     )
+    parser.add_argument(
+        "--robust-to",
+        metavar="FIELD",
+        help="stylised field whose renders were the references of this one: Robustness, the PSNR between the two",
+    )
 
 
 def run(args, session) -> dict:
     """The report's place, its figures, its warnings and what was not measured."""
     from stages import evaluate
+    from stages.evaluation.asked import pinned
     from stages.evaluation.lineage import fields_behind, is_stylised
 
     field = chosen_field(session.work, args.of)
@@ -48,11 +54,17 @@ def run(args, session) -> dict:
         plain = next((one for one in fields_behind(field) if not is_stylised(one)), None)
         if plain is not None:
             inputs["base_frames"] = frames_of(session, plain, "test")
+    elif args.robust_to or session.config.reference:
+        raise UsageError(f"--reference and --robust-to are for a stylised field; {field.name} is none")
+    if args.robust_to:
+        inputs["twin_frames"] = frames_of(session, session.work.find("field", args.robust_to), "test")
     inputs |= edit_inputs(session, field, args)
     film = frames_of(session, field, args.path) if args.path else film_there(session.work, field)
     if film is not None:
         inputs["path_frames"] = film
-    report = session.run(evaluate.SPEC, evaluate.run, inputs, evaluate.pinned(session.config), field.name)
+    elif session.config.flow:
+        raise UsageError("--flow is of the frames of a camera path, and there are none; name the path by --path")
+    report = session.run(evaluate.SPEC, evaluate.run, inputs, pinned(session.config), field.name)
     return told(report, session)
 
 

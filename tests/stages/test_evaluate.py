@@ -11,7 +11,8 @@ from schemas.errors import UsageError
 from schemas.store import Work
 from stages import evaluate
 from stages.configs.evaluate import EvaluateConfig
-from stages.evaluation.measuring import pairs_of
+from stages.evaluation.film import Film, pairs_of
+from stages.evaluation.lenses import Lenses
 from stages.evaluation.views import SceneViews
 from stages.progress import Context
 from stages.runner import execute
@@ -235,7 +236,9 @@ def test_pairs_are_spread_and_few_are_looked_at_perceptually(fitted):
     assert pairs_of(100, 1, 4) == [(0, 1), (33, 34), (65, 66), (98, 99)]
     path = evaluate.FrameViews(inputs["path_frames"], 0.0)
     ranges = {"short": pairs_of(10, 1, 0), "long": pairs_of(10, 7, 0)}
-    rows = list(evaluate.measure_pairs(path, ranges, lambda a, b: np.full(a.shape[:2], 0.25), 2, 0.02))
+    film = Film(path, replace(QUIET, perceptual_pairs=2), Lenses(None, None, None, ""), None)
+    film._pixels = lambda a, b: np.full(a.shape[:2], 0.25)
+    rows = list(film.measured(ranges))
     assert [row["short_perceptual"] for row in rows if "short_perceptual" in row] == [0.25, 0.25]
     assert len(rows) == 12 and sum("long_perceptual" in row for row in rows) == 2
     assert [row["frame"] for row in rows if "short_perceptual" in row] == [1, 9]

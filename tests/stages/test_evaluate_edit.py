@@ -15,6 +15,7 @@ from schemas.store import Work
 from stages import evaluate
 from stages.configs.evaluate import EvaluateConfig
 from stages.evaluation import masks as mask_module
+from stages.evaluation.asked import pinned
 from stages.fields import save_field
 from stages.progress import Context
 from stages.regions import save_region
@@ -185,22 +186,22 @@ def test_given_masks_at_any_size_and_depth(made_up, tmp_path):
     half = seen_of_region(POSITIONS[0])[::2, ::2]
     write_png(tmp_path / "photo_00_mask.png", half.astype(np.uint8))
     config = replace(QUIET, masks=str(tmp_path))
-    _, report = evaluated(work, inputs, evaluate.pinned(config), name="given")
+    _, report = evaluated(work, inputs, pinned(config), name="given")
     whole = np.kron(half, np.ones((2, 2), bool))  # twice the size by lines between values: the same, over a half
     for key, value in expected(made_up, 0, 0, 4, whole).items():
         assert report["views"][0][key] == pytest.approx(value, rel=0.01), key
     assert "background_mse" not in report["views"][1] and figure(report, "background_mse")["count"] == 1
     assert any("1 views have no mask" in text and "photo_01" in text for text in report["warnings"])
     assert report["edit"]["margin"] == 0 and "given mask" in figure(report, "background_mse")["protocol"]
-    first = evaluate.pinned(config).masks_digest
+    first = pinned(config).masks_digest
     write_png(tmp_path / "photo_00_mask.png", (~half).astype(np.uint8))
-    assert evaluate.pinned(config).masks_digest != first
+    assert pinned(config).masks_digest != first
 
 
 def test_masks_of_another_shape_and_empty_folders_are_refused(made_up, tmp_path):
     work, inputs, *_ = made_up
     with pytest.raises(BadInput, match="no picture"):
-        evaluate.pinned(replace(QUIET, masks=str(tmp_path)))
+        pinned(replace(QUIET, masks=str(tmp_path)))
     write_png(tmp_path / "photo_00.png", np.zeros((72, 72), np.uint8))
     with pytest.raises(BadInput, match="72x72 where the view is 96x72"):
         evaluated(work, inputs, replace(QUIET, masks=str(tmp_path)), name="refused")
@@ -278,3 +279,15 @@ def test_consistency_of_the_edit_is_that_of_its_own_pixels(made_up):
     assert figure(report, "edit_short_rmse")["mean"] == pytest.approx(0.1, abs=0.01)
     assert figure(report, "edit_long_rmse")["mean"] == pytest.approx(0.2, abs=0.01)
     assert figure(report, "short_rmse")["mean"] < 0.08
+
+
+def test_the_palette_that_the_field_learnt_is_told_as_its_edit_told_it(made_up):
+    work, inputs, *_ = made_up
+    told = {"sparsity": 0.75, "palette_variation": 0.012, "psnr": 30.0}
+    nothing = {"write": lambda at: (at / "a").write_text("a")}
+    edit = made.commit(work, "edit", "blue", "edit_learn", {}, **nothing, figures=told)
+    painted = made.commit(work, "scene", "painted", "distill", {"scene": inputs["scene"], "edit": edit}, **nothing)
+    field = made.make_field(work, "learnt", "finetune", {"scene": painted, "field": inputs["base_field"]})
+    _, report = evaluated(work, {**inputs, "field": field}, name="palette")
+    assert figure(report, "sparsity")["mean"] == 0.75 and figure(report, "palette_variation")["mean"] == 0.012
+    assert figure(report, "sparsity")["count"] == 1

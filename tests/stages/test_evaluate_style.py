@@ -42,13 +42,15 @@ def painted():
 def test_a_painting_is_no_distance_from_itself_and_the_rest_is(painted):
     painting = Painting(painted, FEATURES, 128, "cpu")
     ones = np.ones(painted.shape[:2], np.float32)
-    nearest, gram = painting.distances(painted, ones)
+    nearest, gram, sifid = painting.distances(painted, ones)
     assert nearest == pytest.approx(0, abs=1e-4) and gram == pytest.approx(0, abs=1e-4)
+    assert sifid == pytest.approx(0, abs=1e-4)
     other = made.look(made.camera(0, "any", (128, 96))).rgb
-    far_nearest, far_gram = painting.distances(other, ones)
+    far_nearest, far_gram, far_sifid = painting.distances(other, ones)
     assert far_nearest > 0.02 and far_gram > 0.1
     shifted = painting.distances(np.roll(painted, 8, axis=1), ones)
     assert shifted[0] < far_nearest / 3  # the same strokes elsewhere
+    assert shifted[2] < far_sifid / 10
 
 
 def test_transparent_pixels_take_no_part(painted):

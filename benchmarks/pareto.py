@@ -1,0 +1,129 @@
+"""Accuracy against time, memory and parameters: `python -m benchmarks.pareto DATA STYLES OUT.json [OPTIONS]`.
+
+DATA holds the scenes, STYLES the paintings. With $STYLERF_BENCH_WORK the work folders are kept there, and what stands
+in them is not made again. Options, each a list with commas: --scenes fern,fox,lego --capacities grow,fixed:128x8x16
+--budgets 60s,300s --methods arf,desrf --rays auto,dilated --style-budgets 60s; --painting FILE; and
+--flags METHOD=FLAGS for what else a method needs. A run that fails is kept as a row that says why.
+
+Protocol: every scene is fitted at each capacity and budget; the fit of each capacity that had the longest budget is
+stylised by each method with each choice of rays and each style budget; all are evaluated on the held-out views, the
+stylised ones also along a path of 30 frames, in all three consistency protocols. `stylerf compare` then reads what
+stands: costs from the manifests, seconds since the fitted field for stylisations. One seed, one run at a time.
+"""
+
+import argparse
+import json
+import os
+import platform
+import shlex
+import subprocess
+import sys
+import tempfile
+from datetime import UTC, datetime
+from itertools import product
+from pathlib import Path
+
+from benchmarks.fits import SCENES as SIZES
+
+SCENES = {name.split()[0]: flags for name, flags in SIZES.items() if name != "lego 400x400"}
+PATHS = {"fern": "spiral", "fox": "spiral", "lego": "orbit", "cup": "spiral"}
+KEPT = ("family", "group", "work", "name", "method", "settings", "stages", "costs", "fronts")
+
+
+class Failed(Exception):
+    """A command ended with an error; its one line of words."""
+
+
+def stylerf(*arguments: str) -> dict:
+    """One command, its --json object; Failed with the words of its fault."""
+    command = [sys.executable, "-m", "stylerf_cli.main", *arguments, "--json"]
+    done = subprocess.run(command, check=False, capture_output=True, text=True)
+    try:
+        told = json.loads(done.stdout)
+    except json.JSONDecodeError:
+        raise Failed(f"exit code {done.returncode}: {done.stderr.strip()[-300:]}") from None
+    if done.returncode:
+        raise Failed(told.get("error", f"exit code {done.returncode}"))
+    return told
+
+
+def options_of(argv: list[str]) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(prog="benchmarks.pareto", description=__doc__.split("\n\n")[0])
+    parser.add_argument("data", type=Path)
+    parser.add_argument("styles", type=Path)
+    parser.add_argument("out", type=Path)
+    for name, default in (
+        ("scenes", "fern,fox,lego"), ("capacities", "grow,fixed:96x8x16,fixed:192x16x24"), ("budgets", "60s,300s"),
+        ("methods", "arf,desrf"), ("rays", "auto,full,dilated"), ("style-budgets", "60s"),
+    ):  # fmt: skip
+        parser.add_argument(f"--{name}", type=lambda text: text.split(","), default=default.split(","))
+    parser.add_argument("--painting", default="starry_night.jpg")
+    parser.add_argument("--flags", metavar="METHOD=FLAGS", action="append", default=[])
+    asked = parser.parse_args(argv)
+    asked.flags = {name: shlex.split(flags) for name, _, flags in (one.partition("=") for one in asked.flags)}
+    return asked
+
+
+def label(*parts: str) -> str:
+    """A name that an artefact can have."""
+    return "-".join(parts).replace(":", "").replace(",", "-")
+
+
+def measure(asked: argparse.Namespace, scene: str, work: str) -> list[dict]:
+    """Makes all runs of a scene in `work`; returns what failed."""
+    folder, flags = SCENES[scene]
+    failed = []
+
+    def made(name: str, *commands: tuple[str, ...]) -> None:
+        try:
+            for command in commands:
+                stylerf(*command)
+        except Failed as error:
+            failed.append({"scene": scene, "name": name, "failed": str(error)})
+            print(f"{scene} {name}: {error}", flush=True)
+            return
+        print(f"{scene} {name}: done", flush=True)
+
+    stylerf("import", str(asked.data / folder), work, *flags)
+    for capacity, budget in product(asked.capacities, asked.budgets):
+        name = label("fit", capacity, budget)
+        fit = ("fit", work, "--capacity", capacity, "--budget", budget, "--no-buffers", "--name", name)
+        made(name, fit, ("eval", work, "--of", name))
+    painting = str(asked.styles / asked.painting)
+    for capacity, method, rays, budget in product(asked.capacities, asked.methods, asked.rays, asked.style_budgets):
+        base, name = label("fit", capacity, asked.budgets[-1]), label(method, rays, budget, "of", capacity)
+        style = ("stylize", work, "--of", base, "--style", painting, "--method", method, "--rays", rays)
+        style += ("--budget", budget, "--name", name, *asked.flags.get(method, ()))
+        look = ("eval", work, "--of", name, "--path", PATHS[scene], "--consistency", "all")
+        made(name, style, look)
+    return failed
+
+
+def rows_of(works: list[str], out: str) -> list[dict]:
+    """One row a run, from what stands in the work folders."""
+    told = stylerf("compare", *works, "--out", out)
+    means = [{key: round(one["mean"], 6) for key, one in run["figures"].items()} for run in told["runs"]]
+    return [{key: run[key] for key in KEPT} | {"figures": found} for run, found in zip(told["runs"], means)]
+
+
+def main(argv: list[str] | None = None) -> None:
+    given = sys.argv[1:] if argv is None else argv
+    asked = options_of(given)
+    works, failed = [], []
+    with tempfile.TemporaryDirectory() as scratch:
+        kept = Path(os.environ.get("STYLERF_BENCH_WORK", scratch))
+        for scene in asked.scenes:
+            works.append(str(kept / scene))
+            failed += measure(asked, scene, works[-1])
+            report = {
+                "command": f"python -m benchmarks.pareto DATA STYLES OUT.json {shlex.join(given[3:])}".strip(),
+                "protocol": __doc__.split("Protocol: ")[1], "painting": asked.painting,
+                "machine": {"cpu": platform.processor() or platform.machine(), "cores": os.cpu_count()},
+                "python": platform.python_version(), "rows": rows_of(works, str(kept / "comparison")),
+                "failed": failed, "date": datetime.now(UTC).date().isoformat(),
+            }  # fmt: skip
+            asked.out.write_text(json.dumps(report, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()

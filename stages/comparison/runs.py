@@ -1,0 +1,216 @@
+"""The runs of work folders as their manifests and reports tell them; nothing is run, nothing is measured."""
+
+import json
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from schemas.errors import StylerfError
+from schemas.store import Artefact, Work
+from stages.evaluation.figures import is_number
+from stages.evaluation.lineage import counted, is_stylised, original_scene
+
+FITS, STYLISATIONS, EDITS = "fits", "stylisations", "edits"
+COSTS = ("seconds", "peak_memory_mb", "parameters")
+# What each family is drawn by, and the option of `stylerf eval` that a missing one needs.
+CHARTED = {
+    FITS: {"psnr": "", "ssim": "", "lpips": ""},
+    STYLISATIONS: {"nnfm": "", "content_ssim": "", "short_rmse": "--path", "long_rmse": "--path"},
+    EDITS: {"background_mse": "--region", "bleeding": "--region", "sparsity": "--region", "short_rmse": "--path"},
+}
+NEEDED = {FITS: ("psnr",), STYLISATIONS: tuple(CHARTED[STYLISATIONS]), EDITS: ("background_mse", "bleeding")}
+
+
+@dataclass(frozen=True)
+class Measure:
+    """One figure of a run as its report tells it."""
+
+    mean: float
+    label: str
+    unit: str
+    better: str
+    protocol: str
+
+
+@dataclass(frozen=True)
+class Run:
+    """One field that was made, with what making it from the fitted field cost, or fitting it.
+
+    group: what its figures may be compared within: the scene, and the painting or the edited regions. costs: of COSTS,
+    None where unknown; seconds are summed, memory is the greatest, over `stages`. figures: by key.
+    """
+
+    family: str
+    work: str
+    name: str
+    group: str
+    method: str
+    settings: str
+    device: str
+    stages: tuple[str, ...]
+    costs: dict[str, float | None]
+    figures: dict[str, Measure] = field(default_factory=dict)
+
+    @property
+    def title(self) -> str:
+        """Work folder and field."""
+        return f"{self.work}/{self.name}"
+
+
+@dataclass(frozen=True)
+class Gap:
+    """A figure or a run that a comparison has to do without, and what to do about it."""
+
+    what: str
+    why: str
+
+
+def runs_of(works: Sequence[Work]) -> tuple[list[Run], list[Gap]]:
+    """Every fit, stylisation and edit of these work folders, in the order given; and what is missing."""
+    runs, gaps, scenes = [], [], {}
+    for work, called in zip(works, _called(works)):
+        for artefact in work.artefacts("field"):
+            try:
+                family = family_of(artefact)
+                if family is None:
+                    continue
+                run = _run(artefact, family, work, called, scenes)
+            except StylerfError as error:
+                gaps.append(Gap(f"{called}/{artefact.name}", f"It cannot be read: {error}"))
+                continue
+            runs.append(run)
+            gaps += _gaps(run, work)
+    return runs, gaps
+
+
+def family_of(artefact: Artefact) -> str | None:
+    """Which family a field belongs to; None for one that only prepares another (a deformation fitted to the photos)."""
+    stage = artefact.manifest.stage
+    if stage == "finetune":
+        return EDITS
+    if stage == "deform_init":
+        return None
+    return STYLISATIONS if is_stylised(artefact) else FITS
+
+
+def _called(works: Sequence[Work]) -> list[str]:
+    """Names of work folders, with their parents' where two would be the same."""
+    paths = [work.root.resolve() for work in works]
+    for depth in range(1, max(len(path.parts) for path in paths)):
+        names = ["/".join(path.parts[-depth:]) for path in paths]
+        if len({*names}) == len({*paths}):
+            return names
+    return [str(path) for path in paths]
+
+
+def _run(artefact: Artefact, family: str, work: Work, called: str, scenes: dict[str, str]) -> Run:
+    manifest = artefact.manifest
+    made = [*(_made_for(artefact).values() if family != FITS else ()), artefact]
+    report = _report(artefact, work)
+    told = json.loads(report.file("report.json").read_text()) if report else {}
+    return Run(
+        family=family,
+        work=called,
+        name=artefact.name,
+        group=_group(artefact, family, called, scenes, report, told),
+        method=_method(artefact, family),
+        settings=_settings(manifest.config),
+        device=manifest.device,
+        stages=tuple(dict.fromkeys(one.manifest.stage for one in made)),
+        costs={
+            "seconds": sum(one.manifest.seconds for one in made),
+            "peak_memory_mb": max(one.manifest.peak_memory_mb for one in made) or None,
+            "parameters": counted(manifest.figures.get("parameters")),
+        },
+        figures={
+            one["key"]: Measure(one["mean"], one["label"], one["unit"], one["better"], one["protocol"])
+            for one in told.get("figures", [])
+            if is_number(one["mean"])
+        },
+    )
+
+
+def _made_for(artefact: Artefact) -> dict[Path, Artefact]:
+    """What was made on the way from the fitted field to this one, sources first, each once, by its folder.
+
+    No import, fit, selection or rendering.
+    """
+    work, found = Work(artefact.path.parent.parent), {}
+    for ref in artefact.manifest.inputs:
+        if ref.kind not in ("field", "scene", "edit", "edit-dataset"):
+            continue
+        source = work.get(ref.kind, ref.name)
+        if ref.kind in ("edit", "edit-dataset") or source.manifest.stage in ("distill", "deform_init"):
+            found |= {path: one for path, one in _made_for(source).items() if path not in found}
+            found.setdefault(source.path, source)
+    return found
+
+
+def _report(artefact: Artefact, work: Work) -> Artefact | None:
+    """The last evaluation of this very field."""
+    found = []
+    for report in work.artefacts("report"):
+        with suppress(StylerfError):  # a damaged report counts as none
+            refs = report.manifest.inputs
+            if any(ref.role == "field" and ref.digest == artefact.digest for ref in refs):
+                report.check_sizes()
+                found.append(report)
+    return max(found, key=lambda one: one.manifest.created, default=None)
+
+
+def _group(
+    artefact: Artefact, family: str, called: str, scenes: dict[str, str], report: Artefact | None, told: dict
+) -> str:
+    """scenes: names by digest, of scenes met so far, so that two folders with one scene make one group."""
+    waiting, scene = [artefact], None
+    while waiting and scene is None:
+        one = waiting.pop(0)
+        inside = Work(one.path.parent.parent)
+        for ref in one.manifest.inputs:
+            if ref.kind == "scene":
+                scene = original_scene(inside.get("scene", ref.name))
+                break
+            if ref.kind == "field":
+                waiting.append(inside.get("field", ref.name))
+    name = called if scene is None else scenes.setdefault(scene.digest, called)
+    if family == STYLISATIONS:
+        return f"{name}, {_painting(report) or _painting(artefact) or 'unknown painting'}"
+    regions = ((told.get("edit") or {}).get("regions")) or []
+    return f"{name}, {' + '.join(regions)}" if family == EDITS and regions else name
+
+
+def _painting(artefact: Artefact | None) -> str | None:
+    """File name of the painting that a field was made with, or that an evaluation was told to measure against."""
+    style = artefact.manifest.config.get("style") if artefact else None
+    return style.replace("\\", "/").rpartition("/")[2] if isinstance(style, str) and style else None
+
+
+def _method(artefact: Artefact, family: str) -> str:
+    config = artefact.manifest.config
+    if family == FITS:
+        kinds, head = config.get("field", "vm"), config.get("head", "linear")
+        return kinds if head == "linear" else f"{kinds}, {head}"
+    if family == EDITS:
+        return f"colours: {config['colours']}" if "colours" in config else artefact.manifest.stage
+    return str(config.get("method") or artefact.manifest.stage)
+
+
+def _settings(config: dict) -> str:
+    """What is most often varied, in words."""
+    words = {"budget": "{}", "capacity": "{}", "rays": "rays {}"}
+    return ", ".join(text.format(config[key]) for key, text in words.items() if config.get(key))
+
+
+def _gaps(run: Run, work: Work) -> list[Gap]:
+    command = f"stylerf eval {work.root} --of {run.name}"
+    found = [Gap(f"{run.title}: {key}", "Its manifest does not tell.") for key in COSTS if run.costs[key] is None]
+    missing = [key for key in NEEDED[run.family] if key not in run.figures]
+    if not run.figures:
+        flags = " --region NAME" if run.family == EDITS else ""
+        return [*found, Gap(f"{run.title}: all figures", f"It was not evaluated as it stands; run: {command}{flags}")]
+    for flag in dict.fromkeys(CHARTED[run.family][key] for key in missing):
+        keys = [key for key in missing if CHARTED[run.family][key] == flag]
+        more = {"": "", "--path": " --path PATH", "--region": " --region NAME"}[flag]
+        found.append(Gap(f"{run.title}: {', '.join(keys)}", f"Its report does not hold it; run: {command}{more}"))
+    return found

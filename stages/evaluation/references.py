@@ -1,0 +1,87 @@
+"""Measures of stylisation by a reference picture (Ref-NPR): Ref-LPIPS, and Robustness.
+
+Ref-LPIPS: LPIPS between a stylised picture of one view and the renders of the test views nearest to it. Robustness: the
+renders of a stylised field serve as references for a second one; PSNR between the two fields' renders.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from skimage.transform import resize
+
+from schemas.canonical import digest_of, file_sha256
+from schemas.errors import BadInput, UsageError
+from schemas.images import read_image
+from stages.evaluation.masks import SIDES_DIFFER
+from stages.evaluation.measuring import HIGHEST_PSNR, ViewRow
+from stages.evaluation.views import FrameViews, Render, SceneViews
+from stylerf.metrics.images import psnr
+from stylerf.metrics.protocols import ImageDistance
+
+NEAREST = 10  # test views that a reference is compared with
+
+
+class References:
+    """Reference pictures, and which test views each is compared with: the nearest by distance of camera centres."""
+
+    def __init__(self, asked: Sequence[str], scene: SceneViews, frames: FrameViews) -> None:
+        places = np.array([view.camera.world_from_camera for view in frames.frames.views])[:, :3, 3]
+        self._pictures: list[np.ndarray] = []
+        self._near: list[set[int]] = []
+        for name, path in map(named, asked):
+            away = np.linalg.norm(places - scene.centre_of(name), axis=1)
+            self._near.append(set(np.argsort(away, kind="stable")[:NEAREST].tolist()))
+            self._pictures.append(picture_of(path))
+
+    def measure(self, row: ViewRow, index: int, render: Render, distance: ImageDistance | None) -> None:
+        """Mean distance of test view `index` from the references it is near to, under `ref_lpips`."""
+        near = [self._pictures[i] for i, views in enumerate(self._near) if index in views]
+        if near and distance is not None and not render.spoiled:
+            sized = [sized_as(picture, render) for picture in near]
+            row.measure(("ref_lpips",), lambda: float(np.mean([distance(render.image, one) for one in sized])))
+
+
+def named(text: str) -> tuple[str, Path]:
+    """'VIEW=FILE' -> name and path; UsageError for anything else."""
+    name, _, path = text.partition("=")
+    if not name or not path:
+        raise UsageError(f"--reference {text}: expected VIEW=FILE, the name of a view and a stylised picture of it")
+    return name, Path(path).expanduser()
+
+
+def picture_of(path: Path) -> np.ndarray:
+    """[h, w, 3] sRGB 0..1; transparent parts are white. BadInput where there is no such file."""
+    if not path.is_file():
+        raise BadInput(f"--reference: no file {path}")
+    pixels = read_image(path).pixels
+    if pixels.shape[2] == 4:
+        return pixels[..., :3] * pixels[..., 3:] + (1 - pixels[..., 3:])
+    return np.repeat(pixels, 3, axis=2) if pixels.shape[2] == 1 else pixels
+
+
+def sized_as(picture: np.ndarray, render: Render) -> np.ndarray:
+    """The picture at the render's size, averaged down; BadInput where its sides are in another proportion."""
+    height, width = render.alpha.shape
+    if abs(picture.shape[1] * height / (picture.shape[0] * width) - 1) > SIDES_DIFFER:
+        raise BadInput(
+            f"a reference is {picture.shape[1]}x{picture.shape[0]} where view {render.name} is {width}x{height}: it "
+            "has to show a whole view, at any size"
+        )
+    if picture.shape[:2] == (height, width):
+        return picture.astype(np.float32)
+    return np.clip(resize(picture, (height, width, 3), anti_aliasing=True), 0, 1).astype(np.float32)
+
+
+def references_digest(asked: Sequence[str]) -> str:
+    """Over the views and the contents of their pictures."""
+    return digest_of({name: file_sha256(path) if path.is_file() else "" for name, path in map(named, asked)})
+
+
+def measure_robustness(row: ViewRow, render: Render, twins: FrameViews) -> None:
+    """PSNR of a render against the same view of the field whose renders were the references, under `robustness`."""
+    at = twins.showing(render.scene_view)
+    if at is None or render.spoiled:
+        return
+    twin = twins.render(at)
+    row.measure(("robustness",), lambda: min(psnr(render.image, twin.image), HIGHEST_PSNR))

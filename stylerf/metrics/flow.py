@@ -1,0 +1,96 @@
+"""Optical flow between two views: from a field's own depth and poses, warped along, and checked against its inverse.
+
+A flow [h, w, 2] tells for each pixel of one image by how many pixels, right and down, what it shows lies elsewhere in
+another image of the same size. A pixel of which nothing is known holds values that are not finite.
+"""
+
+import numpy as np
+
+from stylerf.errors import InvalidValue
+from stylerf.geometry.cameras import Camera
+from stylerf.metrics.consistency import PosedView
+
+
+def field_flow(view: PosedView, other: Camera) -> np.ndarray:
+    """Flow [h, w, 2] float64 from a view to another camera, exact for its depth; nan where it is transparent.
+
+    Transparent: alpha of 0.5 or less, or no depth. A point behind the other camera has no flow either. Whether another
+    surface hides the point there is not asked.
+    """
+    camera = view.camera
+    rows, columns = np.meshgrid(np.arange(camera.height) + 0.5, np.arange(camera.width) + 0.5, indexing="ij")
+    known = ((view.alpha > 0.5) & np.isfinite(view.z) & (view.z > 0)).reshape(-1)
+    depth = np.where(known, view.z.reshape(-1), 1.0).astype(np.float64)
+    here = np.stack([columns.reshape(-1), rows.reshape(-1)], axis=-1)
+    there, z = other.project(camera.unproject(here, depth))
+    known &= z > 0
+    return np.where(known[:, None], there - here, np.nan).reshape(camera.height, camera.width, 2)
+
+
+def filled(flow: np.ndarray) -> np.ndarray:
+    """The flow with 0 where it is unknown: what stands behind an object is of one colour and seems to stay."""
+    return np.where(np.isfinite(flow).all(axis=-1, keepdims=True), flow, 0.0)
+
+
+def sampled(values: np.ndarray, flow: np.ndarray) -> np.ndarray:
+    """values [h, w, c] read at each pixel's place moved by `flow` [h, w, 2]: bilinear, 0 beyond the outermost pixels.
+
+    Between the outermost pixel's centre and the next, missing one, the value fades to 0 (OpenCV's constant border).
+    """
+    check_flow(flow, values.shape[:2])
+    height, width = values.shape[:2]
+    rows, columns = np.meshgrid(np.arange(height), np.arange(width), indexing="ij")
+    moved = filled(flow)
+    padded = np.pad(np.asarray(values, np.float64), ((2, 2), (2, 2), (0, 0)))  # -1 and its left neighbour are zero
+    x = np.clip(columns + moved[..., 0], -1.5, width + 0.5) + 2
+    y = np.clip(rows + moved[..., 1], -1.5, height + 0.5) + 2
+    left, top = np.floor(x).astype(np.int64), np.floor(y).astype(np.int64)
+    u, v = (x - left)[..., None], (y - top)[..., None]
+    upper = padded[top, left] * (1 - u) + padded[top, left + 1] * u
+    lower = padded[top + 1, left] * (1 - u) + padded[top + 1, left + 1] * u
+    return upper * (1 - v) + lower * v
+
+
+def inside(flow: np.ndarray) -> np.ndarray:
+    """bool [h, w]: the flow is known and ends between the centres of the outermost pixels."""
+    height, width = flow.shape[:2]
+    rows, columns = np.meshgrid(np.arange(height), np.arange(width), indexing="ij")
+    with np.errstate(invalid="ignore"):
+        x, y = columns + flow[..., 0], rows + flow[..., 1]
+        return (x >= 0) & (y >= 0) & (x <= width - 1) & (y <= height - 1)
+
+
+def occluded(first: np.ndarray, second: np.ndarray, edges: np.ndarray) -> np.ndarray:
+    """bool [h, w]: Ruder et al. 2016, 3.2, with their constants: the two flows do not cancel, or `edges` has a step.
+
+    |a + b|^2 > 0.01 (|a|^2 + |b|^2) + 0.5, or |grad e|^2 > 0.01 |e|^2 + 0.002 with differences to the next pixel (0 at
+    the last). All [h, w, 2], `second` already read at the places to which `first` leads.
+    """
+    apart = _squared(first + second) > 0.01 * (_squared(first) + _squared(second)) + 0.5
+    gradient = np.zeros(edges.shape[:2])
+    gradient[:, :-1] += _squared(edges[:, 1:] - edges[:, :-1])
+    gradient[:-1] += _squared(edges[1:] - edges[:-1])
+    return apart | (gradient > 0.01 * _squared(edges) + 0.002)
+
+
+def visible(forward: np.ndarray, backward: np.ndarray) -> np.ndarray:
+    """bool [h, w] on the target: what lies there is seen in the source too, by flows of source and target.
+
+    forward: source to target; backward: target to source. A pixel is visible where its backward flow is known and
+    ends within the source, the forward flow found there leads back, and the backward flow has no step there.
+    """
+    check_flow(forward, backward.shape[:2])
+    back = filled(backward)
+    # A source pixel without flow spoils all four places around it, instead of pulling the mean towards 0.
+    known = sampled(np.isfinite(forward).all(axis=-1, keepdims=True).astype(np.float64), back)[..., 0] > 1 - 1e-9
+    return inside(backward) & known & ~occluded(back, sampled(filled(forward), back), back)
+
+
+def check_flow(flow: np.ndarray, size: tuple[int, ...]) -> None:
+    """InvalidValue unless the flow is [*size, 2]."""
+    if flow.shape != (*size, 2):
+        raise InvalidValue(f"a flow of {size[1]}x{size[0]} pixels was expected, got an array of shape {flow.shape}")
+
+
+def _squared(vectors: np.ndarray) -> np.ndarray:
+    return np.square(vectors, dtype=np.float64).sum(axis=-1)

@@ -1,0 +1,84 @@
+"""Work folders of runs whose costs and figures are given: manifests and reports, nothing computed."""
+
+import json
+
+from schemas.store import Artefact, Work
+from tests.stages import evaluation_fixture as made
+
+LABELS = {"psnr": ("PSNR", "dB", "higher"), "nnfm": ("NNFM distance to the painting", "", "lower"),
+          "content_ssim": ("Content SSIM", "", "higher"), "background_mse": ("Background MSE", "", "lower"),
+          "bleeding": ("Change beside the region", "", "lower"), "sparsity": ("Palette sparsity L_sp", "", "lower"),
+          "short_rmse": ("Consistency short (correct), RMSE", "", "lower"),
+          "long_rmse": ("Consistency long (correct), RMSE", "", "lower")}  # fmt: skip
+
+
+def fit(work: Work, scene: Artefact, name: str, seconds: float, psnr: float | None, **more) -> Artefact:
+    """A fitted field, evaluated unless psnr is None."""
+    figures, memory = {"parameters": more.pop("parameters", 1000)}, more.pop("memory", 500.0)
+    config = {"budget": f"{seconds:g}s", "field": "vm", "capacity": "grow"} | more
+    field = made.make_field(
+        work, name, "nerf_fit", {"scene": scene}, seconds=seconds, figures=figures, device="cpu",
+        peak_memory_mb=memory, config=config,
+    )  # fmt: skip
+    if psnr is not None:
+        report(work, field, {"psnr": psnr})
+    return field
+
+
+def stylised(
+    work: Work, scene: Artefact, base: Artefact, name: str, seconds: float, figures: dict, **config
+) -> Artefact:
+    """A stylised field of 2,000 parameters, evaluated where there are figures."""
+    field = made.make_field(
+        work, name, "stylize", {"scene": scene, "field": base}, seconds=seconds, peak_memory_mb=900.0,
+        figures={"parameters": 2000}, config={"style": "/somewhere/starry.jpg", "method": "arf"} | config,
+    )  # fmt: skip
+    if figures:
+        report(work, field, figures)
+    return field
+
+
+def edited(
+    work: Work, scene: Artefact, base: Artefact, name: str, seconds: tuple[float, ...], figures: dict
+) -> Artefact:
+    """A field that learnt an edit; seconds of extract, learn, distill and finetune."""
+    region = made.commit(work, "region", name, "region_select", {"field": base}, _nothing, seconds=999.0)
+    inputs = {"scene": scene, "field": base, "region": region}
+    dataset = made.commit(work, "edit-dataset", name, "edit_dataset", inputs, _nothing, seconds=seconds[0])
+    edit = made.commit(
+        work, "edit", name, "edit_learn", {"edit-dataset": dataset}, _nothing, seconds=seconds[1], peak_memory_mb=1500.0
+    )
+    inputs = {"scene": scene, "edit-dataset": dataset, "edit": edit}
+    painted = made.commit(work, "scene", f"{name}-painted", "distill", inputs, _nothing, seconds=seconds[2])
+    inputs = {"scene": painted, "field": base, "region": region}
+    field = made.make_field(
+        work,
+        name,
+        "finetune",
+        inputs,
+        seconds=seconds[3],
+        peak_memory_mb=800.0,
+        figures={"parameters": 3000},
+        config={"budget": f"{seconds[3]:g}s"},
+    )
+    if figures:
+        report(work, field, figures, {"regions": [name]})
+    return field
+
+
+def report(work: Work, field: Artefact, figures: dict, edit: dict | None = None, protocol: str = "as ever") -> Artefact:
+    """What `stylerf eval` leaves, as far as a comparison looks at it."""
+    told = [
+        {"key": key, "mean": mean, "label": LABELS[key][0], "unit": LABELS[key][1], "better": LABELS[key][2],
+         "protocol": protocol}
+        for key, mean in figures.items()
+    ]  # fmt: skip
+
+    def write(folder) -> None:
+        (folder / "report.json").write_text(json.dumps({"figures": told, "painting": "style.png", "edit": edit}))
+
+    return made.commit(work, "report", field.name, "evaluate", {"field": field}, write, figures=figures)
+
+
+def _nothing(folder) -> None:
+    (folder / "a.bin").write_bytes(b"a")

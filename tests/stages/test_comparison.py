@@ -1,0 +1,132 @@
+"""Runs as manifests and reports tell them: families, costs, groups, fronts, what is missing."""
+
+import pytest
+
+from schemas.store import Work
+from stages.comparison.charts import comparison_charts
+from stages.comparison.fronts import disagreements, on_fronts, panel_of
+from stages.comparison.page import build_page, rows_of
+from stages.comparison.runs import EDITS, FITS, STYLISATIONS, runs_of
+from tests.stages import comparison_fixture as runs
+from tests.stages import evaluation_fixture as made
+
+STYLE = {"nnfm": 0.3, "content_ssim": 0.5, "short_rmse": 0.02, "long_rmse": 0.04}
+
+
+@pytest.fixture
+def work(tmp_path):
+    work = Work(tmp_path / "room")
+    scene = made.make_scene(work, [0.0], depth=False)
+    small = runs.fit(work, scene, "fit-10s", 10.0, 25.0, parameters=100, memory=300.0)
+    runs.fit(work, scene, "fit-60s", 60.0, 24.0, parameters=900, memory=400.0)  # beaten in everything
+    runs.fit(work, scene, "fit-300s", 300.0, 30.0, parameters=900, memory=200.0)
+    inputs = {"scene": scene, "field": small}
+    deformed = made.make_field(work, "bent", "deform_init", inputs, seconds=7.0, peak_memory_mb=2000)
+    runs.stylised(work, scene, small, "starry-arf", 20.0, STYLE)
+    runs.stylised(work, scene, deformed, "starry-desrf", 30.0, STYLE | {"nnfm": 0.2}, method="desrf")
+    edit = {"background_mse": 0.001, "bleeding": 0.1, "sparsity": 0.5}
+    runs.edited(work, scene, small, "cup", (1.0, 2.0, 4.0, 8.0), edit)
+    return work
+
+
+def found(work, *others):
+    runs_found, gaps = runs_of([work, *others])
+    return {run.name: run for run in runs_found}, gaps
+
+
+def test_families_and_costs_are_those_of_the_manifests(work):
+    by_name, gaps = found(work)
+    assert {name: run.family for name, run in by_name.items()} == {
+        "fit-10s": FITS, "fit-60s": FITS, "fit-300s": FITS, "starry-arf": STYLISATIONS, "starry-desrf": STYLISATIONS,
+        "cup": EDITS,
+    }  # fmt: skip
+    assert gaps == []
+    costs = {name: tuple(run.costs.values()) for name, run in by_name.items()}
+    assert costs["fit-300s"] == (300.0, 200.0, 900)
+    assert costs["starry-arf"] == (20.0, 900.0, 2000)  # without the fit
+    assert costs["starry-desrf"] == (37.0, 2000.0, 2000)  # with the deformation, whose memory is the greatest
+    assert costs["cup"] == (15.0, 1500.0, 3000)  # extract to finetune, without fit and selection
+    assert by_name["cup"].stages == ("edit_dataset", "edit_learn", "distill", "finetune")
+    assert by_name["starry-desrf"].group == "room, starry.jpg" and by_name["cup"].group == "room, cup"
+    assert by_name["fit-60s"].settings == "60s, grow" and by_name["starry-desrf"].method == "desrf"
+
+
+def test_fronts_are_those_of_the_group(work):
+    by_name, _ = found(work)
+    some = [run for run in by_name.values() if run.family == FITS]
+    fronts = on_fronts(some, ["psnr"])
+    assert fronts["room/fit-10s"] == ["psnr/seconds", "psnr/parameters"]
+    assert fronts["room/fit-60s"] == []
+    assert fronts["room/fit-300s"] == ["psnr/seconds", "psnr/peak_memory_mb", "psnr/parameters"]
+    panel = panel_of([run for run in by_name.values() if run.family == STYLISATIONS], "nnfm", "seconds")
+    assert [[run.name for run in front] for front in panel.fronts] == [["starry-arf", "starry-desrf"]]
+    assert panel_of(some, "nnfm", "seconds") is None
+
+
+def test_scenes_and_protocols_do_not_share_a_front(work, tmp_path):
+    other = Work(tmp_path / "other")
+    scene = made.make_scene(other, [0.1], depth=False)
+    runs.fit(other, scene, "better", 1.0, 50.0)
+    some, _ = runs_of([work, other])
+    assert on_fronts(some, ["psnr"])["room/fit-10s"] == ["psnr/seconds", "psnr/parameters"]
+    assert disagreements(some, ["psnr"]) == []
+    runs.report(work, work.get("field", "fit-10s"), {"psnr": 25.0}, protocol="another way")
+    some, _ = runs_of([work, other])
+    told = disagreements(some, ["psnr"])
+    assert [gap.what for gap in told] == ["room: psnr"] and "2 protocols" in told[0].why
+    assert "psnr/seconds" in on_fronts(some, ["psnr"])["room/fit-60s"]  # the faster one no longer counts against it
+
+
+def test_the_same_scene_in_two_folders_is_one_group(work, tmp_path):
+    again = Work(tmp_path / "a" / "room")
+    scene = made.make_scene(again, [0.0], depth=False)
+    runs.fit(again, scene, "fit-5s", 5.0, 20.0)
+    some, _ = runs_of([work, again])
+    names = {run.title: run.group for run in some if run.family == FITS}
+    assert names["a/room/fit-5s"] == names[f"{tmp_path.name}/room/fit-10s"] == f"{tmp_path.name}/room"
+
+
+def test_what_is_missing_is_named_with_its_command(work):
+    scene, base = work.get("scene", "wall"), work.get("field", "fit-10s")
+    runs.fit(work, scene, "unseen", 11.0, None)
+    runs.stylised(work, scene, base, "half", 20.0, {"nnfm": 0.4, "content_ssim": 0.2})
+    runs.edited(work, scene, base, "plain", (1.0, 1.0, 1.0, 1.0), {"sparsity": 1.0})
+    made.make_field(work, "nameless", "nerf_fit", {"scene": scene}, peak_memory_mb=1.0)
+    _, gaps = found(work)
+    told = {gap.what: gap.why for gap in gaps}
+    assert f"stylerf eval {work.root} --of unseen" in told["room/unseen: all figures"]
+    assert told["room/half: short_rmse, long_rmse"].endswith("--of half --path PATH")
+    assert told["room/plain: background_mse, bleeding"].endswith("--of plain --region NAME")
+    assert "room/nameless: parameters" in told
+
+
+def test_a_report_of_an_older_field_does_not_count_and_a_damaged_one_is_told(work):
+    scene = work.get("scene", "wall")
+    runs.fit(work, scene, "fit-60s", 61.0, None)  # made anew; its report is of the one before
+    by_name, gaps = found(work)
+    assert by_name["fit-60s"].figures == {} and any("fit-60s: all figures" in gap.what for gap in gaps)
+    manifest = work.root / "field" / "fit-300s" / "manifest.json"
+    manifest.write_text(manifest.read_text().replace("300", "301"))
+    by_name, gaps = found(work)
+    assert "fit-300s" not in by_name and any("altered" in gap.why for gap in gaps)
+
+
+def test_charts_page_and_table_tell_the_same(work):
+    some, gaps = runs_of([work])
+    fronts = on_fronts([run for run in some if run.family == FITS], ["psnr"])
+    fronts = {run.title: fronts.get(run.title, []) for run in some}
+    charts = comparison_charts(some)
+    costs = ("seconds", "peak_memory_mb", "parameters")
+    names = [f"{family}_{cost}" for family in (FITS, STYLISATIONS, EDITS) for cost in costs]
+    assert [chart.name for chart in charts] == names
+    first = charts[0]
+    assert first.png.startswith(b"\x89PNG") and "fit-300s" in first.svg
+    assert "on the front: room/fit-10s, room/fit-300s" in first.told
+    assert comparison_charts(some)[0].svg == first.svg
+    page = build_page(some, charts, gaps, fronts)
+    assert page.count("<svg") == 9 and "<script" not in page and "http" not in page.replace("http://www.w3.org", "")
+    assert "Nothing: every run tells its costs" in page and "room/starry-desrf" in page
+    rows = rows_of(some, fronts)
+    row = next(row for row in rows if row["name"] == "cup")
+    assert (row["seconds"], row["background_mse"], row["group"]) == (15.0, 0.001, "room, cup")
+    assert next(row for row in rows if row["name"] == "fit-10s")["fronts"] == "psnr/seconds psnr/parameters"

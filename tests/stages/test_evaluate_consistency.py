@@ -1,0 +1,132 @@
+"""Consistency between views by each protocol, with the field's own flow and with flow from files."""
+
+import json
+import struct
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from schemas.errors import BadInput
+from schemas.store import Work
+from stages import evaluate
+from stages.configs.evaluate import CONSISTENCY, EvaluateConfig
+from stages.evaluation.asked import pinned
+from stages.evaluation.film import PARTS
+from stages.evaluation.kinds import BY_KEY
+from stages.evaluation.views import FrameViews
+from stages.progress import Context
+from stages.runner import execute
+from stylerf.metrics.flow import field_flow
+from tests.stages import evaluation_fixture as made
+
+PLACES = [0.05 * k for k in range(5)]  # the wall moves by 90 * 0.05 / 5 = 0.9 pixels a frame
+QUIET = EvaluateConfig(perceptual="none", sheet=1, gap=3)
+ALL = replace(QUIET, consistency="all")
+
+
+def evaluated(work, inputs, config, name="report"):
+    report, _ = execute(evaluate.SPEC, evaluate.run, work, name, inputs, config, Context(), force=True)
+    return json.loads(report.file("report.json").read_text())
+
+
+def figures(report):
+    return {item["key"]: item["mean"] for item in report["figures"]}
+
+
+@pytest.fixture(scope="module")
+def filmed(tmp_path_factory):
+    """A film that turns brighter by 0.1 a frame."""
+    work = Work(tmp_path_factory.mktemp("filmed"))
+    scene = made.make_scene(work, [0.0], depth=False)
+    field = made.make_field(work, "wall", "fit", {"scene": scene})
+    still = made.camera(0.0, "test_0")
+    frames = made.make_frames(work, "wall-test", "test", [still], [made.look(still)], field)
+    cameras = [made.camera(x, f"path_{i}") for i, x in enumerate(PLACES)]
+    seen = [made.look(camera) for camera in cameras]
+    brighter = [replace(one, rgb=0.4 * one.rgb + 0.1 * i) for i, one in enumerate(seen)]
+    film = made.make_frames(work, "wall-slide", "slide", cameras, brighter, field, matched=False)
+    inputs = {"scene": scene, "frames": frames, "path_frames": film, "field": field}
+    return work, inputs, evaluated(work, inputs, ALL)
+
+
+def test_every_mode_has_its_parts():
+    assert {*PARTS, "all"} == {*CONSISTENCY}
+    for parts in PARTS.values():
+        assert all(f"{label}_{part}" in BY_KEY for label in ("short", "long") for part in parts)
+
+
+def test_each_protocol_tells_the_known_change_in_its_own_unit(filmed):
+    *_, report = filmed
+    found = figures(report)
+    assert found["short_rmse"] == pytest.approx(0.1, abs=0.005)
+    assert found["long_rmse"] == pytest.approx(0.3, abs=0.005)
+    # Softmax splatting counts what the ball uncovers as well.
+    assert found["short_stylerf_family_rmse"] == pytest.approx(0.1, abs=0.02)
+    assert found["long_stylerf_family_rmse"] == pytest.approx(0.3, abs=0.03)
+    # Summed over RGB and squared; the script flags all that moves by over half a pixel, and that is everything here.
+    assert found["short_laenerf_script_flagged"] > 0.95
+    assert 0.03 < found["short_laenerf_script_mse"] < 0.06
+    assert 0.25 < found["long_laenerf_script_mse"] < 0.5
+    labels = {item["key"]: item["label"] for item in report["figures"]}
+    assert "(correct)" in labels["short_rmse"] and "(laenerf-script)" in labels["long_laenerf_script_mse"]
+    assert "(stylerf-family)" in labels["short_stylerf_family_share"]
+    assert not any("{" in item["protocol"] + item["label"] for item in report["figures"])
+    assert len(report["pairs"]) == 4 + 2
+
+
+def test_one_mode_measures_nothing_of_the_others(filmed):
+    work, inputs, everything = filmed
+    keys = {}
+    for mode in PARTS:
+        told = figures(evaluated(work, inputs, replace(QUIET, consistency=mode)))
+        keys[mode] = {key for key in told if key.startswith(("short_", "long_"))}
+    for mode, found in keys.items():
+        assert found == {f"{label}_{part}" for label in ("short", "long") for part in PARTS[mode][:2]}, mode
+    assert set.union(*keys.values()) <= {*figures(everything)}
+    assert any("published" in note["what"] for note in evaluated(work, inputs, QUIET)["not_measured"])
+    assert not any("published" in note["what"] for note in everything["not_measured"])
+
+
+def write_flows(folder, film, suffix):
+    """Every flow of the film, both ways, as another program would have written it."""
+    folder.mkdir(exist_ok=True)
+    views = list(FrameViews(film, 0.0))
+    for i, first in enumerate(views):
+        for j, second in enumerate(views):
+            flow = field_flow(first.posed(), second.camera).astype(np.float32)
+            path = folder / f"{i:04d}_to_{j:04d}{suffix}"
+            if suffix == ".npy":
+                np.save(path, flow)
+            else:
+                path.write_bytes(b"PIEH" + struct.pack("<ii", 96, 72) + flow.astype("<f4").tobytes())
+    return folder
+
+
+@pytest.mark.parametrize("suffix", [".npy", ".flo"])
+def test_the_same_flow_from_files_gives_the_same_figures(filmed, tmp_path, suffix):
+    work, inputs, report = filmed
+    folder = write_flows(tmp_path / "flows", inputs["path_frames"], suffix)
+    again = evaluated(work, inputs, pinned(replace(ALL, flow=str(folder))), "files")
+    for key, value in figures(report).items():
+        if "laenerf" in key or "stylerf" in key:
+            assert figures(again)[key] == pytest.approx(value, rel=1e-3), key
+    # Without depth to test against, visible is what flows there and back.
+    assert figures(again)["short_rmse"] == pytest.approx(figures(report)["short_rmse"], abs=0.01)
+    protocols = {item["key"]: item["protocol"] for item in again["figures"]}
+    assert all("files (flows)" in protocols[key] for key in ("short_rmse", "short_laenerf_script_mse"))
+    assert pinned(replace(ALL, flow=str(folder))).flow_digest
+    (folder / f"0000_to_0001{suffix}").unlink()
+    with pytest.raises(BadInput, match=r"1 of 12 flows are missing \(0000_to_0001\)"):
+        evaluated(work, inputs, replace(ALL, flow=str(folder)), "fewer")
+
+
+def test_flow_of_another_size_or_none_at_all_is_told_in_words(filmed, tmp_path):
+    work, inputs, _ = filmed
+    folder = write_flows(tmp_path / "flows", inputs["path_frames"], ".npy")
+    np.save(folder / "0001_to_0002.npy", np.zeros((36, 48, 2), np.float32))
+    with pytest.raises(BadInput, match="48x36 where frame path_1 is 96x72"):
+        evaluated(work, inputs, replace(ALL, flow=str(folder)), "small")
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(BadInput, match="found none"):
+        evaluated(work, inputs, replace(ALL, flow=str(tmp_path / "empty")), "none")

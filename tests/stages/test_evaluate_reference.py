@@ -1,0 +1,123 @@
+"""Ref-LPIPS and Robustness on made-up renders, and the palette figures of an edit's report."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from schemas.errors import BadInput, UsageError
+from schemas.images import write_png
+from schemas.store import Work
+from stages import evaluate
+from stages.configs.evaluate import EvaluateConfig
+from stages.evaluation import references
+from stages.evaluation.asked import pinned
+from stages.evaluation.lineage import edit_behind
+from stages.evaluation.measuring import ViewRow
+from stages.evaluation.references import References, measure_robustness
+from stages.evaluation.views import FrameViews, SceneViews
+from stages.progress import Context
+from stages.runner import execute
+from tests.stages import evaluation_fixture as made
+
+POSITIONS = [0.0, 0.1, 0.2, 0.3]
+
+
+@pytest.fixture(scope="module")
+def stylised(tmp_path_factory):
+    """A field painted darker, and one made from its renders that is darker by another 0.1."""
+    work = Work(tmp_path_factory.mktemp("references"))
+    scene = made.make_scene(work, POSITIONS, depth=False)
+    fit = made.make_field(work, "wall", "fit", {"scene": scene})
+    cameras = [made.camera(x, f"test_{i}") for i, x in enumerate(POSITIONS)]
+    frames = {}
+    for name, shift in (("first", 0.1), ("second", 0.2)):
+        field = made.make_field(work, name, "stylize", {"scene": scene, "field": fit}, config={"seed": shift})
+        seen = [made.look(camera) for camera in cameras]
+        darker = [replace(one, rgb=one.rgb * 0.5 + 0.3 - shift) for one in seen]
+        frames[name] = made.make_frames(work, f"{name}-test", "test", cameras, darker, field)
+    return work, scene, frames
+
+
+def mean_difference(a, b):
+    return float(np.abs(a - b).mean())
+
+
+def test_a_reference_is_compared_with_the_views_nearest_to_its_camera(stylised, tmp_path, monkeypatch):
+    _, scene, frames = stylised
+    monkeypatch.setattr(references, "NEAREST", 2)
+    views = FrameViews(frames["first"], 0.0)
+    picture = views.render(3).image + np.float32(0.2)
+    write_png(tmp_path / "reference.png", np.round(np.clip(picture, 0, 1) * 255).astype(np.uint8))
+    found = References([f"photo_03={tmp_path / 'reference.png'}"], SceneViews(scene), views)
+    rows = [ViewRow(render.name) for render in views]
+    for i, row in enumerate(rows):
+        found.measure(row, i, views.render(i), mean_difference)
+    assert [("ref_lpips" in row.values) for row in rows] == [False, False, True, True]
+    assert rows[3].values["ref_lpips"] == pytest.approx(0.2, abs=3e-3)
+    assert rows[2].values["ref_lpips"] == pytest.approx(mean_difference(views.render(2).image, picture), abs=3e-3)
+
+
+def test_two_references_are_averaged_and_a_large_one_is_scaled(stylised, tmp_path):
+    _, scene, frames = stylised
+    views = FrameViews(frames["first"], 0.0)
+    for name, grey, size in (("a", 100, (72, 96)), ("b", 200, (144, 192))):
+        write_png(tmp_path / f"{name}.png", np.full((*size, 3), grey, np.uint8))
+    asked = [f"photo_00={tmp_path / 'a.png'}", f"photo_03={tmp_path / 'b.png'}"]
+    row, render = ViewRow("any"), views.render(1)
+    References(asked, SceneViews(scene), views).measure(row, 1, render, mean_difference)
+    wanted = np.mean([mean_difference(render.image, grey / 255) for grey in (100, 200)])
+    assert row.values["ref_lpips"] == pytest.approx(wanted, rel=1e-4)
+
+
+def test_references_that_cannot_be_used_are_told(stylised, tmp_path):
+    _, scene, frames = stylised
+    views = FrameViews(frames["first"], 0.0)
+    write_png(tmp_path / "square.png", np.zeros((64, 64, 3), np.uint8))
+    with pytest.raises(UsageError, match="VIEW=FILE"):
+        References(["photo_00"], SceneViews(scene), views)
+    with pytest.raises(BadInput, match="no view 'nowhere'; it has photo_00"):
+        References([f"nowhere={tmp_path / 'square.png'}"], SceneViews(scene), views)
+    with pytest.raises(BadInput, match="no file"):
+        References([f"photo_00={tmp_path / 'absent.png'}"], SceneViews(scene), views)
+    found = References([f"photo_00={tmp_path / 'square.png'}"], SceneViews(scene), views)
+    with pytest.raises(BadInput, match="64x64 where view test_0 is 96x72"):
+        found.measure(ViewRow("any"), 0, views.render(0), mean_difference)
+
+
+def test_robustness_is_the_psnr_between_the_two_fields(stylised):
+    work, scene, frames = stylised
+    row = ViewRow("any")
+    measure_robustness(row, FrameViews(frames["second"], 0.0).render(0), FrameViews(frames["first"], 0.0))
+    assert row.values["robustness"] == pytest.approx(20, abs=0.1)  # 0.1 apart everywhere
+    inputs = {"scene": scene, "frames": frames["second"], "twin_frames": frames["first"]}
+    inputs["field"] = work.get("field", "second")
+    config = EvaluateConfig(perceptual="none", sheet=1)
+    artefact, _ = execute(evaluate.SPEC, evaluate.run, work, "second", inputs, config, Context())
+    report = json.loads(artefact.file("report.json").read_text())
+    told = next(item for item in report["figures"] if item["key"] == "robustness")
+    assert told["mean"] == pytest.approx(20, abs=0.1) and told["count"] == 4 and "field first" in told["protocol"]
+    notes = {note["what"]: note["why"] for note in report["not_measured"]}
+    assert "Robustness" not in notes and "Ref-LPIPS" in notes and "weights are missing" in notes["ArtFID"]
+
+
+def test_a_changed_reference_is_measured_anew(tmp_path):
+    path = tmp_path / "r.png"
+    path.write_bytes(b"one")
+    config = EvaluateConfig(reference=(f"a={path}",))
+    first = pinned(config).reference_digest
+    path.write_bytes(b"two")
+    assert first and pinned(config).reference_digest != first
+
+
+def test_the_edit_that_a_field_learnt_is_found_through_the_scene_of_edited_pictures(tmp_path):
+    work = Work(tmp_path / "work")
+    photos = made.make_scene(work, [0.0], depth=False)
+    fit = made.make_field(work, "wall", "fit", {"scene": photos})
+    nothing = {"write": lambda folder: (folder / "a").write_text("a")}
+    learnt = made.commit(work, "edit", "blue", "edit_learn", {}, **nothing, figures={"sparsity": 0.5})
+    painted = made.commit(work, "scene", "blue", "distill", {"scene": photos, "edit": learnt}, **nothing)
+    field = made.make_field(work, "blue", "finetune", {"scene": painted, "field": fit})
+    assert edit_behind(field).name == "blue" and edit_behind(field).manifest.figures == {"sparsity": 0.5}
+    assert edit_behind(fit) is None
