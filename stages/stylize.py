@@ -35,7 +35,8 @@ from stylerf.kernels.cpu.compiling import compiling_note, set_threads
 from stylerf.style.objective import StyleWeights
 from stylerf.style.trunks import Trunk
 from stylerf.training.kept import Kept
-from stylerf.training.stylize import StyleSettings, Stylizer
+from stylerf.training.style_settings import StyleSettings
+from stylerf.training.stylize import Stylizer
 
 SPEC = Spec(stage="stylize", verb="stylize", revision=3, writes="field")
 WORKING_BYTES = 1.5e9  # what a step takes beside what is kept of the views: pictures at full size, the trunk's graph
