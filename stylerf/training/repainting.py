@@ -72,7 +72,7 @@ class Repainting:
         self.field.colour = new_colour(np.random.default_rng([seed, 1]), self._pixel_cells())
         self.still.field.colour = self.field.colour
         self.adam = self._new_adam()
-        least = math.ceil(2 * trunk.stride / settings.feature_scale * (2 if settings.coarse > 0 else 1))
+        least = math.ceil(2 * self.stride / settings.feature_scale * (2 if settings.coarse > 0 else 1))
         self.windows = [
             EVERYTHING if self.closed else window_of(self.geometry.alpha(view), least) for view in range(len(cameras))
         ]
@@ -83,6 +83,11 @@ class Repainting:
         self.between_steps = True
 
     # -- what a method decides --------------------------------------------------------------------------------------
+
+    @property
+    def stride(self) -> int:
+        """Pixels between positions of the deepest features that are looked at."""
+        return self.trunk.stride
 
     def _prepare_shapes(self) -> None:
         """Before the field is first seen."""
@@ -195,11 +200,6 @@ class Repainting:
         if state.phase == "refit":
             return min(1.0, state.step / max(1, s.refit_steps))
         return min(1.0, state.step / s.steps if s.steps else state.seconds / s.seconds)
-
-    def _view_of_step(self) -> int:
-        """Every view once an epoch, in an order drawn anew for each."""
-        epoch, at = divmod(self.state.step, len(self.cameras))
-        return int(np.random.default_rng([self.seed, 3, epoch]).permutation(len(self.cameras))[at])
 
     def refit_step(self) -> float:
         """One step of colours towards the matched photos; its mean squared error."""

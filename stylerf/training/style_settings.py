@@ -14,7 +14,7 @@ class StyleSettings:
     first, that see features at half of `feature_scale` (docs/decisions/0013). rates: per step, falling to `final_rate`
     of themselves. deform_rate, displacement_weight, displacement_vertices: see training/deformer. loss: nnfm or gram
     (style/objective). rounds, image_share, image_steps, image_rate: see training/alternating. reference_steps,
-    reference_weight, late: see training/referenced.
+    reference_weight, template_weights, late: see training/referenced.
     """
 
     steps: int = 0
@@ -41,6 +41,7 @@ class StyleSettings:
     displacement_weight: float = 0.5
     displacement_vertices: int = 32
     loss: str = "nnfm"
+    template_weights: StyleWeights = field(default_factory=lambda: StyleWeights(1.0, 0.1, 1.0, 5.0))
     rounds: int = 3
     image_share: float = 0.75
     image_steps: int = 5

@@ -99,6 +99,11 @@ class Stylizer(Repainting):
         """Adds gradients of what is asked for beside the view's picture; its parts of the loss."""
         return {}
 
+    def _view_of_step(self) -> int:
+        """Every view once an epoch, in an order drawn anew for each."""
+        epoch, at = divmod(self.state.step, len(self.cameras))
+        return int(np.random.default_rng([self.seed, 3, epoch]).permutation(len(self.cameras))[at])
+
     def _picture(self, view: int, pixels: np.ndarray) -> tuple[np.ndarray, tuple | None]:
         """Premultiplied rgb of the whole view [h*w, 3], and what the selected pixels need to learn (None: repaint)."""
         whole = len(pixels) == self.cameras[view].width * self.cameras[view].height
