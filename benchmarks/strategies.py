@@ -72,7 +72,7 @@ def stylizer_for(work: str, style: str, method: str, case: str):
     config = StylizeConfig(style=style, method=method, budget="100000", **options)
     level, found = level_of(background), resolve(None)
     views = scene.splits["train"]
-    trunk = Trunk(found.state, painting_taps(config), found.kind)
+    trunk = Trunk(found.state, painting_taps(config, found.state), found.kind)
     long_side = max(max(c.width, c.height) for c in scene.cameras)
     made = Stylizer(
         field,

@@ -23,6 +23,7 @@ BENT_OBJECT = ELSE | {"colour_weight": 1.0, "displacement_weight": 0.0, "coarse"
 BY_REFERENCE = ELSE | {"content_weight": 0.1, "colour_weight": 5.0}
 VARIATION = {"desrf": ("diagonal", 0.1)}  # DeSRF: 0.5 beside a style weight of 5
 TAPS = {"nnfm": "conv3", "gram": "conv1,conv2,conv3"}
+TEMPLATE_TAPS = "conv2,conv3"
 COARSE_BLOCK = "conv4"
 
 
@@ -55,10 +56,20 @@ def painting_loss(config: StylizeConfig) -> str:
     return config.image_by if config.method == "snerf" else "nnfm"
 
 
-def painting_taps(config: StylizeConfig) -> str:
+def painting_taps(config: StylizeConfig, state: Mapping[str, torch.Tensor]) -> str:
     """Layers at which they are."""
     given = "" if config.method == "refnpr" else config.taps
-    return given or TAPS[painting_loss(config)]
+    return given or of_those(TAPS[painting_loss(config)], state)
+
+
+def template_taps(config: StylizeConfig, state: Mapping[str, torch.Tensor]) -> str:
+    """Layers at which a view finds its like in a reference."""
+    return config.taps or of_those(TEMPLATE_TAPS, state)
+
+
+def of_those(taps: str, state: Mapping[str, torch.Tensor]) -> str:
+    """The layers that the weights have, of a default; all of them where they have none, to be refused by name."""
+    return ",".join(layer for layer in taps_of(taps) if f"{layer}.weight" in state) or taps
 
 
 def coarse_taps(state: Mapping[str, torch.Tensor]) -> str:

@@ -27,7 +27,7 @@ from stages.progress import Context
 from stages.runner import Spec
 from stages.scenes import SceneData, load_scene
 from stages.references import chosen_view, decoded_reference, read_references
-from stages.styling import coarse_taps, new_colour, painting_taps, settings_of
+from stages.styling import coarse_taps, new_colour, painting_taps, settings_of, template_taps
 from stages.weights import ResolvedTrunk, resolve
 from stylerf.errors import Diverged, InvalidValue
 from stylerf.fields.deformation import Deformation
@@ -114,7 +114,7 @@ def _stylizer(
         photos,
         level,
         painting,
-        trunk(painting_taps(config)),
+        trunk(painting_taps(config, resolved.state)),
         settings,
         context.seed,
         torch.get_num_threads(),
@@ -131,8 +131,12 @@ def _stylizer(
             references = {view: None}
             if config.reference_by == "adain":
                 references[view] = decoded_reference(photos[view], painting, config.style_scale, device or "cpu")
-        matched, coarse = trunk(config.taps or "conv2,conv3"), trunk(coarse_taps(resolved.state))
-        return Referenced(*given, references=references, template_trunk=matched, coarse_trunk=coarse, **more)
+        more |= {
+            "references": references,
+            "template_trunk": trunk(template_taps(config, resolved.state)),
+            "coarse_trunk": trunk(coarse_taps(resolved.state)),
+        }
+        return Referenced(*given, **more)
     return Stylizer(*given, deformation, **more)
 
 

@@ -38,8 +38,8 @@ class StylizeConfig:
     )
     taps: str = option(
         "",
-        help="layers of the trunk that are matched: conv2, conv3, conv3_1 ... (default: conv3; where Gram matrices are, "
-        "conv1,conv2,conv3; a view with its reference, conv2,conv3)",
+        help="layers of the trunk that are matched: conv2, conv3, conv3_1 ... (default: conv3; of Gram matrices conv1 "
+        "to conv3; with a reference conv2,conv3)",
     )
     style_weight: float = option(1.0, help="weight of the nearest-neighbour feature distance")
     content_weight: float = option(

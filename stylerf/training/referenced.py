@@ -6,8 +6,8 @@
                 surface (rendering/registration); and one view's picture by its correspondences (style/template).
                 In the last quarter correspondences are sought between renders, as the field then shows them.
 
-The loss of a step is w (MSE of the references' pixels + MSE of registered pixels) + style + content + colour + variation,
-in the last quarter w (...) + 0.2 style + variation.
+The loss of a step is w (MSE of the references' pixels + MSE of registered pixels) + style + content + colour +
+variation, in the last quarter w (...) + 0.2 style + variation.
 """
 
 from collections.abc import Callable
@@ -194,7 +194,7 @@ class Referenced(Stylizer):
 
     @property
     def late_keys(self):
-        """What renders are matched against in the last quarter: the references' own views, as they were at its begin."""
+        """What renders are matched against in the last quarter: the references' own views, as they looked before it."""
         if self._late_keys is None:
             for view in self.references:
                 if view not in self._late:
