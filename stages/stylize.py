@@ -24,9 +24,9 @@ from stages.memory import in_words, room
 from stages.paintings import read_painting
 from stages.photos import level_of, photo_over
 from stages.progress import Context
+from stages.references import chosen_view, decoded_reference, read_references
 from stages.runner import Spec
 from stages.scenes import SceneData, load_scene
-from stages.references import chosen_view, decoded_reference, read_references
 from stages.styling import coarse_taps, new_colour, painting_taps, settings_of, template_taps
 from stages.weights import ResolvedTrunk, resolve
 from stylerf.errors import Diverged, InvalidValue
@@ -44,6 +44,7 @@ SPEC = Spec(stage="stylize", verb="stylize", revision=3, writes="field")
 WORKING_BYTES = 1.5e9  # what a step takes beside what is kept of the views: pictures at full size, the trunk's graph
 KEPT_BYTES = 60  # about, for each pixel of a view: its photo, samples on its surfaces, features at half its size
 WORDS = {"refit": "new colours"}  # of phases that are not told by their own name
+
 
 def run(inputs: dict[str, Artefact], config: StylizeConfig, partial: Partial, context: Context) -> dict:
     """Writes the stylised field; returns the figures, among them the curve of the loss."""

@@ -1,4 +1,4 @@
-"""One picture stylised at once: its features are given a painting's statistics and decoded (AdaIN, Huang et al. 2017)."""
+"""One picture stylised at once: its features take a painting's statistics and are decoded (AdaIN, Huang 2017)."""
 
 from collections.abc import Mapping
 

@@ -14,7 +14,6 @@ from stages.references import digest_of, read_references, training_view
 from stages.styling import coarse_taps, match_of, painting_loss, painting_taps, settings_of, template_taps
 from stylerf.style.trunks import taps_of
 
-
 LAYERS_THERE = [f"conv{b}_{i}" for b, n in ((1, 2), (2, 2), (3, 3), (4, 3)) for i in range(1, n + 1)]
 WEIGHTS = {f"{layer}.weight": torch.zeros(1) for layer in LAYERS_THERE}
 
@@ -37,7 +36,7 @@ def test_a_reference_of_another_size_is_scaled_and_of_another_shape_refused(tmp_
     pixels = np.zeros((60, 80, 3), np.uint8)
     pixels[:, 40:] = 255
     write_png(tmp_path / "large.png", pixels)
-    (place, found), = read_references(scene(), [f"d={tmp_path}/large.png"]).items()
+    ((place, found),) = read_references(scene(), [f"d={tmp_path}/large.png"]).items()
     assert place == 2 and found.shape == (30, 40, 3) and found.dtype == np.float32
     assert (found[:, :19] == 0).all() and (found[:, 21:] == 1).all()
     write_png(tmp_path / "wide.png", pixels[:50])

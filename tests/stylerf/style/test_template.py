@@ -23,9 +23,12 @@ def objective(given=None, weights=WEIGHTS, **more) -> TemplateObjective:
 
 
 def rows(trunk, image: torch.Tensor) -> list[np.ndarray]:
-    """Features of conv1 and of conv2 (two layers joined), [n, c] float64, unit length."""
+    """Features of conv1 and of conv2 (two layers joined), [n, c] float64, unit length or 0 where all are dead."""
     first, second, third = (f[0].double().flatten(1).T.numpy() for f in trunk(image[None]))
-    return [r / np.linalg.norm(r, axis=1, keepdims=True) for r in (first, np.concatenate([second, third], 1))]
+    return [
+        r / np.maximum(np.linalg.norm(r, axis=1, keepdims=True), 1e-9)
+        for r in (first, np.concatenate([second, third], 1))
+    ]
 
 
 def test_style_is_the_look_that_the_reference_has_where_its_content_is():
@@ -49,7 +52,9 @@ def test_the_reference_itself_is_asked_to_be_its_stylised_picture():
     one = templates()[:1]
     made = objective(one, StyleWeights(1, 0, 0, 5))
     _, parts = made(one[0].stylised, made.wanted(one[0].photo))
-    assert parts["style"] < 1e-6 and parts["colour"] < 1e-9
+    # A position whose features are all dead is at distance 1 from everything, itself included.
+    dead = np.mean([(np.abs(r).sum(1) == 0).mean() for r in rows(made.trunk, one[0].stylised)])
+    assert parts["style"] == pytest.approx(dead, abs=1e-6) and dead < 0.03 and parts["colour"] < 1e-9
     _, others = made(one[0].photo, made.wanted(one[0].photo))
     assert others["style"] > 0.05 and others["colour"] > 1e-3
 
