@@ -56,7 +56,9 @@ def registered(view: SeenPoints, reference: SeenPoints, tolerance: float = TOLER
     columns, rows = np.floor(np.clip(positions, -1, 1e7)).astype(np.int64).T
     inside = (depth > 0) & (columns >= 0) & (rows >= 0) & (columns < camera.width) & (rows < camera.height)
     at = np.where(inside, rows * camera.width + columns, 0)
-    apart = np.linalg.norm(view.places[pixels] - reference.places[at], axis=1)
+    # Between the reference's pixels, or, where one of those around sees something else, at the nearest.
+    seen = sampled_at(reference.places.reshape(camera.height, camera.width, 3), positions)
+    apart = np.minimum(*(np.linalg.norm(view.places[pixels] - there, axis=1) for there in (seen, reference.places[at])))
     cosines = (_ways(points, view.camera) * _ways(points, camera)).sum(1)
     chosen = inside & reference.there[at] & (apart <= tolerance) & (cosines >= LEAST_COSINE)
     return pixels[chosen], positions[chosen], cosines[chosen]

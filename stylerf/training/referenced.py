@@ -153,8 +153,8 @@ class Referenced(Stylizer):
                 continue
             pixels, positions, cosines = registered(self._points_of(view), self._points_of(other))
             nearer = cosines > best[pixels]
-            pixels, best[pixels[nearer]] = pixels[nearer], cosines[nearer]
-            colours[pixels] = sampled_at(picture, positions[nearer])
+            best[pixels[nearer]] = cosines[nearer]
+            colours[pixels[nearer]] = sampled_at(picture, positions[nearer])
         pixels = np.flatnonzero(best > -1)
         return pixels, colours[pixels]
 

@@ -47,7 +47,7 @@ def rendered(one: Referenced, view: int) -> np.ndarray:
 def test_the_reference_is_learnt_and_other_views_carry_its_colours():
     """The colours of the other views come from the world's own formula: the method has never seen it."""
     picture, there = true_colours(referenced(), 1)
-    one = referenced({1: picture}, steps=150, refit_steps=1, template_weights=ONLY_COLOURS, rate=0.05)
+    one = referenced({1: picture}, steps=150, refit_steps=1, template_weights=ONLY_COLOURS, rate=0.05, late=0.0)
     before = {view: rendered(one, view) for view in range(VIEWS)}
     one.run()
     apart = [np.abs(image - picture.reshape(-1, 3))[there].mean() for image in (before[1], rendered(one, 1))]
@@ -71,6 +71,7 @@ def test_only_rays_that_see_the_references_surface_are_taught_by_it():
     turn = np.diag([-1.0, -1.0, 1.0, 1.0])  # half a turn about the cube's upright axis
     behind.world_from_camera[:] = turn @ one.cameras[1].world_from_camera
     one.cameras[2] = behind
+    one.still._surfaces.kept.clear()
     assert len(one._reached[0][0]) > 50 and len(one._reached[2][0]) == 0
 
 
@@ -121,7 +122,9 @@ def test_in_the_last_quarter_renders_are_matched_with_the_references_render():
     one._loss(1, late)
     for block, found in one._late_matches[1].items():
         keys = one.late_keys[block].rows
-        assert torch.equal(keys[found.long()], keys), block
+        alive = keys.norm(dim=1) > 0.5
+        cosines = (keys[found.long()] * keys).sum(1)[alive]
+        assert float(cosines.min()) > 1 - 1e-5 and alive.sum() > 20, block  # a flat place has many that are as like
 
 
 def test_a_stopped_one_goes_on_to_the_same_bits():
