@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import torch
 
 from stylerf.errors import InvalidValue
 from stylerf.rendering.registration import points_of
