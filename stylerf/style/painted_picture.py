@@ -57,9 +57,22 @@ class PaintedPicture:
         self.steps = int(arrays["steps"][0])
 
 
-def painted(start: Tensor, alpha: Tensor | None, background: float, loss: Loss, steps: int, rate: float):
-    """(picture [h, w, 3] float32, the loss's parts before the last step) after so many steps whose size falls to 0."""
+def painted(
+    start: Tensor,
+    alpha: Tensor | None,
+    background: float,
+    loss: Loss,
+    steps: int,
+    rate: float,
+    enough: Callable[[], bool] = lambda: False,
+) -> tuple[np.ndarray, dict[str, float]]:
+    """(picture [h, w, 3] float32, the loss's parts before the last step) after so many steps whose size falls to 0.
+
+    enough: asked after every step, whether that was the last; one is made in any case.
+    """
     made = PaintedPicture(start, alpha, background, rate)
     for at in range(steps):
         parts = made.step(loss, 1 - at / steps)
+        if enough():
+            break
     return made.pixels(), parts

@@ -9,6 +9,8 @@ A step is one picture painted (`image_steps` evaluations of the loss), or one st
 from round to round: where a round is too short for all of them, the others keep the picture that they had.
 """
 
+import time
+
 import numpy as np
 
 from stylerf.style.painted_picture import painted
@@ -28,6 +30,12 @@ class Alternating(Repainting):
         s = self.settings
         return self.progress * s.rounds % 1.0 < s.image_share or not self.targets
 
+    @property
+    def left_of_turn(self) -> float:
+        """Seconds until the pictures' turn ends, of a budget of time."""
+        s, rounds = self.settings, self.progress * self.settings.rounds
+        return (int(rounds) + s.image_share - rounds) * s.seconds / s.rounds
+
     def _step(self) -> dict[str, float]:
         return self.picture_step() if self.paints else self.field_step()
 
@@ -43,7 +51,12 @@ class Alternating(Repainting):
         def loss(picture):
             return self.objective(picture, content, coverage, self.windows[view])
 
-        found, parts = painted(self._there(rgb), coverage, self.background, loss, s.image_steps, s.image_rate)
+        # However slow the machine, the field has its turn.
+        ends = time.perf_counter() + self.left_of_turn
+        found, parts = painted(
+            self._there(rgb), coverage, self.background, loss, s.image_steps, s.image_rate,
+            lambda: not s.steps and time.perf_counter() > ends,
+        )  # fmt: skip
         self.targets[view] = np.rint(found * 255).astype(np.uint8)
         self.state.counts["pictures"] = made + 1
         return parts

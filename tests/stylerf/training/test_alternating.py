@@ -1,5 +1,7 @@
 """Pictures and field by turns: whose turn it is, what each lowers, what a picture is, going on."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -26,6 +28,20 @@ def test_views_take_turns_across_rounds_and_the_field_learns_from_the_first_on()
     one, seen = alternating(steps=8, rounds=4, image_share=0.5, match="none"), []
     one.run(lambda now: seen.append(len(now.targets)) if now.state.phase == "style" else None)
     assert seen == [1, 1, 2, 2, 3, 3, 3, 3]
+
+
+def test_a_picture_that_takes_long_ends_with_the_pictures_turn():
+    """In a budget of time the field has its turn even where a single picture would take all of it."""
+    one = alternating(steps=0, match="none", image_steps=10**6, refit_steps=1)
+    one.settings = replace(one.settings, seconds=2.0)
+    kinds = []
+    one._step = lambda step=one._step: kinds.append(one.paints) or step()
+    one.run()
+    assert True in kinds and False in kinds and one.state.seconds < 6.0
+    one.state.phase, one.state.seconds = "style", 0.7
+    assert one.left_of_turn == pytest.approx(-0.2) and not one.paints
+    one.state.seconds = 1.2
+    assert one.left_of_turn == pytest.approx(0.3) and one.paints
 
 
 def test_a_picture_is_its_render_painted_and_kept_in_eight_bits():
