@@ -58,7 +58,7 @@ def stylizer_for(work: str, style: str, method: str, case: str):
     from stages.paintings import read_painting
     from stages.photos import level_of, photo_over
     from stages.scenes import load_scene
-    from stages.stylize import new_colour, settings_of
+    from stages.styling import new_colour, painting_taps, settings_of
     from stages.weights import resolve
     from stylerf.fields.deformation import Deformation
     from stylerf.kernels.cpu.compiling import set_threads
@@ -72,7 +72,7 @@ def stylizer_for(work: str, style: str, method: str, case: str):
     config = StylizeConfig(style=style, method=method, budget="100000", **options)
     level, found = level_of(background), resolve(None)
     views = scene.splits["train"]
-    trunk = Trunk(found.state, config.taps, found.kind)
+    trunk = Trunk(found.state, painting_taps(config, found.state), found.kind)
     long_side = max(max(c.width, c.height) for c in scene.cameras)
     made = Stylizer(
         field,

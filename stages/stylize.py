@@ -2,17 +2,15 @@
 
 import functools
 import time
-from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import torch
 
 from schemas.errors import BadInput
 from schemas.images import to_uint8, write_png
 from schemas.store import Artefact, Partial
 from stages.configs.fit import budget_of
-from stages.configs.stylize import COLOUR_CELLS, StylizeConfig
+from stages.configs.stylize import StylizeConfig, reference_of
 from stages.devices import gpu_figures, gpu_of
 from stages.fields import (
     load_checkpoint,
@@ -26,27 +24,26 @@ from stages.memory import in_words, room
 from stages.paintings import read_painting
 from stages.photos import level_of, photo_over
 from stages.progress import Context
+from stages.references import chosen_view, decoded_reference, read_references
 from stages.runner import Spec
 from stages.scenes import SceneData, load_scene
-from stages.weights import resolve
+from stages.styling import coarse_taps, new_colour, painting_taps, settings_of, template_taps
+from stages.weights import ResolvedTrunk, resolve
 from stylerf.errors import Diverged, InvalidValue
-from stylerf.fields.hash import HashColour
+from stylerf.fields.deformation import Deformation
+from stylerf.fields.field import RadianceField
 from stylerf.kernels.cpu.compiling import compiling_note, set_threads
-from stylerf.style.objective import StyleWeights
 from stylerf.style.trunks import Trunk
+from stylerf.training.alternating import Alternating
 from stylerf.training.kept import Kept
-from stylerf.training.stylize import StyleSettings, Stylizer
+from stylerf.training.referenced import Referenced
+from stylerf.training.repainting import Repainting
+from stylerf.training.stylize import Stylizer
 
 SPEC = Spec(stage="stylize", verb="stylize", revision=3, writes="field")
 WORKING_BYTES = 1.5e9  # what a step takes beside what is kept of the views: pictures at full size, the trunk's graph
 KEPT_BYTES = 60  # about, for each pixel of a view: its photo, samples on its surfaces, features at half its size
-SMALL_VIEW = 256  # pixels of its longer side
-FINER = 1.25  # cells for each pixel's width
-# What holds shapes in a capture holds the silhouettes of an object alone so fast that nothing is seen to bend; its
-# shapes have nothing around them to tear (docs/decisions/0015).
-BENT_OBJECT = {"colour_weight": 1.0, "displacement_weight": 0.0, "coarse": 0.6}
-ELSE = {"colour_weight": 10.0, "displacement_weight": 0.003, "coarse": 0.0}
-VARIATION = {"arf": ("squared", 1.0), "desrf": ("diagonal", 0.1)}  # DeSRF: 0.5 beside a style weight of 5
+WORDS = {"refit": "new colours"}  # of phases that are not told by their own name
 
 
 def run(inputs: dict[str, Artefact], config: StylizeConfig, partial: Partial, context: Context) -> dict:
@@ -60,31 +57,14 @@ def run(inputs: dict[str, Artefact], config: StylizeConfig, partial: Partial, co
     torch.set_num_threads(threads)
     resolved = resolve(config.features or None)
     context.progress.say(f"features: {resolved.name}, from {resolved.source}")
-    views = scene.splits["train"]
-    painting = read_painting(Path(config.style))
-    level = level_of(background)
-    memory = _room_for(scene, views, context)
+    painting = read_painting(Path(config.style or reference_of(config.reference[0])[1]))
     device = gpu_of(context)
     if device and deformation is not None:
         context.progress.say("features and matching run on the GPU, rays through a moving field on the CPU")
     try:
-        stylizer = Stylizer(
-            field,
-            [scene.cameras[i] for i in views],
-            Kept(lambda place: photo_over(scene, views[place], level), len, len(views), 0),
-            level,
-            painting,
-            Trunk(resolved.state, config.taps, resolved.kind).to(device or "cpu"),
-            settings_of(config, max(max(c.width, c.height) for c in scene.cameras), field.closed),
-            context.seed,
-            threads,
-            functools.partial(new_colour, config),
-            deformation,
-            memory,
-            device,
-        )
+        stylizer = _stylizer(config, scene, field, level_of(background), painting, resolved, deformation, context)
     except InvalidValue as error:
-        raise BadInput(f"{config.style} on {inputs['field'].path}: {error}") from error
+        raise BadInput(f"{config.style or config.reference[0]} on {inputs['field'].path}: {error}") from error
     if (saved := load_checkpoint(partial.checkpoint)) is not None:
         stylizer.resume(*saved)
         context.progress.say(f"going on from step {stylizer.state.step} of phase {stylizer.state.phase}")
@@ -104,9 +84,78 @@ def run(inputs: dict[str, Artefact], config: StylizeConfig, partial: Partial, co
         "finest": stylizer.field.colour.finest,
         "parameters": stylizer.field.parameters,
         "features": resolved.manifest(),
-        "views": len(views),
+        "views": len(stylizer.cameras),
+        **_figures_of_method(stylizer, config, scene, partial),
         **gpu_figures(device),
     }
+
+
+def _stylizer(
+    config: StylizeConfig,
+    scene: SceneData,
+    field: RadianceField,
+    level: float,
+    painting: torch.Tensor,
+    resolved: ResolvedTrunk,
+    deformation: Deformation | None,
+    context: Context,
+) -> Repainting:
+    """What `config.method` stylises with, before its first step."""
+    views, device = scene.splits["train"], gpu_of(context)
+
+    def trunk(taps: str) -> Trunk:
+        return Trunk(resolved.state, taps, resolved.kind).to(device or "cpu")
+
+    cameras = [scene.cameras[i] for i in views]
+    photos = Kept(lambda place: photo_over(scene, views[place], level), len, len(views), 0)
+    settings = settings_of(config, max(max(c.width, c.height) for c in scene.cameras), field.closed)
+    given = (
+        field,
+        cameras,
+        photos,
+        level,
+        painting,
+        trunk(painting_taps(config, resolved.state)),
+        settings,
+        context.seed,
+        torch.get_num_threads(),
+        functools.partial(new_colour, config),
+    )
+    more = {"memory": _room_for(scene, views, context), "device": device}
+    if config.method == "snerf":
+        return Alternating(*given, **more)
+    if config.method == "refnpr":
+        references = read_references(scene, config.reference)
+        if not references:
+            view = chosen_view(scene, field, cameras, config, settings.share, torch.get_num_threads())
+            context.progress.say(f"view {cameras[view].name} is made the reference")
+            references = {view: None}
+            if config.reference_by == "adain":
+                references[view] = decoded_reference(photos[view], painting, config.style_scale, device or "cpu")
+        more |= {
+            "references": references,
+            "template_trunk": trunk(template_taps(config, resolved.state)),
+            "coarse_trunk": trunk(coarse_taps(resolved.state)),
+        }
+        return Referenced(*given, **more)
+    return Stylizer(*given, deformation, **more)
+
+
+def _figures_of_method(stylizer: Repainting, config: StylizeConfig, scene: SceneData, partial: Partial) -> dict:
+    """What a method tells beside what all tell; references are kept with what was made after them."""
+    if isinstance(stylizer, Alternating):
+        return {"rounds": config.rounds, "pictures": stylizer.state.counts.get("pictures", 0)}
+    if not isinstance(stylizer, Referenced):
+        return {}
+    told = []
+    for place, picture in stylizer.references.items():
+        index = scene.splits["train"][place]
+        file = f"reference-{index}.png"
+        write_png(partial.path / file, to_uint8(picture))
+        told.append({"view": scene.views[index].name, "file": file, "by": config.reference_by or "nnfm"})
+        if config.reference:
+            told[-1]["by"] = "file"
+    return {"references": told, "registered": round(stylizer.registered_share, 4)}
 
 
 def _room_for(scene: SceneData, views: list[int], context: Context) -> float:
@@ -121,20 +170,21 @@ def _room_for(scene: SceneData, views: list[int], context: Context) -> float:
     return left
 
 
-def _train(stylizer: Stylizer, config: StylizeConfig, partial: Partial, context: Context) -> None:
+def _train(stylizer: Repainting, config: StylizeConfig, partial: Partial, context: Context) -> None:
     saved_at, shown = time.monotonic(), ""
 
-    def on_step(now: Stylizer) -> None:
+    def on_step(now: Repainting) -> None:
         nonlocal saved_at, shown
         state = now.state
         if state.phase != shown:
             shown = state.phase
             seconds, steps = budget_of(config.budget)
             total = config.refit_steps if shown == "refit" else steps or seconds
-            context.progress.start(
-                "new colours" if shown == "refit" else "style", total, "step" if shown == "refit" or steps else "s"
-            )
-        counted = state.phase == "refit" or now.settings.steps
+            if shown == "reference":
+                total = now.settings.reference_steps * len(now.to_paint)
+            counted = shown != "style" or steps
+            context.progress.start(WORDS.get(shown, shown), total, "step" if counted else "s")
+        counted = state.phase != "style" or now.settings.steps
         note = ""
         if state.curve:
             last = state.curve[-1]
@@ -154,56 +204,3 @@ def _train(stylizer: Stylizer, config: StylizeConfig, partial: Partial, context:
         raise BadInput(f"the stylisation does not converge: {error}") from error
     finally:
         context.progress.finish()
-
-
-def new_colour(config: StylizeConfig, generator: np.random.Generator, pixel_cells: float) -> HashColour:
-    """The colour field to learn. pixel_cells: cells a side as wide as what a pixel sees, nan if nothing is seen.
-
-    Finer ones are taught by single views, each its own cell, and what they learn shows as grain from between them.
-    """
-    least, most = COLOUR_CELLS
-    finest = config.finest
-    if not finest:
-        finest = int(np.clip(round(FINER * pixel_cells / 16) * 16, least, most)) if np.isfinite(pixel_cells) else least
-    return HashColour.create(generator, levels=config.levels, finest=finest, table=1 << config.table_bits)
-
-
-def rays_of(config: StylizeConfig, long_side: int) -> str:
-    """Shapes held fast cost little to paint, and so do small views; walked anew, a large one costs more than the trunk.
-
-    Dilated rays leave grain in small views, where a cell of the colour is hardly wider than the gaps: decision 0013.
-    """
-    if config.rays != "auto":
-        return config.rays
-    return "dilated" if config.method == "desrf" and long_side > SMALL_VIEW else "deferred"
-
-
-def settings_of(config: StylizeConfig, long_side: int, closed: bool) -> StyleSettings:
-    """closed: whether the field is a capture, rather than an object alone."""
-    own = BENT_OBJECT if config.method == "desrf" and not closed else ELSE
-    config = replace(config, **{name: value for name, value in own.items() if getattr(config, name) == -1})
-    seconds, steps = budget_of(config.budget)
-    variation, variation_weight = VARIATION[config.method]
-    if config.variation_weight >= 0:
-        variation_weight = config.variation_weight
-    return StyleSettings(
-        steps=steps,
-        seconds=seconds or 1.0,
-        refit_steps=config.refit_steps,
-        rate=config.rate,
-        deform_rate=config.deform_rate,
-        displacement_weight=config.displacement_weight,
-        displacement_vertices=config.displacement_vertices,
-        variation=variation,
-        strategy=rays_of(config, long_side),
-        dilation=config.dilation,
-        blur=config.blur,
-        remember=config.remember,
-        match=config.match,
-        weights=StyleWeights(config.style_weight, config.content_weight, variation_weight, config.colour_weight),
-        coarse=config.coarse,
-        feature_scale=config.feature_scale or min(1.0, max(0.5, 256 / long_side)),
-        style_scale=config.style_scale,
-        style_rows=config.style_rows,
-        style_basis=config.style_basis,
-    )

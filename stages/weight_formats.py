@@ -21,6 +21,7 @@ HED_MEAN = (122.67892, 116.66877, 104.00699)  # RGB of 0..255, the preprocessing
 LPIPS_SHIFT, LPIPS_SCALE = (-0.030, -0.088, -0.188), (0.458, 0.448, 0.450)  # RGB of [-1, 1], LPIPS v0.1
 TORCHVISION_VGG16 = (0, 2, 5, 7, 10, 12, 14, 17, 19, 21, 24, 26, 28)  # places of the convolutions in `features`
 WCT_VGG19 = {"conv1_1": 2, "conv1_2": 5, "conv2_1": 9, "conv2_2": 12, "conv3_1": 16}
+WCT_DECODER = (1, 5, 8, 12, 15)
 ST_VGG16 = ("1.0", "1.2", "2.6", "2.8", "3.12", "3.14", "3.16", "4.20", "4.22", "4.24", "5.28", "5.30", "5.32")
 ST_ALEX = ("1.0", "2.5", "3.9", "4.11", "5.13")
 TORCHVISION_ALEX = (0, 3, 6, 8, 10)
@@ -125,6 +126,11 @@ def vgg19_wct(found: Mapping[str, Tensor]) -> State:
     state = _pick(found, {layer: str(place) for layer, place in WCT_VGG19.items()})
     state["conv1_1.weight"] = state["conv1_1.weight"][:, back].contiguous()
     return state | {"input.scale": mix[back, order[back]], "input.shift": found["0.bias"].float()[back].contiguous()}
+
+
+def wct_decoder(found: Mapping[str, Tensor]) -> State:
+    """The decoder that inverts conv3_1 of that VGG-19 (Li et al. 2017): five convolutions, doubled twice in between."""
+    return _pick(found, {f"decode{i}": str(place) for i, place in enumerate(WCT_DECODER)})
 
 
 def st_lpips_alex(found: Mapping[str, Tensor]) -> State:

@@ -121,6 +121,17 @@ TRUNKS: dict[str, Source] = {
 }
 DEFAULT_TRUNKS = ("vgg16", "hed-vgg16", "st-vgg16")
 
+DECODERS: dict[str, Source] = {
+    "vgg19-wct-decoder": Source(
+        name="vgg19-wct-decoder",
+        kind="vgg19-decoder",
+        words="the decoder of vgg19-wct's conv3_1 (feed-forward references), from STYLERF_WEIGHTS",
+        obtain=_set_folder("vgg19_decoder_conv3_1.pth", "vgg19_normalised_conv1_1-conv3_1.pth"),
+        locate=lambda: from_folder("vgg19_decoder_conv3_1.pth"),
+        convert=formats.wct_decoder,
+    )
+}
+
 METRICS: dict[str, Source] = {
     source.name: source
     for source in (

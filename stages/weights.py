@@ -24,7 +24,16 @@ from torch import Tensor
 
 from schemas.errors import BadInput, UsageError
 from stages import weight_formats as formats
-from stages.weight_sources import DEFAULT_METRICS, DEFAULT_TRUNKS, HUB_URLS, METRICS, TRUNKS, Source, hub_folder
+from stages.weight_sources import (
+    DECODERS,
+    DEFAULT_METRICS,
+    DEFAULT_TRUNKS,
+    HUB_URLS,
+    METRICS,
+    TRUNKS,
+    Source,
+    hub_folder,
+)
 
 
 @dataclass(frozen=True)
@@ -73,6 +82,11 @@ def resolve_metric(name: str, download: bool = False) -> ResolvedTrunk:
     return _named(METRICS[name], download)
 
 
+def resolve_decoder(name: str = "vgg19-wct-decoder") -> ResolvedTrunk:
+    """The decoder of a trunk's features; UsageError with the command that gets it where it is not here."""
+    return _named(DECODERS[name], False)
+
+
 def available_metrics() -> list[str]:
     """Names of the perceptual metrics whose weights are here, in the order in which they are reported."""
     return [name for name in DEFAULT_METRICS if METRICS[name].locate() or _cached_file(METRICS[name]).is_file()]
@@ -84,7 +98,7 @@ def describe() -> list[dict[str, Any]]:
     Only looks whether the files are there; reads none.
     """
     rows, chosen = [], None
-    for use, sources in (("features", TRUNKS), ("metric", METRICS)):
+    for use, sources in (("features", TRUNKS), ("metric", METRICS), ("decoder", DECODERS)):
         for source in sources.values():
             files, cache = source.locate(), _cached_file(source)
             found = bool(files) or cache.is_file()

@@ -1,21 +1,27 @@
 """Options of `stylerf stylize`."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 from stages.configs import option
 from stages.configs.fit import budget_of
 
 COLOUR_CELLS = (64, 1024)  # fewest and most cells a side that the colour field takes by itself
+METHODS = ("arf", "desrf", "snerf", "refnpr")
+# Options that mean nothing with another method, by their beginning.
+OWN = {"snerf": ("rounds", "image_"), "refnpr": ("reference",)}
 
 
 @dataclass(frozen=True)
 class StylizeConfig:
     """How a fitted field is stylised with a painting."""
 
-    style: str = option(help="the painting: an image file")
+    style: str = option("", help="the painting: an image file (needed, but with --reference)")
     style_digest: str = option("", help="sha256 of the painting (filled in; guards against a changed file)")
     method: str = option(
-        "arf", choices=("arf", "desrf"), help="arf: colours alone, shapes held fast; desrf: colours and shapes"
+        "arf",
+        choices=METHODS,
+        help="arf: colours alone, shapes held fast; desrf: colours and shapes; snerf: pictures painted in 2D and the "
+        "field taught them, by turns; refnpr: after views that are given, or made, stylised",
     )
     budget: str = option("2m", help="time of the style steps (60s, 2m) or their number")
     rays: str = option(
@@ -30,23 +36,34 @@ class StylizeConfig:
         "",
         help="feature trunk: a name or a file of VGG weights (default: the first found of vgg16, hed-vgg16, st-vgg16)",
     )
-    taps: str = option("conv3", help="layers of the trunk that are matched: conv2, conv3, conv3_1 ...")
+    taps: str = option(
+        "",
+        help="layers of the trunk that are matched: conv2, conv3, conv3_1 ... (default: conv3; of Gram matrices conv1 "
+        "to conv3; with a reference conv2,conv3)",
+    )
     style_weight: float = option(1.0, help="weight of the nearest-neighbour feature distance")
-    content_weight: float = option(2e-2, help="weight of the content distance, in the painting's mean squared feature")
+    content_weight: float = option(
+        -1.0,
+        help="weight of the content distance, in the painting's mean squared feature (-1: 0.02, for refnpr 0.1)",
+    )
     colour_weight: float = option(
         -1.0,
         help="weight of the squared difference from the photo's matched colours, in cells a 32nd of the view wide "
-        "(-1: 10, but 1 where desrf bends an object)",
+        "(-1: 10, but 1 where desrf bends an object; refnpr: 5, from the colours of the reference's like cells)",
     )
     variation_weight: float = option(
-        -1.0, help="weight of the picture's total variation (-1: as in the papers, 1 for arf, 0.1 for desrf)"
+        -1.0, help="weight of the picture's total variation (-1: as in the papers, 0.1 for desrf, else 1)"
     )
     deform_rate: float = option(1.2e-2, help="learning rate of the deformation (desrf)")
     displacement_weight: float = option(
         -1.0, help="weight of the root mean square of the displacement (desrf; -1: 0.003 in captures, 0 for an object)"
     )
     displacement_vertices: int = option(32, help="side of the grid that the deformation is baked to (desrf)")
-    match: str = option("both", choices=("both", "before", "after", "none"), help="exact colour matching")
+    match: str = option(
+        "auto",
+        choices=("auto", "both", "before", "after", "none"),
+        help="exact colour matching (auto: both; refnpr: before, where it paints the reference, else none)",
+    )
     refit_steps: int = option(300, help="steps that fit the new colours to the matched photos")
     rate: float = option(3e-2, help="learning rate of the colours")
     feature_scale: float = option(
@@ -69,19 +86,71 @@ class StylizeConfig:
         f"{COLOUR_CELLS[0]} to {COLOUR_CELLS[1]} of them)",
     )
     table_bits: int = option(17, help="its table entries a level, as a power of two")
+    rounds: int = option(3, help="rounds of pictures, then field, that share the budget (snerf)")
+    image_share: float = option(0.75, help="share of a round in which pictures are painted (snerf)")
+    image_steps: int = option(5, help="steps of a picture's pixels each time that it is painted (snerf)")
+    image_rate: float = option(0.03, help="learning rate of a picture's pixels (snerf, refnpr)")
+    image_by: str = option("gram", choices=("gram", "nnfm"), help="by what pictures are painted (snerf)")
+    reference: tuple[str, ...] = option(
+        (), metavar="VIEW=FILE", help="a training view, and that view stylised; repeatable (refnpr)"
+    )
+    reference_by: str = option(
+        "",
+        choices=("", "gram", "nnfm", "adain"),
+        metavar="gram|nnfm|adain",
+        help="how a reference is made where none is given: its pixels optimised, or decoded at once (refnpr; default: "
+        "nnfm)",
+    )
+    reference_view: str = option(
+        "", help="the view that is made a reference (refnpr; default: the one that sees most of what the others see)"
+    )
+    reference_steps: int = option(60, help="steps of its pixels, at most a third of a budget of time (refnpr)")
+    reference_weight: float = option(
+        1.0, help="weight of the squared error of colours on the reference's and on registered rays (refnpr)"
+    )
+    references_digest: str = option("", help="sha256 of the references (filled in; guards against changed files)")
     checkpoint_every_seconds: float = option(20.0, help="time between checkpoints")
 
     def __post_init__(self) -> None:
         budget_of(self.budget)
+        self._check_method()
         if self.blur < 0 or (self.blur > 0 and self.blur % 2 == 0):
             raise ValueError("blur must be odd, or 0 for none: an even box would shift the picture by half a pixel")
         if self.dilation < 1 or not 0 <= self.feature_scale <= 1 or self.style_scale <= 0:
             raise ValueError("dilation must be at least 1, feature_scale in 0..1, style_scale > 0")
         if not (0 <= self.coarse <= 1 or self.coarse == -1):
             raise ValueError("coarse must be in 0..1 (or -1: by method and scene)")
-        for name in ("variation_weight", "colour_weight", "displacement_weight"):
+        for name in ("variation_weight", "content_weight", "colour_weight", "displacement_weight"):
             if getattr(self, name) < 0 and getattr(self, name) != -1:
                 raise ValueError(f"{name} must be at least 0 (or -1: by method and scene)")
         finest = self.finest == 0 or 16 <= self.finest <= 4096
         if not (1 <= self.levels <= 16 and finest and 10 <= self.table_bits <= 24):
             raise ValueError("the colour field takes 1 to 16 levels, 16 to 4096 cells (or 0), 10 to 24 table bits")
+
+    def _check_method(self) -> None:
+        for item in fields(self):
+            owner = next((m for m, names in OWN.items() if item.name.startswith(names)), self.method)
+            if item.name == "image_rate" and self.method in OWN:
+                continue
+            if owner != self.method and getattr(self, item.name) != item.default:
+                flag = "--" + item.name.replace("_", "-")
+                raise ValueError(f"{flag} is an option of --method {owner}; this is --method {self.method}")
+        if not self.style and not self.reference:
+            raise ValueError("--style is required: the painting, an image file")
+        if self.reference and (self.reference_by or self.reference_view):
+            raise ValueError("--reference gives the stylised views; --reference-by and --reference-view make one")
+        views = [reference_of(text)[0] for text in self.reference]
+        if len(set(views)) < len(views):
+            raise ValueError(f"a view is given two references: {', '.join(views)}")
+        if self.rounds < 1 or self.image_steps < 1 or self.reference_steps < 1:
+            raise ValueError("rounds, image_steps and reference_steps must be at least 1")
+        if not 0 < self.image_share < 1 or self.image_rate <= 0 or self.reference_weight < 0:
+            raise ValueError("image_share must be over 0 and under 1, image_rate over 0, reference_weight at least 0")
+
+
+def reference_of(text: str) -> tuple[str, str]:
+    """'0012=painted.png' -> ('0012', 'painted.png'); ValueError for anything else."""
+    view, equals, path = text.partition("=")
+    if not (view and equals and path):
+        raise ValueError(f"{text!r} is not a stylised view, written VIEW=FILE.png")
+    return view, path

@@ -14,6 +14,8 @@ from stylerf.style.losses import (
     by_block,
     content_distance,
     diagonal_variation,
+    gram_distance,
+    gram_matrix,
     image_variation,
     nearest_neighbour_distance,
     position_weights,
@@ -96,9 +98,18 @@ class StyleObjective:
             found = by_block(trunk.taps, features(trunk, picture[None], self.half))
         self.style: dict[str, StyleRows] = {}
         self.unit = {block: float(feature.square().mean().clamp_min(1e-12)) for block, feature in found.items()}
+        self._keep(found, most_rows, basis, seed)
+
+    def _keep(self, found: dict[str, Tensor], most_rows: int, basis: int, seed: int) -> None:
+        """What of the painting's features [c, h, w] pictures are set against."""
         for block, feature in found.items():
             rows = style_rows(feature, most_rows, seed=seed)
             self.style[block] = rows.with_basis(basis) if 0 < basis < feature.shape[0] else rows
+
+    def _style_distance(self, block: str, feature: Tensor, weights: Tensor | None) -> Tensor:
+        """Of one block of a picture's features [c, h, w]; weights [h, w]: where it counts."""
+        distances, _ = nearest_neighbour_distance(feature, self.style[block], weights, self.memory_mb, self.half)
+        return distances.sum() / (distances.numel() if weights is None else weights.sum().clamp_min(1e-6))
 
     def features_of(self, picture: Tensor, window: Window = EVERYTHING) -> dict[str, Tensor]:
         """Features by block of a window of a picture [3, h, w], at the feature scale."""
@@ -121,13 +132,12 @@ class StyleObjective:
         """
         found = self.features_of(picture, window)
         style_loss, content_loss = picture.new_zeros(()), picture.new_zeros(())
-        for block, rows in self.style.items():
-            weights = None if alpha is None else position_weights(alpha[window], found[block], self.around)
-            distances, _ = nearest_neighbour_distance(found[block], rows, weights, self.memory_mb, self.half)
-            total = distances.numel() if weights is None else weights.sum().clamp_min(1e-6)
-            style_loss = style_loss + distances.sum() / total
+        for block, feature in found.items():
+            weights = None if alpha is None else position_weights(alpha[window], feature, self.around)
+            total = feature[0].numel() if weights is None else weights.sum().clamp_min(1e-6)
+            style_loss = style_loss + self._style_distance(block, feature, weights)
             if content is not None and self.weights.content > 0:
-                apart = content_distance(found[block], content.features[block].float()) / self.unit[block]
+                apart = content_distance(feature, content.features[block].float()) / self.unit[block]
                 content_loss = content_loss + (apart.mean() if weights is None else (apart * weights).sum() / total)
         variation = self.variation(picture)
         colour_loss = picture.new_zeros(())
@@ -138,6 +148,24 @@ class StyleObjective:
         parts = {"style": style_loss, "content": content_loss, "variation": variation, "colour": colour_loss}
         loss = sum(getattr(self.weights, name) * part for name, part in parts.items())
         return loss, {name: float(part.detach()) for name, part in parts.items()}
+
+
+class GramObjective(StyleObjective):
+    """The same with the distance of Gram matrices (Gatys et al. 2016) in the place of nearest neighbours.
+
+    Per block, sum (G - S)^2 / sum S^2 with G, S the Gram matrices of the picture and the painting: 1 for a picture
+    without features, 0 for the painting, whatever the trunk (docs/decisions/0010). What is summed up is their mean over
+    blocks. Blocks whose coverage is nil are at distance 0.
+    """
+
+    def _keep(self, found: dict[str, Tensor], most_rows: int, basis: int, seed: int) -> None:
+        self.grams = {block: gram_matrix(feature) for block, feature in found.items()}
+
+    def _style_distance(self, block: str, feature: Tensor, weights: Tensor | None) -> Tensor:
+        if weights is not None and float(weights.sum()) <= 0:
+            return feature.new_zeros(())
+        apart = gram_distance(feature, self.grams[block], weights).sum() / self.grams[block].square().sum()
+        return apart / len(self.grams)
 
 
 def window_of(alpha: np.ndarray, least: int = 0) -> Window:

@@ -5,7 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from stages.configs.region import RegionConfig
-from stages.configs.stylize import StylizeConfig
+from stages.configs.stylize import StylizeConfig, reference_of
 
 NAME = "stylize"
 HELP = "stylise the whole scene with a painting, or a region (--region)"
@@ -34,22 +34,19 @@ def run(args, session) -> dict:
 
 
 def _whole(args, session) -> dict:
-    from schemas.canonical import file_sha256
-    from stages import stylize
-    from stages.paintings import read_painting
+    from stages import references, stylize
+    from stages.scenes import load_scene
     from stylerf_cli.chains import ensure_deformed, ensure_field, scene_of_work
 
-    style = painting_of(session.config.style)
     # Refused before hours of upstream work, not after them.
-    read_painting(style)
+    config, name = _pinned_whole(session.config)
     scene = scene_of_work(session)
+    if config.method == "refnpr":
+        references.checked(load_scene(scene), config)
     field = session.work.find("field", args.of) if args.of else ensure_field(session, scene)
-    if session.config.method == "desrf":
+    if config.method == "desrf":
         field = ensure_deformed(session, scene, field)
-    config = replace(session.config, style=str(style.resolve()), style_digest=file_sha256(style))
-    made = session.run(
-        stylize.SPEC, stylize.run, {"scene": scene, "field": field}, config, f"{name_of(style)}-{config.method}"
-    )
+    made = session.run(stylize.SPEC, stylize.run, {"scene": scene, "field": field}, config, f"{name}-{config.method}")
     figures = made.manifest.figures
     result = {"field": made.path, "name": made.name, "figures": figures, "seconds": made.manifest.seconds}
     words = (
@@ -57,6 +54,22 @@ def _whole(args, session) -> dict:
         f"{figures['train_seconds']:.0f} s, features {figures['features']['name']}\n  {made.path}"
     )
     return session.emit(result, words)
+
+
+def _pinned_whole(config: StylizeConfig) -> tuple[StylizeConfig, str]:
+    """The options with the digests of the files that they name, which can be read; and the name of the painting."""
+    from schemas.canonical import file_sha256
+    from stages.paintings import read_painting
+    from stages.references import digest_of
+
+    pairs = [reference_of(text) for text in config.reference]
+    config = replace(config, references_digest=digest_of(config.reference),
+                     reference=tuple(f"{view}={Path(file).resolve()}" for view, file in pairs))  # fmt: skip
+    if not config.style:
+        return config, name_of(Path(pairs[0][1]))
+    style = painting_of(config.style)
+    read_painting(style)
+    return replace(config, style=str(style.resolve()), style_digest=file_sha256(style)), name_of(style)
 
 
 def _region(args, session) -> dict:

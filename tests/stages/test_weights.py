@@ -346,7 +346,7 @@ def test_lpips_is_joined_from_a_trunk_and_a_head(nowhere, monkeypatch):
 
 def test_describe_tells_what_is_here_and_how_to_get_the_rest(nowhere, packages):
     rows = {row["name"]: row for row in weights.describe()}
-    assert set(rows) == set(weight_sources.TRUNKS) | set(weight_sources.METRICS)
+    assert set(rows) == {*weight_sources.TRUNKS, *weight_sources.METRICS, *weight_sources.DECODERS}
     assert [name for name, row in rows.items() if row["chosen"]] == ["hed-vgg16"]
     assert not rows["vgg16"]["found"] and "vgg16-397923af.pth" in rows["vgg16"]["obtain"]
     assert rows["hed-vgg16"]["path"].endswith(".h5") and not rows["hed-vgg16"]["cached"]

@@ -17,7 +17,8 @@ from schemas.store import Artefact, Work
 from tests.stylerf_cli.nursery import Command, Nursery
 
 FOLLOWED_EVERY_SECONDS = 0.002
-STAGES = ("import", "fit", "deform", "stylize", "stylize with shapes", "stylize a region", "finetune", "render", "eval")
+STAGES = ("import", "fit", "deform", "stylize", "stylize by turns", "stylize after a view", "stylize with shapes",
+          "stylize a region", "finetune", "render", "eval")  # fmt: skip
 IN_THE_SLOW_TESTS = ("deform", "stylize with shapes", "stylize a region")
 # The rest goes the same ways: its turn comes with the slow tests.
 IN_THE_GATE = [pytest.param(name, marks=[pytest.mark.slow] if name in IN_THE_SLOW_TESTS else []) for name in STAGES]
@@ -54,6 +55,10 @@ def arguments_of(stage: str, work: Path, photos: Path, room: Path) -> tuple[tupl
         "deform": (("deform", work, "--of", "fit", "--steps", "60", "--vertices", "16", "--width", "32",
                     "--patience-db", "0", *often), "field"),
         "stylize": (("stylize", work, "--of", "fit", "--budget", "12", "--rays", "dilated", *style), "field"),
+        "stylize by turns": (("stylize", work, "--of", "fit", "--method", "snerf", "--budget", "24", "--rounds", "2",
+                              "--image-share", "0.4", "--image-steps", "2", *style), "field"),
+        "stylize after a view": (("stylize", work, "--of", "fit", "--method", "refnpr", "--budget", "12",
+                                  "--reference-steps", "8", *style), "field"),
         "stylize with shapes": (("stylize", work, "--of", "fit-deformed", "--method", "desrf", "--budget", "12",
                                  *style), "field"),
         "stylize a region": (("stylize", work, "--region", "all", "--style", photos / "painting.png", "--palette-steps",

@@ -79,6 +79,54 @@ def test_settings_of_a_stylisation_that_mean_nothing(paintings, capsys, flags, w
     assert not (paintings / "work").exists()
 
 
+@pytest.mark.parametrize(
+    ("flags", "words"),
+    [
+        ((), "--style is required"),
+        (("--style", "sound.png", "--reference", "0=sound.png"), "--reference is an option of --method refnpr"),
+        (("--style", "sound.png", "--method", "snerf", "--reference-by", "gram"), "an option of --method refnpr"),
+        (("--style", "sound.png", "--method", "refnpr", "--rounds", "2"), "--rounds is an option of --method snerf"),
+        (("--style", "sound.png", "--method", "snerf", "--image-share", "1"), "image_share must be over 0 and under 1"),
+        (("--method", "refnpr", "--reference", "sound.png"), "written VIEW=FILE.png"),
+        (("--method", "refnpr", "--reference", "0=sound.png", "0=sound.png"), "given two references"),
+        (("--method", "refnpr", "--reference", "0=sound.png", "--reference-view", "1"), "make one"),
+    ],
+)
+def test_methods_whose_options_do_not_go_together(paintings, capsys, monkeypatch, flags, words):
+    monkeypatch.chdir(paintings)
+    assert words in told(capsys, 2, "stylize", paintings / "work", *flags)
+    assert not (paintings / "work").exists()
+
+
+@pytest.mark.parametrize(
+    ("reference", "words"),
+    [
+        ("0={}/missing.png", "there is no such image"),
+        ("0={}/cut.png", "cannot be read whole"),
+        ("nobody={}/sound.png", "there is no view 'nobody'; the scene's 10 training views are"),
+        ("99={}/sound.png", "there is no view '99'"),
+        ("held out={}/sound.png", "is held out for evaluation; give a training view"),
+        ("0={}/wide.png", "is 80x64 where view 0 is 32x32"),
+        ("0={}/narrow.png", "at least 16 pixels a side"),
+    ],
+)
+def test_references_that_are_none(work, paintings, capsys, reference, words):
+    """Told before any work, even of the stages before."""
+    write_png(paintings / "wide.png", np.zeros((64, 80, 3), np.uint8))
+    views = json.loads((work / "scene/main/scene.json").read_text())["views"]
+    held_out = next(view["name"] for view in views if view["split"] == "test")
+    text = reference.format(paintings).replace("held out", held_out)
+    assert words in told(capsys, 3, "stylize", work, "--method", "refnpr", "--reference", text, "--name", "new")
+    assert not (work / "field/new").exists()
+
+
+def test_a_feed_forward_reference_without_its_weights_is_refused_in_a_line(work, photos, capsys, monkeypatch, tmp_path):
+    monkeypatch.delenv("STYLERF_WEIGHTS", raising=False)
+    monkeypatch.setenv("STYLERF_CACHE", str(tmp_path))
+    command = ("stylize", work, "--style", photos / "painting.png", "--method", "refnpr", "--reference-by", "adain")
+    assert "vgg19_decoder_conv3_1.pth" in told(capsys, 2, *command)
+
+
 def test_a_sound_painting_gets_past_that(paintings, capsys):
     assert "stylerf import" in told(capsys, 4, "stylize", paintings / "work", "--style", paintings / "sound.png")
 

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from stylerf.style.images import resized, style_picture
-from stylerf.style.objective import CELLS, EVERYTHING, StyleObjective, StyleWeights, window_of
+from stylerf.style.objective import CELLS, EVERYTHING, GramObjective, StyleObjective, StyleWeights, window_of
 from tests.stylerf.style.small_trunk import picture, small_trunk
 
 HEIGHT, WIDTH = 20, 44
@@ -104,6 +104,26 @@ def test_the_diagonal_variation_is_the_mean_of_its_pixels():
         total += np.linalg.norm(np.zeros(3) + right + down)
     parts = objective(variation="diagonal")(image, objective().content_of(image))[1]
     assert parts["variation"] == pytest.approx(total / (HEIGHT * WIDTH), rel=1e-5)
+
+
+@pytest.mark.parametrize("masked", [False, True])
+def test_the_gram_distance_is_that_of_feature_products_relative_to_the_paintings(masked):
+    image, alpha = picture(HEIGHT, WIDTH, 2), object_alpha() if masked else None
+    made = GramObjective(small_trunk(), picture(30, 40, 1), (HEIGHT, WIDTH), WEIGHTS)
+    painted = blocks_of(made.trunk, style_picture(picture(30, 40, 1), HEIGHT, WIDTH, 0.5))
+    found, expected = blocks_of(made.trunk, resized(image, HEIGHT // 2, WIDTH // 2)), 0.0
+    for seen, style in zip(found, painted):
+        h, w = seen.shape[1:]
+        a, b = HEIGHT // h, WIDTH // w
+        total, gram = 0.0, 0.0
+        for i, j in np.ndindex(h, w):
+            share = 1.0 if alpha is None else float(alpha[i * a : (i + 1) * a, j * b : (j + 1) * b].mean())
+            gram, total = gram + share * np.outer(seen[:, i, j], seen[:, i, j]), total + share
+        wanted = np.einsum("chw,dhw->cd", style, style) / style[0].size
+        expected += ((gram / total - wanted) ** 2).sum() / (wanted**2).sum() / 2
+    parts = made(image, made.content_of(image), alpha)[1]
+    assert parts["style"] == pytest.approx(expected, rel=1e-4) and expected > 1e-3
+    assert made(image, made.content_of(image), torch.zeros(HEIGHT, WIDTH))[1]["style"] == 0
 
 
 def test_what_lies_outside_the_object_is_neither_matched_nor_kept():

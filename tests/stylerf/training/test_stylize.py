@@ -15,7 +15,9 @@ from stylerf.geometry.space import Space
 from stylerf.style.objective import StyleObjective, StyleWeights
 from stylerf.training import geometry
 from stylerf.training import stylize as module
-from stylerf.training.stylize import MEMORY, StyleSettings, Stylizer
+from stylerf.training.repainting import MEMORY
+from stylerf.training.style_settings import StyleSettings
+from stylerf.training.stylize import Stylizer
 from tests.stylerf.small import field_of, float64, hash_colour, oracle_colour, vm_colour
 from tests.stylerf.style.small_trunk import picture, small_trunk
 from tests.stylerf.training.running import Stopped, assert_same_bits, result_of, resumed, run_until

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from stages.configs.stylize import COLOUR_CELLS, StylizeConfig
-from stages.stylize import new_colour, rays_of, settings_of
+from stages.styling import new_colour, rays_of, settings_of
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,236 @@
+"""Stylise a whole scene after one or a few of its views that are given stylised (Ref-NPR, Zhang et al. 2023).
+
+    refit       the new colour learns the photos
+    reference   where a reference is to be made: the view's photo, painted in 2D (style/painted_picture)
+    style       each step: colours of the reference on its own rays, and on the rays of other views that see the same
+                surface (rendering/registration); and one view's picture by its correspondences (style/template).
+                In the last quarter correspondences are sought between renders, as the field then shows them.
+
+The loss of a step is w (MSE of the references' pixels + MSE of registered pixels) + style + content + colour +
+variation, in the last quarter w (...) + 0.2 style + variation.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+import torch
+
+from stylerf.errors import InvalidValue
+from stylerf.rendering.registration import SOLID, SeenPoints, points_of, registered, sampled_at
+from stylerf.style.painted_picture import PaintedPicture
+from stylerf.style.template import Template, TemplateObjective
+from stylerf.style.trunks import Trunk
+from stylerf.training.kept import Kept
+from stylerf.training.matched import over
+from stylerf.training.repainting import CONTENT
+from stylerf.training.stylize import Stylizer
+
+LATE_WEIGHT = 0.2  # of the style distance once matches are sought between renders (Ref-NPR)
+PAINTING_SHARE = 1 / 3  # of a budget of time, that painting references may take
+REGISTERED = 0.1  # of the memory
+Registered = tuple[np.ndarray, np.ndarray]  # pixels [n], colours [n, 3]
+
+
+class Referenced(Stylizer):
+    """references: by training view, its stylised picture [h, w, 3] over the background; None: painted here, in 2D, by
+    the objective of `painting` (settings.loss) on `trunk`. template_trunk, coarse_trunk: see TemplateObjective.
+
+    Painting counts towards the budget. Shapes are held fast, and must not have been displaced.
+    """
+
+    def __init__(
+        self,
+        *given,
+        references: dict[int, np.ndarray | None],
+        template_trunk: Trunk,
+        coarse_trunk: Trunk,
+        **more,
+    ) -> None:
+        if given[0].displacement is not None:
+            raise InvalidValue("rays are not registered through a deformation; give a field without one")
+        self.references = dict(references)
+        self.to_paint = sorted(view for view, picture in references.items() if picture is None)
+        if self.to_paint:
+            self.PHASES = ("refit", "reference", "style")
+        self._template_trunk, self._coarse_trunk = template_trunk, coarse_trunk
+        self._painted: PaintedPicture | None = None
+        self._template: TemplateObjective | None = None
+        self._late: dict[int, np.ndarray] = {}  # the references' views as they are when the last quarter begins
+        self._late_keys = None
+        self._late_matches: dict[int, dict[str, torch.Tensor]] = {}
+        super().__init__(*given, **more)
+        for view, picture in self.references.items():
+            if picture is not None and not self.closed:  # nothing is asked for where nothing of the object is
+                self.references[view] = over(picture, self.still.alpha(view), self.background)
+        views = len(self.cameras)
+        self._wanted = Kept(self._wanted_of, lambda wanted: wanted.bytes, views, CONTENT * self.memory)
+        self._reached = Kept(
+            self._registered_of, lambda found: sum(a.nbytes for a in found), views, REGISTERED * self.memory
+        )
+        self._points: dict[int, SeenPoints] = {}
+
+    @property
+    def stride(self) -> int:
+        return max(trunk.stride for trunk in (self.trunk, self._template_trunk, self._coarse_trunk))
+
+    # -- painting a reference ---------------------------------------------------------------------------------------
+
+    @property
+    def progress(self) -> float:
+        s, state = self.settings, self.state
+        if state.phase != "reference":
+            return super().progress
+        done = state.step / max(1, s.reference_steps * len(self.to_paint))
+        return min(1.0, done if s.steps else max(done, state.seconds / (PAINTING_SHARE * s.seconds)))
+
+    def _step(self) -> dict[str, float]:
+        return self.reference_step() if self.state.phase == "reference" else self.style_step()
+
+    def reference_step(self) -> dict[str, float]:
+        """One step of the picture of a reference, one after the other; the parts of its loss."""
+        each = self.settings.reference_steps
+        at, step = divmod(self.state.step, each)
+        view = self.to_paint[at]
+        if self._painted is None:
+            self._painted = self._new_picture(view)
+        parts = self._painted.step(self._painting_loss(view), 1 - step / each)
+        self.references[view] = np.rint(self._painted.pixels() * 255).astype(np.uint8).astype(np.float32) / 255
+        if step + 1 == each:
+            self._painted = None
+        return parts
+
+    def _new_picture(self, view: int) -> PaintedPicture:
+        start = self._there(self.photos[view])
+        return PaintedPicture(start, self._alpha_there(view), float(self.background), self.settings.image_rate)
+
+    def _painting_loss(self, view: int) -> Callable:
+        content, alpha, window = self._content_of(view), self._alpha_there(view), self.windows[view]
+        return lambda picture: self.objective(picture, content, alpha, window)
+
+    def _next_phase(self) -> None:
+        painting, seconds = self.state.phase == "reference", self.state.seconds
+        if painting:
+            self._painted = None
+            for view in self.to_paint:  # a budget of time can end before the turn of the last ones
+                if self.references[view] is None:
+                    self.references[view] = self.photos[view]
+        super()._next_phase()
+        if painting:
+            self.state.seconds = seconds
+
+    # -- what the references ask for --------------------------------------------------------------------------------
+
+    @property
+    def template(self) -> TemplateObjective:
+        """The loss of a view by its correspondences; made when the references are there."""
+        if self._template is None:
+            s = self.settings
+            templates = [
+                Template(self._there(self.photos[v]), self._there(picture), self._alpha_there(v), self.windows[v])
+                for v, picture in self.references.items()
+            ]
+            given = (s.template_weights, s.feature_scale, s.style_basis, self.seed, s.variation)
+            self._template = TemplateObjective(self._template_trunk, self._coarse_trunk, templates, *given)
+        return self._template
+
+    def _wanted_of(self, view: int):
+        return self.template.wanted(self._there(self.photos[view]), self._alpha_there(view), self.windows[view])
+
+    def _points_of(self, view: int) -> SeenPoints:
+        if view in self._points:
+            return self._points[view]
+        found = points_of(self.still.surface(view), self.cameras[view], self.field.space)
+        if view in self.references:
+            self._points[view] = found
+        return found
+
+    def _registered_of(self, view: int) -> Registered:
+        """Pixels of a view that see what a reference sees, and its colours there; of several, the straightest look."""
+        count = self.cameras[view].width * self.cameras[view].height
+        best, colours = np.full(count, -1.0), np.zeros((count, 3), np.float32)
+        for other, picture in self.references.items():
+            if other == view:
+                continue
+            pixels, positions, cosines = registered(self._points_of(view), self._points_of(other))
+            nearer = cosines > best[pixels]
+            best[pixels[nearer]] = cosines[nearer]
+            colours[pixels[nearer]] = sampled_at(picture, positions[nearer])
+        pixels = np.flatnonzero(best > -1)
+        return pixels, colours[pixels]
+
+    @property
+    def registered_share(self) -> float:
+        """Of what views other than the references see, the part that the references tell the colour of."""
+        others = [view for view in range(len(self.cameras)) if view not in self.references]
+        shares = [len(self._reached[v][0]) / max(1, int((self.still.alpha(v) > SOLID).sum())) for v in others]
+        return float(np.mean(shares)) if shares else 0.0
+
+    def _also_learn(self, generator: np.random.Generator) -> dict[str, float]:
+        weight, parts = self.settings.reference_weight, {"reference": 0.0, "registered": 0.0}
+        views = list(self.references)
+        view = views[int(generator.integers(len(views)))]
+        parts["reference"] = self._learn_image(view, self.references[view], generator, weight) or 0.0
+        others = [v for v in range(len(self.cameras)) if v not in self.references]
+        if others:
+            view = others[int(generator.integers(len(others)))]
+            pixels, colours = self._reached[view]
+            if len(pixels):
+                chosen = generator.integers(0, len(pixels), self.settings.refit_pixels)
+                parts["registered"] = self._learn_pixels(view, pixels[chosen], colours[chosen], weight)
+        return parts
+
+    def _loss(self, view: int, picture: torch.Tensor) -> tuple[torch.Tensor, dict[str, float]]:
+        alpha, window = self._alpha_there(view), self.windows[view]
+        if self.progress < 1 - self.settings.late:
+            return self.template(picture, self._wanted[view], alpha, window)
+        found = self.template.features_of(picture, window)
+        if view not in self._late_matches:
+            looks = {block: feature.detach() for block, feature in found.items()}
+            self._late_matches[view] = self.template.matches_of(looks, self.late_keys, alpha, window)
+        style = self.template.style_distance(found, self._late_matches[view], alpha, window)
+        variation = self.template.variation(picture)
+        loss = LATE_WEIGHT * style + self.settings.template_weights.variation * variation
+        return loss, {"style": float(style.detach()), "variation": float(variation.detach())}
+
+    @property
+    def late_keys(self):
+        """What renders are matched against in the last quarter: the references' own views, as they looked before it."""
+        if self._late_keys is None:
+            for view in self.references:
+                if view not in self._late:
+                    alpha = self.geometry.alpha(view)
+                    rgb = self.paint_view(view).reshape(*alpha.shape, 3)
+                    self._late[view] = rgb + (1 - alpha[..., None]) * self.background
+            self._late_keys = self.template.keys_of([self._there(self._late[view]) for view in self.references])
+        return self._late_keys
+
+    # -- checkpoints ------------------------------------------------------------------------------------------------
+
+    def _own_arrays(self) -> dict[str, np.ndarray]:
+        arrays = super()._own_arrays()
+        for view in self.to_paint:
+            if self.references[view] is not None:
+                arrays[f"reference.{view}"] = np.rint(self.references[view] * 255).astype(np.uint8)
+        if self._painted is not None:
+            arrays |= {f"painted.{k}": v for k, v in self._painted.arrays().items()}
+        arrays |= {f"late.{view}": picture.astype(np.float32) for view, picture in self._late.items()}
+        for view, matches in self._late_matches.items():
+            arrays |= {f"matches.{view}.{block}": found.cpu().numpy() for block, found in matches.items()}
+        return arrays
+
+    def _restore_own(self, arrays: dict[str, np.ndarray]) -> None:
+        super()._restore_own(arrays)
+        for view in self.to_paint:
+            if f"reference.{view}" in arrays:
+                self.references[view] = arrays[f"reference.{view}"].astype(np.float32) / 255
+        moments = {k[8:]: v for k, v in arrays.items() if k.startswith("painted.")}
+        if moments:
+            self._painted = self._new_picture(self.to_paint[self.state.step // self.settings.reference_steps])
+            self._painted.restore(moments)
+        self._late = {int(k[5:]): v.copy() for k, v in arrays.items() if k.startswith("late.")}
+        self._late_matches = {}
+        for name, found in arrays.items():
+            if name.startswith("matches."):
+                _, view, block = name.split(".")
+                there = torch.from_numpy(found.copy()).to(self._template_trunk.input_scale.device)
+                self._late_matches.setdefault(int(view), {})[block] = there

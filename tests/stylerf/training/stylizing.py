@@ -1,0 +1,54 @@
+"""A tiny scene to stylise by any method: a fog in a box, three looks at it, a painting, a trunk of few channels."""
+
+import numpy as np
+
+from stylerf.geometry.cameras import Camera
+from stylerf.geometry.paths import look_at
+from stylerf.geometry.space import Space
+from stylerf.style.objective import StyleWeights
+from stylerf.training.style_settings import StyleSettings
+from tests.stylerf.small import field_of, hash_colour, vm_colour
+from tests.stylerf.style.small_trunk import picture, small_trunk
+
+BOX = Space.box([-1, -1, -1], [1, 1, 1])
+HEIGHT, WIDTH, GREY, VIEWS = 14, 18, 0.75, 3
+
+
+def camera(index: int, apart: float = 1.3) -> Camera:
+    eye = 2.8 * np.array([np.cos(apart * index), np.sin(apart * index), 0.3])
+    pose = look_at(eye, np.zeros(3), np.array([0, 0, 1.0]))
+    return Camera(f"s{index}", WIDTH, HEIGHT, 20.0, 20.0, WIDTH / 2, HEIGHT / 2, pose)
+
+
+def settings(**more) -> StyleSettings:
+    small = {"steps": 12, "refit_steps": 8, "refit_pixels": 128, "feature_scale": 1.0, "style_basis": 0, "share": 0.1}
+    return StyleSettings(**{**small, "weights": StyleWeights(1.0, 0.02, 0.5), **more})
+
+
+def made(kind: type, seed: int = 0, apart: float = 1.3, raw: float = -3.0, more: dict | None = None, **given):
+    """A stylisation of class `kind`. apart: radians between neighbouring looks. raw: of the fog's density."""
+    field = field_of(BOX, 3, vm_colour(4))
+    field.density.values[-1] = raw
+    photos = [picture(HEIGHT, WIDTH, 20 + i).permute(1, 2, 0).numpy().copy() for i in range(VIEWS)]
+    cameras = [camera(i, apart) for i in range(VIEWS)]
+
+    def new_colour(generator, pixel_cells):
+        return hash_colour(int(generator.integers(1000)))
+
+    args = (field, cameras, photos, GREY, picture(20, 24, 9), small_trunk(), settings(**given), seed, 1, new_colour)
+    return kind(*args, **(more or {}))
+
+
+def stopping(counts: list[int]):
+    """For run(): raises Stopped once so many steps in all have been told, for each of the counts in turn."""
+    from tests.stylerf.training.running import Stopped
+
+    told, left = [0], list(counts)
+
+    def on_step(now) -> None:
+        told[0] += 1
+        if left and told[0] == left[0]:
+            left.pop(0)
+            raise Stopped
+
+    return on_step
