@@ -2,9 +2,9 @@
 
 The field starts coarse and climbs a ladder of capacities. Each rung is a trial: if, when its share of the budget is
 used up, held-out views have not gained `min_gain` dB over the rung before, the field goes back to that rung and stays
-there. When the ladder has ended, what the views do not miss is given up again (climbing.py decides). Held-out views are
-taken from the training views, never from the test views, and are trained on in the last part of the budget, when nothing
-is left to decide.
+there. When the ladder has ended, what the views do not miss is given up again (climbing.py decides). Held-out views
+are taken from the training views, never from the test views, and are trained on in the last part of the budget, when
+nothing is left to decide.
 """
 
 import math
@@ -234,7 +234,7 @@ class Fitter:
             reduced = self.held_out_psnr()
             if not climb.hopeless(reduced):  # else it is never taught, and what teaches it need not be compiled
                 self._warm_up({(climb.rung.density_rank, climb.rung.colour_rank)})
-                if not climb.enough(reduced):
+                if not climb.enough(reduced, self.progress):
                     break  # a while of teaching decides
             quality = self._judge(reduced)
 
@@ -255,7 +255,7 @@ class Fitter:
         """Keep or drop what is on trial; the held-out quality of the field that stands."""
         state, before = self.state, self.state.trial["before"]
         reduced = state.trial["what"] != GROW
-        kept, text = self.climb.judge(quality, self.parameters)
+        kept, text = self.climb.judge(quality, self.parameters, self.progress)
         state.decisions.append(text)
         if kept:
             state.best = quality if reduced else max(state.best, quality)
