@@ -37,8 +37,8 @@ class DecompositionWeights:
     """Weights of the parts beside the two images' squared errors, as published.
 
     sparsity: sum w / sum w^2 - 1. offset: sum_i |delta_i|^2. view: |s|^2. smooth: of weights between near places of
-    like colour. guide: towards the weights that the palette's hull tells, falling to 0 at RELEASE. drift: of the palette
-    from what was extracted, once it is released.
+    like colour. guide: towards the weights that the palette's hull tells, falling to 0 at RELEASE. drift: of the
+    palette from what was extracted, once it is released.
     """
 
     sparsity: float = 2e-4
@@ -179,7 +179,8 @@ class Decomposing(Repainting):
     def _collect_gradients(self, seen: "_Seen") -> None:
         colour, to = self.field.colour, self.adam.gradients
         for x, phi in seen.encoded:
-            colour.features.backward(colour.table, x, np.arange(len(x)), phi.grad.numpy(), to)
+            if phi.grad is not None:
+                colour.features.backward(colour.table, x, np.arange(len(x)), phi.grad.numpy(), to)
         own = seen.rest.grad.numpy()
         if self.progress < RELEASE or self.state.phase == "refit":
             own[: 3 * colour.bases] = 0
