@@ -81,7 +81,7 @@ def test_mixes_of_four_corners_are_barycentric_and_those_from_outside_the_neares
     np.testing.assert_allclose(mixing_weights(wanted @ CORNERS, CORNERS), wanted, atol=1e-6)
     for colour in np.random.default_rng(6).random((4, 3)) * 1.4 - 0.2:
         best = minimize(
-            lambda w: np.square(w @ CORNERS - colour).sum(), np.full(4, 0.25), bounds=[(0, 1)] * 4,
+            lambda w, colour=colour: np.square(w @ CORNERS - colour).sum(), np.full(4, 0.25), bounds=[(0, 1)] * 4,
             constraints={"type": "eq", "fun": lambda w: w.sum() - 1}, options={"ftol": 1e-14, "maxiter": 500},
         )  # fmt: skip
         np.testing.assert_allclose(mixing_weights(colour[None], CORNERS)[0] @ CORNERS, best.x @ CORNERS, atol=2e-3)
