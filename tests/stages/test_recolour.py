@@ -43,8 +43,9 @@ def work(tmp_path):
     made.commit(
         work, "field", "palette", "decompose", {"scene": scene, "field": fit}, write, figures=TOLD | {"psnr": 30}
     )
-    made.commit(work, "field", "plain", "nerf_fit", {"scene": scene},
-                lambda folder: save_field(folder, field_of(Space.box([-1, -1, 2], [1, 1, 4]), 3, vm_colour(1)), "none"))  # fmt: skip
+    plain = field_of(field.space, 3, vm_colour(1))
+    inputs = {"scene": scene}
+    made.commit(work, "field", "plain", "nerf_fit", inputs, lambda folder: save_field(folder, plain, "none"))
     return work
 
 
