@@ -5,10 +5,11 @@ by one. Every colour within is then a mix of the corners, and the mix tells weig
 """
 
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 from scipy.ndimage import distance_transform_edt
-from scipy.optimize import linprog, nnls
+from scipy.optimize import nnls
 from scipy.spatial import ConvexHull, QhullError
 
 from stylerf.editing.palette import clustered_palette
@@ -21,6 +22,8 @@ FEWEST = 4  # corners of a shape that holds a volume
 ROUNDS = 20
 SUM_WEIGHT = 100.0  # of the weights' sum being 1, beside the colour's error
 SIDE = 1 << FINE
+SLANTED = 1e-9  # determinant of three unit normals under which their planes meet nowhere, or in a line
+FARTHEST = 1.5  # from the middle of the colours, along each channel, that a corner may lie before it is clipped
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,17 +112,30 @@ def collapsed(corners: np.ndarray) -> np.ndarray | None:
         normals, depths = hull.equations[beside, :3], hull.equations[beside, 3]
         areas = np.array([_area(corners[face]) for face in hull.simplices[beside]])
         # Volume added is a sum of pyramids over these faces: area times distance by three, linear in the point.
-        found = linprog((areas[:, None] * normals).sum(0) / 3, A_ub=-normals, b_ub=depths, bounds=(-1, 2))
-        if found.status != 0:
+        found = least_outside(normals, depths, areas @ normals / 3)
+        if found is None:
             continue
-        added = found.fun + float(areas @ depths) / 3
+        added = float(areas @ (normals @ found + depths)) / 3
         if best is None or added < best[0] - 1e-12:
-            best = added, first, second, found.x
+            best = added, first, second, found
     if best is None:
         return None
     _, first, second, point = best
     left = np.concatenate([np.delete(corners, [first, second], 0), point[None]])
     return left[ConvexHull(left).vertices]
+
+
+def least_outside(normals: np.ndarray, depths: np.ndarray, cost: np.ndarray) -> np.ndarray | None:
+    """The point [3] of least cost @ point with normals [k, 3] @ point + depths >= 0; None where there is none.
+
+    A linear programme of three unknowns: its answer is where three of the planes meet, so all such places are tried.
+    """
+    triples = np.array(list(combinations(range(len(depths)), 3)))
+    systems = normals[triples]
+    meeting = np.abs(np.linalg.det(systems)) > SLANTED
+    places = np.linalg.solve(systems[meeting], -depths[triples[meeting]][..., None])[..., 0]
+    places = places[(places @ normals.T + depths >= -1e-9).all(1) & (np.abs(places - 0.5) < FARTHEST).all(1)]
+    return places[(places @ cost).argmin()] if len(places) else None
 
 
 def _area(face: np.ndarray) -> float:

@@ -4,7 +4,7 @@ from collections import defaultdict
 
 import numpy as np
 import pytest
-from scipy.optimize import minimize
+from scipy.optimize import linprog, minimize
 from scipy.spatial import ConvexHull, Delaunay
 
 from stylerf.editing.hull import (
@@ -13,6 +13,7 @@ from stylerf.editing.hull import (
     extracted,
     histogram,
     hull_error,
+    least_outside,
     mixing_weights,
     simplified,
     weighted_means,
@@ -52,6 +53,20 @@ def test_a_collapsed_hull_has_a_corner_less_holds_all_and_adds_little():
     assert outside < 1e-9
     # The cheapest of all edges: less than cutting to a point of any other kind, a corner moved out to twice its way.
     assert hull.volume <= ConvexHull(fewer).volume < 1.1 * hull.volume
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_least_point_outside_is_that_of_linear_programming(seed):
+    """Faces around a corner that looks up, moved at random."""
+    generator = np.random.default_rng(seed)
+    normals = np.column_stack([generator.normal(size=(8, 2)), np.full(8, 1.0)])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    depths, cost = -normals @ generator.random(3) + generator.uniform(-0.02, 0.02, 8), generator.random(8) @ normals
+    bounds = [(0.5 - 1.5, 0.5 + 1.5)] * 3
+    expected = linprog(cost, A_ub=-normals, b_ub=depths, bounds=bounds)
+    found = least_outside(normals, depths, cost)
+    assert expected.status == 0 and cost @ found == pytest.approx(expected.fun, abs=1e-7)
+    assert (normals @ found + depths > -1e-8).all()
 
 
 def test_a_shape_is_simplified_to_its_own_corners():
