@@ -180,7 +180,8 @@ class Decomposing(Repainting):
         colour, to = self.field.colour, self.adam.gradients
         for x, phi in seen.encoded:
             if phi.grad is not None:
-                colour.features.backward(colour.table, x, np.arange(len(x)), phi.grad.numpy(), to)
+                gradients = phi.grad.contiguous().numpy()
+                colour.features.backward(colour.table, x, np.arange(len(x)), gradients, to)
         own = seen.rest.grad.numpy()
         if self.progress < RELEASE or self.state.phase == "refit":
             own[: 3 * colour.bases] = 0
