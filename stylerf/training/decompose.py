@@ -172,8 +172,7 @@ class Decomposing(Repainting):
             "drift": (seen.palette - first).square().sum(1).mean(),
         }
         if self.progress >= SMOOTH_FROM:
-            beside = seen.beside(generator)
-            losses["smooth"] = seen.composited(roughness(parts, beside, seen.away)[:, None]).mean()
+            losses["smooth"] = seen.composited(roughness(parts, *seen.beside(generator))[:, None]).mean()
         return losses
 
     def _collect_gradients(self, seen: "_Seen") -> None:
@@ -243,7 +242,6 @@ class _Seen:
         self.rest = torch.from_numpy(self._colour.rest.copy()).requires_grad_()
         self.encoded: list[tuple[np.ndarray, Tensor]] = []
         self.parts, self.palette = self._parts(self.x)
-        self.away = torch.zeros(len(self.x))
 
     def _parts(self, x: np.ndarray) -> tuple[Parts, Tensor]:
         colour = self._colour
@@ -251,11 +249,10 @@ class _Seen:
         self.encoded.append((x, phi.requires_grad_()))
         return colour.parts(self.rest, phi, self._basis, apart=True)
 
-    def beside(self, generator: np.random.Generator) -> Parts:
-        """Of places up to SMOOTH_REACH further along each axis; `away` [n] is then by how much, squared."""
+    def beside(self, generator: np.random.Generator) -> tuple[Parts, Tensor]:
+        """(parts of places up to SMOOTH_REACH further along each axis, their squared distances in the cube [n])."""
         moved = np.minimum(self.x + generator.random(self.x.shape, np.float32) * np.float32(SMOOTH_REACH), 1)
-        self.away = torch.from_numpy(np.square(moved - self.x).sum(1))
-        return self._parts(moved)[0]
+        return self._parts(moved)[0], torch.from_numpy(np.square(moved - self.x).sum(1))
 
     def composited(self, values: Tensor) -> Tensor:
         """[pixels, k]: sum over each ray's samples of weight times values [n, k]."""
