@@ -1,8 +1,10 @@
-"""Write README's figures and charts from benchmarks/results: `python -m benchmarks.readme [--check]`."""
+"""Write README, docs/results.md and their charts from benchmarks/results: `python -m benchmarks.readme [--check]`."""
 
 import json
 import sys
 from pathlib import Path
+
+from benchmarks.results_page import page
 
 ROOT = Path(__file__).resolve().parent.parent
 RESULTS = ROOT / "benchmarks" / "results"
@@ -182,9 +184,11 @@ def main() -> int:
         head, _, rest = wanted.partition(begin)
         _, _, tail = rest.partition(end)
         wanted = f"{head}{begin}\n{block()}\n{end}{tail}"
+    results = ROOT / "docs" / "results.md"
     if "--check" in sys.argv:
-        return int(wanted != text)
+        return int(wanted != text or page() != results.read_text())
     readme.write_text(wanted)
+    results.write_text(page())
     (IMAGES / "strategies.svg").write_text(strategies_chart())
     if (RESULTS / "pareto.json").is_file():
         (IMAGES / "pareto.svg").write_text(pareto_chart(result("pareto.json")))
