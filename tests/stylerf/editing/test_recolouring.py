@@ -84,6 +84,17 @@ def test_an_edit_falls_off_around_its_place():
     np.testing.assert_allclose(everywhere, np.tile(blue, (3, 1)), atol=1e-5)
 
 
+def test_weights_offsets_and_gloss_change_around_the_place_alone():
+    x = np.float32([[0.5, 0.5, 0.5], [0.0, 0.5, 0.5]])  # the place, and ten reaches away
+    changes = PaletteEdits(scales={0: 0.0}), 0.0, 0.0
+    here = Recolouring(*changes, SpaceFilter(SPACE, ((0.0, 0.0, 0.0),), 0.2))
+    found, without, everywhere = (
+        recoloured(*given(2), PALETTE, edits, x) for edits in ((here,), (), (Recolouring(*changes),))
+    )
+    np.testing.assert_allclose(found, torch.stack([everywhere[0], without[1]]), atol=1e-6)
+    assert (everywhere - without).abs().max(1).values.min() > 0.02
+
+
 def test_distances_are_those_of_the_scene_whatever_its_space():
     space = Space.box([-1, -0.8, -0.5], [1.2, 0.9, 0.7], near=0.05, far=1e3, kind="contraction")
     centre, way = np.array([0.3, 0.2, 0.1]), np.array([[2.0, 0, 0], [0, 3.0, 0], [0.1, 0, 0], [0, 0, 0]])
