@@ -7,11 +7,10 @@ import numpy as np
 
 from schemas.errors import BadInput
 from schemas.store import Artefact, Partial
-from stages.configs.edit import PaletteConfig, colour_of, number_of
-from stages.edits import PALETTE, Edit, columns_and_shares, load_edit, save_edit
+from stages.configs.edit import PaletteConfig
+from stages.edits import PALETTE, Edit, by_column, changes_of, columns_and_shares, load_edit, save_edit
 from stages.progress import Context
 from stages.runner import Spec
-from stylerf.editing.edits import PaletteEdits, tinted
 from stylerf.errors import InvalidValue
 
 SPEC = Spec(stage="edit_palette", verb="stylize", revision=1, writes="edit")
@@ -33,23 +32,3 @@ def run(inputs: dict[str, Artefact], config: PaletteConfig, partial: Partial, co
     if (learnt.path / "style.png").is_file():
         shutil.copyfile(learnt.path / "style.png", partial.path / "style.png")
     return {"learnt": learnt.name, "changes": changes.describe(), **told}
-
-
-def by_column(changes: PaletteEdits, columns: list[int]) -> PaletteEdits:
-    """Changes counted as palette.json counts colours, as the module counts them."""
-    named = (changes.colours, changes.scales, changes.biases)
-    return PaletteEdits(*({columns[index]: value for index, value in one.items()} for one in named))
-
-
-def changes_of(config: PaletteConfig, palette: np.ndarray, shares: np.ndarray) -> PaletteEdits:
-    """The changes that a config asks for; palette [A, 3] and shares [A], counted as palette.json counts."""
-    asked = dict(map(colour_of, config.palette))
-    colours = {index: colour for index, colour in asked.items() if index is not None}
-    if None in asked:
-        every = enumerate(tinted(palette, shares, asked[None]).tolist())
-        colours = {index: tuple(colour) for index, colour in every} | colours
-    return PaletteEdits(
-        colours,
-        dict(map(number_of, config.palette_weight)),
-        dict(map(number_of, config.palette_bias)),
-    )

@@ -11,7 +11,8 @@ from schemas.errors import ArtefactDamaged
 from schemas.images import to_uint8, write_png
 from schemas.store import Artefact
 from schemas.tensors import load_tensors, save_tensors
-from stylerf.editing.edits import PaletteEdits
+from stages.configs.edit import PaletteConfig, colour_of, number_of
+from stylerf.editing.edits import PaletteEdits, tinted
 from stylerf.editing.palette import PaletteModule
 from stylerf.errors import InvalidValue
 
@@ -35,7 +36,11 @@ def save_edit(folder: Path, edit: Edit, shares: list[float], told: dict) -> None
     save_tensors(folder / NUMBERS, edit.module.arrays())
     write_json(folder / DESCRIPTION, {"module": edit.module.describe(), "changes": edit.changes.describe()})
     learnt = edit.module.palette
-    now = edit.changes.palette(learnt)
+    save_palette(folder, learnt, edit.changes.palette(learnt), shares, told)
+
+
+def save_palette(folder: Path, learnt: np.ndarray, now: np.ndarray, shares: list[float], told: dict) -> None:
+    """palette.json and palette.png of palettes [A, 3] as learnt and as they are now."""
     order = [int(column) for column in np.argsort(-np.asarray(shares), kind="stable")]
     entries = [
         {
@@ -72,6 +77,26 @@ def columns_and_shares(artefact: Artefact) -> tuple[list[int], list[float]]:
         return columns, [shares[column] for column in range(len(columns))]
     except (KeyError, TypeError, ValueError) as error:
         raise ArtefactDamaged(f"{artefact.path / PALETTE} is not sound ({error}); make it anew") from error
+
+
+def by_column(changes: PaletteEdits, columns: list[int]) -> PaletteEdits:
+    """Changes counted as palette.json counts colours, as the module counts them."""
+    named = (changes.colours, changes.scales, changes.biases)
+    return PaletteEdits(*({columns[index]: value for index, value in one.items()} for one in named))
+
+
+def changes_of(config: PaletteConfig, palette: np.ndarray, shares: np.ndarray) -> PaletteEdits:
+    """The changes that a config asks for; palette [A, 3] and shares [A], counted as palette.json counts."""
+    asked = dict(map(colour_of, config.palette))
+    colours = {index: colour for index, colour in asked.items() if index is not None}
+    if None in asked:
+        every = enumerate(tinted(palette, shares, asked[None]).tolist())
+        colours = {index: tuple(colour) for index, colour in every} | colours
+    return PaletteEdits(
+        colours,
+        dict(map(number_of, config.palette_weight)),
+        dict(map(number_of, config.palette_bias)),
+    )
 
 
 def swatch(learnt: np.ndarray, now: np.ndarray, shares: list[float]) -> np.ndarray:

@@ -16,7 +16,7 @@ from schemas.atomic import write_bytes, write_json
 from schemas.store import Artefact, Partial
 from stages.configs.evaluate import EvaluateConfig
 from stages.evaluation.asked import check
-from stages.evaluation.edited import LocalEdit
+from stages.evaluation.edited import LocalEdit, palette_facts, palette_rows
 from stages.evaluation.figures import Figure, Row, summarise, write_csv
 from stages.evaluation.film import Film
 from stages.evaluation.lenses import Lenses
@@ -191,6 +191,7 @@ class Evaluation:
         lenses = self.lenses
         return {
             **(self.edit.facts() if self.edit else {}),
+            **palette_facts(self.field),
             "background": self.scene.background_words,
             "stlpips_net": lenses.tolerant.words if lenses.tolerant else "absent",
             "lpips_net": lenses.lpips.words if lenses.lpips else "absent",
@@ -208,7 +209,7 @@ class Evaluation:
         facts = self.facts()
         name = "the unstylised renders" if self.base is not None else "the photos"
         reference = {figure.key: {name: figure.mean} for figure in summarise(self.reference_rows, facts)}
-        palette = self.edit.palette_rows() if self.edit else []
+        palette = palette_rows(self.field, self.edit is not None)
         figures = summarise([*self.rows, *self.pairs, *self.training_rows, *palette], facts, reference)
         if self.edit is not None:
             figures = self.edit.told(figures, self.rows)

@@ -32,11 +32,16 @@ def new_colour(config: StylizeConfig, generator: np.random.Generator, pixel_cell
 
     Finer ones are taught by single views, each its own cell, and what they learn shows as grain from between them.
     """
-    least, most = COLOUR_CELLS
-    finest = config.finest
-    if not finest:
-        finest = int(np.clip(round(FINER * pixel_cells / 16) * 16, least, most)) if np.isfinite(pixel_cells) else least
+    finest = finest_cells(config.finest, pixel_cells)
     return HashColour.create(generator, levels=config.levels, finest=finest, table=1 << config.table_bits)
+
+
+def finest_cells(asked: int, pixel_cells: float) -> int:
+    """Cells a side of a new colour's finest level: as asked for, or FINER than a pixel, within COLOUR_CELLS."""
+    least, most = COLOUR_CELLS
+    if asked:
+        return asked
+    return int(np.clip(round(FINER * pixel_cells / 16) * 16, least, most)) if np.isfinite(pixel_cells) else least
 
 
 def rays_of(config: StylizeConfig, long_side: int) -> str:

@@ -75,3 +75,25 @@ def regions_shown(session: Any, field: Artefact, config: RenderConfig) -> dict[s
     if others:
         session.say(f"no masks of {', '.join(others)}: selected in the space of another field than {field.name}")
     return fitting
+
+
+def palette_learnt(session: Any, scene: Artefact, field: Artefact, config: Any, changes: Any) -> Artefact:
+    """A field whose colours are decomposed into a palette, <field>-palettenerf; with changes, <field>-recoloured.
+
+    With changes, what was learnt stands beside under its own name, so that other changes need no training.
+    """
+    from stages import decompose
+
+    inputs, name = {"scene": scene, "field": field}, f"{field.name}-palettenerf"
+    if not changes:
+        return session.run(decompose.SPEC, decompose.run, inputs, config, name)
+    learnt = session.run(decompose.SPEC, decompose.run, inputs, config, name, own=False)
+    return palette_changed(session, scene, learnt, changes)
+
+
+def palette_changed(session: Any, scene: Artefact, field: Artefact, changes: Any) -> Artefact:
+    """A field with changes of its palette, <field>-recoloured unless a name is given."""
+    from stages import recolour
+
+    inputs = {"scene": scene, "field": field}
+    return session.run(recolour.SPEC, recolour.run, inputs, changes, f"{field.name}-recoloured")

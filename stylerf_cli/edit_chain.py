@@ -13,6 +13,8 @@ _VERBS = {
     "edit_dataset": "extract",
     "edit_learn": "stylize",
     "edit_palette": "stylize",
+    "decompose": "stylize",
+    "recolour": "stylize",
     "nerf_fit": "fit",
     "deform_init": "deform",
 }

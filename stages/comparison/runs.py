@@ -19,6 +19,7 @@ CHARTED = {
     STYLISATIONS: {"nnfm": "", "content_ssim": "", "short_rmse": "--path", "long_rmse": "--path"},
     EDITS: {"background_mse": "--region", "bleeding": "--region", "sparsity": "--region", "short_rmse": "--path"},
 }
+PREPARING = ("distill", "deform_init", "decompose", "recolour")  # stages whose fields and scenes cost an edit its time
 NEEDED = {FITS: ("psnr",), STYLISATIONS: tuple(CHARTED[STYLISATIONS]), EDITS: ("background_mse", "bleeding")}
 
 
@@ -85,11 +86,12 @@ def runs_of(works: Sequence[Work]) -> tuple[list[Run], list[Gap]]:
 
 
 def family_of(artefact: Artefact) -> str | None:
-    """Which family a field belongs to; None for one that only prepares another (a deformation fitted to the photos)."""
+    """Which family a field belongs to; None for one that only prepares another (a deformation or a palette
+    fitted to the photos)."""
     stage = artefact.manifest.stage
-    if stage == "finetune":
+    if stage in ("finetune", "recolour"):
         return EDITS
-    if stage == "deform_init":
+    if stage in ("deform_init", "decompose"):
         return None
     return STYLISATIONS if is_stylised(artefact) else FITS
 
@@ -141,7 +143,7 @@ def _made_for(artefact: Artefact) -> dict[Path, Artefact]:
         if ref.kind not in ("field", "scene", "edit", "edit-dataset"):
             continue
         source = work.get(ref.kind, ref.name)
-        if ref.kind in ("edit", "edit-dataset") or source.manifest.stage in ("distill", "deform_init"):
+        if ref.kind in ("edit", "edit-dataset") or source.manifest.stage in PREPARING:
             found |= {path: one for path, one in _made_for(source).items() if path not in found}
             found.setdefault(source.path, source)
     return found
@@ -191,6 +193,8 @@ def _method(artefact: Artefact, family: str) -> str:
     if family == FITS:
         kinds, head = config.get("field", "vm"), config.get("head", "linear")
         return kinds if head == "linear" else f"{kinds}, {head}"
+    if artefact.manifest.stage == "recolour":
+        return "palettenerf"
     if family == EDITS:
         return f"colours: {config['colours']}" if "colours" in config else artefact.manifest.stage
     return str(config.get("method") or artefact.manifest.stage)

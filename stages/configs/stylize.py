@@ -6,7 +6,7 @@ from stages.configs import option
 from stages.configs.fit import budget_of
 
 COLOUR_CELLS = (64, 1024)  # fewest and most cells a side that the colour field takes by itself
-METHODS = ("arf", "desrf", "snerf", "refnpr")
+METHODS = ("arf", "desrf", "snerf", "refnpr", "palettenerf")
 # Options that mean nothing with another method, by their beginning.
 OWN = {"snerf": ("rounds", "image_"), "refnpr": ("reference",)}
 
@@ -21,7 +21,8 @@ class StylizeConfig:
         "arf",
         choices=METHODS,
         help="arf: colours alone, shapes held fast; desrf: colours and shapes; snerf: pictures painted in 2D and the "
-        "field taught them, by turns; refnpr: after views that are given, or made, stylised",
+        "field taught them, by turns; refnpr: after views that are given, or made, stylised; palettenerf: no painting, "
+        "a palette of the whole scene that can be changed (its options: --method palettenerf --help)",
     )
     budget: str = option("2m", help="time of the style steps (60s, 2m) or their number")
     rays: str = option(
@@ -128,6 +129,10 @@ class StylizeConfig:
             raise ValueError("the colour field takes 1 to 16 levels, 16 to 4096 cells (or 0), 10 to 24 table bits")
 
     def _check_method(self) -> None:
+        if self.method == "palettenerf":
+            raise ValueError(
+                "--method palettenerf has options of its own and is given on the command line, not in a file"
+            )
         for item in fields(self):
             owner = next((m for m, names in OWN.items() if item.name.startswith(names)), self.method)
             if item.name == "image_rate" and self.method in OWN:

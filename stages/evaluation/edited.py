@@ -9,7 +9,7 @@ import numpy as np
 from schemas.store import Artefact
 from stages.configs.evaluate import EvaluateConfig
 from stages.evaluation.figures import Figure, Row, is_number
-from stages.evaluation.lineage import edit_behind
+from stages.evaluation.lineage import palette_behind
 from stages.evaluation.masks import PictureMasks, RegionMasks
 from stages.evaluation.measuring import ViewRow
 from stages.evaluation.views import FrameViews, Photo, Render, SceneViews
@@ -103,14 +103,6 @@ class LocalEdit:
             self._context.progress.update(done)
         self._context.progress.finish()
 
-    def palette_rows(self) -> list[Row]:
-        """Sparsity and TV of the weights of the palette that the field has learnt, as told when it was made."""
-        made = edit_behind(self._inputs["field"]) if "field" in self._inputs else None
-        if made is None:
-            return []
-        told = made.manifest.figures
-        return [{"name": made.name, **{key: told[key] for key in PALETTE if is_number(told.get(key))}}]
-
     def facts(self) -> dict:
         """What the protocols are filled in with."""
         masked = self._masks.words.format(margin=self.margin)
@@ -146,6 +138,26 @@ class LocalEdit:
             return []
         shown = ", ".join(absent[:6]) + (f" and {len(absent) - 6} more" if len(absent) > 6 else "")
         return [f"{len(absent)} views have no mask in {self._config.masks} and take no part in its figures: {shown}."]
+
+
+def palette_rows(field: Artefact | None, edited: bool) -> list[Row]:
+    """Sparsity and TV of the weights of the palette that the field's colours are mixed of, as told when it was made.
+
+    edited: whether a local edit is measured; the palette of one is not that of a whole field.
+    """
+    made = None if field is None else palette_behind(field)
+    if made is None or (made.kind == "edit" and not edited):
+        return []
+    told = made.manifest.figures
+    return [{"name": made.name, **{key: told[key] for key in PALETTE if is_number(told.get(key))}}]
+
+
+def palette_facts(field: Artefact | None) -> dict:
+    """What the protocols of these figures are filled in with."""
+    made = None if field is None else palette_behind(field)
+    if made is None or made.kind == "edit":
+        return {"palette_pixels": "the region's pixels", "palette_teller": "the edit that the field learnt"}
+    return {"palette_pixels": "the pixels that show the scene", "palette_teller": "the field that learnt the palette"}
 
 
 def _both(change) -> tuple[float, float]:

@@ -44,13 +44,13 @@ EDITED = (
     ),
     Kind(
         "sparsity", "Palette sparsity L_sp", "", "lower", 4,
-        "Mean over the region's pixels of sum w / sum w^2 - 1 of the palette's weights w (LAENeRF, supplement, eq. 2), "
-        "on up to 10 training views, as told by the edit that the field learnt.",
+        "Mean over {palette_pixels} of sum w / sum w^2 - 1 of the palette's weights w (LAENeRF, supplement, eq. 2), "
+        "on up to 10 training views, as told by {palette_teller}.",
     ),
     Kind(
         "palette_variation", "Palette TV", "", "lower", 5,
-        "Squared differences of the weights of neighbouring pixels of the region, summed over pairs and colours, by "
-        "the number of pixels; same views.",
+        "Squared differences of the weights of neighbours among {palette_pixels}, summed over pairs and colours, by "
+        "their number; same views.",
     ),
     Kind("region_share", "Region in view", "share", "", 4, "Pixels {inside}, over all pixels of the view."),
 )  # fmt: skip

@@ -76,6 +76,13 @@ def edit_behind(field: Artefact) -> Artefact | None:
     return None
 
 
+def palette_behind(field: Artefact) -> Artefact | None:
+    """What tells of the palette that a field's colours are mixed of: the field itself, one that it was made from, or
+    the local edit that it has learnt; None where there is none."""
+    own = (one for one in [field, *fields_behind(field)] if one.manifest.stage in ("decompose", "recolour"))
+    return edit_behind(field) or next(own, None)
+
+
 def is_stylised(field: Artefact) -> bool:
     """Whether a field, or one that it was made from, came out of the stylize stage."""
     return any(one.manifest.stage == "stylize" for one in [field, *fields_behind(field)])

@@ -9,6 +9,7 @@ from stylerf.fields.hash import HashColour
 from stylerf.fields.hash_density import HashDensity
 from stylerf.fields.headed import HeadedColour
 from stylerf.fields.occupancy import Occupancy
+from stylerf.fields.palette import PaletteColour
 from stylerf.fields.patch import PatchColour
 from stylerf.fields.protocol import ColourPart, DensityPart
 from stylerf.fields.samples import Rays, Samples
@@ -18,7 +19,7 @@ from stylerf.geometry.space import Space
 from stylerf.style.colour import ColourMap
 
 DENSITY_KINDS = {"vm": VmDensity, "hash": HashDensity, "voxel": VoxelDensity}
-COLOUR_KINDS = {"vm": VmColour, "hash": HashColour, "headed": HeadedColour}
+COLOUR_KINDS = {"vm": VmColour, "hash": HashColour, "headed": HeadedColour, "palette": PaletteColour}
 _NO_DISPLACEMENT = np.empty(0, np.float32)
 
 

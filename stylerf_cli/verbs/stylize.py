@@ -1,20 +1,27 @@
-"""`stylerf stylize WORK --style IMAGE`: the scene, or with --region a part of it, in a painting's strokes."""
+"""`stylerf stylize WORK --style IMAGE`: the scene, or with --region a part of it, in a painting's strokes; or, with
+--method palettenerf, the scene in other colours of its own palette."""
 
 import re
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
+from schemas.errors import UsageError
+from stages.configs.decompose import METHOD, DecomposeConfig, PaletteFieldConfig
 from stages.configs.region import RegionConfig
 from stages.configs.stylize import StylizeConfig, reference_of
 
 NAME = "stylize"
-HELP = "stylise the whole scene with a painting, or a region (--region)"
+HELP = "stylise the whole scene with a painting, or a region (--region), or change the scene's palette"
 CONFIG = StylizeConfig
 
 
 def options_for(argv: list[str]) -> type:
-    """The options of a region are others than those of a whole scene."""
-    return RegionConfig if any(one == "--region" or one.startswith("--region=") for one in argv) else StylizeConfig
+    """The options of a region, and of a palette of the whole scene, are others than those of a painting."""
+    if any(one == "--region" or one.startswith("--region=") for one in argv):
+        return RegionConfig
+    asked = f"--method={METHOD}" in argv or ("--method", METHOD) in pairwise(argv)
+    return PaletteFieldConfig if asked else StylizeConfig
 
 
 def add_arguments(parser) -> None:
@@ -24,13 +31,16 @@ def add_arguments(parser) -> None:
     parser.add_argument(
         "--region",
         metavar="REGION",
-        help="recolour (--recolor) or stylise a region alone; `stylerf stylize --region NAME --help` tells its options",
+        help="recolour (--recolor) or stylise a region alone; `stylerf stylize --region NAME --help` tells its "
+        "options, `stylerf stylize --method palettenerf --help` those of a palette of the whole scene",
     )
 
 
 def run(args, session) -> dict:
     """The stylised field's, or the edit's, place and figures."""
-    return _region(args, session) if args.region else _whole(args, session)
+    if args.region:
+        return _region(args, session)
+    return _palette(args, session) if isinstance(session.config, PaletteFieldConfig) else _whole(args, session)
 
 
 def _whole(args, session) -> dict:
@@ -72,6 +82,24 @@ def _pinned_whole(config: StylizeConfig) -> tuple[StylizeConfig, str]:
     return replace(config, style=str(style.resolve()), style_digest=file_sha256(style)), name_of(style)
 
 
+def _palette(args, session) -> dict:
+    from stylerf_cli.chains import ensure_field, palette_changed, palette_learnt, scene_of_work
+
+    config, scene = session.config, scene_of_work(session)
+    field = session.work.find("field", args.of) if args.of else ensure_field(session, scene)
+    if field.manifest.stage in ("decompose", "recolour"):
+        if config.learning != DecomposeConfig():
+            raise UsageError(f"field {field.name} has its palette already; options of learning one mean nothing here")
+        if not config.changes:
+            raise UsageError(f"field {field.name} has its palette already; change it by --palette I=#rrggbb")
+        made = palette_changed(session, scene, field, config.changes)
+    else:
+        made = palette_learnt(session, scene, field, config.learning, config.changes)
+    figures, seconds = made.manifest.figures, made.manifest.seconds
+    result = {"field": made.path, "name": made.name, "figures": figures, "seconds": seconds}
+    return session.emit(result, told_palette(made, "field"))
+
+
 def _region(args, session) -> dict:
     from stylerf_cli.edit_chain import learnt_edit, region_of
 
@@ -95,8 +123,8 @@ def pinned(config: RegionConfig, region: str) -> tuple[RegionConfig, str]:
     return config, f"{region}-{name_of(style)}"
 
 
-def told_palette(made) -> str:
-    """An edit in words: its palette, colour by colour."""
+def told_palette(made, kind: str = "edit") -> str:
+    """An edit, or a field with a palette, in words: its palette, colour by colour."""
     import json
 
     colours = json.loads(made.file("palette.json").read_text())["colours"]
@@ -105,7 +133,7 @@ def told_palette(made) -> str:
         + (f" (was {one['learnt']})" if one["now"] != one["learnt"] else "")
         for one in colours
     ]
-    return f"edit {made.name}: a palette of {len(colours)} colours\n" + "\n".join(lines) + f"\n  {made.path}"
+    return f"{kind} {made.name}: a palette of {len(colours)} colours\n" + "\n".join(lines) + f"\n  {made.path}"
 
 
 def painting_of(text: str) -> Path:

@@ -51,6 +51,18 @@ def test_families_and_costs_are_those_of_the_manifests(work):
     assert by_name["fit-60s"].settings == "60s, grow" and by_name["starry-desrf"].method == "desrf"
 
 
+def test_a_changed_palette_is_an_edit_that_costs_what_its_learning_did(work):
+    inputs = {"scene": work.get("scene", "wall"), "field": work.get("field", "fit-10s")}
+    learnt = made.make_field(work, "palette", "decompose", inputs, seconds=60.0, peak_memory_mb=700)
+    figures = {"parameters": 5000}
+    given = {"seconds": 2.0, "peak_memory_mb": 300, "figures": figures}
+    made.make_field(work, "blue", "recolour", {**inputs, "field": learnt}, **given)
+    by_name, gaps = found(work)
+    assert "palette" not in by_name and by_name["blue"].family == EDITS and by_name["blue"].method == "palettenerf"
+    assert tuple(by_name["blue"].costs.values()) == (62.0, 700.0, 5000)
+    assert any("eval" in gap.why and "--region" in gap.why for gap in gaps)
+
+
 def test_fronts_are_those_of_the_group(work):
     by_name, _ = found(work)
     some = [run for run in by_name.values() if run.family == FITS]

@@ -18,8 +18,8 @@ from tests.stylerf_cli.nursery import Command, Nursery
 
 FOLLOWED_EVERY_SECONDS = 0.002
 STAGES = ("import", "fit", "deform", "stylize", "stylize by turns", "stylize after a view", "stylize with shapes",
-          "stylize a region", "finetune", "render", "eval")  # fmt: skip
-IN_THE_SLOW_TESTS = ("deform", "stylize with shapes", "stylize a region")
+          "stylize a region", "stylize by a palette", "finetune", "render", "eval")  # fmt: skip
+IN_THE_SLOW_TESTS = ("deform", "stylize with shapes", "stylize a region", "stylize by a palette")
 # The rest goes the same ways: its turn comes with the slow tests.
 IN_THE_GATE = [pytest.param(name, marks=[pytest.mark.slow] if name in IN_THE_SLOW_TESTS else []) for name in STAGES]
 TAKEN = re.compile(r"seconds|runs|peak_memory_mb")
@@ -63,6 +63,9 @@ def arguments_of(stage: str, work: Path, photos: Path, room: Path) -> tuple[tupl
                                  *style), "field"),
         "stylize a region": (("stylize", work, "--region", "all", "--style", photos / "painting.png", "--palette-steps",
                               "30", "--style-steps", "8", "--style-side", "64", *often), "edit"),
+        "stylize by a palette": (("stylize", work, "--of", "fit", "--method", "palettenerf", "--budget", "40",
+                                  "--refit-steps", "20", "--pixels", "512", "--levels", "4", "--finest", "64",
+                                  "--table-bits", "12", *often), "field"),
         "finetune": (("finetune", work, "--edit", "grey", "--budget", "40", "--rays", "1024", *often), "field"),
         "render": (("render", work, "--of", "fit", "--path", "orbit", "--count", "24", "--scale", "2", "--video"),
                    "frames"),

@@ -90,6 +90,10 @@ def test_settings_of_a_stylisation_that_mean_nothing(paintings, capsys, flags, w
         (("--method", "refnpr", "--reference", "sound.png"), "written VIEW=FILE.png"),
         (("--method", "refnpr", "--reference", "0=sound.png", "0=sound.png"), "given two references"),
         (("--method", "refnpr", "--reference", "0=sound.png", "--reference-view", "1"), "make one"),
+        (("--method", "palettenerf", "--style", "sound.png"), "unrecognized arguments"),
+        (("--method", "palettenerf", "--bases", "3"), "bases must be 4 to 16"),
+        (("--method", "palettenerf", "--palette", "0=red"), "written I=#rrggbb"),
+        (("--method=palettenerf", "--at", "0:1,1"), "say what becomes of it by --palette"),
     ],
 )
 def test_methods_whose_options_do_not_go_together(paintings, capsys, monkeypatch, flags, words):

@@ -6,6 +6,7 @@ import pytest
 
 from stylerf.fields.field import COLOUR_KINDS, DENSITY_KINDS
 from stylerf.fields.hash import HashColour
+from stylerf.fields.palette import PaletteColour
 from stylerf.fields.protocol import ColourPart, DensityPart, Growing, Part
 
 KINDS = [(kind, DensityPart) for kind in DENSITY_KINDS.values()] + [
@@ -24,7 +25,8 @@ def asked_of(protocol: type) -> dict[str, list[str]]:
 
 @pytest.mark.parametrize(("kind", "protocol"), KINDS, ids=lambda one: one.__name__)
 def test_a_kind_offers_all_that_is_asked_for(kind, protocol):
-    asked = asked_of(protocol) | ({} if kind is HashColour else asked_of(Growing))  # a stylisation's colour never grows
+    # A stylisation's colour never grows.
+    asked = asked_of(protocol) | ({} if kind in (HashColour, PaletteColour) else asked_of(Growing))
     assert {"backward", "add_position_gradients", "smooth", "groups", "describe", "restore"} <= set(asked)
     for name, arguments in asked.items():
         assert list(inspect.signature(getattr(kind, name)).parameters) == arguments, name

@@ -1,0 +1,104 @@
+"""Options of `stylerf stylize --method palettenerf`: how a palette is learnt, and what is changed of one."""
+
+from dataclasses import dataclass, fields
+
+from stages.configs import option
+from stages.configs.edit import PaletteConfig
+from stages.configs.fit import budget_of
+from stages.configs.select import pixel_of
+
+METHOD = "palettenerf"
+
+
+@dataclass(frozen=True)
+class DecomposeConfig:
+    """How the colours of a whole scene are decomposed into a palette (PaletteNeRF)."""
+
+    method: str = option(METHOD, choices=(METHOD,), help="palettenerf: a palette of the whole scene, to be changed")
+    bases: int = option(
+        4, help="palette colours, 4 to 16 (0: as few as leave an error of 5/255 of the photos' colours)"
+    )
+    budget: str = option("2m", help="time of the palette's steps (60s, 2m) or their number")
+    refit_steps: int = option(300, help="steps that fit the direct colour to the photos first")
+    pixels: int = option(8192, help="pixels of a view that a step learns from")
+    rate: float = option(1e-2, help="learning rate, falling to a tenth; of the table three times it")
+    sparsity_weight: float = option(2e-4, help="weight of places having several palette colours")
+    offset_weight: float = option(0.03, help="weight of the squared offsets from palette colours")
+    view_weight: float = option(0.1, help="weight of the square of what depends on the view")
+    smooth_weight: float = option(4e-3, help="weight of differences between mixes of near places of like colour")
+    guide_weight: float = option(0.05, help="weight of the mixes that the palette's hull tells, at the beginning")
+    drift_weight: float = option(1e-3, help="weight of the palette's way from what was extracted")
+    levels: int = option(8, help="levels of the hash grid")
+    finest: int = option(0, help="cells a side of its finest level (0: a little finer than a pixel of the photos)")
+    table_bits: int = option(17, help="its table entries a level, as a power of two")
+    checkpoint_every_seconds: float = option(20.0, help="time between checkpoints")
+
+    def __post_init__(self) -> None:
+        budget_of(self.budget)
+        if self.bases and not 4 <= self.bases <= 16:
+            raise ValueError("bases must be 4 to 16, or 0: fewer corners hold no volume of colours")
+        if self.refit_steps < 0 or self.pixels < 1 or self.rate <= 0:
+            raise ValueError("refit_steps must be at least 0, pixels at least 1, rate over 0")
+        for name in ("sparsity", "offset", "view", "smooth", "guide", "drift"):
+            if getattr(self, f"{name}_weight") < 0:
+                raise ValueError(f"{name}_weight must be at least 0")
+        finest = self.finest == 0 or 16 <= self.finest <= 4096
+        if not (1 <= self.levels <= 16 and finest and 10 <= self.table_bits <= 24):
+            raise ValueError("the colour field takes 1 to 16 levels, 16 to 4096 cells (or 0), 10 to 24 table bits")
+
+
+@dataclass(frozen=True)
+class RecolourConfig(PaletteConfig):
+    """What is changed of a decomposed field's palette, everywhere or around places; nothing is trained for it."""
+
+    offset_scale: float = option(1.0, help="factor of the offsets from palette colours (0: flat colours)")
+    view_scale: float = option(1.0, help="factor of what depends on the view (0: no gloss)")
+    at: tuple[str, ...] = option((), metavar="VIEW:X,Y", help="a pixel of what is changed, counted from its upper left")
+    reach: float = option(
+        0.0, help="distance from there at which a change has fallen to 1/e, scene units (0: a tenth of the view's)"
+    )
+    filter: str = option(
+        "", choices=("", "none", "space"), metavar="none|space",
+        help="where a change applies: everywhere, or around --at (default: around --at where it is given)",
+    )  # fmt: skip
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for text in self.at:
+            pixel_of(text)
+        if self.filter == "space" and not self.at:
+            raise ValueError("--filter space needs a place; give --at VIEW:X,Y")
+        if not 0 <= self.reach < float("inf") or (self.reach and not self.at):
+            raise ValueError("reach must be at least 0, and is the reach around --at VIEW:X,Y")
+        for name in ("offset_scale", "view_scale"):
+            if not 0 <= getattr(self, name) < float("inf"):
+                raise ValueError(f"{name} must be at least 0")
+        if (self.at or self.filter) and not self:
+            raise ValueError("--at and --filter tell where a palette is changed; say what becomes of it by --palette")
+
+    def __bool__(self) -> bool:
+        return super().__bool__() or self.offset_scale != 1 or self.view_scale != 1
+
+    @property
+    def local(self) -> bool:
+        """Whether the change applies around places only."""
+        return bool(self.at) and self.filter != "none"
+
+
+@dataclass(frozen=True)
+class PaletteFieldConfig(RecolourConfig, DecomposeConfig):
+    """Both in one command; two stages, so that a changed palette needs no training."""
+
+    def __post_init__(self) -> None:
+        DecomposeConfig.__post_init__(self)
+        RecolourConfig.__post_init__(self)
+
+    @property
+    def learning(self) -> DecomposeConfig:
+        """How the palette is learnt."""
+        return DecomposeConfig(**{item.name: getattr(self, item.name) for item in fields(DecomposeConfig)})
+
+    @property
+    def changes(self) -> RecolourConfig:
+        """What is changed of it."""
+        return RecolourConfig(**{item.name: getattr(self, item.name) for item in fields(RecolourConfig)})

@@ -1,0 +1,129 @@
+"""Decompose: a field of the same shapes whose colours are mixes of a palette, learnt from the photos (PaletteNeRF)."""
+
+import time
+
+import numpy as np
+import torch
+
+from schemas.errors import BadInput
+from schemas.store import Artefact, Partial
+from stages.configs.decompose import DecomposeConfig
+from stages.configs.fit import budget_of
+from stages.edits import save_palette
+from stages.fields import load_checkpoint, load_field, save_checkpoint, save_field
+from stages.memory import room
+from stages.photos import level_of, photo_over
+from stages.progress import Context
+from stages.runner import Spec
+from stages.scenes import load_scene
+from stages.styling import finest_cells
+from stylerf.errors import Diverged, InvalidValue
+from stylerf.fields.palette import PaletteColour
+from stylerf.kernels.cpu.compiling import compiling_note, set_threads
+from stylerf.training.decompose import Decomposing, DecompositionWeights
+from stylerf.training.kept import Kept
+from stylerf.training.style_settings import StyleSettings
+
+SPEC = Spec(stage="decompose", verb="stylize", revision=1, writes="field")
+FINAL_RATE = 0.1  # of the learning rate, at the end
+WORKING_BYTES = 1e9  # what a step takes beside what is kept of the views
+
+
+def run(inputs: dict[str, Artefact], config: DecomposeConfig, partial: Partial, context: Context) -> dict:
+    """Writes the decomposed field and its palette; returns the figures."""
+    scene = load_scene(inputs["scene"])
+    field, background = load_field(inputs["field"])
+    threads = set_threads(context.threads)
+    torch.set_num_threads(threads)
+    views, level = scene.splits["train"], level_of(background)
+    cameras = [scene.cameras[i] for i in views]
+    photos = Kept(lambda place: photo_over(scene, views[place], level), len, len(views), 0)
+    if context.device == "cuda":
+        context.progress.say("a palette is learnt on the CPU: its colours have no GPU kernel")
+
+    def new_colour(generator: np.random.Generator, pixel_cells: float, palette: np.ndarray) -> PaletteColour:
+        finest = finest_cells(config.finest, pixel_cells)
+        return PaletteColour.create(generator, palette, config.levels, finest, 1 << config.table_bits)
+
+    memory = max(room(context.memory) - WORKING_BYTES, 0)
+    try:
+        settled = settings_of(config), weights_of(config), config.bases, context.seed, threads, new_colour, memory
+        learner = Decomposing(field, cameras, photos, level, *settled)
+    except InvalidValue as error:
+        raise BadInput(f"{inputs['field'].path}: {error}") from error
+    if (saved := load_checkpoint(partial.checkpoint)) is not None:
+        learner.resume(*saved)
+        context.progress.say(f"going on from step {learner.state.step} of phase {learner.state.phase}")
+    with compiling_note(context.progress.say):
+        _train(learner, config, partial, context)
+        figures = learner.figures()
+    save_field(partial.path, learner.field, background)
+    colour, told = learner.field.colour, {key: figures[key] for key in ("sparsity", "palette_variation")}
+    save_palette(partial.path, colour.palette, colour.palette, figures["shares"], told)
+    return {
+        **figures,
+        "method": config.method,
+        "steps": learner.state.step,
+        "train_seconds": round(learner.state.seconds, 2),
+        "curve_style": learner.state.curve,
+        "finest": colour.finest,
+        "parameters": learner.field.parameters,
+        "views": len(cameras),
+    }
+
+
+def settings_of(config: DecomposeConfig) -> StyleSettings:
+    """What the config asks for, in the terms of all methods; photos keep their colours."""
+    seconds, steps = budget_of(config.budget)
+    return StyleSettings(
+        steps=steps,
+        seconds=seconds or 1.0,
+        refit_steps=config.refit_steps,
+        refit_pixels=config.pixels,
+        refit_rate=config.rate,
+        rate=config.rate,
+        final_rate=FINAL_RATE,
+        match="none",
+    )
+
+
+def weights_of(config: DecomposeConfig) -> DecompositionWeights:
+    """Weights of the parts of the loss."""
+    return DecompositionWeights(
+        config.sparsity_weight,
+        config.offset_weight,
+        config.view_weight,
+        config.smooth_weight,
+        config.guide_weight,
+        config.drift_weight,
+    )
+
+
+def _train(learner: Decomposing, config: DecomposeConfig, partial: Partial, context: Context) -> None:
+    saved_at, shown = time.monotonic(), ""
+    seconds, steps = budget_of(config.budget)
+
+    def on_step(now: Decomposing) -> None:
+        nonlocal saved_at, shown
+        state, counted = now.state, now.state.phase == "refit" or steps
+        if state.phase != shown:
+            shown = state.phase
+            total = config.refit_steps if shown == "refit" else steps or seconds
+            words = {"refit": "new colours", "style": "palette"}[shown]
+            context.progress.start(words, total, "step" if counted else "s")
+        note = f"squared error {state.curve[-1]['mse']:.4f}" if state.curve else ""
+        context.progress.update(state.step if counted else min(state.seconds, now.settings.seconds), note)
+        if time.monotonic() - saved_at > config.checkpoint_every_seconds:
+            save_checkpoint(partial.checkpoint, *now.checkpoint())
+            saved_at = time.monotonic()
+
+    try:
+        learner.run(on_step)
+    except KeyboardInterrupt:
+        if learner.between_steps:
+            save_checkpoint(partial.checkpoint, *learner.checkpoint())
+        raise
+    except Diverged as error:
+        raise BadInput(f"the decomposition does not converge: {error}") from error
+    finally:
+        context.progress.finish()

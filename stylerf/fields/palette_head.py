@@ -1,0 +1,91 @@
+"""What a palette decomposition reads of a place: mixing weights, offsets, intensity, and a colour of its own.
+
+PaletteNeRF (Kuang et al. 2023, section 4). With phi the features of a place and Y the harmonics of a direction:
+
+    diffuse   f = sigmoid(A phi + b)                      what is the same from everywhere
+    specular  s = tanh(S2 relu(S1 (phi, Y)))              what depends on the view
+    palette   h = F2 relu(F1 (phi, f)),  15 numbers;  O h = z [M], delta [M, 3], I
+              w_i = (softplus(z_i) + 0.05) / sum
+
+    direct colour f + s,  palette colour sum_i w_i softplus(I) (P_i + delta_i) + s
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.nn.functional import linear, softplus
+
+from stylerf.geometry.harmonics import BANDS
+
+DEGREE = 2
+VIEW_UNITS, UNITS, CODE = 32, 64, 15  # PaletteNeRF: 64 and 15
+LEAST_WEIGHT = 0.05  # before weights are divided by their sum
+EVEN = math.log(math.e - 1)  # whose softplus is 1
+
+
+@dataclass(frozen=True)
+class Parts:
+    """diffuse, specular [n, 3]; weights [n, M], each row adds up to 1; offsets [n, M, 3]; intensity [n, 1] > 0."""
+
+    diffuse: Tensor
+    specular: Tensor
+    weights: Tensor
+    offsets: Tensor
+    intensity: Tensor
+
+    def mixed(self, palette: Tensor) -> Tensor:
+        """[n, 3]: sum_i w_i I (P_i + delta_i), without the specular part."""
+        return self.intensity * (self.weights @ palette + (self.weights[..., None] * self.offsets).sum(1))
+
+
+class PaletteHead:
+    """numbers: weights [outputs, inputs] and biases of each layer, A, S1, S2, F1, F2, O."""
+
+    def __init__(self, features: int, bases: int) -> None:
+        self.features, self.bases = features, bases
+        self.layers = [
+            (features, 3),
+            (features + BANDS[DEGREE], VIEW_UNITS),
+            (VIEW_UNITS, 3),
+            (features + 3, UNITS),
+            (UNITS, CODE),
+            (CODE, 4 * bases + 1),
+        ]
+
+    @property
+    def length(self) -> int:
+        """How many numbers it has."""
+        return sum((inside + 1) * outside for inside, outside in self.layers)
+
+    def initial(self, generator: np.random.Generator) -> np.ndarray:
+        """Weights nearly even, offsets and specular parts nearly 0, intensity nearly 1. He et al. 2015, uniform."""
+        parts = []
+        for number, (inside, outside) in enumerate(self.layers):
+            bound = math.sqrt(6 / inside) * (0.1 if number in (2, 5) else 1.0)
+            parts += [generator.uniform(-bound, bound, inside * outside), np.zeros(outside)]
+        parts[-1][-1] = EVEN
+        return np.concatenate(parts).astype(np.float32)
+
+    def parts(self, numbers: Tensor, phi: Tensor, basis: Tensor, apart: bool = False) -> Parts:
+        """Of places with features phi [n, features], seen from directions with harmonics [n, 9].
+
+        apart: the palette's branch does not teach the diffuse colour that it reads.
+        """
+        sizes = [size for inside, outside in self.layers for size in (inside * outside, outside)]
+        # clone: a slice may begin at any address, and a product's last bit may depend on that.
+        flat = iter([part.clone() for part in numbers.split(sizes)])
+
+        def layer(number: int, values: Tensor) -> Tensor:
+            inside, outside = self.layers[number]
+            return linear(values, next(flat).view(outside, inside), next(flat))
+
+        diffuse = torch.sigmoid(layer(0, phi))
+        specular = torch.tanh(layer(2, layer(1, torch.cat([phi, basis], 1)).relu()))
+        read = torch.cat([phi, diffuse.detach() if apart else diffuse], 1)
+        told = layer(5, layer(4, layer(3, read).relu()))
+        raw = softplus(told[:, : self.bases]) + LEAST_WEIGHT
+        offsets = told[:, self.bases : 4 * self.bases].reshape(-1, self.bases, 3)
+        return Parts(diffuse, specular, raw / raw.sum(1, keepdim=True), offsets, softplus(told[:, -1:]))
