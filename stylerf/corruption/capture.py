@@ -12,9 +12,9 @@ from stylerf.geometry.normalise import focus_of
 def noisy_poses(poses: np.ndarray, degrees: float, share: float, generator: np.random.Generator) -> np.ndarray:
     """Every camera turned and moved by chance, each by itself.
 
-    Turned about its own centre by a rotation vector whose three components are normal with standard deviation `degrees`;
-    moved by a vector whose three components are normal with standard deviation `share` times the median distance of the
-    cameras from their focus.
+    Turned about its own centre by a rotation vector whose three components are normal with standard deviation
+    `degrees`; moved by a vector whose three components are normal with standard deviation `share` times the median
+    distance of the cameras from their focus.
     """
     poses = np.asarray(poses, np.float64)
     turns = np.radians(degrees) * generator.standard_normal((len(poses), 3))
@@ -44,8 +44,8 @@ def rotations(vectors: np.ndarray) -> np.ndarray:
 def spread_views(centres: np.ndarray, count: int, generator: np.random.Generator) -> list[int]:
     """Indices of `count` of the camera centres [n, 3], spread out, in rising order.
 
-    Begins with one by chance; each next one is the farthest from those chosen (Gonzalez 1985: the least distance between
-    two of them is at least half the best possible).
+    Begins with one by chance; each next one is the farthest from those chosen (Gonzalez 1985: the least distance
+    between two of them is at least half the best possible).
     """
     if not 0 < count <= len(centres):
         raise InvalidValue(f"{count} of {len(centres)} views cannot be chosen")

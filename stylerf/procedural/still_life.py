@@ -35,7 +35,7 @@ class TrueView:
 class StillLife:
     """The scene as mathematics: distances, hits and pictures. z is up; all of it lies within [-1.25, 1.25]^3.
 
-    seed: of the textures (grain, mottling). solids: None for the still life's own, whose arrangement is always the same.
+    seed: of the textures (grain, mottling). solids: None for the still life's own, always arranged alike.
     """
 
     def __init__(self, seed: int = 0, solids: list[Solid] | None = None) -> None:
