@@ -1,7 +1,7 @@
 """One run of a stress after another: a scene with its fault, a fit, a stylisation, a verdict; each kept on disk.
 
-Everything lies in work folders below WORK/stress/works, one a scene and seed, apart from WORK: a scene with a fault must
-never be taken for the scene.
+Everything lies in work folders below WORK/stress/works, one a scene and seed, apart from WORK: a scene with a fault
+must never be taken for the scene.
 """
 
 import shutil
@@ -37,6 +37,9 @@ from stylerf.errors import Diverged
 WORST = "worst"
 QUICK_CAPACITY, QUICK_SAMPLES = "fixed:64x8x16", 20_000
 QUICK_REFIT, QUICK_DEFORM, DEFORM_STEPS = 60, 40, 400
+# What --remedies on runs with.
+REMEDIES_OF_FIT = {"opacity_weight": 5e-3, "clip": 4.0}
+REMEDIES_OF_STYLE = {"rollbacks": 3, "clip": 4.0, "least_spread": 0.08}
 
 
 @dataclass(frozen=True)
@@ -66,6 +69,7 @@ class Stress:
         self.session, self.config, self.source, self.root = session, config, source, root
         self.conditions = config.conditions
         self.missing: dict[str, str] = {}
+        self._worked_in: set[Path] = set()
 
     def trials(self) -> Iterator[Trial]:
         """In the order in which scenes and fits are shared: by seed, then scene, then painting, then method."""
@@ -88,7 +92,7 @@ class Stress:
         for number, trial in enumerate(trials):
             key = self.key_of(trial)
             outcome = None if force else kept_outcome(self.root, self._name(trial), key)
-            if outcome is None and not only:
+            if outcome is None and not only and trial.fault.name not in self.missing:
                 outcome = self._made(trial, key)
             if outcome is not None:
                 found.append(outcome)
@@ -132,7 +136,7 @@ class Stress:
         config = FitConfig(budget=self.conditions["budget"], field=trial.method.field, buffers=False)
         if self.conditions["quick"]:
             config = replace(config, capacity=QUICK_CAPACITY, samples=QUICK_SAMPLES)
-        return config
+        return replace(config, **REMEDIES_OF_FIT) if trial.remedies else config
 
     def deform_config(self) -> DeformConfig:
         """Of what desrf begins with."""
@@ -147,7 +151,9 @@ class Stress:
             method=trial.method.style,
             budget=self.conditions["style_budget"],
         )
-        return replace(config, refit_steps=QUICK_REFIT) if self.conditions["quick"] else config
+        if self.conditions["quick"]:
+            config = replace(config, refit_steps=QUICK_REFIT)
+        return replace(config, **REMEDIES_OF_STYLE) if trial.remedies else config
 
     def painting(self, trial: Trial) -> Path:
         """File of the painting of a trial: the fault's, or the ordinary one."""
@@ -170,9 +176,8 @@ class Stress:
         try:
             scene = self._scene(trial)
         except BadInput as error:
-            if trial.fault.name not in self.missing:
-                self.missing[trial.fault.name] = str(error)
-                self.session.say(f"{trial.fault.name} is left out: {error}")
+            self.missing[trial.fault.name] = str(error)
+            self.session.say(f"{trial.fault.name} is left out: {error}")
             return None
         picture = f"{self._name(trial)}.png"
         try:
@@ -207,7 +212,9 @@ class Stress:
 
     def _execute(self, trial: Trial, stage: Any, inputs: dict, config: Any, name: str) -> Artefact:
         context = replace(self.session.context, seed=trial.seed, progress=Silent())
-        return execute(stage.SPEC, stage.run, self._place(trial), name, inputs, config, context)[0]
+        place = self._place(trial)
+        self._worked_in.add(place.root)
+        return execute(stage.SPEC, stage.run, place, name, inputs, config, context)[0]
 
     def _scene(self, trial: Trial) -> Artefact:
         return self._execute(trial, fault_scene, {}, self.fault_config(trial), "main")
@@ -234,8 +241,9 @@ class Stress:
 
     def _tidy(self, trial: Trial) -> None:
         """Scenes and fields go when nothing more is made of them, unless they are to be kept; outcomes stay."""
-        if not self.config.keep:
-            shutil.rmtree(self._place(trial).root, ignore_errors=True)
+        root = self._place(trial).root
+        if not self.config.keep and root in self._worked_in:
+            shutil.rmtree(root, ignore_errors=True)
 
 
 def painted(fault: str, side: int, seed: int) -> np.ndarray:

@@ -30,12 +30,12 @@ def tiny(side: int, seed: int) -> np.ndarray:
 
 
 def huge(side: int, seed: int) -> np.ndarray:
-    """The painting as a scan of `side` pixels: one of a quarter of the side enlarged, and grain of paper over it."""
-    small = paint(max(32, side // 4), seed)
+    """The painting as a scan of `side` pixels: a quarter of it, 512 at most, enlarged, and grain."""
+    small = paint(min(512, max(32, side // 4)), seed)
     factor = side / len(small)
-    large = zoom(small, (factor, factor, 1), order=1, grid_mode=True, mode="nearest")
-    grain = 0.02 * np.random.default_rng([seed, 7]).standard_normal((*large.shape[:2], 1))
-    return np.clip(large + grain, 0, 1).astype(np.float32)
+    large = zoom(small, (factor, factor, 1), order=1, grid_mode=True, mode="nearest")  # float32, as `small` is
+    grain = np.random.default_rng([seed, 7]).standard_normal((*large.shape[:2], 1), dtype=np.float32)
+    return np.clip(large + np.float32(0.02) * grain, 0, 1)
 
 
 def weak_geometry(side: int, seed: int) -> np.ndarray:

@@ -1,8 +1,8 @@
-"""`stylerf stress WORK`: methods under faults, over several seeds; where they fail, and whether a change made it worse."""
+"""`stylerf stress WORK`: methods under faults, over several seeds: where they fail, what a change made worse."""
 
 from pathlib import Path
 
-from schemas.errors import ArtefactStale, CheckFailed, UsageError
+from schemas.errors import ArtefactStale, BadInput, CheckFailed, UsageError
 from stages.configs.stress import StressConfig
 
 NAME = "stress"
@@ -44,6 +44,7 @@ def run(args, session) -> dict:
     from dataclasses import asdict
 
     from schemas.atomic import write_bytes, write_json
+    from schemas.canonical import digest_of
     from stages.evaluation.figures import write_csv
     from stages.stress.baseline import compared, read_baseline, write_baseline
     from stages.stress.cells import cells_of
@@ -57,13 +58,16 @@ def run(args, session) -> dict:
     stress = Stress(session, session.config, scene, root)
     if not any(True for _ in stress.trials()):
         raise UsageError("no method that was asked for faces any of these faults: a fit never sees a painting")
-    conditions = stress.conditions | {"seed": session.common.seed, "scene": scene.digest}
+    # By its files, not by where they came from: a baseline is to hold on another machine.
+    content = digest_of([(record.path, record.sha256) for record in scene.manifest.files])
+    conditions = stress.conditions | {"seed": session.common.seed, "scene": content}
     # Refused before hours of work, not after them.
     before = read_baseline(args.baseline, conditions) if args.baseline else None
     outcomes = stress.run(session.only, session.force)
     if not outcomes:
-        missing = "; ".join(f"{name}: {why}" for name, why in stress.missing.items())
-        raise ArtefactStale(f"nothing of this stress stands in {root} ({missing or 'leave --only out to run it'})")
+        if stress.missing:
+            raise BadInput(next(iter(stress.missing.values())))
+        raise ArtefactStale(f"no run of this stress stands in {root}; leave --only out to make them")
     cells = cells_of(outcomes)
     held = None if before is None else compared(before, cells)
     chart = heat_map(cells)
