@@ -291,7 +291,8 @@ class Repainting:
     def resume(self, data: dict, arrays: dict[str, np.ndarray]) -> None:
         """From checkpoint()."""
         self.state = StyleState(**data["state"])
-        self.settings = self._asked.slowed(self.state.counts.get("rollbacks", 0))
+        if rollbacks := self.state.counts.get("rollbacks", 0):
+            self.settings = self._asked.slowed(rollbacks)
         self.field.colour.values[:] = arrays["colour"]
         self.adam = self._new_adam()
         self.adam.restore({k: arrays[f"adam.{k}"] for k in ("first", "second", "steps")})
