@@ -35,7 +35,7 @@ def test_white_has_no_spread():
 
 def test_a_wash_has_colours_and_no_edge():
     wash, ordinary = paintings.weak_geometry(SIDE, 0), paintings.ordinary(SIDE, 0)
-    assert steepest(wash) < 0.06 < 0.2 < steepest(ordinary)
+    assert steepest(wash) < 0.06 and steepest(ordinary) > 0.2
     assert wash.std((0, 1)).min() > 0.05  # colours there are
 
 
@@ -55,6 +55,6 @@ def test_a_tiny_one_is_the_mean_of_the_large_one():
 def test_a_huge_one_is_smooth_but_for_its_grain():
     huge = paintings.huge(512, 0)
     blocks = huge.reshape(128, 4, 128, 4, 3).mean((1, 3))
-    assert np.abs(blocks - paintings.ordinary(128, 0)).mean() < 0.05
+    assert np.abs(blocks - paintings.ordinary(128, 0)).mean() < 0.06
     grain = huge - np.roll(huge, 1, axis=1)
     assert 0.01 < np.median(np.abs(grain)) < 0.05
