@@ -3,7 +3,7 @@
 import numpy as np
 
 from stylerf.training.engine import opacity_gradient
-from tests.stylerf.training.scenes import box_bank, box_fitter
+from tests.stylerf.training.scenes import LADDER, box_bank, box_fitter
 
 
 def test_the_gradient_is_that_of_the_stated_loss():
@@ -26,7 +26,9 @@ def test_rays_of_a_fit_are_clear_or_opaque():
     bank = box_bank(10)
     haze = []
     for weight in (0.0, 0.05):
-        fitter = box_fitter(250, held_out=7, bank=bank, shares=(1.0, 1.0), held_out_until=1.0, opacity=weight)
+        fitter = box_fitter(
+            250, held_out=7, bank=bank, ladder=LADDER[-1:], shares=(), held_out_until=1.0, opacity=weight
+        )
         fitter.run()
         alpha = seen(fitter)
         haze.append(float((4 * alpha * (1 - alpha)).mean()))
