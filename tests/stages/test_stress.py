@@ -2,6 +2,7 @@
 
 import json
 import statistics
+from html import escape
 
 import numpy as np
 import pytest
@@ -93,7 +94,7 @@ def test_of_an_object_only_what_is_there_counts():
     painting = 0.5 * photo()
     verdict = judged_style([Seen("v", render, seen, mask)], painting)
     assert verdict.figures["colour_distance"] < 0.1 and verdict.ok
-    assert not judged_style([Seen("v", render, seen)], painting).ok
+    assert judged_style([Seen("v", render, seen)], painting).score < verdict.score - 0.1
 
 
 # -- cells, heat map, page ------------------------------------------------------------------------------------------
@@ -116,7 +117,7 @@ def test_a_cell_is_what_statistics_make_of_its_runs():
     assert few.worst.seed == 2 and few.whys == ("too far off",)  # without a picture is worse than any score
     lone = cells["style-white", "arf"]
     assert lone.spread is None and cells["style-white", "arf + remedies"].successes == 0
-    assert [*cells][0] == ("seeds", "fit")  # in the order of the table of faults
+    assert next(iter(cells)) == ("seeds", "fit")  # in the order of the table of faults
 
 
 def test_the_heat_maps_numbers_are_those_of_the_cells():
@@ -138,7 +139,7 @@ def test_page_and_tables_tell_the_same(tmp_path):
     page = build_page(cells, heat_map(cells), {"side": 24}, [("views-8", "too few")], None, tmp_path)
     assert page.count("<svg") == 1 and "<script" not in page and page.count("data:image/png") == 1
     assert "2 of 4" in page and "too far off" in page and "too few" in page and "side 24" in page
-    assert all(fault.told in page for fault in FAULTS.values() if "&" not in fault.told)
+    assert all(escape(fault.told) in page for fault in FAULTS.values())
     rows = cell_rows(cells)
     assert [row["rate"] for row in rows] == [1.0, 0.5, 1.0, 0.0] and rows[1]["worst_seed"] == 2
     assert len(run_rows(outcomes)) == 10 and run_rows(outcomes)[8]["method"] == "arf + remedies"
