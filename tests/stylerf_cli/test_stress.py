@@ -1,4 +1,4 @@
-"""`stylerf stress`: what it writes, what it does not do twice, how a baseline ends it; runs are stand-ins but in one."""
+"""`stylerf stress`: what it writes, what it does not do twice, how a baseline ends it; stand-ins run but in one."""
 
 import csv
 import json
@@ -26,11 +26,11 @@ class Runs:
         self.answers = {("fit", "blur"): 9.0}
         self.raising: dict[tuple[str, str, int], BaseException] = {}
 
-    def scene(self, stress, trial):
+    def scene(self, trial):
         if error := self.raising.get(("scene", trial.fault.name, trial.seed)):
             raise error
 
-    def verdict(self, stress, trial, scene):
+    def verdict(self, trial, scene):
         self.made.append((trial.method.name, trial.fault.name, trial.seed, trial.remedies))
         if error := self.raising.get((trial.method.name, trial.fault.name, trial.seed)):
             raise error
@@ -42,8 +42,8 @@ class Runs:
 @pytest.fixture
 def runs(monkeypatch):
     stand_in = Runs()
-    monkeypatch.setattr(stress_chain.Stress, "_scene", lambda stress, trial: stand_in.scene(stress, trial))
-    monkeypatch.setattr(stress_chain.Stress, "_verdict", lambda stress, *given: stand_in.verdict(stress, *given))
+    monkeypatch.setattr(stress_chain.Stress, "_scene", stand_in.scene)
+    monkeypatch.setattr(stress_chain.Stress, "_verdict", stand_in.verdict)
     monkeypatch.setattr(stress_chain, "painted", lambda fault, side, seed: np.full((16, 16, 3), 0.1 * seed))
     return stand_in
 
@@ -133,7 +133,7 @@ def test_a_cell_that_is_worse_ends_with_one_and_all_is_written(folder, runs, cap
     baseline = str(tmp_path / "baseline.json")
     assert stress(folder, "--write-baseline", baseline) == 0
     assert stress(folder, "--baseline", baseline) == 0
-    assert "no cell is worse" in capsys.readouterr().out
+    assert "no cell is worse" in capsys.readouterr().out  # read: the next begins with its JSON
     runs.answers["arf", "seeds"] = 5.0
     assert stress(folder, "--baseline", baseline, "--force", "--json") == 1
     told = json.loads(capsys.readouterr().out)
@@ -148,8 +148,9 @@ def test_a_cell_that_is_worse_ends_with_one_and_all_is_written(folder, runs, cap
 
 def test_remedies_stand_beside_runs_without(folder, runs, capsys):
     assert stress(folder) == 0
+    capsys.readouterr()
     assert stress(folder, "--remedies", "both", "--json") == 0
-    result = json.loads(capsys.readouterr().out.partition("{")[2].join(["{", ""]))
+    result = json.loads(capsys.readouterr().out)
     assert [one[3] for one in runs.made] == [False] * 15 + [True] * 15
     methods = {cell["method"] for cell in result["cells"]}
     assert methods == {"fit", "arf", "fit + remedies", "arf + remedies"}
