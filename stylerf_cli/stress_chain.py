@@ -70,6 +70,7 @@ class Stress:
         self.conditions = config.conditions
         self.missing: dict[str, str] = {}
         self._worked_in: set[Path] = set()
+        self._afresh = False
 
     def trials(self) -> Iterator[Trial]:
         """In the order in which scenes and fits are shared: by seed, then scene, then painting, then method."""
@@ -85,7 +86,7 @@ class Stress:
 
     def run(self, only: bool, force: bool) -> list[Outcome]:
         """All outcomes, kept or made. only: those that stand. force: every one made anew."""
-        trials = list(self.trials())
+        trials, self._afresh = list(self.trials()), force
         found: list[Outcome] = []
         progress = self.session.progress
         progress.start("stress", len(trials), "run")
@@ -213,6 +214,8 @@ class Stress:
     def _execute(self, trial: Trial, stage: Any, inputs: dict, config: Any, name: str) -> Artefact:
         context = replace(self.session.context, seed=trial.seed, progress=Silent())
         place = self._place(trial)
+        if self._afresh and place.root not in self._worked_in:
+            shutil.rmtree(place.root, ignore_errors=True)  # what --keep left there may be of other code
         self._worked_in.add(place.root)
         return execute(stage.SPEC, stage.run, place, name, inputs, config, context)[0]
 

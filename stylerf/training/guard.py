@@ -5,16 +5,25 @@ from typing import Any
 import numpy as np
 
 from stylerf.errors import Diverged
+from stylerf.training.style_settings import StyleSettings, StyleState
 
 KEEP_EVERY = 25  # steps: what is kept is a checkpoint in memory, its copy costs about a tenth of a step
 
 
 class Guard:
-    """most: times that it may go back; 0: never, and nothing is kept. What it guards has checkpoint() and resume()."""
+    """asked: settings as they were asked for; their `rollbacks` of 0 keeps nothing and never goes back.
 
-    def __init__(self, most: int) -> None:
-        self.most = most
+    What it guards has checkpoint() and resume().
+    """
+
+    def __init__(self, asked: StyleSettings) -> None:
+        self.asked, self.most = asked, asked.rollbacks
         self._kept: tuple[dict, dict[str, np.ndarray]] | None = None
+
+    def paced(self, settings: StyleSettings, state: StyleState) -> StyleSettings:
+        """The settings at the rates that are left after as many returns as the state counts."""
+        rollbacks = state.counts.get("rollbacks", 0)
+        return self.asked.slowed(rollbacks) if rollbacks else settings
 
     def look(self, loop: Any) -> None:
         """After a step whose loss was finite: keeps the state every KEEP_EVERY steps, if its colours are finite too."""

@@ -63,7 +63,7 @@ class Repainting:
     ) -> None:
         self.device, self.memory = device, memory
         self.settings, self.seed, self.chunks, self.background = settings, seed, chunks, np.float32(background)
-        self._asked, self._guard = settings, Guard(settings.rollbacks)
+        self._guard = Guard(settings)
         self.cameras, self.painting, self.trunk = cameras, painting, trunk
         self._palette = spread_at_least(painting, settings.least_spread)
         self.field = replace(scene, colour_map=None, share=settings.share)
@@ -291,8 +291,7 @@ class Repainting:
     def resume(self, data: dict, arrays: dict[str, np.ndarray]) -> None:
         """From checkpoint()."""
         self.state = StyleState(**data["state"])
-        if rollbacks := self.state.counts.get("rollbacks", 0):
-            self.settings = self._asked.slowed(rollbacks)
+        self.settings = self._guard.paced(self.settings, self.state)
         self.field.colour.values[:] = arrays["colour"]
         self.adam = self._new_adam()
         self.adam.restore({k: arrays[f"adam.{k}"] for k in ("first", "second", "steps")})

@@ -37,7 +37,7 @@ def test_it_goes_back_and_ends_with_sound_colours_at_half_the_rate():
     seen = []
     one.run(lambda now: seen.append((now.state.phase, now.state.step)))
     assert np.isfinite(one.field.colour.values).all() and one.state.counts["rollbacks"] == 2
-    assert one.settings.rate == pytest.approx(0.25 * one._asked.rate) and one.state.phase == "done"
+    assert one.settings.rate == pytest.approx(0.25 * one._guard.asked.rate) and one.state.phase == "done"
     # What is kept is of step 1 of the phase: each return begins there again.
     style = [step for phase, step in seen if phase != "refit"]
     assert style == [1, 2, 3, *range(2, 8), *range(2, 13)]
@@ -62,7 +62,7 @@ def test_what_it_goes_back_to_is_the_kept_state_to_the_bit():
         other.run(halt)
     other.state.counts["rollbacks"] = 1
     other = resumed(made(Stylizer, match="none", steps=12, refit_steps=4, rollbacks=1), other)
-    assert other.settings.rate == pytest.approx(0.5 * other._asked.rate) and stop is not other.state
+    assert other.settings.rate == pytest.approx(0.5 * other._guard.asked.rate) and stop is not other.state
     other.run()
     assert_same_bits(result_of(one)[1], result_of(other)[1])
 
