@@ -39,6 +39,7 @@ QUICK_CAPACITY, QUICK_SAMPLES = "fixed:64x8x16", 20_000
 QUICK_REFIT, QUICK_DEFORM, DEFORM_STEPS = 60, 40, 400
 # What --remedies on runs with.
 REMEDIES_OF_FIT = {"opacity_weight": 5e-3, "clip": 4.0}
+REMEDIES_OF_DEFORM = {"gate": 0.05}
 REMEDIES_OF_STYLE = {"rollbacks": 3, "clip": 4.0, "least_spread": 0.08}
 
 
@@ -116,7 +117,7 @@ class Stress:
             {
                 "scene": replace(self.fault_config(trial), source=""),
                 "fit": self.fit_config(trial),
-                "deform": self.deform_config() if method.style == "desrf" else None,
+                "deform": self.deform_config(trial) if method.style == "desrf" else None,
                 "style": style,
                 "seed": trial.seed,
                 "revisions": {spec.stage: spec.revision for spec in specs} | {"criteria": criteria.REVISION},
@@ -139,9 +140,10 @@ class Stress:
             config = replace(config, capacity=QUICK_CAPACITY, samples=QUICK_SAMPLES)
         return replace(config, **REMEDIES_OF_FIT) if trial.remedies else config
 
-    def deform_config(self) -> DeformConfig:
+    def deform_config(self, trial: Trial) -> DeformConfig:
         """Of what desrf begins with."""
-        return DeformConfig(steps=QUICK_DEFORM if self.conditions["quick"] else DEFORM_STEPS)
+        config = DeformConfig(steps=QUICK_DEFORM if self.conditions["quick"] else DEFORM_STEPS)
+        return replace(config, **REMEDIES_OF_DEFORM) if trial.remedies else config
 
     def style_config(self, trial: Trial) -> StylizeConfig:
         """Of its stylisation, with the digest of its painting, which is made where it is missing."""
@@ -230,7 +232,7 @@ class Stress:
         field = self._execute(trial, nerf_fit, {"scene": scene}, self.fit_config(trial), fit_name)
         if method.style == "desrf":
             inputs = {"scene": scene, "field": field}
-            field = self._execute(trial, deform_init, inputs, self.deform_config(), f"{fit_name}-deformed")
+            field = self._execute(trial, deform_init, inputs, self.deform_config(trial), f"{fit_name}-deformed")
         if method.style:
             inputs, config = {"scene": scene, "field": field}, self.style_config(trial)
             field = self._execute(trial, stylize, inputs, config, f"{trial.fault.name}-{trial.label}")

@@ -157,11 +157,13 @@ def test_remedies_stand_beside_runs_without(folder, runs, capsys):
 
 
 def test_remedies_are_options_of_their_stages():
+    from stages.configs.deform import DeformConfig
     from stages.configs.fit import FitConfig
     from stages.configs.stylize import StylizeConfig
 
-    plain = FitConfig(), StylizeConfig(style="a.png")
-    for config, remedies in zip(plain, (stress_chain.REMEDIES_OF_FIT, stress_chain.REMEDIES_OF_STYLE), strict=True):
+    plain = FitConfig(), StylizeConfig(style="a.png"), DeformConfig()
+    asked = stress_chain.REMEDIES_OF_FIT, stress_chain.REMEDIES_OF_STYLE, stress_chain.REMEDIES_OF_DEFORM
+    for config, remedies in zip(plain, asked, strict=True):
         assert all(getattr(config, name) == 0 < value for name, value in remedies.items())
 
 
