@@ -11,6 +11,7 @@ from stages.stress.cells import REMEDIED, Cell
 from stages.stress.faults import METHODS
 
 COLOURS = "cividis"  # even to the eye, and read alike by those who do not tell red from green
+STEPS = 11  # few enough that the bar beside the map stays lines in an SVG
 DARK = 0.55  # share up to which text on it is white
 
 
@@ -37,7 +38,13 @@ def heat_map(cells: Sequence[Cell]) -> Chart:
         axes = drawing.add_subplot()
         edges = np.arange(len(methods) + 1) - 0.5, np.arange(len(faults) + 1) - 0.5
         mesh = axes.pcolormesh(
-            *edges, np.ma.masked_invalid(table), cmap=COLOURS, vmin=0, vmax=1, edgecolors="white", linewidth=1.5
+            *edges,
+            np.ma.masked_invalid(table),
+            vmin=0,
+            vmax=1,
+            edgecolors="white",
+            linewidth=1.5,
+            cmap=matplotlib.colormaps[COLOURS].resampled(STEPS),
         )
         for row, fault in enumerate(faults):
             for column, method in enumerate(methods):
