@@ -179,7 +179,7 @@ class Climb:
         if what == GROW:
             state.rung += 1
         else:
-            state.whole = quality if state.whole is None else state.whole
+            state.whole = quality if state.whole is None else max(state.whole, quality)
             until = state.step + self._trial_steps(progress)
             state.trial |= {"step": state.step, "until": until, "given_up": dict(state.given_up)}
             state.given_up |= REDUCTIONS[what](before, settings.kinds, settings)

@@ -1,9 +1,10 @@
 """Fit a radiance field to posed images, no larger than held-out views ask for.
 
 The field starts coarse and climbs a ladder of capacities. Each rung is a trial: if, when its share of the budget is
-used up, held-out views have not gained `min_gain` dB over the rung before, the field goes back to that rung and spends
-the rest of the budget there. Held-out views are taken from the training views, never from the test views, and are
-trained on in the last part of the budget, when nothing is left to decide.
+used up, held-out views have not gained `min_gain` dB over the rung before, the field goes back to that rung and stays
+there. When the ladder has ended, what the views do not miss is given up again (climbing.py decides). Held-out views are
+taken from the training views, never from the test views, and are trained on in the last part of the budget, when nothing
+is left to decide.
 """
 
 import math
@@ -185,6 +186,8 @@ class Fitter:
 
     def _warm_up(self, ranks: set[tuple[int, int]]) -> None:
         settings, generator, scratch = self.settings, np.random.default_rng(0), []
+        if ranks <= self._warm:
+            return
         for density_rank, colour_rank in ranks - self._warm:
             capacity = self._capacity(Rung(8, density_rank, colour_rank, 8, 8))
             parts = first_parts(settings.kinds, capacity, generator)
@@ -230,8 +233,10 @@ class Fitter:
         while (reduction := climb.reduction_due(self.progress)) is not None:
             self._try(reduction, quality)
             reduced = self.held_out_psnr()
-            if not (climb.hopeless(reduced) or climb.enough(reduced)):
-                break  # a while of teaching decides
+            if not climb.hopeless(reduced):  # else it is never taught, and what teaches it need not be compiled
+                self._warm_up({(climb.rung.density_rank, climb.rung.colour_rank)})
+                if not climb.enough(reduced):
+                    break  # a while of teaching decides
             quality = self._judge(reduced)
 
     def _stay(self, quality: float) -> None:
@@ -245,9 +250,7 @@ class Fitter:
     def _try(self, what: str, quality: float) -> None:
         self._anchor = self._snapshot()
         self.state.best = max(self.state.best, quality)
-        rung = self.climb.begin(what, quality, self.parameters, self.progress)
-        self._warm_up({(rung.density_rank, rung.colour_rank)})
-        self._resize(rung)
+        self._resize(self.climb.begin(what, quality, self.parameters, self.progress))
 
     def _judge(self, quality: float) -> float:
         """Keep or drop what is on trial; the held-out quality of the field that stands."""

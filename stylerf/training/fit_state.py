@@ -51,7 +51,7 @@ class FitState:
     fixed: bool = False  # the ladder has been left: no more growth
     given_up: dict[str, int] = field(default_factory=dict)  # of the rung, by its fields' names
     refused: list[str] = field(default_factory=list)  # reductions that lost too much
-    whole: float | None = None  # held-out dB before anything was given up
+    whole: float | None = None  # the best held-out dB from which anything was given up
     trial: dict | None = None  # see climbing.Climb
     sizes: list[dict] = field(default_factory=list)  # what each change of size brought
     rate_scale: float = 1.0

@@ -30,5 +30,5 @@ def compiled_here() -> bool:
 def compiling_note(say: Callable[[str], None]) -> Iterator[None]:
     """Tell once, before a first compile, what the machine will be busy with."""
     if not compiled_here():
-        say("compiling the kernels for this processor, once: about half a minute")
+        say("compiling the kernels for this processor, once: a minute or two")
     yield

@@ -52,7 +52,7 @@ def test_a_reduction_that_loses_little_stays_and_one_that_loses_more_is_refused_
 
 
 def test_small_losses_do_not_add_up():
-    """What is compared is the field before anything was given up, not the one before the last reduction."""
+    """What is compared is the best field so far, not the one before the last reduction."""
     climb = climb_at(min_gain=0.1, reductions=("resolution",))
     climb.begin("resolution", 30.0, 1000, 0.56)
     assert climb.judge(29.94, 900)[0]
