@@ -26,7 +26,8 @@ def test_pose_noise_has_the_asked_deviations_and_keeps_rotations():
     np.testing.assert_allclose(moves.std(0), 0.01 * 4.03, rtol=0.05)  # the dome's radius, its centre is looked at
     assert np.abs(turns.mean(0)).max() < 0.03 and np.abs(moves.mean(0)).max() < 0.003
     assert abs(np.corrcoef(turns[:, 0], moves[:, 0])[0, 1]) < 0.06
-    np.testing.assert_allclose(noisy[:, :3, :3] @ noisy[:, :3, :3].transpose(0, 2, 1), np.eye(3)[None], atol=1e-12)
+    products = noisy[:, :3, :3] @ noisy[:, :3, :3].transpose(0, 2, 1)
+    np.testing.assert_allclose(products, np.broadcast_to(np.eye(3), products.shape), atol=1e-12)
     np.testing.assert_array_equal(noisy[:, 3], poses[:, 3])
     again = capture.noisy_poses(poses, 0.5, 0.01, np.random.default_rng(3))
     np.testing.assert_array_equal(noisy, again)
