@@ -1,4 +1,4 @@
-"""Write README's figures and charts from benchmarks/results: `python -m benchmarks.readme [--check]`."""
+"""Write figures and charts of documents from benchmarks/results: `python -m benchmarks.readme [--check]`."""
 
 import json
 import sys
@@ -7,6 +7,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 RESULTS = ROOT / "benchmarks" / "results"
 IMAGES = ROOT / "docs" / "images"
+REMEDIED = " + remedies"
 PARETO = {"fits": ("psnr", "held-out PSNR, dB", True), "stylisations": ("nnfm", "distance to the painting", False)}
 
 
@@ -108,6 +109,49 @@ def pareto() -> str:
     return "\n".join(lines)
 
 
+def stress() -> str:
+    """The heat map of methods under faults; nothing where it has not been measured."""
+    if not (RESULTS / "stress.json").is_file():
+        return ""
+    report = result("stress.json")
+    sums = []
+    for remedied in (False, True):
+        rows = [row for row in report["rows"] if row["method"].endswith(REMEDIED) == remedied]
+        sums.append(f"{sum(row['successes'] for row in rows)} of {sum(row['count'] for row in rows)}")
+    asked = report["conditions"]
+    lines = [
+        "![Runs that succeed, of methods under faults, for every scene](docs/images/stress.svg)",
+        "",
+        f"{sums[0]} runs succeed, with remedies {sums[1]}: {asked['seeds']} seeds, photos of {asked['side']} pixels, "
+        f"{told(asked['budget'])} a fit, {told(asked['style_budget'])} a stylisation. Made scenes in the first one "
+        "alone. " + where(report).replace("one seed", f"{asked['seeds']} seeds"),
+    ]
+    return "\n".join(lines)
+
+
+def told(budget: str) -> str:
+    """A budget in words: a plain number is one of steps."""
+    return f"{budget} steps" if budget.isdigit() else budget
+
+
+def remedies() -> str:
+    """Markdown of every cell before and after, by scene; nothing where it has not been measured."""
+    if not (RESULTS / "stress.json").is_file():
+        return ""
+    rows = {(row["work"], row["fault"], row["method"]): row for row in result("stress.json")["rows"]}
+    lines = ["| scene | fault | method | without remedies | with them |", "|---|---|---|---|---|"]
+    for (work, fault, method), row in rows.items():
+        if after := rows.get((work, fault, method + REMEDIED)):
+            lines.append(f"| {work} | {fault} | {method} | {_outcome(row)} | {_outcome(after)} |")
+    return "\n".join([*lines, "", where(result("stress.json")).replace("one seed", "several seeds")])
+
+
+def _outcome(row: dict) -> str:
+    fit = row["method"].startswith("fit")
+    score = "–" if row["median"] is None else f"{row['median']:.2f} dB" if fit else f"{row['median']:.3f}"
+    return f"{row['successes']} of {row['count']}, {score}"
+
+
 def drawn(size: tuple[float, float], draw) -> str:
     """SVG text of what `draw(figure)` makes of an empty figure: the same for the same figures."""
     import io
@@ -162,6 +206,27 @@ def pareto_chart(report: dict) -> str:
     return drawn((4.6 * len(scenes), 7), draw)
 
 
+def stress_chart(report: dict) -> str:
+    """A panel a scene: the heat map that `stylerf stress` draws of it."""
+    from types import SimpleNamespace
+
+    from stages.stress.heat_map import draw_cells
+
+    scenes = list(dict.fromkeys(row["work"] for row in report["rows"]))
+    cells = {scene: [SimpleNamespace(**row) for row in report["rows"] if row["work"] == scene] for scene in scenes}
+    methods, faults = (
+        max(len({getattr(cell, key) for cell in some}) for some in cells.values()) for key in ("method", "fault")
+    )
+
+    def draw(figure) -> None:
+        figure.set_facecolor("white")
+        for one, (scene, some) in zip(figure.subplots(1, len(scenes), squeeze=False)[0], cells.items()):
+            draw_cells(one, some)
+            one.set_title(scene)
+
+    return drawn((len(scenes) * (1.2 + 1.0 * methods), 1.2 + 0.44 * faults), draw)
+
+
 def _mark(axes, row: dict, key: str) -> None:
     place = (row["costs"]["seconds"], row["figures"][key])
     colour = "#0072b2" if row["family"] == "fits" else "#d55e00"
@@ -171,23 +236,32 @@ def _mark(axes, row: dict, key: str) -> None:
     axes.annotate(row["name"], place, xytext=(5, 3), textcoords="offset points", fontsize=6)
 
 
-BLOCKS = {"figures": fits, "strategies": strategies, "edits": edits, "pareto": pareto}
+BLOCKS = {
+    "README.md": {"figures": fits, "strategies": strategies, "edits": edits, "pareto": pareto, "stress": stress},
+    "docs/stress.md": {"remedies": remedies},
+}
 
 
 def main() -> int:
-    readme = ROOT / "README.md"
-    text = wanted = readme.read_text()
-    for name, block in BLOCKS.items():
-        begin, end = f"<!-- {name} -->", f"<!-- /{name} -->"
-        head, _, rest = wanted.partition(begin)
-        _, _, tail = rest.partition(end)
-        wanted = f"{head}{begin}\n{block()}\n{end}{tail}"
+    stale = False
+    for paper, blocks in BLOCKS.items():
+        path = ROOT / paper
+        text = wanted = path.read_text()
+        for name, block in blocks.items():
+            begin, end = f"<!-- {name} -->", f"<!-- /{name} -->"
+            head, _, rest = wanted.partition(begin)
+            _, _, tail = rest.partition(end)
+            wanted = f"{head}{begin}\n{block()}\n{end}{tail}"
+        stale |= wanted != text
+        if "--check" not in sys.argv:
+            path.write_text(wanted)
     if "--check" in sys.argv:
-        return int(wanted != text)
-    readme.write_text(wanted)
+        return int(stale)
     (IMAGES / "strategies.svg").write_text(strategies_chart())
     if (RESULTS / "pareto.json").is_file():
         (IMAGES / "pareto.svg").write_text(pareto_chart(result("pareto.json")))
+    if (RESULTS / "stress.json").is_file():
+        (IMAGES / "stress.svg").write_text(stress_chart(result("stress.json")))
     return 0
 
 

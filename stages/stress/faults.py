@@ -47,7 +47,7 @@ ALL_FAULTS = (
 )
 FAULTS = {fault.name: fault for fault in ALL_FAULTS}
 CLEAN = "seeds"  # the scene that paintings with faults are put on
-ORDINARY_STYLE = 512  # pixels a side of the painting that scenes with faults are stylised with
+ORDINARY_STYLE = 256  # pixels a side of the painting for scenes with faults: views of 160 ask for 240 of it
 
 
 @dataclass(frozen=True)

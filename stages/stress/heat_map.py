@@ -4,6 +4,8 @@ from collections.abc import Sequence
 
 import matplotlib
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import QuadMesh
 from matplotlib.figure import Figure as Drawing
 
 from stages.evaluation.charts import INK, SETTINGS, Chart, finished
@@ -31,35 +33,43 @@ def _by_method(cell: Cell) -> tuple[int, bool]:
 
 def heat_map(cells: Sequence[Cell]) -> Chart:
     """Each cell shows its successes of its runs and, below, the median of the scores with their spread."""
-    faults, methods, table = rates(cells)
-    found = {(cell.fault, cell.method): cell for cell in cells}
+    faults, methods, _ = rates(cells)
     with matplotlib.rc_context(SETTINGS):
         drawing = Drawing(figsize=(2.2 + 1.25 * len(methods), 1.4 + 0.46 * len(faults)), layout="constrained")
         axes = drawing.add_subplot()
-        edges = np.arange(len(methods) + 1) - 0.5, np.arange(len(faults) + 1) - 0.5
-        mesh = axes.pcolormesh(
-            *edges,
-            np.ma.masked_invalid(table),
-            vmin=0,
-            vmax=1,
-            edgecolors="white",
-            linewidth=1.5,
-            cmap=matplotlib.colormaps[COLOURS].resampled(STEPS),
-        )
-        for row, fault in enumerate(faults):
-            for column, method in enumerate(methods):
-                _write(axes, column, row, found.get((fault, method)))
-        axes.set_xticks(range(len(methods)), [method.replace(REMEDIED, "\n+ remedies") for method in methods])
-        axes.set_yticks(range(len(faults)), faults)
-        axes.invert_yaxis()
-        axes.xaxis.tick_top()
-        axes.tick_params(length=0)
-        for spine in axes.spines.values():
-            spine.set_visible(False)
+        mesh = draw_cells(axes, cells)
         bar = drawing.colorbar(mesh, ax=axes, fraction=0.04, pad=0.02, ticks=[0, 0.5, 1])
         bar.ax.set_yticklabels(["none", "half", "all"])
         bar.set_label("runs that succeed")
         return finished(drawing, "heat_map", "Success of methods under faults", _told(cells))
+
+
+def draw_cells(axes: Axes, cells: Sequence[Cell]) -> QuadMesh:
+    """The map alone, on axes of any drawing; the coloured mesh for a bar beside it."""
+    faults, methods, table = rates(cells)
+    found = {(cell.fault, cell.method): cell for cell in cells}
+    edges = np.arange(len(methods) + 1) - 0.5, np.arange(len(faults) + 1) - 0.5
+    mesh = axes.pcolormesh(
+        *edges,
+        np.ma.masked_invalid(table),
+        vmin=0,
+        vmax=1,
+        edgecolors="white",
+        linewidth=1.5,
+        cmap=matplotlib.colormaps[COLOURS].resampled(STEPS),
+    )
+    for row, fault in enumerate(faults):
+        for column, method in enumerate(methods):
+            _write(axes, column, row, found.get((fault, method)))
+    axes.set_xticks(range(len(methods)), [method.replace(REMEDIED, "\n+ remedies") for method in methods])
+    axes.set_yticks(range(len(faults)), faults)
+    axes.invert_yaxis()
+    axes.xaxis.tick_top()
+    axes.tick_params(length=0)
+    axes.grid(False)
+    for spine in axes.spines.values():
+        spine.set_visible(False)
+    return mesh
 
 
 def _write(axes, column: int, row: int, cell: Cell | None) -> None:
