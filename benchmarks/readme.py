@@ -1,8 +1,13 @@
-"""Write figures and charts of documents from benchmarks/results: `python -m benchmarks.readme [--check]`."""
+"""Write README, docs/results.md, docs/stress.md and their charts from benchmarks/results.
+
+Use: `python -m benchmarks.readme [--check]`.
+"""
 
 import json
 import sys
 from pathlib import Path
+
+from benchmarks.results_page import page
 
 ROOT = Path(__file__).resolve().parent.parent
 RESULTS = ROOT / "benchmarks" / "results"
@@ -255,8 +260,11 @@ def main() -> int:
         stale |= wanted != text
         if "--check" not in sys.argv:
             path.write_text(wanted)
+    results = ROOT / "docs" / "results.md"
+    stale |= page() != results.read_text()
     if "--check" in sys.argv:
         return int(stale)
+    results.write_text(page())
     (IMAGES / "strategies.svg").write_text(strategies_chart())
     if (RESULTS / "pareto.json").is_file():
         (IMAGES / "pareto.svg").write_text(pareto_chart(result("pareto.json")))

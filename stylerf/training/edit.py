@@ -43,10 +43,10 @@ class EditSettings:
 
     colours: of the palette at first; palette: where they begin, "clusters" or "random" (LAENeRF); of four
     shaded colours clusters leave these four with L_sp 0.1, random ones six with 0.5. most_colours: kept by
-    pruning at most. *_steps: of each phase. seconds: a bound for all of them, 0 for none. pixels: of a view that a step
-    without a painting learns from. rates: per step, of networks and palette (twice it) and of the table, falling to
-    `final_rate` of themselves. style_side: see RegionStyle. preserve_colour: the painting is first given the region's
-    mean colour and covariance.
+    pruning at most. *_steps: of each phase. seconds: a bound for all of them, 0 for none; what is learnt depends on
+    the clock only where that is reached first. pixels: of a view that a step without a painting learns from. rates: per
+    step, of networks and palette (twice it) and of the table, falling to `final_rate` of themselves. style_side: see
+    RegionStyle. preserve_colour: the painting is first given the region's mean colour and covariance.
     """
 
     colours: int = 8
@@ -237,13 +237,15 @@ class EditTrainer:
         """All phases; on_step is told after every step."""
         state = self.state
         while state.phase != "done":
+            # A process's first step of a phase compiles: its time would lower the rates of all that follow.
+            timed = False
             while self.progress < 1.0:
                 begun, self.between_steps = time.perf_counter(), False
                 parts = self.step()
                 if not all(math.isfinite(v) for v in parts.values()):
                     raise Diverged(f"{state.phase} step {state.step}: the loss left the finite numbers ({parts})")
-                state.seconds += time.perf_counter() - begun
-                state.step += 1
+                state.seconds += (time.perf_counter() - begun) * timed
+                state.step, timed = state.step + 1, True
                 if state.step % 10 == 0:
                     rounded = {k: round(v, 6) for k, v in parts.items()}
                     seconds = round(state.seconds, 2)

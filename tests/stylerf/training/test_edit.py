@@ -1,5 +1,6 @@
 """Learning a palette from small regions: what comes of it, resuming, and what stops it."""
 
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -152,6 +153,16 @@ def test_a_budget_of_seconds_ends_it():
     made.run()
     assert made.state.phase == "done" and min(made.state.spent.values()) > 0.09
     assert 0.4 < sum(made.state.spent.values()) < 2 and made.progress == made.whole_progress == 1
+
+
+def test_a_first_step_that_compiles_changes_nothing(monkeypatch):
+    """A bound that is not reached leaves no trace, however long the first step of a process takes."""
+    slow, free = (trainer(count=1, seconds=seconds, palette_steps=12, pruned_steps=4) for seconds in (4.0, 0.0))
+    step = slow.step
+    monkeypatch.setattr(slow, "step", lambda: (time.sleep(0.0 if slow.state.step else 0.5), step())[1])
+    for made in (slow, free):
+        made.run()
+    assert np.array_equal(slow.module.values, free.module.values)
 
 
 def test_figures_tell_how_well_the_region_is_drawn():

@@ -1,0 +1,112 @@
+"""Figures that others published, and which figure of benchmarks/results stands beside each: facts, no code."""
+
+from dataclasses import dataclass
+
+SUPPLEMENT = "LAENeRF, supplement"
+
+
+@dataclass(frozen=True)
+class Published:
+    """One published figure.
+
+    better: `lower` or `higher`. ours: (result file, {key: value} that its row has, the row's key, with dots into
+    objects); None: nothing was measured here that could stand beside it. unlike: what keeps the two from being compared
+    as equals; empty: nothing does.
+    """
+
+    method: str
+    what: str
+    value: float
+    better: str
+    source: str
+    ours: tuple[str, dict, str] | None
+    unlike: str
+    unit: str = ""
+
+
+def _edit(case: str, key: str) -> tuple[str, dict, str]:
+    return "edits.json", {"case": case}, key
+
+
+def _seconds(stage: str) -> tuple[str, dict, str]:
+    return _edit("lego shovel, recoloured", f"seconds.{stage}")
+
+
+def _fit(scene: str, budget: str) -> tuple[str, dict, str]:
+    return "fit.json", {"scene": scene, "budget": budget}, "psnr"
+
+
+TIMES = "their scenes and an NVIDIA GPU; ours lego at 400x400 on two CPU cores"
+SAME_SCENE = "800x800 and masks of theirs; ours 400x400, the region as the field shows it"
+NO_SCENE = "their scene and its masks are not at hand"
+NO_FILM = "films of theirs, RAFT's flow; nothing of it is at hand"
+FULL_SIZE = "hours on a GPU at full size; ours five minutes on two CPU cores at {}"
+
+PUBLISHED = (
+    Published("LAENeRF", "extraction of the edit dataset", 16, "lower", f"{SUPPLEMENT}, table 3",
+              _seconds("edit-dataset"), TIMES, "s"),
+    Published("LAENeRF", "learning the edit", 133, "lower", f"{SUPPLEMENT}, table 3", _seconds("edit"), TIMES, "s"),
+    Published("LAENeRF", "distillation", 32, "lower", f"{SUPPLEMENT}, table 3", _seconds("scene"), TIMES, "s"),
+    Published("LAENeRF", "fine-tuning", 129, "lower", f"{SUPPLEMENT}, table 3", _seconds("field"), TIMES, "s"),
+    Published("LAENeRF", "extraction to fine-tuning", 310, "lower", f"{SUPPLEMENT}, table 3",
+              _edit("lego shovel, recoloured", "seconds_after_selection"), TIMES, "s"),
+    Published("PaletteNeRF", "palette and decomposition of a scene", 582, "lower", f"{SUPPLEMENT}, table 3",
+              ("palettes.json", {"scene": "lego 200x200"}, "seconds"),
+              "their scenes and an NVIDIA GPU; ours lego at 200x200 on two CPU cores", "s"),
+    Published("LAENeRF", "lego shovel recoloured: palette colours", 5, "lower", f"{SUPPLEMENT}, table 1",
+              _edit("lego shovel, recoloured", "colours"), SAME_SCENE),
+    Published("LAENeRF", "lego shovel recoloured: sparsity L_sp", 0.859, "lower", f"{SUPPLEMENT}, table 1",
+              _edit("lego shovel, recoloured", "sparsity"), SAME_SCENE),
+    Published("LAENeRF", "lego shovel recoloured: palette TV", 0.107, "lower", f"{SUPPLEMENT}, table 1",
+              _edit("lego shovel, recoloured", "palette_variation"), SAME_SCENE),
+    Published("LAENeRF", "lego shovel stylised: palette colours", 6, "lower", f"{SUPPLEMENT}, table 1",
+              _edit("lego shovel, starry_night", "colours"), SAME_SCENE),
+    Published("LAENeRF", "lego shovel stylised: sparsity L_sp", 2.129, "lower", f"{SUPPLEMENT}, table 1",
+              _edit("lego shovel, starry_night", "sparsity"), SAME_SCENE),
+    Published("LAENeRF", "lego shovel stylised: palette TV", 0.029, "lower", f"{SUPPLEMENT}, table 1",
+              _edit("lego shovel, starry_night", "palette_variation"), SAME_SCENE),
+    Published("LAENeRF", "lego stylised: background MSE", 0.0021, "lower", f"{SUPPLEMENT}, table 4",
+              _edit("lego shovel, starry_night", "background_mse"), SAME_SCENE),
+    Published("Ref-NPR", "lego stylised: background MSE", 0.0233, "lower", f"{SUPPLEMENT}, table 4",
+              _edit("lego shovel, starry_night", "background_mse"), SAME_SCENE),
+    *(
+        Published(method, f"{scene} {edit}: background MSE", value, "lower", f"{SUPPLEMENT}, table {table}", None,
+                  NO_SCENE)
+        for edit, table, rows in (
+            ("stylised", 4, (
+                ("chair", (("Ref-NPR", 0.0357), ("LAENeRF", 0.0037))),
+                ("drums", (("Ref-NPR", 0.0808), ("LAENeRF", 0.0154))),
+                ("horns", (("Ref-NPR", 0.0075), ("LAENeRF", 0.0024))),
+                ("flower", (("Ref-NPR", 0.0079), ("LAENeRF", 0.0026))),
+                ("trex", (("Ref-NPR", 0.0064), ("LAENeRF", 0.0025))),
+            )),
+            ("recoloured", 5, (
+                ("horns", (("PaletteNeRF", 0.0195), ("PaletteNeRF, semantic", 0.0028), ("LAENeRF", 0.0010))),
+                ("fortress", (("PaletteNeRF", 0.0011), ("PaletteNeRF, semantic", 0.0002), ("LAENeRF", 0.0002))),
+                ("flower", (("PaletteNeRF", 0.0076), ("PaletteNeRF, semantic", 0.0022), ("LAENeRF", 0.0007))),
+            )),
+            ("recoloured", 6, (
+                ("room", (("PaletteNeRF", 0.0216), ("PaletteNeRF, semantic", 0.0056), ("LAENeRF", 0.0015))),
+                ("bonsai", (("PaletteNeRF", 0.0036), ("PaletteNeRF, semantic", 0.0016), ("LAENeRF", 0.0011))),
+                ("kitchen", (("PaletteNeRF", 0.0125), ("PaletteNeRF, semantic", 0.0027), ("LAENeRF", 0.0022))),
+            )),
+        )
+        for scene, methods in rows
+        for method, value in methods
+    ),
+    *(
+        Published(method, f"consistency of {edit}, {reach}", value, "lower", f"{SUPPLEMENT}, table 2", None, NO_FILM)
+        for edit, rows in (
+            ("stylisations", (("LAENeRF", 0.0252, 0.1932), ("Ref-NPR", 0.0264, 0.1973))),
+            ("recolourings", (("LAENeRF", 0.0167, 0.0934), ("PaletteNeRF, semantic", 0.0164, 0.0925))),
+        )
+        for method, short, long in rows
+        for reach, value in (("short", short), ("long", long))
+    ),
+    Published("TensoRF VM-192", "lego, held-out PSNR", 36.46, "higher", "TensoRF, per-scene table",
+              _fit("lego 400x400", "300s"), FULL_SIZE.format("400x400"), "dB"),
+    Published("TensoRF", "fern, held-out PSNR", 25.27, "higher", "TensoRF, per-scene table",
+              _fit("fern 504x378", "300s"), FULL_SIZE.format("504x378"), "dB"),
+    Published("DeSRF", "any figure", float("nan"), "lower", "DeSRF publishes none", None,
+              "compared by pictures and a user study only"),
+)  # fmt: skip

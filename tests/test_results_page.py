@@ -1,0 +1,47 @@
+"""docs/results.md: verdicts follow the better side, what was not measured says so, the page is up to date."""
+
+import json
+import sys
+
+from benchmarks import readme
+from benchmarks.published import PUBLISHED, Published
+from benchmarks.results_page import RESULTS, ours, page, verdict
+
+
+def published(value: float, better: str, key: str = "a.b") -> Published:
+    return Published("M", "f", value, better, "paper", ("x.json", {"case": "one"}, key), "unlike")
+
+
+def test_a_figure_is_found_by_its_row_and_key(tmp_path):
+    (tmp_path / "x.json").write_text(
+        json.dumps({"rows": [{"case": "two", "a": {"b": 9}}, {"case": "one", "a": {"b": 3}}]})
+    )
+    assert ours(published(1.0, "lower"), tmp_path) == 3.0
+    (tmp_path / "x.json").write_text(json.dumps({"rows": [{"case": "two", "a": {"b": 9}}]}))
+    assert ours(published(1.0, "lower"), tmp_path) is None
+    assert ours(published(1.0, "lower"), tmp_path / "nowhere") is None
+
+
+def test_the_better_side_decides():
+    assert verdict(published(2.0, "lower"), 1.0) == "better" and verdict(published(2.0, "lower"), 3.0) == "worse"
+    assert verdict(published(2.0, "higher"), 1.0) == "worse" and verdict(published(2.0, "higher"), 3.0) == "better"
+    assert verdict(published(2.0, "higher"), 2.0) == "equal" and verdict(published(2.0, "higher"), None) == "-"
+    assert verdict(published(float("nan"), "lower"), 1.0) == "-"
+
+
+def test_every_reference_to_a_result_is_met_where_its_file_is_there():
+    for one in PUBLISHED:
+        if one.ours is not None and (RESULTS / one.ours[0]).is_file():
+            assert ours(one) is not None, one
+
+
+def test_losses_are_counted_and_the_unmeasured_listed():
+    text = page()
+    worse = text.count("| worse |")
+    assert f"{worse} worse" in text and worse > 0  # full-size TensoRF is better on lego, and the page may not hide it
+    assert text.count("\n| ") == len(PUBLISHED) + 2
+
+
+def test_readme_and_page_are_those_of_the_results(monkeypatch):
+    monkeypatch.setattr(sys, "argv", ["readme", "--check"])
+    assert readme.main() == 0
