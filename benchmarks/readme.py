@@ -120,14 +120,15 @@ def stress() -> str:
         return ""
     report = result("stress.json")
     sums = []
-    for remedied in (False, True):
-        rows = [row for row in report["rows"] if row["method"].endswith(REMEDIED) == remedied]
-        sums.append(f"{sum(row['successes'] for row in rows)} of {sum(row['count'] for row in rows)}")
+    for remedied, words in ((False, "without remedies"), (True, "with them")):
+        if rows := [row for row in report["rows"] if row["method"].endswith(REMEDIED) == remedied]:
+            done, asked_for = (sum(row[key] for row in rows) for key in ("successes", "count"))
+            sums.append(f"{done} of {asked_for} runs succeed {words}")
     asked = report["conditions"]
     lines = [
         "![Runs that succeed, of methods under faults, for every scene](docs/images/stress.svg)",
         "",
-        f"{sums[0]} runs succeed, with remedies {sums[1]}: {asked['seeds']} seeds, photos of {asked['side']} pixels, "
+        f"{', '.join(sums)}: {asked['seeds']} seeds, photos of {asked['side']} pixels, "
         f"{told(asked['budget'])} a fit, {told(asked['style_budget'])} a stylisation. Made scenes in the first one "
         "alone. " + where(report).replace("one seed", f"{asked['seeds']} seeds"),
     ]

@@ -3,11 +3,11 @@
 Each WORK is a folder with a scene; runs are kept in WORK/stress, and what stands there is not made again. What is not
 known here goes to `stylerf stress` as it is: --methods, --faults, --quick, --budget, --style-budget, --side, --seeds.
 
-Protocol: `stylerf stress` with `--remedies both` in one work folder after another; faults of made scenes, which are the
-same for every WORK, in the first alone. Training views carry the fault, test views never do. A fit succeeds where it is
-finite and 3 dB nearer to the test photos than one flat colour; a stylisation where it is finite, keeps an SSIM of luma
-of 0.2 with the photos and is at most 0.7 times as far from the painting's colours. Figures: PSNR (dB) of fits, SSIM of
-luma of stylisations, medians over the seeds.
+Protocol: `stylerf stress` in one work folder after another, remedies as the command says; faults of made scenes,
+which are the same for every WORK, in the first alone. Training views carry the fault, test views never do. A fit
+succeeds where it is finite and 3 dB nearer to the test photos than one flat colour; a stylisation where it is finite,
+keeps an SSIM of luma of 0.2 with the photos and is at most 0.7 times as far from the painting's colours. Figures:
+PSNR (dB) of fits, SSIM of luma of stylisations, medians over the seeds.
 """
 
 import argparse
@@ -33,6 +33,7 @@ def options_of(argv: list[str]) -> tuple[argparse.Namespace, list[str]]:
     asked = parser.parse_args(argv[:places])
     parser = argparse.ArgumentParser(prog="benchmarks.stress", allow_abbrev=False)
     parser.add_argument("--faults", nargs="+", default=["all"])
+    parser.add_argument("--remedies", choices=("off", "on", "both"), default="both")
     return parser.parse_known_args(argv[places:], asked)
 
 
@@ -44,7 +45,7 @@ def faults_of(asked: list[str], first: bool) -> list[str]:
     return [name for name in chosen if first or FAULTS[name].of != MADE]
 
 
-def rows_of(work: Path, faults: list[str], flags: list[str], remedies: str = "both") -> tuple[list[dict], dict]:
+def rows_of(work: Path, faults: list[str], flags: list[str], remedies: str) -> tuple[list[dict], dict]:
     """A row a cell, and what was left out with the conditions of all."""
     told = stylerf("stress", str(work), "--faults", *faults, "--remedies", remedies, "--quiet", *flags)
     rows = [{"work": work.name} | {key: cell[key] for key in KEPT} for cell in told["cells"]]
@@ -60,9 +61,9 @@ def main(argv: list[str] | None = None) -> None:
     for number, work in enumerate(asked.works):
         if not (faults := faults_of(asked.faults, number == 0)):
             continue
-        found, more = rows_of(work, faults, flags)
+        found, more = rows_of(work, faults, flags, asked.remedies)
         rows, missing = rows + found, missing + more["missing"]
-        told = shlex.join(["--faults", *asked.faults, *flags])
+        told = shlex.join(["--faults", *asked.faults, "--remedies", asked.remedies, *flags])
         report = {
             "command": f"python -m benchmarks.stress OUT.json WORK... {told}",
             "protocol": __doc__.split("Protocol: ")[1],
