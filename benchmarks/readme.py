@@ -1,4 +1,7 @@
-"""Write README, docs/results.md and their charts from benchmarks/results: `python -m benchmarks.readme [--check]`."""
+"""Write README, docs/results.md, docs/stress.md and their charts from benchmarks/results.
+
+Use: `python -m benchmarks.readme [--check]`.
+"""
 
 import json
 import sys
@@ -9,6 +12,7 @@ from benchmarks.results_page import page
 ROOT = Path(__file__).resolve().parent.parent
 RESULTS = ROOT / "benchmarks" / "results"
 IMAGES = ROOT / "docs" / "images"
+REMEDIED = " + remedies"
 PARETO = {"fits": ("psnr", "held-out PSNR, dB", True), "stylisations": ("nnfm", "distance to the painting", False)}
 
 
@@ -110,6 +114,50 @@ def pareto() -> str:
     return "\n".join(lines)
 
 
+def stress() -> str:
+    """The heat map of methods under faults; nothing where it has not been measured."""
+    if not (RESULTS / "stress.json").is_file():
+        return ""
+    report = result("stress.json")
+    sums = []
+    for remedied, words in ((False, "without remedies"), (True, "with them")):
+        if rows := [row for row in report["rows"] if row["method"].endswith(REMEDIED) == remedied]:
+            done, asked_for = (sum(row[key] for row in rows) for key in ("successes", "count"))
+            sums.append(f"{done} of {asked_for} runs succeed {words}")
+    asked = report["conditions"]
+    lines = [
+        "![Runs that succeed, of methods under faults, for every scene](docs/images/stress.svg)",
+        "",
+        f"{', '.join(sums)}: {asked['seeds']} seeds, photos of {asked['side']} pixels, "
+        f"{told(asked['budget'])} a fit, {told(asked['style_budget'])} a stylisation. Made scenes in the first one "
+        "alone. " + where(report).replace("one seed", f"{asked['seeds']} seeds"),
+    ]
+    return "\n".join(lines)
+
+
+def told(budget: str) -> str:
+    """A budget in words: a plain number is one of steps."""
+    return f"{budget} steps" if budget.isdigit() else budget
+
+
+def remedies() -> str:
+    """Markdown of every cell before and after, by scene; nothing where it has not been measured."""
+    if not (RESULTS / "stress.json").is_file():
+        return ""
+    rows = {(row["work"], row["fault"], row["method"]): row for row in result("stress.json")["rows"]}
+    lines = ["| scene | fault | method | without remedies | with them |", "|---|---|---|---|---|"]
+    for (work, fault, method), row in rows.items():
+        if after := rows.get((work, fault, method + REMEDIED)):
+            lines.append(f"| {work} | {fault} | {method} | {_outcome(row)} | {_outcome(after)} |")
+    return "\n".join([*lines, "", where(result("stress.json")).replace("one seed", "several seeds")])
+
+
+def _outcome(row: dict) -> str:
+    fit = row["method"].startswith("fit")
+    score = "–" if row["median"] is None else f"{row['median']:.2f} dB" if fit else f"{row['median']:.3f}"
+    return f"{row['successes']} of {row['count']}, {score}"
+
+
 def drawn(size: tuple[float, float], draw) -> str:
     """SVG text of what `draw(figure)` makes of an empty figure: the same for the same figures."""
     import io
@@ -164,6 +212,27 @@ def pareto_chart(report: dict) -> str:
     return drawn((4.6 * len(scenes), 7), draw)
 
 
+def stress_chart(report: dict) -> str:
+    """A panel a scene: the heat map that `stylerf stress` draws of it."""
+    from types import SimpleNamespace
+
+    from stages.stress.heat_map import draw_cells
+
+    scenes = list(dict.fromkeys(row["work"] for row in report["rows"]))
+    cells = {scene: [SimpleNamespace(**row) for row in report["rows"] if row["work"] == scene] for scene in scenes}
+    methods, faults = (
+        max(len({getattr(cell, key) for cell in some}) for some in cells.values()) for key in ("method", "fault")
+    )
+
+    def draw(figure) -> None:
+        figure.set_facecolor("white")
+        for one, (scene, some) in zip(figure.subplots(1, len(scenes), squeeze=False)[0], cells.items()):
+            draw_cells(one, some)
+            one.set_title(scene)
+
+    return drawn((len(scenes) * (1.2 + 1.0 * methods), 1.2 + 0.44 * faults), draw)
+
+
 def _mark(axes, row: dict, key: str) -> None:
     place = (row["costs"]["seconds"], row["figures"][key])
     colour = "#0072b2" if row["family"] == "fits" else "#d55e00"
@@ -173,25 +242,35 @@ def _mark(axes, row: dict, key: str) -> None:
     axes.annotate(row["name"], place, xytext=(5, 3), textcoords="offset points", fontsize=6)
 
 
-BLOCKS = {"figures": fits, "strategies": strategies, "edits": edits, "pareto": pareto}
+BLOCKS = {
+    "README.md": {"figures": fits, "strategies": strategies, "edits": edits, "pareto": pareto, "stress": stress},
+    "docs/stress.md": {"remedies": remedies},
+}
 
 
 def main() -> int:
-    readme = ROOT / "README.md"
-    text = wanted = readme.read_text()
-    for name, block in BLOCKS.items():
-        begin, end = f"<!-- {name} -->", f"<!-- /{name} -->"
-        head, _, rest = wanted.partition(begin)
-        _, _, tail = rest.partition(end)
-        wanted = f"{head}{begin}\n{block()}\n{end}{tail}"
+    stale = False
+    for paper, blocks in BLOCKS.items():
+        path = ROOT / paper
+        text = wanted = path.read_text()
+        for name, block in blocks.items():
+            begin, end = f"<!-- {name} -->", f"<!-- /{name} -->"
+            head, _, rest = wanted.partition(begin)
+            _, _, tail = rest.partition(end)
+            wanted = f"{head}{begin}\n{block()}\n{end}{tail}"
+        stale |= wanted != text
+        if "--check" not in sys.argv:
+            path.write_text(wanted)
     results = ROOT / "docs" / "results.md"
+    stale |= page() != results.read_text()
     if "--check" in sys.argv:
-        return int(wanted != text or page() != results.read_text())
-    readme.write_text(wanted)
+        return int(stale)
     results.write_text(page())
     (IMAGES / "strategies.svg").write_text(strategies_chart())
     if (RESULTS / "pareto.json").is_file():
         (IMAGES / "pareto.svg").write_text(pareto_chart(result("pareto.json")))
+    if (RESULTS / "stress.json").is_file():
+        (IMAGES / "stress.svg").write_text(stress_chart(result("stress.json")))
     return 0
 
 

@@ -7,6 +7,12 @@ class StylerfError(Exception):
     exit_code = 3
 
 
+class CheckFailed(StylerfError):
+    """A check that was asked for does not hold."""
+
+    exit_code = 1
+
+
 class UsageError(StylerfError):
     """The command line or configuration asks for something that does not exist."""
 

@@ -39,17 +39,23 @@ def run(inputs: dict[str, Artefact], config: DeformConfig, partial: Partial, con
         vertices=config.vertices,
         background=level_of(background),
         patience=config.patience_db,
+        gate=config.gate,
     )
-    bank = bank_of(scene, scene.splits["train"], partial.folder, context)
+    train = scene.splits["train"]
+    aside = _aside(train) if config.gate > 0 else []
+    bank = bank_of(scene, [i for i in train if i not in aside] + aside, partial.folder, context)
     with compiling_note(context.progress.say):
         try:
-            fitter = DeformationFitter(field, deformation, bank, settings, context.seed, threads)
+            fitter = DeformationFitter(field, deformation, bank, settings, context.seed, threads, len(aside))
         except InvalidValue as error:
             raise BadInput(f"{inputs['field'].path}: {error}") from error
         if (saved := load_checkpoint(partial.checkpoint)) is not None:
             fitter.resume(*saved)
             context.progress.say(f"going on from step {fitter.state.step}")
         _train(fitter, config, partial, context)
+    if fitter.dropped:
+        gained = fitter.state.best - fitter.state.before
+        context.progress.say(f"the deformation is dropped: views kept aside gain {gained:.2f} dB, not {config.gate:g}")
     save_field(partial.path, field, background)
     save_deformation(partial.path, deformation)
     state = fitter.state
@@ -58,10 +64,17 @@ def run(inputs: dict[str, Artefact], config: DeformConfig, partial: Partial, con
         "train_seconds": round(state.seconds, 2),
         "curve": state.curve,
         "psnr_before": round(state.before, 3),
-        "psnr_after": round(state.best, 3),
+        "psnr_after": round(state.before if fitter.dropped else state.best, 3),
+        "dropped": fitter.dropped,
         "displacement_rms": float(np.sqrt(np.square(2 * field.displacement).sum(-1).mean())),
         "parameters": field.parameters + len(deformation.values),
     }
+
+
+def _aside(train: list[int]) -> list[int]:
+    """Every tenth training view, one at least and at most four, evenly."""
+    count = min(4, max(1, len(train) // 10))
+    return [train[int((k + 0.5) * len(train) / count)] for k in range(count)]
 
 
 def _train(fitter: DeformationFitter, config: DeformConfig, partial: Partial, context: Context) -> None:

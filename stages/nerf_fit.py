@@ -16,6 +16,7 @@ from stages.scenes import SceneData, load_scene
 from stages.spaces import space_of
 from stylerf.errors import Diverged
 from stylerf.kernels.cpu.compiling import compiling_note, set_threads
+from stylerf.training.engine import CpuEngine
 from stylerf.training.fit import Fitter
 from stylerf.training.fit_state import FitSettings
 from stylerf.training.ladders import LADDER, Kinds, Rung
@@ -41,7 +42,10 @@ def run(inputs: dict[str, Artefact], config: FitConfig, partial: Partial, contex
     if device and settings.kinds != Kinds():
         context.progress.say("computing on the CPU: of the kinds of fields only vm has GPU kernels to fit it with")
         device = None
-    engine = _engine(device, settings)
+    if device and (config.opacity_weight > 0 or config.clip > 0):
+        context.progress.say("computing on the CPU: the opacity prior and clipped gradients are its kernels' alone")
+        device = None
+    engine = _engine(device, settings, config.clip)
     say, ranks = context.progress.say, context.ranks
     fitter = Fitter(space, bank, len(held_out), settings, context.seed, threads, say, ranks, engine)
     saved = ranks.checkpoint(load_checkpoint(partial.checkpoint) if ranks.first else None)
@@ -56,10 +60,10 @@ def run(inputs: dict[str, Artefact], config: FitConfig, partial: Partial, contex
     return _figures(fitter, held_out, reason) | gpu_figures(device)
 
 
-def _engine(device: str | None, settings: FitSettings):
-    """What the fit computes with; None: the CPU's."""
+def _engine(device: str | None, settings: FitSettings, clip: float):
+    """What the fit computes with."""
     if device is None:
-        return None
+        return functools.partial(CpuEngine, clip=clip)
     from stylerf.training.device_engine import DeviceEngine
 
     return functools.partial(DeviceEngine, device=device, samples=settings.samples)
@@ -121,6 +125,8 @@ def _settings(config: FitConfig, scene: SceneData) -> FitSettings:
         ladder=LADDER if fixed is None else _fixed_ladder(*fixed),
         shares=FitSettings.shares if fixed is None else tuple(FitSettings.shares[: len(_fixed_ladder(*fixed)) - 1]),
         always_climb=fixed is not None,
+        # A capture ends in an opaque backdrop: there every ray is opaque as it is.
+        opacity=config.opacity_weight if scene.layout == "object" else 0.0,
     )
 
 

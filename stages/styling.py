@@ -134,4 +134,7 @@ def settings_of(config: StylizeConfig, long_side: int, closed: bool) -> StyleSet
         image_rate=config.image_rate,
         reference_steps=config.reference_steps,
         reference_weight=config.reference_weight,
+        rollbacks=config.rollbacks,
+        clip=config.clip,
+        least_spread=config.least_spread,
     )

@@ -85,6 +85,7 @@ def run(inputs: dict[str, Artefact], config: StylizeConfig, partial: Partial, co
         "parameters": stylizer.field.parameters,
         "features": resolved.manifest(),
         "views": len(stylizer.cameras),
+        "rollbacks": state.counts.get("rollbacks", 0),
         **_figures_of_method(stylizer, config, scene, partial),
         **gpu_figures(device),
     }

@@ -17,9 +17,16 @@ class DeformConfig:
     width: int = option(256, help="width of the network's two hidden layers")
     frequencies: int = option(5, help="octaves of the positional encoding")
     patience_db: float = option(0.02, help="dB that the photos must gain every 200 steps to go on (0: all steps)")
+    gate: float = option(
+        0.0,
+        help="dB that training views kept aside must gain, else the deformation is dropped (remedy for shapes that "
+        "bend without need; 0: as far as the photos gain)",
+    )
     checkpoint_every_seconds: float = option(20.0, help="time between checkpoints")
 
     def __post_init__(self) -> None:
+        if self.gate < 0:
+            raise ValueError("gate must not be negative")
         if not (self.steps >= 0 and 16 <= self.rays <= 65536 and self.rate > 0 and self.smoothness >= 0):
             raise ValueError("steps and smoothness must not be negative, rays 16 to 65536, rate positive")
         if not (4 <= self.vertices <= 128 and 8 <= self.width <= 1024 and 0 <= self.frequencies <= 10):

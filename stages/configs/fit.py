@@ -49,6 +49,12 @@ class FitConfig:
         help="distance, scene units, below which samples learn by the square of their distance, so that nothing builds "
         "up close to the cameras (0: all alike; -1: by the scene's layout)",
     )
+    opacity_weight: float = option(
+        0.0, help="weight of a prior that asks every ray of an object to be clear or opaque (remedy for haze; 0: none)"
+    )
+    clip: float = option(
+        0.0, help="a gradient counts as no longer than so many times the usual (remedy for leaps; 0: as long as it is)"
+    )
     held_out: int = option(
         -1, help="training views kept aside for decisions until the last quarter (-1: every tenth, at most 4; 0: none)"
     )
@@ -59,6 +65,8 @@ class FitConfig:
         budget_of(self.budget)
         capacity_of(self.capacity)
         kinds_of(self.field)
+        if self.opacity_weight < 0 or self.clip < 0:
+            raise ValueError("opacity_weight and clip must not be negative")
         if not (self.min_gain >= 0 and self.checkpoint_every_seconds > 0 and self.samples >= 1000 and self.rate >= 0):
             raise ValueError(
                 "min_gain and rate must not be negative, checkpoint_every_seconds positive, samples 1000 or more"

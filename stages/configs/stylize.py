@@ -109,6 +109,16 @@ class StylizeConfig:
     reference_weight: float = option(
         1.0, help="weight of the squared error of colours on the reference's and on registered rays (refnpr)"
     )
+    rollbacks: int = option(
+        0, help="times that a loss which left the finite numbers leads back to the last good state, at half the rate"
+    )
+    clip: float = option(
+        0.0, help="a gradient counts as no longer than so many times the usual (0: as long as it is; CPU)"
+    )
+    least_spread: float = option(
+        0.0,
+        help="standard deviation of luma, 0 to 0.25, that colour matching gives at least (remedy for blank paintings)",
+    )
     references_digest: str = option("", help="sha256 of the references (filled in; guards against changed files)")
     checkpoint_every_seconds: float = option(20.0, help="time between checkpoints")
 
@@ -119,6 +129,8 @@ class StylizeConfig:
             raise ValueError("blur must be odd, or 0 for none: an even box would shift the picture by half a pixel")
         if self.dilation < 1 or not 0 <= self.feature_scale <= 1 or self.style_scale <= 0:
             raise ValueError("dilation must be at least 1, feature_scale in 0..1, style_scale > 0")
+        if self.rollbacks < 0 or self.clip < 0 or not 0 <= self.least_spread <= 0.25:
+            raise ValueError("rollbacks and clip must not be negative, least_spread in 0..0.25")
         if not (0 <= self.coarse <= 1 or self.coarse == -1):
             raise ValueError("coarse must be in 0..1 (or -1: by method and scene)")
         for name in ("variation_weight", "content_weight", "colour_weight", "displacement_weight"):

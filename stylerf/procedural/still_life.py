@@ -12,7 +12,7 @@ import numpy as np
 from stylerf.errors import InvalidValue
 from stylerf.geometry.cameras import Camera
 from stylerf.procedural.shading import shade_rows
-from stylerf.procedural.solids import arrangement, pack
+from stylerf.procedural.solids import Solid, arrangement, pack
 from stylerf.procedural.tracing import MISS, point_distances, trace_rays
 
 TRACE_TOLERANCE = 1e-6  # scene units
@@ -35,12 +35,12 @@ class TrueView:
 class StillLife:
     """The scene as mathematics: distances, hits and pictures. z is up; all of it lies within [-1.25, 1.25]^3.
 
-    seed: of the textures (grain, mottling); the arrangement is always the same.
+    seed: of the textures (grain, mottling). solids: None for the still life's own, always arranged alike.
     """
 
-    def __init__(self, seed: int = 0) -> None:
+    def __init__(self, seed: int = 0, solids: list[Solid] | None = None) -> None:
         self.seed = seed
-        self.solids = arrangement()
+        self.solids = arrangement() if solids is None else solids
         self._packed = pack(self.solids)
 
     def distance(self, points: np.ndarray) -> np.ndarray:
@@ -77,10 +77,10 @@ class StillLife:
                 list(pool.map(shade, bands))
         else:
             shade(np.arange(camera.height))
-        distance = self._centre_distances(camera)
+        distance = self.centre_distances(camera)
         return TrueView(out, distance.astype(np.float32), (distance * camera.ray_cosines()).astype(np.float32))
 
-    def _centre_distances(self, camera: Camera) -> np.ndarray:
+    def centre_distances(self, camera: Camera) -> np.ndarray:
         """Ray distance [h, w] float64 at pixel centres, from float64 rays; inf on a miss."""
         rows, columns = np.meshgrid(np.arange(camera.height) + 0.5, np.arange(camera.width) + 0.5, indexing="ij")
         pixels = np.stack([columns.ravel(), rows.ravel()], axis=-1)

@@ -97,6 +97,27 @@ def match_luminance(
     return ColourMap(matrix, ones * (weights @ mean_s - gain * (weights @ mean_c)))
 
 
+def spread_at_least(painting: Tensor, least: float) -> Tensor:
+    """A painting [3, h, w] to take colours from, whose luma has a standard deviation of at least `least` (0..0.25).
+
+    Exact matching to a painting of one colour takes all light and shade from a scene. One with less spread than asked
+    for is given the rest in grey: d is added to every other pixel and taken from those between, which keeps its mean
+    and adds d^2 to every entry of its covariance. Where 0..1 leaves no room for that, colours move inwards first.
+    """
+    if least <= 0:
+        return painting
+    weights = torch.tensor(LUMA, dtype=torch.float64)
+    flat = painting.double().flatten(1)
+    missing = least**2 - float((weights @ (flat - flat.mean(1, keepdim=True))).square().mean())
+    if missing <= 0:
+        return painting
+    step = missing**0.5
+    signs = torch.ones(flat.shape[1], dtype=torch.float64)
+    signs[1::2] = -1
+    inside = flat.clamp(step, 1 - step)
+    return (inside + step * signs).reshape(painting.shape).to(painting.dtype)
+
+
 def match_harmonics(coefficients: Tensor, colour_map: ColourMap) -> Tensor:
     """Spherical-harmonic colours [..., bands, 3] whose value is mapped exactly.
 

@@ -24,7 +24,8 @@ LOOK_EVERY = 200  # steps
 class DeformSettings:
     """steps of `rays` random rays; smoothness: weight of the displacement's total variation; vertices: side of the grid
     that the deformation is baked to; rate falls to a tenth. background: level of grey behind the field. patience: dB
-    that a fixed set of the photos' rays must gain between two looks for the training to go on (0: always)."""
+    that a fixed set of the photos' rays must gain between two looks for the training to go on (0: always). gate: dB
+    that they must gain in all, else the deformation is dropped (0: what is best on them is kept)."""
 
     steps: int = 2000
     rays: int = 1024
@@ -34,6 +35,7 @@ class DeformSettings:
     background: float = 1.0
     share: float = 0.1
     patience: float = 0.02
+    gate: float = 0.0
 
 
 @dataclass
@@ -49,7 +51,10 @@ class DeformState:
 
 
 class DeformationFitter:
-    """The scene's density and colours stay; the deformation learns to explain what they leave of the photos."""
+    """The scene's density and colours stay; the deformation learns to explain what they leave of the photos.
+
+    held_out: so many last views of the bank teach nothing and are looked at instead of a fixed set of all rays.
+    """
 
     def __init__(
         self,
@@ -59,14 +64,29 @@ class DeformationFitter:
         settings: DeformSettings,
         seed: int,
         chunks: int,
+        held_out: int = 0,
     ) -> None:
         self.field, self.bank, self.settings, self.seed, self.chunks = scene, bank, settings, seed, chunks
         self.deformer = Deformer(scene, deformation, bank.cameras, settings.vertices, seed, chunks)
-        self._fixed = bank.draw(FIXED_RAYS, np.random.default_rng([seed, 9]))[:3]
+        self.among = len(bank.cameras) - held_out
+        self._fixed = self._fixed_rays(np.random.default_rng([seed, 9]))
         self.state = DeformState()
         self.state.before = self.state.best = self.quality()
-        self._best = deformation.values.copy()
+        self._best, self._rest = deformation.values.copy(), deformation.values.copy()
         self.between_steps = True
+
+    def _fixed_rays(self, generator: np.random.Generator):
+        """Rays of the views kept aside, of all where none is."""
+        views = len(self.bank.cameras)
+        if self.among == views:
+            return self.bank.draw(FIXED_RAYS, generator)[:3]
+        chosen = generator.integers(self.among, views, FIXED_RAYS)
+        return self.bank.at(chosen, (generator.random(FIXED_RAYS) * self.bank.sizes[chosen]).astype(np.int64))
+
+    @property
+    def dropped(self) -> bool:
+        """Whether the deformation has not paid for itself, as far as it has come."""
+        return self.settings.gate > 0 and self.state.best < self.state.before + self.settings.gate
 
     def _rendered(self, drawn, jitter: np.ndarray | None = None) -> tuple[Rendered, np.ndarray]:
         """What rays come back with, and its difference from the photos over the background."""
@@ -85,7 +105,7 @@ class DeformationFitter:
         """One step; mean squared error and root mean square of the displacement (cube two units wide)."""
         settings, state = self.settings, self.state
         generator = np.random.default_rng([self.seed, 6, state.step])
-        drawn = self.bank.draw(settings.rays, generator)[:3]
+        drawn = self.bank.draw(settings.rays, generator, self.among)[:3]
         rendered, difference = self._rendered(drawn, generator.random(settings.rays, dtype=np.float32))
         gradients = np.zeros_like(rendered.out)
         gradients[:, :3] = difference * np.float32(2 / difference.size)
@@ -97,7 +117,7 @@ class DeformationFitter:
         return float(np.square(difference).mean()), size
 
     def run(self, on_step: Callable[["DeformationFitter"], None] = lambda fitter: None) -> None:
-        """Steps until they are used up or gain nothing; the field ends with the best deformation that was seen."""
+        """Steps until they are used up or gain nothing; the field ends with the best deformation seen, or with none."""
         state = self.state
         while state.step < self.settings.steps and not state.settled:
             begun, self.between_steps = time.perf_counter(), False
@@ -109,7 +129,7 @@ class DeformationFitter:
             state.seconds += time.perf_counter() - begun
             self.between_steps = True
             on_step(self)
-        self.deformer.deformation.values[:] = self._best
+        self.deformer.deformation.values[:] = self._rest if self.dropped else self._best
         self.deformer.bake()
         self.deformer.look()
 

@@ -150,6 +150,7 @@ class Fitter:
                 rate=settings.rate * settings.final_rate**self.progress * state.rate_scale * self.climb.rate,
                 smoothness=tuple(smoothing * weight for weight in settings.smoothness),
                 even_from=settings.even_from,
+                opacity=settings.opacity * max(0.0, (self.progress - 0.25) / 0.75),
             )
         )
         state.step += 1

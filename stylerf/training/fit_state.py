@@ -16,7 +16,8 @@ class FitSettings:
     shares: parts of the budget at which the trial of the next rung begins, and that of the last ends, at the latest
     after so many steps in all (`longest`, of every rung: what a coarse field is taught for longer is wrong);
     reductions: what is tried to be given up then (climbing.REDUCTIONS); held_out_until: part of the budget from which
-    the held-out views are trained on as well.
+    the held-out views are trained on as well. opacity: weight of the opacity prior (engine.opacity_gradient) at the end
+    of the budget, growing from nothing in its first quarter, so that it cannot forbid what is yet to appear; CPU only.
     """
 
     seconds: float = 300.0
@@ -37,6 +38,7 @@ class FitSettings:
     background: str = "white"  # white, black, random or none
     lit_share: float = 0.9
     always_climb: bool = False  # take every rung whatever it gains
+    opacity: float = 0.0
 
 
 @dataclass

@@ -13,14 +13,14 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from stylerf.errors import Diverged
 from stylerf.fields.field import RadianceField
 from stylerf.fields.surface import pixel_cells
 from stylerf.geometry.cameras import Camera
-from stylerf.style.colour import ColourMap
+from stylerf.style.colour import ColourMap, spread_at_least
 from stylerf.style.objective import EVERYTHING, Content, GramObjective, StyleObjective, window_of
 from stylerf.style.trunks import Trunk
 from stylerf.training.geometry import FixedGeometry, MovingGeometry
+from stylerf.training.guard import Guard
 from stylerf.training.kept import Kept
 from stylerf.training.matched import matched_photos, rendered_match
 from stylerf.training.optimiser import Adam
@@ -63,7 +63,9 @@ class Repainting:
     ) -> None:
         self.device, self.memory = device, memory
         self.settings, self.seed, self.chunks, self.background = settings, seed, chunks, np.float32(background)
+        self._guard = Guard(settings)
         self.cameras, self.painting, self.trunk = cameras, painting, trunk
+        self._palette = spread_at_least(painting, settings.least_spread)
         self.field = replace(scene, colour_map=None, share=settings.share)
         self.closed = scene.closed
         self._prepare_shapes()
@@ -121,7 +123,7 @@ class Repainting:
     def _new_adam(self) -> Adam:
         """An optimiser of the colours as they stand, without a past."""
         if self.device is None:
-            return Adam(self.field.colour.values, self.field.colour.groups(), self.chunks)
+            return Adam(self.field.colour.values, self.field.colour.groups(), self.chunks, self.settings.clip)
         return self.still.new_adam()
 
     def _collect(self) -> None:
@@ -144,7 +146,7 @@ class Repainting:
             camera = self.cameras[view]
             return np.ones((camera.height, camera.width), np.float32) if self.closed else self.still.alpha(view)
 
-        return matched_photos(photos, alpha, self.background, self.painting, self.seed, count)
+        return matched_photos(photos, alpha, self.background, self._palette, self.seed, count)
 
     def paint_view(self, view: int, geometry: FixedGeometry | None = None) -> np.ndarray:
         """Premultiplied rgb of a whole view, [h*w, 3], in parts of bounded memory; as it stands, or in `geometry`."""
@@ -152,8 +154,6 @@ class Repainting:
         count = self.cameras[view].width * self.cameras[view].height
         parts = [np.arange(at, min(at + PIXELS_AT_ONCE, count)) for at in range(0, count, PIXELS_AT_ONCE)]
         return np.concatenate([geometry.paint(view, part)[0] for part in parts])
-
-    # -- what is asked of a picture ---------------------------------------------------------------------------------
 
     @property
     def objective(self) -> StyleObjective:
@@ -190,8 +190,6 @@ class Repainting:
         if self.closed:
             return None
         return torch.from_numpy(self.geometry.alpha(view)).to(self.trunk.input_scale.device)
-
-    # -- steps ------------------------------------------------------------------------------------------------------
 
     @property
     def progress(self) -> float:
@@ -241,15 +239,18 @@ class Repainting:
             while self.progress < 1.0:
                 begun, self.between_steps = time.perf_counter(), False
                 parts = {"mse": self.refit_step()} if state.phase == "refit" else self._step()
-                if not all(math.isfinite(v) for v in parts.values()):
-                    raise Diverged(f"{state.phase} step {state.step}: the loss left the finite numbers ({parts})")
                 state.seconds += time.perf_counter() - begun
+                if not all(math.isfinite(v) for v in parts.values()):
+                    self._guard.go_back(self, parts)
+                    state = self.state
+                    continue
                 state.step += 1
                 if state.step % 10 == 0:
                     rounded = {k: round(v, 5) for k, v in parts.items()}
                     state.curve.append(
                         {"phase": state.phase, "step": state.step, "seconds": round(state.seconds, 2), **rounded}
                     )
+                self._guard.look(self)
                 self.between_steps = True
                 on_step(self)
             self._next_phase()
@@ -278,7 +279,7 @@ class Repainting:
             (self.paint_view(view).reshape(*self.geometry.alpha(view).shape, 3), self.geometry.alpha(view))
             for view in chosen
         )
-        return rendered_match(pictures, self.painting, self.seed)
+        return rendered_match(pictures, self._palette, self.seed)
 
     def checkpoint(self) -> tuple[dict, dict[str, np.ndarray]]:
         """(JSON, arrays) to go on from."""
@@ -290,6 +291,7 @@ class Repainting:
     def resume(self, data: dict, arrays: dict[str, np.ndarray]) -> None:
         """From checkpoint()."""
         self.state = StyleState(**data["state"])
+        self.settings = self._guard.paced(self.settings, self.state)
         self.field.colour.values[:] = arrays["colour"]
         self.adam = self._new_adam()
         self.adam.restore({k: arrays[f"adam.{k}"] for k in ("first", "second", "steps")})

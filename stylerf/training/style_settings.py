@@ -1,6 +1,6 @@
 """How a scene is stylised, whatever the method; and where a stylisation stands."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from stylerf.style.objective import StyleWeights
 
@@ -14,7 +14,8 @@ class StyleSettings:
     first, that see features at half of `feature_scale` (docs/decisions/0013). rates: per step, falling to `final_rate`
     of themselves. deform_rate, displacement_weight, displacement_vertices: see training/deformer. loss: nnfm or gram
     (style/objective). rounds, image_share, image_steps, image_rate: see training/alternating. reference_steps,
-    reference_weight, template_weights, late: see training/referenced.
+    reference_weight, template_weights, late: see training/referenced. rollbacks: see training/guard; clip:
+    training/optimiser; least_spread: style/colour.spread_at_least.
     """
 
     steps: int = 0
@@ -49,6 +50,15 @@ class StyleSettings:
     reference_steps: int = 60
     reference_weight: float = 1.0
     late: float = 0.25
+    rollbacks: int = 0
+    clip: float = 0.0
+    least_spread: float = 0.0
+
+    def slowed(self, times: int) -> "StyleSettings":
+        """All rates halved so many times."""
+        factor = 0.5**times
+        return replace(self, rate=factor * self.rate, refit_rate=factor * self.refit_rate,
+                       deform_rate=factor * self.deform_rate, image_rate=factor * self.image_rate)  # fmt: skip
 
 
 @dataclass

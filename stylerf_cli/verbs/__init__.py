@@ -30,6 +30,10 @@ VERBS: dict[str, tuple[str, str]] = {
         "stylerf_cli.verbs.compare",
         "set fits, stylisations and edits side by side: figures against time, memory, parameters",
     ),
+    "stress": (
+        "stylerf_cli.verbs.stress",
+        "run methods under faults of photos, poses and paintings: how often each succeeds, a heat map, a baseline",
+    ),
     "show": ("stylerf_cli.verbs.show", "tell what a work folder or an artefact holds"),
     "verify": ("stylerf_cli.verbs.verify", "check every file of an artefact or a work folder against its digest"),
     "doctor": ("stylerf_cli.verbs.doctor", "tell what is installed, what is missing, and how to get it"),

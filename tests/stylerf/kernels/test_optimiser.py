@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from stylerf.training.optimiser import BETA1, BETA2, EPSILON, Adam
+from stylerf.training.optimiser import BETA1, BETA2, EPSILON, Adam, clipped
 
 
 def gradients_of(step: int, length: int) -> np.ndarray:
@@ -78,3 +78,37 @@ def test_restored_moments_go_on_bit_by_bit():
     other = Adam(adam.values.copy(), [(0, 19, 1.0)], 1)
     other.restore({k: v.copy() for k, v in adam.arrays().items()})
     assert np.array_equal(three_more(adam), three_more(other)) and other.steps == 6
+
+
+def test_a_leap_is_shortened_to_what_is_usual_and_the_direction_stays():
+    """Gradients split over two chunks; lengths by another norm."""
+    whole = gradients_of(1, 30)
+    parts = np.stack([0.25 * whole, 0.75 * whole])
+    usual = clipped(parts, 2.0, 0.0)
+    assert usual == pytest.approx(np.linalg.norm(whole), rel=1e-5)  # the first sets it, and is not touched
+    np.testing.assert_array_equal(parts[1], 0.75 * whole)
+    leap = 50 * parts
+    after = clipped(leap, 2.0, usual)
+    np.testing.assert_allclose(leap.sum(0), 2.0 * whole, rtol=1e-5)
+    assert after == pytest.approx(0.9 * usual + 0.1 * 2.0 * usual, rel=1e-5)
+    small = 1.5 * parts
+    clipped(small, 2.0, usual)
+    np.testing.assert_array_equal(small, 1.5 * parts)
+
+
+def test_a_gradient_of_nan_is_no_step_and_without_a_clip_nothing_changes():
+    one, other = (Adam(np.zeros(30, np.float32), [(0, 30, 1.0)], 2, clip) for clip in (3.0, 0.0))
+    for step in range(5):
+        for adam in (one, other):
+            adam.gradients[0] = gradients_of(step, 30)  # of like lengths
+            adam.step(0.1)
+    np.testing.assert_array_equal(one.values, other.values)
+    usual = one.usual
+    one.gradients[1, 7] = np.nan
+    one.step(0.1)
+    assert np.isfinite(one.values).all() and np.isfinite(one.first).all() and one.usual == usual > 0
+    again = Adam(one.values.copy(), [(0, 30, 1.0)], 2, 3.0)
+    again.restore(one.arrays())
+    assert (again.usual, again.steps) == (one.usual, 6)
+    again.restore({**one.arrays(), "steps": np.asarray([4])})  # as checkpoints of before had it
+    assert (again.usual, again.steps) == (0.0, 4)

@@ -91,6 +91,20 @@ def test_init_that_gains_nothing_stops_early_and_ends_no_worse_than_it_began(sce
     assert fitter.quality() >= fitter.state.before - 1e-6
 
 
+def test_a_deformation_that_views_kept_aside_do_not_ask_for_is_dropped(scene):
+    """Without a shift there is nothing to gain; with one, three views kept aside gain about a decibel."""
+    for bank, gone in ((box_bank(), True), (shifted_bank(), False)):
+        given = deformation()
+        fitter = DeformationFitter(scene(), given, bank, replace(SETTINGS, gate=0.8), 0, 2, 3)
+        rest = given.values.copy()
+        assert fitter.among == len(bank.cameras) - 3
+        fitter.run()
+        assert fitter.dropped == gone and np.array_equal(given.values, rest) == gone
+        assert (np.abs(fitter.field.displacement).max() == 0) == gone
+        expected = fitter.state.before if gone else fitter.state.best
+        assert fitter.quality() == pytest.approx(expected, abs=1e-3)
+
+
 def test_init_resumes_to_the_same_bits(scene):
     bank = shifted_bank()
 

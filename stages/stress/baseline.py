@@ -1,0 +1,90 @@
+"""What a run is held against: the cells of an earlier one, so that a change that makes one worse is seen."""
+
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from schemas.atomic import write_json
+from schemas.errors import BadInput, UsageError
+from stages.stress.cells import REMEDIED, Cell
+from stages.stress.faults import METHODS
+
+SCHEMA = 1
+TOLERANCE = {"fits": 0.5, "stylisations": 0.03}  # dB; SSIM: what runs on another machine may differ by
+SPREADS = 2.0  # a median that falls by so many standard errors of the two is no chance
+
+
+@dataclass(frozen=True)
+class Compared:
+    """worse, better: in words, by cell. unmatched: cells that only one of the two has."""
+
+    worse: list[str]
+    better: list[str]
+    unmatched: list[str]
+
+
+def write_baseline(path: Path, cells: Sequence[Cell], conditions: dict) -> None:
+    """Replaces the file."""
+    kept = [
+        {key: getattr(cell, key) for key in ("method", "fault", "successes", "count", "median", "spread")}
+        for cell in cells
+    ]
+    write_json(path, {"schema": SCHEMA, "conditions": conditions, "cells": kept})
+
+
+def read_baseline(path: Path, conditions: dict) -> list[dict]:
+    """Its cells; BadInput where it cannot be read, UsageError where it was made under other conditions."""
+    try:
+        content = json.loads(path.read_text())
+        cells, made = content["cells"], content["conditions"]
+        if content["schema"] != SCHEMA:
+            raise BadInput(f"--baseline {path} is of schema {content['schema']}, expected {SCHEMA}; write it anew")
+        for cell in cells:
+            _ = float(cell["successes"]) / cell["count"], cell["method"], cell["fault"], cell["median"], cell["spread"]
+    except OSError as error:
+        raise BadInput(
+            f"--baseline {path} cannot be read ({error.strerror}); --write-baseline {path} makes one"
+        ) from error
+    except (ValueError, KeyError, TypeError, AttributeError, ZeroDivisionError) as error:
+        raise BadInput(f"--baseline {path} is no baseline ({error!r}); --write-baseline {path} makes one") from error
+    differing = [key for key in {**made, **conditions} if made.get(key) != conditions.get(key)]
+    if differing:
+        told = ", ".join(f"{key} {made.get(key)!r}, now {conditions.get(key)!r}" for key in sorted(differing))
+        raise UsageError(f"--baseline {path} was made under other conditions: {told}; give the same, or write it anew")
+    return cells
+
+
+def compared(before: Sequence[dict], cells: Sequence[Cell]) -> Compared:
+    """A cell is worse where fewer of its runs succeed, or its median score falls by more than chance explains.
+
+    Chance: the tolerance of its family, or SPREADS standard errors of the difference of the two, whichever is more.
+    """
+    earlier = {(one["method"], one["fault"]): one for one in before}
+    now = {(cell.method, cell.fault): cell for cell in cells}
+    worse, better = [], []
+    for key in (key for key in now if key in earlier):
+        change, words = _change(earlier[key], now[key])
+        if change:
+            (worse if change < 0 else better).append(words)
+    lone = [f"{method} under {fault}: only in the baseline" for method, fault in earlier if (method, fault) not in now]
+    lone += [f"{method} under {fault}: not in the baseline" for method, fault in now if (method, fault) not in earlier]
+    return Compared(worse, better, lone)
+
+
+def _change(before: dict, cell: Cell) -> tuple[int, str]:
+    """-1, 0 or 1, and what changed."""
+    where = f"{cell.method} under {cell.fault}"
+    rate = before["successes"] / before["count"]
+    if cell.rate != rate:
+        words = f"{where}: {cell.successes} of {cell.count} succeed, {before['successes']} of {before['count']} did"
+        return (-1 if cell.rate < rate else 1), words
+    if before["median"] is None or cell.median is None:
+        return 0, ""
+    family = METHODS[cell.method.removesuffix(REMEDIED)].family
+    error = math.hypot(before["spread"] or 0.0, cell.spread or 0.0) / math.sqrt(cell.count)
+    change = cell.median - before["median"]
+    if abs(change) <= max(TOLERANCE[family], SPREADS * error):
+        return 0, ""
+    return (1 if change > 0 else -1), f"{where}: median score {cell.median:.3f}, was {before['median']:.3f}"

@@ -1,0 +1,94 @@
+"""Runs brought together: a cell is one method under one fault, over all seeds."""
+
+import math
+import statistics
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+
+from stages.stress.faults import FAULTS, METHODS
+
+REMEDIED = " + remedies"
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """One run as its file keeps it. key: digest of all that decides its result. picture: its worst view, a file name.
+
+    score: None where no picture came of it, or one that is not finite. why: of a failure, in words.
+    """
+
+    key: str
+    method: str
+    fault: str
+    seed: int
+    remedies: bool
+    ok: bool
+    why: str
+    score: float | None
+    figures: dict[str, float]
+    seconds: float
+    picture: str = ""
+
+    @property
+    def label(self) -> str:
+        """The method, and whether with remedies."""
+        return self.method + (REMEDIED if self.remedies else "")
+
+    @property
+    def name(self) -> str:
+        """Of its files: method, fault and seed."""
+        return f"{self.method}{'-remedied' if self.remedies else ''}--{self.fault}--{self.seed}"
+
+
+@dataclass(frozen=True)
+class Cell:
+    """successes of count runs. median, spread (standard deviation, 1/(n-1)): of the scores that there are; else None.
+
+    worst: the outcome without a score, else that with the lowest; among equals the first.
+    """
+
+    method: str
+    fault: str
+    successes: int
+    count: int
+    median: float | None
+    spread: float | None
+    lowest: float | None
+    seconds: float
+    worst: Outcome
+    whys: tuple[str, ...]
+
+    @property
+    def rate(self) -> float:
+        """Share of the runs that succeeded."""
+        return self.successes / self.count
+
+    def as_json(self) -> dict:
+        """Plain numbers and text."""
+        return asdict(self) | {"rate": self.rate}
+
+
+def cells_of(outcomes: Sequence[Outcome]) -> list[Cell]:
+    """One for each method and fault that any outcome is of, in the order of the tables of faults and methods."""
+    groups: dict[tuple[str, str], list[Outcome]] = {}
+    for one in outcomes:
+        groups.setdefault((one.label, one.fault), []).append(one)
+    order = {name: place for place, name in enumerate((*METHODS, *FAULTS))}
+    keys = sorted(groups, key=lambda key: (order[key[1]], order[key[0].removesuffix(REMEDIED)], key[0]))
+    return [_cell(*key, sorted(groups[key], key=lambda one: one.seed)) for key in keys]
+
+
+def _cell(method: str, fault: str, runs: list[Outcome]) -> Cell:
+    scores = [one.score for one in runs if one.score is not None]
+    return Cell(
+        method=method,
+        fault=fault,
+        successes=sum(one.ok for one in runs),
+        count=len(runs),
+        median=statistics.median(scores) if scores else None,
+        spread=statistics.stdev(scores) if len(scores) > 1 else None,
+        lowest=min(scores, default=None),
+        seconds=sum(one.seconds for one in runs),
+        worst=min(runs, key=lambda one: -math.inf if one.score is None else one.score),
+        whys=tuple(dict.fromkeys(one.why for one in runs if one.why)),
+    )

@@ -1,0 +1,1 @@
+"""What goes wrong with captures and paintings, made on purpose and by known amounts."""

@@ -1,0 +1,89 @@
+"""The still life made hard: without texture, with a texture that repeats, of thin rods and rings.
+
+The shapes and their exact distances are those of the still life; light is plain (one lamp and the sky, no shadows), so
+that a point has one colour from everywhere and nothing but the surface is in question.
+"""
+
+import numpy as np
+
+from stylerf.errors import InvalidValue
+from stylerf.geometry.cameras import Camera
+from stylerf.procedural import shapes
+from stylerf.procedural.solids import TABLE_RADIUS, Solid, arrangement, standing, tipped
+from stylerf.procedural.still_life import StillLife, TrueView
+
+VARIANTS = ("textureless", "repeating", "thin")
+PLASTER = 0.72  # sRGB level of what has no texture
+PERIOD = 0.16  # scene units, of the texture that repeats in all three axes
+INKS = ((0.82, 0.74, 0.55), (0.10, 0.22, 0.38))
+ROD, WIRE = 0.008, 0.007  # half a rod's side and radius of a ring's wire, scene units: less than a pixel of 200
+LAMP = np.array([-0.4807, -0.5608, 0.6743])
+NORMAL_STEP = 1e-3
+FINER = 2  # rays a pixel and axis
+
+
+def thin_arrangement(seed: int) -> list[Solid]:
+    """Twelve rods that lean to all sides and six rings, on the still life's table; the seed turns and moves them."""
+    random = np.random.default_rng([seed, 11])
+    solids = [arrangement()[0]]
+    for number in range(12):
+        x, y = random.uniform(-0.5, 0.5, 2) * TABLE_RADIUS
+        half, tilt = float(random.uniform(0.3, 0.55)), float(random.uniform(-25, 25))
+        lift = half * np.cos(np.radians(tilt))
+        pose = standing(x, y, float(random.uniform(0, 360)), lift) @ tipped(tilt)
+        sides = (ROD, ROD, half)
+        solids.append(Solid(f"rod {number}", shapes.BOX, (*sides, 0.3 * ROD), tuple(-s for s in sides), sides, pose))
+    for number in range(6):
+        x, y = random.uniform(-0.5, 0.5, 2) * TABLE_RADIUS
+        major = float(random.uniform(0.12, 0.3))
+        pose = standing(x, y, float(random.uniform(0, 360)), major) @ tipped(90.0)
+        reach = major + WIRE
+        box = (reach, reach, WIRE)
+        solids.append(Solid(f"ring {number}", shapes.TORUS, (major, WIRE), tuple(-s for s in box), box, pose))
+    return solids
+
+
+class HardStillLife:
+    """kind: one of VARIANTS. seed: where thin things stand; the other two have nothing random."""
+
+    def __init__(self, kind: str, seed: int = 0) -> None:
+        if kind not in VARIANTS:
+            raise InvalidValue(f"{kind!r} is no still life; there are {', '.join(VARIANTS)}")
+        self.kind = kind
+        self.life = StillLife(0, thin_arrangement(seed) if kind == "thin" else None)
+
+    def albedo(self, points: np.ndarray, owners: np.ndarray) -> np.ndarray:
+        """[n, 3] sRGB of points [n, 3] on the solids of these indices [n]."""
+        if self.kind == "textureless":
+            return np.full((len(points), 3), PLASTER)
+        if self.kind == "repeating":
+            odd = np.floor(points / (0.5 * PERIOD) + 0.013).sum(1) % 2 > 0.5
+            return np.where(odd[:, None], *INKS)
+        turn = 2.4 * owners[:, None] + 2.0 * np.pi * np.array([0, 1, 2]) / 3
+        return np.where(owners[:, None] == 0, PLASTER, 0.45 + 0.35 * np.sin(turn))
+
+    def normals(self, points: np.ndarray) -> np.ndarray:
+        """[n, 3] unit: the gradient of the distance by central differences."""
+        steps = NORMAL_STEP * np.eye(3)
+        found = np.stack([self.life.distance(points + s) - self.life.distance(points - s) for s in steps], -1)
+        return found / np.maximum(np.linalg.norm(found, axis=1, keepdims=True), 1e-12)
+
+    def render(self, camera: Camera) -> TrueView:
+        """A camera's view; every pixel is the mean of FINER^2 rays."""
+        fine = camera.scaled(FINER)
+        rows, columns = np.meshgrid(np.arange(fine.height) + 0.5, np.arange(fine.width) + 0.5, indexing="ij")
+        pixels = np.stack([columns.ravel(), rows.ravel()], -1)
+        directions = fine.unproject(pixels, np.ones(len(pixels))) - fine.centre
+        directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+        distances, owners = self.life.trace_owners(fine.centre[None], directions)
+        hit = owners >= 0
+        points = fine.centre + distances[hit, None] * directions[hit]
+        light = 0.55 + 0.45 * np.clip(self.normals(points) @ LAMP, 0, 1)
+        colours = np.zeros((len(pixels), 4))
+        colours[hit, :3], colours[hit, 3] = self.albedo(points, owners[hit]) * light[:, None], 1.0
+        shape = (camera.height, FINER, camera.width, FINER, 4)
+        mean = colours.reshape(shape).mean((1, 3))
+        alpha = mean[..., 3:]
+        rgba = np.concatenate([mean[..., :3] / np.maximum(alpha, 1e-6), alpha], -1).astype(np.float32)
+        centre = self.life.centre_distances(camera)
+        return TrueView(rgba, centre.astype(np.float32), (centre * camera.ray_cosines()).astype(np.float32))

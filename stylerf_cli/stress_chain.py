@@ -1,0 +1,264 @@
+"""One run of a stress after another: a scene with its fault, a fit, a stylisation, a verdict; each kept on disk.
+
+Everything lies in work folders below WORK/stress/works, one a scene and seed, apart from WORK: a scene with a fault
+must never be taken for the scene.
+"""
+
+import shutil
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from schemas.canonical import digest_of, file_sha256
+from schemas.errors import BadInput, OutOfResources, StylerfError
+from schemas.images import to_uint8, write_png
+from schemas.store import Artefact, Work
+from stages import deform_init, fault_scene, nerf_fit, stylize
+from stages.configs.deform import DeformConfig
+from stages.configs.fault_scene import FaultConfig
+from stages.configs.fit import FitConfig
+from stages.configs.stress import StressConfig
+from stages.configs.stylize import StylizeConfig
+from stages.paintings import read_painting
+from stages.progress import Silent
+from stages.runner import execute
+from stages.stress import criteria
+from stages.stress.cells import Outcome
+from stages.stress.faults import CLEAN, FAULTS, METHODS, ORDINARY_STYLE, STYLE, Fault, Method
+from stages.stress.measuring import seen_from_tests, shown_beside
+from stages.stress.outcomes import keep_outcome, kept_outcome
+from stylerf.corruption import paintings
+from stylerf.errors import Diverged
+
+WORST = "worst"
+QUICK_CAPACITY, QUICK_SAMPLES = "fixed:64x8x16", 20_000
+QUICK_REFIT, QUICK_DEFORM, DEFORM_STEPS = 60, 40, 400
+# What --remedies on runs with.
+REMEDIES_OF_FIT = {"opacity_weight": 5e-3, "clip": 4.0}
+REMEDIES_OF_DEFORM = {"gate": 0.05}
+REMEDIES_OF_STYLE = {"rollbacks": 3, "clip": 4.0, "least_spread": 0.08}
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One run to be made."""
+
+    method: Method
+    fault: Fault
+    seed: int
+    remedies: bool
+
+    @property
+    def origin(self) -> str:
+        """Whose scene it takes place in: paintings with faults are put on the scene without."""
+        return CLEAN if self.fault.of == STYLE else self.fault.name
+
+    @property
+    def label(self) -> str:
+        """Of its field and its files."""
+        return f"{self.method.name}{'-remedied' if self.remedies else ''}"
+
+
+class Stress:
+    """Makes the runs of a config that do not stand yet. root: WORK/stress. source: the scene to be spoilt."""
+
+    def __init__(self, session: Any, config: StressConfig, source: Artefact, root: Path) -> None:
+        self.session, self.config, self.source, self.root = session, config, source, root
+        self.conditions = config.conditions
+        self.missing: dict[str, str] = {}
+        self._worked_in: set[Path] = set()
+        self._afresh = False
+
+    def trials(self) -> Iterator[Trial]:
+        """In the order in which scenes and fits are shared: by seed, then scene, then painting, then method."""
+        first = self.session.common.seed
+        remedies = {"off": (False,), "on": (True,), "both": (False, True)}[self.config.remedies]
+        faults = [FAULTS[name] for name in self.config.chosen_faults]
+        faults.sort(key=lambda fault: fault.of != STYLE and fault.name != CLEAN)  # stable: the clean scene's first
+        for seed in range(first, first + self.conditions["seeds"]):
+            for fault in faults:
+                for method in (METHODS[name] for name in self.config.chosen_methods):
+                    for remedied in remedies if method.faces(fault) else ():
+                        yield Trial(method, fault, seed, remedied)
+
+    def run(self, only: bool, force: bool) -> list[Outcome]:
+        """All outcomes, kept or made. only: those that stand. force: every one made anew."""
+        trials, self._afresh = list(self.trials()), force
+        found: list[Outcome] = []
+        progress = self.session.progress
+        progress.start("stress", len(trials), "run")
+        for number, trial in enumerate(trials):
+            key = self.key_of(trial)
+            outcome = None if force else kept_outcome(self.root, self._name(trial), key)
+            if outcome is None and not only and trial.fault.name not in self.missing:
+                outcome = self._made(trial, key)
+            if outcome is not None:
+                found.append(outcome)
+            following = trials[number + 1] if number + 1 < len(trials) else None
+            if following is None or (following.origin, following.seed) != (trial.origin, trial.seed):
+                self._tidy(trial)
+            progress.update(number + 1, f"{sum(not one.ok for one in found)} failed")
+        progress.finish()
+        return found
+
+    # -- what decides a run -----------------------------------------------------------------------------------------
+
+    def key_of(self, trial: Trial) -> str:
+        """Digest of all that decides its result: scene, fault, options, seed, revisions of stages and criteria."""
+        method, style = trial.method, None
+        if method.style:
+            style = replace(self.style_config(trial), style="-")  # by its digest: a work folder may be moved
+        specs = (fault_scene.SPEC, nerf_fit.SPEC, deform_init.SPEC, stylize.SPEC)
+        return digest_of(
+            {
+                "scene": replace(self.fault_config(trial), source=""),
+                "fit": self.fit_config(trial),
+                "deform": self.deform_config(trial) if method.style == "desrf" else None,
+                "style": style,
+                "seed": trial.seed,
+                "revisions": {spec.stage: spec.revision for spec in specs} | {"criteria": criteria.REVISION},
+            }
+        )
+
+    def fault_config(self, trial: Trial) -> FaultConfig:
+        """Of the scene that a trial takes place in."""
+        fault, conditions = FAULTS[trial.origin], self.conditions
+        given = {"side": conditions["side"], "views": conditions["views"], "tests": conditions["tests"]}
+        if fault.of == "made":
+            return FaultConfig(fault=fault.name, amount=fault.amount, **given)
+        source = {"source": str(self.source.path.resolve()), "source_digest": self.source.digest}
+        return FaultConfig(fault=fault.name, amount=fault.amount, **given, **source)
+
+    def fit_config(self, trial: Trial) -> FitConfig:
+        """Of its fit, buffers left out."""
+        config = FitConfig(budget=self.conditions["budget"], field=trial.method.field, buffers=False)
+        if self.conditions["quick"]:
+            config = replace(config, capacity=QUICK_CAPACITY, samples=QUICK_SAMPLES)
+        return replace(config, **REMEDIES_OF_FIT) if trial.remedies else config
+
+    def deform_config(self, trial: Trial) -> DeformConfig:
+        """Of what desrf begins with."""
+        config = DeformConfig(steps=QUICK_DEFORM if self.conditions["quick"] else DEFORM_STEPS)
+        return replace(config, **REMEDIES_OF_DEFORM) if trial.remedies else config
+
+    def style_config(self, trial: Trial) -> StylizeConfig:
+        """Of its stylisation, with the digest of its painting, which is made where it is missing."""
+        painting = self.painting(trial)
+        config = StylizeConfig(
+            style=str(painting.resolve()),
+            style_digest=file_sha256(painting),
+            method=trial.method.style,
+            budget=self.conditions["style_budget"],
+        )
+        if self.conditions["quick"]:
+            config = replace(config, refit_steps=QUICK_REFIT)
+        return replace(config, **REMEDIES_OF_STYLE) if trial.remedies else config
+
+    def painting(self, trial: Trial) -> Path:
+        """File of the painting of a trial: the fault's, or the ordinary one."""
+        fault = trial.fault if trial.fault.of == STYLE else None
+        side = int(fault.amount) if fault else ORDINARY_STYLE
+        if self.conditions["quick"] and fault and fault.name == "style-huge":
+            side //= 4
+        path = self.root / "styles" / f"{fault.name if fault else 'ordinary'}-{side}-{trial.seed}.png"
+        if not path.is_file():
+            write_png(path, to_uint8(painted(fault.name if fault else "", side, trial.seed)))
+        return path
+
+    # -- a run ------------------------------------------------------------------------------------------------------
+
+    def _name(self, trial: Trial) -> str:
+        return f"{trial.label}--{trial.fault.name}--{trial.seed}"
+
+    def _made(self, trial: Trial, key: str) -> Outcome | None:
+        begun = time.monotonic()
+        try:
+            scene = self._scene(trial)
+        except BadInput as error:
+            self.missing[trial.fault.name] = str(error)
+            self.session.say(f"{trial.fault.name} is left out: {error}")
+            return None
+        picture = f"{self._name(trial)}.png"
+        try:
+            verdict, worst = self._verdict(trial, scene)
+        except (OutOfResources, MemoryError):
+            raise
+        except (StylerfError, Diverged, ArithmeticError, ValueError, RuntimeError, LookupError) as error:
+            # A method that breaks has failed, however it breaks: that is what is counted here.
+            verdict = criteria.Verdict(False, f"{type(error).__name__}: {error}"[:300], None, 0)
+            (self.root / WORST / picture).unlink(missing_ok=True)
+            picture = ""
+        else:
+            write_png(self.root / WORST / picture, to_uint8(worst))
+        outcome = Outcome(
+            key=key,
+            method=trial.method.name,
+            fault=trial.fault.name,
+            seed=trial.seed,
+            remedies=trial.remedies,
+            ok=verdict.ok,
+            why=verdict.why,
+            score=verdict.score,
+            figures=verdict.figures,
+            seconds=round(time.monotonic() - begun, 2),
+            picture=picture,
+        )
+        keep_outcome(self.root, outcome)
+        return outcome
+
+    def _place(self, trial: Trial) -> Work:
+        return Work(self.root / "works" / f"{trial.origin}-{trial.seed}")
+
+    def _execute(self, trial: Trial, stage: Any, inputs: dict, config: Any, name: str) -> Artefact:
+        context = replace(self.session.context, seed=trial.seed, progress=Silent())
+        place = self._place(trial)
+        if self._afresh and place.root not in self._worked_in:
+            shutil.rmtree(place.root, ignore_errors=True)  # what --keep left there may be of other code
+        self._worked_in.add(place.root)
+        return execute(stage.SPEC, stage.run, place, name, inputs, config, context)[0]
+
+    def _scene(self, trial: Trial) -> Artefact:
+        return self._execute(trial, fault_scene, {}, self.fault_config(trial), "main")
+
+    def _verdict(self, trial: Trial, scene: Artefact) -> tuple[criteria.Verdict, np.ndarray]:
+        """And the picture of the worst view."""
+        method, threads = trial.method, self.session.context.threads
+        suffix = "-remedied" if trial.remedies else ""
+        fit_name = f"fit-{method.field}{suffix}"
+        field = self._execute(trial, nerf_fit, {"scene": scene}, self.fit_config(trial), fit_name)
+        if method.style == "desrf":
+            inputs = {"scene": scene, "field": field}
+            field = self._execute(trial, deform_init, inputs, self.deform_config(trial), f"{fit_name}-deformed")
+        if method.style:
+            inputs, config = {"scene": scene, "field": field}, self.style_config(trial)
+            field = self._execute(trial, stylize, inputs, config, f"{trial.fault.name}-{trial.label}")
+        views = seen_from_tests(scene, field, threads)
+        if method.style:
+            painting = read_painting(self.painting(trial)).permute(1, 2, 0).numpy()
+            verdict = criteria.judged_style(views, painting)
+        else:
+            verdict = criteria.judged_fit(views)
+        return verdict, shown_beside(views[verdict.worst])
+
+    def _tidy(self, trial: Trial) -> None:
+        """Scenes and fields go when nothing more is made of them, unless they are to be kept; outcomes stay."""
+        root = self._place(trial).root
+        if not self.config.keep and root in self._worked_in:
+            shutil.rmtree(root, ignore_errors=True)
+
+
+def painted(fault: str, side: int, seed: int) -> np.ndarray:
+    """The painting [side, side, 3] of a fault's name; empty: the ordinary one."""
+    if fault == "style-white":
+        return paintings.white(side)
+    makers = {
+        "style-tiny": paintings.tiny,
+        "style-huge": paintings.huge,
+        "style-wash": paintings.weak_geometry,
+        "style-extreme": paintings.extreme_palette,
+    }
+    return makers.get(fault, paintings.ordinary)(side, seed)

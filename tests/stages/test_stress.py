@@ -1,0 +1,230 @@
+"""A stress in numbers: criteria on pictures whose answer is known, cells, heat map, page, baseline, kept outcomes."""
+
+import json
+import statistics
+from html import escape
+
+import numpy as np
+import pytest
+
+from schemas.errors import BadInput, UsageError
+from stages.configs.stress import StressConfig
+from stages.stress.baseline import compared, read_baseline, write_baseline
+from stages.stress.cells import cells_of
+from stages.stress.criteria import LEAST_GAIN, Seen, judged_fit, judged_style
+from stages.stress.faults import FAULTS, METHODS, STYLE
+from stages.stress.heat_map import heat_map, rates
+from stages.stress.measuring import shown_beside
+from stages.stress.outcomes import keep_outcome, kept_outcome
+from stages.stress.page import build_page, cell_rows, run_rows
+from tests.stages.stress_fixture import outcome
+
+# -- criteria -------------------------------------------------------------------------------------------------------
+
+
+def photo(seed: int = 0) -> np.ndarray:
+    return np.random.default_rng(seed).random((20, 24, 3)).astype(np.float32)
+
+
+def off_by(picture: np.ndarray, error: float) -> np.ndarray:
+    """A render whose every value is off by `error`: PSNR = -20 log10(error)."""
+    signs = np.where(np.random.default_rng(9).random(picture.shape) < 0.5, -1, 1)
+    return (picture + error * signs).astype(np.float32)
+
+
+def test_a_fit_is_set_beside_the_best_picture_of_one_colour():
+    """Three views in three greys; the best one colour is 0.5, off by 0.2, 0.1 and 0.3: 14.81 dB in the mean."""
+    greys = [np.full((20, 20, 3), level, np.float32) for level in (0.3, 0.4, 0.8)]
+    least = -20 * np.log10(0.2 * 0.1 * 0.3) / 3
+    for error, ok in ((0.1227, True), (0.1363, False)):  # 18.22 and 17.31 dB: 3.41 and 2.50 over it
+        verdict = judged_fit([Seen(f"v{i}", off_by(grey, error), grey) for i, grey in enumerate(greys)])
+        assert verdict.ok == ok and bool(verdict.why) != ok
+        assert verdict.score == pytest.approx(-20 * np.log10(error), abs=1e-3)
+        assert verdict.figures["gain_over_flat"] == pytest.approx(-20 * np.log10(error) - least, abs=1e-3)
+    assert LEAST_GAIN == 3.0
+
+
+def test_the_worst_view_is_the_one_that_is_farthest_off():
+    views = [Seen(f"v{i}", off_by(photo(i), error), photo(i)) for i, error in enumerate((0.01, 0.2, 0.05))]
+    assert judged_fit(views).worst == 1
+    assert judged_fit([Seen("same", photo(), photo())]).score == 100.0  # not infinite: it goes to a file
+
+
+def test_what_is_not_finite_has_failed_whatever_else():
+    broken = photo(1).copy()
+    broken[3, 4, 0] = np.nan
+    views = [Seen("good", photo(), photo()), Seen("bad", broken, photo(1))]
+    for verdict in (judged_fit(views), judged_style(views, photo(2))):
+        assert not verdict.ok and verdict.score is None and verdict.worst == 1 and "1 of 2 views" in verdict.why
+    shown = shown_beside(views[1])
+    assert shown.shape == (20, 52, 3) and tuple(shown[3, 28 + 4]) == (1, 0, 1) and np.isfinite(shown).all()
+
+
+def recoloured(picture: np.ndarray, mean: np.ndarray, scale: float) -> np.ndarray:
+    return (mean + scale * (picture - picture.mean((0, 1)))).astype(np.float32)
+
+
+def test_a_stylisation_keeps_luma_and_takes_colours():
+    """The painting is the photo darkened: three tenths of the way leave 0.7 of the distance of means, the limit."""
+    seen = photo()
+    painting = seen - np.float32(0.6)
+    just, not_yet = (Seen("v", seen - np.float32(0.6 * share), seen) for share in (0.31, 0.29))
+    assert judged_style([just], painting).ok
+    verdict = judged_style([not_yet], painting)
+    assert not verdict.ok and "colours" in verdict.why
+    assert verdict.figures["colour_distance_of_photos"] == pytest.approx(0.6 * np.sqrt(3), abs=1e-3)
+    assert verdict.figures["colour_distance"] == pytest.approx(0.71 * 0.6 * np.sqrt(3), abs=1e-3)
+    near = seen - np.float32(0.02)
+    assert judged_style([Seen("v", seen, seen)], near).ok  # so near that nothing needs to be taken
+
+
+def test_a_stylisation_without_content_fails():
+    seen = photo()
+    flat = recoloured(seen, np.full(3, 0.9, np.float32), 0.0)
+    verdict = judged_style([Seen("v", flat, seen)], flat)
+    assert not verdict.ok and "content SSIM" in verdict.why and verdict.score < 0.1
+
+
+def test_of_an_object_only_what_is_there_counts():
+    seen = np.ones((40, 40, 3), np.float32)
+    seen[10:30, 10:30] = 0.5 * photo()[:20, :20]
+    mask = np.zeros((40, 40), bool)
+    mask[10:30, 10:30] = True
+    render = seen.copy()
+    render[~mask] = 0.0  # wrong, but nothing is there
+    painting = 0.5 * photo()
+    verdict = judged_style([Seen("v", render, seen, mask)], painting)
+    assert verdict.figures["colour_distance"] < 0.1 and verdict.ok
+    assert judged_style([Seen("v", render, seen)], painting).score < verdict.score - 0.1
+
+
+# -- cells, heat map, page ------------------------------------------------------------------------------------------
+
+
+def some_outcomes():
+    scores = {0: 20.0, 1: 24.0, 2: None, 3: 18.0}
+    found = [outcome(seed=seed, score=score, ok=seed in (0, 1), fault="views-3") for seed, score in scores.items()]
+    found += [outcome(seed=seed) for seed in range(4)]
+    found.append(outcome("arf", "style-white", score=0.1, ok=False, remedies=True, picture="arf.png"))
+    found.append(outcome("arf", "style-white", score=0.5, picture="arf2.png"))
+    return found
+
+
+def test_a_cell_is_what_statistics_make_of_its_runs():
+    cells = {(cell.fault, cell.method): cell for cell in cells_of(some_outcomes())}
+    few = cells["views-3", "fit"]
+    assert (few.successes, few.count, few.rate, few.median, few.lowest) == (2, 4, 0.5, 20.0, 18.0)
+    assert few.spread == pytest.approx(statistics.stdev([20, 24, 18])) and few.seconds == 8.0
+    assert few.worst.seed == 2 and few.whys == ("too far off",)  # without a picture is worse than any score
+    lone = cells["style-white", "arf"]
+    assert lone.spread is None and cells["style-white", "arf + remedies"].successes == 0
+    assert next(iter(cells)) == ("seeds", "fit")  # in the order of the table of faults
+
+
+def test_the_heat_maps_numbers_are_those_of_the_cells():
+    cells = cells_of(some_outcomes())
+    faults, methods, table = rates(cells)
+    assert faults == ["seeds", "views-3", "style-white"] and methods == ["fit", "arf", "arf + remedies"]
+    np.testing.assert_array_equal(table, [[1, np.nan, np.nan], [0.5, np.nan, np.nan], [np.nan, 1, 0]])
+    chart = heat_map(cells)
+    assert chart.png.startswith(b"\x89PNG") and heat_map(cells).svg == chart.svg
+    for text in ("4/4", "2/4", "0/1", "style-white", "+ remedies", "20 ± 3.1"):
+        assert text in chart.svg, text
+    assert "2 of 4 cells succeed" in chart.told and "arf + remedies under style-white 0 of 1" in chart.told
+
+
+def test_page_and_tables_tell_the_same(tmp_path):
+    outcomes = some_outcomes()
+    cells = cells_of(outcomes)
+    (tmp_path / "arf.png").write_bytes(b"\x89PNG")
+    page = build_page(cells, heat_map(cells), {"side": 24}, [("views-8", "too few")], None, tmp_path)
+    assert page.count("<svg") == 1 and "<script" not in page and page.count("data:image/png") == 1
+    assert "2 of 4" in page and "too far off" in page and "too few" in page and "side 24" in page
+    assert all(escape(fault.told) in page for fault in FAULTS.values())
+    rows = cell_rows(cells)
+    assert [row["rate"] for row in rows] == [1.0, 0.5, 1.0, 0.0] and rows[1]["worst_seed"] == 2
+    assert len(run_rows(outcomes)) == 10 and run_rows(outcomes)[8]["method"] == "arf + remedies"
+
+
+# -- baseline -------------------------------------------------------------------------------------------------------
+
+
+def five(successes: int, median: float, spread: float = 0.0, method="fit", fault="seeds"):
+    scores = median + spread * np.array([-1, -0.5, 0, 0.5, 1]) / np.std([-1, -0.5, 0, 0.5, 1], ddof=1)
+    return [outcome(method, fault, seed, float(score), seed < successes) for seed, score in enumerate(scores)]
+
+
+@pytest.mark.parametrize(
+    ("now", "verdict"),
+    [
+        (five(5, 20.0), "same"),
+        (five(4, 20.0), "worse"),
+        (five(5, 19.6), "same"),  # within the tolerance of half a dB
+        (five(5, 19.4), "worse"),
+        (five(5, 20.6), "better"),
+        (five(5, 18.5, 2.0), "same"),  # 1.5 dB; two standard errors of a spread of 2 are 1.8
+        (five(5, 18.0, 2.0), "worse"),
+    ],
+)
+def test_a_baseline_sees_what_is_worse(tmp_path, now, verdict):
+    path, conditions = tmp_path / "baseline.json", {"budget": "10", "seeds": 5}
+    write_baseline(path, cells_of(five(5, 20.0)), conditions)
+    held = compared(read_baseline(path, conditions), cells_of(now))
+    assert bool(held.worse) == (verdict == "worse") and bool(held.better) == (verdict == "better")
+    assert held.unmatched == []
+    assert all(text.startswith("fit under seeds") for text in held.worse + held.better)
+
+
+def test_cells_of_one_side_are_told_and_not_judged(tmp_path):
+    path = tmp_path / "baseline.json"
+    write_baseline(path, cells_of([*five(5, 20.0), *five(5, 0.5, method="arf")]), {})
+    held = compared(read_baseline(path, {}), cells_of([*five(5, 20.0), *five(0, 9.0, fault="blur")]))
+    assert held.worse == held.better == []
+    assert held.unmatched == ["arf under seeds: only in the baseline", "fit under blur: not in the baseline"]
+
+
+def test_other_conditions_and_files_that_are_none_are_refused(tmp_path):
+    path = tmp_path / "baseline.json"
+    with pytest.raises(BadInput, match="--write-baseline"):
+        read_baseline(path, {})
+    write_baseline(path, cells_of(five(5, 20.0)), {"budget": "10"})
+    with pytest.raises(UsageError, match="budget '10', now '20'"):
+        read_baseline(path, {"budget": "20"})
+    content = json.loads(path.read_text())
+    for spoilt in (
+        "[]",
+        "{",
+        json.dumps(content | {"cells": [{"method": "fit"}]}),
+        json.dumps(content | {"schema": 9}),
+    ):
+        path.write_text(spoilt)
+        with pytest.raises(BadInput):
+            read_baseline(path, {"budget": "10"})
+
+
+# -- outcomes on disk, options --------------------------------------------------------------------------------------
+
+
+def test_an_outcome_stands_under_its_key_alone(tmp_path):
+    one = outcome(seed=3, score=None, ok=False, figures={"psnr": 1.5})
+    keep_outcome(tmp_path, one)
+    assert one.name == "fit--seeds--3"
+    assert kept_outcome(tmp_path, one.name, "k") == one
+    assert kept_outcome(tmp_path, one.name, "another") is None and kept_outcome(tmp_path, "none", "k") is None
+    (tmp_path / "runs" / f"{one.name}.json").write_text('{"key": "k"}')
+    assert kept_outcome(tmp_path, one.name, "k") is None
+
+
+def test_options_choose_and_refuse():
+    whole = StressConfig(methods=("all",))
+    assert whole.chosen_methods == [*METHODS] and whole.chosen_faults == [*FAULTS]
+    some = StressConfig(methods=("arf", "fit", "arf"), faults=("blur", "seeds"))
+    assert some.chosen_methods == ["fit", "arf"] and some.chosen_faults == ["seeds", "blur"]
+    assert StressConfig().conditions["seeds"] == 5 and StressConfig(quick=True).conditions["seeds"] == 2
+    assert StressConfig(quick=True, budget="7", side=40).conditions["budget"] == "7"
+    assert StressConfig(budget="30s").conditions["style_budget"] == "30s"
+    for wrong in ({"methods": ("magic",)}, {"faults": ("fire",)}, {"budget": "soon"}, {"seeds": -1}, {"side": 8}):
+        with pytest.raises(ValueError):
+            StressConfig(**wrong)
+    assert not any(METHODS["fit"].faces(fault) for fault in FAULTS.values() if fault.of == STYLE)
+    assert all("{" not in fault.told for fault in FAULTS.values())

@@ -1,0 +1,79 @@
+"""A stylisation that meets NaN: back to the last good state, on at half the rate, as often as it is allowed to."""
+
+import numpy as np
+import pytest
+
+from stylerf.errors import Diverged
+from stylerf.training.guard import KEEP_EVERY
+from stylerf.training.stylize import Stylizer
+from tests.stylerf.training.running import assert_same_bits, result_of, resumed
+from tests.stylerf.training.stylizing import made
+
+
+def poisoned(at: set[int], **given) -> Stylizer:
+    """Its style step spoils the colours at these steps, each time once, as an overflowing gradient does."""
+    one = made(Stylizer, match="none", **{"steps": 12, "refit_steps": 4, **given})
+    left, plain = set(at), one._step
+
+    def step() -> dict[str, float]:
+        parts = plain()
+        if one.state.step in left:
+            left.remove(one.state.step)
+            one.field.colour.values[:] = np.nan
+            return parts | {"style": float("nan")}
+        return parts
+
+    one._step = step
+    return one
+
+
+def test_without_leave_it_ends_at_the_first():
+    with pytest.raises(Diverged, match="style step 3"):
+        poisoned({3}).run()
+
+
+def test_it_goes_back_and_ends_with_sound_colours_at_half_the_rate():
+    one = poisoned({3, 7}, rollbacks=2)
+    seen = []
+    one.run(lambda now: seen.append((now.state.phase, now.state.step)))
+    assert np.isfinite(one.field.colour.values).all() and one.state.counts["rollbacks"] == 2
+    assert one.settings.rate == pytest.approx(0.25 * one._guard.asked.rate) and one.state.phase == "done"
+    # What is kept is of step 1 of the phase: each return begins there again.
+    style = [step for phase, step in seen if phase != "refit"]
+    assert style == [1, 2, 3, *range(2, 8), *range(2, 13)]
+    assert KEEP_EVERY > 12
+
+
+def test_what_it_goes_back_to_is_the_kept_state_to_the_bit():
+    """Compared with a run that is stopped at that state and goes on at half the rate by itself."""
+    one = poisoned({3}, rollbacks=1)
+    one.run()
+    other = made(Stylizer, match="none", steps=12, refit_steps=4, rollbacks=1)
+    stop = other.state
+
+    class Enough(Exception):
+        pass
+
+    def halt(now) -> None:
+        if now.state.phase == "style" and now.state.step == 1:
+            raise Enough
+
+    with pytest.raises(Enough):
+        other.run(halt)
+    other.state.counts["rollbacks"] = 1
+    other = resumed(made(Stylizer, match="none", steps=12, refit_steps=4, rollbacks=1), other)
+    assert other.settings.rate == pytest.approx(0.5 * other._guard.asked.rate) and stop is not other.state
+    other.run()
+    assert_same_bits(result_of(one)[1], result_of(other)[1])
+
+
+def test_too_often_is_the_end():
+    with pytest.raises(Diverged):
+        poisoned({2, 3, 5}, rollbacks=2).run()
+
+
+def test_a_sound_run_is_the_same_with_and_without():
+    plain, guarded = (made(Stylizer, match="none", steps=12, refit_steps=4, rollbacks=n) for n in (0, 3))
+    plain.run()
+    guarded.run()
+    assert_same_bits(result_of(plain)[1], result_of(guarded)[1])

@@ -1,0 +1,46 @@
+"""The opacity prior: its gradient by differences, and that it clears haze and leaves solids."""
+
+import numpy as np
+
+from stylerf.training.engine import opacity_gradient
+from tests.stylerf.training.scenes import LADDER, box_bank, box_fitter
+
+
+def test_the_gradient_is_that_of_the_stated_loss():
+    alpha = np.linspace(0.02, 0.98, 25)
+
+    def loss(values: np.ndarray) -> float:
+        return 0.3 * float((4 * values * (1 - values)).sum()) / 40
+
+    found = opacity_gradient(alpha.astype(np.float32), 0.3, 40)
+    for place in range(25):
+        step = np.zeros(25)
+        step[place] = 1e-6
+        expected = (loss(alpha + step) - loss(alpha - step)) / 2e-6
+        assert abs(found[place] - expected) < 1e-6
+    assert opacity_gradient(np.float32([0.5]), 1.0, 1)[0] == 0 and found.dtype == np.float32
+
+
+def test_rays_of_a_fit_are_clear_or_opaque():
+    """A box seen by three views: with the prior less haze is left on rays that no view has seen."""
+    bank = box_bank(10)
+    haze = []
+    for weight in (0.0, 0.05):
+        fitter = box_fitter(
+            250, held_out=7, bank=bank, ladder=LADDER[-1:], shares=(), held_out_until=1.0, opacity=weight
+        )
+        fitter.run()
+        alpha = seen(fitter)
+        haze.append(float((4 * alpha * (1 - alpha)).mean()))
+        assert alpha.max() > 0.9  # the box is still there
+    assert haze[1] < 0.8 * haze[0]
+
+
+def seen(fitter) -> np.ndarray:
+    """Opacity of the held-out rays."""
+    from stylerf.fields.samples import Rays
+    from stylerf.rendering.rays import render_rays
+
+    origins, directions = fitter._held_out_rays[:2]
+    rays = Rays.of(origins[:4096], directions[:4096], fitter.field.space.near)
+    return np.clip(render_rays(fitter.field, rays, chunks=1).out[:, 3], 0, 1)

@@ -1,0 +1,180 @@
+"""`stylerf stress`: what it writes, what it does not do twice, how a baseline ends it; stand-ins run but in one."""
+
+import csv
+import json
+
+import numpy as np
+import pytest
+
+from schemas.errors import BadInput, OutOfResources
+from schemas.store import Work
+from stages.stress.criteria import Verdict
+from stylerf.errors import Diverged
+from stylerf_cli import stress_chain
+from stylerf_cli.main import main
+from tests.stages.stress_fixture import make_capture
+
+FEW = ("--methods", "fit", "arf", "--faults", "seeds", "blur", "style-white", "--seeds", "3", "--budget", "10")
+
+
+class Runs:
+    """Stands in for scenes, fits and stylisations. made: what was asked for; answer: score by method and fault."""
+
+    def __init__(self) -> None:
+        self.made: list[tuple[str, str, int, bool]] = []
+        self.answers = {("fit", "blur"): 9.0}
+        self.raising: dict[tuple[str, str, int], BaseException] = {}
+
+    def scene(self, trial):
+        if error := self.raising.get(("scene", trial.fault.name, trial.seed)):
+            raise error
+
+    def verdict(self, trial, scene):
+        self.made.append((trial.method.name, trial.fault.name, trial.seed, trial.remedies))
+        if error := self.raising.get((trial.method.name, trial.fault.name, trial.seed)):
+            raise error
+        score = self.answers.get((trial.method.name, trial.fault.name), 20.0) + 0.1 * trial.seed
+        ok = score > 10
+        return Verdict(ok, "" if ok else "too low", score, 0, {"psnr": score}), np.full((4, 8, 3), trial.seed / 9)
+
+
+@pytest.fixture
+def runs(monkeypatch):
+    stand_in = Runs()
+    monkeypatch.setattr(stress_chain.Stress, "_scene", stand_in.scene)
+    monkeypatch.setattr(stress_chain.Stress, "_verdict", stand_in.verdict)
+    monkeypatch.setattr(stress_chain, "painted", lambda fault, side, seed: np.full((16, 16, 3), 0.1 * seed))
+    return stand_in
+
+
+@pytest.fixture
+def folder(tmp_path):
+    make_capture(Work(tmp_path / "room"))
+    return tmp_path / "room"
+
+
+def stress(folder, *more) -> int:
+    return main(["stress", str(folder), *FEW, *more])
+
+
+def test_files_and_json_tell_the_same(folder, runs, capsys):
+    before = (folder / "scene" / "main" / "manifest.json").stat().st_mtime_ns
+    assert stress(folder, "--json") == 0
+    result, out = json.loads(capsys.readouterr().out), folder / "stress"
+    assert len(runs.made) == len({*runs.made}) == 3 * (2 + 2 + 1)  # a fit never sees a painting
+    cells = {(cell["fault"], cell["method"]): cell for cell in result["cells"]}
+    assert [*cells] == [
+        ("seeds", "fit"), ("seeds", "arf"), ("blur", "fit"), ("blur", "arf"), ("style-white", "arf"),
+    ]  # fmt: skip
+    assert (cells["blur", "fit"]["successes"], cells["blur", "fit"]["count"]) == (0, 3)
+    assert cells["blur", "fit"]["median"] == pytest.approx(9.1) and cells["seeds", "arf"]["rate"] == 1
+    kept = json.loads((out / "stress.json").read_text())
+    assert {key: result[key] for key in kept} == kept
+    for name in ("stress.html", "charts/heat_map.svg", "charts/heat_map.png", "worst/fit--blur--0.png"):
+        assert (out / name).is_file(), name
+    with open(out / "cells.csv", newline="") as stream:
+        rows = {(row["fault"], row["method"]): row for row in csv.DictReader(stream)}
+    assert rows["blur", "fit"]["rate"] == "0.0" and float(rows["seeds", "fit"]["median"]) == pytest.approx(20.1)
+    with open(out / "runs.csv", newline="") as stream:
+        assert len([*csv.DictReader(stream)]) == 15
+    assert (folder / "scene" / "main" / "manifest.json").stat().st_mtime_ns == before
+    assert main(["verify", str(folder), "--quiet"]) == 0  # what it writes is no artefact of this work folder
+
+
+def test_what_stands_is_not_run_again(folder, runs, capsys):
+    runs.raising["arf", "blur", 1] = KeyboardInterrupt()
+    assert stress(folder) == 130
+    done = [*runs.made[:-1]]
+    runs.raising.clear()
+    assert stress(folder) == 0
+    assert len(runs.made) == 1 + 15 and set(done).isdisjoint(runs.made[len(done) + 1 :])
+    assert stress(folder) == 0 and len(runs.made) == 16
+    assert stress(folder, "--only") == 0 and len(runs.made) == 16
+    # Another budget is another key; so is another painting, but for the methods that see one.
+    assert stress(folder, "--style-budget", "11") == 0 and len(runs.made) == 16 + 9
+    assert stress(folder, "--style-budget", "11", "--force") == 0 and len(runs.made) == 25 + 15
+    assert stress(folder, "--style-budget", "11", "--seed", "1") == 0 and len(runs.made) == 40 + 5  # seed 3 is new
+    capsys.readouterr()
+
+
+def test_nothing_stands_and_nothing_faces(folder, runs, capsys):
+    assert stress(folder, "--only") == 4 and runs.made == []
+    assert main(["stress", str(folder), "--methods", "fit", "--faults", "style-white"]) == 2
+    assert main(["stress", str(folder), "--methods", "magic"]) == 2
+    assert "there are fit, fit-hash" in capsys.readouterr().err
+
+
+def test_what_breaks_has_failed_and_what_the_machine_refuses_ends_it(folder, runs, capsys):
+    runs.raising["fit", "seeds", 0] = Diverged("left the finite numbers")
+    runs.raising["fit", "seeds", 1] = BadInput("no such thing")
+    runs.raising["fit", "seeds", 2] = FloatingPointError("overflow")
+    assert stress(folder, "--json") == 0
+    cells = json.loads(capsys.readouterr().out)["cells"]
+    assert cells[0]["successes"] == 0 and cells[0]["median"] is None and len(cells[0]["whys"]) == 3
+    assert cells[0]["worst"]["picture"] == ""
+    runs.raising = {("arf", "blur", 0): OutOfResources("no space")}
+    assert stress(folder, "--force") == 5
+
+
+def test_a_fault_that_a_scene_cannot_have_is_left_out(folder, runs, capsys):
+    runs.raising = {("scene", "blur", seed): BadInput("too small to blur") for seed in range(3)}
+    assert stress(folder, "--json") == 0
+    result = json.loads(capsys.readouterr().out)
+    assert result["missing"] == [{"fault": "blur", "why": "too small to blur"}]
+    assert {cell["fault"] for cell in result["cells"]} == {"seeds", "style-white"}
+    runs.raising |= {
+        ("scene", fault, seed): BadInput("none") for fault in ("seeds", "style-white") for seed in range(3)
+    }
+    assert stress(folder, "--force") == 3
+
+
+def test_a_cell_that_is_worse_ends_with_one_and_all_is_written(folder, runs, capsys, tmp_path):
+    baseline = str(tmp_path / "baseline.json")
+    assert stress(folder, "--write-baseline", baseline) == 0
+    assert stress(folder, "--baseline", baseline) == 0
+    assert "no cell is worse" in capsys.readouterr().out  # read: the next begins with its JSON
+    runs.answers["arf", "seeds"] = 5.0
+    assert stress(folder, "--baseline", baseline, "--force", "--json") == 1
+    told = json.loads(capsys.readouterr().out)
+    assert told["exit_code"] == 1 and told["error"].startswith("arf under seeds: 0 of 3 succeed, 3 of 3 did")
+    assert len(told["baseline"]["worse"]) == 1
+    assert json.loads((folder / "stress" / "stress.json").read_text())["baseline"]["worse"] == told["baseline"]["worse"]
+    made = len(runs.made)
+    assert main(["stress", str(folder), "--budget", "11", "--baseline", baseline]) == 2  # before anything is run
+    assert main(["stress", str(folder), "--baseline", str(tmp_path / "none.json")]) == 3 and len(runs.made) == made
+    assert stress(folder, "--write-baseline") == 0 and (folder / "stress" / "baseline.json").is_file()
+
+
+def test_remedies_stand_beside_runs_without(folder, runs, capsys):
+    assert stress(folder) == 0
+    capsys.readouterr()
+    assert stress(folder, "--remedies", "both", "--json") == 0
+    result = json.loads(capsys.readouterr().out)
+    assert [one[3] for one in runs.made] == [False] * 15 + [True] * 15
+    methods = {cell["method"] for cell in result["cells"]}
+    assert methods == {"fit", "arf", "fit + remedies", "arf + remedies"}
+
+
+def test_remedies_are_options_of_their_stages():
+    from stages.configs.deform import DeformConfig
+    from stages.configs.fit import FitConfig
+    from stages.configs.stylize import StylizeConfig
+
+    plain = FitConfig(), StylizeConfig(style="a.png"), DeformConfig()
+    asked = stress_chain.REMEDIES_OF_FIT, stress_chain.REMEDIES_OF_STYLE, stress_chain.REMEDIES_OF_DEFORM
+    for config, remedies in zip(plain, asked, strict=True):
+        assert all(getattr(config, name) == 0 < value for name, value in remedies.items())
+
+
+@pytest.mark.slow
+def test_real_runs_of_a_still_life(work, capsys):
+    """The whole chain, tiny: a fit and a stylisation of the clean scene, one of a white painting, a made scene."""
+    options = ("--quick", "--side", "32", "--seeds", "1", "--budget", "60", "--style-budget", "4", "--keep")
+    faults = ("seeds", "views-3", "textureless", "style-white")
+    assert main(["stress", str(work), "--methods", "fit", "arf", "--faults", *faults, *options, "--json"]) == 0
+    cells = {(one["fault"], one["method"]): one for one in json.loads(capsys.readouterr().out)["cells"]}
+    assert len(cells) == 7 and all(cell["median"] is not None for cell in cells.values())
+    assert cells["seeds", "fit"]["successes"] == 1 and cells["seeds", "fit"]["median"] > 15
+    assert cells["style-white", "arf"]["median"] < cells["seeds", "arf"]["median"]
+    kept = Work(work / "stress" / "works" / "seeds-0")
+    assert {one.name for one in kept.artefacts("field")} == {"fit-vm", "seeds-arf", "style-white-arf"}
