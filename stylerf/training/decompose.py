@@ -34,14 +34,14 @@ SMOOTH_REACH, SMOOTH_NEAR, SMOOTH_LIKE = 0.015, 4 / 0.005, 1 / 0.2
 
 @dataclass(frozen=True)
 class DecompositionWeights:
-    """Weights of the parts beside the two images' squared errors, as published.
+    """Weights of the parts beside the two images' squared errors, as published but for sparsity (2e-4 there).
 
     sparsity: sum w / sum w^2 - 1. offset: sum_i |delta_i|^2. view: |s|^2. smooth: of weights between near places of
     like colour. guide: towards the weights that the palette's hull tells, falling to 0 at RELEASE. drift: of the
     palette from what was extracted, once it is released.
     """
 
-    sparsity: float = 2e-4
+    sparsity: float = 2e-3
     offset: float = 0.03
     view: float = 0.1
     smooth: float = 4e-3

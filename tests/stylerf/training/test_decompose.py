@@ -54,7 +54,7 @@ def test_parts_count_when_their_time_has_come(step, smooth, guide, drift):
     scales = one._scales()
     assert (scales["smooth"], scales["drift"]) == (smooth, drift)
     assert scales["guide"] == pytest.approx(guide, abs=1e-12)
-    assert (scales["sparsity"], scales["offset"], scales["view"]) == (2e-4, 0.03, 0.1)
+    assert (scales["sparsity"], scales["offset"], scales["view"]) == (2e-3, 0.03, 0.1)
 
 
 def test_parts_of_the_loss_are_those_written_ray_by_ray():
