@@ -15,7 +15,7 @@ VERBS: dict[str, tuple[str, str]] = {
         "stylerf_cli.verbs.deform",
         "give a fitted field a deformation, the start of a stylisation that bends shapes",
     ),
-    "stylize": ("stylerf_cli.verbs.stylize", "stylise the whole scene with a painting, or a region (--region)"),
+    "stylize": ("stylerf_cli.verbs.stylize", "stylise the whole scene or a region of it, or change its palette"),
     "select": ("stylerf_cli.verbs.select", "select a part of the scene in 3D, by pixels, masks, a box or a colour"),
     "extract": ("stylerf_cli.verbs.extract", "gather what the views show of a region, for its edit"),
     "distill": ("stylerf_cli.verbs.distill", "paint an edit into the training photos"),

@@ -12,7 +12,7 @@ from stages.configs.region import RegionConfig
 from stages.configs.stylize import StylizeConfig, reference_of
 
 NAME = "stylize"
-HELP = "stylise the whole scene with a painting, or a region (--region), or change the scene's palette"
+HELP = "stylise the whole scene or a region of it, or change its palette"
 CONFIG = StylizeConfig
 
 

@@ -62,7 +62,7 @@ def arguments_of(stage: str, work: Path, photos: Path, room: Path) -> tuple[tupl
         "stylize with shapes": (("stylize", work, "--of", "fit-deformed", "--method", "desrf", "--budget", "12",
                                  *style), "field"),
         "stylize a region": (("stylize", work, "--region", "all", "--style", photos / "painting.png", "--palette-steps",
-                              "30", "--style-steps", "8", "--style-side", "64", *often), "edit"),
+                              "30", "--style-steps", "8", "--style-side", "64", "--budget", "1h", *often), "edit"),
         "stylize by a palette": (("stylize", work, "--of", "fit", "--method", "palettenerf", "--budget", "40",
                                   "--refit-steps", "20", "--pixels", "512", "--levels", "4", "--finest", "64",
                                   "--table-bits", "12", *often), "field"),
@@ -141,7 +141,8 @@ def killed_until_done(nursery: Nursery, stage: LongStage, work: Path, kills: int
             artefact.verify()
         if (work / stage.kind / "killed").exists():
             assert command.code in (0, -signal.SIGKILL), command.err
-            assert digests(store.get(stage.kind, "killed")) == digests(store.get(stage.kind, "whole"))
+            made, whole = (digests(store.get(stage.kind, name)) for name in ("killed", "whole"))
+            assert made == whole, f"after {deaths} deaths: {command.err}"
             shutil.rmtree(work / stage.kind / "killed")
             continue
         assert command.code == -signal.SIGKILL, command.err
