@@ -2,13 +2,14 @@
 
 DATA holds the scenes, STYLES the paintings. With $STYLERF_BENCH_WORK the work folders are kept there, and what stands
 in them is not made again. Options, each a list with commas: --scenes fern,fox,lego --capacities grow,fixed:128x8x16
---budgets 60s,300s --methods arf,desrf --rays auto,dilated --style-budgets 60s; --painting FILE; and
+--budgets 60s,300s --stylised grow --methods arf,desrf --rays auto,dilated --style-budgets 60s; --painting FILE; and
 --flags METHOD=FLAGS for what else a method needs. A run that fails is kept as a row that says why.
 
-Protocol: every scene is fitted at each capacity and budget; the fit of each capacity that had the longest budget is
-stylised by each method with each choice of rays and each style budget; all are evaluated on the held-out views, the
-stylised ones also along a path of 30 frames, in all three consistency protocols. `stylerf compare` then reads what
-stands: costs from the manifests, seconds since the fitted field for stylisations. One seed, one run at a time.
+Protocol: every scene is fitted at each capacity and budget; the fit of each capacity (or of --stylised) that had the
+longest budget is stylised by each method with each choice of rays and each style budget; all are evaluated on the
+held-out views, the stylised ones also along a path of 30 frames, in all three consistency protocols. `stylerf compare`
+then reads what stands: costs from the manifests, seconds since the fitted field for stylisations. One seed, one run at
+a time.
 """
 
 import argparse
@@ -57,9 +58,11 @@ def options_of(argv: list[str]) -> argparse.Namespace:
         ("methods", "arf,desrf"), ("rays", "auto,full,dilated"), ("style-budgets", "60s"),
     ):  # fmt: skip
         parser.add_argument(f"--{name}", type=lambda text: text.split(","), default=default.split(","))
+    parser.add_argument("--stylised", type=lambda text: text.split(","))
     parser.add_argument("--painting", default="starry_night.jpg")
     parser.add_argument("--flags", metavar="METHOD=FLAGS", action="append", default=[])
     asked = parser.parse_args(argv)
+    asked.stylised = asked.stylised or asked.capacities
     asked.flags = {name: shlex.split(flags) for name, _, flags in (one.partition("=") for one in asked.flags)}
     return asked
 
@@ -90,7 +93,7 @@ def measure(asked: argparse.Namespace, scene: str, work: str) -> list[dict]:
         fit = ("fit", work, "--capacity", capacity, "--budget", budget, "--no-buffers", "--name", name)
         made(name, fit, ("eval", work, "--of", name))
     painting = str(asked.styles / asked.painting)
-    for capacity, method, rays, budget in product(asked.capacities, asked.methods, asked.rays, asked.style_budgets):
+    for capacity, method, rays, budget in product(asked.stylised, asked.methods, asked.rays, asked.style_budgets):
         base, name = label("fit", capacity, asked.budgets[-1]), label(method, rays, budget, "of", capacity)
         style = ("stylize", work, "--of", base, "--style", painting, "--method", method, "--rays", rays)
         style += ("--budget", budget, "--name", name, *asked.flags.get(method, ()))

@@ -100,6 +100,22 @@ def edits() -> str:
     return "\n".join([*lines, "", where(report)])
 
 
+def palettes() -> str:
+    """Markdown of a part recoloured by two methods; nothing where it has not been measured."""
+    if not (RESULTS / "palettes.json").is_file():
+        return ""
+    report = result("palettes.json")
+    lines = ["| part, blue | method | time | background MSE (before) | change inside | bleeding | colours, L_sp |",
+             "|---|---|---|---|---|---|---|"]  # fmt: skip
+    for row in report["rows"]:
+        before = row["background_mse"] / row["background_ratio"]
+        lines.append(
+            f"| {row['case']} | {row['method']} | {row['seconds']:.0f} s | {row['background_mse']:.5f} ({before:.5f}) "
+            f"| {row['change_lab']:.0f} dE | {row['bleeding']:.4f} | {row['colours']}, {row['sparsity']:.2f} |"
+        )
+    return "\n".join([*lines, "", where(report)])
+
+
 def pareto() -> str:
     """The chart over methods, rays and capacities, and what failed; nothing where it has not been measured."""
     if not (RESULTS / "pareto.json").is_file():
@@ -243,7 +259,14 @@ def _mark(axes, row: dict, key: str) -> None:
 
 
 BLOCKS = {
-    "README.md": {"figures": fits, "strategies": strategies, "edits": edits, "pareto": pareto, "stress": stress},
+    "README.md": {
+        "figures": fits,
+        "strategies": strategies,
+        "edits": edits,
+        "palettes": palettes,
+        "pareto": pareto,
+        "stress": stress,
+    },
     "docs/stress.md": {"remedies": remedies},
 }
 
