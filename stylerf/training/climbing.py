@@ -8,8 +8,6 @@ needed, and compared with what stood before. What the views do not miss stays aw
 import math
 from dataclasses import asdict, replace
 
-import numpy as np
-
 from stylerf.training.fit_state import FitSettings, FitState
 from stylerf.training.ladders import Kinds, Rung
 
@@ -22,7 +20,6 @@ HOPELESS = 0.6  # dB that a reduction may take at first: a trial brings back abo
 RAMP = 20
 FEWEST_RANKS = 8
 RESOLUTIONS = (32, 48, 64, 96, 128, 192, 256, 384, 512)
-PACE_ENTRIES = 3  # looks at the held-out views from which their pace is told, at least
 # An error of one step of an eight-bit photo. What lies beyond is rounding: no reason to grow, and no collapse to lose.
 TELLING_PSNR = 20 * math.log10(255)
 GROW = "grow"
@@ -84,7 +81,7 @@ class Climb:
     """What is tried next, and what becomes of it; it knows no array.
 
     state.trial, while one is on: {what: `grow` or a reduction's name, before: dB, from, parameters: of the field
-    before; of a reduction also step and progress then, the step `until` which it goes on, what was `given_up` before}.
+    before; of a reduction also its first step, the step `until` which it goes on, and what was `given_up` before}.
     """
 
     def __init__(self, settings: FitSettings, state: FitState, judges: str) -> None:
@@ -160,26 +157,9 @@ class Climb:
         """Whether a reduction, just made, has lost more than it can win back."""
         return not min(self.state.trial["before"], TELLING_PSNR) - quality <= HOPELESS  # so written, NaN is hopeless
 
-    def enough(self, quality: float, progress: float) -> bool:
-        """Whether the views lose next to nothing by what is given up, against what they would have without."""
-        state = self.state
-        expected = state.whole + self._gained(state.whole_at, progress)
-        return quality >= min(expected, TELLING_PSNR) - self.settings.min_gain
-
-    def _gained(self, begun: float, progress: float) -> float:
-        """What the views would have gained meanwhile with nothing given up, dB."""
-        return self.state.pace * math.log(max(progress, begun) / begun)
-
-    def _measured_pace(self, parameters: int) -> float:
-        """dB per e-fold of progress: least squares over the later half of the present capacity's looks; 0: too few."""
-        settings = self.settings
-        looks = [look for look in self.state.curve if look["parameters"] == parameters and look["held_out"]]
-        looks = looks[len(looks) // 2 :]
-        if len(looks) < PACE_ENTRIES:
-            return 0.0
-        spent = np.log([look["step"] / settings.steps if settings.steps else look["seconds"] / settings.seconds
-                        for look in looks])  # fmt: skip
-        return max(0.0, float(np.polyfit(spent, [look["psnr"] for look in looks], 1)[0]))
+    def enough(self, quality: float) -> bool:
+        """Whether the views lose next to nothing by what is on trial."""
+        return quality >= min(self.state.whole, TELLING_PSNR) - self.settings.min_gain
 
     @property
     def rate(self) -> float:
@@ -199,16 +179,13 @@ class Climb:
         if what == GROW:
             state.rung += 1
         else:
-            if state.whole is None:
-                state.pace = self._measured_pace(parameters)
-            if state.whole is None or quality > state.whole + self._gained(state.whole_at, progress):
-                state.whole, state.whole_at = quality, max(progress, 1e-9)
+            state.whole = quality if state.whole is None else max(state.whole, quality)
             until = state.step + self._trial_steps(progress)
-            state.trial |= {"step": state.step, "until": until, "given_up": dict(state.given_up), "progress": progress}
+            state.trial |= {"step": state.step, "until": until, "given_up": dict(state.given_up)}
             state.given_up |= REDUCTIONS[what](before, settings.kinds, settings)
         return self.rung
 
-    def judge(self, quality: float, parameters: int, progress: float) -> tuple[bool, str]:
+    def judge(self, quality: float, parameters: int) -> tuple[bool, str]:
         """End the trial: whether what was tried stays, and why in words. parameters: of the field on trial."""
         settings, trial = self.settings, self.state.trial
         old, new, gain = Rung(**trial["from"]), self.rung, quality - trial["before"]
@@ -222,8 +199,7 @@ class Climb:
                 text = f"{names[1]} dropped: {gain:+.2f} dB for {times:.1f} times the size; staying at {names[0]}"
                 self._note(names[1], names[0], sizes[1], sizes[0], gain)
         else:
-            kept = self.enough(quality, progress)
-            gain -= self._gained(max(trial["progress"], 1e-9), progress)
+            kept = self.enough(quality)
             times = trial["parameters"] / parameters
             larger = f"{names[0]}, {times:.1f} times the size" if times > 1.05 else names[0]
             verdict = "is enough" if kept else "is too little"

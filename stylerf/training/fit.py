@@ -235,7 +235,7 @@ class Fitter:
             reduced = self.held_out_psnr()
             if not climb.hopeless(reduced):  # else it is never taught, and what teaches it need not be compiled
                 self._warm_up({(climb.rung.density_rank, climb.rung.colour_rank)})
-                if not climb.enough(reduced, self.progress):
+                if not climb.enough(reduced):
                     break  # a while of teaching decides
             quality = self._judge(reduced)
 
@@ -256,7 +256,7 @@ class Fitter:
         """Keep or drop what is on trial; the held-out quality of the field that stands."""
         state, before = self.state, self.state.trial["before"]
         reduced = state.trial["what"] != GROW
-        kept, text = self.climb.judge(quality, self.parameters, self.progress)
+        kept, text = self.climb.judge(quality, self.parameters)
         state.decisions.append(text)
         if kept:
             state.best = quality if reduced else max(state.best, quality)

@@ -52,8 +52,6 @@ class FitState:
     given_up: dict[str, int] = field(default_factory=dict)  # of the rung, by its fields' names
     refused: list[str] = field(default_factory=list)  # reductions that lost too much
     whole: float | None = None  # the best held-out dB from which anything was given up
-    whole_at: float = 1.0  # progress at that time
-    pace: float = 0.0  # dB that held-out views gained then while progress grew e-fold
     trial: dict | None = None  # see climbing.Climb
     sizes: list[dict] = field(default_factory=list)  # what each change of size brought
     rate_scale: float = 1.0
