@@ -24,7 +24,9 @@ def where(report: dict) -> str:
     """Machine, day and command of a report."""
     cores = report["machine"]["cores"]
     remark = f" Remark: {report['remark']}." if "remark" in report else ""
-    measured = f"{cores} CPU cores, no GPU, {report['date']}; `{report['command']}`; one seed."
+    seeds = int(report.get("conditions", {}).get("seeds", 1))
+    told_seeds = f"{seeds} seeds" if seeds > 1 else "one seed"
+    measured = f"{cores} CPU cores, no GPU, {report['date']}; `{report['command']}`; {told_seeds}."
     return f"{measured} Not measured on a GPU.{remark}"
 
 
@@ -144,9 +146,9 @@ def stress() -> str:
     lines = [
         "![Runs that succeed, of methods under faults, for every scene](docs/images/stress.svg)",
         "",
-        f"{', '.join(sums)}: {asked['seeds']} seeds, photos of {asked['side']} pixels, "
+        f"{', '.join(sums)}: photos of {asked['side']} pixels, "
         f"{told(asked['budget'])} a fit, {told(asked['style_budget'])} a stylisation. Made scenes in the first one "
-        "alone. " + where(report).replace("one seed", f"{asked['seeds']} seeds"),
+        "alone. " + where(report),
     ]
     return "\n".join(lines)
 
@@ -165,7 +167,9 @@ def remedies() -> str:
     for (work, fault, method), row in rows.items():
         if after := rows.get((work, fault, method + REMEDIED)):
             lines.append(f"| {work} | {fault} | {method} | {_outcome(row)} | {_outcome(after)} |")
-    return "\n".join([*lines, "", where(result("stress.json")).replace("one seed", "several seeds")])
+    if len(lines) == 2:
+        return ""
+    return "\n".join([*lines, "", where(result("stress.json"))])
 
 
 def _outcome(row: dict) -> str:
