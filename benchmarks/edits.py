@@ -11,13 +11,13 @@ around it left out; against the photos. One seed.
 
 import json
 import os
-import platform
 import shutil
 import subprocess
 import sys
 import tempfile
-from datetime import UTC, datetime
 from pathlib import Path
+
+from benchmarks.conditions import here_and_now
 
 HEAD = ["--at", "0021:101,129"]
 SHOVEL = ["--at", "r_10:300,90", "--at", "r_10:244,100", "--neck", "0", "--tolerance", "26", "--reach", "0.38"]
@@ -83,8 +83,7 @@ def main() -> None:
                 "command": "python -m benchmarks.edits FITTED OUT.json STYLES",
                 "protocol": __doc__.split("Protocol: ")[1], "published_seconds": PUBLISHED,
                 "flags": {name: " ".join(CASES[name][1] + CASES[name][2]) for name in CASES},
-                "machine": {"cpu": platform.processor() or platform.machine(), "cores": os.cpu_count()},
-                "python": platform.python_version(), "rows": rows, "date": datetime.now(UTC).date().isoformat(),
+                **here_and_now(), "rows": rows,
             }  # fmt: skip
             out.write_text(json.dumps(report, indent=1) + "\n")
 

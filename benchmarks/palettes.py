@@ -11,13 +11,12 @@ those of the stages' manifests, selection left out. One seed.
 
 import json
 import os
-import platform
 import shutil
 import sys
 import tempfile
-from datetime import UTC, datetime
 from pathlib import Path
 
+from benchmarks.conditions import here_and_now
 from benchmarks.edits import HEAD, SHOVEL, stylerf
 
 # name: (work folder, flags of the selection, palette, reach in scene units)
@@ -76,8 +75,7 @@ def main() -> None:
                 "command": "python -m benchmarks.palettes FITTED OUT.json",
                 "protocol": __doc__.split("Protocol: ")[1],
                 "flags": {name: " ".join([*CASES[name][1], *CASES[name][2:]]) for name in CASES},
-                "machine": {"cpu": platform.processor() or platform.machine(), "cores": os.cpu_count()},
-                "python": platform.python_version(), "rows": rows, "date": datetime.now(UTC).date().isoformat(),
+                **here_and_now(), "rows": rows,
             }  # fmt: skip
             out.write_text(json.dumps(report, indent=1) + "\n")
 

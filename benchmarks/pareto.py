@@ -15,15 +15,14 @@ a time.
 import argparse
 import json
 import os
-import platform
 import shlex
 import subprocess
 import sys
 import tempfile
-from datetime import UTC, datetime
 from itertools import product
 from pathlib import Path
 
+from benchmarks.conditions import here_and_now
 from benchmarks.fits import SCENES as SIZES
 
 SCENES = {name.split()[0]: flags for name, flags in SIZES.items() if name != "lego 400x400"}
@@ -121,9 +120,8 @@ def main(argv: list[str] | None = None) -> None:
             report = {
                 "command": f"python -m benchmarks.pareto DATA STYLES OUT.json {shlex.join(given[3:])}".strip(),
                 "protocol": __doc__.split("Protocol: ")[1], "painting": asked.painting,
-                "machine": {"cpu": platform.processor() or platform.machine(), "cores": os.cpu_count()},
-                "python": platform.python_version(), "rows": rows_of(works, str(kept / "comparison")),
-                "failed": failed, "date": datetime.now(UTC).date().isoformat(),
+                **here_and_now(), "rows": rows_of(works, str(kept / "comparison")),
+                "failed": failed,
             }  # fmt: skip
             asked.out.write_text(json.dumps(report, indent=1) + "\n")
 

@@ -12,13 +12,11 @@ PSNR (dB) of fits, SSIM of luma of stylisations, medians over the seeds.
 
 import argparse
 import json
-import os
-import platform
 import shlex
 import sys
-from datetime import UTC, datetime
 from pathlib import Path
 
+from benchmarks.conditions import here_and_now
 from benchmarks.pareto import stylerf
 
 KEPT = ("method", "fault", "successes", "count", "rate", "median", "spread", "lowest", "seconds", "whys")
@@ -67,12 +65,10 @@ def main(argv: list[str] | None = None) -> None:
         report = {
             "command": f"python -m benchmarks.stress OUT.json WORK... {told}",
             "protocol": __doc__.split("Protocol: ")[1],
-            "machine": {"cpu": platform.processor() or platform.machine(), "cores": os.cpu_count()},
-            "python": platform.python_version(),
+            **here_and_now(),
             "conditions": more["conditions"],
             "rows": rows,
             "missing": missing,
-            "date": datetime.now(UTC).date().isoformat(),
         }
         asked.out.write_text(json.dumps(report, indent=1) + "\n")
         done, asked_for = (sum(row[key] for row in found) for key in ("successes", "count"))
