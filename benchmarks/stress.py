@@ -5,9 +5,9 @@ known here goes to `stylerf stress` as it is: --methods, --faults, --quick, --bu
 
 Protocol: `stylerf stress` in one work folder after another, remedies as the command says; faults of made scenes,
 which are the same for every WORK, in the first alone. Training views carry the fault, test views never do. A fit
-succeeds where it is finite and 3 dB nearer to the test photos than one flat colour; a stylisation where it is finite,
-keeps an SSIM of luma of 0.2 with the photos and is at most 0.7 times as far from the painting's colours. Figures:
-PSNR (dB) of fits, SSIM of luma of stylisations, medians over the seeds.
+succeeds where it is finite and 3 dB nearer to the test photos than one flat colour (of an object: than its outlines in
+one colour); a stylisation where it is finite, keeps an SSIM of luma of 0.2 with the photos and is at most 0.7 times as
+far from the painting's colours. Figures: PSNR (dB) of fits, SSIM of luma of stylisations, medians over the seeds.
 """
 
 import argparse

@@ -123,7 +123,8 @@ def _how(conditions: dict, missing: Sequence[tuple[str, str]]) -> str:
     told = ", ".join(f"{key} {value}" for key, value in conditions.items())
     return (
         f"<p>A fit succeeds where every value is finite and its test views are {LEAST_GAIN:g} dB nearer to their "
-        "photos than the best picture of one colour. A stylisation succeeds where every value is finite, the luma of "
+        "photos than the best picture of one colour (of an object: than its own outlines in one colour). A stylisation "
+        "succeeds where every value is finite, the luma of "
         f"its test views keeps {LEAST_CONTENT:g} of SSIM with the photos, and their colours are at most "
         f"{COLOUR_SHARE:g} times as far from the painting’s as the photos’ are, or at most {COLOUR_NEAR:g}. Faults are "
         f'in training views, never in test views.</p><p>{escape(told)}</p><dl class="notes">{faults}</dl>'

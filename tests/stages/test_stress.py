@@ -44,6 +44,22 @@ def test_a_fit_is_set_beside_the_best_picture_of_one_colour():
     assert LEAST_GAIN == 3.0
 
 
+def test_an_object_is_set_beside_its_own_outlines_in_one_colour():
+    """On white, a grey blob with the outlines of the object is 15 dB better than white, and shows nothing of it."""
+    mask = np.zeros((40, 48), bool)
+    mask[10:30, 12:36] = True
+    truth = np.where(mask[..., None], 0.5 * np.random.default_rng(1).random((40, 48, 3)), 1.0).astype(np.float32)
+    blob, inside = np.where(mask[..., None], np.float32(0.25), np.float32(1)), truth[mask]
+    assert judged_fit(
+        [Seen("v", np.broadcast_to(blob, truth.shape), truth)]
+    ).ok  # where nothing tells object and ground
+    verdict = judged_fit([Seen("v", np.broadcast_to(blob, truth.shape), truth, mask)])
+    assert not verdict.ok and "outlines" in verdict.why
+    assert verdict.figures["gain_over_flat"] == pytest.approx(0.0, abs=0.1)
+    better = np.where(mask[..., None], truth + 0.5 * (inside.mean(0) - truth), 1.0).astype(np.float32)
+    assert judged_fit([Seen("v", better, truth, mask)]).figures["gain_over_flat"] == pytest.approx(6.02, abs=0.05)
+
+
 def test_the_worst_view_is_the_one_that_is_farthest_off():
     views = [Seen(f"v{i}", off_by(photo(i), error), photo(i)) for i, error in enumerate((0.01, 0.2, 0.05))]
     assert judged_fit(views).worst == 1

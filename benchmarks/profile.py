@@ -1,0 +1,238 @@
+"""Where a fit's step spends its time, and how near kernels are to bounds: `python -m benchmarks.profile WORK OUT`.
+
+WORK holds an imported scene.
+
+Protocol: for each capacity a fit of that one capacity takes LEARNING steps, so that its occupancy is a real fit's; the
+next STEPS steps are timed kernel by kernel, on one thread and on all. A kernel's bound is the time that this
+machine needs, in a kernel of its own and on as many threads, for the memory that the kernel cannot avoid: `march` and
+`colour` read 18 rows a sample from the table, at the very places of the last batch; the backward passes read them and
+add to 18 rows of a buffer as large; `adam` reads all gradients, and reads and writes five arrays where they are not
+zero, at the bandwidth of a triad over arrays of TRIAD_MB. Arithmetic is no part of a bound. Least of REPEATS.
+"""
+
+import dataclasses
+import json
+import sys
+import tempfile
+import time
+from collections import defaultdict
+from pathlib import Path
+
+import numpy as np
+from numba import prange
+
+from benchmarks.conditions import here_and_now
+from stylerf.kernels.cpu.compiling import parallel_kernel, set_threads
+from stylerf.kernels.cpu.vector import axpy_row
+from stylerf.kernels.cpu.vm import place
+
+CAPACITIES = ("64x16x24", "128x16x24", "192x16x24", "256x16x24")
+LEARNING, STEPS, REPEATS, TRIAD_MB = 250, 30, 5, 256
+# Kernels by the name they have here: where the fit calls them.
+KERNELS = {
+    "draw rays": ("stylerf.training.rays", "gather"),
+    "march": ("stylerf.kernels.cpu.vm", "march_density"),
+    "significant": ("stylerf.rendering.rays", "significant"),
+    "colour": ("stylerf.kernels.cpu.vm", "colour"),
+    "composite": ("stylerf.rendering.rays", "composite"),
+    "composite backward": ("stylerf.rendering.rays", "composite_backward"),
+    "colour backward": ("stylerf.kernels.cpu.vm", "colour_backward"),
+    "density backward": ("stylerf.kernels.cpu.vm", "density_backward"),
+    "smoothness": ("stylerf.kernels.cpu.vm", "smoothness_backward"),
+    "adam": ("stylerf.training.optimiser", "adam"),
+    "occupancy": ("stylerf.kernels.cpu.vm", "density"),
+}
+
+
+@parallel_kernel
+def read_rows(table, size, ranks, x, chunks, sums):
+    """Adds the 18 rows of every point x [n, 3] to sums [chunks, rank]."""
+    n = len(x)
+    rank = np.int64(len(ranks))
+    flat = sums.reshape(-1)
+    for c in prange(chunks):
+        for p in range(c * n // chunks, (c + 1) * n // chunks):
+            for m in range(3):
+                first, second, line, _, _, _ = place(m, x[p], size, rank)
+                for at in (first, first + rank, second, second + rank, line, line + rank):
+                    axpy_row(np.float32(1), table, at, flat, c * rank, ranks)
+
+
+@parallel_kernel
+def add_rows(table, size, ranks, x, chunks, row, to):
+    """Adds `row` to the 18 rows of every point x [n, 3] in the chunk's buffer to[chunk], laid out as the table."""
+    n = len(x)
+    rank = np.int64(len(ranks))
+    flat = to.reshape(-1)
+    stride = to.shape[1]
+    for c in prange(chunks):
+        for p in range(c * n // chunks, (c + 1) * n // chunks):
+            for m in range(3):
+                first, second, line, _, _, _ = place(m, x[p], size, rank)
+                for at in (first, first + rank, second, second + rank, line, line + rank):
+                    axpy_row(np.float32(1), row, np.int64(0), flat, c * stride + at, ranks)
+
+
+@parallel_kernel
+def triad(a, b, c, chunks):
+    """a = b + 2 c."""
+    n = len(a)
+    for k in prange(chunks):
+        for i in range(k * n // chunks, (k + 1) * n // chunks):
+            a[i] = b[i] + np.float32(2) * c[i]
+
+
+def least(work) -> float:
+    """Seconds, the least of REPEATS."""
+    work()
+    found = []
+    for _ in range(REPEATS):
+        begun = time.perf_counter()
+        work()
+        found.append(time.perf_counter() - begun)
+    return min(found)
+
+
+def triad_bandwidth(threads: int) -> float:
+    """Bytes a second of a triad over arrays that no cache holds."""
+    set_threads(threads)
+    a, b, c = (np.zeros(TRIAD_MB * 250_000, np.float32) for _ in range(3))
+    return 3 * a.nbytes / least(lambda: triad(a, b, c, threads))
+
+
+class Watch:
+    """Kernels timed while a fit runs: seconds by name, and each one's last arguments."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = defaultdict(float)
+        self.last: dict[str, tuple] = {}
+        self.moved = 0.0  # bytes, by adam
+        self.looking = 0.0  # seconds of this class's own
+
+    def __enter__(self) -> "Watch":
+        self._kept = []
+        for name, (module, attribute) in KERNELS.items():
+            holder = sys.modules[module]
+            self._kept.append((holder, attribute, getattr(holder, attribute)))
+            setattr(holder, attribute, self._timed(name, getattr(holder, attribute)))
+        return self
+
+    def __exit__(self, *_) -> None:
+        for holder, attribute, kernel in self._kept:
+            setattr(holder, attribute, kernel)
+
+    def _timed(self, name: str, kernel):
+        def timed(*arguments):
+            begun = time.perf_counter()
+            if name == "adam":
+                self.moved += moved_by_adam(arguments[1], *arguments[10:12])
+            self.last[name] = arguments
+            at = time.perf_counter()
+            self.looking += at - begun
+            kernel(*arguments)
+            self.seconds[name] += time.perf_counter() - at
+
+        return timed
+
+
+def fitter_of(work: Path, capacity: str, threads: int, scratch: Path):
+    """A fit of one capacity that climbs nowhere, as `stylerf fit` sets it up."""
+    from schemas.store import Work
+    from stages.configs.fit import FitConfig
+    from stages.nerf_fit import _settings
+    from stages.photos import bank_of
+    from stages.progress import Context, Silent
+    from stages.scenes import load_scene
+    from stages.spaces import space_of
+    from stylerf.training.fit import Fitter
+    from stylerf.training.ladders import Rung
+
+    scene = load_scene(Work(work).find("scene", "main"))
+    settings = _settings(FitConfig(budget="1000000"), scene)
+    resolution, density, colour = map(int, capacity.split("x"))
+    settings = dataclasses.replace(settings, ladder=(Rung(resolution, density, colour),), shares=(), reductions=())
+    bank = bank_of(scene, scene.splits["train"], scratch, Context(progress=Silent(), threads=threads))
+    return Fitter(space_of(scene, "auto")[0], bank, 0, settings, 0, threads)
+
+
+def bounds(watch: Watch, threads: int) -> tuple[dict[str, float], dict[str, int]]:
+    """Seconds of one step's unavoidable reads and additions by kernel, for the last batch, and what it held."""
+    density, colour = watch.last["density backward"], watch.last["colour backward"]
+    starts, ends = density[5], density[6]
+    every = np.concatenate([np.arange(a, b) for a, b in zip(starts, ends)])
+    x = np.ascontiguousarray(density[4][every])
+    learning, shown = density[8][every] * density[7][every] != 0, colour[8][every, 0] >= 0
+    table, size, ranks = *density[:2], density[3]
+    found = {"march": _rows(table, size, ranks, x, threads)[0]}
+    found["density backward"] = sum(_rows(table, size, ranks, x[learning], threads))
+    reads, adds = _rows(*colour[:3], x[shown], threads)
+    found |= {"colour": reads, "colour backward": reads + adds}
+    counts = {"rays": len(ends), "samples": len(x), "learning": int(learning.sum()), "coloured": int(shown.sum())}
+    return found, counts
+
+
+def _rows(table, size, ranks, x, threads: int) -> tuple[float, float]:
+    rank = len(ranks)
+    sums, row = np.zeros((threads, rank), np.float32), np.ones(rank, np.float32)
+    buffer = np.zeros((threads, len(table)), np.float32)
+    reads = least(lambda: read_rows(table, size, ranks, x, threads, sums))
+    return reads, least(lambda: add_rows(table, size, ranks, x, threads, row, buffer))
+
+
+def moved_by_adam(gradients: np.ndarray, begin: int, end: int) -> float:
+    """Bytes: every gradient is read; where a run of eight has any, it is cleared, and values and moments rewritten."""
+    length = (end - begin) // 8 * 8
+    runs = np.abs(gradients[:, begin : begin + length]).max(0).reshape(-1, 8).max(1) > 0
+    return 4.0 * (end - begin) * (gradients.shape[0] * (1 + runs.mean()) + 6 * runs.mean())
+
+
+def measure(work: Path, capacity: str, threads: int, bandwidth: float, scratch: Path) -> dict:
+    """A row: milliseconds a step by kernel, its bound, and what the batch held."""
+    set_threads(threads)
+    fitter = fitter_of(work, capacity, threads, scratch)
+    fitter.warm_up()
+    for _ in range(LEARNING):
+        fitter.step()
+    with Watch() as watch:
+        begun = time.perf_counter()
+        for _ in range(STEPS):
+            fitter.step()
+        whole = time.perf_counter() - begun - watch.looking
+    found, counts = bounds(watch, threads)
+    found["adam"] = watch.moved / STEPS / bandwidth
+    kernels = {name: 1e3 * seconds / STEPS for name, seconds in watch.seconds.items()}
+    kernels["all else"] = 1e3 * whole / STEPS - sum(kernels.values())
+    return {
+        "capacity": capacity,
+        "threads": threads,
+        "parameters": fitter.parameters,
+        "step_ms": round(1e3 * whole / STEPS, 2),
+        "kernels_ms": {name: round(ms, 3) for name, ms in kernels.items()},
+        "bounds_ms": {name: round(1e3 * seconds, 3) for name, seconds in found.items()},
+        **counts,
+    }
+
+
+def main() -> None:
+    work, out = Path(sys.argv[1]), Path(sys.argv[2])
+    cores = here_and_now()["machine"]["cores"]
+    rows, bandwidths = [], {}
+    with tempfile.TemporaryDirectory() as scratch:
+        for threads in sorted({1, cores}):
+            bandwidths[threads] = triad_bandwidth(threads)
+            for capacity in CAPACITIES:
+                rows.append(measure(work, capacity, threads, bandwidths[threads], Path(scratch)))
+                print(json.dumps(rows[-1]), flush=True)
+    report = {
+        "command": "python -m benchmarks.profile WORK OUT.json",
+        "protocol": __doc__.split("Protocol: ")[1],
+        **here_and_now(),
+        "scene": work.name,
+        "bandwidth_gb_s": {str(threads): round(rate / 1e9, 2) for threads, rate in bandwidths.items()},
+        "rows": rows,
+    }
+    out.write_text(json.dumps(report, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()
