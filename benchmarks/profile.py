@@ -8,10 +8,12 @@ machine needs, in a kernel of its own and on as many threads, for the memory tha
 `colour` read 18 rows a sample from the table, at the very places of the last batch; the backward passes read them and
 add to 18 rows of a buffer as large; `adam` reads all gradients, and reads and writes five arrays where they are not
 zero, at the bandwidth of a triad over arrays of TRIAD_MB. Arithmetic is no part of a bound. Least of REPEATS.
+`psnr`: of training rays after LEARNING steps.
 """
 
 import dataclasses
 import json
+import os
 import sys
 import tempfile
 import time
@@ -193,6 +195,7 @@ def measure(work: Path, capacity: str, threads: int, bandwidth: float, scratch: 
     fitter.warm_up()
     for _ in range(LEARNING):
         fitter.step()
+    psnr = fitter.held_out_psnr()
     with Watch() as watch:
         begun = time.perf_counter()
         for _ in range(STEPS):
@@ -206,6 +209,7 @@ def measure(work: Path, capacity: str, threads: int, bandwidth: float, scratch: 
         "capacity": capacity,
         "threads": threads,
         "parameters": fitter.parameters,
+        "psnr": round(psnr, 3),
         "step_ms": round(1e3 * whole / STEPS, 2),
         "kernels_ms": {name: round(ms, 3) for name, ms in kernels.items()},
         "bounds_ms": {name: round(1e3 * seconds, 3) for name, seconds in found.items()},
@@ -213,25 +217,28 @@ def measure(work: Path, capacity: str, threads: int, bandwidth: float, scratch: 
     }
 
 
-def main() -> None:
-    work, out = Path(sys.argv[1]), Path(sys.argv[2])
-    cores = here_and_now()["machine"]["cores"]
+def report_of(work: Path, threads: list[int], scratch: Path) -> dict:
+    """Every capacity on every number of threads."""
     rows, bandwidths = [], {}
-    with tempfile.TemporaryDirectory() as scratch:
-        for threads in sorted({1, cores}):
-            bandwidths[threads] = triad_bandwidth(threads)
-            for capacity in CAPACITIES:
-                rows.append(measure(work, capacity, threads, bandwidths[threads], Path(scratch)))
-                print(json.dumps(rows[-1]), flush=True)
-    report = {
+    for count in threads:
+        bandwidths[count] = triad_bandwidth(count)
+        for capacity in CAPACITIES:
+            rows.append(measure(work, capacity, count, bandwidths[count], scratch))
+            print(json.dumps(rows[-1]), flush=True)
+    return {
         "command": "python -m benchmarks.profile WORK OUT.json",
         "protocol": __doc__.split("Protocol: ")[1],
         **here_and_now(),
         "scene": work.name,
-        "bandwidth_gb_s": {str(threads): round(rate / 1e9, 2) for threads, rate in bandwidths.items()},
+        "bandwidth_gb_s": {str(count): round(rate / 1e9, 2) for count, rate in bandwidths.items()},
         "rows": rows,
     }
-    out.write_text(json.dumps(report, indent=1) + "\n")
+
+
+def main() -> None:
+    with tempfile.TemporaryDirectory() as scratch:
+        report = report_of(Path(sys.argv[1]), sorted({1, os.cpu_count() or 1}), Path(scratch))
+    Path(sys.argv[2]).write_text(json.dumps(report, indent=1) + "\n")
 
 
 if __name__ == "__main__":

@@ -132,6 +132,37 @@ def pareto() -> str:
     return "\n".join(lines)
 
 
+def profile() -> str:
+    """Markdown of a step's kernels beside their bounds, by capacity, on all threads; then what threads bring."""
+    if not (RESULTS / "profile.json").is_file():
+        return ""
+    report = result("profile.json")
+    most = max(row["threads"] for row in report["rows"])
+    rows = [row for row in report["rows"] if row["threads"] == most]
+    alone = {row["capacity"]: row for row in report["rows"] if row["threads"] == 1}
+    names = sorted(rows[-1]["kernels_ms"], key=lambda name: -rows[-1]["kernels_ms"][name])
+    heads = [f"{row['capacity']}, {row['parameters'] / 1e6:.1f} M" for row in rows]
+    lines = [f"| ms a step (times its bound) | {' | '.join(heads)} | {most} threads against one |",
+             "|---|" + "---|" * (len(rows) + 1)]  # fmt: skip
+    for name in names:
+        cells = [_beside_bound(row, name) for row in rows]
+        gain = alone[rows[-1]["capacity"]]["kernels_ms"].get(name, 0.0) / max(rows[-1]["kernels_ms"][name], 1e-9)
+        lines.append(f"| {name} | {' | '.join(cells)} | {gain:.2f}x |")
+    gain = alone[rows[-1]["capacity"]]["step_ms"] / rows[-1]["step_ms"]
+    lines.append(f"| **a step** | {' | '.join(f'**{row["step_ms"]:.1f}**' for row in rows)} | **{gain:.2f}x** |")
+    held = [f"{row['rays']} rays, {row['samples']} samples, {row['coloured']} of them coloured" for row in rows]
+    bandwidth = report["bandwidth_gb_s"][str(most)]
+    return "\n".join(
+        [*lines, "", f"{report['scene']}; the last batches held {'; '.join(held)}. Triad: {bandwidth:.1f} GB/s. "
+         + where(report)]
+    )  # fmt: skip
+
+
+def _beside_bound(row: dict, name: str) -> str:
+    ms, bound = row["kernels_ms"].get(name, 0.0), row["bounds_ms"].get(name)
+    return f"{ms:.1f}" + (f" ({ms / bound:.1f}x)" if bound else "")
+
+
 def stress() -> str:
     """The heat map of methods under faults; nothing where it has not been measured."""
     if not (RESULTS / "stress.json").is_file():
@@ -272,6 +303,7 @@ BLOCKS = {
         "stress": stress,
     },
     "docs/stress.md": {"remedies": remedies},
+    "docs/profile.md": {"profile": profile},
 }
 
 

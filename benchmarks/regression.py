@@ -1,0 +1,69 @@
+"""Whether fitting has become slower or worse: `python -m benchmarks.regression WORK [AGAINST.json]`.
+
+AGAINST: a report of benchmarks.profile on the same scene (default: benchmarks/results/profile.json).
+
+Protocol: what benchmarks.profile measures is measured again, here and now. Machines differ, and so do two hours of one:
+compared are ratios alone, of each kernel to its bound on the same machine in the same run, of what has no bound to the
+step that it is part of, and of all threads to one; and the dB that the same steps reach. Exit code 1 where a ratio is
+more than SLOWER times that of before, or a fit is more than WORSE dB worse.
+"""
+
+import json
+import os
+import sys
+import tempfile
+from pathlib import Path
+
+from benchmarks.profile import report_of
+
+SLOWER, WORSE = 1.3, 0.15
+LEAST_SHARE = 0.02  # of a step: what takes less is not compared, it is all noise
+
+
+def ratios(rows: list[dict]) -> dict[str, float]:
+    """By what they are of; larger is slower."""
+    found = {}
+    whole = {(row["capacity"], row["threads"]): row["step_ms"] for row in rows}
+    for row in rows:
+        where = f"{row['capacity']}, {row['threads']} threads"
+        for kernel, ms in row["kernels_ms"].items():
+            if ms < LEAST_SHARE * row["step_ms"]:
+                continue
+            bound = row["bounds_ms"].get(kernel)
+            of = "its bound" if bound else "the step"
+            found[f"{where}: {kernel} to {of}"] = ms / (bound or row["step_ms"])
+        if row["threads"] > 1 and (row["capacity"], 1) in whole:
+            found[f"{where}: a step to that of one thread"] = row["step_ms"] / whole[row["capacity"], 1]
+    return found
+
+
+def worse(before: list[dict], now: list[dict]) -> list[str]:
+    """What has become slower or worse, in words; what only one of the two has is not compared."""
+    old, new, found = ratios(before), ratios(now), []
+    for name in old.keys() & new.keys():
+        if new[name] > SLOWER * old[name]:
+            found.append(f"{name}: {new[name]:.2f}, it was {old[name]:.2f}")
+    reached = {(row["capacity"], row["threads"]): row["psnr"] for row in before}
+    for row in now:
+        was = reached.get((row["capacity"], row["threads"]))
+        if was is not None and not row["psnr"] >= was - WORSE:  # so written, NaN is worse too
+            found.append(f"{row['capacity']}, {row['threads']} threads: {row['psnr']:.2f} dB, it was {was:.2f}")
+    return sorted(found)
+
+
+def main() -> int:
+    work = Path(sys.argv[1])
+    against = Path(sys.argv[2] if len(sys.argv) > 2 else Path(__file__).parent / "results" / "profile.json")
+    before = json.loads(against.read_text())
+    if before["scene"] != work.name:
+        print(f"{against}: measured on {before['scene']}, not on {work.name}", file=sys.stderr)
+        return 2
+    with tempfile.TemporaryDirectory() as scratch:
+        now = report_of(work, sorted({1, os.cpu_count() or 1}), Path(scratch))
+    found = worse(before["rows"], now["rows"])
+    print("\n".join(found) if found else f"{len(ratios(now['rows']))} ratios: none has become worse")
+    return int(bool(found))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
