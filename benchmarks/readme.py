@@ -132,6 +132,21 @@ def pareto() -> str:
     return "\n".join(lines)
 
 
+def captures() -> str:
+    """Markdown of what captures gain by what is done for them; nothing where it has not been measured."""
+    if not (RESULTS / "captures.json").is_file():
+        return ""
+    report = result("captures.json")
+    lines = [
+        "| scene | fitted | held-out PSNR | SSIM | test pixels nearer than a third of the median depth |",
+        "|---|---|---|---|---|",
+    ]
+    for row in report["rows"]:
+        told = row["measure"] + (f" (`{row['flags']}`)" if row["flags"] else "")
+        lines.append(f"| {row['scene']} | {told} | {row['psnr']:.2f} dB | {row['ssim']:.3f} | {row['near']:.2f} % |")
+    return "\n".join([*lines, "", where(report)])
+
+
 def profile() -> str:
     """Markdown of a step's kernels beside their bounds, by capacity, on all threads; then what threads bring."""
     if not (RESULTS / "profile.json").is_file():
@@ -149,7 +164,8 @@ def profile() -> str:
         gain = alone[rows[-1]["capacity"]]["kernels_ms"].get(name, 0.0) / max(rows[-1]["kernels_ms"][name], 1e-9)
         lines.append(f"| {name} | {' | '.join(cells)} | {gain:.2f}x |")
     gain = alone[rows[-1]["capacity"]]["step_ms"] / rows[-1]["step_ms"]
-    lines.append(f"| **a step** | {' | '.join(f'**{row["step_ms"]:.1f}**' for row in rows)} | **{gain:.2f}x** |")
+    steps = " | ".join(f"**{row['step_ms']:.1f}**" for row in rows)
+    lines.append(f"| **a step** | {steps} | **{gain:.2f}x** |")
     held = [f"{row['rays']} rays, {row['samples']} samples, {row['coloured']} of them coloured" for row in rows]
     bandwidth = report["bandwidth_gb_s"][str(most)]
     return "\n".join(

@@ -1,0 +1,112 @@
+"""What real captures gain by what is done for them: `python -m benchmarks.captures DATA OUT.json [STEPS [SCENE...]]`.
+
+With $STYLERF_BENCH_WORK the work folders are kept there.
+
+Protocol: every capture is fitted as the product does, and once more without each measure, all for STEPS steps on the
+same rays, one seed. `psnr`, `ssim`: means over the test views by `stylerf eval`. `near`: the share of test pixels whose
+depth is under a third of their view's median depth, in percent: a capture has next to nothing there but floaters.
+Steps rather than seconds: a busy machine changes nothing.
+"""
+
+import json
+import os
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.conditions import here_and_now
+from benchmarks.fits import SCENES, stylerf
+
+CAPTURES = ("fox 270x480", "fern 504x378", "cup 400x300")
+STEPS = 700
+# By name: what is left out or exchanged, by layout where that decides.
+MEASURES = {
+    "as it is": {},
+    "near samples learn as any": {"unbounded": ("--even-from", "0")},
+    "not smoothed": {"unbounded": ("--smoothness", "0"), "forward": ("--smoothness", "0")},
+    "space: box": {"unbounded": ("--space", "box"), "forward": ("--space", "box")},
+    "space: contraction": {"forward": ("--space", "contraction")},
+    "colours alike from all sides": {"unbounded": ("--degree", "0"), "forward": ("--degree", "0")},
+}
+
+
+def near_share(depths: list[np.ndarray]) -> float:
+    """Percent of pixels nearer than a third of the median depth of their view; depths [h, w], 0: nothing there."""
+    shares = []
+    for depth in depths:
+        seen = depth[depth > 0]
+        if len(seen):
+            shares.append(float((seen < np.median(seen) / 3).mean()))
+    return 100 * float(np.mean(shares)) if shares else float("nan")
+
+
+def depths_of(work: Path, name: str) -> list[np.ndarray]:
+    """[h, w] of every test view of a field."""
+    from schemas.store import Work
+    from stages.fields import load_field
+    from stages.scenes import load_scene
+    from stylerf.kernels.cpu.compiling import set_threads
+    from stylerf.rendering.view import render_view
+
+    threads = set_threads(os.cpu_count() or 1)
+    scene, field = load_scene(Work(work).find("scene", "main")), load_field(Work(work).find("field", name))[0]
+    return [render_view(field, scene.cameras[i], chunks=threads).z for i in scene.splits["test"]]
+
+
+def layout_of(work: Path) -> str:
+    """object, forward or unbounded."""
+    from schemas.store import Work
+    from stages.scenes import load_scene
+
+    return load_scene(Work(work).find("scene", "main")).layout
+
+
+def measure(scene: str, layout: str, name: str, steps: int, work: Path) -> dict | None:
+    """A row; None where the measure does not concern this layout."""
+    flags = MEASURES[name].get(layout, ())
+    if not flags and MEASURES[name]:
+        return None
+    label = "capture-" + name.replace(" ", "-").replace(":", "")
+    figures = stylerf("fit", str(work), "--budget", str(steps), "--no-buffers", "--name", label, *flags)["figures"]
+    quality = stylerf("eval", str(work), "--of", label)["figures"]
+    return {
+        "scene": scene,
+        "measure": name,
+        "flags": " ".join(flags),
+        "psnr": round(quality["psnr"], 3),
+        "ssim": round(quality["ssim"], 4),
+        "near": round(near_share(depths_of(work, label)), 3),
+        "parameters": figures["parameters"],
+        "train_seconds": figures["train_seconds"],
+    }
+
+
+def main() -> None:
+    data, out = Path(sys.argv[1]), Path(sys.argv[2])
+    steps = int(sys.argv[3]) if len(sys.argv) > 3 else STEPS
+    rows = []
+    with tempfile.TemporaryDirectory() as scratch:
+        kept = Path(os.environ.get("STYLERF_BENCH_WORK", scratch))
+        for scene in sys.argv[4:] or CAPTURES:
+            folder, flags = SCENES[scene]
+            work = kept / scene.replace(" ", "-")
+            stylerf("import", str(data / folder), str(work), *flags)
+            layout = layout_of(work)
+            for name in MEASURES:
+                if (row := measure(scene, layout, name, steps, work)) is None:
+                    continue
+                rows.append(row)
+                print(row, flush=True)
+                report = {
+                    "command": f"python -m benchmarks.captures DATA OUT.json {steps}",
+                    "protocol": __doc__.split("Protocol: ")[1],
+                    **here_and_now(),
+                    "rows": rows,
+                }
+                out.write_text(json.dumps(report, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()
