@@ -1,25 +1,23 @@
-"""Accuracy against size: `python -m benchmarks.capacity DATA OUT.json [STEPS [SCENE...]]`.
+"""Accuracy against size: `python -m benchmarks.capacity DATA OUT.json [BUDGET [SCENE...]]`.
 
 With $STYLERF_BENCH_WORK the work folders are kept there.
 
 Protocol: every scene is fitted at each fixed capacity (vertices x density rank x colour rank, climbed to as the product
-does) and with `--capacity grow`, all for STEPS steps on the same rays, one seed; mean PSNR of the test views by
-`stylerf eval`. Steps rather than seconds: what is compared is what a size can hold, and a busy machine changes nothing.
-Seconds are those of the training itself, on a machine that may be busy.
+does) and with `--capacity grow`, all for BUDGET (seconds of training, or steps) on the same rays, one seed; mean PSNR of
+the test views by `stylerf eval`.
 """
 
 import json
 import os
-import platform
 import sys
 import tempfile
-from datetime import UTC, datetime
 from pathlib import Path
 
+from benchmarks.conditions import here_and_now
 from benchmarks.fits import SCENES, stylerf
 
 CAPACITIES = ("128x8x16", "192x16x24", "256x16x24", "grow")
-STEPS = 800
+BUDGET = "60s"
 
 
 def imported(data: Path, name: str, work: Path) -> None:
@@ -38,11 +36,12 @@ def imported(data: Path, name: str, work: Path) -> None:
     stylerf("import", str(photos), str(work))
 
 
-def measure(name: str, capacity: str, steps: int, work: Path) -> dict:
+def measure(name: str, capacity: str, budget: str, work: Path) -> dict:
     """One row."""
     label = f"capacity-{capacity}"
     asked = "grow" if capacity == "grow" else f"fixed:{capacity}"
-    options = "--budget", str(steps), "--capacity", asked, "--no-buffers", "--name", label
+    options = "--budget", budget, "--capacity", asked, "--no-buffers", "--name", label
+    load = round(os.getloadavg()[0], 2)
     figures = stylerf("fit", str(work), *options)["figures"]
     quality = stylerf("eval", str(work), "--of", label)["figures"]
     return {
@@ -50,14 +49,16 @@ def measure(name: str, capacity: str, steps: int, work: Path) -> dict:
         "capacity": capacity,
         "psnr": round(quality["psnr"], 3),
         "parameters": figures["parameters"],
+        "steps": figures["steps"],
         "train_seconds": figures["train_seconds"],
+        "load_before": load,
         "decisions": figures["decisions"],
     }
 
 
 def main() -> None:
     data, out = Path(sys.argv[1]), Path(sys.argv[2])
-    steps = int(sys.argv[3]) if len(sys.argv) > 3 else STEPS
+    budget = sys.argv[3] if len(sys.argv) > 3 else BUDGET
     wanted, rows = sys.argv[4:] or ["lego 200x200", "fern 504x378", "fox 270x480", "still life"], []
     with tempfile.TemporaryDirectory() as scratch:
         kept = Path(os.environ.get("STYLERF_BENCH_WORK", scratch))
@@ -65,14 +66,13 @@ def main() -> None:
             work = kept / name.replace(" ", "-")
             imported(data, name, work)
             for capacity in CAPACITIES:
-                rows.append(measure(name, capacity, steps, work))
+                rows.append(measure(name, capacity, budget, work))
                 print(rows[-1], flush=True)
                 report = {
-                    "command": f"python -m benchmarks.capacity DATA OUT.json {steps}",
+                    "command": f"python -m benchmarks.capacity DATA OUT.json {budget}",
                     "protocol": __doc__.split("Protocol: ")[1],
-                    "machine": {"cpu": platform.processor() or platform.machine(), "cores": os.cpu_count()},
+                    **here_and_now(),
                     "rows": rows,
-                    "date": datetime.now(UTC).date().isoformat(),
                 }
                 out.write_text(json.dumps(report, indent=1) + "\n")
 

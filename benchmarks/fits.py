@@ -9,12 +9,12 @@ on white for objects, on black for captures. One seed. Peak memory is that of th
 
 import json
 import os
-import platform
 import subprocess
 import sys
 import tempfile
-from datetime import UTC, datetime
 from pathlib import Path
+
+from benchmarks.conditions import here_and_now
 
 SCENES = {
     "lego 200x200": ("lego", ["--downscale", "4"]),
@@ -58,12 +58,10 @@ def main() -> None:
             for budget in budgets:
                 rows.append(measure(data, name, budget, Path(kept) / name.replace(" ", "-")))
                 print(rows[-1], flush=True)
-                machine = {"cpu": platform.processor() or platform.machine(), "cores": os.cpu_count()}
                 report = {
                     "command": f"python -m benchmarks.fits DATA OUT.json {sys.argv[3]}",
                     "protocol": __doc__.split("Protocol: ")[1],
-                    "machine": machine, "python": platform.python_version(), "rows": rows,
-                    "date": datetime.now(UTC).date().isoformat(),
+                    **here_and_now(), "rows": rows,
                 }  # fmt: skip
                 out.write_text(json.dumps(report, indent=1) + "\n")
 

@@ -11,14 +11,13 @@ process (VmHWM, mapped files included), milliseconds a step are of the training 
 
 import json
 import os
-import platform
 import sys
 import time
-from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
 
+from benchmarks.conditions import here_and_now
 from benchmarks.fits import stylerf
 from schemas.images import to_uint8, write_png
 from schemas.scene import Bounds, Scene, View, as_matrix, write_scene
@@ -108,8 +107,7 @@ def main() -> None:
         report = json.loads(out.read_text()) if out.is_file() else {}
         report |= {
             "command": "python -m benchmarks.large FOLDER OUT.json", "protocol": __doc__.split("Protocol: ")[1],
-            "machine": {"cpu": platform.processor() or platform.machine(), "cores": os.cpu_count()},
-            "python": platform.python_version(), "date": datetime.now(UTC).date().isoformat(),
+            **here_and_now(),
             step: found,
         }  # fmt: skip
         out.write_text(json.dumps(report, indent=1) + "\n")

@@ -132,6 +132,55 @@ def pareto() -> str:
     return "\n".join(lines)
 
 
+def capacities() -> str:
+    """Markdown of fits grown and of fixed sizes; nothing where it has not been measured."""
+    if not (RESULTS / "capacity.json").is_file():
+        return ""
+    report = result("capacity.json")
+    lines = [
+        "| scene | grown | parameters | best fixed size | parameters | grown against it |",
+        "|---|---|---|---|---|---|",
+    ]
+    for scene in dict.fromkeys(row["scene"] for row in report["rows"]):
+        rows = [row for row in report["rows"] if row["scene"] == scene]
+        grown, best = (
+            max((row for row in rows if (row["capacity"] == "grow") == so), key=lambda row: row["psnr"])
+            for so in (True, False)
+        )
+        share = grown["parameters"] / best["parameters"]
+        lines.append(
+            f"| {scene} | {grown['psnr']:.2f} dB | {grown['parameters'] / 1e6:.2f} M "
+            f"| {best['psnr']:.2f} dB, {best['capacity']} | {best['parameters'] / 1e6:.2f} M "
+            f"| {grown['psnr'] - best['psnr']:+.2f} dB, {share:.2f} times the size |"
+        )
+    chart = "![Held-out PSNR against parameters, for every scene](docs/images/capacity.svg)"
+    return "\n".join([chart, "", *lines, "", where(report)])
+
+
+def capacity_chart(report: dict) -> str:
+    """A panel a scene: PSNR against parameters, fixed sizes joined, what was grown filled."""
+    scenes = list(dict.fromkeys(row["scene"] for row in report["rows"]))
+
+    def draw(figure) -> None:
+        for scene, axes in zip(scenes, figure.subplots(1, len(scenes), squeeze=False)[0]):
+            rows = [row for row in report["rows"] if row["scene"] == scene]
+            fixed = sorted(
+                (row["parameters"] / 1e6, row["psnr"], row["capacity"]) for row in rows if row["capacity"] != "grow"
+            )
+            axes.plot(*zip(*((x, y) for x, y, _ in fixed)), "o-", color="#0072b2", markerfacecolor="none")
+            for x, y, capacity in fixed:
+                axes.annotate(capacity, (x, y), xytext=(5, -10), textcoords="offset points", fontsize=7)
+            for row in rows:
+                if row["capacity"] == "grow":
+                    axes.plot(row["parameters"] / 1e6, row["psnr"], "o", color="#d55e00")
+                    axes.annotate("grown", (row["parameters"] / 1e6, row["psnr"]), xytext=(5, 5),
+                                  textcoords="offset points", fontsize=7)  # fmt: skip
+            axes.set(title=scene, xlabel="parameters, M", ylabel="held-out PSNR, dB")
+            axes.margins(0.2)
+
+    return drawn((3.6 * len(scenes), 3.2), draw)
+
+
 def captures() -> str:
     """Markdown of what captures gain by what is done for them; nothing where it has not been measured."""
     if not (RESULTS / "captures.json").is_file():
@@ -312,6 +361,7 @@ def _mark(axes, row: dict, key: str) -> None:
 BLOCKS = {
     "README.md": {
         "figures": fits,
+        "capacities": capacities,
         "strategies": strategies,
         "edits": edits,
         "palettes": palettes,
@@ -320,6 +370,7 @@ BLOCKS = {
     },
     "docs/stress.md": {"remedies": remedies},
     "docs/profile.md": {"profile": profile},
+    "docs/captures.md": {"captures": captures},
 }
 
 
@@ -342,6 +393,8 @@ def main() -> int:
         return int(stale)
     results.write_text(page())
     (IMAGES / "strategies.svg").write_text(strategies_chart())
+    if (RESULTS / "capacity.json").is_file():
+        (IMAGES / "capacity.svg").write_text(capacity_chart(result("capacity.json")))
     if (RESULTS / "pareto.json").is_file():
         (IMAGES / "pareto.svg").write_text(pareto_chart(result("pareto.json")))
     if (RESULTS / "stress.json").is_file():

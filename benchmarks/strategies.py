@@ -13,15 +13,15 @@ was before the step; the trunk is left out; in a process of its own that gives f
 
 import json
 import os
-import platform
 import resource
 import subprocess
 import sys
 import time
 from dataclasses import dataclass, field
-from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
+
+from benchmarks.conditions import here_and_now
 
 LOOKS = 5
 # Of glibc: every array of 64 KiB is given back to the system when it is freed. Otherwise what was freed before stays
@@ -235,10 +235,9 @@ def main() -> None:
             "command": f"python -m benchmarks.strategies WORK {Path(style).name} OUT.json {steps} {method}",
             "scene": Path(work).name,
             "protocol": __doc__.split("Protocol: ")[1],
-            "machine": {"cpu": platform.processor() or platform.machine(), "cores": os.cpu_count()},
+            **here_and_now(),
             "method": method,
             "rows": rows,
-            "date": datetime.now(UTC).date().isoformat(),
         }
         Path(out).write_text(json.dumps(report, indent=1) + "\n")
 

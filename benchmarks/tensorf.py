@@ -16,10 +16,11 @@ import sys
 import tempfile
 import time
 import types
-from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
+
+from benchmarks.conditions import here_and_now
 
 SIDE, LOOK, VIEWS = 200, 50, 3
 SHIPPED = 30000
@@ -122,9 +123,8 @@ def main() -> None:
     head = {
         "command": f"python -m benchmarks.tensorf CHECKOUT LEGO OUT.json {name} {iterations}",
         "protocol": __doc__.split("Protocol: ")[1],
-        "machine": {"cores": os.cpu_count()},
+        **here_and_now(),
         "name": name,
-        "date": datetime.now(UTC).date().isoformat(),
     }
     looks = Looks(out, head)
     renderer.evaluation = looks
