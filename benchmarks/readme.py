@@ -181,6 +181,24 @@ def capacity_chart(report: dict) -> str:
     return drawn((3.6 * len(scenes), 3.2), draw)
 
 
+def kinds() -> str:
+    """Markdown of kinds of fields at equal time; nothing where it has not been measured."""
+    if not (RESULTS / "kinds.json").is_file():
+        return ""
+    report = result("kinds.json")
+    lines = [
+        "| scene | kind | held-out PSNR | SSIM | parameters | steps | peak memory | rendering |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for row in report["rows"]:
+        lines.append(
+            f"| {row['scene']} | {row['kind']} | {row['psnr']:.2f} dB | {row['ssim']:.3f} "
+            f"| {row['parameters'] / 1e6:.2f} M | {row['steps']} | {row['peak_memory_mb'] / 1000:.1f} GB "
+            f"| {row['mrays_a_second']:.2f} Mrays/s |"
+        )
+    return "\n".join([*lines, "", where(report)])
+
+
 def captures() -> str:
     """Markdown of what captures gain by what is done for them; nothing where it has not been measured."""
     if not (RESULTS / "captures.json").is_file():
@@ -371,6 +389,7 @@ BLOCKS = {
     "docs/stress.md": {"remedies": remedies},
     "docs/profile.md": {"profile": profile},
     "docs/captures.md": {"captures": captures},
+    "docs/fields.md": {"kinds": kinds},
 }
 
 
