@@ -98,7 +98,7 @@ def least(work) -> float:
 def triad_bandwidth(threads: int) -> float:
     """Bytes a second of a triad over arrays that no cache holds."""
     set_threads(threads)
-    a, b, c = (np.zeros(TRIAD_MB * 250_000, np.float32) for _ in range(3))
+    a, b, c = (np.ones(TRIAD_MB * 250_000, np.float32) for _ in range(3))  # zeros would be one page of memory
     return 3 * a.nbytes / least(lambda: triad(a, b, c, threads))
 
 

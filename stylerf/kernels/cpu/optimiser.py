@@ -6,6 +6,7 @@ import numpy as np
 from numba import prange
 
 from stylerf.kernels.cpu.compiling import parallel_kernel
+from stylerf.kernels.cpu.vector_adam import LANES, adam_run, any_gradient, gather_gradient
 
 _ONE, _ZERO = np.float32(1), np.float32(0)
 
@@ -17,26 +18,33 @@ def adam(values, gradients, first, second, rate, beta1, beta2, epsilon, correcti
     correction1 = 1 - beta1^t, correction2 = 1 - beta2^t. Runs of eight elements without any gradient are left as they
     are, moments too (as torch.optim.SparseAdam): most of a table lies where no ray of the batch has been.
     """
-    chunks = gradients.shape[0]
-    runs = (end - begin + 7) // 8
+    chunks, stride = gradients.shape
+    flat = gradients.reshape(-1)
+    runs = (end - begin) // LANES
+    step, root = rate / correction1, _ONE / np.float32(math.sqrt(correction2))
     for b in prange(blocks):
         for run in range(b * runs // blocks, (b + 1) * runs // blocks):
-            low = begin + run * 8
-            high = min(low + 8, end)
-            touched = _ZERO
-            for c in range(chunks):
-                for i in range(low, high):
-                    touched += abs(gradients[c, i])
-            if touched == _ZERO:
+            at = begin + run * LANES
+            touched = any_gradient(flat, at)
+            for c in range(1, chunks):
+                touched |= any_gradient(flat, c * stride + at)
+            if not touched:
                 continue
-            for i in range(low, high):
-                g = gradients[0, i]
-                gradients[0, i] = _ZERO
-                for c in range(1, chunks):
-                    g += gradients[c, i]
-                    gradients[c, i] = _ZERO
-                m = beta1 * first[i] + (_ONE - beta1) * g
-                v = beta2 * second[i] + (_ONE - beta2) * g * g
-                first[i] = m
-                second[i] = v
-                values[i] -= rate * (m / correction1) / (np.float32(math.sqrt(v / correction2)) + epsilon)
+            for c in range(1, chunks):
+                gather_gradient(flat, at, c * stride + at)
+            adam_run(values, flat, first, second, at, at, step, beta1, beta2, epsilon, root)
+    rest = begin + runs * LANES
+    touched = False
+    for i in range(rest, end):
+        for c in range(chunks):
+            touched |= gradients[c, i] != _ZERO
+    if touched:
+        for i in range(rest, end):
+            g = gradients[0, i]
+            gradients[0, i] = _ZERO
+            for c in range(1, chunks):
+                g += gradients[c, i]
+                gradients[c, i] = _ZERO
+            first[i] = beta1 * first[i] + (_ONE - beta1) * g
+            second[i] = beta2 * second[i] + (_ONE - beta2) * g * g
+            values[i] -= step * first[i] / (root * np.float32(math.sqrt(second[i])) + epsilon)
