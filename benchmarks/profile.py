@@ -7,7 +7,7 @@ next STEPS steps are timed kernel by kernel, on one thread and on all. A kernel'
 machine needs, in a kernel of its own and on as many threads, for the memory that the kernel cannot avoid: `march` and
 `colour` read 18 rows a sample from the table, at the very places of the last batch; the backward passes read them and
 add to 18 rows of a buffer as large; `adam` reads all gradients, and reads and writes five arrays where they are not
-zero, at the bandwidth of a triad over arrays of TRIAD_MB. Arithmetic is no part of a bound. Least of REPEATS.
+zero, at the bandwidth of a triad over arrays as long as the table. Arithmetic is no part of a bound. Least of REPEATS.
 `psnr`: of training rays after LEARNING steps.
 """
 
@@ -29,7 +29,7 @@ from stylerf.kernels.cpu.vector import axpy_row
 from stylerf.kernels.cpu.vm import place
 
 CAPACITIES = ("64x16x24", "128x16x24", "192x16x24", "256x16x24")
-LEARNING, STEPS, REPEATS, TRIAD_MB = 250, 30, 5, 256
+LEARNING, STEPS, REPEATS = 150, 30, 5
 # Kernels by the name they have here: where the fit calls them.
 KERNELS = {
     "draw rays": ("stylerf.training.rays", "gather"),
@@ -95,10 +95,9 @@ def least(work) -> float:
     return min(found)
 
 
-def triad_bandwidth(threads: int) -> float:
-    """Bytes a second of a triad over arrays that no cache holds."""
-    set_threads(threads)
-    a, b, c = (np.ones(TRIAD_MB * 250_000, np.float32) for _ in range(3))  # zeros would be one page of memory
+def triad_bandwidth(length: int, threads: int) -> float:
+    """Bytes a second of a triad over float32 arrays of so many elements."""
+    a, b, c = (np.ones(length, np.float32) for _ in range(3))  # zeros would all be one page of memory
     return 3 * a.nbytes / least(lambda: triad(a, b, c, threads))
 
 
@@ -188,7 +187,7 @@ def moved_by_adam(gradients: np.ndarray, begin: int, end: int) -> float:
     return 4.0 * (end - begin) * (gradients.shape[0] * (1 + runs.mean()) + 6 * runs.mean())
 
 
-def measure(work: Path, capacity: str, threads: int, bandwidth: float, scratch: Path) -> dict:
+def measure(work: Path, capacity: str, threads: int, scratch: Path) -> dict:
     """A row: milliseconds a step by kernel, its bound, and what the batch held."""
     set_threads(threads)
     fitter = fitter_of(work, capacity, threads, scratch)
@@ -202,6 +201,7 @@ def measure(work: Path, capacity: str, threads: int, bandwidth: float, scratch: 
             fitter.step()
         whole = time.perf_counter() - begun - watch.looking
     found, counts = bounds(watch, threads)
+    bandwidth = triad_bandwidth(fitter.parameters, threads)
     found["adam"] = watch.moved / STEPS / bandwidth
     kernels = {name: 1e3 * seconds / STEPS for name, seconds in watch.seconds.items()}
     kernels["all else"] = 1e3 * whole / STEPS - sum(kernels.values())
@@ -213,24 +213,23 @@ def measure(work: Path, capacity: str, threads: int, bandwidth: float, scratch: 
         "step_ms": round(1e3 * whole / STEPS, 2),
         "kernels_ms": {name: round(ms, 3) for name, ms in kernels.items()},
         "bounds_ms": {name: round(1e3 * seconds, 3) for name, seconds in found.items()},
+        "bandwidth_gb_s": round(bandwidth / 1e9, 2),
         **counts,
     }
 
 
 def report_of(work: Path, threads: list[int], scratch: Path) -> dict:
     """Every capacity on every number of threads."""
-    rows, bandwidths = [], {}
+    rows = []
     for count in threads:
-        bandwidths[count] = triad_bandwidth(count)
         for capacity in CAPACITIES:
-            rows.append(measure(work, capacity, count, bandwidths[count], scratch))
+            rows.append(measure(work, capacity, count, scratch))
             print(json.dumps(rows[-1]), flush=True)
     return {
         "command": "python -m benchmarks.profile WORK OUT.json",
         "protocol": __doc__.split("Protocol: ")[1],
         **here_and_now(),
         "scene": work.name,
-        "bandwidth_gb_s": {str(count): round(rate / 1e9, 2) for count, rate in bandwidths.items()},
         "rows": rows,
     }
 

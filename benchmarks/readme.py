@@ -234,9 +234,9 @@ def profile() -> str:
     steps = " | ".join(f"**{row['step_ms']:.1f}**" for row in rows)
     lines.append(f"| **a step** | {steps} | **{gain:.2f}x** |")
     held = [f"{row['rays']} rays, {row['samples']} samples, {row['coloured']} of them coloured" for row in rows]
-    bandwidth = report["bandwidth_gb_s"][str(most)]
+    bandwidths = ", ".join(f"{row['bandwidth_gb_s']:.1f}" for row in rows)
     return "\n".join(
-        [*lines, "", f"{report['scene']}; the last batches held {'; '.join(held)}. Triad: {bandwidth:.1f} GB/s. "
+        [*lines, "", f"{report['scene']}; the last batches held {'; '.join(held)}. Triads as long: {bandwidths} GB/s. "
          + where(report)]
     )  # fmt: skip
 

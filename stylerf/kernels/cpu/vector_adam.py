@@ -48,8 +48,8 @@ def gather_gradient(typing, gradients, at, other):
 def adam_run(typing, values, gradients, first, second, i, at, rate, beta1, beta2, epsilon, root):
     """One step of LANES elements from i on with gradients[at:] (flat), which are cleared.
 
-    m = beta1 m + (1 - beta1) g, v = beta2 v + (1 - beta2) g^2, value -= rate m / (root sqrt(v) + epsilon); rate and root
-    hold the corrections of the moments.
+    m = beta1 m + (1 - beta1) g, v = beta2 v + (1 - beta2) g^2, value -= rate m / (root sqrt(v) + epsilon); rate and
+    root hold the corrections of the moments.
     """
 
     def generate(context, builder, sig, args):
