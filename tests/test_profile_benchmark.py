@@ -62,6 +62,12 @@ def test_rows_are_read_and_added_to_where_points_lie():
     assert to.sum(0).reshape(-1, 2).sum(0).tolist() == [7 * 18, 3 * 7 * 18]
 
 
+def test_the_triad_adds_twice_the_other_array():
+    a, b = np.ones(64, np.float32), np.arange(64, dtype=np.float32)
+    profile.triad(a, b, (np.int8(0),) * 16, 2)
+    assert np.array_equal(a, 1 + 2 * b)
+
+
 def row_of(**changes) -> dict:
     kernels, bounds = {"march": 40.0, "adam": 1.0}, {"march": 20.0, "adam": 0.5}
     row = {"capacity": "64x8x8", "threads": 1, "step_ms": 100.0, "psnr": 20.0}
