@@ -29,7 +29,7 @@ from stylerf.kernels.cpu.vector import axpy_row
 from stylerf.kernels.cpu.vm import place
 
 CAPACITIES = ("64x16x24", "128x16x24", "192x16x24", "256x16x24")
-LEARNING, STEPS, REPEATS = 150, 30, 5
+LEARNING, STEPS, REPEATS = 150, 30, 25
 # Kernels by the name they have here: where the fit calls them.
 KERNELS = {
     "draw rays": ("stylerf.training.rays", "gather"),

@@ -79,8 +79,8 @@ def test_a_slower_machine_is_no_regression_and_a_slower_kernel_is():
     slower = [row_of(step_ms=200.0, kernels_ms={"march": 80.0, "adam": 9.0}, bounds_ms={"march": 40.0, "adam": 1.0})]
     assert regression.worse(before, slower) == []  # adam was too short to be compared
     kernel = copy.deepcopy(before)
-    kernel[0]["kernels_ms"]["march"] = 60.0
-    assert regression.worse(before, kernel) == ["64x8x8, 1 threads: march to its bound: 3.00, it was 2.00"]
+    kernel[0]["kernels_ms"]["march"] = 70.0
+    assert regression.worse(before, kernel) == ["64x8x8, 1 threads: march to its bound: 3.50, it was 2.00"]
     threads = [row_of(), row_of(threads=2, step_ms=55.0)]
     lost = [row_of(), row_of(threads=2, step_ms=90.0)]
     assert regression.worse(threads, lost) == ["64x8x8, 2 threads: a step to that of one thread: 0.90, it was 0.55"]
