@@ -18,6 +18,9 @@ HOPELESS = 0.6  # dB that a reduction may take at first: a trial brings back abo
 # Steps in which the rate rises after a reduction: Adam's first steps, without a past, are its largest. (Moments carried
 # over were tried and bring a field back more slowly than none.)
 RAMP = 20
+# dB by which a rung must have gained when it was climbed for its resolution not to be asked back: teaching alone gains
+# about half of that in as long, and a trial that is refused costs what it lasted.
+PLAINLY_WORTH = 0.5
 FEWEST_RANKS = 8
 RESOLUTIONS = (32, 48, 64, 96, 128, 192, 256, 384, 512)
 # An error of one step of an eight-bit photo. What lies beyond is rounding: no reason to grow, and no collapse to lose.
@@ -138,6 +141,8 @@ class Climb:
         if self._steps_left(progress) < self._trial_steps(progress):
             return None
         for name in settings.reductions:
+            if name == "resolution" and s.climbed is not None and s.climbed >= PLAINLY_WORTH:
+                continue
             if name not in s.refused and REDUCTIONS[name](self.rung, settings.kinds, settings):
                 return name
         return None
@@ -193,6 +198,7 @@ class Climb:
         if trial["what"] == GROW:
             kept = gain >= settings.min_gain or settings.always_climb
             if kept:
+                self.state.climbed = round(gain, 3)
                 text = f"{names[1]} kept: {self.judges} gained {gain:.2f} dB over {names[0]}"
             else:
                 times = parameters / trial["parameters"]

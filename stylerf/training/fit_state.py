@@ -50,6 +50,7 @@ class FitState:
     rung: int = 0
     fixed: bool = False  # the ladder has been left: no more growth
     given_up: dict[str, int] = field(default_factory=dict)  # of the rung, by its fields' names
+    climbed: float | None = None  # dB by which the present rung was kept; None: no rung was climbed
     refused: list[str] = field(default_factory=list)  # reductions that lost too much
     whole: float | None = None  # the best held-out dB from which anything was given up
     trial: dict | None = None  # see climbing.Climb

@@ -51,6 +51,19 @@ def test_a_reduction_that_loses_little_stays_and_one_that_loses_more_is_refused_
     assert climb.rung.degree == 0 and climb.reduction_due(0.64) is None
 
 
+@pytest.mark.parametrize(("gain", "asked_back"), [(0.3, True), (0.6, False)])
+def test_a_rung_that_was_plainly_worth_its_climb_is_not_asked_back(gain, asked_back):
+    climb = climb_at(2)
+    climb.begin(GROW, 29.0, 500, 0.4)
+    assert climb.judge(29.0 + gain, 1000)[0] and climb.state.rung == 3
+    climb.state.refused = ["density ranks"]
+    assert climb.reduction_due(0.6) == ("resolution" if asked_back else "colour resolution")
+    # A climb that is dropped says nothing about the rung below it.
+    climb.state.rung, climb.state.climbed, climb.state.fixed = 2, 0.3, False
+    climb.begin(GROW, 30.0, 500, 0.4)
+    assert not climb.judge(30.05, 1000)[0] and climb.state.climbed == 0.3
+
+
 def test_small_losses_do_not_add_up():
     """What is compared is the best field so far, not the one before the last reduction."""
     climb = climb_at(min_gain=0.1, reductions=("resolution",))
