@@ -1,6 +1,7 @@
 """Shared fixtures: where the real scenes are, seeds, quiet numerics."""
 
 import os
+import signal
 from pathlib import Path
 
 import pytest
@@ -10,6 +11,11 @@ REPOSITORY = Path(__file__).resolve().parent.parent
 # Triton reads this when it is first imported: without a GPU its kernels are tested through its interpreter.
 if not any(os.path.exists(path) for path in ("/dev/nvidiactl", "/dev/nvidia0", "/dev/dxg", "/dev/kfd")):
     os.environ.setdefault("TRITON_INTERPRET", "1")
+
+# A shell that starts the tests in the background has SIGINT ignored, and every child would inherit that: Ctrl-C is
+# tested on children.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.fixture(scope="session")
