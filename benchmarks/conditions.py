@@ -2,13 +2,22 @@
 
 import os
 import platform
+import re
 from datetime import UTC, datetime
+from pathlib import Path
 
 
 def here_and_now() -> dict:
     """JSON: machine (cpu, cores), python, date (UTC)."""
     return {
-        "machine": {"cpu": platform.processor() or platform.machine(), "cores": os.cpu_count()},
+        "machine": {"cpu": _model() or platform.processor() or platform.machine(), "cores": os.cpu_count()},
         "python": platform.python_version(),
         "date": datetime.now(UTC).date().isoformat(),
     }
+
+
+def _model() -> str:
+    """The processor's name as Linux tells it; empty elsewhere."""
+    told = Path("/proc/cpuinfo")
+    found = re.search(r"^model name\s*:\s*(.+)$", told.read_text(), re.MULTILINE) if told.is_file() else None
+    return found[1].strip() if found else ""

@@ -141,6 +141,19 @@ def test_the_loop_runs_and_resumes_on_a_device(bank, device):
     np.testing.assert_allclose(part.field.colour.values, whole.field.colour.values, atol=1e-3)
 
 
+def test_a_reduction_goes_to_the_device_and_comes_back_refused(bank, device):
+    made = small_fitter(bank, device)
+    made.step()
+    before, size = made.field.density.values.copy(), made.parameters
+    made._try("density ranks", 20.0)
+    assert made.engine.live.density.rank == 8 and made.parameters < size
+    made.step()
+    assert made.field.density.rank == 8 and made.field.density.values.shape < before.shape
+    assert made._judge(19.0) == 20.0
+    assert made.engine.live.density.rank == 16 and made.state.refused == ["density ranks"]
+    np.testing.assert_array_equal(made.engine.live.density.values.cpu(), before)
+
+
 def test_a_view_is_the_cpus_picture(device):
     from stylerf.rendering.device_view import DeviceRenderer
 
