@@ -44,7 +44,8 @@ class DeviceGrid:
         self.size, self.rank = [int(s) for s in grid.size], row
         self.length = grid.rows * row
         self.layout = torch.from_numpy(grid.links).to(device)
-        places = np.concatenate([np.zeros((1, 3), np.int32), np.argwhere(grid.kept).astype(np.int32)])
+        places = np.zeros((1 + np.count_nonzero(grid.kept), 3), np.int32)  # row by row, as argwhere's own memory is not
+        places[1:] = np.argwhere(grid.kept)
         self.places = torch.from_numpy(places).to(device)
 
     def smooth(self, values: Tensor, strength: float, to: Tensor) -> None:

@@ -52,9 +52,8 @@ def density(request):
     return DENSITIES[request.param](3)
 
 
-@pytest.fixture(params=PAIRS, ids="-".join)
-def colour(request):
-    return headed(4, *request.param, degree=2, capacity=SPARSE if request.param[0] == "voxel" else SMALL)
+def colour_of(encoder: str, head: str):
+    return headed(4, encoder, head, degree=2, capacity=SPARSE if encoder == "voxel" else SMALL)
 
 
 @pytest.mark.parametrize("count", [60, 1])
@@ -83,8 +82,9 @@ def test_the_exponent_is_clamped_as_the_cpus(density, shift, limit, device):
     np.testing.assert_allclose(found.cpu(), limit, rtol=1e-6)
 
 
-@pytest.mark.parametrize("count", [60, 1])
-def test_a_colour_and_its_gradient_equal_the_oracle(colour, count, device):
+@pytest.mark.parametrize(("encoder", "head", "count"), [*((*pair, 60) for pair in PAIRS), ("hash", "mlp", 1)])
+def test_a_colour_and_its_gradient_equal_the_oracle(encoder, head, count, device):
+    colour = colour_of(encoder, head)
     made, s, x = on_device(colour, device), walked(device, count), float64(points(count))
     ways = np.random.default_rng(3).normal(size=(RAYS, 3)).astype(np.float32)
     ways /= np.linalg.norm(ways, axis=1, keepdims=True)
@@ -109,9 +109,12 @@ def test_a_colour_and_its_gradient_equal_the_oracle(colour, count, device):
     assert values.grad[:length].any() and bool(values.grad[length:].any()) == (colour.head.length > 0)
 
 
-@pytest.mark.parametrize("kind", ["density", "colour"])
-def test_smoothing_equals_the_cpus(kind, request, device):
-    part = request.getfixturevalue(kind)
+SMOOTHED = {**DENSITIES, **{"-".join(pair): lambda seed, pair=pair: colour_of(*pair) for pair in (*PAIRS[:2], PAIRS[3])}}
+
+
+@pytest.mark.parametrize("kind", SMOOTHED)
+def test_smoothing_equals_the_cpus(kind, device):
+    part = SMOOTHED[kind](3)
     cpu = np.linspace(-1, 1, len(part.values), dtype=np.float32)
     to = torch.from_numpy(cpu.copy()).to(device)
     strength = 2.0 * len(part.values)
