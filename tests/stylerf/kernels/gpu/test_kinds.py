@@ -109,7 +109,12 @@ def test_a_colour_and_its_gradient_equal_the_oracle(encoder, head, count, device
     assert values.grad[:length].any() and bool(values.grad[length:].any()) == (colour.head.length > 0)
 
 
-SMOOTHED = {**DENSITIES, **{"-".join(pair): lambda seed, pair=pair: colour_of(*pair) for pair in (*PAIRS[:2], PAIRS[3])}}
+SMOOTHED = {
+    **DENSITIES,
+    "hash-linear": lambda seed: colour_of("hash", "linear"),
+    "voxel-linear": lambda seed: colour_of("voxel", "linear"),
+    "vm-mlp": lambda seed: colour_of("vm", "mlp"),
+}
 
 
 @pytest.mark.parametrize("kind", SMOOTHED)
