@@ -84,9 +84,7 @@ def test_a_step_learns_the_gradient_that_the_cpu_finds_for_the_same_rays(kinds, 
 
 @pytest.mark.parametrize("kind", ["hash", "voxel"])
 def test_a_field_that_grows_is_taken_over_and_taught_on(kind, bank, device):
-    field = FIELDS[kind]()
-    engine = engine_on(device, bank, field)
-    engine.learn(batch(rate=0.01))
+    engine = engine_on(device, bank, FIELDS[kind]())
     taught = engine.field
     for name in ("density", "colour"):
         setattr(taught, name, getattr(taught, name).grown(LARGER[kind], np.random.default_rng(0)))

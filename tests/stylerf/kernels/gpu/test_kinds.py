@@ -1,5 +1,7 @@
 """Hash and voxel densities, encoders with heads, on a device: against the float64 oracle and the CPU's smoothness."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -109,8 +111,15 @@ def test_a_colour_and_its_gradient_equal_the_oracle(encoder, head, count, device
     assert values.grad[:length].any() and bool(values.grad[length:].any()) == (colour.head.length > 0)
 
 
+def test_a_sample_without_weight_has_no_colour(device):
+    made, s = on_device(colour_of("voxel", "linear"), device), walked(device)
+    found = made.colours(s, torch.ones((RAYS, 3), device=device), 0.0)[:60, 0]
+    assert torch.equal(found >= 0, s.weights[:60] > 0) and not bool((found >= 0).all())
+
+
 SMOOTHED = {
     **DENSITIES,
+    "voxel, whole": lambda seed: voxel_density(seed, replace(SPARSE, occupancy=None)),  # its blocks reach beyond it
     "hash-linear": lambda seed: colour_of("hash", "linear"),
     "voxel-linear": lambda seed: colour_of("voxel", "linear"),
     "vm-mlp": lambda seed: colour_of("vm", "mlp"),
