@@ -84,19 +84,30 @@ def ceilings(device: torch.device, megabytes: int = 2048, side: int = 8192, repe
     return found
 
 
-def random_field(vertices: int, hashed: bool = False):
-    """A box of thin fog at the ladder's ranks, with half of its cells occupied."""
+KINDS = ("vm", "stylised", "hash", "voxel", "hash-mlp")
+
+
+def random_field(vertices: int, kind: str = "vm"):
+    """A box of thin fog at the ladder's ranks, with half of its cells occupied.
+
+    kind: of density and colour (hash-mlp: of the colour behind a vm density); stylised: a vm density and the hash
+    colour of a stylisation. A voxel grid keeps all of its blocks.
+    """
     from stylerf.fields.field import RadianceField
     from stylerf.fields.hash import HashColour
     from stylerf.fields.occupancy import Occupancy
-    from stylerf.fields.vm import VmColour, VmDensity
     from stylerf.geometry.space import Space
+    from stylerf.training.ladders import Capacity, Kinds, first_parts
 
-    generator, size = np.random.default_rng(0), np.full(3, vertices)
-    colour = HashColour.create(generator) if hashed else VmColour.create(size, 24, 1, generator)
+    generator, capacity = np.random.default_rng(0), Capacity(np.full(3, vertices), vertices, finest=max(32, vertices))
+    of_colour, _, head = kind.partition("-")
+    names = {"stylised": ("vm", "vm"), "hash-mlp": ("vm", "hash")}.get(kind, (kind, of_colour))
+    density, colour = first_parts(Kinds(*names, head or "linear"), capacity, generator)
+    density.values[-1] = -2.0
+    if kind == "stylised":
+        colour = HashColour.create(generator)
     occupancy = Occupancy(min(64, vertices))
     occupancy.set_occupied(generator.random(occupancy.cells**3) < 0.5)
-    density = VmDensity.create(size, 16, generator, -2.0)
     return RadianceField(Space.box([-1] * 3, [1] * 3), density, colour, occupancy, 1 / vertices)
 
 
@@ -114,8 +125,8 @@ def random_rays(count: int, device: torch.device):
 def kernels(device: torch.device, bandwidth: float, rays: int = 1 << 15, vertices: int = 192, repeats=30) -> list[dict]:
     """Each kernel's time on one batch, and the share of the bandwidth that its fewest bytes would need."""
     rows = []
-    for hashed in (False, True):
-        calls, samples = launches(device, rays, vertices, hashed)
+    for kind in KINDS:
+        calls, samples = launches(device, rays, vertices, kind)
         for name, (call, fewest) in calls.items():
             median, spread = seconds_of(call, device, repeats)
             rows.append(
@@ -129,12 +140,12 @@ def kernels(device: torch.device, bandwidth: float, rays: int = 1 << 15, vertice
     return rows
 
 
-def launches(device: torch.device, rays: int, vertices: int, hashed: bool) -> tuple[dict, int]:
+def launches(device: torch.device, rays: int, vertices: int, kind: str) -> tuple[dict, int]:
     """({kernel: (a launch of it, fewest bytes it moves)}, samples) on random rays through a random field."""
     from stylerf.fields.device import DeviceField
     from stylerf.kernels.gpu import launch
 
-    field, going = DeviceField(random_field(vertices, hashed), device), random_rays(rays, device)
+    field, going = DeviceField(random_field(vertices, kind), device), random_rays(rays, device)
     rendered = field.render_rays(going, share=0.0)
     s, n, colours = rendered.samples, rendered.samples.room, rendered.colours
     gradients, sums = torch.randn_like(rendered.out), torch.zeros(3, device=device)
@@ -144,23 +155,29 @@ def launches(device: torch.device, rays: int, vertices: int, hashed: bool) -> tu
     )
     wanted, background = torch.rand((rays, 4), device=device), torch.rand((rays, 3), device=device)
     density, colour, ways = 4 * len(to_density), 4 * len(to_colour), going.directions
-    kind, parameters = "hash" if hashed else "vm", len(to_colour)
+    named = {"stylised": "hash sum"}.get(kind, kind)  # its levels are added up, no head stands behind them
 
     def adam() -> None:
         to_colour.fill_(1e-9)  # else every run would be skipped
-        launch.adam(field.colour.values, to_colour, *moments, 1e-9, (0.9, 0.99), 1e-15, (0.1, 0.01), 0, parameters)
+        launch.adam(field.colour.values, to_colour, *moments, 1e-9, (0.9, 0.99), 1e-15, (0.1, 0.01), 0, len(to_colour))
 
     calls = {
-        f"{kind} colour": (lambda: field.colour.colours(s, ways, 0.0), n * 32 + colour),
-        f"{kind} colour backward": (
+        f"{named} colour": (lambda: field.colour.colours(s, ways, 0.0), n * 32 + colour),
+        f"{named} colour backward": (
             lambda: field.colour.backward(s, ways, colours, of_colours, to_colour), n * 40 + 3 * colour,
         ),
-        f"adam, {kind} colour": (adam, 9 * colour),
+        f"adam, {named} colour": (adam, 9 * colour),
     }  # fmt: skip
-    if not hashed:
+    if kind in ("vm", "hash", "voxel"):
         calls |= {
-            "march and density": (lambda: field.march(going, 512, 1e-3, n), rays * 56 + n * 36 + density),
-            "vm density backward": (lambda: field.density.backward(s, of_sigma, to_density), n * 20 + 3 * density),
+            f"march and {kind} density": (lambda: field.march(going, 512, 1e-3, n), rays * 56 + n * 36 + density),
+            f"{kind} density backward": (
+                lambda: field.density.backward(s, of_sigma, to_density), n * 20 + 3 * density,
+            ),
+            f"{kind} density smoothness": (lambda: field.density.smooth(1e-9, to_density), 3 * density),
+        }  # fmt: skip
+    if kind == "vm":
+        calls |= {
             "composite": (lambda: launch.composite(s, colours), n * 20 + rays * 36),
             "composite backward": (
                 lambda: launch.composite_backward(s, colours, rendered.out, gradients, 0.0), n * 40 + rays * 56,

@@ -39,9 +39,6 @@ def run(inputs: dict[str, Artefact], config: FitConfig, partial: Partial, contex
     bank = bank_of(scene, order, partial.folder, context)
     settings = _settings(config, scene)
     device = gpu_of(context)
-    if device and settings.kinds != Kinds():
-        context.progress.say("computing on the CPU: of the kinds of fields only vm has GPU kernels to fit it with")
-        device = None
     if device and (config.opacity_weight > 0 or config.clip > 0):
         context.progress.say("computing on the CPU: the opacity prior and clipped gradients are its kernels' alone")
         device = None

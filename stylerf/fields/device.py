@@ -7,10 +7,13 @@ import torch
 from torch import Tensor
 
 from stylerf.errors import InvalidValue
+from stylerf.fields.device_grids import DeviceHashDensity, DeviceVoxelDensity
+from stylerf.fields.device_headed import DeviceHeadedColour
 from stylerf.fields.field import RadianceField
 from stylerf.geometry.harmonics import BANDS
 from stylerf.geometry.space import Space
 from stylerf.kernels.gpu import launch
+from stylerf.kernels.gpu.density import VM
 from stylerf.kernels.gpu.launch import DeviceSamples, Walk
 
 
@@ -22,9 +25,12 @@ def _table(values: Tensor, length: int, half: bool) -> Tensor:
 class DeviceVmDensity:
     """fields/vm.py's VmDensity. half: the table is read as halves, which cannot be taught."""
 
+    code, layout = VM.value, None
+
     def __init__(self, part, device: torch.device, half: bool = False) -> None:
         self.values = torch.from_numpy(part.values).to(device, copy=True)
         self.size, self.rank, self.groups = [int(s) for s in part.size], part.rank, part.groups()
+        self.width = launch.width_of(self.rank)
         self.table, self.shift = _table(self.values, len(self.values) - 1, half), self.values[-1:]
 
     def sigma(self, points: Tensor) -> Tensor:
@@ -85,8 +91,8 @@ class DeviceHashColour:
         to.add_(self.values, alpha=strength / len(self.values))
 
 
-DENSITY_KINDS = {"vm": DeviceVmDensity}
-COLOUR_KINDS = {"vm": DeviceVmColour, "hash": DeviceHashColour}
+DENSITY_KINDS = {"vm": DeviceVmDensity, "hash": DeviceHashDensity, "voxel": DeviceVoxelDensity}
+COLOUR_KINDS = {"vm": DeviceVmColour, "hash": DeviceHashColour, "headed": DeviceHeadedColour}
 
 
 def unsupported(field: RadianceField) -> str | None:

@@ -8,6 +8,7 @@ import triton
 import triton.language as tl
 
 from stylerf.kernels.gpu.indexing import cell, offset, trilinear_corner, vector
+from stylerf.kernels.gpu.levels import vertex_number
 from stylerf.kernels.gpu.vm import _sigmoid
 
 
@@ -17,13 +18,7 @@ def vertex_row(layout, level: tl.constexpr, LEVELS: tl.constexpr, i, j, k):
     times_x, times_y = tl.load(layout + LEVELS + level), tl.load(layout + 2 * LEVELS + level)
     mask, first = tl.load(layout + 3 * LEVELS + level), tl.load(layout + 4 * LEVELS + level)
     hashed = tl.load(layout + 5 * LEVELS + level)
-    # Unsigned, because that may wrap.
-    x = i.to(tl.uint32) * times_x.to(tl.uint32)
-    y = j.to(tl.uint32) * times_y.to(tl.uint32)
-    scrambled = (x ^ y ^ k.to(tl.uint32)) & mask.to(tl.uint32)
-    direct = x + y + k.to(tl.uint32)
-    index = tl.where(hashed != 0, scrambled, direct)
-    return index.to(tl.int64) * 4 + first
+    return vertex_number(times_x, times_y, mask, hashed, i, j, k) * 4 + first
 
 
 @triton.jit

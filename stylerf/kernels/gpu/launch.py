@@ -81,9 +81,10 @@ class Walk:
 def march_density(
     walk: Walk, density, origins: Tensor, directions: Tensor, jitter: Tensor, room: int | None
 ) -> DeviceSamples:
-    """Samples of rays through a vm density. room: most samples there is memory for; None: asked from the device.
+    """Samples of rays through a density. room: most samples there is memory for; None: asked from the device.
 
-    With a room nothing waits for the device. density: has table, shift, size and rank.
+    With a room nothing waits for the device. density: has table, shift, layout, size, code, rank and width; see
+    density.raw_density.
     """
     n, device = len(origins), origins.device
     counts, int64 = torch.empty(n, dtype=torch.int32, device=device), {"dtype": torch.int64, "device": device}
@@ -107,15 +108,15 @@ def _walk_rays(walk, density, origins, directions, jitter, samples: DeviceSample
     n = len(origins)
     if not n:
         return
-    moved = origins if walk.displacement is None else walk.displacement
-    s = samples
+    s, moved = samples, origins if walk.displacement is None else walk.displacement
+    layout = s.counts if density.layout is None else density.layout
     march.march_kernel[(triton.cdiv(n, RAYS),)](
         walk.space, origins, directions, jitter, float(walk.near), float(walk.far), float(walk.step),
         walk.distances, walk.cells, walk.limit, float(walk.opaque), density.table, density.shift, *density.size,
-        moved, walk.vertices, s.counts, last, room, s.starts, s.ends, s.largest, s.total,
+        layout, moved, walk.vertices, s.counts, last, room, s.starts, s.ends, s.largest, s.total,
         s.t, s.optical, s.x, s.sigma, s.weights, s.ray_of, n,
         KIND=walk.code, CLOSED=walk.closed, DISPLACED=walk.displacement is not None, FILL=fill,
-        RANK=density.rank, WIDTH=width_of(density.rank), BLOCK=RAYS, num_warps=1,
+        DENSITY=density.code, RANK=density.rank, WIDTH=density.width, BLOCK=RAYS, num_warps=1,
     )  # fmt: skip
 
 

@@ -8,9 +8,10 @@ room is fixed before the launch, the number of samples never leaves the device.
 import triton
 import triton.language as tl
 
+from stylerf.kernels.gpu.density import raw_density
 from stylerf.kernels.gpu.indexing import cell, offset, store_vector, trilinear_corner, vector
 from stylerf.kernels.gpu.space import cell_number, leap, ray_span, warp_at
-from stylerf.kernels.gpu.vm import SIZES, raw_density
+from stylerf.kernels.gpu.vm import SIZES
 
 OPTICAL_SCALE = tl.constexpr(100.0)
 MOST_TURNS = tl.constexpr(1 << 16)  # of a walk: a step too small for float32 to move the ray must not hang the GPU
@@ -49,15 +50,16 @@ def _keep(t_out, optical, points, sigma, weights, ray_of, at, t, length, x, y, z
 )
 def march_kernel(
     space, origins, directions, jitter, near, far, step, occupancy, cells, limit, opaque,
-    table, shift, s0, s1, s2, grid, grid_cells,
+    table, shift, s0, s1, s2, layout, grid, grid_cells,
     counts, last, room, starts, ends, largest, total, t_out, optical, points, sigma, weights, ray_of, rays,
     KIND: tl.constexpr, CLOSED: tl.constexpr, DISPLACED: tl.constexpr, FILL: tl.constexpr,
-    RANK: tl.constexpr, WIDTH: tl.constexpr, BLOCK: tl.constexpr,
+    DENSITY: tl.constexpr, RANK: tl.constexpr, WIDTH: tl.constexpr, BLOCK: tl.constexpr,
 ):  # fmt: skip
     """FILL false: counts[r] = samples of ray r. true: with last[r] the sum of counts up to r, write the samples.
 
     Then ray r's are starts[r]:ends[r] of t_out, optical, points, sigma, weights, ray_of; largest[r] is its largest
     weight; total[0], zero before, is raised to the end of the last ray that found room. near: one number for all rays.
+    table to layout, DENSITY, RANK, WIDTH: the density, see density.raw_density.
     """
     r = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
     live = r < rays
@@ -91,7 +93,7 @@ def march_kernel(
         if tl.max(hit.to(tl.int32), axis=0) > 0:
             if DISPLACED:
                 x, y, z = displaced(grid, grid_cells, x, y, z, hit)
-            s = raw_density(table, shift, x, y, z, s0, s1, s2, hit, RANK, WIDTH)
+            s = raw_density(table, layout, shift, x, y, z, s0, s1, s2, hit, DENSITY, RANK, WIDTH)
             length = dt * jacobian * OPTICAL_SCALE
             stay = tl.exp(-s * length)
             w = through * (1.0 - stay)

@@ -5,17 +5,35 @@ import torch
 from stylerf.fields.device import DeviceField
 from stylerf.kernels.gpu import launch
 from tests.stylerf.kernels.gpu.on_device import device_rays
-from tests.stylerf.small import SPACES, displacement_grid, field_of, hash_colour, rays_into, vm_colour
+from tests.stylerf.small import (
+    SPACES,
+    SPARSE,
+    density,
+    displacement_grid,
+    field_of,
+    hash_colour,
+    hash_density,
+    headed,
+    rays_into,
+    vm_colour,
+    voxel_density,
+)
 
 
 def everything() -> None:
-    for kind, colour, displaced, half in (
-        ("box", vm_colour(1, degree=1), False, False),
-        ("box", vm_colour(1, degree=1), False, True),
-        ("contraction", vm_colour(1, degree=2), False, False),
-        ("frustum", hash_colour(1), True, False),
+    for kind, density_of, colour, displaced, half in (
+        ("box", density, vm_colour(1, degree=1), False, False),
+        ("box", density, vm_colour(1, degree=1), False, True),
+        ("contraction", density, vm_colour(1, degree=2), False, False),
+        ("frustum", density, hash_colour(1), True, False),
+        ("box", hash_density, headed(1, "hash", "linear"), False, False),
+        ("contraction", hash_density, headed(1, "hash", "mlp"), True, True),
+        ("box", voxel_density, headed(1, "voxel", "linear", 2, SPARSE), False, True),
+        ("frustum", voxel_density, headed(1, "voxel", "mlp", 1, SPARSE), False, False),
+        ("box", density, headed(1, "vm", "mlp"), False, False),
     ):
         field = field_of(SPACES[kind], 3, colour, 1 / 8, displacement_grid(6) if displaced else None)
+        field.density = density_of(3)
         made, rays = DeviceField(field, "cpu", half), device_rays(rays_into(SPACES[kind], 8, 4), torch.device("cpu"))
         rendered = made.render_rays(rays, room=64)
         to = [torch.zeros_like(part.values) for part in (made.density, made.colour)]

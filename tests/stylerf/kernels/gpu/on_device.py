@@ -43,3 +43,21 @@ def gradients_of(made, rendered, gradients, even_from: float = 0.0) -> list[torc
     to = [torch.zeros_like(part.values) for part in (made.density, made.colour)]
     made.backward(rendered, torch.from_numpy(gradients).to(made.device), *to, even_from=even_from)
     return [t.cpu() for t in to]
+
+
+def packed_samples(points: np.ndarray, rays: np.ndarray, weights: np.ndarray, device, spare: int = 5):
+    """DeviceSamples at cube points [n, 3] of rays [n], ascending; `spare` more find room and are poisoned."""
+    from stylerf.kernels.gpu.launch import DeviceSamples
+
+    count, n = int(rays.max(initial=-1)) + 1, len(points)
+    counts = np.bincount(rays, minlength=count)
+    ends = np.cumsum(counts)
+    largest = np.zeros(count, np.float32)
+    np.maximum.at(largest, rays, weights)
+    room = {"t": (), "optical": (), "x": (3,), "sigma": (), "weights": ()}
+    arrays = {name: torch.full((n + spare, *shape), float("nan"), device=device) for name, shape in room.items()}
+    ray_of = torch.full((n + spare,), 1 << 20, dtype=torch.int32, device=device)
+    for to, what in ((arrays["x"], points), (arrays["weights"], weights), (ray_of, rays)):
+        to[:n] = torch.from_numpy(what).to(device)
+    told = (ends - counts, ends, counts.astype(np.int32), largest, np.array([n]))
+    return DeviceSamples(*(torch.from_numpy(a).to(device) for a in told), **arrays, ray_of=ray_of)

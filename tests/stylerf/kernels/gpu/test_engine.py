@@ -12,7 +12,8 @@ from stylerf.rendering.rays import backward, render_rays
 from stylerf.rendering.view import render_view
 from stylerf.training.engine import Batch, CpuEngine, background_of
 from stylerf.training.fit import Fitter
-from tests.stylerf.small import field_of, hash_colour, vm_colour
+from tests.stylerf.fields.test_densities import LARGER
+from tests.stylerf.small import SPARSE, field_of, hash_colour, hash_density, headed, vm_colour, voxel_density
 from tests.stylerf.training.running import resumed, run_until
 from tests.stylerf.training.scenes import AROUND, Rung, box_bank, dome, settings
 
@@ -22,8 +23,9 @@ def bank():
     return box_bank(4, 10)
 
 
-def thin_field(space=AROUND, step=1 / 8, colour=None):
+def thin_field(space=AROUND, step=1 / 8, colour=None, density=None):
     field = field_of(space, 3, colour or vm_colour(4), step)
+    field.density = density or field.density
     field.density.values[-1] = -4.0
     return field
 
@@ -47,8 +49,17 @@ def kept_gradients(engine) -> list[torch.Tensor]:
     return found
 
 
-def test_a_step_learns_the_gradient_that_the_cpu_finds_for_the_same_rays(bank, device):
-    field = thin_field()
+FIELDS = {
+    "vm": thin_field,
+    "hash": lambda: thin_field(colour=headed(4, "hash", "linear"), density=hash_density(3)),
+    "voxel": lambda: thin_field(colour=headed(4, "voxel", "linear", capacity=SPARSE), density=voxel_density(3)),
+    "vm+hash-mlp": lambda: thin_field(colour=headed(4, "hash", "mlp")),
+}
+
+
+@pytest.mark.parametrize("kinds", FIELDS)
+def test_a_step_learns_the_gradient_that_the_cpu_finds_for_the_same_rays(kinds, bank, device):
+    field = FIELDS[kinds]()
     engine = engine_on(device, bank, field)
     found = kept_gradients(engine)
     learnt = engine.learn(batch())
@@ -69,6 +80,25 @@ def test_a_step_learns_the_gradient_that_the_cpu_finds_for_the_same_rays(bank, d
         np.testing.assert_allclose(ours, expected[0], atol=3e-5 * np.abs(expected).max())
     assert learnt.error == pytest.approx(float(np.square(difference).mean()), rel=1e-4)
     assert learnt.live == pytest.approx(rendered.samples.count / 24, abs=0.1)
+
+
+@pytest.mark.parametrize("kind", ["hash", "voxel"])
+def test_a_field_that_grows_is_taken_over_and_taught_on(kind, bank, device):
+    engine = engine_on(device, bank, FIELDS[kind]())
+    taught = engine.field
+    for name in ("density", "colour"):
+        setattr(taught, name, getattr(taught, name).grown(LARGER[kind], np.random.default_rng(0)))
+    before, larger = taught.colour.values.copy(), len(taught.density.values)
+    engine.adopt(taught)
+    engine.learn(batch(step=4, rate=0.01, smoothness=(1e-3, 0.0)))
+    engine.refresh(0, 1)
+    now = engine.field
+    assert len(now.density.values) == larger > 2 * len(FIELDS[kind]().density.values)
+    moved = np.abs(now.colour.values - before)
+    assert 0 < moved.max() < 0.01 * 15.1 and np.isfinite(now.density.values).all()
+    # What stands for blocks that are not kept never learns; nor does what no ray has met.
+    fixed = now.colour.features.fixed
+    assert not moved[:fixed].any() and (moved == 0).any()
 
 
 @pytest.mark.slow

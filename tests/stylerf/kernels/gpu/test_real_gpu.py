@@ -5,7 +5,18 @@ import pytest
 import torch
 
 from stylerf.rendering.rays import backward, render_rays
-from tests.stylerf.small import SPACES, field_of, hash_colour, rays_into, vm_colour
+from tests.stylerf.small import (
+    SPACES,
+    SPARSE,
+    density,
+    field_of,
+    hash_colour,
+    hash_density,
+    headed,
+    rays_into,
+    vm_colour,
+    voxel_density,
+)
 
 pytestmark = pytest.mark.realgpu
 
@@ -17,13 +28,25 @@ def gpu(device):
     return device
 
 
-@pytest.mark.parametrize("hashed", [False, True])
+PARTS = {
+    "vm": lambda: (density(3), vm_colour(4)),
+    "stylised": lambda: (density(3), hash_colour(5)),
+    "hash": lambda: (hash_density(3), headed(4, "hash", "linear")),
+    "voxel": lambda: (voxel_density(3), headed(4, "voxel", "linear", 2, SPARSE)),
+    "vm-mlp": lambda: (density(3), headed(4, "vm", "mlp")),
+    "hash-mlp": lambda: (hash_density(3), headed(4, "hash", "mlp")),
+    "voxel-mlp": lambda: (voxel_density(3), headed(4, "voxel", "mlp", 1, SPARSE)),
+}
+
+
+@pytest.mark.parametrize("parts", PARTS)
 @pytest.mark.parametrize("kind", SPACES)
-def test_thousands_of_rays_agree_with_the_cpu(kind, hashed, gpu):
+def test_thousands_of_rays_agree_with_the_cpu(kind, parts, gpu):
     from stylerf.fields.device import DeviceField
     from tests.stylerf.kernels.gpu.on_device import device_rays, gradients_of
 
-    field = field_of(SPACES[kind], 3, hash_colour(5) if hashed else vm_colour(4), 1 / 64)
+    field = field_of(SPACES[kind], 3, None, 1 / 64)
+    field.density, field.colour = PARTS[parts]()
     rays = rays_into(SPACES[kind], 5000, 4)
     cpu, made = render_rays(field, rays, chunks=2), DeviceField(field, gpu)
     found = made.render_rays(device_rays(rays, gpu))
@@ -40,12 +63,13 @@ def test_thousands_of_rays_agree_with_the_cpu(kind, hashed, gpu):
         assert np.linalg.norm(ours - whole) < 5e-3 * np.linalg.norm(whole)
 
 
-def test_a_step_never_waits_for_the_device(gpu):
+@pytest.mark.parametrize("kinds", ["vm", "hash", "voxel", "vm+hash-mlp"])
+def test_a_step_never_waits_for_the_device(kinds, gpu):
     from stylerf.training.device_engine import DeviceEngine
-    from tests.stylerf.kernels.gpu.test_engine import batch, thin_field
+    from tests.stylerf.kernels.gpu.test_engine import FIELDS, batch
     from tests.stylerf.training.scenes import box_bank
 
-    engine = DeviceEngine(box_bank(4, 10), 0, 1, thin_field(), device=gpu, samples=4000)
+    engine = DeviceEngine(box_bank(4, 10), 0, 1, FIELDS[kinds](), device=gpu, samples=4000)
     engine.learn(batch())
     engine.refresh(0, 1)
     torch.cuda.synchronize()

@@ -11,24 +11,34 @@ from stylerf.kernels import oracle
 from tests.stylerf.kernels.gpu.on_device import by_oracle, device_rays, gradients_of, on_host
 from tests.stylerf.small import (
     SPACES,
+    SPARSE,
     Packed,
     close,
+    density,
     displacement_grid,
     field_of,
     float64,
     hash_colour,
+    hash_density,
+    headed,
+    oracle_colour,
+    oracle_density,
     points_on,
     rays_into,
     vm_colour,
+    voxel_density,
 )
 
 STEP = 1 / 8
-# Space, colour, displaced: every space, both colours, degrees 0 to 2 and a displacement, at one walk each.
+# Space, density, colour, displaced: every space, every kind, degrees 0 to 2 and a displacement, at one walk each.
 CASES = {
-    "box": ("box", lambda: vm_colour(4, degree=1), False),
-    "box displaced": ("box", lambda: hash_colour(5), True),
-    "contraction": ("contraction", lambda: vm_colour(4, degree=2), False),
-    "frustum": ("frustum", lambda: vm_colour(4, degree=0), False),
+    "box": ("box", density, lambda: vm_colour(4, degree=1), False),
+    "box displaced": ("box", density, lambda: hash_colour(5), True),
+    "contraction": ("contraction", density, lambda: vm_colour(4, degree=2), False),
+    "frustum": ("frustum", density, lambda: vm_colour(4, degree=0), False),
+    "hash, contraction": ("contraction", hash_density, lambda: headed(4, "hash", "linear"), False),
+    "voxel, box displaced": ("box", voxel_density, lambda: headed(4, "voxel", "linear", 2, SPARSE), True),
+    "hash, frustum": ("frustum", hash_density, lambda: headed(4, "vm", "mlp"), False),
 }
 
 
@@ -37,8 +47,9 @@ def walked(case: str, device, rays: int = 14):
     """(field, rays, device field, what it rendered, dL/d(pixels), device gradients): computed once a case."""
     from stylerf.fields.device import DeviceField
 
-    kind, colour, displaced = CASES[case]
+    kind, density_of, colour, displaced = CASES[case]
     field = field_of(SPACES[kind], 3, colour(), STEP, displacement_grid(6) if displaced else None)
+    field.density = density_of(3)
     field.density.values[-1] = -4.5  # thin: rays go on long enough to end in the backdrop
     made, going = DeviceField(field, device), rays_into(SPACES[kind], rays, 4)
     rendered = made.render_rays(device_rays(going, device), share=0.05)
@@ -60,8 +71,7 @@ def test_every_sample_equals_the_oracle_at_its_distance(case, device):
     if field.displacement is not None:
         x = torch.where(end[:, None], x, oracle.displaced(float64(field.displacement), x))
     np.testing.assert_allclose(packed.x, x, atol=3e-6)
-    d = field.density
-    sigma = oracle.vm_density(float64(d.values), d.size.tolist(), d.rank, packed.x)
+    sigma = oracle_density(field.density, float64(field.density.values), packed.x)
     close(packed.sigma[~end], sigma[~end], 5e-6)
     weights, _ = oracle.weights(packed.sigma, packed.optical, packed.rays, end)
     np.testing.assert_allclose(packed.weights, weights, atol=3e-6)
@@ -85,17 +95,14 @@ def test_the_device_walks_as_the_cpu_does(case, device):
 @pytest.mark.parametrize("case", CASES)
 def test_colours_equal_the_oracle_where_they_weigh_enough_and_are_left_out_elsewhere(case, device):
     field, rays, _, rendered, _, _ = walked(case, device)
-    packed, c = Packed.of(on_host(rendered.samples)), field.colour
+    packed, colour = Packed.of(on_host(rendered.samples)), field.colour
     largest = rendered.samples.largest.cpu().double()[packed.rays]
     shown = packed.weights >= np.float32(0.05) * largest
     found = rendered.colours.cpu().double()
     assert bool(shown.any()) and not bool(shown.all())
     assert bool((found[~shown, 0] == -1).all())
-    if c.kind == "hash":
-        expected = oracle.hash_colour(float64(c.values), c.levels, c.base, c.finest, c.table, packed.x)
-    else:
-        basis = float64(harmonics(rays.directions, c.degree))[packed.rays]
-        expected = oracle.vm_colour(float64(c.values), c.size.tolist(), c.rank, basis, packed.x)
+    basis = float64(harmonics(rays.directions, colour.degree))[packed.rays]
+    expected = oracle_colour(colour, float64(colour.values), basis, packed.x)
     np.testing.assert_allclose(found[shown], expected[shown], atol=3e-6)
 
 

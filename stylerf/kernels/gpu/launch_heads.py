@@ -1,0 +1,47 @@
+"""How colours that are an encoder and a head are launched."""
+
+import torch
+from torch import Tensor
+
+from stylerf.kernels.gpu import heads, mlp_head
+from stylerf.kernels.gpu.launch import SAMPLES, STAGES, DeviceSamples, outputs_of, persistent_grid, width_of
+
+# With four, the network's backward on hash features keeps 4.6 KB a thread in local memory, with eight 0.2 KB (compiled
+# for capability 9.0).
+WARPS = 8
+KERNELS = {
+    "linear": (heads.linear_kernel, heads.linear_backward_kernel),
+    "harmonic": (heads.harmonic_kernel, heads.harmonic_backward_kernel),
+    "mlp": (mlp_head.mlp_kernel, mlp_head.mlp_backward_kernel),
+}
+
+
+def _constants(colour) -> dict:
+    return {
+        "ENCODER": colour.code, "PIECES": colour.pieces, "RANK": colour.rank, "WIDTH": width_of(colour.rank),
+        "BANDS": colour.bands, "UNITS": colour.hidden or outputs_of(colour.bands), "BLOCK": SAMPLES,
+        "num_warps": WARPS, "num_stages": STAGES,
+    }  # fmt: skip
+
+
+def headed_colours(colour, samples: DeviceSamples, directions: Tensor, share: float) -> Tensor:
+    """[room, 3] colours of samples with at least `share` of their ray's largest weight; others have -1 first.
+
+    colour: has table, layout, numbers, size, code, pieces, rank, bands, head (its kind) and hidden (0: no such layer).
+    """
+    out = torch.empty((samples.room, 3), device=directions.device)
+    layout = samples.counts if colour.layout is None else colour.layout
+    KERNELS[colour.head][0][persistent_grid(out.device, samples.room, SAMPLES)](
+        colour.table, layout, colour.numbers, samples.x, directions, samples.ray_of, samples.weights, samples.largest,
+        float(share), samples.total, out, *colour.size, **_constants(colour),
+    )  # fmt: skip
+    return out
+
+
+def headed_colours_backward(colour, samples: DeviceSamples, directions, colours, colour_gradients, to: Tensor) -> None:
+    """Add dL/d(values) to `to` [len(values)]: the features' table, the head's numbers."""
+    layout = samples.counts if colour.layout is None else colour.layout
+    KERNELS[colour.head][1][persistent_grid(to.device, samples.room, SAMPLES)](
+        colour.table, layout, colour.numbers, samples.x, directions, samples.ray_of, colours, colour_gradients,
+        samples.total, to, to[len(colour.table) :], *colour.size, **_constants(colour),
+    )  # fmt: skip

@@ -1,0 +1,139 @@
+"""A colour head of one hidden layer, behind any encoder: kernels/cpu/mlp_head.py, features and head in one kernel.
+
+The arguments are those of heads.py; UNITS: of the hidden layer, a power of two. numbers, flat: W1 of the features
+[PIECES RANK, UNITS], W1 of the harmonics [BANDS, UNITS], b1 [UNITS], W2 [3, UNITS], b2 [3].
+"""
+
+import triton
+import triton.language as tl
+
+from stylerf.kernels.gpu.encoders import piece, piece_scatter, to_colour, to_learn
+from stylerf.kernels.gpu.harmonics import bands_of
+from stylerf.kernels.gpu.heads import UNALIGNED
+from stylerf.kernels.gpu.indexing import offset, store_vector, vector
+from stylerf.kernels.gpu.vm import SIZES, _sigmoid
+
+MOST_BANDS = tl.constexpr(16)  # columns of the tile of harmonics: products of tiles need as many
+
+
+@triton.jit
+def _rows(numbers, first: tl.constexpr, place, COUNT: tl.constexpr, UNITS: tl.constexpr):
+    """[places, UNITS]: the rows of W1 from `first` on; zero from the COUNTth on."""
+    at = numbers + (first + place[:, None]) * UNITS + tl.arange(0, UNITS)[None, :]
+    return tl.load(at, mask=place[:, None] < COUNT, other=0.0)
+
+
+@triton.jit
+def _from_direction(numbers, basis, band, FEATURES: tl.constexpr, BANDS: tl.constexpr, UNITS: tl.constexpr):
+    """[samples, UNITS]: b1 + sum_b Y_b W1_b."""
+    sums = tl.dot(basis, _rows(numbers, FEATURES, band, BANDS, UNITS), input_precision="ieee")
+    return sums + tl.load(numbers + (FEATURES + BANDS) * UNITS + tl.arange(0, UNITS))[None, :]
+
+
+@triton.jit
+def _relu(sums):
+    """A NaN stays one."""
+    return tl.where(sums < 0.0, 0.0, sums)
+
+
+@triton.jit(do_not_specialize=SIZES, do_not_specialize_on_alignment=["numbers"])
+def mlp_kernel(
+    table, layout, numbers, points, directions, ray_of, weights, largest, share, total, out, s0, s1, s2,
+    ENCODER: tl.constexpr, PIECES: tl.constexpr, RANK: tl.constexpr, WIDTH: tl.constexpr, BANDS: tl.constexpr,
+    UNITS: tl.constexpr, BLOCK: tl.constexpr,
+):  # fmt: skip
+    """out [n, 3]: sigmoid(W2 relu(W1 (phi, Y) + b1) + b2); samples under `share` of their ray's largest weight: -1."""
+    count = tl.load(total)
+    columns, band, unit = tl.arange(0, WIDTH), tl.arange(0, MOST_BANDS), tl.arange(0, UNITS)
+    second = numbers + (PIECES * RANK + BANDS + 1) * UNITS
+    for block in range(tl.program_id(0).to(tl.int64), tl.cdiv(count, BLOCK), tl.num_programs(0)):
+        k = block * BLOCK + tl.arange(0, BLOCK)
+        inside, live, ray = to_colour(k, count, ray_of, weights, largest, share)
+        if tl.max(live.to(tl.int32), axis=0) > 0:
+            x, y, z = vector(points, k, live)
+            dx, dy, dz = vector(directions, ray, live)
+            sums = _from_direction(numbers, bands_of(dx, dy, dz, band, BANDS), band, PIECES * RANK, BANDS, UNITS)
+            for m in tl.static_range(PIECES):
+                phi = piece(m, table, layout, x, y, z, s0, s1, s2, columns, live, ENCODER, RANK)
+                sums = tl.dot(phi, _rows(numbers, m * RANK, columns, RANK, UNITS), acc=sums, input_precision="ieee")
+            layer = _relu(sums)
+            last = second + 3 * UNITS
+            red = tl.sum(layer * tl.load(second + unit)[None, :], axis=1) + tl.load(last)
+            green = tl.sum(layer * tl.load(second + UNITS + unit)[None, :], axis=1) + tl.load(last + 1)
+            blue = tl.sum(layer * tl.load(second + 2 * UNITS + unit)[None, :], axis=1) + tl.load(last + 2)
+            store_vector(out, k, _sigmoid(red), _sigmoid(green), _sigmoid(blue), live)
+        tl.store(out + offset(k, 3, 0), -1.0, mask=inside & (live == 0))
+
+
+@triton.jit(do_not_specialize=SIZES, do_not_specialize_on_alignment=UNALIGNED)
+def mlp_backward_kernel(
+    table, layout, numbers, points, directions, ray_of, colours, colour_gradients, total, to, numbers_to, s0, s1, s2,
+    ENCODER: tl.constexpr, PIECES: tl.constexpr, RANK: tl.constexpr, WIDTH: tl.constexpr, BANDS: tl.constexpr,
+    UNITS: tl.constexpr, BLOCK: tl.constexpr,
+):  # fmt: skip
+    """Add dL/d(table) and dL/d(numbers) to their buffers; samples with colours[k, 0] < 0 are skipped."""
+    count = tl.load(total)
+    columns, band, unit = tl.arange(0, WIDTH), tl.arange(0, MOST_BANDS), tl.arange(0, UNITS)
+    second = numbers + (PIECES * RANK + BANDS + 1) * UNITS
+    # Every sample speaks to the network: a program adds up its own samples first.
+    of_piece0 = tl.zeros([WIDTH, UNITS], tl.float32)
+    of_piece1 = tl.zeros([WIDTH, UNITS], tl.float32)
+    of_piece2 = tl.zeros([WIDTH, UNITS], tl.float32)
+    of_bands = tl.zeros([MOST_BANDS, UNITS], tl.float32)
+    of_bias = tl.zeros([UNITS], tl.float32)
+    of_red = tl.zeros([UNITS], tl.float32)
+    of_green = tl.zeros([UNITS], tl.float32)
+    of_blue = tl.zeros([UNITS], tl.float32)
+    red, green, blue = 0.0, 0.0, 0.0
+    for block in range(tl.program_id(0).to(tl.int64), tl.cdiv(count, BLOCK), tl.num_programs(0)):
+        k = block * BLOCK + tl.arange(0, BLOCK)
+        live, ray, g0, g1, g2 = to_learn(k, count, ray_of, colours, colour_gradients)
+        x, y, z = vector(points, k, live)
+        dx, dy, dz = vector(directions, ray, live)
+        basis = bands_of(dx, dy, dz, band, BANDS)
+        sums = _from_direction(numbers, basis, band, PIECES * RANK, BANDS, UNITS)
+        for m in tl.static_range(PIECES):
+            phi = piece(m, table, layout, x, y, z, s0, s1, s2, columns, live, ENCODER, RANK)
+            sums = tl.dot(phi, _rows(numbers, m * RANK, columns, RANK, UNITS), acc=sums, input_precision="ieee")
+        layer = _relu(sums)
+        red += tl.sum(g0, axis=0)
+        green += tl.sum(g1, axis=0)
+        blue += tl.sum(g2, axis=0)
+        of_red += tl.sum(g0[:, None] * layer, axis=0)
+        of_green += tl.sum(g1[:, None] * layer, axis=0)
+        of_blue += tl.sum(g2[:, None] * layer, axis=0)
+        back = g0[:, None] * tl.load(second + unit)[None, :]
+        back += g1[:, None] * tl.load(second + UNITS + unit)[None, :]
+        back += g2[:, None] * tl.load(second + 2 * UNITS + unit)[None, :]
+        back = tl.where(layer == 0.0, 0.0, back)
+        of_bias += tl.sum(back, axis=0)
+        of_bands = tl.dot(tl.trans(basis), back, acc=of_bands, input_precision="ieee")
+        for m in tl.static_range(PIECES):
+            if PIECES > 1:  # one piece is still at hand
+                phi = piece(m, table, layout, x, y, z, s0, s1, s2, columns, live, ENCODER, RANK)
+            rows = _rows(numbers, m * RANK, columns, RANK, UNITS)
+            gradient = tl.dot(back, tl.trans(rows), input_precision="ieee")
+            piece_scatter(m, table, to, layout, x, y, z, s0, s1, s2, gradient, columns, live, ENCODER, RANK)
+            if m == 0:
+                of_piece0 = tl.dot(tl.trans(phi), back, acc=of_piece0, input_precision="ieee")
+            elif m == 1:
+                of_piece1 = tl.dot(tl.trans(phi), back, acc=of_piece1, input_precision="ieee")
+            else:
+                of_piece2 = tl.dot(tl.trans(phi), back, acc=of_piece2, input_precision="ieee")
+    mask = columns[:, None] < RANK
+    at = numbers_to + columns[:, None] * UNITS + unit[None, :]
+    tl.atomic_add(at, of_piece0, mask=mask, sem="relaxed")
+    if PIECES == 3:
+        tl.atomic_add(at + RANK * UNITS, of_piece1, mask=mask, sem="relaxed")
+        tl.atomic_add(at + 2 * RANK * UNITS, of_piece2, mask=mask, sem="relaxed")
+    at = numbers_to + (PIECES * RANK + band[:, None]) * UNITS + unit[None, :]
+    tl.atomic_add(at, of_bands, mask=band[:, None] < BANDS, sem="relaxed")
+    at = numbers_to + (PIECES * RANK + BANDS) * UNITS + unit
+    tl.atomic_add(at, of_bias, sem="relaxed")
+    tl.atomic_add(at + UNITS, of_red, sem="relaxed")
+    tl.atomic_add(at + 2 * UNITS, of_green, sem="relaxed")
+    tl.atomic_add(at + 3 * UNITS, of_blue, sem="relaxed")
+    last = numbers_to + (PIECES * RANK + BANDS + 4) * UNITS
+    tl.atomic_add(last, red, sem="relaxed")
+    tl.atomic_add(last + 1, green, sem="relaxed")
+    tl.atomic_add(last + 2, blue, sem="relaxed")
