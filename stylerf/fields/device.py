@@ -10,7 +10,7 @@ from stylerf.errors import InvalidValue
 from stylerf.fields.field import RadianceField
 from stylerf.geometry.harmonics import BANDS
 from stylerf.geometry.space import Space
-from stylerf.kernels.gpu import launch
+from stylerf.kernels.gpu import launch, launch_deform
 from stylerf.kernels.gpu.launch import DeviceSamples, Walk
 
 
@@ -35,6 +35,10 @@ class DeviceVmDensity:
         """Add dL/d(values) to `to` [len(values)]."""
         launch.vm_density_backward(self, samples, sigma_gradients, to)
 
+    def add_position_gradients(self, samples: DeviceSamples, sigma_gradients: Tensor, out: Tensor) -> None:
+        """Add dL/dx to out [room, 3], x the samples' positions in the cube."""
+        launch_deform.add_density_slopes(self, samples, sigma_gradients, out)
+
     def smooth(self, strength: float, to: Tensor) -> None:
         """As VmDensity.smooth."""
         launch.smoothness(self, strength / len(self.values), to)
@@ -58,6 +62,10 @@ class DeviceVmColour:
         """Add dL/d(values) to `to` [len(values)]."""
         launch.vm_colours_backward(self, samples, directions, colours, colour_gradients, to)
 
+    def add_position_gradients(self, samples: DeviceSamples, directions, colours, colour_gradients, out) -> None:
+        """Add dL/dx to out [room, 3]."""
+        launch_deform.add_vm_colour_slopes(self, samples, directions, colours, colour_gradients, out)
+
     def smooth(self, strength: float, to: Tensor) -> None:
         """As VmColour.smooth."""
         launch.smoothness(self, strength / len(self.table), to)
@@ -79,6 +87,10 @@ class DeviceHashColour:
     def backward(self, samples: DeviceSamples, directions, colours, colour_gradients, to: Tensor) -> None:
         """Add dL/d(values) to `to` [len(values)]."""
         launch.hash_colours_backward(self, samples, colours, colour_gradients, to)
+
+    def add_position_gradients(self, samples: DeviceSamples, directions, colours, colour_gradients, out) -> None:
+        """Add dL/dx to out [room, 3]."""
+        launch_deform.add_hash_colour_slopes(self, samples, colours, colour_gradients, out)
 
     def smooth(self, strength: float, to: Tensor) -> None:
         """As HashColour.smooth."""
@@ -177,15 +189,25 @@ class DeviceField:
 
     def backward(
         self, rendered: DeviceRendered, gradients: Tensor, density_to: Tensor | None, colour_to: Tensor | None,
-        *, even_from: float = 0.0,
+        displacement_to: Tensor | None = None, *, even_from: float = 0.0,
     ) -> None:  # fmt: skip
-        """From dL/d(unmapped) [rays, 5] to flat gradient buffers of the parts; None leaves a part out."""
+        """From dL/d(unmapped) [rays, 5] to flat gradient buffers of the parts; None leaves a part out.
+
+        displacement_to: for the displacement grid, flat [3 vertices^3].
+        """
         r = rendered
         of_sigma, of_colours = launch.composite_backward(r.samples, r.colours, r.unmapped, gradients, even_from)
         if colour_to is not None:
             self.colour.backward(r.samples, r.rays.directions, r.colours, of_colours, colour_to)
         if density_to is not None:
             self.density.backward(r.samples, of_sigma, density_to)
+        if displacement_to is not None:
+            moved, s, rays = torch.zeros_like(r.samples.x), r.samples, r.rays
+            self.density.add_position_gradients(s, of_sigma, moved)
+            self.colour.add_position_gradients(s, rays.directions, r.colours, of_colours, moved)
+            launch_deform.displacement_backward(
+                self.space.code, self._space, rays.origins, rays.directions, s, moved, self.vertices, displacement_to
+            )
 
     def write_to(self, field: RadianceField) -> None:
         """Copy what was learnt into the field's own arrays; occupancy is decided anew there, all distances exact."""
