@@ -24,6 +24,8 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from benchmarks import gpu_deform
+
 BUDGETS = ("5s", "10s", "20s", "40s")
 GOALS = (31.0, 33.0)
 SAMPLES = "262144"  # a step's; a batch of the CPU's size leaves a GPU waiting for launches
@@ -156,6 +158,7 @@ def launches(device: torch.device, rays: int, vertices: int, hashed: bool) -> tu
             lambda: field.colour.backward(s, ways, colours, of_colours, to_colour), n * 40 + 3 * colour,
         ),
         f"adam, {kind} colour": (adam, 9 * colour),
+        **gpu_deform.launches(field, going, rendered, of_sigma, of_colours),
     }  # fmt: skip
     if not hashed:
         calls |= {

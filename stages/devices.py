@@ -22,6 +22,21 @@ def gpu_of(context: Context, field=None) -> str | None:
     return None
 
 
+def rays_on(device: str | None, field, context: Context) -> str | None:
+    """`device`, where its kernels know the field's kinds; else None, and a line that says why.
+
+    For stages that use the device for more than rays.
+    """
+    if device is None:
+        return None
+    from stylerf.fields.device import unsupported
+
+    if (why := unsupported(field)) is None:
+        return device
+    context.progress.say(f"features and matching run on the GPU, rays on the CPU: {why}")
+    return None
+
+
 def gpu_figures(device: str | None) -> dict:
     """The most memory that this process has held on the GPU, MB, for a stage's figures; nothing on the CPU."""
     if device is None:

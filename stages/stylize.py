@@ -11,7 +11,7 @@ from schemas.images import to_uint8, write_png
 from schemas.store import Artefact, Partial
 from stages.configs.fit import budget_of
 from stages.configs.stylize import StylizeConfig, reference_of
-from stages.devices import gpu_figures, gpu_of
+from stages.devices import gpu_figures, gpu_of, rays_on
 from stages.fields import (
     load_checkpoint,
     load_deformation,
@@ -59,8 +59,6 @@ def run(inputs: dict[str, Artefact], config: StylizeConfig, partial: Partial, co
     context.progress.say(f"features: {resolved.name}, from {resolved.source}")
     painting = read_painting(Path(config.style or reference_of(config.reference[0])[1]))
     device = gpu_of(context)
-    if device and deformation is not None:
-        context.progress.say("features and matching run on the GPU, rays through a moving field on the CPU")
     try:
         stylizer = _stylizer(config, scene, field, level_of(background), painting, resolved, deformation, context)
     except InvalidValue as error:
@@ -122,7 +120,7 @@ def _stylizer(
         torch.get_num_threads(),
         functools.partial(new_colour, config),
     )
-    more = {"memory": _room_for(scene, views, context), "device": device}
+    more = {"memory": _room_for(scene, views, context), "device": rays_on(device, field, context)}
     if config.method == "snerf":
         return Alternating(*given, **more)
     if config.method == "refnpr":
