@@ -54,7 +54,7 @@ def inputs_in(work: Work) -> dict[str, Artefact]:
         write_scene(folder, Scene(tuple(views), "object", "made up", bounds, "alpha", as_matrix(np.eye(4))))
 
     scene = commit(work, "scene", "box", "import", {}, write)
-    field = field_of(AROUND, 3, vm_colour(4), 1 / 8)
+    field = field_of(AROUND, 3, vm_colour(4), 1 / 4)
     field.density.values[-1] = -4.0
     fog = commit(work, "field", "fog", "fit", {"scene": scene}, lambda folder: save_field(folder, field, "white"))
     return {"scene": scene, "field": fog}

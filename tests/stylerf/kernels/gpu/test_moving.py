@@ -16,7 +16,7 @@ from tests.stylerf.small import displacement_grid, hash_colour
 from tests.stylerf.training.running import saved
 from tests.stylerf.training.scenes import box_bank, dome
 
-VERTICES = 6
+VERTICES, STEP = 6, 1 / 4  # a walk costs the interpreter by its steps
 
 
 @pytest.fixture(autouse=True)
@@ -32,8 +32,8 @@ def bent(seed: int = 0) -> Deformation:
     return made
 
 
-def made_on(device, step=1 / 8) -> Deformer:
-    return deformer_on(device, thin_field(step=step), bent(), dome(3, 1), VERTICES, 0, 1)
+def made_on(device) -> Deformer:
+    return deformer_on(device, thin_field(step=STEP), bent(), dome(3, 1), VERTICES, 0, 1)
 
 
 def pushed(made: Deformer, steps: int, weight: float = 0.3, smoothness: float = 0.5) -> list[float]:
@@ -107,7 +107,7 @@ def test_a_moving_view_is_painted_and_learnt_as_on_the_cpu(device):
     towards = np.random.default_rng(0).normal(size=(len(pixels), 3)).astype(np.float32)
     seen = []
     for where in (None, device):
-        made = made_on(where, 1 / 6)
+        made = made_on(where)
         # As a stylisation does: a new colour, taught through the fixed shapes first.
         if where is None:
             still = FixedGeometry(made.field, cameras, 0.1, 1)
@@ -136,7 +136,7 @@ def test_a_moving_view_is_painted_and_learnt_as_on_the_cpu(device):
 
 def fitter_on(where, steps: int = 3) -> DeformationFitter:
     settings = DeformSettings(steps, rays=24, vertices=VERTICES, rate=3e-3, smoothness=0.1, patience=0.0)
-    return DeformationFitter(thin_field(), bent(), box_bank(4, 10), settings, 0, 1, device=where)
+    return DeformationFitter(thin_field(step=STEP), bent(), box_bank(4, 10), settings, 0, 1, device=where)
 
 
 def test_the_initialisation_is_the_cpus(device):
@@ -160,14 +160,14 @@ def test_the_initialisation_is_the_cpus(device):
     np.testing.assert_allclose(again.field.displacement, cpu.field.displacement, atol=1e-2 * moved)
 
 
+@pytest.mark.slow
 def test_what_is_best_is_in_the_field_at_the_end(device):
     gpu = fitter_on(device, steps=1)
     gpu.run()
     assert gpu.state.step == 1 and len(gpu.state.curve) == 1
     drawn = gpu._fixed
     assert gpu.quality() == pytest.approx(gpu.state.best, abs=1e-4)
-    rest = gpu._rest if gpu.state.best == gpu.state.before else gpu._best
-    assert np.array_equal(gpu.deformer.deformation.values, rest)
+    assert np.array_equal(gpu.deformer.deformation.values, gpu._best)
     # The host's field is that field: its own kernels see the same.
     cpu = deform.PhotoError(gpu.deformer, 1.0, gpu.settings.share, 1)
     assert cpu.of(*drawn) == pytest.approx(gpu._error.of(*drawn), rel=1e-3)
