@@ -61,6 +61,13 @@ def test_a_stylisation_runs_to_its_end_on_a_device(device, monkeypatch):
     assert np.array_equal(made.checkpoint()[1]["colour"], made.field.colour.values)
 
 
+@pytest.fixture
+def coarse_walks(monkeypatch):
+    """The interpreter pays for a walk by its steps."""
+    monkeypatch.setattr(on_cpu.module, "COARSEST_STEP", 1 / 3)
+    monkeypatch.setattr(deformer, "SIGHT_RAYS", 4096)
+
+
 def deforming_on(device, monkeypatch, **asked):
     """The DeSRF stylisation of the CPU's tests, on the device."""
     made_by = on_cpu.Stylizer
@@ -69,9 +76,9 @@ def deforming_on(device, monkeypatch, **asked):
         return on_cpu.stylizer(deform=True, **asked)
 
 
-def test_a_stylisation_that_bends_learns_the_cpus_gradients_on_a_device(device, monkeypatch):
+@pytest.mark.slow
+def test_a_stylisation_that_bends_learns_the_cpus_gradients_on_a_device(device, coarse_walks, monkeypatch):
     """Of colours and of the grid, in the first step of the style phase."""
-    monkeypatch.setattr(deformer, "SIGHT_RAYS", 4096)
     asked = ASKED | {"match": "none", "strategy": "deferred"}
     expected, found = on_cpu.stylizer(deform=True, **asked), deforming_on(device, monkeypatch, **asked)
     grids = []
@@ -91,8 +98,9 @@ def test_a_stylisation_that_bends_learns_the_cpus_gradients_on_a_device(device, 
 
 
 @pytest.mark.slow
-def test_a_stylisation_that_bends_runs_to_its_end_on_a_device_and_goes_on_upon_the_cpu(device, monkeypatch):
-    monkeypatch.setattr(deformer, "SIGHT_RAYS", 4096)
+def test_a_stylisation_that_bends_runs_to_its_end_on_a_device_and_goes_on_upon_the_cpu(
+    device, coarse_walks, monkeypatch
+):
     monkeypatch.setattr(deformer, "REFRESH_EVERY", 2)
     asked = ASKED | {"steps": 3, "strategy": "dilated", "remember": True}
     made, kept = deforming_on(device, monkeypatch, **asked), []
