@@ -41,7 +41,7 @@ def pushed(made: Deformer, steps: int, weight: float = 0.3, smoothness: float = 
     told, count = [], 3 * VERTICES**3
     for step in range(steps):
         given = np.random.default_rng([5, step]).normal(size=count).astype(np.float32)
-        made.gradients[:] = torch.from_numpy(given).to(made.device) if made.gradients.ndim == 1 else given
+        made.gradients += torch.from_numpy(given).to(made.device) if made.gradients.ndim == 1 else given
         told.append(made.step(1e-3, weight, smoothness))
     return told
 
