@@ -101,17 +101,17 @@ def test_a_stylisation_that_bends_learns_the_cpus_gradients_on_a_device(device, 
 def test_a_stylisation_that_bends_runs_to_its_end_on_a_device_and_goes_on_upon_the_cpu(
     device, coarse_walks, monkeypatch
 ):
-    monkeypatch.setattr(deformer, "REFRESH_EVERY", 2)
-    asked = ASKED | {"steps": 3, "strategy": "dilated", "remember": True}
+    monkeypatch.setattr(deformer, "REFRESH_EVERY", 3)
+    asked = ASKED | {"steps": 3, "strategy": "dilated", "remember": True, "deform_rate": 0.02}
     made, kept = deforming_on(device, monkeypatch, **asked), []
-    made.run(lambda now: kept.append(saved(now)))
-    assert made.state.phase == "done" and made.field.colour_map is not None and len(kept) == 4
-    # The field that is kept has what the device has learnt, shapes too, and is occupied where they now are.
-    last = kept[-1][1]
-    assert np.abs(made.field.displacement).max() > 1e-4
-    assert np.array_equal(made._deformation.values, last["deform.values"]) and made.deformer.taken == 3
-    assert np.array_equal(made.field.occupancy.distances, last["deform.distances"])
-    assert np.array_equal(made.field.colour.values, last["colour"])
+    made.run(lambda now: kept.append(saved(now)) if len(kept) < 3 else None)
+    assert made.state.phase == "done" and made.field.colour_map is not None and made.deformer.taken == 3
+    # The field that is kept has what the device has learnt since the last checkpoint, and is occupied where the last
+    # look has found it: a fog that fills its box is so all over, hence the question of which grid it is.
+    before = kept[-1][1]
+    assert np.abs(made.field.colour.values - before["colour"]).max() > 1e-3
+    assert np.abs(made._deformation.values - before["deform.values"]).max() > 1e-3
+    assert made.field.occupancy is made.deformer.field.occupancy
     again = on_cpu.stylizer(deform=True, **asked)
     again.resume(*kept[2])
     again.run()
