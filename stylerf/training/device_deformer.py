@@ -25,9 +25,10 @@ LIMIT = 512  # samples on a ray
 
 
 class DeviceDeformer(Deformer):
-    """live: the deforming field on the device, which rays are walked through. What the cameras see is found on the
+    """training/deformer.py's Deformer. live: the deforming field on the device, which rays are walked through.
 
-    CPU, once. `field` and `deformation` are brought up to date by collect() alone. gradients: flat [3 vertices^3].
+    What the cameras see is found once, by the CPU's kernels. `field` and `deformation` are brought up to date by
+    collect() alone. gradients: flat [3 vertices^3].
     """
 
     def __init__(
