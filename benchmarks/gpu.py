@@ -24,6 +24,8 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from benchmarks import gpu_deform
+
 BUDGETS = ("5s", "10s", "20s", "40s")
 GOALS = (31.0, 33.0)
 SAMPLES = "262144"  # a step's; a batch of the CPU's size leaves a GPU waiting for launches
@@ -176,6 +178,8 @@ def launches(device: torch.device, rays: int, vertices: int, kind: str) -> tuple
             ),
             f"{kind} density smoothness": (lambda: field.density.smooth(1e-9, to_density), 3 * density),
         }  # fmt: skip
+    if kind in ("vm", "stylised"):
+        calls |= gpu_deform.launches(kind, field, going, rendered, of_sigma, of_colours)
     if kind == "vm":
         calls |= {
             "composite": (lambda: launch.composite(s, colours), n * 20 + rays * 36),

@@ -8,6 +8,7 @@ import torch
 from schemas.errors import BadInput
 from schemas.store import Artefact, Partial
 from stages.configs.deform import DeformConfig
+from stages.devices import gpu_figures, gpu_of
 from stages.fields import load_checkpoint, load_field, save_checkpoint, save_deformation, save_field
 from stages.photos import bank_of, level_of
 from stages.progress import Context
@@ -44,9 +45,10 @@ def run(inputs: dict[str, Artefact], config: DeformConfig, partial: Partial, con
     train = scene.splits["train"]
     aside = _aside(train) if config.gate > 0 else []
     bank = bank_of(scene, [i for i in train if i not in aside] + aside, partial.folder, context)
+    device = gpu_of(context, field, moving=True)
     with compiling_note(context.progress.say):
         try:
-            fitter = DeformationFitter(field, deformation, bank, settings, context.seed, threads, len(aside))
+            fitter = DeformationFitter(field, deformation, bank, settings, context.seed, threads, len(aside), device)
         except InvalidValue as error:
             raise BadInput(f"{inputs['field'].path}: {error}") from error
         if (saved := load_checkpoint(partial.checkpoint)) is not None:
@@ -68,6 +70,7 @@ def run(inputs: dict[str, Artefact], config: DeformConfig, partial: Partial, con
         "dropped": fitter.dropped,
         "displacement_rms": float(np.sqrt(np.square(2 * field.displacement).sum(-1).mean())),
         "parameters": field.parameters + len(deformation.values),
+        **gpu_figures(device),
     }
 
 

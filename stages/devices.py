@@ -4,10 +4,10 @@ from stages.progress import Context
 from stylerf.kernels.gpu import unavailable
 
 
-def gpu_of(context: Context, field=None) -> str | None:
+def gpu_of(context: Context, field=None, moving: bool = False) -> str | None:
     """`cuda` where the context asks for it and the kernels (and the field's kinds) are there; None: the CPU.
 
-    Says in one line why a GPU that was asked for is not used.
+    moving: the field's shapes are to learn to move. Says in one line why a GPU that was asked for is not used.
     """
     if context.device != "cuda":
         return None
@@ -15,10 +15,25 @@ def gpu_of(context: Context, field=None) -> str | None:
     if why is None and field is not None:
         from stylerf.fields.device import unsupported
 
-        why = unsupported(field)
+        why = unsupported(field, moving)
     if why is None:
         return "cuda"
     context.progress.say(f"computing on the CPU: {why}")
+    return None
+
+
+def rays_on(device: str | None, field, context: Context, moving: bool = False) -> str | None:
+    """`device`, where its kernels know the field's kinds; else None, and a line that says why.
+
+    For stages that use the device for more than rays.
+    """
+    if device is None:
+        return None
+    from stylerf.fields.device import unsupported
+
+    if (why := unsupported(field, moving)) is None:
+        return device
+    context.progress.say(f"features and matching run on the GPU, rays on the CPU: {why}")
     return None
 
 

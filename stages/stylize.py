@@ -11,7 +11,7 @@ from schemas.images import to_uint8, write_png
 from schemas.store import Artefact, Partial
 from stages.configs.fit import budget_of
 from stages.configs.stylize import StylizeConfig, reference_of
-from stages.devices import gpu_figures, gpu_of
+from stages.devices import gpu_figures, gpu_of, rays_on
 from stages.fields import (
     load_checkpoint,
     load_deformation,
@@ -59,10 +59,9 @@ def run(inputs: dict[str, Artefact], config: StylizeConfig, partial: Partial, co
     context.progress.say(f"features: {resolved.name}, from {resolved.source}")
     painting = read_painting(Path(config.style or reference_of(config.reference[0])[1]))
     device = gpu_of(context)
-    if device and deformation is not None:
-        context.progress.say("features and matching run on the GPU, rays through a moving field on the CPU")
     try:
-        stylizer = _stylizer(config, scene, field, level_of(background), painting, resolved, deformation, context)
+        given = scene, field, level_of(background), painting, resolved, deformation
+        stylizer = _stylizer(config, *given, context, device)
     except InvalidValue as error:
         raise BadInput(f"{config.style or config.reference[0]} on {inputs['field'].path}: {error}") from error
     if (saved := load_checkpoint(partial.checkpoint)) is not None:
@@ -100,9 +99,10 @@ def _stylizer(
     resolved: ResolvedTrunk,
     deformation: Deformation | None,
     context: Context,
+    device: str | None,
 ) -> Repainting:
     """What `config.method` stylises with, before its first step."""
-    views, device = scene.splits["train"], gpu_of(context)
+    views, moving = scene.splits["train"], deformation is not None
 
     def trunk(taps: str) -> Trunk:
         return Trunk(resolved.state, taps, resolved.kind).to(device or "cpu")
@@ -122,7 +122,7 @@ def _stylizer(
         torch.get_num_threads(),
         functools.partial(new_colour, config),
     )
-    more = {"memory": _room_for(scene, views, context), "device": device}
+    more = {"memory": _room_for(scene, views, context), "device": rays_on(device, field, context, moving)}
     if config.method == "snerf":
         return Alternating(*given, **more)
     if config.method == "refnpr":

@@ -12,7 +12,7 @@ from stylerf.fields.device_headed import DeviceHeadedColour
 from stylerf.fields.field import RadianceField
 from stylerf.geometry.harmonics import BANDS
 from stylerf.geometry.space import Space
-from stylerf.kernels.gpu import launch
+from stylerf.kernels.gpu import launch, launch_deform
 from stylerf.kernels.gpu.density import VM
 from stylerf.kernels.gpu.launch import DeviceSamples, Walk
 
@@ -41,6 +41,10 @@ class DeviceVmDensity:
         """Add dL/d(values) to `to` [len(values)]."""
         launch.vm_density_backward(self, samples, sigma_gradients, to)
 
+    def add_position_gradients(self, samples: DeviceSamples, sigma_gradients: Tensor, out: Tensor) -> None:
+        """Add dL/dx to out [room, 3], x the samples' positions in the cube."""
+        launch_deform.add_density_slopes(self, samples, sigma_gradients, out)
+
     def smooth(self, strength: float, to: Tensor) -> None:
         """As VmDensity.smooth."""
         launch.smoothness(self, strength / len(self.values), to)
@@ -64,6 +68,10 @@ class DeviceVmColour:
         """Add dL/d(values) to `to` [len(values)]."""
         launch.vm_colours_backward(self, samples, directions, colours, colour_gradients, to)
 
+    def add_position_gradients(self, samples: DeviceSamples, directions, colours, colour_gradients, out) -> None:
+        """Add dL/dx to out [room, 3]."""
+        launch_deform.add_vm_colour_slopes(self, samples, directions, colours, colour_gradients, out)
+
     def smooth(self, strength: float, to: Tensor) -> None:
         """As VmColour.smooth."""
         launch.smoothness(self, strength / len(self.table), to)
@@ -86,6 +94,10 @@ class DeviceHashColour:
         """Add dL/d(values) to `to` [len(values)]."""
         launch.hash_colours_backward(self, samples, colours, colour_gradients, to)
 
+    def add_position_gradients(self, samples: DeviceSamples, directions, colours, colour_gradients, out) -> None:
+        """Add dL/dx to out [room, 3]."""
+        launch_deform.add_hash_colour_slopes(self, samples, colours, colour_gradients, out)
+
     def smooth(self, strength: float, to: Tensor) -> None:
         """As HashColour.smooth."""
         to.add_(self.values, alpha=strength / len(self.values))
@@ -95,11 +107,13 @@ DENSITY_KINDS = {"vm": DeviceVmDensity, "hash": DeviceHashDensity, "voxel": Devi
 COLOUR_KINDS = {"vm": DeviceVmColour, "hash": DeviceHashColour, "headed": DeviceHeadedColour}
 
 
-def unsupported(field: RadianceField) -> str | None:
-    """Why a field cannot be used on a GPU, in one line; None where it can."""
-    for part, known in ((field.density, DENSITY_KINDS), (field.colour, COLOUR_KINDS)):
+def unsupported(field: RadianceField, moving: bool = False) -> str | None:
+    """Why a field cannot be used on a GPU, in one line; None where it can. moving: its shapes are to learn to move."""
+    for part, kinds in ((field.density, DENSITY_KINDS), (field.colour, COLOUR_KINDS)):
+        known = [name for name, kind in kinds.items() if not moving or hasattr(kind, "add_position_gradients")]
         if part.kind not in known:
-            return f"a field part of kind {part.kind} has no GPU kernel (there are {', '.join(sorted(known))})"
+            what = "kernel that moves it" if moving and part.kind in kinds else "kernel"
+            return f"a field part of kind {part.kind} has no GPU {what} (there are {', '.join(sorted(known))})"
     return None
 
 
@@ -183,15 +197,25 @@ class DeviceField:
 
     def backward(
         self, rendered: DeviceRendered, gradients: Tensor, density_to: Tensor | None, colour_to: Tensor | None,
-        *, even_from: float = 0.0,
+        displacement_to: Tensor | None = None, *, even_from: float = 0.0,
     ) -> None:  # fmt: skip
-        """From dL/d(unmapped) [rays, 5] to flat gradient buffers of the parts; None leaves a part out."""
+        """From dL/d(unmapped) [rays, 5] to flat gradient buffers of the parts; None leaves a part out.
+
+        displacement_to: for the displacement grid, flat [3 vertices^3].
+        """
         r = rendered
         of_sigma, of_colours = launch.composite_backward(r.samples, r.colours, r.unmapped, gradients, even_from)
         if colour_to is not None:
             self.colour.backward(r.samples, r.rays.directions, r.colours, of_colours, colour_to)
         if density_to is not None:
             self.density.backward(r.samples, of_sigma, density_to)
+        if displacement_to is not None:
+            moved, s, rays = torch.zeros_like(r.samples.x), r.samples, r.rays
+            self.density.add_position_gradients(s, of_sigma, moved)
+            self.colour.add_position_gradients(s, rays.directions, r.colours, of_colours, moved)
+            launch_deform.displacement_backward(
+                self.space.code, self._space, rays.origins, rays.directions, s, moved, self.vertices, displacement_to
+            )
 
     def write_to(self, field: RadianceField) -> None:
         """Copy what was learnt into the field's own arrays; occupancy is decided anew there, all distances exact."""

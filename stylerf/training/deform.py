@@ -12,7 +12,7 @@ from stylerf.fields.deformation import Deformation
 from stylerf.fields.field import RadianceField
 from stylerf.fields.samples import Rays
 from stylerf.rendering.rays import Rendered, backward, render_rays
-from stylerf.training.deformer import Deformer
+from stylerf.training.deformer import Deformer, deformer_on
 from stylerf.training.fit import psnr_from_mse
 from stylerf.training.rays import RayBank
 
@@ -50,10 +50,42 @@ class DeformState:
     curve: list[dict] = field(default_factory=list)
 
 
+class PhotoError:
+    """How far rays through a deforming field are from the photos, and what that teaches the deformation.
+
+    background: level of grey behind the field. share: as render_rays takes it.
+    """
+
+    def __init__(self, deformer: Deformer, background: float, share: float, chunks: int) -> None:
+        self.deformer, self.background, self.share, self.chunks = deformer, np.float32(background), share, chunks
+
+    def _rendered(self, origins, directions, colours, jitter=None) -> tuple[Rendered, np.ndarray]:
+        """What rays come back with, and its difference from the photos over the background."""
+        field, back = self.deformer.field, self.background
+        rays = Rays.of(origins, directions, field.space.near, jitter)
+        rendered = render_rays(field, rays, chunks=self.chunks, share=self.share)
+        target = colours[:, :3] * colours[:, 3:] + (1 - colours[:, 3:]) * back
+        return rendered, rendered.out[:, :3] + (1 - rendered.out[:, 3:4]) * back - target
+
+    def of(self, origins: np.ndarray, directions: np.ndarray, colours: np.ndarray) -> float:
+        """Mean squared difference of rays, marched from the middle of their first step, from straight rgba [n, 4]."""
+        return float(np.square(self._rendered(origins, directions, colours)[1]).mean())
+
+    def learn(self, origins: np.ndarray, directions: np.ndarray, colours: np.ndarray, jitter: np.ndarray) -> float:
+        """Add dL/dD of their mean squared difference to the deformer's gradients; the difference itself."""
+        rendered, difference = self._rendered(origins, directions, colours, jitter)
+        gradients = np.zeros_like(rendered.out)
+        gradients[:, :3] = difference * np.float32(2 / difference.size)
+        gradients[:, 3] = -gradients[:, :3].sum(1) * self.background
+        backward(self.deformer.field, rendered, gradients, None, None, self.deformer.gradients)
+        return float(np.square(difference).mean())
+
+
 class DeformationFitter:
     """The scene's density and colours stay; the deformation learns to explain what they leave of the photos.
 
     held_out: so many last views of the bank teach nothing and are looked at instead of a fixed set of all rays.
+    device: where it is learnt; None: by the CPU's kernels. The same rays are drawn everywhere.
     """
 
     def __init__(
@@ -65,15 +97,24 @@ class DeformationFitter:
         seed: int,
         chunks: int,
         held_out: int = 0,
+        device: str | None = None,
     ) -> None:
         self.field, self.bank, self.settings, self.seed, self.chunks = scene, bank, settings, seed, chunks
-        self.deformer = Deformer(scene, deformation, bank.cameras, settings.vertices, seed, chunks)
+        self.deformer = deformer_on(device, scene, deformation, bank.cameras, settings.vertices, seed, chunks)
+        self._error = self._error_on(device)
         self.among = len(bank.cameras) - held_out
         self._fixed = self._fixed_rays(np.random.default_rng([seed, 9]))
         self.state = DeformState()
         self.state.before = self.state.best = self.quality()
         self._best, self._rest = deformation.values.copy(), deformation.values.copy()
         self.between_steps = True
+
+    def _error_on(self, device: str | None) -> PhotoError:
+        if device is None:
+            return PhotoError(self.deformer, self.settings.background, self.settings.share, self.chunks)
+        from stylerf.training.device_deformer import DevicePhotoError
+
+        return DevicePhotoError(self.deformer, self.settings.background, self.settings.share)
 
     def _fixed_rays(self, generator: np.random.Generator):
         """Rays of the views kept aside, of all where none is."""
@@ -88,33 +129,23 @@ class DeformationFitter:
         """Whether the deformation has not paid for itself, as far as it has come."""
         return self.settings.gate > 0 and self.state.best < self.state.before + self.settings.gate
 
-    def _rendered(self, drawn, jitter: np.ndarray | None = None) -> tuple[Rendered, np.ndarray]:
-        """What rays come back with, and its difference from the photos over the background."""
-        origins, directions, colours = drawn
-        rays = Rays.of(origins, directions, self.field.space.near, jitter)
-        rendered = render_rays(self.field, rays, chunks=self.chunks, share=self.settings.share)
-        back = np.float32(self.settings.background)
-        target = colours[:, :3] * colours[:, 3:] + (1 - colours[:, 3:]) * back
-        return rendered, rendered.out[:, :3] + (1 - rendered.out[:, 3:4]) * back - target
-
     def quality(self) -> float:
         """PSNR over a fixed set of the photos' rays, dB."""
-        return psnr_from_mse(float(np.square(self._rendered(self._fixed)[1]).mean()))
+        return psnr_from_mse(self._error.of(*self._fixed))
 
     def step(self) -> tuple[float, float]:
-        """One step; mean squared error and root mean square of the displacement (cube two units wide)."""
+        """One step; mean squared error and root mean square of the displacement (cube two units wide).
+
+        On a device both are those of a step or a few before.
+        """
         settings, state = self.settings, self.state
         generator = np.random.default_rng([self.seed, 6, state.step])
         drawn = self.bank.draw(settings.rays, generator, self.among)[:3]
-        rendered, difference = self._rendered(drawn, generator.random(settings.rays, dtype=np.float32))
-        gradients = np.zeros_like(rendered.out)
-        gradients[:, :3] = difference * np.float32(2 / difference.size)
-        gradients[:, 3] = -gradients[:, :3].sum(1) * np.float32(settings.background)
-        backward(self.field, rendered, gradients, None, None, self.deformer.gradients)
+        error = self._error.learn(*drawn, generator.random(settings.rays, dtype=np.float32))
         rate = settings.rate * 0.1 ** (state.step / max(1, settings.steps))
         size = self.deformer.step(rate, 0.0, settings.smoothness)
         state.step += 1
-        return float(np.square(difference).mean()), size
+        return error, size
 
     def run(self, on_step: Callable[["DeformationFitter"], None] = lambda fitter: None) -> None:
         """Steps until they are used up or gain nothing; the field ends with the best deformation seen, or with none."""
@@ -129,16 +160,14 @@ class DeformationFitter:
             state.seconds += time.perf_counter() - begun
             self.between_steps = True
             on_step(self)
-        self.deformer.deformation.values[:] = self._rest if self.dropped else self._best
-        self.deformer.bake()
-        self.deformer.look()
+        self.deformer.take(self._rest if self.dropped else self._best)
 
     def _look(self, size: float) -> None:
         state, quality = self.state, self.quality()
         state.curve.append({"step": state.step, "psnr": round(quality, 3), "displacement": round(size, 5)})
         state.settled = self.settings.patience > 0 and quality < state.best + self.settings.patience
         if quality > state.best:
-            state.best, self._best = quality, self.deformer.deformation.values.copy()
+            state.best, self._best = quality, self.deformer.values()
 
     def checkpoint(self) -> tuple[dict, dict[str, np.ndarray]]:
         """(JSON, arrays) to go on from."""

@@ -44,8 +44,6 @@ class Deformer:
         chunks: int,
     ) -> None:
         self.field, self.deformation, self.vertices = field, deformation, vertices
-        self.gradients = np.zeros((chunks, 3 * vertices**3), np.float32)
-        self.adam = Adam(deformation.values, [(0, len(deformation.values), 1.0)], 1)
         self.taken = 0
         field.displacement = None
         rays = random_rays(cameras, SIGHT_RAYS, field.space.near, np.random.default_rng([seed, 7]))
@@ -54,21 +52,56 @@ class Deformer:
         if not len(active):
             raise InvalidValue("no camera sees anything of the field: there is nothing to deform")
         places = np.stack(np.unravel_index(active, (vertices,) * 3), -1) / (vertices - 1)
-        self._encoded = deformation.encode(torch.from_numpy(places.astype(np.float32)))
-        self._active, self._nearest = torch.from_numpy(active), torch.from_numpy(nearest_of(active, vertices))
+        self._encoded = self._there(deformation.encode(torch.from_numpy(places.astype(np.float32))))
+        self._nearest = self._there(torch.from_numpy(nearest_of(active, vertices)))
+        self._pairs = [self._there(pairs) for pairs in _pairs(active, vertices)]
         field.displacement = np.zeros((vertices,) * 3 + (3,), np.float32)
+        self._prepare(chunks)
         self.bake()
         self.look()
+
+    # -- where it is worked out: here by the CPU's kernels; elsewhere see training/device_deformer.py ---------------
+
+    def _there(self, tensor: Tensor) -> Tensor:
+        """A tensor of the host's where the network works."""
+        return tensor
+
+    def _prepare(self, chunks: int) -> None:
+        """Buffers and the optimiser; the field has its grid."""
+        self.gradients = np.zeros((chunks, 3 * self.vertices**3), np.float32)
+        self.adam = Adam(self.deformation.values, [(0, len(self.deformation.values), 1.0)], 1)
+
+    def _gathered(self) -> Tensor:
+        """dL/dD [vertices^3, 3], from `gradients`."""
+        return torch.from_numpy(self.gradients.sum(0)).view(-1, 3)
+
+    def _write(self, moved: Tensor) -> None:
+        """D [vertices^3, 3] to the grid that rays read."""
+        self.field.displacement.reshape(-1, 3)[:] = moved.numpy()
 
     def look(self) -> None:
         """Find anew where the deformed field is occupied."""
         self.field.occupancy = displaced_occupancy(self.rest, self.field.displacement)
 
+    def _place(self, distances: np.ndarray) -> None:
+        """The deformed field's occupancy as a checkpoint has it."""
+        self.field.occupancy = Occupancy(self.rest.cells, self.rest.highest)
+        self.field.occupancy.distances = distances.copy()
+
+    def _told(self, size: Tensor) -> float:
+        """A number of this step."""
+        return float(size)
+
+    def collect(self) -> None:
+        """Bring what was learnt into `deformation` and `field`."""
+
+    # -- what is worked out -----------------------------------------------------------------------------------------
+
     def bake(self) -> None:
-        """Write the present deformation into the field's grid."""
-        self._values = torch.from_numpy(self.deformation.values).requires_grad_()
+        """Write the present deformation into the grid that rays read."""
+        self._values = torch.as_tensor(self.adam.values).detach().requires_grad_()
         self._live = self.deformation.network(self._encoded, self._values)
-        self.field.displacement.reshape(-1, 3)[:] = self._live.detach()[self._nearest].numpy()
+        self._write(self._live.detach()[self._nearest])
 
     def step(self, rate: float, weight: float, smoothness: float = 0.0) -> float:
         """One step down dL/dD plus weight |D| plus smoothness TV(D); the root mean square of D, in the network's units.
@@ -76,37 +109,48 @@ class Deformer:
         |D|: root of the mean squared displacement of the vertices that matter, the cube two units wide (L_dx of eq. 7).
         TV: mean squared difference of neighbouring vertices, in the same units.
         """
-        whole = torch.from_numpy(self.gradients.sum(0)).view(-1, 3)
-        gradient = torch.zeros_like(self._live).index_add_(0, self._nearest, whole)
+        gradient = torch.zeros_like(self._live).index_add_(0, self._nearest, self._gathered())
         self.gradients[:] = 0
         size = (2 * self._live).square().sum(1).mean().add(1e-12).sqrt()
         loss = (self._live * gradient).sum() + weight * size
         if smoothness > 0:
             loss = loss + smoothness * self._variation()
         (found,) = torch.autograd.grad(loss, self._values)
-        self.adam.gradients[0] += found.numpy()
+        torch.as_tensor(self.adam.gradients).view(-1).add_(found)
         self.adam.step(rate)
         self.taken += 1
         self.bake()
         if self.taken % REFRESH_EVERY == 0:
             self.look()
-        return float(size.detach())
+        return self._told(size.detach())
 
     def _variation(self) -> Tensor:
         m, live = self.vertices, 2 * self._live
-        grid, own = live[self._nearest].view(m, m, m, 3), torch.zeros(m**3, dtype=torch.bool)
-        own[self._active] = True
-        own, total = own.view(m, m, m), grid.new_zeros(())
-        for axis in range(3):
-            both = own.narrow(axis, 1, m - 1) & own.narrow(axis, 0, m - 1)
+        grid, total = live[self._nearest].view(m, m, m, 3), live.new_zeros(())
+        for axis, both in enumerate(self._pairs):
             total = total + (grid.diff(dim=axis).square().sum(-1) * both).sum()
         return total / len(live)
+
+    def values(self) -> np.ndarray:
+        """A copy of the network's weights as they stand."""
+        self.collect()
+        return self.deformation.values.copy()
+
+    def take(self, values: np.ndarray) -> None:
+        """The deformation of the weights `values` from now on; the optimiser's past stays."""
+        self._set(values)
+        self.look()
+        self.collect()
+
+    def _set(self, values: np.ndarray) -> None:
+        torch.as_tensor(self.adam.values).copy_(torch.from_numpy(np.array(values, np.float32)))
+        self.bake()
 
     def arrays(self) -> dict[str, np.ndarray]:
         """For a checkpoint."""
         moments = {f"adam.{name}": array for name, array in self.adam.arrays().items()}
         return {
-            "values": self.deformation.values.copy(),
+            "values": self.values(),
             "taken": np.asarray([self.taken]),
             "distances": self.field.occupancy.distances,
             **moments,
@@ -114,12 +158,27 @@ class Deformer:
 
     def restore(self, arrays: dict[str, np.ndarray]) -> None:
         """From arrays()."""
-        self.deformation.values[:] = arrays["values"]
         self.adam.restore({name: arrays[f"adam.{name}"] for name in ("first", "second", "steps")})
         self.taken = int(arrays["taken"][0])
-        self.bake()
-        self.field.occupancy = Occupancy(self.rest.cells, self.rest.highest)
-        self.field.occupancy.distances = arrays["distances"].copy()
+        self._set(arrays["values"])
+        self._place(arrays["distances"])
+
+
+def deformer_on(device: str | torch.device | None, *given) -> Deformer:
+    """A Deformer of what it is given, that works on `device`; None: by the CPU's kernels."""
+    if device is None:
+        return Deformer(*given)
+    from stylerf.training.device_deformer import DeviceDeformer
+
+    return DeviceDeformer(torch.device(device), *given)
+
+
+def _pairs(active: np.ndarray, vertices: int) -> list[Tensor]:
+    """For each axis, which neighbours along it are both among the vertices that the network is asked at."""
+    own = torch.zeros(vertices**3, dtype=torch.bool)
+    own[torch.from_numpy(active)] = True
+    own = own.view((vertices,) * 3)
+    return [own.narrow(axis, 1, vertices - 1) & own.narrow(axis, 0, vertices - 1) for axis in range(3)]
 
 
 def random_rays(cameras: list[Camera], count: int, near: float, generator: np.random.Generator) -> Rays:

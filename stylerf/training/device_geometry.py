@@ -1,16 +1,18 @@
-"""Colours on surfaces that do not move, on a GPU: each view is marched once, its samples and colours stay there."""
+"""How a stylisation sees its scene on a GPU: fixed surfaces, marched once and kept there, or rays walked anew."""
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from stylerf.fields.device import COLOUR_KINDS, DeviceField, DeviceRays
+from stylerf.fields.device import COLOUR_KINDS, DeviceField, DeviceRays, DeviceRendered
 from stylerf.fields.field import RadianceField
 from stylerf.fields.surface import Surface
 from stylerf.geometry.cameras import Camera
 from stylerf.kernels.gpu import launch
 from stylerf.kernels.gpu.launch import DeviceSamples
 from stylerf.training.device_engine import DeviceAdam
+from stylerf.training.geometry import OPAQUE, MovingGeometry
+from stylerf.training.late import sent
 
 RAYS_AT_ONCE = 1 << 17
 
@@ -37,6 +39,11 @@ class DeviceFixedGeometry:
         """An optimiser of field.colour as it now stands, copied to the device."""
         self._colour = COLOUR_KINDS[self.field.colour.kind](self.field.colour, self.device)
         return DeviceAdam(self._colour.values, self._colour.groups)
+
+    @property
+    def colour(self):
+        """What is taught, on the device; None before new_adam()."""
+        return self._colour
 
     def collect(self) -> None:
         """Bring what was learnt into field.colour."""
@@ -112,3 +119,23 @@ class DeviceFixedGeometry:
         given = torch.from_numpy(np.ascontiguousarray(gradients, np.float32)).to(self.device)
         to_colours = launch.shade_backward(samples, given)
         self._colour.backward(samples, None, colours, to_colours, colour_to)
+
+
+class DeviceMovingGeometry(MovingGeometry):
+    """Pixels and their gradients are numpy, all between stays on the device of `deformer`, a DeviceDeformer.
+
+    What is taught are the colours of `still`, a DeviceFixedGeometry, and the deformation.
+    """
+
+    rays_at_once = RAYS_AT_ONCE
+
+    def _rendered(self, origins: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, DeviceRendered]:
+        live = self.deformer.live
+        live.colour = self.still.colour  # each phase teaches a copy of its own
+        rays = DeviceRays.of(origins, directions, live.device)
+        rendered = live.render_rays(rays, opaque=OPAQUE, share=self.share)
+        return rendered.out.cpu().numpy(), rendered
+
+    def _backward(self, rendered: DeviceRendered, gradients: np.ndarray, colour_to: Tensor) -> None:
+        live = self.deformer.live
+        live.backward(rendered, sent(gradients, live.device), None, colour_to, self.deformer.gradients)

@@ -62,6 +62,8 @@ class MovingGeometry:
     anything moved; a view that was not painted yet has the alpha that it has there.
     """
 
+    rays_at_once = RAYS_AT_ONCE
+
     def __init__(
         self,
         field: RadianceField,
@@ -86,15 +88,20 @@ class MovingGeometry:
         """Premultiplied rgb [n, 3] of pixels, and what learn() needs."""
         camera, alphas = self.cameras[view], self.alpha(view).reshape(-1)
         rgb, kept = np.empty((len(pixels), 3), np.float32), []
-        for at in range(0, len(pixels), RAYS_AT_ONCE):
-            part = slice(at, min(at + RAYS_AT_ONCE, len(pixels)))
+        for at in range(0, len(pixels), self.rays_at_once):
+            part = slice(at, min(at + self.rays_at_once, len(pixels)))
             chosen = pixels[part]
-            rays = Rays.of(*camera.rays(chosen), self.field.space.near)
-            rendered = render_rays(self.field, rays, chunks=self.chunks, opaque=OPAQUE, share=self.share)
-            rgb[part] = rendered.out[:, :3]
-            alphas[chosen] = np.clip(rendered.out[:, 3], 0, 1)
+            out, rendered = self._rendered(*camera.rays(chosen))
+            rgb[part] = out[:, :3]
+            alphas[chosen] = np.clip(out[:, 3], 0, 1)
             kept.append((part, rendered))
         return rgb, kept
+
+    def _rendered(self, origins: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, Rendered]:
+        """Rays' pixels [n, 5], and what _backward needs."""
+        rays = Rays.of(origins, directions, self.field.space.near)
+        rendered = render_rays(self.field, rays, chunks=self.chunks, opaque=OPAQUE, share=self.share)
+        return rendered.out, rendered
 
     def learn(self, kept: list[tuple[slice, Rendered]], gradients: np.ndarray, colour_to: np.ndarray) -> None:
         """Add dL/d(colour values) and dL/dD, from dL/d(rgb over the background) [n, 3], to the chunks' buffers."""
@@ -103,4 +110,8 @@ class MovingGeometry:
             to[:, :3] = gradients[part]
             if not self.field.closed:
                 to[:, 3] = -self.background * gradients[part].sum(1)
-            backward(self.field, rendered, to, None, colour_to, self.deformer.gradients)
+            self._backward(rendered, to, colour_to)
+
+    def _backward(self, rendered: Rendered, gradients: np.ndarray, colour_to: np.ndarray) -> None:
+        """Add what dL/d(pixels) [n, 5] teaches."""
+        backward(self.field, rendered, gradients, None, colour_to, self.deformer.gradients)

@@ -39,8 +39,8 @@ class Repainting:
 
     background: level of grey behind the field. new_colour: the colour to learn, from a generator and the cells a side
     that are as wide as a pixel sees (nan: nothing is seen). memory: bytes that surfaces, features and photos may take
-    together; those beyond are made anew each time. device: where fixed shapes are painted; None: the CPU's kernels.
-    The trunk works where it lies.
+    together; those beyond are made anew each time. device: where rays are followed; None: by the CPU. The trunk works
+    where it lies.
     """
 
     PHASES: tuple[str, ...] = ("refit", "style")
@@ -265,9 +265,9 @@ class Repainting:
             self.adam = self._new_adam()
             self.between_steps = True
             return
+        self._collect()
         if self.settings.match in ("after", "both"):
             self.field = replace(self.field, colour_map=self.final_match())
-        self._collect()
         # Last: a checkpoint holds no colour map, so one of an interrupted match must not say that all is done.
         state.phase = "done"
 

@@ -13,7 +13,7 @@ from stylerf.fields.field import RadianceField
 from stylerf.geometry.cameras import Camera
 from stylerf.rendering.strategies import selected_gradient, selected_pixels, spread_over_picture
 from stylerf.style.trunks import Trunk
-from stylerf.training.deformer import Deformer
+from stylerf.training.deformer import Deformer, deformer_on
 from stylerf.training.geometry import MovingGeometry
 from stylerf.training.repainting import MEMORY, PIXELS_AT_ONCE, Repainting
 from stylerf.training.style_settings import StyleSettings
@@ -25,7 +25,7 @@ COARSEST_STEP = 1 / 128  # cube units; of a field whose rays are walked anew in 
 class Stylizer(Repainting):
     """deformation: moves the shapes too, from how it stands (DeSRF); None holds them fast (ARF).
 
-    Shapes that move stay on the CPU, whatever `device`. The rest: see Repainting.
+    device: where rays are followed, through shapes that move too. The rest: see Repainting.
     """
 
     def __init__(
@@ -44,12 +44,12 @@ class Stylizer(Repainting):
         memory: float = MEMORY,
         device: str | None = None,
     ) -> None:
-        self._deformation, self.deformer = deformation, None
+        self._deformation: Deformation | None = deformation
+        self.deformer: Deformer | None = None
         self.around = BESIDE if deformation is not None else 0
         self._remembered: dict[int, np.ndarray] = {}
-        held = device if deformation is None else None
         super().__init__(
-            scene, cameras, photos, background, painting, trunk, settings, seed, chunks, new_colour, memory, held
+            scene, cameras, photos, background, painting, trunk, settings, seed, chunks, new_colour, memory, device
         )
 
     def _prepare_shapes(self) -> None:
@@ -57,14 +57,27 @@ class Stylizer(Repainting):
             vertices = self.settings.displacement_vertices
             # A walk costs by its samples, and its step cannot change later: colours are learnt where it samples them.
             self.field.step = max(self.field.step, COARSEST_STEP)
-            self.deformer = Deformer(self.field, self._deformation, self.cameras, vertices, self.seed, self.chunks)
+            given = self.field, self._deformation, self.cameras, vertices, self.seed, self.chunks
+            self.deformer = deformer_on(self.device, *given)
 
     def _phase_begins(self) -> None:
         if self.deformer is not None:
             s = self.settings
-            self.geometry = MovingGeometry(
+            self.geometry = self._moving()(
                 self.field, self.cameras, s.share, self.chunks, float(self.background), self.deformer, self.still
             )
+
+    def _moving(self) -> type[MovingGeometry]:
+        if self.device is None:
+            return MovingGeometry
+        from stylerf.training.device_geometry import DeviceMovingGeometry
+
+        return DeviceMovingGeometry
+
+    def _collect(self) -> None:
+        super()._collect()
+        if self.deformer is not None:
+            self.deformer.collect()
 
     # -- a step -----------------------------------------------------------------------------------------------------
 

@@ -3,7 +3,7 @@
 import torch
 
 from stylerf.fields.device import DeviceField
-from stylerf.kernels.gpu import launch
+from stylerf.kernels.gpu import launch, launch_deform
 from tests.stylerf.kernels.gpu.on_device import device_rays
 from tests.stylerf.small import (
     SPACES,
@@ -18,6 +18,12 @@ from tests.stylerf.small import (
     vm_colour,
     voxel_density,
 )
+
+
+def learn_deformation(made: DeviceField, rendered, gradients: torch.Tensor) -> None:
+    """Of a field that need not be displaced: the kernels are the same."""
+    made.vertices = made.vertices or 5
+    made.backward(rendered, gradients, None, None, torch.zeros(3 * made.vertices**3))
 
 
 def everything() -> None:
@@ -41,12 +47,15 @@ def everything() -> None:
         wanted, background = torch.zeros(8, 4), torch.zeros(8, 3)
         gradients = launch.photometric_loss(rendered.out, wanted, background, rendered.samples, 0.1, sums)
         made.backward(rendered, gradients, *to)
+        if not half:
+            learn_deformation(made, rendered, gradients)
         made.density.smooth(0.1, to[0])
         made.colour.smooth(0.1, to[1])
         made.density.sigma(torch.zeros(5, 3))
         moments = [torch.zeros_like(to[0]) for _ in range(2)]
         launch.adam(made.density.values, to[0], *moments, 0.1, (0.9, 0.99), 1e-15, (0.1, 0.01), 0, len(to[0]))
     launch.shade_backward(rendered.samples, torch.zeros(8, 3))
+    launch_deform.displaced_cells(made.distances, made.cells, 2, made.displacement, made.vertices)
     from stylerf.training.device_rays import DeviceBank
     from tests.stylerf.training.scenes import box_bank
 

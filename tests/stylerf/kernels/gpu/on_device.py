@@ -7,7 +7,7 @@ import torch
 
 from stylerf.fields.samples import Samples
 from stylerf.geometry.harmonics import harmonics
-from tests.stylerf.small import float64, oracle_pixels
+from tests.stylerf.small import Packed, float64, oracle_pixels
 
 
 def device_rays(rays, device):
@@ -20,6 +20,23 @@ def on_host(samples) -> Samples:
     """Device samples as the CPU kernels would hand them out."""
     parts = (samples.starts, samples.ends, samples.t, samples.optical, samples.x, samples.sigma, samples.weights)
     return Samples(*(part.cpu().numpy() for part in parts))
+
+
+def brought_over(rendered, rays, device):
+    """What the CPU rendered as a DeviceField would have: samples packed, the room filled."""
+    from stylerf.fields.device import DeviceRendered
+    from stylerf.kernels.gpu.launch import DeviceSamples
+
+    packed = Packed.of(rendered.samples)
+    counts = torch.bincount(packed.rays, minlength=len(rays.origins))
+    largest = torch.zeros(len(counts), dtype=torch.float64).scatter_reduce(0, packed.rays, packed.weights, "amax")
+    ends, ray_of = counts.cumsum(0), packed.rays.int()
+    own = [v.float() for v in (packed.t, packed.optical, packed.x, packed.sigma, packed.weights)]
+    made = (ends - counts, ends, counts.int(), largest.float(), ends[-1:], *own, ray_of)
+    samples = DeviceSamples(*(tensor.contiguous().to(device) for tensor in made))
+    out, unmapped, colours = (torch.from_numpy(a) for a in (rendered.out, rendered.unmapped, rendered.colours))
+    pixels = out.to(device), unmapped.to(device)
+    return DeviceRendered(*pixels, device_rays(rays, device), samples, colours[packed.at].to(device))
 
 
 def by_oracle(field, rays, rendered, grid=None, even_from: float = 0.0, gradients=None):

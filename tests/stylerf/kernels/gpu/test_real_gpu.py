@@ -9,6 +9,7 @@ from tests.stylerf.small import (
     SPACES,
     SPARSE,
     density,
+    displacement_grid,
     field_of,
     hash_colour,
     hash_density,
@@ -80,3 +81,36 @@ def test_a_step_never_waits_for_the_device(kinds, gpu):
             engine.refresh(step, 1)
     finally:
         torch.cuda.set_sync_debug_mode("default")
+
+
+@pytest.mark.parametrize("kind", SPACES)
+def test_thousands_of_rays_teach_a_deformation_what_they_do_on_the_cpu(kind, gpu):
+    from stylerf.fields.device import DeviceField
+    from tests.stylerf.kernels.gpu.on_device import device_rays
+
+    field = field_of(SPACES[kind], 3, hash_colour(5), 1 / 64, displacement_grid(6, 9, 0.02))
+    rays, towards = rays_into(SPACES[kind], 5000, 4), np.random.default_rng(7).normal(size=(5000, 5))
+    towards = (towards * [1, 1, 1, 1, 0]).astype(np.float32)
+    expected, to = np.zeros((2, field.displacement.size), np.float32), torch.zeros(field.displacement.size, device=gpu)
+    backward(field, render_rays(field, rays, chunks=2), towards, None, None, expected)
+    made = DeviceField(field, gpu)
+    rendered = made.render_rays(device_rays(rays, gpu))
+    made.backward(rendered, torch.from_numpy(towards).to(gpu), None, None, to)
+    whole = expected.sum(0)
+    # A sample that rounding moves across a cell's side has that cell's slope.
+    assert np.linalg.norm(to.cpu().numpy() - whole) < 2e-2 * np.linalg.norm(whole)
+
+
+def test_a_step_of_a_deformation_never_waits_for_the_device(gpu):
+    from tests.stylerf.kernels.gpu.test_moving import fitter_on
+
+    fitter = fitter_on(gpu, steps=100)
+    fitter.step()
+    torch.cuda.synchronize()
+    torch.cuda.set_sync_debug_mode("error")
+    try:
+        for _ in range(18):  # occupancy is looked at after sixteen
+            fitter.step()
+    finally:
+        torch.cuda.set_sync_debug_mode("default")
+    assert fitter.deformer.taken == 19 and np.isfinite(fitter.quality())

@@ -1,10 +1,12 @@
-"""A stylisation whose fixed shapes are painted on the device learns what the CPU's does."""
+"""A stylisation that follows its rays on the device, shapes held or bending, learns what the CPU's does."""
 
 import numpy as np
 import pytest
 import torch
 
+from stylerf.training import deformer
 from tests.stylerf.training import test_stylize as on_cpu
+from tests.stylerf.training.running import saved
 
 ASKED = {"steps": 1, "refit_steps": 1, "refit_pixels": 12, "match": "both"}
 
@@ -57,3 +59,63 @@ def test_a_stylisation_runs_to_its_end_on_a_device(device, monkeypatch):
     # What the device has learnt is in the field that is kept, and in a checkpoint.
     assert np.abs(made.field.colour.values - before).max() > 5e-3
     assert np.array_equal(made.checkpoint()[1]["colour"], made.field.colour.values)
+
+
+@pytest.fixture
+def coarse_walks(monkeypatch):
+    """The interpreter pays for a walk by its steps."""
+    monkeypatch.setattr(on_cpu.module, "COARSEST_STEP", 1 / 3)
+    monkeypatch.setattr(deformer, "SIGHT_RAYS", 4096)
+
+
+def deforming_on(device, monkeypatch, **asked):
+    """The DeSRF stylisation of the CPU's tests, on the device."""
+    made_by = on_cpu.Stylizer
+    with monkeypatch.context() as placed:
+        placed.setattr(on_cpu, "Stylizer", lambda *a: made_by(*a[:5], a[5].to(device), *a[6:], device=str(device)))
+        return on_cpu.stylizer(deform=True, **asked)
+
+
+@pytest.mark.slow
+def test_a_stylisation_that_bends_learns_the_cpus_gradients_on_a_device(device, coarse_walks, monkeypatch):
+    """Of colours and of the grid, in the first step of the style phase."""
+    asked = ASKED | {"match": "none", "strategy": "deferred"}
+    expected, found = on_cpu.stylizer(deform=True, **asked), deforming_on(device, monkeypatch, **asked)
+    grids = []
+    for made in (expected, found):
+        made._next_phase()
+        grids.append(made.deformer)
+    assert [type(made.geometry).__name__ for made in (expected, found)] == ["MovingGeometry", "DeviceMovingGeometry"]
+    learnt = [gradients_taken(made) for made in (expected, found)]
+    moved = []
+    for made, grid in zip((expected, found), grids):
+        grid.step = lambda *rates, grid=grid: moved.append(torch.as_tensor(grid.gradients).cpu().numpy().ravel()) or 0.0
+        made.style_step()
+    rounding = 1e-3 if device.type == "cpu" else 3e-2  # features on a GPU are sixteen bits wide
+    for theirs, ours in (*zip(*learnt), moved):
+        assert np.linalg.norm(theirs) > 0
+        assert np.linalg.norm(ours - theirs) < rounding * np.linalg.norm(theirs)
+
+
+@pytest.mark.slow
+def test_a_stylisation_that_bends_runs_to_its_end_on_a_device_and_goes_on_upon_the_cpu(
+    device, coarse_walks, monkeypatch
+):
+    monkeypatch.setattr(deformer, "REFRESH_EVERY", 3)
+    asked = ASKED | {"steps": 3, "strategy": "dilated", "remember": True, "deform_rate": 0.02}
+    made, kept = deforming_on(device, monkeypatch, **asked), []
+    made.run(lambda now: kept.append(saved(now)) if len(kept) < 3 else None)
+    assert made.state.phase == "done" and made.field.colour_map is not None and made.deformer.taken == 3
+    # The field that is kept has what the device has learnt since the last checkpoint, and is occupied where the last
+    # look has found it: a fog that fills its box is so all over, hence the question of which grid it is.
+    before = kept[-1][1]
+    assert np.abs(made.field.colour.values - before["colour"]).max() > 1e-3
+    assert np.abs(made._deformation.values - before["deform.values"]).max() > 1e-3
+    assert made.field.occupancy is made.deformer.field.occupancy
+    again = on_cpu.stylizer(deform=True, **asked)
+    again.resume(*kept[2])
+    again.run()
+    assert again.deformer.taken == 3 and again.state.step == 3
+    # A step of Adam goes the same way wherever it is taken, but for elements whose gradient is next to nothing.
+    apart = np.abs(again.field.displacement - made.field.displacement)
+    assert np.median(apart) < 0.02 * np.abs(made.field.displacement).max()

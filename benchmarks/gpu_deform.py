@@ -1,0 +1,43 @@
+"""What a moving deformation adds to the kernels of benchmarks/gpu.py: launches, and the fewest bytes that they move."""
+
+import torch
+
+VERTICES = 32  # a side of the displacement grid
+REACH = 4  # cells that it moves anything by
+
+
+def launches(kind: str, field, rays, rendered, of_sigma: torch.Tensor, of_colours: torch.Tensor) -> dict:
+    """{kernel: (a launch of it, fewest bytes it moves)} on a DeviceField's rays and what composite_backward gave.
+
+    kind: vm, or stylised: then its colour's kernel alone, as the others are those of a vm field.
+    """
+    from stylerf.kernels.gpu import launch_deform
+
+    s, colours, named = rendered.samples, rendered.colours, "vm" if kind == "vm" else "hash sum"
+    n, slopes, ways = s.room, torch.zeros_like(s.x), rays.directions
+    grid = torch.zeros(3 * VERTICES**3, device=field.device)
+    space = torch.from_numpy(field.space.packed()).to(field.device)
+    calls = {
+        f"{named} colour slopes": (
+            lambda: field.colour.add_position_gradients(s, ways, colours, of_colours, slopes),
+            n * 60 + field.colour.values.nbytes,
+        )
+    }
+    if kind != "vm":
+        return calls
+    return calls | {
+        "vm density slopes": (
+            lambda: field.density.add_position_gradients(s, of_sigma, slopes),
+            n * 44 + field.density.values.nbytes,
+        ),
+        "displacement backward": (
+            lambda: launch_deform.displacement_backward(
+                field.space.code, space, rays.origins, ways, s, slopes, VERTICES, grid
+            ),
+            n * 36 + len(ways) * 24 + 2 * grid.nbytes,
+        ),
+        "displaced cells": (
+            lambda: launch_deform.displaced_cells(field.distances, field.cells, REACH, grid, VERTICES),
+            2 * field.cells**3 + grid.nbytes,
+        ),
+    }
