@@ -131,6 +131,7 @@ def kernels(device: torch.device, bandwidth: float, rays: int = 1 << 15, vertice
 
 def launches(device: torch.device, rays: int, vertices: int, hashed: bool) -> tuple[dict, int]:
     """({kernel: (a launch of it, fewest bytes it moves)}, samples) on random rays through a random field."""
+    from benchmarks.gpu_edit_kernels import edit_launches
     from stylerf.fields.device import DeviceField
     from stylerf.kernels.gpu import launch
 
@@ -167,6 +168,8 @@ def launches(device: torch.device, rays: int, vertices: int, hashed: bool) -> tu
             ),
             "loss": (lambda: launch.photometric_loss(rendered.out, wanted, background, s, 1.0, sums), rays * 88),
         }  # fmt: skip
+    else:
+        calls |= edit_launches(rendered, of_colours, wanted)
     return calls, n
 
 

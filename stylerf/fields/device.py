@@ -7,10 +7,10 @@ import torch
 from torch import Tensor
 
 from stylerf.errors import InvalidValue
-from stylerf.fields.field import RadianceField
+from stylerf.fields.field import RadianceField, layers_of
 from stylerf.geometry.harmonics import BANDS
 from stylerf.geometry.space import Space
-from stylerf.kernels.gpu import launch
+from stylerf.kernels.gpu import edit_launch, launch
 from stylerf.kernels.gpu.launch import DeviceSamples, Walk
 
 
@@ -85,13 +85,46 @@ class DeviceHashColour:
         to.add_(self.values, alpha=strength / len(self.values))
 
 
+class DevicePatchColour:
+    """fields/patch.py's PatchColour, over a base of any kind that the device knows. values: the patch's own."""
+
+    def __init__(self, part, device: torch.device, half: bool = False) -> None:
+        self.base = COLOUR_KINDS[part.base.kind](part.base, device, half)
+        self._own = DeviceHashColour(part.own, device, half)
+        self.values, self.table, self.groups = self._own.values, self._own.table, self._own.groups
+        self.layout, self.levels = self._own.layout, self._own.levels
+        self.marked, self.cells = marked_cells(part.marked, device), part.cells
+        box = np.array([*part.low, 1 / part.side], np.float32)
+        self.box = torch.from_numpy(box).to(device)
+
+    def colours(self, samples: DeviceSamples, directions: Tensor, share: float) -> Tensor:
+        """As DeviceVmColour.colours: the base's, and in marked cells sigmoid(logit(base) + logits)."""
+        out = self.base.colours(samples, directions, share)
+        edit_launch.patch_colours(self, samples, out)
+        return out
+
+    def backward(self, samples: DeviceSamples, directions, colours, colour_gradients, to: Tensor) -> None:
+        """Add dL/d(values) to `to` [len(values)]."""
+        edit_launch.patch_colours_backward(self, samples, colours, colour_gradients, to)
+
+    def smooth(self, strength: float, to: Tensor) -> None:
+        """As PatchColour.smooth."""
+        self._own.smooth(strength, to)
+
+
 DENSITY_KINDS = {"vm": DeviceVmDensity}
-COLOUR_KINDS = {"vm": DeviceVmColour, "hash": DeviceHashColour}
+COLOUR_KINDS = {"vm": DeviceVmColour, "hash": DeviceHashColour, "patch": DevicePatchColour}
+
+
+def marked_cells(marked: np.ndarray, device: torch.device) -> Tensor:
+    """Cells [s, s, s] of bool as the kernels look them up: uint8 [s^3]."""
+    return torch.from_numpy(np.ascontiguousarray(marked).reshape(-1).astype(np.uint8)).to(device)
 
 
 def unsupported(field: RadianceField) -> str | None:
     """Why a field cannot be used on a GPU, in one line; None where it can."""
-    for part, known in ((field.density, DENSITY_KINDS), (field.colour, COLOUR_KINDS)):
+    known_colours = [(part, COLOUR_KINDS) for part in layers_of(field.colour)]
+    for part, known in ((field.density, DENSITY_KINDS), *known_colours):
         if part.kind not in known:
             return f"a field part of kind {part.kind} has no GPU kernel (there are {', '.join(sorted(known))})"
     return None
@@ -177,14 +210,19 @@ class DeviceField:
 
     def backward(
         self, rendered: DeviceRendered, gradients: Tensor, density_to: Tensor | None, colour_to: Tensor | None,
-        *, even_from: float = 0.0,
+        *, even_from: float = 0.0, density_within: tuple[Tensor, int] | None = None,
     ) -> None:  # fmt: skip
-        """From dL/d(unmapped) [rays, 5] to flat gradient buffers of the parts; None leaves a part out."""
+        """From dL/d(unmapped) [rays, 5] to flat gradient buffers of the parts; None leaves a part out.
+
+        density_within: marked cells (uint8 [s^3], s) outside of which no density learns.
+        """
         r = rendered
         of_sigma, of_colours = launch.composite_backward(r.samples, r.colours, r.unmapped, gradients, even_from)
         if colour_to is not None:
             self.colour.backward(r.samples, r.rays.directions, r.colours, of_colours, colour_to)
         if density_to is not None:
+            if density_within is not None:
+                edit_launch.keep_inside(*density_within, r.samples, of_sigma)
             self.density.backward(r.samples, of_sigma, density_to)
 
     def write_to(self, field: RadianceField) -> None:

@@ -1,8 +1,7 @@
 """The fitting loop's engine on a GPU: field, photos, rays, gradients and moments stay on the device.
 
 A step is about fifteen launches, none of which waits. What the loop wants to know of a step, its error and its number
-of samples, comes back by itself a few steps later; the loop never runs more than BEHIND steps ahead of the device, so
-that its clock is the device's.
+of samples, comes back by itself a few steps later (device_traffic.py).
 """
 
 from itertools import pairwise
@@ -16,12 +15,12 @@ from stylerf.fields.device_occupancy import refresh
 from stylerf.fields.field import RadianceField
 from stylerf.kernels.gpu import launch
 from stylerf.training.device_rays import DeviceBank
+from stylerf.training.device_traffic import Reports
 from stylerf.training.engine import Batch, Learnt
 from stylerf.training.optimiser import BETA1, BETA2, EPSILON
 from stylerf.training.ranks import ALONE, Ranks
 from stylerf.training.rays import RayBank
 
-BEHIND = 8
 ROOM = 4  # times the samples that a batch is meant to have; rays beyond that are left out of the step
 LEAST_ROOM = 1 << 18
 
@@ -67,49 +66,12 @@ def _joined(groups: list[tuple[int, int, float]]) -> list[tuple[int, int, float]
     return joined
 
 
-class _Reports:
-    """(squared error, samples, rays left out) of the last steps, on their way from the device."""
-
-    def __init__(self, device: torch.device) -> None:
-        on_gpu = device.type == "cuda"
-        self._there = [torch.zeros(3, device=device) for _ in range(BEHIND)]
-        self._here = [torch.zeros(3, pin_memory=on_gpu) for _ in range(BEHIND)]
-        self._rays = [0] * BEHIND
-        self._done = [torch.cuda.Event() for _ in range(BEHIND)] if on_gpu else None
-        self._sent, self._read = 0, 0
-        self._newest = Learnt(0.0, 0.0)
-
-    def begin(self) -> Tensor:
-        """Sums [3] for the next step, at zero; waits for the step BEHIND steps ago."""
-        if self._sent - self._read == BEHIND:
-            self._take(wait=True)
-        return self._there[self._sent % BEHIND].zero_()
-
-    def send(self, rays: int) -> Learnt:
-        """Have the sums of the step brought over; what is known by now."""
-        place = self._sent % BEHIND
-        self._here[place].copy_(self._there[place], non_blocking=True)
-        self._rays[place] = rays
-        if self._done is not None:
-            self._done[place].record()
-        self._sent += 1
-        while self._read < self._sent and self._take(wait=False):
-            pass
-        return self._newest
-
-    def _take(self, wait: bool) -> bool:
-        place = self._read % BEHIND
-        if self._done is not None:
-            if wait:
-                self._done[place].synchronize()
-            elif not self._done[place].query():
-                return False
-        error, samples, left_out = self._here[place].tolist()
-        rays = max(1.0, self._rays[place] - left_out)
-        # Rays that found no room show that there were more samples than were counted.
-        self._newest = Learnt(error / (3 * rays), samples / rays)
-        self._read += 1
-        return True
+def _learnt(sums: list[float], rays: int) -> Learnt:
+    """Of (squared error, samples, rays left out) of a step."""
+    error, samples, left_out = sums
+    # Rays that found no room show that there were more samples than were counted.
+    rays = max(1.0, rays - left_out)
+    return Learnt(error / (3 * rays), samples / rays)
 
 
 class DeviceEngine:
@@ -141,7 +103,7 @@ class DeviceEngine:
         self.live = DeviceField(field, self.device)
         self.density_adam = DeviceAdam(self.live.density.values, self.live.density.groups)
         self.colour_adam = DeviceAdam(self.live.colour.values, self.live.colour.groups)
-        self._reports = _Reports(self.device)
+        self._reports = Reports(self.device, 3, _learnt, Learnt(0.0, 0.0))
 
     @property
     def field(self) -> RadianceField:

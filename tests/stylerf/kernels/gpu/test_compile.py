@@ -36,6 +36,8 @@ def test_all_kernels_compile_and_fit(tmp_path, capability):
         "march.march_kernel", "vm.density_kernel", "vm.density_backward_kernel", "vm.colour_kernel",
         "vm.colour_backward_kernel", "vm.smoothness_kernel", "hash.colour_kernel", "hash.colour_backward_kernel",
         "composite.composite_kernel", "composite.composite_backward_kernel", "composite.loss_kernel",
-        "composite.shade_backward_kernel", "optimiser.adam_kernel", "pixels.draw_kernel",
+        "composite.shade_backward_kernel", "optimiser.adam_kernel", "pixels.draw_kernel", "pixels.rays_kernel",
+        "patch.colour_kernel", "patch.colour_backward_kernel", "regions.keep_kernel", "regions.ends_kernel",
+        "composite.tuning_loss_kernel", "hash.rows_kernel", "hash.rows_backward_kernel",
     }  # fmt: skip
     assert all(row["shared"] <= SHARED for row in found), max(found, key=lambda row: row["shared"])

@@ -1,0 +1,167 @@
+"""Fine-tuning on the device: its loss, its pixels, its steps beside the CPU's, and going on across devices."""
+
+import numpy as np
+import pytest
+import torch
+
+from stylerf.fields.patch import PatchColour
+from stylerf.style.colour import ColourMap
+from stylerf.training.finetune import EditedPixels, FineTuner
+from stylerf.training.finetune_engine import FineTuneSettings
+from tests.stylerf.small import close, field_of, vm_colour
+from tests.stylerf.training.running import saved
+from tests.stylerf.training.scenes import AROUND, box_bank
+
+
+@pytest.fixture(scope="module")
+def bank():
+    return box_bank(4, 10)
+
+
+def edited(depth: float = 1.7) -> EditedPixels:
+    generator = np.random.default_rng(2)
+    views, pixels = generator.integers(0, 4, 40), generator.integers(0, 100, 40)
+    return EditedPixels(views[:25], pixels[:25], np.full(25, depth, np.float32), (views[25:], pixels[25:]))
+
+
+def thin_field(patched: bool = True, mapped: bool = False):
+    field = field_of(AROUND, 3, vm_colour(4), 1 / 8)
+    field.density.values[-1] = -4.0
+    if patched:
+        marked = np.zeros((6,) * 3, bool)
+        marked[1:5, 1:5, 2:6] = True
+        field.colour = PatchColour.create(field.colour, marked, 20.0, table=64)
+        field.colour.values[:] = 0.2 * np.random.default_rng(1).normal(size=len(field.colour.values))
+    if mapped:
+        matrix = torch.tensor([[0.8, 0.1, 0.0], [0.0, 0.9, 0.05], [0.1, 0.0, 0.7]])
+        field.colour_map = ColourMap(matrix, torch.tensor([0.05, 0.02, 0.1]))
+    return field
+
+
+def tuner(bank, device=None, patched=True, mapped=False, **more) -> FineTuner:
+    given = {
+        "steps": 3,
+        "rays": 24,
+        "rate": 2e-2,
+        "density_factor": 0.0,
+        "depth_weight": 0.5,
+        "smoothness": 1e-3,
+        **more,
+    }
+    device = None if device is None else str(device)
+    return FineTuner(
+        thin_field(patched, mapped), bank, edited(), FineTuneSettings(**given), 0, 1, device=device
+    )  # fmt: skip
+
+
+def gradients_taken(made) -> list[np.ndarray]:
+    """Instead of steps of the optimisers: the gradients they would take."""
+    found = []
+    for adam in (made.engine.colour_adam, made.engine.density_adam):
+
+        def step(rate: float, adam=adam) -> None:
+            taken = torch.as_tensor(adam.gradients).cpu().numpy()
+            found.append(taken.reshape(-1, len(adam.values)).sum(0))
+            adam.gradients[:] = 0
+
+        adam.step = step
+    return found
+
+
+def test_chosen_pixels_become_the_cpus_rays(bank, device):
+    from stylerf.training.device_rays import DeviceBank
+
+    made, generator = DeviceBank(bank, device), np.random.default_rng(0)
+    views, pixels = generator.integers(0, 4, 30), generator.integers(0, 100, 30)
+    views[:2], pixels[:2] = (0, 3), (0, 99)  # the very first and the very last
+    numbers = torch.from_numpy(made.number_of(views, pixels)).to(device)
+    rays, wanted = made.at(numbers, torch.zeros(30, device=device))
+    for ours, expected in zip((rays.origins, rays.directions, wanted), bank.at(views, pixels)):
+        np.testing.assert_allclose(ours.cpu(), expected, atol=1e-6)
+    nothing, none = made.at(numbers[:0], numbers[:0].float())
+    assert nothing.origins.shape == (0, 3) and none.shape == (0, 4)
+
+
+@pytest.mark.parametrize(("edited_rays", "depth_scale"), [(5, 0.3), (5, 0.0), (0, 0.3), (9, 0.3)])
+def test_the_loss_and_its_gradient_equal_autograds(edited_rays, depth_scale, device):
+    from stylerf.kernels.gpu import edit_launch
+    from stylerf.kernels.gpu.launch import DeviceSamples
+
+    generator, level = torch.Generator().manual_seed(1), 0.7
+    out, wanted = (torch.rand(9, n, generator=generator) for n in (5, 4))
+    depth = torch.rand(edited_rays, generator=generator) + 0.5
+    counts = torch.full((9,), 3, dtype=torch.int32)
+    starts = 3 * torch.arange(9)
+    ends = starts + 3
+    lost = torch.zeros(9, dtype=torch.bool)
+    lost[[2, 7]] = True
+    ends[lost] = starts[lost]  # these found no room
+    nothing = torch.zeros(0)
+    samples = DeviceSamples(
+        *(t.to(device) for t in (starts, ends, counts)), nothing, torch.zeros(1), *[nothing] * 6
+    )  # fmt: skip
+    sums = torch.zeros(5, device=device)
+    found = edit_launch.tuning_loss(
+        out.to(device), wanted.to(device), depth.to(device), samples, level, 0.2, depth_scale, sums
+    )
+    exact = out.double().requires_grad_()
+    shown = exact[:, :3] + (1 - exact[:, 3:4]) * level
+    asked = wanted[:, :3] * wanted[:, 3:] + (1 - wanted[:, 3:]) * level
+    squares = (shown - asked).square().sum(1) * ~lost
+    off = (exact[:edited_rays, 4] / depth - 1) * ~lost[:edited_rays]
+    off = off.square().sum() if depth_scale > 0 else off.sum() * 0
+    (0.1 * squares.sum() + 0.5 * depth_scale * off).backward()
+    close(found.cpu(), exact.grad, 1e-6)
+    inside = torch.arange(9) < edited_rays
+    expected = [squares[~inside].sum(), squares[inside].sum(), off, (lost & ~inside).sum(), (lost & inside).sum()]
+    np.testing.assert_allclose(sums.cpu(), [float(e) for e in expected], rtol=1e-5, atol=1e-7)
+
+
+CASES = {
+    "a patch, shapes held": {},
+    "a patch beside which density learns": {"density_factor": 0.5},
+    "the field's colours and density, mapped": {"patched": False, "density_factor": 0.5, "mapped": True},
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_a_step_learns_the_gradient_that_the_cpu_finds(case, bank, device):
+    both = [tuner(bank, where, **CASES[case]) for where in (None, device)]
+    learnt = [gradients_taken(made) for made in both]
+    told = [(made.step(), made.engine.settle())[1] for made in both]
+    assert len(learnt[0]) == len(learnt[1]) == (2 if "density" in case else 1)
+    for theirs, ours in zip(*learnt):
+        assert np.abs(theirs).max() > 0
+        close(ours, theirs, 5e-5)
+    assert told[0].keys() == told[1].keys() == {"outside", "inside", "depth"}
+    for name, value in told[0].items():
+        assert told[1][name] == pytest.approx(value, rel=1e-4)
+    assert (told[0]["depth"] > 0) == ("density" in case)
+
+
+def test_steps_on_either_device_come_to_the_same_and_go_on_upon_the_other(bank, device):
+    """Three steps: all on the CPU, all on the device, and one on each side of a checkpoint, both ways."""
+    whole = {where: tuner(bank, where) for where in (None, device)}
+    for made in whole.values():
+        made.run()
+    ended = {where: made.field.colour.values.copy() for where, made in whole.items()}
+    moved = np.abs(ended[None] - thin_field().colour.values)
+    assert moved.max() > 1e-2
+    for first, second in ((None, device), (device, None)):
+        begun = tuner(bank, first)
+        begun.step()
+        begun.state.step = 1
+        going_on = tuner(bank, second)
+        going_on.resume(*saved(begun))
+        assert going_on.engine.colour_adam.steps == 1
+        going_on.run()
+        ended[first, second] = going_on.field.colour.values.copy()
+    for name, values in ended.items():
+        # Where a gradient is all but nothing its sign is rounding's, and Adam's step is as long as for any.
+        apart = np.abs(values - ended[None])
+        assert np.quantile(apart, 0.99) < 1e-4 and apart.mean() < 1e-3 * moved.mean(), name
+    assert np.array_equal(whole[device].field.density.values, thin_field().density.values)
+    assert np.array_equal(whole[device].checkpoint()[1]["field.colour"], whole[device].field.colour.values)
+    curve = tuner(bank, device, steps=1)
+    curve.run()
+    assert curve.state.step == 1 and set(curve.engine.settle()) == {"outside", "inside", "depth"}
