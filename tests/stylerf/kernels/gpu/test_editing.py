@@ -1,5 +1,7 @@
 """Learning an edit on the device: the palette module's answers, its gradients beside the CPU's, and going on across."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -11,7 +13,7 @@ from tests.stylerf.editing.test_palette_module import module, places
 from tests.stylerf.small import close
 from tests.stylerf.style.small_trunk import picture, small_trunk
 from tests.stylerf.training.running import saved
-from tests.stylerf.training.test_edit import SMALL, replace
+from tests.stylerf.training.test_edit import SMALL
 
 FEW = {"palette_steps": 2, "style_steps": 1, "pruned_steps": 1, "pruned_style_steps": 1, "pixels": 300, "colours": 4,
        "most_colours": 3}  # fmt: skip

@@ -114,7 +114,7 @@ def test_the_loss_and_its_gradient_equal_autograds(edited_rays, depth_scale, dev
     close(found.cpu(), exact.grad, 1e-6)
     inside = torch.arange(9) < edited_rays
     expected = [squares[~inside].sum(), squares[inside].sum(), off, (lost & ~inside).sum(), (lost & inside).sum()]
-    np.testing.assert_allclose(sums.cpu(), [float(e) for e in expected], rtol=1e-5, atol=1e-7)
+    np.testing.assert_allclose(sums.cpu(), [float(e.detach()) for e in expected], rtol=1e-5, atol=1e-7)
 
 
 CASES = {
