@@ -139,29 +139,44 @@ def test_a_step_learns_the_gradient_that_the_cpu_finds(case, bank, device):
     assert (told[0]["depth"] > 0) == ("density" in case)
 
 
-def test_steps_on_either_device_come_to_the_same_and_go_on_upon_the_other(bank, device):
-    """Three steps: all on the CPU, all on the device, and one on each side of a checkpoint, both ways."""
-    whole = {where: tuner(bank, where) for where in (None, device)}
-    for made in whole.values():
-        made.run()
-    ended = {where: made.field.colour.values.copy() for where, made in whole.items()}
-    moved = np.abs(ended[None] - thin_field().colour.values)
-    assert moved.max() > 1e-2
-    for first, second in ((None, device), (device, None)):
-        begun = tuner(bank, first)
-        begun.step()
-        begun.state.step = 1
-        going_on = tuner(bank, second)
-        going_on.resume(*saved(begun))
-        assert going_on.engine.colour_adam.steps == 1
-        going_on.run()
-        ended[first, second] = going_on.field.colour.values.copy()
-    for name, values in ended.items():
-        # Where a gradient is all but nothing its sign is rounding's, and Adam's step is as long as for any.
-        apart = np.abs(values - ended[None])
-        assert np.quantile(apart, 0.99) < 1e-4 and apart.mean() < 1e-3 * moved.mean(), name
-    assert np.array_equal(whole[device].field.density.values, thin_field().density.values)
-    assert np.array_equal(whole[device].checkpoint()[1]["field.colour"], whole[device].field.colour.values)
-    curve = tuner(bank, device, steps=1)
-    curve.run()
-    assert curve.state.step == 1 and set(curve.engine.settle()) == {"outside", "inside", "depth"}
+def agree(values: np.ndarray, expected: np.ndarray) -> None:
+    """Learnt values of the patch. Where a gradient is all but nothing its sign is rounding's, and Adam's step as long
+    as for any."""
+    apart, moved = np.abs(values - expected), np.abs(expected - thin_field().colour.values)
+    assert moved.max() > 1e-2 and np.quantile(apart, 0.99) < 1e-4 and apart.mean() < 1e-3 * moved.mean()
+
+
+def after(made: FineTuner, begun: FineTuner) -> FineTuner:
+    """A step of `made` from begun's checkpoint."""
+    made.resume(*saved(begun))
+    made.step()
+    made.state.step += 1
+    return made
+
+
+def one_step(made: FineTuner) -> FineTuner:
+    made.step()
+    made.state.step = 1
+    return made
+
+
+def test_a_step_on_the_device_between_two_on_the_cpu_comes_to_what_the_cpu_does(bank, device):
+    expected = tuner(bank)
+    expected.run()
+    between = after(tuner(bank, device), one_step(tuner(bank)))
+    ended = after(tuner(bank), between)
+    assert ended.state.step == expected.state.step == ended.engine.colour_adam.steps == 3
+    agree(ended.field.colour.values, expected.field.colour.values)
+    assert np.array_equal(between.field.density.values, thin_field().density.values)
+
+
+@pytest.mark.slow
+def test_a_run_on_the_device_comes_to_what_the_cpu_does(bank, device):
+    expected, made = tuner(bank), tuner(bank, device)
+    for one in (expected, made):
+        one.run()
+    agree(made.field.colour.values, expected.field.colour.values)
+    begun = one_step(tuner(bank, device))
+    agree(after(tuner(bank, device), after(tuner(bank), begun)).field.colour.values, expected.field.colour.values)
+    assert np.array_equal(made.checkpoint()[1]["field.colour"], made.field.colour.values)
+    assert made.state.step == 3 and set(made.engine.settle()) == {"outside", "inside", "depth"}
