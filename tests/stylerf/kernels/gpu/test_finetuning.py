@@ -124,7 +124,7 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("case", [pytest.param(c, marks=[] if "density" in c else pytest.mark.slow) for c in CASES])
 def test_a_step_learns_the_gradient_that_the_cpu_finds(case, bank, device):
     both = [tuner(bank, where, **CASES[case]) for where in (None, device)]
     learnt = [gradients_taken(made) for made in both]
