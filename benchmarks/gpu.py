@@ -144,6 +144,7 @@ def kernels(device: torch.device, bandwidth: float, rays: int = 1 << 15, vertice
 
 def launches(device: torch.device, rays: int, vertices: int, kind: str) -> tuple[dict, int]:
     """({kernel: (a launch of it, fewest bytes it moves)}, samples) on random rays through a random field."""
+    from benchmarks import gpu_edit
     from stylerf.fields.device import DeviceField
     from stylerf.kernels.gpu import launch
 
@@ -188,6 +189,8 @@ def launches(device: torch.device, rays: int, vertices: int, kind: str) -> tuple
             ),
             "loss": (lambda: launch.photometric_loss(rendered.out, wanted, background, s, 1.0, sums), rays * 88),
         }  # fmt: skip
+    if kind == "stylised":
+        calls |= gpu_edit.launches(rendered, of_colours, wanted)
     return calls, n
 
 

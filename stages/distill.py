@@ -1,6 +1,7 @@
 """Distill: the training photos with an edit painted into them (LAENeRF, 3.5)."""
 
 import shutil
+from contextlib import nullcontext
 
 import numpy as np
 
@@ -9,11 +10,14 @@ from schemas.images import to_uint8, write_png
 from schemas.store import Artefact, Partial
 from schemas.tensors import load_tensors, save_tensors
 from stages.configs.distill import DistillConfig
+from stages.devices import gpu_figures, gpu_of
 from stages.edit_views import load_edit_views
-from stages.edits import Edit, load_edit
+from stages.edits import load_edit
 from stages.progress import Context
 from stages.runner import Spec
 from stages.scenes import EDIT_TARGETS, SceneData, load_scene
+from stylerf.editing.edits import PaletteEdits
+from stylerf.editing.palette import PaletteModule
 from stylerf.editing.views import EditView
 from stylerf.kernels.cpu.compiling import compiling_note, set_threads
 
@@ -35,26 +39,35 @@ def run(inputs: dict[str, Artefact], config: DistillConfig, partial: Partial, co
             target.parent.mkdir(parents=True, exist_ok=True)
             shutil.copyfile(inputs["scene"].path / record.path, target)
     targets: dict[str, np.ndarray] = {}
+    device = gpu_of(context)
+    module = _on_device(edit.module, device) if device else edit.module
     context.progress.start("distill", len(views), "view")
-    with compiling_note(context.progress.say):
+    with nullcontext() if device else compiling_note(context.progress.say):
         for done, view in enumerate(views):
-            image, pixels, depth = _edited(scene, view, edit, config, chunks)
+            image, pixels, depth = _edited(scene, view, module, edit.changes, config, chunks)
             write_png(partial.path / scene.views[view.view].image, image)
             targets |= {f"{view.view}.pixels": pixels, f"{view.view}.depth": depth}
             context.progress.update(done + 1)
     context.progress.finish()
     _keep_earlier(inputs["scene"], targets)
     save_tensors(partial.path / EDIT_TARGETS, targets)
-    return {"views": len(views), "pixels": int(sum(len(v) for k, v in targets.items() if k.endswith(".pixels")))}
+    pixels = int(sum(len(v) for k, v in targets.items() if k.endswith(".pixels")))
+    return {"views": len(views), "pixels": pixels, **gpu_figures(device)}
+
+
+def _on_device(module: PaletteModule, device: str):
+    from stylerf.editing.device_palette import DevicePalette
+
+    return DevicePalette(module, device)
 
 
 def _edited(
-    scene: SceneData, view: EditView, edit: Edit, config: DistillConfig, chunks: int
+    scene: SceneData, view: EditView, module, changes: PaletteEdits, config: DistillConfig, chunks: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The photo with the edit [h, w, 3 or 4] uint8, its edited pixels, and sum(w t) of their rays."""
     photo = scene.images(view.view)
     fading = view.transition if config.fade else None
-    found = edit.module.colours(view.x, view.directions, edit.changes, fading, chunks)
+    found = module.colours(view.x, view.directions, changes, fading, chunks)
     chosen = view.weight > config.least
     pixels = view.pixels[chosen]
     out = photo.reshape(-1, photo.shape[2]).copy()

@@ -1,5 +1,8 @@
 """Extract: what the training views show of a region, for its edit to learn from (LAENeRF, 3.3)."""
 
+from collections.abc import Callable
+from contextlib import nullcontext
+
 import numpy as np
 
 from schemas.errors import BadInput
@@ -7,6 +10,7 @@ from schemas.exr import ExrView, write_exr
 from schemas.images import linear_from_srgb
 from schemas.store import Artefact, Partial
 from stages.configs.extract import ExtractConfig
+from stages.devices import gpu_figures, gpu_of
 from stages.edit_views import save_edit_views
 from stages.fields import load_field
 from stages.progress import Context
@@ -40,11 +44,13 @@ def run(inputs: dict[str, Artefact], config: ExtractConfig, partial: Partial, co
     settings = Extraction(config.tolerance, reach)
     train = scene.splits["train"]
     views, hidden = [], []
+    device = gpu_of(context, field)
+    ends_of = _on_device(field, device) if device else None
     context.progress.start("extract", len(train), "view")
-    with compiling_note(context.progress.say):
+    with nullcontext() if device else compiling_note(context.progress.say):
         for done, index in enumerate(train):
             camera = scene.cameras[index]
-            seen = seen_of_view(field, camera, scene.images(index), region, settings, index, chunks)
+            seen = seen_of_view(field, camera, scene.images(index), region, settings, index, chunks, ends_of)
             if seen.edit is None:
                 hidden.append(camera.name)
             else:
@@ -60,7 +66,14 @@ def run(inputs: dict[str, Artefact], config: ExtractConfig, partial: Partial, co
         )
     pixels = int(sum(len(view) for view in views))
     save_edit_views(partial.path, views, {"hidden": hidden, "region": inputs["region"].name, "reach": reach})
-    return {"views": len(views), "hidden": hidden, "pixels": pixels, "region_size": round(size, 5)}
+    figures = {"views": len(views), "hidden": hidden, "pixels": pixels, "region_size": round(size, 5)}
+    return figures | gpu_figures(device)
+
+
+def _on_device(field: RadianceField, device: str) -> Callable[[Camera, list[np.ndarray]], list[np.ndarray]]:
+    from stylerf.editing.device_extraction import DeviceEnds
+
+    return DeviceEnds(field, device)
 
 
 def _size(region: Region, space: Space) -> float:

@@ -1,6 +1,7 @@
 """Stylize, a region: a palette and where its colours go, by the photos and a painting (LAENeRF, 3.4)."""
 
 import time
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from schemas.images import to_uint8, write_png
 from schemas.store import Artefact, Partial
 from stages.configs.edit import EditConfig
 from stages.configs.fit import budget_of
+from stages.devices import gpu_figures, gpu_of
 from stages.edit_views import load_edit_views
 from stages.edits import Edit, save_edit
 from stages.fields import load_checkpoint, save_checkpoint
@@ -38,32 +40,33 @@ def run(inputs: dict[str, Artefact], config: EditConfig, partial: Partial, conte
     shown = max(views, key=len)
     threads = set_threads(context.threads)
     torch.set_num_threads(threads)
-    painting, trunk, features = None, None, None
+    painting, trunk, features, device = None, None, None, gpu_of(context)
     if config.style:
         resolved = resolve(config.features or None)
         context.progress.say(f"features: {resolved.name}, from {resolved.source}")
-        painting, trunk = cropped(config), Trunk(resolved.state, config.taps, resolved.kind)
+        painting, trunk = cropped(config), Trunk(resolved.state, config.taps, resolved.kind).to(device or "cpu")
         features = resolved.manifest()
         if config.match and not config.preserve_colour:
             views = in_colours_of_painting(views, painting, context.seed)
     try:
         settings = settings_of(config)
         module = start_module(views, settings, context.seed)
-        trainer = EditTrainer(views, module, settings, painting, trunk, context.seed, threads)
+        trainer = EditTrainer(views, module, settings, painting, trunk, context.seed, threads, device)
     except InvalidValue as error:
         raise BadInput(f"{inputs['edit-dataset'].path}: {error}") from error
     if (saved := load_checkpoint(partial.checkpoint)) is not None:
         trainer.resume(*saved)
         context.progress.say(f"going on from step {trainer.state.step} of phase {trainer.state.phase}")
-    with compiling_note(context.progress.say):
+    with nullcontext() if device else compiling_note(context.progress.say):
         _train(trainer, shown, config, partial, context)
     figures = trainer.figures()
     told = {"sparsity": figures["sparsity"], "palette_variation": figures["palette_variation"]}
-    save_edit(partial.path, Edit(module, PaletteEdits()), figures["shares"], told)
+    save_edit(partial.path, Edit(trainer.module, PaletteEdits()), figures["shares"], told)
     write_png(partial.path / "preview.png", drawn(trainer, shown, threads))
     if painting is not None:
         write_png(partial.path / "style.png", to_uint8(painting.permute(1, 2, 0).numpy()))
-    return {**figures, "features": features, "views": len(views), "curve_edit": trainer.state.curve}
+    told = {"features": features, "views": len(views), "curve_edit": trainer.state.curve}
+    return {**figures, **told, **gpu_figures(device)}
 
 
 def settings_of(config: EditConfig) -> EditSettings:
@@ -116,7 +119,7 @@ def cropped(config: EditConfig) -> torch.Tensor:
 
 def drawn(trainer: EditTrainer, view: EditView, chunks: int) -> np.ndarray:
     """[h, 2 w, 3] uint8: the region in one view as the photo has it, and as the module paints it now; grey around."""
-    found = trainer.module.colours(view.x, view.directions, chunks=chunks)
+    found = trainer.asked.colours(view.x, view.directions, chunks=chunks)
     pictures = []
     for colours in (view.target, found):
         picture = np.full((view.height * view.width, 3), 0.5, np.float32)

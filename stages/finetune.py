@@ -1,6 +1,8 @@
 """Fine-tune: the field learns the edited photos (LAENeRF, section 3.5)."""
 
 import time
+from collections.abc import Iterator
+from contextlib import nullcontext
 
 import numpy as np
 from scipy.ndimage import binary_dilation
@@ -10,6 +12,7 @@ from schemas.store import Artefact, Partial
 from schemas.tensors import load_tensors
 from stages.configs.finetune import FinetuneConfig
 from stages.configs.fit import EVEN_FROM, SMOOTHNESS, budget_of
+from stages.devices import gpu_figures, gpu_of
 from stages.fields import load_checkpoint, load_field, save_checkpoint, save_field
 from stages.photos import bank_of, level_of
 from stages.progress import Context
@@ -19,12 +22,13 @@ from stages.scenes import EDIT_TARGETS, SceneData, load_scene
 from stylerf.errors import Diverged
 from stylerf.fields.field import RadianceField
 from stylerf.fields.patch import PatchColour
-from stylerf.fields.surface import pixel_cells, surface_of
+from stylerf.fields.surface import Surface, pixel_cells, surface_of
 from stylerf.geometry.cameras import Camera
 from stylerf.kernels.cpu.compiling import compiling_note, set_threads
 from stylerf.training.finetune import EditedPixels, FineTuner, FineTuneSettings
 
 SPEC = Spec(stage="finetune", verb="finetune", revision=2, writes="field", parallel=True)
+SEEN = 2e-2  # part of a ray's largest weight from which a sample tells what a pixel sees
 MARGIN = 2  # cells: samples in front of a surface, which is where its colour is looked for too
 
 
@@ -34,9 +38,10 @@ def run(inputs: dict[str, Artefact], config: FinetuneConfig, partial: Partial, c
     field, background = load_field(inputs["field"])
     threads = set_threads(context.threads)
     train = scene.splits["train"]
-    edited = edited_pixels(scene, train)
+    edited, device = edited_pixels(scene, train), gpu_of(context, field)
     if config.colours == "region":
-        field.colour = _patch(inputs, field, [scene.cameras[train[view]] for view in np.unique(edited.views)], threads)
+        cameras = [scene.cameras[train[view]] for view in np.unique(edited.views)]
+        field.colour = _patch(inputs, field, cameras, threads, device)
     seconds, steps = budget_of(config.budget)
     rate, density_factor = config.rates
     settings = FineTuneSettings(
@@ -53,15 +58,15 @@ def run(inputs: dict[str, Artefact], config: FinetuneConfig, partial: Partial, c
         even_from=EVEN_FROM[scene.layout],
     )
     bank = bank_of(scene, train, partial.folder, context)
-    tuner = FineTuner(field, bank, edited, settings, context.seed, threads, context.ranks)
+    tuner = FineTuner(field, bank, edited, settings, context.seed, threads, context.ranks, device)
     saved = context.ranks.checkpoint(load_checkpoint(partial.checkpoint) if context.ranks.first else None)
     if saved is not None:
         tuner.resume(*saved)
         context.progress.say(f"going on from step {tuner.state.step}")
-    with compiling_note(context.progress.say):
+    with nullcontext() if device else compiling_note(context.progress.say):
         _train(tuner, config, partial, context)
     if context.ranks.first:
-        save_field(partial.path, field, background)
+        save_field(partial.path, tuner.field, background)
     state = tuner.state
     return {
         "steps": state.step,
@@ -69,10 +74,13 @@ def run(inputs: dict[str, Artefact], config: FinetuneConfig, partial: Partial, c
         "curve_finetune": state.curve,
         "edited_pixels": len(edited.pixels),
         "parameters": field.parameters,
+        **gpu_figures(device),
     }
 
 
-def _patch(inputs: dict[str, Artefact], field: RadianceField, cameras: list[Camera], chunks: int) -> PatchColour:
+def _patch(
+    inputs: dict[str, Artefact], field: RadianceField, cameras: list[Camera], chunks: int, device: str | None
+) -> PatchColour:
     """Colours for the region and MARGIN cells around it, over the field's. cameras: that see it."""
     region, space = load_region(inputs["region"])
     if space != field.space:
@@ -81,8 +89,18 @@ def _patch(inputs: dict[str, Artefact], field: RadianceField, cameras: list[Came
             f"anew with `stylerf select --of {inputs['field'].name}`, or teach the whole field with --colours field"
         )
     some = [cameras[i] for i in np.unique(np.linspace(0, len(cameras) - 1, 4).round().astype(int))]
-    seen = pixel_cells(surface_of(field, camera, 2e-2, chunks) for camera in some)
+    seen = pixel_cells(_surfaces(field, some, chunks, device))
     return PatchColour.create(field.colour, binary_dilation(region.edit, iterations=MARGIN), seen)
+
+
+def _surfaces(field: RadianceField, cameras: list[Camera], chunks: int, device: str | None) -> Iterator[Surface]:
+    """Of each view, marched on the device."""
+    if device is None:
+        return (surface_of(field, camera, SEEN, chunks) for camera in cameras)
+    from stylerf.training.device_geometry import DeviceFixedGeometry
+
+    shapes = DeviceFixedGeometry(field, cameras, SEEN, device)
+    return (shapes.surface(view) for view in range(len(cameras)))
 
 
 def edited_pixels(scene: SceneData, train: list[int]) -> EditedPixels:

@@ -3,6 +3,7 @@
 LAENeRF, section 3.3 and supplementary 1; what differs is told at each place.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -62,15 +63,17 @@ def seen_of_view(
     settings: Extraction,
     view: int,
     chunks: int,
+    ends_of: Callable[[Camera, list[np.ndarray]], list[np.ndarray]] | None = None,
 ) -> Seen:
     """What view number `view` shows of the region; edit is None where it shows nothing.
 
     photo: [h, w, 3 or 4] sRGB 0..1. A pixel counts where at most `tolerance` of its opacity lies outside the region,
     which leaves out what floats before it or hides it. Colours are the photo's own, not times its alpha as in LAENeRF:
-    silhouettes would teach the palette a black that is not there.
+    silhouettes would teach the palette a black that is not there. ends_of: ends_of_view on another device; None: here.
     """
     fading = settings.reach > 0 and bool(region.grow.any())
-    ends, *around = ends_of_view(field, camera, [region.edit, region.grow] if fading else [region.edit], chunks)
+    grids = [region.edit, region.grow] if fading else [region.edit]
+    ends, *around = ends_of(camera, grids) if ends_of else ends_of_view(field, camera, grids, chunks)
     alpha, inside = np.clip(ends[:, 0], 0, 1), np.clip(ends[:, 1], 0, 1)
     shape = (camera.height, camera.width)
     shown = (alpha > OPAQUE) & (alpha - inside <= settings.tolerance) & (inside > 1e-3)

@@ -93,19 +93,15 @@ class Neighbours:
     pixels: int
 
     @classmethod
-    def of(cls, view: EditView) -> "Neighbours":
+    def of(cls, view: EditView, device: torch.device | str = "cpu") -> "Neighbours":
         upper, lower, left, right = view.pairs()
         first, second = np.concatenate([upper, left]), np.concatenate([lower, right])
         # The code takes zeta itself in L_TV, which has no bound, and zeta over its largest in L_disc.
         edges = [view.edges[some, axis] / max(float(view.edges[:, axis].max()), 1e-12)
                  for axis, some in enumerate((upper, left))]  # fmt: skip
-        return cls(
-            torch.from_numpy(first),
-            torch.from_numpy(second),
-            torch.from_numpy(np.concatenate(edges).astype(np.float32)),
-            torch.from_numpy(view.transition[second].astype(np.float32)),
-            len(view),
-        )
+        transition = view.transition[second].astype(np.float32)
+        parts = first, second, np.concatenate(edges).astype(np.float32), transition
+        return cls(*(torch.from_numpy(part).to(device) for part in parts), len(view))
 
     def differences(self, colours: Tensor) -> Tensor:
         """Sum over channels of (C_i - C_{i+1})^2 per pair, [m]."""

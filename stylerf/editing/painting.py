@@ -52,9 +52,14 @@ class RegionStyle:
             raise InvalidValue(f"style pictures of {side} pixels are too small; {4 * trunk.stride} or more are needed")
         self.trunk, self.side = trunk, side
         with torch.no_grad():
-            features = trunk(self._tall(fitted(painting, side))[None])
+            features = trunk(self._tall(fitted(painting.to(self.device), side))[None])
         self.grams = [gram_matrix(feature[0]) for feature in features]
         self.units = [float(gram.square().mean().clamp_min(1e-12)) for gram in self.grams]
+
+    @property
+    def device(self) -> torch.device:
+        """The trunk's: colours must lie there."""
+        return self.trunk.input_scale.device
 
     def _tall(self, picture: Tensor) -> Tensor:
         """A thin picture with black beside it, for the trunk needs some pixels a side."""
@@ -67,8 +72,8 @@ class RegionStyle:
         rows, columns = view.window
         height, width = int(rows.stop - rows.start), int(columns.stop - columns.start)
         row, column = np.divmod(view.pixels, view.width)
-        places = torch.from_numpy((row - rows.start) * width + column - columns.start)
-        alpha = torch.zeros(height * width).index_fill(0, places, 1.0).view(1, height, width)
+        places = torch.from_numpy((row - rows.start) * width + column - columns.start).to(self.device)
+        alpha = torch.zeros(height * width, device=self.device).index_fill(0, places, 1.0).view(1, height, width)
         small = self._tall(fitted(alpha, self.side))
         with torch.no_grad():
             features = self.trunk(small.expand(3, -1, -1)[None])

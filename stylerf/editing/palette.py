@@ -82,8 +82,11 @@ class PaletteModule:
         """A copy of `values` that gradients are asked of."""
         return torch.from_numpy(self.values.copy()).requires_grad_()
 
-    def mix(self, values: Tensor, phi: Tensor, basis: Tensor) -> Mixture:
-        """From `values` as a tensor, features phi [n, features] and harmonics of the directions [n, 9]."""
+    def mix(self, values: Tensor, phi: Tensor, basis: Tensor, kept: Tensor | None = None) -> Mixture:
+        """From `values` as a tensor, features phi [n, features] and harmonics of the directions [n, 9].
+
+        kept: numbers of the active colours, where they lie beside the others already.
+        """
         count = len(self.active)
         nets = self._nets(phi.shape[1], count)
         sizes = [size for net in nets for inside, outside in net for size in (inside * outside, outside)]
@@ -96,7 +99,7 @@ class PaletteModule:
                 hidden = hidden.relu() if number + 1 < len(net) else hidden
             found.append(hidden)
         logits, offsets = found
-        kept = torch.from_numpy(np.flatnonzero(self.active))
+        kept = torch.from_numpy(np.flatnonzero(self.active)) if kept is None else kept
         weights = torch.softmax(logits if len(kept) == count else logits[:, kept], 1)
         offsets = torch.tanh(offsets)
         palette = self.palette_of(values)[kept]
@@ -146,14 +149,23 @@ class PaletteModule:
         transition: lambda [n] in 0..1. There palette and weights, not colours, are drawn back to what they were:
         P' = lambda P + (1 - lambda) P_edited, w' = lambda w + (1 - lambda) w_edited.
         """
-        found = self.mixture(x, directions, chunks)
+        return self.edited(self.mixture(x, directions, chunks), edits, transition)
+
+    def edited(
+        self, found: Mixture, edits: PaletteEdits | None = None, transition: np.ndarray | None = None
+    ) -> np.ndarray:
+        """As colours(), of a mixture (on the CPU) that stands already."""
         if edits is None or not edits:
             return found.colours.numpy()
         # The learnt colours, unclamped: w P + o was fitted with these.
         palette = self.values[: 3 * len(self.active)].reshape(-1, 3)[self.active]
         weights, offsets = found.weights.numpy(), found.offsets.numpy()
         new_palette, new_weights = edits.palette(palette), edits.weights(weights)
-        own = np.zeros((len(x), 1), np.float32) if transition is None else np.asarray(transition, np.float32)[:, None]
+        own = (
+            np.zeros((len(weights), 1), np.float32)
+            if transition is None
+            else np.asarray(transition, np.float32)[:, None]
+        )
         mixed = own * weights + (1 - own) * new_weights
         out = own * (mixed @ palette) + (1 - own) * (mixed @ new_palette) + offsets
         return np.clip(out, 0, 1).astype(np.float32)

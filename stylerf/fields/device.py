@@ -9,10 +9,10 @@ from torch import Tensor
 from stylerf.errors import InvalidValue
 from stylerf.fields.device_grids import DeviceHashDensity, DeviceVoxelDensity
 from stylerf.fields.device_headed import DeviceHeadedColour
-from stylerf.fields.field import RadianceField
+from stylerf.fields.field import RadianceField, layers_of
 from stylerf.geometry.harmonics import BANDS
 from stylerf.geometry.space import Space
-from stylerf.kernels.gpu import launch, launch_deform
+from stylerf.kernels.gpu import launch, launch_deform, launch_edit
 from stylerf.kernels.gpu.density import VM
 from stylerf.kernels.gpu.launch import DeviceSamples, Walk
 
@@ -103,13 +103,51 @@ class DeviceHashColour:
         to.add_(self.values, alpha=strength / len(self.values))
 
 
+class DevicePatchColour:
+    """fields/patch.py's PatchColour, over a base of any kind that the device knows. values: the patch's own."""
+
+    def __init__(self, part, device: torch.device, half: bool = False) -> None:
+        self.base = COLOUR_KINDS[part.base.kind](part.base, device, half)
+        self._own = DeviceHashColour(part.own, device, half)
+        self.values, self.table, self.groups = self._own.values, self._own.table, self._own.groups
+        self.layout, self.levels = self._own.layout, self._own.levels
+        self.marked, self.cells = marked_cells(part.marked, device), part.cells
+        box = np.array([*part.low, 1 / part.side], np.float32)
+        self.box = torch.from_numpy(box).to(device)
+
+    def colours(self, samples: DeviceSamples, directions: Tensor, share: float) -> Tensor:
+        """As DeviceVmColour.colours: the base's, and in marked cells sigmoid(logit(base) + logits)."""
+        out = self.base.colours(samples, directions, share)
+        launch_edit.patch_colours(self, samples, out)
+        return out
+
+    def backward(self, samples: DeviceSamples, directions, colours, colour_gradients, to: Tensor) -> None:
+        """Add dL/d(values) to `to` [len(values)]."""
+        launch_edit.patch_colours_backward(self, samples, colours, colour_gradients, to)
+
+    def smooth(self, strength: float, to: Tensor) -> None:
+        """As PatchColour.smooth."""
+        self._own.smooth(strength, to)
+
+
 DENSITY_KINDS = {"vm": DeviceVmDensity, "hash": DeviceHashDensity, "voxel": DeviceVoxelDensity}
-COLOUR_KINDS = {"vm": DeviceVmColour, "hash": DeviceHashColour, "headed": DeviceHeadedColour}
+COLOUR_KINDS = {
+    "vm": DeviceVmColour,
+    "hash": DeviceHashColour,
+    "headed": DeviceHeadedColour,
+    "patch": DevicePatchColour,
+}
+
+
+def marked_cells(marked: np.ndarray, device: torch.device) -> Tensor:
+    """Cells [s, s, s] of bool as the kernels look them up: uint8 [s^3]."""
+    return torch.from_numpy(np.ascontiguousarray(marked).reshape(-1).astype(np.uint8)).to(device)
 
 
 def unsupported(field: RadianceField, moving: bool = False) -> str | None:
     """Why a field cannot be used on a GPU, in one line; None where it can. moving: its shapes are to learn to move."""
-    for part, kinds in ((field.density, DENSITY_KINDS), (field.colour, COLOUR_KINDS)):
+    colours = [(part, COLOUR_KINDS) for part in layers_of(field.colour)]
+    for part, kinds in ((field.density, DENSITY_KINDS), *colours):
         known = [name for name, kind in kinds.items() if not moving or hasattr(kind, "add_position_gradients")]
         if part.kind not in known:
             what = "kernel that moves it" if moving and part.kind in kinds else "kernel"
@@ -197,17 +235,21 @@ class DeviceField:
 
     def backward(
         self, rendered: DeviceRendered, gradients: Tensor, density_to: Tensor | None, colour_to: Tensor | None,
-        displacement_to: Tensor | None = None, *, even_from: float = 0.0,
+        displacement_to: Tensor | None = None,
+        *, even_from: float = 0.0, density_within: tuple[Tensor, int] | None = None,
     ) -> None:  # fmt: skip
         """From dL/d(unmapped) [rays, 5] to flat gradient buffers of the parts; None leaves a part out.
 
-        displacement_to: for the displacement grid, flat [3 vertices^3].
+        displacement_to: for the displacement grid, flat [3 vertices^3]. density_within: marked cells (uint8 [s^3], s)
+        outside of which no density learns.
         """
         r = rendered
         of_sigma, of_colours = launch.composite_backward(r.samples, r.colours, r.unmapped, gradients, even_from)
         if colour_to is not None:
             self.colour.backward(r.samples, r.rays.directions, r.colours, of_colours, colour_to)
         if density_to is not None:
+            if density_within is not None:
+                launch_edit.keep_inside(*density_within, r.samples, of_sigma)
             self.density.backward(r.samples, of_sigma, density_to)
         if displacement_to is not None:
             moved, s, rays = torch.zeros_like(r.samples.x), r.samples, r.rays

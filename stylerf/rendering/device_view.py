@@ -18,6 +18,19 @@ TOLERANCE = 0.5 / 255
 TRIED_RAYS = 4096
 
 
+def rays_of(camera: Camera, first: int, count: int, device: torch.device) -> DeviceRays:
+    """Rays of pixel centres first .. first + count, row by row, made on the device."""
+    number = torch.arange(first, first + count, device=device)
+    x = ((number % camera.width).float() + 0.5 - camera.cx) / camera.fx
+    y = ((number // camera.width).float() + 0.5 - camera.cy) / camera.fy
+    local = torch.stack([x, y, torch.ones_like(x)], 1)
+    pose = torch.from_numpy(camera.world_from_camera[:3].astype(np.float32)).to(device)
+    ways = local[:, :1] * pose[:, 0] + local[:, 1:2] * pose[:, 1] + local[:, 2:] * pose[:, 2]
+    ways = ways / torch.linalg.vector_norm(ways, dim=1, keepdim=True)
+    origins = pose[:, 3].expand(count, 3).contiguous()
+    return DeviceRays(origins, ways.contiguous(), torch.full((count,), 0.5, device=device))
+
+
 class DeviceRenderer:
     """Renders `field` on `device`. precision: of the tables as they are read; auto: halves where pixels allow it.
 
@@ -52,18 +65,6 @@ class DeviceRenderer:
         else:
             self._halves = None
 
-    def rays_of(self, camera: Camera, first: int, count: int) -> DeviceRays:
-        """Rays of pixel centres first .. first + count, row by row, made on the device."""
-        number = torch.arange(first, first + count, device=self.device)
-        x = ((number % camera.width).float() + 0.5 - camera.cx) / camera.fx
-        y = ((number // camera.width).float() + 0.5 - camera.cy) / camera.fy
-        local = torch.stack([x, y, torch.ones_like(x)], 1)
-        pose = torch.from_numpy(camera.world_from_camera[:3].astype(np.float32)).to(self.device)
-        ways = local[:, :1] * pose[:, 0] + local[:, 1:2] * pose[:, 1] + local[:, 2:] * pose[:, 2]
-        ways = ways / torch.linalg.vector_norm(ways, dim=1, keepdim=True)
-        origins = pose[:, 3].expand(count, 3).contiguous()
-        return DeviceRays(origins, ways.contiguous(), torch.full((count,), 0.5, device=self.device))
-
     def pixels(
         self,
         camera: Camera,
@@ -78,7 +79,7 @@ class DeviceRenderer:
         count = camera.width * camera.height
         parts, inside = [], {name: [] for name in regions or {}}
         for at in range(0, count, self.rays_at_once):
-            rays = self.rays_of(camera, at, min(self.rays_at_once, count - at))
+            rays = rays_of(camera, at, min(self.rays_at_once, count - at), self.device)
             rendered = self.field.render_rays(rays, opaque=opaque, share=self.field.share)
             parts.append(rendered.out)
             for name, found in inside.items():

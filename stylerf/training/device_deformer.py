@@ -17,7 +17,7 @@ from stylerf.kernels.gpu import launch
 from stylerf.kernels.gpu.launch_deform import displaced_cells
 from stylerf.training.deformer import Deformer
 from stylerf.training.device_engine import DeviceAdam
-from stylerf.training.late import Late, sent
+from stylerf.training.device_traffic import Reports, sent
 
 RAYS_AT_ONCE = 1 << 16
 MOST_SAMPLES = 1 << 24  # of a step's rays, 1.3 GB; rays beyond that are left out of it
@@ -54,7 +54,7 @@ class DeviceDeformer(Deformer):
         self.gradients = torch.zeros(3 * self.vertices**3, device=self.device)
         values = torch.from_numpy(self.deformation.values).to(self.device, copy=True)
         self.adam = DeviceAdam(values, [(0, len(values), 1.0)])
-        self._sizes, self._brought = Late(self.device, 1), None
+        self._sizes, self._brought = Reports(self.device, 1, lambda sums, _: sums[0], 0.0), None
 
     def _gathered(self) -> Tensor:
         return self.gradients.view(-1, 3)
@@ -75,7 +75,8 @@ class DeviceDeformer(Deformer):
         self.collect()
 
     def _told(self, size: Tensor) -> float:
-        return self._sizes.send(size)[0]
+        self._sizes.begin().copy_(size)
+        return self._sizes.send(None)
 
     def collect(self) -> None:
         self.deformation.values[:] = self.adam.values.cpu().numpy()
@@ -91,7 +92,7 @@ class DevicePhotoError:
 
     def __init__(self, deformer: DeviceDeformer, background: float, share: float) -> None:
         self.deformer, self.background, self.share = deformer, background, share
-        self._late = Late(deformer.device, 3)
+        self._reports = Reports(deformer.device, 3, _mean_error, 0.0)
 
     def of(self, origins: np.ndarray, directions: np.ndarray, colours: np.ndarray) -> float:
         """Mean squared difference of rays, marched from the middle of their first step, from straight rgba [n, 4]."""
@@ -113,10 +114,15 @@ class DevicePhotoError:
         rays = DeviceRays(*(sent(array, device) for array in (origins, directions, jitter)))
         rendered = live.render_rays(rays, room=min(n * LIMIT, MOST_SAMPLES), share=self.share, limit=LIMIT)
         background = torch.full((n, 3), float(self.background), device=device)
-        sums = torch.zeros(3, device=device)
+        sums = self._reports.begin()
         gradients = launch.photometric_loss(
             rendered.out, sent(colours, device), background, rendered.samples, 2 / (3 * n), sums
         )
         live.backward(rendered, gradients, None, None, self.deformer.gradients)
-        error, _, left_out, of = self._late.send(sums, n)
-        return error / (3 * max(1.0, of - left_out))
+        return self._reports.send(n)
+
+
+def _mean_error(sums: list[float], rays: int) -> float:
+    """Of (squared error, samples, rays left out) of a step."""
+    error, _, left_out = sums
+    return error / (3 * max(1.0, rays - left_out))

@@ -1,8 +1,7 @@
 """The fitting loop's engine on a GPU: field, photos, rays, gradients and moments stay on the device.
 
 A step is about fifteen launches, none of which waits. What the loop wants to know of a step, its error and its number
-of samples, comes back by itself a few steps later (training/late.py). The loop never runs more than a few steps ahead
-of the device, so that its clock is the device's.
+of samples, comes back by itself a few steps later (device_traffic.py).
 """
 
 from itertools import pairwise
@@ -16,8 +15,8 @@ from stylerf.fields.device_occupancy import refresh
 from stylerf.fields.field import RadianceField
 from stylerf.kernels.gpu import launch
 from stylerf.training.device_rays import DeviceBank
+from stylerf.training.device_traffic import Reports
 from stylerf.training.engine import Batch, Learnt
-from stylerf.training.late import Late
 from stylerf.training.optimiser import BETA1, BETA2, EPSILON
 from stylerf.training.ranks import ALONE, Ranks
 from stylerf.training.rays import RayBank
@@ -67,23 +66,12 @@ def _joined(groups: list[tuple[int, int, float]]) -> list[tuple[int, int, float]
     return joined
 
 
-class _Reports:
-    """(squared error, samples, rays left out) of the last steps, on their way from the device."""
-
-    def __init__(self, device: torch.device) -> None:
-        self._late, self._device = Late(device, 3), device
-
-    def begin(self) -> Tensor:
-        """Sums [3] for the next step, at zero."""
-        self._sums = torch.zeros(3, device=self._device)
-        return self._sums
-
-    def send(self, rays: int) -> Learnt:
-        """Have the sums of the step brought over; what is known by now."""
-        error, samples, left_out, of = self._late.send(self._sums, rays)
-        rays = max(1.0, of - left_out)
-        # Rays that found no room show that there were more samples than were counted.
-        return Learnt(error / (3 * rays), samples / rays)
+def _learnt(sums: list[float], rays: int) -> Learnt:
+    """Of (squared error, samples, rays left out) of a step."""
+    error, samples, left_out = sums
+    # Rays that found no room show that there were more samples than were counted.
+    rays = max(1.0, rays - left_out)
+    return Learnt(error / (3 * rays), samples / rays)
 
 
 class DeviceEngine:
@@ -115,7 +103,7 @@ class DeviceEngine:
         self.live = DeviceField(field, self.device)
         self.density_adam = DeviceAdam(self.live.density.values, self.live.density.groups)
         self.colour_adam = DeviceAdam(self.live.colour.values, self.live.colour.groups)
-        self._reports = _Reports(self.device)
+        self._reports = Reports(self.device, 3, _learnt, Learnt(0.0, 0.0))
 
     @property
     def field(self) -> RadianceField:

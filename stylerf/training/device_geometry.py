@@ -11,8 +11,8 @@ from stylerf.geometry.cameras import Camera
 from stylerf.kernels.gpu import launch
 from stylerf.kernels.gpu.launch import DeviceSamples
 from stylerf.training.device_engine import DeviceAdam
+from stylerf.training.device_traffic import sent
 from stylerf.training.geometry import OPAQUE, MovingGeometry
-from stylerf.training.late import sent
 
 RAYS_AT_ONCE = 1 << 17
 

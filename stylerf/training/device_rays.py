@@ -8,7 +8,7 @@ from torch import Tensor
 
 from stylerf.errors import InvalidValue
 from stylerf.fields.device import DeviceRays
-from stylerf.kernels.gpu import launch
+from stylerf.kernels.gpu import launch, launch_edit
 from stylerf.training.rays import RayBank
 
 
@@ -56,3 +56,13 @@ class DeviceBank:
             self, seed, first, total, most_lit, lit_rays, level, origins, directions, wanted, jitter, background
         )
         return Drawn(DeviceRays(origins, directions, jitter), wanted, background)
+
+    def at(self, chosen: Tensor, jitter: Tensor) -> tuple[DeviceRays, Tensor]:
+        """(rays, straight rgba [n, 4]) of pixels `chosen` [n] int64, numbered as number_of tells; jitter [n]."""
+        origins, directions, wanted = launch_edit.rays_of_pixels(self, chosen)
+        return DeviceRays(origins, directions, jitter), wanted
+
+    def number_of(self, views: np.ndarray, pixels: np.ndarray) -> np.ndarray:
+        """[n] int64: the numbers of row-major pixels of views, all views laid end to end."""
+        begins = np.concatenate([[0], self.ends[:-1]])
+        return begins[views] + pixels

@@ -17,7 +17,6 @@ from stylerf.editing import losses
 from stylerf.editing.losses import EditWeights, Neighbours
 from stylerf.editing.painting import Canvas, RegionStyle, in_colours_of
 from stylerf.editing.palette import (
-    DEGREE,
     MOST_COLOURS,
     Mixture,
     PaletteModule,
@@ -28,9 +27,8 @@ from stylerf.editing.palette import (
 from stylerf.editing.shares import figures_of, kept_colours, shares_of
 from stylerf.editing.views import EditView
 from stylerf.errors import Diverged, InvalidValue
-from stylerf.geometry.harmonics import harmonics
 from stylerf.style.trunks import Trunk
-from stylerf.training.optimiser import Adam
+from stylerf.training.edit_engine import CpuEdit, EditEngine
 
 SAMPLED_COLOURS = 20_000  # pixels of the region that a first palette and the painting's colours are taken from
 # Shares of `seconds` that the phases may take.
@@ -106,7 +104,7 @@ def sampled_colours(views: list[EditView], generator: np.random.Generator) -> np
 
 class EditTrainer:
     """module: from start_module, taught in place. style: painting [3, h, w], or a crop of it, sRGB 0..1, with a trunk;
-    None recolours."""
+    None recolours. device: of the GPU kernels, where the trunk lies too; None: the CPU's. Both see the same pixels."""
 
     def __init__(
         self,
@@ -117,25 +115,40 @@ class EditTrainer:
         trunk: Trunk | None,
         seed: int,
         chunks: int,
+        device: str | None = None,
     ) -> None:
         self.views = [view for view in views if len(view)]
         if not self.views:
             raise InvalidValue("no view shows anything of the region: there is nothing to learn from")
         if (style is None) != (trunk is None):
             raise InvalidValue("a painting needs a feature trunk, and a trunk a painting")
-        self.module, self.settings, self.seed, self.chunks = module, settings, seed, chunks
+        self._module, self.settings, self.seed, self.chunks = module, settings, seed, chunks
         self.style: RegionStyle | None = None
         if style is not None:
             if settings.preserve_colour:
                 style = in_colours_of(style, sampled_colours(self.views, np.random.default_rng([seed, 6])))
             self.style = RegionStyle(trunk, style, settings.style_side)
-        self.table = Adam(module.encoding.values, [(0, len(module.encoding.values), 1.0)], chunks)
-        palette = 3 * len(module.active)
-        self.networks = Adam(module.values, [(0, palette, 2.0), (palette, len(module.values), 1.0)], 1)
+        self.engine: EditEngine
+        if device is None:
+            self.engine = CpuEdit(self.views, module, chunks)
+        else:
+            from stylerf.training.device_edit import DeviceEdit
+
+            self.engine = DeviceEdit(self.views, module, device)
         self.state = EditState()
-        self._neighbours: dict[int, Neighbours] = {}
-        self._canvases: dict[int, Canvas] = {}
+        self._pictured: dict[int, tuple[Neighbours, Canvas, Tensor]] = {}
         self.between_steps = True
+
+    @property
+    def module(self) -> PaletteModule:
+        """As it now stands."""
+        self.engine.collect()
+        return self._module
+
+    @property
+    def asked(self):
+        """What answers as `module` does, wherever that is learnt."""
+        return self.engine.asked
 
     # -- steps ------------------------------------------------------------------------------------------------------
 
@@ -180,23 +193,19 @@ class EditTrainer:
             rows = generator.integers(0, len(view), self.settings.pixels)
         # The ray ends somewhere within what it sees: LAENeRF's jitter.
         jitter = (generator.random((len(rows), 1)) - 0.5).astype(np.float32)
-        x = self.module.local(view.x[rows] + view.along[rows] * jitter)
-        phi = self.module.encoding(x, self.table.gradients)
-        values = self.module.leaf()
-        mixture = self.module.mix(values, phi, torch.from_numpy(harmonics(view.directions[rows], DEGREE)))
-        target = torch.from_numpy(view.target[rows])
-        parts = self._of_pixels(mixture, target, self.module.palette_of(values))
+        phi, basis, target = self.engine.shown(at, rows, jitter)
+        values = self.engine.leaf()
+        mixture = self._module.mix(values, phi, basis, self.engine.kept)
+        parts = self._of_pixels(mixture, target, self._module.palette_of(values))
         if pictured:
             parts |= self._of_picture(at, mixture.colours, target)
         # A part of weight 0 is not even asked for its gradient.
         weights = {name: getattr(self.settings.weights, name) for name in parts}
-        loss = sum(weights[name] * part for name, part in parts.items() if weights[name])
-        loss.backward()
-        self.networks.gradients[0] += values.grad.numpy()
+        parts = {name: part for name, part in parts.items() if weights[name]}
+        sum(weights[name] * part for name, part in parts.items()).backward()
         falling = self.settings.final_rate**self.whole_progress
-        self.networks.step(self.settings.rate * falling)
-        self.table.step(self.settings.table_rate * falling)
-        return {name: float(part.detach()) for name, part in parts.items() if weights[name]}
+        self.engine.step(values, self.settings.rate * falling, self.settings.table_rate * falling)
+        return self.engine.tell(parts)
 
     def _view_of_step(self, number: int) -> int:
         """Every view once an epoch, in an order drawn anew for each."""
@@ -213,19 +222,20 @@ class EditTrainer:
         if self.settings.weights.uniform:
             parts["uniform"] = losses.largest_share(mixture.weights)
         if self.settings.weights.distinct:
-            parts["distinct"] = losses.likeness(palette[torch.from_numpy(np.flatnonzero(self.module.active))])
+            kept = self.engine.kept
+            active = torch.from_numpy(np.flatnonzero(self._module.active)) if kept is None else kept
+            parts["distinct"] = losses.likeness(palette[active])
         return parts
 
     def _of_picture(self, at: int, colours: Tensor, target: Tensor) -> dict[str, Tensor]:
-        view = self.views[at]
-        if at not in self._neighbours:
-            self._neighbours[at] = Neighbours.of(view)
-            self._canvases[at] = self.style.canvas(view)
-        neighbours = self._neighbours[at]
+        if at not in self._pictured:
+            view, device = self.views[at], self.engine.device
+            transition = torch.from_numpy(view.transition).to(device)
+            self._pictured[at] = Neighbours.of(view, device), self.style.canvas(view), transition
+        neighbours, canvas, transition = self._pictured[at]
         differences = neighbours.differences(colours)
-        transition = torch.from_numpy(view.transition)
         return {
-            "style": self.style.distance(colours, self._canvases[at]),
+            "style": self.style.distance(colours, canvas),
             "variation": losses.variation(differences, neighbours),
             "edges": losses.edge_contrast(differences, neighbours),
             "smooth": losses.transition_error(colours, target, transition).mean(),
@@ -242,8 +252,7 @@ class EditTrainer:
             while self.progress < 1.0:
                 begun, self.between_steps = time.perf_counter(), False
                 parts = self.step()
-                if not all(math.isfinite(v) for v in parts.values()):
-                    raise Diverged(f"{state.phase} step {state.step}: the loss left the finite numbers ({parts})")
+                self._refuse_nan(parts)
                 state.seconds += (time.perf_counter() - begun) * timed
                 state.step, timed = state.step + 1, True
                 if state.step % 10 == 0:
@@ -252,15 +261,21 @@ class EditTrainer:
                     state.curve.append({"phase": state.phase, "step": state.step, "seconds": seconds, **rounded})
                 self.between_steps = True
                 on_step(self)
+            self._refuse_nan(self.engine.settle())
             self._next_phase()
+
+    def _refuse_nan(self, parts: dict[str, float]) -> None:
+        if not all(math.isfinite(value) for value in parts.values()):
+            state = self.state
+            raise Diverged(f"{state.phase} step {state.step}: the loss left the finite numbers ({parts})")
 
     def _next_phase(self) -> None:
         state, phases = self.state, [*self._steps(), "done"]
         following = phases[phases.index(state.phase) + 1]
         self.between_steps = False  # half of this change would make a checkpoint of neither phase
         if following == "pruned":
-            shares = shares_of(self.module, self.views, self.chunks)
-            self.module.active = kept_colours(self.module.active, shares, self.settings.most_colours)
+            shares = shares_of(self.asked, self.views, self.chunks)
+            self._module.active = kept_colours(self._module.active, shares, self.settings.most_colours)
         state.spent[state.phase] = round(state.seconds, 3)
         state.phase, state.step, state.seconds = following, 0, 0.0
         self.between_steps = True
@@ -268,21 +283,18 @@ class EditTrainer:
     def figures(self) -> dict:
         """As figures_of, and the seconds of each phase that is over."""
         seconds = {phase: round(seconds, 2) for phase, seconds in self.state.spent.items()}
-        return {**figures_of(self.module, self.views, self.chunks), "seconds": seconds}
+        return {**figures_of(self.asked, self.views, self.chunks), "seconds": seconds}
 
     def checkpoint(self) -> tuple[dict, dict[str, np.ndarray]]:
         """(JSON, arrays) to go on from."""
         arrays = {f"module.{k}": v.copy() for k, v in self.module.arrays().items()}
-        arrays["active"] = self.module.active.copy()
-        for name, adam in (("table", self.table), ("networks", self.networks)):
-            arrays |= {f"{name}.{k}": v.copy() for k, v in adam.arrays().items()}
-        return {"state": vars(self.state)}, arrays
+        arrays["active"] = self._module.active.copy()
+        return {"state": vars(self.state)}, arrays | self.engine.moments()
 
     def resume(self, data: dict, arrays: dict[str, np.ndarray]) -> None:
-        """From checkpoint()."""
+        """From checkpoint(), of whichever device."""
         self.state = EditState(**data["state"])
-        self.module.active = arrays["active"].copy()
-        for name, values in self.module.arrays().items():
+        self._module.active = arrays["active"].copy()
+        for name, values in self._module.arrays().items():
             values[:] = arrays[f"module.{name}"]
-        for name, adam in (("table", self.table), ("networks", self.networks)):
-            adam.restore({k: arrays[f"{name}.{k}"] for k in ("first", "second", "steps")})
+        self.engine.resume(arrays)

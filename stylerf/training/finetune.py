@@ -14,36 +14,10 @@ import numpy as np
 from stylerf.errors import Diverged
 from stylerf.fields.field import RadianceField
 from stylerf.fields.patch import PatchColour
-from stylerf.fields.samples import Rays
-from stylerf.rendering.rays import backward, render_rays
+from stylerf.training.finetune_engine import CpuTuning, FineTuneSettings, TuningBatch, TuningEngine
 from stylerf.training.fit import SMOOTH_EVERY
-from stylerf.training.optimiser import Adam
 from stylerf.training.ranks import ALONE, Ranks
 from stylerf.training.rays import RayBank
-
-
-@dataclass(frozen=True)
-class FineTuneSettings:
-    """seconds: budget, or steps if > 0. rays: of a step. inside: share of them through edited pixels.
-
-    rate: per step, of the colours and (times density_factor) of the density, falling to final_rate of itself;
-    density_factor 0 keeps the shapes. depth_weight: of the squared difference of sum(w t) from the depth before the
-    edit, in units of that depth, at edited pixels. background: level of grey behind the field. smoothness, even_from:
-    as in FitSettings.
-    """
-
-    seconds: float = 60.0
-    steps: int = 0
-    rays: int = 6144
-    inside: float = 0.4
-    beside: float = 0.3
-    rate: float = 5e-3
-    density_factor: float = 0.3
-    final_rate: float = 0.05
-    depth_weight: float = 1e-3
-    background: float = 1.0
-    smoothness: float = 0.0
-    even_from: float = 0.0
 
 
 @dataclass
@@ -74,7 +48,8 @@ class EditedPixels:
 class FineTuner:
     """bank: all training views, edited. The field is changed in place.
 
-    ranks: the processes that train it together; settings.rays are of all of them.
+    ranks: the processes that train it together; settings.rays are of all of them. device: of the GPU kernels; None:
+    the CPU's. Both see the same rays, and a checkpoint of one goes on upon the other.
     """
 
     def __init__(
@@ -86,14 +61,25 @@ class FineTuner:
         seed: int,
         chunks: int,
         ranks: Ranks = ALONE,
+        device: str | None = None,
     ) -> None:
-        self.ranks = ranks
-        self.field, self.bank, self.edited, self.settings = field, bank, edited, settings
-        self.seed, self.chunks = seed, chunks
+        self.ranks, self.bank, self.edited, self.settings, self.seed = ranks, bank, edited, settings, seed
         self.state = FineTuneState()
-        self.colour_adam = Adam(field.colour.values, field.colour.groups(), chunks)
-        self.density_adam = Adam(field.density.values, field.density.groups(), chunks)
+        # Whether all that learns is near the edit: rays far from it would tell nothing.
+        self.local = isinstance(field.colour, PatchColour) and settings.density_factor == 0
+        self.engine: TuningEngine
+        if device is None:
+            self.engine = CpuTuning(field, bank, settings, chunks, ranks)
+        else:
+            from stylerf.training.device_finetune import DeviceTuning
+
+            self.engine = DeviceTuning(field, bank, settings, device, ranks)
         self.between_steps = True
+
+    @property
+    def field(self) -> RadianceField:
+        """As it now stands."""
+        return self.engine.field
 
     @property
     def progress(self) -> float:
@@ -101,13 +87,8 @@ class FineTuner:
         s = self.settings
         return min(1.0, self.state.step / s.steps if s.steps else self.state.seconds / s.seconds)
 
-    @property
-    def local(self) -> bool:
-        """Whether all that learns is near the edit: rays far from it would tell nothing."""
-        return isinstance(self.field.colour, PatchColour) and self.settings.density_factor == 0
-
-    def _drawn(self) -> tuple[Rays, np.ndarray, np.ndarray, int]:
-        """(this process's rays, their photos' colours [n, 4], which edited pixels come first, how many do in all).
+    def _batch(self) -> TuningBatch:
+        """This process's pixels of the step, and how fast it learns.
 
         Edited pixels come first in a step, then those beside them, then any; a process takes its part of all.
         """
@@ -121,57 +102,22 @@ class FineTuner:
         own, others = self.ranks.own(s.rays), s.rays - inside - beside
         chosen, around = chosen[_overlap(own, 0, inside)], around[_overlap(own, inside, beside)]
         drawn = (
-            self.bank.at(self.edited.views[chosen], self.edited.pixels[chosen]),
-            self.bank.at(views[around], pixels[around]),
-            self.bank.draw(others, generator, part=_overlap(own, s.rays - others, others))[:3],
+            (self.edited.views[chosen], self.edited.pixels[chosen]),
+            (views[around], pixels[around]),
+            self.bank.choose(others, generator, part=_overlap(own, s.rays - others, others)),
         )
-        origins, directions, colours = (np.concatenate(three) for three in zip(*drawn))
-        jitter = generator.random(s.rays, dtype=np.float32)[own]
-        return Rays.of(origins, directions, self.field.space.near, jitter), colours, chosen, inside
+        return TuningBatch(
+            *(np.concatenate(two) for two in zip(*drawn)),
+            jitter=generator.random(s.rays, dtype=np.float32)[own],
+            depth=self.edited.depth[chosen],
+            inside=inside,
+            rate=s.rate * s.final_rate**self.progress,
+            smoothness=SMOOTH_EVERY * s.smoothness if self.state.step % SMOOTH_EVERY == 0 else 0.0,
+        )
 
     def step(self) -> dict[str, float]:
         """One step; mean squared errors of colours outside and inside the edit, and of depths."""
-        s, state = self.settings, self.state
-        moving = s.density_factor > 0
-        rays, colours, chosen, inside = self._drawn()
-        rendered = render_rays(self.field, rays, chunks=self.chunks)
-        out, level = rendered.out, np.float32(s.background)
-        wanted = colours[:, :3] * colours[:, 3:] + (1 - colours[:, 3:]) * level
-        difference = out[:, :3] + (1 - out[:, 3:4]) * level - wanted
-        gradients = np.zeros_like(out)
-        gradients[:, :3] = difference * np.float32(2 / (3 * s.rays))
-        gradients[:, 3] = -level * gradients[:, :3].sum(1)
-        if self.field.colour_map is not None:
-            # The map comes after compositing: rgb' = A rgb + alpha b.
-            matrix, offset = self.field.colour_map.matrix.numpy(), self.field.colour_map.offset.numpy()
-            gradients[:, 3] += gradients[:, :3] @ offset.astype(np.float32)
-            gradients[:, :3] = gradients[:, :3] @ matrix.astype(np.float32)
-        depth_error, edited = 0.0, len(chosen)
-        if edited and moving and s.depth_weight > 0:
-            known = np.maximum(self.edited.depth[chosen], np.float32(1e-6))
-            off = out[:edited, 4] / known - 1
-            gradients[:edited, 4] = (2 * s.depth_weight / inside) * off / known
-            depth_error = float(np.square(off).sum())
-        density_to = self.density_adam.gradients if moving else None
-        within = self.field.colour.marked if isinstance(self.field.colour, PatchColour) else None
-        to = density_to, self.colour_adam.gradients
-        backward(self.field, rendered, gradients, *to, even_from=s.even_from, density_within=within)
-        if s.smoothness > 0 and self.ranks.first and state.step % SMOOTH_EVERY == 0:
-            self.field.colour.smooth(SMOOTH_EVERY * s.smoothness, self.colour_adam.gradients[0])
-            if moving:
-                self.field.density.smooth(SMOOTH_EVERY * s.smoothness, self.density_adam.gradients[0])
-        rate = s.rate * s.final_rate**self.progress
-        self.ranks.add_gradients(self.colour_adam.gradients)
-        if moving:
-            self.ranks.add_gradients(self.density_adam.gradients)
-        self.colour_adam.step(rate)
-        if moving:
-            self.density_adam.step(rate * s.density_factor)
-        squares = np.square(difference).mean(1)
-        sums = np.array([squares[edited:].sum(), squares[:edited].sum(), depth_error], np.float64)
-        self.ranks.add(sums)
-        of = np.maximum([s.rays - inside, inside, inside], 1)
-        return dict(zip(("outside", "inside", "depth"), (sums / of).tolist(), strict=True))
+        return self.engine.learn(self._batch())
 
     def run(self, on_step: Callable[["FineTuner"], None] = lambda tuner: None) -> None:
         """Until the budget is spent; on_step is told after every step."""
@@ -179,8 +125,7 @@ class FineTuner:
         while self.progress < 1.0:
             begun, self.between_steps = time.perf_counter(), False
             parts = self.step()
-            if not all(math.isfinite(value) for value in parts.values()):
-                raise Diverged(f"step {state.step}: the loss left the finite numbers ({parts})")
+            self._refuse_nan(parts)
             state.seconds += self.ranks.of_first(time.perf_counter() - begun)
             state.step += 1
             if state.step % 10 == 0:
@@ -188,21 +133,23 @@ class FineTuner:
                 state.curve.append({"step": state.step, "seconds": round(state.seconds, 2), **told})
             self.between_steps = True
             on_step(self)
+        self._refuse_nan(self.engine.settle())
+
+    def _refuse_nan(self, parts: dict[str, float]) -> None:
+        if not all(math.isfinite(value) for value in parts.values()):
+            raise Diverged(f"step {self.state.step}: the loss left the finite numbers ({parts})")
 
     def checkpoint(self) -> tuple[dict, dict[str, np.ndarray]]:
         """(JSON, arrays) to go on from."""
         arrays = {f"field.{k}": v.copy() for k, v in self.field.arrays().items()}
-        for name, adam in (("density", self.density_adam), ("colour", self.colour_adam)):
-            arrays |= {f"{name}.{k}": v.copy() for k, v in adam.arrays().items()}
-        return {"state": vars(self.state)}, arrays
+        return {"state": vars(self.state)}, arrays | self.engine.moments()
 
     def resume(self, data: dict, arrays: dict[str, np.ndarray]) -> None:
-        """From checkpoint()."""
+        """From checkpoint(), of whichever device."""
         self.state = FineTuneState(**data["state"])
         for name, own in self.field.arrays().items():
             own[:] = arrays[f"field.{name}"]
-        for name, adam in (("density", self.density_adam), ("colour", self.colour_adam)):
-            adam.restore({k: arrays[f"{name}.{k}"] for k in ("first", "second", "steps")})
+        self.engine.resume(arrays)
 
 
 def _overlap(own: slice, begin: int, count: int) -> slice:

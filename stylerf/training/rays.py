@@ -59,6 +59,18 @@ class RayBank:
 
         Gives origins, directions [n, 3], colours [n, 4], views [n].
         """
+        views, pixels = self.choose(count, generator, among, lit_share, part)
+        return *self.at(views, pixels), views
+
+    def choose(
+        self,
+        count: int,
+        generator: np.random.Generator,
+        among: int | None = None,
+        lit_share: float = 0.9,
+        part: slice = slice(None),
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """(views, row-major pixels) [n] of the rays that draw() makes."""
         total = len(self) if among is None else int(self._ends[among - 1])
         index = generator.integers(0, total, count)
         if self.lit is not None and lit_share > 0:
@@ -68,8 +80,7 @@ class RayBank:
                 index[:chosen] = self.lit[generator.integers(0, most, chosen)]
         index = index[part]
         views = np.searchsorted(self._ends, index, side="right")
-        pixels = index - (self._ends[views] - self.sizes[views])
-        return *self.at(views, pixels), views
+        return views, index - (self._ends[views] - self.sizes[views])
 
     def at(self, views: np.ndarray, pixels: np.ndarray):
         """Rays and colours of given pixels: (origins, directions [n, 3], colours [n, 4])."""

@@ -259,3 +259,24 @@ def test_an_edit_of_a_region_of_another_field_is_refused(edited, capsys, tmp_pat
     (other / "region" / "ball" / "region.json").write_text(json.dumps(data))
     assert main(["extract", str(other), "--region", "ball", "--force", "--quiet"]) == 4  # altered: its digest differs
     capsys.readouterr()
+
+
+@pytest.mark.slow
+def test_learning_distilling_and_tuning_run_on_a_gpus_kernels(edited, capsys, monkeypatch):
+    """Through Triton's interpreter, on CPU tensors: the very commands. Whole views would take it minutes each."""
+    pytest.importorskip("triton", reason="Triton is not installed: pip install -e '.[test]' brings it on Linux")
+    from stages import distill, edit_learn, finetune
+
+    for stage in (edit_learn, distill, finetune):
+        monkeypatch.setattr(stage, "gpu_of", lambda context, field=None: "cpu")
+    work, small = Work(edited), ["--palette-steps", "3", "--pruned-steps", "2", "--colours", "4", "--most-colours", "3"]
+    asked = ["--region", "ball", "--recolor", "--palette", "0=#10e020", "--name", "there"]
+    said(capsys, "stylize", edited, *asked, *small)
+    figures = [work.get("edit", "there-learnt").manifest.figures]
+    figures.append(said(capsys, "distill", edited, "--edit", "there")["figures"])
+    tuning = ["--colours", "field", "--budget", "2", "--rays", "64"]
+    figures.append(said(capsys, "finetune", edited, "--edit", "there", *tuning)["figures"])
+    assert all("gpu_memory_mb" in found for found in figures)
+    taught, plain = (load_field(work.get("field", name))[0] for name in ("there", fitted(edited)))
+    for one, other in ((taught.colour, plain.colour), (taught.density, plain.density)):
+        assert 0 < np.abs(one.values - other.values).max() < 0.1

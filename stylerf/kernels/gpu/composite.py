@@ -124,6 +124,45 @@ def loss_kernel(out, wanted, background, counts, starts, ends, scale, gradients,
     tl.atomic_add(sums + 2, tl.sum(lost.to(tl.float32), axis=0), sem="relaxed")
 
 
+@triton.jit(do_not_specialize=["rays", "edited"])
+def tuning_loss_kernel(
+    out, wanted, depth, counts, starts, ends, level, scale, depth_scale, edited, gradients, sums, rays,
+    BLOCK: tl.constexpr,
+):  # fmt: skip
+    """dL/d(out) [rays, 5] of a fine-tuning: squared error against straight rgba [rays, 4] over grey `level`, times
+    scale / 2, and at the first `edited` rays (sum w t / depth - 1)^2, times depth_scale / 2.
+
+    sums += squared error at the other rays, at the edited ones, of depths; rays of either kind that found no room.
+    """
+    r = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
+    live = r < rays
+    held = tl.load(ends + r, mask=live, other=0) - tl.load(starts + r, mask=live, other=0)
+    lost = live & (tl.load(counts + r, mask=live, other=0) != held)
+    own = live & (lost == 0)
+    inside = r < edited
+    alpha = tl.load(out + offset(r, 5, 3), mask=own, other=0.0)
+    cover = tl.load(wanted + offset(r, 4, 3), mask=own, other=0.0)
+    error = 0.0 * alpha
+    of_alpha = 0.0 * alpha
+    for a in tl.static_range(3):
+        found = tl.load(out + offset(r, 5, a), mask=own, other=0.0) + (1.0 - alpha) * level
+        asked = tl.load(wanted + offset(r, 4, a), mask=own, other=0.0) * cover + (1.0 - cover) * level
+        difference = tl.where(own, found - asked, 0.0)
+        error += difference * difference
+        of_alpha -= difference * scale * level
+        tl.store(gradients + offset(r, 5, a), difference * scale, mask=live)
+    tl.store(gradients + offset(r, 5, 3), of_alpha, mask=live)
+    known = tl.maximum(tl.load(depth + r, mask=own & inside, other=1.0), 1e-6)
+    off = tl.load(out + offset(r, 5, 4), mask=own & inside, other=0.0) / known - 1.0
+    off = tl.where(own & inside & (depth_scale > 0.0), off, 0.0)
+    tl.store(gradients + offset(r, 5, 4), depth_scale * off / known, mask=live)
+    tl.atomic_add(sums, tl.sum(tl.where(inside, 0.0, error), axis=0), sem="relaxed")
+    tl.atomic_add(sums + 1, tl.sum(tl.where(inside, error, 0.0), axis=0), sem="relaxed")
+    tl.atomic_add(sums + 2, tl.sum(off * off, axis=0), sem="relaxed")
+    tl.atomic_add(sums + 3, tl.sum((lost & (inside == 0)).to(tl.float32), axis=0), sem="relaxed")
+    tl.atomic_add(sums + 4, tl.sum((lost & inside).to(tl.float32), axis=0), sem="relaxed")
+
+
 @triton.jit(do_not_specialize=["count"])
 def shade_backward_kernel(weights, gradients, ray_of, colour_gradients, count, BLOCK: tl.constexpr):
     """dL/dc_k = w_k dL/d(out_r) of `count` samples; gradients [rays, 3]."""

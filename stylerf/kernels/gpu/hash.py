@@ -52,10 +52,20 @@ def level_scatter(to, layout, level: tl.constexpr, LEVELS: tl.constexpr, x, y, z
 
 
 @triton.jit
-def _logit(values, lane, j: tl.constexpr):
+def logit(values, lane, j: tl.constexpr):
     """f[j] + f[3] of [samples, 4]."""
     own = (lane == j) | (lane == 3)
     return tl.sum(tl.where(own[None, :], values, 0.0), axis=1)
+
+
+@triton.jit
+def lane_gradients(colours, colour_gradients, k, lane, live):
+    """dL/df [samples, 4] from dL/d(colour): the fourth float is part of every channel's logit."""
+    c0, c1, c2 = vector(colours, k, live)
+    g0, g1, g2 = vector(colour_gradients, k, live)
+    g0, g1, g2 = g0 * c0 * (1.0 - c0), g1 * c1 * (1.0 - c1), g2 * c2 * (1.0 - c2)
+    three = tl.where(lane[None, :] == 2, g2[:, None], (g0 + g1 + g2)[:, None])
+    return tl.where(lane[None, :] == 0, g0[:, None], tl.where(lane[None, :] == 1, g1[:, None], three))
 
 
 @triton.jit
@@ -77,9 +87,9 @@ def colour_kernel(
             for level in tl.static_range(LEVELS):
                 f += level_sum(table, layout, level, LEVELS, x, y, z, live)
             at = offset(k, 3, 0)
-            tl.store(out + at, _sigmoid(_logit(f, lane, 0)), mask=live)
-            tl.store(out + at + 1, _sigmoid(_logit(f, lane, 1)), mask=live)
-            tl.store(out + at + 2, _sigmoid(_logit(f, lane, 2)), mask=live)
+            tl.store(out + at, _sigmoid(logit(f, lane, 0)), mask=live)
+            tl.store(out + at + 1, _sigmoid(logit(f, lane, 1)), mask=live)
+            tl.store(out + at + 2, _sigmoid(logit(f, lane, 2)), mask=live)
         tl.store(out + offset(k, 3, 0), -1.0, mask=inside & (live == 0))
 
 
@@ -93,11 +103,7 @@ def colour_backward_kernel(
     for block in range(tl.program_id(0).to(tl.int64), tl.cdiv(count, BLOCK), tl.num_programs(0)):
         k = block * BLOCK + tl.arange(0, BLOCK)
         live = tl.load(colours + offset(k, 3, 0), mask=k < count, other=-1.0) >= 0.0
-        c0, c1, c2 = vector(colours, k, live)
-        g0, g1, g2 = vector(colour_gradients, k, live)
-        g0, g1, g2 = g0 * c0 * (1.0 - c0), g1 * c1 * (1.0 - c1), g2 * c2 * (1.0 - c2)
-        three = tl.where(lane[None, :] == 2, g2[:, None], (g0 + g1 + g2)[:, None])
-        g = tl.where(lane[None, :] == 0, g0[:, None], tl.where(lane[None, :] == 1, g1[:, None], three))
+        g = lane_gradients(colours, colour_gradients, k, lane, live)
         x, y, z = vector(points, k, live)
         for level in tl.static_range(LEVELS):
             level_scatter(to, layout, level, LEVELS, x, y, z, g, live)

@@ -55,6 +55,33 @@ def ray_of_pixel(index, view, view_ends, view_sizes, widths, intrinsics, poses, 
     return tl.load(row + 3), tl.load(row + 7), tl.load(row + 11), dx, dy, dz, red, green, blue, alpha
 
 
+@triton.jit
+def _store_ray(origins, directions, wanted, at, ox, oy, oz, dx, dy, dz, red, green, blue, alpha, mask):
+    store_vector(origins, at, ox, oy, oz, mask)
+    store_vector(directions, at, dx, dy, dz, mask)
+    rgba = wanted + offset(at, 4, 0)
+    tl.store(rgba, red, mask=mask)
+    tl.store(rgba + 1, green, mask=mask)
+    tl.store(rgba + 2, blue, mask=mask)
+    tl.store(rgba + 3, alpha, mask=mask)
+
+
+@triton.jit(do_not_specialize=["count", "views"])
+def rays_kernel(
+    chosen, count, view_ends, view_sizes, views, widths, intrinsics, poses, bytes_, origins, directions, wanted,
+    CHANNELS: tl.constexpr, STEPS: tl.constexpr, BLOCK: tl.constexpr,
+):  # fmt: skip
+    """Rays and straight rgba of pixels chosen [count] int64, numbered through all views laid end to end."""
+    k = tl.program_id(0).to(tl.int64) * BLOCK + tl.arange(0, BLOCK)
+    mask = k < count
+    index = tl.load(chosen + k, mask=mask, other=0)
+    view = view_of(index, view_ends, views, STEPS)
+    ox, oy, oz, dx, dy, dz, red, green, blue, alpha = ray_of_pixel(
+        index, view, view_ends, view_sizes, widths, intrinsics, poses, bytes_, CHANNELS, mask
+    )
+    _store_ray(origins, directions, wanted, k, ox, oy, oz, dx, dy, dz, red, green, blue, alpha, mask)
+
+
 @triton.jit(do_not_specialize=["seed", "first", "rays", "total", "lit_total", "lit_rays", "views"])
 def draw_kernel(
     seed, first, rays, total, lit, lit_total, lit_rays, view_ends, view_sizes, views, widths, intrinsics, poses, bytes_,
@@ -79,13 +106,7 @@ def draw_kernel(
     ox, oy, oz, dx, dy, dz, red, green, blue, alpha = ray_of_pixel(
         index, view, view_ends, view_sizes, widths, intrinsics, poses, bytes_, CHANNELS, mask
     )
-    store_vector(origins, local, ox, oy, oz, mask)
-    store_vector(directions, local, dx, dy, dz, mask)
-    at = offset(local, 4, 0)
-    tl.store(wanted + at, red, mask=mask)
-    tl.store(wanted + at + 1, green, mask=mask)
-    tl.store(wanted + at + 2, blue, mask=mask)
-    tl.store(wanted + at + 3, alpha, mask=mask)
+    _store_ray(origins, directions, wanted, local, ox, oy, oz, dx, dy, dz, red, green, blue, alpha, mask)
     tl.store(jitter + local, _unit(c), mask=mask)
     if RANDOM_BACKGROUND:
         store_vector(background, local, _unit(r0), _unit(r1), _unit(r2), mask)

@@ -2,8 +2,13 @@
 
 import torch
 
+from stylerf.editing.device_palette import DevicePalette
 from stylerf.fields.device import DeviceField
-from stylerf.kernels.gpu import launch, launch_deform
+from stylerf.fields.patch import PatchColour
+from stylerf.kernels.gpu import launch, launch_deform, launch_edit
+from stylerf.training.edit import EditSettings, start_module
+from tests.stylerf.editing.region_pictures import view_of
+from tests.stylerf.fields.test_patch import CELLS, patch
 from tests.stylerf.kernels.gpu.on_device import device_rays
 from tests.stylerf.small import (
     SPACES,
@@ -37,6 +42,8 @@ def everything() -> None:
         ("box", voxel_density, headed(1, "voxel", "linear", 2, SPARSE), False, True),
         ("frustum", voxel_density, headed(1, "voxel", "mlp", 1, SPARSE), False, False),
         ("box", density, headed(1, "vm", "mlp"), False, False),
+        ("box", density, patch(), False, False),
+        ("box", density, patch(), False, True),
     ):
         field = field_of(SPACES[kind], 3, colour, 1 / 8, displacement_grid(6) if displaced else None)
         field.density = density_of(3)
@@ -46,8 +53,8 @@ def everything() -> None:
         sums = torch.zeros(3)
         wanted, background = torch.zeros(8, 4), torch.zeros(8, 3)
         gradients = launch.photometric_loss(rendered.out, wanted, background, rendered.samples, 0.1, sums)
-        made.backward(rendered, gradients, *to)
-        if not half:
+        made.backward(rendered, gradients, *to, density_within=(torch.zeros(CELLS**3, dtype=torch.uint8), CELLS))
+        if not half and not isinstance(colour, PatchColour):
             learn_deformation(made, rendered, gradients)
         made.density.smooth(0.1, to[0])
         made.colour.smooth(0.1, to[1])
@@ -62,3 +69,16 @@ def everything() -> None:
     bank = DeviceBank(box_bank(3, 8), torch.device("cpu"))
     for background in (None, 1.0):
         bank.draw(1, 0, 16, 16, 3, 0.9, background)
+    local_edits(rendered, bank)
+
+
+def local_edits(rendered, bank) -> None:
+    """What learning an edit and fine-tuning launch beside the field's own kernels."""
+    launch_edit.ends_inside(torch.zeros(CELLS**3, dtype=torch.uint8), CELLS, rendered.samples)
+    launch_edit.tuning_loss(
+        rendered.out, torch.zeros(8, 4), torch.zeros(3), rendered.samples, 1.0, 0.1, 0.1, torch.zeros(5)
+    )
+    bank.at(torch.zeros(16, dtype=torch.int64), torch.zeros(16))
+    module = DevicePalette(start_module([view_of(0)], EditSettings(), 0), "cpu")
+    to = torch.zeros_like(module.table)
+    module.features(torch.zeros(7, 3), to).sum().backward()

@@ -40,8 +40,10 @@ def test_all_kernels_compile_and_fit(tmp_path, capability):
         "voxel.density_backward_kernel", "voxel.smoothness_kernel", "heads.linear_kernel",
         "heads.linear_backward_kernel", "heads.harmonic_kernel", "heads.harmonic_backward_kernel",
         "mlp_head.mlp_kernel", "mlp_head.mlp_backward_kernel",
-        "composite.shade_backward_kernel", "optimiser.adam_kernel", "pixels.draw_kernel",
+        "composite.shade_backward_kernel", "optimiser.adam_kernel", "pixels.draw_kernel", "pixels.rays_kernel",
         "deform.density_position_kernel", "deform.vm_colour_position_kernel", "deform.hash_colour_position_kernel",
         "deform.displacement_backward_kernel", "deform.displaced_cells_kernel",
+        "patch.colour_kernel", "patch.colour_backward_kernel", "regions.keep_kernel", "regions.ends_kernel",
+        "composite.tuning_loss_kernel", "hash.rows_kernel", "hash.rows_backward_kernel",
     }  # fmt: skip
     assert all(row["shared"] <= SHARED for row in found), max(found, key=lambda row: row["shared"])

@@ -114,3 +114,26 @@ def test_a_step_of_a_deformation_never_waits_for_the_device(gpu):
     finally:
         torch.cuda.set_sync_debug_mode("default")
     assert fitter.deformer.taken == 19 and np.isfinite(fitter.quality())
+
+
+def test_steps_of_a_local_edit_never_wait_for_the_device(gpu):
+    from tests.stylerf.kernels.gpu import test_editing, test_finetuning
+    from tests.stylerf.training.scenes import box_bank
+
+    tuner = test_finetuning.tuner(box_bank(4, 10), gpu, density_factor=0.5)
+    trainer = test_editing.trainer(gpu, style=True)
+    trainer.state.phase = "style"
+    for step in range(2):  # each view once: what is kept of it is sent then
+        trainer.state.step = step
+        trainer.step()
+    tuner.step()
+    torch.cuda.synchronize()
+    torch.cuda.set_sync_debug_mode("error")
+    try:
+        for step in range(3):
+            tuner.state.step = trainer.state.step = step
+            tuner.step()
+            trainer.step()
+    finally:
+        torch.cuda.set_sync_debug_mode("default")
+    assert tuner.engine.settle()["inside"] > 0 and trainer.engine.settle()["style"] > 0

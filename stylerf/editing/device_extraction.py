@@ -1,0 +1,44 @@
+"""Where rays of whole views end in a region, found on a GPU: the march and the sums of extraction.ends_of_view."""
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from stylerf.fields.device import DeviceField, marked_cells
+from stylerf.fields.field import RadianceField
+from stylerf.geometry.cameras import Camera
+from stylerf.kernels.gpu import launch_edit
+from stylerf.rendering.device_view import rays_of
+from stylerf.rendering.rays import SAMPLE_LIMIT
+
+RAYS_AT_ONCE = 1 << 17
+
+
+class DeviceEnds:
+    """ends_of_view of one field on `device`, to rounding; the grids that were asked for stay there."""
+
+    def __init__(
+        self, field: RadianceField, device: torch.device | str, rays_at_once: int = RAYS_AT_ONCE
+    ) -> None:  # fmt: skip
+        self._field, self.rays_at_once = DeviceField(field, torch.device(device)), rays_at_once
+        self._there: list[tuple[np.ndarray, Tensor]] = []
+
+    def _marked(self, grid: np.ndarray) -> Tensor:
+        for here, there in self._there:
+            if here is grid:
+                return there
+        self._there.append((grid, marked_cells(grid, self._field.device)))
+        return self._there[-1][1]
+
+    def __call__(self, camera: Camera, grids: list[np.ndarray]) -> list[np.ndarray]:
+        """By grid of marked cells [s, s, s]: [pixels, 6] alpha, alpha inside, depth and x there, as ends_of_view."""
+        count = camera.height * camera.width
+        marked, parts = [self._marked(grid) for grid in grids], [[] for _ in grids]
+        for at in range(0, count, self.rays_at_once):
+            rays = rays_of(camera, at, min(self.rays_at_once, count - at), self._field.device)
+            samples = self._field.march(rays, SAMPLE_LIMIT, 1e-3, None)
+            for grid, own, found in zip(grids, marked, parts):
+                ends = launch_edit.ends_inside(own, grid.shape[0], samples)
+                ends[:, 2:] /= ends[:, 1:2].clamp(min=1e-8)
+                found.append(ends)
+        return [torch.cat(found).cpu().numpy() for found in parts]

@@ -1,0 +1,71 @@
+"""What goes between host and device without either waiting: a step's sums to the host, chosen numbers to the device.
+
+A loop never runs more than BEHIND steps ahead of the device, so that its clock is the device's.
+"""
+
+from collections.abc import Callable
+from typing import Any, Generic, TypeVar
+
+import numpy as np
+import torch
+from torch import Tensor
+
+BEHIND = 8
+Told = TypeVar("Told")
+
+
+class Reports(Generic[Told]):
+    """`width` sums of each of the last steps, on their way from the device.
+
+    read: makes of a step's sums, and what was noted of it, what the loop is told; first: told before any has come.
+    """
+
+    def __init__(self, device: torch.device, width: int, read: Callable[[list[float], Any], Told], first: Told) -> None:
+        on_gpu = device.type == "cuda"
+        self._there = [torch.zeros(width, device=device) for _ in range(BEHIND)]
+        self._here = [torch.zeros(width, pin_memory=on_gpu) for _ in range(BEHIND)]
+        self._notes: list[Any] = [None] * BEHIND
+        self._done = [torch.cuda.Event() for _ in range(BEHIND)] if on_gpu else None
+        self._sent, self._read = 0, 0
+        self._tell, self._newest = read, first
+
+    def begin(self) -> Tensor:
+        """Sums [width] for the next step, at zero; waits for the step BEHIND steps ago."""
+        if self._sent - self._read == BEHIND:
+            self._take(wait=True)
+        return self._there[self._sent % BEHIND].zero_()
+
+    def send(self, note: Any) -> Told:
+        """Have the sums of the step brought over; what is known by now."""
+        place = self._sent % BEHIND
+        self._here[place].copy_(self._there[place], non_blocking=True)
+        self._notes[place] = note
+        if self._done is not None:
+            self._done[place].record()
+        self._sent += 1
+        while self._read < self._sent and self._take(wait=False):
+            pass
+        return self._newest
+
+    def settle(self) -> Told:
+        """Wait for all that was sent; what the last step came to."""
+        while self._read < self._sent:
+            self._take(wait=True)
+        return self._newest
+
+    def _take(self, wait: bool) -> bool:
+        place = self._read % BEHIND
+        if self._done is not None:
+            if wait:
+                self._done[place].synchronize()
+            elif not self._done[place].query():
+                return False
+        self._newest = self._tell(self._here[place].tolist(), self._notes[place])
+        self._read += 1
+        return True
+
+
+def sent(array: np.ndarray, device: torch.device) -> Tensor:
+    """The array on the device; a GPU's copy is under way while the host goes on, from memory that waits for it."""
+    there = torch.from_numpy(np.ascontiguousarray(array))
+    return there.pin_memory().to(device, non_blocking=True) if device.type == "cuda" else there.to(device)
