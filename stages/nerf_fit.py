@@ -15,13 +15,14 @@ from stages.runner import Spec
 from stages.scenes import SceneData, load_scene
 from stages.spaces import space_of
 from stylerf.errors import Diverged
+from stylerf.geometry.space import Space
 from stylerf.kernels.cpu.compiling import compiling_note, set_threads
 from stylerf.training.engine import CpuEngine
 from stylerf.training.fit import Fitter
 from stylerf.training.fit_state import FitSettings
-from stylerf.training.ladders import LADDER, Kinds, Rung
+from stylerf.training.ladders import BEYOND, LADDER, Kinds, Rung
 
-SPEC = Spec(stage="nerf_fit", verb="fit", revision=2, writes="field", parallel=True)
+SPEC = Spec(stage="nerf_fit", verb="fit", revision=3, writes="field", parallel=True)
 RATE = {"object": 2e-2, "forward": 4e-2, "unbounded": 4e-2}
 
 
@@ -37,7 +38,7 @@ def run(inputs: dict[str, Artefact], config: FitConfig, partial: Partial, contex
         raise BadInput(f"{inputs['scene'].path}: {len(train)} training views; at least 3 are needed to fit a field")
     order = [i for i in train if i not in held_out] + held_out
     bank = bank_of(scene, order, partial.folder, context)
-    settings = _settings(config, scene)
+    settings = _settings(config, scene, space)
     device = gpu_of(context)
     if device and (config.opacity_weight > 0 or config.clip > 0):
         context.progress.say("computing on the CPU: the opacity prior and clipped gradients are its kernels' alone")
@@ -97,7 +98,7 @@ def _quality(point: dict) -> str:
     return f"{point['psnr']:.1f} dB {'held out' if point['held_out'] else 'on training views'}"
 
 
-def _settings(config: FitConfig, scene: SceneData) -> FitSettings:
+def _settings(config: FitConfig, scene: SceneData, space: Space) -> FitSettings:
     seconds, steps = budget_of(config.budget)
     fixed = capacity_of(config.capacity)
     if scene.background == "none":
@@ -119,12 +120,22 @@ def _settings(config: FitConfig, scene: SceneData) -> FitSettings:
         degree=config.degree,
         min_gain=config.min_gain,
         background=background,
-        ladder=LADDER if fixed is None else _fixed_ladder(*fixed),
-        shares=FitSettings.shares if fixed is None else tuple(FitSettings.shares[: len(_fixed_ladder(*fixed)) - 1]),
         always_climb=fixed is not None,
         # A capture ends in an opaque backdrop: there every ray is opaque as it is.
         opacity=config.opacity_weight if scene.layout == "object" else 0.0,
+        **_climb(fixed, kinds, space),
     )
+
+
+def _climb(fixed: tuple[int, int, int] | None, kinds: Kinds, space: Space) -> dict:
+    """The ladder, and when its rungs are left."""
+    if fixed is not None:
+        ladder = _fixed_ladder(*fixed)
+        return {"ladder": ladder, "shares": FitSettings.shares[: len(ladder) - 1]}
+    if space.kind == "contraction" and kinds == Kinds():
+        shares, longest = (0.08, 0.17, 0.27, 0.39, 0.55), (350, 850, 1350, 1900, 2600)
+        return {"ladder": (*LADDER, BEYOND), "shares": shares, "longest": longest}
+    return {"ladder": LADDER}
 
 
 def _fixed_ladder(resolution: int, density: int, colour: int) -> tuple[Rung, ...]:
