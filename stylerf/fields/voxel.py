@@ -50,10 +50,12 @@ class Grid:
 
     def vertices(self) -> np.ndarray:
         """Positions [rows, 3] in the cube of a table's rows, the first block's at 0; some lie beyond the grid."""
-        corner = np.concatenate([np.zeros((1, 3), np.int64), np.argwhere(self.kept)]) * BLOCK
-        within = np.stack(np.unravel_index(np.arange(BLOCK**3), (BLOCK,) * 3), 1)
+        # A fine grid has millions of rows: nothing wider than the result is made of them.
+        corner = np.concatenate([np.zeros((1, 3), np.int64), np.argwhere(self.kept)]).astype(np.float32) * BLOCK
+        within = np.stack(np.unravel_index(np.arange(BLOCK**3), (BLOCK,) * 3), 1).astype(np.float32)
         places = (corner[:, None] + within[None]).reshape(-1, 3)
-        return np.clip(places / (self.size - 1), 0, 1).astype(np.float32)
+        places /= (self.size - 1).astype(np.float32)
+        return np.clip(places, 0, 1, out=places)
 
     def describe(self) -> dict:
         """kept: its bits, deflated, as text: a 256^3 grid's take some kilobytes."""
