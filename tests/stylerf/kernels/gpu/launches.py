@@ -3,8 +3,7 @@
 import torch
 
 from stylerf.editing.device_palette import DevicePalette
-from stylerf.fields.device import DeviceField
-from stylerf.fields.patch import PatchColour
+from stylerf.fields.device import DeviceField, unsupported
 from stylerf.kernels.gpu import launch, launch_deform, launch_edit
 from stylerf.training.edit import EditSettings, start_module
 from tests.stylerf.editing.region_pictures import view_of
@@ -54,7 +53,7 @@ def everything() -> None:
         wanted, background = torch.zeros(8, 4), torch.zeros(8, 3)
         gradients = launch.photometric_loss(rendered.out, wanted, background, rendered.samples, 0.1, sums)
         made.backward(rendered, gradients, *to, density_within=(torch.zeros(CELLS**3, dtype=torch.uint8), CELLS))
-        if not half and not isinstance(colour, PatchColour):
+        if not half and unsupported(field, moving=True) is None:
             learn_deformation(made, rendered, gradients)
         made.density.smooth(0.1, to[0])
         made.colour.smooth(0.1, to[1])

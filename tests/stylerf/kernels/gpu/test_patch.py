@@ -12,7 +12,7 @@ from stylerf.rendering.rays import backward, render_rays
 from tests.stylerf.fields.test_patch import CELLS, inside, marked_cells, oracle
 from tests.stylerf.fields.test_patch import patch as one_patch
 from tests.stylerf.kernels.gpu.on_device import device_rays, gradients_of, on_host
-from tests.stylerf.small import SPACES, close, field_of, float64, hash_colour, rays_into
+from tests.stylerf.small import SPACES, close, field_of, float64, hash_colour, headed, rays_into
 
 SHARE = 0.02
 
@@ -42,7 +42,17 @@ def on_a_patch(made: PatchColour) -> PatchColour:
     return other
 
 
-CASES = {"some cells": lambda made: made, "all": everywhere, "none met": nowhere_met, "two": on_a_patch}
+def on_a_network(made: PatchColour) -> PatchColour:
+    return PatchColour(headed(2, "vm", "mlp"), made.own, made.marked)
+
+
+CASES = {
+    "some cells": lambda made: made,
+    "all": everywhere,
+    "none met": nowhere_met,
+    "two": on_a_patch,
+    "network": on_a_network,
+}
 
 
 @cache
@@ -86,7 +96,9 @@ def test_outside_the_cells_the_base_stays_to_the_bit(device):
     assert bool((found[~shown, 0] == -1).all())
 
 
-@pytest.mark.parametrize("case", ["some cells", "all", "none met", pytest.param("two", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "case", ["some cells", "all", "none met", "network", pytest.param("two", marks=pytest.mark.slow)]
+)
 def test_pixels_and_gradients_are_the_cpus(case, device):
     field, rays, made, rendered, towards = walked(case, device)
     cpu = render_rays(field, rays, chunks=1, share=SHARE)
@@ -117,13 +129,11 @@ def test_density_learns_in_the_cells_alone(device):
 
 def test_what_a_patch_stands_on_decides_whether_a_gpu_can_have_it():
     from stylerf.fields.device import unsupported
-    from stylerf.fields.headed import HeadedColour
-    from tests.stylerf.small import SMALL
+    from tests.stylerf.fields.test_palette_colour import made as palette_colour
 
     assert unsupported(field_of(SPACES["box"], 3, on_a_patch(one_patch()))) is None
-    headed = HeadedColour.create("vm", "mlp", SMALL, 1, np.random.default_rng(0))
-    other = PatchColour(headed, hash_colour(1), marked_cells())
-    assert "headed has no GPU kernel" in unsupported(field_of(SPACES["box"], 3, other))
+    other = PatchColour(palette_colour(), hash_colour(1), marked_cells())
+    assert "palette has no GPU kernel" in unsupported(field_of(SPACES["box"], 3, other))
 
 
 @pytest.mark.slow
