@@ -61,7 +61,7 @@ def everything() -> None:
         moments = [torch.zeros_like(to[0]) for _ in range(2)]
         launch.adam(made.density.values, to[0], *moments, 0.1, (0.9, 0.99), 1e-15, (0.1, 0.01), 0, len(to[0]))
     launch.shade_backward(rendered.samples, torch.zeros(8, 3))
-    launch_deform.displaced_cells(made.distances, made.cells, 2, made.displacement, made.vertices)
+    launch_deform.displaced_cells(made.distances, made.cells, 2, torch.zeros(3 * 5**3), 5)
     from stylerf.training.device_rays import DeviceBank
     from tests.stylerf.training.scenes import box_bank
 
