@@ -40,9 +40,6 @@ def run(inputs: dict[str, Artefact], config: FitConfig, partial: Partial, contex
     bank = bank_of(scene, order, partial.folder, context)
     settings = _settings(config, scene, space)
     device = gpu_of(context)
-    if device and (config.opacity_weight > 0 or config.clip > 0):
-        context.progress.say("computing on the CPU: the opacity prior and clipped gradients are its kernels' alone")
-        device = None
     engine = _engine(device, settings, config.clip)
     say, ranks = context.progress.say, context.ranks
     fitter = Fitter(space, bank, len(held_out), settings, context.seed, threads, say, ranks, engine)
@@ -64,7 +61,7 @@ def _engine(device: str | None, settings: FitSettings, clip: float):
         return functools.partial(CpuEngine, clip=clip)
     from stylerf.training.device_engine import DeviceEngine
 
-    return functools.partial(DeviceEngine, device=device, samples=settings.samples)
+    return functools.partial(DeviceEngine, device=device, samples=settings.samples, clip=clip)
 
 
 def _train(fitter: Fitter, config: FitConfig, partial: Partial, context: Context) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from stylerf.fields.device import DeviceField, DeviceRays
+from stylerf.fields.device import DeviceField, DeviceRays, DeviceRendered
 from stylerf.fields.device_occupancy import refresh
 from stylerf.fields.field import RadianceField
 from stylerf.kernels.gpu import launch
@@ -28,13 +28,16 @@ LEAST_ROOM = 1 << 18
 class DeviceAdam:
     """stylerf/training/optimiser.py's Adam, on tensors: one gradient buffer, added to by atomics."""
 
-    def __init__(self, values: Tensor, groups: list[tuple[int, int, float]]) -> None:
-        self.values, self.groups = values, groups
+    def __init__(self, values: Tensor, groups: list[tuple[int, int, float]], clip: float = 0.0) -> None:
+        self.values, self.groups, self.clip = values, groups, clip
         self.gradients, self.first, self.second = (torch.zeros_like(values) for _ in range(3))
+        self.usual = torch.zeros((), dtype=torch.float64, device=values.device)
         self.steps = 0
 
     def step(self, rate: float) -> None:
         """One update with learning rate `rate` times each group's factor; clears the gradients."""
+        if self.clip > 0:
+            self.usual = clipped(self.gradients, self.clip, self.usual)
         self.steps += 1
         corrections = 1 - BETA1**self.steps, 1 - BETA2**self.steps
         for begin, end, factor in _joined(self.groups):
@@ -46,13 +49,31 @@ class DeviceAdam:
     def arrays(self) -> dict[str, np.ndarray]:
         """What a checkpoint needs beside the values."""
         moments = {"first": self.first.cpu().numpy(), "second": self.second.cpu().numpy()}
-        return moments | {"steps": np.asarray([self.steps])}
+        return moments | {"steps": np.asarray([self.steps, float(self.usual)])}
 
     def restore(self, arrays: dict[str, np.ndarray]) -> None:
         """From arrays()."""
         self.first.copy_(torch.from_numpy(arrays["first"]))
         self.second.copy_(torch.from_numpy(arrays["second"]))
         self.steps = int(arrays["steps"][0])
+        self.usual.fill_(float(arrays["steps"][1]) if len(arrays["steps"]) > 1 else 0.0)
+
+
+def clipped(gradients: Tensor, clip: float, usual: Tensor) -> Tensor:
+    """As optimiser.py's, of gradients [n]; nothing of it is asked of the host."""
+    length = torch.linalg.vector_norm(gradients, dtype=torch.float64)
+    finite, known = torch.isfinite(length), usual > 0
+    shortened = torch.where(known, torch.minimum(length, clip * usual), length)
+    share = torch.where(length > 0, shortened / length, 1.0)
+    gradients.mul_(torch.where(finite, share, 0.0).to(gradients.dtype)).nan_to_num_(0.0, 0.0, 0.0)
+    return torch.where(finite, torch.where(known, 0.9 * usual + 0.1 * shortened, shortened), usual)
+
+
+def opacity_gradient(rendered: DeviceRendered, weight: float, rays: int) -> Tensor:
+    """As engine.py's, of a part of `rays` rays; those that found no room teach nothing."""
+    s = rendered.samples
+    whole = s.counts == s.ends - s.starts
+    return torch.where(whole, (4 * weight / rays) * (1 - 2 * rendered.out[:, 3].clamp(0, 1)), 0.0)
 
 
 def _joined(groups: list[tuple[int, int, float]]) -> list[tuple[int, int, float]]:
@@ -92,8 +113,9 @@ class DeviceEngine:
         *,
         device: torch.device | str,
         samples: int,
+        clip: float = 0.0,
     ) -> None:
-        self.device, self.ranks = torch.device(device), ranks
+        self.device, self.ranks, self.clip = torch.device(device), ranks, clip
         self.bank, self.seed = DeviceBank(bank, self.device), seed
         self.room = max(LEAST_ROOM if self.device.type == "cuda" else 0, ROOM * samples)
         self.adopt(field)
@@ -101,8 +123,8 @@ class DeviceEngine:
     def adopt(self, field: RadianceField) -> None:
         self._host, self._stale = field, False
         self.live = DeviceField(field, self.device)
-        self.density_adam = DeviceAdam(self.live.density.values, self.live.density.groups)
-        self.colour_adam = DeviceAdam(self.live.colour.values, self.live.colour.groups)
+        self.density_adam = DeviceAdam(self.live.density.values, self.live.density.groups, self.clip)
+        self.colour_adam = DeviceAdam(self.live.colour.values, self.live.colour.groups, self.clip)
         self._reports = Reports(self.device, 3, _learnt, Learnt(0.0, 0.0))
 
     @property
@@ -140,6 +162,8 @@ class DeviceEngine:
             gradients = launch.photometric_loss(
                 rendered.out, drawn.wanted, drawn.background, rendered.samples, scale, sums
             )
+            if batch.opacity > 0:
+                gradients[:, 3] += opacity_gradient(rendered, batch.opacity, batch.rays)
             to = self.density_adam.gradients, self.colour_adam.gradients
             field.backward(rendered, gradients, *to, even_from=batch.even_from)
         both = (field.density, self.density_adam), (field.colour, self.colour_adam)

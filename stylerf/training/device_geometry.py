@@ -35,10 +35,10 @@ class DeviceFixedGeometry:
         self._alphas: dict[int, np.ndarray] = {}
         self._colour = None
 
-    def new_adam(self) -> DeviceAdam:
-        """An optimiser of field.colour as it now stands, copied to the device."""
+    def new_adam(self, clip: float = 0.0) -> DeviceAdam:
+        """An optimiser of field.colour as it now stands, copied to the device. clip: see DeviceAdam."""
         self._colour = COLOUR_KINDS[self.field.colour.kind](self.field.colour, self.device)
-        return DeviceAdam(self._colour.values, self._colour.groups)
+        return DeviceAdam(self._colour.values, self._colour.groups, clip)
 
     @property
     def colour(self):

@@ -124,7 +124,7 @@ class Repainting:
         """An optimiser of the colours as they stand, without a past."""
         if self.device is None:
             return Adam(self.field.colour.values, self.field.colour.groups(), self.chunks, self.settings.clip)
-        return self.still.new_adam()
+        return self.still.new_adam(self.settings.clip)
 
     def _collect(self) -> None:
         """Bring what the colours have learnt on a device into the field's own array."""

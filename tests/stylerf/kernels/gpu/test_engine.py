@@ -10,7 +10,7 @@ from stylerf.fields.samples import Rays
 from stylerf.fields.vm_tables import split_table
 from stylerf.rendering.rays import backward, render_rays
 from stylerf.rendering.view import render_view
-from stylerf.training.engine import Batch, CpuEngine, background_of
+from stylerf.training.engine import Batch, CpuEngine, background_of, opacity_gradient
 from stylerf.training.fit import Fitter
 from tests.stylerf.fields.test_densities import LARGER
 from tests.stylerf.small import SPARSE, field_of, hash_colour, hash_density, headed, vm_colour, voxel_density
@@ -35,10 +35,10 @@ def batch(**more) -> Batch:
     return Batch(**{**plain, "smoothness": (0.0, 0.0), "even_from": 0.0, **more})
 
 
-def engine_on(device, bank, field):
+def engine_on(device, bank, field, clip: float = 0.0):
     from stylerf.training.device_engine import DeviceEngine
 
-    return DeviceEngine(bank, 0, 1, field, device=device, samples=400)
+    return DeviceEngine(bank, 0, 1, field, device=device, samples=400, clip=clip)
 
 
 def kept_gradients(engine) -> list[torch.Tensor]:
@@ -62,7 +62,8 @@ def test_a_step_learns_the_gradient_that_the_cpu_finds_for_the_same_rays(kinds, 
     field = FIELDS[kinds]()
     engine = engine_on(device, bank, field)
     found = kept_gradients(engine)
-    engine.learn(batch())
+    opacity = 0.3 if kinds == "vm" else 0.0
+    engine.learn(batch(opacity=opacity))
     learnt = engine._reports.settle()
     drawn = engine.bank.draw((0 * 1_000_003 + 3) & 0x7FFFFFFF, 0, 24, 24, 3, 0.5, 1.0)
     host = [t.cpu().numpy() for t in (drawn.rays.origins, drawn.rays.directions, drawn.rays.jitter)]
@@ -71,7 +72,7 @@ def test_a_step_learns_the_gradient_that_the_cpu_finds_for_the_same_rays(kinds, 
     difference = out[:, :3] + 1 - out[:, 3:4] - (rgba[:, :3] * rgba[:, 3:] + 1 - rgba[:, 3:])
     gradients = np.zeros_like(out)
     gradients[:, :3] = difference * np.float32(2 / (3 * 24))
-    gradients[:, 3] = -gradients[:, :3].sum(1)
+    gradients[:, 3] = -gradients[:, :3].sum(1) + opacity_gradient(out[:, 3], opacity, 24)
     to = [np.zeros((1, len(part.values)), np.float32) for part in (field.density, field.colour)]
     backward(field, rendered, gradients, *to)
     for ours, expected in zip(found, to):
@@ -120,10 +121,22 @@ def test_what_is_learnt_comes_back_and_moments_with_it(bank, device):
     now = engine.field.colour.values
     assert not np.array_equal(now, before) and np.abs(now - before).max() < 0.06
     moments = engine.moments()
-    assert moments["density.steps"].tolist() == [1] and moments["colour.first"].any()
+    assert moments["density.steps"].tolist() == [1, 0] and moments["colour.first"].any()
     other = engine_on(device, bank, engine.field)
     other.restore_moments(moments)
     assert torch.equal(other.colour_adam.second, engine.colour_adam.second) and other.density_adam.steps == 1
+
+
+def test_both_parts_are_clipped_where_that_is_asked_for(bank, device):
+    engine = engine_on(device, bank, thin_field(), clip=1.5)
+    engine.learn(batch())
+    for adam in (engine.density_adam, engine.colour_adam):
+        usual = float(adam.usual)
+        assert usual > 0
+        adam.gradients[:] = 0
+        adam.gradients[0] = 100 * usual
+        adam.step(0.0)
+        assert float(adam.usual) == pytest.approx(1.05 * usual, rel=1e-6)
 
 
 def test_held_out_views_are_judged_as_on_the_cpu(bank, device):

@@ -43,6 +43,24 @@ def test_a_gradient_of_nan_is_no_zero(device):
     assert made.values.isnan().tolist() == [k == 3 for k in range(16)]
 
 
+def test_a_leap_is_shortened_as_on_the_cpu_and_a_gradient_of_nan_is_no_step(device):
+    from stylerf.training.device_engine import DeviceAdam
+
+    generator, n = np.random.default_rng(1), 300
+    cpu = Adam(np.zeros(n, np.float32), [(0, n, 1.0)], 1, 2.0)
+    gpu = DeviceAdam(torch.zeros(n, device=device), cpu.groups, 2.0)
+    for longer in (1.0, 1.5, 50.0, float("nan"), 0.0, float("inf"), 1.0):
+        gradient = generator.normal(size=n).astype(np.float32) * np.float32(longer)
+        cpu.gradients[0], gpu.gradients[:] = gradient, torch.from_numpy(gradient).to(device)
+        cpu.step(0.1)
+        gpu.step(0.1)
+        assert float(gpu.usual) == pytest.approx(cpu.usual, rel=1e-6)
+        np.testing.assert_allclose(gpu.first.cpu(), cpu.first, rtol=2e-5, atol=2e-6)
+    again = DeviceAdam(gpu.values, cpu.groups, 2.0)
+    again.restore(gpu.arrays())
+    assert float(again.usual) == float(gpu.usual) > 0
+
+
 def test_hash_rows_and_their_gradient_equal_the_oracle(device):
     from stylerf.kernels.gpu import hash as kernels
 
