@@ -5,33 +5,39 @@ from pathlib import Path
 
 import numpy as np
 from safetensors import SafetensorError, safe_open
-from safetensors.numpy import save
 
-from schemas.atomic import write_bytes
+from schemas.atomic import replacing
 from schemas.errors import ArtefactDamaged
+
+# By numpy's name, in the format's order from the last in a file to the first.
+TYPES = {
+    "bool": "BOOL", "uint8": "U8", "int8": "I8", "int16": "I16", "uint16": "U16", "float16": "F16", "int32": "I32",
+    "uint32": "U32", "float32": "F32", "float64": "F64", "int64": "I64", "uint64": "U64",
+}  # fmt: skip
 
 
 def save_tensors(path: Path, tensors: dict[str, np.ndarray], metadata: dict[str, str] | None = None) -> None:
     """Replaces the file `path` by named arrays and string metadata as one step.
 
-    Strided views are copied first: safetensors refuses them. The bytes depend on the content alone.
+    The bytes depend on the content alone: the library writes metadata in another order in every process. It would also
+    hold everything once more, and a checkpoint is as large as all that learns.
     """
-    whole = {name: np.asarray(tensors[name], order="C") for name in sorted(tensors)}
-    write_bytes(Path(path), _in_order(save(whole, metadata=metadata or None)))
-
-
-def _in_order(data: bytes) -> bytes:
-    """The same file with its metadata sorted: safetensors writes them in another order in every process.
-
-    A file is 8 bytes of header length (little endian), a JSON header padded with spaces to a multiple of 8, the data.
-    """
-    length = int.from_bytes(data[:8], "little")
-    header = json.loads(data[8 : 8 + length])
-    if "__metadata__" in header:
-        header["__metadata__"] = dict(sorted(header["__metadata__"].items()))
+    rank = list(TYPES)
+    whole = {name: np.asarray(array, array.dtype.newbyteorder("<"), order="C") for name, array in tensors.items()}
+    names = sorted(whole, key=lambda name: (-rank.index(whole[name].dtype.name), name))
+    header: dict = {"__metadata__": dict(sorted(metadata.items()))} if metadata else {}
+    at = 0
+    for name in names:
+        array = whole[name]
+        end = at + array.nbytes
+        header[name] = {"dtype": TYPES[array.dtype.name], "shape": list(array.shape), "data_offsets": [at, end]}
+        at = end
     text = json.dumps(header, separators=(",", ":"), ensure_ascii=False).encode()
     text += b" " * (-len(text) % 8)
-    return len(text).to_bytes(8, "little") + text + data[8 + length :]
+    with replacing(Path(path)) as temporary, open(temporary, "wb") as stream:
+        stream.write(len(text).to_bytes(8, "little") + text)
+        for name in names:
+            stream.write(whole[name].reshape(-1).view(np.uint8).data)
 
 
 def load_tensors(path: Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:

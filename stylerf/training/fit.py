@@ -224,7 +224,7 @@ class Fitter:
             quality = self._judge(quality)
         if state.trial is None and quality >= state.best:
             state.best = quality
-            self._anchor = self._snapshot()
+            self._keep()
         if climb.rung_due(self.progress):
             if quality >= TELLING_PSNR and not self.settings.always_climb:
                 self._stay(quality)
@@ -248,7 +248,7 @@ class Fitter:
         )
 
     def _try(self, what: str, quality: float) -> None:
-        self._anchor = self._snapshot()
+        self._keep()
         self.state.best = max(self.state.best, quality)
         self._resize(self.climb.begin(what, quality, self.parameters, self.progress))
 
@@ -260,7 +260,7 @@ class Fitter:
         state.decisions.append(text)
         if kept:
             state.best = quality if reduced else max(state.best, quality)
-            self._anchor = self._snapshot()
+            self._keep()
             return quality
         self._restore(self._anchor)
         self.on_say(text)
@@ -281,10 +281,14 @@ class Fitter:
 
     # -- snapshots --------------------------------------------------------------------------------------------------
 
-    def _snapshot(self) -> dict:
-        field = self.field
-        arrays = {k: v.copy() for k, v in (field.arrays() | self.engine.moments()).items()}
-        return {"field": field.describe(), "arrays": arrays}
+    def _now(self) -> dict:
+        """As it stands: the next step writes to these very arrays."""
+        return {"field": self.field.describe(), "arrays": self.field.arrays() | self.engine.moments()}
+
+    def _keep(self) -> None:
+        """Make what stands the anchor; what was goes first, so that there is never memory for both."""
+        self._anchor, now = None, self._now()
+        self._anchor = now | {"arrays": {k: v.copy() for k, v in now["arrays"].items()}}
 
     def _restore(self, snapshot: dict) -> None:
         arrays = {k: v.copy() for k, v in snapshot["arrays"].items()}
@@ -292,8 +296,8 @@ class Fitter:
         self.engine.restore_moments(arrays)
 
     def checkpoint(self) -> tuple[dict, dict[str, np.ndarray]]:
-        """(JSON, arrays) from which `resume` goes on exactly as if nothing had happened."""
-        now = self._snapshot()
+        """(JSON, arrays) from which `resume` goes on as if nothing had happened; the next step changes the arrays."""
+        now = self._now()
         data = {"state": vars(self.state) | {"best": _finite(self.state.best)}, "field": now["field"]}
         arrays = {f"now.{k}": v for k, v in now["arrays"].items()}
         if self._anchor is not None:

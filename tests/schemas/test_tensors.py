@@ -2,9 +2,11 @@
 
 import subprocess
 import sys
+import tracemalloc
 
 import numpy as np
 import pytest
+from safetensors.numpy import save
 
 from schemas.errors import ArtefactDamaged
 from schemas.tensors import load_tensors, save_tensors
@@ -27,6 +29,26 @@ def test_round_trip_of_strided_empty_and_scalar_arrays(tmp_path):
     for name, array in arrays.items():
         assert found[name].dtype == array.dtype and found[name].shape == array.shape
         np.testing.assert_array_equal(found[name], array)
+
+
+@pytest.mark.parametrize("metadata", [None, {"state": '{"a": "é\\n"}'}])
+def test_a_file_is_the_librarys_to_the_byte(tmp_path, metadata):
+    kinds = (np.bool_, np.uint8, np.int8, np.int16, np.uint16, np.float16, np.int32, np.uint32)
+    kinds += (np.float32, np.float64, np.int64, np.uint64)
+    arrays = {f"{'ba'[k % 2]}-{k}": np.arange(k + 1).astype(kind) for k, kind in enumerate(kinds)}
+    arrays |= {"empty": np.zeros((0, 3), np.float32), "scalar": np.array(7, np.int16)}
+    save_tensors(tmp_path / "a.safetensors", arrays, metadata)
+    assert (tmp_path / "a.safetensors").read_bytes() == save(arrays, metadata)
+
+
+def test_arrays_are_written_as_they_lie_and_no_second_time_in_memory(tmp_path):
+    large = {name: np.ones(4_000_000, np.float32) for name in "ab"}
+    tracemalloc.start()
+    try:
+        save_tensors(tmp_path / "a.safetensors", large)
+        assert tracemalloc.get_traced_memory()[1] < 1e6
+    finally:
+        tracemalloc.stop()
 
 
 def test_bytes_do_not_depend_on_the_process(tmp_path):

@@ -21,7 +21,7 @@ SETTINGS = DeformSettings(steps=60, rays=256, vertices=8, rate=3e-3, smoothness=
 def fitted() -> dict:
     fitter = box_fitter(150)
     fitter.run()
-    return fitter._snapshot()
+    return fitter._now()
 
 
 @pytest.fixture
