@@ -12,6 +12,7 @@ from schemas.canonical import plain
 from schemas.errors import OutOfResources
 from schemas.store import Artefact, Partial, Recipe, Work
 from stages.clock import Clock, peak_memory_mb
+from stages.configs import incidental
 from stages.progress import Context
 
 Run = Callable[[dict[str, Artefact], Any, Partial, Context], dict]
@@ -49,7 +50,8 @@ class Spec:
 def recipe_of(spec: Spec, inputs: dict[str, Artefact], config: Any, seed: int) -> Recipe:
     """The recipe by which `spec` would make its artefact from these inputs (by role) and options."""
     references = [artefact.reference(role) for role, artefact in sorted(inputs.items())]
-    return Recipe(spec.stage, spec.revision, plain(config), references, seed)
+    deciding = {name: value for name, value in plain(config).items() if name not in incidental(config)}
+    return Recipe(spec.stage, spec.revision, deciding, references, seed)
 
 
 def execute(

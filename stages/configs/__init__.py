@@ -1,6 +1,6 @@
 """One frozen dataclass per stage: its options and their defaults, free of heavy imports so that `--help` is instant."""
 
-from dataclasses import MISSING, field
+from dataclasses import MISSING, field, fields
 from typing import Any
 
 
@@ -12,10 +12,17 @@ def option(
     metavar: str | None = None,
     flag: str | None = None,
     positional: bool = False,
+    incidental: bool = False,
 ) -> Any:
     """A dataclass field that also is a command-line flag, `--field-name` unless `flag` says another.
 
-    help, choices and metavar are what the command line shows; a `positional` one is given without a flag.
+    help, choices and metavar are what the command line shows; a `positional` one is given without a flag. An
+    `incidental` one has no say in the result: what was made with another value of it need not be made anew.
     """
     metadata = {"help": help, "choices": choices, "metavar": metavar, "flag": flag, "positional": positional}
-    return field(default=default, metadata=metadata)
+    return field(default=default, metadata=metadata | {"incidental": incidental})
+
+
+def incidental(config: Any) -> set[str]:
+    """Names of the options of a config that have no say in the result."""
+    return {item.name for item in fields(config) if item.metadata.get("incidental")}

@@ -31,7 +31,7 @@ class DecomposeConfig:
     levels: int = option(8, help="levels of the hash grid")
     finest: int = option(0, help="cells a side of its finest level (0: a little finer than a pixel of the photos)")
     table_bits: int = option(17, help="its table entries a level, as a power of two")
-    checkpoint_every_seconds: float = option(20.0, help="time between checkpoints")
+    checkpoint_every_seconds: float = option(20.0, help="time between checkpoints", incidental=True)
 
     def __post_init__(self) -> None:
         budget_of(self.budget)

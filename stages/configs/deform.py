@@ -22,7 +22,7 @@ class DeformConfig:
         help="dB that training views kept aside must gain, else the deformation is dropped (remedy for shapes that "
         "bend without need; 0: as far as the photos gain)",
     )
-    checkpoint_every_seconds: float = option(20.0, help="time between checkpoints")
+    checkpoint_every_seconds: float = option(20.0, help="time between checkpoints", incidental=True)
 
     def __post_init__(self) -> None:
         if self.gate < 0:

@@ -36,9 +36,9 @@ class EditConfig:
     features: str = option("", help="feature trunk: a name or a file of VGG weights (default: the first found)")
     taps: str = option("conv3", help="layers of the trunk whose Gram matrices are matched")
     preview_every: float = option(
-        0.0, metavar="SECONDS", help="draw a view of the region into the run's folder (0: never)"
+        0.0, metavar="SECONDS", help="draw a view of the region into the run's folder (0: never)", incidental=True
     )
-    checkpoint_every_seconds: float = option(20.0, help="time between checkpoints")
+    checkpoint_every_seconds: float = option(20.0, help="time between checkpoints", incidental=True)
 
     def __post_init__(self) -> None:
         if self.recolor == bool(self.style):

@@ -26,7 +26,7 @@ class FinetuneConfig:
     )
     freeze_density: bool = option(False, help="keep the shapes as they are")
     depth_weight: float = option(1e-3, help="weight of the squared relative change of depth at edited pixels")
-    checkpoint_every_seconds: float = option(20.0, help="time between checkpoints")
+    checkpoint_every_seconds: float = option(20.0, help="time between checkpoints", incidental=True)
 
     @property
     def rates(self) -> tuple[float, float]:

@@ -58,8 +58,8 @@ class FitConfig:
     held_out: int = option(
         -1, help="training views kept aside for decisions until the last quarter (-1: every tenth, at most 4; 0: none)"
     )
-    checkpoint_every_seconds: float = option(15.0, help="time between checkpoints")
-    buffers: bool = option(True, help="also render every view to EXR when the field stands")
+    checkpoint_every_seconds: float = option(15.0, help="time between checkpoints", incidental=True)
+    buffers: bool = option(True, help="also render every view to EXR when the field stands", incidental=True)
 
     def __post_init__(self) -> None:
         budget_of(self.budget)

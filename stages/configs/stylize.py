@@ -120,7 +120,7 @@ class StylizeConfig:
         help="standard deviation of luma, 0 to 0.25, that colour matching gives at least (remedy for blank paintings)",
     )
     references_digest: str = option("", help="sha256 of the references (filled in; guards against changed files)")
-    checkpoint_every_seconds: float = option(20.0, help="time between checkpoints")
+    checkpoint_every_seconds: float = option(20.0, help="time between checkpoints", incidental=True)
 
     def __post_init__(self) -> None:
         budget_of(self.budget)

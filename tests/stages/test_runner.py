@@ -55,9 +55,10 @@ def test_a_standing_artefact_is_reused_and_a_changed_recipe_is_not(tmp_path):
         return run(*arguments)
 
     first, reused = toy(work, function=counted)
-    assert not reused and first.manifest.figures["list"] == [1] and first.manifest.config == {"steps": 30, "pause": 0.0}
+    assert not reused and first.manifest.figures["list"] == [1] and first.manifest.config == {"steps": 30}
     again, reused = toy(work, function=counted)
     assert reused and again.digest == first.digest and len(calls) == 1
+    assert toy(work, function=counted, config=ToyConfig(pause=0.5))[1]  # which has no say in the result
     assert not toy(work, function=counted, config=ToyConfig(steps=31))[1]
     assert not toy(work, function=counted)[1]
     assert not toy(work, function=counted, force=True)[1]

@@ -9,6 +9,7 @@ import numpy as np
 from schemas.atomic import write_json
 from schemas.images import write_png
 from schemas.tensors import load_tensors, save_tensors
+from stages.configs import option
 from stages.runner import Spec
 
 SPEC = Spec(stage="toy", verb="toy", revision=1, writes="field")
@@ -17,7 +18,7 @@ SPEC = Spec(stage="toy", verb="toy", revision=1, writes="field")
 @dataclass(frozen=True)
 class ToyConfig:
     steps: int = 30
-    pause: float = 0.0
+    pause: float = option(0.0, help="seconds after a step", incidental=True)
 
 
 def run(inputs, config, partial, context) -> dict:
