@@ -6,9 +6,9 @@ render; all if none is named. Writes no figure where there is no GPU: it stops.
 Protocol: fits, stylisations and edits are the stylerf commands below with --device cuda, one process each; seconds are
 the manifests' (training alone where it says so). Lego is fitted anew for each budget; its time to a quality is the
 smallest budget whose fit reaches it on the test views, white background. Frames are whole views of the longest fit,
-kept on the device. Kernels: median of 30 launches after 5, timed by events, inputs random. `bound` counts each input
-once and each output once; what a kernel gathers again from the cache is not counted, so its share of the bandwidth is
-a lower bound. One seed.
+kept on the device. Kernels: median of 30 launches after 5, timed by events, on an empty cache, inputs random. `bound`
+counts each input once and each output once; what a kernel gathers again from the cache is not counted, so its share of
+the bandwidth is a lower bound. One seed.
 """
 
 import json
@@ -53,11 +53,16 @@ def stylerf(*arguments: str) -> dict:
 
 
 def seconds_of(call, device: torch.device, repeats: int = 30) -> tuple[float, float]:
-    """(median, spread: half of the range of the middle half) of one call, seconds."""
+    """(median, spread: half of the range of the middle half) of one call, seconds.
+
+    On a GPU the call finds its cache empty, and the device busy for longer than a launch takes.
+    """
     times = []
+    flush = torch.empty(1 << 30, dtype=torch.uint8, device=device) if device.type == "cuda" else None
     for number in range(5 + repeats):
         if device.type == "cuda":
             begin, end = (torch.cuda.Event(enable_timing=True) for _ in range(2))
+            flush.zero_()
             begin.record()
             call()
             end.record()
@@ -325,7 +330,7 @@ def main(arguments: list[str]) -> None:
         for part in wanted:
             try:
                 measure(part, data, kept, report, device)
-            except (subprocess.CalledProcessError, KeyError, RuntimeError) as error:
+            except Exception as error:
                 # A part that fails is told, and the others are measured: a GPU's time is short.
                 words = getattr(error, "stderr", None) or str(error)
                 report[part] = {"failed": f"{type(error).__name__}: {words[-600:]}"}

@@ -8,6 +8,7 @@ import pytest
 import torch
 
 from benchmarks import gpu
+from stylerf.kernels.gpu import interpreted
 from stylerf_cli.arguments import Parser, add_common, add_config
 from stylerf_cli.verbs import VERBS
 
@@ -84,7 +85,7 @@ def test_kernels_and_frames_are_measured(monkeypatch):
     pytest.importorskip("triton", reason="Triton is not installed")
     from tests.stylerf.training.scenes import dome
 
-    device = torch.device("cpu")
+    device = torch.device("cpu" if interpreted() else "cuda")
     monkeypatch.setattr(gpu, "seconds_of", lambda call, device, repeats: (call(), (2e-3, 1e-4))[1])
     rows = gpu.kernels(device, 100.0, rays=6, vertices=8, repeats=1)
     names = [row["kernel"] for row in rows]

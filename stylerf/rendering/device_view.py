@@ -18,9 +18,9 @@ TOLERANCE = 0.5 / 255
 TRIED_RAYS = 4096
 
 
-def rays_of(camera: Camera, first: int, count: int, device: torch.device) -> DeviceRays:
-    """Rays of pixel centres first .. first + count, row by row, made on the device."""
-    number = torch.arange(first, first + count, device=device)
+def rays_of(camera: Camera, number: Tensor) -> DeviceRays:
+    """Rays of the centres of pixels [n] of an int type, counted row by row, made on their device."""
+    count, device = len(number), number.device
     x = ((number % camera.width).float() + 0.5 - camera.cx) / camera.fx
     y = ((number // camera.width).float() + 0.5 - camera.cy) / camera.fy
     local = torch.stack([x, y, torch.ones_like(x)], 1)
@@ -79,7 +79,8 @@ class DeviceRenderer:
         count = camera.width * camera.height
         parts, inside = [], {name: [] for name in regions or {}}
         for at in range(0, count, self.rays_at_once):
-            rays = rays_of(camera, at, min(self.rays_at_once, count - at), self.device)
+            number = torch.arange(at, min(at + self.rays_at_once, count), device=self.device)
+            rays = rays_of(camera, number)
             rendered = self.field.render_rays(rays, opaque=opaque, share=self.field.share)
             parts.append(rendered.out)
             for name, found in inside.items():

@@ -66,7 +66,8 @@ def gram_matrix(features: Tensor, weights: Tensor | None = None) -> Tensor:
     if weights is None:
         return flat @ flat.T / (channels * flat.shape[1])
     total = weights.sum()
-    if float(total) <= 0:
+    # To ask a device is to wait for it; there the NaN that follows tells.
+    if not total.is_cuda and float(total) <= 0:
         raise InvalidValue("a Gram matrix over no position: every weight is 0")
     return (flat * weights.flatten()) @ flat.T / (channels * total)
 

@@ -4,6 +4,8 @@ A step is about fifteen launches, none of which waits. What the loop wants to kn
 of samples, comes back by itself a few steps later (device_traffic.py).
 """
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from itertools import pairwise
 
 import numpy as np
@@ -76,6 +78,16 @@ def opacity_gradient(rendered: DeviceRendered, weight: float, rays: int) -> Tens
     return torch.where(whole, (4 * weight / rays) * (1 - 2 * rendered.out[:, 3].clamp(0, 1)), 0.0)
 
 
+@contextmanager
+def out_of_memory() -> Iterator[None]:
+    """A device's lack of memory as the loop knows it: MemoryError."""
+    try:
+        yield
+    except torch.OutOfMemoryError as error:
+        torch.cuda.empty_cache()
+        raise MemoryError(str(error)) from error
+
+
 def _joined(groups: list[tuple[int, int, float]]) -> list[tuple[int, int, float]]:
     """Neighbouring groups of one factor as one: a launch less. A run of eight may then span both."""
     joined: list[tuple[int, int, float]] = []
@@ -125,7 +137,7 @@ class DeviceEngine:
         self.live = DeviceField(field, self.device)
         self.density_adam = DeviceAdam(self.live.density.values, self.live.density.groups, self.clip)
         self.colour_adam = DeviceAdam(self.live.colour.values, self.live.colour.groups, self.clip)
-        self._reports = Reports(self.device, 3, _learnt, Learnt(0.0, 0.0))
+        self._reports = Reports(self.device, 3, _learnt, Learnt(0.0, 0.0), in_step=self.ranks.count > 1)
 
     @property
     def field(self) -> RadianceField:
@@ -139,15 +151,13 @@ class DeviceEngine:
         return self._host.parameters
 
     def refresh(self, seed: int, share: int) -> None:
-        refresh(self.live, seed, share, 0.9)
+        with out_of_memory():
+            refresh(self.live, seed, share, 0.9)
         self._stale = True
 
     def learn(self, batch: Batch) -> Learnt:
-        try:
+        with out_of_memory():
             return self._learn(batch)
-        except torch.OutOfMemoryError as error:
-            torch.cuda.empty_cache()
-            raise MemoryError(str(error)) from error
 
     def _learn(self, batch: Batch) -> Learnt:
         sums, field = self._reports.begin(), self.live
@@ -191,7 +201,10 @@ class DeviceEngine:
             cover = wanted[:, 3:]
             found = out[:, :3] + (1 - out[:, 3:4]) * back
             total += (found - wanted[:, :3] * cover - (1 - cover) * back).clamp(-1, 1).square().sum(dtype=torch.float64)
-        return float(total)
+        return self.ranks.of_first(float(total))
+
+    def settle(self) -> None:
+        self._reports.settle()
 
     def agree(self) -> None:
         for part in (self.live.density, self.live.colour):

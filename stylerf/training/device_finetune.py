@@ -35,7 +35,7 @@ class DeviceTuning:
         self._within = None
         if isinstance(field.colour, PatchColour):
             self._within = marked_cells(field.colour.marked, self.device), field.colour.cells
-        self._reports = Reports(self.device, 5, self._told, {})
+        self._reports = Reports(self.device, 5, self._told, {}, in_step=ranks.count > 1)
         self._take_up()
 
     def _take_up(self) -> None:

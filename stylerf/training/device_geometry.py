@@ -4,34 +4,35 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from stylerf.fields.device import COLOUR_KINDS, DeviceField, DeviceRays, DeviceRendered
+from stylerf.fields.device import COLOUR_KINDS, DeviceField, DeviceRendered
 from stylerf.fields.field import RadianceField
 from stylerf.fields.surface import Surface
 from stylerf.geometry.cameras import Camera
 from stylerf.kernels.gpu import launch
 from stylerf.kernels.gpu.launch import DeviceSamples
+from stylerf.rendering.device_view import rays_of
 from stylerf.training.device_engine import DeviceAdam
 from stylerf.training.device_traffic import sent
 from stylerf.training.geometry import OPAQUE, MovingGeometry
 
 RAYS_AT_ONCE = 1 << 17
+MEMORY_BYTES = 8e9  # of kept surfaces, where no GPU says what it has
 
 
 class DeviceFixedGeometry:
     """stylerf/training/geometry.py's FixedGeometry: numpy in and out, all between on `device`.
 
     field.colour is what is taught, from new_adam() on; collect() brings it back. share: part of a ray's largest weight
-    that a sample needs to take part.
+    that a sample needs to take part. Surfaces are kept in up to half of the memory that the device has free.
     """
 
-    def __init__(
-        self, field: RadianceField, cameras: list[Camera], share: float, device: str | torch.device,
-        memory_mb: float = 8192.0,
-    ) -> None:  # fmt: skip
+    def __init__(self, field: RadianceField, cameras: list[Camera], share: float, device: str | torch.device) -> None:
         self.field, self.cameras, self.share, self.device = field, cameras, share, torch.device(device)
         self._marched = DeviceField(field, self.device)
-        self.memory_bytes = memory_mb * 1e6
+        on_gpu = self.device.type == "cuda"
+        self.memory_bytes = torch.cuda.mem_get_info(self.device)[0] / 2 if on_gpu else MEMORY_BYTES
         self._kept: dict[int, tuple[Tensor, Tensor, Tensor]] = {}
+        self._last: tuple[int, tuple[Tensor, Tensor, Tensor]] | None = None
         self._alphas: dict[int, np.ndarray] = {}
         self._colour = None
 
@@ -53,19 +54,22 @@ class DeviceFixedGeometry:
     def _samples(self, view: int) -> tuple[Tensor, Tensor, Tensor]:
         """(offsets [pixels + 1], x [n, 3], weights [n]) of a view, weights scaled so that each ray keeps its alpha."""
         found = self._kept.get(view)
+        if found is None and self._last is not None and self._last[0] == view:
+            return self._last[1]
         if found is None:
+            self._last = None
             found = self._march(self.cameras[view])
+            self._last = view, found
             held = sum(sum(t.nbytes for t in kept) for kept in self._kept.values())
             if held + sum(t.nbytes for t in found) <= self.memory_bytes:
                 self._kept[view] = found
         return found
 
     def _march(self, camera: Camera) -> tuple[Tensor, Tensor, Tensor]:
-        origins, directions = camera.rays()
+        pixels = torch.arange(camera.width * camera.height, device=self.device)
         counts, xs, weights = [], [], []
-        for at in range(0, len(origins), RAYS_AT_ONCE):
-            part = slice(at, at + RAYS_AT_ONCE)
-            rays = DeviceRays.of(origins[part], directions[part], self.device)
+        for chosen in pixels.split(RAYS_AT_ONCE):
+            rays = rays_of(camera, chosen)
             s = self._marched.march(rays, 512, 1e-3, None)
             ray, n = s.ray_of.long(), len(rays.origins)
             shown = (s.weights > 0) & (s.weights >= self.share * s.largest[ray])
@@ -76,7 +80,7 @@ class DeviceFixedGeometry:
             counts.append(torch.zeros(n, dtype=torch.int64, device=self.device).index_add_(0, ray, shown.long()))
             xs.append(s.x[shown])
             weights.append(s.weights[shown] * scale[ray[shown]])
-        offsets = torch.zeros(len(origins) + 1, dtype=torch.int64, device=self.device)
+        offsets = torch.zeros(len(pixels) + 1, dtype=torch.int64, device=self.device)
         torch.cumsum(torch.cat(counts), 0, out=offsets[1:])
         return offsets, torch.cat(xs), torch.cat(weights)
 
@@ -129,10 +133,10 @@ class DeviceMovingGeometry(MovingGeometry):
 
     rays_at_once = RAYS_AT_ONCE
 
-    def _rendered(self, origins: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, DeviceRendered]:
+    def _rendered(self, camera: Camera, pixels: np.ndarray) -> tuple[np.ndarray, DeviceRendered]:
         live = self.deformer.live
         live.colour = self.still.colour  # each phase teaches a copy of its own
-        rays = DeviceRays.of(origins, directions, live.device)
+        rays = rays_of(camera, sent(pixels, live.device))
         rendered = live.render_rays(rays, opaque=OPAQUE, share=self.share)
         return rendered.out.cpu().numpy(), rendered
 

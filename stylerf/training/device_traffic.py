@@ -18,16 +18,25 @@ class Reports(Generic[Told]):
     """`width` sums of each of the last steps, on their way from the device.
 
     read: makes of a step's sums, and what was noted of it, what the loop is told; first: told before any has come.
+    in_step: tell at every step what came BEHIND steps ago, not what happens to have come: processes that train together
+    must be told the same.
     """
 
-    def __init__(self, device: torch.device, width: int, read: Callable[[list[float], Any], Told], first: Told) -> None:
+    def __init__(
+        self,
+        device: torch.device,
+        width: int,
+        read: Callable[[list[float], Any], Told],
+        first: Told,
+        in_step: bool = False,
+    ) -> None:
         on_gpu = device.type == "cuda"
         self._there = [torch.zeros(width, device=device) for _ in range(BEHIND)]
         self._here = [torch.zeros(width, pin_memory=on_gpu) for _ in range(BEHIND)]
         self._notes: list[Any] = [None] * BEHIND
         self._done = [torch.cuda.Event() for _ in range(BEHIND)] if on_gpu else None
         self._sent, self._read = 0, 0
-        self._tell, self._newest = read, first
+        self._tell, self._newest, self._in_step = read, first, in_step
 
     def begin(self) -> Tensor:
         """Sums [width] for the next step, at zero; waits for the step BEHIND steps ago."""
@@ -43,7 +52,7 @@ class Reports(Generic[Told]):
         if self._done is not None:
             self._done[place].record()
         self._sent += 1
-        while self._read < self._sent and self._take(wait=False):
+        while not self._in_step and self._read < self._sent and self._take(wait=False):
             pass
         return self._newest
 

@@ -70,6 +70,9 @@ class Engine(Protocol):
     def squared_error(self, origins, directions, colours, background) -> float:
         """Sum over rays and channels of (rendered - target)^2, each clipped at 1, over the background [rays, 3]."""
 
+    def settle(self) -> None:
+        """Wait for the steps under way: what asks for their result takes them for its own time."""
+
     def agree(self) -> None:
         """Take the first process's values: what unlike processors round otherwise must not add up."""
 
@@ -195,6 +198,8 @@ class CpuEngine:
             sums[number] = np.square(np.clip(error, -1, 1)).sum()
         self.ranks.add(sums)
         return sum(sums.tolist())
+
+    def settle(self) -> None: ...
 
     def agree(self) -> None:
         for part in (self.field.density, self.field.colour):

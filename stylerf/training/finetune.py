@@ -122,13 +122,14 @@ class FineTuner:
     def run(self, on_step: Callable[["FineTuner"], None] = lambda tuner: None) -> None:
         """Until the budget is spent; on_step is told after every step."""
         state = self.state
+        timed = False  # a process's first step compiles
         while self.progress < 1.0:
             begun, self.between_steps = time.perf_counter(), False
             parts = self.step()
             self._refuse_nan(parts)
-            state.seconds += self.ranks.of_first(time.perf_counter() - begun)
-            state.step += 1
-            if state.step % 10 == 0:
+            state.seconds += self.ranks.of_first(time.perf_counter() - begun) * timed
+            state.step, timed = state.step + 1, True
+            if state.step % 10 == 0 and parts:  # a device tells nothing until a step has ended
                 told = {name: float(f"{value:.4g}") for name, value in parts.items()}
                 state.curve.append({"step": state.step, "seconds": round(state.seconds, 2), **told})
             self.between_steps = True

@@ -9,7 +9,7 @@ nothing is left to decide.
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 import numpy as np
 
@@ -57,7 +57,7 @@ class Fitter:
         self.seed, self.chunks, self.on_say, self.ranks = seed, chunks, on_say, ranks
         self.state = FitState()
         self.climb = Climb(settings, self.state, self._judges)
-        self._warm: set[tuple[int, int]] = set()
+        self._warm: set[tuple[int, int, int]] = set()
         rung, generator = settings.ladder[0], np.random.default_rng([seed, 1])
         first = RadianceField(
             space,
@@ -154,7 +154,8 @@ class Fitter:
             )
         )
         state.step += 1
-        state.rays = _rays_for(settings.samples, learnt.live, state.rays, self.engine.most_rays)
+        if learnt.live > 0:  # else no step has been told of yet
+            state.rays = _rays_for(settings.samples, learnt.live, state.rays, self.engine.most_rays)
         return learnt.error
 
     # -- the loop ---------------------------------------------------------------------------------------------------
@@ -182,17 +183,19 @@ class Fitter:
 
     def warm_up(self) -> None:
         """Compile every kernel that a step uses, for every rank of the ladder, without learning anything."""
-        self._warm_up({(rung.density_rank, rung.colour_rank) for rung in (*self.settings.ladder, self.climb.rung)})
+        self._warm_up([*self.settings.ladder, self.climb.rung])
 
-    def _warm_up(self, ranks: set[tuple[int, int]]) -> None:
+    def _warm_up(self, rungs: Iterable[Rung]) -> None:
+        """Kernels differ by ranks and, on a GPU, by the colour's degree."""
         settings, generator, scratch = self.settings, np.random.default_rng(0), []
-        if ranks <= self._warm:
+        kinds = {(rung.density_rank, rung.colour_rank, min(rung.degree, settings.degree)) for rung in rungs}
+        if kinds <= self._warm:
             return
-        for density_rank, colour_rank in ranks - self._warm:
-            capacity = self._capacity(Rung(8, density_rank, colour_rank, 8, 8))
+        for density_rank, colour_rank, degree in kinds - self._warm:
+            capacity = self._capacity(Rung(8, density_rank, colour_rank, 8, 8, degree))
             parts = first_parts(settings.kinds, capacity, generator)
             scratch.append(RadianceField(self.space, *parts, Occupancy(8), 1 / 8))
-        self._warm |= ranks
+        self._warm |= kinds
         self.engine.warm_up(scratch, settings.smoothness, settings.even_from)
 
     def _halve_parts(self) -> None:
@@ -204,6 +207,9 @@ class Fitter:
 
     def _check(self) -> None:
         state, climb = self.state, self.climb
+        begun = time.perf_counter()
+        self.engine.settle()
+        state.seconds += self.ranks.of_first(time.perf_counter() - begun)
         self.engine.agree()
         quality = self.held_out_psnr()
         state.curve.append(
@@ -234,7 +240,7 @@ class Fitter:
             self._try(reduction, quality)
             reduced = self.held_out_psnr()
             if not climb.hopeless(reduced):  # else it is never taught, and what teaches it need not be compiled
-                self._warm_up({(climb.rung.density_rank, climb.rung.colour_rank)})
+                self._warm_up([climb.rung])
                 if not climb.enough(reduced):
                     break  # a while of teaching decides
             quality = self._judge(reduced)

@@ -91,15 +91,15 @@ class MovingGeometry:
         for at in range(0, len(pixels), self.rays_at_once):
             part = slice(at, min(at + self.rays_at_once, len(pixels)))
             chosen = pixels[part]
-            out, rendered = self._rendered(*camera.rays(chosen))
+            out, rendered = self._rendered(camera, chosen)
             rgb[part] = out[:, :3]
             alphas[chosen] = np.clip(out[:, 3], 0, 1)
             kept.append((part, rendered))
         return rgb, kept
 
-    def _rendered(self, origins: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, Rendered]:
-        """Rays' pixels [n, 5], and what _backward needs."""
-        rays = Rays.of(origins, directions, self.field.space.near)
+    def _rendered(self, camera: Camera, pixels: np.ndarray) -> tuple[np.ndarray, Rendered]:
+        """[n, 5] of pixels [n] of a view, and what _backward needs."""
+        rays = Rays.of(*camera.rays(pixels), self.field.space.near)
         rendered = render_rays(self.field, rays, chunks=self.chunks, opaque=OPAQUE, share=self.share)
         return rendered.out, rendered
 

@@ -30,9 +30,9 @@ class Guard:
         state = loop.state
         if not self.most or (state.step % KEEP_EVERY and self._kept and self._kept[0]["phase"] == state.phase):
             return
-        if not np.isfinite(loop.field.colour.values).all():
-            return  # a gradient may have left the numbers where the loss had not
         _, arrays = loop.checkpoint()
+        if not np.isfinite(arrays["colour"]).all():
+            return  # a gradient may have left the numbers where the loss had not
         kept = {"phase": state.phase, "step": state.step}
         self._kept = kept, {name: np.array(values, copy=True) for name, values in arrays.items()}
 

@@ -1,10 +1,15 @@
 """The fitting loop on a tiny scene: it resumes to the bit, and survives NaN, falls and lack of memory."""
 
+import time
+from dataclasses import replace
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
 from stylerf.errors import Diverged
 from stylerf.training import engine as module
+from stylerf.training.engine import Learnt
 from stylerf.training.fit import Fitter
 from tests.stylerf.training.running import Stopped, assert_same_bits, now, result_of, resumed, run_until
 from tests.stylerf.training.scenes import LADDER, box_fitter
@@ -40,6 +45,46 @@ def test_another_seed_is_another_fit_and_the_same_seed_the_same():
         results.append(fitter.field.arrays())
     assert_same_bits(results[0], results[1])
     assert not np.array_equal(results[0]["colour"], results[2]["colour"])
+
+
+def test_rays_stay_as_they_are_until_a_step_is_told_of():
+    fitter = box_fitter(4)
+    learn, before = fitter.engine.learn, fitter.state.rays
+    fitter.engine.learn = lambda batch: Learnt(0.0, 0.0)  # a device is still at its first
+    fitter.step()
+    assert fitter.state.rays == before
+    fitter.engine.learn = learn
+    fitter.step()
+    assert fitter.state.rays != before
+
+
+def test_what_a_look_waits_for_is_time_of_the_fit():
+    fitter = box_fitter(20)
+    settle, told = fitter.engine.settle, []
+
+    def slow() -> None:
+        settle()
+        time.sleep(0.02)
+        told.append(fitter.state.seconds)
+
+    fitter.engine.settle = slow
+    fitter.run()
+    assert len(told) > 1 and all(later - earlier >= 0.02 for earlier, later in pairwise(told))
+
+
+def test_kernels_of_a_lower_degree_are_compiled_before_it_is_taught():
+    fitter = box_fitter(4, degree=1)
+    seen, warm_up = [], fitter.engine.warm_up
+
+    def watched(scratch, *more) -> None:
+        seen.append(sorted(field.colour.degree for field in scratch))
+        warm_up(scratch, *more)
+
+    fitter.engine.warm_up = watched
+    fitter.warm_up()
+    fitter._warm_up([replace(LADDER[-1], degree=0)])
+    fitter._warm_up([replace(LADDER[-1], degree=1)])
+    assert seen[0] == [1] and seen[1:] == [[0]]
 
 
 # -- faults on the way ----------------------------------------------------------------------------------------------

@@ -77,3 +77,20 @@ def test_a_sound_run_is_the_same_with_and_without():
     plain.run()
     guarded.run()
     assert_same_bits(result_of(plain)[1], result_of(guarded)[1])
+
+
+def test_colours_of_nan_that_only_the_device_has_yet_are_not_kept():
+    one = made(Stylizer, match="none", steps=12, refit_steps=4, rollbacks=1)
+    one.state.phase = "style"
+    checkpoint = one.checkpoint
+
+    def collected():
+        data, arrays = checkpoint()
+        return data, arrays | {"colour": np.full_like(arrays["colour"], np.nan)}
+
+    one.checkpoint = collected
+    one._guard.look(one)
+    assert one._guard._kept is None and np.isfinite(one.field.colour.values).all()
+    one.checkpoint = checkpoint
+    one._guard.look(one)
+    assert np.isfinite(one._guard._kept[1]["colour"]).all()

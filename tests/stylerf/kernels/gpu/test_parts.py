@@ -34,6 +34,16 @@ def test_adam_steps_as_the_cpus_does_and_leaves_runs_without_gradient_alone(devi
     assert again.steps == 3 and torch.equal(again.second, gpu.second)
 
 
+def test_processes_that_train_together_are_told_of_the_same_step(device):
+    from stylerf.training.device_traffic import BEHIND, Reports
+
+    told = Reports(device, 1, lambda sums, note: (sums[0], note), None, in_step=True)
+    for step in range(BEHIND + 4):
+        told.begin().fill_(step)
+        assert told.send(step) == (None if step < BEHIND else (step - BEHIND, step - BEHIND))
+    assert told.settle() == (BEHIND + 3, BEHIND + 3)
+
+
 def test_a_gradient_of_nan_is_no_zero(device):
     from stylerf.training.device_engine import DeviceAdam
 
