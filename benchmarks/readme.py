@@ -7,13 +7,13 @@ import json
 import sys
 from pathlib import Path
 
+from benchmarks import charts
 from benchmarks.results_page import page
 
 ROOT = Path(__file__).resolve().parent.parent
 RESULTS = ROOT / "benchmarks" / "results"
 IMAGES = ROOT / "docs" / "images"
 REMEDIED = " + remedies"
-PARETO = {"fits": ("psnr", "held-out PSNR, dB", True), "stylisations": ("nnfm", "distance to the painting", False)}
 
 
 def result(name: str) -> dict:
@@ -43,6 +43,35 @@ def fits() -> str:
             f"| {row['parameters'] / 1e6:.2f} M | {row['resolution']}^3 | {row['peak_memory_mb'] / 1000:.1f} GB |"
         )
     return "\n".join([*lines, "", where(report)])
+
+
+def tensorf() -> str:
+    """Markdown of the times to a quality beside another code's; nothing where it has not been measured."""
+    if not (RESULTS / "tensorf.json").is_file():
+        return ""
+    report = result("tensorf.json")
+    own = report["rows"][0]
+    qualities = [int(key.split("_")[2]) for key in own if key.startswith("seconds_to_")]
+    lines = [
+        f"| code | schedule | {' | '.join(f'to {quality} dB' for quality in qualities)} | at last | peak memory |",
+        "|---|---|" + "---|" * (len(qualities) + 2),
+    ]
+    for row in report["rows"]:
+        cells = [_time_beside(row, own, f"seconds_to_{quality}_db") for quality in qualities]
+        lines.append(
+            f"| {row['code']} | {row['schedule']} | {' | '.join(cells)} "
+            f"| {row['last_psnr']:.2f} dB, {row['last_seconds']:.0f} s | {row['peak_memory_mb'] / 1000:.1f} GB |"
+        )
+    chart = "![PSNR against seconds of training](docs/images/tensorf.svg)"
+    return "\n".join([chart, "", *lines, "", "Lego at 200x200. " + where(report)])
+
+
+def _time_beside(row: dict, own: dict, key: str) -> str:
+    """Seconds, and how many times ours; at least so many where the run ended before."""
+    seconds, reached = row[key], row[key] is not None
+    seconds = seconds if reached else row["last_seconds"]
+    ratio = f" ({seconds / own[key]:.0f}x)" if row is not own and own[key] else ""
+    return f"{'' if reached else 'over '}{seconds:.0f} s{ratio}"
 
 
 def strategies() -> str:
@@ -157,30 +186,6 @@ def capacities() -> str:
     return "\n".join([chart, "", *lines, "", where(report)])
 
 
-def capacity_chart(report: dict) -> str:
-    """A panel a scene: PSNR against parameters, fixed sizes joined, what was grown filled."""
-    scenes = list(dict.fromkeys(row["scene"] for row in report["rows"]))
-
-    def draw(figure) -> None:
-        for scene, axes in zip(scenes, figure.subplots(1, len(scenes), squeeze=False)[0]):
-            rows = [row for row in report["rows"] if row["scene"] == scene]
-            fixed = sorted(
-                (row["parameters"] / 1e6, row["psnr"], row["capacity"]) for row in rows if row["capacity"] != "grow"
-            )
-            axes.plot(*zip(*((x, y) for x, y, _ in fixed)), "o-", color="#0072b2", markerfacecolor="none")
-            for x, y, capacity in fixed:
-                axes.annotate(capacity, (x, y), xytext=(5, -10), textcoords="offset points", fontsize=7)
-            for row in rows:
-                if row["capacity"] == "grow":
-                    axes.plot(row["parameters"] / 1e6, row["psnr"], "o", color="#d55e00")
-                    axes.annotate("grown", (row["parameters"] / 1e6, row["psnr"]), xytext=(5, 5),
-                                  textcoords="offset points", fontsize=7)  # fmt: skip
-            axes.set(title=scene, xlabel="parameters, M", ylabel="held-out PSNR, dB")
-            axes.margins(0.2)
-
-    return drawn((3.6 * len(scenes), 3.2), draw)
-
-
 def kinds() -> str:
     """Markdown of kinds of fields at equal time; nothing where it has not been measured."""
     if not (RESULTS / "kinds.json").is_file():
@@ -292,93 +297,10 @@ def _outcome(row: dict) -> str:
     return f"{row['successes']} of {row['count']}, {score}"
 
 
-def drawn(size: tuple[float, float], draw) -> str:
-    """SVG text of what `draw(figure)` makes of an empty figure: the same for the same figures."""
-    import io
-
-    import matplotlib
-    from matplotlib.figure import Figure
-
-    with matplotlib.rc_context({"svg.hashsalt": "stylerf"}):
-        figure = Figure(figsize=size, layout="tight")
-        draw(figure)
-        out = io.StringIO()
-        figure.savefig(out, format="svg", metadata={"Date": None})
-        return out.getvalue()
-
-
-def strategies_chart() -> str:
-    """Style distance at equal time against the field's seconds a step."""
-
-    def draw(figure) -> None:
-        axes = figure.add_subplot()
-        for row in result("strategies.json")["rows"]:
-            x, y = row["field_seconds"], row["at_equal_time"]["style"]
-            axes.scatter(x, y, s=20 + row["field_memory_mb"] / 4, alpha=0.7)
-            axes.annotate(row["case"], (x, y), xytext=(6, 4), textcoords="offset points", fontsize=8)
-        axes.set_xlabel("seconds a step spends in the field (area: its memory)")
-        axes.set_ylabel("style distance at equal time")
-        axes.margins(0.18)
-
-    return drawn((7, 3.4), draw)
-
-
-def pareto_chart(report: dict) -> str:
-    """A column a scene; above fits, below stylisations: the figure against seconds, fronts filled and joined."""
-    scenes = list(dict.fromkeys(row["work"] for row in report["rows"]))
-
-    def draw(figure) -> None:
-        axes = figure.subplots(2, len(scenes), squeeze=False)
-        for (family, (key, words, higher)), line in zip(PARETO.items(), axes):
-            for scene, one in zip(scenes, line):
-                rows = [row for row in report["rows"] if (row["work"], row["family"]) == (scene, family)]
-                rows = [row for row in rows if key in row["figures"] and row["costs"]["parameters"]]
-                for row in rows:
-                    _mark(one, row, key)
-                leading = [row for row in rows if f"{key}/seconds" in row["fronts"]]
-                places = sorted((row["costs"]["seconds"], row["figures"][key]) for row in leading)
-                if places:
-                    one.step(*zip(*places), where="post", color="#888888", linewidth=1)
-                better = "higher" if higher else "lower"
-                one.set(title=f"{scene}, {family}", xlabel="seconds", ylabel=f"{words} ({better} is better)")
-                one.margins(0.2)
-
-    return drawn((4.6 * len(scenes), 7), draw)
-
-
-def stress_chart(report: dict) -> str:
-    """A panel a scene: the heat map that `stylerf stress` draws of it."""
-    from types import SimpleNamespace
-
-    from stages.stress.heat_map import draw_cells
-
-    scenes = list(dict.fromkeys(row["work"] for row in report["rows"]))
-    cells = {scene: [SimpleNamespace(**row) for row in report["rows"] if row["work"] == scene] for scene in scenes}
-    methods, faults = (
-        max(len({getattr(cell, key) for cell in some}) for some in cells.values()) for key in ("method", "fault")
-    )
-
-    def draw(figure) -> None:
-        figure.set_facecolor("white")
-        for one, (scene, some) in zip(figure.subplots(1, len(scenes), squeeze=False)[0], cells.items()):
-            draw_cells(one, some)
-            one.set_title(scene)
-
-    return drawn((len(scenes) * (1.2 + 1.0 * methods), 1.2 + 0.44 * faults), draw)
-
-
-def _mark(axes, row: dict, key: str) -> None:
-    place = (row["costs"]["seconds"], row["figures"][key])
-    colour = "#0072b2" if row["family"] == "fits" else "#d55e00"
-    filled = f"{key}/seconds" in row["fronts"]
-    area = 15 + row["costs"]["parameters"] / 1e5
-    axes.scatter(*place, s=area, facecolors=colour if filled else "none", edgecolors=colour, alpha=0.8)
-    axes.annotate(row["name"], place, xytext=(5, 3), textcoords="offset points", fontsize=6)
-
-
 BLOCKS = {
     "README.md": {
         "figures": fits,
+        "tensorf": tensorf,
         "capacities": capacities,
         "strategies": strategies,
         "edits": edits,
@@ -390,6 +312,14 @@ BLOCKS = {
     "docs/profile.md": {"profile": profile},
     "docs/captures.md": {"captures": captures},
     "docs/fields.md": {"kinds": kinds},
+}
+# By name of the result and of the picture.
+CHARTS = {
+    "strategies": charts.strategies_chart,
+    "capacity": charts.capacity_chart,
+    "pareto": charts.pareto_chart,
+    "stress": charts.stress_chart,
+    "tensorf": charts.tensorf_chart,
 }
 
 
@@ -411,13 +341,9 @@ def main() -> int:
     if "--check" in sys.argv:
         return int(stale)
     results.write_text(page())
-    (IMAGES / "strategies.svg").write_text(strategies_chart())
-    if (RESULTS / "capacity.json").is_file():
-        (IMAGES / "capacity.svg").write_text(capacity_chart(result("capacity.json")))
-    if (RESULTS / "pareto.json").is_file():
-        (IMAGES / "pareto.svg").write_text(pareto_chart(result("pareto.json")))
-    if (RESULTS / "stress.json").is_file():
-        (IMAGES / "stress.svg").write_text(stress_chart(result("stress.json")))
+    for name, chart in CHARTS.items():
+        if (RESULTS / f"{name}.json").is_file():
+            (IMAGES / f"{name}.svg").write_text(chart(result(f"{name}.json")))
     return 0
 
 

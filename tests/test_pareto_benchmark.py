@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from benchmarks import pareto, readme
+from benchmarks import charts, pareto, readme
 from tests.test_gpu_benchmark import understood
 
 
@@ -47,8 +47,8 @@ def test_every_combination_is_run_and_what_failed_is_kept(commands, tmp_path):
     report = json.loads(out.read_text())
     assert len(report["failed"]) == 4 and "converge" in report["failed"][0]["failed"]
     assert report["rows"][0]["figures"] == {"psnr": 0.25} and report["rows"][0]["costs"]["seconds"] == 10.0
-    chart = readme.pareto_chart(report)
-    assert chart.startswith("<?xml") and chart == readme.pareto_chart(report)
+    chart = charts.pareto_chart(report)
+    assert chart.startswith("<?xml") and chart == charts.pareto_chart(report)
 
 
 def test_the_block_of_the_readme_is_empty_until_it_is_measured(monkeypatch, tmp_path):

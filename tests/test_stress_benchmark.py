@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from benchmarks import readme, stress
+from benchmarks import charts, readme, stress
 from stages.stress.faults import FAULTS, MADE
 from tests.test_gpu_benchmark import understood
 
@@ -64,6 +64,6 @@ def test_blocks_and_picture_follow_from_the_rows(commands, monkeypatch, tmp_path
     assert "| fern | views-3 | fit | 2 of 5, 14.00 dB | 4 of 5, 15.50 dB |" in lines
     assert "| lego | seeds | arf | 5 of 5, 0.600 | 5 of 5, – |" in lines
     report = json.loads((tmp_path / "stress.json").read_text())
-    chart = readme.stress_chart(report)
-    assert chart.startswith("<?xml") and chart == readme.stress_chart(report)
+    chart = charts.stress_chart(report)
+    assert chart.startswith("<?xml") and chart == charts.stress_chart(report)
     assert all(word in chart for word in ("views-3", "lego", "fern"))
