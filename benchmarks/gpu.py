@@ -28,7 +28,6 @@ from benchmarks import gpu_deform
 
 BUDGETS = ("5s", "10s", "20s", "40s")
 GOALS = (31.0, 33.0)
-SAMPLES = "262144"  # a step's; a batch of the CPU's size leaves a GPU waiting for launches
 SHOVEL = ["--at", "r_10:600,180", "--at", "r_10:488,200", "--neck", "0", "--tolerance", "26", "--reach", "0.38"]
 
 
@@ -203,7 +202,7 @@ def fitted(data: Path, work: Path, scene: str, flags: list[str], budget: str) ->
     """One fit and its figures on the test views."""
     stylerf("import", str(data / scene), str(work), *flags)
     name = f"fit-{budget}"
-    common = ["--budget", budget, "--samples", SAMPLES, "--no-buffers", "--name", name]
+    common = ["--budget", budget, "--no-buffers", "--name", name]
     made = stylerf("fit", str(work), "--device", "cuda", *common)["figures"]
     figures = stylerf("eval", str(work), "--of", name, "--device", "cuda")["figures"]
     return {

@@ -150,11 +150,12 @@ def fitter_of(work: Path, capacity: str, threads: int, scratch: Path):
     from stylerf.training.ladders import Rung
 
     scene = load_scene(Work(work).find("scene", "main"))
-    settings = _settings(FitConfig(budget="1000000"), scene)
+    space = space_of(scene, "auto")[0]
+    settings = _settings(FitConfig(budget="1000000"), scene, space)
     resolution, density, colour = map(int, capacity.split("x"))
     settings = dataclasses.replace(settings, ladder=(Rung(resolution, density, colour),), shares=(), reductions=())
     bank = bank_of(scene, scene.splits["train"], scratch, Context(progress=Silent(), threads=threads))
-    return Fitter(space_of(scene, "auto")[0], bank, 0, settings, 0, threads)
+    return Fitter(space, bank, 0, settings, 0, threads)
 
 
 def bounds(watch: Watch, threads: int) -> tuple[dict[str, float], dict[str, int]]:

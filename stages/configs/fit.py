@@ -41,7 +41,9 @@ class FitConfig:
         help="what transparent pixels are trained on (auto: white)",
     )
     degree: int = option(1, choices=(0, 1, 2), help="degree of the spherical harmonics of the colour")
-    samples: int = option(90_000, help="density samples a step; the number of rays follows from it")
+    samples: int = option(
+        0, help="density samples a step, the number of rays follows (0: 30000 on the CPU, 262144 on a GPU)"
+    )
     rate: float = option(0.0, help="learning rate (0: by the scene's layout)")
     smoothness: float = option(-1.0, help="weight of the planes' total variation (-1: by the scene's layout)")
     even_from: float = option(
@@ -67,10 +69,10 @@ class FitConfig:
         kinds_of(self.field)
         if self.opacity_weight < 0 or self.clip < 0:
             raise ValueError("opacity_weight and clip must not be negative")
-        if not (self.min_gain >= 0 and self.checkpoint_every_seconds > 0 and self.samples >= 1000 and self.rate >= 0):
-            raise ValueError(
-                "min_gain and rate must not be negative, checkpoint_every_seconds positive, samples 1000 or more"
-            )
+        if self.min_gain < 0 or self.rate < 0 or self.checkpoint_every_seconds <= 0:
+            raise ValueError("min_gain and rate must not be negative, checkpoint_every_seconds positive")
+        if self.samples and self.samples < 1000:
+            raise ValueError("samples must be 1000 or more, or 0")
 
 
 def budget_of(text: str) -> tuple[float, int]:

@@ -39,3 +39,12 @@ def test_a_capacity_given_by_hand_is_climbed_to_whatever_the_space():
     last = asked.ladder[-1]
     assert (last.resolution, last.density_rank, last.colour_rank) == (192, 8, 16) and asked.always_climb
     assert len(asked.shares) == len(asked.ladder) - 1
+
+
+def test_batches_are_of_the_devices_size_unless_that_is_given():
+    space = SPACES["box"]
+    cpu, gpu = (_settings(FitConfig(), SCENE, space, device).samples for device in (None, "cuda"))
+    assert cpu == 30_000 and gpu > 4 * cpu
+    assert all(_settings(FitConfig(samples=2000), SCENE, space, device).samples == 2000 for device in (None, "cuda"))
+    with pytest.raises(ValueError, match="samples must be 1000 or more"):
+        FitConfig(samples=999)
