@@ -23,8 +23,7 @@ from stylerf.training.fit_state import FitSettings
 from stylerf.training.ladders import BEYOND, LADDER, Kinds, Rung
 
 SPEC = Spec(stage="nerf_fit", verb="fit", revision=3, writes="field", parallel=True)
-# Of a step. On the CPU many small steps learn more in a minute than few large ones; a GPU would wait for launches.
-SAMPLES = {"cpu": 30_000, "cuda": 262_144}
+SAMPLES = {"cpu": 90_000, "cuda": 262_144}  # of a step: smaller ones would leave a GPU waiting for launches
 RATE = {"object": 2e-2, "forward": 4e-2, "unbounded": 4e-2}
 
 

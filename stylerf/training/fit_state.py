@@ -22,7 +22,7 @@ class FitSettings:
 
     seconds: float = 300.0
     steps: int = 0
-    samples: int = 30_000
+    samples: int = 90_000
     rate: float = 2e-2
     final_rate: float = 0.05
     degree: int = 1

@@ -44,7 +44,7 @@ def test_a_capacity_given_by_hand_is_climbed_to_whatever_the_space():
 def test_batches_are_of_the_devices_size_unless_that_is_given():
     space = SPACES["box"]
     cpu, gpu = (_settings(FitConfig(), SCENE, space, device).samples for device in (None, "cuda"))
-    assert cpu == 30_000 and gpu > 4 * cpu
+    assert gpu > 2 * cpu > 100_000
     assert all(_settings(FitConfig(samples=2000), SCENE, space, device).samples == 2000 for device in (None, "cuda"))
     with pytest.raises(ValueError, match="samples must be 1000 or more"):
         FitConfig(samples=999)
