@@ -7,12 +7,11 @@ from schemas.errors import ArtefactStale, UsageError
 from schemas.frames import read_frames
 from schemas.store import Artefact, Work
 from stages.configs.evaluate import EvaluateConfig
-from stages.configs.render import label_of
+from stages.configs.render import OWN_VIEWS, label_of
 
 NAME = "eval"
 HELP = "measure a field: quality, style, consistency, cost; a report with pictures"
 CONFIG = EvaluateConfig
-NO_FILM = ("test", "train")  # their views lie too far apart to be warped onto one another
 
 
 def add_arguments(parser) -> None:
@@ -47,6 +46,10 @@ def run(args, session) -> dict:
     from stages.evaluation.asked import pinned
     from stages.evaluation.lineage import fields_behind, is_stylised
 
+    if args.path in OWN_VIEWS:
+        raise UsageError(
+            f"--path {args.path}: views of photos lie too far apart to be warped onto one another; give a camera path"
+        )
     field = chosen_field(session.work, args.of)
     session.say(f"measuring field {field.name}")
     inputs = {"scene": scene_of(session.work, field), "field": field, "frames": frames_of(session, field, "test")}
@@ -134,7 +137,7 @@ def film_there(work: Work, field: Artefact) -> Artefact | None:
     films = [
         one
         for one in work.artefacts("frames")
-        if shows(one, field) and (one.path / "frames.json").is_file() and read_frames(one.path).path not in NO_FILM
+        if shows(one, field) and (one.path / "frames.json").is_file() and read_frames(one.path).path not in OWN_VIEWS
     ]
     return max(films, key=lambda one: one.manifest.created, default=None)
 

@@ -76,6 +76,16 @@ def test_missing_and_outdated_frames_are_rendered(work, renderer, capsys):
     assert len(renderer) == 2
 
 
+@pytest.mark.parametrize("path", ["test", "train", "views"])
+def test_views_of_photos_are_no_film(work, renderer, capsys, path):
+    """`fit` leaves frames of path `views`; neighbours among photos show too little of the same."""
+    if path != "test":
+        render(work, work.get("field", "wall"), path)
+    assert "short_rmse" not in result(capsys, work.root)["figures"]
+    assert main(["eval", str(work.root), "--path", path, *FAST]) == 2
+    assert f"--path {path}" in capsys.readouterr().err and renderer == []
+
+
 def test_a_stylised_field_is_set_against_the_fit_it_came_from(work, renderer, capsys):
     fit = work.get("field", "wall")
     stylised = made.make_field(work, "red", "stylize", {"field": fit})
