@@ -1,13 +1,12 @@
 """`stylerf eval WORK [--of NAME]`: figures, charts and a page about one field."""
 
-from pathlib import Path
 from typing import Any
 
 from schemas.errors import ArtefactStale, UsageError
-from schemas.frames import read_frames
+from schemas.frames import FRAMES_FILE, read_frames
 from schemas.store import Artefact, Work
 from stages.configs.evaluate import EvaluateConfig
-from stages.configs.render import OWN_VIEWS, label_of
+from stages.configs.render import OWN_VIEWS, RenderConfig, label_of
 
 NAME = "eval"
 HELP = "measure a field: quality, style, consistency, cost; a report with pictures"
@@ -121,25 +120,49 @@ def scene_of(work: Work, field: Artefact) -> Artefact:
 
 
 def frames_of(session: Any, field: Artefact, path: str) -> Artefact:
-    """Frames of the field along `path`: those that are there and up to date, else rendered now."""
-    name = f"{field.name}-{label_of(path)}"
-    there = next((one for one in session.work.artefacts("frames") if one.name == name), None)
-    # A file of cameras may have changed since; whether it has, only its digest in the recipe tells.
-    if there is not None and shows(there, field) and not Path(path).is_file():
-        return there
+    """Frames of the field along `path`: the last that can be measured, else rendered now.
+
+    Frames of the field that are of no use here, but were asked for once, are not replaced.
+    """
+    from stages.render import pinned
     from stylerf_cli.chains import ensure_frames
 
-    return ensure_frames(session, field, path=path)
+    # A file of cameras may have changed since; whether it has, its digest tells.
+    digest = pinned(RenderConfig(path=path)).path_digest
+    there = [
+        frames
+        for frames, along in measurable(session.work, field)
+        if (frames.manifest.config.get("path_digest") == digest if digest else along == path)
+    ]
+    if there:
+        return last(there)
+    name = f"{field.name}-{label_of(path)}"
+    taken = any(one.name == name and shows(one, field) for one in session.work.artefacts("frames"))
+    return ensure_frames(session, field, path, f"{name}-eval" if taken else name)
 
 
 def film_there(work: Work, field: Artefact) -> Artefact | None:
-    """The last rendered frames of the field along a camera path, None where there are none."""
-    films = [
-        one
-        for one in work.artefacts("frames")
-        if shows(one, field) and (one.path / "frames.json").is_file() and read_frames(one.path).path not in OWN_VIEWS
-    ]
-    return max(films, key=lambda one: one.manifest.created, default=None)
+    """The last rendered frames of the field along a camera path that can be measured, None where there are none."""
+    films = [frames for frames, path in measurable(work, field) if path not in OWN_VIEWS]
+    return last(films) if films else None
+
+
+def measurable(work: Work, field: Artefact) -> list[tuple[Artefact, str]]:
+    """Frames of the field as it stands, and their paths: whole ones, with EXR, of the views' own size."""
+    found = []
+    for one in work.artefacts("frames"):
+        config = one.manifest.config
+        whole = config.get("exr", True) and config.get("scale", 1) == 1 and not config.get("frames")
+        if whole and shows(one, field) and (one.path / FRAMES_FILE).is_file():
+            frames = read_frames(one.path)
+            if frames.field == field.name:
+                found.append((one, frames.path))
+    return found
+
+
+def last(artefacts: list[Artefact]) -> Artefact:
+    """That made last."""
+    return max(artefacts, key=lambda one: one.manifest.created)
 
 
 def shows(frames: Artefact, field: Artefact) -> bool:

@@ -8,6 +8,8 @@ import types
 import pytest
 
 from schemas.store import Work
+from stages.configs.render import RenderConfig
+from stages.render import pinned
 from stylerf_cli.main import main
 from tests.conftest import REPOSITORY
 from tests.stages import evaluation_fixture as made
@@ -30,11 +32,12 @@ def cameras(path):
     return [made.camera(x, f"{path}_{i}") for i, x in enumerate(places)]
 
 
-def render(work, field, path, shift=0.0):
+def render(work, field, path, shift=0.0, name="", **config):
     views = cameras(path)
     seen = [made.look(view) for view in views]
     seen = [made.Seen(one.rgb + shift, one.alpha, one.z) for one in seen]
-    return made.make_frames(work, f"{field.name}-{path}", path, views, seen, field, matched=path == "test")
+    name = name or f"{field.name}-{path}"
+    return made.make_frames(work, name, path, views, seen, field, matched=path == "test", config=config)
 
 
 @pytest.fixture
@@ -42,9 +45,10 @@ def renderer(monkeypatch):
     """Stands in for the chain that renders what is missing; remembers what it was asked for."""
     asked = []
 
-    def ensure_frames(session, field, path="test"):
+    def ensure_frames(session, field, path, name):
         asked.append((field.name, path))
-        return render(session.work, field, path)
+        digest = pinned(RenderConfig(path=path)).path_digest
+        return render(session.work, field, path, name=name, path_digest=digest)
 
     module = types.ModuleType("stylerf_cli.chains")
     module.ensure_frames = ensure_frames
@@ -84,6 +88,28 @@ def test_views_of_photos_are_no_film(work, renderer, capsys, path):
     assert "short_rmse" not in result(capsys, work.root)["figures"]
     assert main(["eval", str(work.root), "--path", path, *FAST]) == 2
     assert f"--path {path}" in capsys.readouterr().err and renderer == []
+
+
+@pytest.mark.parametrize("config", [{"exr": False}, {"scale": 0.5}, {"frames": "0-1"}])
+def test_frames_that_cannot_be_measured_are_kept_and_others_rendered_beside(work, renderer, capsys, config):
+    field = work.get("field", "wall")
+    kept = [render(work, field, path, **config).digest for path in ("test", "slide")]
+    assert "short_rmse" not in result(capsys, work.root)["figures"]
+    for _ in range(2):
+        found = result(capsys, work.root, "--path", "slide")["figures"]
+        assert found["psnr"] > 40 and found["short_rmse"] < 0.02
+    assert renderer == [("wall", "test"), ("wall", "slide")]
+    inputs = {ref.role: ref.name for ref in work.get("report", "wall").manifest.inputs}
+    assert (inputs["frames"], inputs["path_frames"]) == ("wall-test-eval", "wall-slide-eval")
+    assert [work.get("frames", name).digest for name in ("wall-test", "wall-slide")] == kept
+
+
+def test_frames_along_a_file_of_cameras_stand_until_it_changes(work, renderer, capsys, tmp_path):
+    path = tmp_path / "walk.json"
+    for content, count in (("one", 1), ("one", 1), ("two", 2), ("two", 2)):
+        path.write_text(content)
+        assert "short_rmse" in result(capsys, work.root, "--path", path)["figures"]
+        assert len(renderer) == count
 
 
 def test_a_stylised_field_is_set_against_the_fit_it_came_from(work, renderer, capsys):
