@@ -44,6 +44,10 @@ def run(inputs: dict[str, Artefact], config: RenderConfig, partial: Partial, con
     field, background = load_field(inputs["field"])
     threads = set_threads(context.threads)
     shots = shots_of(scene, config)
+    sizes = sorted({(camera.width, camera.height) for camera, _ in shots})
+    if config.video and len(sizes) > 1:
+        two = " and ".join(f"{width}x{height}" for width, height in sizes[:: len(sizes) - 1])
+        raise BadInput(f"--video: a film has one size, frames along {config.path} have {two}; render them without it")
     regions = regions_among(inputs, field.space) if config.shows_regions else {}
     channels = channels_of(regions)
     attributes = {"field": inputs["field"].name, "fieldDigest": inputs["field"].digest, "path": config.path}
