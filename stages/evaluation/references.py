@@ -74,8 +74,11 @@ def sized_as(picture: np.ndarray, render: Render) -> np.ndarray:
 
 
 def references_digest(asked: Sequence[str]) -> str:
-    """Over the views and the contents of their pictures."""
-    return digest_of({name: file_sha256(path) if path.is_file() else "" for name, path in map(named, asked)})
+    """Over the views and the contents of their pictures; BadInput where one is missing or no picture."""
+    pairs = [named(text) for text in asked]
+    for _, path in pairs:
+        picture_of(path)
+    return digest_of([[name, file_sha256(path)] for name, path in pairs])
 
 
 def measure_robustness(row: ViewRow, render: Render, twins: FrameViews) -> None:

@@ -50,23 +50,28 @@ def run(args, session) -> dict:
             f"--path {args.path}: views of photos lie too far apart to be warped onto one another; give a camera path"
         )
     field = chosen_field(session.work, args.of)
+    # Whatever cannot be is refused here, before minutes of rendering.
+    config = pinned(session.config)
+    if (args.robust_to or config.reference) and not is_stylised(field):
+        raise UsageError(f"--reference and --robust-to are for a stylised field; {field.name} is none")
+    twin = session.work.find("field", args.robust_to) if args.robust_to else None
+    base, regions = edit_asked(session, field, args)
     session.say(f"measuring field {field.name}")
+    film = frames_of(session, field, args.path) if args.path else film_there(session.work, field)
+    if film is None and config.flow:
+        raise UsageError("--flow is of the frames of a camera path, and there are none; name the path by --path")
     inputs = {"scene": scene_of(session.work, field), "field": field, "frames": frames_of(session, field, "test")}
+    if film is not None:
+        inputs["path_frames"] = film
     if is_stylised(field):
         plain = next((one for one in fields_behind(field) if not is_stylised(one)), None)
         if plain is not None:
             inputs["base_frames"] = frames_of(session, plain, "test")
-    elif args.robust_to or session.config.reference:
-        raise UsageError(f"--reference and --robust-to are for a stylised field; {field.name} is none")
-    if args.robust_to:
-        inputs["twin_frames"] = frames_of(session, session.work.find("field", args.robust_to), "test")
-    inputs |= edit_inputs(session, field, args)
-    film = frames_of(session, field, args.path) if args.path else film_there(session.work, field)
-    if film is not None:
-        inputs["path_frames"] = film
-    elif session.config.flow:
-        raise UsageError("--flow is of the frames of a camera path, and there are none; name the path by --path")
-    report = session.run(evaluate.SPEC, evaluate.run, inputs, pinned(session.config), field.name)
+    if twin is not None:
+        inputs["twin_frames"] = frames_of(session, twin, "test")
+    if base is not None:
+        inputs |= edit_inputs(session, field, base, regions)
+    report = session.run(evaluate.SPEC, evaluate.run, inputs, config, field.name)
     return told(report, session)
 
 
@@ -83,26 +88,32 @@ def chosen_field(work: Work, name: str | None) -> Artefact:
     return max(fields, key=lambda one: (one.manifest.created, len(fields_behind(one))))
 
 
-def edit_inputs(session: Any, field: Artefact, args: Any) -> dict[str, Artefact]:
-    """What the evaluation of a local edit needs, by role: the field before it, frames of both, its regions.
+def edit_asked(session: Any, field: Artefact, args: Any) -> tuple[Artefact | None, list[Artefact]]:
+    """The field before a local edit, and the regions of that edit; None and none where no edit is asked for.
 
-    Empty where none is asked for; UsageError where the field before it is not known.
+    UsageError where the field before it is not known.
     """
     from stages.evaluation.lineage import fields_behind
-    from stages.masks import ROLE
 
     config = session.config
     if not (args.region or config.masks):
         if args.base or config.train_views:
             raise UsageError("--base and --train-views are for a local edit; name it by --region, or give its --masks")
-        return {}
+        return None, []
     regions = [session.work.find("region", name) for name in args.region]
     base = session.work.find("field", args.base) if args.base else next(iter(fields_behind(field)), None)
     if base is None or base.name == field.name:
         raise UsageError(f"field {field.name} was made from no other field; name the unedited one by --base")
+    return base, regions
+
+
+def edit_inputs(session: Any, field: Artefact, base: Artefact, regions: list[Artefact]) -> dict[str, Artefact]:
+    """What the evaluation of a local edit needs, by role: the field before it, frames of both, its regions."""
+    from stages.masks import ROLE
+
     session.say(f"comparing with field {base.name}")
     inputs = {"base_field": base, "unedited_frames": frames_of(session, base, "test")}
-    if config.train_views:
+    if session.config.train_views:
         inputs["train_frames"] = frames_of(session, field, "train")
         inputs["unedited_train_frames"] = frames_of(session, base, "train")
     return inputs | {ROLE + one.name: one for one in regions}

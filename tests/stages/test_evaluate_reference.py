@@ -103,11 +103,11 @@ def test_robustness_is_the_psnr_between_the_two_fields(stylised):
 
 
 def test_a_changed_reference_is_measured_anew(tmp_path):
-    path = tmp_path / "r.png"
-    path.write_bytes(b"one")
-    config = EvaluateConfig(reference=(f"a={path}",))
+    for name in ("r.png", "s.png"):
+        write_png(tmp_path / name, np.zeros((4, 4, 3), np.uint8))
+    config = EvaluateConfig(reference=(f"a={tmp_path / 'r.png'}", f"a={tmp_path / 's.png'}"))
     first = pinned(config).reference_digest
-    path.write_bytes(b"two")
+    write_png(tmp_path / "r.png", np.ones((4, 4, 3), np.uint8))
     assert first and pinned(config).reference_digest != first
 
 

@@ -112,6 +112,27 @@ def test_frames_along_a_file_of_cameras_stand_until_it_changes(work, renderer, c
         assert len(renderer) == count
 
 
+@pytest.mark.parametrize(
+    ("options", "code", "told"),
+    [
+        (("--gap", "1"), 2, "--gap 1: expected at least 2"),
+        (("--style-side", "63"), 2, "--style-side 63: expected at least 64"),
+        (("--depth-tolerance", "0"), 2, "--depth-tolerance 0"),
+        (("--style", "/nowhere.png"), 3, "--style /nowhere.png: no such file"),
+        (("--style", __file__), 3, "test_eval.py"),
+        (("--masks", "/nowhere"), 3, "--masks /nowhere"),
+        (("--flow", "/nowhere"), 3, "--flow /nowhere"),
+        (("--region", "cup"), 4, "no region"),
+        (("--robust-to", "red"), 2, "for a stylised field"),
+    ],
+)
+def test_what_cannot_be_measured_is_refused_before_anything_is_rendered(work, renderer, capsys, options, code, told):
+    (work.get("frames", "wall-test").path / "manifest.json").unlink()
+    assert main(["eval", str(work.root), *options, *FAST]) == code
+    err = capsys.readouterr().err
+    assert told in err and err.count("\n") == 1 and renderer == []
+
+
 def test_a_stylised_field_is_set_against_the_fit_it_came_from(work, renderer, capsys):
     fit = work.get("field", "wall")
     stylised = made.make_field(work, "red", "stylize", {"field": fit})
