@@ -75,6 +75,18 @@ def test_one_photo(source, capsys):
     assert "at least 2 are needed" in refused(source, capsys)
 
 
+def test_photos_of_which_too_few_are_left_to_train_on(posed, capsys):
+    """Of two photos the first is kept for tests."""
+    assert "leaves no photo to train on" in told(capsys, "import", posed, posed.parent, "--test-every", "1", code=2)
+    content = capture.transforms()
+    capture.write_transforms(posed, {**content, "frames": content["frames"][:2]})
+    work = posed.parent / "work"
+    assert main(["import", str(posed), str(work), "--quiet"]) == 0
+    capsys.readouterr()
+    line = told(capsys, "fit", work)
+    assert "of 2 views 1 is to train on" in line and "--test-every 0" in line and not (work / "field" / "fit").exists()
+
+
 def test_black_photos(posed, capsys):
     write_png(posed / "images" / "p02.png", np.full((36, 48, 3), 2, np.uint8))
     line = refused(posed, capsys)
