@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 from stages.configs import option
+from stages.configs.views import file_of
 
 CONSISTENCY = ("correct", "laenerf-script", "stylerf-family", "all")
 SMALLEST_SIDE = 64  # pixels: below it the deepest layers of the networks have nothing left to see
@@ -47,6 +48,8 @@ class EvaluateConfig:
     sheet: int = option(6, help="views on the contact sheet: the worst, the best, and others evenly spread")
 
     def __post_init__(self) -> None:
+        for text in self.reference:
+            file_of(text)
         for flag, value, least in (
             ("--gap", self.gap, 2), ("--pairs", self.pairs, 0), ("--sheet", self.sheet, 1),
             ("--perceptual-pairs", self.perceptual_pairs, 0), ("--style-side", self.style_side, SMALLEST_SIDE),

@@ -44,6 +44,8 @@ def run(args, session) -> dict:
     from stages import evaluate
     from stages.evaluation.asked import pinned
     from stages.evaluation.lineage import fields_behind, is_stylised
+    from stages.evaluation.references import checked
+    from stages.evaluation.views import SceneViews
 
     if args.path in OWN_VIEWS:
         raise UsageError(
@@ -54,13 +56,16 @@ def run(args, session) -> dict:
     config = pinned(session.config)
     if (args.robust_to or config.reference) and not is_stylised(field):
         raise UsageError(f"--reference and --robust-to are for a stylised field; {field.name} is none")
+    scene = scene_of(session.work, field)
+    if config.reference:
+        checked(config.reference, SceneViews(scene))
     twin = session.work.find("field", args.robust_to) if args.robust_to else None
     base, regions = edit_asked(session, field, args)
     session.say(f"measuring field {field.name}")
     film = frames_of(session, field, args.path) if args.path else film_there(session.work, field)
     if film is None and config.flow:
         raise UsageError("--flow is of the frames of a camera path, and there are none; name the path by --path")
-    inputs = {"scene": scene_of(session.work, field), "field": field, "frames": frames_of(session, field, "test")}
+    inputs = {"scene": scene, "field": field, "frames": frames_of(session, field, "test")}
     if film is not None:
         inputs["path_frames"] = film
     if is_stylised(field):

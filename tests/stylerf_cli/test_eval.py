@@ -5,8 +5,10 @@ import subprocess
 import sys
 import types
 
+import numpy as np
 import pytest
 
+from schemas.images import write_png
 from schemas.store import Work
 from stages.configs.render import RenderConfig
 from stages.render import pinned
@@ -131,6 +133,20 @@ def test_what_cannot_be_measured_is_refused_before_anything_is_rendered(work, re
     assert main(["eval", str(work.root), *options, *FAST]) == code
     err = capsys.readouterr().err
     assert told in err and err.count("\n") == 1 and renderer == []
+
+
+def test_a_reference_is_of_a_view_of_the_scene_by_name_or_number(work, renderer, capsys, tmp_path):
+    made.make_field(work, "red", "stylize", {"field": work.get("field", "wall")})
+    write_png(tmp_path / "red.png", np.zeros((72, 96, 3), np.uint8))
+    asked = [str(work.root), "--of", "red", *FAST, "--reference"]
+    for reference, code, told in (
+        (f"2={tmp_path}/red.png", 3, "--reference: there is no view '2'; the scene's 2 views are photo_00, photo_01"),
+        ("1=/nowhere.png", 3, "no file /nowhere.png"),
+        ("photo_01", 2, "written VIEW=FILE"),
+    ):
+        assert main(["eval", *asked, reference]) == code
+        assert told in capsys.readouterr().err and renderer == []
+    assert main(["eval", *asked, f"1={tmp_path}/red.png"]) == 0
 
 
 def test_a_stylised_field_is_set_against_the_fit_it_came_from(work, renderer, capsys):
