@@ -15,7 +15,6 @@ import numpy as np
 from schemas.atomic import write_bytes, write_json
 from schemas.store import Artefact, Partial
 from stages.configs.evaluate import EvaluateConfig
-from stages.evaluation.asked import check
 from stages.evaluation.edited import LocalEdit, palette_facts, palette_rows
 from stages.evaluation.figures import Figure, Row, summarise, write_csv
 from stages.evaluation.film import Film
@@ -70,7 +69,6 @@ class Evaluation:
     """One evaluation in progress: what it looks at, and the rows measured so far."""
 
     def __init__(self, inputs: Mapping[str, Artefact], config: EvaluateConfig, context: Context) -> None:
-        check(config)
         self.inputs, self.config, self.context = dict(inputs), config, context
         self.scene = SceneViews(inputs["scene"])
         self.frames = FrameViews(inputs["frames"], self.scene.background)

@@ -34,9 +34,12 @@ def run(inputs: dict[str, Artefact], config: FitConfig, partial: Partial, contex
     space, reason = space_of(scene, config.space)
     context.progress.say(f"space: {space.kind}, {reason}")
     train = scene.splits["train"]
+    if len(train) < 2:
+        raise BadInput(
+            f"{inputs['scene'].path}: of {len(scene.views)} views {len(train)} {'is' if len(train) == 1 else 'are'} to "
+            "train on where a fit needs at least 2; import more photos, or keep none for tests by --test-every 0"
+        )
     held_out = _held_out(train, config.held_out)
-    if len(train) - len(held_out) < 2:
-        raise BadInput(f"{inputs['scene'].path}: {len(train)} training views; at least 3 are needed to fit a field")
     order = [i for i in train if i not in held_out] + held_out
     bank = bank_of(scene, order, partial.folder, context)
     device = gpu_of(context)

@@ -1,5 +1,6 @@
 """Import: posed photos of any known format into a scene of undistorted pictures in one convention."""
 
+from collections import Counter
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -65,7 +66,7 @@ def import_scene(source: SourceScene, config: ImportConfig, partial: Partial, co
     here, missing = present(source.cameras)
     here, doubled = _without_doubles([replace(one, name=_inside(one.name)) for one in here])
     _tell_missing(source, here, missing, context)
-    here = _with_splits(here, config.test_every)
+    here = _with_splits(_told_apart(here), config.test_every)
     alike: dict = {}
     photos = [sized(camera, source.rescalable, alike) for camera in here]
     factors = [scale_of(one.size, config.downscale, config.max_side) for one in photos]
@@ -120,6 +121,12 @@ def _without_doubles(cameras: list[SourceCamera]) -> tuple[list[SourceCamera], l
 def _inside(name: str) -> str:
     """The name without steps out of a folder: pictures and frames are filed under it."""
     return "/".join(part for part in Path(name).parts if part not in ("..", "/"))
+
+
+def _told_apart(cameras: list[SourceCamera]) -> list[SourceCamera]:
+    """Views of one name get the suffixes of their photos: IMG_1.JPG and IMG_1.PNG, as some cameras and phones save."""
+    names = Counter(one.name for one in cameras)
+    return [one if names[one.name] == 1 else replace(one, name=one.name + one.image.suffix) for one in cameras]
 
 
 def _with_splits(cameras: list[SourceCamera], every: int) -> list[SourceCamera]:

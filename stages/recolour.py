@@ -7,12 +7,12 @@ import numpy as np
 from schemas.errors import BadInput
 from schemas.store import Artefact, Partial
 from stages.configs.decompose import RecolourConfig
-from stages.configs.select import pixel_of
+from stages.configs.views import pixel_of
 from stages.edits import PALETTE, by_column, changes_of, columns_and_shares, save_palette
 from stages.fields import load_field, save_field
 from stages.progress import Context
 from stages.runner import Spec
-from stages.scenes import SceneData, load_scene
+from stages.scenes import SceneData, load_scene, view_index
 from stylerf.editing.recolouring import Recolouring, SpaceFilter
 from stylerf.editing.selection import ends_of_rays
 from stylerf.errors import InvalidValue
@@ -62,12 +62,7 @@ def _filter(scene: SceneData, field: RadianceField, config: RecolourConfig, chun
     centres, reaches = [], []
     for text in config.at:
         name, column, row = pixel_of(text)
-        names = [view.name for view in scene.views]
-        index = names.index(name) if name in names else int(name) if name.isdigit() else -1
-        if not 0 <= index < len(names):
-            shown = ", ".join(names[:6]) + (" ..." if len(names) > 6 else "")
-            raise BadInput(f"--at {text}: there is no view {name!r}; the scene's {len(names)} views are {shown}")
-        camera = scene.cameras[index]
+        camera = scene.cameras[view_index(scene, name, f"--at {text}")]
         if not (column < camera.width and row < camera.height):
             raise BadInput(f"--at {text}: view {name} has {camera.width}x{camera.height} pixels")
         pixel = np.array([int(row) * camera.width + int(column)])

@@ -2,16 +2,16 @@
 
 import hashlib
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 import torch
 
 from schemas.canonical import file_sha256
 from schemas.errors import BadInput
-from stages.configs.stylize import StylizeConfig, reference_of
+from stages.configs.stylize import StylizeConfig
+from stages.configs.views import file_of
 from stages.paintings import read_painting
-from stages.scenes import SceneData
+from stages.scenes import SceneData, view_index
 from stages.weights import resolve, resolve_decoder
 from stylerf.fields.field import RadianceField
 from stylerf.geometry.cameras import Camera
@@ -27,7 +27,7 @@ def digest_of(references: Sequence[str]) -> str:
     """Of the files of VIEW=FILE texts, in their order; BadInput where one is missing or no picture."""
     total = hashlib.sha256()
     for text in references:
-        path = Path(reference_of(text)[1])
+        path = file_of(text)[1]
         if not path.is_file():
             raise BadInput(f"--reference {text}: there is no such image")
         read_painting(path)
@@ -37,11 +37,7 @@ def digest_of(references: Sequence[str]) -> str:
 
 def training_view(scene: SceneData, name: str, flag: str) -> int:
     """Place among the training views of a view by its name, or by its number in the scene."""
-    names, train = [view.name for view in scene.views], scene.splits["train"]
-    index = names.index(name) if name in names else int(name) if name.isdigit() else -1
-    if not 0 <= index < len(names):
-        shown = ", ".join(names[i] for i in train[:6]) + (" ..." if len(train) > 6 else "")
-        raise BadInput(f"{flag}: there is no view {name!r}; the scene's {len(train)} training views are {shown}")
+    index, train = view_index(scene, name, flag), scene.splits["train"]
     if index not in train:
         raise BadInput(f"{flag}: view {name} is held out for evaluation; give a training view")
     return train.index(index)
@@ -51,10 +47,10 @@ def read_references(scene: SceneData, references: Sequence[str]) -> dict[int, np
     """By place among the training views: its stylised picture, [h, w, 3] sRGB 0..1, of the view's size."""
     found = {}
     for text in references:
-        name, file = reference_of(text)
+        name, file = file_of(text)
         place = training_view(scene, name, f"--reference {text}")
         camera = scene.cameras[scene.splits["train"][place]]
-        picture = read_painting(Path(file))
+        picture = read_painting(file)
         height, width = picture.shape[1:]
         if abs(width * camera.height / (height * camera.width) - 1) > LIKE:
             raise BadInput(

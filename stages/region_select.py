@@ -9,13 +9,14 @@ import numpy as np
 from schemas.errors import BadInput
 from schemas.images import read_image, to_uint8, write_png
 from schemas.store import Artefact, Partial
-from stages.configs.select import SelectConfig, depth_of, mask_of, pixel_of
+from stages.configs.select import SelectConfig
+from stages.configs.views import depth_of, file_of, pixel_of
 from stages.fields import load_field
 from stages.photos import level_of, photo_over
 from stages.progress import Context
 from stages.regions import load_region, save_region
 from stages.runner import Spec
-from stages.scenes import SceneData, load_scene
+from stages.scenes import SceneData, load_scene, view_index
 from stylerf.editing.extraction import ends_of_view
 from stylerf.editing.regions import (
     FEWEST_CELLS,
@@ -89,20 +90,10 @@ class Looking:
         """What they see in the cells."""
         return SeenCells(self.looks, self.cells)
 
-    def view(self, name: str) -> int:
-        """Index of a view by its name, or by its number in the scene; BadInput naming some of those there are."""
-        names = [view.name for view in self.scene.views]
-        if name in names:
-            return names.index(name)
-        if name.isdigit() and int(name) < len(names):
-            return int(name)
-        shown = ", ".join(names[:6]) + (" ..." if len(names) > 6 else "")
-        raise BadInput(f"there is no view {name!r}; the scene's {len(names)} views are {shown}")
-
     def mask(self, text: str) -> tuple[int, np.ndarray]:
         """View and mask [h, w] in 0..1 of VIEW=MASK.png."""
-        name, path = mask_of(text)
-        view, pixels = self.view(name), read_image(Path(path)).pixels
+        name, path = file_of(text)
+        view, pixels = view_index(self.scene, name, text), read_image(path).pixels
         camera = self.scene.cameras[view]
         if pixels.shape[:2] != (camera.height, camera.width):
             raise BadInput(
@@ -182,7 +173,7 @@ def _seeds(looking: Looking, at: tuple[str, ...], scribbles: tuple[str, ...]) ->
     by_view: dict[int, list[int]] = {}
     for text in at:
         name, x, y = pixel_of(text)
-        view = looking.view(name)
+        view = view_index(looking.scene, name, text)
         camera = looking.scene.cameras[view]
         if not (0 <= x < camera.width and 0 <= y < camera.height):
             raise BadInput(f"{text}: view {name} has {camera.width}x{camera.height} pixels")
@@ -234,7 +225,7 @@ def _grown(looking: Looking, solid, seen: SeenCells, points: np.ndarray, config:
 
 def _between_depths(looking: Looking, text: str) -> np.ndarray:
     name, near, far = depth_of(text)
-    view = looking.view(name)
+    view = view_index(looking.scene, name, f"--depth {text}")
     camera = looking.scene.cameras[view]
     ends = ends_of_view(looking.field, camera, [np.ones((1, 1, 1), bool)], looking.chunks)[0]
     x, alpha = ends[:, 3:], ends[:, 0]
@@ -276,8 +267,8 @@ def _check(edit: np.ndarray, solid: np.ndarray, share: float, config: SelectConf
 
 def _previews(looking: Looking, region: Region, config: SelectConfig, folder: Path) -> list[str]:
     """Pictures of the region over the photos, preview/NAME.png; the names of their views."""
-    named = [pixel_of(t)[0] for t in config.at] + [mask_of(t)[0] for t in (*config.scribble, *config.mask)]
-    views = [looking.view(name) for name in (config.preview or named)]
+    named = [pixel_of(t)[0] for t in config.at] + [file_of(t)[0] for t in (*config.scribble, *config.mask)]
+    views = [view_index(looking.scene, name, f"--preview {name}") for name in (config.preview or named)]
     every = looking.scene.splits["train"] + looking.scene.splits["test"]
     if not config.preview:
         views += [every[len(every) // 3], every[2 * len(every) // 3]]

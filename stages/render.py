@@ -19,7 +19,7 @@ from schemas.frames import Frame, FrameCamera, Frames, write_frames
 from schemas.images import linear_from_srgb, to_uint8, write_png
 from schemas.scene import as_matrix
 from schemas.store import Artefact, Partial
-from stages.configs.render import RenderConfig, frames_of
+from stages.configs.render import OWN_VIEWS, RenderConfig, frames_of
 from stages.devices import gpu_figures, gpu_of
 from stages.fields import load_field
 from stages.masks import CHANNEL, channels_of, regions_among
@@ -35,7 +35,6 @@ from stylerf.rendering.pictures import depth_picture, displacement_picture
 from stylerf.rendering.view import RenderedView, render_view
 
 SPEC = Spec(stage="render", verb="render", revision=1, writes="frames")
-OWN_VIEWS = ("train", "test", "views")
 Shot = tuple[Camera, int | None]
 
 
@@ -45,6 +44,10 @@ def run(inputs: dict[str, Artefact], config: RenderConfig, partial: Partial, con
     field, background = load_field(inputs["field"])
     threads = set_threads(context.threads)
     shots = shots_of(scene, config)
+    sizes = sorted({(camera.width, camera.height) for camera, _ in shots})
+    if config.video and len(sizes) > 1:
+        two = " and ".join(f"{width}x{height}" for width, height in sizes[:: len(sizes) - 1])
+        raise BadInput(f"--video: a film has one size, frames along {config.path} have {two}; render them without it")
     regions = regions_among(inputs, field.space) if config.shows_regions else {}
     channels = channels_of(regions)
     attributes = {"field": inputs["field"].name, "fieldDigest": inputs["field"].digest, "path": config.path}

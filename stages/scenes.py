@@ -115,6 +115,17 @@ def load_scene(artefact: Artefact) -> SceneData:
     return SceneData(artefact.path, scene, cameras, _points(artefact.path / POINTS_FILE))
 
 
+def view_index(scene: SceneData, name: str, asked_by: str) -> int:
+    """Index of a view by its name, or else by its number in the scene; BadInput naming some of those there are."""
+    names = [view.name for view in scene.views]
+    if name in names:
+        return names.index(name)
+    if name.isdecimal() and int(name) < len(names):
+        return int(name)
+    shown = ", ".join(names[:6]) + (" ..." if len(names) > 6 else "")
+    raise BadInput(f"{asked_by}: there is no view {name!r}; the scene's {len(names)} views are {shown}")
+
+
 def _camera(view: View) -> Camera:
     pose = np.array(view.world_from_camera)
     return Camera(view.name, view.width, view.height, view.fx, view.fy, view.cx, view.cy, pose)

@@ -10,7 +10,8 @@ from schemas.errors import BadInput
 from schemas.images import to_uint8, write_png
 from schemas.store import Artefact, Partial
 from stages.configs.fit import budget_of
-from stages.configs.stylize import StylizeConfig, reference_of
+from stages.configs.stylize import StylizeConfig
+from stages.configs.views import file_of
 from stages.devices import gpu_figures, gpu_of, rays_on
 from stages.fields import (
     load_checkpoint,
@@ -57,7 +58,7 @@ def run(inputs: dict[str, Artefact], config: StylizeConfig, partial: Partial, co
     torch.set_num_threads(threads)
     resolved = resolve(config.features or None)
     context.progress.say(f"features: {resolved.name}, from {resolved.source}")
-    painting = read_painting(Path(config.style or reference_of(config.reference[0])[1]))
+    painting = read_painting(Path(config.style or file_of(config.reference[0])[1]))
     device = gpu_of(context)
     try:
         given = scene, field, level_of(background), painting, resolved, deformation

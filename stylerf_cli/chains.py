@@ -6,7 +6,7 @@ from schemas.errors import UsageError
 from schemas.store import Artefact
 from stages.configs.deform import DeformConfig
 from stages.configs.fit import FitConfig
-from stages.configs.render import RenderConfig, label_of
+from stages.configs.render import RenderConfig
 
 FIT_NAME = "fit"
 
@@ -55,14 +55,14 @@ def ensure_deformed(session: Any, scene: Artefact, field: Artefact) -> Artefact:
     return deform(session, scene, field, session.config_of("deform", DeformConfig))
 
 
-def ensure_frames(session: Any, field: Artefact, path: str) -> Artefact:
-    """Frames of a field along a path, named <field>-<path>."""
+def ensure_frames(session: Any, field: Artefact, path: str, name: str) -> Artefact:
+    """Frames of a field along a path."""
     from stages import render
     from stylerf_cli.verbs.eval_ import scene_of
 
     config = render.pinned(RenderConfig(path=path, count=30 if path not in render.OWN_VIEWS else 1))
     inputs = {"scene": scene_of(session.work, field), "field": field, **regions_shown(session, field, config)}
-    return session.run(render.SPEC, render.run, inputs, config, f"{field.name}-{label_of(path)}")
+    return session.run(render.SPEC, render.run, inputs, config, name)
 
 
 def regions_shown(session: Any, field: Artefact, config: RenderConfig) -> dict[str, Artefact]:

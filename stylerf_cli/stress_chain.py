@@ -27,7 +27,7 @@ from stages.paintings import read_painting
 from stages.progress import Silent
 from stages.runner import execute
 from stages.stress import criteria
-from stages.stress.cells import Outcome
+from stages.stress.cells import REMEDIED, Outcome
 from stages.stress.faults import CLEAN, FAULTS, METHODS, ORDINARY_STYLE, STYLE, Fault, Method
 from stages.stress.measuring import seen_from_tests, shown_beside
 from stages.stress.outcomes import keep_outcome, kept_outcome
@@ -56,6 +56,11 @@ class Trial:
     def origin(self) -> str:
         """Whose scene it takes place in: paintings with faults are put on the scene without."""
         return CLEAN if self.fault.of == STYLE else self.fault.name
+
+    @property
+    def cell(self) -> tuple[str, str]:
+        """Method and fault of the cell that it counts in."""
+        return self.method.name + (REMEDIED if self.remedies else ""), self.fault.name
 
     @property
     def label(self) -> str:

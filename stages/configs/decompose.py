@@ -5,7 +5,7 @@ from dataclasses import dataclass, fields
 from stages.configs import option
 from stages.configs.edit import PaletteConfig
 from stages.configs.fit import budget_of
-from stages.configs.select import pixel_of
+from stages.configs.views import pixel_of
 
 METHOD = "palettenerf"
 

@@ -3,8 +3,10 @@
 from dataclasses import dataclass
 
 from stages.configs import option
+from stages.configs.views import file_of
 
 CONSISTENCY = ("correct", "laenerf-script", "stylerf-family", "all")
+SMALLEST_SIDE = 64  # pixels: below it the deepest layers of the networks have nothing left to see
 
 
 @dataclass(frozen=True)
@@ -44,3 +46,16 @@ class EvaluateConfig:
     ring: int = option(8, help="width in pixels of the ring around a region where bleeding is measured")
     train_views: bool = option(False, help="measure a local edit on the training views too")
     sheet: int = option(6, help="views on the contact sheet: the worst, the best, and others evenly spread")
+
+    def __post_init__(self) -> None:
+        for text in self.reference:
+            file_of(text)
+        for flag, value, least in (
+            ("--gap", self.gap, 2), ("--pairs", self.pairs, 0), ("--sheet", self.sheet, 1),
+            ("--perceptual-pairs", self.perceptual_pairs, 0), ("--style-side", self.style_side, SMALLEST_SIDE),
+            ("--margin", self.margin, 0), ("--ring", self.ring, 1),
+        ):  # fmt: skip
+            if value < least:
+                raise ValueError(f"{flag} {value}: expected at least {least}")
+        if not 0 < self.depth_tolerance < 1:
+            raise ValueError(f"--depth-tolerance {self.depth_tolerance:g}: expected a share between 0 and 1")

@@ -52,6 +52,8 @@ class ImportOptions:
             raise ValueError(f"--downscale {self.downscale:g}: expected 1 or more")
         if self.max_side < 0 or self.test_every < 0:
             raise ValueError("--max-side and --test-every must not be negative")
+        if self.test_every == 1:
+            raise ValueError("--test-every 1 leaves no photo to train on; give 2 or more, or 0 to keep none for tests")
         if self.sfm_side < 64 or self.sfm_features < 64:
             raise ValueError("--sfm-side and --sfm-features must be at least 64")
 

@@ -6,6 +6,8 @@ from pathlib import Path
 
 from stages.configs import option
 
+OWN_VIEWS = ("train", "test", "views")  # paths of the scene's own views; "views": both others
+
 
 @dataclass(frozen=True)
 class RenderConfig:

@@ -4,6 +4,7 @@ import re
 from dataclasses import dataclass
 
 from stages.configs import option
+from stages.configs.views import depth_of, file_of, pixel_of
 
 
 @dataclass(frozen=True)
@@ -44,7 +45,7 @@ class SelectConfig:
         for text in (*self.at, *self.avoid):
             pixel_of(text)
         for text in (*self.scribble, *self.mask):
-            mask_of(text)
+            file_of(text)
         if self.depth:
             depth_of(self.depth)
         if self.colour and not re.fullmatch(r"#[0-9a-fA-F]{6}", self.colour):
@@ -68,27 +69,3 @@ class SelectConfig:
             raise ValueError("neck must be in 0..1")
         if not 0 < self.solid < 1 or not 0 < self.most <= 1:
             raise ValueError("solid must be over 0 and under 1, most in (0, 1]")
-
-
-def pixel_of(text: str) -> tuple[str, float, float]:
-    """'0012:200,140' -> ('0012', 200.0, 140.0); ValueError for anything else."""
-    match = re.fullmatch(r"(.+):(\d+(?:\.\d+)?),(\d+(?:\.\d+)?)", text)
-    if not match:
-        raise ValueError(f"{text!r} is not a pixel of a view, written VIEW:X,Y")
-    return match[1], float(match[2]), float(match[3])
-
-
-def mask_of(text: str) -> tuple[str, str]:
-    """'0012=head.png' -> ('0012', 'head.png'); ValueError for anything else."""
-    view, equals, path = text.partition("=")
-    if not (view and equals and path):
-        raise ValueError(f"{text!r} is not a mask of a view, written VIEW=MASK.png")
-    return view, path
-
-
-def depth_of(text: str) -> tuple[str, float, float]:
-    """'0012:1.5,2' -> ('0012', 1.5, 2.0); ValueError for anything else."""
-    match = re.fullmatch(r"(.+):([0-9.]+),([0-9.]+)", text)
-    if not match or float(match[2]) >= float(match[3]):
-        raise ValueError(f"{text!r} is not a span of depths in a view, written VIEW:NEAR,FAR")
-    return match[1], float(match[2]), float(match[3])

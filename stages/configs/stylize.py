@@ -4,6 +4,7 @@ from dataclasses import dataclass, fields
 
 from stages.configs import option
 from stages.configs.fit import budget_of
+from stages.configs.views import file_of
 
 COLOUR_CELLS = (64, 1024)  # fewest and most cells a side that the colour field takes by itself
 METHODS = ("arf", "desrf", "snerf", "refnpr", "palettenerf")
@@ -156,18 +157,10 @@ class StylizeConfig:
             raise ValueError("--style is required: the painting, an image file")
         if self.reference and (self.reference_by or self.reference_view):
             raise ValueError("--reference gives the stylised views; --reference-by and --reference-view make one")
-        views = [reference_of(text)[0] for text in self.reference]
+        views = [file_of(text)[0] for text in self.reference]
         if len(set(views)) < len(views):
             raise ValueError(f"a view is given two references: {', '.join(views)}")
         if self.rounds < 1 or self.image_steps < 1 or self.reference_steps < 1:
             raise ValueError("rounds, image_steps and reference_steps must be at least 1")
         if not 0 < self.image_share < 1 or self.image_rate <= 0 or self.reference_weight < 0:
             raise ValueError("image_share must be over 0 and under 1, image_rate over 0, reference_weight at least 0")
-
-
-def reference_of(text: str) -> tuple[str, str]:
-    """'0012=painted.png' -> ('0012', 'painted.png'); ValueError for anything else."""
-    view, equals, path = text.partition("=")
-    if not (view and equals and path):
-        raise ValueError(f"{text!r} is not a stylised view, written VIEW=FILE.png")
-    return view, path

@@ -9,9 +9,9 @@ import numpy as np
 from schemas.errors import BadInput
 from schemas.images import read_image
 from schemas.store import Artefact
-from stages.configs.evaluate import EvaluateConfig
+from stages.configs.evaluate import SMALLEST_SIDE, EvaluateConfig
 from stages.evaluation.measuring import Score
-from stages.evaluation.nets import SMALLEST_SIDE, Painting, Perceptual, perceptual_distances
+from stages.evaluation.nets import Painting, Perceptual, perceptual_distances
 from stages.progress import Context
 from stylerf.metrics.consistency import PixelDistance
 from stylerf.metrics.protocols import ImageDistance

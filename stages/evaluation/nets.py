@@ -15,7 +15,6 @@ from stylerf.style.losses import by_block, gram_matrix, nearest_neighbour_distan
 from stylerf.style.matching import StyleRows, style_rows
 from stylerf.style.trunks import Trunk
 
-SMALLEST_SIDE = 64  # pixels: below it the deepest layers of the networks have nothing left to see
 # conv3_1, conv3_2, conv3_3 joined along channels, as ARF stylises by; conv2_2, just before the second halving, as SIFID
 # takes from its own network.
 TAPS = ("conv2_2", "conv3")

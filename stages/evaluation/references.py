@@ -11,8 +11,9 @@ import numpy as np
 from skimage.transform import resize
 
 from schemas.canonical import digest_of, file_sha256
-from schemas.errors import BadInput, UsageError
+from schemas.errors import BadInput
 from schemas.images import read_image
+from stages.configs.views import file_of
 from stages.evaluation.masks import SIDES_DIFFER
 from stages.evaluation.measuring import HIGHEST_PSNR, ViewRow
 from stages.evaluation.views import FrameViews, Render, SceneViews
@@ -29,7 +30,7 @@ class References:
         places = np.array([view.camera.world_from_camera for view in frames.frames.views])[:, :3, 3]
         self._pictures: list[np.ndarray] = []
         self._near: list[set[int]] = []
-        for name, path in map(named, asked):
+        for name, path in map(file_of, asked):
             away = np.linalg.norm(places - scene.centre_of(name), axis=1)
             self._near.append(set(np.argsort(away, kind="stable")[:NEAREST].tolist()))
             self._pictures.append(picture_of(path))
@@ -42,12 +43,10 @@ class References:
             row.measure(("ref_lpips",), lambda: float(np.mean([distance(render.image, one) for one in sized])))
 
 
-def named(text: str) -> tuple[str, Path]:
-    """'VIEW=FILE' -> name and path; UsageError for anything else."""
-    name, _, path = text.partition("=")
-    if not name or not path:
-        raise UsageError(f"--reference {text}: expected VIEW=FILE, the name of a view and a stylised picture of it")
-    return name, Path(path).expanduser()
+def checked(asked: Sequence[str], scene: SceneViews) -> None:
+    """BadInput where a reference is of no view of the scene, before frames are rendered to compare it with."""
+    for name, _ in map(file_of, asked):
+        scene.centre_of(name)
 
 
 def picture_of(path: Path) -> np.ndarray:
@@ -74,8 +73,11 @@ def sized_as(picture: np.ndarray, render: Render) -> np.ndarray:
 
 
 def references_digest(asked: Sequence[str]) -> str:
-    """Over the views and the contents of their pictures."""
-    return digest_of({name: file_sha256(path) if path.is_file() else "" for name, path in map(named, asked)})
+    """Over the views and the contents of their pictures; BadInput where one is missing or no picture."""
+    pairs = [file_of(text) for text in asked]
+    for _, path in pairs:
+        picture_of(path)
+    return digest_of([[name, file_sha256(path)] for name, path in pairs])
 
 
 def measure_robustness(row: ViewRow, render: Render, twins: FrameViews) -> None:

@@ -11,8 +11,7 @@ from schemas.exr import read_channels
 from schemas.frames import Frame, Frames, read_frames
 from schemas.images import srgb_from_linear
 from schemas.store import Artefact
-from stages.evaluation.wording import listed
-from stages.scenes import load_scene
+from stages.scenes import load_scene, view_index
 from stylerf.errors import InvalidValue
 from stylerf.geometry.cameras import Camera
 from stylerf.metrics.consistency import PosedView
@@ -94,11 +93,8 @@ class SceneViews:
         return Photo(np.clip(colour, 0, 1).astype(np.float32), mask, None if unfit else depth, other_size, unfit)
 
     def centre_of(self, name: str) -> np.ndarray:
-        """Camera centre [3] of the view of that name; BadInput where there is none."""
-        names = [view.name for view in self._data.views]
-        if name not in names:
-            raise BadInput(f"the scene has no view {name!r}; it has {listed(names)}")
-        return self._data.cameras[names.index(name)].centre
+        """Camera centre [3] of a view by its name, or else by its number; BadInput where there is none."""
+        return self._data.cameras[view_index(self._data, name, "--reference")].centre
 
     @property
     def has_depth(self) -> bool:

@@ -18,11 +18,12 @@ SPREADS = 2.0  # a median that falls by so many standard errors of the two is no
 
 @dataclass(frozen=True)
 class Compared:
-    """worse, better: in words, by cell. unmatched: cells that only one of the two has."""
+    """worse, better: in words, by cell. unmatched: cells that only one of the two has. matched: how many both have."""
 
     worse: list[str]
     better: list[str]
     unmatched: list[str]
+    matched: int
 
 
 def write_baseline(path: Path, cells: Sequence[Cell], conditions: dict) -> None:
@@ -64,13 +65,14 @@ def compared(before: Sequence[dict], cells: Sequence[Cell]) -> Compared:
     earlier = {(one["method"], one["fault"]): one for one in before}
     now = {(cell.method, cell.fault): cell for cell in cells}
     worse, better = [], []
-    for key in (key for key in now if key in earlier):
+    matched = [key for key in now if key in earlier]
+    for key in matched:
         change, words = _change(earlier[key], now[key])
         if change:
             (worse if change < 0 else better).append(words)
     lone = [f"{method} under {fault}: only in the baseline" for method, fault in earlier if (method, fault) not in now]
     lone += [f"{method} under {fault}: not in the baseline" for method, fault in now if (method, fault) not in earlier]
-    return Compared(worse, better, lone)
+    return Compared(worse, better, lone, len(matched))
 
 
 def _change(before: dict, cell: Cell) -> tuple[int, str]:

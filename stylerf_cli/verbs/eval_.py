@@ -1,18 +1,16 @@
 """`stylerf eval WORK [--of NAME]`: figures, charts and a page about one field."""
 
-from pathlib import Path
 from typing import Any
 
 from schemas.errors import ArtefactStale, UsageError
-from schemas.frames import read_frames
+from schemas.frames import FRAMES_FILE, read_frames
 from schemas.store import Artefact, Work
 from stages.configs.evaluate import EvaluateConfig
-from stages.configs.render import label_of
+from stages.configs.render import OWN_VIEWS, RenderConfig, label_of
 
 NAME = "eval"
 HELP = "measure a field: quality, style, consistency, cost; a report with pictures"
 CONFIG = EvaluateConfig
-NO_FILM = ("test", "train")  # their views lie too far apart to be warped onto one another
 
 
 def add_arguments(parser) -> None:
@@ -46,25 +44,39 @@ def run(args, session) -> dict:
     from stages import evaluate
     from stages.evaluation.asked import pinned
     from stages.evaluation.lineage import fields_behind, is_stylised
+    from stages.evaluation.references import checked
+    from stages.evaluation.views import SceneViews
 
+    if args.path in OWN_VIEWS:
+        raise UsageError(
+            f"--path {args.path}: views of photos lie too far apart to be warped onto one another; give a camera path"
+        )
     field = chosen_field(session.work, args.of)
+    # Whatever cannot be is refused here, before minutes of rendering.
+    config = pinned(session.config)
+    if (args.robust_to or config.reference) and not is_stylised(field):
+        raise UsageError(f"--reference and --robust-to are for a stylised field; {field.name} is none")
+    scene = scene_of(session.work, field)
+    if config.reference:
+        checked(config.reference, SceneViews(scene))
+    twin = session.work.find("field", args.robust_to) if args.robust_to else None
+    base, regions = edit_asked(session, field, args)
     session.say(f"measuring field {field.name}")
-    inputs = {"scene": scene_of(session.work, field), "field": field, "frames": frames_of(session, field, "test")}
+    film = frames_of(session, field, args.path) if args.path else film_there(session.work, field)
+    if film is None and config.flow:
+        raise UsageError("--flow is of the frames of a camera path, and there are none; name the path by --path")
+    inputs = {"scene": scene, "field": field, "frames": frames_of(session, field, "test")}
+    if film is not None:
+        inputs["path_frames"] = film
     if is_stylised(field):
         plain = next((one for one in fields_behind(field) if not is_stylised(one)), None)
         if plain is not None:
             inputs["base_frames"] = frames_of(session, plain, "test")
-    elif args.robust_to or session.config.reference:
-        raise UsageError(f"--reference and --robust-to are for a stylised field; {field.name} is none")
-    if args.robust_to:
-        inputs["twin_frames"] = frames_of(session, session.work.find("field", args.robust_to), "test")
-    inputs |= edit_inputs(session, field, args)
-    film = frames_of(session, field, args.path) if args.path else film_there(session.work, field)
-    if film is not None:
-        inputs["path_frames"] = film
-    elif session.config.flow:
-        raise UsageError("--flow is of the frames of a camera path, and there are none; name the path by --path")
-    report = session.run(evaluate.SPEC, evaluate.run, inputs, pinned(session.config), field.name)
+    if twin is not None:
+        inputs["twin_frames"] = frames_of(session, twin, "test")
+    if base is not None:
+        inputs |= edit_inputs(session, field, base, regions)
+    report = session.run(evaluate.SPEC, evaluate.run, inputs, config, field.name)
     return told(report, session)
 
 
@@ -81,26 +93,32 @@ def chosen_field(work: Work, name: str | None) -> Artefact:
     return max(fields, key=lambda one: (one.manifest.created, len(fields_behind(one))))
 
 
-def edit_inputs(session: Any, field: Artefact, args: Any) -> dict[str, Artefact]:
-    """What the evaluation of a local edit needs, by role: the field before it, frames of both, its regions.
+def edit_asked(session: Any, field: Artefact, args: Any) -> tuple[Artefact | None, list[Artefact]]:
+    """The field before a local edit, and the regions of that edit; None and none where no edit is asked for.
 
-    Empty where none is asked for; UsageError where the field before it is not known.
+    UsageError where the field before it is not known.
     """
     from stages.evaluation.lineage import fields_behind
-    from stages.masks import ROLE
 
     config = session.config
     if not (args.region or config.masks):
         if args.base or config.train_views:
             raise UsageError("--base and --train-views are for a local edit; name it by --region, or give its --masks")
-        return {}
+        return None, []
     regions = [session.work.find("region", name) for name in args.region]
     base = session.work.find("field", args.base) if args.base else next(iter(fields_behind(field)), None)
     if base is None or base.name == field.name:
         raise UsageError(f"field {field.name} was made from no other field; name the unedited one by --base")
+    return base, regions
+
+
+def edit_inputs(session: Any, field: Artefact, base: Artefact, regions: list[Artefact]) -> dict[str, Artefact]:
+    """What the evaluation of a local edit needs, by role: the field before it, frames of both, its regions."""
+    from stages.masks import ROLE
+
     session.say(f"comparing with field {base.name}")
     inputs = {"base_field": base, "unedited_frames": frames_of(session, base, "test")}
-    if config.train_views:
+    if session.config.train_views:
         inputs["train_frames"] = frames_of(session, field, "train")
         inputs["unedited_train_frames"] = frames_of(session, base, "train")
     return inputs | {ROLE + one.name: one for one in regions}
@@ -118,25 +136,49 @@ def scene_of(work: Work, field: Artefact) -> Artefact:
 
 
 def frames_of(session: Any, field: Artefact, path: str) -> Artefact:
-    """Frames of the field along `path`: those that are there and up to date, else rendered now."""
-    name = f"{field.name}-{label_of(path)}"
-    there = next((one for one in session.work.artefacts("frames") if one.name == name), None)
-    # A file of cameras may have changed since; whether it has, only its digest in the recipe tells.
-    if there is not None and shows(there, field) and not Path(path).is_file():
-        return there
+    """Frames of the field along `path`: the last that can be measured, else rendered now.
+
+    Frames of the field that are of no use here, but were asked for once, are not replaced.
+    """
+    from stages.render import pinned
     from stylerf_cli.chains import ensure_frames
 
-    return ensure_frames(session, field, path=path)
+    # A file of cameras may have changed since; whether it has, its digest tells.
+    digest = pinned(RenderConfig(path=path)).path_digest
+    there = [
+        frames
+        for frames, along in measurable(session.work, field)
+        if (frames.manifest.config.get("path_digest") == digest if digest else along == path)
+    ]
+    if there:
+        return last(there)
+    name = f"{field.name}-{label_of(path)}"
+    taken = any(one.name == name and shows(one, field) for one in session.work.artefacts("frames"))
+    return ensure_frames(session, field, path, f"{name}-eval" if taken else name)
 
 
 def film_there(work: Work, field: Artefact) -> Artefact | None:
-    """The last rendered frames of the field along a camera path, None where there are none."""
-    films = [
-        one
-        for one in work.artefacts("frames")
-        if shows(one, field) and (one.path / "frames.json").is_file() and read_frames(one.path).path not in NO_FILM
-    ]
-    return max(films, key=lambda one: one.manifest.created, default=None)
+    """The last rendered frames of the field along a camera path that can be measured, None where there are none."""
+    films = [frames for frames, path in measurable(work, field) if path not in OWN_VIEWS]
+    return last(films) if films else None
+
+
+def measurable(work: Work, field: Artefact) -> list[tuple[Artefact, str]]:
+    """Frames of the field as it stands, and their paths: whole ones, with EXR, of the views' own size."""
+    found = []
+    for one in work.artefacts("frames"):
+        config = one.manifest.config
+        whole = config.get("exr", True) and config.get("scale", 1) == 1 and not config.get("frames")
+        if whole and shows(one, field) and (one.path / FRAMES_FILE).is_file():
+            frames = read_frames(one.path)
+            if frames.field == field.name:
+                found.append((one, frames.path))
+    return found
+
+
+def last(artefacts: list[Artefact]) -> Artefact:
+    """That made last."""
+    return max(artefacts, key=lambda one: one.manifest.created)
 
 
 def shows(frames: Artefact, field: Artefact) -> bool:

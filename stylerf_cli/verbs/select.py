@@ -1,9 +1,9 @@
 """`stylerf select WORK --at VIEW:X,Y`: a part of the scene in 3D, to be edited or masked out."""
 
 from dataclasses import replace
-from pathlib import Path
 
-from stages.configs.select import SelectConfig, mask_of
+from stages.configs.select import SelectConfig
+from stages.configs.views import file_of
 
 NAME = "select"
 HELP = "select a part of the scene in 3D, by pixels, masks, a box or a colour"
@@ -37,7 +37,7 @@ def selected(session, config: SelectConfig, of: str | None, name: str = "region"
     from stylerf_cli.chains import ensure_field, scene_of_work
     from stylerf_cli.edit_chain import scene_behind
 
-    files = [Path(mask_of(text)[1]) for text in (*config.scribble, *config.mask)]
+    files = [file_of(text)[1] for text in (*config.scribble, *config.mask)]
     if missing := [path for path in files if not path.is_file()]:
         raise BadInput(f"{missing[0]}: there is no such mask")
     if of:

@@ -13,7 +13,7 @@ BASELINE = "baseline.json"
 
 
 class Worse(CheckFailed):
-    """Some cell is worse than in the baseline; `details` is what the verb would have returned, for --json."""
+    """Some cell is worse than in the baseline, or none is in both; `details`: what the verb would have returned."""
 
     def __init__(self, line: str, details: dict) -> None:
         super().__init__(line)
@@ -37,7 +37,7 @@ def add_arguments(parser) -> None:
 
 
 def run(args, session) -> dict:
-    """Writes stress.json, cells.csv, runs.csv, stress.html, charts/; Worse where a cell is, after all is written.
+    """Writes stress.json, cells.csv, runs.csv, stress.html, charts/; Worse where a baseline fails, after all of it.
 
     A verb without an artefact of its own: what it runs lies in work folders below WORK/stress/works.
     """
@@ -63,6 +63,13 @@ def run(args, session) -> dict:
     conditions = stress.conditions | {"seed": session.common.seed, "scene": content}
     # Refused before hours of work, not after them.
     before = read_baseline(args.baseline, conditions) if args.baseline else None
+    if before is not None and {trial.cell for trial in stress.trials()}.isdisjoint(
+        (cell["method"], cell["fault"]) for cell in before
+    ):
+        raise UsageError(
+            f"--baseline {args.baseline} holds no cell of these methods, faults and remedies; give those it was made "
+            "with, or write it anew"
+        )
     outcomes = stress.run(session.only, session.force)
     if not outcomes:
         if stress.missing:
@@ -93,6 +100,8 @@ def run(args, session) -> dict:
             session.say(line)
         more = f" ({len(held.worse)} cells are worse than in {args.baseline})"
         raise Worse(held.worse[0] + more, result)
+    if held is not None and not held.matched:
+        raise Worse(f"no cell could be compared with {args.baseline} ({held.unmatched[0]})", result)
     return session.emit(result, words_of(result))
 
 
@@ -108,6 +117,8 @@ def words_of(result: dict) -> str:
         lines.append(f"{mark} {where} {cell['successes']} of {cell['count']}, {score}{spread}{why}")
     lines += [f"left out: {one['fault']}. {one['why']}" for one in result["missing"]]
     if result["baseline"] is not None:
-        lines += [f"better: {line}" for line in result["baseline"]["better"]]
-        lines.append("no cell is worse than in the baseline")
+        held = result["baseline"]
+        lines += [f"better: {line}" for line in held["better"]]
+        lines += [f"not compared: {line}" for line in held["unmatched"]]
+        lines.append(f"no cell of {held['matched']} compared is worse than in the baseline")
     return "\n".join([*lines, f"page: {result['page']}"])

@@ -9,7 +9,8 @@ from pathlib import Path
 from schemas.errors import UsageError
 from stages.configs.decompose import METHOD, DecomposeConfig, PaletteFieldConfig
 from stages.configs.region import RegionConfig
-from stages.configs.stylize import StylizeConfig, reference_of
+from stages.configs.stylize import StylizeConfig
+from stages.configs.views import file_of
 
 NAME = "stylize"
 HELP = "stylise the whole scene or a region of it, or change its palette"
@@ -72,11 +73,11 @@ def _pinned_whole(config: StylizeConfig) -> tuple[StylizeConfig, str]:
     from stages.paintings import read_painting
     from stages.references import digest_of
 
-    pairs = [reference_of(text) for text in config.reference]
+    pairs = [file_of(text) for text in config.reference]
     config = replace(config, references_digest=digest_of(config.reference),
-                     reference=tuple(f"{view}={Path(file).resolve()}" for view, file in pairs))  # fmt: skip
+                     reference=tuple(f"{view}={file.resolve()}" for view, file in pairs))  # fmt: skip
     if not config.style:
-        return config, name_of(Path(pairs[0][1]))
+        return config, name_of(pairs[0][1])
     style = painting_of(config.style)
     read_painting(style)
     return replace(config, style=str(style.resolve()), style_digest=file_sha256(style)), name_of(style)

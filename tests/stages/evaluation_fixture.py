@@ -93,7 +93,14 @@ def exr_of(view: Camera, seen: Seen) -> ExrView:
 
 
 def make_frames(
-    work: Work, name: str, path: str, cameras: list[Camera], pictures: list[Seen], field: Artefact, matched: bool = True
+    work: Work,
+    name: str,
+    path: str,
+    cameras: list[Camera],
+    pictures: list[Seen],
+    field: Artefact,
+    matched: bool = True,
+    config: dict | None = None,
 ) -> Artefact:
     """Frames as `render` writes them; `matched`: frame k repeats view k of the scene."""
 
@@ -106,7 +113,8 @@ def make_frames(
             frames.append(Frame(view.name, exr, png, FrameCamera(**camera_entry(view)), i if matched else None))
         write_frames(folder, Frames(field.name, path, tuple(frames), None if path == "test" else 24.0))
 
-    return commit(work, "frames", name, "render", {"field": field}, write, seconds=3.0, peak_memory_mb=120)
+    told = {"seconds": 3.0, "peak_memory_mb": 120, "config": config or {}}
+    return commit(work, "frames", name, "render", {"field": field}, write, **told)
 
 
 def make_field(work: Work, name: str, stage: str, inputs: dict[str, Artefact], **manifest) -> Artefact:

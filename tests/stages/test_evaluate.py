@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from schemas.errors import UsageError
 from schemas.store import Work
 from stages import evaluate
 from stages.configs.evaluate import EvaluateConfig
@@ -183,13 +182,14 @@ def test_photos_of_another_size_are_resampled_and_said(tmp_path):
     assert any("another size" in note["why"] for note in report["not_measured"])
 
 
-WRONG = [{"gap": 1}, {"pairs": -1}, {"perceptual_pairs": -1}, {"sheet": 0}, {"style_side": 8}, {"depth_tolerance": 0.0}]
+WRONG = {"gap": 1, "pairs": -1, "perceptual_pairs": -1, "sheet": 0, "style_side": 8, "depth_tolerance": 0.0,
+         "margin": -1, "ring": 0}  # fmt: skip
 
 
-@pytest.mark.parametrize("wrong", WRONG)
-def test_options_out_of_range_are_usage_faults(fitted, wrong, tmp_path):
-    with pytest.raises(UsageError, match=next(iter(wrong)).replace("_", "-")):
-        evaluated(Work(tmp_path), fitted[1], replace(QUIET, **wrong))
+@pytest.mark.parametrize("name", WRONG)
+def test_options_out_of_range_are_refused(name):
+    with pytest.raises(ValueError, match="--" + name.replace("_", "-")):
+        replace(QUIET, **{name: WRONG[name]})
 
 
 def test_a_source_made_again_or_gone_is_said(fitted, tmp_path):

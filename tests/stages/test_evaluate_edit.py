@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from schemas.errors import BadInput, UsageError
+from schemas.errors import BadInput
 from schemas.exr import write_exr
 from schemas.frames import Frame, FrameCamera, Frames, write_frames
 from schemas.images import write_png
@@ -246,12 +246,6 @@ def test_a_region_of_another_space_is_refused(made_up):
     other = made.commit(work, "region", "other", "select", {}, region_of(replace(BOX, far=77.0)))
     with pytest.raises(BadInput, match="region other was selected in the space of another field"):
         evaluated(work, inputs | {"region.other": other}, name="refused")
-
-
-@pytest.mark.parametrize("wrong", [{"margin": -1}, {"ring": 0}])
-def test_options_out_of_range_are_usage_faults(made_up, wrong):
-    with pytest.raises(UsageError, match=next(iter(wrong))):
-        evaluated(made_up[0], made_up[1], replace(QUIET, **wrong), name="refused")
 
 
 def test_without_an_edit_nothing_of_it_is_told(made_up):

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from schemas.errors import BadInput, UsageError
+from schemas.errors import BadInput
 from schemas.images import write_png
 from schemas.store import Work
 from stages import evaluate
@@ -44,13 +44,14 @@ def mean_difference(a, b):
     return float(np.abs(a - b).mean())
 
 
-def test_a_reference_is_compared_with_the_views_nearest_to_its_camera(stylised, tmp_path, monkeypatch):
+@pytest.mark.parametrize("view", ["photo_03", "3"])
+def test_a_reference_is_compared_with_the_views_nearest_to_its_camera(stylised, tmp_path, monkeypatch, view):
     _, scene, frames = stylised
     monkeypatch.setattr(references, "NEAREST", 2)
     views = FrameViews(frames["first"], 0.0)
     picture = views.render(3).image + np.float32(0.2)
     write_png(tmp_path / "reference.png", np.round(np.clip(picture, 0, 1) * 255).astype(np.uint8))
-    found = References([f"photo_03={tmp_path / 'reference.png'}"], SceneViews(scene), views)
+    found = References([f"{view}={tmp_path / 'reference.png'}"], SceneViews(scene), views)
     rows = [ViewRow(render.name) for render in views]
     for i, row in enumerate(rows):
         found.measure(row, i, views.render(i), mean_difference)
@@ -75,9 +76,9 @@ def test_references_that_cannot_be_used_are_told(stylised, tmp_path):
     _, scene, frames = stylised
     views = FrameViews(frames["first"], 0.0)
     write_png(tmp_path / "square.png", np.zeros((64, 64, 3), np.uint8))
-    with pytest.raises(UsageError, match="VIEW=FILE"):
-        References(["photo_00"], SceneViews(scene), views)
-    with pytest.raises(BadInput, match="no view 'nowhere'; it has photo_00"):
+    with pytest.raises(ValueError, match="VIEW=FILE"):
+        EvaluateConfig(reference=("photo_00",))
+    with pytest.raises(BadInput, match="no view 'nowhere'; the scene's 4 views are photo_00"):
         References([f"nowhere={tmp_path / 'square.png'}"], SceneViews(scene), views)
     with pytest.raises(BadInput, match="no file"):
         References([f"photo_00={tmp_path / 'absent.png'}"], SceneViews(scene), views)
@@ -103,11 +104,11 @@ def test_robustness_is_the_psnr_between_the_two_fields(stylised):
 
 
 def test_a_changed_reference_is_measured_anew(tmp_path):
-    path = tmp_path / "r.png"
-    path.write_bytes(b"one")
-    config = EvaluateConfig(reference=(f"a={path}",))
+    for name in ("r.png", "s.png"):
+        write_png(tmp_path / name, np.zeros((4, 4, 3), np.uint8))
+    config = EvaluateConfig(reference=(f"a={tmp_path / 'r.png'}", f"a={tmp_path / 's.png'}"))
     first = pinned(config).reference_digest
-    path.write_bytes(b"two")
+    write_png(tmp_path / "r.png", np.ones((4, 4, 3), np.uint8))
     assert first and pinned(config).reference_digest != first
 
 

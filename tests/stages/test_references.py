@@ -27,7 +27,8 @@ def scene(width: int = 40, height: int = 30) -> SimpleNamespace:
 
 def test_views_go_by_name_and_else_by_number():
     assert [training_view(scene(), name, "--x") for name in ("a", "7", "d", "0", "3")] == [0, 1, 2, 0, 2]
-    for name, words in (("b", "held out"), ("1", "held out"), ("8", "there is no view"), ("-1", "there is no view")):
+    unknown = [(name, f"--x: there is no view '{name}'") for name in ("8", "-1", "\N{SUPERSCRIPT TWO}")]
+    for name, words in (("b", "held out"), ("1", "held out"), *unknown):
         with pytest.raises(BadInput, match=words):
             training_view(scene(), name, "--x")
 

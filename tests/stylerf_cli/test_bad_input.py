@@ -75,6 +75,18 @@ def test_one_photo(source, capsys):
     assert "at least 2 are needed" in refused(source, capsys)
 
 
+def test_photos_of_which_too_few_are_left_to_train_on(posed, capsys):
+    """Of two photos the first is kept for tests."""
+    assert "leaves no photo to train on" in told(capsys, "import", posed, posed.parent, "--test-every", "1", code=2)
+    content = capture.transforms()
+    capture.write_transforms(posed, {**content, "frames": content["frames"][:2]})
+    work = posed.parent / "work"
+    assert main(["import", str(posed), str(work), "--quiet"]) == 0
+    capsys.readouterr()
+    line = told(capsys, "fit", work)
+    assert "of 2 views 1 is to train on" in line and "--test-every 0" in line and not (work / "field" / "fit").exists()
+
+
 def test_black_photos(posed, capsys):
     write_png(posed / "images" / "p02.png", np.full((36, 48, 3), 2, np.uint8))
     line = refused(posed, capsys)
@@ -149,6 +161,29 @@ def test_names_that_lead_out_of_the_folder_stay_inside_the_artefacts(source, tmp
     assert main(["import", str(source), str(tmp_path / "work"), "--quiet"]) == 0
     scene = json.loads((tmp_path / "work/scene/main/scene.json").read_text())
     assert [view["name"] for view in scene["views"]] == [f"source/images/p0{number}" for number in range(4)]
+
+
+@pytest.mark.parametrize("kind", ["transforms", "colmap", "llff"])
+def test_photos_of_one_stem_are_views_of_two_names(source, tmp_path, kind):
+    (source / "images" / "p01.png").unlink()
+    random = np.random.default_rng(0)
+    assert oiio.ImageBuf(random.integers(0, 256, (36, 48, 3)).astype(np.uint8)).write(
+        str(source / "images" / "p00.jpg")
+    )
+    if kind == "transforms":
+        content = capture.transforms()
+        content["frames"][1]["file_path"] = "images/p00.jpg"
+        capture.write_transforms(source, content)
+    elif kind == "colmap":
+        capture.write_colmap(source)
+        listed = source / "sparse" / "0" / "images.txt"
+        listed.write_text(listed.read_text().replace("p01.png", "p00.jpg"))
+    else:
+        np.save(source / "poses_bounds.npy", capture.llff())
+    assert main(["import", str(source), str(tmp_path / "work"), "--quiet"]) == 0
+    scene = json.loads((tmp_path / "work/scene/main/scene.json").read_text())
+    names = sorted(view["name"].removeprefix("images/") for view in scene["views"])
+    assert names == ["p00.jpg", "p00.png", "p02", "p03"]
 
 
 # -- poses and lenses --------------------------------------------------------------------------------------------------

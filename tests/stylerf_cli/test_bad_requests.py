@@ -11,6 +11,7 @@ import pytest
 
 from schemas.images import write_png
 from schemas.manifest import MANIFEST
+from stages import render
 from stylerf_cli.main import main
 
 pytestmark = pytest.mark.filterwarnings("error")
@@ -107,7 +108,7 @@ def test_methods_whose_options_do_not_go_together(paintings, capsys, monkeypatch
     [
         ("0={}/missing.png", "there is no such image"),
         ("0={}/cut.png", "cannot be read whole"),
-        ("nobody={}/sound.png", "there is no view 'nobody'; the scene's 10 training views are"),
+        ("nobody={}/sound.png", "there is no view 'nobody'; the scene's 12 views are"),
         ("99={}/sound.png", "there is no view '99'"),
         ("held out={}/sound.png", "is held out for evaluation; give a training view"),
         ("0={}/wide.png", "is 80x64 where view 0 is 32x32"),
@@ -189,6 +190,13 @@ def test_camera_files_that_are_none(work, tmp_path, capsys, name):
     line = told(capsys, 3, "render", work, "--of", "fit", "--path", tmp_path / "cameras.json")
     assert words in line and "cameras.json" in line
     assert not (work / "frames" / "fit-cameras").exists()
+
+
+def test_a_film_of_frames_of_several_sizes_is_refused_before_any_is_rendered(work, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(render, "render_view", None)
+    (tmp_path / "cameras.json").write_text(json.dumps([SOUND, SOUND | {"width": 24}, SOUND | {"width": 20}]))
+    line = told(capsys, 3, "render", work, "--of", "fit", "--path", tmp_path / "cameras.json", "--video")
+    assert "--video" in line and "have 16x16 and 24x16" in line
 
 
 def test_a_sound_camera_file_is_followed_and_followed_anew_when_it_changes(work, tmp_path, capsys):

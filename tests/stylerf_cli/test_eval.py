@@ -5,9 +5,13 @@ import subprocess
 import sys
 import types
 
+import numpy as np
 import pytest
 
+from schemas.images import write_png
 from schemas.store import Work
+from stages.configs.render import RenderConfig
+from stages.render import pinned
 from stylerf_cli.main import main
 from tests.conftest import REPOSITORY
 from tests.stages import evaluation_fixture as made
@@ -30,11 +34,12 @@ def cameras(path):
     return [made.camera(x, f"{path}_{i}") for i, x in enumerate(places)]
 
 
-def render(work, field, path, shift=0.0):
+def render(work, field, path, shift=0.0, name="", **config):
     views = cameras(path)
     seen = [made.look(view) for view in views]
     seen = [made.Seen(one.rgb + shift, one.alpha, one.z) for one in seen]
-    return made.make_frames(work, f"{field.name}-{path}", path, views, seen, field, matched=path == "test")
+    name = name or f"{field.name}-{path}"
+    return made.make_frames(work, name, path, views, seen, field, matched=path == "test", config=config)
 
 
 @pytest.fixture
@@ -42,9 +47,10 @@ def renderer(monkeypatch):
     """Stands in for the chain that renders what is missing; remembers what it was asked for."""
     asked = []
 
-    def ensure_frames(session, field, path="test"):
+    def ensure_frames(session, field, path, name):
         asked.append((field.name, path))
-        return render(session.work, field, path)
+        digest = pinned(RenderConfig(path=path)).path_digest
+        return render(session.work, field, path, name=name, path_digest=digest)
 
     module = types.ModuleType("stylerf_cli.chains")
     module.ensure_frames = ensure_frames
@@ -74,6 +80,73 @@ def test_missing_and_outdated_frames_are_rendered(work, renderer, capsys):
     assert renderer[1:] == [("wall", "slide")] and found["figures"]["short_rmse"] < 0.02
     assert "short_rmse" in result(capsys, work.root)["figures"]  # the film that is there now is used
     assert len(renderer) == 2
+
+
+@pytest.mark.parametrize("path", ["test", "train", "views"])
+def test_views_of_photos_are_no_film(work, renderer, capsys, path):
+    """`fit` leaves frames of path `views`; neighbours among photos show too little of the same."""
+    if path != "test":
+        render(work, work.get("field", "wall"), path)
+    assert "short_rmse" not in result(capsys, work.root)["figures"]
+    assert main(["eval", str(work.root), "--path", path, *FAST]) == 2
+    assert f"--path {path}" in capsys.readouterr().err and renderer == []
+
+
+@pytest.mark.parametrize("config", [{"exr": False}, {"scale": 0.5}, {"frames": "0-1"}])
+def test_frames_that_cannot_be_measured_are_kept_and_others_rendered_beside(work, renderer, capsys, config):
+    field = work.get("field", "wall")
+    kept = [render(work, field, path, **config).digest for path in ("test", "slide")]
+    assert "short_rmse" not in result(capsys, work.root)["figures"]
+    for _ in range(2):
+        found = result(capsys, work.root, "--path", "slide")["figures"]
+        assert found["psnr"] > 40 and found["short_rmse"] < 0.02
+    assert renderer == [("wall", "test"), ("wall", "slide")]
+    inputs = {ref.role: ref.name for ref in work.get("report", "wall").manifest.inputs}
+    assert (inputs["frames"], inputs["path_frames"]) == ("wall-test-eval", "wall-slide-eval")
+    assert [work.get("frames", name).digest for name in ("wall-test", "wall-slide")] == kept
+
+
+def test_frames_along_a_file_of_cameras_stand_until_it_changes(work, renderer, capsys, tmp_path):
+    path = tmp_path / "walk.json"
+    for content, count in (("one", 1), ("one", 1), ("two", 2), ("two", 2)):
+        path.write_text(content)
+        assert "short_rmse" in result(capsys, work.root, "--path", path)["figures"]
+        assert len(renderer) == count
+
+
+@pytest.mark.parametrize(
+    ("options", "code", "told"),
+    [
+        (("--gap", "1"), 2, "--gap 1: expected at least 2"),
+        (("--style-side", "63"), 2, "--style-side 63: expected at least 64"),
+        (("--depth-tolerance", "0"), 2, "--depth-tolerance 0"),
+        (("--style", "/nowhere.png"), 3, "--style /nowhere.png: no such file"),
+        (("--style", __file__), 3, "test_eval.py"),
+        (("--masks", "/nowhere"), 3, "--masks /nowhere"),
+        (("--flow", "/nowhere"), 3, "--flow /nowhere"),
+        (("--region", "cup"), 4, "no region"),
+        (("--robust-to", "red"), 2, "for a stylised field"),
+    ],
+)
+def test_what_cannot_be_measured_is_refused_before_anything_is_rendered(work, renderer, capsys, options, code, told):
+    (work.get("frames", "wall-test").path / "manifest.json").unlink()
+    assert main(["eval", str(work.root), *options, *FAST]) == code
+    err = capsys.readouterr().err
+    assert told in err and err.count("\n") == 1 and renderer == []
+
+
+def test_a_reference_is_of_a_view_of_the_scene_by_name_or_number(work, renderer, capsys, tmp_path):
+    made.make_field(work, "red", "stylize", {"field": work.get("field", "wall")})
+    write_png(tmp_path / "red.png", np.zeros((72, 96, 3), np.uint8))
+    asked = [str(work.root), "--of", "red", *FAST, "--reference"]
+    for reference, code, told in (
+        (f"2={tmp_path}/red.png", 3, "--reference: there is no view '2'; the scene's 2 views are photo_00, photo_01"),
+        ("1=/nowhere.png", 3, "no file /nowhere.png"),
+        ("photo_01", 2, "written VIEW=FILE"),
+    ):
+        assert main(["eval", *asked, reference]) == code
+        assert told in capsys.readouterr().err and renderer == []
+    assert main(["eval", *asked, f"1={tmp_path}/red.png"]) == 0
 
 
 def test_a_stylised_field_is_set_against_the_fit_it_came_from(work, renderer, capsys):

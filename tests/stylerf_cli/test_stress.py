@@ -132,7 +132,7 @@ def test_a_cell_that_is_worse_ends_with_one_and_all_is_written(folder, runs, cap
     baseline = str(tmp_path / "baseline.json")
     assert stress(folder, "--write-baseline", baseline) == 0
     assert stress(folder, "--baseline", baseline) == 0
-    assert "no cell is worse" in capsys.readouterr().out  # read: the next begins with its JSON
+    assert "no cell of 5 compared is worse" in capsys.readouterr().out  # read: the next begins with its JSON
     runs.answers["arf", "seeds"] = 5.0
     assert stress(folder, "--baseline", baseline, "--force", "--json") == 1
     told = json.loads(capsys.readouterr().out)
@@ -143,6 +143,29 @@ def test_a_cell_that_is_worse_ends_with_one_and_all_is_written(folder, runs, cap
     assert main(["stress", str(folder), "--budget", "11", "--baseline", baseline]) == 2  # before anything is run
     assert main(["stress", str(folder), "--baseline", str(tmp_path / "none.json")]) == 3 and len(runs.made) == made
     assert stress(folder, "--write-baseline") == 0 and (folder / "stress" / "baseline.json").is_file()
+
+
+def test_a_baseline_of_other_cells_passes_nothing(folder, runs, capsys, tmp_path):
+    baseline = str(tmp_path / "baseline.json")
+    assert stress(folder, "--write-baseline", baseline) == 0
+    made = len(runs.made)
+
+    def against(methods, faults, *more) -> int:
+        few = ("--methods", *methods, "--faults", *faults, "--seeds", "3", "--budget", "10")
+        return main(["stress", str(folder), *few, "--baseline", baseline, *more])
+
+    for other in ((["snerf"], ["blur"]), (["fit"], ["jpeg"]), (["fit"], ["blur"], "--remedies", "on")):
+        assert against(*other) == 2  # before anything is run
+        assert "holds no cell of these methods" in capsys.readouterr().err
+    assert len(runs.made) == made
+    assert against(["fit"], ["blur", "jpeg"]) == 0
+    out = capsys.readouterr().out
+    assert "no cell of 1 compared is worse" in out
+    assert "not compared: fit under jpeg: not in the baseline" in out
+    assert "not compared: arf under blur: only in the baseline" in out
+    runs.raising = {("scene", "blur", seed): BadInput("too small to blur") for seed in range(3)}
+    assert against(["fit"], ["blur", "jpeg"], "--force") == 1
+    assert "no cell could be compared" in capsys.readouterr().err
 
 
 def test_remedies_stand_beside_runs_without(folder, runs, capsys):

@@ -1,0 +1,28 @@
+"""How options tell what a view shows: a pixel, a picture, a span of depths."""
+
+import re
+from pathlib import Path
+
+
+def pixel_of(text: str) -> tuple[str, float, float]:
+    """'0012:200,140' -> ('0012', 200.0, 140.0); ValueError for anything else."""
+    match = re.fullmatch(r"(.+):(\d+(?:\.\d+)?),(\d+(?:\.\d+)?)", text)
+    if not match:
+        raise ValueError(f"{text!r} is not a pixel of a view, written VIEW:X,Y")
+    return match[1], float(match[2]), float(match[3])
+
+
+def file_of(text: str) -> tuple[str, Path]:
+    """'0012=head.png' -> ('0012', head.png), ~ being the home folder; ValueError for anything else."""
+    view, equals, path = text.partition("=")
+    if not (view and equals and path):
+        raise ValueError(f"{text!r} is not a picture of a view, written VIEW=FILE.png")
+    return view, Path(path).expanduser()
+
+
+def depth_of(text: str) -> tuple[str, float, float]:
+    """'0012:1.5,2' -> ('0012', 1.5, 2.0); ValueError for anything else."""
+    match = re.fullmatch(r"(.+):([0-9.]+),([0-9.]+)", text)
+    if not match or float(match[2]) >= float(match[3]):
+        raise ValueError(f"{text!r} is not a span of depths in a view, written VIEW:NEAR,FAR")
+    return match[1], float(match[2]), float(match[3])
