@@ -4,6 +4,8 @@ import functools
 import time
 from contextlib import nullcontext
 
+import numpy as np
+
 from schemas.errors import BadInput
 from schemas.store import Artefact, Partial
 from stages.configs.fit import EVEN_FROM, SMOOTHNESS, FitConfig, budget_of, capacity_of, kinds_of
@@ -23,7 +25,7 @@ from stylerf.training.fit_state import FitSettings
 from stylerf.training.ladders import BEYOND, LADDER, Kinds, Rung
 
 SPEC = Spec(stage="nerf_fit", verb="fit", revision=3, writes="field", parallel=True)
-SAMPLES = {"cpu": 90_000, "cuda": 262_144}  # of a step: smaller ones would leave a GPU waiting for launches
+GPU_SAMPLES = 262_144  # of a step: smaller ones would leave a GPU waiting for launches
 RATE = {"object": 2e-2, "forward": 4e-2, "unbounded": 4e-2}
 
 
@@ -114,7 +116,7 @@ def _settings(config: FitConfig, scene: SceneData, space: Space, device: str | N
         seconds=seconds or 1.0,
         steps=steps,
         kinds=kinds,
-        samples=config.samples or SAMPLES[device or "cpu"],
+        samples=config.samples or (GPU_SAMPLES if device else _cpu_samples(seconds)),
         rate=config.rate or RATE[scene.layout],
         smoothness=(smoothness, smoothness),
         even_from=EVEN_FROM[scene.layout] if config.even_from < 0 else config.even_from,
@@ -126,6 +128,14 @@ def _settings(config: FitConfig, scene: SceneData, space: Space, device: str | N
         opacity=config.opacity_weight if scene.layout == "object" else 0.0,
         **_climb(fixed, kinds, space),
     )
+
+
+def _cpu_samples(seconds: float) -> int:
+    """Of a step: in a short time many small steps teach more, in a long one noise is what is left (decision 0026).
+
+    Budgets in steps (0 seconds) have the largest.
+    """
+    return int(np.clip(500 * seconds, 30_000, 90_000)) if seconds else 90_000
 
 
 def _climb(fixed: tuple[int, int, int] | None, kinds: Kinds, space: Space) -> dict:

@@ -43,8 +43,8 @@ class FitConfig:
     degree: int = option(1, choices=(0, 1, 2), help="degree of the spherical harmonics of the colour")
     samples: int = option(
         0,
-        help="density samples a step, a third of them in the first 2000 steps; the number of rays follows "
-        "(0: 90000 on the CPU, 262144 on a GPU)",
+        help="density samples a step; the number of rays follows (0: on the CPU 500 for each second of the budget, "
+        "30000 to 90000; on a GPU 262144)",
     )
     rate: float = option(0.0, help="learning rate (0: by the scene's layout)")
     smoothness: float = option(-1.0, help="weight of the planes' total variation (-1: by the scene's layout)")

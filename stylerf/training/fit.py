@@ -25,7 +25,6 @@ from stylerf.training.ladders import Rung, capacity_at, first_parts
 from stylerf.training.ranks import ALONE, Ranks
 from stylerf.training.rays import RayBank
 
-EARLY = 2000  # steps with small batches
 SMOOTH_EVERY = 8  # steps; the planes' total variation costs a third of a step, and is felt over hundreds of them
 
 
@@ -156,8 +155,7 @@ class Fitter:
         )
         state.step += 1
         if learnt.live > 0:  # else no step has been told of yet
-            samples = settings.samples * share_of_batch(state.step)
-            state.rays = _rays_for(samples, learnt.live, state.rays, self.engine.most_rays)
+            state.rays = _rays_for(settings.samples, learnt.live, state.rays, self.engine.most_rays)
         return learnt.error
 
     # -- the loop ---------------------------------------------------------------------------------------------------
@@ -324,15 +322,6 @@ class Fitter:
         if "anchor" in data:
             kept = {k.removeprefix("anchor."): v for k, v in arrays.items() if k.startswith("anchor.")}
             self._anchor = {"field": data["anchor"], "arrays": kept}
-
-
-def share_of_batch(step: int) -> float:
-    """Of the samples asked for, what a step has: a third for EARLY steps, all from 2 EARLY on.
-
-    At first three small steps teach more than a large one; later the gradient's noise is what is left
-    (docs/decisions/0026).
-    """
-    return (1 + 2 * min(max(step / EARLY - 1, 0.0), 1.0)) / 3
 
 
 def _rays_for(samples: int, live: float, before: int, most: int) -> int:

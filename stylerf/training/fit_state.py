@@ -17,7 +17,7 @@ class FitSettings:
     after so many steps in all (`longest`, of every rung: what a coarse field is taught for longer is wrong);
     reductions: what is tried to be given up then (climbing.REDUCTIONS); held_out_until: part of the budget from which
     the held-out views are trained on as well. opacity: weight of the opacity prior (engine.opacity_gradient) at the end
-    of the budget, growing from nothing in its first quarter, so that it cannot forbid what is yet to appear; CPU only.
+    of the budget, growing from nothing in its first quarter, so that it cannot forbid what is yet to appear.
     """
 
     seconds: float = 300.0

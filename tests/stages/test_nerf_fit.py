@@ -41,10 +41,13 @@ def test_a_capacity_given_by_hand_is_climbed_to_whatever_the_space():
     assert len(asked.shares) == len(asked.ladder) - 1
 
 
-def test_batches_are_of_the_devices_size_unless_that_is_given():
+def test_batches_grow_with_the_time_there_is_unless_their_size_is_given():
     space = SPACES["box"]
-    cpu, gpu = (_settings(FitConfig(), SCENE, space, device).samples for device in (None, "cuda"))
-    assert gpu > 2 * cpu > 100_000
+    budgets = ("20s", "60s", "2m", "5m", "900")
+    assert [_settings(FitConfig(budget=one), SCENE, space).samples for one in budgets] == [
+        30_000, 30_000, 60_000, 90_000, 90_000,
+    ]  # fmt: skip
+    assert len({_settings(FitConfig(budget=one), SCENE, space, "cuda").samples for one in budgets}) == 1
     assert all(_settings(FitConfig(samples=2000), SCENE, space, device).samples == 2000 for device in (None, "cuda"))
     with pytest.raises(ValueError, match="samples must be 1000 or more"):
         FitConfig(samples=999)
