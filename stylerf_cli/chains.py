@@ -84,9 +84,13 @@ def palette_learnt(session: Any, scene: Artefact, field: Artefact, config: Any, 
     """
     from stages import decompose
 
+    from stages.runner import refuse_to_replace
+
     inputs, name = {"scene": scene, "field": field}, f"{field.name}-palettenerf"
     if not changes:
         return session.run(decompose.SPEC, decompose.run, inputs, config, name)
+    if session.name:  # refused before the palette is learnt, not after it
+        refuse_to_replace(session.work, "field", session.name, [field])
     learnt = session.run(decompose.SPEC, decompose.run, inputs, config, name, own=False)
     return palette_changed(session, scene, learnt, changes)
 

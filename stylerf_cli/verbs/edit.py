@@ -16,6 +16,8 @@ def add_arguments(parser) -> None:
 
 def run(args, session) -> dict:
     """The edited field's place, what came between, and the seconds of each stage."""
+    from stages.runner import refuse_to_replace
+    from stylerf_cli.chains import ensure_field, scene_of_work
     from stylerf_cli.edit_chain import edit_dataset_of, ensure_distilled, finetuned, learnt_edit
     from stylerf_cli.verbs.select import selected
     from stylerf_cli.verbs.stylize import pinned, told_palette
@@ -25,6 +27,9 @@ def run(args, session) -> dict:
     session.name = None  # each artefact of the chain has a name of its own
     session.own_verbs = {"select", "extract", "stylize", "distill", "finetune"}
     look, _ = pinned(config.look, name)
+    start = session.work.find("field", args.of) if args.of else ensure_field(session, scene_of_work(session))
+    for kind in ("region", "edit-dataset", "edit", "scene", "field"):
+        refuse_to_replace(session.work, kind, name, [start])
     region = selected(session, config.selection, args.of, name)
     edit = learnt_edit(session, region, look.learning, look.changes, name)
     scene = ensure_distilled(session, edit)

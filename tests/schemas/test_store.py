@@ -10,7 +10,7 @@ import pytest
 from schemas import migrations, partial
 from schemas.errors import ArtefactDamaged, ArtefactStale, OutOfResources, StylerfError, UsageError
 from schemas.manifest import MANIFEST, InputRef
-from schemas.store import Artefact, Recipe, Work
+from schemas.store import Artefact, Recipe, Work, sources_of
 
 
 def recipe(**changes) -> Recipe:
@@ -215,6 +215,28 @@ def test_outdated_follows_inputs_to_the_scene(tmp_path):
     assert work.outdated(frames) == ["scene fox was made again after field fox"]
     shutil.rmtree(tmp_path / "scene" / "fox")
     assert work.outdated(field) == ["scene fox, from which fox was made, is gone"]
+
+
+def test_artefacts_that_were_made_from_each_other_are_each_looked_at_once(tmp_path):
+    work = Work(tmp_path)
+    make(work, "a")
+    make(work, "b", inputs=[work.get("field", "a").reference("field")])
+    make(work, "a", inputs=[work.get("field", "b").reference("field")])
+    assert work.outdated(work.get("field", "b")) == ["field a was made again after field b"]
+    assert [one.name for one in sources_of(work.get("field", "b"))] == ["a"]
+    make(work, "b", inputs=[work.get("field", "b").reference("field")])
+    assert work.outdated(work.get("field", "b")) == ["field b was made again after field b"]
+
+
+def test_sources_are_told_nearest_first_and_of_the_kinds_asked_for(tmp_path):
+    work = Work(tmp_path)
+    scene = make(work, "fox", "scene")
+    fit = make(work, "fit", inputs=[scene.reference("scene")])
+    red = make(work, "red", inputs=[fit.reference("field"), scene.reference("scene")])
+    assert [one.name for one in sources_of(red)] == ["fit", "fox"]
+    assert [one.name for one in sources_of(red, ["field"])] == ["fit"]
+    shutil.rmtree(tmp_path / "scene" / "fox")
+    assert [one.name for one in sources_of(red)] == ["fit"]
 
 
 def reseal(artefact, **changes):

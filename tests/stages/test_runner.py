@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from schemas import atomic, partial
-from schemas.errors import ArtefactDamaged, BadInput, OutOfResources
+from schemas.errors import ArtefactDamaged, BadInput, OutOfResources, UsageError
 from schemas.manifest import MANIFEST
 from schemas.store import Artefact, Work
 from stages import clock, runner
@@ -83,6 +83,21 @@ def test_inputs_are_verified_before_a_run(tmp_path):
     source.file("field.safetensors").write_bytes(data)
     with pytest.raises(ArtefactDamaged, match=r"field\.safetensors was altered"):
         toy(work, inputs={"scene": source})
+
+
+def test_nothing_takes_the_place_of_what_it_is_made_from(tmp_path):
+    work = Work(tmp_path)
+    first = toy(work, "fit")[0]
+    second = toy(work, "red", inputs={"field": first})[0]
+    before = snapshot(work)
+    for name, source in (("fit", first), ("red", second), ("fit", second)):
+        with pytest.raises(UsageError, match=f"field {name} would replace what it is made from; give another --name"):
+            toy(work, name, inputs={"field": source})
+    assert snapshot(work) == before
+
+
+def snapshot(work: Work) -> dict[str, str]:
+    return {one.name: one.digest for one in work.artefacts()}
 
 
 def in_child(action) -> int:

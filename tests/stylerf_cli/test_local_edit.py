@@ -226,6 +226,10 @@ def test_regions_are_joined_and_cut(edited, capsys):
         (["stylize", "--region", "ball", "--style", "PAINTING", "--crop", "0", "0", "9000"], "does not fit"),
         (["stylize", "--region", "no-such", "--recolor"], "none found"),
         (["distill", "--edit", "no-such"], "none found"),
+        (["edit", "--of", "ball", "--at", "MIDDLE", "--recolor", "--name", "ball"], "region ball would replace"),
+        (["edit", "--at", "MIDDLE", "--recolor", "--name", "main"], "scene main would replace what it is made from"),
+        (["edit", "--at", "MIDDLE", "--recolor", "--name", "fit"], "field fit would replace what it is made from"),
+        (["select", "--union", "ball", "--at", "MIDDLE", "--name", "ball"], "region ball would replace"),
     ],
 )
 def test_bad_requests_are_one_line_and_lose_nothing(edited, middle, capsys, flags, words):
@@ -234,7 +238,8 @@ def test_bad_requests_are_one_line_and_lose_nothing(edited, middle, capsys, flag
     swapped = {"MIDDLE": middle, "PAINTING": painting}
     verb, *more = [swapped.get(flag, flag).replace("FIRST", first) for flag in flags]
     before = sorted(path.relative_to(edited) for path in edited.rglob("*") if path.is_file())
-    assert words in refused(capsys, verb, edited, *more, "--name", "other") or verb in ("distill",)
+    name = [] if "--name" in more else ["--name", "other"]
+    assert words in refused(capsys, verb, edited, *more, *name) or verb in ("distill",)
     after = sorted(path.relative_to(edited) for path in edited.rglob("*") if path.is_file())
     assert [p for p in before if p not in after] == []
 
