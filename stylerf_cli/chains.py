@@ -2,8 +2,8 @@
 
 from typing import Any
 
-from schemas.errors import UsageError
-from schemas.store import Artefact
+from schemas.errors import ArtefactStale, UsageError
+from schemas.store import Artefact, Work
 from stages.configs.deform import DeformConfig
 from stages.configs.fit import FitConfig
 from stages.configs.render import RenderConfig, label_of
@@ -17,6 +17,30 @@ def scene_of_work(session: Any) -> Artefact:
     if len(scenes) > 1:
         raise UsageError(f"{session.work.root} holds several scenes; expected one a work folder")
     return scenes[0] if scenes else session.work.get("scene", "main")
+
+
+def scene_of(work: Work, field: Artefact) -> Artefact:
+    """The scene of photos that a field was made from, directly, through other fields or through edited pictures."""
+    from stages.evaluation.lineage import fields_behind, original_scene
+
+    for one in [field, *fields_behind(field)]:
+        for ref in one.manifest.inputs:
+            if ref.kind == "scene":
+                return original_scene(work.get("scene", ref.name))
+    raise ArtefactStale(f"field {field.name} names no scene it was made from; make it again: stylerf fit {work.root}")
+
+
+def chosen_field(work: Work, name: str | None) -> Artefact:
+    """The field called `name`, else the one made last; ArtefactStale with the command to run where there is none."""
+    if name:
+        return work.find("field", name)
+    fields = work.artefacts("field")
+    if not fields:
+        raise ArtefactStale(f"no field in {work.root}; make one with: stylerf fit {work.root}")
+    from stages.evaluation.lineage import fields_behind
+
+    # The time is kept to the second: of two made within one, that made from the other is the later.
+    return max(fields, key=lambda one: (one.manifest.created, len(fields_behind(one))))
 
 
 def ensure_field(session: Any, scene: Artefact) -> Artefact:
@@ -58,7 +82,6 @@ def ensure_deformed(session: Any, scene: Artefact, field: Artefact) -> Artefact:
 def ensure_frames(session: Any, field: Artefact, path: str) -> Artefact:
     """Frames of a field along a path, named <field>-<path>."""
     from stages import render
-    from stylerf_cli.verbs.eval_ import scene_of
 
     config = render.pinned(RenderConfig(path=path, count=30 if path not in render.OWN_VIEWS else 1))
     inputs = {"scene": scene_of(session.work, field), "field": field, **regions_shown(session, field, config)}
@@ -83,7 +106,6 @@ def palette_learnt(session: Any, scene: Artefact, field: Artefact, config: Any, 
     With changes, what was learnt stands beside under its own name, so that other changes need no training.
     """
     from stages import decompose
-
     from stages.runner import refuse_to_replace
 
     inputs, name = {"scene": scene, "field": field}, f"{field.name}-palettenerf"

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Any
 
-from schemas.errors import ArtefactStale, UsageError
+from schemas.errors import UsageError
 from schemas.frames import read_frames
 from schemas.store import Artefact, Work
 from stages.configs.evaluate import EvaluateConfig
@@ -46,6 +46,7 @@ def run(args, session) -> dict:
     from stages import evaluate
     from stages.evaluation.asked import pinned
     from stages.evaluation.lineage import fields_behind, is_stylised
+    from stylerf_cli.chains import chosen_field, scene_of
 
     field = chosen_field(session.work, args.of)
     session.say(f"measuring field {field.name}")
@@ -66,19 +67,6 @@ def run(args, session) -> dict:
         raise UsageError("--flow is of the frames of a camera path, and there are none; name the path by --path")
     report = session.run(evaluate.SPEC, evaluate.run, inputs, pinned(session.config), field.name)
     return told(report, session)
-
-
-def chosen_field(work: Work, name: str | None) -> Artefact:
-    """The field called `name`, else the one made last; ArtefactStale with the command to run where there is none."""
-    if name:
-        return work.find("field", name)
-    fields = work.artefacts("field")
-    if not fields:
-        raise ArtefactStale(f"no field in {work.root}; make one with: stylerf fit {work.root}")
-    from stages.evaluation.lineage import fields_behind
-
-    # The time is kept to the second: of two made within one, that made from the other is the later.
-    return max(fields, key=lambda one: (one.manifest.created, len(fields_behind(one))))
 
 
 def edit_inputs(session: Any, field: Artefact, args: Any) -> dict[str, Artefact]:
@@ -104,17 +92,6 @@ def edit_inputs(session: Any, field: Artefact, args: Any) -> dict[str, Artefact]
         inputs["train_frames"] = frames_of(session, field, "train")
         inputs["unedited_train_frames"] = frames_of(session, base, "train")
     return inputs | {ROLE + one.name: one for one in regions}
-
-
-def scene_of(work: Work, field: Artefact) -> Artefact:
-    """The scene of photos that a field was made from, directly, through other fields or through edited pictures."""
-    from stages.evaluation.lineage import fields_behind, original_scene
-
-    for one in [field, *fields_behind(field)]:
-        for ref in one.manifest.inputs:
-            if ref.kind == "scene":
-                return original_scene(work.get("scene", ref.name))
-    raise ArtefactStale(f"field {field.name} names no scene it was made from; make it again: stylerf fit {work.root}")
 
 
 def frames_of(session: Any, field: Artefact, path: str) -> Artefact:

@@ -16,8 +16,7 @@ def add_arguments(parser) -> None:
 def run(args, session) -> dict:
     """The frames' place."""
     from stages import render
-    from stylerf_cli.chains import regions_shown
-    from stylerf_cli.verbs.eval_ import chosen_field, scene_of
+    from stylerf_cli.chains import chosen_field, regions_shown, scene_of
 
     field = chosen_field(session.work, args.of)
     config = render.pinned(session.config)

@@ -3,11 +3,11 @@
 import json
 import subprocess
 import sys
-import types
 
 import pytest
 
 from schemas.store import Work
+from stylerf_cli import chains
 from stylerf_cli.main import main
 from tests.conftest import REPOSITORY
 from tests.stages import evaluation_fixture as made
@@ -46,9 +46,7 @@ def renderer(monkeypatch):
         asked.append((field.name, path))
         return render(session.work, field, path)
 
-    module = types.ModuleType("stylerf_cli.chains")
-    module.ensure_frames = ensure_frames
-    monkeypatch.setitem(sys.modules, "stylerf_cli.chains", module)
+    monkeypatch.setattr(chains, "ensure_frames", ensure_frames)
     return asked
 
 
