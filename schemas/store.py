@@ -4,6 +4,7 @@ WORK/<kind>/<name>/manifest.json and the files that it lists
 """
 
 import re
+import shlex
 from collections.abc import Collection
 from contextlib import suppress
 from pathlib import Path
@@ -111,7 +112,7 @@ class Work:
         return reasons
 
     def _maker(self, kind: str) -> str:
-        return MADE_BY[kind].replace("WORK", str(self.root))
+        return MADE_BY[kind].replace("WORK", shlex.quote(str(self.root)))
 
 
 def sources_of(artefact: Artefact, kinds: Collection[str] = tuple(CURRENT)) -> list[Artefact]:

@@ -8,17 +8,6 @@ from stages.configs.distill import DistillConfig
 from stages.configs.extract import ExtractConfig
 from stylerf_cli.chains import scene_of_work
 
-_VERBS = {
-    "region_select": "select",
-    "edit_dataset": "extract",
-    "edit_learn": "stylize",
-    "edit_palette": "stylize",
-    "decompose": "stylize",
-    "recolour": "stylize",
-    "nerf_fit": "fit",
-    "deform_init": "deform",
-}
-
 
 def scene_behind(session: Any, field: Artefact) -> Artefact:
     """The scene whose photos a field was last taught with: edits of edits see the edits before them."""
@@ -45,7 +34,7 @@ def input_of(session: Any, artefact: Artefact, kind: str, role: str = "") -> Art
             if found.digest != ref.digest:
                 raise ArtefactStale(
                     f"{kind} {ref.name} was made anew after {artefact.kind} {artefact.name}; make that again too: "
-                    f"stylerf {_VERBS.get(artefact.manifest.stage, artefact.manifest.stage)} {session.work.root}"
+                    f"{artefact.remade_by()}"
                 )
             return found
     raise ArtefactStale(f"{artefact.kind} {artefact.name} names no {kind} it was made from; make it again")

@@ -71,11 +71,30 @@ def test_missing_shortened_and_additional_files_are_found(tmp_path):
     with pytest.raises(ArtefactDamaged, match="6 bytes where 7"):
         artefact.check_sizes()
     (artefact.path / "sub" / "a.bin").unlink()
-    with pytest.raises(ArtefactDamaged, match=r"lacks sub/a.bin.*stylerf fit"):
+    with pytest.raises(ArtefactDamaged, match=r"lacks sub/a.bin.*run the command that made it with --force"):
         artefact.verify()
     (artefact.path / MANIFEST).unlink()
     with pytest.raises(ArtefactDamaged, match=r"no manifest.json"):
         Artefact(artefact.path).verify()
+
+
+@pytest.mark.parametrize(
+    ("stage", "config", "command"),
+    [
+        ("nerf_fit", {}, "stylerf fit {work} --name fox --force"),
+        ("stylize", {}, "stylerf stylize {work} --name fox --force"),
+        ("distill", {}, "stylerf distill {work} --name fox --force"),
+        ("pose_import", {"source": "my photos"}, "stylerf import 'my photos' {work} --name fox --force"),
+    ],
+)
+def test_a_damaged_artefact_is_made_again_by_the_verb_that_made_it(tmp_path, stage, config, command):
+    artefact = make(Work(tmp_path / "a folder"), stage=stage, config=config)
+    (artefact.path / "b.json").write_text("[]")
+    work = f"'{tmp_path}/a folder'"
+    with pytest.raises(ArtefactDamaged) as caught:
+        artefact.verify()
+    assert command.format(work=work) in str(caught.value)
+    assert f"stylerf show '{tmp_path}/a folder/field/fox'" in str(caught.value)
 
 
 def test_absent_artefacts_come_with_the_command_that_makes_them(tmp_path):

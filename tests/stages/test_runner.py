@@ -1,6 +1,7 @@
 """The runner: reuse, resume after any death, refusals of the machine, honest clocks."""
 
 import errno
+import importlib
 import itertools
 import os
 import random
@@ -17,6 +18,7 @@ import numpy as np
 import pytest
 
 from schemas import atomic, partial
+from schemas.artefact import VERB_OF
 from schemas.errors import ArtefactDamaged, BadInput, OutOfResources, UsageError
 from schemas.manifest import MANIFEST
 from schemas.store import Artefact, Work
@@ -98,6 +100,13 @@ def test_nothing_takes_the_place_of_what_it_is_made_from(tmp_path):
 
 def snapshot(work: Work) -> dict[str, str]:
     return {one.name: one.digest for one in work.artefacts()}
+
+
+def test_the_verb_of_every_stage_is_known_where_one_is_damaged():
+    modules = [path for path in (REPOSITORY / "stages").glob("*.py") if "\nSPEC = " in path.read_text()]
+    specs = [importlib.import_module(f"stages.{path.stem}").SPEC for path in modules]
+    # A scene with a fault lies in a work folder of `stress`, which makes it again by itself.
+    assert {spec.stage: spec.verb for spec in specs if spec.stage != "fault_scene"} == VERB_OF
 
 
 def in_child(action) -> int:
