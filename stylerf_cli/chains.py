@@ -30,21 +30,32 @@ def scene_of(work: Work, field: Artefact) -> Artefact:
     raise ArtefactStale(f"field {field.name} names no scene it was made from; make it again: stylerf fit {work.root}")
 
 
-def chosen_field(work: Work, name: str | None) -> Artefact:
-    """The field called `name`, else the one made last; ArtefactStale with the command to run where there is none."""
-    if name:
-        return work.find("field", name)
+def chosen_field(session: Any, name: str | None) -> Artefact:
+    """The field called `name`, else the one made last; says why it is out of date where it is.
+
+    ArtefactStale with the command to run where there is none.
+    """
+    field = session.work.find("field", name) if name else _made_last(session.work)
+    for reason in session.work.outdated(field):
+        session.say(f"field {field.name} is out of date: {reason}")
+    return field
+
+
+def _made_last(work: Work) -> Artefact:
+    from stages.evaluation.lineage import fields_behind
+
     fields = work.artefacts("field")
     if not fields:
         raise ArtefactStale(f"no field in {work.root}; make one with: stylerf fit {work.root}")
-    from stages.evaluation.lineage import fields_behind
-
     # The time is kept to the second: of two made within one, that made from the other is the later.
     return max(fields, key=lambda one: (one.manifest.created, len(fields_behind(one))))
 
 
-def ensure_field(session: Any, scene: Artefact) -> Artefact:
-    """The fitted field: whichever field the scene was fitted to already, else one fitted with default options."""
+def ensure_field(session: Any, scene: Artefact, name: str | None = None) -> Artefact:
+    """The field called `name`; else the fitted one: whichever was fitted to the scene already, or with default options
+    now."""
+    if name:
+        return chosen_field(session, name)
     fields = [
         one
         for one in session.work.artefacts("field")

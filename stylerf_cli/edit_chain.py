@@ -80,12 +80,12 @@ def edit_of(session: Any, name: str) -> Artefact:
     return edits[0] if edits else session.work.get("edit", "edit")
 
 
-def finetuned(session: Any, edit: Artefact, of: str | None, config: Any) -> Artefact:
-    """The field that has learnt an edit, named as the edit is. of: a field other than the one that was looked at."""
+def finetuned(session: Any, edit: Artefact, field: Artefact | None, config: Any) -> Artefact:
+    """The field that has learnt an edit, named as the edit is. field: another than the one that was looked at."""
     from stages import finetune
 
     dataset = edit_dataset_of(session, edit)
-    field = session.work.find("field", of) if of else input_of(session, dataset, "field", "field")
+    field = field or input_of(session, dataset, "field", "field")
     inputs = {"scene": ensure_distilled(session, edit), "field": field, "region": input_of(session, dataset, "region")}
     return session.run(finetune.SPEC, finetune.run, inputs, config, edit.name)
 

@@ -48,7 +48,7 @@ def run(args, session) -> dict:
     from stages.evaluation.lineage import fields_behind, is_stylised
     from stylerf_cli.chains import chosen_field, scene_of
 
-    field = chosen_field(session.work, args.of)
+    field = chosen_field(session, args.of)
     session.say(f"measuring field {field.name}")
     inputs = {"scene": scene_of(session.work, field), "field": field, "frames": frames_of(session, field, "test")}
     if is_stylised(field):
@@ -58,7 +58,7 @@ def run(args, session) -> dict:
     elif args.robust_to or session.config.reference:
         raise UsageError(f"--reference and --robust-to are for a stylised field; {field.name} is none")
     if args.robust_to:
-        inputs["twin_frames"] = frames_of(session, session.work.find("field", args.robust_to), "test")
+        inputs["twin_frames"] = frames_of(session, chosen_field(session, args.robust_to), "test")
     inputs |= edit_inputs(session, field, args)
     film = frames_of(session, field, args.path) if args.path else film_there(session.work, field)
     if film is not None:
@@ -76,6 +76,7 @@ def edit_inputs(session: Any, field: Artefact, args: Any) -> dict[str, Artefact]
     """
     from stages.evaluation.lineage import fields_behind
     from stages.masks import ROLE
+    from stylerf_cli.chains import chosen_field
 
     config = session.config
     if not (args.region or config.masks):
@@ -83,7 +84,7 @@ def edit_inputs(session: Any, field: Artefact, args: Any) -> dict[str, Artefact]
             raise UsageError("--base and --train-views are for a local edit; name it by --region, or give its --masks")
         return {}
     regions = [session.work.find("region", name) for name in args.region]
-    base = session.work.find("field", args.base) if args.base else next(iter(fields_behind(field)), None)
+    base = chosen_field(session, args.base) if args.base else next(iter(fields_behind(field)), None)
     if base is None or base.name == field.name:
         raise UsageError(f"field {field.name} was made from no other field; name the unedited one by --base")
     session.say(f"comparing with field {base.name}")

@@ -18,7 +18,7 @@ def run(args, session) -> dict:
     from stages import render
     from stylerf_cli.chains import chosen_field, regions_shown, scene_of
 
-    field = chosen_field(session.work, args.of)
+    field = chosen_field(session, args.of)
     config = render.pinned(session.config)
     name = f"{field.name}-{label_of(config.path)}" + (f"-{config.frames}" if config.frames else "")
     inputs = {"scene": scene_of(session.work, field), "field": field, **regions_shown(session, field, config)}
