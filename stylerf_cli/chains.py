@@ -4,6 +4,7 @@ from typing import Any
 
 from schemas.errors import ArtefactStale, UsageError
 from schemas.store import Artefact, Work
+from stages.configs.decompose import METHOD
 from stages.configs.deform import DeformConfig
 from stages.configs.fit import FitConfig
 from stages.configs.render import RenderConfig, label_of
@@ -27,14 +28,11 @@ def scene_of(work: Work, field: Artefact) -> Artefact:
         for ref in one.manifest.inputs:
             if ref.kind == "scene":
                 return original_scene(work.get("scene", ref.name))
-    raise ArtefactStale(f"field {field.name} names no scene it was made from; make it again: stylerf fit {work.root}")
+    raise ArtefactStale(f"field {field.name} names no scene it was made from; make it again: {field.remade_by()}")
 
 
 def chosen_field(session: Any, name: str | None) -> Artefact:
-    """The field called `name`, else the one made last; says why it is out of date where it is.
-
-    ArtefactStale with the command to run where there is none.
-    """
+    """The field called `name`, else the one made last; says why it is out of date where it is."""
     field = session.work.find("field", name) if name else _made_last(session.work)
     for reason in session.work.outdated(field):
         session.say(f"field {field.name} is out of date: {reason}")
@@ -46,7 +44,7 @@ def _made_last(work: Work) -> Artefact:
 
     fields = work.artefacts("field")
     if not fields:
-        raise ArtefactStale(f"no field in {work.root}; make one with: stylerf fit {work.root}")
+        return work.get("field", FIT_NAME)
     # The time is kept to the second: of two made within one, that made from the other is the later.
     return max(fields, key=lambda one: (one.manifest.created, len(fields_behind(one))))
 
@@ -72,8 +70,8 @@ def deform(session: Any, scene: Artefact, field: Artefact, config: DeformConfig)
     """A field with a deformation that has been initialised on the photos, named <field>-deformed."""
     from stages import deform_init
 
-    inputs = {"scene": scene, "field": field}
-    return session.run(deform_init.SPEC, deform_init.run, inputs, config, f"{field.name}-deformed")
+    inputs, by = {"scene": scene, "field": field}, ("--of", field.name)
+    return session.run(deform_init.SPEC, deform_init.run, inputs, config, f"{field.name}-deformed", by=by)
 
 
 def ensure_deformed(session: Any, scene: Artefact, field: Artefact) -> Artefact:
@@ -96,7 +94,8 @@ def ensure_frames(session: Any, field: Artefact, path: str) -> Artefact:
 
     config = render.pinned(RenderConfig(path=path, count=30 if path not in render.OWN_VIEWS else 1))
     inputs = {"scene": scene_of(session.work, field), "field": field, **regions_shown(session, field, config)}
-    return session.run(render.SPEC, render.run, inputs, config, f"{field.name}-{label_of(path)}")
+    name, by = f"{field.name}-{label_of(path)}", ("--of", field.name)
+    return session.run(render.SPEC, render.run, inputs, config, name, by=by)
 
 
 def regions_shown(session: Any, field: Artefact, config: RenderConfig) -> dict[str, Artefact]:
@@ -124,7 +123,8 @@ def palette_learnt(session: Any, scene: Artefact, field: Artefact, config: Any, 
         return session.run(decompose.SPEC, decompose.run, inputs, config, name)
     if session.name:  # refused before the palette is learnt, not after it
         refuse_to_replace(session.work, "field", session.name, [field])
-    learnt = session.run(decompose.SPEC, decompose.run, inputs, config, name, own=False)
+    by = ("--method", METHOD, "--of", field.name)
+    learnt = session.run(decompose.SPEC, decompose.run, inputs, config, name, own=False, by=by)
     return palette_changed(session, scene, learnt, changes)
 
 

@@ -50,7 +50,8 @@ def ensure_edit_dataset(session: Any, region: Artefact, field: Artefact | None, 
         "region": region,
     }
     config = config or session.config_of("extract", ExtractConfig)
-    return session.run(edit_dataset.SPEC, edit_dataset.run, inputs, config, region.name)
+    by = ("--region", region.name, "--of", inputs["field"].name)
+    return session.run(edit_dataset.SPEC, edit_dataset.run, inputs, config, region.name, by=by)
 
 
 def ensure_distilled(session: Any, edit: Artefact, config: Any = None) -> Artefact:
@@ -60,7 +61,7 @@ def ensure_distilled(session: Any, edit: Artefact, config: Any = None) -> Artefa
     dataset = edit_dataset_of(session, edit)
     inputs = {"scene": input_of(session, dataset, "scene"), "edit-dataset": dataset, "edit": edit}
     config = config or session.config_of("distill", DistillConfig)
-    return session.run(distill.SPEC, distill.run, inputs, config, edit.name)
+    return session.run(distill.SPEC, distill.run, inputs, config, edit.name, by=("--edit", edit.name))
 
 
 def edit_dataset_of(session: Any, edit: Artefact) -> Artefact:
@@ -102,5 +103,6 @@ def learnt_edit(session: Any, region: Artefact, config: Any, changes: Any, name:
     if not changes:
         return session.run(edit_learn.SPEC, edit_learn.run, inputs, config, name)
     name = session.name or name
-    learnt = session.run(edit_learn.SPEC, edit_learn.run, inputs, config, f"{name}-learnt", own=False)
+    by = ("--region", region.name)
+    learnt = session.run(edit_learn.SPEC, edit_learn.run, inputs, config, f"{name}-learnt", own=False, by=by)
     return session.run(edit_palette.SPEC, edit_palette.run, {"edit": learnt}, changes, name)

@@ -1,6 +1,7 @@
 """The runs of work folders as their manifests and reports tell them; nothing is run, nothing is measured."""
 
 import json
+import shlex
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -208,7 +209,7 @@ def _settings(config: dict) -> str:
 
 
 def _gaps(run: Run, work: Work) -> list[Gap]:
-    command = f"stylerf eval {work.root} --of {run.name}"
+    command = f"stylerf eval {shlex.quote(str(work.root))} --of {run.name}"
     found = [Gap(f"{run.title}: {key}", "Its manifest does not tell.") for key in COSTS if run.costs[key] is None]
     missing = [key for key in NEEDED[run.family] if key not in run.figures]
     if not run.figures:
