@@ -15,7 +15,7 @@ from schemas.manifest import MANIFEST, InputRef, Recipe
 from schemas.migrations import CURRENT
 from schemas.partial import Partial, sweep_finished
 
-__all__ = ["MADE_BY", "Artefact", "InputRef", "Partial", "Recipe", "Work", "sources_of"]
+__all__ = ["MADE_BY", "Artefact", "InputRef", "Partial", "Recipe", "Work", "sound_name", "sources_of"]
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._+-]{0,99}")
 
@@ -36,7 +36,7 @@ class Work:
 
     def get(self, kind: str, name: str) -> Artefact:
         """The artefact of that kind and name; ArtefactStale with the command that makes it where there is none."""
-        folder = self.root / _known(kind) / _sound(name)
+        folder = self.root / _known(kind) / sound_name(name)
         if not folder.is_dir():
             raise ArtefactStale(f"no {kind} {name} in {self.root}; make it with: {self._maker(kind)}")
         artefact = Artefact(folder)
@@ -62,7 +62,7 @@ class Work:
 
     def standing(self, kind: str, name: str, recipe: Recipe) -> Artefact | None:
         """The artefact of that name if it was made by this very recipe and all its files have their lengths."""
-        folder = self.root / _known(kind) / _sound(name)
+        folder = self.root / _known(kind) / sound_name(name)
         if not (folder / MANIFEST).is_file():
             return None
         artefact = Artefact(folder)
@@ -76,11 +76,11 @@ class Work:
 
     def sweep(self, kind: str, name: str) -> None:
         """Deletes what is left of the run that made the artefact of that name, where a kill kept it from doing so."""
-        sweep_finished(self.root, _known(kind), _sound(name))
+        sweep_finished(self.root, _known(kind), sound_name(name))
 
     def begin(self, kind: str, name: str, recipe: Recipe) -> Partial:
         """Goes on with an interrupted run of this recipe, or starts afresh; see Partial."""
-        return Partial(self.root, _known(kind), _sound(name), recipe)
+        return Partial(self.root, _known(kind), sound_name(name), recipe)
 
     def unfinished(self) -> list[tuple[str, str]]:
         """Kind and name of every interrupted run."""
@@ -135,7 +135,8 @@ def _known(kind: str) -> str:
     return kind
 
 
-def _sound(name: str) -> str:
+def sound_name(name: str) -> str:
+    """The name, if an artefact may be called so, else UsageError."""
     if not _NAME.fullmatch(name):
         raise UsageError(
             f"{name!r} cannot name an artefact: expected up to 100 letters, digits, '.', '_', '+' or '-', beginning "

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from schemas.errors import ArtefactStale, UsageError
-from schemas.store import Artefact, Work
+from schemas.store import Artefact, Work, sound_name
 from stages.progress import Context, Silent
 from stylerf_cli.arguments import flags_of
 from stylerf_cli.joining import follow, joined, launched, led, release, speaks
@@ -29,7 +29,8 @@ class Session:
     def __init__(self, verb: str, args: argparse.Namespace, options: Options, config: type | None) -> None:
         self.verb, self.args, self.options = verb, args, options
         self.json, self.quiet, self.only, self.force = args.json, args.quiet, args.only, args.force
-        self.name: str | None = args.name
+        # Refused before any stage runs, not when it is the turn of the one that writes it.
+        self.name: str | None = None if args.name is None else sound_name(args.name)
         self.own_verbs = {verb}  # whose stages are this verb's own work
         self.config = options.config(config)
         self.common = options.common()
