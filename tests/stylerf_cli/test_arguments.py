@@ -112,6 +112,7 @@ def test_other_verbs_get_their_own_table_only(tmp_path):
         ('seed = "x"', "seed takes a value of type int"),
         ('device = "tpu"', "tpu"),
         ("threads = 0", "at least 1"),
+        ("seed = -1", "seed is -1; expected 0 to"),
     ],
 )
 def test_faults_of_a_file_are_told_with_its_name(tmp_path, text, words):
