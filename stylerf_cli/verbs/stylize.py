@@ -38,7 +38,7 @@ def add_arguments(parser) -> None:
 
 def run(args, session) -> dict:
     """The stylised field's, or the edit's, place and figures."""
-    if args.region:
+    if args.region is not None:
         return _region(args, session)
     return _palette(args, session) if isinstance(session.config, PaletteFieldConfig) else _whole(args, session)
 

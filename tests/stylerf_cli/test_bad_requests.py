@@ -211,6 +211,12 @@ def test_frames_of_a_camera_file_are_named_after_it_whatever_it_is_called(work, 
     assert json.loads(capsys.readouterr().out)["name"] == name
 
 
+def test_an_empty_region_is_the_only_one_as_for_other_verbs(tmp_path, capsys):
+    for command in (("stylize", "--recolor"), ("extract",)):
+        verb, *flags = command
+        assert "no region" in told(capsys, 4, verb, tmp_path / "work", "--region", "", *flags)
+
+
 # -- names -------------------------------------------------------------------------------------------------------------
 
 
