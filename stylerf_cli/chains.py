@@ -16,7 +16,8 @@ def scene_of_work(session: Any) -> Artefact:
     """The only scene of the work folder; scenes that `distill` painted an edit into are not counted."""
     scenes = [one for one in session.work.artefacts("scene") if one.manifest.stage != "distill"]
     if len(scenes) > 1:
-        raise UsageError(f"{session.work.root} holds several scenes; expected one a work folder")
+        names = ", ".join(one.name for one in scenes)
+        raise UsageError(f"{session.work.root} holds the scenes {names}; expected one a work folder: delete the others")
     return scenes[0] if scenes else session.work.get("scene", "main")
 
 

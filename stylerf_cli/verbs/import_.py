@@ -3,6 +3,7 @@
 from dataclasses import asdict
 from pathlib import Path
 
+from schemas.errors import UsageError
 from stages.configs.pose_import import ImportConfig, ImportOptions
 
 NAME = "import"
@@ -23,6 +24,7 @@ def run(args, session) -> dict:
     """{"scene": name, "path", "digest", "seconds", ...figures of the import}."""
     from stages import pose_import
 
+    _refuse_a_second(session.work, session.name or SCENE)
     config = config_for(args.source, session.config)
     artefact = session.run(pose_import.SPEC, pose_import.run, {}, config, SCENE)
     figures = artefact.manifest.figures
@@ -31,6 +33,16 @@ def run(args, session) -> dict:
         "seconds": artefact.manifest.seconds, **figures,
     }  # fmt: skip
     return session.emit(result, _words(result))
+
+
+def _refuse_a_second(work, name: str) -> None:
+    """UsageError where a scene of another name stands; those that `distill` made do not count."""
+    others = [one for one in work.artefacts("scene") if one.name != name and one.manifest.stage != "distill"]
+    if others:
+        raise UsageError(
+            f"{work.root} holds scene {others[0].name} already, and a work folder holds one scene: import into another "
+            f"folder, or replace it with --name {others[0].name}"
+        )
 
 
 def config_for(source: Path, options: ImportOptions = _DEFAULTS) -> ImportConfig:
