@@ -1,6 +1,7 @@
 """A local edit of a tiny still life, command by command: select, extract, recolour, distill, finetune; and undone."""
 
 import json
+import shlex
 import shutil
 from pathlib import Path
 
@@ -200,6 +201,22 @@ def test_the_whole_fields_colours_can_learn_instead(edited, capsys):
          "--name", "held")  # fmt: skip
     held, _ = load_field(Work(edited).get("field", "held"))
     np.testing.assert_array_equal(held.density.values, plain.density.values)
+
+
+def test_the_commands_that_only_names_make_what_was_missing(edited, tmp_path, capsys):
+    """An edit learnt otherwise than any that stands, and its photos: each named command is enough for the next step."""
+    work = tmp_path / "a folder"
+    shutil.copytree(edited, work)
+    quick = ["--palette-steps", "40", *QUICK[2:]]
+    commands = [
+        ["stylize", work, "--region", "ball", "--recolor", "--palette", "0=#2030f0", "--name", "other", *quick],
+        ["finetune", work, "--edit", "other", "--budget", "5"],
+    ]
+    for command, missing in zip(commands, ("edit other-learnt", "scene other"), strict=True):
+        line = refused(capsys, *command, "--only")
+        assert f"{missing} is missing or out of date" in line
+        said(capsys, *shlex.split(line.partition("; run: ")[2])[1:])
+        said(capsys, *command, "--only")
 
 
 def test_regions_are_joined_and_cut(edited, capsys):
