@@ -1,5 +1,6 @@
 """A finished artefact: a folder that holds a manifest and the files that it lists."""
 
+import shlex
 from functools import cached_property
 from pathlib import Path
 
@@ -16,6 +17,24 @@ MADE_BY: dict[str, str] = {
     "edit-dataset": "stylerf extract WORK",
     "edit": "stylerf stylize WORK --region NAME",
     "report": "stylerf eval WORK",
+}
+
+# The verb that runs a stage; of a stage that is none of these only its own command knows how.
+VERB_OF: dict[str, str] = {
+    "pose_import": "import",
+    "nerf_fit": "fit",
+    "deform_init": "deform",
+    "stylize": "stylize",
+    "decompose": "stylize",
+    "recolour": "stylize",
+    "region_select": "select",
+    "edit_dataset": "extract",
+    "edit_learn": "stylize",
+    "edit_palette": "stylize",
+    "distill": "distill",
+    "finetune": "finetune",
+    "render": "render",
+    "evaluate": "eval",
 }
 
 
@@ -60,7 +79,7 @@ class Artefact:
         """Path of one of its files; ArtefactDamaged where it is not there."""
         path = self.path / relative
         if not path.is_file():
-            raise ArtefactDamaged(f"{self.path} lacks {relative}; make it again: {self._remake()}")
+            raise ArtefactDamaged(f"{self.path} lacks {relative}; make it again: {self.remade_by()}")
         return path
 
     def check_sizes(self) -> None:
@@ -70,7 +89,7 @@ class Artefact:
             if size != record.bytes:
                 raise ArtefactDamaged(
                     f"{self.path / record.path} has {size} bytes where {record.bytes} were written; make it again: "
-                    f"{self._remake()}"
+                    f"{self.remade_by()}"
                 )
 
     def verify(self) -> None:
@@ -81,15 +100,20 @@ class Artefact:
             if file_sha256(self.path / record.path) != record.sha256:
                 raise ArtefactDamaged(
                     f"{self.path / record.path} was altered since it was written (its SHA-256 differs); make it "
-                    f"again: {self._remake()}"
+                    f"again: {self.remade_by()}"
                 )
         listed = {record.path for record in self.manifest.files} | {MANIFEST}
         present = {item.relative_to(self.path).as_posix() for item in self.path.rglob("*") if not item.is_dir()}
         if added := sorted(present - listed):
             raise ArtefactDamaged(f"{self.path / added[0]} is no part of this artefact; move it elsewhere")
 
-    def _remake(self) -> str:
+    def remade_by(self) -> str:
+        """What a user types to have it made again."""
         try:
-            return f"{MADE_BY[self.kind].replace('WORK', str(self.path.parent.parent))} --force"
-        except (ArtefactDamaged, ArtefactStale):
+            verb, config = VERB_OF[self.manifest.stage], self.manifest.config
+        except (ArtefactDamaged, ArtefactStale, KeyError):
             return "run the command that made it with --force"
+        source = [str(config.get("source", "PHOTOS"))] if verb == "import" else []
+        work = str(self.path.parent.parent)
+        command = shlex.join(["stylerf", verb, *source, work, "--name", self.name, "--force"])
+        return f"{command}, with the options that are told by: {shlex.join(['stylerf', 'show', str(self.path)])}"

@@ -4,15 +4,18 @@ WORK/<kind>/<name>/manifest.json and the files that it lists
 """
 
 import re
+import shlex
+from collections.abc import Collection
+from contextlib import suppress
 from pathlib import Path
 
 from schemas.artefact import MADE_BY, Artefact
-from schemas.errors import ArtefactDamaged, ArtefactStale, UsageError
+from schemas.errors import ArtefactDamaged, ArtefactStale, StylerfError, UsageError
 from schemas.manifest import MANIFEST, InputRef, Recipe
 from schemas.migrations import CURRENT
 from schemas.partial import Partial, sweep_finished
 
-__all__ = ["MADE_BY", "Artefact", "InputRef", "Partial", "Recipe", "Work"]
+__all__ = ["MADE_BY", "Artefact", "InputRef", "Partial", "Recipe", "Work", "sound_name", "sources_of"]
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._+-]{0,99}")
 
@@ -33,7 +36,7 @@ class Work:
 
     def get(self, kind: str, name: str) -> Artefact:
         """The artefact of that kind and name; ArtefactStale with the command that makes it where there is none."""
-        folder = self.root / _known(kind) / _sound(name)
+        folder = self.root / _known(kind) / sound_name(name)
         if not folder.is_dir():
             raise ArtefactStale(f"no {kind} {name} in {self.root}; make it with: {self._maker(kind)}")
         artefact = Artefact(folder)
@@ -59,7 +62,7 @@ class Work:
 
     def standing(self, kind: str, name: str, recipe: Recipe) -> Artefact | None:
         """The artefact of that name if it was made by this very recipe and all its files have their lengths."""
-        folder = self.root / _known(kind) / _sound(name)
+        folder = self.root / _known(kind) / sound_name(name)
         if not (folder / MANIFEST).is_file():
             return None
         artefact = Artefact(folder)
@@ -73,11 +76,11 @@ class Work:
 
     def sweep(self, kind: str, name: str) -> None:
         """Deletes what is left of the run that made the artefact of that name, where a kill kept it from doing so."""
-        sweep_finished(self.root, _known(kind), _sound(name))
+        sweep_finished(self.root, _known(kind), sound_name(name))
 
     def begin(self, kind: str, name: str, recipe: Recipe) -> Partial:
         """Goes on with an interrupted run of this recipe, or starts afresh; see Partial."""
-        return Partial(self.root, _known(kind), _sound(name), recipe)
+        return Partial(self.root, _known(kind), sound_name(name), recipe)
 
     def unfinished(self) -> list[tuple[str, str]]:
         """Kind and name of every interrupted run."""
@@ -87,25 +90,43 @@ class Work:
     def outdated(self, artefact: Artefact) -> list[str]:
         """Why the artefact no longer matches what it was made from, one line each; empty when it does.
 
-        Looks through its inputs up to the scene.
+        Looks through its inputs up to the scene, the nearest first.
         """
-        reasons = []
-        for ref in artefact.manifest.inputs:
-            folder = self.root / ref.kind / ref.name
-            if not (folder / MANIFEST).is_file():
-                reasons.append(f"{ref.kind} {ref.name}, from which {artefact.name} was made, is gone")
-                continue
-            source = Artefact(folder)
-            try:
-                if source.digest != ref.digest:
-                    reasons.append(f"{ref.kind} {ref.name} was made again after {artefact.kind} {artefact.name}")
-                reasons += self.outdated(source)
-            except (ArtefactDamaged, ArtefactStale) as error:
-                reasons.append(f"{ref.kind} {ref.name}, from which {artefact.name} was made, is not readable: {error}")
+        reasons, waiting, seen = [], [artefact], {artefact.path.resolve()}
+        while waiting:
+            made = waiting.pop(0)
+            for ref in made.manifest.inputs:
+                source = Artefact(self.root / ref.kind / ref.name)
+                if not (source.path / MANIFEST).is_file():
+                    reasons.append(f"{ref.kind} {ref.name}, from which {made.name} was made, is gone")
+                    continue
+                try:
+                    if source.digest != ref.digest:
+                        reasons.append(f"{ref.kind} {ref.name} was made again after {made.kind} {made.name}")
+                except (ArtefactDamaged, ArtefactStale) as error:
+                    reasons.append(f"{ref.kind} {ref.name}, from which {made.name} was made, is not readable: {error}")
+                    continue
+                if source.path.resolve() not in seen:
+                    seen.add(source.path.resolve())
+                    waiting.append(source)
         return reasons
 
     def _maker(self, kind: str) -> str:
-        return MADE_BY[kind].replace("WORK", str(self.root))
+        return MADE_BY[kind].replace("WORK", shlex.quote(str(self.root)))
+
+
+def sources_of(artefact: Artefact, kinds: Collection[str] = tuple(CURRENT)) -> list[Artefact]:
+    """What an artefact was made from, directly or through others of these kinds, the nearest first, each once.
+
+    What is gone or cannot be read is passed over.
+    """
+    work, found = Work(artefact.path.parent.parent), [artefact]
+    for made in found:  # which grows meanwhile
+        for ref in made.manifest.inputs:
+            if ref.kind in kinds and (ref.kind, ref.name) not in [(one.kind, one.name) for one in found]:
+                with suppress(StylerfError):
+                    found.append(work.get(ref.kind, ref.name))
+    return found[1:]
 
 
 def _known(kind: str) -> str:
@@ -114,7 +135,8 @@ def _known(kind: str) -> str:
     return kind
 
 
-def _sound(name: str) -> str:
+def sound_name(name: str) -> str:
+    """The name, if an artefact may be called so, else UsageError."""
     if not _NAME.fullmatch(name):
         raise UsageError(
             f"{name!r} cannot name an artefact: expected up to 100 letters, digits, '.', '_', '+' or '-', beginning "

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from schemas.atomic import make_folder, write_json, writing
+from schemas.atomic import make_folder, write_json
 from schemas.exr import FAR_Z, ExrView, write_exr
 from schemas.images import linear_from_srgb, to_uint8, write_png
 from stages.progress import Progress
@@ -15,22 +15,23 @@ from stylerf.procedural.still_life import StillLife, TrueView, dome_cameras
 
 _GL_FROM_CV = np.diag([1.0, -1.0, -1.0, 1.0])
 PAINTING = "painting.png"
+STAMP = "demo.json"
 ANGLE_X = 0.6911112
 
 
 def write_demo(folder: Path, size: int, train_views: int, test_views: int, seed: int, threads: int, progress: Progress):
     """Writes transforms_train.json, transforms_test.json (NeRF-synthetic), RGBA photos, truth/ and painting.png.
 
-    What is there already, whole and of these very options, is left as it is: demo.json, the last file written, tells.
+    What is there already, whole and of these very options, is left as it is: demo.json tells them, and is empty until
+    all is written.
     """
     wanted = {"size": size, "train_views": train_views, "test_views": test_views, "seed": seed}
-    stamp = folder / "demo.json"
+    stamp = folder / STAMP
     if stamp.is_file() and json.loads(stamp.read_text()) == wanted:
         return
     make_folder(folder)
     # First of all: while photos of other options are replaced, the old stamp would be a lie.
-    with writing(stamp):
-        stamp.unlink(missing_ok=True)
+    write_json(stamp, {})
     life, done = StillLife(seed), 0
     progress.start("photographing the still life", train_views + test_views, "view")
     for split, count, turn in (("train", train_views, seed), ("test", test_views, seed + 1000)):

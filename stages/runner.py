@@ -1,7 +1,7 @@
 """Runs any stage the same way: reuse what stands, else run under a lock, resume, measure, finish as one step."""
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -9,8 +9,8 @@ from typing import Any
 
 from schemas.atomic import out_of_resources
 from schemas.canonical import plain
-from schemas.errors import OutOfResources
-from schemas.store import Artefact, Partial, Recipe, Work
+from schemas.errors import OutOfResources, UsageError
+from schemas.store import Artefact, Partial, Recipe, Work, sources_of
 from stages.clock import Clock, peak_memory_mb
 from stages.configs import incidental
 from stages.progress import Context
@@ -54,6 +54,13 @@ def recipe_of(spec: Spec, inputs: dict[str, Artefact], config: Any, seed: int) -
     return Recipe(spec.stage, spec.revision, deciding, references, seed)
 
 
+def refuse_to_replace(work: Work, kind: str, name: str, sources: Iterable[Artefact]) -> None:
+    """UsageError where the artefact `name` would take the place of what it is made from, directly or through others."""
+    target = (work.root / kind / name).resolve()
+    if any(one.path.resolve() == target for source in sources for one in [source, *sources_of(source)]):
+        raise UsageError(f"{kind} {name} would replace what it is made from; give another --name")
+
+
 def execute(
     spec: Spec,
     run: Run,
@@ -68,7 +75,7 @@ def execute(
 
     Unless `force`, an artefact of the same recipe (stage, revision, options, seed, digests of the inputs) is returned
     as it stands. Otherwise every input is verified, an interrupted run of the same recipe is taken up where it
-    stopped, and the result replaces the older artefact of that name by one rename.
+    stopped, and the result replaces the older artefact of that name by one rename; it must be none of its sources.
     What an interruption or a lack of memory, space or permission leaves behind is kept for the next run; after any
     other fault it is deleted, because the same state would fail again.
     """
@@ -77,6 +84,7 @@ def execute(
     if standing:
         work.sweep(spec.writes, name)
         return standing, True
+    refuse_to_replace(work, spec.writes, name, inputs.values())
     for artefact in inputs.values():
         artefact.verify()
     partial = work.begin(spec.writes, name, recipe)

@@ -93,9 +93,28 @@ def _help(item: dataclasses.Field, required: bool) -> str:
     text = item.metadata.get("help", "").replace("%", "%%")
     if required or "default:" in text:
         return text
-    default = item.default if item.default is not dataclasses.MISSING else item.default_factory()
+    default = _default(item)
     shown = " ".join(map(str, default)) if isinstance(default, tuple) else str(default).replace("%", "%%")
     return f"{text} (default: {shown})" if default not in ("", None, ()) else text
+
+
+def _default(item: dataclasses.Field) -> Any:
+    return item.default if item.default_factory is dataclasses.MISSING else item.default_factory()
+
+
+def flags_of(config: Any) -> list[str]:
+    """The flags that make a config of its defaults; digests are left out, which the verb fills in."""
+    flags: list[str] = []
+    for item in dataclasses.fields(config):
+        value = getattr(config, item.name)
+        if value == _default(item) or item.name.endswith("_digest"):
+            continue
+        flag = item.metadata.get("flag") or "--" + item.name.replace("_", "-")
+        if isinstance(value, bool):
+            flags.append(flag if value else f"--no-{flag[2:]}")
+        else:
+            flags += [flag, *map(str, value if isinstance(value, tuple) else [value])]
+    return flags
 
 
 def _optional(kind: Any) -> bool:

@@ -2,8 +2,9 @@
 
 from typing import Any
 
-from schemas.errors import UsageError
-from schemas.store import Artefact
+from schemas.errors import ArtefactStale, UsageError
+from schemas.store import Artefact, Work
+from stages.configs.decompose import METHOD
 from stages.configs.deform import DeformConfig
 from stages.configs.fit import FitConfig
 from stages.configs.render import RenderConfig
@@ -15,12 +16,45 @@ def scene_of_work(session: Any) -> Artefact:
     """The only scene of the work folder; scenes that `distill` painted an edit into are not counted."""
     scenes = [one for one in session.work.artefacts("scene") if one.manifest.stage != "distill"]
     if len(scenes) > 1:
-        raise UsageError(f"{session.work.root} holds several scenes; expected one a work folder")
+        names = ", ".join(one.name for one in scenes)
+        raise UsageError(f"{session.work.root} holds the scenes {names}; expected one a work folder: delete the others")
     return scenes[0] if scenes else session.work.get("scene", "main")
 
 
-def ensure_field(session: Any, scene: Artefact) -> Artefact:
-    """The fitted field: whichever field the scene was fitted to already, else one fitted with default options."""
+def scene_of(work: Work, field: Artefact) -> Artefact:
+    """The scene of photos that a field was made from, directly, through other fields or through edited pictures."""
+    from stages.evaluation.lineage import fields_behind, original_scene
+
+    for one in [field, *fields_behind(field)]:
+        for ref in one.manifest.inputs:
+            if ref.kind == "scene":
+                return original_scene(work.get("scene", ref.name))
+    raise ArtefactStale(f"field {field.name} names no scene it was made from; make it again: {field.remade_by()}")
+
+
+def chosen_field(session: Any, name: str | None) -> Artefact:
+    """The field called `name`, else the one made last; says why it is out of date where it is."""
+    field = session.work.find("field", name) if name else _made_last(session.work)
+    for reason in session.work.outdated(field):
+        session.say(f"field {field.name} is out of date: {reason}")
+    return field
+
+
+def _made_last(work: Work) -> Artefact:
+    from stages.evaluation.lineage import fields_behind
+
+    fields = work.artefacts("field")
+    if not fields:
+        return work.get("field", FIT_NAME)
+    # The time is kept to the second: of two made within one, that made from the other is the later.
+    return max(fields, key=lambda one: (one.manifest.created, len(fields_behind(one))))
+
+
+def ensure_field(session: Any, scene: Artefact, name: str | None = None) -> Artefact:
+    """The field called `name`; else the fitted one: whichever was fitted to the scene already, or with default options
+    now."""
+    if name:
+        return chosen_field(session, name)
     fields = [
         one
         for one in session.work.artefacts("field")
@@ -37,8 +71,8 @@ def deform(session: Any, scene: Artefact, field: Artefact, config: DeformConfig)
     """A field with a deformation that has been initialised on the photos, named <field>-deformed."""
     from stages import deform_init
 
-    inputs = {"scene": scene, "field": field}
-    return session.run(deform_init.SPEC, deform_init.run, inputs, config, f"{field.name}-deformed")
+    inputs, by = {"scene": scene, "field": field}, ("--of", field.name)
+    return session.run(deform_init.SPEC, deform_init.run, inputs, config, f"{field.name}-deformed", by=by)
 
 
 def ensure_deformed(session: Any, scene: Artefact, field: Artefact) -> Artefact:
@@ -58,11 +92,10 @@ def ensure_deformed(session: Any, scene: Artefact, field: Artefact) -> Artefact:
 def ensure_frames(session: Any, field: Artefact, path: str, name: str) -> Artefact:
     """Frames of a field along a path."""
     from stages import render
-    from stylerf_cli.verbs.eval_ import scene_of
 
     config = render.pinned(RenderConfig(path=path, count=30 if path not in render.OWN_VIEWS else 1))
     inputs = {"scene": scene_of(session.work, field), "field": field, **regions_shown(session, field, config)}
-    return session.run(render.SPEC, render.run, inputs, config, name)
+    return session.run(render.SPEC, render.run, inputs, config, name, by=("--of", field.name))
 
 
 def regions_shown(session: Any, field: Artefact, config: RenderConfig) -> dict[str, Artefact]:
@@ -83,11 +116,15 @@ def palette_learnt(session: Any, scene: Artefact, field: Artefact, config: Any, 
     With changes, what was learnt stands beside under its own name, so that other changes need no training.
     """
     from stages import decompose
+    from stages.runner import refuse_to_replace
 
     inputs, name = {"scene": scene, "field": field}, f"{field.name}-palettenerf"
     if not changes:
         return session.run(decompose.SPEC, decompose.run, inputs, config, name)
-    learnt = session.run(decompose.SPEC, decompose.run, inputs, config, name, own=False)
+    if session.name:  # refused before the palette is learnt, not after it
+        refuse_to_replace(session.work, "field", session.name, [field])
+    by = ("--method", METHOD, "--of", field.name)
+    learnt = session.run(decompose.SPEC, decompose.run, inputs, config, name, own=False, by=by)
     return palette_changed(session, scene, learnt, changes)
 
 

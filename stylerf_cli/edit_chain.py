@@ -8,17 +8,6 @@ from stages.configs.distill import DistillConfig
 from stages.configs.extract import ExtractConfig
 from stylerf_cli.chains import scene_of_work
 
-_VERBS = {
-    "region_select": "select",
-    "edit_dataset": "extract",
-    "edit_learn": "stylize",
-    "edit_palette": "stylize",
-    "decompose": "stylize",
-    "recolour": "stylize",
-    "nerf_fit": "fit",
-    "deform_init": "deform",
-}
-
 
 def scene_behind(session: Any, field: Artefact) -> Artefact:
     """The scene whose photos a field was last taught with: edits of edits see the edits before them."""
@@ -45,7 +34,7 @@ def input_of(session: Any, artefact: Artefact, kind: str, role: str = "") -> Art
             if found.digest != ref.digest:
                 raise ArtefactStale(
                     f"{kind} {ref.name} was made anew after {artefact.kind} {artefact.name}; make that again too: "
-                    f"stylerf {_VERBS.get(artefact.manifest.stage, artefact.manifest.stage)} {session.work.root}"
+                    f"{artefact.remade_by()}"
                 )
             return found
     raise ArtefactStale(f"{artefact.kind} {artefact.name} names no {kind} it was made from; make it again")
@@ -61,7 +50,8 @@ def ensure_edit_dataset(session: Any, region: Artefact, field: Artefact | None, 
         "region": region,
     }
     config = config or session.config_of("extract", ExtractConfig)
-    return session.run(edit_dataset.SPEC, edit_dataset.run, inputs, config, region.name)
+    by = ("--region", region.name, "--of", inputs["field"].name)
+    return session.run(edit_dataset.SPEC, edit_dataset.run, inputs, config, region.name, by=by)
 
 
 def ensure_distilled(session: Any, edit: Artefact, config: Any = None) -> Artefact:
@@ -71,7 +61,7 @@ def ensure_distilled(session: Any, edit: Artefact, config: Any = None) -> Artefa
     dataset = edit_dataset_of(session, edit)
     inputs = {"scene": input_of(session, dataset, "scene"), "edit-dataset": dataset, "edit": edit}
     config = config or session.config_of("distill", DistillConfig)
-    return session.run(distill.SPEC, distill.run, inputs, config, edit.name)
+    return session.run(distill.SPEC, distill.run, inputs, config, edit.name, by=("--edit", edit.name))
 
 
 def edit_dataset_of(session: Any, edit: Artefact) -> Artefact:
@@ -91,12 +81,12 @@ def edit_of(session: Any, name: str) -> Artefact:
     return edits[0] if edits else session.work.get("edit", "edit")
 
 
-def finetuned(session: Any, edit: Artefact, of: str | None, config: Any) -> Artefact:
-    """The field that has learnt an edit, named as the edit is. of: a field other than the one that was looked at."""
+def finetuned(session: Any, edit: Artefact, field: Artefact | None, config: Any) -> Artefact:
+    """The field that has learnt an edit, named as the edit is. field: another than the one that was looked at."""
     from stages import finetune
 
     dataset = edit_dataset_of(session, edit)
-    field = session.work.find("field", of) if of else input_of(session, dataset, "field", "field")
+    field = field or input_of(session, dataset, "field", "field")
     inputs = {"scene": ensure_distilled(session, edit), "field": field, "region": input_of(session, dataset, "region")}
     return session.run(finetune.SPEC, finetune.run, inputs, config, edit.name)
 
@@ -113,5 +103,6 @@ def learnt_edit(session: Any, region: Artefact, config: Any, changes: Any, name:
     if not changes:
         return session.run(edit_learn.SPEC, edit_learn.run, inputs, config, name)
     name = session.name or name
-    learnt = session.run(edit_learn.SPEC, edit_learn.run, inputs, config, f"{name}-learnt", own=False)
+    by = ("--region", region.name)
+    learnt = session.run(edit_learn.SPEC, edit_learn.run, inputs, config, f"{name}-learnt", own=False, by=by)
     return session.run(edit_palette.SPEC, edit_palette.run, {"edit": learnt}, changes, name)

@@ -1,5 +1,6 @@
 """What a PATH on the command line is: a work folder, or one artefact in it."""
 
+import shlex
 from pathlib import Path
 
 from schemas.errors import BadInput
@@ -18,7 +19,7 @@ def work_or_artefact(path: Path) -> Work | Artefact:
         return Artefact(path.resolve())
     work = Work(path)
     if not work.artefacts() and not work.unfinished():
-        raise BadInput(f"{path} holds no artefact; begin with: stylerf import PHOTOS {path}")
+        raise BadInput(f"{path} holds no artefact; begin with: stylerf import PHOTOS {shlex.quote(str(path))}")
     return work
 
 

@@ -21,6 +21,7 @@ from stages.memory import bytes_of
 from stylerf_cli.arguments import build_config, nearest, read_toml
 
 COMMON_KEYS: dict[str, type] = {"seed": int, "device": str, "threads": int, "memory": str}
+LARGEST_SEED = 2**32 - 1  # pycolmap's
 _DEVICES = ("auto", "cpu", "cuda")
 
 
@@ -82,6 +83,9 @@ class Options:
                 values[key] = self._common[key]
         if values.get("device", "auto") not in _DEVICES:
             raise UsageError(f"{self._path}: device is {values['device']!r}; expected one of {', '.join(_DEVICES)}")
+        if not 0 <= values.get("seed", 0) <= LARGEST_SEED:
+            where = f"{self._path}: seed" if self._given.seed is None else "--seed"
+            raise UsageError(f"{where} is {values['seed']}; expected 0 to {LARGEST_SEED}")
         given = "threads" in values
         if "memory" in values:
             try:

@@ -2,14 +2,17 @@
 
 import argparse
 import os
+import shlex
 import sys
+from collections.abc import Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 from schemas.errors import ArtefactStale, UsageError
-from schemas.store import Artefact, Work
+from schemas.store import Artefact, Work, sound_name
 from stages.progress import Context, Silent
+from stylerf_cli.arguments import flags_of
 from stylerf_cli.joining import follow, joined, launched, led, release, speaks
 from stylerf_cli.options import Options
 from stylerf_cli.output import write_out
@@ -26,7 +29,8 @@ class Session:
     def __init__(self, verb: str, args: argparse.Namespace, options: Options, config: type | None) -> None:
         self.verb, self.args, self.options = verb, args, options
         self.json, self.quiet, self.only, self.force = args.json, args.quiet, args.only, args.force
-        self.name: str | None = args.name
+        # Refused before any stage runs, not when it is the turn of the one that writes it.
+        self.name: str | None = None if args.name is None else sound_name(args.name)
         self.own_verbs = {verb}  # whose stages are this verb's own work
         self.config = options.config(config)
         self.common = options.common()
@@ -57,25 +61,40 @@ class Session:
         return self.options.config_of(verb, config)
 
     def run(
-        self, spec: Any, run: Any, inputs: dict[str, Artefact], config: Any, name: str, own: bool | None = None
+        self,
+        spec: Any,
+        run: Any,
+        inputs: dict[str, Artefact],
+        config: Any,
+        name: str,
+        own: bool | None = None,
+        by: Sequence[str] = (),
     ) -> Artefact:
         """Runs a stage, or reuses what stands.
 
         The stage of this very verb writes under --name where given and obeys --force. Any other stage is an earlier
         one that is missing or out of date: it is announced and brought up to date, or, with --only, refused with the
-        command that does it (ArtefactStale). own: says which of the two it is, for a verb of several stages.
+        command that does it (ArtefactStale). own: says which of the two it is, for a verb of several stages. by: what
+        that command needs beside the work folder, the name and the options of the config.
         """
         if not self.ranks.first:
             return follow(self.ranks, self, spec, run, inputs, config)
         if self.ranks.count > 1:
             run = led(self.ranks, run, spec.parallel)
-        made = self._run(spec, run, inputs, config, name, own)
+        made = self._run(spec, run, inputs, config, name, own, by)
         if self.ranks.count > 1:
             release(self.ranks, made.name)
         return made
 
     def _run(
-        self, spec: Any, run: Any, inputs: dict[str, Artefact], config: Any, name: str, own: bool | None
+        self,
+        spec: Any,
+        run: Any,
+        inputs: dict[str, Artefact],
+        config: Any,
+        name: str,
+        own: bool | None,
+        by: Sequence[str],
     ) -> Artefact:
         from stages.runner import execute, recipe_of
 
@@ -87,9 +106,10 @@ class Session:
             if standing:
                 return standing
             if self.only:
+                seed = ["--seed", str(self.common.seed)] if self.common.seed else []
+                command = ["stylerf", spec.verb, str(self.work.root), "--name", name, *by, *flags_of(config), *seed]
                 raise ArtefactStale(
-                    f"{spec.writes} {name} is missing or out of date and --only was given; run: "
-                    f"stylerf {spec.verb} {self.work.root}"
+                    f"{spec.writes} {name} is missing or out of date and --only was given; run: {shlex.join(command)}"
                 )
             self.say(f"{spec.writes} {name} is missing or out of date: running `stylerf {spec.verb}` first")
         artefact, reused = execute(spec, run, self.work, name, inputs, config, self.context, force=own and self.force)

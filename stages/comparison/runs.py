@@ -1,6 +1,7 @@
 """The runs of work folders as their manifests and reports tell them; nothing is run, nothing is measured."""
 
 import json
+import shlex
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -108,7 +109,7 @@ def _called(works: Sequence[Work]) -> list[str]:
 
 def _run(artefact: Artefact, family: str, work: Work, called: str, scenes: dict[str, str]) -> Run:
     manifest = artefact.manifest
-    made = [*(_made_for(artefact).values() if family != FITS else ()), artefact]
+    made = [*(_made_for(artefact) if family != FITS else ()), artefact]
     report = _report(artefact, work)
     told = json.loads(report.file("report.json").read_text()) if report else {}
     return Run(
@@ -133,19 +134,20 @@ def _run(artefact: Artefact, family: str, work: Work, called: str, scenes: dict[
     )
 
 
-def _made_for(artefact: Artefact) -> dict[Path, Artefact]:
-    """What was made on the way from the fitted field to this one, sources first, each once, by its folder.
+def _made_for(artefact: Artefact, seen: set[Path] | None = None) -> list[Artefact]:
+    """What was made on the way from the fitted field to this one, sources first, each once; `seen`: none of these.
 
     No import, fit, selection or rendering.
     """
-    work, found = Work(artefact.path.parent.parent), {}
+    work, found, seen = Work(artefact.path.parent.parent), [], {artefact.path} if seen is None else seen
     for ref in artefact.manifest.inputs:
         if ref.kind not in ("field", "scene", "edit", "edit-dataset"):
             continue
         source = work.get(ref.kind, ref.name)
-        if ref.kind in ("edit", "edit-dataset") or source.manifest.stage in PREPARING:
-            found |= {path: one for path, one in _made_for(source).items() if path not in found}
-            found.setdefault(source.path, source)
+        prepares = ref.kind in ("edit", "edit-dataset") or source.manifest.stage in PREPARING
+        if prepares and source.path not in seen:
+            seen.add(source.path)
+            found += [*_made_for(source, seen), source]
     return found
 
 
@@ -207,7 +209,7 @@ def _settings(config: dict) -> str:
 
 
 def _gaps(run: Run, work: Work) -> list[Gap]:
-    command = f"stylerf eval {work.root} --of {run.name}"
+    command = f"stylerf eval {shlex.quote(str(work.root))} --of {run.name}"
     found = [Gap(f"{run.title}: {key}", "Its manifest does not tell.") for key in COSTS if run.costs[key] is None]
     missing = [key for key in NEEDED[run.family] if key not in run.figures]
     if not run.figures:

@@ -44,8 +44,8 @@ class RenderConfig:
 
 
 def label_of(path: str) -> str:
-    """What frames along a path are named after: the path, or the name of its file."""
-    return Path(path).stem if Path(path).suffix else path
+    """What frames along a path are named after: the path, or the name of its file as an artefact's may be written."""
+    return re.sub(r"[^A-Za-z0-9._+-]+", "_", Path(path).stem)
 
 
 def frames_of(text: str, count: int) -> range:

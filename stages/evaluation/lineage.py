@@ -1,11 +1,10 @@
 """What an artefact cost: every stage upstream of it with its seconds, memory, size and parameters."""
 
 from collections.abc import Iterable
-from contextlib import suppress
 from dataclasses import asdict, dataclass
 
 from schemas.errors import ArtefactStale, StylerfError
-from schemas.store import Artefact, Work
+from schemas.store import Artefact, Work, sources_of
 
 
 @dataclass(frozen=True)
@@ -30,17 +29,7 @@ class Made:
 
 def fields_behind(field: Artefact) -> list[Artefact]:
     """The fields that a field was made from, the nearest first; those that are gone are passed over."""
-    found: list[Artefact] = []
-    waiting = [field]
-    while waiting:
-        artefact = waiting.pop(0)
-        work = Work(artefact.path.parent.parent)
-        for ref in artefact.manifest.inputs:
-            if ref.kind == "field":
-                with suppress(StylerfError):
-                    found.append(work.get(ref.kind, ref.name))
-                    waiting.append(found[-1])
-    return found
+    return sources_of(field, ["field"])
 
 
 def original_scene(scene: Artefact) -> Artefact:
@@ -63,17 +52,7 @@ def original_scene(scene: Artefact) -> Artefact:
 
 def edit_behind(field: Artefact) -> Artefact | None:
     """The palette edit that a field has learnt last, through the scene of edited pictures; None where there is none."""
-    waiting = [field]
-    while waiting:
-        artefact = waiting.pop(0)
-        if artefact.manifest.kind == "edit":
-            return artefact
-        work = Work(artefact.path.parent.parent)
-        for ref in artefact.manifest.inputs:
-            if ref.kind in ("scene", "edit"):
-                with suppress(StylerfError):
-                    waiting.append(work.get(ref.kind, ref.name))
-    return None
+    return next((one for one in [field, *sources_of(field, ["scene", "edit"])] if one.kind == "edit"), None)
 
 
 def palette_behind(field: Artefact) -> Artefact | None:
@@ -91,24 +70,26 @@ def is_stylised(field: Artefact) -> bool:
 def upstream(artefacts: Iterable[Artefact]) -> list[Made]:
     """These artefacts and all they were made from, sources first, each once."""
     found: dict[tuple[str, str], Made] = {}
+    seen: set[tuple[str, str]] = set()
     for artefact in artefacts:
-        _walk(artefact, "", found)
+        _walk(artefact, "", found, seen)
     return list(found.values())
 
 
-def _walk(artefact: Artefact, remark: str, found: dict[tuple[str, str], Made]) -> None:
+def _walk(artefact: Artefact, remark: str, found: dict[tuple[str, str], Made], seen: set[tuple[str, str]]) -> None:
     manifest = artefact.manifest
     key = (manifest.kind, artefact.name)
-    if key in found:
+    if key in seen:
         return
+    seen.add(key)
     work = Work(artefact.path.parent.parent)
     for ref in manifest.inputs:
-        if (ref.kind, ref.name) in found:
+        if (ref.kind, ref.name) in seen:
             continue
         try:
             source = work.get(ref.kind, ref.name)
             changed = "" if source.digest == ref.digest else f"made again after {manifest.kind} {artefact.name}"
-            _walk(source, changed, found)
+            _walk(source, changed, found, seen)
         except StylerfError as error:
             found[ref.kind, ref.name] = _absent(ref.kind, ref.name, str(error))
     found[key] = Made(

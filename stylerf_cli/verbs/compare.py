@@ -1,5 +1,6 @@
 """`stylerf compare WORK...`: what runs cost and how good they are, in charts with Pareto fronts, from what stands."""
 
+import shlex
 from dataclasses import asdict
 from pathlib import Path
 
@@ -36,7 +37,8 @@ def run(args, session) -> dict:
     works = [work_of(path) for path in dict.fromkeys(args.works)]
     runs, gaps = runs_of(works)
     if not runs:
-        raise ArtefactStale(f"no field to compare in {works[0].root}; make one with: stylerf fit {works[0].root}")
+        maker = shlex.join(["stylerf", "fit", str(works[0].root)])
+        raise ArtefactStale(f"no field to compare in {works[0].root}; make one with: {maker}")
     fronts: dict[str, list[str]] = {}
     for family in FAMILIES:
         some = [one for one in runs if one.family == family]

@@ -18,7 +18,7 @@ def run(args, session) -> dict:
     from stylerf_cli.chains import deform, ensure_field, scene_of_work
 
     scene = scene_of_work(session)
-    field = session.work.find("field", args.of) if args.of else ensure_field(session, scene)
+    field = ensure_field(session, scene, args.of)
     made = deform(session, scene, field, session.config)
     figures = made.manifest.figures
     result = {"field": made.path, "name": made.name, "figures": figures, "seconds": made.manifest.seconds}

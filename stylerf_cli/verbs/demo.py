@@ -2,6 +2,8 @@
 
 from pathlib import Path
 
+from schemas.errors import UsageError
+from schemas.store import Work
 from stages.configs.demo import DemoConfig
 
 NAME = "demo"
@@ -30,6 +32,7 @@ def run(args, session) -> dict:
 
     config, work = session.config, session.work
     photos = work.root / "photos"
+    refuse_others(work, photos)
     context = session.context
     demo_data.write_demo(
         photos, config.size, config.train_views, config.test_views, context.seed, context.threads, session.progress
@@ -89,6 +92,22 @@ def run(args, session) -> dict:
         f"film:          {result['film']}",
     ]
     return session.emit(result, "\n".join(words))
+
+
+def refuse_others(work: Work, photos: Path) -> None:
+    """UsageError where there are photos or a scene that the demo would replace and has not made."""
+    from stages.demo_data import STAMP
+    from stages.readers.digest import digest_of_source
+
+    sources = {"source": str(photos.resolve())}
+    if (photos / STAMP).is_file():
+        sources["source_digest"] = digest_of_source(photos)  # it may have been moved
+    elif photos.is_dir() and any(photos.iterdir()):
+        raise UsageError(f"{photos} is not the demo's, which would write there; give the demo another work folder")
+    for scene in work.artefacts("scene"):
+        made = scene.manifest
+        if made.stage != "distill" and not any(made.config.get(key) == value for key, value in sources.items()):
+            raise UsageError(f"{scene.path} is not the demo's, which would replace it; give the demo another folder")
 
 
 def write_sheet(path: Path, photos: Path, fit, stylised) -> Path:

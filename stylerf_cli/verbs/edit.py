@@ -16,19 +16,27 @@ def add_arguments(parser) -> None:
 
 def run(args, session) -> dict:
     """The edited field's place, what came between, and the seconds of each stage."""
+    from stages.runner import refuse_to_replace
+    from stylerf_cli.chains import chosen_field, ensure_field, scene_of_work
     from stylerf_cli.edit_chain import edit_dataset_of, ensure_distilled, finetuned, learnt_edit
-    from stylerf_cli.verbs.select import selected
+    from stylerf_cli.verbs.select import masks_of, selected
     from stylerf_cli.verbs.stylize import pinned, told_palette
 
     config = session.config
     name = args.name or "edit"
     session.name = None  # each artefact of the chain has a name of its own
     session.own_verbs = {"select", "extract", "stylize", "distill", "finetune"}
+    # Refused before the first stage, not after it.
     look, _ = pinned(config.look, name)
-    region = selected(session, config.selection, args.of, name)
+    masks_of(config.selection)
+    given = chosen_field(session, args.of) if args.of else None
+    start = given or ensure_field(session, scene_of_work(session))
+    for kind in ("region", "edit-dataset", "edit", "scene", "field"):
+        refuse_to_replace(session.work, kind, name, [start])
+    region = selected(session, config.selection, given, name)
     edit = learnt_edit(session, region, look.learning, look.changes, name)
     scene = ensure_distilled(session, edit)
-    field = finetuned(session, edit, args.of, session.config_of("finetune", FinetuneConfig))
+    field = finetuned(session, edit, given, session.config_of("finetune", FinetuneConfig))
     made = {
         "region": region,
         "edit-dataset": edit_dataset_of(session, edit),

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from schemas.errors import ArtefactStale, UsageError
+from schemas.errors import UsageError
 from schemas.frames import FRAMES_FILE, read_frames
 from schemas.store import Artefact, Work
 from stages.configs.evaluate import EvaluateConfig
@@ -46,12 +46,13 @@ def run(args, session) -> dict:
     from stages.evaluation.lineage import fields_behind, is_stylised
     from stages.evaluation.references import checked
     from stages.evaluation.views import SceneViews
+    from stylerf_cli.chains import chosen_field, scene_of
 
     if args.path in OWN_VIEWS:
         raise UsageError(
             f"--path {args.path}: views of photos lie too far apart to be warped onto one another; give a camera path"
         )
-    field = chosen_field(session.work, args.of)
+    field = chosen_field(session, args.of)
     # Whatever cannot be is refused here, before minutes of rendering.
     config = pinned(session.config)
     if (args.robust_to or config.reference) and not is_stylised(field):
@@ -59,7 +60,7 @@ def run(args, session) -> dict:
     scene = scene_of(session.work, field)
     if config.reference:
         checked(config.reference, SceneViews(scene))
-    twin = session.work.find("field", args.robust_to) if args.robust_to else None
+    twin = chosen_field(session, args.robust_to) if args.robust_to else None
     base, regions = edit_asked(session, field, args)
     session.say(f"measuring field {field.name}")
     film = frames_of(session, field, args.path) if args.path else film_there(session.work, field)
@@ -80,25 +81,13 @@ def run(args, session) -> dict:
     return told(report, session)
 
 
-def chosen_field(work: Work, name: str | None) -> Artefact:
-    """The field called `name`, else the one made last; ArtefactStale with the command to run where there is none."""
-    if name:
-        return work.find("field", name)
-    fields = work.artefacts("field")
-    if not fields:
-        raise ArtefactStale(f"no field in {work.root}; make one with: stylerf fit {work.root}")
-    from stages.evaluation.lineage import fields_behind
-
-    # The time is kept to the second: of two made within one, that made from the other is the later.
-    return max(fields, key=lambda one: (one.manifest.created, len(fields_behind(one))))
-
-
 def edit_asked(session: Any, field: Artefact, args: Any) -> tuple[Artefact | None, list[Artefact]]:
     """The field before a local edit, and the regions of that edit; None and none where no edit is asked for.
 
     UsageError where the field before it is not known.
     """
     from stages.evaluation.lineage import fields_behind
+    from stylerf_cli.chains import chosen_field
 
     config = session.config
     if not (args.region or config.masks):
@@ -106,7 +95,7 @@ def edit_asked(session: Any, field: Artefact, args: Any) -> tuple[Artefact | Non
             raise UsageError("--base and --train-views are for a local edit; name it by --region, or give its --masks")
         return None, []
     regions = [session.work.find("region", name) for name in args.region]
-    base = session.work.find("field", args.base) if args.base else next(iter(fields_behind(field)), None)
+    base = chosen_field(session, args.base) if args.base else next(iter(fields_behind(field)), None)
     if base is None or base.name == field.name:
         raise UsageError(f"field {field.name} was made from no other field; name the unedited one by --base")
     return base, regions
@@ -122,17 +111,6 @@ def edit_inputs(session: Any, field: Artefact, base: Artefact, regions: list[Art
         inputs["train_frames"] = frames_of(session, field, "train")
         inputs["unedited_train_frames"] = frames_of(session, base, "train")
     return inputs | {ROLE + one.name: one for one in regions}
-
-
-def scene_of(work: Work, field: Artefact) -> Artefact:
-    """The scene of photos that a field was made from, directly, through other fields or through edited pictures."""
-    from stages.evaluation.lineage import fields_behind, original_scene
-
-    for one in [field, *fields_behind(field)]:
-        for ref in one.manifest.inputs:
-            if ref.kind == "scene":
-                return original_scene(work.get("scene", ref.name))
-    raise ArtefactStale(f"field {field.name} names no scene it was made from; make it again: stylerf fit {work.root}")
 
 
 def frames_of(session: Any, field: Artefact, path: str) -> Artefact:

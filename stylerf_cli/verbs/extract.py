@@ -16,10 +16,11 @@ def add_arguments(parser) -> None:
 
 def run(args, session) -> dict:
     """The edit dataset's place and figures."""
+    from stylerf_cli.chains import chosen_field
     from stylerf_cli.edit_chain import ensure_edit_dataset, region_of
 
     region = region_of(session, args.region)
-    field = session.work.find("field", args.of) if args.of else None
+    field = chosen_field(session, args.of) if args.of else None
     made = ensure_edit_dataset(session, region, field, session.config)
     figures = made.manifest.figures
     hidden = f", hidden in {len(figures['hidden'])}: {' '.join(figures['hidden'][:8])}" if figures["hidden"] else ""

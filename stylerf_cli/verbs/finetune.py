@@ -16,10 +16,12 @@ def add_arguments(parser) -> None:
 
 def run(args, session) -> dict:
     """The edited field's place and figures."""
+    from stylerf_cli.chains import chosen_field
     from stylerf_cli.edit_chain import edit_of, finetuned
 
     edit = edit_of(session, args.edit)
-    made = finetuned(session, edit, args.of, session.config)
+    field = chosen_field(session, args.of) if args.of else None
+    made = finetuned(session, edit, field, session.config)
     figures = made.manifest.figures
     result = {"field": made.path, "name": made.name, "figures": figures, "seconds": made.manifest.seconds}
     words = f"field {made.name}: {figures['steps']} steps in {figures['train_seconds']:.0f} s\n  {made.path}"

@@ -3,6 +3,7 @@
 from dataclasses import asdict
 from pathlib import Path
 
+from schemas.errors import UsageError
 from stages.configs.pose_import import ImportConfig, ImportOptions
 
 NAME = "import"
@@ -16,13 +17,14 @@ def add_arguments(parser) -> None:
     """SOURCE and WORK."""
     parser.add_argument("source", type=Path, metavar="SOURCE", help="folder of photos, alone or with transforms.json, "
                         "a COLMAP model (sparse/0) or poses_bounds.npy; or one such file")  # fmt: skip
-    parser.add_argument("work", type=Path, metavar="WORK", help="work folder, made where it does not exist")
+    parser.add_argument("work", type=Path, metavar="WORK", help="work folder of one scene, made where there is none")
 
 
 def run(args, session) -> dict:
     """{"scene": name, "path", "digest", "seconds", ...figures of the import}."""
     from stages import pose_import
 
+    _refuse_a_second(session.work, session.name or SCENE)
     config = config_for(args.source, session.config)
     artefact = session.run(pose_import.SPEC, pose_import.run, {}, config, SCENE)
     figures = artefact.manifest.figures
@@ -31,6 +33,16 @@ def run(args, session) -> dict:
         "seconds": artefact.manifest.seconds, **figures,
     }  # fmt: skip
     return session.emit(result, _words(result))
+
+
+def _refuse_a_second(work, name: str) -> None:
+    """UsageError where a scene of another name stands; those that `distill` made do not count."""
+    others = [one for one in work.artefacts("scene") if one.name != name and one.manifest.stage != "distill"]
+    if others:
+        raise UsageError(
+            f"{work.root} holds scene {others[0].name} already, and a work folder holds one scene: import into another "
+            f"folder, or replace it with --name {others[0].name}"
+        )
 
 
 def config_for(source: Path, options: ImportOptions = _DEFAULTS) -> ImportConfig:

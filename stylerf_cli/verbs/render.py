@@ -16,10 +16,9 @@ def add_arguments(parser) -> None:
 def run(args, session) -> dict:
     """The frames' place."""
     from stages import render
-    from stylerf_cli.chains import regions_shown
-    from stylerf_cli.verbs.eval_ import chosen_field, scene_of
+    from stylerf_cli.chains import chosen_field, regions_shown, scene_of
 
-    field = chosen_field(session.work, args.of)
+    field = chosen_field(session, args.of)
     config = render.pinned(session.config)
     name = f"{field.name}-{label_of(config.path)}" + (f"-{config.frames}" if config.frames else "")
     inputs = {"scene": scene_of(session.work, field), "field": field, **regions_shown(session, field, config)}

@@ -1,9 +1,9 @@
 """`stylerf select WORK --at VIEW:X,Y`: a part of the scene in 3D, to be edited or masked out."""
 
 from dataclasses import replace
+from pathlib import Path
 
 from stages.configs.select import SelectConfig
-from stages.configs.views import file_of
 
 NAME = "select"
 HELP = "select a part of the scene in 3D, by pixels, masks, a box or a colour"
@@ -18,7 +18,9 @@ def add_arguments(parser) -> None:
 
 def run(args, session) -> dict:
     """The region's place, figures and previews."""
-    made = selected(session, session.config, args.of)
+    from stylerf_cli.chains import chosen_field
+
+    made = selected(session, session.config, chosen_field(session, args.of) if args.of else None)
     figures = made.manifest.figures
     previews = [str(made.path / "preview" / f"{name}.png") for name in figures["previews"]]
     result = {"region": made.path, "name": made.name, "figures": figures, "previews": previews}
@@ -29,19 +31,15 @@ def run(args, session) -> dict:
     return session.emit(result, words)
 
 
-def selected(session, config: SelectConfig, of: str | None, name: str = "region"):
-    """The region artefact. of: the field to select in, None for the fitted one."""
+def selected(session, config: SelectConfig, field, name: str = "region"):
+    """The region artefact. field: the one to select in, None for the fitted one."""
     from schemas.canonical import digest_of, file_sha256
-    from schemas.errors import BadInput
     from stages import region_select
     from stylerf_cli.chains import ensure_field, scene_of_work
     from stylerf_cli.edit_chain import scene_behind
 
-    files = [file_of(text)[1] for text in (*config.scribble, *config.mask)]
-    if missing := [path for path in files if not path.is_file()]:
-        raise BadInput(f"{missing[0]}: there is no such mask")
-    if of:
-        field = session.work.find("field", of)
+    files = masks_of(config)
+    if field:
         scene = scene_behind(session, field)
     else:
         scene = scene_of_work(session)
@@ -52,3 +50,13 @@ def selected(session, config: SelectConfig, of: str | None, name: str = "region"
             inputs[f"{kind}.{other}"] = session.work.find("region", other)
     config = replace(config, files_digest=digest_of([file_sha256(path) for path in files]) if files else "")
     return session.run(region_select.SPEC, region_select.run, inputs, config, name)
+
+
+def masks_of(config: SelectConfig) -> list[Path]:
+    """Files of its scribbles and masks; BadInput where one is not there."""
+    from schemas.errors import BadInput
+
+    files = [file_of(text)[1] for text in (*config.scribble, *config.mask)]
+    if missing := [path for path in files if not path.is_file()]:
+        raise BadInput(f"{missing[0]}: there is no such mask")
+    return files

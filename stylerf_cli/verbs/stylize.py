@@ -39,7 +39,7 @@ def add_arguments(parser) -> None:
 
 def run(args, session) -> dict:
     """The stylised field's, or the edit's, place and figures."""
-    if args.region:
+    if args.region is not None:
         return _region(args, session)
     return _palette(args, session) if isinstance(session.config, PaletteFieldConfig) else _whole(args, session)
 
@@ -54,7 +54,7 @@ def _whole(args, session) -> dict:
     scene = scene_of_work(session)
     if config.method == "refnpr":
         references.checked(load_scene(scene), config)
-    field = session.work.find("field", args.of) if args.of else ensure_field(session, scene)
+    field = ensure_field(session, scene, args.of)
     if config.method == "desrf":
         field = ensure_deformed(session, scene, field)
     made = session.run(stylize.SPEC, stylize.run, {"scene": scene, "field": field}, config, f"{name}-{config.method}")
@@ -87,7 +87,7 @@ def _palette(args, session) -> dict:
     from stylerf_cli.chains import ensure_field, palette_changed, palette_learnt, scene_of_work
 
     config, scene = session.config, scene_of_work(session)
-    field = session.work.find("field", args.of) if args.of else ensure_field(session, scene)
+    field = ensure_field(session, scene, args.of)
     if field.manifest.stage in ("decompose", "recolour"):
         if config.learning != DecomposeConfig():
             raise UsageError(f"field {field.name} has its palette already; options of learning one mean nothing here")

@@ -10,7 +10,7 @@ import pytest
 from schemas import migrations, partial
 from schemas.errors import ArtefactDamaged, ArtefactStale, OutOfResources, StylerfError, UsageError
 from schemas.manifest import MANIFEST, InputRef
-from schemas.store import Artefact, Recipe, Work
+from schemas.store import Artefact, Recipe, Work, sources_of
 
 
 def recipe(**changes) -> Recipe:
@@ -71,11 +71,30 @@ def test_missing_shortened_and_additional_files_are_found(tmp_path):
     with pytest.raises(ArtefactDamaged, match="6 bytes where 7"):
         artefact.check_sizes()
     (artefact.path / "sub" / "a.bin").unlink()
-    with pytest.raises(ArtefactDamaged, match=r"lacks sub/a.bin.*stylerf fit"):
+    with pytest.raises(ArtefactDamaged, match=r"lacks sub/a.bin.*run the command that made it with --force"):
         artefact.verify()
     (artefact.path / MANIFEST).unlink()
     with pytest.raises(ArtefactDamaged, match=r"no manifest.json"):
         Artefact(artefact.path).verify()
+
+
+@pytest.mark.parametrize(
+    ("stage", "config", "command"),
+    [
+        ("nerf_fit", {}, "stylerf fit {work} --name fox --force"),
+        ("stylize", {}, "stylerf stylize {work} --name fox --force"),
+        ("distill", {}, "stylerf distill {work} --name fox --force"),
+        ("pose_import", {"source": "my photos"}, "stylerf import 'my photos' {work} --name fox --force"),
+    ],
+)
+def test_a_damaged_artefact_is_made_again_by_the_verb_that_made_it(tmp_path, stage, config, command):
+    artefact = make(Work(tmp_path / "a folder"), stage=stage, config=config)
+    (artefact.path / "b.json").write_text("[]")
+    work = f"'{tmp_path}/a folder'"
+    with pytest.raises(ArtefactDamaged) as caught:
+        artefact.verify()
+    assert command.format(work=work) in str(caught.value)
+    assert f"stylerf show '{tmp_path}/a folder/field/fox'" in str(caught.value)
 
 
 def test_absent_artefacts_come_with_the_command_that_makes_them(tmp_path):
@@ -215,6 +234,28 @@ def test_outdated_follows_inputs_to_the_scene(tmp_path):
     assert work.outdated(frames) == ["scene fox was made again after field fox"]
     shutil.rmtree(tmp_path / "scene" / "fox")
     assert work.outdated(field) == ["scene fox, from which fox was made, is gone"]
+
+
+def test_artefacts_that_were_made_from_each_other_are_each_looked_at_once(tmp_path):
+    work = Work(tmp_path)
+    make(work, "a")
+    make(work, "b", inputs=[work.get("field", "a").reference("field")])
+    make(work, "a", inputs=[work.get("field", "b").reference("field")])
+    assert work.outdated(work.get("field", "b")) == ["field a was made again after field b"]
+    assert [one.name for one in sources_of(work.get("field", "b"))] == ["a"]
+    make(work, "b", inputs=[work.get("field", "b").reference("field")])
+    assert work.outdated(work.get("field", "b")) == ["field b was made again after field b"]
+
+
+def test_sources_are_told_nearest_first_and_of_the_kinds_asked_for(tmp_path):
+    work = Work(tmp_path)
+    scene = make(work, "fox", "scene")
+    fit = make(work, "fit", inputs=[scene.reference("scene")])
+    red = make(work, "red", inputs=[fit.reference("field"), scene.reference("scene")])
+    assert [one.name for one in sources_of(red)] == ["fit", "fox"]
+    assert [one.name for one in sources_of(red, ["field"])] == ["fit"]
+    shutil.rmtree(tmp_path / "scene" / "fox")
+    assert [one.name for one in sources_of(red)] == ["fit"]
 
 
 def reseal(artefact, **changes):

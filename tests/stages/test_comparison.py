@@ -63,6 +63,16 @@ def test_a_changed_palette_is_an_edit_that_costs_what_its_learning_did(work):
     assert any("eval" in gap.why and "--region" in gap.why for gap in gaps)
 
 
+def test_fields_that_replaced_each_other_cost_what_each_of_them_did(tmp_path):
+    work = Work(tmp_path / "room")
+    inputs = {"scene": made.make_scene(work, [0.0], depth=False)}
+    for seconds, name in ((1.0, "red"), (2.0, "blue"), (4.0, "red")):
+        field = made.make_field(work, name, "recolour", inputs, seconds=seconds, peak_memory_mb=100.0)
+        inputs = inputs | {"field": field}
+    by_name, _ = found(work)
+    assert {name: run.costs["seconds"] for name, run in by_name.items()} == {"red": 6.0, "blue": 6.0}
+
+
 def test_fronts_are_those_of_the_group(work):
     by_name, _ = found(work)
     some = [run for run in by_name.values() if run.family == FITS]

@@ -1,6 +1,7 @@
 """The runner: reuse, resume after any death, refusals of the machine, honest clocks."""
 
 import errno
+import importlib
 import itertools
 import os
 import random
@@ -17,7 +18,8 @@ import numpy as np
 import pytest
 
 from schemas import atomic, partial
-from schemas.errors import ArtefactDamaged, BadInput, OutOfResources
+from schemas.artefact import VERB_OF
+from schemas.errors import ArtefactDamaged, BadInput, OutOfResources, UsageError
 from schemas.manifest import MANIFEST
 from schemas.store import Artefact, Work
 from stages import clock, runner
@@ -84,6 +86,28 @@ def test_inputs_are_verified_before_a_run(tmp_path):
     source.file("field.safetensors").write_bytes(data)
     with pytest.raises(ArtefactDamaged, match=r"field\.safetensors was altered"):
         toy(work, inputs={"scene": source})
+
+
+def test_nothing_takes_the_place_of_what_it_is_made_from(tmp_path):
+    work = Work(tmp_path)
+    first = toy(work, "fit")[0]
+    second = toy(work, "red", inputs={"field": first})[0]
+    before = snapshot(work)
+    for name, source in (("fit", first), ("red", second), ("fit", second)):
+        with pytest.raises(UsageError, match=f"field {name} would replace what it is made from; give another --name"):
+            toy(work, name, inputs={"field": source})
+    assert snapshot(work) == before
+
+
+def snapshot(work: Work) -> dict[str, str]:
+    return {one.name: one.digest for one in work.artefacts()}
+
+
+def test_the_verb_of_every_stage_is_known_where_one_is_damaged():
+    modules = [path for path in (REPOSITORY / "stages").glob("*.py") if "\nSPEC = " in path.read_text()]
+    specs = [importlib.import_module(f"stages.{path.stem}").SPEC for path in modules]
+    # A scene with a fault lies in a work folder of `stress`, which makes it again by itself.
+    assert {spec.stage: spec.verb for spec in specs if spec.stage != "fault_scene"} == VERB_OF
 
 
 def in_child(action) -> int:

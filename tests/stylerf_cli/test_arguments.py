@@ -8,7 +8,8 @@ import pytest
 
 from schemas.errors import UsageError
 from stages.configs import option
-from stylerf_cli.arguments import Parser, add_common, add_config
+from stages.configs.render import RenderConfig
+from stylerf_cli.arguments import Parser, add_common, add_config, flags_of
 from stylerf_cli.options import Options
 
 
@@ -40,6 +41,17 @@ def parse(arguments, config=Config, toml=None, tmp_path=None):
         (tmp_path / "o.toml").write_text(toml)
         arguments = [*arguments, "--config", str(tmp_path / "o.toml")]
     return Options("fit", parser.parse_args(arguments), ["fit", "import"])
+
+
+def test_flags_of_a_config_make_it_again():
+    made = Config("60s", -1e-3, 7, False, (8, 9), ("a", "b"), None, "exact", "b", Path("my mask.png"))
+    assert parse(flags_of(made)).config(Config) == made
+    assert flags_of(Config()) == []
+    assert flags_of(RenderConfig(path="cameras.json", path_digest="d1", exr=False)) == [
+        "--path",
+        "cameras.json",
+        "--no-exr",
+    ]
 
 
 def test_defaults_live_in_the_dataclass_alone():
@@ -100,6 +112,7 @@ def test_other_verbs_get_their_own_table_only(tmp_path):
         ('seed = "x"', "seed takes a value of type int"),
         ('device = "tpu"', "tpu"),
         ("threads = 0", "at least 1"),
+        ("seed = -1", "seed is -1; expected 0 to"),
     ],
 )
 def test_faults_of_a_file_are_told_with_its_name(tmp_path, text, words):

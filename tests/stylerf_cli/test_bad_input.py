@@ -52,6 +52,16 @@ def test_the_capture_itself_is_sound(source, tmp_path):
         assert [round(view["fx"], 6) for view in scene["views"]] == [capture.FOCAL] * 4
 
 
+def test_a_second_scene_in_a_work_folder_is_refused(posed, tmp_path, capsys):
+    def imported(*name: str) -> list:
+        return ["import", posed, tmp_path / "work", *name]
+
+    assert main([*map(str, imported("--name", "den")), "--quiet"]) == 0
+    assert "holds scene den already" in told(capsys, *imported(), code=2)
+    assert main([*map(str, imported("--name", "den", "--downscale", "2")), "--quiet"]) == 0
+    assert [item.name for item in (tmp_path / "work/scene").glob("[!.]*")] == ["den"]
+
+
 # -- photos ------------------------------------------------------------------------------------------------------------
 
 

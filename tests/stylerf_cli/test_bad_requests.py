@@ -212,6 +212,29 @@ def test_a_sound_camera_file_is_followed_and_followed_anew_when_it_changes(work,
     assert frames[1][1] == frames[2][1]  # the same file is not rendered twice
 
 
+@pytest.mark.parametrize(("file", "name"), [("my path.json", "fit-my_path"), ("cameras", "fit-cameras")])
+def test_frames_of_a_camera_file_are_named_after_it_whatever_it_is_called(work, tmp_path, capsys, file, name):
+    (tmp_path / file).write_text(json.dumps([SOUND]))
+    assert main(["render", str(work), "--of", "fit", "--path", str(tmp_path / file), "--json", "--quiet"]) == 0
+    assert json.loads(capsys.readouterr().out)["name"] == name
+
+
+def test_an_empty_region_is_the_only_one_as_for_other_verbs(tmp_path, capsys):
+    for command in (("stylize", "--recolor"), ("extract",)):
+        verb, *flags = command
+        assert "no region" in told(capsys, 4, verb, tmp_path / "work", "--region", "", *flags)
+
+
+# -- names -------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["my edit", "", "../x"])
+def test_a_name_that_is_none_is_refused_before_any_work(paintings, capsys, name):
+    for command in (("fit",), ("stylize", "--style", paintings / "sound.png"), ("edit", "--recolor", "--at", "0:1,1")):
+        verb, *flags = command
+        assert "cannot name an artefact" in told(capsys, 2, verb, paintings / "work", *flags, "--name", name)
+
+
 # -- option files ------------------------------------------------------------------------------------------------------
 
 

@@ -3,7 +3,6 @@
 import json
 import subprocess
 import sys
-import types
 
 import numpy as np
 import pytest
@@ -12,6 +11,7 @@ from schemas.images import write_png
 from schemas.store import Work
 from stages.configs.render import RenderConfig
 from stages.render import pinned
+from stylerf_cli import chains
 from stylerf_cli.main import main
 from tests.conftest import REPOSITORY
 from tests.stages import evaluation_fixture as made
@@ -52,9 +52,7 @@ def renderer(monkeypatch):
         digest = pinned(RenderConfig(path=path)).path_digest
         return render(session.work, field, path, name=name, path_digest=digest)
 
-    module = types.ModuleType("stylerf_cli.chains")
-    module.ensure_frames = ensure_frames
-    monkeypatch.setitem(sys.modules, "stylerf_cli.chains", module)
+    monkeypatch.setattr(chains, "ensure_frames", ensure_frames)
     return asked
 
 

@@ -1,6 +1,7 @@
 """A local edit of a tiny still life, command by command: select, extract, recolour, distill, finetune; and undone."""
 
 import json
+import shlex
 import shutil
 from pathlib import Path
 
@@ -202,6 +203,22 @@ def test_the_whole_fields_colours_can_learn_instead(edited, capsys):
     np.testing.assert_array_equal(held.density.values, plain.density.values)
 
 
+def test_the_commands_that_only_names_make_what_was_missing(edited, tmp_path, capsys):
+    """An edit learnt otherwise than any that stands, and its photos: each named command is enough for the next step."""
+    work = tmp_path / "a folder"
+    shutil.copytree(edited, work)
+    quick = ["--palette-steps", "40", *QUICK[2:]]
+    commands = [
+        ["stylize", work, "--region", "ball", "--recolor", "--palette", "0=#2030f0", "--name", "other", *quick],
+        ["finetune", work, "--edit", "other", "--budget", "5"],
+    ]
+    for command, missing in zip(commands, ("edit other-learnt", "scene other"), strict=True):
+        line = refused(capsys, *command, "--only")
+        assert f"{missing} is missing or out of date" in line
+        said(capsys, *shlex.split(line.partition("; run: ")[2])[1:])
+        said(capsys, *command, "--only")
+
+
 def test_regions_are_joined_and_cut(edited, capsys):
     region, space = load_region(Work(edited).get("region", "ball"))
     ends = space.unwarp((np.argwhere(region.edit) + 0.5) / region.cells)
@@ -226,6 +243,10 @@ def test_regions_are_joined_and_cut(edited, capsys):
         (["stylize", "--region", "ball", "--style", "PAINTING", "--crop", "0", "0", "9000"], "does not fit"),
         (["stylize", "--region", "no-such", "--recolor"], "none found"),
         (["distill", "--edit", "no-such"], "none found"),
+        (["edit", "--of", "ball", "--at", "MIDDLE", "--recolor", "--name", "ball"], "region ball would replace"),
+        (["edit", "--at", "MIDDLE", "--recolor", "--name", "main"], "scene main would replace what it is made from"),
+        (["edit", "--at", "MIDDLE", "--recolor", "--name", "fit"], "field fit would replace what it is made from"),
+        (["select", "--union", "ball", "--at", "MIDDLE", "--name", "ball"], "region ball would replace"),
     ],
 )
 def test_bad_requests_are_one_line_and_lose_nothing(edited, middle, capsys, flags, words):
@@ -234,7 +255,8 @@ def test_bad_requests_are_one_line_and_lose_nothing(edited, middle, capsys, flag
     swapped = {"MIDDLE": middle, "PAINTING": painting}
     verb, *more = [swapped.get(flag, flag).replace("FIRST", first) for flag in flags]
     before = sorted(path.relative_to(edited) for path in edited.rglob("*") if path.is_file())
-    assert words in refused(capsys, verb, edited, *more, "--name", "other") or verb in ("distill",)
+    name = [] if "--name" in more else ["--name", "other"]
+    assert words in refused(capsys, verb, edited, *more, *name) or verb in ("distill",)
     after = sorted(path.relative_to(edited) for path in edited.rglob("*") if path.is_file())
     assert [p for p in before if p not in after] == []
 

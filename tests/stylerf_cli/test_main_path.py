@@ -1,15 +1,19 @@
 """The main path on a tiny still life, through the command's front door, against its known geometry."""
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
 import OpenImageIO as oiio
 import pytest
 
+from schemas.errors import UsageError
 from schemas.images import read_image, write_png
+from schemas.store import Work
 from stylerf.procedural.still_life import StillLife
 from stylerf_cli.main import main
+from stylerf_cli.verbs.demo import refuse_others
 
 DEMO = ["--size", "48", "--train-views", "16", "--test-views", "2", "--fit-budget", "250", "--style-budget", "6",
         "--frames", "4"]  # fmt: skip
@@ -38,6 +42,31 @@ def test_demo_leaves_what_it_promises_and_a_field_that_has_learned(demo, capsys)
     over_white = [p[..., :3] * p[..., 3:] + 1 - p[..., 3:] for p in photos]
     white = -10 * np.log10(np.mean([np.mean((1 - p) ** 2) for p in over_white]))
     assert result["psnr"] > white + 6
+
+
+def test_a_demo_replaces_neither_scenes_nor_photos_of_others(posed, tmp_path, capsys):
+    work = tmp_path / "work"
+    said(capsys, "import", str(posed), str(work))
+    before = Work(work).get("scene", "main").digest
+    assert main(["demo", str(work), "--quiet", *DEMO]) == 2
+    assert "scene/main is not the demo's" in capsys.readouterr().err
+    assert Work(work).get("scene", "main").digest == before and not (work / "photos").exists()
+    (tmp_path / "new" / "photos").mkdir(parents=True)
+    (tmp_path / "new" / "photos" / "mine.jpg").write_bytes(b"mine")
+    assert main(["demo", str(tmp_path / "new"), "--quiet", *DEMO]) == 2
+    assert "photos is not the demo's" in capsys.readouterr().err
+
+
+def test_a_demo_knows_its_own_even_where_it_was_moved(photos, tmp_path, capsys):
+    work = tmp_path / "work"
+    shutil.copytree(photos, work / "photos")
+    said(capsys, "import", str(work / "photos"), str(work))
+    refuse_others(Work(work), work / "photos")
+    moved = work.rename(tmp_path / "moved")
+    refuse_others(Work(moved), moved / "photos")
+    shutil.rmtree(moved / "photos")
+    with pytest.raises(UsageError, match="not the demo's"):
+        refuse_others(Work(moved), moved / "photos")
 
 
 def test_everything_made_verifies_and_a_flipped_byte_is_found(demo, capsys, tmp_path):

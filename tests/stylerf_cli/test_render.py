@@ -1,6 +1,7 @@
 """`stylerf render`: shards, sizes, depth pictures, films, frames that are there already."""
 
 import json
+import shlex
 
 import numpy as np
 import pytest
@@ -73,6 +74,15 @@ def test_exr_and_png_show_the_same(work, capsys):
         expected = encoded * alpha + (1 - alpha)  # the still life is shown over white
         assert np.abs(expected - png)[alpha[..., 0] > 0.02].max() < 0.01
         assert read_image(folder / "depth" / f"{view.name}.png").size == (32, 32)
+
+
+def test_the_command_that_only_names_makes_what_was_missing(work, capsys):
+    """Another seed than the default, a path of its own length: all that decides what `eval` asks for."""
+    measured = ["eval", str(work), "--of", "fit", "--path", "interpolate", "--perceptual", "none", "--seed", "3"]
+    assert main([*measured, "--only"]) == 4
+    program, *command = shlex.split(capsys.readouterr().err.partition("; run: ")[2])
+    assert program == "stylerf" and main([*command, "--quiet"]) == 0
+    assert main([*measured, "--only"]) == 0
 
 
 def test_no_exr_where_none_is_wanted(work, capsys):

@@ -49,6 +49,14 @@ def test_only_refuses_to_make_earlier_stages_with_the_command_that_does(tmp_path
     session(tmp_path, "--only").run(toy_stage.SPEC, toy_stage.run, {}, ToyConfig(), "fox")
 
 
+def test_only_names_the_whole_command_with_options_seed_and_a_folder_of_two_words(tmp_path):
+    given = session(tmp_path / "a folder", "--only", "--seed", "7")
+    with pytest.raises(ArtefactStale) as caught:
+        given.run(UPSTREAM, toy_stage.run, {}, ToyConfig(steps=3), "fox", by=("--of", "den"))
+    folder = f"'{tmp_path}/a folder'"
+    assert str(caught.value).endswith(f"run: stylerf import {folder} --name fox --of den --steps 3 --seed 7")
+
+
 def test_quiet_says_nothing(tmp_path, capsys):
     session(tmp_path, "--quiet").run(UPSTREAM, toy_stage.run, {}, ToyConfig(), "fox")
     assert capsys.readouterr() == ("", "")
