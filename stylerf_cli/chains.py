@@ -19,15 +19,20 @@ def scene_of_work(session: Any) -> Artefact:
     return scenes[0] if scenes else session.work.get("scene", "main")
 
 
+def made_from(session: Any, kind: str, stage: str, source: Artefact) -> Artefact | None:
+    """What a stage made last of `source` as it stands, None where there is nothing of it."""
+    made = [
+        one
+        for one in session.work.artefacts(kind)
+        if one.manifest.stage == stage and any(ref.digest == source.digest for ref in one.manifest.inputs)
+    ]
+    return max(made, key=lambda one: one.manifest.created, default=None)
+
+
 def ensure_field(session: Any, scene: Artefact) -> Artefact:
     """The fitted field: whichever field the scene was fitted to already, else one fitted with default options."""
-    fields = [
-        one
-        for one in session.work.artefacts("field")
-        if one.manifest.stage == "nerf_fit" and any(ref.digest == scene.digest for ref in one.manifest.inputs)
-    ]
-    if fields:
-        return max(fields, key=lambda one: one.manifest.created)
+    if made := made_from(session, "field", "nerf_fit", scene):
+        return made
     from stages import nerf_fit
 
     return session.run(nerf_fit.SPEC, nerf_fit.run, {"scene": scene}, session.config_of("fit", FitConfig), FIT_NAME)
@@ -45,13 +50,8 @@ def ensure_deformed(session: Any, scene: Artefact, field: Artefact) -> Artefact:
     """The field itself where it has a deformation, else what `stylerf deform` makes of it."""
     if field.manifest.stage == "deform_init":
         return field
-    made = [
-        one
-        for one in session.work.artefacts("field")
-        if one.manifest.stage == "deform_init" and any(ref.digest == field.digest for ref in one.manifest.inputs)
-    ]
-    if made:
-        return max(made, key=lambda one: one.manifest.created)
+    if made := made_from(session, "field", "deform_init", field):
+        return made
     return deform(session, scene, field, session.config_of("deform", DeformConfig))
 
 

@@ -26,7 +26,7 @@ def run(args, session) -> dict:
     session.own_verbs = {"select", "extract", "stylize", "distill", "finetune"}
     look, _ = pinned(config.look, name)
     region = selected(session, config.selection, args.of, name)
-    edit = learnt_edit(session, region, look.learning, look.changes, name)
+    edit = learnt_edit(session, region, look.learning, look.changes, name, name)
     scene = ensure_distilled(session, edit)
     field = finetuned(session, edit, args.of, session.config_of("finetune", FinetuneConfig))
     made = {

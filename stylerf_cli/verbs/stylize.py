@@ -101,11 +101,18 @@ def _palette(args, session) -> dict:
 
 
 def _region(args, session) -> dict:
-    from stylerf_cli.edit_chain import learnt_edit, region_of
+    from stylerf_cli.edit_chain import input_of, learnt_edit, region_of
 
     region = region_of(session, args.region)
+    if args.of:
+        field, own = session.work.find("field", args.of), input_of(session, region, "field", "field")
+        if field.digest != own.digest:
+            raise UsageError(
+                f"--of {field.name}: region {region.name} was selected in field {own.name}; select it anew: "
+                f"stylerf select {session.work.root} --of {field.name}"
+            )
     config, name = pinned(session.config, region.name)
-    made = learnt_edit(session, region, config.learning, config.changes, name)
+    made = learnt_edit(session, region, config.learning, config.changes, name, f"{name}-changed")
     result = {"edit": made.path, "name": made.name, "figures": made.manifest.figures, "seconds": made.manifest.seconds}
     return session.emit(result, told_palette(made))
 
