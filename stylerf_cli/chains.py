@@ -1,5 +1,6 @@
 """What a verb needs made before it: each step is announced by the session, or refused with --only."""
 
+from dataclasses import replace
 from typing import Any
 
 from schemas.errors import UsageError
@@ -56,11 +57,16 @@ def ensure_deformed(session: Any, scene: Artefact, field: Artefact) -> Artefact:
 
 
 def ensure_frames(session: Any, field: Artefact, path: str) -> Artefact:
-    """Frames of a field along a path, named <field>-<path>."""
+    """Frames of a field along a path, named <field>-<path>.
+
+    A table [render] decides all but that they are the whole path's, of full size and with EXR.
+    """
     from stages import render
     from stylerf_cli.verbs.eval_ import scene_of
 
-    config = render.pinned(RenderConfig(path=path, count=30 if path not in render.OWN_VIEWS else 1))
+    count = 1 if path in render.OWN_VIEWS else session.options.table("render").get("count", 30)
+    config = replace(session.config_of("render", RenderConfig), path=path, count=count, scale=1.0, frames="", exr=True)
+    config = render.pinned(config)
     inputs = {"scene": scene_of(session.work, field), "field": field, **regions_shown(session, field, config)}
     return session.run(render.SPEC, render.run, inputs, config, f"{field.name}-{label_of(path)}")
 
