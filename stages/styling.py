@@ -1,7 +1,6 @@
 """What the options of a stylisation decide: the grain of its colours, rays, layers, weights, by method and scene."""
 
 from collections.abc import Mapping
-from dataclasses import replace
 
 import numpy as np
 import torch
@@ -97,12 +96,12 @@ def settings_of(config: StylizeConfig, long_side: int, closed: bool) -> StyleSet
     """closed: whether the field is a capture, rather than an object alone."""
     own = BENT_OBJECT if config.method == "desrf" and not closed else ELSE
     own = BY_REFERENCE if config.method == "refnpr" else own
-    config = replace(config, **{name: value for name, value in own.items() if getattr(config, name) == -1})
+    held = {name: value if getattr(config, name) == -1 else getattr(config, name) for name, value in own.items()}
     seconds, steps = budget_of(config.budget)
     variation, variation_weight = VARIATION.get(config.method, ("squared", 1.0))
     if config.variation_weight >= 0:
         variation_weight = config.variation_weight
-    weights = StyleWeights(config.style_weight, config.content_weight, variation_weight, config.colour_weight)
+    weights = StyleWeights(config.style_weight, held["content_weight"], variation_weight, held["colour_weight"])
     painting_weights = weights
     if config.method == "refnpr":
         painting_weights = StyleWeights(1.0, ELSE["content_weight"], variation_weight, ELSE["colour_weight"])
@@ -112,7 +111,7 @@ def settings_of(config: StylizeConfig, long_side: int, closed: bool) -> StyleSet
         refit_steps=config.refit_steps,
         rate=config.rate,
         deform_rate=config.deform_rate,
-        displacement_weight=config.displacement_weight,
+        displacement_weight=held["displacement_weight"],
         displacement_vertices=config.displacement_vertices,
         variation=variation,
         strategy=rays_of(config, long_side),
@@ -122,7 +121,7 @@ def settings_of(config: StylizeConfig, long_side: int, closed: bool) -> StyleSet
         match=match_of(config),
         weights=painting_weights,
         template_weights=weights,
-        coarse=config.coarse,
+        coarse=held["coarse"],
         feature_scale=config.feature_scale or min(1.0, max(0.5, 256 / long_side)),
         style_scale=config.style_scale,
         style_rows=config.style_rows,

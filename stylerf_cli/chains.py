@@ -1,5 +1,6 @@
 """What a verb needs made before it: each step is announced by the session, or refused with --only."""
 
+from dataclasses import replace
 from typing import Any
 
 from schemas.errors import ArtefactStale, UsageError
@@ -19,6 +20,16 @@ def scene_of_work(session: Any) -> Artefact:
         names = ", ".join(one.name for one in scenes)
         raise UsageError(f"{session.work.root} holds the scenes {names}; expected one a work folder: delete the others")
     return scenes[0] if scenes else session.work.get("scene", "main")
+
+
+def made_from(session: Any, kind: str, stage: str, source: Artefact) -> Artefact | None:
+    """What a stage made last of `source` as it stands, None where there is nothing of it."""
+    made = [
+        one
+        for one in session.work.artefacts(kind)
+        if one.manifest.stage == stage and any(ref.digest == source.digest for ref in one.manifest.inputs)
+    ]
+    return max(made, key=lambda one: one.manifest.created, default=None)
 
 
 def scene_of(work: Work, field: Artefact) -> Artefact:
@@ -55,13 +66,8 @@ def ensure_field(session: Any, scene: Artefact, name: str | None = None) -> Arte
     now."""
     if name:
         return chosen_field(session, name)
-    fields = [
-        one
-        for one in session.work.artefacts("field")
-        if one.manifest.stage == "nerf_fit" and any(ref.digest == scene.digest for ref in one.manifest.inputs)
-    ]
-    if fields:
-        return max(fields, key=lambda one: one.manifest.created)
+    if made := made_from(session, "field", "nerf_fit", scene):
+        return made
     from stages import nerf_fit
 
     return session.run(nerf_fit.SPEC, nerf_fit.run, {"scene": scene}, session.config_of("fit", FitConfig), FIT_NAME)
@@ -79,21 +85,21 @@ def ensure_deformed(session: Any, scene: Artefact, field: Artefact) -> Artefact:
     """The field itself where it has a deformation, else what `stylerf deform` makes of it."""
     if field.manifest.stage == "deform_init":
         return field
-    made = [
-        one
-        for one in session.work.artefacts("field")
-        if one.manifest.stage == "deform_init" and any(ref.digest == field.digest for ref in one.manifest.inputs)
-    ]
-    if made:
-        return max(made, key=lambda one: one.manifest.created)
+    if made := made_from(session, "field", "deform_init", field):
+        return made
     return deform(session, scene, field, session.config_of("deform", DeformConfig))
 
 
 def ensure_frames(session: Any, field: Artefact, path: str, name: str) -> Artefact:
-    """Frames of a field along a path."""
+    """Frames of a field along a path.
+
+    A table [render] decides all but that they are the whole path's, of full size and with EXR.
+    """
     from stages import render
 
-    config = render.pinned(RenderConfig(path=path, count=30 if path not in render.OWN_VIEWS else 1))
+    count = 1 if path in render.OWN_VIEWS else session.options.table("render").get("count", 30)
+    config = replace(session.config_of("render", RenderConfig), path=path, count=count, scale=1.0, frames="", exr=True)
+    config = render.pinned(config)
     inputs = {"scene": scene_of(session.work, field), "field": field, **regions_shown(session, field, config)}
     return session.run(render.SPEC, render.run, inputs, config, name, by=("--of", field.name))
 

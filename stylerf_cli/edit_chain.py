@@ -6,7 +6,7 @@ from schemas.errors import ArtefactStale, UsageError
 from schemas.store import Artefact
 from stages.configs.distill import DistillConfig
 from stages.configs.extract import ExtractConfig
-from stylerf_cli.chains import scene_of_work
+from stylerf_cli.chains import made_from, scene_of_work
 
 
 def scene_behind(session: Any, field: Artefact) -> Artefact:
@@ -40,10 +40,23 @@ def input_of(session: Any, artefact: Artefact, kind: str, role: str = "") -> Art
     raise ArtefactStale(f"{artefact.kind} {artefact.name} names no {kind} it was made from; make it again")
 
 
+def standing(session: Any, spec: Any, source: Artefact) -> Artefact | None:
+    """What an earlier command made of `source` by options of its own, which stay unless a table of --config says other.
+
+    None where this command does that stage itself, and where what was made is gone or out of date.
+    """
+    if spec.verb in session.own_verbs or session.options.table(spec.verb):
+        return None
+    made = made_from(session, spec.writes, spec.stage, source)
+    return None if made is None or session.work.outdated(made) else made
+
+
 def ensure_edit_dataset(session: Any, region: Artefact, field: Artefact | None, config: Any = None) -> Artefact:
     """What the views show of a region, named as the region is; `field`: other than the one it was selected in."""
     from stages import edit_dataset
 
+    if made := standing(session, edit_dataset.SPEC, region):
+        return made
     inputs = {
         "scene": scene_behind(session, field) if field else input_of(session, region, "scene"),
         "field": field or input_of(session, region, "field", "field"),
@@ -58,6 +71,8 @@ def ensure_distilled(session: Any, edit: Artefact, config: Any = None) -> Artefa
     """The photos with an edit painted into them, a scene named as the edit is."""
     from stages import distill
 
+    if made := standing(session, distill.SPEC, edit):
+        return made
     dataset = edit_dataset_of(session, edit)
     inputs = {"scene": input_of(session, dataset, "scene"), "edit-dataset": dataset, "edit": edit}
     config = config or session.config_of("distill", DistillConfig)
@@ -91,18 +106,24 @@ def finetuned(session: Any, edit: Artefact, field: Artefact | None, config: Any)
     return session.run(finetune.SPEC, finetune.run, inputs, config, edit.name)
 
 
-def learnt_edit(session: Any, region: Artefact, config: Any, changes: Any, name: str) -> Artefact:
-    """An edit of a region: learnt, and with changes of its palette where any are asked for.
+def learnt_edit(session: Any, region: Artefact, config: Any, changes: Any, name: str, changed: str) -> Artefact:
+    """An edit of a region: learnt, and with changes of its palette, then called `changed`, where any are asked for.
 
-    With changes, what was learnt stands beside as <name>-learnt, so that other changes need no training.
+    Changes need no training where any edit stands that was learnt just so; else it is learnt, as <name>-learnt.
     """
     from stages import edit_learn, edit_palette
+    from stages.runner import recipe_of
 
     dataset = ensure_edit_dataset(session, region, None)
     inputs = {"edit-dataset": dataset}
     if not changes:
         return session.run(edit_learn.SPEC, edit_learn.run, inputs, config, name)
-    name = session.name or name
-    by = ("--region", region.name)
-    learnt = session.run(edit_learn.SPEC, edit_learn.run, inputs, config, f"{name}-learnt", own=False, by=by)
-    return session.run(edit_palette.SPEC, edit_palette.run, {"edit": learnt}, changes, name)
+    name, changed = session.name or name, session.name or changed
+    recipe = recipe_of(edit_learn.SPEC, inputs, config, session.context.seed)
+    others = [one.name for one in session.work.artefacts("edit") if one.name != changed]
+    found = (session.work.standing("edit", other, recipe) for other in others)
+    learnt = next(filter(None, found), None)
+    if learnt is None:
+        by = ("--region", region.name)
+        learnt = session.run(edit_learn.SPEC, edit_learn.run, inputs, config, f"{name}-learnt", own=False, by=by)
+    return session.run(edit_palette.SPEC, edit_palette.run, {"edit": learnt}, changes, changed)

@@ -68,9 +68,13 @@ class Options:
             return None
         return build_config(config, self._given, table, str(self._path))
 
+    def table(self, verb: str) -> dict[str, Any]:
+        """What the file says of another verb, empty where it says nothing."""
+        return self._tables.get(verb, {})
+
     def config_of(self, verb: str, config: type) -> Any:
         """The config of another verb, for a stage that is brought up to date: its table of the file, else defaults."""
-        return build_config(config, argparse.Namespace(), self._tables.get(verb, {}), f"{self._path} [{verb}]")
+        return build_config(config, argparse.Namespace(), self.table(verb), f"{self._path} [{verb}]")
 
     def common(self) -> Common:
         """Seed, device, threads and memory by flag, file or default."""

@@ -1,4 +1,4 @@
-"""docs/, CHANGELOG.md and CONTRIBUTING.md: stages, verbs, files and links in them exist."""
+"""README.md, docs/, CHANGELOG.md and CONTRIBUTING.md: stages, verbs, files and links in them exist."""
 
 import importlib
 import re
@@ -46,6 +46,12 @@ def test_files_and_links_exist(paper: Path):
         assert (REPOSITORY / name).exists(), name
     for link in re.findall(r"\]\(([^)#:]+)\)", text):
         assert (paper.parent / link).exists(), link
+
+
+def test_no_command_of_the_readme_replaces_the_field_of_another():
+    shown = re.findall(r"^stylerf (?:stylize(?! \S+ --region)|finetune|edit) .*--(?:name|edit) (\S+)",
+                       (REPOSITORY / "README.md").read_text(), re.M)  # fmt: skip
+    assert "blue" in shown and len(set(shown)) == len(shown)
 
 
 @pytest.mark.parametrize("paper", sorted((REPOSITORY / "docs" / "decisions").glob("*.md")), ids=lambda path: path.name)

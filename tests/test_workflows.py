@@ -10,6 +10,8 @@ import sys
 
 import pytest
 
+from schemas.errors import ArtefactStale
+from schemas.store import Work
 from stages.configs.render import RenderConfig
 from stylerf_cli.arguments import Parser, add_common, add_config, build_config, read_toml
 from stylerf_cli.verbs import VERBS
@@ -59,8 +61,21 @@ def test_every_command_is_one_that_its_verb_takes(tmp_path):
         if module.CONFIG is not None and verb != "render":
             build_config(module.CONFIG, args, {}, "")
     assert calls[0][1:3] == ["some photos", "work"] and calls[1][1:4] == ["work", "--budget", "60s"]
-    # What stylize calls the field: the painting's stem and the method.
+    # The painting's stem and the method.
     assert calls[4][3] == calls[5][3] == "starry-night.v2-arf"
+
+
+@pytest.mark.parametrize(
+    ("file", "name"), [("my night.jpg", "my_night-arf"), ("été/Übung 3.PNG", "bung_3-arf"), ("星.jpg", r"\d+-arf")]
+)
+def test_the_field_gets_a_name_that_an_artefact_can_have(tmp_path, file, name):
+    (tmp_path / file).parent.mkdir(exist_ok=True)
+    (tmp_path / file).write_text("a painting")
+    code, calls = scripted(tmp_path, "photos", file, "work")
+    asked = [call[call.index(flag) + 1] for call, flag in zip(calls[3:6], ("--name", "--of", "--of"), strict=True)]
+    assert code == 0 and len(set(asked)) == 1 and re.fullmatch(name, asked[0])
+    with pytest.raises(ArtefactStale):  # not that it cannot be a name
+        Work(tmp_path).get("field", asked[0])
 
 
 @pytest.mark.parametrize("verb", ["import", "fit", "stylize", "render", "eval", "verify"])

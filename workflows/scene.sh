@@ -28,15 +28,17 @@ settings=$(dirname "$0")/../examples/render.toml
 # shellcheck disable=SC2086
 run() { "${STYLERF:-stylerf}" "$@" ${OPTIONS:-}; }
 
-# The field that a painting called night.jpg makes is named night-arf: its file's name, and the method (METHOD: arf or desrf).
+# The field that a painting called night.jpg makes is named night-arf: its file's name, with _ for whatever cannot stand
+# in the name of an artefact (its checksum where nothing else is left), and the method (METHOD: arf or desrf).
 field=$(basename "$painting")
+field=$(printf %s "${field%.*}" | LC_ALL=C sed 's/[^A-Za-z0-9._+-]\{1,\}/_/g; s/^[._+-]*//; s/[._+-]*$//')
 method=${METHOD:-arf}
-field=${field%.*}-$method
+field=${field:-$(cksum <"$painting" | cut -d ' ' -f 1)}-$method
 
 run import "$photos" "$work"
 run fit "$work" --budget "$fit_time"
 run eval "$work" --of fit
-run stylize "$work" --style "$painting" --method "$method" --budget "$style_time"
+run stylize "$work" --style "$painting" --method "$method" --budget "$style_time" --name "$field"
 run render "$work" --of "$field" --config "$settings"
 run eval "$work" --of "$field"
 run verify "$work"

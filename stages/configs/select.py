@@ -59,6 +59,10 @@ class SelectConfig:
         seeds = self.at or self.scribble or self.mask or self.box or self.sphere or self.colour or self.depth
         if not (seeds or self.union):
             raise ValueError("nothing is selected; give --at, --scribble, --mask, --box, --sphere, --colour, --depth")
+        if self.avoid and not ((self.at or self.scribble) and self.tolerance):
+            raise ValueError(
+                "--avoid bounds what grows from --at or --scribble by its colour; tolerance must be over 0"
+            )
         if self.steps < 0 or self.iterations < 1 or self.tolerance < 0 or self.reach < 0 or self.transition < 0:
             raise ValueError("steps, tolerance, reach and transition must be at least 0, iterations at least 1")
         if self.fill < 0:

@@ -9,7 +9,8 @@ from stages.configs.views import file_of
 COLOUR_CELLS = (64, 1024)  # fewest and most cells a side that the colour field takes by itself
 METHODS = ("arf", "desrf", "snerf", "refnpr", "palettenerf")
 # Options that mean nothing with another method, by their beginning.
-OWN = {"snerf": ("rounds", "image_"), "refnpr": ("reference",)}
+OWN = {"desrf": ("deform_", "displacement_"), "snerf": ("rounds", "image_"), "refnpr": ("reference",)}
+OF_RAYS = ("rays", "dilation", "blur", "remember")  # which snerf, whose field learns whole pictures, does not choose
 
 
 @dataclass(frozen=True)
@@ -130,6 +131,10 @@ class StylizeConfig:
             raise ValueError("blur must be odd, or 0 for none: an even box would shift the picture by half a pixel")
         if self.dilation < 1 or not 0 <= self.feature_scale <= 1 or self.style_scale <= 0:
             raise ValueError("dilation must be at least 1, feature_scale in 0..1, style_scale > 0")
+        if self.refit_steps < 0 or self.rate <= 0 or self.style_rows < 1 or self.style_basis < 0:
+            raise ValueError("refit_steps and style_basis must not be negative, rate over 0, style_rows at least 1")
+        if self.deform_rate <= 0 or not 4 <= self.displacement_vertices <= 128:
+            raise ValueError("deform_rate must be over 0, displacement_vertices 4 to 128")
         if self.rollbacks < 0 or self.clip < 0 or not 0 <= self.least_spread <= 0.25:
             raise ValueError("rollbacks and clip must not be negative, least_spread in 0..0.25")
         if not (0 <= self.coarse <= 1 or self.coarse == -1):
@@ -147,11 +152,13 @@ class StylizeConfig:
                 "--method palettenerf has options of its own and is given on the command line, not in a file"
             )
         for item in fields(self):
-            owner = next((m for m, names in OWN.items() if item.name.startswith(names)), self.method)
-            if item.name == "image_rate" and self.method in OWN:
+            if getattr(self, item.name) == item.default or (item.name == "image_rate" and self.method == "refnpr"):
                 continue
-            if owner != self.method and getattr(self, item.name) != item.default:
-                flag = "--" + item.name.replace("_", "-")
+            flag = "--" + item.name.replace("_", "-")
+            if item.name in OF_RAYS and self.method == "snerf":
+                raise ValueError(f"{flag} is no option of --method snerf, whose field learns whole pictures")
+            owner = next((m for m, names in OWN.items() if item.name.startswith(names)), self.method)
+            if owner != self.method:
                 raise ValueError(f"{flag} is an option of --method {owner}; this is --method {self.method}")
         if not self.style and not self.reference:
             raise ValueError("--style is required: the painting, an image file")

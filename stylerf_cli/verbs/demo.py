@@ -30,6 +30,9 @@ def run(args, session) -> dict:
     from stages.configs.stylize import StylizeConfig
     from stylerf_cli.verbs.import_ import config_for
 
+    if args.name:
+        raise UsageError("--name: a demo's artefacts have names of their own; leave it out")
+    session.own_verbs = {"import", "fit", "deform", "stylize", "render", "eval"}
     config, work = session.config, session.work
     photos = work.root / "photos"
     refuse_others(work, photos)

@@ -34,7 +34,7 @@ def run(args, session) -> dict:
     for kind in ("region", "edit-dataset", "edit", "scene", "field"):
         refuse_to_replace(session.work, kind, name, [start])
     region = selected(session, config.selection, given, name)
-    edit = learnt_edit(session, region, look.learning, look.changes, name)
+    edit = learnt_edit(session, region, look.learning, look.changes, name, name)
     scene = ensure_distilled(session, edit)
     field = finetuned(session, edit, given, session.config_of("finetune", FinetuneConfig))
     made = {

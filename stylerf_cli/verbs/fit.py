@@ -14,19 +14,15 @@ def add_arguments(parser) -> None:
 
 def run(args, session) -> dict:
     """The field's place and figures."""
-    from stages import nerf_fit, render
-    from stages.configs.render import RenderConfig
-    from stylerf_cli.chains import FIT_NAME, regions_shown, scene_of_work
+    from stages import nerf_fit
+    from stylerf_cli.chains import FIT_NAME, ensure_frames, scene_of_work
 
     scene = scene_of_work(session)
     field = session.run(nerf_fit.SPEC, nerf_fit.run, {"scene": scene}, session.config, FIT_NAME)
     figures = field.manifest.figures
     result = {"field": field.path, "name": field.name, "figures": figures, "seconds": field.manifest.seconds}
     if session.config.buffers and not session.only:
-        config = RenderConfig(path="views")
-        inputs = {"scene": scene, "field": field, **regions_shown(session, field, config)}
-        buffers = session.run(render.SPEC, render.run, inputs, config, f"{field.name}-views")
-        result["buffers"] = buffers.path
+        result["buffers"] = ensure_frames(session, field, "views", f"{field.name}-views").path
     return session.emit(result, "\n".join(_words(field, figures)))
 
 

@@ -4,6 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from stages.configs.select import SelectConfig
+from stages.configs.views import file_of
 
 NAME = "select"
 HELP = "select a part of the scene in 3D, by pixels, masks, a box or a colour"

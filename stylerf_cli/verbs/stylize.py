@@ -2,11 +2,12 @@
 --method palettenerf, the scene in other colours of its own palette."""
 
 import re
+from contextlib import suppress
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
-from schemas.errors import UsageError
+from schemas.errors import ArtefactDamaged, ArtefactStale, UsageError
 from stages.configs.decompose import METHOD, DecomposeConfig, PaletteFieldConfig
 from stages.configs.region import RegionConfig
 from stages.configs.stylize import StylizeConfig
@@ -28,7 +29,11 @@ def options_for(argv: list[str]) -> type:
 def add_arguments(parser) -> None:
     """WORK, --of, --region."""
     parser.add_argument("work", metavar="WORK", help="the work folder")
-    parser.add_argument("--of", metavar="FIELD", help="field to stylise (default: the fitted one)")
+    parser.add_argument(
+        "--of",
+        metavar="FIELD",
+        help="field to stylise (default: the fitted one; of a region the one it was selected in)",
+    )
     parser.add_argument(
         "--region",
         metavar="REGION",
@@ -57,7 +62,9 @@ def _whole(args, session) -> dict:
     field = ensure_field(session, scene, args.of)
     if config.method == "desrf":
         field = ensure_deformed(session, scene, field)
-    made = session.run(stylize.SPEC, stylize.run, {"scene": scene, "field": field}, config, f"{name}-{config.method}")
+    name = f"{name}-{config.method}"
+    tell_replaced(session, "field", name, config)
+    made = session.run(stylize.SPEC, stylize.run, {"scene": scene, "field": field}, config, name)
     figures = made.manifest.figures
     result = {"field": made.path, "name": made.name, "figures": figures, "seconds": made.manifest.seconds}
     words = (
@@ -102,11 +109,20 @@ def _palette(args, session) -> dict:
 
 
 def _region(args, session) -> dict:
-    from stylerf_cli.edit_chain import learnt_edit, region_of
+    from stylerf_cli.edit_chain import input_of, learnt_edit, region_of
 
     region = region_of(session, args.region)
+    if args.of:
+        field, own = session.work.find("field", args.of), input_of(session, region, "field", "field")
+        if field.digest != own.digest:
+            raise UsageError(
+                f"--of {field.name}: region {region.name} was selected in field {own.name}; select it anew: "
+                f"stylerf select {session.work.root} --of {field.name}"
+            )
     config, name = pinned(session.config, region.name)
-    made = learnt_edit(session, region, config.learning, config.changes, name)
+    if not config.changes:
+        tell_replaced(session, "edit", name, config)
+    made = learnt_edit(session, region, config.learning, config.changes, name, f"{name}-changed")
     result = {"edit": made.path, "name": made.name, "figures": made.manifest.figures, "seconds": made.manifest.seconds}
     return session.emit(result, told_palette(made))
 
@@ -147,5 +163,19 @@ def painting_of(text: str) -> Path:
 
 
 def name_of(style: Path) -> str:
-    """The painting's file name as an artefact's name may be written."""
-    return re.sub(r"[^A-Za-z0-9._+-]+", "_", style.stem).strip("._+-") or "style"
+    """The painting's file name as an artefact's name may be written; by its content where nothing is left of that."""
+    from schemas.canonical import file_sha256
+
+    return re.sub(r"[^A-Za-z0-9._+-]+", "_", style.stem).strip("._+-") or f"style-{file_sha256(style)[:6]}"
+
+
+def tell_replaced(session, kind: str, name: str, config) -> None:
+    """Says that what stands under the name to be written was made after another painting."""
+    standing = next((one for one in session.work.artefacts(kind) if one.name == (session.name or name)), None)
+    if standing is None:
+        return
+    with suppress(ArtefactDamaged, ArtefactStale):  # an unreadable one is replaced without regret
+        before = standing.manifest.config
+        pairs = [(before.get(key), getattr(config, key, "")) for key in ("style_digest", "references_digest")]
+        if any(old and old != new for old, new in pairs):
+            session.say(f"{kind} {standing.name} is of another painting and is replaced; --name NAME keeps both")

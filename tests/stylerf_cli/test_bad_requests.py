@@ -73,6 +73,10 @@ def test_paintings_that_are_none_are_refused_before_any_work(paintings, capsys, 
         (("--blur", "2"), "blur must be odd"), (("--blur", "-1"), "blur must be odd"),
         (("--dilation", "0"), "dilation must be at least 1"), (("--budget", "soon"), "neither a time"),
         (("--finest", "8"), "16 to 4096 cells"), (("--style-scale", "0"), "style_scale > 0"),
+        (("--style-rows", "0"), "style_rows at least 1"), (("--style-basis", "-1"), "style_basis must not be negative"),
+        (("--rate", "0"), "rate over 0"), (("--refit-steps", "-1"), "refit_steps and"),
+        (("--method", "desrf", "--displacement-vertices", "1"), "displacement_vertices 4 to 128"),
+        (("--method", "desrf", "--deform-rate", "0"), "deform_rate must be over 0"),
     ],
 )  # fmt: skip
 def test_settings_of_a_stylisation_that_mean_nothing(paintings, capsys, flags, words):
@@ -88,6 +92,11 @@ def test_settings_of_a_stylisation_that_mean_nothing(paintings, capsys, flags, w
         (("--style", "sound.png", "--method", "snerf", "--reference-by", "gram"), "an option of --method refnpr"),
         (("--style", "sound.png", "--method", "refnpr", "--rounds", "2"), "--rounds is an option of --method snerf"),
         (("--style", "sound.png", "--method", "snerf", "--image-share", "1"), "image_share must be over 0 and under 1"),
+        (("--style", "sound.png", "--deform-rate", "0.1"), "--deform-rate is an option of --method desrf"),
+        (("--style", "sound.png", "--displacement-weight", "1"), "an option of --method desrf; this is --method arf"),
+        (("--style", "sound.png", "--method", "snerf", "--rays", "patch"), "--rays is no option of --method snerf"),
+        (("--style", "sound.png", "--method", "snerf", "--no-remember"), "--remember is no option of --method snerf"),
+        (("--style", "sound.png", "--method", "snerf", "--deform-rate", "1"), "an option of --method desrf"),
         (("--method", "refnpr", "--reference", "sound.png"), "written VIEW=FILE.png"),
         (("--method", "refnpr", "--reference", "0=sound.png", "0=sound.png"), "given two references"),
         (("--method", "refnpr", "--reference", "0=sound.png", "--reference-view", "1"), "make one"),
@@ -155,6 +164,17 @@ def test_a_painting_that_has_changed_is_measured_against_anew(work, paintings, c
         assert main([*command, "--json", "--quiet"]) == 0
         palettes.append(json.loads(capsys.readouterr().out)["figures"]["palette"])
     assert palettes[0] != palettes[1] == palettes[2]
+
+
+# -- regions -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "flags", [("--box", "0", "0", "0", "1", "1", "1"), ("--at", "0:1,1", "--tolerance", "0"), ("--colour", "#102030")]
+)
+def test_pixels_to_avoid_where_nothing_grows_by_colour(tmp_path, capsys, flags):
+    line = told(capsys, 2, "select", tmp_path / "work", *flags, "--avoid", "0:9,9")
+    assert "--avoid bounds what grows from --at or --scribble" in line
 
 
 # -- cameras of a path -------------------------------------------------------------------------------------------------

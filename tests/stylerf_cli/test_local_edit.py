@@ -141,12 +141,51 @@ def test_other_palette_changes_need_no_training(edited, capsys):
 def test_a_tint_takes_every_palette_colour_and_one_that_is_named_goes_its_own_way(edited, capsys):
     asked = ("--palette", "all=#2030f0", "--palette", "1=#ffffff", "--name", "tint")
     made = said(capsys, "stylize", edited, "--region", "ball", "--recolor", *asked, *QUICK)
+    assert made["figures"]["learnt"] == "ball-learnt" and not (edited / "edit" / "tint-learnt").exists()
     colours = json.loads((Path(made["edit"]) / "palette.json").read_text())["colours"]
     rgb = [[int(one["now"][i : i + 2], 16) for i in (1, 3, 5)] for one in colours]
     assert rgb[1] == [255, 255, 255]
     blues = [one for place, one in enumerate(rgb) if place != 1 and max(one) > 8]
     assert blues and all(one[2] > one[1] > one[0] for one in blues)
     said(capsys, "stylize", edited, "--region", "ball", "--recolor", "--palette", "0=#10e020", "--name", "ball", *QUICK)
+
+
+def test_what_stands_under_the_ordinary_name_needs_no_training_either(edited, capsys, tmp_path):
+    work, asked = tmp_path / "work", ("--region", "ball", "--recolor", *QUICK)
+    shutil.copytree(edited, work)
+    shutil.rmtree(work / "edit")
+    learnt = said(capsys, "stylize", work, *asked)
+    changed = said(capsys, "stylize", work, *asked, "--palette", "0=#2030f0")
+    assert (learnt["name"], changed["name"]) == ("ball-recolor", "ball-recolor-changed")
+    assert changed["figures"]["learnt"] == "ball-recolor"
+    assert sorted(one.name for one in (work / "edit").iterdir()) == ["ball-recolor", "ball-recolor-changed"]
+    # An edit never takes the place of what it is made from.
+    named = said(capsys, "stylize", work, *asked, "--palette", "0=#2030f0", "--name", "ball-recolor")
+    assert named["figures"]["learnt"] != "ball-recolor"
+
+
+def test_options_of_extract_and_distill_reach_the_edit(edited, capsys, tmp_path):
+    copy, short = tmp_path / "work", ("--budget", "5", "--rays", "512")
+    shutil.copytree(edited, copy)
+    said(capsys, "extract", copy, "--region", "ball", "--tolerance", "0.7", "--no-exr", "--name", "near")
+    said(capsys, "stylize", copy, "--region", "ball", "--recolor", "--name", "near", *QUICK)
+    said(capsys, "distill", copy, "--edit", "near", "--no-fade", "--name", "sharp")
+    said(capsys, "finetune", copy, "--edit", "near", *short)
+    work = Work(copy)
+
+    def made_from(kind: str, name: str) -> set[str]:
+        return {f"{ref.kind} {ref.name}" for ref in work.get(kind, name).manifest.inputs}
+
+    assert made_from("edit", "near") == {"edit-dataset near"}
+    assert "scene sharp" in made_from("field", "near") and not (copy / "scene" / "near").exists()
+    # A table of an option file says otherwise, and so does `edit`, whose own these stages are.
+    options = tmp_path / "options.toml"
+    options.write_text("[extract]\ntolerance = 0.4\n[distill]\nleast = 0.6\n")
+    said(capsys, "stylize", copy, "--region", "ball", "--recolor", "--name", "wide", "--config", options, *QUICK)
+    said(capsys, "finetune", copy, "--edit", "wide", "--config", options, *short)
+    assert made_from("edit", "wide") == {"edit-dataset ball"} and "scene wide" in made_from("field", "wide")
+    assert work.get("edit-dataset", "ball").manifest.config["tolerance"] == 0.4
+    assert work.get("scene", "wide").manifest.config["least"] == 0.6
 
 
 def test_a_second_edit_of_the_edited_field_keeps_the_first_and_either_can_be_gone_back_to(edited, middle, capsys):
@@ -240,6 +279,7 @@ def test_regions_are_joined_and_cut(edited, capsys):
         (["select", "--at", "FIRST:400,1"], "48x48 pixels"),
         (["stylize", "--region", "ball", "--recolor", "--palette", "9=#000000", *QUICK], "does not exist"),
         (["stylize", "--region", "ball"], "either recoloured"),
+        (["stylize", "--region", "ball", "--recolor", "--of", "painting-arf"], "was selected in field fit"),
         (["stylize", "--region", "ball", "--style", "PAINTING", "--crop", "0", "0", "9000"], "does not fit"),
         (["stylize", "--region", "no-such", "--recolor"], "none found"),
         (["distill", "--edit", "no-such"], "none found"),

@@ -69,6 +69,22 @@ def test_a_demo_knows_its_own_even_where_it_was_moved(photos, tmp_path, capsys):
         refuse_others(Work(moved), moved / "photos")
 
 
+def test_all_stages_of_a_demo_are_its_own(demo, capsys, monkeypatch, tmp_path):
+    """What makes them is replaced: --force reaches every one, --only forbids none, names are their own."""
+    asked = []
+
+    def execute(spec, run, work, name, inputs, config, context, force=False):
+        asked.append((spec.verb, force))
+        return work.get(spec.writes, name), True
+
+    monkeypatch.setattr("stages.runner.execute", execute)
+    said(capsys, "demo", str(demo), *DEMO, "--force")
+    assert {verb for verb, _ in asked} == {"import", "fit", "deform", "stylize", "render", "eval"}
+    assert all(force for _, force in asked)
+    assert main(["demo", str(tmp_path / "new"), "--name", "mine", "--quiet"]) == 2
+    assert "names of their own" in capsys.readouterr().err and not (tmp_path / "new").exists()
+
+
 def test_everything_made_verifies_and_a_flipped_byte_is_found(demo, capsys, tmp_path):
     assert main(["verify", str(demo), "--quiet"]) == 0
     victim = next((demo / "field" / "fit").glob("*.safetensors"))

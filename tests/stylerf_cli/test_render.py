@@ -44,6 +44,22 @@ def test_shards_of_any_path_are_the_bytes_of_the_whole(work, tmp_path, capsys, p
             assert (shard / relative).read_bytes() == (whole / relative).read_bytes()
 
 
+def test_a_table_of_render_reaches_the_frames_that_other_verbs_make(work, tmp_path, capsys):
+    """All but what their use does not leave open: the path, and that frames are whole."""
+    options = tmp_path / "options.toml"
+    options.write_text("[render]\npath = 'test'\ncount = 3\nscale = 0.5\nexr = false\nframes = '0'\ndepth = true\n")
+    common = (str(work), "--config", str(options), "--quiet")
+    fit = ("--budget", "3", "--capacity", "fixed:32x8x8", "--samples", "3000", "--name", "short")
+    assert main(["fit", *common, *fit]) == 0
+    assert main(["eval", *common, "--of", "fit", "--path", "spiral", "--perceptual", "none"]) == 0
+    for name, path, count in (("short-views", "views", 12), ("fit-spiral", "spiral", 3)):
+        folder = work / "frames" / name
+        frames = read_frames(folder)
+        assert frames.path == path and len(frames.views) == count
+        assert all(len(list((folder / kind).iterdir())) == count for kind in ("exr", "depth"))
+        assert read_image(folder / frames.views[0].png).pixels.shape[:2] == (32, 32)
+
+
 @pytest.mark.parametrize(("path", "span"), [("orbit", "5-9"), ("test", "2"), ("spiral", "70-71")])
 def test_a_span_beyond_the_path_is_refused(work, capsys, path, span):
     command = ["render", str(work), "--of", "fit", "--path", path, "--count", "5", "--frames", span, "--quiet"]

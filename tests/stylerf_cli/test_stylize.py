@@ -1,0 +1,63 @@
+"""`stylerf stylize`: what is made of a painting is called after it, and replaces nothing without a word."""
+
+import numpy as np
+import pytest
+
+from schemas.images import write_png
+from schemas.store import Work
+from stages import stylize
+from stylerf_cli.main import main
+from tests.stages import evaluation_fixture as made
+
+
+@pytest.fixture
+def work(tmp_path, monkeypatch):
+    """A scene and its field; what would stylise it writes a file alone."""
+    work = Work(tmp_path / "work")
+    made.make_field(work, "fit", "nerf_fit", {"scene": made.make_scene(work, [-0.2, 0.2])})
+
+    def run(inputs, config, partial, context):
+        (partial.path / "field.bin").write_bytes(b"")
+        return {"steps": 1, "views": 2, "train_seconds": 0.0, "features": {"name": "none"}}
+
+    monkeypatch.setattr(stylize, "run", run)
+    return work
+
+
+def painting(path, level: int):
+    """A file of one grey."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_png(path, np.full((16, 16, 3), level, np.uint8))
+    return path
+
+
+def stylised(work, capsys, style, *flags) -> str:
+    """What is said on stderr."""
+    assert main(["stylize", str(work.root), "--style", str(style), "--of", "fit", *flags]) == 0
+    return capsys.readouterr().err
+
+
+def names(work) -> set[str]:
+    return {one.name for one in work.artefacts("field")} - {"fit"}
+
+
+def test_fields_are_called_after_the_painting_and_the_method(work, tmp_path, capsys):
+    for level, name in enumerate(("starry night.jpg.png", "-wave.png", "1889.png")):
+        stylised(work, capsys, painting(tmp_path / name, level))
+    assert names(work) == {"starry_night.jpg-arf", "wave-arf", "1889-arf"}
+
+
+def test_paintings_without_a_letter_of_ascii_get_names_apart(work, tmp_path, capsys):
+    for level, name in enumerate(("星月夜.png", "神奈川沖浪裏.png")):
+        assert "replaced" not in stylised(work, capsys, painting(tmp_path / name, level))
+    assert len(names(work)) == 2 and all(name.startswith("style-") for name in names(work))
+
+
+def test_that_the_field_of_another_painting_is_replaced_is_said(work, tmp_path, capsys):
+    one, other = (painting(tmp_path / folder / "night.png", level) for level, folder in enumerate("ab"))
+    assert "replaced" not in stylised(work, capsys, one) + stylised(work, capsys, one, "--budget", "9")
+    assert "field night-arf is of another painting and is replaced; --name" in stylised(work, capsys, other)
+    assert "replaced" not in stylised(work, capsys, one, "--name", "night-of-a")
+    assert names(work) == {"night-arf", "night-of-a"}
+    (work.root / "field/night-arf/manifest.json").write_text("{}")  # one that nobody can read is made again
+    assert "replaced" not in stylised(work, capsys, one)
