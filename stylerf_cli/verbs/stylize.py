@@ -2,6 +2,7 @@
 --method palettenerf, the scene in other colours of its own palette."""
 
 import re
+import shlex
 from contextlib import suppress
 from dataclasses import replace
 from itertools import pairwise
@@ -115,9 +116,9 @@ def _region(args, session) -> dict:
     if args.of:
         field, own = session.work.find("field", args.of), input_of(session, region, "field", "field")
         if field.digest != own.digest:
+            anew = shlex.join(["stylerf", "select", str(session.work.root), "--of", field.name])
             raise UsageError(
-                f"--of {field.name}: region {region.name} was selected in field {own.name}; select it anew: "
-                f"stylerf select {session.work.root} --of {field.name}"
+                f"--of {field.name}: region {region.name} was selected in field {own.name}; select it anew: {anew}"
             )
     config, name = pinned(session.config, region.name)
     if not config.changes:
