@@ -35,7 +35,8 @@ class DeviceEnds:
         count = camera.height * camera.width
         marked, parts = [self._marked(grid) for grid in grids], [[] for _ in grids]
         for at in range(0, count, self.rays_at_once):
-            rays = rays_of(camera, at, min(self.rays_at_once, count - at), self._field.device)
+            number = torch.arange(at, min(at + self.rays_at_once, count), device=self._field.device)
+            rays = rays_of(camera, number)
             samples = self._field.march(rays, SAMPLE_LIMIT, 1e-3, None)
             for grid, own, found in zip(grids, marked, parts):
                 ends = launch_edit.ends_inside(own, grid.shape[0], samples)

@@ -4,6 +4,7 @@ import os
 import shutil
 import tempfile
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -83,6 +84,8 @@ def long_stage(in_memory, finished, nursery, photos, room) -> Callable[[str], tu
     made: dict[str, tuple[LongStage, Path]] = {}
 
     def prepared(name: str) -> tuple[LongStage, Path]:
+        if name == "import":
+            return imported()
         if name not in made:
             work = in_memory / f"long {name}" / "work"
             shutil.copytree(finished, work)
@@ -91,6 +94,17 @@ def long_stage(in_memory, finished, nursery, photos, room) -> Callable[[str], tu
                 assert command.code == 0, command.err
             made[name] = undisturbed(nursery, *arguments_of(name, work, photos, room), work), work
         return made[name]
+
+    def imported() -> tuple[LongStage, Path]:
+        """A work folder holds one scene: `whole` lies in another, and each time the folder is empty."""
+        folder = in_memory / "long import"
+        if "import" not in made:
+            folder.mkdir()
+            stage = undisturbed(nursery, *arguments_of("import", folder / "whole", photos, room), folder / "whole")
+            arguments, _ = arguments_of("import", folder / "work", photos, room)
+            made["import"] = replace(stage, arguments=arguments, apart=folder / "whole"), folder / "work"
+        shutil.rmtree(folder / "work", ignore_errors=True)
+        return made["import"]
 
     return prepared
 

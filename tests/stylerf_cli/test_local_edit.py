@@ -158,7 +158,8 @@ def test_what_stands_under_the_ordinary_name_needs_no_training_either(edited, ca
     changed = said(capsys, "stylize", work, *asked, "--palette", "0=#2030f0")
     assert (learnt["name"], changed["name"]) == ("ball-recolor", "ball-recolor-changed")
     assert changed["figures"]["learnt"] == "ball-recolor"
-    assert sorted(one.name for one in (work / "edit").iterdir()) == ["ball-recolor", "ball-recolor-changed"]
+    edits = [one.name for one in Work(work).artefacts("edit")]
+    assert sorted(edits) == ["ball-recolor", "ball-recolor-changed"]
     # An edit never takes the place of what it is made from.
     named = said(capsys, "stylize", work, *asked, "--palette", "0=#2030f0", "--name", "ball-recolor")
     assert named["figures"]["learnt"] != "ball-recolor"
