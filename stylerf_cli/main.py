@@ -82,6 +82,8 @@ def _parsed(parser: Parser, argv: list[str]) -> Namespace | None:
         return parser.parse_args(argv)
     except SystemExit:
         return None
+    except BrokenPipeError as error:  # of a long --help that nobody reads to its end
+        raise OutputClosed from error
 
 
 def _run_verb(verb: str, module, args: Namespace, config: type | None) -> dict:

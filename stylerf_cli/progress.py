@@ -10,6 +10,8 @@ SHOWN_AFTER_SECONDS = 2.0
 REDRAW_SECONDS = 0.1
 LINE_EVERY_SECONDS = 5.0
 RATE_WINDOW_SECONDS = 15.0
+# Seconds of a budget a second: a compile stands on no budget's clock, and says nothing of the time that is left.
+LEAST_OF_BUDGET = 0.5
 BAR_WIDTH = 24
 
 
@@ -103,7 +105,8 @@ class Bars:
         if len(self._recent) < 2:
             return 0.0
         (start, first), (end, last) = self._recent[0], self._recent[-1]
-        return max(0.0, (last - first) / (end - start)) if end > start else 0.0
+        least = LEAST_OF_BUDGET if self._unit == "s" else 0.0
+        return max(least, (last - first) / (end - start)) if end > start else 0.0
 
     def _draw(self, line: str) -> None:
         try:

@@ -74,6 +74,18 @@ def test_unknown_length_and_budgets_in_seconds():
     assert "33 %  27.1 dB  40 s left" in budget and budget.endswith("fit: 20 s in 20 s, 27.1 dB\n")
 
 
+def test_a_pause_on_no_budgets_clock_says_nothing_of_the_time_left():
+    time, stream = Time(), Terminal(terminal=False)
+    bars = Bars(stream, time)
+    bars.start("fit", 60, "s")
+    for tick in range(31):
+        time.now = 100 + tick
+        bars.update(tick)
+    time.now += 60  # a compile
+    bars.update(30)
+    assert stream.getvalue().splitlines()[-1].endswith("50 %  1 min 00 s left")
+
+
 def test_notes_stand_above_the_bar():
     time, stream = Time(), Terminal()
     bars = Bars(stream, time)
