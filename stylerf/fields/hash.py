@@ -3,6 +3,7 @@
 import numpy as np
 
 from stylerf.errors import InvalidValue
+from stylerf.fields.room import room
 from stylerf.fields.samples import Samples
 from stylerf.kernels.cpu import hash as kernels
 from stylerf.kernels.cpu.vector_hash import PRIME_X, PRIME_Y, ROW
@@ -67,7 +68,7 @@ class HashColour:
 
         basis: not used, the colour is the same from everywhere.
         """
-        out = np.empty((len(x), 3), np.float32)
+        out = room((len(x), 3))
         kernels.colour(self.values, self.layout, self._levels, x, starts, ends, weights, np.float32(least), chunks, out)
         return out
 

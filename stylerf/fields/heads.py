@@ -3,6 +3,7 @@
 import numpy as np
 
 from stylerf.errors import InvalidValue
+from stylerf.fields.room import room
 from stylerf.geometry.harmonics import BANDS, C0
 from stylerf.kernels.cpu import heads as kernels
 from stylerf.kernels.cpu import mlp_head
@@ -144,6 +145,6 @@ HEADS = {head.kind: head for head in (LinearHead, HarmonicHead, MlpHead)}
 
 def hidden_from_view(starts: np.ndarray, ends: np.ndarray, rows: int, chunks: int) -> np.ndarray:
     """[rows, 3] for colours, none of the samples having one yet."""
-    out = np.empty((rows, 3), np.float32)
+    out = room((rows, 3))
     hide(starts, ends, chunks, out)
     return out

@@ -4,6 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from stylerf.fields.room import room
+
 
 @dataclass
 class Rays:
@@ -42,16 +44,8 @@ class Samples:
     def empty(rays: int, limit: int) -> "Samples":
         """Room for `limit` samples on each ray; memory is only taken where it is written."""
         n = rays * limit
-        one = [np.empty(n, np.float32) for _ in range(4)]
-        return Samples(
-            np.empty(rays, np.int64),
-            np.empty(rays, np.int64),
-            one[0],
-            one[1],
-            np.empty((n, 3), np.float32),
-            one[2],
-            one[3],
-        )
+        one = [room((n,)) for _ in range(4)]
+        return Samples(np.empty(rays, np.int64), np.empty(rays, np.int64), one[0], one[1], room((n, 3)), one[2], one[3])
 
     @property
     def count(self) -> int:

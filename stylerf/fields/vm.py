@@ -9,6 +9,7 @@ import numpy as np
 from stylerf.fields.capacity import Capacity
 from stylerf.fields.narrowing import best_ranks, telling_ranks, texel_weights
 from stylerf.fields.occupancy import Occupancy
+from stylerf.fields.room import room
 from stylerf.fields.samples import Samples
 from stylerf.fields.vm_tables import initial_table, resized_table, split_table, table_length, widened_table
 from stylerf.fields.walking import walk
@@ -202,7 +203,7 @@ class VmColour:
 
     def colours(self, x, basis, starts, ends, weights, least, chunks) -> np.ndarray:
         """[n, 3] colours in 0..1 of samples with weight > least; others have -1 in the first channel."""
-        out = np.empty((len(x), 3), np.float32)
+        out = room((len(x), 3))
         kernels.colour(
             self.table,
             self.size,

@@ -7,6 +7,7 @@ import torch
 
 from stylerf.fields.displacement import displacement_gradient, position_gradients
 from stylerf.fields.field import RadianceField
+from stylerf.fields.room import room
 from stylerf.fields.samples import Rays, Samples
 from stylerf.geometry.harmonics import harmonics
 from stylerf.kernels.cpu.composite import composite, composite_backward, scale_near, significant
@@ -37,7 +38,7 @@ def render_rays(field: RadianceField, rays: Rays, *, chunks: int, opaque=1e-3, s
     """
     samples = field.march(rays, SAMPLE_LIMIT, opaque, chunks)
     basis = harmonics(rays.directions, getattr(field.colour, "degree", 0))
-    shown = np.empty_like(samples.weights)
+    shown = room(samples.weights.shape)
     significant(samples.weights, samples.starts, samples.ends, np.float32(share), chunks, shown)
     colours = field.colour.colours(samples.x, basis, samples.starts, samples.ends, shown, 0.0, chunks)
     unmapped = np.empty((len(rays.origins), 5), np.float32)
