@@ -56,6 +56,11 @@ class FitConfig:
     opacity_weight: float = option(
         0.0, help="weight of a prior that asks every ray of an object to be clear or opaque (remedy for haze; 0: none)"
     )
+    hull: float = option(
+        0.05,
+        help="share of the views that must show a place as empty, by their transparency, for an object never to be "
+        "looked for there (0: it is looked for everywhere)",
+    )
     clip: float = option(
         0.0, help="a gradient counts as no longer than so many times the usual (remedy for leaps; 0: as long as it is)"
     )
@@ -71,6 +76,8 @@ class FitConfig:
         kinds_of(self.field)
         if self.opacity_weight < 0 or self.clip < 0:
             raise ValueError("opacity_weight and clip must not be negative")
+        if not 0 <= self.hull <= 1:
+            raise ValueError("hull must be a share, 0 to 1")
         if self.min_gain < 0 or self.rate < 0 or self.checkpoint_every_seconds <= 0:
             raise ValueError("min_gain and rate must not be negative, checkpoint_every_seconds positive")
         if self.samples and self.samples < 1000:

@@ -196,6 +196,8 @@ class DeviceField:
         self.colour = COLOUR_KINDS[field.colour.kind](field.colour, self.device, half)
         self.cells, self.step, self.share, self.closed = field.occupancy.cells, field.step, field.share, field.closed
         self.distances = torch.from_numpy(field.occupancy.distances).to(self.device, copy=True)
+        clear = field.occupancy.clear
+        self.clear = None if clear is None else torch.from_numpy(clear).to(self.device, copy=True)
         self.highest = torch.from_numpy(field.occupancy.highest).to(self.device, copy=True)
         self.displacement, self.vertices = None, 0
         if field.displacement is not None:

@@ -25,6 +25,8 @@ def refresh(field, seed: int, share: int, decay: float) -> None:
     field.highest[index] = torch.maximum(torch.where(old >= 1e4, 0.0, old * decay), seen)
     least = -math.log1p(-OPAQUE_STEP) / (OPTICAL_SCALE * field.step)
     occupied = field.highest > field.highest.clamp(max=1e4).mean().clamp(max=least)
+    if field.clear is not None:
+        occupied &= ~field.clear
     field.distances = distances_to(occupied.view(cells, cells, cells)).flatten()
 
 

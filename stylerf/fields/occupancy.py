@@ -14,12 +14,18 @@ OPAQUE_STEP = 0.01
 
 
 class Occupancy:
-    """cells: resolution per axis. highest: decaying maximum of raw density, [cells^3] float32."""
+    """cells: resolution per axis. highest: decaying maximum of raw density, [cells^3] float32.
 
-    def __init__(self, cells: int, highest: np.ndarray | None = None) -> None:
-        self.cells = cells
+    clear: cells [cells^3] bool that are known to be empty, whatever a field says of them: never looked at or occupied.
+    """
+
+    def __init__(self, cells: int, highest: np.ndarray | None = None, clear: np.ndarray | None = None) -> None:
+        self.cells, self.clear = cells, clear
         self.highest = np.full(cells**3, np.inf, np.float32) if highest is None else highest
         self.distances = np.zeros(cells**3, np.uint8)
+        if clear is not None:
+            self.highest[clear] = 0
+            self.set_occupied(~clear)
 
     def refresh(self, density, step: float, seed: int, share: int, decay: float) -> None:
         """Look at one cell in `share` (plus, when share > 1, nothing else), then decide what is occupied.
@@ -29,11 +35,12 @@ class Occupancy:
         generator = np.random.default_rng(seed)
         start = int(generator.integers(share))
         index = np.arange(start, self.cells**3, share)
+        if self.clear is not None:
+            index = index[~self.clear[index]]
         corner = np.stack(np.unravel_index(index, (self.cells,) * 3), -1).astype(np.float32)
         points = (corner + generator.random(corner.shape, dtype=np.float32)) / np.float32(self.cells)
         seen = density(np.ascontiguousarray(points))
-        if not np.isfinite(self.highest[0]):
-            self.highest[:] = np.float32(1e4)
+        np.minimum(self.highest, np.float32(1e4), out=self.highest)  # infinite where nobody has looked yet
         old = self.highest[index]
         self.highest[index] = np.maximum(np.where(old >= 1e4, 0, old * np.float32(decay)), seen)
         self.decide(step)
@@ -46,6 +53,9 @@ class Occupancy:
         self.set_occupied(occupied)
 
     def set_occupied(self, occupied: np.ndarray) -> None:
+        """Recompute `distances` for these cells [cells^3] bool, those known to be clear left out."""
+        if self.clear is not None:
+            occupied = occupied & ~self.clear
         grid = ~occupied.reshape((self.cells,) * 3)
         if grid.all():
             self.distances = np.full(self.cells**3, 255, np.uint8)
@@ -60,13 +70,14 @@ class Occupancy:
 
     def resized(self, cells: int) -> "Occupancy":
         """The same knowledge on a grid a whole multiple finer."""
-        factor = cells // self.cells
-        grid = self.highest.reshape((self.cells,) * 3)
-        for axis in range(3):
-            grid = np.repeat(grid, factor, axis=axis)
-        grown = Occupancy(cells, np.ascontiguousarray(grid.ravel()))
-        occupied = (self.distances == 0).reshape((self.cells,) * 3)
-        for axis in range(3):
-            occupied = np.repeat(occupied, factor, axis=axis)
-        grown.set_occupied(occupied.ravel())
+        grown = Occupancy(cells, self._spread(self.highest, cells))
+        grown.clear = None if self.clear is None else self._spread(self.clear, cells)
+        grown.set_occupied(self._spread(self.distances == 0, cells))
         return grown
+
+    def _spread(self, values: np.ndarray, cells: int) -> np.ndarray:
+        """Values of cells on the finer grid."""
+        grid = values.reshape((self.cells,) * 3)
+        for axis in range(3):
+            grid = np.repeat(grid, cells // self.cells, axis=axis)
+        return np.ascontiguousarray(grid.ravel())

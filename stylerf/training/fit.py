@@ -7,6 +7,7 @@ are taken from the training views, never from the test views, and are trained on
 nothing is left to decide.
 """
 
+import itertools
 import math
 import time
 from collections.abc import Callable, Iterable
@@ -21,6 +22,7 @@ from stylerf.geometry.space import Space
 from stylerf.training.climbing import GROW, TELLING_PSNR, Climb
 from stylerf.training.engine import Batch, CpuEngine, Engine, background_of
 from stylerf.training.fit_state import FitSettings, FitState
+from stylerf.training.hull import clear_cells
 from stylerf.training.ladders import Rung, capacity_at, first_parts
 from stylerf.training.ranks import ALONE, Ranks
 from stylerf.training.rays import RayBank
@@ -59,10 +61,11 @@ class Fitter:
         self.climb = Climb(settings, self.state, self._judges)
         self._warm: set[tuple[int, int, int]] = set()
         rung, generator = settings.ladder[0], np.random.default_rng([seed, 1])
+        self._clear: dict[int, np.ndarray | None] = {}
         first = RadianceField(
             space,
             *first_parts(settings.kinds, self._capacity(rung), generator),
-            Occupancy(rung.cells),
+            Occupancy(rung.cells, clear=self._clear_cells(rung.cells)),
             1.0 / rung.resolution,
         )
         self.engine = (engine or CpuEngine)(bank, seed, chunks, first, ranks)
@@ -70,6 +73,16 @@ class Fitter:
         self._anchor: dict | None = None
         self._refreshed_at = -1
         self.between_steps = True
+
+    def _clear_cells(self, cells: int) -> np.ndarray | None:
+        """Cells that the training views show to be empty, where they are cut out by transparency."""
+        if self.settings.hull <= 0 or self.space.kind != "box" or self.bank.channels != 4:
+            return None
+        if cells not in self._clear:
+            cameras = self.bank.cameras[: len(self.bank.cameras) - self.held_out]
+            alphas = itertools.islice(self.bank.alphas(), len(cameras))
+            self._clear[cells] = clear_cells(cameras, alphas, self.space, cells, self.settings.hull, self.chunks)
+        return self._clear[cells]
 
     # -- capacity ---------------------------------------------------------------------------------------------------
 
@@ -99,6 +112,7 @@ class Fitter:
             old.occupancy.resized(rung.cells) if rung.cells != old.occupancy.cells else old.occupancy,
             1.0 / rung.resolution,
         )
+        grown.occupancy.clear = self._clear_cells(rung.cells)
         grown.occupancy.decide(grown.step)
         self.engine.adopt(grown)
 
@@ -298,7 +312,9 @@ class Fitter:
 
     def _restore(self, snapshot: dict) -> None:
         arrays = {k: v.copy() for k, v in snapshot["arrays"].items()}
-        self.engine.adopt(RadianceField.restore(snapshot["field"], arrays))
+        field = RadianceField.restore(snapshot["field"], arrays)
+        field.occupancy.clear = self._clear_cells(field.occupancy.cells)
+        self.engine.adopt(field)
         self.engine.restore_moments(arrays)
 
     def checkpoint(self) -> tuple[dict, dict[str, np.ndarray]]:

@@ -18,6 +18,8 @@ class FitSettings:
     reductions: what is tried to be given up then (climbing.REDUCTIONS); held_out_until: part of the budget from which
     the held-out views are trained on as well. opacity: weight of the opacity prior (engine.opacity_gradient) at the end
     of the budget, growing from nothing in its first quarter, so that it cannot forbid what is yet to appear.
+    hull: share of the training views that must show a cell of a box as clear, by their transparency, for nothing to be
+    looked for there (hull.clear_cells; 0: everywhere is).
     """
 
     seconds: float = 300.0
@@ -39,6 +41,7 @@ class FitSettings:
     lit_share: float = 0.9
     always_climb: bool = False  # take every rung whatever it gains
     opacity: float = 0.0
+    hull: float = 0.0
 
 
 @dataclass

@@ -35,10 +35,10 @@ class RayBank:
         self.intrinsics = np.array([[c.fx, c.fy, c.cx, c.cy] for c in cameras], np.float32)
         self.poses = np.array([c.world_from_camera[:3] for c in cameras], np.float32)
         # Fully transparent pixels away from any object teach little: they are drawn less often.
-        self.lit = LitPixels(self._alphas()) if self.channels == 4 else None
+        self.lit = LitPixels(self.alphas()) if self.channels == 4 else None
 
-    def _alphas(self) -> Iterator[np.ndarray]:
-        """[h, w] of every view in turn."""
+    def alphas(self) -> Iterator[np.ndarray]:
+        """Straight alpha [h, w] uint8 of every view in turn, where there are four channels."""
         for camera, start, size in zip(self.cameras, self.starts, self.sizes):
             rgba = self.bytes[start : start + 4 * size].reshape(camera.height, camera.width, 4)
             yield rgba[..., 3].copy()

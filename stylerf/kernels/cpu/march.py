@@ -108,46 +108,35 @@ def ray_span(kind, space, ox, oy, oz, dx, dy, dz, near, far):
 
 
 @inline
-def leap(kind, space, ox, oy, oz, dx, dy, dz, t, dt, distance, cells, q, ahead):
+def leap(kind, space, ox, oy, oz, dx, dy, dz, t, dt, distance, cells, step, q, ahead):
     """Steps of dt that can be taken at once from q, whose nearest occupied cell is `distance` cells away.
 
-    All cells nearer than that are free: a cube of them around q's own. A box has one speed, and in a frustum rays only
-    slow down, on lines that stay straight. A contraction bends them and speeds up towards its middle, up to sixteenfold
-    from m = 4: there the leap is halved until its last step but one, seen from both ends, is among the free cells.
+    A box has one speed: the leap goes to the far side of the cells that are known to be free. In a frustum rays only
+    slow down. A contraction speeds up towards its middle, up to sixteenfold from m = 4: there the leap is halved until
+    what is moved in the cube is within reach. A straight line's image strays from between its ends by a few hundredths
+    of their distance at most, hence the margin.
     """
     if kind == BOX:
-        ahead[0] = dt * dx * space[3]
-        ahead[1] = dt * dy * space[4]
-        ahead[2] = dt * dz * space[5]
-    else:
-        s = t + dt
-        warp_at(kind, space, ox + s * dx, oy + s * dy, oz + s * dz, dx, dy, dz, ahead)
+        width, fewest = _ONE / np.float32(cells), np.float32(1 << 20)
         for a in range(3):
-            ahead[a] -= q[a]
-    width = _ONE / np.float32(cells)
-    fewest = np.float32(1 << 20)
-    for a in range(3):
-        number = np.float32(min(np.int64(q[a] * np.float32(cells)), np.int64(cells - 1)))
-        if ahead[a] > _TINY:
-            fewest = min(fewest, ((number + np.float32(distance)) * width - q[a]) / ahead[a])
-        elif ahead[a] < -_TINY:
-            fewest = min(fewest, ((number + _ONE - np.float32(distance)) * width - q[a]) / ahead[a])
-    # A step onto the cells' very side is not worth one more.
-    steps = max(np.int64(1), np.int64(fewest + np.float32(0.999)))
+            moved = dt * (dx if a == 0 else dy if a == 1 else dz) * space[3 + a]
+            number = np.float32(min(np.int64(q[a] * np.float32(cells)), np.int64(cells - 1)))
+            if moved > _TINY:
+                fewest = min(fewest, ((number + np.float32(distance)) * width - q[a]) / moved)
+            elif moved < -_TINY:
+                fewest = min(fewest, ((number + _ONE - np.float32(distance)) * width - q[a]) / moved)
+        # A step onto the cells' very side is not worth one more.
+        return max(np.int64(1), np.int64(fewest + np.float32(0.999)))
+    if distance <= 1:
+        return np.int64(1)
+    reach = (np.float32(distance) - _ONE) / np.float32(cells)
+    steps = max(np.int64(1), np.int64(reach / step))
     if kind == CONTRACTION:
+        reach *= np.float32(0.95)
         while steps > 1:
-            s = t + dt * np.float32(steps - 1)
+            s = t + dt * np.float32(steps)
             warp_at(kind, space, ox + s * dx, oy + s * dy, oz + s * dz, dx, dy, dz, ahead)
-            # A straight line's image strays from between its ends by a few hundredths of their distance at most.
-            moved = max(abs(ahead[0] - q[0]), abs(ahead[1] - q[1]), abs(ahead[2] - q[2]))
-            margin = np.float32(0.05) * moved if steps > 2 else _ZERO
-            within = True
-            for a in range(3):
-                number = np.float32(min(np.int64(q[a] * np.float32(cells)), np.int64(cells - 1)))
-                low = (number + _ONE - np.float32(distance)) * width + margin
-                high = (number + np.float32(distance)) * width - margin
-                within = within and low <= ahead[a] and ahead[a] <= high
-            if within:
+            if max(abs(ahead[0] - q[0]), abs(ahead[1] - q[1]), abs(ahead[2] - q[2])) <= reach:
                 break
             steps >>= 1
     return steps
@@ -248,7 +237,7 @@ def walk_chunk(
             dt = step / speed
             distance = cell_distance(occupancy, cells, q)
             if distance > 0:
-                taken = leap(kind, space, ox, oy, oz, dx, dy, dz, t, dt, distance, cells, q, moved)
+                taken = leap(kind, space, ox, oy, oz, dx, dy, dz, t, dt, distance, cells, step, q, moved)
                 t += dt * np.float32(taken)
                 continue
             if displacement_cells > 0:

@@ -63,3 +63,21 @@ def test_a_finer_grid_knows_the_same():
     for i, j, k in np.ndindex(6, 6, 6):
         old, new = (i // 2 * 3 + j // 2) * 3 + k // 2, (i * 6 + j) * 6 + k
         assert finer.highest[new] == made.highest[old] and (finer.distances[new] == 0) == (made.distances[old] == 0)
+
+
+def test_what_is_known_to_be_clear_is_never_looked_at_or_occupied_on_a_finer_grid_neither():
+    clear, asked = np.arange(64) % 3 == 0, []
+    made = Occupancy(4, clear=clear)
+    assert np.array_equal(made.distances == 0, ~clear)
+
+    def dense(x):
+        asked.append(x)
+        return np.full(len(x), 50, np.float32)
+
+    made.refresh(dense, 1 / 50, 0, 1, 0.9)
+    assert len(asked[0]) == (~clear).sum() and np.array_equal(made.distances == 0, ~clear)
+    finer = made.resized(8)
+    finer.highest[:] = 50
+    finer.decide(1 / 50)
+    cell = np.stack(np.unravel_index(np.arange(512), (8, 8, 8)), 1) // 2
+    assert np.array_equal(finer.distances == 0, ~clear[np.ravel_multi_index(cell.T, (4, 4, 4))])

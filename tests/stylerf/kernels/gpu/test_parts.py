@@ -166,3 +166,10 @@ def test_the_occupancy_looks_where_it_should_and_decides_as_the_cpus_does(device
     refresh(made, 6, 4, 0.5)
     same = (made.highest == before).float().mean()
     assert 0.7 < float(same) < 0.8 and bool((made.highest >= 0.5 * before * (1 - 1e-6)).all())
+    clear = np.arange(field.occupancy.cells**3) % 3 == 0
+    field.occupancy.clear = clear
+    carved = DeviceField(field, device)
+    refresh(carved, 5, 1, 0.9)
+    field.occupancy.decide(field.step)
+    assert np.array_equal(carved.distances.cpu().numpy(), np.minimum(field.occupancy.distances, 32))
+    assert not (carved.distances.cpu().numpy() == 0)[clear].any()
