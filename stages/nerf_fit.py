@@ -127,6 +127,7 @@ def _settings(config: FitConfig, scene: SceneData, space: Space, device: str | N
         hull=config.hull,
         # A capture ends in an opaque backdrop: there every ray is opaque as it is.
         opacity=config.opacity_weight if scene.layout == "object" else 0.0,
+        coverage=config.coverage_weight if scene.layout == "object" else 0.0,
         **_climb(fixed, kinds, space),
     )
 

@@ -61,6 +61,9 @@ class FitConfig:
         help="share of the views that must show a place as empty, by their transparency, for an object never to be "
         "looked for there (0: it is looked for everywhere)",
     )
+    coverage_weight: float = option(
+        0.1, help="weight of the error of an object's outline, its alpha, beside that of its colours (0: none)"
+    )
     clip: float = option(
         0.0, help="a gradient counts as no longer than so many times the usual (remedy for leaps; 0: as long as it is)"
     )
@@ -74,8 +77,8 @@ class FitConfig:
         budget_of(self.budget)
         capacity_of(self.capacity)
         kinds_of(self.field)
-        if self.opacity_weight < 0 or self.clip < 0:
-            raise ValueError("opacity_weight and clip must not be negative")
+        if min(self.opacity_weight, self.coverage_weight, self.clip) < 0:
+            raise ValueError("opacity_weight, coverage_weight and clip must not be negative")
         if not 0 <= self.hull <= 1:
             raise ValueError("hull must be a share, 0 to 1")
         if self.min_gain < 0 or self.rate < 0 or self.checkpoint_every_seconds <= 0:

@@ -73,9 +73,18 @@ def clipped(gradients: Tensor, clip: float, usual: Tensor) -> Tensor:
 
 def opacity_gradient(rendered: DeviceRendered, weight: float, rays: int) -> Tensor:
     """As engine.py's, of a part of `rays` rays; those that found no room teach nothing."""
+    return torch.where(_whole(rendered), (4 * weight / rays) * (1 - 2 * rendered.out[:, 3].clamp(0, 1)), 0.0)
+
+
+def coverage_gradient(rendered: DeviceRendered, wanted: Tensor, weight: float, rays: int) -> Tensor:
+    """As engine.py's, likewise."""
+    return torch.where(_whole(rendered), (2 * weight / rays) * (rendered.out[:, 3] - wanted), 0.0)
+
+
+def _whole(rendered: DeviceRendered) -> Tensor:
+    """Rays whose samples have all found room."""
     s = rendered.samples
-    whole = s.counts == s.ends - s.starts
-    return torch.where(whole, (4 * weight / rays) * (1 - 2 * rendered.out[:, 3].clamp(0, 1)), 0.0)
+    return s.counts == s.ends - s.starts
 
 
 @contextmanager
@@ -174,6 +183,8 @@ class DeviceEngine:
             )
             if batch.opacity > 0:
                 gradients[:, 3] += opacity_gradient(rendered, batch.opacity, batch.rays)
+            if batch.coverage > 0:
+                gradients[:, 3] += coverage_gradient(rendered, drawn.wanted[:, 3], batch.coverage, batch.rays)
             to = self.density_adam.gradients, self.colour_adam.gradients
             field.backward(rendered, gradients, *to, even_from=batch.even_from)
         both = (field.density, self.density_adam), (field.colour, self.colour_adam)

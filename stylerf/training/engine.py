@@ -22,7 +22,7 @@ class Batch:
     """One step: `rays` random rays of the first `among` views, worked off in `parts`; `step` and seed decide which.
 
     lit_share: part of the rays near something opaque. background: white, black, random or none. smoothness: strengths
-    (density, colour) of the planes' total variation, 0: none. even_from, opacity: see FitSettings.
+    (density, colour) of the planes' total variation, 0: none. even_from, opacity, coverage: see FitSettings.
     """
 
     step: int
@@ -35,6 +35,7 @@ class Batch:
     smoothness: tuple[float, float]
     even_from: float
     opacity: float = 0.0
+    coverage: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -112,6 +113,15 @@ def opacity_gradient(alpha: np.ndarray, weight: float, rays: int) -> np.ndarray:
     return (np.float32(4 * weight / rays) * (1 - 2 * np.clip(alpha, 0, 1))).astype(np.float32)
 
 
+def coverage_gradient(alpha: np.ndarray, wanted: np.ndarray, weight: float, rays: int) -> np.ndarray:
+    """d/d(alpha) of weight * mean((alpha - wanted)^2) over `rays`: how much of each pixel [n] is covered.
+
+    On a background of one colour, matter of that colour costs nothing. Random backgrounds tell it by noise: the mean of
+    their squared error is that on mid-grey plus a twelfth of the alphas'.
+    """
+    return (np.float32(2 * weight / rays) * (alpha - wanted)).astype(np.float32)
+
+
 class CpuEngine:
     """numba kernels on `chunks` threads; the same seed gives the same bits."""
 
@@ -168,6 +178,8 @@ class CpuEngine:
             gradients[:, 3] = -(gradients[:, :3] * back).sum(1)
             if batch.opacity > 0:
                 gradients[:, 3] += opacity_gradient(out[:, 3], batch.opacity, count)
+            if batch.coverage > 0:
+                gradients[:, 3] += coverage_gradient(out[:, 3], colours[part, 3], batch.coverage, count)
             to = self.density_adam.gradients, self.colour_adam.gradients
             backward(self.field, rendered, gradients, *to, even_from=batch.even_from)
         both = (self.field.density, self.density_adam), (self.field.colour, self.colour_adam)

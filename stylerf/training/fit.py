@@ -164,6 +164,7 @@ class Fitter:
                 rate=settings.rate * settings.final_rate**self.progress * state.rate_scale * self.climb.rate,
                 smoothness=tuple(smoothing * weight for weight in settings.smoothness),
                 even_from=settings.even_from,
+                coverage=settings.coverage if self.bank.channels == 4 else 0.0,
                 opacity=settings.opacity * max(0.0, (self.progress - 0.25) / 0.75),
             )
         )

@@ -19,7 +19,8 @@ class FitSettings:
     the held-out views are trained on as well. opacity: weight of the opacity prior (engine.opacity_gradient) at the end
     of the budget, growing from nothing in its first quarter, so that it cannot forbid what is yet to appear.
     hull: share of the training views that must show a cell of a box as clear, by their transparency, for nothing to be
-    looked for there (hull.clear_cells; 0: everywhere is).
+    looked for there (hull.clear_cells; 0: everywhere is). coverage: weight of the squared error of alpha
+    (engine.coverage_gradient) beside that of the colours, where photos are cut out.
     """
 
     seconds: float = 300.0
@@ -42,6 +43,7 @@ class FitSettings:
     always_climb: bool = False  # take every rung whatever it gains
     opacity: float = 0.0
     hull: float = 0.0
+    coverage: float = 0.0
 
 
 @dataclass

@@ -2,8 +2,10 @@
 
 import numpy as np
 
-from stylerf.training.engine import opacity_gradient
-from tests.stylerf.training.scenes import LADDER, box_bank, box_fitter
+from stylerf.training.engine import coverage_gradient, opacity_gradient
+from stylerf.training.rays import RayBank
+from tests.stylerf.training.scenes import LADDER, box_bank, box_fitter, dome
+from tests.stylerf.training.test_hull import ball_photo
 
 
 def test_the_gradient_is_that_of_the_stated_loss():
@@ -44,3 +46,28 @@ def seen(fitter) -> np.ndarray:
     origins, directions = fitter._held_out_rays[:2]
     rays = Rays.of(origins[:4096], directions[:4096], fitter.field.space.near)
     return np.clip(render_rays(fitter.field, rays, chunks=1).out[:, 3], 0, 1)
+
+
+def test_the_gradient_of_coverage_is_what_random_backgrounds_teach_on_average():
+    generator = np.random.default_rng(0)
+    alpha, wanted = generator.random((2, 9)).astype(np.float32)
+    backgrounds = generator.random(400_000)
+    for a, w in zip(alpha, wanted):
+        # Colours met exactly: what differs is how much background shows, d/da of its squared error, its mean over grey.
+        noisy = np.mean(2 * np.square(backgrounds) * (a - w)) - 2 * 0.25 * (a - w)
+        assert abs(coverage_gradient(np.float32([a]), np.float32([w]), 1 / 12, 1)[0] - noisy) < 1e-3
+
+
+def test_pale_matter_is_told_from_a_white_background():
+    """A pale ball before white: where colours alone are asked for, half a ball is nearly as good as a whole one."""
+    cameras = dome(8, 1, 24)
+    bank = RayBank(cameras, [np.maximum(ball_photo(camera), np.uint8([200, 200, 200, 0])) for camera in cameras])
+    covered, errors = [], []
+    for weight in (0.0, 0.1):
+        fitter = box_fitter(300, bank=bank, ladder=LADDER[-1:], shares=(), held_out_until=1.0, coverage=weight)
+        fitter.run()
+        wanted, alpha = fitter._held_out_rays[2][:4096, 3], seen(fitter)
+        covered.append(float(alpha[wanted > 0.5].mean()))
+        errors.append(float(np.square(alpha - wanted).mean()))
+    assert covered[0] < 0.7 and covered[1] > 0.9
+    assert errors[1] < 0.3 * errors[0]

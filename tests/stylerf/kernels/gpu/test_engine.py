@@ -10,7 +10,7 @@ from stylerf.fields.samples import Rays
 from stylerf.fields.vm_tables import split_table
 from stylerf.rendering.rays import backward, render_rays
 from stylerf.rendering.view import render_view
-from stylerf.training.engine import Batch, CpuEngine, background_of, opacity_gradient
+from stylerf.training.engine import Batch, CpuEngine, background_of, coverage_gradient, opacity_gradient
 from stylerf.training.fit import Fitter
 from tests.stylerf.fields.test_densities import LARGER
 from tests.stylerf.small import SPARSE, field_of, hash_colour, hash_density, headed, vm_colour, voxel_density
@@ -62,8 +62,8 @@ def test_a_step_learns_the_gradient_that_the_cpu_finds_for_the_same_rays(kinds, 
     field = FIELDS[kinds]()
     engine = engine_on(device, bank, field)
     found = kept_gradients(engine)
-    opacity = 0.3 if kinds == "vm" else 0.0
-    engine.learn(batch(opacity=opacity))
+    opacity, coverage = (0.3, 0.2) if kinds == "vm" else (0.0, 0.0)
+    engine.learn(batch(opacity=opacity, coverage=coverage))
     learnt = engine._reports.settle()
     drawn = engine.bank.draw((0 * 1_000_003 + 3) & 0x7FFFFFFF, 0, 24, 24, 3, 0.5, 1.0)
     host = [t.cpu().numpy() for t in (drawn.rays.origins, drawn.rays.directions, drawn.rays.jitter)]
@@ -73,6 +73,7 @@ def test_a_step_learns_the_gradient_that_the_cpu_finds_for_the_same_rays(kinds, 
     gradients = np.zeros_like(out)
     gradients[:, :3] = difference * np.float32(2 / (3 * 24))
     gradients[:, 3] = -gradients[:, :3].sum(1) + opacity_gradient(out[:, 3], opacity, 24)
+    gradients[:, 3] += coverage_gradient(out[:, 3], rgba[:, 3], coverage, 24)
     to = [np.zeros((1, len(part.values)), np.float32) for part in (field.density, field.colour)]
     backward(field, rendered, gradients, *to)
     for ours, expected in zip(found, to):
