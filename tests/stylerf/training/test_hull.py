@@ -10,7 +10,7 @@ from stylerf.geometry.cameras import Camera
 from stylerf.training.hull import clear_cells
 from stylerf.training.rays import RayBank
 from tests.stylerf.training.running import resumed, run_until
-from tests.stylerf.training.scenes import AROUND, box_fitter, dome
+from tests.stylerf.training.scenes import AROUND, LADDER, box_fitter, dome
 
 CELLS, RADIUS = 16, 0.3  # of a ball in the middle of a box 1.6 wide
 
@@ -79,10 +79,11 @@ def ball_bank() -> RayBank:
 
 
 def test_a_fit_never_looks_there_while_it_grows_and_resumes():
-    more = {"shares": (0.3, 0.6), "always_climb": True, "hull": 0.05}
-    fitter = run_until(box_fitter(320, bank=ball_bank(), **more), 280)
-    fitter = resumed(box_fitter(320, bank=ball_bank(), **more), fitter)
-    assert fitter.field.occupancy.cells == 16  # of the last rung, where the first had 8
+    ladder = LADDER[0], replace(LADDER[1], cells=16)
+    more = {"ladder": ladder, "shares": (0.4,), "always_climb": True, "hull": 0.05}
+    fitter = run_until(box_fitter(250, bank=ball_bank(), **more), 150)
+    fitter = resumed(box_fitter(250, bank=ball_bank(), **more), fitter)
+    assert fitter.field.occupancy.cells == 16
     fitter.run()
     clear, occupied = fitter.field.occupancy.clear, fitter.field.occupancy.distances == 0
     assert clear.mean() > 0.5 and occupied.any() and not (occupied & clear).any()
