@@ -21,7 +21,7 @@ def reused() -> Iterator["_Held"]:
     """What room() gives in this thread is given again after each `begin_round()`: nothing of a round may outlive it.
 
     A part of a view has room for many times its samples, so that every page of it is new to the process and cleared
-    before it is used: a fifth of the time of a part (lego 200x200, 8192 rays).
+    before it is used: a tenth of the time of a part (lego 200x200 and 400x400, 8192 rays).
     """
     _here.held = _Held()
     try:

@@ -111,22 +111,10 @@ def ray_span(kind, space, ox, oy, oz, dx, dy, dz, near, far):
 def leap(kind, space, ox, oy, oz, dx, dy, dz, t, dt, distance, cells, step, q, ahead):
     """Steps of dt that can be taken at once from q, whose nearest occupied cell is `distance` cells away.
 
-    A box has one speed: the leap goes to the far side of the cells that are known to be free. In a frustum rays only
-    slow down. A contraction speeds up towards its middle, up to sixteenfold from m = 4: there the leap is halved until
-    what is moved in the cube is within reach. A straight line's image strays from between its ends by a few hundredths
-    of their distance at most, hence the margin.
+    A box has one speed, and in a frustum rays only slow down. A contraction speeds up towards its middle, up to
+    sixteenfold from m = 4: there the leap is halved until what is moved in the cube is within reach. A straight line's
+    image strays from between its ends by a few hundredths of their distance at most, hence the margin.
     """
-    if kind == BOX:
-        width, fewest = _ONE / np.float32(cells), np.float32(1 << 20)
-        for a in range(3):
-            moved = dt * (dx if a == 0 else dy if a == 1 else dz) * space[3 + a]
-            number = np.float32(min(np.int64(q[a] * np.float32(cells)), np.int64(cells - 1)))
-            if moved > _TINY:
-                fewest = min(fewest, ((number + np.float32(distance)) * width - q[a]) / moved)
-            elif moved < -_TINY:
-                fewest = min(fewest, ((number + _ONE - np.float32(distance)) * width - q[a]) / moved)
-        # A step onto the cells' very side is not worth one more.
-        return max(np.int64(1), np.int64(fewest + np.float32(0.999)))
     if distance <= 1:
         return np.int64(1)
     reach = (np.float32(distance) - _ONE) / np.float32(cells)
