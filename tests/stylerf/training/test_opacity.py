@@ -71,3 +71,14 @@ def test_pale_matter_is_told_from_a_white_background():
         errors.append(float(np.square(alpha - wanted).mean()))
     assert covered[0] < 0.7 and covered[1] > 0.9
     assert errors[1] < 0.3 * errors[0]
+
+
+def test_a_white_ball_that_is_missing_before_white_is_no_good_fit():
+    cameras = dome(8, 1, 24)
+    bank = RayBank(cameras, [np.maximum(ball_photo(camera), np.uint8([255, 255, 255, 0])) for camera in cameras])
+    missing = box_fitter(1, bank=bank)
+    fitter = box_fitter(300, bank=bank, ladder=LADDER[-1:], shares=(), held_out_until=1.0, coverage=0.3)
+    fitter.run()
+    assert fitter.state.rollbacks == 0
+    wanted, alpha = fitter._held_out_rays[2][:4096, 3], seen(fitter)
+    assert alpha[wanted > 0.5].mean() > 0.9 and fitter.held_out_psnr() > missing.held_out_psnr() + 6
