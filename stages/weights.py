@@ -1,6 +1,6 @@
 """Trained weights, resolved to tensors: feature trunks for stylising, networks of perceptual metrics.
 
-Nothing is fetched over the network unless asked for. What is found (stages.weight_sources) is brought to one canonical
+Nothing is fetched over the network. What is found (stages.weight_sources) is brought to one canonical
 form (stages.weight_formats), kept as safetensors in a cache folder, and identified by the digest of its tensors, so
 that two files with the same numbers are the same weights.
 
@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor
@@ -52,11 +51,11 @@ class ResolvedTrunk:
         return {"name": self.name, "digest": self.digest, "source": self.source, "kind": self.kind}
 
 
-def resolve(name_or_path: str | os.PathLike | None = None, download: bool = False) -> ResolvedTrunk:
+def resolve(name_or_path: str | os.PathLike | None = None) -> ResolvedTrunk:
     """The feature trunk to use: the one named, the one in a file, or (None) the first of the default order found.
 
-    download: torch's hub may fetch `vgg16` when it is the one named. Raises UsageError for an unknown name or one that
-    is not there (with the command that gets it), BadInput for a damaged file.
+    Raises UsageError for an unknown name or one that is not there (with the command that gets it), BadInput for a
+    damaged file.
     """
     if name_or_path is None:
         for name in DEFAULT_TRUNKS:
@@ -65,7 +64,7 @@ def resolve(name_or_path: str | os.PathLike | None = None, download: bool = Fals
                 return found
         raise UsageError(f"no feature trunk is installed; get one with: {TRUNKS['hed-vgg16'].obtain}")
     if str(name_or_path) in TRUNKS:
-        return _named(TRUNKS[str(name_or_path)], download)
+        return _named(TRUNKS[str(name_or_path)])
     path = Path(name_or_path).expanduser()
     if not path.is_file():
         raise UsageError(
@@ -75,16 +74,16 @@ def resolve(name_or_path: str | os.PathLike | None = None, download: bool = Fals
     return ResolvedTrunk(path.stem, state_digest(state), path, f"VGG weights of {path}", state, kind)
 
 
-def resolve_metric(name: str, download: bool = False) -> ResolvedTrunk:
+def resolve_metric(name: str) -> ResolvedTrunk:
     """The network and heads of a perceptual metric by name; errors as for `resolve`."""
     if name not in METRICS:
         raise UsageError(f"expected a perceptual metric among {', '.join(METRICS)}, found {name!r}")
-    return _named(METRICS[name], download)
+    return _named(METRICS[name])
 
 
 def resolve_decoder(name: str = "vgg19-wct-decoder") -> ResolvedTrunk:
     """The decoder of a trunk's features; UsageError with the command that gets it where it is not here."""
-    return _named(DECODERS[name], False)
+    return _named(DECODERS[name])
 
 
 def available_metrics() -> list[str]:
@@ -137,11 +136,8 @@ def state_digest(state: dict[str, Tensor]) -> str:
     return total.hexdigest()
 
 
-def _named(source: Source, download: bool) -> ResolvedTrunk:
+def _named(source: Source) -> ResolvedTrunk:
     found = _read(source)
-    if found is None and download:
-        _download(source)
-        found = _read(source)
     if found is None:
         raise UsageError(f"{source.name} ({source.words}) is not here; get it with: {source.obtain}")
     return found
@@ -216,21 +212,3 @@ def _check_hub_name(path: Path) -> None:
             f"weights {path}: sha256 begins with {found[:8]}, expected {expected[path.name]}; delete the file "
             "and download it again"
         )
-
-
-def _download(source: Source) -> None:
-    """Lets torch's hub fetch the trunk of `source` (only where it is one of the hub's)."""
-    model = {"vgg16": "vgg16", "lpips-vgg": "vgg16", "lpips-alex": "alexnet", "lpips-squeeze": "squeezenet1_1"}.get(
-        source.name
-    )
-    if model is None:
-        return
-    target = hub_folder() / HUB_URLS[model].rsplit("/", 1)[1]
-    if target.is_file():
-        return
-    target.parent.mkdir(parents=True, exist_ok=True)
-    prefix = HUB_URLS[model].rsplit("-", 1)[1].removesuffix(".pth")
-    try:
-        torch.hub.download_url_to_file(HUB_URLS[model], str(target), hash_prefix=prefix, progress=False)
-    except (OSError, RuntimeError) as error:
-        raise BadInput(f"could not download {HUB_URLS[model]} ({error}); {source.obtain}") from error

@@ -5,15 +5,12 @@ import dataclasses
 import difflib
 import math
 import tomllib
-import types
 import typing
 from pathlib import Path
 from typing import Any, NoReturn
 
 from schemas.errors import UsageError
 from stages.memory import bytes_of
-
-NONE_WORDS = ("none", "None")
 
 
 class Parser(argparse.ArgumentParser):
@@ -51,7 +48,7 @@ def add_config(parser: Parser, config: type) -> None:
     """One flag for each field of a config dataclass; only those given appear in the namespace."""
     group = parser.add_argument_group("options of this verb")
     for item, kind in _fields(config):
-        _add_field(parser, group, item, kind)
+        _add_field(group, item, kind)
 
 
 def _fields(config: type) -> list[tuple[dataclasses.Field, Any]]:
@@ -59,39 +56,36 @@ def _fields(config: type) -> list[tuple[dataclasses.Field, Any]]:
     return [(item, kinds[item.name]) for item in dataclasses.fields(config)]
 
 
-def _add_field(parser: Parser, group: Any, item: dataclasses.Field, kind: Any) -> None:
+def _add_field(group: Any, item: dataclasses.Field, kind: Any) -> None:
     meta = item.metadata
-    positional = meta.get("positional")
-    required = item.default is dataclasses.MISSING and item.default_factory is dataclasses.MISSING
-    settings: dict[str, Any] = {"help": _help(item, required), "default": argparse.SUPPRESS}
+    settings: dict[str, Any] = {"help": _help(item), "default": argparse.SUPPRESS}
     base, many = _shape(kind)
     if base is bool:
         settings["action"] = argparse.BooleanOptionalAction
     else:
-        settings["type"] = _convert_by(base, _optional(kind))
-        settings["metavar"] = meta.get("metavar") or (
-            "|".join(map(str, meta["choices"])) if meta.get("choices") else None
-        )
-        if not positional and not settings["metavar"]:
-            settings["metavar"] = item.name.rpartition("_")[2].upper()
+        settings["type"] = {int: _whole, float: _number}.get(base, base)
+        settings["metavar"] = meta.get("metavar") or item.name.rpartition("_")[2].upper()
         if many is not None:
             settings["nargs"] = many or "+"
-            if many == 0 and not positional:
+            if many == 0:
                 settings["action"] = "extend"  # `--layers a b --layers c` is three layers
         if meta.get("choices"):
-            settings["choices"] = tuple(meta["choices"]) + ((None,) if _optional(kind) else ())
-    if positional:
-        if many is None and not required:
-            settings["nargs"] = "?"
-        parser.add_argument(item.name, **settings)
-        return
-    flag = meta.get("flag") or "--" + item.name.replace("_", "-")
-    group.add_argument(flag, dest=item.name, required=False, **settings)
+            settings["choices"] = tuple(meta["choices"])
+            settings["metavar"] = meta.get("metavar") or "|".join(map(str, meta["choices"]))
+    group.add_argument(_flag(item), dest=item.name, required=False, **settings)
 
 
-def _help(item: dataclasses.Field, required: bool) -> str:
+def _flag(item: dataclasses.Field) -> str:
+    return item.metadata.get("flag") or "--" + item.name.replace("_", "-")
+
+
+def _required(item: dataclasses.Field) -> bool:
+    return item.default is dataclasses.MISSING and item.default_factory is dataclasses.MISSING
+
+
+def _help(item: dataclasses.Field) -> str:
     text = item.metadata.get("help", "").replace("%", "%%")
-    if required or "default:" in text:
+    if _required(item) or "default:" in text:
         return text
     default = _default(item)
     shown = " ".join(map(str, default)) if isinstance(default, tuple) else str(default).replace("%", "%%")
@@ -109,7 +103,7 @@ def flags_of(config: Any) -> list[str]:
         value = getattr(config, item.name)
         if value == _default(item) or item.name.endswith("_digest"):
             continue
-        flag = item.metadata.get("flag") or "--" + item.name.replace("_", "-")
+        flag = _flag(item)
         if isinstance(value, bool):
             flags.append(flag if value else f"--no-{flag[2:]}")
         else:
@@ -117,16 +111,8 @@ def flags_of(config: Any) -> list[str]:
     return flags
 
 
-def _optional(kind: Any) -> bool:
-    return type(None) in typing.get_args(kind) and typing.get_origin(kind) in (types.UnionType, typing.Union)
-
-
 def _shape(kind: Any) -> tuple[Any, int | None]:
     """Type of one value, and how many: None one, 0 one or more, n exactly n."""
-    if _optional(kind):
-        kind = next(one for one in typing.get_args(kind) if one is not type(None))
-    if typing.get_origin(kind) is typing.Literal:
-        return type(typing.get_args(kind)[0]), None
     if typing.get_origin(kind) is tuple:
         inner = typing.get_args(kind)
         return inner[0], 0 if inner[-1] is Ellipsis else len(inner)
@@ -165,15 +151,6 @@ def _number(text: str) -> float:
     return value
 
 
-def _convert_by(base: Any, optional: bool) -> Any:
-    plain = {int: _whole, float: _number}.get(base, base)
-
-    def convert(text: str) -> Any:
-        return None if optional and text in NONE_WORDS else plain(text)
-
-    return convert
-
-
 def build_config(config: type, given: argparse.Namespace, table: dict[str, Any], where: str) -> Any:
     """The config of a verb from its flags and a TOML table (`where` names it in faults).
 
@@ -192,9 +169,8 @@ def build_config(config: type, given: argparse.Namespace, table: dict[str, Any],
         if hasattr(given, name):
             value = getattr(given, name)
             values[name] = tuple(value) if isinstance(value, list) else value
-        elif name not in values and item.default is dataclasses.MISSING and item.default_factory is dataclasses.MISSING:
-            flag = item.metadata.get("flag") or "--" + name.replace("_", "-")
-            raise UsageError(f"{name if item.metadata.get('positional') else flag} is required")
+        elif name not in values and _required(item):
+            raise UsageError(f"{_flag(item)} is required")
     try:
         return config(**values)
     except ValueError as error:
@@ -205,8 +181,6 @@ def build_config(config: type, given: argparse.Namespace, table: dict[str, Any],
 
 def _from_toml(value: Any, item: dataclasses.Field, kind: Any, where: str) -> Any:
     base, many = _shape(kind)
-    if _optional(kind) and value in NONE_WORDS:
-        return None
     if many is not None:
         if not isinstance(value, list) or (many and len(value) != many) or not value:
             raise UsageError(f"{where} takes a list of {many or 'one or more'} values, not {value!r}")

@@ -11,16 +11,15 @@ def option(
     choices: tuple | None = None,
     metavar: str | None = None,
     flag: str | None = None,
-    positional: bool = False,
     incidental: bool = False,
 ) -> Any:
     """A dataclass field that also is a command-line flag, `--field-name` unless `flag` says another.
 
-    help, choices and metavar are what the command line shows; a `positional` one is given without a flag. An
-    `incidental` one has no say in the result: what was made with another value of it need not be made anew.
+    help, choices and metavar are what the command line shows. An `incidental` one has no say in the result: what was
+    made with another value of it need not be made anew.
     """
-    metadata = {"help": help, "choices": choices, "metavar": metavar, "flag": flag, "positional": positional}
-    return field(default=default, metadata=metadata | {"incidental": incidental})
+    metadata = {"help": help, "choices": choices, "metavar": metavar, "flag": flag, "incidental": incidental}
+    return field(default=default, metadata=metadata)
 
 
 def incidental(config: Any) -> set[str]:

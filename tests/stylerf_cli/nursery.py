@@ -56,6 +56,7 @@ class Nursery:
         """Ends the process."""
         self._process.stdin.close()
         self._process.wait()
+        self._process.stdout.close()
 
 
 class Command:

@@ -17,7 +17,6 @@ class CONFIG:
     colour: str = option("red", help="which one", choices=("red", "blue"))
     sizes: tuple[int, ...] = option((1, 2), help="sizes")
     bounce: bool = option(True, help="whether it bounces")
-    limit: float | None = option(None, help="where to stop")
 
     def __post_init__(self):
         if self.steps < 0:
