@@ -8,6 +8,7 @@ import shutil
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -29,10 +30,11 @@ from stages.runner import execute
 from stages.stress import criteria
 from stages.stress.cells import REMEDIED, Outcome
 from stages.stress.faults import CLEAN, FAULTS, METHODS, ORDINARY_STYLE, STYLE, Fault, Method
-from stages.stress.measuring import seen_from_tests, shown_beside
+from stages.stress.measuring import seen_from_tests, seen_of_edit, shown_beside
 from stages.stress.outcomes import keep_outcome, kept_outcome
 from stylerf.corruption import paintings
 from stylerf.errors import Diverged
+from stylerf_cli import stress_edits
 
 WORST = "worst"
 QUICK_CAPACITY, QUICK_SAMPLES = "fixed:64x8x16", 20_000
@@ -54,8 +56,8 @@ class Trial:
 
     @property
     def origin(self) -> str:
-        """Whose scene it takes place in: paintings with faults are put on the scene without."""
-        return CLEAN if self.fault.of == STYLE else self.fault.name
+        """Whose scene it takes place in: paintings and palettes with faults are put on the scene without."""
+        return self.fault.name if self.fault.of_scene else CLEAN
 
     @property
     def cell(self) -> tuple[str, str]:
@@ -83,7 +85,7 @@ class Stress:
         first = self.session.common.seed
         remedies = {"off": (False,), "on": (True,), "both": (False, True)}[self.config.remedies]
         faults = [FAULTS[name] for name in self.config.chosen_faults]
-        faults.sort(key=lambda fault: fault.of != STYLE and fault.name != CLEAN)  # stable: the clean scene's first
+        faults.sort(key=lambda fault: fault.of_scene and fault.name != CLEAN)  # stable: the clean scene's first
         for seed in range(first, first + self.conditions["seeds"]):
             for fault in faults:
                 for method in (METHODS[name] for name in self.config.chosen_methods):
@@ -114,12 +116,15 @@ class Stress:
 
     def key_of(self, trial: Trial) -> str:
         """Digest of all that decides its result: scene, fault, options, seed, revisions of stages and criteria."""
-        method, style = trial.method, None
+        method, style, edit = trial.method, None, {}
         if method.style:
             style = replace(self.style_config(trial), style="-")  # by its digest: a work folder may be moved
         specs = (fault_scene.SPEC, nerf_fit.SPEC, deform_init.SPEC, stylize.SPEC)
+        if method.edit:
+            edit, specs = {"edit": self.edit_options(trial).described()}, (*specs, *stress_edits.SPECS)
         return digest_of(
             {
+                **edit,
                 "scene": replace(self.fault_config(trial), source=""),
                 "fit": self.fit_config(trial),
                 "deform": self.deform_config(trial) if method.style == "desrf" else None,
@@ -162,6 +167,11 @@ class Stress:
         if self.conditions["quick"]:
             config = replace(config, refit_steps=QUICK_REFIT)
         return replace(config, **REMEDIES_OF_STYLE) if trial.remedies else config
+
+    def edit_options(self, trial: Trial) -> stress_edits.EditOptions:
+        """Of its local edit."""
+        painting = self.painting(trial).resolve() if trial.method.sees_painting else None
+        return stress_edits.options_of(trial.method, trial.fault, trial.remedies, self.conditions, painting)
 
     def painting(self, trial: Trial) -> Path:
         """File of the painting of a trial: the fault's, or the ordinary one."""
@@ -235,6 +245,12 @@ class Stress:
         suffix = "-remedied" if trial.remedies else ""
         fit_name = f"fit-{method.field}{suffix}"
         field = self._execute(trial, nerf_fit, {"scene": scene}, self.fit_config(trial), fit_name)
+        if method.edit:
+            chain, options = partial(self._execute, trial), self.edit_options(trial)
+            after, region = stress_edits.edited(chain, scene, field, options, threads)
+            views = seen_of_edit(scene, field, after, region, threads)
+            verdict = criteria.judged_edit(views)
+            return verdict, shown_beside(views[verdict.worst])
         if method.style == "desrf":
             inputs = {"scene": scene, "field": field}
             field = self._execute(trial, deform_init, inputs, self.deform_config(trial), f"{fit_name}-deformed")

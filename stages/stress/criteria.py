@@ -1,10 +1,13 @@
-"""What counts as success, by numbers stated beforehand: one criterion for fits, one for stylisations.
+"""What counts as success, by numbers stated beforehand: one criterion for fits, for stylisations, for local edits.
 
     fit           every value is finite, and the test views are at least LEAST_GAIN dB nearer to their photos than the
                   best picture of one colour is; of an object, than its own outlines filled with one colour are
     stylisation   every value is finite; the luma of the test views keeps at least LEAST_CONTENT of SSIM with the
                   photos; and their colours are at most COLOUR_SHARE as far from the painting's as the photos' are, or
                   at most COLOUR_NEAR from them (2-Wasserstein distance of colours as Gaussians)
+    edit          every value is finite; some test view shows the part; its colours change by at least LEAST_CHANGE in
+                  the mean (CIE76); what is around it, MARGIN pixels apart, by at most MOST_SPILL of that; and its luma
+                  keeps at least LEAST_CONTENT of SSIM with the field before
 
 Strokes are not asked for: a network that judges them would be judged by itself.
 """
@@ -14,6 +17,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from stylerf.metrics.background import mean_change, split_view
 from stylerf.metrics.images import content_ssim, psnr
 from stylerf.metrics.palette import palette_distance
 
@@ -21,13 +25,21 @@ LEAST_GAIN = 3.0  # dB
 LEAST_CONTENT = 0.2
 # Sound stylisations of 15 steps were seen at shares of 0.38 to 0.52, by painting; what is not stylised is at 1.
 COLOUR_SHARE, COLOUR_NEAR = 0.7, 0.1
-SCORES = {"fits": ("PSNR", "dB", 2), "stylisations": ("content SSIM", "", 3)}
+LEAST_CHANGE, MOST_SPILL, MARGIN = 10.0, 0.2, 3
+SCORES = {
+    "fits": ("PSNR", "dB", 2),
+    "stylisations": ("content SSIM", "", 3),
+    "edits": ("change that stays inside", "", 3),
+}
 REVISION = 2  # of these criteria: a run that was judged by others is run again
 
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """A test view: render and photo [h, w, 3] sRGB 0..1 over one background; mask [h, w] of what is there, or None."""
+    """A test view: render and photo [h, w, 3] sRGB 0..1 over one background; mask [h, w] of what is there, or None.
+
+    Of a local edit: `photo` is the render before it, `mask` what shows the edited part.
+    """
 
     name: str
     render: np.ndarray
@@ -37,7 +49,7 @@ class Seen:
 
 @dataclass(frozen=True)
 class Verdict:
-    """why: in words, where it failed. score: PSNR, dB, or content SSIM; None where nothing was made or all is NaN.
+    """why: in words, where it failed. score: what SCORES names; None where nothing was made or all is NaN.
 
     worst: place of the view with the lowest score of its own.
     """
@@ -88,6 +100,40 @@ def judged_style(views: Sequence[Seen], painting: np.ndarray) -> Verdict:
         whys.append(f"colours {after:.2f} from the painting's, the photos {before:.2f}")
     figures = {"content_ssim": score, "colour_distance": after, "colour_distance_of_photos": before}
     return Verdict(not whys, "; ".join(whys), score, int(np.argmin(each)), figures)
+
+
+def judged_edit(views: Sequence[Seen]) -> Verdict:
+    """Score: 1 - (mean change around the part) / (mean change of it), at least 0."""
+    if (broken := _not_finite(views)) is not None:
+        return broken
+    shown = [view for view in views if view.mask.any()]
+    if not shown:
+        return Verdict(False, "no test view shows the part", None, 0)
+    parts = [split_view(view.mask, MARGIN, 0) for view in shown]
+    inside = _change(shown, [part.inside for part in parts])
+    around = _change(shown, [part.outside for part in parts])
+    content = float(np.mean([content_ssim(view.render, view.photo, _weights(view)) for view in shown]))
+    whys = []
+    if inside < LEAST_CHANGE:
+        whys.append(f"the part changed by {inside:.1f} dE, {LEAST_CHANGE:g} are asked for")
+    if around > MOST_SPILL * inside:
+        whys.append(f"what is around it changed by {around:.1f} dE, the part by {inside:.1f}")
+    if content < LEAST_CONTENT:
+        whys.append(f"content SSIM {content:.2f}, {LEAST_CONTENT:g} is asked for")
+    score = max(0.0, 1 - around / inside) if inside > 0 else 0.0
+    spilt = [_change([view], [part.outside]) for view, part in zip(shown, parts, strict=True)]
+    figures = {"change_inside": inside, "change_around": around, "content_ssim": content}
+    return Verdict(not whys, "; ".join(whys), score, views.index(shown[int(np.argmax(spilt))]), figures)
+
+
+def _change(views: Sequence[Seen], masks: Sequence[np.ndarray]) -> float:
+    """Mean CIE76 difference between render and photo over the pixels of all masks; 0 where there are none."""
+    renders, photos = (
+        np.concatenate([getattr(view, what)[mask] for view, mask in zip(views, masks, strict=True)])[None]
+        for what in ("render", "photo")
+    )
+    found = mean_change(renders, photos, np.ones(renders.shape[:2], bool))
+    return 0.0 if found is None else found.lab
 
 
 def _not_finite(views: Sequence[Seen]) -> Verdict | None:

@@ -2,13 +2,14 @@
 
 from dataclasses import dataclass
 
-SCENE, MADE, STYLE = "scene", "made", "style"
-FITS, STYLISATIONS = "fits", "stylisations"
+SCENE, MADE, STYLE, PALETTE = "scene", "made", "style", "palette"
+FITS, STYLISATIONS, EDITS = "fits", "stylisations", "edits"
 
 
 @dataclass(frozen=True)
 class Fault:
-    """of: `scene`, a scene's own photos and cameras changed; `made`, a procedural scene; `style`, a painting.
+    """of: `scene`, a scene's own photos and cameras changed; `made`, a procedural scene; `style`, a painting;
+    `palette`, how one begins or what is asked of it.
 
     amount: how much of it, in the unit that `words` tells.
     """
@@ -22,6 +23,11 @@ class Fault:
     def told(self) -> str:
         """In words, with its amount."""
         return self.words.format(f"{self.amount:g}")
+
+    @property
+    def of_scene(self) -> bool:
+        """Whether it makes a scene of its own; the others are put on the scene without a fault."""
+        return self.of in (SCENE, MADE)
 
 
 ALL_FAULTS = (
@@ -44,28 +50,40 @@ ALL_FAULTS = (
     Fault("style-huge", STYLE, 4096, "a painting of {0} x {0} pixels"),
     Fault("style-wash", STYLE, 512, "a painting without an edge"),
     Fault("style-extreme", STYLE, 512, "a painting of full red and full blue"),
+    Fault("palette-random", PALETTE, 0, "a palette that begins with colours drawn at random"),
+    Fault("palette-full", PALETTE, 0, "every palette colour made full green"),
+    Fault("palette-black", PALETTE, 0, "every palette colour made black"),
 )
 FAULTS = {fault.name: fault for fault in ALL_FAULTS}
-CLEAN = "seeds"  # the scene that paintings with faults are put on
+CLEAN = "seeds"  # the scene that paintings and palettes with faults are put on
 ORDINARY_STYLE = 256  # pixels a side of the painting for scenes with faults: views of 160 ask for 240 of it
 
 
 @dataclass(frozen=True)
 class Method:
-    """field: the kind that is fitted first. style: what `stylerf stylize --method` calls it; empty: a fit alone."""
+    """field: the kind that is fitted first. style: what `stylerf stylize --method` calls it. edit: of a part of the
+    scene, `recolour`, `paint` (both LAENeRF's) or `palette` (PaletteNeRF's). Neither: a fit alone."""
 
     name: str
     field: str = "vm"
     style: str = ""
+    edit: str = ""
 
     @property
     def family(self) -> str:
         """By which criterion it is judged."""
-        return STYLISATIONS if self.style else FITS
+        return EDITS if self.edit else STYLISATIONS if self.style else FITS
+
+    @property
+    def sees_painting(self) -> bool:
+        """Whether it is given a painting."""
+        return bool(self.style) or self.edit == "paint"
 
     def faces(self, fault: Fault) -> bool:
-        """A fit never sees a painting."""
-        return bool(self.style) or fault.of != STYLE
+        """A fit never sees a painting, nor a palette; that of PaletteNeRF begins with its hull's corners alone."""
+        if fault.of == PALETTE:
+            return self.edit == "recolour" or (self.edit == "palette" and fault.name != "palette-random")
+        return self.sees_painting or fault.of != STYLE
 
 
 ALL_METHODS = (
@@ -73,5 +91,8 @@ ALL_METHODS = (
     Method("fit-hash", field="hash"),
     Method("fit-voxel", field="voxel"),
     *(Method(name, style=name) for name in ("arf", "desrf", "snerf", "refnpr")),
+    Method("laenerf-recolour", edit="recolour"),
+    Method("laenerf-paint", edit="paint"),
+    Method("palettenerf", edit="palette"),
 )
 METHODS = {method.name: method for method in ALL_METHODS}

@@ -2,13 +2,21 @@
 
 import numpy as np
 
+from schemas.errors import BadInput
 from schemas.store import Artefact
+from stages.evaluation.masks import SHOWN
 from stages.fields import load_field
 from stages.photos import level_of, photo_over
+from stages.regions import load_region
 from stages.scenes import load_scene
 from stages.stress.criteria import Seen
+from stylerf.editing.regions import march_view
+from stylerf.fields.field import RadianceField
+from stylerf.geometry.cameras import Camera
 from stylerf.kernels.cpu.compiling import set_threads
 from stylerf.rendering.view import render_view
+
+OPAQUE = 0.9
 
 
 def seen_from_tests(scene: Artefact, field: Artefact, threads: int) -> list[Seen]:
@@ -19,12 +27,44 @@ def seen_from_tests(scene: Artefact, field: Artefact, threads: int) -> list[Seen
     views = []
     for index in data.splits["test"]:
         camera, photo = data.cameras[index], data.images(index)
-        found = render_view(radiance, camera, chunks=chunks)
-        # Clipped as a picture file would be; NaN stays, to be judged.
-        render = np.clip(found.rgb + (1 - found.alpha[..., None]) * np.float32(level), 0, 1)
         mask = photo[..., 3] > 0.5 if photo.shape[2] == 4 else None
-        views.append(Seen(camera.name, render, photo_over(data, index, level), mask))
+        views.append(Seen(camera.name, _picture(radiance, camera, level, chunks), photo_over(data, index, level), mask))
     return views
+
+
+def seen_of_edit(scene: Artefact, before: Artefact, after: Artefact, region: Artefact, threads: int) -> list[Seen]:
+    """Every test view of an edited field beside the field before, with what it shows of the region."""
+    data = load_scene(scene)
+    (plain, background), (edited, _), (cells, _) = load_field(before), load_field(after), load_region(region)
+    level, chunks = level_of(background), set_threads(threads)
+    views = []
+    for camera in (data.cameras[index] for index in data.splits["test"]):
+        shown = [cells.alpha(samples, chunks) > SHOWN for _, samples in march_view(plain, camera, chunks)]
+        mask = np.concatenate(shown).reshape(camera.height, camera.width)
+        pictures = (_picture(field, camera, level, chunks) for field in (edited, plain))
+        views.append(Seen(camera.name, *pictures, mask))
+    return views
+
+
+def middle_of(scene: Artefact, field: Artefact, threads: int) -> str:
+    """VIEW:X,Y: of the first training view, the pixel nearest to its middle that shows something opaque.
+
+    BadInput where none does.
+    """
+    data = load_scene(scene)
+    camera = data.cameras[data.splits["train"][0]]
+    alpha = render_view(load_field(field)[0], camera, chunks=set_threads(threads)).alpha
+    rows, columns = np.nonzero(alpha > OPAQUE)
+    if not len(rows):
+        raise BadInput(f"{field.path}: nothing opaque is seen from {camera.name}")
+    nearest = np.argmin(np.hypot(rows - camera.height / 2, columns - camera.width / 2))
+    return f"{camera.name}:{columns[nearest]},{rows[nearest]}"
+
+
+def _picture(field: RadianceField, camera: Camera, level: float, chunks: int) -> np.ndarray:
+    """[h, w, 3], clipped as a picture file would be; NaN stays, to be judged."""
+    found = render_view(field, camera, chunks=chunks)
+    return np.clip(found.rgb + (1 - found.alpha[..., None]) * np.float32(level), 0, 1)
 
 
 def shown_beside(view: Seen) -> np.ndarray:

@@ -12,7 +12,15 @@ from stages.evaluation.page_tables import table
 from stages.evaluation.wording import duration, number
 from stages.stress.baseline import Compared
 from stages.stress.cells import REMEDIED, Cell, Outcome
-from stages.stress.criteria import COLOUR_NEAR, COLOUR_SHARE, LEAST_CONTENT, LEAST_GAIN, SCORES
+from stages.stress.criteria import (
+    COLOUR_NEAR,
+    COLOUR_SHARE,
+    LEAST_CHANGE,
+    LEAST_CONTENT,
+    LEAST_GAIN,
+    MOST_SPILL,
+    SCORES,
+)
 from stages.stress.faults import FAULTS, METHODS
 
 
@@ -126,7 +134,9 @@ def _how(conditions: dict, missing: Sequence[tuple[str, str]]) -> str:
         "photos than the best picture of one colour (of an object: than its own outlines in one colour). A stylisation "
         "succeeds where every value is finite, the luma of "
         f"its test views keeps {LEAST_CONTENT:g} of SSIM with the photos, and their colours are at most "
-        f"{COLOUR_SHARE:g} times as far from the painting’s as the photos’ are, or at most {COLOUR_NEAR:g}. Faults are "
+        f"{COLOUR_SHARE:g} times as far from the painting’s as the photos’ are, or at most {COLOUR_NEAR:g}. A local "
+        f"edit succeeds where every value is finite, the part changes by {LEAST_CHANGE:g} dE or more and keeps as "
+        f"much SSIM with the field before, and what is around it changes by at most {MOST_SPILL:g} of that. Faults are "
         f'in training views, never in test views.</p><p>{escape(told)}</p><dl class="notes">{faults}</dl>'
         + (f'<h3>Not run</h3><dl class="notes">{gaps}</dl>' if gaps else "")
     )

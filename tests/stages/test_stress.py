@@ -6,13 +6,14 @@ from html import escape
 
 import numpy as np
 import pytest
+from skimage.color import lab2rgb
 
 from schemas.errors import BadInput, UsageError
 from stages.configs.stress import StressConfig
 from stages.stress.baseline import compared, read_baseline, write_baseline
 from stages.stress.cells import cells_of
-from stages.stress.criteria import LEAST_GAIN, Seen, judged_fit, judged_style
-from stages.stress.faults import FAULTS, METHODS, STYLE
+from stages.stress.criteria import LEAST_GAIN, Seen, judged_edit, judged_fit, judged_style
+from stages.stress.faults import FAULTS, METHODS, PALETTE, STYLE
 from stages.stress.heat_map import heat_map, rates
 from stages.stress.measuring import shown_beside
 from stages.stress.outcomes import keep_outcome, kept_outcome
@@ -112,6 +113,44 @@ def test_of_an_object_only_what_is_there_counts():
     verdict = judged_style([Seen("v", render, seen, mask)], painting)
     assert verdict.figures["colour_distance"] < 0.1 and verdict.ok
     assert judged_style([Seen("v", render, seen)], painting).score < verdict.score - 0.1
+
+
+def edited_view(inside: float, around: float, mask: np.ndarray | None = None) -> Seen:
+    """A textured grey view whose greys rise by so much of L* in the part, and around it."""
+    if mask is None:
+        mask = np.zeros((40, 48), bool)
+        mask[10:30, 12:36] = True
+    lightness = 40 + 10 * np.random.default_rng(3).random(mask.shape)
+    return Seen("v", of_lightness(lightness + np.where(mask, inside, around)), of_lightness(lightness), mask)
+
+
+def of_lightness(lightness: np.ndarray) -> np.ndarray:
+    return lab2rgb(np.stack([lightness, *np.zeros((2, *lightness.shape))], -1)).astype(np.float32)
+
+
+def test_an_edit_changes_its_part_and_nothing_around_it():
+    """Greys of one lightness more are 1 apart in CIE76, the whole colour difference."""
+    verdict = judged_edit([edited_view(20, 1), edited_view(20, 3)])
+    assert verdict.ok and verdict.worst == 1 and verdict.score == pytest.approx(0.9, abs=2e-3)
+    assert verdict.figures["change_inside"] == pytest.approx(20, abs=0.05)
+    assert verdict.figures["change_around"] == pytest.approx(2, abs=0.02)
+    for inside, around, why in ((9, 0, "the part changed by 9.0"), (20, 4.5, "what is around it"), (0, 0, "0.0 dE")):
+        verdict = judged_edit([edited_view(inside, around)])
+        assert not verdict.ok and why in verdict.why
+    assert judged_edit([edited_view(0, 0)]).score == 0 and judged_edit([edited_view(10, 20)]).score == 0
+
+
+def test_an_edit_that_no_test_view_shows_or_that_is_flat_or_broken_fails():
+    unseen = edited_view(20, 0, np.zeros((40, 48), bool))
+    assert judged_edit([unseen]).why == "no test view shows the part"
+    assert judged_edit([unseen, edited_view(20, 0)]).ok  # those that show it count
+    view = edited_view(20, 0)
+    flat = np.where(view.mask[..., None], np.float32(0.9), view.photo)
+    assert "content SSIM" in judged_edit([Seen("v", flat, view.photo, view.mask)]).why
+    broken = view.render.copy()
+    broken[0, 0] = np.nan
+    verdict = judged_edit([Seen("v", broken, view.photo, view.mask)])
+    assert not verdict.ok and verdict.score is None
 
 
 # -- cells, heat map, page ------------------------------------------------------------------------------------------
@@ -242,5 +281,8 @@ def test_options_choose_and_refuse():
     for wrong in ({"methods": ("magic",)}, {"faults": ("fire",)}, {"budget": "soon"}, {"seeds": -1}, {"side": 8}):
         with pytest.raises(ValueError):
             StressConfig(**wrong)
-    assert not any(METHODS["fit"].faces(fault) for fault in FAULTS.values() if fault.of == STYLE)
+    facing = {name: {fault.of for fault in FAULTS.values() if one.faces(fault)} for name, one in METHODS.items()}
+    assert not facing["fit"] & {STYLE, PALETTE} and facing["arf"] == facing["laenerf-paint"] == {"scene", "made", STYLE}
+    assert facing["laenerf-recolour"] == facing["palettenerf"] == {"scene", "made", PALETTE}
+    assert not METHODS["palettenerf"].faces(FAULTS["palette-random"])
     assert all("{" not in fault.told for fault in FAULTS.values())

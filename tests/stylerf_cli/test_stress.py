@@ -9,8 +9,9 @@ import pytest
 from schemas.errors import BadInput, OutOfResources
 from schemas.store import Work
 from stages.stress.criteria import Verdict
+from stages.stress.faults import FAULTS, METHODS
 from stylerf.errors import Diverged
-from stylerf_cli import stress_chain
+from stylerf_cli import stress_chain, stress_edits
 from stylerf_cli.main import main
 from tests.stages.stress_fixture import make_capture
 
@@ -189,6 +190,32 @@ def test_remedies_are_options_of_their_stages():
         assert all(getattr(config, name) == 0 < value for name, value in remedies.items())
 
 
+def test_an_edits_options_follow_its_fault(folder, runs, capsys):
+    """A colour for a palette, a painting for strokes; the key of a run tells them apart, and knows no folder."""
+    methods = ("laenerf-recolour", "laenerf-paint", "palettenerf")
+    faults = ("seeds", "style-wash", "palette-random", "palette-full")
+    asked = ("--methods", *methods, "--faults", *faults, "--seeds", "1", "--remedies", "both")
+    assert main(["stress", str(folder), *asked]) == 0
+    capsys.readouterr()
+    assert len(runs.made) == 2 * (3 + 1 + 1 + 2)
+    keys = {json.loads(path.read_text())["key"] for path in (folder / "stress" / "runs").iterdir()}
+    assert len(keys) == len(runs.made)
+
+    def options(method, fault, remedies=False, quick=False):
+        conditions = {"quick": quick, "style_budget": "25s"}
+        painting = folder / "stress" / "styles" / "ordinary-256-0.png" if METHODS[method].sees_painting else None
+        return stress_edits.options_of(METHODS[method], FAULTS[fault], remedies, conditions, painting)
+
+    plain, begun = options("laenerf-recolour", "seeds"), options("laenerf-recolour", "palette-random")
+    assert (plain.learning.start, begun.learning.start) == ("clusters", "random")
+    assert options("laenerf-recolour", "palette-random", remedies=True) == plain
+    assert plain.changes != options("palettenerf", "palette-full").changes == ("all=#00ff00",)
+    painted = options("laenerf-paint", "seeds")
+    assert painted.changes == () and painted.described()["learning"].style == "-" and painted.learning.style_digest
+    assert options("palettenerf", "seeds").learning.budget == plain.finetune.budget == "25s"
+    assert options("palettenerf", "seeds", quick=True).learning.budget == "60"
+
+
 @pytest.mark.slow
 def test_real_runs_of_a_still_life(work, capsys):
     """The whole chain, tiny: a fit and a stylisation of the clean scene, one of a white painting, a made scene."""
@@ -201,3 +228,16 @@ def test_real_runs_of_a_still_life(work, capsys):
     assert cells["style-white", "arf"]["median"] < cells["seeds", "arf"]["median"]
     kept = Work(work / "stress" / "works" / "seeds-0")
     assert {one.name for one in kept.artefacts("field")} == {"fit-vm", "seeds-arf", "style-white-arf"}
+
+
+@pytest.mark.slow
+def test_real_edits_of_a_still_life(work, capsys):
+    """A fit, then a part of it recoloured, painted, and recoloured by a palette of the whole; tiny."""
+    options = ("--quick", "--side", "48", "--seeds", "1", "--budget", "150", "--keep", "--json")
+    methods = ("laenerf-recolour", "laenerf-paint", "palettenerf")
+    assert main(["stress", str(work), "--methods", *methods, "--faults", "seeds", "palette-full", *options]) == 0
+    cells = {(one["fault"], one["method"]): one for one in json.loads(capsys.readouterr().out)["cells"]}
+    assert len(cells) == 5 and all(cell["median"] is not None for cell in cells.values())
+    assert cells["seeds", "laenerf-recolour"]["successes"] == 1
+    kept = Work(work / "stress" / "works" / "seeds-0")
+    assert len(kept.artefacts("region")) == 1 and len(kept.artefacts("edit")) == 4
