@@ -140,13 +140,13 @@ def test_an_edit_changes_its_part_and_nothing_around_it():
     assert judged_edit([edited_view(0, 0)]).score == 0 and judged_edit([edited_view(10, 20)]).score == 0
 
 
-def test_an_edit_that_no_test_view_shows_or_that_is_flat_or_broken_fails():
+def test_an_edit_that_no_test_view_shows_or_that_keeps_no_content_or_is_broken_fails():
     unseen = edited_view(20, 0, np.zeros((40, 48), bool))
     assert judged_edit([unseen]).why == "no test view shows the part"
     assert judged_edit([unseen, edited_view(20, 0)]).ok  # those that show it count
     view = edited_view(20, 0)
-    flat = np.where(view.mask[..., None], np.float32(0.9), view.photo)
-    assert "content SSIM" in judged_edit([Seen("v", flat, view.photo, view.mask)]).why
+    inverted = np.where(view.mask[..., None], 1.3 - view.photo, view.photo)
+    assert "content SSIM" in judged_edit([Seen("v", inverted, view.photo, view.mask)]).why
     broken = view.render.copy()
     broken[0, 0] = np.nan
     verdict = judged_edit([Seen("v", broken, view.photo, view.mask)])

@@ -199,7 +199,8 @@ def test_an_edits_options_follow_its_fault(folder, runs, capsys):
     capsys.readouterr()
     assert len(runs.made) == 2 * (3 + 1 + 1 + 2)
     keys = {json.loads(path.read_text())["key"] for path in (folder / "stress" / "runs").iterdir()}
-    assert len(keys) == len(runs.made)
+    # Alike are, by their content: the two paintings of the stand-in, twice, and clusters where nothing is at random.
+    assert len(keys) == len(runs.made) - 3
 
     def options(method, fault, remedies=False, quick=False):
         conditions = {"quick": quick, "style_budget": "25s"}
