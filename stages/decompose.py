@@ -1,7 +1,5 @@
 """Decompose: a field of the same shapes whose colours are mixes of a palette, learnt from the photos (PaletteNeRF)."""
 
-import time
-
 import numpy as np
 import torch
 
@@ -10,14 +8,15 @@ from schemas.store import Artefact, Partial
 from stages.configs.decompose import DecomposeConfig
 from stages.configs.fit import budget_of
 from stages.edits import save_palette
-from stages.fields import load_checkpoint, load_field, save_checkpoint, save_field
+from stages.fields import load_checkpoint, load_field, save_field
 from stages.memory import room
 from stages.photos import level_of, photo_over
 from stages.progress import Context
 from stages.runner import Spec
 from stages.scenes import load_scene
 from stages.styling import finest_cells
-from stylerf.errors import Diverged, InvalidValue
+from stages.training import train
+from stylerf.errors import InvalidValue
 from stylerf.fields.palette import PaletteColour
 from stylerf.kernels.cpu.compiling import compiling_note, set_threads
 from stylerf.training.decompose import Decomposing, DecompositionWeights
@@ -100,11 +99,11 @@ def weights_of(config: DecomposeConfig) -> DecompositionWeights:
 
 
 def _train(learner: Decomposing, config: DecomposeConfig, partial: Partial, context: Context) -> None:
-    saved_at, shown = time.monotonic(), ""
+    shown = ""
     seconds, steps = budget_of(config.budget)
 
-    def on_step(now: Decomposing) -> None:
-        nonlocal saved_at, shown
+    def tell(now: Decomposing) -> None:
+        nonlocal shown
         state, counted = now.state, now.state.phase == "refit" or steps
         if state.phase != shown:
             shown = state.phase
@@ -113,17 +112,5 @@ def _train(learner: Decomposing, config: DecomposeConfig, partial: Partial, cont
             context.progress.start(words, total, "step" if counted else "s")
         note = f"squared error {state.curve[-1]['mse']:.4f}" if state.curve else ""
         context.progress.update(state.step if counted else min(state.seconds, now.settings.seconds), note)
-        if time.monotonic() - saved_at > config.checkpoint_every_seconds:
-            save_checkpoint(partial.checkpoint, *now.checkpoint())
-            saved_at = time.monotonic()
 
-    try:
-        learner.run(on_step)
-    except KeyboardInterrupt:
-        if learner.between_steps:
-            save_checkpoint(partial.checkpoint, *learner.checkpoint())
-        raise
-    except Diverged as error:
-        raise BadInput(f"the decomposition does not converge: {error}") from error
-    finally:
-        context.progress.finish()
+    train(learner, "the decomposition", config.checkpoint_every_seconds, partial, context, tell)

@@ -1,7 +1,5 @@
 """Deform init: a fitted field with a deformation that starts from nothing and learns what the photos ask for."""
 
-import time
-
 import numpy as np
 import torch
 
@@ -9,12 +7,13 @@ from schemas.errors import BadInput
 from schemas.store import Artefact, Partial
 from stages.configs.deform import DeformConfig
 from stages.devices import gpu_figures, gpu_of
-from stages.fields import load_checkpoint, load_field, save_checkpoint, save_deformation, save_field
+from stages.fields import load_checkpoint, load_field, save_deformation, save_field
 from stages.photos import bank_of, level_of
 from stages.progress import Context
 from stages.runner import Spec
 from stages.scenes import load_scene
-from stylerf.errors import Diverged, InvalidValue
+from stages.training import train
+from stylerf.errors import InvalidValue
 from stylerf.fields.deformation import Deformation
 from stylerf.kernels.cpu.compiling import compiling_note, set_threads
 from stylerf.training.deform import DeformationFitter, DeformSettings
@@ -81,24 +80,10 @@ def _aside(train: list[int]) -> list[int]:
 
 
 def _train(fitter: DeformationFitter, config: DeformConfig, partial: Partial, context: Context) -> None:
-    saved_at = time.monotonic()
     context.progress.start("deform", config.steps, "step")
 
-    def on_step(now: DeformationFitter) -> None:
-        nonlocal saved_at
+    def tell(now: DeformationFitter) -> None:
         if now.state.step % 10 == 0:
             context.progress.update(now.state.step, f"{now.state.best:.2f} dB on the photos")
-        if time.monotonic() - saved_at > config.checkpoint_every_seconds:
-            save_checkpoint(partial.checkpoint, *now.checkpoint())
-            saved_at = time.monotonic()
 
-    try:
-        fitter.run(on_step)
-    except KeyboardInterrupt:
-        if fitter.between_steps:
-            save_checkpoint(partial.checkpoint, *fitter.checkpoint())
-        raise
-    except Diverged as error:
-        raise BadInput(f"the deformation does not converge: {error}") from error
-    finally:
-        context.progress.finish()
+    train(fitter, "the deformation", config.checkpoint_every_seconds, partial, context, tell)

@@ -16,16 +16,17 @@ from stages.configs.fit import budget_of
 from stages.devices import gpu_figures, gpu_of
 from stages.edit_views import load_edit_views
 from stages.edits import Edit, save_edit
-from stages.fields import load_checkpoint, save_checkpoint
+from stages.fields import load_checkpoint
 from stages.paintings import read_painting
 from stages.progress import Context
 from stages.runner import Spec
+from stages.training import train
 from stages.weights import resolve
 from stylerf.editing.edits import PaletteEdits
 from stylerf.editing.losses import EditWeights
 from stylerf.editing.painting import crop_of
 from stylerf.editing.views import EditView
-from stylerf.errors import Diverged, InvalidValue
+from stylerf.errors import InvalidValue
 from stylerf.kernels.cpu.compiling import compiling_note, set_threads
 from stylerf.style.colour import match_colours
 from stylerf.style.trunks import Trunk
@@ -129,11 +130,11 @@ def drawn(trainer: EditTrainer, view: EditView, chunks: int) -> np.ndarray:
 
 
 def _train(trainer: EditTrainer, shown: EditView, config: EditConfig, partial: Partial, context: Context) -> None:
-    saved_at = drawn_at = time.monotonic()
+    drawn_at = time.monotonic()
     context.progress.start("edit", 100.0, "%")
 
-    def on_step(now: EditTrainer) -> None:
-        nonlocal saved_at, drawn_at
+    def tell(now: EditTrainer) -> None:
+        nonlocal drawn_at
         last = now.state.curve[-1] if now.state.curve else {}
         note = f"squared error {last['reconstruction']:.4f}" if "reconstruction" in last else now.state.phase
         context.progress.update(round(100 * now.whole_progress, 1), note)
@@ -142,17 +143,5 @@ def _train(trainer: EditTrainer, shown: EditView, config: EditConfig, partial: P
             write_png(target, drawn(now, shown, now.chunks))
             context.progress.say(f"preview: {target}")
             drawn_at = time.monotonic()
-        if time.monotonic() - saved_at > config.checkpoint_every_seconds:
-            save_checkpoint(partial.checkpoint, *now.checkpoint())
-            saved_at = time.monotonic()
 
-    try:
-        trainer.run(on_step)
-    except KeyboardInterrupt:
-        if trainer.between_steps:
-            save_checkpoint(partial.checkpoint, *trainer.checkpoint())
-        raise
-    except Diverged as error:
-        raise BadInput(f"the edit does not converge: {error}") from error
-    finally:
-        context.progress.finish()
+    train(trainer, "the edit", config.checkpoint_every_seconds, partial, context, tell)

@@ -1,6 +1,5 @@
 """Fine-tune: the field learns the edited photos (LAENeRF, section 3.5)."""
 
-import time
 from collections.abc import Iterator
 from contextlib import nullcontext
 
@@ -13,13 +12,13 @@ from schemas.tensors import load_tensors
 from stages.configs.finetune import FinetuneConfig
 from stages.configs.fit import EVEN_FROM, SMOOTHNESS, budget_of
 from stages.devices import gpu_figures, gpu_of
-from stages.fields import load_checkpoint, load_field, save_checkpoint, save_field
+from stages.fields import load_checkpoint, load_field, save_field
 from stages.photos import bank_of, level_of
 from stages.progress import Context
 from stages.regions import load_region
 from stages.runner import Spec
 from stages.scenes import EDIT_TARGETS, SceneData, load_scene
-from stylerf.errors import Diverged
+from stages.training import train
 from stylerf.fields.field import RadianceField
 from stylerf.fields.patch import PatchColour
 from stylerf.fields.surface import Surface, pixel_cells, surface_of
@@ -135,28 +134,14 @@ def _around(pixels: np.ndarray, camera: Camera) -> np.ndarray:
 
 
 def _train(tuner: FineTuner, config: FinetuneConfig, partial: Partial, context: Context) -> None:
-    saved_at = time.monotonic()
     steps = tuner.settings.steps
     context.progress.start("finetune", steps or tuner.settings.seconds, "step" if steps else "s")
 
-    def on_step(now: FineTuner) -> None:
-        nonlocal saved_at
+    def tell(now: FineTuner) -> None:
         note = ""
         if now.state.curve:
             last = now.state.curve[-1]
             note = f"squared error {last['inside']:.4f} in the edit, {last['outside']:.4f} outside"
         context.progress.update(now.state.step if steps else min(now.state.seconds, now.settings.seconds), note)
-        if context.ranks.first and time.monotonic() - saved_at > config.checkpoint_every_seconds:
-            save_checkpoint(partial.checkpoint, *now.checkpoint())
-            saved_at = time.monotonic()
 
-    try:
-        tuner.run(on_step)
-    except KeyboardInterrupt:
-        if tuner.between_steps and context.ranks.first:
-            save_checkpoint(partial.checkpoint, *tuner.checkpoint())
-        raise
-    except Diverged as error:
-        raise BadInput(f"the fine-tuning does not converge: {error}") from error
-    finally:
-        context.progress.finish()
+    train(tuner, "the fine-tuning", config.checkpoint_every_seconds, partial, context, tell)

@@ -1,7 +1,6 @@
 """Fit: a radiance field from a scene's training views."""
 
 import functools
-import time
 from contextlib import nullcontext
 
 import numpy as np
@@ -10,13 +9,13 @@ from schemas.errors import BadInput
 from schemas.store import Artefact, Partial
 from stages.configs.fit import EVEN_FROM, SMOOTHNESS, FitConfig, budget_of, capacity_of, kinds_of
 from stages.devices import gpu_figures, gpu_of
-from stages.fields import load_checkpoint, save_checkpoint, save_field
+from stages.fields import load_checkpoint, save_field
 from stages.photos import bank_of
 from stages.progress import Context
 from stages.runner import Spec
 from stages.scenes import SceneData, load_scene
 from stages.spaces import space_of
-from stylerf.errors import Diverged
+from stages.training import train
 from stylerf.geometry.space import Space
 from stylerf.kernels.cpu.compiling import compiling_note, set_threads
 from stylerf.training.engine import CpuEngine
@@ -71,30 +70,16 @@ def _engine(device: str | None, settings: FitSettings, clip: float):
 
 
 def _train(fitter: Fitter, config: FitConfig, partial: Partial, context: Context) -> None:
-    steps, saved_at = fitter.settings.steps, time.monotonic()
+    steps = fitter.settings.steps
     context.progress.start("fit", steps or fitter.settings.seconds, "step" if steps else "s")
 
-    def on_step(now: Fitter) -> None:
-        nonlocal saved_at
+    def tell(now: Fitter) -> None:
         if now.state.step % 10 == 0:
             note = _quality(now.state.curve[-1]) if now.state.curve else ""
             done = now.state.step if steps else min(now.state.seconds, now.settings.seconds)
             context.progress.update(done, f"{note}, {now.parameters / 1e6:.2f} M parameters")
-        if context.ranks.first and time.monotonic() - saved_at > config.checkpoint_every_seconds:
-            save_checkpoint(partial.checkpoint, *now.checkpoint())
-            saved_at = time.monotonic()
 
-    try:
-        fitter.run(on_step)
-    except KeyboardInterrupt:
-        # The step that was cut short may have left half a gradient: only whole steps are saved.
-        if fitter.between_steps and context.ranks.first:
-            save_checkpoint(partial.checkpoint, *fitter.checkpoint())
-        raise
-    except Diverged as error:
-        raise BadInput(f"the fit does not converge: {error}") from error
-    finally:
-        context.progress.finish()
+    train(fitter, "the fit", config.checkpoint_every_seconds, partial, context, tell)
 
 
 def _quality(point: dict) -> str:

@@ -1,7 +1,6 @@
 """Stylise: a field of the same shapes in the colours and strokes of a painting."""
 
 import functools
-import time
 from pathlib import Path
 
 import torch
@@ -17,7 +16,6 @@ from stages.fields import (
     load_checkpoint,
     load_deformation,
     load_field,
-    save_checkpoint,
     save_deformation,
     save_field,
 )
@@ -29,8 +27,9 @@ from stages.references import chosen_view, decoded_reference, read_references
 from stages.runner import Spec
 from stages.scenes import SceneData, load_scene
 from stages.styling import coarse_taps, new_colour, painting_taps, settings_of, template_taps
+from stages.training import train
 from stages.weights import ResolvedTrunk, resolve
-from stylerf.errors import Diverged, InvalidValue
+from stylerf.errors import InvalidValue
 from stylerf.fields.deformation import Deformation
 from stylerf.fields.field import RadianceField
 from stylerf.kernels.cpu.compiling import compiling_note, set_threads
@@ -173,10 +172,10 @@ def _room_for(scene: SceneData, views: list[int], context: Context) -> float:
 
 
 def _train(stylizer: Repainting, config: StylizeConfig, partial: Partial, context: Context) -> None:
-    saved_at, shown = time.monotonic(), ""
+    shown = ""
 
-    def on_step(now: Repainting) -> None:
-        nonlocal saved_at, shown
+    def tell(now: Repainting) -> None:
+        nonlocal shown
         state = now.state
         if state.phase != shown:
             shown = state.phase
@@ -192,17 +191,5 @@ def _train(stylizer: Repainting, config: StylizeConfig, partial: Partial, contex
             last = state.curve[-1]
             note = f"style distance {last['style']:.3f}" if "style" in last else f"squared error {last['mse']:.4f}"
         context.progress.update(state.step if counted else min(state.seconds, now.settings.seconds), note)
-        if time.monotonic() - saved_at > config.checkpoint_every_seconds:
-            save_checkpoint(partial.checkpoint, *now.checkpoint())
-            saved_at = time.monotonic()
 
-    try:
-        stylizer.run(on_step)
-    except KeyboardInterrupt:
-        if stylizer.between_steps:
-            save_checkpoint(partial.checkpoint, *stylizer.checkpoint())
-        raise
-    except Diverged as error:
-        raise BadInput(f"the stylisation does not converge: {error}") from error
-    finally:
-        context.progress.finish()
+    train(stylizer, "the stylisation", config.checkpoint_every_seconds, partial, context, tell)
