@@ -33,13 +33,14 @@ def refresh(field, seed: int, share: int, decay: float) -> None:
 def distances_to(occupied: Tensor, farthest: int = FARTHEST) -> Tensor:
     """Chebyshev distance, in cells, of each cell of [m, m, m] bool to the nearest True, at most `farthest`; uint8.
 
-    A cell at distance d is missed by the first d of the growths by one cell, counted from the grid itself.
+    Axis by axis, in a dozen launches: the nearest of all is the least, over the cells of a line, of the greater of the
+    way to them and of what is nearest to them.
     """
-    reached = occupied[None, None].to(torch.float32)
-    distance = torch.zeros_like(occupied, dtype=torch.uint8)
-    for _ in range(min(farthest, len(occupied))):
-        distance += (reached[0, 0] == 0).to(torch.uint8)
-        for axis in range(3):
-            window = [3 if a == axis else 1 for a in range(3)]
-            reached = F.max_pool3d(reached, window, stride=1, padding=[w // 2 for w in window])
+    farthest = min(farthest, len(occupied))
+    distance = torch.full_like(occupied, farthest, dtype=torch.uint8).masked_fill_(occupied, 0)
+    ways = torch.arange(1 - farthest, farthest, device=occupied.device).abs().to(torch.uint8)
+    for axis in range(3):
+        margins = [farthest - 1 if a == axis else 0 for a in (2, 1, 0) for _ in range(2)]
+        lines = F.pad(distance, margins, value=farthest).unfold(axis, len(ways), 1)
+        distance = torch.maximum(lines, ways).amin(-1)
     return distance

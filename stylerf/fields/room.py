@@ -1,4 +1,8 @@
-"""Memory for samples: its pages are taken as they are written, and a view that is rendered in parts uses them again."""
+"""Memory for samples: its pages are taken as they are written, and what comes next uses them again.
+
+A batch of rays, or a part of a view, has room for many times its samples: every page of it that is written to would
+be new to the process, and cleared before it is used.
+"""
 
 import math
 import threading
@@ -11,39 +15,36 @@ _here = threading.local()
 
 
 def room(shape: tuple[int, ...], dtype=np.float32) -> np.ndarray:
-    """An array of any content, as numpy.empty; within `reused()` of memory that its last round has written to."""
-    held: _Held | None = getattr(_here, "held", None)
+    """An array of any content, as numpy.empty; within a round of a Memory, of what its last round has written to."""
+    held: Memory | None = getattr(_here, "held", None)
     return np.empty(shape, dtype) if held is None else held.next(shape, np.dtype(dtype))
 
 
-@contextmanager
-def reused() -> Iterator["_Held"]:
-    """What room() gives in this thread is given again after each `begin_round()`: nothing of a round may outlive it.
+class Memory:
+    """What room() gives, round after round: nothing of a round may outlive it."""
 
-    A part of a view has room for many times its samples, so that every page of it is new to the process and cleared
-    before it is used: a tenth of the time of a part (lego 200x200 and 400x400, 8192 rays).
-    """
-    _here.held = _Held()
-    try:
-        yield _here.held
-    finally:
-        _here.held = None
-
-
-class _Held:
     def __init__(self) -> None:
         self._blocks: list[np.ndarray] = []
         self._given = 0
 
-    def begin_round(self) -> None:
+    @contextmanager
+    def round(self) -> Iterator[None]:
+        """A round: room() gives of this memory, in this thread, until it ends."""
+        before, _here.held = getattr(_here, "held", None), self
         self._given = 0
+        try:
+            yield
+        finally:
+            _here.held = before
 
     def next(self, shape: tuple[int, ...], dtype: np.dtype) -> np.ndarray:
+        """An array of any content that no other of this round shares."""
         length = math.prod(shape) * dtype.itemsize
         if self._given == len(self._blocks):
-            self._blocks.append(np.empty(length, np.uint8))
-        elif len(self._blocks[self._given]) < length:
-            self._blocks[self._given] = np.empty(length, np.uint8)
+            self._blocks.append(np.empty(0, np.uint8))
+        if len(self._blocks[self._given]) < length:
+            # Batches grow little by little: with some to spare, not each of them begins with new memory.
+            self._blocks[self._given] = np.empty(length + length // 4, np.uint8)
         block = self._blocks[self._given]
         self._given += 1
         return block[:length].view(dtype).reshape(shape)

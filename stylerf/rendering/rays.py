@@ -70,8 +70,8 @@ def backward(
     A field's colour_map is for its pictures: the gradient is that of the colours before it.
     """
     s = rendered.samples
-    sigma_gradients = np.empty_like(s.sigma)
-    colour_gradients = np.empty_like(rendered.colours)
+    sigma_gradients = room(s.sigma.shape)
+    colour_gradients = room(rendered.colours.shape)
     chunks = len(next(to for to in (colour_to, density_to, displacement_to) if to is not None))
     composite_backward(
         s.sigma,

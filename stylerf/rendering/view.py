@@ -7,7 +7,7 @@ import numpy as np
 
 from stylerf.editing.regions import alpha_inside
 from stylerf.fields.field import RadianceField
-from stylerf.fields.room import reused
+from stylerf.fields.room import Memory
 from stylerf.fields.samples import Rays
 from stylerf.geometry.cameras import Camera
 from stylerf.rendering.rays import render_rays
@@ -47,17 +47,17 @@ def render_view(
     count = camera.width * camera.height
     out = np.empty((count, 5), np.float32)
     inside = {name: np.empty(count, np.float32) for name in regions or {}}
-    with reused() as memory:
-        for at in range(0, count, rays_at_once):
-            memory.begin_round()
-            part = slice(at, at + rays_at_once)
-            pixels = np.arange(at, min(at + rays_at_once, count))
+    memory = Memory()
+    for at in range(0, count, rays_at_once):
+        part = slice(at, at + rays_at_once)
+        pixels = np.arange(at, min(at + rays_at_once, count))
+        with memory.round():
             rays = Rays.of(*camera.rays(pixels), field.space.near)
             rendered = render_rays(field, rays, chunks=chunks, opaque=opaque, share=field.share)
             out[part] = rendered.out
             for name, mask in inside.items():
                 mask[part] = alpha_inside(regions[name], rendered.samples, chunks)
-            on_rays(min(at + rays_at_once, count))
+        on_rays(min(at + rays_at_once, count))
     out = out.reshape(camera.height, camera.width, 5)
     alpha = np.clip(out[..., 3], 0, 1)
     distance = np.where(alpha > 0, out[..., 4] / np.maximum(alpha, 1e-8), 0).astype(np.float32)

@@ -10,6 +10,7 @@ import numpy as np
 from stylerf.errors import Diverged
 from stylerf.fields.deformation import Deformation
 from stylerf.fields.field import RadianceField
+from stylerf.fields.room import Memory
 from stylerf.fields.samples import Rays
 from stylerf.rendering.rays import Rendered, backward, render_rays
 from stylerf.training.deformer import Deformer, deformer_on
@@ -58,6 +59,7 @@ class PhotoError:
 
     def __init__(self, deformer: Deformer, background: float, share: float, chunks: int) -> None:
         self.deformer, self.background, self.share, self.chunks = deformer, np.float32(background), share, chunks
+        self._memory = Memory()
 
     def _rendered(self, origins, directions, colours, jitter=None) -> tuple[Rendered, np.ndarray]:
         """What rays come back with, and its difference from the photos over the background."""
@@ -69,16 +71,18 @@ class PhotoError:
 
     def of(self, origins: np.ndarray, directions: np.ndarray, colours: np.ndarray) -> float:
         """Mean squared difference of rays, marched from the middle of their first step, from straight rgba [n, 4]."""
-        return float(np.square(self._rendered(origins, directions, colours)[1]).mean())
+        with self._memory.round():
+            return float(np.square(self._rendered(origins, directions, colours)[1]).mean())
 
     def learn(self, origins: np.ndarray, directions: np.ndarray, colours: np.ndarray, jitter: np.ndarray) -> float:
         """Add dL/dD of their mean squared difference to the deformer's gradients; the difference itself."""
-        rendered, difference = self._rendered(origins, directions, colours, jitter)
-        gradients = np.zeros_like(rendered.out)
-        gradients[:, :3] = difference * np.float32(2 / difference.size)
-        gradients[:, 3] = -gradients[:, :3].sum(1) * self.background
-        backward(self.deformer.field, rendered, gradients, None, None, self.deformer.gradients)
-        return float(np.square(difference).mean())
+        with self._memory.round():
+            rendered, difference = self._rendered(origins, directions, colours, jitter)
+            gradients = np.zeros_like(rendered.out)
+            gradients[:, :3] = difference * np.float32(2 / difference.size)
+            gradients[:, 3] = -gradients[:, :3].sum(1) * self.background
+            backward(self.deformer.field, rendered, gradients, None, None, self.deformer.gradients)
+            return float(np.square(difference).mean())
 
 
 class DeformationFitter:

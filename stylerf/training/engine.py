@@ -10,6 +10,7 @@ from typing import Protocol
 import numpy as np
 
 from stylerf.fields.field import RadianceField
+from stylerf.fields.room import Memory
 from stylerf.fields.samples import Rays
 from stylerf.rendering.rays import backward, render_rays
 from stylerf.training.optimiser import Adam
@@ -138,6 +139,7 @@ class CpuEngine:
     ) -> None:
         self.bank, self.seed, self.chunks, self.ranks, self.clip = bank, seed, chunks, ranks, clip
         self.density_adam = self.colour_adam = None
+        self._memory = Memory()
         self.adopt(field)
 
     def adopt(self, field: RadianceField) -> None:
@@ -168,20 +170,10 @@ class CpuEngine:
         for part in np.array_split(np.arange(len(origins)), batch.parts):
             part = slice(int(part[0]), int(part[-1]) + 1)
             rays = Rays.of(origins[part], directions[part], near, jitter[part])
-            rendered = render_rays(self.field, rays, chunks=self.chunks)
-            out, back = rendered.out, background[part]
-            difference = over(out[:, :3], out[:, 3:4], back) - target(colours[part], back)
-            error += float(np.square(difference).sum())
-            live += rendered.samples.count
-            gradients = np.zeros_like(out)
-            gradients[:, :3] = difference * np.float32(2 / (3 * count))
-            gradients[:, 3] = -(gradients[:, :3] * back).sum(1)
-            if batch.opacity > 0:
-                gradients[:, 3] += opacity_gradient(out[:, 3], batch.opacity, count)
-            if batch.coverage > 0:
-                gradients[:, 3] += coverage_gradient(out[:, 3], colours[part, 3], batch.coverage, count)
-            to = self.density_adam.gradients, self.colour_adam.gradients
-            backward(self.field, rendered, gradients, *to, even_from=batch.even_from)
+            with self._memory.round():
+                squares, samples = self._learn_part(batch, rays, colours[part], background[part])
+            error += squares
+            live += samples
         both = (self.field.density, self.density_adam), (self.field.colour, self.colour_adam)
         for strength, (part, adam) in zip(batch.smoothness, both):
             if strength > 0 and self.ranks.first:
@@ -195,6 +187,23 @@ class CpuEngine:
         error, live = totals.tolist()
         return Learnt(error / (3 * count), live / count)
 
+    def _learn_part(self, batch: Batch, rays: Rays, colours, back) -> tuple[float, int]:
+        """Add the gradients of some rays of a batch; the sum of their squared errors, and their samples."""
+        count = batch.rays
+        rendered = render_rays(self.field, rays, chunks=self.chunks)
+        out = rendered.out
+        difference = over(out[:, :3], out[:, 3:4], back) - target(colours, back)
+        gradients = np.zeros_like(out)
+        gradients[:, :3] = difference * np.float32(2 / (3 * count))
+        gradients[:, 3] = -(gradients[:, :3] * back).sum(1)
+        if batch.opacity > 0:
+            gradients[:, 3] += opacity_gradient(out[:, 3], batch.opacity, count)
+        if batch.coverage > 0:
+            gradients[:, 3] += coverage_gradient(out[:, 3], colours[:, 3], batch.coverage, count)
+        to = self.density_adam.gradients, self.colour_adam.gradients
+        backward(self.field, rendered, gradients, *to, even_from=batch.even_from)
+        return float(np.square(difference).sum()), rendered.samples.count
+
     def discard(self) -> None:
         self.density_adam.gradients[:] = 0
         self.colour_adam.gradients[:] = 0
@@ -205,7 +214,8 @@ class CpuEngine:
         for number in range(self.ranks.place, len(begins), self.ranks.count):
             part = slice(begins[number], begins[number] + 4096)
             rays = Rays.of(origins[part], directions[part], self.field.space.near)
-            out = render_rays(self.field, rays, chunks=self.chunks).out
+            with self._memory.round():
+                out = render_rays(self.field, rays, chunks=self.chunks).out
             error = over(out[:, :3], out[:, 3:4], background[part]) - target(colours[part], background[part])
             sums[number] = np.square(np.clip(error, -1, 1)).sum()
         self.ranks.add(sums)

@@ -11,6 +11,7 @@ import numpy as np
 
 from stylerf.fields.field import RadianceField
 from stylerf.fields.patch import PatchColour
+from stylerf.fields.room import Memory
 from stylerf.fields.samples import Rays
 from stylerf.rendering.rays import backward, render_rays
 from stylerf.training.optimiser import Adam
@@ -95,8 +96,13 @@ class CpuTuning:
         self.colour_adam = Adam(field.colour.values, field.colour.groups(), chunks)
         self.density_adam = Adam(field.density.values, field.density.groups(), chunks)
         self._last: dict[str, float] = {}
+        self._memory = Memory()
 
     def learn(self, batch: TuningBatch) -> dict[str, float]:
+        with self._memory.round():
+            return self._learn(batch)
+
+    def _learn(self, batch: TuningBatch) -> dict[str, float]:
         s, field, edited = self.settings, self.field, len(batch.depth)
         moving = s.density_factor > 0
         origins, directions, colours = self.bank.at(batch.views, batch.pixels)
