@@ -11,7 +11,7 @@ from stages.fields import load_checkpoint, load_field, save_deformation, save_fi
 from stages.photos import bank_of, level_of
 from stages.progress import Context
 from stages.runner import Spec
-from stages.scenes import load_scene
+from stages.scenes import load_scene, spread
 from stages.training import train
 from stylerf.errors import InvalidValue
 from stylerf.fields.deformation import Deformation
@@ -42,7 +42,7 @@ def run(inputs: dict[str, Artefact], config: DeformConfig, partial: Partial, con
         gate=config.gate,
     )
     train = scene.splits["train"]
-    aside = _aside(train) if config.gate > 0 else []
+    aside = spread(train, min(4, max(1, len(train) // 10))) if config.gate > 0 else []
     bank = bank_of(scene, [i for i in train if i not in aside] + aside, partial.folder, context)
     device = gpu_of(context, field, moving=True)
     with compiling_note(context.progress.say):
@@ -71,12 +71,6 @@ def run(inputs: dict[str, Artefact], config: DeformConfig, partial: Partial, con
         "parameters": field.parameters + len(deformation.values),
         **gpu_figures(device),
     }
-
-
-def _aside(train: list[int]) -> list[int]:
-    """Every tenth training view, one at least and at most four, evenly."""
-    count = min(4, max(1, len(train) // 10))
-    return [train[int((k + 0.5) * len(train) / count)] for k in range(count)]
 
 
 def _train(fitter: DeformationFitter, config: DeformConfig, partial: Partial, context: Context) -> None:

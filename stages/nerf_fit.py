@@ -13,7 +13,7 @@ from stages.fields import load_checkpoint, save_field
 from stages.photos import bank_of
 from stages.progress import Context
 from stages.runner import Spec
-from stages.scenes import SceneData, load_scene
+from stages.scenes import SceneData, load_scene, spread
 from stages.spaces import space_of
 from stages.training import train
 from stylerf.geometry.space import Space
@@ -158,7 +158,7 @@ def _held_out(train: list[int], wanted: int) -> list[int]:
     count = min(4, len(train) // 10) if wanted < 0 else wanted
     if count >= len(train) - 1:
         raise BadInput(f"{count} of {len(train)} training views cannot be held out; lower --held-out")
-    return [train[int((k + 0.5) * len(train) / count)] for k in range(count)]
+    return spread(train, count)
 
 
 def _shown(background: str) -> str:

@@ -1,4 +1,4 @@
-"""Reads the painting that a scene or a region is stylised with."""
+"""Reads pictures whose colours count: paintings that a scene or a region is stylised with, references, styles."""
 
 from pathlib import Path
 
@@ -9,13 +9,17 @@ from schemas.errors import BadInput
 from schemas.images import read_image
 
 
-def read_painting(path: Path) -> torch.Tensor:
-    """[3, h, w] float32 sRGB 0..1; transparent parts of a painting count as white."""
+def read_colours(path: Path) -> np.ndarray:
+    """[h, w, 3] float32 sRGB 0..1; transparent parts are white, greys have three channels."""
     pixels = read_image(path).pixels
     if pixels.shape[2] == 4:
-        pixels = pixels[..., :3] * pixels[..., 3:] + (1 - pixels[..., 3:])
-    if pixels.shape[2] == 1:
-        pixels = np.repeat(pixels, 3, axis=2)
+        return pixels[..., :3] * pixels[..., 3:] + (1 - pixels[..., 3:])
+    return np.repeat(pixels, 3, axis=2) if pixels.shape[2] == 1 else pixels
+
+
+def read_painting(path: Path) -> torch.Tensor:
+    """[3, h, w] float32 sRGB 0..1; transparent parts of a painting count as white."""
+    pixels = read_colours(path)
     if min(pixels.shape[:2]) < 16:
         raise BadInput(
             f"{path} is {pixels.shape[1]}x{pixels.shape[0]}; a painting of at least 16 pixels a side is needed"

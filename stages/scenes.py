@@ -126,6 +126,11 @@ def view_index(scene: SceneData, name: str, asked_by: str) -> int:
     raise BadInput(f"{asked_by}: there is no view {name!r}; the scene's {len(names)} views are {shown}")
 
 
+def spread(views: list[int], count: int) -> list[int]:
+    """`count` of the views, evenly: those in the middle of as many equal parts."""
+    return [views[int((k + 0.5) * len(views) / count)] for k in range(count)]
+
+
 def _camera(view: View) -> Camera:
     pose = np.array(view.world_from_camera)
     return Camera(view.name, view.width, view.height, view.fx, view.fy, view.cx, view.cy, pose)

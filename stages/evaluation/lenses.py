@@ -4,14 +4,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from schemas.errors import BadInput
-from schemas.images import read_image
 from schemas.store import Artefact
 from stages.configs.evaluate import SMALLEST_SIDE, EvaluateConfig
 from stages.evaluation.measuring import Score
 from stages.evaluation.nets import Painting, Perceptual, perceptual_distances
+from stages.paintings import read_colours
 from stages.progress import Context
 from stylerf.metrics.consistency import PixelDistance
 from stylerf.metrics.protocols import ImageDistance
@@ -33,7 +31,7 @@ class Lenses:
         path = painting_file(config, field)
         if path is None:
             return cls(tolerant, lpips, None, "")
-        painting = Painting(_colours(path), config.features, config.style_side, context.device)
+        painting = Painting(read_colours(path), config.features, config.style_side, context.device)
         context.progress.say(f"style distances to {path.name} by features of {painting.trunk_name}")
         return cls(tolerant, lpips, painting, path.name)
 
@@ -82,11 +80,3 @@ def painting_file(config: EvaluateConfig, field: Artefact | None) -> Path | None
         return field.file(pictures[0])
     named = field.manifest.config.get("style")
     return Path(named) if isinstance(named, str) and named and Path(named).is_file() else None
-
-
-def _colours(path: Path) -> np.ndarray:
-    """A painting as [h, w, 3]; transparent parts become white."""
-    pixels = read_image(path).pixels
-    if pixels.shape[2] == 4:
-        return pixels[..., :3] * pixels[..., 3:] + (1 - pixels[..., 3:])
-    return np.repeat(pixels, 3, axis=2) if pixels.shape[2] == 1 else pixels

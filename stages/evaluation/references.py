@@ -12,11 +12,11 @@ from skimage.transform import resize
 
 from schemas.canonical import digest_of, file_sha256
 from schemas.errors import BadInput
-from schemas.images import read_image
 from stages.configs.views import file_of
 from stages.evaluation.masks import SIDES_DIFFER
 from stages.evaluation.measuring import HIGHEST_PSNR, ViewRow
 from stages.evaluation.views import FrameViews, Render, SceneViews
+from stages.paintings import read_colours
 from stylerf.metrics.images import psnr
 from stylerf.metrics.protocols import ImageDistance
 
@@ -53,10 +53,7 @@ def picture_of(path: Path) -> np.ndarray:
     """[h, w, 3] sRGB 0..1; transparent parts are white. BadInput where there is no such file."""
     if not path.is_file():
         raise BadInput(f"--reference: no file {path}")
-    pixels = read_image(path).pixels
-    if pixels.shape[2] == 4:
-        return pixels[..., :3] * pixels[..., 3:] + (1 - pixels[..., 3:])
-    return np.repeat(pixels, 3, axis=2) if pixels.shape[2] == 1 else pixels
+    return read_colours(path)
 
 
 def sized_as(picture: np.ndarray, render: Render) -> np.ndarray:
