@@ -197,8 +197,8 @@ def composite(samples: DeviceSamples, colours: Tensor) -> Tensor:
     n = len(samples.starts)
     out = torch.empty((n, 5), device=colours.device)
     if n:
-        composite_kernels.composite_kernel[(triton.cdiv(n, POINTS),)](
-            samples.weights, colours, samples.t, samples.starts, samples.ends, out, n, BLOCK=POINTS
+        composite_kernels.composite_kernel[(triton.cdiv(n, RAYS),)](
+            samples.weights, colours, samples.t, samples.starts, samples.ends, out, n, BLOCK=RAYS, num_warps=1
         )
     return out
 
@@ -209,9 +209,9 @@ def composite_backward(
     """(dL/d(sigma) [room], dL/d(colour) [room, 3]) from dL/d(out) [rays, 5]; unset beyond the samples there are."""
     sigma_gradients, colour_gradients = torch.empty_like(samples.sigma), torch.empty_like(colours)
     if len(out):
-        composite_kernels.composite_backward_kernel[(triton.cdiv(len(out), POINTS),)](
+        composite_kernels.composite_backward_kernel[(triton.cdiv(len(out), RAYS),)](
             samples.weights, samples.optical, colours, samples.t, samples.starts, samples.ends, out, gradients,
-            float(even_from), sigma_gradients, colour_gradients, len(out), BLOCK=POINTS,
+            float(even_from), sigma_gradients, colour_gradients, len(out), BLOCK=RAYS, num_warps=1,
         )  # fmt: skip
     return sigma_gradients, colour_gradients
 
