@@ -1,6 +1,7 @@
 """Local edits under stress: a part chosen by a pixel, its look learnt and changed, and taught to the field.
 
-The part is what grows from the opaque pixel in the middle of the first training view: nobody chooses for a fault.
+The part is what grows from the opaque pixel in the middle of the first training view, within reach of it: nobody
+chooses for a fault.
 """
 
 from collections.abc import Callable
@@ -22,6 +23,7 @@ from stages.stress.measuring import middle_of
 
 SPECS = (region_select.SPEC, edit_dataset.SPEC, edit_learn.SPEC, edit_palette.SPEC, distill.SPEC, finetune.SPEC,
          decompose.SPEC, recolour.SPEC)  # fmt: skip
+REACH = 0.12  # of the way from that camera: photos this small tell colours too badly to end a growth by them alone
 ORDINARY = "all=#2050d0"
 PALETTES = {"palette-full": "all=#00ff00", "palette-black": "all=#000000"}
 QUICK_LEARNING = {"palette_steps": 80, "style_steps": 15, "pruned_steps": 10, "style_side": 64}
@@ -68,14 +70,15 @@ def edited(
     execute: Execute, scene: Artefact, field: Artefact, options: EditOptions, threads: int
 ) -> tuple[Artefact, Artefact]:
     """The edited field and the region that was edited."""
-    place = middle_of(scene, field, threads)
+    place, away = middle_of(scene, field, threads)
     inputs = {"scene": scene, "field": field}
-    region = execute(region_select, inputs, SelectConfig(at=(place,)), f"{field.name}-part")
+    asked = SelectConfig(at=(place,), reach=round(REACH * away, 4))
+    region = execute(region_select, inputs, asked, f"{field.name}-part")
     name = f"{field.name}-{options.method.name}-{digest_of(options.described()['learning'])[:8]}"
     changed = f"{name}-{digest_of(options.changes)[:8]}"
     if options.method.edit == "palette":
         learnt = execute(decompose, inputs, options.learning, name)
-        changes = RecolourConfig(palette=options.changes, at=(place,))
+        changes = RecolourConfig(palette=options.changes, at=(place,), reach=asked.reach)
         return execute(recolour, {"scene": scene, "field": learnt}, changes, changed), region
     inputs |= {"region": region}
     dataset = execute(edit_dataset, inputs, ExtractConfig(exr=False), region.name)

@@ -46,19 +46,20 @@ def seen_of_edit(scene: Artefact, before: Artefact, after: Artefact, region: Art
     return views
 
 
-def middle_of(scene: Artefact, field: Artefact, threads: int) -> str:
-    """VIEW:X,Y: of the first training view, the pixel nearest to its middle that shows something opaque.
+def middle_of(scene: Artefact, field: Artefact, threads: int) -> tuple[str, float]:
+    """VIEW:X,Y of the pixel nearest to the middle of the first training view that shows something opaque.
 
-    BadInput where none does.
+    And how far from the camera that is, scene units. BadInput where there is none.
     """
     data = load_scene(scene)
     camera = data.cameras[data.splits["train"][0]]
-    alpha = render_view(load_field(field)[0], camera, chunks=set_threads(threads)).alpha
-    rows, columns = np.nonzero(alpha > OPAQUE)
+    found = render_view(load_field(field)[0], camera, chunks=set_threads(threads))
+    rows, columns = np.nonzero(found.alpha > OPAQUE)
     if not len(rows):
         raise BadInput(f"{field.path}: nothing opaque is seen from {camera.name}")
     nearest = np.argmin(np.hypot(rows - camera.height / 2, columns - camera.width / 2))
-    return f"{camera.name}:{columns[nearest]},{rows[nearest]}"
+    row, column = rows[nearest], columns[nearest]
+    return f"{camera.name}:{column},{row}", float(found.ray_distance[row, column])
 
 
 def _picture(field: RadianceField, camera: Camera, level: float, chunks: int) -> np.ndarray:
