@@ -15,7 +15,7 @@ from stages.progress import Context
 from stages.runner import Spec
 from stages.scenes import load_scene
 from stages.styling import finest_cells
-from stages.training import train
+from stages.training import run_training
 from stylerf.errors import InvalidValue
 from stylerf.fields.palette import PaletteColour
 from stylerf.kernels.cpu.compiling import compiling_note, set_threads
@@ -113,4 +113,4 @@ def _train(learner: Decomposing, config: DecomposeConfig, partial: Partial, cont
         note = f"squared error {state.curve[-1]['mse']:.4f}" if state.curve else ""
         context.progress.update(state.step if counted else min(state.seconds, now.settings.seconds), note)
 
-    train(learner, "the decomposition", config.checkpoint_every_seconds, partial, context, tell)
+    run_training(learner, "the decomposition", config.checkpoint_every_seconds, partial, context, tell)

@@ -12,7 +12,7 @@ from stages.photos import bank_of, level_of
 from stages.progress import Context
 from stages.runner import Spec
 from stages.scenes import load_scene, spread
-from stages.training import train
+from stages.training import run_training
 from stylerf.errors import InvalidValue
 from stylerf.fields.deformation import Deformation
 from stylerf.kernels.cpu.compiling import compiling_note, set_threads
@@ -80,4 +80,4 @@ def _train(fitter: DeformationFitter, config: DeformConfig, partial: Partial, co
         if now.state.step % 10 == 0:
             context.progress.update(now.state.step, f"{now.state.best:.2f} dB on the photos")
 
-    train(fitter, "the deformation", config.checkpoint_every_seconds, partial, context, tell)
+    run_training(fitter, "the deformation", config.checkpoint_every_seconds, partial, context, tell)

@@ -20,7 +20,7 @@ from stages.fields import load_checkpoint
 from stages.paintings import read_painting
 from stages.progress import Context
 from stages.runner import Spec
-from stages.training import train
+from stages.training import run_training
 from stages.weights import resolve
 from stylerf.editing.edits import PaletteEdits
 from stylerf.editing.losses import EditWeights
@@ -144,4 +144,4 @@ def _train(trainer: EditTrainer, shown: EditView, config: EditConfig, partial: P
             context.progress.say(f"preview: {target}")
             drawn_at = time.monotonic()
 
-    train(trainer, "the edit", config.checkpoint_every_seconds, partial, context, tell)
+    run_training(trainer, "the edit", config.checkpoint_every_seconds, partial, context, tell)

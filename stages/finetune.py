@@ -18,7 +18,7 @@ from stages.progress import Context
 from stages.regions import load_region
 from stages.runner import Spec
 from stages.scenes import EDIT_TARGETS, SceneData, load_scene
-from stages.training import train
+from stages.training import run_training
 from stylerf.fields.field import RadianceField
 from stylerf.fields.patch import PatchColour
 from stylerf.fields.surface import Surface, pixel_cells, surface_of
@@ -144,4 +144,4 @@ def _train(tuner: FineTuner, config: FinetuneConfig, partial: Partial, context: 
             note = f"squared error {last['inside']:.4f} in the edit, {last['outside']:.4f} outside"
         context.progress.update(now.state.step if steps else min(now.state.seconds, now.settings.seconds), note)
 
-    train(tuner, "the fine-tuning", config.checkpoint_every_seconds, partial, context, tell)
+    run_training(tuner, "the fine-tuning", config.checkpoint_every_seconds, partial, context, tell)

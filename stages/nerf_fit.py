@@ -15,7 +15,7 @@ from stages.progress import Context
 from stages.runner import Spec
 from stages.scenes import SceneData, load_scene, spread
 from stages.spaces import space_of
-from stages.training import train
+from stages.training import run_training
 from stylerf.geometry.space import Space
 from stylerf.kernels.cpu.compiling import compiling_note, set_threads
 from stylerf.training.engine import CpuEngine
@@ -79,7 +79,7 @@ def _train(fitter: Fitter, config: FitConfig, partial: Partial, context: Context
             done = now.state.step if steps else min(now.state.seconds, now.settings.seconds)
             context.progress.update(done, f"{note}, {now.parameters / 1e6:.2f} M parameters")
 
-    train(fitter, "the fit", config.checkpoint_every_seconds, partial, context, tell)
+    run_training(fitter, "the fit", config.checkpoint_every_seconds, partial, context, tell)
 
 
 def _quality(point: dict) -> str:

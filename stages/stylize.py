@@ -27,7 +27,7 @@ from stages.references import chosen_view, decoded_reference, read_references
 from stages.runner import Spec
 from stages.scenes import SceneData, load_scene
 from stages.styling import coarse_taps, new_colour, painting_taps, settings_of, template_taps
-from stages.training import train
+from stages.training import run_training
 from stages.weights import ResolvedTrunk, resolve
 from stylerf.errors import InvalidValue
 from stylerf.fields.deformation import Deformation
@@ -192,4 +192,4 @@ def _train(stylizer: Repainting, config: StylizeConfig, partial: Partial, contex
             note = f"style distance {last['style']:.3f}" if "style" in last else f"squared error {last['mse']:.4f}"
         context.progress.update(state.step if counted else min(state.seconds, now.settings.seconds), note)
 
-    train(stylizer, "the stylisation", config.checkpoint_every_seconds, partial, context, tell)
+    run_training(stylizer, "the stylisation", config.checkpoint_every_seconds, partial, context, tell)

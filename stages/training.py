@@ -11,7 +11,7 @@ from stages.progress import Context
 from stylerf.errors import Diverged
 
 
-def train(
+def run_training(
     trainer: Any, what: str, every: float, partial: Partial, context: Context, tell: Callable[[Any], None]
 ) -> None:
     """Calls `trainer.run` and brings it to its end.

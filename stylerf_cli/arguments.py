@@ -64,14 +64,15 @@ def _add_field(group: Any, item: dataclasses.Field, kind: Any) -> None:
         settings["action"] = argparse.BooleanOptionalAction
     else:
         settings["type"] = {int: _whole, float: _number}.get(base, base)
-        settings["metavar"] = meta.get("metavar") or item.name.rpartition("_")[2].upper()
         if many is not None:
             settings["nargs"] = many or "+"
             if many == 0:
                 settings["action"] = "extend"  # `--layers a b --layers c` is three layers
-        if meta.get("choices"):
-            settings["choices"] = tuple(meta["choices"])
-            settings["metavar"] = meta.get("metavar") or "|".join(map(str, meta["choices"]))
+        choices = tuple(meta.get("choices") or ())
+        if choices:
+            settings["choices"] = choices
+        words = "|".join(map(str, choices)) or item.name.rpartition("_")[2].upper()
+        settings["metavar"] = meta.get("metavar") or words
     group.add_argument(_flag(item), dest=item.name, required=False, **settings)
 
 

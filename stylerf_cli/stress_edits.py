@@ -46,7 +46,7 @@ class EditOptions:
         learning = self.learning
         if isinstance(learning, EditConfig) and learning.style:
             learning = replace(learning, style="-")
-        return {"learning": learning, "changes": self.changes, "finetune": self.finetune}
+        return {"learning": learning, "changes": self.changes, "finetune": self.finetune, "reach": REACH}
 
 
 def options_of(method: Method, fault: Fault, remedies: bool, conditions: dict, painting: Path | None) -> EditOptions:

@@ -10,11 +10,8 @@ from stages.photos import level_of, photo_over
 from stages.regions import load_region
 from stages.scenes import load_scene
 from stages.stress.criteria import Seen
-from stylerf.editing.regions import march_view
-from stylerf.fields.field import RadianceField
-from stylerf.geometry.cameras import Camera
 from stylerf.kernels.cpu.compiling import set_threads
-from stylerf.rendering.view import render_view
+from stylerf.rendering.view import RenderedView, render_view
 
 OPAQUE = 0.9
 
@@ -28,7 +25,8 @@ def seen_from_tests(scene: Artefact, field: Artefact, threads: int) -> list[Seen
     for index in data.splits["test"]:
         camera, photo = data.cameras[index], data.images(index)
         mask = photo[..., 3] > 0.5 if photo.shape[2] == 4 else None
-        views.append(Seen(camera.name, _picture(radiance, camera, level, chunks), photo_over(data, index, level), mask))
+        render = _over(render_view(radiance, camera, chunks=chunks), level)
+        views.append(Seen(camera.name, render, photo_over(data, index, level), mask))
     return views
 
 
@@ -39,10 +37,9 @@ def seen_of_edit(scene: Artefact, before: Artefact, after: Artefact, region: Art
     level, chunks = level_of(background), set_threads(threads)
     views = []
     for camera in (data.cameras[index] for index in data.splits["test"]):
-        shown = [cells.alpha(samples, chunks) > SHOWN for _, samples in march_view(plain, camera, chunks)]
-        mask = np.concatenate(shown).reshape(camera.height, camera.width)
-        pictures = (_picture(field, camera, level, chunks) for field in (edited, plain))
-        views.append(Seen(camera.name, *pictures, mask))
+        found = render_view(plain, camera, chunks=chunks, regions={"part": cells.edit})
+        pictures = _over(render_view(edited, camera, chunks=chunks), level), _over(found, level)
+        views.append(Seen(camera.name, *pictures, found.masks["part"] > SHOWN))
     return views
 
 
@@ -62,9 +59,8 @@ def middle_of(scene: Artefact, field: Artefact, threads: int) -> tuple[str, floa
     return f"{camera.name}:{column},{row}", float(found.ray_distance[row, column])
 
 
-def _picture(field: RadianceField, camera: Camera, level: float, chunks: int) -> np.ndarray:
+def _over(found: RenderedView, level: float) -> np.ndarray:
     """[h, w, 3], clipped as a picture file would be; NaN stays, to be judged."""
-    found = render_view(field, camera, chunks=chunks)
     return np.clip(found.rgb + (1 - found.alpha[..., None]) * np.float32(level), 0, 1)
 
 

@@ -121,7 +121,7 @@ def _pictures(cells: Sequence[Cell], folder: Path) -> str:
             f'<figure><img src="{uri}" alt="Photo and render: {escape(words)}">'
             f"<figcaption>{escape(words)}: {told}</figcaption></figure>"
         )
-    intro = "<p>The photo at the left, the render at the right, of the view that is worst in the worst run.</p>"
+    intro = "<p>The photo (of an edit: the field before) at the left, the render at the right, of the worst view.</p>"
     return f'{intro}<div class="row" style="--columns:3">{"".join(shown)}</div>' if shown else "<p>There is none.</p>"
 
 

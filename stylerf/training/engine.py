@@ -205,6 +205,7 @@ class CpuEngine:
         return float(np.square(difference).sum()), rendered.samples.count
 
     def discard(self) -> None:
+        self._memory = Memory()  # what was kept for batches of this size is needed for smaller ones
         self.density_adam.gradients[:] = 0
         self.colour_adam.gradients[:] = 0
 

@@ -8,7 +8,7 @@ import pytest
 from schemas.errors import BadInput
 from stages.fields import load_checkpoint
 from stages.progress import Context, Silent
-from stages.training import train
+from stages.training import run_training
 from stylerf.errors import Diverged
 
 
@@ -45,7 +45,7 @@ def run(toy, partial, every=1e9, first=True):
     said, told = Said(), []
     context = Context(ranks=SimpleNamespace(first=first), progress=said)
     try:
-        train(toy, "the toy", every, partial, context, lambda now: told.append(now.step))
+        run_training(toy, "the toy", every, partial, context, lambda now: told.append(now.step))
     finally:
         assert told == [1, 2, 3] and said.finished == 1
     return load_checkpoint(partial.checkpoint)

@@ -24,7 +24,7 @@ WIDTH = 4  # channels of every layer of the invented networks
 
 @pytest.fixture(autouse=True)
 def nowhere(tmp_path, monkeypatch):
-    """An empty machine: own cache, empty hub, no folder of weights, no installed packages."""
+    """An empty machine: own cache, empty hub, no folder of weights, no installed packages, no network."""
     monkeypatch.setenv("STYLERF_CACHE", str(tmp_path / "cache"))
     monkeypatch.setenv("TORCH_HOME", str(tmp_path / "torch"))
     monkeypatch.delenv("STYLERF_WEIGHTS", raising=False)
@@ -32,7 +32,11 @@ def nowhere(tmp_path, monkeypatch):
     def absent(name):
         raise importlib.metadata.PackageNotFoundError(name)
 
+    def refuse(*_args, **_kwargs):
+        raise AssertionError("something was downloaded")
+
     monkeypatch.setattr(importlib.metadata, "distribution", absent)
+    monkeypatch.setattr(torch.hub, "download_url_to_file", refuse)
     return tmp_path
 
 
