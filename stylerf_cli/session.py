@@ -151,10 +151,13 @@ def _may_have_gpu() -> bool:
 
 def _use_threads(count: int) -> None:
     """Limits the threads of OpenMP, BLAS and numba, which read this at their import, and of torch if it is there."""
-    for variable in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"):
+    variables = {"OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"}
+    if "numba" in sys.modules:
+        # Its compiler refuses another number in the environment than the one that it launched its threads with.
+        variables.remove("NUMBA_NUM_THREADS")
+        numba = sys.modules["numba"]
+        numba.set_num_threads(min(count, numba.config.NUMBA_NUM_THREADS))
+    for variable in variables:
         os.environ[variable] = str(count)
     if "torch" in sys.modules:
         sys.modules["torch"].set_num_threads(count)
-    if "numba" in sys.modules:
-        numba = sys.modules["numba"]
-        numba.set_num_threads(min(count, numba.config.NUMBA_NUM_THREADS))

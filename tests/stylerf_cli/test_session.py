@@ -85,3 +85,16 @@ def test_threads_reach_libraries_that_are_imported_later():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=REPOSITORY)
     assert done.stdout == "1 1\n"
+
+
+def test_fewer_threads_once_numba_runs_do_not_hinder_its_compiler():
+    code = (
+        "import numba; numba.set_num_threads(2)\n"
+        "from stylerf_cli.session import _use_threads; _use_threads(1)\n"
+        "print(numba.njit(lambda x: x + 1)(1), numba.get_num_threads())"
+    )
+    ours = {"NUMBA_NUM_THREADS": "2"}
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=REPOSITORY, env=os.environ | ours
+    )
+    assert done.stdout == "2 1\n"
