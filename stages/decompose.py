@@ -30,7 +30,7 @@ WORKING_BYTES = 1e9  # what a step takes beside what is kept of the views
 
 def run(inputs: dict[str, Artefact], config: DecomposeConfig, partial: Partial, context: Context) -> dict:
     """Writes the decomposed field and its palette; returns the figures."""
-    scene = load_scene(inputs["scene"])
+    scene = load_scene(inputs["scene"], inputs["field"])
     field, background = load_field(inputs["field"])
     threads = set_threads(context.threads)
     torch.set_num_threads(threads)

@@ -23,7 +23,7 @@ SPEC = Spec(stage="deform_init", verb="deform", revision=2, writes="field")
 
 def run(inputs: dict[str, Artefact], config: DeformConfig, partial: Partial, context: Context) -> dict:
     """Writes the field with its displacement grid, and the network behind it; returns the figures."""
-    scene = load_scene(inputs["scene"])
+    scene = load_scene(inputs["scene"], inputs["field"])
     field, background = load_field(inputs["field"])
     if field.displacement is not None:
         raise BadInput(f"{inputs['field'].path} is deformed already; give the field it was made from")

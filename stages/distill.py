@@ -26,7 +26,7 @@ SPEC = Spec(stage="distill", verb="distill", revision=1, writes="scene")
 
 def run(inputs: dict[str, Artefact], config: DistillConfig, partial: Partial, context: Context) -> dict:
     """Writes a scene like the one before, but for the photos that show the edit; returns the figures."""
-    scene = load_scene(inputs["scene"])
+    scene = load_scene(inputs["scene"], inputs["edit-dataset"])
     views, _ = load_edit_views(inputs["edit-dataset"])
     edit = load_edit(inputs["edit"])
     made_from = {ref.digest for ref in inputs["edit-dataset"].manifest.inputs if ref.role == "scene"}

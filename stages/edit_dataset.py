@@ -30,7 +30,7 @@ FADING = 1 / 40  # of the region's size
 
 def run(inputs: dict[str, Artefact], config: ExtractConfig, partial: Partial, context: Context) -> dict:
     """Writes the views' pixels, and what they are as EXR; returns the figures."""
-    scene = load_scene(inputs["scene"])
+    scene = load_scene(inputs["scene"], inputs["field"])
     field, _ = load_field(inputs["field"])
     region, space = load_region(inputs["region"])
     if space != field.space:

@@ -23,6 +23,7 @@ from stages.stress.faults import FAULTS, MADE
 from stylerf.corruption import capture, photos
 from stylerf.geometry.cameras import Camera
 from stylerf.geometry.normalise import depths_of_box
+from stylerf.light import exposed
 from stylerf.procedural.still_life import dome_cameras
 from stylerf.procedural.variants import HardStillLife
 
@@ -165,7 +166,7 @@ def _change_of(
     if config.fault == "exposure":
         stops = photos.exposure_stops(count, config.amount, generator)
         figures["stops"] = [round(float(one), 4) for one in stops]
-        return lambda photo, place: photos.exposed(photo, float(stops[place]))
+        return lambda photo, place: exposed(photo, float(stops[place]))
     if config.fault == "blur":
         return lambda photo, place: photos.blurred(photo, config.amount * max(photo.shape[:2]))
     if config.fault == "jpeg":

@@ -13,7 +13,7 @@ from stages.fields import load_checkpoint, save_field
 from stages.photos import bank_of
 from stages.progress import Context
 from stages.runner import Spec
-from stages.scenes import SceneData, load_scene, spread
+from stages.scenes import EXPOSURE_STOPS, SceneData, load_scene, spread
 from stages.spaces import space_of
 from stages.training import run_training
 from stylerf.geometry.space import Space
@@ -23,7 +23,7 @@ from stylerf.training.fit import Fitter
 from stylerf.training.fit_state import FitSettings
 from stylerf.training.ladders import BEYOND, LADDER, Kinds, Rung
 
-SPEC = Spec(stage="nerf_fit", verb="fit", revision=5, writes="field", parallel=True)
+SPEC = Spec(stage="nerf_fit", verb="fit", revision=6, writes="field", parallel=True)
 GPU_SAMPLES = 262_144  # of a step: smaller ones would leave a GPU waiting for launches
 RATE = {"object": 2e-2, "forward": 4e-2, "unbounded": 4e-2}
 
@@ -113,6 +113,8 @@ def _settings(config: FitConfig, scene: SceneData, space: Space, device: str | N
         # A capture ends in an opaque backdrop: there every ray is opaque as it is.
         opacity=config.opacity_weight if scene.layout == "object" else 0.0,
         coverage=config.coverage_weight if scene.layout == "object" else 0.0,
+        # An object's light differs from side to side by itself.
+        exposure="off" if config.exposure == "auto" and scene.layout == "object" else config.exposure,
         **_climb(fixed, kinds, space),
     )
 
@@ -187,6 +189,7 @@ def _figures(fitter: Fitter, held_out: list[int], reason: str) -> dict:
         "table_bits": rung.table_bits if "hash" in (kinds.density, kinds.colour) else None,
         "occupied_share": round(fitter.field.occupancy.share, 4),
         "rollbacks": state.rollbacks,
+        EXPOSURE_STOPS: {c.name: round(s, 3) for c, s in zip(fitter.bank.cameras, state.stops or [])},
         "held_out_views": len(held_out),
         "space": fitter.space.kind,
         "space_reason": reason,

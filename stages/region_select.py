@@ -106,7 +106,7 @@ class Looking:
 
 def run(inputs: dict[str, Artefact], config: SelectConfig, partial: Partial, context: Context) -> dict:
     """Writes the region and previews of it over the photos; returns the figures."""
-    scene = load_scene(inputs["scene"])
+    scene = load_scene(inputs["scene"], inputs["field"])
     field, background = load_field(inputs["field"])
     chunks = set_threads(context.threads)
     others = {role: load_region(artefact) for role, artefact in inputs.items() if role.partition(".")[2]}

@@ -1,6 +1,7 @@
 """Reads a scene artefact into cameras and images for the mathematics."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -9,11 +10,13 @@ from schemas.errors import ArtefactDamaged, BadInput
 from schemas.exr import read_depth
 from schemas.images import image_channels, read_image
 from schemas.scene import POINTS_FILE, Bounds, Scene, View, read_scene
-from schemas.store import Artefact
+from schemas.store import Artefact, sources_of
 from schemas.tensors import load_tensors
 from stylerf.errors import InvalidValue
 from stylerf.geometry.cameras import Camera
+from stylerf.light import exposed
 
+EXPOSURE_STOPS = "exposure_stops"  # among the figures of a fit: by view
 EDIT_TARGETS = "edit/targets.safetensors"  # of a scene whose photos carry an edit: which pixels, and their depths
 
 
@@ -28,12 +31,13 @@ class Points:
 
 @dataclass(frozen=True, eq=False)
 class SceneData:
-    """A scene ready for use; images and depths are read when asked for."""
+    """A scene ready for use; images and depths are read when asked for. stops: by which views' photos are darkened."""
 
     folder: Path
     scene: Scene
     cameras: list[Camera]
     points: Points | None
+    stops: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def views(self) -> tuple[View, ...]:
@@ -75,7 +79,8 @@ class SceneData:
                 f"{self.folder / view.image} is {pixels.shape[1]}x{pixels.shape[0]} where its camera says "
                 f"{view.width}x{view.height}; run `stylerf import` again"
             )
-        return pixels if pixels.shape[2] >= 3 else np.repeat(pixels, 3, axis=2)
+        pixels = pixels if pixels.shape[2] >= 3 else np.repeat(pixels, 3, axis=2)
+        return exposed(pixels, -self.stops[view.name]) if view.name in self.stops else pixels
 
     def channels(self, index: int) -> int:
         """3 or 4: those that images(index) has, by the file's header."""
@@ -102,8 +107,11 @@ class SceneData:
         return self.folder / relative
 
 
-def load_scene(artefact: Artefact) -> SceneData:
-    """The scene of an artefact, checked: ArtefactDamaged when a file is missing or a camera cannot be."""
+def load_scene(artefact: Artefact, seen_by: Artefact | None = None) -> SceneData:
+    """The scene of an artefact, checked: ArtefactDamaged when a file is missing or a camera cannot be.
+
+    seen_by: what was made of a field; photos are then brought to the one exposure that its fit found for them.
+    """
     artefact.check_sizes()
     scene = read_scene(artefact.path)
     for view in scene.views:
@@ -112,7 +120,9 @@ def load_scene(artefact: Artefact) -> SceneData:
         cameras = [_camera(view) for view in scene.views]
     except InvalidValue as error:
         raise ArtefactDamaged(f"{artefact.path}: {error}; run `stylerf import` again") from error
-    return SceneData(artefact.path, scene, cameras, _points(artefact.path / POINTS_FILE))
+    # Photos that carry an edit were brought to it when that was distilled.
+    stops = _stops(seen_by) if seen_by and not (artefact.path / EDIT_TARGETS).is_file() else {}
+    return SceneData(artefact.path, scene, cameras, _points(artefact.path / POINTS_FILE), stops)
 
 
 def view_index(scene: SceneData, name: str, asked_by: str) -> int:
@@ -129,6 +139,14 @@ def view_index(scene: SceneData, name: str, asked_by: str) -> int:
 def spread(views: list[int], count: int) -> list[int]:
     """`count` of the views, evenly: those in the middle of as many equal parts."""
     return [views[int((k + 0.5) * len(views) / count)] for k in range(count)]
+
+
+def _stops(seen_by: Artefact) -> dict[str, float]:
+    """By which the photos of views are overexposed, by the fit that `seen_by` goes back to; empty: all alike."""
+    for made in [seen_by, *sources_of(seen_by, ("field",))]:
+        if stops := made.manifest.figures.get(EXPOSURE_STOPS):
+            return stops
+    return {}
 
 
 def _camera(view: View) -> Camera:

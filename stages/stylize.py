@@ -48,7 +48,7 @@ WORDS = {"refit": "new colours"}  # of phases that are not told by their own nam
 
 def run(inputs: dict[str, Artefact], config: StylizeConfig, partial: Partial, context: Context) -> dict:
     """Writes the stylised field; returns the figures, among them the curve of the loss."""
-    scene = load_scene(inputs["scene"])
+    scene = load_scene(inputs["scene"], inputs["field"])
     field, background = load_field(inputs["field"])
     deformation = load_deformation(inputs["field"]) if config.method == "desrf" else None
     if config.method == "desrf" and deformation is None:

@@ -64,6 +64,11 @@ class FitConfig:
     coverage_weight: float = option(
         0.1, help="weight of the error of an object's outline, its alpha, beside that of its colours (0: none)"
     )
+    exposure: str = option(
+        "auto",
+        choices=("auto", "on", "off"),
+        help="judge by how much photos differ in exposure, and bring them to one (auto: captures, where it is plain)",
+    )
     clip: float = option(
         0.0, help="a gradient counts as no longer than so many times the usual (remedy for leaps; 0: as long as it is)"
     )

@@ -18,23 +18,6 @@ def exposure_stops(count: int, stops: float, generator: np.random.Generator) -> 
     return float(generator.choice([-1, 1])) * np.linspace(-stops, stops, count)
 
 
-def exposed(photo: np.ndarray, stops: float) -> np.ndarray:
-    """The photo with its light multiplied by 2^stops: linear Rec.709, clipped at white, encoded again."""
-    out = photo.copy()
-    out[..., :3] = encoded(np.clip(decoded(photo[..., :3].astype(np.float64)) * 2.0**stops, 0, 1))
-    return out
-
-
-def decoded(values: np.ndarray) -> np.ndarray:
-    """Linear light of sRGB code values (IEC 61966-2-1)."""
-    return np.where(values <= 0.04045, values / 12.92, ((np.maximum(values, 0.04045) + 0.055) / 1.055) ** 2.4)
-
-
-def encoded(light: np.ndarray) -> np.ndarray:
-    """sRGB code values of linear light."""
-    return np.where(light <= 0.0031308, 12.92 * light, 1.055 * np.maximum(light, 0.0031308) ** (1 / 2.4) - 0.055)
-
-
 def blurred(photo: np.ndarray, sigma: float) -> np.ndarray:
     """The photo out of focus: a Gaussian of `sigma` pixels over premultiplied colours and alpha, edges mirrored."""
     sigmas = (sigma, sigma, 0)

@@ -202,17 +202,16 @@ class DeviceEngine:
         self.density_adam.gradients.zero_()
         self.colour_adam.gradients.zero_()
 
-    def squared_error(self, origins, directions, colours, background) -> float:
-        total = torch.zeros((), dtype=torch.float64, device=self.device)
+    def rendered(self, origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
+        found = np.empty((len(origins), 5), np.float32)
         for at in range(0, len(origins), 1 << 16):
             part = slice(at, at + (1 << 16))
             rays = DeviceRays.of(origins[part], directions[part], self.device)
-            out = self.live.render_rays(rays).out
-            wanted, back = (torch.from_numpy(a[part]).to(self.device) for a in (colours, background))
-            cover = wanted[:, 3:]
-            found = out[:, :3] + (1 - out[:, 3:4]) * back
-            total += (found - wanted[:, :3] * cover - (1 - cover) * back).clamp(-1, 1).square().sum(dtype=torch.float64)
-        return self.ranks.of_first(float(total))
+            found[part] = self.live.render_rays(rays).out.cpu().numpy()
+        return found
+
+    def expose(self, stops: np.ndarray) -> None:
+        self.bank.expose(stops)
 
     def settle(self) -> None:
         self._reports.settle()

@@ -9,6 +9,7 @@ from torch import Tensor
 from stylerf.errors import InvalidValue
 from stylerf.fields.device import DeviceRays
 from stylerf.kernels.gpu import launch, launch_edit
+from stylerf.light import codes_at
 from stylerf.training.rays import RayBank
 
 
@@ -32,12 +33,17 @@ class DeviceBank:
         self.bytes, self.widths = self._copy(bank.bytes), self._copy(bank.widths)
         self.view_ends, self.view_sizes = self._copy(self.ends), self._copy(bank.sizes)
         self.intrinsics, self.poses = self._copy(bank.intrinsics), self._copy(bank.poses)
+        self.codes = self._copy(bank.codes)
         self._lit_host = bank.lit
         lit = np.zeros(1, np.int64) if bank.lit is None else bank.lit[np.arange(bank.lit.below(len(bank)))]
         self.lit = self._copy(lit)
 
     def _copy(self, array: np.ndarray) -> Tensor:
         return torch.from_numpy(np.ascontiguousarray(array)).to(self.device)
+
+    def expose(self, stops: np.ndarray) -> None:
+        """As RayBank's."""
+        self.codes = self._copy(codes_at(stops))
 
     def draw(
         self, seed: int, first: int, count: int, batch: int, among: int, lit_share: float, level: float | None

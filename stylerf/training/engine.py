@@ -69,8 +69,11 @@ class Engine(Protocol):
     def discard(self) -> None:
         """Drop gradients that no step has taken."""
 
-    def squared_error(self, origins, directions, colours, background) -> float:
-        """Sum over rays and channels of (rendered - target)^2, each clipped at 1, over the background [rays, 3]."""
+    def rendered(self, origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
+        """[rays, 5] float32: premultiplied colour, alpha and their distance times it, of rays without jitter."""
+
+    def expose(self, stops: np.ndarray) -> None:
+        """Take photos that are overexposed by stops [views] to one exposure from now on."""
 
     def settle(self) -> None:
         """Wait for the steps under way: what asks for their result takes them for its own time."""
@@ -209,18 +212,18 @@ class CpuEngine:
         self.density_adam.gradients[:] = 0
         self.colour_adam.gradients[:] = 0
 
-    def squared_error(self, origins, directions, colours, background) -> float:
-        begins = range(0, len(origins), 4096)
-        sums = np.zeros(len(begins))
-        for number in range(self.ranks.place, len(begins), self.ranks.count):
-            part = slice(begins[number], begins[number] + 4096)
+    def rendered(self, origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
+        found = np.zeros((len(origins), 5), np.float32)
+        for begin in range(4096 * self.ranks.place, len(origins), 4096 * self.ranks.count):
+            part = slice(begin, begin + 4096)
             rays = Rays.of(origins[part], directions[part], self.field.space.near)
             with self._memory.round():
-                out = render_rays(self.field, rays, chunks=self.chunks).out
-            error = over(out[:, :3], out[:, 3:4], background[part]) - target(colours[part], background[part])
-            sums[number] = np.square(np.clip(error, -1, 1)).sum()
-        self.ranks.add(sums)
-        return sum(sums.tolist())
+                found[part] = render_rays(self.field, rays, chunks=self.chunks).out
+        self.ranks.add(found)
+        return found
+
+    def expose(self, stops: np.ndarray) -> None:
+        self.bank.expose(stops)
 
     def settle(self) -> None: ...
 

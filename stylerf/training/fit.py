@@ -20,13 +20,15 @@ from stylerf.fields.field import RadianceField
 from stylerf.fields.occupancy import Occupancy
 from stylerf.geometry.space import Space
 from stylerf.training.climbing import GROW, TELLING_PSNR, Climb
-from stylerf.training.engine import Batch, CpuEngine, Engine, background_of
+from stylerf.training.engine import Batch, CpuEngine, Engine, background_of, over, target
+from stylerf.training.exposure import PLAINLY, Exposures
 from stylerf.training.fit_state import FitSettings, FitState
 from stylerf.training.hull import clear_cells
 from stylerf.training.ladders import Rung, capacity_at, first_parts
 from stylerf.training.ranks import ALONE, Ranks
 from stylerf.training.rays import RayBank
 
+EXPOSED_FROM = 0.1  # of the budget: before, a field is brighter or darker than its photos for other reasons
 SMOOTH_EVERY = 8  # steps; the planes' total variation costs a third of a step, and is felt over hundreds of them
 
 
@@ -70,6 +72,7 @@ class Fitter:
         )
         self.engine = (engine or CpuEngine)(bank, seed, chunks, first, ranks)
         self._held_out_rays = self._choose_held_out()
+        self.exposures = Exposures(bank, seed) if settings.exposure != "off" else None
         self._anchor: dict | None = None
         self._refreshed_at = -1
         self.between_steps = True
@@ -135,9 +138,31 @@ class Fitter:
         white would pass for found.
         """
         kind = "random" if self.bank.channels == 4 else self.settings.background
-        background = background_of(kind, len(self._held_out_rays[0]), np.random.default_rng([self.seed, 4]))
-        total = self.engine.squared_error(*self._held_out_rays, background)
-        return psnr_from_mse(total / (3 * len(background)))
+        origins, directions, colours = self._held_out_rays
+        background = background_of(kind, len(origins), np.random.default_rng([self.seed, 4]))
+        out = self.engine.rendered(origins, directions)
+        error = np.clip(over(out[:, :3], out[:, 3:4], background) - target(colours, background), -1, 1)
+        return psnr_from_mse(self.ranks.of_first(float(np.square(error).mean(dtype=np.float64))))
+
+    def _balance(self) -> None:
+        """Judge anew by how many stops photos differ, and take them for what they then show."""
+        first = self.state.stops is None
+        before = np.zeros(len(self.bank.cameras)) if first else np.array(self.state.stops)
+        stops = self.exposures.judged(self.engine.rendered, before)
+        self.ranks.take_first(stops)
+        if first:
+            differ = f"photos differ in exposure by {stops.std():.2f} stops (standard deviation)"
+            if self.settings.exposure == "auto" and stops.std() < PLAINLY:
+                self.state.stops = []
+                return
+            self.on_say(f"{differ}: they are brought to one; --exposure off takes them as they are")
+            self.state.decisions.append(f"{differ}: brought to one")
+        self._expose(stops.tolist())
+
+    def _expose(self, stops: list[float]) -> None:
+        self.state.stops = stops
+        self.engine.expose(np.array(stops))
+        self._held_out_rays = self._choose_held_out()
 
     # -- one step ---------------------------------------------------------------------------------------------------
 
@@ -231,6 +256,9 @@ class Fitter:
         self.engine.settle()
         state.seconds += self.ranks.of_first(time.perf_counter() - begun)
         self.engine.agree()
+        judging = self.exposures is not None and state.stops != []
+        if judging and EXPOSED_FROM <= self.progress <= self.settings.held_out_until:
+            self._balance()
         quality = self.held_out_psnr()
         state.curve.append(
             {
@@ -339,6 +367,8 @@ class Fitter:
         state["best"] = -math.inf if state["best"] is None else state["best"]
         self.state = FitState(**state)
         self.climb.state = self.state
+        if self.state.stops:
+            self._expose(self.state.stops)
         now = {k.removeprefix("now."): v for k, v in arrays.items() if k.startswith("now.")}
         self._restore({"field": data["field"], "arrays": now})
         if "anchor" in data:

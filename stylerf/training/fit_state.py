@@ -20,7 +20,8 @@ class FitSettings:
     of the budget, growing from nothing in its first quarter, so that it cannot forbid what is yet to appear.
     hull: share of the training views that must show a cell of a box as clear, by their transparency, for nothing to be
     looked for there (hull.clear_cells; 0: everywhere is). coverage: weight of the squared error of alpha
-    (engine.coverage_gradient) beside that of the colours, where photos are cut out.
+    (engine.coverage_gradient) beside that of the colours, where photos are cut out. exposure: whether photos are
+    brought to one exposure (exposure.py).
     """
 
     seconds: float = 300.0
@@ -44,6 +45,7 @@ class FitSettings:
     opacity: float = 0.0
     hull: float = 0.0
     coverage: float = 0.0
+    exposure: str = "off"  # on, off, or auto: where photos differ plainly
 
 
 @dataclass
@@ -67,3 +69,4 @@ class FitState:
     best: float = -math.inf
     curve: list[dict] = field(default_factory=list)
     decisions: list[str] = field(default_factory=list)
+    stops: list[float] | None = None  # by which photos are overexposed; empty: all alike; None: not judged

@@ -8,6 +8,7 @@ import numpy as np
 from stylerf.errors import InvalidValue
 from stylerf.geometry.cameras import Camera
 from stylerf.kernels.cpu.pixels import gather
+from stylerf.light import codes_at
 from stylerf.training.pixels import STRETCH, LitPixels, Pixels
 
 
@@ -34,6 +35,7 @@ class RayBank:
         self.starts = (self._ends - self.sizes) * self.channels
         self.intrinsics = np.array([[c.fx, c.fy, c.cx, c.cy] for c in cameras], np.float32)
         self.poses = np.array([c.world_from_camera[:3] for c in cameras], np.float32)
+        self.codes = codes_at(np.zeros(len(cameras)))
         # Fully transparent pixels away from any object teach little: they are drawn less often.
         self.lit = LitPixels(self.alphas()) if self.channels == 4 else None
 
@@ -46,6 +48,10 @@ class RayBank:
 
     def __len__(self) -> int:
         return int(self._ends[-1])
+
+    def expose(self, stops: np.ndarray) -> None:
+        """Bring photos that are overexposed by stops [views] to one exposure."""
+        self.codes = codes_at(stops)
 
     def draw(
         self,
@@ -96,6 +102,7 @@ class RayBank:
             self.starts,
             self.bytes,
             self.channels,
+            self.codes,
             origins,
             directions,
             colours,

@@ -13,6 +13,7 @@ from stages.runner import execute
 from stages.scenes import load_scene
 from stages.stress.faults import ALL_FAULTS, FAULTS, MADE, SCENE
 from stylerf.corruption import photos
+from stylerf.light import exposed
 from tests.stages.stress_fixture import SIZE, TRAIN, make_capture, photo_of
 
 
@@ -64,7 +65,7 @@ def test_photos_are_spoilt_as_their_faults_say(source, tmp_path):
     stops = made.manifest.figures["stops"]
     assert len(stops) == TRAIN and abs(stops[0]) == 0.75
     for i, one in enumerate(stops):
-        np.testing.assert_allclose(data.images(i), photos.exposed(clean[i], one), atol=0.6 / 255)
+        np.testing.assert_allclose(data.images(i), exposed(clean[i], one), atol=0.6 / 255)
     _, data = spoilt(source, tmp_path, "jpeg")
     np.testing.assert_allclose(data.images(3), photos.through_jpeg(clean[3], 10), atol=0.6 / 255)
     _, data = spoilt(source, tmp_path, "blur", amount=0.05)

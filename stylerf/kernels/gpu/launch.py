@@ -240,7 +240,8 @@ def draw_rays(
     n = len(origins)
     pixels.draw_kernel[(triton.cdiv(n, POINTS),)](
         seed, first, n, total, bank.lit, lit_total, lit_rays, bank.view_ends, bank.view_sizes, bank.views, bank.widths,
-        bank.intrinsics, bank.poses, bank.bytes, float(level or 0), origins, directions, wanted, jitter, background,
+        bank.intrinsics, bank.poses, bank.bytes, bank.codes, float(level or 0), origins, directions, wanted, jitter,
+        background,
         CHANNELS=bank.channels, RANDOM_BACKGROUND=level is None, STEPS=max(1, (bank.views - 1).bit_length()),
         BLOCK=POINTS,
     )  # fmt: skip

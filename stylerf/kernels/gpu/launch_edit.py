@@ -52,7 +52,7 @@ def rays_of_pixels(bank, chosen: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     if n:
         pixels.rays_kernel[(triton.cdiv(n, POINTS),)](
             chosen, n, bank.view_ends, bank.view_sizes, bank.views, bank.widths, bank.intrinsics, bank.poses,
-            bank.bytes, origins, directions, wanted,
+            bank.bytes, bank.codes, origins, directions, wanted,
             CHANNELS=bank.channels, STEPS=max(1, (bank.views - 1).bit_length()), BLOCK=POINTS,
         )  # fmt: skip
     return origins, directions, wanted

@@ -32,8 +32,10 @@ def view_of(index, view_ends, views, STEPS: tl.constexpr):
 
 
 @triton.jit
-def ray_of_pixel(index, view, view_ends, view_sizes, widths, intrinsics, poses, bytes_, CHANNELS: tl.constexpr, mask):
-    """(origin, direction, rgba) of pixel `index` of all views laid end to end."""
+def ray_of_pixel(
+    index, view, view_ends, view_sizes, widths, intrinsics, poses, bytes_, codes, CHANNELS: tl.constexpr, mask
+):  # fmt: skip
+    """(origin, direction, rgba) of pixel `index` of all views laid end to end; codes [views, 256]: of their bytes."""
     v = view.to(tl.int64)
     width = tl.load(widths + v)
     pixel = index - tl.load(view_ends + v) + tl.load(view_sizes + v)
@@ -45,13 +47,13 @@ def ray_of_pixel(index, view, view_ends, view_sizes, widths, intrinsics, poses, 
     dy = (tl.load(row + 4) * x + tl.load(row + 5) * y + tl.load(row + 6)) * norm
     dz = (tl.load(row + 8) * x + tl.load(row + 9) * y + tl.load(row + 10)) * norm
     at = offset(index, CHANNELS, 0)
-    byte = 0.00392156862745098
-    red = tl.load(bytes_ + at, mask=mask, other=0).to(tl.float32) * byte
-    green = tl.load(bytes_ + at + 1, mask=mask, other=0).to(tl.float32) * byte
-    blue = tl.load(bytes_ + at + 2, mask=mask, other=0).to(tl.float32) * byte
+    own = codes + v * 256
+    red = tl.load(own + tl.load(bytes_ + at, mask=mask, other=0).to(tl.int32))
+    green = tl.load(own + tl.load(bytes_ + at + 1, mask=mask, other=0).to(tl.int32))
+    blue = tl.load(own + tl.load(bytes_ + at + 2, mask=mask, other=0).to(tl.int32))
     alpha = red * 0.0 + 1.0
     if CHANNELS == 4:
-        alpha = tl.load(bytes_ + at + 3, mask=mask, other=0).to(tl.float32) * byte
+        alpha = tl.load(bytes_ + at + 3, mask=mask, other=0).to(tl.float32) * 0.00392156862745098
     return tl.load(row + 3), tl.load(row + 7), tl.load(row + 11), dx, dy, dz, red, green, blue, alpha
 
 
@@ -68,7 +70,7 @@ def _store_ray(origins, directions, wanted, at, ox, oy, oz, dx, dy, dz, red, gre
 
 @triton.jit(do_not_specialize=["count", "views"])
 def rays_kernel(
-    chosen, count, view_ends, view_sizes, views, widths, intrinsics, poses, bytes_, origins, directions, wanted,
+    chosen, count, view_ends, view_sizes, views, widths, intrinsics, poses, bytes_, codes, origins, directions, wanted,
     CHANNELS: tl.constexpr, STEPS: tl.constexpr, BLOCK: tl.constexpr,
 ):  # fmt: skip
     """Rays and straight rgba of pixels chosen [count] int64, numbered through all views laid end to end."""
@@ -77,7 +79,7 @@ def rays_kernel(
     index = tl.load(chosen + k, mask=mask, other=0)
     view = view_of(index, view_ends, views, STEPS)
     ox, oy, oz, dx, dy, dz, red, green, blue, alpha = ray_of_pixel(
-        index, view, view_ends, view_sizes, widths, intrinsics, poses, bytes_, CHANNELS, mask
+        index, view, view_ends, view_sizes, widths, intrinsics, poses, bytes_, codes, CHANNELS, mask
     )
     _store_ray(origins, directions, wanted, k, ox, oy, oz, dx, dy, dz, red, green, blue, alpha, mask)
 
@@ -85,7 +87,7 @@ def rays_kernel(
 @triton.jit(do_not_specialize=["seed", "first", "rays", "total", "lit_total", "lit_rays", "views"])
 def draw_kernel(
     seed, first, rays, total, lit, lit_total, lit_rays, view_ends, view_sizes, views, widths, intrinsics, poses, bytes_,
-    level, origins, directions, wanted, jitter, background,
+    codes, level, origins, directions, wanted, jitter, background,
     CHANNELS: tl.constexpr, RANDOM_BACKGROUND: tl.constexpr, STEPS: tl.constexpr, BLOCK: tl.constexpr,
 ):  # fmt: skip
     """Rays `first` .. `first` + rays of the batch that `seed` names, which is the same however it is cut into parts.
@@ -104,7 +106,7 @@ def draw_kernel(
     index = tl.where(among_lit, tl.load(lit + lit_place, mask=among_lit, other=0), index)
     view = view_of(index, view_ends, views, STEPS)
     ox, oy, oz, dx, dy, dz, red, green, blue, alpha = ray_of_pixel(
-        index, view, view_ends, view_sizes, widths, intrinsics, poses, bytes_, CHANNELS, mask
+        index, view, view_ends, view_sizes, widths, intrinsics, poses, bytes_, codes, CHANNELS, mask
     )
     _store_ray(origins, directions, wanted, local, ox, oy, oz, dx, dy, dz, red, green, blue, alpha, mask)
     tl.store(jitter + local, _unit(c), mask=mask)

@@ -10,7 +10,7 @@ from stylerf.fields.samples import Rays
 from stylerf.fields.vm_tables import split_table
 from stylerf.rendering.rays import backward, render_rays
 from stylerf.rendering.view import render_view
-from stylerf.training.engine import Batch, CpuEngine, background_of, coverage_gradient, opacity_gradient
+from stylerf.training.engine import Batch, CpuEngine, coverage_gradient, opacity_gradient
 from stylerf.training.fit import Fitter
 from tests.stylerf.fields.test_densities import LARGER
 from tests.stylerf.small import SPARSE, field_of, hash_colour, hash_density, headed, vm_colour, voxel_density
@@ -143,10 +143,26 @@ def test_both_parts_are_clipped_where_that_is_asked_for(bank, device):
 def test_held_out_views_are_judged_as_on_the_cpu(bank, device):
     field = thin_field()
     views = np.repeat(np.arange(3), 8)
-    rays = bank.at(views, np.arange(24) * 4)
-    background = background_of("white", 24, None)
-    expected = CpuEngine(bank, 0, 1, field).squared_error(*rays, background)
-    assert engine_on(device, bank, field).squared_error(*rays, background) == pytest.approx(expected, rel=1e-4)
+    rays = bank.at(views, np.arange(24) * 4)[:2]
+    expected = CpuEngine(bank, 0, 1, field).rendered(*rays)
+    assert expected[:, 3].any() and expected[:, 4].any()
+    np.testing.assert_allclose(engine_on(device, bank, field).rendered(*rays), expected, rtol=1e-4, atol=1e-5)
+
+
+def test_photos_of_another_exposure_are_drawn_as_on_the_cpu(bank, device):
+    engine, stops = engine_on(device, bank, thin_field()), np.array([0.5, 0.0, -0.7, 0.1])
+    numbers = torch.arange(len(bank), device=device)
+    views, pixels = np.repeat(np.arange(4), 100), np.tile(np.arange(100), 4)
+    plain = bank.at(views, pixels)[2]
+    try:
+        engine.expose(stops)
+        bank.expose(stops)
+        expected = bank.at(views, pixels)[2]
+    finally:
+        bank.expose(np.zeros(4))
+    assert np.abs(expected - plain).max() > 0.1
+    found = engine.bank.at(numbers, torch.zeros(len(bank), device=device))[1]
+    np.testing.assert_allclose(found.cpu().numpy(), expected, atol=1e-6)
 
 
 def test_lack_of_memory_is_told_as_the_loop_knows_it(bank, device, monkeypatch):
