@@ -11,7 +11,10 @@ from schemas.images import write_png
 from schemas.scene import Bounds, Scene, Truth, View, as_matrix, write_scene
 from schemas.store import Recipe, Work
 from schemas.tensors import save_tensors
-from stages.scenes import load_scene
+from stages.scenes import EDIT_TARGETS, EXPOSURE_STOPS, load_scene
+from stylerf.light import exposed
+from tests.stages.evaluation_fixture import commit
+from tests.stages.stress_fixture import make_capture
 
 POSE = np.array([[0, 0, 1, 2], [-1, 0, 0, 3], [0, -1, 0, 4], [0, 0, 0, 1]], float)
 
@@ -93,3 +96,26 @@ def test_unsound_points_are_damage(tmp_path, drop):
         del points[drop]
     with pytest.raises(ArtefactDamaged, match="points"):
         load_scene(build(tmp_path, points=points))
+
+
+def test_photos_are_seen_at_the_exposure_of_the_fit(tmp_path):
+    scene, work = make_capture(Work(tmp_path)), Work(tmp_path)
+    stops = {"train_001": 1.0, "train_002": -0.5}
+
+    def made_of(name: str, inputs: dict, **more):
+        return commit(work, "field", name, "nerf_fit", inputs, lambda folder: None, **more)
+
+    fit = made_of("fit", {"scene": scene}, figures={EXPOSURE_STOPS: stops})
+    painted = made_of("painted", {"scene": scene, "field": fit})
+    plain = load_scene(scene)
+    for seen in (load_scene(scene, fit), load_scene(scene, painted)):
+        for index, name in ((1, "train_001"), (2, "train_002")):
+            wanted = exposed(plain.images(index), -stops[name])
+            assert np.array_equal(seen.images(index), wanted) and not np.array_equal(wanted, plain.images(index))
+        assert np.array_equal(seen.images(3), plain.images(3))
+    alike = made_of("alike", {"scene": scene}, figures={EXPOSURE_STOPS: {}})
+    assert np.array_equal(load_scene(scene, alike).images(1), plain.images(1))
+    # Photos that carry an edit already are at that exposure: distill has put the edit on what `seen_by` gives.
+    (scene.path / EDIT_TARGETS).parent.mkdir()
+    (scene.path / EDIT_TARGETS).touch()
+    assert np.array_equal(load_scene(scene, fit).images(1), plain.images(1))
