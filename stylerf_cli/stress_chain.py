@@ -42,7 +42,7 @@ QUICK_REFIT, QUICK_DEFORM, DEFORM_STEPS = 60, 40, 400
 # What --remedies on runs with.
 REMEDIES_OF_FIT = {"opacity_weight": 5e-3, "clip": 4.0}
 REMEDIES_OF_DEFORM = {"gate": 0.05}
-REMEDIES_OF_STYLE = {"rollbacks": 3, "clip": 4.0, "least_spread": 0.08}
+REMEDIES_OF_STYLE = {"rollbacks": 3, "clip": 4.0, "least_spread": 0.16}
 
 
 @dataclass(frozen=True)
