@@ -82,24 +82,48 @@ def pareto_chart(report: dict) -> str:
 
 
 def stress_chart(report: dict) -> str:
-    """A panel a scene: the heat map that `stylerf stress` draws of it."""
+    """The heat map that `stylerf stress` draws, runs of all scenes together: how many of how many succeed."""
+    sums: dict[tuple[str, str], list[int]] = {}
+    for row in report["rows"]:
+        both = sums.setdefault((row["method"], row["fault"]), [0, 0])
+        both[0] += row["successes"]
+        both[1] += row["count"]
+    rows = [
+        {"method": method, "fault": fault, "successes": done, "count": runs, "rate": done / runs}
+        for (method, fault), (done, runs) in sums.items()
+    ]
+    return _heat_maps({"": [row | {"median": None, "spread": None} for row in rows]}, 1)
+
+
+def stress_scenes_chart(report: dict) -> str:
+    """The same, a panel a scene, two in a row, with the median scores."""
+    scenes = dict.fromkeys(row["work"] for row in report["rows"])
+    return _heat_maps({scene: [row for row in report["rows"] if row["work"] == scene] for scene in scenes}, 2)
+
+
+def _heat_maps(panels: dict[str, list[dict]], across: int) -> str:
+    """Cells as rows of a report, by the panel's title."""
     from types import SimpleNamespace
 
+    from stages.stress.faults import FAULTS
     from stages.stress.heat_map import draw_cells
 
-    scenes = list(dict.fromkeys(row["work"] for row in report["rows"]))
-    cells = {scene: [SimpleNamespace(**row) for row in report["rows"] if row["work"] == scene] for scene in scenes}
-    methods, faults = (
-        max(len({getattr(cell, key) for cell in some}) for some in cells.values()) for key in ("method", "fault")
-    )
+    order = list(FAULTS)
+    columns = min(across, len(panels))
+    lines = -(-len(panels) // columns)
+    methods, faults = (max(len({row[key] for row in rows}) for rows in panels.values()) for key in ("method", "fault"))
 
     def draw(figure) -> None:
         figure.set_facecolor("white")
-        for one, (scene, some) in zip(figure.subplots(1, len(scenes), squeeze=False)[0], cells.items()):
-            draw_cells(one, some)
-            one.set_title(scene)
+        places = figure.subplots(lines, columns, squeeze=False).flat
+        for (title, rows), axes in zip(panels.items(), places):
+            in_order = sorted(rows, key=lambda row: order.index(row["fault"]))
+            draw_cells(axes, [SimpleNamespace(**row) for row in in_order])
+            axes.set_title(title)
+        for axes in list(places):
+            axes.set_axis_off()
 
-    return drawn((len(scenes) * (1.2 + 1.0 * methods), 1.2 + 0.44 * faults), draw)
+    return drawn((columns * (1.2 + 0.95 * methods), lines * (1.1 + 0.42 * faults)), draw)
 
 
 def tensorf_chart(report: dict) -> str:

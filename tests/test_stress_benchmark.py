@@ -63,7 +63,21 @@ def test_blocks_and_picture_follow_from_the_rows(commands, monkeypatch, tmp_path
     lines = readme.remedies().splitlines()
     assert "| fern | views-3 | fit | 2 of 5, 14.00 dB | 4 of 5, 15.50 dB |" in lines
     assert "| lego | seeds | arf | 5 of 5, 0.600 | 5 of 5, – |" in lines
+    assert any(line.startswith("Left out: 0 cells") for line in lines)
     report = json.loads((tmp_path / "stress.json").read_text())
-    chart = charts.stress_chart(report)
-    assert chart.startswith("<?xml") and chart == charts.stress_chart(report)
-    assert all(word in chart for word in ("views-3", "lego", "fern"))
+    whole, scenes = charts.stress_chart(report), charts.stress_scenes_chart(report)
+    assert whole.startswith("<?xml") and whole == charts.stress_chart(report)
+    assert "views-3" in whole and "4/10" in whole and "lego" not in whole
+    assert all(word in scenes for word in ("views-3", "lego", "fern", "2/5"))
+    assert "images/stress-scenes.svg" in readme.scenes_under_stress()
+
+
+def test_cells_that_remedies_do_not_touch_are_counted_alone(commands, monkeypatch, tmp_path):
+    monkeypatch.setattr(readme, "RESULTS", tmp_path)
+    stress.main([str(tmp_path / "stress.json"), "lego", "--quick", "--seeds", "5"])
+    report = json.loads((tmp_path / "stress.json").read_text())
+    report["rows"][1] |= {"successes": 2, "rate": 0.4, "median": 14.4}
+    report["rows"][3] |= {"median": 0.58}
+    (tmp_path / "stress.json").write_text(json.dumps(report))
+    assert not any(line.startswith("| lego") for line in readme.remedies().splitlines())
+    assert "Left out: 2 cells" in readme.remedies()
