@@ -33,7 +33,7 @@ MARGIN = 2  # cells: samples in front of a surface, which is where its colour is
 
 def run(inputs: dict[str, Artefact], config: FinetuneConfig, partial: Partial, context: Context) -> dict:
     """Writes the field that shows the edit; returns the figures."""
-    scene = load_scene(inputs["scene"], inputs["field"])
+    scene = load_scene(inputs["scene"])
     field, background = load_field(inputs["field"])
     threads = set_threads(context.threads)
     train = scene.splits["train"]

@@ -210,8 +210,8 @@ class DeviceEngine:
             found[part] = self.live.render_rays(rays).out.cpu().numpy()
         return found
 
-    def expose(self, stops: np.ndarray) -> None:
-        self.bank.expose(stops)
+    def follow_exposure(self) -> None:
+        self.bank.follow_exposure()
 
     def settle(self) -> None:
         self._reports.settle()

@@ -9,7 +9,6 @@ from torch import Tensor
 from stylerf.errors import InvalidValue
 from stylerf.fields.device import DeviceRays
 from stylerf.kernels.gpu import launch, launch_edit
-from stylerf.light import codes_at
 from stylerf.training.rays import RayBank
 
 
@@ -34,16 +33,16 @@ class DeviceBank:
         self.view_ends, self.view_sizes = self._copy(self.ends), self._copy(bank.sizes)
         self.intrinsics, self.poses = self._copy(bank.intrinsics), self._copy(bank.poses)
         self.codes = self._copy(bank.codes)
-        self._lit_host = bank.lit
+        self._host = bank
         lit = np.zeros(1, np.int64) if bank.lit is None else bank.lit[np.arange(bank.lit.below(len(bank)))]
         self.lit = self._copy(lit)
 
     def _copy(self, array: np.ndarray) -> Tensor:
         return torch.from_numpy(np.ascontiguousarray(array)).to(self.device)
 
-    def expose(self, stops: np.ndarray) -> None:
-        """As RayBank's."""
-        self.codes = self._copy(codes_at(stops))
+    def follow_exposure(self) -> None:
+        """Take the codes that the bank on the host has now."""
+        self.codes = self._copy(self._host.codes)
 
     def draw(
         self, seed: int, first: int, count: int, batch: int, among: int, lit_share: float, level: float | None
@@ -54,7 +53,7 @@ class DeviceBank:
         None: random colours.
         """
         total = int(self.ends[among - 1])
-        most_lit = 0 if self._lit_host is None else self._lit_host.below(total)
+        most_lit = 0 if self._host.lit is None else self._host.lit.below(total)
         lit_rays = int(batch * lit_share) if most_lit else 0
         origins, directions, background = (torch.empty((count, 3), device=self.device) for _ in range(3))
         wanted, jitter = torch.empty((count, 4), device=self.device), torch.empty(count, device=self.device)

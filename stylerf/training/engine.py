@@ -72,8 +72,8 @@ class Engine(Protocol):
     def rendered(self, origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
         """[rays, 5] float32: premultiplied colour, alpha and their distance times it, of rays without jitter."""
 
-    def expose(self, stops: np.ndarray) -> None:
-        """Take photos that are overexposed by stops [views] to one exposure from now on."""
+    def follow_exposure(self) -> None:
+        """Take photos for what the codes of the loop's bank say now."""
 
     def settle(self) -> None:
         """Wait for the steps under way: what asks for their result takes them for its own time."""
@@ -222,8 +222,7 @@ class CpuEngine:
         self.ranks.add(found)
         return found
 
-    def expose(self, stops: np.ndarray) -> None:
-        self.bank.expose(stops)
+    def follow_exposure(self) -> None: ...  # the bank is the loop's own
 
     def settle(self) -> None: ...
 

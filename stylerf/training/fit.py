@@ -161,7 +161,8 @@ class Fitter:
 
     def _expose(self, stops: list[float]) -> None:
         self.state.stops = stops
-        self.engine.expose(np.array(stops))
+        self.bank.expose(np.array(stops))
+        self.engine.follow_exposure()
         self._held_out_rays = self._choose_held_out()
 
     # -- one step ---------------------------------------------------------------------------------------------------

@@ -155,8 +155,8 @@ def test_photos_of_another_exposure_are_drawn_as_on_the_cpu(bank, device):
     views, pixels = np.repeat(np.arange(4), 100), np.tile(np.arange(100), 4)
     plain = bank.at(views, pixels)[2]
     try:
-        engine.expose(stops)
         bank.expose(stops)
+        engine.follow_exposure()
         expected = bank.at(views, pixels)[2]
     finally:
         bank.expose(np.zeros(4))
