@@ -22,6 +22,7 @@ SOLID = 0.9  # alpha of a surface
 APART = 0.03  # of its distance: by so much a point may lie off the surface that another photo sees there
 LUMA = np.array([0.2126, 0.7152, 0.0722])  # of Rec.709
 ROUNDS = 20
+FEWEST_PHOTOS = 12  # with fewer, depth is no ground to judge by: nothing is done unless asked for
 PLAINLY = 0.27  # stops, standard deviation, from which photos are not as one camera setting gives them
 
 

@@ -21,7 +21,7 @@ from stylerf.fields.occupancy import Occupancy
 from stylerf.geometry.space import Space
 from stylerf.training.climbing import GROW, TELLING_PSNR, Climb
 from stylerf.training.engine import Batch, CpuEngine, Engine, background_of, over, target
-from stylerf.training.exposure import PLAINLY, Exposures
+from stylerf.training.exposure import FEWEST_PHOTOS, PLAINLY, Exposures
 from stylerf.training.fit_state import FitSettings, FitState
 from stylerf.training.hull import clear_cells
 from stylerf.training.ladders import Rung, capacity_at, first_parts
@@ -152,12 +152,18 @@ class Fitter:
         self.ranks.take_first(stops)
         if first:
             differ = f"photos differ in exposure by {stops.std():.2f} stops (standard deviation)"
-            if self.settings.exposure == "auto" and stops.std() < PLAINLY:
+            if self.settings.exposure == "auto" and (len(stops) < FEWEST_PHOTOS or stops.std() < PLAINLY):
                 self.state.stops = []
                 return
             self.on_say(f"{differ}: they are brought to one; --exposure off takes them as they are")
             self.state.decisions.append(f"{differ}: brought to one")
+        before_it = self.held_out_psnr()
         self._expose(stops.tolist())
+        # What was measured on other photos is brought to these: else a new look passes for a fall, or a gain.
+        shift = self.held_out_psnr() - before_it
+        self.state.best += shift
+        if self.state.trial is not None:
+            self.state.trial["before"] += shift
 
     def _expose(self, stops: list[float]) -> None:
         self.state.stops = stops
