@@ -72,7 +72,8 @@ class Fitter:
         )
         self.engine = (engine or CpuEngine)(bank, seed, chunks, first, ranks)
         self._held_out_rays = self._choose_held_out()
-        self.exposures = Exposures(bank, seed) if settings.exposure != "off" else None
+        enough = settings.exposure == "on" or (settings.exposure == "auto" and len(bank.cameras) >= FEWEST_PHOTOS)
+        self.exposures = Exposures(bank, seed) if enough else None
         self._anchor: dict | None = None
         self._refreshed_at = -1
         self.between_steps = True
@@ -152,7 +153,7 @@ class Fitter:
         self.ranks.take_first(stops)
         if first:
             differ = f"photos differ in exposure by {stops.std():.2f} stops (standard deviation)"
-            if self.settings.exposure == "auto" and (len(stops) < FEWEST_PHOTOS or stops.std() < PLAINLY):
+            if self.settings.exposure == "auto" and stops.std() < PLAINLY:
                 self.state.stops = []
                 return
             self.on_say(f"{differ}: they are brought to one; --exposure off takes them as they are")
