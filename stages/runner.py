@@ -128,8 +128,8 @@ def _tell_replaced(work: Work, spec: Spec, name: str, recipe: Recipe, context: C
         options = recipe.other_options(before)
         if options and made.seconds >= DEAR_SECONDS:
             context.progress.say(
-                f"{spec.writes} {name}, {made.seconds / 60:.0f} min of work with {options}, is replaced once this is done; "
-                "--name NAME keeps both"
+                f"{spec.writes} {name}, {made.seconds / 60:.0f} min of work with {options}, is replaced once this is "
+                "done; --name NAME keeps both"
             )
 
 

@@ -87,6 +87,7 @@ def run(inputs: dict[str, Artefact], config: StylizeConfig, partial: Partial, co
         "rollbacks": state.counts.get("rollbacks", 0),
         **_figures_of_method(stylizer, config, scene, partial),
         **gpu_figures(device),
+        **scene.exposure_figures,
     }
 
 

@@ -114,9 +114,7 @@ class StylizeConfig:
     rollbacks: int = option(
         0, help="times that a loss which left the finite numbers leads back to the last good state, at half the rate"
     )
-    clip: float = option(
-        0.0, help="a gradient counts as no longer than so many times the usual (0: as long as it is; CPU)"
-    )
+    clip: float = option(0.0, help="a gradient counts as no longer than so many times the usual (0: as long as it is)")
     least_spread: float = option(
         0.0,
         help="standard deviation of luma, 0 to 0.25, that colour matching gives at least (remedy for blank paintings)",

@@ -14,10 +14,10 @@ import torch
 from torch import Tensor
 
 from stylerf.errors import InvalidValue
+from stylerf.light import LUMA
 
 VARIANCE_FLOOR = 1e-8  # eigenvalues of a covariance below this are raised to it (ARF clamps its singular values so)
 HARMONIC_0 = 0.28209479177387814  # the constant spherical harmonic, 1 / (2 sqrt(pi))
-LUMA = (0.2126, 0.7152, 0.0722)  # Rec.709
 
 
 @dataclass(frozen=True)

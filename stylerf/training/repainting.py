@@ -300,3 +300,4 @@ class Repainting:
         if self.state.phase != "refit":
             self._phase_begins()
         self._restore_own(arrays)
+        self._guard.look(self)

@@ -3,7 +3,8 @@
 import pytest
 import torch
 
-from stylerf.style.colour import LUMA, match_colours, spread_at_least
+from stylerf.light import LUMA
+from stylerf.style.colour import match_colours, spread_at_least
 from tests.stylerf.style.small_trunk import picture
 
 
