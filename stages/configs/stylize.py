@@ -39,6 +39,7 @@ class StylizeConfig:
         "",
         help="feature trunk: a name or a file of VGG weights (default: the first found of vgg16, hed-vgg16, st-vgg16)",
     )
+    features_digest: str = option("", help="sha256 of that file (filled in; guards against a changed file)")
     taps: str = option(
         "",
         help="layers of the trunk that are matched: conv2, conv3, conv3_1 ... (default: conv3; of Gram matrices conv1 "
