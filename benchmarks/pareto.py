@@ -6,10 +6,10 @@ in them is not made again. Options, each a list with commas: --scenes fern,fox,l
 --flags METHOD=FLAGS for what else a method needs. A run that fails is kept as a row that says why.
 
 Protocol: every scene is fitted at each capacity and budget; the fit of each capacity (or of --stylised) that had the
-longest budget is stylised by each method with each choice of rays (arf and desrf) and each style budget; all are evaluated on
-the held-out views, the stylised ones also along a path of 30 frames, in all three consistency protocols. `stylerf compare`
-then reads what stands: costs from the manifests, seconds since the fitted field for stylisations. One seed, one run at
-a time.
+longest budget is stylised by each method with each choice of rays (arf and desrf) and each style budget; all are
+evaluated on the held-out views, the stylised ones also along a path of 30 frames, in all three consistency protocols.
+`stylerf compare` then reads what stands: costs from the manifests, seconds since the fitted field for stylisations. One
+seed, one run at a time.
 """
 
 import argparse

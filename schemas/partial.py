@@ -86,6 +86,7 @@ class Partial:
         self._lock = Lock(root / kind / f".{name}.lock")
         try:
             self._restore_replaced()
+            self._restore_ready()
             self.resumed = self._holds_same_recipe()
             if not self.resumed:
                 if careful:
@@ -129,6 +130,13 @@ class Partial:
         replaced = self.folder / "replaced"
         if replaced.is_dir() and not self.target.exists():
             os.rename(replaced, self.target)
+
+    def _restore_ready(self) -> None:
+        """A run that was killed after its last file and before its artefact stood goes on from there."""
+        ready = self.folder / "ready"
+        made = [_recipe_in(folder) == self.recipe.digest for folder in (ready, self.target)]
+        if made == [True, False] and not self.path.exists():
+            os.rename(ready, self.path)
 
     def commit(
         self,
@@ -199,6 +207,13 @@ class Partial:
     def release(self) -> None:
         """Lets others write here; the folder stays and can be resumed."""
         self._lock.release()
+
+
+def _recipe_in(folder: Path) -> str | None:
+    try:
+        return json.loads((folder / MANIFEST).read_text())["recipe"]
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
 
 
 def sweep_finished(root: Path, kind: str, name: str) -> None:
