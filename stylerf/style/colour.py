@@ -118,6 +118,18 @@ def spread_at_least(painting: Tensor, least: float) -> Tensor:
     return (inside + step * signs).reshape(painting.shape).to(painting.dtype)
 
 
+def strokes_in(painting: Tensor, least: float) -> float:
+    """0..1: what there is of strokes in a painting [3, h, w], its colours' spread (rms over channels) over `least`.
+
+    Features of a blank one are alike everywhere: a scene that is taught them loses its own and gains noise.
+    """
+    if least <= 0:
+        return 1.0
+    flat = painting.double().flatten(1)
+    spread = float((flat - flat.mean(1, keepdim=True)).square().mean()) ** 0.5
+    return min(1.0, spread / least)
+
+
 def match_harmonics(coefficients: Tensor, colour_map: ColourMap) -> Tensor:
     """Spherical-harmonic colours [..., bands, 3] whose value is mapped exactly.
 
