@@ -118,8 +118,8 @@ class StylizeConfig:
     clip: float = option(0.0, help="a gradient counts as no longer than so many times the usual (0: as long as it is)")
     least_spread: float = option(
         0.0,
-        help="standard deviation of luma, 0 to 0.25, that colour matching gives at least; a painting with less spread than "
-        "that counts as less of a style (remedy for blank paintings)",
+        help="standard deviation of luma, 0 to 0.25, that colour matching gives at least; a painting with less spread "
+        "than that counts as less of a style (remedy for blank paintings)",
     )
     references_digest: str = option("", help="sha256 of the references (filled in; guards against changed files)")
     checkpoint_every_seconds: float = option(20.0, help="time between checkpoints", incidental=True)
