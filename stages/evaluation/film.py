@@ -79,7 +79,7 @@ class Film:
             "al. 2016)"
         )
         return {
-            "path": f"the path {self.frames.frames.path}",
+            "path": f"the path {self.frames.frames.path} of {len(self.frames)} frames",
             "warp_protocol": by_flow if self.config.flow else by_depth,
             "flow": self.flows.words[0].upper() + self.flows.words[1:],
         }

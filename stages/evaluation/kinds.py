@@ -158,41 +158,32 @@ SHARED = (
         "Share of a view's surface points that the next view looks past: its depth there lies more than 5 % behind "
         "them. Floaters count, and to a small degree silhouettes.",
     ),
-    Kind(
-        "short_rmse", "Consistency short (correct), RMSE", "", "lower", 4,
-        "Frame k of {path} warped onto frame k+1 {warp_protocol}; root mean square over visible pixels and RGB; mean "
-        "of the pairs.",
-    ),
-    Kind(
-        "edit_short_rmse", "Consistency short within the region (correct), RMSE", "", "lower", 4,
-        "The same over the visible pixels of frame k+1 {inside}.",
-    ),
-    Kind(
-        "edit_long_rmse", "Consistency long within the region (correct), RMSE", "", "lower", 4,
-        "As short range, with frames {gap} apart.",
-    ),
-    Kind(
-        "short_perceptual", "Consistency short (correct), {perceptual_net}", "", "lower", 4,
-        "{perceptual_net} per pixel of the same pairs, averaged over visible pixels; elsewhere both images show the "
-        "target, so nothing counts.",
-    ),
-    Kind(
-        "short_share", "Consistency short (correct), visible", "share", "", 4,
-        "Visible pixels over opaque pixels of the target.",
-    ),
-    Kind(
-        "long_rmse", "Consistency long (correct), RMSE", "", "lower", 4,
-        "As short range, with frames {gap} apart.",
-    ),
-    Kind(
-        "long_perceptual", "Consistency long (correct), {perceptual_net}", "", "lower", 4,
-        "As short range, with frames {gap} apart.",
-    ),
-    Kind(
-        "long_share", "Consistency long (correct), visible", "share", "", 4,
-        "Visible pixels over opaque pixels of the target.",
-    ),
 )  # fmt: skip
+
+
+def _correct(label: str, words: str) -> tuple[Kind, ...]:
+    """Our own, of one range; of a local edit also within its region."""
+    name = f"Consistency {label} (correct)"
+    warped = f"Frame k of {{path}} warped onto frame {words} {{warp_protocol}}"
+    return (
+        Kind(
+            f"{label}_rmse", f"{name}, RMSE", "", "lower", 4,
+            f"{warped}; root mean square over visible pixels and RGB; mean of the pairs.",
+        ),
+        Kind(
+            f"edit_{label}_rmse", f"Consistency {label} within the region (correct), RMSE", "", "lower", 4,
+            f"{warped}; root mean square over RGB and the visible pixels of the target {{inside}}; mean of the pairs.",
+        ),
+        Kind(
+            f"{label}_perceptual", f"{name}, {{perceptual_net}}", "", "lower", 4,
+            f"{warped}; {{perceptual_net}} per pixel, averaged over visible pixels; elsewhere both images show the "
+            "target, so nothing counts.",
+        ),
+        Kind(
+            f"{label}_share", f"{name}, visible", "share", "", 4,
+            f"{warped}; visible pixels over opaque pixels of the target.",
+        ),
+    )  # fmt: skip
 
 
 def _script(label: str, words: str) -> tuple[Kind, ...]:
@@ -208,8 +199,8 @@ def _script(label: str, words: str) -> tuple[Kind, ...]:
         ),
         Kind(
             f"{label}_laenerf_script_perceptual", f"{name}, {{perceptual_net}}", "", "lower", 4,
-            "{perceptual_net} of the same two whole images, given 0..1 where -1..1 is expected. The script takes "
-            "LPIPS on AlexNet.",
+            "{perceptual_net} of the same two whole images of {path}, given 0..1 where -1..1 is expected. The script "
+            "takes LPIPS on AlexNet.",
         ),
         Kind(
             f"{label}_laenerf_script_flagged", f"{name}, flagged", "share", "", 4,
@@ -230,8 +221,8 @@ def _family(label: str, words: str) -> tuple[Kind, ...]:
         ),
         Kind(
             f"{label}_stylerf_family_perceptual", f"{name}, {{perceptual_net}}", "", "lower", 4,
-            "{perceptual_net} per pixel of the same pairs, averaged over the pixels that anything lands on; elsewhere "
-            "both images show the target.",
+            "{perceptual_net} per pixel of the same pairs of {path}, averaged over the pixels that anything lands on; "
+            "elsewhere both images show the target.",
         ),
         Kind(
             f"{label}_stylerf_family_share", f"{name}, reached", "share", "", 4, "Pixels that anything lands on.",
@@ -240,7 +231,7 @@ def _family(label: str, words: str) -> tuple[Kind, ...]:
 
 
 _RANGES = {"short": "k+1", "long": "k+{gap}"}
-PUBLISHED = tuple(kind for maker in (_script, _family) for some in _RANGES.items() for kind in maker(*some))
+FILMED = tuple(kind for maker in (_correct, _script, _family) for some in _RANGES.items() for kind in maker(*some))
 
-KINDS: tuple[Kind, ...] = (*EDITED, *EDITED_TRAINING, *FITTED, *STYLISED, *SHARED, *PUBLISHED)
+KINDS: tuple[Kind, ...] = (*EDITED, *EDITED_TRAINING, *FITTED, *STYLISED, *SHARED, *FILMED)
 BY_KEY: dict[str, Kind] = {kind.key: kind for kind in KINDS}

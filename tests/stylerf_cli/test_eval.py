@@ -112,6 +112,17 @@ def test_frames_along_a_file_of_cameras_stand_until_it_changes(work, renderer, c
         assert len(renderer) == count
 
 
+def test_a_film_of_another_length_is_another_protocol(work, renderer, capsys, tmp_path):
+    kept = render(work, work.get("field", "wall"), "orbit").digest
+    (tmp_path / "nine.toml").write_text("[render]\ncount = 9\n")
+    found = result(capsys, work.root, "--path", "orbit", "--config", tmp_path / "nine.toml")
+    assert renderer == []
+    for key in ("short_rmse", "long_rmse", "short_share"):
+        assert "the path orbit of 9 frames" in found["protocols"][key]
+    result(capsys, work.root, "--path", "orbit")
+    assert renderer == [("wall", "orbit")] and work.get("frames", "wall-orbit").digest == kept
+
+
 @pytest.mark.parametrize(
     ("options", "code", "told"),
     [
