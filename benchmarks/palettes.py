@@ -57,7 +57,7 @@ def measure(fitted: Path, case: str, kept: Path) -> list[dict]:
     for words, flags in (("everywhere", ()), ("within reach", (*selection[:2], "--reach", reach))):
         name = f"palette-{words.split()[0]}"
         stylerf(*method, "--of", "palette", "--palette", palette, *flags, "--name", name)
-        figures = stylerf("eval", str(work), "--of", name, "--region", region, "--base", "fit-60s")["figures"]
+        figures = stylerf("eval", str(work), "--of", name, "--region", region)["figures"]
         seconds = seconds_of(work, "field/palette", f"field/{name}")
         rows.append(row(case, f"palettenerf, {words}", seconds, figures, told))
     return rows

@@ -198,6 +198,7 @@ class Evaluation:
             "style_trunk": lenses.painting.trunk_name if lenses.painting else "no painting",
             "gap": self.config.gap,
             "nearest": NEAREST,
+            "plain": self.base.frames.field if self.base else "none",
             "twin": self.twin.frames.field if self.twin else "none",
             **(self.film.facts() if self.film else {}),
         }

@@ -106,7 +106,12 @@ class LocalEdit:
     def facts(self) -> dict:
         """What the protocols are filled in with."""
         masked = self._masks.words.format(margin=self.margin)
-        return {"masked": masked, "inside": self._masks.words.partition(", and all")[0], "ring": self._config.ring}
+        return {
+            "masked": masked,
+            "inside": self._masks.words.partition(", and all")[0],
+            "ring": self._config.ring,
+            "unedited": self.unedited.frames.field,
+        }
 
     def told(self, figures: list[Figure], rows: Sequence[Row]) -> list[Figure]:
         """The figures with those of the unedited field beside them; the ratio is that of the two means."""

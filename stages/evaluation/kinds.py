@@ -26,21 +26,22 @@ EDITED = (
     ),
     Kind(
         "background_ratio", "Background MSE over that of the unedited field", "", "lower", 3,
-        "Ratio of the two means, over the views that have both; lowest and highest are ratios of single views.",
+        "Ratio to the mean of field {unedited}, over the views that have both; lowest and highest are ratios of single "
+        "views.",
     ),
     Kind(
         "change_inside", "Change in the region", "", "", 4,
-        "Mean |edited - unedited| of the two fields' renders over RGB (sRGB values 0..1) and over the pixels "
-        "{inside}; views that show the region.",
+        "Mean |edited - unedited| of the renders of this field and of field {unedited} over RGB (sRGB values 0..1) and "
+        "over the pixels {inside}; views that show the region.",
     ),
     Kind(
         "change_lab", "Change in the region, CIELAB", "", "", 2,
-        "Mean CIE76 colour difference (D65; about 2.3 is just seen) over the same pixels.",
+        "Mean CIE76 colour difference (D65; about 2.3 is just seen) to field {unedited} over the same pixels.",
     ),
     Kind(
         "bleeding", "Change beside the region", "", "lower", 4,
-        "Mean |edited - unedited| over RGB in a ring of {ring} pixels around what counts as the region: an edit that "
-        "runs over its edge.",
+        "Mean difference to field {unedited} over RGB in a ring of {ring} pixels around what counts as the region: an "
+        "edit that runs over its edge.",
     ),
     Kind(
         "sparsity", "Palette sparsity L_sp", "", "lower", 4,
@@ -147,8 +148,8 @@ STYLISED = (
     ),
     Kind(
         "shape_change", "Change of depth", "share", "", 4,
-        "Mean of |z - z0| / z0 against the unstylised field's depth z0 where both are opaque: zero where the shape "
-        "was kept.",
+        "Mean of |z - z0| / z0 against the depth z0 of field {plain}, from before stylisation and deformation, where "
+        "both are opaque: zero where the shape was kept.",
     ),
 )  # fmt: skip
 

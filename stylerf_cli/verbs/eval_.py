@@ -31,7 +31,10 @@ def add_arguments(parser) -> None:
         help="region of a local edit: what it changed there, and what it left of the background (several: their union)",
     )
     parser.add_argument(
-        "--base", metavar="FIELD", help="unedited field to compare a local edit with (default: the one it started from)"
+        "--base",
+        metavar="FIELD",
+        help="unedited field to compare a local edit with (default: the one it started from, or that its palette was "
+        "learnt of)",
     )
     parser.add_argument(
         "--robust-to",
@@ -44,7 +47,7 @@ def run(args, session) -> dict:
     """The report's place, its figures, its warnings and what was not measured."""
     from stages import evaluate
     from stages.evaluation.asked import pinned
-    from stages.evaluation.lineage import fields_behind, is_stylised
+    from stages.evaluation.lineage import field_unstylised, is_stylised
     from stages.evaluation.references import checked
     from stages.evaluation.views import SceneViews
     from stylerf_cli.chains import chosen_field, scene_of
@@ -71,7 +74,7 @@ def run(args, session) -> dict:
     if film is not None:
         inputs["path_frames"] = film
     if is_stylised(field):
-        plain = next((one for one in fields_behind(field) if not is_stylised(one)), None)
+        plain = field_unstylised(field)
         if plain is not None:
             inputs["base_frames"] = frames_of(session, plain, "test")
     if twin is not None:
@@ -87,7 +90,7 @@ def edit_asked(session: Any, field: Artefact, args: Any) -> tuple[Artefact | Non
 
     UsageError where the field before it is not known.
     """
-    from stages.evaluation.lineage import fields_behind
+    from stages.evaluation.lineage import field_before
     from stylerf_cli.chains import chosen_field
 
     config = session.config
@@ -96,7 +99,7 @@ def edit_asked(session: Any, field: Artefact, args: Any) -> tuple[Artefact | Non
             raise UsageError("--base and --train-views are for a local edit; name it by --region, or give its --masks")
         return None, []
     regions = [session.work.find("region", name) for name in args.region]
-    base = chosen_field(session, args.base) if args.base else next(iter(fields_behind(field)), None)
+    base = chosen_field(session, args.base) if args.base else field_before(field)
     if base is None or base.name == field.name:
         raise UsageError(f"field {field.name} was made from no other field; name the unedited one by --base")
     return base, regions

@@ -123,6 +123,19 @@ def test_a_film_of_another_length_is_another_protocol(work, renderer, capsys, tm
     assert renderer == [("wall", "orbit")] and work.get("frames", "wall-orbit").digest == kept
 
 
+def test_a_bent_field_is_no_measure_of_its_own_bending(work, renderer, capsys):
+    """The stylised field keeps the shape of the deformed one, whose depth is a fifth less than the fit's."""
+    bent = made.make_field(work, "bent", "deform_init", {"field": work.get("field", "wall")})
+    stylised = made.make_field(work, "red", "stylize", {"field": bent})
+    views = cameras("test")
+    seen = [made.Seen(one.rgb, one.alpha, one.z * 0.8) for one in map(made.look, views)]
+    for field in (bent, stylised):
+        made.make_frames(work, f"{field.name}-test", "test", views, seen, field)
+    found = result(capsys, work.root, "--of", "red")
+    assert found["figures"]["shape_change"] == pytest.approx(0.2, abs=1e-3) and renderer == []
+    assert "of field wall" in found["protocols"]["shape_change"]
+
+
 @pytest.mark.parametrize(
     ("options", "code", "told"),
     [
