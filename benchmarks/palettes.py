@@ -5,7 +5,8 @@ FITTED holds a work folder for each scene, fitted for 60 s, as for benchmarks.ed
 Protocol: a region is selected and recoloured by `stylerf edit` (LAENeRF). `stylerf stylize --method palettenerf` with
 60 s decomposes the same field once, then the same colour is given to its whole palette, everywhere and within a reach
 around the region's first pixel. All three are evaluated by `stylerf eval --region` on the held-out views: background
-MSE against the photos, over that of the field before (ratio), change inside the region, bleeding beside it. Seconds are
+MSE against the photos, over that of the field before (ratio), change inside the region, bleeding beside it. The
+sparsity L_sp is LAENeRF's over the region's pixels, PaletteNeRF's over all pixels that show the scene. Seconds are
 those of the stages' manifests, selection left out. One seed.
 """
 

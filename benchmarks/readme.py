@@ -145,7 +145,8 @@ def palettes() -> str:
             f"| {row['case']} | {row['method']} | {row['seconds']:.0f} s | {row['background_mse']:.5f} ({before:.5f}) "
             f"| {row['change_lab']:.0f} dE | {row['bleeding']:.4f} | {row['colours']}, {row['sparsity']:.2f} |"
         )
-    return "\n".join([*lines, "", where(report)])
+    over = "L_sp: of LAENeRF over the region's pixels, of PaletteNeRF over all pixels that show the scene. "
+    return "\n".join([*lines, "", over + where(report)])
 
 
 def pareto() -> str:
