@@ -78,7 +78,7 @@ class Evaluation:
         self.edit = LocalEdit.found(inputs, config, self.scene, context)
         self.lenses = Lenses.found(config, self.field, context)
         path = self._frames("path_frames")
-        inside = self.edit.inside_film(path) if self.edit and path else None
+        inside = self.edit.inside_film() if self.edit and path else None
         self.film = Film(path, config, self.lenses, inside) if path else None
         self.references = References(config.reference, self.scene, self.frames) if config.reference else None
         made_by_style = self.field is not None and is_stylised(self.field)

@@ -14,7 +14,7 @@ from stages.evaluation.views import FrameViews, Render
 from stylerf.metrics.consistency import pair_consistency
 from stylerf.metrics.protocols import flow_consistency, laenerf_script, stylerf_family
 
-Inside = Callable[[int, Render], np.ndarray]  # of a local edit: the pixels [h, w] of a frame that show its region
+Inside = Callable[[Render], np.ndarray]  # of a local edit: the pixels [h, w] of a frame that show its region
 PARTS = {  # of the keys of each protocol: its error, the share of pixels it is over, its perceptual distance
     "correct": ("rmse", "share", "perceptual"),
     "laenerf-script": ("laenerf_script_mse", "laenerf_script_flagged", "laenerf_script_perceptual"),
@@ -96,7 +96,7 @@ class Film:
         for mode, wanted in keys.items():
             row.measure(wanted, lambda mode=mode: self._values(mode, views, forward, backward, looked_at)[:count])
         if self._inside is not None and "correct" in self.modes:
-            within = self._inside(places[1], views[1])
+            within = self._inside(views[1])
             key = (f"edit_{label}_rmse",)
             row.measure(key, lambda: self._values("correct", views, forward, backward, False, within)[0])
         return row
