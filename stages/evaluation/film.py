@@ -75,8 +75,8 @@ class Film:
             "pixel"
         )
         by_flow = (
-            f"along {self.flows.words}; visible where the flows of both directions cancel and have no step (Ruder et "
-            "al. 2016)"
+            f"along {self.flows.words}; visible where the target's alpha is over 0.5 and the flows of both directions "
+            "cancel and have no step (Ruder et al. 2016)"
         )
         return {
             "path": f"the path {self.frames.frames.path} of {len(self.frames)} frames",
@@ -125,7 +125,9 @@ class Film:
             found = pair_consistency(one, other, pixels, self.config.depth_tolerance, within=within)
             return found.rmse, found.share, found.perceptual
         if mode == "correct":
-            found = flow_consistency(first.image, second.image, forward, backward, pixels, within)
+            opaque = second.alpha > 0.5
+            asked = opaque if within is None else opaque & within
+            found = flow_consistency(first.image, second.image, forward, backward, pixels, asked)
         elif mode == "laenerf-script":
             found = laenerf_script(first.image, second.image, forward, backward, whole)
         else:
