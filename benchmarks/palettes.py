@@ -43,8 +43,9 @@ def measure(fitted: Path, case: str, kept: Path) -> list[dict]:
     """A row a method."""
     folder, selection, palette, reach = CASES[case]
     work, region = kept / folder, case.replace(" ", "-")
-    shutil.copytree(fitted / folder / "scene", work / "scene")
-    shutil.copytree(fitted / folder / "field" / "fit-60s", work / "field" / "fit-60s")
+    if not (work / "scene").exists():
+        shutil.copytree(fitted / folder / "scene", work / "scene")
+        shutil.copytree(fitted / folder / "field" / "fit-60s", work / "field" / "fit-60s")
     made = stylerf("edit", str(work), *selection, "--recolor", "--palette", palette, "--name", region)
     learnt = json.loads((work / "edit" / f"{region}-learnt" / "manifest.json").read_text())
     seconds = sum(made["seconds"].values()) - made["seconds"]["region"] + learnt["seconds"]

@@ -156,8 +156,8 @@ STYLISED = (
 SHARED = (
     Kind(
         "see_through", "Seen through", "share", "lower", 4,
-        "Share of a view's surface points that the next view looks past: its depth there lies more than 5 % behind "
-        "them. Floaters count, and to a small degree silhouettes.",
+        "Share of a view's surface points that the view before it looks past, whose depth there lies more than 5 % "
+        "behind them. Floaters count, and to a small degree silhouettes.",
     ),
 )  # fmt: skip
 
