@@ -58,7 +58,7 @@ def run(args, session) -> dict:
         )
     field = chosen_field(session, args.of)
     # Whatever cannot be is refused here, before minutes of rendering.
-    config = pinned(session.config)
+    config = pinned(session.config, field)
     if (args.robust_to or config.reference) and not is_stylised(field):
         raise UsageError(f"--reference and --robust-to are for a stylised field; {field.name} is none")
     scene = scene_of(session.work, field)

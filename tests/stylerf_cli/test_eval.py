@@ -70,6 +70,17 @@ def test_frames_that_stand_are_measured_and_told(work, renderer, capsys):
     assert "short_rmse" not in found["figures"]
 
 
+def test_other_networks_measure_anew(work, renderer, capsys, monkeypatch):
+    asked = []
+    monkeypatch.setattr(
+        "stages.evaluation.asked.networks_found", lambda *given: asked.append(given) or f"n{len(asked)}"
+    )
+    for number in (1, 2):
+        result(capsys, work.root)
+        assert work.get("report", "wall").manifest.config["networks"] == f"n{number}"
+    assert asked == [(False, False, "")] * 2
+
+
 def test_missing_and_outdated_frames_are_rendered(work, renderer, capsys):
     made.make_field(work, "wall", "fit", {"scene": work.get("scene", "wall")}, config={"other": 1})
     result(capsys, work.root)
