@@ -225,12 +225,30 @@ def test_names_with_folders_are_not_mixed_up(tmp_path):
 
 
 def test_training_views_have_figures_of_their_own(made_up, measured):
-    work, inputs, *_ = made_up
-    more = {"train_frames": inputs["frames"], "unedited_train_frames": inputs["unedited_frames"]}
+    """Training frames that are darker by 0.1 and 0.02 than those of the test views, so that neither stands in."""
+    work, inputs, plain, painted, cameras = made_up
+    trained = [
+        [replace(seen, rgb=seen.rgb - np.float32(darker)) for seen in some]
+        for some, darker in ((plain, 0.1), (painted, 0.02))
+    ]
+    more = {
+        "train_frames": made.make_frames(work, "blue-train", "train", cameras, trained[1], inputs["field"]),
+        "unedited_train_frames": made.make_frames(
+            work, "fit-train", "train", cameras, trained[0], inputs["base_field"]
+        ),
+    }
     artefact, report = evaluated(work, inputs | more, name="trained")
-    assert figure(report, "train_background_mse")["mean"] == figure(report, "background_mse")["mean"]
-    assert figure(report, "train_background_mse")["reference"] == figure(report, "background_mse")["reference"]
-    assert figure(report, "train_background_ratio")["mean"] == figure(report, "background_ratio")["mean"]
+    wanted = [expected((work, inputs, *trained, cameras), view, 2, 4) for view in range(2)]
+    mse, before, change = (
+        np.mean([values[key] for values in wanted])
+        for key in ("background_mse", "background_mse_unedited", "change_inside")
+    )
+    found = figure(report, "train_background_mse")
+    assert found["mean"] == pytest.approx(mse, rel=0.01)
+    assert found["reference"]["the unedited renders"] == pytest.approx(before, rel=0.01)
+    assert figure(report, "train_background_ratio")["mean"] == pytest.approx(mse / before, rel=0.01)
+    assert figure(report, "train_change_inside")["mean"] == pytest.approx(change, rel=0.01)
+    assert abs(figure(report, "background_mse")["mean"] / mse - 1) > 0.05
     assert figure(report, "train_bleeding")["protocol"].startswith("On training views.")
     assert len(report["training_views"]) == 2 and artefact.file("training.csv").is_file()
     assert report["views"] == measured[1]["views"] and "Training views" in artefact.file("report.html").read_text()
