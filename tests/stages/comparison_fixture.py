@@ -66,8 +66,11 @@ def edited(
     return field
 
 
-def report(work: Work, field: Artefact, figures: dict, edit: dict | None = None, protocol: str = "as ever") -> Artefact:
-    """What `stylerf eval` leaves, as far as a comparison looks at it."""
+def report(
+    work: Work, field: Artefact, figures: dict, edit: dict | None = None, protocol: str = "as ever", **more
+) -> Artefact:
+    """What `stylerf eval` leaves, as far as a comparison looks at it. more: of its manifest; `regions`, artefacts."""
+    inputs = {"field": field} | {f"region.{one.name}": one for one in more.pop("regions", ())}
     told = [
         {"key": key, "mean": mean, "label": LABELS[key][0], "unit": LABELS[key][1], "better": LABELS[key][2],
          "protocol": protocol}
@@ -77,7 +80,7 @@ def report(work: Work, field: Artefact, figures: dict, edit: dict | None = None,
     def write(folder) -> None:
         (folder / "report.json").write_text(json.dumps({"figures": told, "painting": "style.png", "edit": edit}))
 
-    return made.commit(work, "report", field.name, "evaluate", {"field": field}, write, figures=figures)
+    return made.commit(work, "report", field.name, "evaluate", inputs, write, figures=figures, **more)
 
 
 def _nothing(folder) -> None:

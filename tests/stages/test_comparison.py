@@ -108,6 +108,35 @@ def test_the_same_scene_in_two_folders_is_one_group(work, tmp_path):
     assert names["a/room/fit-5s"] == names[f"{tmp_path.name}/room/fit-10s"] == f"{tmp_path.name}/room"
 
 
+def test_groups_are_known_by_content_and_called_by_names(work):
+    """Two paintings of one file name, one painting under two names; reference pictures; masks; regions."""
+    scene, base = work.get("scene", "wall"), work.get("field", "fit-10s")
+    for name, config in {
+        "a": {"style": "/one/starry.jpg", "style_digest": "1" * 64},
+        "b": {"style": "/other/starry.jpg", "style_digest": "2" * 64},
+        "c": {"style": "/other/night.jpg", "style_digest": "1" * 64},
+        "d": {"style": "", "reference": ["0=/one/x.png"], "references_digest": "3" * 64},
+        "e": {"style": "", "reference": ["0=/one/x.png"], "references_digest": "4" * 64},
+    }.items():
+        runs.stylised(work, scene, base, name, 20.0, STYLE, **config)
+    figures, regions = {"background_mse": 0.001, "bleeding": 0.1}, [work.get("region", "cup")]
+    for name, seconds, config, given in (
+        ("f", 51.0, {"masks": "/one/masks", "masks_digest": "5" * 64}, ()),
+        ("g", 52.0, {}, regions),
+        ("h", 53.0, {}, regions),
+        ("i", 54.0, {"masks": "/other/masks", "masks_digest": "6" * 64}, regions),
+    ):
+        runs.edited(work, scene, base, name, (1.0, 1.0, 1.0, seconds), {})
+        told = {"regions": [one.name for one in given]}
+        runs.report(work, work.get("field", name), figures, told, config=config, regions=given)
+    group = {name: run.group for name, run in found(work)[0].items()}
+    assert group["a"] == group["c"] != group["b"] and group["a"].startswith("room, starry.jpg (")
+    assert group["d"] != group["e"] and group["d"].startswith("room, after x.png (")
+    assert group["f"] != group["i"] and group["i"].startswith("room, masks masks (")
+    assert group["g"] == group["h"] != group["i"]
+    assert group["fit-10s"] == "room" and len({*group.values()}) == 10
+
+
 def test_what_is_missing_is_named_with_its_command(work):
     scene, base = work.get("scene", "wall"), work.get("field", "fit-10s")
     runs.fit(work, scene, "unseen", 11.0, None)
