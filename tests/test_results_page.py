@@ -1,6 +1,7 @@
 """docs/results.md: verdicts follow the better side, what was not measured says so, the page is up to date."""
 
 import json
+import shutil
 import sys
 from dataclasses import replace
 
@@ -56,3 +57,16 @@ def test_losses_are_counted_and_the_unmeasured_listed():
 def test_readme_and_page_are_those_of_the_results(monkeypatch):
     monkeypatch.setattr(sys, "argv", ["readme", "--check"])
     assert readme.main() == 0
+
+
+def test_a_chart_of_other_rows_is_stale(monkeypatch, tmp_path):
+    shutil.copytree(readme.IMAGES, tmp_path, dirs_exist_ok=True)
+    monkeypatch.setattr(readme, "IMAGES", tmp_path)
+    monkeypatch.setattr(sys, "argv", ["readme", "--check"])
+    assert readme.main() == 0
+    picture, report = tmp_path / "strategies.svg", readme.result("strategies.json")
+    older = readme.mark(report | {"rows": report["rows"][1:]})
+    picture.write_text(picture.read_text().replace(readme.mark(report), older))
+    assert readme.main() == 1
+    picture.unlink()
+    assert readme.main() == 1
