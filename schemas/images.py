@@ -1,4 +1,4 @@
-"""Photos and pictures: read whole or refused, upright, as stored; PNG written as one step.
+"""Photos and pictures: read whole or refused, colours as stored; PNG written as one step.
 
 Colours are never converted here. Alpha is straight (not multiplied into the colours), as PNG stores it.
 """
@@ -19,7 +19,7 @@ LARGEST_IMAGE_MB = 2048
 
 @dataclass(frozen=True, eq=False)
 class Image:
-    """One upright image. pixels: [height, width, 1, 3 or 4] float32, 0..1 for integer files, as stored for float ones.
+    """One image. pixels: [height, width, 1, 3 or 4] float32, 0..1 for integer files, as stored for float ones.
 
     bits: of a stored channel value (8, 16 or 32).
     """
@@ -57,8 +57,8 @@ def _first_line(message: str, path: Path) -> str:
     return lines[0].rstrip(".") if lines else "damaged or cut short"  # some codecs fail without a word
 
 
-def read_image(path: Path | str) -> Image:
-    """The image at `path`, turned upright by its EXIF orientation.
+def read_image(path: Path | str, upright: bool = True) -> Image:
+    """The image at `path`, turned by its EXIF orientation if `upright`, else with its rows as they are stored.
 
     8 and 16 bit values are divided by 255 and 65535. Grey with alpha becomes RGBA; of many channels those named
     R, G, B, A are taken. BadInput with the file and the reason when it is missing, of an unknown format, cut short,
@@ -79,8 +79,10 @@ def read_image(path: Path | str) -> Image:
     pixels = np.asarray(stored, dtype=np.float32).reshape(spec.height, spec.width, -1) / np.float32(scale)
     if not np.isfinite(pixels).all():
         raise BadInput(f"{path} holds NaN or infinite values; replace or remove it")
-    pixels = _upright(_colour_channels(pixels, spec.channelnames, path), spec.get_int_attribute("Orientation", 1))
-    return Image(pixels, kind.size() * 8)
+    pixels = _colour_channels(pixels, spec.channelnames, path)
+    if upright:
+        pixels = _upright(pixels, spec.get_int_attribute("Orientation", 1))
+    return Image(np.ascontiguousarray(pixels), kind.size() * 8)
 
 
 def _colour_channels(pixels: np.ndarray, names: tuple[str, ...], path: Path) -> np.ndarray:
@@ -96,11 +98,11 @@ def _colour_channels(pixels: np.ndarray, names: tuple[str, ...], path: Path) -> 
 
 def _upright(pixels: np.ndarray, orientation: int) -> np.ndarray:
     if orientation == 1 or not 1 <= orientation <= 8:
-        return np.ascontiguousarray(pixels)
+        return pixels
     buffer = oiio.ImageBuf(np.ascontiguousarray(pixels))
     buffer.orientation = orientation
     turned = oiio.ImageBufAlgo.reorient(buffer)
-    return np.ascontiguousarray(turned.get_pixels(oiio.FLOAT))
+    return turned.get_pixels(oiio.FLOAT)
 
 
 def image_channels(path: Path | str) -> int:
@@ -113,14 +115,14 @@ def image_channels(path: Path | str) -> int:
     return _colour_channels(np.empty((1, 1, len(names)), np.float32), names, path).shape[2]
 
 
-def image_size(path: Path | str) -> tuple[int, int]:
-    """(width, height) of the upright image, from its header alone; BadInput as read_image."""
+def image_size(path: Path | str, upright: bool = True) -> tuple[int, int]:
+    """(width, height) of what read_image gives, from its header alone; BadInput as read_image."""
     path = Path(path)
     with native_output_silenced():
         source = _open(path)
         spec = source.spec()
         source.close()
-    turned = 5 <= spec.get_int_attribute("Orientation", 1) <= 8  # the four that swap rows and columns
+    turned = upright and 5 <= spec.get_int_attribute("Orientation", 1) <= 8  # the four that swap rows and columns
     return (spec.height, spec.width) if turned else (spec.width, spec.height)
 
 

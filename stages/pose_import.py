@@ -27,7 +27,7 @@ from stylerf.geometry.cameras import Camera
 from stylerf.geometry.hull import hull_box
 from stylerf.geometry.resampling import nearest
 
-SPEC = Spec(stage="pose_import", verb="import", revision=1, writes="scene")
+SPEC = Spec(stage="pose_import", verb="import", revision=2, writes="scene")
 FEWEST_PHOTOS = 2
 
 
@@ -68,7 +68,7 @@ def import_scene(source: SourceScene, config: ImportConfig, partial: Partial, co
     _tell_missing(source, here, missing, context)
     here = _with_splits(_told_apart(here), config.test_every)
     alike: dict = {}
-    photos = [sized(camera, source.rescalable, alike) for camera in here]
+    photos = [sized(camera, source, alike) for camera in here]
     factors = [scale_of(one.size, config.downscale, config.max_side) for one in photos]
     plain = [scene_camera(one, factor, one.pose) for one, factor in zip(photos, factors, strict=True)]
     backdrop = _develop(photos, plain, config, partial, context)

@@ -67,7 +67,7 @@ def _scene(result: dict, model: Path, root: Path, context: Context) -> SourceSce
         for copy in result["copies"]
         if Path(copy["photo"]) not in placed
     ]
-    return replace(scene, cameras=cameras, sfm=figures, skipped=tuple(skipped))
+    return replace(scene, cameras=cameras, upright=True, sfm=figures, skipped=tuple(skipped))
 
 
 def _of_photo(camera: SourceCamera, copy: dict, root: Path) -> SourceCamera:

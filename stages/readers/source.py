@@ -47,8 +47,9 @@ class SourcePoints:
 class SourceScene:
     """Everything a source tells. kind: in words. keeps_frame: the frame is that of a made scene, worth keeping.
 
-    rescalable: photos may be a smaller copy of those that the intrinsics are of. sfm: figures of a reconstruction.
-    skipped: (photo, reason) of those that the reader left out itself.
+    rescalable: photos may be a smaller copy of those that the intrinsics are of. upright: cameras are of the photos as
+    EXIF turns them, else as they are stored. sfm: figures of a reconstruction. skipped: (photo, reason) of those that
+    the reader left out itself.
     """
 
     kind: str
@@ -56,6 +57,7 @@ class SourceScene:
     points: SourcePoints | None = None
     keeps_frame: bool = False
     rescalable: bool = False
+    upright: bool = False
     sfm: dict | None = None
     skipped: tuple[tuple[str, str], ...] = ()
 

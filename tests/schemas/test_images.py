@@ -74,6 +74,8 @@ def test_exif_orientation_is_applied(tmp_path, orientation):
     expected = UPRIGHT[orientation](array)
     np.testing.assert_array_equal(to_uint8(read_image(path).pixels), expected)
     assert image_size(path) == (expected.shape[1], expected.shape[0])
+    np.testing.assert_array_equal(to_uint8(read_image(path, upright=False).pixels), array)
+    assert image_size(path, upright=False) == (6, 4)
 
 
 def test_exif_orientation_of_a_jpeg(tmp_path):

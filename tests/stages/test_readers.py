@@ -1,0 +1,68 @@
+"""What readers make of posed sources: which photos they find, how those are turned, which masks belong to them."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from schemas.images import read_image, to_uint8
+from stages.scenes import load_scene
+from tests.stages.importing import imported
+from tests.stages.photo_room import write_tagged
+from tests.stylerf_cli import capture
+
+
+@pytest.fixture
+def source(tmp_path) -> Path:
+    """Four photos without poses, images/p00.png to p03.png, 48 x 36."""
+    capture.write_images(tmp_path / "source")
+    return tmp_path / "source"
+
+
+def colours_of(photo: Path, **options) -> np.ndarray:
+    return to_uint8(read_image(photo, **options).pixels)
+
+
+# -- EXIF orientation --------------------------------------------------------------------------------------------------
+
+
+def tagged(source: Path, orientation: int) -> Path:
+    """images/p02.png with an orientation in its place."""
+    path = source / "images" / "p02.png"
+    write_tagged(path.with_suffix(".tif"), colours_of(path), orientation)
+    path.unlink()
+    return path.with_suffix(".tif")
+
+
+@pytest.mark.parametrize("orientation", [3, 6])
+@pytest.mark.parametrize("kind", ["transforms", "angle alone", "colmap", "llff"])
+def test_poses_describe_photos_as_they_are_stored(source, tmp_path, kind, orientation):
+    photo = tagged(source, orientation)
+    masks = source / "masks"
+    masks.mkdir()
+    write_tagged(masks / "p02.png", np.where(np.arange(48) < 24, np.full((36, 48), 255), 0).astype(np.uint8), 1)
+    if kind == "colmap":
+        capture.write_colmap(source)
+        listed = source / "sparse" / "0" / "images.txt"
+        listed.write_text(listed.read_text().replace("p02.png", "p02.tif"))
+    elif kind == "llff":
+        np.save(source / "poses_bounds.npy", capture.llff())
+    else:
+        content = capture.transforms()
+        content["frames"][2]["file_path"] = "images/p02.tif"
+        if kind == "angle alone":
+            content = {"camera_angle_x": 0.98, "frames": content["frames"]}
+        capture.write_transforms(source, content)
+    seen = to_uint8(load_scene(imported(source, tmp_path / "work")).images(2))
+    np.testing.assert_array_equal(seen[:, :24, :3], colours_of(photo, upright=False)[:, :24])
+    assert (seen[:, :24, 3] == 255).all() and (seen[:, 24:, 3] == 0).all()
+
+
+def test_a_photo_that_only_turned_has_the_size_of_its_camera_is_turned(source, tmp_path):
+    photo = tagged(source, 6)
+    content = capture.transforms()
+    content["frames"][2] |= {"file_path": "images/p02.tif", "w": 36, "h": 48, "cx": 18, "cy": 24}
+    capture.write_transforms(source, content)
+    data = load_scene(imported(source, tmp_path / "work"))
+    np.testing.assert_array_equal(to_uint8(data.images(2)), colours_of(photo))
+    assert data.images(2).shape[:2] == (48, 36) and data.images(1).shape[:2] == (36, 48)
