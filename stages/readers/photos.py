@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from schemas.errors import BadInput
-from schemas.images import image_size, read_image
+from schemas.images import image_size, read_image, read_srgb
 from stages.readers.source import SourceCamera, SourceScene
 from stylerf.errors import InvalidValue
 from stylerf.geometry.cameras import Camera
@@ -105,7 +105,7 @@ class Developer:
     def picture(self, one: Sized, size: tuple[int, int]) -> np.ndarray:
         """[height, width, 3 or 4] float32, straight alpha, of size (width, height); 4 channels where any pixel is not
         opaque. BadInput for a black, damaged or wrongly masked photo."""
-        pixels = _with_mask(one, _rgb(read_image(one.camera.image, one.upright).pixels))
+        pixels = _with_mask(one, _rgb(read_srgb(one.camera.image, one.upright).pixels))
         if (pixels[..., :3] * pixels[..., 3:] if pixels.shape[2] == 4 else pixels).max() < DARKEST_WHITE:
             if pixels.shape[2] == 3 or pixels[..., 3].max() > 0.5:
                 raise BadInput(f"{one.camera.image} is black; remove it from the capture")

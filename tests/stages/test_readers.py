@@ -3,9 +3,11 @@
 from pathlib import Path
 
 import numpy as np
+import OpenImageIO as oiio
 import pytest
 
 from schemas.images import read_image, to_uint8
+from stages.paintings import read_painting
 from stages.scenes import load_scene
 from tests.stages.importing import imported
 from tests.stages.photo_room import write_tagged
@@ -66,3 +68,30 @@ def test_a_photo_that_only_turned_has_the_size_of_its_camera_is_turned(source, t
     data = load_scene(imported(source, tmp_path / "work"))
     np.testing.assert_array_equal(to_uint8(data.images(2)), colours_of(photo))
     assert data.images(2).shape[:2] == (48, 36) and data.images(1).shape[:2] == (36, 48)
+
+
+# -- EXR ---------------------------------------------------------------------------------------------------------------
+
+
+def test_light_in_photos_and_paintings_becomes_srgb(source, tmp_path):
+    """Grey of code 0.5, half covered on the left, in a data window that leaves two columns out."""
+    (source / "images" / "p02.png").unlink()
+    photo = source / "images" / "p02.exr"
+    alpha = np.where(np.arange(46) < 22, 0.5, 1)[None, :, None] * np.ones((36, 1, 1))
+    spec = oiio.ImageSpec(46, 36, 4, oiio.FLOAT)
+    spec.x, spec.full_width = 2, 48
+    target = oiio.ImageOutput.create(str(photo))
+    light = np.concatenate([0.21404114 * alpha.repeat(3, 2), alpha], 2).astype(np.float32)
+    assert target.open(str(photo), spec) and target.write_image(light) and target.close()
+    content = capture.transforms()
+    content["frames"][2]["file_path"] = "images/p02.exr"
+    capture.write_transforms(source, content)
+    seen = to_uint8(load_scene(imported(source, tmp_path / "work")).images(2))
+    assert seen.shape == (36, 48, 4) and set(seen[:, 2:, :3].ravel()) == {128}
+    assert [set(seen[:, columns, 3].ravel()) for columns in (slice(2), slice(2, 24), slice(24, 48))] == [
+        {0},
+        {128},
+        {255},
+    ]
+    painted = read_painting(photo).numpy()
+    np.testing.assert_allclose(painted[:, 5, [0, 12, 30]], [[1, 0.75, 0.5]] * 3, atol=1e-5)  # over white
