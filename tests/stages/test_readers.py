@@ -1,5 +1,6 @@
 """What readers make of posed sources: which photos they find, how those are turned, which masks belong to them."""
 
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 from schemas.images import read_image, to_uint8
 from stages.paintings import read_painting
 from stages.scenes import load_scene
-from tests.stages.importing import imported
+from tests.stages.importing import Said, imported, scene_of
 from tests.stages.photo_room import write_tagged
 from tests.stylerf_cli import capture
 
@@ -95,3 +96,21 @@ def test_light_in_photos_and_paintings_becomes_srgb(source, tmp_path):
     ]
     painted = read_painting(photo).numpy()
     np.testing.assert_allclose(painted[:, 5, [0, 12, 30]], [[1, 0.75, 0.5]] * 3, atol=1e-5)  # over white
+
+
+# -- COLMAP ------------------------------------------------------------------------------------------------------------
+
+
+def test_of_several_models_the_one_of_most_photos_is_taken_and_told(source, tmp_path):
+    capture.write_colmap(source)
+    sparse = source / "sparse"
+    (sparse / "0").rename(sparse / "10")
+    for number in ("0", "2"):
+        shutil.copytree(sparse / "10", sparse / number)
+        listed = sparse / number / "images.txt"
+        listed.write_text("\n".join(listed.read_text().splitlines()[:4]) + "\n")
+    said = Said()
+    scene = scene_of(imported(source, tmp_path / "work", said))
+    assert len(scene.views) == 4
+    assert "found COLMAP model 10, of 4 photos (2 in 0, 2 in 2; name another's folder for it)" in said.lines
+    assert len(scene_of(imported(sparse / "2", tmp_path / "other")).views) == 2
