@@ -67,8 +67,10 @@ IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".bmp", ".j
 
 def find_image(path: Path) -> Path | None:
     """The file at `path`, or, where the source leaves the suffix out or has another case, the image of that name."""
-    if path.suffix.lower() in IMAGE_SUFFIXES and path.is_file():
-        return path
+    if path.suffix.lower() in IMAGE_SUFFIXES:
+        for suffix in (path.suffix, path.suffix.lower(), path.suffix.upper()):
+            if (candidate := path.with_suffix(suffix)).is_file():
+                return candidate
     for suffix in IMAGE_SUFFIXES:
         for candidate in (Path(f"{path}{suffix}"), Path(f"{path}{suffix.upper()}")):
             if candidate.is_file():

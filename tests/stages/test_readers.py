@@ -9,6 +9,7 @@ import pytest
 
 from schemas.images import read_image, to_uint8
 from stages.paintings import read_painting
+from stages.readers.source import find_image
 from stages.scenes import load_scene
 from tests.stages.importing import Said, imported, scene_of
 from tests.stages.photo_room import write_tagged
@@ -114,3 +115,15 @@ def test_of_several_models_the_one_of_most_photos_is_taken_and_told(source, tmp_
     assert len(scene.views) == 4
     assert "found COLMAP model 10, of 4 photos (2 in 0, 2 in 2; name another's folder for it)" in said.lines
     assert len(scene_of(imported(sparse / "2", tmp_path / "other")).views) == 2
+
+
+# -- names -------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("listed", "there"), [("a.jpg", "a.JPG"), ("a.JPG", "a.jpg"), ("a", "a.PNG"), ("a.1", "a.1.png")]
+)
+def test_photos_are_found_by_another_case_of_their_suffix_or_none(tmp_path, listed, there):
+    (tmp_path / there).touch()
+    assert find_image(tmp_path / listed) == tmp_path / there
+    assert find_image(tmp_path / "b.jpg") is None
