@@ -124,9 +124,20 @@ def _inside(name: str) -> str:
 
 
 def _told_apart(cameras: list[SourceCamera]) -> list[SourceCamera]:
-    """Views of one name get the suffixes of their photos: IMG_1.JPG and IMG_1.PNG, as some cameras and phones save."""
+    """Views of one name get the suffixes of their photos: IMG_1.JPG and IMG_1.PNG, as some cameras and phones save.
+
+    BadInput where that does not tell them apart.
+    """
     names = Counter(one.name for one in cameras)
-    return [one if names[one.name] == 1 else replace(one, name=one.name + one.image.suffix) for one in cameras]
+    apart = [one if names[one.name] == 1 else replace(one, name=one.name + one.image.suffix) for one in cameras]
+    first: dict[str, SourceCamera] = {}
+    for one in apart:
+        if (other := first.setdefault(one.name, one)) is not one:
+            raise BadInput(
+                f"{other.source} and {one.source} would both be view {one.name}; rename one of them, on disk and in "
+                "the list of poses"
+            )
+    return apart
 
 
 def _with_splits(cameras: list[SourceCamera], every: int) -> list[SourceCamera]:

@@ -5,7 +5,16 @@ from pathlib import Path
 from schemas.errors import BadInput
 from stages.readers import model_folders
 from stages.readers.colmap_model import Model, read_model
-from stages.readers.source import SourceCamera, SourcePoints, SourceScene, find_image, find_mask, image_folder, natural
+from stages.readers.source import (
+    SourceCamera,
+    SourcePoints,
+    SourceScene,
+    bare,
+    find_image,
+    find_mask,
+    image_folder,
+    natural,
+)
 from stylerf.errors import InvalidValue
 from stylerf.geometry import distortion
 from stylerf.geometry.conventions import from_colmap
@@ -42,7 +51,7 @@ def scene_of(model: Model, folder: Path, root: Path, kind: str, rescalable: bool
         photo = find_image(folder / image.name)
         cameras.append(
             SourceCamera(
-                name=str(Path(image.name).with_suffix("")),
+                name=str(bare(Path(image.name))),
                 source=image.name,
                 image=photo,
                 world_from_camera=from_colmap(image.camera_from_world),

@@ -65,6 +65,11 @@ class SourceScene:
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".bmp", ".jp2", ".exr")
 
 
+def bare(path: Path) -> Path:
+    """The path without its suffix where that is an image's: frame.0001 keeps its number."""
+    return path.with_suffix("") if path.suffix.lower() in IMAGE_SUFFIXES else path
+
+
 def find_image(path: Path) -> Path | None:
     """The file at `path`, or, where the source leaves the suffix out or has another case, the image of that name."""
     if path.suffix.lower() in IMAGE_SUFFIXES:

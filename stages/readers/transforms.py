@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from schemas.errors import BadInput
-from stages.readers.source import SourceCamera, SourceScene, find_image, find_mask, image_folder
+from stages.readers.source import SourceCamera, SourceScene, bare, find_image, find_mask, image_folder
 from stylerf.geometry.conventions import from_opengl, with_last_row
 from stylerf.geometry.distortion import Distortion
 
@@ -103,15 +103,15 @@ def _camera(root, path, content, frame, index, undo, told, split, images) -> Sou
     where = f"{path}: frame {index}"
     if not isinstance(frame.get("file_path"), str) or "transform_matrix" not in frame:
         raise BadInput(f"{where} lacks file_path or transform_matrix; export it again")
-    listed = Path(frame["file_path"].replace("\\", "/"))
+    listed = _listed(frame["file_path"])
     wanted = image_folder(root, images) / listed.name if images else root / listed
     photo = find_image(wanted)
     numbers = _Numbers(content | frame, where)
     size, intrinsics, angle = _intrinsics(numbers)
     mask = root / frame["mask_path"] if isinstance(frame.get("mask_path"), str) else find_mask(root, photo)
-    depth = root / "truth" / f"depth_{listed.stem}.exr"
+    depth = root / "truth" / f"depth_{bare(listed).name}.exr"
     return SourceCamera(
-        name=listed.stem,
+        name=bare(listed).name,
         source=frame["file_path"],
         image=photo,
         world_from_camera=from_opengl(undo @ _matrix(frame["transform_matrix"], f"{where}: transform_matrix")),
@@ -123,6 +123,10 @@ def _camera(root, path, content, frame, index, undo, told, split, images) -> Sou
         mask=mask,
         depth=depth if depth.is_file() else None,
     )
+
+
+def _listed(path: str) -> Path:
+    return Path(path.replace("\\", "/"))
 
 
 class _Numbers:
@@ -185,6 +189,6 @@ def _distinct(cameras: list[SourceCamera]) -> list[SourceCamera]:
     names = [camera.name for camera in cameras]
     doubled = {name for name in names if names.count(name) > 1}
     return [
-        replace(one, name=str(Path(one.source).with_suffix("")).lstrip("./")) if one.name in doubled else one
+        replace(one, name=str(bare(_listed(one.source))).lstrip("./")) if one.name in doubled else one
         for one in cameras
     ]

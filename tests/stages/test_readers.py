@@ -7,6 +7,8 @@ import numpy as np
 import OpenImageIO as oiio
 import pytest
 
+from schemas.errors import BadInput
+from schemas.exr import ExrView, write_exr
 from schemas.images import read_image, to_uint8
 from stages.paintings import read_painting
 from stages.readers.source import find_image
@@ -127,3 +129,28 @@ def test_photos_are_found_by_another_case_of_their_suffix_or_none(tmp_path, list
     (tmp_path / there).touch()
     assert find_image(tmp_path / listed) == tmp_path / there
     assert find_image(tmp_path / "b.jpg") is None
+
+
+def test_numbers_after_a_dot_are_no_suffixes(source, tmp_path):
+    content = capture.transforms()
+    for index, frame in enumerate(content["frames"]):
+        (source / "images" / f"p{index:02d}.png").rename(source / "images" / f"frame.{index:04d}.png")
+        frame["file_path"] = f"./images/frame.{index:04d}"
+    capture.write_transforms(source, content)
+    depth = ExrView(np.ones((36, 48, 3)), *np.ones((3, 36, 48)), np.eye(4), (45, 45, 24, 18), 0.1, 9)
+    write_exr(source / "truth" / "depth_frame.0002.exr", depth)
+    made = imported(source, tmp_path / "work")
+    assert [view.name for view in scene_of(made).views] == [f"frame.{index:04d}" for index in range(4)]
+    assert [load_scene(made).truth_depth(index) is not None for index in range(4)] == [False, False, True, False]
+
+
+def test_photos_that_would_be_one_view_are_named_before_they_are_read(source, tmp_path):
+    for number, folder in ((0, source / "images" / "b"), (1, source / "b")):
+        folder.mkdir()
+        (source / "images" / f"p{number:02d}.png").rename(folder / "p.png")
+    (source / "images" / "p02.png").write_text("no picture")
+    capture.write_colmap(source)
+    listed = source / "sparse" / "0" / "images.txt"
+    listed.write_text(listed.read_text().replace("p00.png", "b/p.png").replace("p01.png", "../b/p.png"))
+    with pytest.raises(BadInput, match=r"^\.\./b/p\.png and b/p\.png would both be view b/p.png; rename one"):
+        imported(source, tmp_path / "work")
