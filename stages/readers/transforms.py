@@ -104,8 +104,7 @@ def _camera(root, path, content, frame, index, undo, told, split, images) -> Sou
     if not isinstance(frame.get("file_path"), str) or "transform_matrix" not in frame:
         raise BadInput(f"{where} lacks file_path or transform_matrix; export it again")
     listed = _listed(frame["file_path"])
-    wanted = image_folder(root, images) / listed.name if images else root / listed
-    photo = find_image(wanted)
+    photo = _copy_in(image_folder(root, images), listed) if images else find_image(root / listed)
     numbers = _Numbers(content | frame, where)
     size, intrinsics, angle = _intrinsics(numbers)
     mask = root / frame["mask_path"] if isinstance(frame.get("mask_path"), str) else find_mask(root, photo)
@@ -123,6 +122,13 @@ def _camera(root, path, content, frame, index, undo, told, split, images) -> Sou
         mask=mask,
         depth=depth if depth.is_file() else None,
     )
+
+
+def _copy_in(folder: Path, listed: Path) -> Path | None:
+    """The photo of another folder: by its listed path, by that without its first folders, at last by its name alone."""
+    parts = [part for part in listed.parts if part not in ("..", listed.anchor)]
+    places = (find_image(folder.joinpath(*parts[start:])) for start in range(len(parts)))
+    return next(filter(None, places), None)
 
 
 def _listed(path: str) -> Path:

@@ -154,3 +154,18 @@ def test_photos_that_would_be_one_view_are_named_before_they_are_read(source, tm
     listed.write_text(listed.read_text().replace("p00.png", "b/p.png").replace("p01.png", "../b/p.png"))
     with pytest.raises(BadInput, match=r"^\.\./b/p\.png and b/p\.png would both be view b/p.png; rename one"):
         imported(source, tmp_path / "work")
+
+
+@pytest.mark.parametrize("below", ["images/", "", None])
+def test_copies_of_photos_are_found_by_their_folders_or_their_names(source, tmp_path, below):
+    """Two folders have photos of the same names, but where all lie in one."""
+    content = capture.transforms()
+    names = ("a/p0", "a/p1", "b/p2", "b/p3") if below is None else ("a/p0", "a/p1", "b/p0", "b/p1")
+    for frame, name in zip(content["frames"], names, strict=True):
+        copy = tmp_path / "small" / (f"{below}{name}.png" if below is not None else f"{name[2:]}.png")
+        copy.parent.mkdir(parents=True, exist_ok=True)
+        (source / frame["file_path"]).rename(copy)
+        frame["file_path"] = f"../images/{name}.png"
+    capture.write_transforms(source, content)
+    scene = scene_of(imported(source, tmp_path / "work", images=str(tmp_path / "small")))
+    assert [view.source for view in scene.views] == [f"../images/{name}.png" for name in names]
