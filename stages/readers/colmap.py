@@ -11,9 +11,9 @@ from stages.readers.source import (
     SourceScene,
     bare,
     find_image,
-    find_mask,
     image_folder,
     natural,
+    with_masks,
 )
 from stylerf.errors import InvalidValue
 from stylerf.geometry import distortion
@@ -58,11 +58,10 @@ def scene_of(model: Model, folder: Path, root: Path, kind: str, rescalable: bool
                 size=(camera.width, camera.height),
                 intrinsics=intrinsics,
                 distortion=warp,
-                mask=find_mask(root, photo),
             )
         )
     points = SourcePoints(model.xyz, model.rgb, model.error) if len(model.xyz) else None
-    return SourceScene(kind, cameras, points, rescalable=rescalable)
+    return SourceScene(kind, with_masks(cameras, root), points, rescalable=rescalable)
 
 
 def _root(source: Path, model: Path) -> Path:

@@ -1,6 +1,6 @@
 """One photo of a source: checked, its mask joined, undistorted and shrunk."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -152,5 +152,4 @@ def _with_mask(one: Sized, pixels: np.ndarray) -> np.ndarray:
 
 def present(cameras: list[SourceCamera]) -> tuple[list[SourceCamera], list[SourceCamera]]:
     """Cameras with a photo, and those without."""
-    cameras = [replace(one, mask=one.mask if one.mask and one.mask.is_file() else None) for one in cameras]
     return [one for one in cameras if one.image is not None], [one for one in cameras if one.image is None]

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from schemas.errors import BadInput
-from stages.readers.source import SourceCamera, SourceScene, bare, find_image, find_mask, image_folder
+from stages.readers.source import SourceCamera, SourceScene, bare, find_image, image_folder, with_masks
 from stylerf.geometry.conventions import from_opengl, with_last_row
 from stylerf.geometry.distortion import Distortion
 
@@ -31,7 +31,10 @@ def read(source: Path, images: str) -> SourceScene:
         raise BadInput(f"{source} lists no frames; export it again")
     kind = "nerfstudio" if "nerfstudio" in kinds else "instant-ngp" if "instant-ngp" in kinds else "Blender"
     return SourceScene(
-        f"transforms.json of {kind}", _distinct(cameras), keeps_frame=kind != "nerfstudio", rescalable=bool(images)
+        f"transforms.json of {kind}",
+        with_masks(_distinct(cameras), root),
+        keeps_frame=kind != "nerfstudio",
+        rescalable=bool(images),
     )
 
 
@@ -107,7 +110,6 @@ def _camera(root, path, content, frame, index, undo, told, split, images) -> Sou
     photo = _copy_in(image_folder(root, images), listed) if images else find_image(root / listed)
     numbers = _Numbers(content | frame, where)
     size, intrinsics, angle = _intrinsics(numbers)
-    mask = root / frame["mask_path"] if isinstance(frame.get("mask_path"), str) else find_mask(root, photo)
     depth = root / "truth" / f"depth_{bare(listed).name}.exr"
     return SourceCamera(
         name=bare(listed).name,
@@ -119,9 +121,18 @@ def _camera(root, path, content, frame, index, undo, told, split, images) -> Sou
         angle=angle,
         distortion=_distortion(numbers),
         split=split or told.get(frame["file_path"]),
-        mask=mask,
+        mask=_mask(root, frame, where) if photo else None,
         depth=depth if depth.is_file() else None,
     )
+
+
+def _mask(root: Path, frame: dict, where: str) -> Path | None:
+    if not isinstance(frame.get("mask_path"), str):
+        return None
+    mask = root / _listed(frame["mask_path"])
+    if not mask.is_file():
+        raise BadInput(f"{where}: its mask {mask} is not there; restore it, or take mask_path out of the list")
+    return mask
 
 
 def _copy_in(folder: Path, listed: Path) -> Path | None:

@@ -9,7 +9,7 @@ import pytest
 
 from schemas.errors import BadInput
 from schemas.exr import ExrView, write_exr
-from schemas.images import read_image, to_uint8
+from schemas.images import read_image, to_uint8, write_png
 from stages.paintings import read_painting
 from stages.readers.source import find_image
 from stages.scenes import load_scene
@@ -169,3 +169,61 @@ def test_copies_of_photos_are_found_by_their_folders_or_their_names(source, tmp_
     capture.write_transforms(source, content)
     scene = scene_of(imported(source, tmp_path / "work", images=str(tmp_path / "small")))
     assert [view.source for view in scene.views] == [f"../images/{name}.png" for name in names]
+
+
+# -- masks -------------------------------------------------------------------------------------------------------------
+
+
+def cut_out(scene) -> list[str]:
+    """Names of the views whose photos have a mask."""
+    data = load_scene(scene)
+    return [view.name for index, view in enumerate(data.views) if data.channels(index) == 4]
+
+
+def write_mask(path: Path) -> None:
+    write_png(path, np.where(np.arange(48) < 24, np.full((36, 48), 255), 0).astype(np.uint8))
+
+
+def in_folders(source: Path) -> None:
+    """images/a/p00.png, images/a/p01.png, images/b/p00.png, images/b/p03.png, in a COLMAP model."""
+    capture.write_colmap(source)
+    listed = source / "sparse" / "0" / "images.txt"
+    text = listed.read_text()
+    for old, new in (("p00", "a/p00"), ("p01", "a/p01"), ("p02", "b/p00"), ("p03", "b/p03")):
+        (source / "images" / new).parent.mkdir(exist_ok=True)
+        (source / "images" / f"{old}.png").rename(source / "images" / f"{new}.png")
+        text = text.replace(f" {old}.png", f" {new}.png")
+    listed.write_text(text)
+
+
+@pytest.mark.parametrize(
+    ("mask", "view"),
+    [("a/p00.png", "a/p00"), ("a/p00.png.png", "a/p00"), ("images/b/p00.png", "b/p00"), ("b/p00.tif", "b/p00"),
+     ("p03.png", "b/p03"), ("../images/b/p03_mask.png", "b/p03")],
+)  # fmt: skip
+def test_masks_lie_as_their_photos_do(source, tmp_path, mask, view):
+    in_folders(source)
+    write_mask(source / "masks" / "other.png")
+    write_mask(tmp_path / "mask.png")
+    (source / "masks" / mask).parent.mkdir(exist_ok=True, parents=True)
+    shutil.copy(tmp_path / "mask.png", source / "masks" / mask)
+    assert cut_out(imported(source, tmp_path / "work")) == [view]
+
+
+def test_a_mask_that_could_be_of_either_of_two_photos_is_refused(source, tmp_path):
+    in_folders(source)
+    write_mask(source / "masks" / "p00.png")
+    with pytest.raises(BadInput, match=r"masks/p00\.png could be the mask of .*a/p00\.png or of .*b/p00\.png; lay"):
+        imported(source, tmp_path / "work")
+    write_mask(source / "masks" / "b" / "p00.png")
+    assert cut_out(imported(source, tmp_path / "work")) == ["a/p00", "b/p00"]
+
+
+def test_masks_that_transforms_name(source, tmp_path):
+    content = capture.transforms()
+    content["frames"][2]["mask_path"] = "cut\\p02.png"
+    capture.write_transforms(source, content)
+    with pytest.raises(BadInput, match=r"frame 2: its mask .*cut/p02\.png is not there; restore it"):
+        imported(source, tmp_path / "work")
+    write_mask(source / "cut" / "p02.png")
+    assert cut_out(imported(source, tmp_path / "work")) == ["p02"]
