@@ -103,6 +103,14 @@ def read_srgb(path: Path | str, upright: bool = True) -> Image:
     return Image(np.concatenate([coded, alpha], axis=2), image.bits)
 
 
+def coverage(pixels: np.ndarray) -> np.ndarray:
+    """What the picture of a mask, [h, w, 1, 3 or 4], keeps, [h, w] 0..1: its alpha where any pixel is transparent, else
+    its brightest channel."""
+    if pixels.shape[2] == 4 and pixels[..., 3].min() < 1:
+        return pixels[..., 3]
+    return pixels[..., :3].max(axis=2)
+
+
 def _colour_channels(pixels: np.ndarray, names: tuple[str, ...], path: Path) -> np.ndarray:
     count = pixels.shape[2]
     if count in (1, 3):

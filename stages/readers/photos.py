@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from schemas.errors import BadInput
-from schemas.images import image_size, read_image, read_srgb
+from schemas.images import coverage, image_size, read_image, read_srgb
 from stages.readers.source import SourceCamera, SourceScene
 from stylerf.errors import InvalidValue
 from stylerf.geometry.cameras import Camera
@@ -145,8 +145,8 @@ def _with_mask(one: Sized, pixels: np.ndarray) -> np.ndarray:
             f"{one.camera.mask} is {mask.shape[1]}x{mask.shape[0]} where its photo is "
             f"{pixels.shape[1]}x{pixels.shape[0]}; make it of the same size"
         )
-    alpha = mask[..., :3].max(axis=2)
-    whole = pixels[..., 3] * alpha if pixels.shape[2] == 4 else alpha
+    kept = coverage(mask)
+    whole = pixels[..., 3] * kept if pixels.shape[2] == 4 else kept
     return np.dstack([pixels[..., :3], whole])
 
 

@@ -10,6 +10,7 @@ import pytest
 from schemas.errors import BadInput
 from schemas.exr import ExrView, write_exr
 from schemas.images import read_image, to_uint8, write_png
+from stages import region_select
 from stages.paintings import read_painting
 from stages.readers.source import find_image
 from stages.scenes import load_scene
@@ -23,6 +24,13 @@ def source(tmp_path) -> Path:
     """Four photos without poses, images/p00.png to p03.png, 48 x 36."""
     capture.write_images(tmp_path / "source")
     return tmp_path / "source"
+
+
+@pytest.fixture
+def posed(source) -> Path:
+    """The same with transforms.json."""
+    capture.write_transforms(source, capture.transforms())
+    return source
 
 
 def colours_of(photo: Path, **options) -> np.ndarray:
@@ -217,6 +225,20 @@ def test_a_mask_that_could_be_of_either_of_two_photos_is_refused(source, tmp_pat
         imported(source, tmp_path / "work")
     write_mask(source / "masks" / "b" / "p00.png")
     assert cut_out(imported(source, tmp_path / "work")) == ["a/p00", "b/p00"]
+
+
+@pytest.mark.parametrize("cut", ["by colour", "by transparency"])
+def test_pictures_of_masks_mean_the_same_wherever_they_are_read(posed, tmp_path, cut):
+    """White on black that is opaque all over; black on nothing. The left half is kept."""
+    kept = np.where(np.arange(48) < 24, np.full((36, 48), 255), 0).astype(np.uint8)
+    opaque = np.full_like(kept, 255)
+    colour, alpha = (kept, opaque) if cut == "by colour" else (np.zeros_like(kept), kept)
+    mask = posed / "masks" / "p02.png"
+    write_png(mask, np.dstack([colour] * 3 + [alpha]))
+    scene = load_scene(imported(posed, tmp_path / "work"))
+    np.testing.assert_array_equal(to_uint8(scene.images(2))[..., 3], kept)
+    looking = region_select.Looking(scene, None, 0.0, 0, 1)
+    np.testing.assert_array_equal(to_uint8(looking.mask(f"p02={mask}")[1]), kept)
 
 
 def test_masks_that_transforms_name(source, tmp_path):
