@@ -16,7 +16,7 @@ from stages.configs.pose_import import ImportConfig
 from stages.progress import Context
 from stages.readers import detected, read_source
 from stages.readers.backdrop import Backdrop
-from stages.readers.photo_folder import photos_of
+from stages.readers.photo_folder import photos_of, unreadable_beside
 from stages.readers.photos import Developer, Sized, present, scale_of, scene_camera, sized
 from stages.readers.source import SourceCamera, SourceScene, natural
 from stages.runner import Spec
@@ -51,10 +51,17 @@ def _source(config: ImportConfig, partial: Partial, context: Context) -> SourceS
     found = detected(source) if config.format == "auto" else [config.format]
     if not found or found[0] == "photos":
         photos = photos_of(source, config.images)
-        return reconstructed(
+        if others := unreadable_beside(photos):
+            kinds = ", ".join(sorted({one.suffix for one in others}))
+            context.progress.say(
+                f"{len(others)} photos beside {len(photos)} cannot be read ({kinds}): convert them to JPEG or PNG"
+            )
+        scene = reconstructed(
             photos, source, partial.checkpoint, context, matching=config.matching, side=config.sfm_side,
             features=config.sfm_features, shared=config.one_camera,
         )  # fmt: skip
+        unread = tuple((one.name, "of a format that cannot be read; convert it to JPEG or PNG") for one in others)
+        return replace(scene, skipped=scene.skipped + unread)
     scene = read_source(source, found[0], config.images)
     also = f" (also there: {', '.join(found[1:])}; --format takes another)" if found[1:] else ""
     context.progress.say(f"found {scene.kind}{also}")
