@@ -1,7 +1,4 @@
-"""Photos and pictures: read whole or refused, upright, as stored; PNG written as one step.
-
-Colours are never converted here. Alpha is straight (not multiplied into the colours), as PNG stores it.
-"""
+"""Photos and pictures: read whole or refused, colours as stored or in sRGB; PNG written as one step."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,17 +12,20 @@ from schemas.silence import native_output_silenced
 
 # A header may claim any size: above this (uncompressed) the file is taken for damaged or hostile.
 LARGEST_IMAGE_MB = 2048
+_LIGHT = ("openexr", "hdr")
 
 
 @dataclass(frozen=True, eq=False)
 class Image:
-    """One upright image. pixels: [height, width, 1, 3 or 4] float32, 0..1 for integer files, as stored for float ones.
+    """One image. pixels: [height, width, 1, 3 or 4] float32, 0..1 for integer files, as stored for float ones.
 
-    bits: of a stored channel value (8, 16 or 32).
+    bits: of a stored channel value (8, 16 or 32). light: colours are linear light multiplied by alpha, as in EXR; else
+    they are code values and alpha is straight, as in PNG.
     """
 
     pixels: np.ndarray
     bits: int
+    light: bool = False
 
     @property
     def size(self) -> tuple[int, int]:
@@ -34,7 +34,7 @@ class Image:
 
     @property
     def channels(self) -> int:
-        """1 grey, 3 RGB, 4 RGB and straight alpha."""
+        """1 grey, 3 RGB, 4 RGB and alpha."""
         return self.pixels.shape[2]
 
 
@@ -57,17 +57,18 @@ def _first_line(message: str, path: Path) -> str:
     return lines[0].rstrip(".") if lines else "damaged or cut short"  # some codecs fail without a word
 
 
-def read_image(path: Path | str) -> Image:
-    """The image at `path`, turned upright by its EXIF orientation.
+def read_image(path: Path | str, upright: bool = True) -> Image:
+    """The image at `path`, turned by its EXIF orientation if `upright`, else with its rows as they are stored.
 
     8 and 16 bit values are divided by 255 and 65535. Grey with alpha becomes RGBA; of many channels those named
-    R, G, B, A are taken. BadInput with the file and the reason when it is missing, of an unknown format, cut short,
-    damaged, larger than LARGEST_IMAGE_MB, or holds NaN or infinity.
+    R, G, B, A are taken. An EXR is what its display window shows: zeros where it has no data. BadInput with the file
+    and the reason when it is missing, of an unknown format, cut short, damaged, larger than LARGEST_IMAGE_MB, or holds
+    NaN or infinity.
     """
     path = Path(path)
     with native_output_silenced():
         source = _open(path)
-        spec = source.spec()
+        spec, form = source.spec(), source.format_name()
         kind = spec.format
         stored = source.read_image(kind)
         # Truncated JPEGs come back with pixels and an error: the error decides.
@@ -79,8 +80,35 @@ def read_image(path: Path | str) -> Image:
     pixels = np.asarray(stored, dtype=np.float32).reshape(spec.height, spec.width, -1) / np.float32(scale)
     if not np.isfinite(pixels).all():
         raise BadInput(f"{path} holds NaN or infinite values; replace or remove it")
-    pixels = _upright(_colour_channels(pixels, spec.channelnames, path), spec.get_int_attribute("Orientation", 1))
-    return Image(pixels, kind.size() * 8)
+    pixels = _colour_channels(pixels, spec.channelnames, path)
+    if form == "openexr":
+        pixels = _displayed(pixels, spec, path)
+    if upright:
+        pixels = _upright(pixels, spec.get_int_attribute("Orientation", 1))
+    return Image(np.ascontiguousarray(pixels), kind.size() * 8, form in _LIGHT)
+
+
+def read_srgb(path: Path | str, upright: bool = True) -> Image:
+    """As read_image, but where the file holds light, that as sRGB code values 0..1 with straight alpha.
+
+    Light brighter than white is white.
+    """
+    image = read_image(path, upright)
+    if not image.light:
+        return image
+    light, alpha = image.pixels[..., :3], image.pixels[..., 3:].clip(0, 1)
+    if image.channels == 4:
+        light = np.where(alpha > 0, light / np.maximum(alpha, np.float32(1e-6)), 0)
+    coded = srgb_from_linear(light).clip(0, 1)
+    return Image(np.concatenate([coded, alpha], axis=2), image.bits)
+
+
+def coverage(pixels: np.ndarray) -> np.ndarray:
+    """What the picture of a mask, [h, w, 1, 3 or 4], keeps, [h, w] 0..1: its alpha where any pixel is transparent, else
+    its brightest channel."""
+    if pixels.shape[2] == 4 and pixels[..., 3].min() < 1:
+        return pixels[..., 3]
+    return pixels[..., :3].max(axis=2)
 
 
 def _colour_channels(pixels: np.ndarray, names: tuple[str, ...], path: Path) -> np.ndarray:
@@ -94,13 +122,28 @@ def _colour_channels(pixels: np.ndarray, names: tuple[str, ...], path: Path) -> 
     raise BadInput(f"{path} has channels {', '.join(names)}; expected grey, RGB or RGBA")
 
 
+def _displayed(pixels: np.ndarray, spec: "oiio.ImageSpec", path: Path) -> np.ndarray:
+    """The data window in the display window, cut off where it leaves it."""
+    width, height = spec.full_width, spec.full_height
+    x, y = spec.x - spec.full_x, spec.y - spec.full_y
+    if (x, y, spec.width, spec.height) == (0, 0, width, height):
+        return pixels
+    if width * height * pixels.shape[2] * pixels.itemsize > LARGEST_IMAGE_MB << 20:
+        raise BadInput(f"{path} has a display window of {width}x{height}, above the limit; replace or remove it")
+    shown = np.zeros((height, width, pixels.shape[2]), pixels.dtype)
+    left, right, top, bottom = max(x, 0), min(x + spec.width, width), max(y, 0), min(y + spec.height, height)
+    if left < right and top < bottom:
+        shown[top:bottom, left:right] = pixels[top - y : bottom - y, left - x : right - x]
+    return shown
+
+
 def _upright(pixels: np.ndarray, orientation: int) -> np.ndarray:
     if orientation == 1 or not 1 <= orientation <= 8:
-        return np.ascontiguousarray(pixels)
+        return pixels
     buffer = oiio.ImageBuf(np.ascontiguousarray(pixels))
     buffer.orientation = orientation
     turned = oiio.ImageBufAlgo.reorient(buffer)
-    return np.ascontiguousarray(turned.get_pixels(oiio.FLOAT))
+    return turned.get_pixels(oiio.FLOAT)
 
 
 def image_channels(path: Path | str) -> int:
@@ -113,15 +156,16 @@ def image_channels(path: Path | str) -> int:
     return _colour_channels(np.empty((1, 1, len(names)), np.float32), names, path).shape[2]
 
 
-def image_size(path: Path | str) -> tuple[int, int]:
-    """(width, height) of the upright image, from its header alone; BadInput as read_image."""
+def image_size(path: Path | str, upright: bool = True) -> tuple[int, int]:
+    """(width, height) of what read_image gives, from its header alone; BadInput as read_image."""
     path = Path(path)
     with native_output_silenced():
         source = _open(path)
-        spec = source.spec()
+        spec, form = source.spec(), source.format_name()
         source.close()
-    turned = 5 <= spec.get_int_attribute("Orientation", 1) <= 8  # the four that swap rows and columns
-    return (spec.height, spec.width) if turned else (spec.width, spec.height)
+    size = (spec.full_width, spec.full_height) if form == "openexr" else (spec.width, spec.height)
+    turned = upright and 5 <= spec.get_int_attribute("Orientation", 1) <= 8  # the four that swap rows and columns
+    return size[::-1] if turned else size
 
 
 def write_png(path: Path | str, array: np.ndarray) -> None:

@@ -6,12 +6,12 @@ import numpy as np
 import torch
 
 from schemas.errors import BadInput
-from schemas.images import read_image
+from schemas.images import read_srgb
 
 
 def read_colours(path: Path) -> np.ndarray:
     """[h, w, 3] float32 sRGB 0..1; transparent parts are white, greys have three channels."""
-    pixels = read_image(path).pixels
+    pixels = read_srgb(path).pixels
     if pixels.shape[2] == 4:
         return pixels[..., :3] * pixels[..., 3:] + (1 - pixels[..., 3:])
     return np.repeat(pixels, 3, axis=2) if pixels.shape[2] == 1 else pixels

@@ -16,7 +16,7 @@ from stages.configs.pose_import import ImportConfig
 from stages.progress import Context
 from stages.readers import detected, read_source
 from stages.readers.backdrop import Backdrop
-from stages.readers.photo_folder import photos_of
+from stages.readers.photo_folder import photos_of, unreadable_beside
 from stages.readers.photos import Developer, Sized, present, scale_of, scene_camera, sized
 from stages.readers.source import SourceCamera, SourceScene, natural
 from stages.runner import Spec
@@ -51,10 +51,17 @@ def _source(config: ImportConfig, partial: Partial, context: Context) -> SourceS
     found = detected(source) if config.format == "auto" else [config.format]
     if not found or found[0] == "photos":
         photos = photos_of(source, config.images)
-        return reconstructed(
+        if others := unreadable_beside(photos):
+            kinds = ", ".join(sorted({one.suffix for one in others}))
+            context.progress.say(
+                f"{len(others)} photos beside {len(photos)} cannot be read ({kinds}): convert them to JPEG or PNG"
+            )
+        scene = reconstructed(
             photos, source, partial.checkpoint, context, matching=config.matching, side=config.sfm_side,
             features=config.sfm_features, shared=config.one_camera,
         )  # fmt: skip
+        unread = tuple((one.name, "of a format that cannot be read; convert it to JPEG or PNG") for one in others)
+        return replace(scene, skipped=scene.skipped + unread)
     scene = read_source(source, found[0], config.images)
     also = f" (also there: {', '.join(found[1:])}; --format takes another)" if found[1:] else ""
     context.progress.say(f"found {scene.kind}{also}")
@@ -68,7 +75,7 @@ def import_scene(source: SourceScene, config: ImportConfig, partial: Partial, co
     _tell_missing(source, here, missing, context)
     here = _with_splits(_told_apart(here), config.test_every)
     alike: dict = {}
-    photos = [sized(camera, source.rescalable, alike) for camera in here]
+    photos = [sized(camera, source, alike) for camera in here]
     factors = [scale_of(one.size, config.downscale, config.max_side) for one in photos]
     plain = [scene_camera(one, factor, one.pose) for one, factor in zip(photos, factors, strict=True)]
     backdrop = _develop(photos, plain, config, partial, context)
@@ -124,9 +131,20 @@ def _inside(name: str) -> str:
 
 
 def _told_apart(cameras: list[SourceCamera]) -> list[SourceCamera]:
-    """Views of one name get the suffixes of their photos: IMG_1.JPG and IMG_1.PNG, as some cameras and phones save."""
+    """Views of one name get the suffixes of their photos: IMG_1.JPG and IMG_1.PNG, as some cameras and phones save.
+
+    BadInput where that does not tell them apart.
+    """
     names = Counter(one.name for one in cameras)
-    return [one if names[one.name] == 1 else replace(one, name=one.name + one.image.suffix) for one in cameras]
+    apart = [one if names[one.name] == 1 else replace(one, name=one.name + one.image.suffix) for one in cameras]
+    first: dict[str, SourceCamera] = {}
+    for one in apart:
+        if (other := first.setdefault(one.name, one)) is not one:
+            raise BadInput(
+                f"{other.source} and {one.source} would both be view {one.name}; rename one of them, on disk and in "
+                "the list of poses"
+            )
+    return apart
 
 
 def _with_splits(cameras: list[SourceCamera], every: int) -> list[SourceCamera]:

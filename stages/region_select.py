@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from schemas.errors import BadInput
-from schemas.images import read_image, to_uint8, write_png
+from schemas.images import coverage, read_image, to_uint8, write_png
 from schemas.store import Artefact, Partial
 from stages.configs.select import SelectConfig
 from stages.configs.views import depth_of, file_of, pixel_of
@@ -47,7 +47,7 @@ from stylerf.fields.field import RadianceField
 from stylerf.fields.surface import cells_of
 from stylerf.kernels.cpu.compiling import compiling_note, set_threads
 
-SPEC = Spec(stage="region_select", verb="select", revision=1, writes="region")
+SPEC = Spec(stage="region_select", verb="select", revision=2, writes="region")
 LOOKING_VIEWS = 24  # views whose photos give the cells their colours
 PIXELS_A_CELL = 1.5
 CLAIMS = 2  # rounds in which views claim what is as much the region as what has grown
@@ -100,8 +100,7 @@ class Looking:
                 f"{path} has {pixels.shape[1]}x{pixels.shape[0]} pixels where view {name} has "
                 f"{camera.width}x{camera.height}; give a mask of that size"
             )
-        # With transparency, that is the mask; else brightness is.
-        return view, pixels[..., 3] if pixels.shape[2] == 4 else pixels.mean(2)
+        return view, coverage(pixels)
 
 
 def run(inputs: dict[str, Artefact], config: SelectConfig, partial: Partial, context: Context) -> dict:

@@ -20,7 +20,7 @@ from schemas.errors import BadInput, OutOfResources
 from stages.progress import Context
 from stages.readers.colmap import scene_of
 from stages.readers.colmap_model import read_model
-from stages.readers.source import SourceCamera, SourceScene, find_mask, natural
+from stages.readers.source import SourceCamera, SourceScene, natural, with_masks
 from stages.structure.job import Job
 from stages.structure.pairs import chosen_matching
 
@@ -60,14 +60,14 @@ def _scene(result: dict, model: Path, root: Path, context: Context) -> SourceSce
     )
     copies = {copy["file"]: copy for copy in result["copies"]}
     scene = scene_of(read_model(model), model, root, "photos, by structure from motion")
-    cameras = [_of_photo(camera, copies[camera.source], root) for camera in scene.cameras]
+    cameras = with_masks([_of_photo(camera, copies[camera.source], root) for camera in scene.cameras], root)
     placed = {camera.image for camera in cameras}
     skipped = [
         (_told(Path(copy["photo"]), root), copy["unusable"] or "structure from motion could not place it")
         for copy in result["copies"]
         if Path(copy["photo"]) not in placed
     ]
-    return replace(scene, cameras=cameras, sfm=figures, skipped=tuple(skipped))
+    return replace(scene, cameras=cameras, upright=True, sfm=figures, skipped=tuple(skipped))
 
 
 def _of_photo(camera: SourceCamera, copy: dict, root: Path) -> SourceCamera:
@@ -76,7 +76,7 @@ def _of_photo(camera: SourceCamera, copy: dict, root: Path) -> SourceCamera:
     kx, ky = size[0] / copy["size"][0], size[1] / copy["size"][1]
     fx, fy, cx, cy = camera.intrinsics
     return replace(
-        camera, name=photo.stem, source=_told(photo, root), image=photo, size=size, mask=find_mask(root, photo),
+        camera, name=photo.stem, source=_told(photo, root), image=photo, size=size,
         intrinsics=(fx * kx, fy * ky, cx * kx, cy * ky),
     )  # fmt: skip
 

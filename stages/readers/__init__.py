@@ -16,16 +16,20 @@ def detected(source: Path) -> list[str]:
     if source.is_file():
         named = {"poses_bounds.npy": ["llff"]}.get(source.name, [])
         return ["transforms"] if source.suffix == ".json" else named
-    signs = (any(source.glob("transforms*.json")), model_folder(source), (source / "poses_bounds.npy").is_file())
+    signs = (any(source.glob("transforms*.json")), model_folders(source), (source / "poses_bounds.npy").is_file())
     return [kind for kind, sign in zip(FORMATS, signs, strict=True) if sign]
 
 
-def model_folder(source: Path) -> Path | None:
-    """The folder of a COLMAP model: `source` itself or one of the usual places in it."""
-    for folder in (source, source / "sparse" / "0", source / "sparse", source / "colmap" / "sparse" / "0"):
-        if any((folder / f"cameras{suffix}").is_file() for suffix in (".bin", ".txt")):
-            return folder
-    return None
+def model_folders(source: Path) -> list[Path]:
+    """Folders of COLMAP models: `source` itself, or those in one of the usual places of it, by their numbers."""
+    numbered = [
+        sorted((item for item in folder.glob("*") if item.name.isdecimal()), key=lambda item: int(item.name))
+        for folder in (source / "sparse", source / "colmap" / "sparse")
+    ]
+    for folders in ([source], numbered[0], [source / "sparse"], numbered[1]):
+        if found := [one for one in folders if any((one / f"cameras{end}").is_file() for end in (".bin", ".txt"))]:
+            return found
+    return []
 
 
 def read_source(source: Path, format: str = "auto", images: str = "") -> SourceScene:

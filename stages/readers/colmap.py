@@ -3,22 +3,40 @@
 from pathlib import Path
 
 from schemas.errors import BadInput
-from stages.readers import model_folder
+from stages.readers import model_folders
 from stages.readers.colmap_model import Model, read_model
-from stages.readers.source import SourceCamera, SourcePoints, SourceScene, find_image, find_mask, image_folder, natural
+from stages.readers.source import (
+    SourceCamera,
+    SourcePoints,
+    SourceScene,
+    bare,
+    find_image,
+    image_folder,
+    natural,
+    with_masks,
+)
 from stylerf.errors import InvalidValue
 from stylerf.geometry import distortion
 from stylerf.geometry.conventions import from_colmap
 
 
 def read(source: Path, images: str) -> SourceScene:
-    """A folder with sparse/0 and images, or a model's own folder with images beside it or at --images."""
-    model = model_folder(source)
-    if model is None:
+    """A folder with sparse/0 and images, or a model's own folder with images beside it or at --images.
+
+    COLMAP makes several models where photos fall apart into groups: the one of most photos counts.
+    """
+    folders = model_folders(source)
+    if not folders:
         raise BadInput(f"{source} holds no COLMAP model (cameras.bin or cameras.txt, also in sparse/0)")
-    root = _root(source, model)
+    models = {one: read_model(one) for one in folders}
+    largest = max(folders, key=lambda one: len(models[one].images))
+    kind = "COLMAP model"
+    if len(folders) > 1:
+        others = ", ".join(f"{len(models[one].images)} in {one.name}" for one in folders if one != largest)
+        kind += f" {largest.name}, of {len(models[largest].images)} photos ({others}; name another's folder for it)"
+    root = _root(source, largest)
     folder = image_folder(root, images) if images else root / "images"
-    return scene_of(read_model(model), folder, root, "COLMAP model", bool(images))
+    return scene_of(models[largest], folder, root, kind, bool(images))
 
 
 def scene_of(model: Model, folder: Path, root: Path, kind: str, rescalable: bool = False) -> SourceScene:
@@ -33,18 +51,17 @@ def scene_of(model: Model, folder: Path, root: Path, kind: str, rescalable: bool
         photo = find_image(folder / image.name)
         cameras.append(
             SourceCamera(
-                name=str(Path(image.name).with_suffix("")),
+                name=str(bare(Path(image.name))),
                 source=image.name,
                 image=photo,
                 world_from_camera=from_colmap(image.camera_from_world),
                 size=(camera.width, camera.height),
                 intrinsics=intrinsics,
                 distortion=warp,
-                mask=find_mask(root, photo),
             )
         )
     points = SourcePoints(model.xyz, model.rgb, model.error) if len(model.xyz) else None
-    return SourceScene(kind, cameras, points, rescalable=rescalable)
+    return SourceScene(kind, with_masks(cameras, root), points, rescalable=rescalable)
 
 
 def _root(source: Path, model: Path) -> Path:

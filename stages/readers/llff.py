@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from schemas.errors import BadInput
-from stages.readers.source import SourceCamera, SourceScene, find_mask, image_folder, images_in
+from stages.readers.source import SourceCamera, SourceScene, image_folder, images_in, with_masks
 from stylerf.geometry.conventions import from_llff
 
 FOLDERS = ("images", "images_2", "images_4", "images_8")
@@ -37,10 +37,10 @@ def read(source: Path, images: str) -> SourceScene:
                 world_from_camera=from_llff(pose),
                 size=(round(width), round(height)),
                 intrinsics=(focal, focal, width / 2, height / 2),
-                mask=find_mask(path.parent, photo),
                 near_far=(float(row[15]), float(row[16])),
             )
         )
+    cameras = with_masks(cameras, path.parent)
     return SourceScene(f"LLFF poses_bounds.npy with photos of {folder.name}", cameras, rescalable=True)
 
 

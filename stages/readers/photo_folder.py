@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from schemas.errors import BadInput
-from stages.readers.source import image_folder, images_in
+from stages.readers.source import image_folder, images_in, natural
 
 FOLDERS = ("images", "input", "photos")
 UNREADABLE = (".heic", ".heif", ".avif", ".cr2", ".cr3", ".nef", ".arw", ".dng", ".raf", ".orf", ".rw2")
@@ -32,6 +32,14 @@ def photos_of(source: Path, images: str = "") -> list[Path]:
         f"{source} holds no photos (PNG, JPEG, TIFF, WebP ...), no transforms.json, no COLMAP model (sparse/0) and no "
         "poses_bounds.npy; give a folder that has one of them"
     )
+
+
+def unreadable_beside(photos: list[Path]) -> list[Path]:
+    """Files of formats that cannot be read in the folder of the photos, but those of a photo that is there as well."""
+    there = {photo.stem for photo in photos}
+    items = photos[0].parent.iterdir()
+    found = (one for one in items if one.suffix.lower() in UNREADABLE and one.stem not in there and one.name[0] != ".")
+    return sorted(found, key=lambda one: natural(one.name))
 
 
 def _folder(source: Path) -> Path:

@@ -1,12 +1,12 @@
 """One photo of a source: checked, its mask joined, undistorted and shrunk."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from schemas.errors import BadInput
-from schemas.images import image_size, read_image
-from stages.readers.source import SourceCamera
+from schemas.images import coverage, image_size, read_image, read_srgb
+from stages.readers.source import SourceCamera, SourceScene
 from stylerf.errors import InvalidValue
 from stylerf.geometry.cameras import Camera
 from stylerf.geometry.conventions import checked_pose
@@ -19,34 +19,46 @@ DARKEST_WHITE = 10 / 255
 
 @dataclass(frozen=True, eq=False)
 class Sized:
-    """A source camera whose size and intrinsics are those of its photo."""
+    """A source camera whose size and intrinsics are those of its photo. upright: the photo as EXIF turns it."""
 
     camera: SourceCamera
+    upright: bool
     size: tuple[int, int]
     intrinsics: tuple[float, float, float, float]
     pinhole: tuple[float, float, float, float]
     pose: np.ndarray
 
 
-def sized(camera: SourceCamera, rescalable: bool, alike: dict) -> Sized:
+def sized(camera: SourceCamera, source: SourceScene, alike: dict) -> Sized:
     """Checks pose, focal length and size against the photo's header. alike: cache of pinholes by their distortion.
 
-    BadInput with the photo's name and what is wrong.
+    A photo is turned by EXIF too where only so it is of the size that its camera tells. BadInput with the photo's name
+    and what is wrong.
     """
     where = camera.source
     try:
         pose = checked_pose(camera.world_from_camera)
     except InvalidValue as error:
         raise BadInput(f"{where}: {error}; remove the photo from the list or repair its pose") from error
-    size = image_size(camera.image)
-    intrinsics = _intrinsics(camera, size, rescalable)
+    upright, size = source.upright, image_size(camera.image, source.upright)
+    if camera.size and not upright and not _fits(size, camera.size, source.rescalable):
+        turned = image_size(camera.image)
+        if _fits(turned, camera.size, source.rescalable):
+            upright, size = True, turned
+    intrinsics = _intrinsics(camera, size, source.rescalable)
     key = (size, intrinsics, camera.distortion)
     if key not in alike:
         try:
             alike[key] = pinhole_of(*key)
         except InvalidValue as error:
             raise BadInput(f"{where}: {error}") from error
-    return Sized(camera, size, intrinsics, alike[key], pose)
+    return Sized(camera, upright, size, intrinsics, alike[key], pose)
+
+
+def _fits(size: tuple[int, int], told: tuple[int, int], rescalable: bool) -> bool:
+    # A copy shrunk by rounding keeps the aspect to half a pixel on each side.
+    kx, ky = size[0] / told[0], size[1] / told[1]
+    return size == told or (rescalable and abs(kx / ky - 1) <= 1 / min(size))
 
 
 def _intrinsics(camera: SourceCamera, size: tuple[int, int], rescalable: bool) -> tuple[float, float, float, float]:
@@ -64,13 +76,12 @@ def _intrinsics(camera: SourceCamera, size: tuple[int, int], rescalable: bool) -
         raise BadInput(f"{where}: focal length {fx:g} x {fy:g} must be positive; repair the camera")
     if told == size:
         return (fx, fy, cx, cy)
-    kx, ky = size[0] / told[0], size[1] / told[1]
-    # A copy shrunk by rounding keeps the aspect to half a pixel on each side.
-    if not rescalable or abs(kx / ky - 1) > 1 / min(size):
+    if not _fits(size, told, rescalable):
         raise BadInput(
             f"{where}: the photo is {size[0]}x{size[1]} where its camera says {told[0]}x{told[1]}; restore the "
             "photo of that size" + ("" if rescalable else ", or name a folder of smaller copies with --images")
         )
+    kx, ky = size[0] / told[0], size[1] / told[1]
     return (fx * kx, fy * ky, cx * kx, cy * ky)
 
 
@@ -94,7 +105,7 @@ class Developer:
     def picture(self, one: Sized, size: tuple[int, int]) -> np.ndarray:
         """[height, width, 3 or 4] float32, straight alpha, of size (width, height); 4 channels where any pixel is not
         opaque. BadInput for a black, damaged or wrongly masked photo."""
-        pixels = _with_mask(one, _rgb(read_image(one.camera.image).pixels))
+        pixels = _with_mask(one, _rgb(read_srgb(one.camera.image, one.upright).pixels))
         if (pixels[..., :3] * pixels[..., 3:] if pixels.shape[2] == 4 else pixels).max() < DARKEST_WHITE:
             if pixels.shape[2] == 3 or pixels[..., 3].max() > 0.5:
                 raise BadInput(f"{one.camera.image} is black; remove it from the capture")
@@ -128,18 +139,17 @@ def _rgb(pixels: np.ndarray) -> np.ndarray:
 def _with_mask(one: Sized, pixels: np.ndarray) -> np.ndarray:
     if one.camera.mask is None:
         return pixels
-    mask = read_image(one.camera.mask).pixels
+    mask = read_image(one.camera.mask, one.upright).pixels
     if mask.shape[:2] != pixels.shape[:2]:
         raise BadInput(
             f"{one.camera.mask} is {mask.shape[1]}x{mask.shape[0]} where its photo is "
             f"{pixels.shape[1]}x{pixels.shape[0]}; make it of the same size"
         )
-    alpha = mask[..., :3].max(axis=2)
-    whole = pixels[..., 3] * alpha if pixels.shape[2] == 4 else alpha
+    kept = coverage(mask)
+    whole = pixels[..., 3] * kept if pixels.shape[2] == 4 else kept
     return np.dstack([pixels[..., :3], whole])
 
 
 def present(cameras: list[SourceCamera]) -> tuple[list[SourceCamera], list[SourceCamera]]:
     """Cameras with a photo, and those without."""
-    cameras = [replace(one, mask=one.mask if one.mask and one.mask.is_file() else None) for one in cameras]
     return [one for one in cameras if one.image is not None], [one for one in cameras if one.image is None]

@@ -1,6 +1,7 @@
 """What every reader of poses returns: cameras as the source tells them, in our axes but in the source's own frame."""
 
-from dataclasses import dataclass, field
+import os
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -47,8 +48,9 @@ class SourcePoints:
 class SourceScene:
     """Everything a source tells. kind: in words. keeps_frame: the frame is that of a made scene, worth keeping.
 
-    rescalable: photos may be a smaller copy of those that the intrinsics are of. sfm: figures of a reconstruction.
-    skipped: (photo, reason) of those that the reader left out itself.
+    rescalable: photos may be a smaller copy of those that the intrinsics are of. upright: cameras are of the photos as
+    EXIF turns them, else as they are stored. sfm: figures of a reconstruction. skipped: (photo, reason) of those that
+    the reader left out itself.
     """
 
     kind: str
@@ -56,6 +58,7 @@ class SourceScene:
     points: SourcePoints | None = None
     keeps_frame: bool = False
     rescalable: bool = False
+    upright: bool = False
     sfm: dict | None = None
     skipped: tuple[tuple[str, str], ...] = ()
 
@@ -63,10 +66,17 @@ class SourceScene:
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".bmp", ".jp2", ".exr")
 
 
+def bare(path: Path) -> Path:
+    """The path without its suffix where that is an image's: frame.0001 keeps its number."""
+    return path.with_suffix("") if path.suffix.lower() in IMAGE_SUFFIXES else path
+
+
 def find_image(path: Path) -> Path | None:
     """The file at `path`, or, where the source leaves the suffix out or has another case, the image of that name."""
-    if path.suffix.lower() in IMAGE_SUFFIXES and path.is_file():
-        return path
+    if path.suffix.lower() in IMAGE_SUFFIXES:
+        for suffix in (path.suffix, path.suffix.lower(), path.suffix.upper()):
+            if (candidate := path.with_suffix(suffix)).is_file():
+                return candidate
     for suffix in IMAGE_SUFFIXES:
         for candidate in (Path(f"{path}{suffix}"), Path(f"{path}{suffix.upper()}")):
             if candidate.is_file():
@@ -74,13 +84,35 @@ def find_image(path: Path) -> Path | None:
     return path if path.is_file() else None
 
 
-def find_mask(root: Path, image: Path | None) -> Path | None:
-    """root/masks/NAME.png for images/NAME.jpg, COLMAP's root/masks/NAME.jpg.png, or NAME_mask.png beside the photo."""
-    if image is None:
-        return None
-    folder = root / "masks"
-    places = [folder / name for name in (f"{image.stem}.png", f"{image.name}.png", image.name)]
-    return next((place for place in [*places, image.parent / f"{image.stem}_mask.png"] if place.is_file()), None)
+def with_masks(cameras: list[SourceCamera], root: Path) -> list[SourceCamera]:
+    """The cameras, those of which the source tells no mask with the one that lies in root/masks or beside the photo.
+
+    BadInput where a mask could be of either of two photos.
+    """
+    found, photos = [], {}
+    for one in cameras:
+        if one.image and not one.mask and (mask := _mask_of(one.image, root)):
+            other = photos.setdefault(mask, one.image)
+            if os.path.normpath(other.parent) != os.path.normpath(one.image.parent):
+                raise BadInput(
+                    f"{mask} could be the mask of {other} or of {one.image}; lay masks into folders named as those of "
+                    "the photos"
+                )
+            one = replace(one, mask=mask)
+        found.append(one)
+    return found
+
+
+def _mask_of(image: Path, root: Path) -> Path | None:
+    """Of images/a/1.jpg the picture 1, or COLMAP's 1.jpg.png, in masks/images/a, masks/a or masks; or a/1_mask.png."""
+    above = [part for part in Path(os.path.relpath(image.parent, root)).parts if part != ".."]
+    for start in range(len(above) + 1):
+        folder = root.joinpath("masks", *above[start:])
+        named = folder / f"{image.name}.png"
+        if folder.is_dir() and (mask := find_image(folder / image.stem) or (named if named.is_file() else None)):
+            return mask
+    beside = image.parent / f"{image.stem}_mask.png"
+    return beside if beside.is_file() else None
 
 
 def images_in(folder: Path) -> list[Path]:

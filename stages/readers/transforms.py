@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from schemas.errors import BadInput
-from stages.readers.source import SourceCamera, SourceScene, find_image, find_mask, image_folder
+from stages.readers.source import SourceCamera, SourceScene, bare, find_image, image_folder, with_masks
 from stylerf.geometry.conventions import from_opengl, with_last_row
 from stylerf.geometry.distortion import Distortion
 
@@ -31,7 +31,10 @@ def read(source: Path, images: str) -> SourceScene:
         raise BadInput(f"{source} lists no frames; export it again")
     kind = "nerfstudio" if "nerfstudio" in kinds else "instant-ngp" if "instant-ngp" in kinds else "Blender"
     return SourceScene(
-        f"transforms.json of {kind}", _distinct(cameras), keeps_frame=kind != "nerfstudio", rescalable=bool(images)
+        f"transforms.json of {kind}",
+        with_masks(_distinct(cameras), root),
+        keeps_frame=kind != "nerfstudio",
+        rescalable=bool(images),
     )
 
 
@@ -103,15 +106,13 @@ def _camera(root, path, content, frame, index, undo, told, split, images) -> Sou
     where = f"{path}: frame {index}"
     if not isinstance(frame.get("file_path"), str) or "transform_matrix" not in frame:
         raise BadInput(f"{where} lacks file_path or transform_matrix; export it again")
-    listed = Path(frame["file_path"].replace("\\", "/"))
-    wanted = image_folder(root, images) / listed.name if images else root / listed
-    photo = find_image(wanted)
+    listed = _listed(frame["file_path"])
+    photo = _copy_in(image_folder(root, images), listed) if images else find_image(root / listed)
     numbers = _Numbers(content | frame, where)
     size, intrinsics, angle = _intrinsics(numbers)
-    mask = root / frame["mask_path"] if isinstance(frame.get("mask_path"), str) else find_mask(root, photo)
-    depth = root / "truth" / f"depth_{listed.stem}.exr"
+    depth = root / "truth" / f"depth_{bare(listed).name}.exr"
     return SourceCamera(
-        name=listed.stem,
+        name=bare(listed).name,
         source=frame["file_path"],
         image=photo,
         world_from_camera=from_opengl(undo @ _matrix(frame["transform_matrix"], f"{where}: transform_matrix")),
@@ -120,9 +121,29 @@ def _camera(root, path, content, frame, index, undo, told, split, images) -> Sou
         angle=angle,
         distortion=_distortion(numbers),
         split=split or told.get(frame["file_path"]),
-        mask=mask,
+        mask=_mask(root, frame, where) if photo else None,
         depth=depth if depth.is_file() else None,
     )
+
+
+def _mask(root: Path, frame: dict, where: str) -> Path | None:
+    if not isinstance(frame.get("mask_path"), str):
+        return None
+    mask = root / _listed(frame["mask_path"])
+    if not mask.is_file():
+        raise BadInput(f"{where}: its mask {mask} is not there; restore it, or take mask_path out of the list")
+    return mask
+
+
+def _copy_in(folder: Path, listed: Path) -> Path | None:
+    """The photo of another folder: by its listed path, by that without its first folders, at last by its name alone."""
+    parts = [part for part in listed.parts if part not in ("..", listed.anchor)]
+    places = (find_image(folder.joinpath(*parts[start:])) for start in range(len(parts)))
+    return next(filter(None, places), None)
+
+
+def _listed(path: str) -> Path:
+    return Path(path.replace("\\", "/"))
 
 
 class _Numbers:
@@ -185,6 +206,6 @@ def _distinct(cameras: list[SourceCamera]) -> list[SourceCamera]:
     names = [camera.name for camera in cameras]
     doubled = {name for name in names if names.count(name) > 1}
     return [
-        replace(one, name=str(Path(one.source).with_suffix("")).lstrip("./")) if one.name in doubled else one
+        replace(one, name=str(bare(_listed(one.source))).lstrip("./")) if one.name in doubled else one
         for one in cameras
     ]

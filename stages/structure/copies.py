@@ -15,7 +15,7 @@ import pycolmap
 from schemas.atomic import replacing, write_json
 from schemas.canonical import file_sha256
 from schemas.errors import BadInput
-from schemas.images import read_image, to_uint8
+from schemas.images import read_srgb, to_uint8
 from stages.readers.photos import DARKEST_WHITE
 from stages.structure.job import Job, Teller
 from stylerf.geometry.resampling import shrunk
@@ -64,7 +64,7 @@ def _copy(folder: Path, side: int, index: int, photo: str) -> Copy:
     facts = folder / f"{index:05d}.json"
     if facts.is_file():  # written after its picture, so that is whole
         return restored(json.loads(facts.read_text()))
-    image = read_image(photo)
+    image = read_srgb(photo)
     pixels = image.pixels
     if image.channels == 4:
         pixels = pixels[..., :3] * pixels[..., 3:]

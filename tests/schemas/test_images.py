@@ -10,7 +10,7 @@ import pytest
 
 from schemas import images
 from schemas.errors import BadInput, OutOfResources
-from schemas.images import image_size, linear_from_srgb, read_image, srgb_from_linear, to_uint8, write_png
+from schemas.images import image_size, linear_from_srgb, read_image, read_srgb, srgb_from_linear, to_uint8, write_png
 from tests.conftest import REPOSITORY
 
 
@@ -74,6 +74,8 @@ def test_exif_orientation_is_applied(tmp_path, orientation):
     expected = UPRIGHT[orientation](array)
     np.testing.assert_array_equal(to_uint8(read_image(path).pixels), expected)
     assert image_size(path) == (expected.shape[1], expected.shape[0])
+    np.testing.assert_array_equal(to_uint8(read_image(path, upright=False).pixels), array)
+    assert image_size(path, upright=False) == (6, 4)
 
 
 def test_exif_orientation_of_a_jpeg(tmp_path):
@@ -95,9 +97,42 @@ def test_grey_with_alpha_and_named_channels(tmp_path):
         read_image(store_named(tmp_path / "a.exr", five, ("a", "b", "c", "d", "e")))
 
 
-def store_named(path, array, names):
+def test_light_becomes_code_values_without_alpha_in_them(tmp_path):
+    # IEC 61966-2-1: code 0.5 is 0.2140 light. Half of it covers the second pixel, nothing the third.
+    light = np.float32([[[0.21404114] * 3 + [1], [0.10702057] * 3 + [0.5], [0, 0, 0, 0], [9, 9, 9, 1]]])
+    path = store(tmp_path / "a.exr", light)
+    expected = np.float32([[[0.5] * 3 + [1], [0.5] * 3 + [0.5], [0, 0, 0, 0], [1, 1, 1, 1]]])
+    np.testing.assert_allclose(read_srgb(path).pixels, expected, atol=1e-6)
+    np.testing.assert_array_equal(read_image(path).pixels, light)
+    np.testing.assert_allclose(read_srgb(store(tmp_path / "grey.exr", light[..., :1])).pixels[0, 0], 0.5, atol=1e-6)
+    coloured = store(tmp_path / "a.hdr", np.full((4, 9, 3), 0.21404114, np.float32))
+    np.testing.assert_allclose(read_srgb(coloured).pixels, 0.5, atol=4e-3)  # eight bits a channel
+    write_png(tmp_path / "a.png", noise(3, 4, 4))
+    np.testing.assert_array_equal(read_srgb(tmp_path / "a.png").pixels, read_image(tmp_path / "a.png").pixels)
+
+
+@pytest.mark.parametrize(("left", "top"), [(2, 1), (-1, -2), (5, 3), (-9, 0)])
+def test_an_exr_is_what_its_display_window_shows(tmp_path, left, top):
+    data = noise(4, 6, 4).astype(np.float32)
+    path = store_named(tmp_path / "a.exr", data, ("R", "G", "B", "A"), at=(left, top), display=(8, 5))
+    expected = np.zeros((30, 40, 4), np.float32)
+    expected[10 + top : 14 + top, 10 + left : 16 + left] = data
+    np.testing.assert_array_equal(read_image(path).pixels, expected[10:15, 10:18])
+    assert image_size(path) == (8, 5)
+
+
+def test_a_display_window_beyond_the_limit_is_refused(tmp_path):
+    data = np.ones((2, 2, 3), np.float32)
+    path = store_named(tmp_path / "a.exr", data, ("R", "G", "B"), display=(100_000, 100_000))
+    with pytest.raises(BadInput, match="display window of 100000x100000"):
+        read_image(path)
+
+
+def store_named(path, array, names, at=(0, 0), display=None):
     spec = oiio.ImageSpec(array.shape[1], array.shape[0], array.shape[2], oiio.FLOAT)
     spec.channelnames = names
+    spec.x, spec.y = at
+    spec.full_width, spec.full_height = display or (spec.width, spec.height)
     target = oiio.ImageOutput.create(str(path))
     assert target.open(str(path), spec) and target.write_image(array) and target.close()
     return path

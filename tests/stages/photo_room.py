@@ -1,6 +1,7 @@
 """Procedural photos with exactly known cameras: the corner of a room whose three faces bear fine random texture."""
 
 import numpy as np
+import OpenImageIO as oiio
 
 from schemas.images import to_uint8, write_png
 from stylerf.geometry.cameras import Camera
@@ -71,6 +72,13 @@ def write_photos(folder, cameras: list[Camera], seed: int = 0) -> None:
     faces = textures(seed)
     for camera in cameras:
         write_png(folder / f"{camera.name}.png", to_uint8(photo(camera, faces)))
+
+
+def write_tagged(path, stored: np.ndarray, orientation: int) -> None:
+    """uint8 pixels as a photo with an EXIF orientation."""
+    image = oiio.ImageBuf(np.ascontiguousarray(stored))
+    image.orientation = orientation
+    assert image.write(str(path))
 
 
 def aligned(found: np.ndarray, known: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

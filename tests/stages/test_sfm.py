@@ -14,7 +14,7 @@ import pytest
 
 from schemas.canonical import file_sha256
 from schemas.errors import BadInput
-from schemas.images import write_png
+from schemas.images import read_image, to_uint8, write_png
 from stages import sfm
 from stages.progress import Context, Silent
 from stages.scenes import load_scene
@@ -22,8 +22,8 @@ from stages.structure import judging
 from stages.structure.database import keypoints, matched_pairs
 from stages.structure.job import Job
 from tests.conftest import REPOSITORY
-from tests.stages.importing import Said, imported, scene_of
-from tests.stages.photo_room import aligned, look_at, walk, write_photos
+from tests.stages.importing import Said, imported, psnr, scene_of
+from tests.stages.photo_room import aligned, look_at, walk, write_photos, write_tagged
 
 CAMERAS = walk(8, (0.45, 1.1), width=240, height=180, focal=230.0)
 
@@ -59,20 +59,28 @@ def test_the_poses_of_the_room(room, tmp_path):
     source.mkdir()
     for photo in room.iterdir():
         (source / photo.name).write_bytes(photo.read_bytes())
+    taken = to_uint8(read_image(source / "p02.png").pixels)
+    write_tagged(source / "p02.tif", taken[::-1, ::-1], 3)  # as a camera held upside down stores it
+    (source / "p02.png").unlink()
     (source / "p90.png").write_bytes((room / "p01.png").read_bytes())
     write_png(source / "p91.png", np.zeros((180, 240, 3), np.uint8))
+    for name in ("p92.HEIC", "p01.cr2", "._p93.HEIC"):
+        (source / name).touch()
     said = Said()
     artefact = imported(source, tmp_path / "w", said)
     scene = scene_of(artefact)
     assert [view.name for view in scene.views] == [camera.name for camera in CAMERAS]
     assert [(one.source, one.reason) for one in scene.skipped] == [
         ("p90.png", "it is the same file as p01.png"), ("p91.png", "it is black"),
+        ("p92.HEIC", "of a format that cannot be read; convert it to JPEG or PNG"),
     ]  # fmt: skip
+    assert psnr(load_scene(artefact).images(2), taken / 255) > 25  # a little undistorted
     found = np.array([view.world_from_camera for view in scene.views])
     angles, distances = aligned(found, np.array([camera.world_from_camera for camera in CAMERAS]))
     assert angles.max() < 0.5 and distances.max() < 0.01
     assert abs(scene.views[0].fx / 230 - 1) < 0.02
     assert scene.sfm["registered"] == 8 and scene.sfm["error_px"] < 0.5 and scene.sfm["agreement"] == 1
+    assert "1 photos beside 10 cannot be read (.HEIC)" in said.lines[0]
     assert any("structure from motion: 8 of 8 photos placed" in line for line in said.lines)
     # Points lie on the faces of the room: one coordinate is 0 in the room's own frame.
     points = load_scene(artefact).points.xyz
