@@ -9,6 +9,8 @@ LABELS = {"psnr": ("PSNR", "dB", "higher"), "nnfm": ("NNFM distance to the paint
           "content_ssim": ("Content SSIM", "", "higher"), "background_mse": ("Background MSE", "", "lower"),
           "bleeding": ("Change beside the region", "", "lower"), "sparsity": ("Palette sparsity L_sp", "", "lower"),
           "short_rmse": ("Consistency short (correct), RMSE", "", "lower"),
+          "short_share": ("Consistency short (correct), visible", "share", ""),
+          "long_share": ("Consistency long (correct), visible", "share", ""),
           "long_rmse": ("Consistency long (correct), RMSE", "", "lower")}  # fmt: skip
 
 

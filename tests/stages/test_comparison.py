@@ -51,6 +51,18 @@ def test_families_and_costs_are_those_of_the_manifests(work):
     assert by_name["fit-60s"].settings == "60s, grow" and by_name["starry-desrf"].method == "desrf"
 
 
+def test_a_consistency_of_few_pixels_is_on_no_front_and_that_is_said(work):
+    scene, base = work.get("scene", "wall"), work.get("field", "fit-10s")
+    figures = STYLE | {"short_rmse": 0.001, "short_share": 0.036, "long_share": 0.2}
+    runs.stylised(work, scene, base, "few", 5.0, figures, budget="5s")
+    every = list(found(work)[0].values())
+    fronts = on_fronts(every, ["short_rmse", "long_rmse"])["room/few"]
+    assert "long_rmse/seconds" in fronts and not any(one.startswith("short") for one in fronts)
+    assert any(run.name == "few" for run in panel_of(every, "short_rmse", "seconds").runs)  # it is drawn all the same
+    (told,) = disagreements(every, ["short_rmse", "long_rmse"])
+    assert told.what == "room/few: short_rmse" and told.why.startswith("Told by 3.6% of the pixels alone")
+
+
 def test_a_changed_palette_is_an_edit_that_costs_what_its_learning_did(work):
     inputs = {"scene": work.get("scene", "wall"), "field": work.get("field", "fit-10s")}
     learnt = made.make_field(work, "palette", "decompose", inputs, seconds=60.0, peak_memory_mb=700)
