@@ -252,7 +252,7 @@ def test_a_run_takes_as_long_as_all_that_it_is_made_of(folder, monkeypatch, caps
 @pytest.mark.slow
 def test_real_runs_of_a_still_life(work, capsys):
     """The whole chain, tiny: a fit and a stylisation of the clean scene, one of a white painting, a made scene."""
-    options = ("--quick", "--side", "32", "--seeds", "1", "--budget", "60", "--style-budget", "4", "--keep")
+    options = ("--quick", "--side", "32", "--seeds", "1", "--budget", "150", "--style-budget", "4", "--keep")
     faults = ("seeds", "views-3", "textureless", "style-white")
     assert main(["stress", str(work), "--methods", "fit", "arf", "--faults", *faults, *options, "--json"]) == 0
     cells = {(one["fault"], one["method"]): one for one in json.loads(capsys.readouterr().out)["cells"]}
