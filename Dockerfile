@@ -3,6 +3,7 @@
 #   docker build -t stylerf .                           torch for the CPU
 #   docker build -t stylerf --build-arg DEVICE=cuda .   torch with CUDA, several GB larger
 #   docker run --rm -v "$PWD:/work" stylerf import photos fox
+#   docker run --rm --gpus all -v "$PWD:/work" stylerf fit fox     with DEVICE=cuda
 #
 # To own what it writes as yourself, add --user "$(id -u):$(id -g)": every folder the program writes to is open to any
 # user id. Containers need no network: feature weights are fetched and converted here.
@@ -16,7 +17,9 @@ ENV PIP_NO_CACHE_DIR=1 PIP_ROOT_USER_ACTION=ignore PYTHONDONTWRITEBYTECODE=1 PYT
 FROM base AS torch-cpu
 RUN python -m pip install --index-url https://download.pytorch.org/whl/cpu "torch>=2.8,<2.14"
 
+# Triton compiles its launcher in C at the first kernel.
 FROM base AS torch-cuda
+RUN apt-get update && apt-get install -y --no-install-recommends gcc libc6-dev && rm -rf /var/lib/apt/lists/*
 RUN python -m pip install "torch>=2.8,<2.14"
 
 FROM torch-${DEVICE} AS stylerf

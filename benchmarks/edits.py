@@ -52,6 +52,7 @@ def measure(fitted: Path, styles: Path, case: str, kept: Path) -> dict:
         shutil.copytree(fitted / folder / "field" / "fit-60s", work / "field" / "fit-60s")
     look = [str(styles / one) if one.endswith(".jpg") else one for one in look]
     name = case.replace(", ", "-").replace(" ", "-")
+    load = round(os.getloadavg()[0], 2)
     made = stylerf("edit", str(work), *selection, *look, "--name", name)
     # A changed palette was learnt by the edit before it.
     trained = f"{name}-learnt" if "--palette" in look else name
@@ -67,7 +68,7 @@ def measure(fitted: Path, styles: Path, case: str, kept: Path) -> dict:
         "colours": learnt["figures"]["colours"], "sparsity": learnt["figures"]["sparsity"],
         "palette_variation": learnt["figures"]["palette_variation"], "region_psnr": learnt["figures"]["psnr"],
         **{key: round(figures[key], 6) for key in wanted if key in figures},
-        "load_before": round(os.getloadavg()[0], 2),
+        "load_before": load,
     }  # fmt: skip
 
 

@@ -36,6 +36,7 @@ def measure(data: Path, name: str, budget: str, work: Path) -> dict:
     folder, flags = SCENES[name]
     stylerf("import", str(data / folder), str(work), *flags)
     label = f"fit-{budget}"
+    load = round(os.getloadavg()[0], 2)
     fitted = stylerf("fit", str(work), "--budget", budget, "--no-buffers", "--name", label)
     manifest = json.loads((work / "field" / label / "manifest.json").read_text())
     figures = stylerf("eval", str(work), "--of", label)["figures"]
@@ -44,7 +45,7 @@ def measure(data: Path, name: str, budget: str, work: Path) -> dict:
         "parameters": fitted["figures"]["parameters"], "steps": fitted["figures"]["steps"],
         "resolution": fitted["figures"]["resolution"], "train_seconds": fitted["figures"]["train_seconds"],
         "wall_seconds": round(manifest["seconds"], 1), "peak_memory_mb": round(manifest["peak_memory_mb"]),
-        "load_before": round(os.getloadavg()[0], 2),
+        "load_before": load,
     }  # fmt: skip
 
 

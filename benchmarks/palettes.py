@@ -5,7 +5,8 @@ FITTED holds a work folder for each scene, fitted for 60 s, as for benchmarks.ed
 Protocol: a region is selected and recoloured by `stylerf edit` (LAENeRF). `stylerf stylize --method palettenerf` with
 60 s decomposes the same field once, then the same colour is given to its whole palette, everywhere and within a reach
 around the region's first pixel. All three are evaluated by `stylerf eval --region` on the held-out views: background
-MSE against the photos, over that of the field before (ratio), change inside the region, bleeding beside it. Seconds are
+MSE against the photos, over that of the field before (ratio), change inside the region, bleeding beside it. The
+sparsity L_sp is LAENeRF's over the region's pixels, PaletteNeRF's over all pixels that show the scene. Seconds are
 those of the stages' manifests, selection left out. One seed.
 """
 
@@ -42,8 +43,9 @@ def measure(fitted: Path, case: str, kept: Path) -> list[dict]:
     """A row a method."""
     folder, selection, palette, reach = CASES[case]
     work, region = kept / folder, case.replace(" ", "-")
-    shutil.copytree(fitted / folder / "scene", work / "scene")
-    shutil.copytree(fitted / folder / "field" / "fit-60s", work / "field" / "fit-60s")
+    if not (work / "scene").exists():
+        shutil.copytree(fitted / folder / "scene", work / "scene")
+        shutil.copytree(fitted / folder / "field" / "fit-60s", work / "field" / "fit-60s")
     made = stylerf("edit", str(work), *selection, "--recolor", "--palette", palette, "--name", region)
     learnt = json.loads((work / "edit" / f"{region}-learnt" / "manifest.json").read_text())
     seconds = sum(made["seconds"].values()) - made["seconds"]["region"] + learnt["seconds"]
@@ -57,7 +59,7 @@ def measure(fitted: Path, case: str, kept: Path) -> list[dict]:
     for words, flags in (("everywhere", ()), ("within reach", (*selection[:2], "--reach", reach))):
         name = f"palette-{words.split()[0]}"
         stylerf(*method, "--of", "palette", "--palette", palette, *flags, "--name", name)
-        figures = stylerf("eval", str(work), "--of", name, "--region", region, "--base", "fit-60s")["figures"]
+        figures = stylerf("eval", str(work), "--of", name, "--region", region)["figures"]
         seconds = seconds_of(work, "field/palette", f"field/{name}")
         rows.append(row(case, f"palettenerf, {words}", seconds, figures, told))
     return rows

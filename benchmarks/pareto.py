@@ -6,10 +6,10 @@ in them is not made again. Options, each a list with commas: --scenes fern,fox,l
 --flags METHOD=FLAGS for what else a method needs. A run that fails is kept as a row that says why.
 
 Protocol: every scene is fitted at each capacity and budget; the fit of each capacity (or of --stylised) that had the
-longest budget is stylised by each method with each choice of rays and each style budget; all are evaluated on the
-held-out views, the stylised ones also along a path of 30 frames, in all three consistency protocols. `stylerf compare`
-then reads what stands: costs from the manifests, seconds since the fitted field for stylisations. One seed, one run at
-a time.
+longest budget is stylised by each method with each choice of rays (arf and desrf) and each style budget; all are
+evaluated on the held-out views, the stylised ones also along a path of 30 frames, in all three consistency protocols.
+`stylerf compare` then reads what stands: costs from the manifests, seconds since the fitted field for stylisations. One
+seed, one run at a time.
 """
 
 import argparse
@@ -27,6 +27,7 @@ from benchmarks.fits import SCENES as SIZES
 
 SCENES = {name.split()[0]: flags for name, flags in SIZES.items() if name != "lego 400x400"}
 PATHS = {"fern": "spiral", "fox": "spiral", "lego": "orbit", "cup": "spiral"}
+BY_RAYS = ("arf", "desrf")  # the fields of the other methods learn whole pictures
 KEPT = ("family", "group", "work", "name", "method", "settings", "stages", "costs", "fronts")
 
 
@@ -92,7 +93,8 @@ def measure(asked: argparse.Namespace, scene: str, work: str) -> list[dict]:
         fit = ("fit", work, "--capacity", capacity, "--budget", budget, "--no-buffers", "--name", name)
         made(name, fit, ("eval", work, "--of", name))
     painting = str(asked.styles / asked.painting)
-    for capacity, method, rays, budget in product(asked.stylised, asked.methods, asked.rays, asked.style_budgets):
+    wanted = [(method, rays) for method in asked.methods for rays in (asked.rays if method in BY_RAYS else ["auto"])]
+    for capacity, (method, rays), budget in product(asked.stylised, wanted, asked.style_budgets):
         base, name = label("fit", capacity, asked.budgets[-1]), label(method, rays, budget, "of", capacity)
         style = ("stylize", work, "--of", base, "--style", painting, "--method", method, "--rays", rays)
         style += ("--budget", budget, "--name", name, *asked.flags.get(method, ()))

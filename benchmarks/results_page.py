@@ -31,8 +31,8 @@ def ours(published: Published, results: Path = RESULTS) -> float | None:
 
 
 def verdict(published: Published, value: float | None) -> str:
-    """better, worse or equal; a dash where there is nothing to compare."""
-    if value is None or math.isnan(published.value):
+    """better, worse or equal; a dash where there is nothing to compare, or the better of the two says nothing."""
+    if value is None or math.isnan(published.value) or not published.judged:
         return "-"
     if value == published.value:
         return "equal"
@@ -54,7 +54,8 @@ def page(results: Path = RESULTS) -> str:
     lines = [
         HEAD,
         f"Of {len(rows)} published figures {len(measured)} have one of ours beside them: "
-        f"{told.count('better')} better, {told.count('worse')} worse, {told.count('equal')} equal.",
+        f"{told.count('better')} better, {told.count('worse')} worse, {told.count('equal')} equal, {told.count('-')} "
+        "without a verdict.",
         "",
         "| method | figure | published | ours | ours is | source | what differs |",
         "|---|---|---|---|---|---|---|",

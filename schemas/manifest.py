@@ -42,6 +42,16 @@ class Recipe:
         inputs = sorted((ref.role, ref.kind, ref.digest) for ref in self.inputs)
         return digest_of([self.stage, self.revision, self.config, inputs, self.seed])
 
+    def other_options(self, before: "Recipe") -> str:
+        """Where `before` is of the same code and inputs: its options that are other than here, in words; else empty."""
+        made_of = [sorted((ref.role, ref.digest) for ref in one.inputs) for one in (self, before)]
+        if (self.stage, self.revision) != (before.stage, before.revision) or made_of[0] != made_of[1]:
+            return ""
+        here, there = ({**one.config, "seed": one.seed} for one in (self, before))
+        names = [name for name, value in there.items() if here.get(name, value) != value]
+        told = [f"--{name.replace('_', '-')} {there[name]}" for name in names if not name.endswith("_digest")]
+        return ", ".join(told) or ("other files" if names else "")
+
 
 @dataclass(frozen=True)
 class FileRecord:

@@ -24,12 +24,21 @@ from typing import Any
 from schemas.artefact import Artefact, of_a_desktop
 from schemas.atomic import is_temporary, make_folder, sync_file, sync_folder, write_bytes, write_json, writing
 from schemas.canonical import file_sha256, plain
-from schemas.errors import OutOfResources
-from schemas.manifest import MANIFEST, FileRecord, Manifest, Recipe
+from schemas.errors import ArtefactStale, OutOfResources
+from schemas.manifest import MANIFEST, FileRecord, InputRef, Manifest, Recipe
 from schemas.migrations import CURRENT
 
+DEAR_SECONDS = 60.0  # so much work goes without a word, no more
 _AT_FDCWD = -100
 _RENAME_EXCHANGE = 2
+
+
+class UnlikeInterrupted(ArtefactStale):
+    """An interrupted run with other options would be lost. seconds: its work so far; options: in words."""
+
+    def __init__(self, kind: str, name: str, seconds: float, options: str) -> None:
+        super().__init__(f"an interrupted run of {kind} {name} with {options} would be lost")
+        self.seconds, self.options = seconds, options
 
 
 class Lock:
@@ -64,10 +73,11 @@ class Lock:
 class Partial:
     """A run in progress. The stage writes its files below `path` and its checkpoints below `checkpoint`.
 
-    `resumed` tells that an earlier run of the same recipe left something here.
+    `resumed` tells that an earlier run of the same recipe left something here. What a run with other options left is
+    deleted; with `careful`, where that is a minute's work or more, it is kept and UnlikeInterrupted raised.
     """
 
-    def __init__(self, root: Path, kind: str, name: str, recipe: Recipe) -> None:
+    def __init__(self, root: Path, kind: str, name: str, recipe: Recipe, careful: bool = False) -> None:
         self.kind, self.name, self.recipe = kind, name, recipe
         self.target = root / kind / name
         self.folder = root / kind / f".{name}.partial"
@@ -76,8 +86,11 @@ class Partial:
         self._lock = Lock(root / kind / f".{name}.lock")
         try:
             self._restore_replaced()
+            self._restore_ready()
             self.resumed = self._holds_same_recipe()
             if not self.resumed:
+                if careful:
+                    self._refuse_to_lose()
                 self._start_afresh()
             make_folder(self.checkpoint)
             for leftover in [item for item in self.folder.rglob(".*") if is_temporary(item)]:
@@ -95,6 +108,17 @@ class Partial:
         except (OSError, ValueError, KeyError, TypeError):
             return False
 
+    def _refuse_to_lose(self) -> None:
+        try:
+            left = json.loads((self.folder / "recipe.json").read_text())
+            seconds = float(json.loads((self.folder / "clock.json").read_text())["seconds"])
+            del left["digest"]
+            before = Recipe(**{**left, "inputs": [InputRef(**one) for one in left["inputs"]]})
+        except (OSError, ValueError, KeyError, TypeError):
+            return  # nothing that could go on
+        if seconds >= DEAR_SECONDS and self.path.is_dir() and (options := self.recipe.other_options(before)):
+            raise UnlikeInterrupted(self.kind, self.name, seconds, options)
+
     def _start_afresh(self) -> None:
         with writing(self.folder):
             if self.folder.exists():
@@ -106,6 +130,13 @@ class Partial:
         replaced = self.folder / "replaced"
         if replaced.is_dir() and not self.target.exists():
             os.rename(replaced, self.target)
+
+    def _restore_ready(self) -> None:
+        """A run that was killed after its last file and before its artefact stood goes on from there."""
+        ready = self.folder / "ready"
+        made = [_recipe_in(folder) == self.recipe.digest for folder in (ready, self.target)]
+        if made == [True, False] and not self.path.exists():
+            os.rename(ready, self.path)
 
     def commit(
         self,
@@ -177,6 +208,13 @@ class Partial:
     def release(self) -> None:
         """Lets others write here; the folder stays and can be resumed."""
         self._lock.release()
+
+
+def _recipe_in(folder: Path) -> str | None:
+    try:
+        return json.loads((folder / MANIFEST).read_text())["recipe"]
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
 
 
 def sweep_finished(root: Path, kind: str, name: str) -> None:

@@ -78,9 +78,9 @@ class Work:
         """Deletes what is left of the run that made the artefact of that name, where a kill kept it from doing so."""
         sweep_finished(self.root, _known(kind), sound_name(name))
 
-    def begin(self, kind: str, name: str, recipe: Recipe) -> Partial:
+    def begin(self, kind: str, name: str, recipe: Recipe, careful: bool = False) -> Partial:
         """Goes on with an interrupted run of this recipe, or starts afresh; see Partial."""
-        return Partial(self.root, _known(kind), sound_name(name), recipe)
+        return Partial(self.root, _known(kind), sound_name(name), recipe, careful)
 
     def unfinished(self) -> list[tuple[str, str]]:
         """Kind and name of every interrupted run."""

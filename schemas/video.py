@@ -10,6 +10,7 @@ from schemas.atomic import replacing
 from schemas.errors import BadInput
 from schemas.images import read_image, to_uint8
 
+BT709 = 1  # its primaries and its transfer, by ITU-T H.273
 PALETTE_FRAMES = 12
 SHORTEST_MS = 20  # players show a GIF's frame of less than this for a tenth of a second
 
@@ -29,6 +30,7 @@ def _frame(path: Path) -> np.ndarray:
 
 def _write_mp4(path: Path, pictures: list[Path], fps: float) -> Path:
     import av
+    from av.video.reformatter import ColorRange, Colorspace
 
     first = _frame(pictures[0])
     # H.264 with halved colour takes even sides only.
@@ -37,9 +39,13 @@ def _write_mp4(path: Path, pictures: list[Path], fps: float) -> Path:
         stream = film.add_stream("libx264", rate=Fraction(fps).limit_denominator(1001))
         stream.width, stream.height, stream.pix_fmt = width, height, "yuv420p"
         stream.options = {"crf": "18"}
+        # Said and done: without a word players take large films for BT.709 and small ones for BT.601.
+        told = stream.codec_context
+        told.colorspace, told.color_range = Colorspace.ITU709, ColorRange.MPEG
+        told.color_primaries = told.color_trc = BT709
         for picture in pictures:
             frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(_frame(picture)[:height, :width]), format="rgb24")
-            for packet in stream.encode(frame):
+            for packet in stream.encode(frame.reformat(format="yuv420p", dst_colorspace=Colorspace.ITU709)):
                 film.mux(packet)
         for packet in stream.encode():
             film.mux(packet)

@@ -68,6 +68,7 @@ def run(inputs: dict[str, Artefact], config: DecomposeConfig, partial: Partial, 
         "finest": colour.finest,
         "parameters": learner.field.parameters,
         "views": len(cameras),
+        **scene.exposure_figures,
     }
 
 

@@ -70,6 +70,7 @@ def run(inputs: dict[str, Artefact], config: DeformConfig, partial: Partial, con
         "displacement_rms": float(np.sqrt(np.square(2 * field.displacement).sum(-1).mean())),
         "parameters": field.parameters + len(deformation.values),
         **gpu_figures(device),
+        **scene.exposure_figures,
     }
 
 

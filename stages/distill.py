@@ -2,6 +2,7 @@
 
 import shutil
 from contextlib import nullcontext
+from pathlib import Path
 
 import numpy as np
 
@@ -21,7 +22,7 @@ from stylerf.editing.palette import PaletteModule
 from stylerf.editing.views import EditView
 from stylerf.kernels.cpu.compiling import compiling_note, set_threads
 
-SPEC = Spec(stage="distill", verb="distill", revision=1, writes="scene")
+SPEC = Spec(stage="distill", verb="distill", revision=2, writes="scene")
 
 
 def run(inputs: dict[str, Artefact], config: DistillConfig, partial: Partial, context: Context) -> dict:
@@ -49,6 +50,7 @@ def run(inputs: dict[str, Artefact], config: DistillConfig, partial: Partial, co
             targets |= {f"{view.view}.pixels": pixels, f"{view.view}.depth": depth}
             context.progress.update(done + 1)
     context.progress.finish()
+    _expose_others(scene, {view.view for view in views}, partial.path)
     _keep_earlier(inputs["scene"], targets)
     save_tensors(partial.path / EDIT_TARGETS, targets)
     pixels = int(sum(len(v) for k, v in targets.items() if k.endswith(".pixels")))
@@ -79,6 +81,13 @@ def _edited(
         out[pixels, :3] = share * found[chosen] + (1 - share) * out[pixels, :3]
     depth = (view.depth * view.weight)[chosen].astype(np.float32)
     return to_uint8(out.reshape(photo.shape)), pixels, depth
+
+
+def _expose_others(scene: SceneData, shown: set[int], folder: Path) -> None:
+    """Photos in which the edit is not seen, brought to the exposure that those have in which it is."""
+    for index, view in enumerate(scene.views):
+        if view.name in scene.stops and index not in shown:
+            write_png(folder / view.image, to_uint8(scene.images(index)))
 
 
 def _keep_earlier(scene: Artefact, targets: dict[str, np.ndarray]) -> None:

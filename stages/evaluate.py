@@ -38,7 +38,7 @@ from stages.evaluation.views import FrameViews, Photo, Render, SceneViews
 from stages.progress import Context
 from stages.runner import Spec, versions
 
-SPEC = Spec(stage="evaluate", verb="eval", revision=2, writes="report")
+SPEC = Spec(stage="evaluate", verb="eval", revision=3, writes="report")
 STYLE_KEYS = ("nnfm", "gram", "sifid", "palette", "palette_mean", "palette_covariance", "content_ssim")
 
 
@@ -78,7 +78,7 @@ class Evaluation:
         self.edit = LocalEdit.found(inputs, config, self.scene, context)
         self.lenses = Lenses.found(config, self.field, context)
         path = self._frames("path_frames")
-        inside = self.edit.inside_film(path) if self.edit and path else None
+        inside = self.edit.inside_film() if self.edit and path else None
         self.film = Film(path, config, self.lenses, inside) if path else None
         self.references = References(config.reference, self.scene, self.frames) if config.reference else None
         made_by_style = self.field is not None and is_stylised(self.field)
@@ -198,6 +198,7 @@ class Evaluation:
             "style_trunk": lenses.painting.trunk_name if lenses.painting else "no painting",
             "gap": self.config.gap,
             "nearest": NEAREST,
+            "plain": self.base.frames.field if self.base else "none",
             "twin": self.twin.frames.field if self.twin else "none",
             **(self.film.facts() if self.film else {}),
         }

@@ -111,8 +111,8 @@ def edited_pixels(scene: SceneData, train: list[int]) -> EditedPixels:
     views, pixels, depths, beside = [], [], [], []
     try:
         for place, index in enumerate(train):
-            if f"{index}.pixels" in arrays:
-                own = arrays[f"{index}.pixels"]
+            own = arrays.get(f"{index}.pixels", ())
+            if len(own):  # a view may show nothing of it as solidly as was asked for
                 views.append(np.full(len(own), place, np.int64))
                 pixels.append(own.astype(np.int64))
                 depths.append(arrays[f"{index}.depth"])

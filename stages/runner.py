@@ -2,6 +2,7 @@
 
 import sys
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -9,7 +10,8 @@ from typing import Any
 
 from schemas.atomic import out_of_resources
 from schemas.canonical import plain
-from schemas.errors import OutOfResources, UsageError
+from schemas.errors import ArtefactStale, OutOfResources, StylerfError, UsageError
+from schemas.partial import DEAR_SECONDS, UnlikeInterrupted
 from schemas.store import Artefact, Partial, Recipe, Work, sources_of
 from stages.clock import Clock, peak_memory_mb
 from stages.configs import incidental
@@ -70,6 +72,7 @@ def execute(
     config: Any,
     context: Context,
     force: bool = False,
+    careful: bool = False,
 ) -> tuple[Artefact, bool]:
     """The artefact `name` of `spec`, and whether it stood already.
 
@@ -77,7 +80,8 @@ def execute(
     as it stands. Otherwise every input is verified, an interrupted run of the same recipe is taken up where it
     stopped, and the result replaces the older artefact of that name by one rename; it must be none of its sources.
     What an interruption or a lack of memory, space or permission leaves behind is kept for the next run; after any
-    other fault it is deleted, because the same state would fail again.
+    other fault it is deleted, because the same state would fail again. careful: a minute's work or more that was done
+    with other options is not lost without a word: an interrupted run is kept (ArtefactStale), what stands is told of.
     """
     recipe = recipe_of(spec, inputs, config, context.seed)
     standing = None if force else work.standing(spec.writes, name, recipe)
@@ -87,7 +91,16 @@ def execute(
     refuse_to_replace(work, spec.writes, name, inputs.values())
     for artefact in inputs.values():
         artefact.verify()
-    partial = work.begin(spec.writes, name, recipe)
+    try:
+        partial = work.begin(spec.writes, name, recipe, careful and not force)
+    except UnlikeInterrupted as lost:
+        raise ArtefactStale(
+            f"an interrupted `stylerf {spec.verb}` of {spec.writes} {name}, {lost.seconds / 60:.0f} min of work with "
+            f"{lost.options}, would be lost; run `stylerf {spec.verb}` with these options to go on with it, with "
+            "another --name to keep both, or with --force to begin anew"
+        ) from lost
+    if careful:
+        _tell_replaced(work, spec, name, recipe, context)
     try:
         # Another process may have made it between the look above and our lock.
         standing = None if force else work.standing(spec.writes, name, recipe)
@@ -106,6 +119,18 @@ def execute(
         raise
     finally:
         partial.release()
+
+
+def _tell_replaced(work: Work, spec: Spec, name: str, recipe: Recipe, context: Context) -> None:
+    with suppress(StylerfError):  # what is not there, or cannot be read, is no loss
+        made = Artefact(work.root / spec.writes / name).manifest
+        before = Recipe(made.stage, made.revision, made.config, made.inputs, made.seed)
+        options = recipe.other_options(before)
+        if options and made.seconds >= DEAR_SECONDS:
+            context.progress.say(
+                f"{spec.writes} {name}, {made.seconds / 60:.0f} min of work with {options}, is replaced once this is "
+                "done; --name NAME keeps both"
+            )
 
 
 def _run(

@@ -82,6 +82,14 @@ class SceneData:
         pixels = pixels if pixels.shape[2] >= 3 else np.repeat(pixels, 3, axis=2)
         return exposed(pixels, -self.stops[view.name]) if view.name in self.stops else pixels
 
+    @property
+    def exposure_figures(self) -> dict[str, dict[str, float]]:
+        """For the manifest of what is taught these photos: how they were taken, whatever becomes of the fit.
+
+        Photos that carry an edit are at one exposure themselves, and say nothing of the others.
+        """
+        return {} if self._path(EDIT_TARGETS).is_file() else {EXPOSURE_STOPS: dict(self.stops)}
+
     def channels(self, index: int) -> int:
         """3 or 4: those that images(index) has, by the file's header."""
         try:
@@ -144,7 +152,7 @@ def spread(views: list[int], count: int) -> list[int]:
 def _stops(seen_by: Artefact) -> dict[str, float]:
     """By which the photos of views are overexposed, by the fit that `seen_by` goes back to; empty: all alike."""
     for made in [seen_by, *sources_of(seen_by, ("field",))]:
-        if stops := made.manifest.figures.get(EXPOSURE_STOPS):
+        if (stops := made.manifest.figures.get(EXPOSURE_STOPS)) is not None:
             return stops
     return {}
 

@@ -40,7 +40,7 @@ from stylerf.training.referenced import Referenced
 from stylerf.training.repainting import Repainting
 from stylerf.training.stylize import Stylizer
 
-SPEC = Spec(stage="stylize", verb="stylize", revision=3, writes="field")
+SPEC = Spec(stage="stylize", verb="stylize", revision=4, writes="field")
 WORKING_BYTES = 1.5e9  # what a step takes beside what is kept of the views: pictures at full size, the trunk's graph
 KEPT_BYTES = 60  # about, for each pixel of a view: its photo, samples on its surfaces, features at half its size
 WORDS = {"refit": "new colours"}  # of phases that are not told by their own name
@@ -87,6 +87,7 @@ def run(inputs: dict[str, Artefact], config: StylizeConfig, partial: Partial, co
         "rollbacks": state.counts.get("rollbacks", 0),
         **_figures_of_method(stylizer, config, scene, partial),
         **gpu_figures(device),
+        **scene.exposure_figures,
     }
 
 

@@ -21,6 +21,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor
 
+from schemas.canonical import file_sha256
 from schemas.errors import BadInput, UsageError
 from stages import weight_formats as formats
 from stages.weight_sources import (
@@ -72,6 +73,20 @@ def resolve(name_or_path: str | os.PathLike | None = None) -> ResolvedTrunk:
         )
     kind, state = formats.recognised(path)
     return ResolvedTrunk(path.stem, state_digest(state), path, f"VGG weights of {path}", state, kind)
+
+
+def chosen(features: str) -> dict[str, str]:
+    """The options `features` and `features_digest` of a recipe: by name what None would find, of a file its digest too.
+
+    Reads no weights. Errors as for `resolve`, but for what is wrong inside a file.
+    """
+    features = features or next((row["name"] for row in describe() if row["chosen"]), "")
+    if features in TRUNKS:
+        return {"features": features, "features_digest": ""}
+    path = Path(features).expanduser()
+    if not path.is_file():
+        resolve(features or None)  # which tells why
+    return {"features": str(path.resolve()), "features_digest": file_sha256(path)}
 
 
 def resolve_metric(name: str) -> ResolvedTrunk:

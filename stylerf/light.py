@@ -2,6 +2,8 @@
 
 import numpy as np
 
+LUMA = np.array([0.2126, 0.7152, 0.0722])  # weights of Rec.709
+
 
 def decoded(values: np.ndarray) -> np.ndarray:
     """Linear light of sRGB code values."""

@@ -8,7 +8,7 @@ from schemas.store import Artefact, Work
 from stages.configs.decompose import METHOD
 from stages.configs.deform import DeformConfig
 from stages.configs.fit import FitConfig
-from stages.configs.render import RenderConfig
+from stages.configs.render import OWN_VIEWS, RenderConfig
 
 FIT_NAME = "fit"
 
@@ -91,17 +91,21 @@ def ensure_deformed(session: Any, scene: Artefact, field: Artefact) -> Artefact:
 
 
 def ensure_frames(session: Any, field: Artefact, path: str, name: str) -> Artefact:
-    """Frames of a field along a path.
-
-    A table [render] decides all but that they are the whole path's, of full size and with EXR.
-    """
+    """Frames of a field along a path, as `frames_config` says."""
     from stages import render
 
-    count = 1 if path in render.OWN_VIEWS else session.options.table("render").get("count", 30)
-    config = replace(session.config_of("render", RenderConfig), path=path, count=count, scale=1.0, frames="", exr=True)
-    config = render.pinned(config)
+    config = frames_config(session, path)
     inputs = {"scene": scene_of(session.work, field), "field": field, **regions_shown(session, field, config)}
     return session.run(render.SPEC, render.run, inputs, config, name, by=("--of", field.name))
+
+
+def frames_config(session: Any, path: str) -> RenderConfig:
+    """A table [render] decides all but that frames are the whole path's, of full size and with EXR; 30 without it."""
+    from stages.render import pinned
+
+    count = 1 if path in OWN_VIEWS else session.options.table("render").get("count", 30)
+    config = session.config_of("render", RenderConfig)
+    return pinned(replace(config, path=path, count=count, scale=1.0, frames="", exr=True))
 
 
 def regions_shown(session: Any, field: Artefact, config: RenderConfig) -> dict[str, Artefact]:

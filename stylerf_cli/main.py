@@ -25,6 +25,11 @@ EXIT_CODES = (
 
 def main(argv: list[str] | None = None) -> int:
     """Runs one command and returns its exit code; `argv` is without the program's name."""
+    if sys.platform == "win32":
+        sys.stderr.write(
+            "stylerf: error: it runs on Linux (macOS is untested); on Windows use its Linux subsystem (WSL)\n"
+        )
+        return UsageError.exit_code
     argv = list(sys.argv[1:] if argv is None else argv)
     as_json = "--json" in argv
     state: dict[str, Path | None] = {"work": None}

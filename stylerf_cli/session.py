@@ -112,7 +112,8 @@ class Session:
                     f"{spec.writes} {name} is missing or out of date and --only was given; run: {shlex.join(command)}"
                 )
             self.say(f"{spec.writes} {name} is missing or out of date: running `stylerf {spec.verb}` first")
-        artefact, reused = execute(spec, run, self.work, name, inputs, config, self.context, force=own and self.force)
+        again = own and self.force
+        artefact, reused = execute(spec, run, self.work, name, inputs, config, self.context, again, careful=True)
         if reused:
             self.say(f"{spec.writes} {name} stands up to date (--force makes it anew)")
         return artefact

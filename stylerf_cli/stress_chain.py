@@ -28,7 +28,7 @@ from stages.paintings import read_painting
 from stages.progress import Silent
 from stages.runner import execute
 from stages.stress import criteria
-from stages.stress.cells import REMEDIED, Outcome
+from stages.stress.cells import REMEDIED, REMEDIED_FILE, Outcome, run_name
 from stages.stress.faults import CLEAN, FAULTS, METHODS, ORDINARY_STYLE, STYLE, Fault, Method
 from stages.stress.measuring import seen_from_tests, seen_of_edit, shown_beside
 from stages.stress.outcomes import keep_outcome, kept_outcome
@@ -67,7 +67,7 @@ class Trial:
     @property
     def label(self) -> str:
         """Of its field and its files."""
-        return f"{self.method.name}{'-remedied' if self.remedies else ''}"
+        return f"{self.method.name}{REMEDIED_FILE if self.remedies else ''}"
 
 
 class Stress:
@@ -78,6 +78,7 @@ class Stress:
         self.conditions = config.conditions
         self.missing: dict[str, str] = {}
         self._worked_in: set[Path] = set()
+        self._seconds = 0.0  # of all that the run in progress is made of
         self._afresh = False
 
     def trials(self) -> Iterator[Trial]:
@@ -100,7 +101,7 @@ class Stress:
         progress.start("stress", len(trials), "run")
         for number, trial in enumerate(trials):
             key = self.key_of(trial)
-            outcome = None if force else kept_outcome(self.root, self._name(trial), key)
+            outcome = None if force else kept_outcome(self.root, self._name(trial, key), key)
             if outcome is None and not only and trial.fault.name not in self.missing:
                 outcome = self._made(trial, key)
             if outcome is not None:
@@ -186,18 +187,18 @@ class Stress:
 
     # -- a run ------------------------------------------------------------------------------------------------------
 
-    def _name(self, trial: Trial) -> str:
-        return f"{trial.label}--{trial.fault.name}--{trial.seed}"
+    def _name(self, trial: Trial, key: str) -> str:
+        return run_name(trial.label, trial.fault.name, trial.seed, key)
 
     def _made(self, trial: Trial, key: str) -> Outcome | None:
-        begun = time.monotonic()
+        self._seconds = 0.0
         try:
             scene = self._scene(trial)
         except BadInput as error:
             self.missing[trial.fault.name] = str(error)
             self.session.say(f"{trial.fault.name} is left out: {error}")
             return None
-        picture = f"{self._name(trial)}.png"
+        picture = f"{self._name(trial, key)}.png"
         try:
             verdict, worst = self._verdict(trial, scene)
         except (OutOfResources, MemoryError):
@@ -219,7 +220,7 @@ class Stress:
             why=verdict.why,
             score=verdict.score,
             figures=verdict.figures,
-            seconds=round(time.monotonic() - begun, 2),
+            seconds=round(self._seconds, 2),
             picture=picture,
         )
         keep_outcome(self.root, outcome)
@@ -234,7 +235,13 @@ class Stress:
         if self._afresh and place.root not in self._worked_in:
             shutil.rmtree(place.root, ignore_errors=True)  # what --keep left there may be of other code
         self._worked_in.add(place.root)
-        return execute(stage.SPEC, stage.run, place, name, inputs, config, context)[0]
+        begun, made = time.monotonic(), None
+        try:
+            made, _ = execute(stage.SPEC, stage.run, place, name, inputs, config, context)
+            return made
+        finally:
+            # What runs share counts with each of them, whichever came first; a stage that failed left no manifest.
+            self._seconds += made.manifest.seconds if made else time.monotonic() - begun
 
     def _scene(self, trial: Trial) -> Artefact:
         return self._execute(trial, fault_scene, {}, self.fault_config(trial), "main")
@@ -242,7 +249,7 @@ class Stress:
     def _verdict(self, trial: Trial, scene: Artefact) -> tuple[criteria.Verdict, np.ndarray]:
         """And the picture of the worst view."""
         method, threads = trial.method, self.session.context.threads
-        suffix = "-remedied" if trial.remedies else ""
+        suffix = REMEDIED_FILE if trial.remedies else ""
         fit_name = f"fit-{method.field}{suffix}"
         field = self._execute(trial, nerf_fit, {"scene": scene}, self.fit_config(trial), fit_name)
         if method.edit:

@@ -17,6 +17,7 @@ from stages.configs.distill import DistillConfig
 from stages.configs.edit import EditConfig, PaletteConfig
 from stages.configs.extract import ExtractConfig
 from stages.configs.finetune import FinetuneConfig
+from stages.configs.fit import budget_of
 from stages.configs.select import SelectConfig
 from stages.stress.faults import Fault, Method
 from stages.stress.measuring import middle_of
@@ -28,6 +29,7 @@ ORDINARY = "all=#2050d0"
 PALETTES = {"palette-full": "all=#00ff00", "palette-black": "all=#000000"}
 QUICK_LEARNING = {"palette_steps": 80, "style_steps": 15, "pruned_steps": 10, "style_side": 64}
 QUICK_FINETUNE, QUICK_RAYS, QUICK_REFIT, QUICK_PIXELS = "60", 2048, 60, 512
+UNTIMED = "1h"  # where steps decide
 REMEDIES_OF_LEARNING = {"start": "clusters"}  # against a palette whose colours collapse into a few
 Execute = Callable[[Any, dict[str, Artefact], Any, str], Artefact]
 
@@ -51,8 +53,9 @@ class EditOptions:
 
 def options_of(method: Method, fault: Fault, remedies: bool, conditions: dict, painting: Path | None) -> EditOptions:
     """Of one run. painting: its file, where the method sees one."""
-    quick = conditions["quick"]
-    budget = QUICK_FINETUNE if quick else conditions["style_budget"]
+    quick, budget = conditions["quick"], conditions["style_budget"]
+    timed = budget_of(budget)[0] > 0
+    budget = QUICK_FINETUNE if quick and not timed else budget
     teaching = FinetuneConfig(budget=budget, **({"rays": QUICK_RAYS} if quick else {}))
     changes = () if method.edit == "paint" else (PALETTES.get(fault.name, ORDINARY),)
     if method.edit == "palette":
@@ -63,7 +66,7 @@ def options_of(method: Method, fault: Fault, remedies: bool, conditions: dict, p
     look |= {"start": "random"} if fault.name == "palette-random" else {}
     look |= QUICK_LEARNING if quick else {}
     look |= REMEDIES_OF_LEARNING if remedies else {}
-    return EditOptions(method, EditConfig(budget="1h", **look), changes, teaching)  # its steps decide
+    return EditOptions(method, EditConfig(budget=budget if timed else UNTIMED, **look), changes, teaching)
 
 
 def edited(

@@ -1,7 +1,9 @@
 """docs/results.md: verdicts follow the better side, what was not measured says so, the page is up to date."""
 
 import json
+import shutil
 import sys
+from dataclasses import replace
 
 from benchmarks import readme
 from benchmarks.published import PUBLISHED, Published
@@ -27,12 +29,22 @@ def test_the_better_side_decides():
     assert verdict(published(2.0, "higher"), 1.0) == "worse" and verdict(published(2.0, "higher"), 3.0) == "better"
     assert verdict(published(2.0, "higher"), 2.0) == "equal" and verdict(published(2.0, "higher"), None) == "-"
     assert verdict(published(float("nan"), "lower"), 1.0) == "-"
+    assert verdict(replace(published(2.0, "lower"), judged=False), 1.0) == "-"
 
 
 def test_every_reference_to_a_result_is_met_where_its_file_is_there():
     for one in PUBLISHED:
         if one.ours is not None and (RESULTS / one.ours[0]).is_file():
             assert ours(one) is not None, one
+
+
+def test_a_figure_stands_beside_the_same_method_and_a_set_budget_is_no_victory():
+    beside = {(one.method, one.ours[0], one.ours[1].get("method")) for one in PUBLISHED if one.ours}
+    assert not any(method.startswith("Ref-NPR") and file == "edits.json" for method, file, _ in beside)
+    starts = ("| PaletteNeRF | palette and decomposition", "| LAENeRF | fine-tuning")
+    lines = [one for one in page().splitlines() if one.startswith(starts)]
+    assert len(lines) == 2 and all("| - |" in line and "are a budget that is set" in line for line in lines)
+    assert "2 without a verdict" in page()
 
 
 def test_losses_are_counted_and_the_unmeasured_listed():
@@ -45,3 +57,16 @@ def test_losses_are_counted_and_the_unmeasured_listed():
 def test_readme_and_page_are_those_of_the_results(monkeypatch):
     monkeypatch.setattr(sys, "argv", ["readme", "--check"])
     assert readme.main() == 0
+
+
+def test_a_chart_of_other_rows_is_stale(monkeypatch, tmp_path):
+    shutil.copytree(readme.IMAGES, tmp_path, dirs_exist_ok=True)
+    monkeypatch.setattr(readme, "IMAGES", tmp_path)
+    monkeypatch.setattr(sys, "argv", ["readme", "--check"])
+    assert readme.main() == 0
+    picture, report = tmp_path / "strategies.svg", readme.result("strategies.json")
+    older = readme.mark(report | {"rows": report["rows"][1:]})
+    picture.write_text(picture.read_text().replace(readme.mark(report), older))
+    assert readme.main() == 1
+    picture.unlink()
+    assert readme.main() == 1

@@ -7,6 +7,7 @@ from stages.comparison.runs import COSTS, Gap, Run
 from stylerf.metrics.pareto import pareto_front
 
 Front = list[Run]  # the cheapest first
+LEAST_SHARE = 0.1  # of its pixels: what fewer tell of a consistency is no ground to rank by
 
 
 @dataclass(frozen=True)
@@ -34,6 +35,8 @@ def panel_of(runs: Sequence[Run], key: str, cost: str) -> Panel | None:
     first = having[0].figures[key]
     sets: dict[tuple[str, str], list[Run]] = {}
     for run in having:
+        if _too_few(run, key):
+            continue
         sets.setdefault((run.group, run.figures[key].protocol), []).append(run)
     fronts = []
     for some in sets.values() if first.better else ():
@@ -55,7 +58,8 @@ def on_fronts(runs: Sequence[Run], keys: Sequence[str]) -> dict[str, list[str]]:
 
 
 def disagreements(runs: Sequence[Run], keys: Sequence[str]) -> list[Gap]:
-    """Figures of one group that were measured by more than one protocol, and so share no front."""
+    """Figures of one group that were measured by more than one protocol, and so share no front; and those of too few
+    pixels for any."""
     found = []
     for key in keys:
         protocols: dict[str, set[str]] = {}
@@ -63,8 +67,27 @@ def disagreements(runs: Sequence[Run], keys: Sequence[str]) -> list[Gap]:
             if key in run.figures:
                 protocols.setdefault(run.group, set()).add(run.figures[key].protocol)
         found += [
+            Gap(
+                f"{run.title}: {key}",
+                f"Told by {_share(run, key):.1%} of the pixels alone, a front asks for {LEAST_SHARE:.0%}.",
+            )
+            for run in runs
+            if key in run.figures and _too_few(run, key)
+        ]
+        found += [
             Gap(f"{group}: {key}", f"Measured by {len(some)} protocols; only runs of the same one share a front.")
             for group, some in protocols.items()
             if len(some) > 1
         ]
     return found
+
+
+def _share(run: Run, key: str) -> float | None:
+    """Of its pixels, that a figure is the mean over, where its report tells that."""
+    share = run.figures.get(f"{key.rpartition('_')[0]}_share")
+    return share.mean if share else None
+
+
+def _too_few(run: Run, key: str) -> bool:
+    share = _share(run, key)
+    return share is not None and share < LEAST_SHARE

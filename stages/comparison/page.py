@@ -62,8 +62,9 @@ def build_page(
 _HOW = (
     "<p>A run is on a Pareto front where no other run of the same group, measured by the same protocol, is as good for "
     "less or better for as much. A group is a scene, for stylisations with one painting, for edits with one set of "
-    "regions. Time is wall time of all attempts: of a fit its own; of a stylisation or an edit that of every stage "
-    "since the fitted field, selection and rendering left out. Memory is the greatest of these stages’ processes.</p>"
+    "regions or masks, known by their content. Time is wall time of all attempts: of a fit its own; of a stylisation "
+    "or an edit that of every stage since the fitted field, selection and rendering left out. Memory is the greatest "
+    "of these stages’ processes.</p>"
 )
 
 

@@ -2,11 +2,13 @@
 
 import json
 import shlex
+from collections import Counter
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+from schemas.canonical import digest_of
 from schemas.errors import StylerfError
 from schemas.store import Artefact, Work
 from stages.evaluation.figures import is_number
@@ -39,8 +41,8 @@ class Measure:
 class Run:
     """One field that was made, with what making it from the fitted field cost, or fitting it.
 
-    group: what its figures may be compared within: the scene, and the painting or the edited regions. costs: of COSTS,
-    None where unknown; seconds are summed, memory is the greatest, over `stages`. figures: by key.
+    group: name of what its figures may be compared within: the scene, and the painting or the edited regions. costs: of
+    COSTS, None where unknown; seconds are summed, memory is the greatest, over `stages`. figures: by key.
     """
 
     family: str
@@ -61,6 +63,14 @@ class Run:
 
 
 @dataclass(frozen=True)
+class Group:
+    """What runs have in common that may be compared. what: digests, of which it consists; words: to be shown."""
+
+    what: tuple[str, ...]
+    words: str
+
+
+@dataclass(frozen=True)
 class Gap:
     """A figure or a run that a comparison has to do without, and what to do about it."""
 
@@ -70,20 +80,21 @@ class Gap:
 
 def runs_of(works: Sequence[Work]) -> tuple[list[Run], list[Gap]]:
     """Every fit, stylisation and edit of these work folders, in the order given; and what is missing."""
-    runs, gaps, scenes = [], [], {}
+    runs, groups, gaps, scenes = [], [], [], {}
     for work, called in zip(works, _called(works)):
         for artefact in work.artefacts("field"):
             try:
                 family = family_of(artefact)
                 if family is None:
                     continue
-                run = _run(artefact, family, work, called, scenes)
+                run, group = _run(artefact, family, work, called, scenes)
             except StylerfError as error:
                 gaps.append(Gap(f"{called}/{artefact.name}", f"It cannot be read: {error}"))
                 continue
             runs.append(run)
+            groups.append(group)
             gaps += _gaps(run, work)
-    return runs, gaps
+    return [replace(run, group=name) for run, name in zip(runs, _named(groups), strict=True)], gaps
 
 
 def family_of(artefact: Artefact) -> str | None:
@@ -107,16 +118,18 @@ def _called(works: Sequence[Work]) -> list[str]:
     return [str(path) for path in paths]
 
 
-def _run(artefact: Artefact, family: str, work: Work, called: str, scenes: dict[str, str]) -> Run:
+def _run(artefact: Artefact, family: str, work: Work, called: str, scenes: dict[str, str]) -> tuple[Run, Group]:
+    """The group's name is given when all runs are known."""
     manifest = artefact.manifest
     made = [*(_made_for(artefact) if family != FITS else ()), artefact]
     report = _report(artefact, work)
     told = json.loads(report.file("report.json").read_text()) if report else {}
-    return Run(
+    group = _group(artefact, family, called, scenes, report, told)
+    run = Run(
         family=family,
         work=called,
         name=artefact.name,
-        group=_group(artefact, family, called, scenes, report, told),
+        group="",
         method=_method(artefact, family),
         settings=_settings(manifest.config),
         device=manifest.device,
@@ -132,6 +145,7 @@ def _run(artefact: Artefact, family: str, work: Work, called: str, scenes: dict[
             if is_number(one["mean"])
         },
     )
+    return run, group
 
 
 def _made_for(artefact: Artefact, seen: set[Path] | None = None) -> list[Artefact]:
@@ -165,7 +179,7 @@ def _report(artefact: Artefact, work: Work) -> Artefact | None:
 
 def _group(
     artefact: Artefact, family: str, called: str, scenes: dict[str, str], report: Artefact | None, told: dict
-) -> str:
+) -> Group:
     """scenes: names by digest, of scenes met so far, so that two folders with one scene make one group."""
     waiting, scene = [artefact], None
     while waiting and scene is None:
@@ -178,16 +192,48 @@ def _group(
             if ref.kind == "field":
                 waiting.append(inside.get("field", ref.name))
     name = called if scene is None else scenes.setdefault(scene.digest, called)
-    if family == STYLISATIONS:
-        return f"{name}, {_painting(report) or _painting(artefact) or 'unknown painting'}"
-    regions = ((told.get("edit") or {}).get("regions")) or []
-    return f"{name}, {' + '.join(regions)}" if family == EDITS and regions else name
+    what = (called if scene is None else scene.digest,)
+    if family == FITS:
+        return Group(what, name)
+    own, shown = _look(artefact, report) if family == STYLISATIONS else _edited(report, told)
+    return Group((*what, *own), f"{name}, {shown}" if shown else name)
 
 
-def _painting(artefact: Artefact | None) -> str | None:
-    """File name of the painting that a field was made with, or that an evaluation was told to measure against."""
-    style = artefact.manifest.config.get("style") if artefact else None
-    return style.replace("\\", "/").rpartition("/")[2] if isinstance(style, str) and style else None
+def _look(artefact: Artefact, report: Artefact | None) -> tuple[tuple[str, ...], str]:
+    """Digest and file name of the painting that an evaluation was told to measure against, else that a field was made
+    with, else of the references."""
+    for config in [one.manifest.config for one in (report, artefact) if one is not None]:
+        if style := config.get("style"):
+            return (config.get("style_digest") or style,), _file_name(style)
+    config = artefact.manifest.config
+    if references := config.get("reference"):
+        names = " + ".join(_file_name(text.partition("=")[2]) for text in references)
+        return (config.get("references_digest") or names,), f"after {names}"
+    return (), "unknown painting"
+
+
+def _edited(report: Artefact | None, told: dict) -> tuple[tuple[str, ...], str]:
+    """Digests and names of what an evaluation took for the edited part: masks where they were given, else regions."""
+    config = report.manifest.config if report else {}
+    if masks := config.get("masks"):
+        return (config.get("masks_digest") or masks,), f"masks {_file_name(masks)}"
+    names = ((told.get("edit") or {}).get("regions")) or []
+    digests = sorted(ref.digest for ref in report.manifest.inputs if ref.kind == "region") if report else []
+    return tuple(digests or names), " + ".join(names)
+
+
+def _file_name(path: str) -> str:
+    return path.replace("\\", "/").rstrip("/").rpartition("/")[2]
+
+
+def _named(groups: Sequence[Group]) -> list[str]:
+    """One name a group, that of its first run; with some of its digest where another group is called so too."""
+    first = {}
+    for group in groups:
+        first.setdefault(group.what, group.words)
+    called = Counter(first.values())
+    names = {what: words if called[words] == 1 else f"{words} ({digest_of(what)[:8]})" for what, words in first.items()}
+    return [names[group.what] for group in groups]
 
 
 def _method(artefact: Artefact, family: str) -> str:

@@ -34,6 +34,7 @@ class EditConfig:
     edge_weight: float = option(50.0, help="weight of contrast at edges of geometry")
     smooth_weight: float = option(100.0, help="weight of the photo's colours where the edit fades")
     features: str = option("", help="feature trunk: a name or a file of VGG weights (default: the first found)")
+    features_digest: str = option("", help="sha256 of that file (filled in; guards against a changed file)")
     taps: str = option("conv3", help="layers of the trunk whose Gram matrices are matched")
     preview_every: float = option(
         0.0, metavar="SECONDS", help="draw a view of the region into the run's folder (0: never)", incidental=True

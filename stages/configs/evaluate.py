@@ -18,6 +18,9 @@ class EvaluateConfig:
     features: str = option("", help="feature trunk of the style distances: a name or a file of VGG weights")
     style_side: int = option(256, help="longer side, in pixels, at which render and painting are compared")
     perceptual: str = option("auto", choices=("auto", "none"), help="perceptual distances where their weights are here")
+    networks: str = option(
+        "", help="names and digests of the networks that were found for these (filled in; guards against other ones)"
+    )
     consistency: str = option(
         "correct",
         choices=CONSISTENCY,

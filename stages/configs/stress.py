@@ -15,7 +15,11 @@ class StressConfig:
     faults: tuple[str, ...] = option(("all",), metavar="FAULT", help=f"of {', '.join(FAULTS)}, or all")
     seeds: int = option(0, help="runs of each cell, with seeds that follow --seed (0: 5; --quick: 2)")
     budget: str = option("", help="of each fit, time or steps (default: 20s; --quick: 150 steps)")
-    style_budget: str = option("", help="of each stylisation (default: that of the fits; --quick: 15 steps)")
+    style_budget: str = option(
+        "",
+        help="of each stylisation and palettenerf; of LAENeRF's edits a time is that of learning and again that of "
+        "fine-tuning, steps are those of fine-tuning (default: that of the fits; --quick: 15 steps, of edits 60)",
+    )
     side: int = option(0, help="longer side of the photos, pixels; larger ones are averaged down (0: 160; --quick: 64)")
     remedies: str = option(
         "off", choices=("off", "on", "both"), help="run without remedies, with them, or both for before and after"

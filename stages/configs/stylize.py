@@ -39,6 +39,7 @@ class StylizeConfig:
         "",
         help="feature trunk: a name or a file of VGG weights (default: the first found of vgg16, hed-vgg16, st-vgg16)",
     )
+    features_digest: str = option("", help="sha256 of that file (filled in; guards against a changed file)")
     taps: str = option(
         "",
         help="layers of the trunk that are matched: conv2, conv3, conv3_1 ... (default: conv3; of Gram matrices conv1 "
@@ -114,12 +115,11 @@ class StylizeConfig:
     rollbacks: int = option(
         0, help="times that a loss which left the finite numbers leads back to the last good state, at half the rate"
     )
-    clip: float = option(
-        0.0, help="a gradient counts as no longer than so many times the usual (0: as long as it is; CPU)"
-    )
+    clip: float = option(0.0, help="a gradient counts as no longer than so many times the usual (0: as long as it is)")
     least_spread: float = option(
         0.0,
-        help="standard deviation of luma, 0 to 0.25, that colour matching gives at least (remedy for blank paintings)",
+        help="standard deviation of luma, 0 to 0.25, that colour matching gives at least; a painting with less spread "
+        "than that counts as less of a style (remedy for blank paintings)",
     )
     references_digest: str = option("", help="sha256 of the references (filled in; guards against changed files)")
     checkpoint_every_seconds: float = option(20.0, help="time between checkpoints", incidental=True)

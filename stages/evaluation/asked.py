@@ -1,27 +1,30 @@
-"""The files that the options of an evaluation name: read before any work, and known by their digests."""
+"""What an evaluation looks at beside artefacts, files and networks: read before any work, known by digests."""
 
 from dataclasses import replace
 from pathlib import Path
 
 from schemas.canonical import file_sha256
 from schemas.images import read_image
+from schemas.store import Artefact
 from stages.configs.evaluate import EvaluateConfig
 from stages.evaluation.flows import flows_digest
 from stages.evaluation.lenses import painting_file
 from stages.evaluation.masks import masks_digest
+from stages.evaluation.nets import networks_found
 from stages.evaluation.references import references_digest
 
 
-def pinned(config: EvaluateConfig) -> EvaluateConfig:
-    """The config with the digests of the files it names, so that changed ones are measured against anew.
+def pinned(config: EvaluateConfig, field: Artefact | None = None) -> EvaluateConfig:
+    """The config with the digests of the files it names and of the networks that are here, so that others measure anew.
 
-    BadInput where there are none, or the painting or a reference cannot be read.
+    BadInput where there are none, or the painting or a reference cannot be read. field: may tell of a painting too.
     """
     painting = painting_file(config, None)
     if painting is not None:
         read_image(painting)
     return replace(
         config,
+        networks=networks_found(config.perceptual != "none", painting_file(config, field) is not None, config.features),
         style_digest="" if painting is None else file_sha256(painting),
         masks_digest=masks_digest(Path(config.masks).expanduser()) if config.masks else "",
         flow_digest=flows_digest(Path(config.flow).expanduser()) if config.flow else "",

@@ -83,11 +83,12 @@ class LocalEdit:
         if parts.ring.any():
             row.measure((prefix + "bleeding",), lambda: mean_change(render.image, base.image, parts.ring).absolute)
 
-    def inside_film(self, film: FrameViews) -> Callable[[int, Render], np.ndarray] | None:
-        """The region's pixels [h, w] of a film's frames; None where the region is known by pictures of other views."""
-        if isinstance(self._masks, PictureMasks):
-            return None
-        return lambda index, render: self._masks.inside(film, index, render)
+    def inside_film(self) -> Callable[[Render], np.ndarray] | None:
+        """The region's pixels [h, w] of a frame of a film; None where the region is known by pictures of other views.
+
+        By the unedited field: masks that the film holds are of the edited one's density.
+        """
+        return None if isinstance(self._masks, PictureMasks) else self._masks.seen_from
 
     def measure_training(self) -> None:
         """Fills `training_rows` where frames of the training views were given."""
@@ -106,7 +107,12 @@ class LocalEdit:
     def facts(self) -> dict:
         """What the protocols are filled in with."""
         masked = self._masks.words.format(margin=self.margin)
-        return {"masked": masked, "inside": self._masks.words.partition(", and all")[0], "ring": self._config.ring}
+        return {
+            "masked": masked,
+            "inside": self._masks.words.partition(", and all")[0],
+            "ring": self._config.ring,
+            "unedited": self.unedited.frames.field,
+        }
 
     def told(self, figures: list[Figure], rows: Sequence[Row]) -> list[Figure]:
         """The figures with those of the unedited field beside them; the ratio is that of the two means."""

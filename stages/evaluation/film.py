@@ -14,7 +14,7 @@ from stages.evaluation.views import FrameViews, Render
 from stylerf.metrics.consistency import pair_consistency
 from stylerf.metrics.protocols import flow_consistency, laenerf_script, stylerf_family
 
-Inside = Callable[[int, Render], np.ndarray]  # of a local edit: the pixels [h, w] of a frame that show its region
+Inside = Callable[[Render], np.ndarray]  # of a local edit: the pixels [h, w] of a frame that show its region
 PARTS = {  # of the keys of each protocol: its error, the share of pixels it is over, its perceptual distance
     "correct": ("rmse", "share", "perceptual"),
     "laenerf-script": ("laenerf_script_mse", "laenerf_script_flagged", "laenerf_script_perceptual"),
@@ -75,11 +75,11 @@ class Film:
             "pixel"
         )
         by_flow = (
-            f"along {self.flows.words}; visible where the flows of both directions cancel and have no step (Ruder et "
-            "al. 2016)"
+            f"along {self.flows.words}; visible where the target's alpha is over 0.5 and the flows of both directions "
+            "cancel and have no step (Ruder et al. 2016)"
         )
         return {
-            "path": f"the path {self.frames.frames.path}",
+            "path": f"the path {self.frames.frames.path} of {len(self.frames)} frames",
             "warp_protocol": by_flow if self.config.flow else by_depth,
             "flow": self.flows.words[0].upper() + self.flows.words[1:],
         }
@@ -96,7 +96,7 @@ class Film:
         for mode, wanted in keys.items():
             row.measure(wanted, lambda mode=mode: self._values(mode, views, forward, backward, looked_at)[:count])
         if self._inside is not None and "correct" in self.modes:
-            within = self._inside(places[1], views[1])
+            within = self._inside(views[1])
             key = (f"edit_{label}_rmse",)
             row.measure(key, lambda: self._values("correct", views, forward, backward, False, within)[0])
         return row
@@ -125,7 +125,9 @@ class Film:
             found = pair_consistency(one, other, pixels, self.config.depth_tolerance, within=within)
             return found.rmse, found.share, found.perceptual
         if mode == "correct":
-            found = flow_consistency(first.image, second.image, forward, backward, pixels, within)
+            opaque = second.alpha > 0.5
+            asked = opaque if within is None else opaque & within
+            found = flow_consistency(first.image, second.image, forward, backward, pixels, asked)
         elif mode == "laenerf-script":
             found = laenerf_script(first.image, second.image, forward, backward, whole)
         else:

@@ -26,21 +26,22 @@ EDITED = (
     ),
     Kind(
         "background_ratio", "Background MSE over that of the unedited field", "", "lower", 3,
-        "Ratio of the two means, over the views that have both; lowest and highest are ratios of single views.",
+        "Ratio to the mean of field {unedited}, over the views that have both; lowest and highest are ratios of single "
+        "views.",
     ),
     Kind(
         "change_inside", "Change in the region", "", "", 4,
-        "Mean |edited - unedited| of the two fields' renders over RGB (sRGB values 0..1) and over the pixels "
-        "{inside}; views that show the region.",
+        "Mean |edited - unedited| of the renders of this field and of field {unedited} over RGB (sRGB values 0..1) and "
+        "over the pixels {inside}; views that show the region.",
     ),
     Kind(
         "change_lab", "Change in the region, CIELAB", "", "", 2,
-        "Mean CIE76 colour difference (D65; about 2.3 is just seen) over the same pixels.",
+        "Mean CIE76 colour difference (D65; about 2.3 is just seen) to field {unedited} over the same pixels.",
     ),
     Kind(
         "bleeding", "Change beside the region", "", "lower", 4,
-        "Mean |edited - unedited| over RGB in a ring of {ring} pixels around what counts as the region: an edit that "
-        "runs over its edge.",
+        "Mean difference to field {unedited} over RGB in a ring of {ring} pixels around what counts as the region: an "
+        "edit that runs over its edge.",
     ),
     Kind(
         "sparsity", "Palette sparsity L_sp", "", "lower", 4,
@@ -147,52 +148,43 @@ STYLISED = (
     ),
     Kind(
         "shape_change", "Change of depth", "share", "", 4,
-        "Mean of |z - z0| / z0 against the unstylised field's depth z0 where both are opaque: zero where the shape "
-        "was kept.",
+        "Mean of |z - z0| / z0 against the depth z0 of field {plain}, from before stylisation and deformation, where "
+        "both are opaque: zero where the shape was kept.",
     ),
 )  # fmt: skip
 
 SHARED = (
     Kind(
         "see_through", "Seen through", "share", "lower", 4,
-        "Share of a view's surface points that the next view looks past: its depth there lies more than 5 % behind "
-        "them. Floaters count, and to a small degree silhouettes.",
-    ),
-    Kind(
-        "short_rmse", "Consistency short (correct), RMSE", "", "lower", 4,
-        "Frame k of {path} warped onto frame k+1 {warp_protocol}; root mean square over visible pixels and RGB; mean "
-        "of the pairs.",
-    ),
-    Kind(
-        "edit_short_rmse", "Consistency short within the region (correct), RMSE", "", "lower", 4,
-        "The same over the visible pixels of frame k+1 {inside}.",
-    ),
-    Kind(
-        "edit_long_rmse", "Consistency long within the region (correct), RMSE", "", "lower", 4,
-        "As short range, with frames {gap} apart.",
-    ),
-    Kind(
-        "short_perceptual", "Consistency short (correct), {perceptual_net}", "", "lower", 4,
-        "{perceptual_net} per pixel of the same pairs, averaged over visible pixels; elsewhere both images show the "
-        "target, so nothing counts.",
-    ),
-    Kind(
-        "short_share", "Consistency short (correct), visible", "share", "", 4,
-        "Visible pixels over opaque pixels of the target.",
-    ),
-    Kind(
-        "long_rmse", "Consistency long (correct), RMSE", "", "lower", 4,
-        "As short range, with frames {gap} apart.",
-    ),
-    Kind(
-        "long_perceptual", "Consistency long (correct), {perceptual_net}", "", "lower", 4,
-        "As short range, with frames {gap} apart.",
-    ),
-    Kind(
-        "long_share", "Consistency long (correct), visible", "share", "", 4,
-        "Visible pixels over opaque pixels of the target.",
+        "Share of a view's surface points that the view before it looks past, whose depth there lies more than 5 % "
+        "behind them. Floaters count, and to a small degree silhouettes.",
     ),
 )  # fmt: skip
+
+
+def _correct(label: str, words: str) -> tuple[Kind, ...]:
+    """Our own, of one range; of a local edit also within its region."""
+    name = f"Consistency {label} (correct)"
+    warped = f"Frame k of {{path}} warped onto frame {words} {{warp_protocol}}"
+    return (
+        Kind(
+            f"{label}_rmse", f"{name}, RMSE", "", "lower", 4,
+            f"{warped}; root mean square over visible pixels and RGB; mean of the pairs.",
+        ),
+        Kind(
+            f"edit_{label}_rmse", f"Consistency {label} within the region (correct), RMSE", "", "lower", 4,
+            f"{warped}; root mean square over RGB and the visible pixels of the target {{inside}}; mean of the pairs.",
+        ),
+        Kind(
+            f"{label}_perceptual", f"{name}, {{perceptual_net}}", "", "lower", 4,
+            f"{warped}; {{perceptual_net}} per pixel, averaged over visible pixels; elsewhere both images show the "
+            "target, so nothing counts.",
+        ),
+        Kind(
+            f"{label}_share", f"{name}, visible", "share", "", 4,
+            f"{warped}; visible pixels over opaque pixels of the target.",
+        ),
+    )  # fmt: skip
 
 
 def _script(label: str, words: str) -> tuple[Kind, ...]:
@@ -208,8 +200,8 @@ def _script(label: str, words: str) -> tuple[Kind, ...]:
         ),
         Kind(
             f"{label}_laenerf_script_perceptual", f"{name}, {{perceptual_net}}", "", "lower", 4,
-            "{perceptual_net} of the same two whole images, given 0..1 where -1..1 is expected. The script takes "
-            "LPIPS on AlexNet.",
+            "{perceptual_net} of the same two whole images of {path}, given 0..1 where -1..1 is expected. The script "
+            "takes LPIPS on AlexNet.",
         ),
         Kind(
             f"{label}_laenerf_script_flagged", f"{name}, flagged", "share", "", 4,
@@ -230,8 +222,8 @@ def _family(label: str, words: str) -> tuple[Kind, ...]:
         ),
         Kind(
             f"{label}_stylerf_family_perceptual", f"{name}, {{perceptual_net}}", "", "lower", 4,
-            "{perceptual_net} per pixel of the same pairs, averaged over the pixels that anything lands on; elsewhere "
-            "both images show the target.",
+            "{perceptual_net} per pixel of the same pairs of {path}, averaged over the pixels that anything lands on; "
+            "elsewhere both images show the target.",
         ),
         Kind(
             f"{label}_stylerf_family_share", f"{name}, reached", "share", "", 4, "Pixels that anything lands on.",
@@ -240,7 +232,7 @@ def _family(label: str, words: str) -> tuple[Kind, ...]:
 
 
 _RANGES = {"short": "k+1", "long": "k+{gap}"}
-PUBLISHED = tuple(kind for maker in (_script, _family) for some in _RANGES.items() for kind in maker(*some))
+FILMED = tuple(kind for maker in (_correct, _script, _family) for some in _RANGES.items() for kind in maker(*some))
 
-KINDS: tuple[Kind, ...] = (*EDITED, *EDITED_TRAINING, *FITTED, *STYLISED, *SHARED, *PUBLISHED)
+KINDS: tuple[Kind, ...] = (*EDITED, *EDITED_TRAINING, *FITTED, *STYLISED, *SHARED, *FILMED)
 BY_KEY: dict[str, Kind] = {kind.key: kind for kind in KINDS}

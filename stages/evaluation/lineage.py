@@ -32,6 +32,21 @@ def fields_behind(field: Artefact) -> list[Artefact]:
     return sources_of(field, ["field"])
 
 
+def field_before(field: Artefact) -> Artefact | None:
+    """The field that a local edit began with: the nearest behind it that shows the scene by itself; None without one.
+
+    A decomposition into a palette only prepares; changes of a palette are all changes of what it was learnt of.
+    """
+    passed = ("decompose", "recolour") if field.manifest.stage == "recolour" else ("decompose",)
+    return next((one for one in fields_behind(field) if one.manifest.stage not in passed), None)
+
+
+def field_unstylised(field: Artefact) -> Artefact | None:
+    """The nearest field behind a stylised one that is neither stylised nor bent for it; None without one."""
+    behind = (one for one in fields_behind(field) if one.manifest.stage != "deform_init")
+    return next((one for one in behind if not is_stylised(one)), None)
+
+
 def original_scene(scene: Artefact) -> Artefact:
     """The scene of photos that a scene of edited ones (stage `distill`) was made from, through all artefacts between.
 

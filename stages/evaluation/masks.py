@@ -48,6 +48,10 @@ class RegionMasks:
                 shown |= mask > SHOWN
         return shown | self._marched(render, missing) if missing else shown
 
+    def seen_from(self, render: Render) -> np.ndarray:
+        """[h, w] bool: what the unedited field shows of any of the regions where only another field was rendered."""
+        return self._marched(render, [region.cells for region in self._regions.values()])
+
     def _marched(self, render: Render, marked: list[np.ndarray]) -> np.ndarray:
         threads = set_threads(self._context.threads)
         shown = np.zeros(render.alpha.size, bool)

@@ -1,5 +1,6 @@
 """Networks that an evaluation looks through: perceptual distances, and the features of the painting."""
 
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -42,22 +43,38 @@ class Perceptual:
 
 def perceptual_distances(device: str) -> tuple[Perceptual | None, Perceptual | None]:
     """ST-LPIPS and LPIPS, each None where its weights are not here."""
+    tolerant, plain = (_loaded(found, device) for found in _perceptual_weights())
+    return tolerant, plain
+
+
+def networks_found(perceptual: bool, painted: bool, features: str) -> str:
+    """Names and digests of the networks that an evaluation looks through: perceptual ones, and a painting's features.
+
+    UsageError where a painting is to be looked at and there is no such trunk.
+    """
+    found = [one for one in _perceptual_weights() if one] if perceptual else []
+    found += [weights.resolve(features or None)] if painted else []
+    return ", ".join(f"{one.name} {one.digest[:16]}" for one in found)
+
+
+def _perceptual_weights() -> tuple[weights.ResolvedTrunk | None, weights.ResolvedTrunk | None]:
     # AlexNet first: at 504x378 on two cores ST-LPIPS on VGG-16 takes 2.4 times as long.
     names = sorted(weights.available_metrics(), key=lambda name: "alex" not in name)
     plain = next((name for name in names if name.startswith("lpips")), None)
     tolerant = next((name for name in names if name.startswith("st-lpips")), None)
-    return _loaded(("st-lpips-alex", tolerant) if tolerant else (), device), _loaded((plain,) if plain else (), device)
+    return _first_of(("st-lpips-alex", tolerant) if tolerant else ()), _first_of((plain,) if plain else ())
 
 
-def _loaded(names: tuple[str, ...], device: str) -> Perceptual | None:
+def _first_of(names: tuple[str, ...]) -> weights.ResolvedTrunk | None:
     """The first of these metrics whose weights are here."""
     for name in names:
-        try:
-            found = weights.resolve_metric(name)
-        except UsageError:
-            continue
-        break
-    else:
+        with suppress(UsageError):
+            return weights.resolve_metric(name)
+    return None
+
+
+def _loaded(found: weights.ResolvedTrunk | None, device: str) -> Perceptual | None:
+    if found is None:
         return None
     network = PerceptualDistance(found.state, found.kind).to(device).eval()
     return Perceptual(found.name, found.source, network, device)

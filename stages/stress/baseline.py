@@ -8,6 +8,7 @@ from pathlib import Path
 
 from schemas.atomic import write_json
 from schemas.errors import BadInput, UsageError
+from stages.evaluation.figures import is_number
 from stages.stress.cells import REMEDIED, Cell
 from stages.stress.faults import METHODS
 
@@ -40,22 +41,36 @@ def read_baseline(path: Path, conditions: dict) -> list[dict]:
     """Its cells; BadInput where it cannot be read, UsageError where it was made under other conditions."""
     try:
         content = json.loads(path.read_text())
-        cells, made = content["cells"], content["conditions"]
         if content["schema"] != SCHEMA:
             raise BadInput(f"--baseline {path} is of schema {content['schema']}, expected {SCHEMA}; write it anew")
-        for cell in cells:
-            _ = float(cell["successes"]) / cell["count"], cell["method"], cell["fault"], cell["median"], cell["spread"]
+        cells, made = _checked(content)
     except OSError as error:
         raise BadInput(
             f"--baseline {path} cannot be read ({error.strerror}); --write-baseline {path} makes one"
         ) from error
-    except (ValueError, KeyError, TypeError, AttributeError, ZeroDivisionError) as error:
+    except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
         raise BadInput(f"--baseline {path} is no baseline ({error!r}); --write-baseline {path} makes one") from error
     differing = [key for key in {**made, **conditions} if made.get(key) != conditions.get(key)]
     if differing:
         told = ", ".join(f"{key} {made.get(key)!r}, now {conditions.get(key)!r}" for key in sorted(differing))
         raise UsageError(f"--baseline {path} was made under other conditions: {told}; give the same, or write it anew")
     return cells
+
+
+def _checked(content: dict) -> tuple[list[dict], dict]:
+    """Cells and conditions; ValueError, KeyError or TypeError where they are not what `write_baseline` writes."""
+    cells, made = content["cells"], content["conditions"]
+    if not isinstance(cells, list) or not isinstance(made, dict):
+        raise ValueError("cells are a list, conditions an object")
+    for cell in cells:
+        if not (isinstance(cell["method"], str) and isinstance(cell["fault"], str)):
+            raise ValueError(f"a cell of {cell['method']!r} under {cell['fault']!r}")
+        counts = cell["successes"], cell["count"]
+        if not (all(isinstance(one, int) for one in counts) and 0 <= counts[0] <= counts[1] and counts[1] > 0):
+            raise ValueError(f"{counts[0]!r} of {counts[1]!r} runs")
+        if wrong := [one for one in (cell["median"], cell["spread"]) if one is not None and not is_number(one)]:
+            raise ValueError(f"{wrong[0]!r} is no score")
+    return cells, made
 
 
 def compared(before: Sequence[dict], cells: Sequence[Cell]) -> Compared:

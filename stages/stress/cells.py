@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass
 
 from stages.stress.faults import FAULTS, METHODS
 
-REMEDIED = " + remedies"
+REMEDIED, REMEDIED_FILE = " + remedies", "-remedied"  # in words; in names of files
 
 
 @dataclass(frozen=True)
@@ -36,8 +36,13 @@ class Outcome:
 
     @property
     def name(self) -> str:
-        """Of its files: method, fault and seed."""
-        return f"{self.method}{'-remedied' if self.remedies else ''}--{self.fault}--{self.seed}"
+        """Of its files."""
+        return run_name(f"{self.method}{REMEDIED_FILE if self.remedies else ''}", self.fault, self.seed, self.key)
+
+
+def run_name(label: str, fault: str, seed: int, key: str) -> str:
+    """Of a run's files: what it is of, then enough of its key that runs of other options do not share one."""
+    return f"{label}--{fault}--{seed}--{key[:12]}"
 
 
 @dataclass(frozen=True)

@@ -10,16 +10,17 @@ from stages.stress.cells import Outcome
 FOLDER = "runs"
 
 
-def kept_outcome(root: Path, outcome_name: str, key: str) -> Outcome | None:
-    """The outcome of that name if it was made under this very key; None where there is none, or a damaged file."""
-    path = root / FOLDER / f"{outcome_name}.json"
-    try:
-        content = json.loads(path.read_text())
-    except (OSError, ValueError):
-        return None
-    if not isinstance(content, dict) or content.keys() != {item.name for item in fields(Outcome)}:
-        return None
-    return Outcome(**content) if content["key"] == key else None
+def kept_outcome(root: Path, run: str, key: str) -> Outcome | None:
+    """The outcome of the run of that name if it was made under this very key; None without one, or a damaged file."""
+    for name in (run, run.rpartition("--")[0]):  # files of before had no key in their name
+        try:
+            content = json.loads((root / FOLDER / f"{name}.json").read_text())
+        except (OSError, ValueError):
+            continue
+        sound = isinstance(content, dict) and content.keys() == {item.name for item in fields(Outcome)}
+        if sound and content["key"] == key:
+            return Outcome(**content)
+    return None
 
 
 def keep_outcome(root: Path, outcome: Outcome) -> None:

@@ -104,7 +104,10 @@ def _table(cells: Sequence[Cell]) -> str:
             f"<td>{escape(f'{name} ({unit})' if unit else name)}</td>{numbers}"
             f'<td class="number">{duration(cell.seconds)}</td><td>{escape("; ".join(cell.whys))}</td></tr>'
         )
-    caption = "Scores on test views without a fault; spread: standard deviation over the seeds; – : no picture came"
+    caption = (
+        "Scores on test views without a fault; spread: standard deviation over the seeds; – : no picture came; time: "
+        "of all that the runs are made of, what they share counted with each"
+    )
     return table("Every cell", caption, heads, (2, 4, 5, 6, 7), rows, "dense")
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from stylerf.errors import InvalidValue
-from stylerf.style.colour import LUMA
+from stylerf.light import LUMA
 
 
 @dataclass(frozen=True)

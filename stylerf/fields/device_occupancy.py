@@ -2,6 +2,7 @@
 
 import math
 
+import numpy as np
 import torch
 import torch.nn.functional as F
 from torch import Tensor
@@ -16,13 +17,16 @@ def refresh(field, seed: int, share: int, decay: float) -> None:
     """Look at one cell in `share` of a DeviceField at a random point, then decide anew what is occupied."""
     device, cells = field.device, field.cells
     generator = torch.Generator(device).manual_seed(seed)
-    index = torch.arange(seed % share, cells**3, share, device=device)
+    start = int(np.random.default_rng(seed).integers(share))  # as on the CPU: seeds may all leave one remainder
+    index = torch.arange(start, cells**3, share, device=device)
     corner = torch.stack([index // cells**2, index // cells % cells, index % cells], 1)
     points = (corner + torch.rand(corner.shape, generator=generator, device=device)) / cells
     seen = field.density.sigma(points.contiguous())
     field.highest.clamp_(max=1e4)  # infinite where nobody has looked yet
     old = field.highest[index]
     field.highest[index] = torch.maximum(torch.where(old >= 1e4, 0.0, old * decay), seen)
+    if field.clear is not None:
+        field.highest.masked_fill_(field.clear, 0.0)
     least = -math.log1p(-OPAQUE_STEP) / (OPTICAL_SCALE * field.step)
     occupied = field.highest > field.highest.clamp(max=1e4).mean().clamp(max=least)
     if field.clear is not None:

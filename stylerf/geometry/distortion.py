@@ -121,7 +121,7 @@ def from_colmap(model: str, params: list[float]) -> tuple[tuple[float, float, fl
 def pinhole_of(
     size: tuple[int, int], intrinsics: tuple[float, float, float, float], distortion: Distortion
 ) -> tuple[float, float, float, float]:
-    """fx, fy, cx, cy of the pinhole of the same size (width, height) that shows the largest rectangle of the picture
+    """fx, fy, cx, cy of the pinhole of the same size (width, height) and shape of pixels that shows most of the picture
     without a blank pixel.
 
     InvalidValue where the distortion folds the picture so that its edge has no counterpart.
@@ -147,8 +147,11 @@ def pinhole_of(
     lower, upper = np.maximum(lower, -WIDEST_SLOPE), np.minimum(upper, WIDEST_SLOPE)
     if not (lower < upper).all():
         raise InvalidValue("its distortion leaves no rectangle of the picture; check its coefficients")
-    fx, fy = np.array([width, height]) / (upper - lower)
-    return float(fx), float(fy), float(-lower[0] * fx), float(-lower[1] * fy)
+    # One scale: pixels keep the shape that they have on the sensor, and the longer way of the rectangle is cut.
+    scale = max(width / (upper[0] - lower[0]) / fx, height / (upper[1] - lower[1]) / fy)
+    fx, fy = scale * fx, scale * fy
+    cx, cy = np.array([width, height]) / 2 - (lower + upper) / 2 * [fx, fy]
+    return float(fx), float(fy), float(cx), float(cy)
 
 
 def source_positions(

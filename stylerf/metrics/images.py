@@ -8,10 +8,10 @@ import numpy as np
 from skimage.metrics import structural_similarity
 
 from stylerf.errors import InvalidValue
+from stylerf.light import LUMA
 
 SSIM_WINDOW = 11  # pixels: what a Gaussian of sigma 1.5 cut at 3.5 sigma covers
 SSIM_SIGMA = 1.5
-LUMA = np.array([0.2126, 0.7152, 0.0722])  # Rec.709
 
 
 def mse(a: np.ndarray, b: np.ndarray, mask: np.ndarray | None = None) -> float:

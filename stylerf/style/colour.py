@@ -14,10 +14,10 @@ import torch
 from torch import Tensor
 
 from stylerf.errors import InvalidValue
+from stylerf.light import LUMA
 
 VARIANCE_FLOOR = 1e-8  # eigenvalues of a covariance below this are raised to it (ARF clamps its singular values so)
 HARMONIC_0 = 0.28209479177387814  # the constant spherical harmonic, 1 / (2 sqrt(pi))
-LUMA = (0.2126, 0.7152, 0.0722)  # Rec.709
 
 
 @dataclass(frozen=True)
@@ -116,6 +116,18 @@ def spread_at_least(painting: Tensor, least: float) -> Tensor:
     signs[1::2] = -1
     inside = flat.clamp(step, 1 - step)
     return (inside + step * signs).reshape(painting.shape).to(painting.dtype)
+
+
+def strokes_in(painting: Tensor, least: float) -> float:
+    """0..1: what there is of strokes in a painting [3, h, w], its colours' spread (rms over channels) over `least`.
+
+    Features of a blank one are alike everywhere: a scene that is taught them loses its own and gains noise.
+    """
+    if least <= 0:
+        return 1.0
+    flat = painting.double().flatten(1)
+    spread = float((flat - flat.mean(1, keepdim=True)).square().mean()) ** 0.5
+    return min(1.0, spread / least)
 
 
 def match_harmonics(coefficients: Tensor, colour_map: ColourMap) -> Tensor:

@@ -6,7 +6,6 @@ of samples, comes back by itself a few steps later (device_traffic.py).
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from itertools import pairwise
 
 import numpy as np
 import torch
@@ -18,7 +17,7 @@ from stylerf.fields.field import RadianceField
 from stylerf.kernels.gpu import launch
 from stylerf.training.device_rays import DeviceBank
 from stylerf.training.device_traffic import Reports
-from stylerf.training.engine import Batch, Learnt
+from stylerf.training.engine import Batch, Learnt, parts_of
 from stylerf.training.optimiser import BETA1, BETA2, EPSILON
 from stylerf.training.ranks import ALONE, Ranks
 from stylerf.training.rays import RayBank
@@ -138,15 +137,26 @@ class DeviceEngine:
     ) -> None:
         self.device, self.ranks, self.clip = torch.device(device), ranks, clip
         self.bank, self.seed = DeviceBank(bank, self.device), seed
+        self._parts, self.density_adam, self.colour_adam = (None, None), None, None
         self.room = max(LEAST_ROOM if self.device.type == "cuda" else 0, ROOM * samples)
         self.adopt(field)
 
     def adopt(self, field: RadianceField) -> None:
         self._host, self._stale = field, False
         self.live = DeviceField(field, self.device)
-        self.density_adam = DeviceAdam(self.live.density.values, self.live.density.groups, self.clip)
-        self.colour_adam = DeviceAdam(self.live.colour.values, self.live.colour.groups, self.clip)
+        parts = field.density, field.colour
+        kept = [old is part for old, part in zip(self._parts, parts)]
+        self.density_adam = self._adam_of(self.live.density, self.density_adam if kept[0] else None)
+        self.colour_adam = self._adam_of(self.live.colour, self.colour_adam if kept[1] else None)
+        self._parts = parts
         self._reports = Reports(self.device, 3, _learnt, Learnt(0.0, 0.0), in_step=self.ranks.count > 1)
+
+    def _adam_of(self, part, before: DeviceAdam | None) -> DeviceAdam:
+        """Of a part's new tensors; `before` is that of the same part."""
+        adam = DeviceAdam(part.values, part.groups, self.clip)
+        if before is not None:
+            adam.first, adam.second, adam.usual, adam.steps = before.first, before.second, before.usual, before.steps
+        return adam
 
     @property
     def field(self) -> RadianceField:
@@ -173,9 +183,10 @@ class DeviceEngine:
         seed = (self.seed * 1_000_003 + batch.step) & 0x7FFFFFFF
         level = None if batch.background == "random" else 0.0 if batch.background in ("black", "none") else 1.0
         own = self.ranks.own(batch.rays)
-        edges = [own.start + (own.stop - own.start) * i // batch.parts for i in range(batch.parts + 1)]
-        for first, end in pairwise(edges):
-            drawn = self.bank.draw(seed, first, end - first, batch.rays, batch.among, batch.lit_share, level)
+        for part in parts_of(own.start, own.stop, batch.parts):
+            drawn = self.bank.draw(
+                seed, part.start, part.stop - part.start, batch.rays, batch.among, batch.lit_share, level
+            )
             rendered = field.render_rays(drawn.rays, room=-(-self.room // batch.parts))
             scale = 2 / (3 * batch.rays)
             gradients = launch.photometric_loss(

@@ -5,6 +5,7 @@ CPU (here) or on a GPU (stylerf/training/device_engine.py).
 """
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Protocol
 
 import numpy as np
@@ -126,6 +127,12 @@ def coverage_gradient(alpha: np.ndarray, wanted: np.ndarray, weight: float, rays
     return (np.float32(2 * weight / rays) * (alpha - wanted)).astype(np.float32)
 
 
+def parts_of(start: int, stop: int, parts: int) -> list[slice]:
+    """start..stop cut into `parts` of about one size; those that would be empty are left out."""
+    edges = [start + (stop - start) * i // parts for i in range(parts + 1)]
+    return [slice(first, end) for first, end in pairwise(edges) if first < end]
+
+
 class CpuEngine:
     """numba kernels on `chunks` threads; the same seed gives the same bits."""
 
@@ -170,8 +177,7 @@ class CpuEngine:
         jitter = generator.random(count, dtype=np.float32)[own]
         background = background_of(batch.background, count, generator)[own]
         error, live = 0.0, 0
-        for part in np.array_split(np.arange(len(origins)), batch.parts):
-            part = slice(int(part[0]), int(part[-1]) + 1)
+        for part in parts_of(0, len(origins), batch.parts):
             rays = Rays.of(origins[part], directions[part], near, jitter[part])
             with self._memory.round():
                 squares, samples = self._learn_part(batch, rays, colours[part], background[part])

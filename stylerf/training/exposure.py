@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from stylerf.light import decoded
+from stylerf.light import LUMA, decoded
 from stylerf.training.rays import RayBank
 
 POINTS = 16384  # surface points in all, at least LEAST of them a photo
@@ -20,7 +20,6 @@ DARKEST, BRIGHTEST = 0.03, 0.97  # code values between which light tells of expo
 CLIPPED = 250  # the byte from which a sensor may have been full
 SOLID = 0.9  # alpha of a surface
 APART = 0.03  # of its distance: by so much a point may lie off the surface that another photo sees there
-LUMA = np.array([0.2126, 0.7152, 0.0722])  # of Rec.709
 ROUNDS = 20
 FEWEST_PHOTOS = 12  # with fewer, depth is no ground to judge by: nothing is done unless asked for
 PLAINLY = 0.27  # stops, standard deviation, from which photos are not as one camera setting gives them
@@ -66,8 +65,11 @@ class Exposures:
     def _seen_again(self, points: np.ndarray, known: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """(point, view, pixel) [m] of the first OTHERS photos that each known point falls into."""
         pixels = np.full(self.others.shape, -1)
-        for view, camera in enumerate(self.bank.cameras):
-            at, place = np.nonzero((self.others == view) & known[:, None])
+        by_view = np.argsort(self.others, axis=None, kind="stable")
+        edges = np.searchsorted(self.others.reshape(-1)[by_view], np.arange(len(self.bank.cameras) + 1))
+        for camera, first, end in zip(self.bank.cameras, edges[:-1], edges[1:], strict=True):
+            at, place = np.divmod(by_view[first:end], TRIED)
+            at, place = at[known[at]], place[known[at]]
             position, depth = camera.project(points[at])
             column, row = np.floor(np.clip(position, -1, 1e6)).astype(np.int64).T
             inside = (depth > 0) & (column >= 0) & (column < camera.width) & (row >= 0) & (row < camera.height)

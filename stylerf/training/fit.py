@@ -72,7 +72,8 @@ class Fitter:
         )
         self.engine = (engine or CpuEngine)(bank, seed, chunks, first, ranks)
         self._held_out_rays = self._choose_held_out()
-        self.exposures = Exposures(bank, seed) if settings.exposure != "off" else None
+        enough = settings.exposure == "on" or (settings.exposure == "auto" and len(bank.cameras) >= FEWEST_PHOTOS)
+        self.exposures = Exposures(bank, seed) if enough else None
         self._anchor: dict | None = None
         self._refreshed_at = -1
         self.between_steps = True
@@ -144,26 +145,31 @@ class Fitter:
         error = np.clip(over(out[:, :3], out[:, 3:4], background) - target(colours, background), -1, 1)
         return psnr_from_mse(self.ranks.of_first(float(np.square(error).mean(dtype=np.float64))))
 
-    def _balance(self) -> None:
-        """Judge anew by how many stops photos differ, and take them for what they then show."""
+    def _balance(self, quality: float) -> float:
+        """Judge anew by how many stops photos differ, and take them for what they then show.
+
+        From the held-out quality to that on the photos as they then are. What was measured on other photos is brought
+        to these: else a new look would pass for a fall, or a gain.
+        """
         first = self.state.stops is None
         before = np.zeros(len(self.bank.cameras)) if first else np.array(self.state.stops)
         stops = self.exposures.judged(self.engine.rendered, before)
         self.ranks.take_first(stops)
         if first:
             differ = f"photos differ in exposure by {stops.std():.2f} stops (standard deviation)"
-            if self.settings.exposure == "auto" and (len(stops) < FEWEST_PHOTOS or stops.std() < PLAINLY):
+            if self.settings.exposure == "auto" and stops.std() < PLAINLY:
                 self.state.stops = []
-                return
+                return quality
             self.on_say(f"{differ}: they are brought to one; --exposure off takes them as they are")
             self.state.decisions.append(f"{differ}: brought to one")
-        before_it = self.held_out_psnr()
         self._expose(stops.tolist())
-        # What was measured on other photos is brought to these: else a new look passes for a fall, or a gain.
-        shift = self.held_out_psnr() - before_it
+        shift = self.held_out_psnr() - quality
         self.state.best += shift
+        if self.state.whole is not None:
+            self.state.whole += shift
         if self.state.trial is not None:
             self.state.trial["before"] += shift
+        return quality + shift
 
     def _expose(self, stops: list[float]) -> None:
         self.state.stops = stops
@@ -263,10 +269,13 @@ class Fitter:
         self.engine.settle()
         state.seconds += self.ranks.of_first(time.perf_counter() - begun)
         self.engine.agree()
-        judging = self.exposures is not None and state.stops != []
-        if judging and EXPOSED_FROM <= self.progress <= self.settings.held_out_until:
-            self._balance()
         quality = self.held_out_psnr()
+        recovering = state.trial is not None and state.trial["what"] != GROW
+        # A fall this deep is no noise: the fit is on its way to a collapse, and more training would only deepen it.
+        fallen = not min(state.best, TELLING_PSNR) - quality <= 2.0 and not recovering  # so written, NaN is a fall too
+        judging = self.exposures is not None and state.stops != [] and not fallen and math.isfinite(quality)
+        if judging and EXPOSED_FROM <= self.progress <= self.settings.held_out_until:
+            quality = self._balance(quality)
         state.curve.append(
             {
                 "step": state.step,
@@ -276,9 +285,7 @@ class Fitter:
                 "held_out": self.held_out > 0 and self.progress < self.settings.held_out_until,
             }
         )
-        recovering = state.trial is not None and state.trial["what"] != GROW
-        # A fall this deep is no noise: the fit is on its way to a collapse, and more training would only deepen it.
-        if not min(state.best, TELLING_PSNR) - quality <= 2.0 and not recovering:  # so written, NaN is a fall too
+        if fallen:
             self._roll_back(f"{self._judges} fell from {state.best:.1f} to {quality:.1f} dB")
             return
         if climb.over(self.progress):

@@ -13,6 +13,7 @@ KEEP_EVERY = 25  # steps: what is kept is a checkpoint in memory, its copy costs
 class Guard:
     """asked: settings as they were asked for; their `rollbacks` of 0 keeps nothing and never goes back.
 
+    What is kept is in no checkpoint: a resumed run goes back to where it was resumed, or to what it has kept since.
     What it guards has checkpoint() and resume().
     """
 

@@ -228,7 +228,7 @@ class Referenced(Stylizer):
             self._painted = self._new_picture(self.to_paint[self.state.step // self.settings.reference_steps])
             self._painted.restore(moments)
         self._late = {int(k[5:]): v.copy() for k, v in arrays.items() if k.startswith("late.")}
-        self._late_matches = {}
+        self._late_matches, self._late_keys = {}, None
         for name, found in arrays.items():
             if name.startswith("matches."):
                 _, view, block = name.split(".")

@@ -16,7 +16,7 @@ import torch
 from stylerf.fields.field import RadianceField
 from stylerf.fields.surface import pixel_cells
 from stylerf.geometry.cameras import Camera
-from stylerf.style.colour import ColourMap, spread_at_least
+from stylerf.style.colour import ColourMap, spread_at_least, strokes_in
 from stylerf.style.objective import EVERYTHING, Content, GramObjective, StyleObjective, window_of
 from stylerf.style.trunks import Trunk
 from stylerf.training.geometry import FixedGeometry, MovingGeometry
@@ -62,6 +62,8 @@ class Repainting:
         device: str | None = None,
     ) -> None:
         self.device, self.memory = device, memory
+        weights, strokes = settings.weights, strokes_in(painting, settings.least_spread)
+        settings = replace(settings, weights=replace(weights, style=strokes * weights.style))
         self.settings, self.seed, self.chunks, self.background = settings, seed, chunks, np.float32(background)
         self._guard = Guard(settings)
         self.cameras, self.painting, self.trunk = cameras, painting, trunk
@@ -300,3 +302,4 @@ class Repainting:
         if self.state.phase != "refit":
             self._phase_begins()
         self._restore_own(arrays)
+        self._guard.look(self)

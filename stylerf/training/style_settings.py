@@ -15,7 +15,7 @@ class StyleSettings:
     of themselves. deform_rate, displacement_weight, displacement_vertices: see training/deformer. loss: nnfm or gram
     (style/objective). rounds, image_share, image_steps, image_rate: see training/alternating. reference_steps,
     reference_weight, template_weights, late: see training/referenced. rollbacks: see training/guard; clip:
-    training/optimiser; least_spread: style/colour.spread_at_least.
+    training/optimiser; least_spread: style/colour.spread_at_least, strokes_in.
     """
 
     steps: int = 0

@@ -34,7 +34,10 @@ def run(args, session) -> dict:
     from stages.comparison.runs import CHARTED, runs_of
     from stages.evaluation.figures import write_csv
 
-    works = [work_of(path) for path in dict.fromkeys(args.works)]
+    paths: dict[Path, Path] = {}
+    for path in args.works:
+        paths.setdefault(path.resolve(), path)
+    works = [work_of(path) for path in paths.values()]
     runs, gaps = runs_of(works)
     if not runs:
         maker = shlex.join(["stylerf", "fit", str(works[0].root)])

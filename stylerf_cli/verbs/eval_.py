@@ -6,7 +6,7 @@ from schemas.errors import UsageError
 from schemas.frames import FRAMES_FILE, read_frames
 from schemas.store import Artefact, Work
 from stages.configs.evaluate import EvaluateConfig
-from stages.configs.render import OWN_VIEWS, RenderConfig, label_of
+from stages.configs.render import OWN_VIEWS, label_of
 
 NAME = "eval"
 HELP = "measure a field: quality, style, consistency, cost; a report with pictures"
@@ -20,7 +20,8 @@ def add_arguments(parser) -> None:
     parser.add_argument(
         "--path",
         metavar="PATH",
-        help="camera path for consistency between views, rendered if it is not there (default: one that is there)",
+        help="camera path for consistency between views, rendered if it is not there with as many frames as the table "
+        "[render] asks for, 30 without one (default: the film that is there, whatever its length)",
     )
     parser.add_argument(
         "--region",
@@ -30,7 +31,10 @@ def add_arguments(parser) -> None:
         help="region of a local edit: what it changed there, and what it left of the background (several: their union)",
     )
     parser.add_argument(
-        "--base", metavar="FIELD", help="unedited field to compare a local edit with (default: the one it started from)"
+        "--base",
+        metavar="FIELD",
+        help="unedited field to compare a local edit with (default: the one it started from, or that its palette was "
+        "learnt of)",
     )
     parser.add_argument(
         "--robust-to",
@@ -43,7 +47,7 @@ def run(args, session) -> dict:
     """The report's place, its figures, its warnings and what was not measured."""
     from stages import evaluate
     from stages.evaluation.asked import pinned
-    from stages.evaluation.lineage import fields_behind, is_stylised
+    from stages.evaluation.lineage import field_unstylised, is_stylised
     from stages.evaluation.references import checked
     from stages.evaluation.views import SceneViews
     from stylerf_cli.chains import chosen_field, scene_of
@@ -54,7 +58,7 @@ def run(args, session) -> dict:
         )
     field = chosen_field(session, args.of)
     # Whatever cannot be is refused here, before minutes of rendering.
-    config = pinned(session.config)
+    config = pinned(session.config, field)
     if (args.robust_to or config.reference) and not is_stylised(field):
         raise UsageError(f"--reference and --robust-to are for a stylised field; {field.name} is none")
     scene = scene_of(session.work, field)
@@ -70,7 +74,7 @@ def run(args, session) -> dict:
     if film is not None:
         inputs["path_frames"] = film
     if is_stylised(field):
-        plain = next((one for one in fields_behind(field) if not is_stylised(one)), None)
+        plain = field_unstylised(field)
         if plain is not None:
             inputs["base_frames"] = frames_of(session, plain, "test")
     if twin is not None:
@@ -86,7 +90,7 @@ def edit_asked(session: Any, field: Artefact, args: Any) -> tuple[Artefact | Non
 
     UsageError where the field before it is not known.
     """
-    from stages.evaluation.lineage import fields_behind
+    from stages.evaluation.lineage import field_before
     from stylerf_cli.chains import chosen_field
 
     config = session.config
@@ -95,7 +99,7 @@ def edit_asked(session: Any, field: Artefact, args: Any) -> tuple[Artefact | Non
             raise UsageError("--base and --train-views are for a local edit; name it by --region, or give its --masks")
         return None, []
     regions = [session.work.find("region", name) for name in args.region]
-    base = chosen_field(session, args.base) if args.base else next(iter(fields_behind(field)), None)
+    base = chosen_field(session, args.base) if args.base else field_before(field)
     if base is None or base.name == field.name:
         raise UsageError(f"field {field.name} was made from no other field; name the unedited one by --base")
     return base, regions
@@ -114,19 +118,20 @@ def edit_inputs(session: Any, field: Artefact, base: Artefact, regions: list[Art
 
 
 def frames_of(session: Any, field: Artefact, path: str) -> Artefact:
-    """Frames of the field along `path`: the last that can be measured, else rendered now.
+    """Frames of the field along `path`: the last that can be measured and are as many as would be rendered, else those.
 
     Frames of the field that are of no use here, but were asked for once, are not replaced.
     """
-    from stages.render import pinned
-    from stylerf_cli.chains import ensure_frames
+    from stylerf.geometry.paths import PATHS
+    from stylerf_cli.chains import ensure_frames, frames_config
 
-    # A file of cameras may have changed since; whether it has, its digest tells.
-    digest = pinned(RenderConfig(path=path)).path_digest
+    wanted = frames_config(session, path)
     there = [
         frames
-        for frames, along in measurable(session.work, field)
-        if (frames.manifest.config.get("path_digest") == digest if digest else along == path)
+        for frames, along, count in measurable(session.work, field)
+        # A file of cameras may have changed since; whether it has, its digest tells.
+        if (frames.manifest.config.get("path_digest") == wanted.path_digest if wanted.path_digest else along == path)
+        and (path not in PATHS or count == wanted.count)
     ]
     if there:
         return last(there)
@@ -137,12 +142,12 @@ def frames_of(session: Any, field: Artefact, path: str) -> Artefact:
 
 def film_there(work: Work, field: Artefact) -> Artefact | None:
     """The last rendered frames of the field along a camera path that can be measured, None where there are none."""
-    films = [frames for frames, path in measurable(work, field) if path not in OWN_VIEWS]
+    films = [frames for frames, path, _ in measurable(work, field) if path not in OWN_VIEWS]
     return last(films) if films else None
 
 
-def measurable(work: Work, field: Artefact) -> list[tuple[Artefact, str]]:
-    """Frames of the field as it stands, and their paths: whole ones, with EXR, of the views' own size."""
+def measurable(work: Work, field: Artefact) -> list[tuple[Artefact, str, int]]:
+    """Frames of the field as it stands, their path and how many: whole ones, with EXR, of the views' own size."""
     found = []
     for one in work.artefacts("frames"):
         config = one.manifest.config
@@ -150,7 +155,7 @@ def measurable(work: Work, field: Artefact) -> list[tuple[Artefact, str]]:
         if whole and shows(one, field) and (one.path / FRAMES_FILE).is_file():
             frames = read_frames(one.path)
             if frames.field == field.name:
-                found.append((one, frames.path))
+                found.append((one, frames.path, len(frames.views)))
     return found
 
 

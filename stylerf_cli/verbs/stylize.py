@@ -17,6 +17,7 @@ from stages.configs.views import file_of
 NAME = "stylize"
 HELP = "stylise the whole scene or a region of it, or change its palette"
 CONFIG = StylizeConfig
+LONGEST_NAME = 60  # of a painting: what is made with it adds to it
 
 
 def options_for(argv: list[str]) -> type:
@@ -80,9 +81,10 @@ def _pinned_whole(config: StylizeConfig) -> tuple[StylizeConfig, str]:
     from schemas.canonical import file_sha256
     from stages.paintings import read_painting
     from stages.references import digest_of
+    from stages.weights import chosen
 
     pairs = [file_of(text) for text in config.reference]
-    config = replace(config, references_digest=digest_of(config.reference),
+    config = replace(config, references_digest=digest_of(config.reference), **chosen(config.features),
                      reference=tuple(f"{view}={file.resolve()}" for view, file in pairs))  # fmt: skip
     if not config.style:
         return config, name_of(pairs[0][1])
@@ -132,11 +134,13 @@ def pinned(config: RegionConfig, region: str) -> tuple[RegionConfig, str]:
     """The options with the painting's digest, checked before any work is done, and the name of the edit."""
     from schemas.canonical import file_sha256
     from stages import edit_learn
+    from stages.weights import chosen
 
     if not config.style:
         return config, f"{region}-recolor"
     style = painting_of(config.style)
-    config = replace(config, style=str(style.resolve()), style_digest=file_sha256(style))
+    pinned_files = {"style": str(style.resolve()), "style_digest": file_sha256(style)}
+    config = replace(config, **pinned_files, **chosen(config.features))
     edit_learn.cropped(config.learning)
     return config, f"{region}-{name_of(style)}"
 
@@ -164,10 +168,14 @@ def painting_of(text: str) -> Path:
 
 
 def name_of(style: Path) -> str:
-    """The painting's file name as an artefact's name may be written; by its content where nothing is left of that."""
+    """The painting's file name as an artefact's name may be written, cut short where it is long; by its content where
+    nothing is left of that."""
     from schemas.canonical import file_sha256
 
-    return re.sub(r"[^A-Za-z0-9._+-]+", "_", style.stem).strip("._+-") or f"style-{file_sha256(style)[:6]}"
+    name = re.sub(r"[^A-Za-z0-9._+-]+", "_", style.stem).strip("._+-")
+    if 0 < len(name) <= LONGEST_NAME:
+        return name
+    return f"{name[: LONGEST_NAME - 7] or 'style'}-{file_sha256(style)[:6]}"
 
 
 def tell_replaced(session, kind: str, name: str, config) -> None:

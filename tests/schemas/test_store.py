@@ -194,8 +194,10 @@ def test_a_death_between_the_two_renames_is_mended(tmp_path, monkeypatch):
         begun.commit()
     monkeypatch.undo()
     begun.release()
-    assert work.begin("field", "fox", recipe(seed=1)).resumed is False
-    assert work.get("field", "fox").digest == old
+    again = work.begin("field", "fox", recipe(seed=1))
+    assert again.resumed and work.get("field", "fox").digest == old
+    assert again.commit().digest == work.get("field", "fox").digest != old
+    assert not work.begin("field", "fox", recipe(seed=1)).resumed
 
 
 def _hold(root, ready, done):

@@ -9,6 +9,8 @@ LABELS = {"psnr": ("PSNR", "dB", "higher"), "nnfm": ("NNFM distance to the paint
           "content_ssim": ("Content SSIM", "", "higher"), "background_mse": ("Background MSE", "", "lower"),
           "bleeding": ("Change beside the region", "", "lower"), "sparsity": ("Palette sparsity L_sp", "", "lower"),
           "short_rmse": ("Consistency short (correct), RMSE", "", "lower"),
+          "short_share": ("Consistency short (correct), visible", "share", ""),
+          "long_share": ("Consistency long (correct), visible", "share", ""),
           "long_rmse": ("Consistency long (correct), RMSE", "", "lower")}  # fmt: skip
 
 
@@ -66,8 +68,11 @@ def edited(
     return field
 
 
-def report(work: Work, field: Artefact, figures: dict, edit: dict | None = None, protocol: str = "as ever") -> Artefact:
-    """What `stylerf eval` leaves, as far as a comparison looks at it."""
+def report(
+    work: Work, field: Artefact, figures: dict, edit: dict | None = None, protocol: str = "as ever", **more
+) -> Artefact:
+    """What `stylerf eval` leaves, as far as a comparison looks at it. more: of its manifest; `regions`, artefacts."""
+    inputs = {"field": field} | {f"region.{one.name}": one for one in more.pop("regions", ())}
     told = [
         {"key": key, "mean": mean, "label": LABELS[key][0], "unit": LABELS[key][1], "better": LABELS[key][2],
          "protocol": protocol}
@@ -77,7 +82,7 @@ def report(work: Work, field: Artefact, figures: dict, edit: dict | None = None,
     def write(folder) -> None:
         (folder / "report.json").write_text(json.dumps({"figures": told, "painting": "style.png", "edit": edit}))
 
-    return made.commit(work, "report", field.name, "evaluate", {"field": field}, write, figures=figures)
+    return made.commit(work, "report", field.name, "evaluate", inputs, write, figures=figures, **more)
 
 
 def _nothing(folder) -> None:

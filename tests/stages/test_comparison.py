@@ -51,6 +51,18 @@ def test_families_and_costs_are_those_of_the_manifests(work):
     assert by_name["fit-60s"].settings == "60s, grow" and by_name["starry-desrf"].method == "desrf"
 
 
+def test_a_consistency_of_few_pixels_is_on_no_front_and_that_is_said(work):
+    scene, base = work.get("scene", "wall"), work.get("field", "fit-10s")
+    figures = STYLE | {"short_rmse": 0.001, "short_share": 0.036, "long_share": 0.2}
+    runs.stylised(work, scene, base, "few", 5.0, figures, budget="5s")
+    every = list(found(work)[0].values())
+    fronts = on_fronts(every, ["short_rmse", "long_rmse"])["room/few"]
+    assert "long_rmse/seconds" in fronts and not any(one.startswith("short") for one in fronts)
+    assert any(run.name == "few" for run in panel_of(every, "short_rmse", "seconds").runs)  # it is drawn all the same
+    (told,) = disagreements(every, ["short_rmse", "long_rmse"])
+    assert told.what == "room/few: short_rmse" and told.why.startswith("Told by 3.6% of the pixels alone")
+
+
 def test_a_changed_palette_is_an_edit_that_costs_what_its_learning_did(work):
     inputs = {"scene": work.get("scene", "wall"), "field": work.get("field", "fit-10s")}
     learnt = made.make_field(work, "palette", "decompose", inputs, seconds=60.0, peak_memory_mb=700)
@@ -106,6 +118,35 @@ def test_the_same_scene_in_two_folders_is_one_group(work, tmp_path):
     some, _ = runs_of([work, again])
     names = {run.title: run.group for run in some if run.family == FITS}
     assert names["a/room/fit-5s"] == names[f"{tmp_path.name}/room/fit-10s"] == f"{tmp_path.name}/room"
+
+
+def test_groups_are_known_by_content_and_called_by_names(work):
+    """Two paintings of one file name, one painting under two names; reference pictures; masks; regions."""
+    scene, base = work.get("scene", "wall"), work.get("field", "fit-10s")
+    for name, config in {
+        "a": {"style": "/one/starry.jpg", "style_digest": "1" * 64},
+        "b": {"style": "/other/starry.jpg", "style_digest": "2" * 64},
+        "c": {"style": "/other/night.jpg", "style_digest": "1" * 64},
+        "d": {"style": "", "reference": ["0=/one/x.png"], "references_digest": "3" * 64},
+        "e": {"style": "", "reference": ["0=/one/x.png"], "references_digest": "4" * 64},
+    }.items():
+        runs.stylised(work, scene, base, name, 20.0, STYLE, **config)
+    figures, regions = {"background_mse": 0.001, "bleeding": 0.1}, [work.get("region", "cup")]
+    for name, seconds, config, given in (
+        ("f", 51.0, {"masks": "/one/masks", "masks_digest": "5" * 64}, ()),
+        ("g", 52.0, {}, regions),
+        ("h", 53.0, {}, regions),
+        ("i", 54.0, {"masks": "/other/masks", "masks_digest": "6" * 64}, regions),
+    ):
+        runs.edited(work, scene, base, name, (1.0, 1.0, 1.0, seconds), {})
+        told = {"regions": [one.name for one in given]}
+        runs.report(work, work.get("field", name), figures, told, config=config, regions=given)
+    group = {name: run.group for name, run in found(work)[0].items()}
+    assert group["a"] == group["c"] != group["b"] and group["a"].startswith("room, starry.jpg (")
+    assert group["d"] != group["e"] and group["d"].startswith("room, after x.png (")
+    assert group["f"] != group["i"] and group["i"].startswith("room, masks masks (")
+    assert group["g"] == group["h"] != group["i"]
+    assert group["fit-10s"] == "room" and len({*group.values()}) == 10
 
 
 def test_what_is_missing_is_named_with_its_command(work):

@@ -7,14 +7,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from schemas.errors import UsageError
+from schemas.images import write_png
 from schemas.store import Work
-from stages import evaluate
+from stages import evaluate, weights
 from stages.configs.evaluate import EvaluateConfig
+from stages.evaluation.asked import pinned
 from stages.evaluation.film import Film, pairs_of
 from stages.evaluation.lenses import Lenses
 from stages.evaluation.views import SceneViews
 from stages.progress import Context
-from stages.runner import execute
+from stages.runner import execute, recipe_of
 from tests.stages import evaluation_fixture as made
 
 POSITIONS = [-0.3, 0.0, 0.3]
@@ -113,6 +116,38 @@ def test_the_same_evaluation_gives_the_same_bytes(fitted):
     work, inputs, artefact, _ = fitted
     again, _ = evaluated(work, inputs, name="again")
     assert [(r.path, r.sha256) for r in again.manifest.files] == [(r.path, r.sha256) for r in artefact.manifest.files]
+
+
+def test_a_report_of_before_a_network_was_installed_does_not_stand(tmp_path, monkeypatch):
+    here = {}
+
+    def resolved(name=None):
+        if (name or "trunk") not in here:
+            raise UsageError("not here")
+        return weights.ResolvedTrunk(name or "trunk", here[name or "trunk"], tmp_path, "", {}, "")
+
+    def recipe(field=None, **options):
+        return recipe_of(evaluate.SPEC, {}, pinned(EvaluateConfig(**options), field), 0).digest
+
+    monkeypatch.setattr(weights, "available_metrics", lambda: [one for one in here if "lpips" in one])
+    monkeypatch.setattr(weights, "resolve_metric", resolved)
+    monkeypatch.setattr(weights, "resolve", resolved)
+    without, silent = recipe(), recipe(perceptual="none")
+    here["st-lpips-vgg"] = "1" * 64
+    tolerant = recipe()
+    here["lpips-alex"] = "2" * 64
+    both = recipe()
+    here["lpips-alex"] = "3" * 64
+    assert len({without, tolerant, both, recipe()}) == 4 and recipe(perceptual="none") == silent
+    write_png(tmp_path / "style.png", np.zeros((4, 4, 3), np.uint8))
+    given = {"config": {"style": str(tmp_path / "style.png")}}
+    field = made.make_field(Work(tmp_path / "work"), "red", "stylize", {}, **given)
+    with pytest.raises(UsageError):
+        recipe(field)
+    here["trunk"] = "4" * 64
+    first = recipe(field)
+    here["trunk"] = "5" * 64
+    assert recipe(field) != first and "trunk 5555" in pinned(EvaluateConfig(), field).networks
 
 
 def test_nan_in_a_render_is_told_and_left_out(fitted, tmp_path, monkeypatch):

@@ -121,6 +121,22 @@ def test_the_same_flow_from_files_gives_the_same_figures(filmed, tmp_path, suffi
         evaluated(work, inputs, replace(ALL, flow=str(folder)), "fewer")
 
 
+def test_along_flow_too_the_background_is_neither_visible_nor_asked_for(tmp_path):
+    """A ball before nothing that brightens by 0.1 a frame: over all pixels it would be 0.1 of a small share."""
+    work = Work(tmp_path)
+    scene = made.make_scene(work, [0.0], background="alpha", depth=False)
+    field = made.make_field(work, "ball", "fit", {"scene": scene})
+    cameras = [made.camera(x, f"path_{i}") for i, x in enumerate((0.0, 0.02))]
+    seen = [made.look(camera, wall=False) for camera in cameras]
+    brighter = [replace(one, rgb=0.4 * one.rgb + 0.1 * i) for i, one in enumerate(seen)]
+    film = made.make_frames(work, "ball-slide", "slide", cameras, brighter, field, matched=False)
+    frames = made.make_frames(work, "ball-test", "test", cameras[:1], seen[:1], field)
+    given = {"scene": scene, "frames": frames, "path_frames": film, "field": field}
+    flows = write_flows(tmp_path / "flows", film, ".npy")
+    found = figures(evaluated(work, given, pinned(replace(QUIET, flow=str(flows))), "flow"))
+    assert found["short_rmse"] == pytest.approx(0.1, abs=0.02) and 0.7 < found["short_share"] <= 1
+
+
 def test_flow_of_another_size_or_none_at_all_is_told_in_words(filmed, tmp_path):
     work, inputs, _ = filmed
     folder = write_flows(tmp_path / "flows", inputs["path_frames"], ".npy")

@@ -50,6 +50,21 @@ def solid():
     return field
 
 
+def frames_with_masks(field: str, path: str, cameras, pictures, masks):
+    """Frames as `render` writes them where region half.x is there."""
+
+    def write(folder):
+        frames = []
+        for i, (view, seen, mask) in enumerate(zip(cameras, pictures, masks, strict=True)):
+            write_exr(folder / f"exr/{i}.exr", replace(made.exr_of(view, seen), masks={"half_x": mask}))
+            write_png(folder / f"png/{i}.png", np.zeros((72, 96, 3), np.uint8))
+            entry = FrameCamera(**made.camera_entry(view))
+            frames.append(Frame(view.name, f"exr/{i}.exr", f"png/{i}.png", entry, i if path == "test" else None))
+        write_frames(folder, Frames(field, path, tuple(frames), masks={"half.x": "half_x"}))
+
+    return write
+
+
 def nearest(inside: np.ndarray) -> np.ndarray:
     """Distance of each pixel to the nearest of the region, by looking at all of them."""
     places = np.argwhere(inside)
@@ -155,18 +170,11 @@ def test_masks_that_the_frames_hold_are_taken_instead_of_marching(made_up, measu
     work, inputs, plain, _, cameras = made_up
     region, base = inputs["region.half.x"], inputs["base_field"]
 
-    def write(folder):
-        frames = []
-        for i, (view, seen, x) in enumerate(zip(cameras, plain, POSITIONS, strict=True)):
-            exr = replace(made.exr_of(view, seen), masks={"half_x": seen_of_region(x) * 0.75})
-            write_exr(folder / f"exr/{i}.exr", exr)
-            write_png(folder / f"png/{i}.png", np.zeros((72, 96, 3), np.uint8))
-            frames.append(Frame(view.name, f"exr/{i}.exr", f"png/{i}.png", FrameCamera(**made.camera_entry(view)), i))
-        write_frames(folder, Frames("fit", "test", tuple(frames), masks={"half.x": "half_x"}))
-
     def never(*_):
         raise AssertionError("marched")
 
+    masks = [seen_of_region(x) * 0.75 for x in POSITIONS]
+    write = frames_with_masks("fit", "test", cameras, plain, masks)
     masked = made.commit(work, "frames", "masked", "render", {"field": base, "region.half.x": region}, write)
     with monkeypatch.context() as patch:
         patch.setattr(mask_module, "march_view", never)
@@ -217,12 +225,30 @@ def test_names_with_folders_are_not_mixed_up(tmp_path):
 
 
 def test_training_views_have_figures_of_their_own(made_up, measured):
-    work, inputs, *_ = made_up
-    more = {"train_frames": inputs["frames"], "unedited_train_frames": inputs["unedited_frames"]}
+    """Training frames that are darker by 0.1 and 0.02 than those of the test views, so that neither stands in."""
+    work, inputs, plain, painted, cameras = made_up
+    trained = [
+        [replace(seen, rgb=seen.rgb - np.float32(darker)) for seen in some]
+        for some, darker in ((plain, 0.1), (painted, 0.02))
+    ]
+    more = {
+        "train_frames": made.make_frames(work, "blue-train", "train", cameras, trained[1], inputs["field"]),
+        "unedited_train_frames": made.make_frames(
+            work, "fit-train", "train", cameras, trained[0], inputs["base_field"]
+        ),
+    }
     artefact, report = evaluated(work, inputs | more, name="trained")
-    assert figure(report, "train_background_mse")["mean"] == figure(report, "background_mse")["mean"]
-    assert figure(report, "train_background_mse")["reference"] == figure(report, "background_mse")["reference"]
-    assert figure(report, "train_background_ratio")["mean"] == figure(report, "background_ratio")["mean"]
+    wanted = [expected((work, inputs, *trained, cameras), view, 2, 4) for view in range(2)]
+    mse, before, change = (
+        np.mean([values[key] for values in wanted])
+        for key in ("background_mse", "background_mse_unedited", "change_inside")
+    )
+    found = figure(report, "train_background_mse")
+    assert found["mean"] == pytest.approx(mse, rel=0.01)
+    assert found["reference"]["the unedited renders"] == pytest.approx(before, rel=0.01)
+    assert figure(report, "train_background_ratio")["mean"] == pytest.approx(mse / before, rel=0.01)
+    assert figure(report, "train_change_inside")["mean"] == pytest.approx(change, rel=0.01)
+    assert abs(figure(report, "background_mse")["mean"] / mse - 1) > 0.05
     assert figure(report, "train_bleeding")["protocol"].startswith("On training views.")
     assert len(report["training_views"]) == 2 and artefact.file("training.csv").is_file()
     assert report["views"] == measured[1]["views"] and "Training views" in artefact.file("report.html").read_text()
@@ -259,7 +285,10 @@ def test_without_an_edit_nothing_of_it_is_told(made_up):
 
 
 def test_consistency_of_the_edit_is_that_of_its_own_pixels(made_up):
-    """Along a slide the region turns brighter by 0.1 a frame, and nothing else does."""
+    """Along a slide the region turns brighter by 0.1 a frame, and nothing else does.
+
+    The film's own masks, of the edited field, show all but the region: the unedited field decides.
+    """
     work, inputs, *_ = made_up
     path = [0.0, 0.05, 0.1]
     cameras = [made.camera(x, f"slide_{i}") for i, x in enumerate(path)]
@@ -268,7 +297,9 @@ def test_consistency_of_the_edit_is_that_of_its_own_pixels(made_up):
     for i, (x, seen) in enumerate(zip(path, steady)):
         rgb = np.where(seen_of_region(x)[..., None], np.float32(0.3 + 0.1 * i), seen.rgb)
         flickering.append(replace(seen, rgb=rgb))
-    film = made.make_frames(work, "blue-slide", "slide", cameras, flickering, inputs["field"], matched=False)
+    masks = [np.ones((72, 96)) - seen_of_region(x) for x in path]
+    write, given = frames_with_masks("blue", "slide", cameras, flickering, masks), inputs["region.half.x"]
+    film = made.commit(work, "frames", "blue-slide", "render", {"field": inputs["field"], "region": given}, write)
     _, report = evaluated(work, {**inputs, "path_frames": film}, replace(QUIET, gap=2), "film")
     assert figure(report, "edit_short_rmse")["mean"] == pytest.approx(0.1, abs=0.01)
     assert figure(report, "edit_long_rmse")["mean"] == pytest.approx(0.2, abs=0.01)

@@ -3,7 +3,7 @@
 import pytest
 
 from schemas.store import Work
-from stages.evaluation.lineage import edit_behind, fields_behind, upstream
+from stages.evaluation.lineage import edit_behind, field_before, field_unstylised, fields_behind, upstream
 from tests.stages import evaluation_fixture as made
 
 
@@ -36,3 +36,18 @@ def test_what_was_made_again_is_remarked(circle):
         "red": "made again after field blue",
         "blue": "",
     }
+
+
+def test_what_an_edit_and_a_stylisation_began_with(tmp_path):
+    """Behind palettes the field that they were learnt of, behind a stylised one that from before its deformation."""
+    work, field, before, unstylised = Work(tmp_path), None, {}, {}
+    for name, stage in (
+        ("fit", "nerf_fit"), ("head", "finetune"), ("palette", "decompose"), ("blue", "recolour"),
+        ("green", "recolour"), ("foot", "finetune"), ("bent", "deform_init"), ("starry", "stylize"),
+        ("starrier", "stylize"),
+    ):  # fmt: skip
+        field = made.make_field(work, name, stage, {"field": field} if field else {})
+        before[name], unstylised[name] = (one and one.name for one in (field_before(field), field_unstylised(field)))
+    assert before["fit"] is None and before["head"] == "fit" and before["foot"] == "green"
+    assert before["palette"] == before["blue"] == before["green"] == "head"
+    assert unstylised["starry"] == unstylised["starrier"] == "foot"

@@ -55,5 +55,7 @@ def test_a_container_may_leave_less_than_its_machine(monkeypatch, tmp_path):
     (tmp_path / "memory.current").write_text("1000000\n")
     monkeypatch.setattr(memory, "_CGROUP", tmp_path)
     assert free() == 2_000_000
+    (tmp_path / "memory.stat").write_text("anon 1\ninactive_file 500000\nactive_file 7\n")
+    assert free() == 2_500_000
     (tmp_path / "memory.max").write_text("max\n")
     assert free() > 10_000_000

@@ -3,6 +3,7 @@
 import errno
 import importlib
 import itertools
+import json
 import os
 import random
 import shutil
@@ -19,7 +20,7 @@ import pytest
 
 from schemas import atomic, partial
 from schemas.artefact import VERB_OF
-from schemas.errors import ArtefactDamaged, BadInput, OutOfResources, UsageError
+from schemas.errors import ArtefactDamaged, ArtefactStale, BadInput, OutOfResources, UsageError
 from schemas.manifest import MANIFEST
 from schemas.store import Artefact, Work
 from stages import clock, runner
@@ -229,6 +230,45 @@ def test_a_stage_resumes_where_it_stopped_and_the_clock_adds_up(tmp_path, expect
     assert made.manifest.figures["runs"] == 2
     assert 0.2 <= made.manifest.seconds < 20
     assert 5 < made.manifest.peak_memory_mb < 50_000
+
+
+def test_dear_work_with_other_options_is_not_lost_without_a_word(tmp_path, expected, monkeypatch):
+    work, said = Work(tmp_path / "x"), []
+
+    class Heard(Silent):
+        def say(self, text):
+            said.append(text)
+
+    def asked(config, **more):
+        return execute(SPEC, run, work, "fox", {}, config, Context(progress=Heard()), careful=True, **more)
+
+    def interrupted(inputs, config, partial, context):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        toy(work, function=interrupted)
+    told = json.loads((work.root / "field/.fox.partial/clock.json").read_text())
+    (work.root / "field/.fox.partial/clock.json").write_text(json.dumps(told | {"seconds": 3300.0}))
+    with pytest.raises(ArtefactStale, match="55 min of work with --steps 30, would be lost; run `stylerf toy`"):
+        asked(ToyConfig(steps=31))
+    made, _ = asked(ToyConfig())
+    assert made.digest == expected and made.manifest.seconds > 3300
+    assert asked(ToyConfig())[1]
+    assert said == ["going on with the interrupted toy of fox"]
+    asked(ToyConfig(steps=31))
+    assert said[1:] == [
+        "field fox, 55 min of work with --steps 30, is replaced once this is done; --name NAME keeps both"
+    ]
+    asked(ToyConfig())  # what took a moment goes without a word
+    with pytest.raises(KeyboardInterrupt):
+        toy(work, function=interrupted, config=ToyConfig(steps=40))
+    asked(ToyConfig(steps=41))
+    assert len(said) == 2
+    with pytest.raises(KeyboardInterrupt):
+        toy(work, function=interrupted)
+    (work.root / "field/.fox.partial/clock.json").write_text(json.dumps(told | {"seconds": 3300.0}))
+    asked(ToyConfig(steps=42), force=True)
+    assert work.unfinished() == []
 
 
 def test_peak_memory_is_that_of_the_stage_not_of_the_one_before(tmp_path):

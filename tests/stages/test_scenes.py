@@ -1,16 +1,18 @@
 """A scene artefact becomes cameras and images, and whatever does not fit together is damage."""
 
 import dataclasses
+import shutil
 
 import numpy as np
 import pytest
 
-from schemas.errors import ArtefactDamaged
+from schemas.errors import ArtefactDamaged, BadInput
 from schemas.exr import ExrView, write_exr
-from schemas.images import write_png
+from schemas.images import read_image, write_png
 from schemas.scene import Bounds, Scene, Truth, View, as_matrix, write_scene
 from schemas.store import Recipe, Work
 from schemas.tensors import save_tensors
+from stages import distill, finetune
 from stages.scenes import EDIT_TARGETS, EXPOSURE_STOPS, load_scene
 from stylerf.light import exposed
 from tests.stages.evaluation_fixture import commit
@@ -115,7 +117,37 @@ def test_photos_are_seen_at_the_exposure_of_the_fit(tmp_path):
         assert np.array_equal(seen.images(3), plain.images(3))
     alike = made_of("alike", {"scene": scene}, figures={EXPOSURE_STOPS: {}})
     assert np.array_equal(load_scene(scene, alike).images(1), plain.images(1))
+    assert load_scene(scene, fit).exposure_figures == {EXPOSURE_STOPS: stops}
+    # What was taught those photos tells it, whatever becomes of the fit.
+    told = load_scene(scene, fit).exposure_figures
+    bent = made_of("bent", {"scene": scene, "field": fit}, figures=told)
+    made_of("fit", {"scene": scene}, figures={EXPOSURE_STOPS: {}})
+    assert load_scene(scene, bent).stops == stops and load_scene(scene, painted).stops == {}
     # Photos that carry an edit already are at that exposure: distill has put the edit on what `seen_by` gives.
     (scene.path / EDIT_TARGETS).parent.mkdir()
     (scene.path / EDIT_TARGETS).touch()
-    assert np.array_equal(load_scene(scene, fit).images(1), plain.images(1))
+    assert np.array_equal(load_scene(scene, bent).images(1), plain.images(1))
+    assert load_scene(scene, bent).exposure_figures == {}
+
+
+def test_a_distilled_scene_holds_photos_of_one_exposure(tmp_path):
+    scene = make_capture(Work(tmp_path))
+    seen = dataclasses.replace(load_scene(scene), stops={"train_001": 1.0, "train_002": -0.5})
+    copy = tmp_path / "copy"
+    shutil.copytree(scene.path, copy)
+    distill._expose_others(seen, {1}, copy)
+    for index, wanted in ((1, load_scene(scene).images(1)), (2, seen.images(2)), (3, load_scene(scene).images(3))):
+        assert np.abs(read_image(copy / seen.views[index].image).pixels - wanted).max() < 0.51 / 255
+
+
+def test_a_view_without_an_edited_pixel_carries_no_edit(tmp_path):
+    scene = load_scene(make_capture(Work(tmp_path)))
+    (scene.folder / EDIT_TARGETS).parent.mkdir()
+    some = {"2.pixels": np.array([5, 6]), "2.depth": np.ones(2, np.float32)}
+    none = {"1.pixels": np.empty(0, np.int64), "1.depth": np.empty(0, np.float32)}
+    save_tensors(scene.folder / EDIT_TARGETS, none | some)
+    found = finetune.edited_pixels(scene, [1, 2, 3])
+    assert found.views.tolist() == [1, 1] and found.pixels.tolist() == [5, 6]
+    save_tensors(scene.folder / EDIT_TARGETS, none)
+    with pytest.raises(BadInput, match="no training view carries the edit"):
+        finetune.edited_pixels(scene, [1, 2, 3])

@@ -251,7 +251,14 @@ def test_other_conditions_and_files_that_are_none_are_refused(tmp_path):
         "{",
         json.dumps(content | {"cells": [{"method": "fit"}]}),
         json.dumps(content | {"schema": 9}),
-    ):
+        json.dumps(content | {"conditions": []}),
+        json.dumps(content | {"cells": {}}),
+        *(
+            json.dumps(content | {"cells": [content["cells"][0] | {key: wrong}]})
+            for key, wrong in (("median", "x"), ("median", float("nan")), ("spread", "3"), ("successes", "5"),
+                               ("count", 0), ("method", []))
+        ),
+    ):  # fmt: skip
         path.write_text(spoilt)
         with pytest.raises(BadInput):
             read_baseline(path, {"budget": "10"})
@@ -263,9 +270,14 @@ def test_other_conditions_and_files_that_are_none_are_refused(tmp_path):
 def test_an_outcome_stands_under_its_key_alone(tmp_path):
     one = outcome(seed=3, score=None, ok=False, figures={"psnr": 1.5})
     keep_outcome(tmp_path, one)
-    assert one.name == "fit--seeds--3"
+    assert one.name == "fit--seeds--3--k"
     assert kept_outcome(tmp_path, one.name, "k") == one
-    assert kept_outcome(tmp_path, one.name, "another") is None and kept_outcome(tmp_path, "none", "k") is None
+    other = outcome(seed=3, key="another", score=1.0)
+    keep_outcome(tmp_path, other)
+    assert kept_outcome(tmp_path, one.name, "k") == one and kept_outcome(tmp_path, other.name, "another") == other
+    (tmp_path / "runs" / f"{other.name}.json").rename(tmp_path / "runs" / "fit--seeds--3.json")  # as before
+    assert kept_outcome(tmp_path, other.name, "another") == other
+    assert kept_outcome(tmp_path, one.name, "third") is None and kept_outcome(tmp_path, "none", "k") is None
     (tmp_path / "runs" / f"{one.name}.json").write_text('{"key": "k"}')
     assert kept_outcome(tmp_path, one.name, "k") is None
 

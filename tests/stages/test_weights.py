@@ -155,6 +155,25 @@ def test_order_hub_then_hed_then_st(nowhere, packages, monkeypatch):
     assert weights.resolve().name == "st-vgg16"
 
 
+def test_a_recipe_names_the_weights_that_were_found_and_a_file_by_its_digest(nowhere, packages, monkeypatch):
+    assert weights.chosen("") == {"features": "hed-vgg16", "features_digest": ""}
+    in_hub(nowhere, monkeypatch)
+    assert weights.chosen("")["features"] == weights.resolve().name == "vgg16"
+    assert weights.chosen("st-vgg16")["features"] == "st-vgg16"
+    own = torchvision_file(nowhere / "own.pth")
+    before = weights.chosen(str(own))
+    assert before["features"] == str(own.resolve()) and len(before["features_digest"]) == 64
+    own.write_bytes(own.read_bytes() + b"x")
+    assert weights.chosen(str(own))["features_digest"] != before["features_digest"]
+    with pytest.raises(UsageError, match="neither"):
+        weights.chosen("resnet50")
+
+
+def test_a_recipe_without_weights_is_refused():
+    with pytest.raises(UsageError, match="no feature trunk is installed"):
+        weights.chosen("")
+
+
 def test_a_file_by_path_in_every_layout(nowhere):
     files = {
         "vgg16": torchvision_file(nowhere / "tv.pth"),

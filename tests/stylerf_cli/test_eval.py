@@ -70,6 +70,17 @@ def test_frames_that_stand_are_measured_and_told(work, renderer, capsys):
     assert "short_rmse" not in found["figures"]
 
 
+def test_other_networks_measure_anew(work, renderer, capsys, monkeypatch):
+    asked = []
+    monkeypatch.setattr(
+        "stages.evaluation.asked.networks_found", lambda *given: asked.append(given) or f"n{len(asked)}"
+    )
+    for number in (1, 2):
+        result(capsys, work.root)
+        assert work.get("report", "wall").manifest.config["networks"] == f"n{number}"
+    assert asked == [(False, False, "")] * 2
+
+
 def test_missing_and_outdated_frames_are_rendered(work, renderer, capsys):
     made.make_field(work, "wall", "fit", {"scene": work.get("scene", "wall")}, config={"other": 1})
     result(capsys, work.root)
@@ -110,6 +121,30 @@ def test_frames_along_a_file_of_cameras_stand_until_it_changes(work, renderer, c
         path.write_text(content)
         assert "short_rmse" in result(capsys, work.root, "--path", path)["figures"]
         assert len(renderer) == count
+
+
+def test_a_film_of_another_length_is_another_protocol(work, renderer, capsys, tmp_path):
+    kept = render(work, work.get("field", "wall"), "orbit").digest
+    (tmp_path / "nine.toml").write_text("[render]\ncount = 9\n")
+    found = result(capsys, work.root, "--path", "orbit", "--config", tmp_path / "nine.toml")
+    assert renderer == []
+    for key in ("short_rmse", "long_rmse", "short_share"):
+        assert "the path orbit of 9 frames" in found["protocols"][key]
+    result(capsys, work.root, "--path", "orbit")
+    assert renderer == [("wall", "orbit")] and work.get("frames", "wall-orbit").digest == kept
+
+
+def test_a_bent_field_is_no_measure_of_its_own_bending(work, renderer, capsys):
+    """The stylised field keeps the shape of the deformed one, whose depth is a fifth less than the fit's."""
+    bent = made.make_field(work, "bent", "deform_init", {"field": work.get("field", "wall")})
+    stylised = made.make_field(work, "red", "stylize", {"field": bent})
+    views = cameras("test")
+    seen = [made.Seen(one.rgb, one.alpha, one.z * 0.8) for one in map(made.look, views)]
+    for field in (bent, stylised):
+        made.make_frames(work, f"{field.name}-test", "test", views, seen, field)
+    found = result(capsys, work.root, "--of", "red")
+    assert found["figures"]["shape_change"] == pytest.approx(0.2, abs=1e-3) and renderer == []
+    assert "of field wall" in found["protocols"]["shape_change"]
 
 
 @pytest.mark.parametrize(

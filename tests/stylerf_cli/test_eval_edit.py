@@ -63,6 +63,18 @@ def test_an_edited_field_is_set_against_the_one_it_started_from(work, edited, ma
     }  # fmt: skip
 
 
+def test_a_recoloured_palette_is_set_against_what_it_was_learnt_of(work, edited, masks, renderer, capsys):
+    palette = made.make_field(work, "palette", "decompose", {"field": work.get("field", "wall")})
+    made.make_field(work, "red", "recolour", {"field": palette})
+    for of, base in (("blue", "wall"), ("red", "wall")):
+        found = result(capsys, work.root, "--of", of, "--region", "left", "--masks", masks)
+        inputs = {ref.role: ref.name for ref in work.get("report", of).manifest.inputs}
+        assert inputs["base_field"] == base
+        for key in ("background_ratio", "change_inside", "change_lab", "bleeding"):
+            assert f"field {base}" in found["protocols"][key], key
+    assert renderer == [("red", "test")]
+
+
 def test_words_tell_the_edit_beside_the_unedited_field(work, edited, masks, renderer, capsys):
     assert main(["eval", str(work.root), "--of", "blue", "--masks", str(masks), *FAST]) == 0
     words = capsys.readouterr().out

@@ -2,13 +2,14 @@
 
 import csv
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from schemas.errors import BadInput, OutOfResources
 from schemas.store import Work
-from stages.stress.criteria import Verdict
+from stages.stress.criteria import Seen, Verdict
 from stages.stress.faults import FAULTS, METHODS
 from stylerf.errors import Diverged
 from stylerf_cli import stress_chain, stress_edits
@@ -71,8 +72,11 @@ def test_files_and_json_tell_the_same(folder, runs, capsys):
     assert cells["blur", "fit"]["median"] == pytest.approx(9.1) and cells["seeds", "arf"]["rate"] == 1
     kept = json.loads((out / "stress.json").read_text())
     assert {key: result[key] for key in kept} == kept
-    for name in ("stress.html", "charts/heat_map.svg", "charts/heat_map.png", "worst/fit--blur--0.png"):
+    for name in ("stress.html", "charts/heat_map.svg", "charts/heat_map.png"):
         assert (out / name).is_file(), name
+    assert {path.stem for path in (out / "worst").iterdir()} == {path.stem for path in (out / "runs").iterdir()}
+    page = (out / "stress.html").read_text()
+    assert page.count("data:image/png") == 5 and (out / "worst" / cells["blur", "fit"]["worst"]["picture"]).is_file()
     with open(out / "cells.csv", newline="") as stream:
         rows = {(row["fault"], row["method"]): row for row in csv.DictReader(stream)}
     assert rows["blur", "fit"]["rate"] == "0.0" and float(rows["seeds", "fit"]["median"]) == pytest.approx(20.1)
@@ -95,6 +99,7 @@ def test_what_stands_is_not_run_again(folder, runs, capsys):
     assert stress(folder, "--style-budget", "11") == 0 and len(runs.made) == 16 + 9
     assert stress(folder, "--style-budget", "11", "--force") == 0 and len(runs.made) == 25 + 15
     assert stress(folder, "--style-budget", "11", "--seed", "1") == 0 and len(runs.made) == 40 + 5  # seed 3 is new
+    assert stress(folder) == 0 and len(runs.made) == 45  # what was run first is there still
     capsys.readouterr()
 
 
@@ -202,8 +207,8 @@ def test_an_edits_options_follow_its_fault(folder, runs, capsys):
     # Alike are, by their content: the two paintings of the stand-in, twice, and clusters where nothing is at random.
     assert len(keys) == len(runs.made) - 3
 
-    def options(method, fault, remedies=False, quick=False):
-        conditions = {"quick": quick, "style_budget": "25s"}
+    def options(method, fault, remedies=False, quick=False, budget="25s"):
+        conditions = {"quick": quick, "style_budget": budget}
         painting = folder / "stress" / "styles" / "ordinary-256-0.png" if METHODS[method].sees_painting else None
         return stress_edits.options_of(METHODS[method], FAULTS[fault], remedies, conditions, painting)
 
@@ -213,8 +218,35 @@ def test_an_edits_options_follow_its_fault(folder, runs, capsys):
     assert plain.changes != options("palettenerf", "palette-full").changes == ("all=#00ff00",)
     painted = options("laenerf-paint", "seeds")
     assert painted.changes == () and painted.described()["learning"].style == "-" and painted.learning.style_digest
-    assert options("palettenerf", "seeds").learning.budget == plain.finetune.budget == "25s"
-    assert options("palettenerf", "seeds", quick=True).learning.budget == "60"
+    assert options("palettenerf", "seeds").learning.budget == plain.finetune.budget == plain.learning.budget == "25s"
+    assert options("palettenerf", "seeds", quick=True, budget="15").learning.budget == "60"
+    stepped, quick = (options("laenerf-recolour", "seeds", quick=quick, budget="40") for quick in (False, True))
+    assert (stepped.finetune.budget, quick.finetune.budget) == ("40", "60")
+    assert stepped.learning.budget == quick.learning.budget == "1h"  # its steps decide
+    assert options("laenerf-recolour", "seeds", quick=True).learning.budget == "25s"
+
+
+def test_a_run_takes_as_long_as_all_that_it_is_made_of(folder, monkeypatch, capsys):
+    """Scene and fit are shared; a stage that fails counts as long as it ran."""
+    seconds = {"fault_scene": 1.0, "nerf_fit": 10.0, "stylize": 100.0}
+
+    def execute(spec, run, work, name, inputs, config, context):
+        if spec.stage == "stylize" and context.seed == 1:
+            raise Diverged("left the finite numbers")
+        return SimpleNamespace(manifest=SimpleNamespace(seconds=seconds[spec.stage])), False
+
+    view = Seen("v", np.zeros((4, 4, 3)), np.ones((4, 4, 3)))
+    monkeypatch.setattr(stress_chain, "execute", execute)
+    monkeypatch.setattr(stress_chain, "seen_from_tests", lambda *_: [view])
+    monkeypatch.setattr(stress_chain.criteria, "judged_style", lambda *_: Verdict(True, "", 0.5, 0))
+    monkeypatch.setattr(stress_chain, "painted", lambda *_: np.zeros((16, 16, 3)))
+    few = ("--methods", "fit", "arf", "--faults", "seeds", "--seeds", "2", "--budget", "10")
+    assert main(["stress", str(folder), *few, "--json"]) == 0
+    capsys.readouterr()
+    with open(folder / "stress" / "runs.csv", newline="") as stream:
+        told = {(row["method"], row["seed"]): float(row["seconds"]) for row in csv.DictReader(stream)}
+    assert told["fit", "0"] == told["fit", "1"] == 11 and told["arf", "0"] == 111
+    assert told["arf", "1"] == pytest.approx(11, abs=1)
 
 
 @pytest.mark.slow

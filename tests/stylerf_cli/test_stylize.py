@@ -53,6 +53,23 @@ def test_paintings_without_a_letter_of_ascii_get_names_apart(work, tmp_path, cap
     assert len(names(work)) == 2 and all(name.startswith("style-") for name in names(work))
 
 
+def test_long_names_are_cut_and_stay_apart(work, tmp_path, capsys):
+    long = "The_Shipwreck_of_the_Minotaur_1805_1810_oil_on_canvas_172_x_241_cm_Calouste_Gulbenkian_Museum_Lisbon"
+    for level, name in enumerate((f"{long}_a.png", f"{long}_b.png")):
+        assert "replaced" not in stylised(work, capsys, painting(tmp_path / name, level))
+    assert len(names(work)) == 2 and all(len(name) <= 64 and name.startswith(long[:50]) for name in names(work))
+
+
+def test_other_weights_make_the_field_anew(work, tmp_path, capsys, monkeypatch):
+    style = painting(tmp_path / "night.png", 0)
+    stylised(work, capsys, style, "--features", "st-vgg16")
+    assert "up to date" in stylised(work, capsys, style, "--features", "st-vgg16")
+    monkeypatch.setattr("stages.weights.describe", lambda: [{"name": "st-vgg16", "chosen": True}])
+    assert "up to date" in stylised(work, capsys, style)
+    monkeypatch.setattr("stages.weights.describe", lambda: [{"name": "hed-vgg16", "chosen": True}])
+    assert "up to date" not in stylised(work, capsys, style)
+
+
 def test_that_the_field_of_another_painting_is_replaced_is_said(work, tmp_path, capsys):
     one, other = (painting(tmp_path / folder / "night.png", level) for level, folder in enumerate("ab"))
     assert "replaced" not in stylised(work, capsys, one) + stylised(work, capsys, one, "--budget", "9")

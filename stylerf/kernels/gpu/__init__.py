@@ -7,6 +7,9 @@ tensors, slowly: that is how they are tested where there is no GPU.
 
 import importlib.util
 import os
+import shutil
+import sysconfig
+from pathlib import Path
 
 
 def interpreted() -> bool:
@@ -24,8 +27,18 @@ def unavailable() -> str | None:
 
     if not torch.cuda.is_available():
         return "torch finds no GPU that CUDA can use"
+    if why := _cannot_launch():
+        return why
     if torch.version.hip:
         return None
     major, minor = torch.cuda.get_device_capability()
     # Triton compiles for Volta too, but 64-bit and vector atomics are only tested from Ampere on.
     return None if major >= 8 else f"compute capability {major}.{minor}; 8.0 (Ampere) or newer is needed"
+
+
+def _cannot_launch() -> str | None:
+    """What Triton lacks to compile its launcher, a small C file for this Python, at the first kernel."""
+    if not (os.environ.get("CC") or shutil.which("gcc") or shutil.which("clang")):
+        return "Triton finds no C compiler; install gcc, or set CC to one"
+    header = Path(sysconfig.get_paths()["include"]) / "Python.h"
+    return None if header.is_file() else f"Triton needs {header}; install Python's headers (python3-dev)"

@@ -3,8 +3,11 @@
 import pytest
 import torch
 
-from stylerf.style.colour import LUMA, match_colours, spread_at_least
+from stylerf.light import LUMA
+from stylerf.style.colour import match_colours, spread_at_least, strokes_in
+from stylerf.training.stylize import Stylizer
 from tests.stylerf.style.small_trunk import picture
+from tests.stylerf.training.stylizing import made
 
 
 def luma(image: torch.Tensor) -> torch.Tensor:
@@ -30,6 +33,19 @@ def test_a_faint_one_gets_the_rest_and_keeps_its_mean_and_hues():
 def test_one_with_enough_is_left_alone():
     painting = picture(12, 12, 2)
     assert spread_at_least(painting, 0.1) is painting and spread_at_least(torch.ones(3, 4, 4), 0.0).eq(1).all()
+
+
+def test_a_blank_sheet_has_no_strokes_to_teach():
+    assert strokes_in(torch.ones(3, 8, 8), 0.1) == 0 and strokes_in(torch.ones(3, 8, 8), 0.0) == 1
+    faint = 0.5 + 0.04 * (picture(12, 12, 1) - 0.5)
+    spread = float(faint.double().std((1, 2), correction=0).square().mean()) ** 0.5
+    assert strokes_in(faint, 0.1) == pytest.approx(spread / 0.1)
+    # Red beside blue differs little in luma, and has strokes all the same.
+    blots = torch.zeros(3, 8, 8)
+    blots[0, :4], blots[2, 4:] = 1, 1
+    assert strokes_in(blots, 0.2) == 1
+    one = made(Stylizer, painting=torch.ones(3, 16, 16), least_spread=0.1)
+    assert one.settings.weights.style == 0 and one.settings.weights.content > 0
 
 
 def test_matching_to_a_blank_sheet_keeps_light_and_shade():

@@ -25,7 +25,9 @@ def settings(**more) -> StyleSettings:
     return StyleSettings(**{**small, "weights": StyleWeights(1.0, 0.02, 0.5), **more})
 
 
-def made(kind: type, seed: int = 0, apart: float = 1.3, raw: float = -3.0, more: dict | None = None, **given):
+def made(
+    kind: type, seed: int = 0, apart: float = 1.3, raw: float = -3.0, more: dict | None = None, painting=None, **given
+):
     """A stylisation of class `kind`. apart: radians between neighbouring looks. raw: of the fog's density."""
     field = field_of(BOX, 3, vm_colour(4))
     field.density.values[-1] = raw
@@ -35,7 +37,8 @@ def made(kind: type, seed: int = 0, apart: float = 1.3, raw: float = -3.0, more:
     def new_colour(generator, pixel_cells):
         return hash_colour(int(generator.integers(1000)))
 
-    args = (field, cameras, photos, GREY, picture(20, 24, 9), small_trunk(), settings(**given), seed, 1, new_colour)
+    painting = picture(20, 24, 9) if painting is None else painting
+    args = (field, cameras, photos, GREY, painting, small_trunk(), settings(**given), seed, 1, new_colour)
     return kind(*args, **(more or {}))
 
 

@@ -5,7 +5,7 @@ import pytest
 
 from stylerf.geometry.space import Space
 from stylerf.light import decoded, exposed
-from stylerf.training.exposure import PLAINLY, Exposures, balanced
+from stylerf.training.exposure import FEWEST_PHOTOS, PLAINLY, Exposures, balanced
 from stylerf.training.fit import Fitter
 from stylerf.training.rays import RayBank
 from tests.stylerf.training.running import resumed, run_until
@@ -96,12 +96,13 @@ def test_a_fit_brings_photos_to_one_exposure_and_gains_by_it():
 
 @pytest.mark.parametrize("exposure", ["off", "auto"])
 def test_photos_of_one_exposure_are_taken_as_they_are(exposure):
-    fitter = box_fitter(40, exposure=exposure)
+    photos = uneven_bank(np.zeros(FEWEST_PHOTOS))
+    fitter = box_fitter(40, bank=photos, exposure=exposure)
     if fitter.exposures is not None:
         fitter.exposures.judged = lambda rendered, stops: np.linspace(-1, 1, len(stops)) * PLAINLY
     fitter.run()
     assert fitter.state.stops == (None if exposure == "off" else [])
-    plain = box_fitter(40)
+    plain = box_fitter(40, bank=photos)
     plain.run()
     assert np.array_equal(fitter.field.colour.values, plain.field.colour.values)
 
@@ -119,6 +120,28 @@ def test_a_new_look_is_neither_a_fall_nor_a_gain():
     fitter.exposures.judged = lambda rendered, stops: (-1.0) ** next(looks) * np.linspace(-1.5, 1.5, len(stops))
     fitter.run()
     assert next(looks) > 10 and fitter.state.rollbacks == 0
+
+
+def test_every_figure_that_is_compared_moves_with_the_photos():
+    fitter = box_fitter(40, bank=uneven_bank(), exposure="on")
+    fitter.run()
+    state, before = fitter.state, fitter.held_out_psnr()
+    state.best, state.whole, state.trial = 30.0, 31.0, {"what": "grow", "before": 29.0}
+    fitter.exposures.judged = lambda rendered, stops: stops + np.linspace(-1, 1, len(stops))
+    after = fitter._balance(before)
+    assert after == pytest.approx(fitter.held_out_psnr()) and abs(after - before) > 0.1
+    assert np.array([state.best - 30, state.whole - 31, state.trial["before"] - 29]) == pytest.approx(after - before)
+
+
+def test_a_field_that_has_fallen_judges_no_photo():
+    fitter = box_fitter(40, bank=uneven_bank(), exposure="on")
+    run_until(fitter, 21)
+    stops = list(fitter.state.stops)
+    fitter.exposures.judged = lambda rendered, stops: 1 / 0
+    for values in (fitter.field.density.values, fitter.field.colour.values):
+        values[:] = np.nan
+    fitter._check()
+    assert fitter.state.rollbacks == 1 and fitter.state.stops == stops and np.isfinite(fitter.state.best)
 
 
 def test_a_resumed_fit_goes_on_with_the_exposures_it_had():

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 import torch
 
+from stylerf.fields.field import RadianceField
+from stylerf.fields.occupancy import Occupancy
 from stylerf.fields.samples import Rays
 from stylerf.fields.vm_tables import split_table
 from stylerf.rendering.rays import backward, render_rays
@@ -99,6 +101,29 @@ def test_a_field_that_grows_is_taken_over_and_taught_on(kind, bank, device):
     # What stands for blocks that are not kept never learns; nor does what no ray has met.
     fixed = now.colour.features.fixed
     assert not moved[:fixed].any() and (moved == 0).any()
+
+
+def test_what_a_loop_looks_at_again_is_in_time_every_cell_but_clear_ones(bank, device):
+    field = thin_field()
+    field.occupancy = Occupancy(8, clear=np.arange(512) % 7 == 0)
+    engine = engine_on(device, bank, field)
+    engine.refresh(0, 1)
+    engine.live.highest.fill_(2e3)
+    for step in range(320, 320 + 16 * 64, 64):  # the steps at which fit.py asks for it
+        engine.refresh(step, 4)
+    seen = engine.live.highest.cpu().numpy() < 2e3
+    assert seen.all()
+    assert not engine.live.highest.cpu().numpy()[field.occupancy.clear].any()
+
+
+def test_moments_stay_with_a_part_that_does(bank, device):
+    engine = engine_on(device, bank, thin_field())
+    engine.learn(batch())
+    kept = engine.colour_adam
+    field = engine.field
+    engine.adopt(RadianceField(field.space, thin_field().density, field.colour, field.occupancy, field.step))
+    assert engine.colour_adam.steps == 1 and torch.equal(engine.colour_adam.second, kept.second)
+    assert engine.density_adam.steps == 0 and not engine.density_adam.second.any()
 
 
 @pytest.mark.slow

@@ -1,0 +1,40 @@
+"""benchmarks/fits.py and edits.py: the load that a row tells is that of before its run, not of the run itself."""
+
+import json
+import os
+
+import pytest
+
+from benchmarks import edits, fits
+
+
+@pytest.fixture
+def ran(monkeypatch):
+    """Instead of running stylerf: the verbs that ran; the machine's load is their number."""
+    seen = []
+
+    def run(verb: str, *_: str) -> dict:
+        seen.append(verb)
+        figures = {"psnr": 30.0, "ssim": 0.9, "parameters": 1, "steps": 1, "resolution": 1, "train_seconds": 1.0}
+        return {"figures": figures, "seconds": {"region": 1.0, "edit": 1.0}}
+
+    monkeypatch.setattr(fits, "stylerf", run)
+    monkeypatch.setattr(edits, "stylerf", run)
+    monkeypatch.setattr(os, "getloadavg", lambda: (float(len(seen)), 0.0, 0.0))
+    return seen
+
+
+def manifest(folder) -> None:
+    folder.mkdir(parents=True)
+    figures = {"colours": 4, "sparsity": 0.5, "palette_variation": 0.1, "psnr": 30.0}
+    told = {"seconds": 1.0, "peak_memory_mb": 1.0, "figures": figures}
+    (folder / "manifest.json").write_text(json.dumps(told))
+
+
+def test_load_is_that_of_before_the_run(ran, tmp_path):
+    manifest(tmp_path / "field" / "fit-60s")
+    assert fits.measure(tmp_path, "lego 200x200", "60s", tmp_path)["load_before"] == ran.index("fit") == 1
+    ran.clear()
+    manifest(tmp_path / "lego-400x400" / "edit" / "lego-shovel-recoloured-learnt")
+    row = edits.measure(tmp_path, tmp_path, "lego shovel, recoloured", tmp_path)
+    assert row["load_before"] == ran.index("edit") == 0
