@@ -93,7 +93,8 @@ class Artefact:
                 )
 
     def verify(self) -> None:
-        """Full check: seal of the manifest, digest of every file, nothing added. ArtefactDamaged names what differs."""
+        """Full check: seal of the manifest, digest of every file, nothing added (see of_a_desktop). ArtefactDamaged
+        names what differs."""
         self.__dict__.pop("_read", None)  # what is on disk now, not what was read earlier
         self.check_sizes()
         for record in self.manifest.files:
@@ -103,7 +104,8 @@ class Artefact:
                     f"again: {self.remade_by()}"
                 )
         listed = {record.path for record in self.manifest.files} | {MANIFEST}
-        present = {item.relative_to(self.path).as_posix() for item in self.path.rglob("*") if not item.is_dir()}
+        items = (item for item in self.path.rglob("*") if not (item.is_dir() or of_a_desktop(item)))
+        present = {item.relative_to(self.path).as_posix() for item in items}
         if added := sorted(present - listed):
             raise ArtefactDamaged(f"{self.path / added[0]} is no part of this artefact; move it elsewhere")
 
@@ -117,3 +119,8 @@ class Artefact:
         work = str(self.path.parent.parent)
         command = shlex.join(["stylerf", verb, *source, work, "--name", self.name, "--force"])
         return f"{command}, with the options that are told by: {shlex.join(['stylerf', 'show', str(self.path)])}"
+
+
+def of_a_desktop(path: Path) -> bool:
+    """Whether macOS, Windows or KDE leave files of that name in folders that they show."""
+    return path.name.startswith("._") or path.name.lower() in (".ds_store", "thumbs.db", "desktop.ini", ".directory")

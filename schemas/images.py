@@ -1,5 +1,6 @@
 """Photos and pictures: read whole or refused, colours as stored or in sRGB; PNG written as one step."""
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -41,6 +42,8 @@ class Image:
 def _open(path: Path) -> "oiio.ImageInput":
     if not path.is_file():
         raise BadInput(f"{path}: no such image file")
+    if (name := os.fsencode(path).decode("utf-8", "backslashreplace")) != str(path):  # which codecs cannot be given
+        raise BadInput(f"{name}: its name is not UTF-8; rename it")
     oiio.attribute("limits:imagesize_MB", LARGEST_IMAGE_MB)
     settings = oiio.ImageSpec()
     settings.attribute("oiio:UnassociatedAlpha", 1)  # else colours come multiplied by alpha, rounded to 8 bit

@@ -21,7 +21,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from schemas.artefact import Artefact
+from schemas.artefact import Artefact, of_a_desktop
 from schemas.atomic import is_temporary, make_folder, sync_file, sync_folder, write_bytes, write_json, writing
 from schemas.canonical import file_sha256, plain
 from schemas.errors import ArtefactStale, OutOfResources
@@ -180,7 +180,8 @@ class Partial:
     def _files(self) -> list[Path]:
         """All files to keep, in the order of their names; an interrupted run's manifest is written anew."""
         (self.path / MANIFEST).unlink(missing_ok=True)
-        items = [item for item in self.path.rglob("*") if item.is_file() and not is_temporary(item)]
+        items = (item for item in self.path.rglob("*") if item.is_file())
+        items = [item for item in items if not is_temporary(item) and not of_a_desktop(item)]
         return sorted(items, key=lambda item: item.relative_to(self.path).as_posix())
 
     def _record(self, item: Path) -> FileRecord:

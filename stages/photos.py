@@ -57,7 +57,8 @@ def _on_disk(scene: SceneData, views: list[int], channels: int, size: int, most:
     most: bytes of it that may be in this process's memory. What the system keeps of it beside it takes back by itself.
     """
     with writing(folder), tempfile.TemporaryFile(dir=folder, prefix=".photos.", suffix=TEMPORARY_SUFFIX) as file:
-        os.posix_fallocate(file.fileno(), 0, size)  # a full disk is met here, not where it would be a fault of memory
+        if hasattr(os, "posix_fallocate"):  # a full disk is met here, on macOS as the photos are written
+            os.posix_fallocate(file.fileno(), 0, size)
         _fill(lambda at, photo: file.write(photo.data), scene, views, channels)
         file.flush()
         mapped = mmap.mmap(file.fileno(), size, access=mmap.ACCESS_READ)

@@ -65,7 +65,7 @@ def _write_crash_log(error: BaseException, argv: list[str], work: Path | None) -
     for folder in [work, Path(tempfile.gettempdir())]:
         if folder is not None and folder.is_dir():
             try:
-                (folder / name).write_text(text)
+                (folder / name).write_text(text, "utf-8", "backslashreplace")
             except OSError:
                 continue
             return str(folder / name)

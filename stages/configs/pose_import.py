@@ -18,7 +18,8 @@ class ImportOptions:
     images: str = option(
         "",
         metavar="FOLDER",
-        help="folder of photos to use in place of the source's own, such as images_8; its photos may be smaller copies",
+        help="folder of photos to use in place of the source's own, such as images_8; its photos may be smaller, "
+        "in the same subfolders or none",
     )
     downscale: float = option(1.0, help="divide the photos' sides by this")
     max_side: int = option(0, help="and limit the longer side to this many pixels (0: no limit)")

@@ -34,7 +34,7 @@ class Job:
     @staticmethod
     def read(path: Path) -> "Job":
         """What `write` wrote."""
-        content = json.loads(path.read_text())
+        content = json.loads(path.read_text("utf-8", "surrogatepass"))  # names of files may be of any bytes
         return Job(**{**content, "photos": tuple(content["photos"])})
 
 

@@ -78,6 +78,19 @@ def test_missing_shortened_and_additional_files_are_found(tmp_path):
         Artefact(artefact.path).verify()
 
 
+def test_what_desktops_leave_in_folders_is_no_part_of_an_artefact(tmp_path):
+    begun = Work(tmp_path).begin("field", "fox", recipe())
+    (begun.path / "sub").mkdir()
+    for name in ("a.bin", ".DS_Store"):
+        (begun.path / "sub" / name).write_bytes(b"x")
+    artefact = begun.commit()
+    (artefact.path / "sub" / ".DS_Store").unlink()
+    for name in (".DS_Store", "._a.bin", "Thumbs.db", "desktop.ini", ".directory"):
+        (artefact.path / "sub" / name).write_bytes(b"x")
+    artefact.verify()
+    assert [record.path for record in artefact.manifest.files] == ["sub/a.bin"]
+
+
 @pytest.mark.parametrize(
     ("stage", "config", "command"),
     [

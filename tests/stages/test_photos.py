@@ -51,6 +51,13 @@ def test_the_same_draws_from_memory_and_from_a_file_without_a_name(scene, tmp_pa
         assert np.array_equal(one, other)
 
 
+def test_photos_go_to_a_file_where_the_system_cannot_reserve_its_place(scene, tmp_path, monkeypatch):
+    """As on macOS."""
+    monkeypatch.delattr(os, "posix_fallocate")
+    here, there, _ = both(scene, tmp_path, monkeypatch)
+    assert np.array_equal(here.bytes, there.bytes)
+
+
 def test_a_view_without_alpha_among_others_is_opaque_without_being_read_twice(scene, monkeypatch, tmp_path):
     whole, read = scene.images, []
 

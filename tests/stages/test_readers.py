@@ -10,10 +10,13 @@ import pytest
 from schemas.errors import BadInput
 from schemas.exr import ExrView, write_exr
 from schemas.images import read_image, to_uint8, write_png
+from schemas.store import Work
 from stages import region_select
 from stages.paintings import read_painting
+from stages.readers.digest import digest_of_source
 from stages.readers.source import find_image
 from stages.scenes import load_scene
+from stylerf_cli.verbs.import_ import config_for
 from tests.stages.importing import Said, imported, scene_of
 from tests.stages.photo_room import write_tagged
 from tests.stylerf_cli import capture
@@ -249,3 +252,26 @@ def test_masks_that_transforms_name(source, tmp_path):
         imported(source, tmp_path / "work")
     write_mask(source / "cut" / "p02.png")
     assert cut_out(imported(source, tmp_path / "work")) == ["p02"]
+
+
+# -- identity ----------------------------------------------------------------------------------------------------------
+
+
+def test_a_photo_that_changes_behind_a_link_is_noticed(source, tmp_path):
+    (source / "images").rename(tmp_path / "elsewhere")
+    (source / "images").symlink_to(tmp_path / "elsewhere")
+    (tmp_path / "elsewhere" / "round").symlink_to(source)
+    before = digest_of_source(source)
+    assert digest_of_source(source) == before
+    write_mask(tmp_path / "elsewhere" / "p01.png")
+    assert digest_of_source(source) != before
+
+
+@pytest.mark.parametrize("place", ["work", "", ".."])
+def test_an_import_into_a_folder_of_its_source_stands(posed, place):
+    work = Work(posed / place)
+    config = config_for(posed, work=work)
+    imported(posed, work.root)
+    assert config_for(posed, work=work) == config
+    write_mask(posed / "images" / "p01.png")
+    assert config_for(posed, work=work) != config

@@ -3,6 +3,7 @@ of them in the work folder."""
 
 import json
 import math
+import os
 import struct
 from pathlib import Path
 
@@ -143,6 +144,14 @@ def test_truncated_truth_and_masks(posed, capsys):
     depth = posed / "truth" / "depth_p00.exr"
     depth.write_bytes(depth.read_bytes()[:-300])
     assert "depth_p00.exr" in refused(posed, capsys)
+
+
+def test_a_photo_whose_name_is_not_utf_8(source, capsys):
+    """Alone and among poses."""
+    os.rename(source / "images" / "p01.png", os.fsencode(source / "images") + b"/p\xff.png")
+    assert "images/p\\xff.png: its name is not UTF-8; rename it" in refused(source, capsys)
+    np.save(source / "poses_bounds.npy", capture.llff())
+    assert "images/p\\xff.png: its name is not UTF-8; rename it" in refused(source, capsys)
 
 
 def test_missing_photos_are_named_and_too_many_missing_refused(posed, tmp_path, capsys):

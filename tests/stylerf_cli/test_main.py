@@ -159,14 +159,16 @@ def test_faults_have_their_exit_code_and_one_line(tmp_path, capsys, fault, code,
 
 
 def test_an_unexpected_fault_leaves_a_report_in_the_work_folder(tmp_path, capsys):
-    toy_verb.FAULT.append(ZeroDivisionError("1/0"))
+    fault = ZeroDivisionError("1/0")
+    fault.__cause__ = ValueError("p\udcff.png")  # as names of files come that are not UTF-8
+    toy_verb.FAULT.append(fault)
     assert main(["toy", str(tmp_path)]) == 1
     err = capsys.readouterr().err
     assert err.count("\n") == 1 and "unexpected ZeroDivisionError" in err
     report = Path(err.strip().rpartition(" ")[2])
     assert report.parent == tmp_path
     text = report.read_text()
-    assert "Traceback" in text and f"stylerf toy {tmp_path}" in text
+    assert "p\\udcff.png" in text and "Traceback" in text and f"stylerf toy {tmp_path}" in text
 
 
 def test_a_report_goes_to_the_temporary_folder_where_there_is_no_work_folder(tmp_path, capsys, monkeypatch):
