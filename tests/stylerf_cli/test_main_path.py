@@ -73,7 +73,7 @@ def test_all_stages_of_a_demo_are_its_own(demo, capsys, monkeypatch, tmp_path):
     """What makes them is replaced: --force reaches every one, --only forbids none, names are their own."""
     asked = []
 
-    def execute(spec, run, work, name, inputs, config, context, force=False):
+    def execute(spec, run, work, name, inputs, config, context, force=False, careful=False):
         asked.append((spec.verb, force))
         return work.get(spec.writes, name), True
 
