@@ -13,7 +13,7 @@ from stages.stress.cells import REMEDIED, Cell
 from stages.stress.faults import METHODS
 
 SCHEMA = 1
-# dB; SSIM; a share: what runs on another machine may differ by.
+# dB; shares: what runs on another machine may differ by.
 TOLERANCE = {"fits": 0.5, "stylisations": 0.03, "edits": 0.03}
 SPREADS = 2.0  # a median that falls by so many standard errors of the two is no chance
 

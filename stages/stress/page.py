@@ -18,6 +18,7 @@ from stages.stress.criteria import (
     LEAST_CHANGE,
     LEAST_CONTENT,
     LEAST_GAIN,
+    LEAST_STRUCTURE,
     MOST_SPILL,
     SCORES,
 )
@@ -135,11 +136,12 @@ def _how(conditions: dict, missing: Sequence[tuple[str, str]]) -> str:
     return (
         f"<p>A fit succeeds where every value is finite and its test views are {LEAST_GAIN:g} dB nearer to their "
         "photos than the best picture of one colour (of an object: than its own outlines in one colour). A stylisation "
-        "succeeds where every value is finite, the luma of "
-        f"its test views keeps {LEAST_CONTENT:g} of SSIM with the photos, and their colours are at most "
-        f"{COLOUR_SHARE:g} times as far from the painting’s as the photos’ are, or at most {COLOUR_NEAR:g}. A local "
-        f"edit succeeds where every value is finite, the part changes by {LEAST_CHANGE:g} dE or more and keeps as "
-        f"much SSIM with the field before, and what is around it changes by at most {MOST_SPILL:g} of that. Faults are "
+        "succeeds where every value is finite, the SSIM of its test views’ luma with the photos covers "
+        f"{LEAST_STRUCTURE:g} of the way from that of flat pictures (each view’s own mean colour) to 1, and their "
+        f"colours are at most {COLOUR_SHARE:g} times as far from the painting’s as the photos’ are, or at most "
+        f"{COLOUR_NEAR:g}. A local edit succeeds where every value is finite, the part changes by {LEAST_CHANGE:g} dE "
+        f"or more and keeps {LEAST_CONTENT:g} of SSIM with the field before, and what is around it changes by at most "
+        f"{MOST_SPILL:g} of that. Faults are "
         f'in training views, never in test views.</p><p>{escape(told)}</p><dl class="notes">{faults}</dl>'
         + (f'<h3>Not run</h3><dl class="notes">{gaps}</dl>' if gaps else "")
     )

@@ -95,11 +95,18 @@ def test_a_stylisation_keeps_luma_and_takes_colours():
     assert judged_style([Seen("v", seen, seen)], near).ok  # so near that nothing needs to be taken
 
 
-def test_a_stylisation_without_content_fails():
+def test_a_stylisation_without_structure_fails_however_smooth_the_photo_is():
     seen = photo()
-    flat = recoloured(seen, np.full(3, 0.9, np.float32), 0.0)
-    verdict = judged_style([Seen("v", flat, seen)], flat)
-    assert not verdict.ok and "content SSIM" in verdict.why and verdict.score < 0.1
+    faint = recoloured(seen, np.full(3, 0.9, np.float32), 0.02)
+    noise = np.random.default_rng(5).random(seen.shape).astype(np.float32)
+    for one in (seen, faint):
+        flat = recoloured(one, one.mean((0, 1)), 0.0)
+        for render in (flat, 0.9 * flat + 0.1 * noise):
+            verdict = judged_style([Seen("v", render, one)], flat)
+            assert not verdict.ok and "structure kept" in verdict.why and verdict.score < 1e-6
+    assert judged_style([Seen("v", flat, faint)], flat).figures["content_ssim"] > 0.8
+    kept = judged_style([Seen("a", seen, seen), Seen("b", recoloured(seen, seen.mean((0, 1)), 0.0), seen)], seen)
+    assert kept.score == pytest.approx(0.5) and kept.worst == 1
 
 
 def test_of_an_object_only_what_is_there_counts():
