@@ -21,9 +21,10 @@ BENT_OBJECT = ELSE | {"colour_weight": 1.0, "displacement_weight": 0.0, "coarse"
 # Ref-NPR: 5e-3 where ARF has 1e-3 for content, 5 for coarse colours.
 BY_REFERENCE = ELSE | {"content_weight": 0.1, "colour_weight": 5.0}
 VARIATION = {"desrf": ("diagonal", 0.1)}  # DeSRF: 0.5 beside a style weight of 5
-TAPS = {"nnfm": "conv3", "gram": "conv1,conv2,conv3"}
-TEMPLATE_TAPS = "conv2,conv3"
-COARSE_BLOCK = "conv4"
+# Blocks 1 to 3 (Gram), 2 and 3 (templates) and 4 (coarse matches) of programs that count them from 0.
+TAPS = {"nnfm": "conv3", "gram": "conv2,conv3,conv4"}
+TEMPLATE_TAPS = "conv3,conv4"
+COARSE_BLOCK = "conv5"
 
 
 def new_colour(config: StylizeConfig, generator: np.random.Generator, pixel_cells: float) -> HashColour:
@@ -77,7 +78,7 @@ def of_those(taps: str, state: Mapping[str, torch.Tensor]) -> str:
 
 
 def coarse_taps(state: Mapping[str, torch.Tensor]) -> str:
-    """What finds coarse matches with a reference: block 4, or the deepest layer of weights that end before it."""
+    """What finds coarse matches with a reference: block 5, or the deepest layer of weights that end before it."""
     there = [layer for layer in LAYERS if f"{layer}.weight" in state]
     whole = set(taps_of(COARSE_BLOCK)) <= set(there)
     return COARSE_BLOCK if whole else there[-1]

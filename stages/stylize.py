@@ -40,7 +40,7 @@ from stylerf.training.referenced import Referenced
 from stylerf.training.repainting import Repainting
 from stylerf.training.stylize import Stylizer
 
-SPEC = Spec(stage="stylize", verb="stylize", revision=4, writes="field")
+SPEC = Spec(stage="stylize", verb="stylize", revision=5, writes="field")
 WORKING_BYTES = 1.5e9  # what a step takes beside what is kept of the views: pictures at full size, the trunk's graph
 KEPT_BYTES = 60  # about, for each pixel of a view: its photo, samples on its surfaces, features at half its size
 WORDS = {"refit": "new colours"}  # of phases that are not told by their own name
@@ -180,17 +180,13 @@ def _train(stylizer: Repainting, config: StylizeConfig, partial: Partial, contex
         state = now.state
         if state.phase != shown:
             shown = state.phase
-            seconds, steps = budget_of(config.budget)
-            total = config.refit_steps if shown == "refit" else steps or seconds
-            if shown == "reference":
-                total = now.settings.reference_steps * len(now.to_paint)
-            counted = shown != "style" or steps
-            context.progress.start(WORDS.get(shown, shown), total, "step" if counted else "s")
-        counted = state.phase != "style" or now.settings.steps
+            seconds, _ = budget_of(config.budget)
+            total = now.steps_of_phase
+            context.progress.start(WORDS.get(shown, shown), total or seconds, "step" if total else "s")
         note = ""
         if state.curve:
             last = state.curve[-1]
             note = f"style distance {last['style']:.3f}" if "style" in last else f"squared error {last['mse']:.4f}"
-        context.progress.update(state.step if counted else min(state.seconds, now.settings.seconds), note)
+        context.progress.update(state.step if now.steps_of_phase else min(state.seconds, now.settings.seconds), note)
 
     run_training(stylizer, "the stylisation", config.checkpoint_every_seconds, partial, context, tell)

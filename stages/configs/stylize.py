@@ -42,8 +42,8 @@ class StylizeConfig:
     features_digest: str = option("", help="sha256 of that file (filled in; guards against a changed file)")
     taps: str = option(
         "",
-        help="layers of the trunk that are matched: conv2, conv3, conv3_1 ... (default: conv3; of Gram matrices conv1 "
-        "to conv3; with a reference conv2,conv3)",
+        help="layers of the trunk that are matched: conv2, conv3, conv3_1 ... (default: conv3; of Gram matrices conv2 "
+        "to conv4; with a reference conv3,conv4)",
     )
     style_weight: float = option(1.0, help="weight of the nearest-neighbour feature distance")
     content_weight: float = option(
@@ -91,7 +91,11 @@ class StylizeConfig:
     )
     table_bits: int = option(17, help="its table entries a level, as a power of two")
     rounds: int = option(3, help="rounds of pictures, then field, that share the budget (snerf)")
-    image_share: float = option(0.75, help="share of a round in which pictures are painted (snerf)")
+    image_share: float = option(
+        0.75,
+        help="share of a round in which pictures are painted (snerf; of a number of steps at most half, and each view "
+        "once)",
+    )
     image_steps: int = option(5, help="steps of a picture's pixels each time that it is painted (snerf)")
     image_rate: float = option(0.03, help="learning rate of a picture's pixels (snerf, refnpr)")
     image_by: str = option("gram", choices=("gram", "nnfm"), help="by what pictures are painted (snerf)")
@@ -108,7 +112,7 @@ class StylizeConfig:
     reference_view: str = option(
         "", help="the view that is made a reference (refnpr; default: the one that sees most of what the others see)"
     )
-    reference_steps: int = option(60, help="steps of its pixels, at most a third of a budget of time (refnpr)")
+    reference_steps: int = option(60, help="steps of its pixels, at most a third of the budget (refnpr)")
     reference_weight: float = option(
         1.0, help="weight of the squared error of colours on the reference's and on registered rays (refnpr)"
     )
@@ -162,6 +166,8 @@ class StylizeConfig:
                 raise ValueError(f"{flag} is an option of --method {owner}; this is --method {self.method}")
         if not self.style and not self.reference:
             raise ValueError("--style is required: the painting, an image file")
+        if self.reference and self.style and self.match in ("auto", "none"):
+            raise ValueError("with --reference the --style has no say, unless --match before asks for its colours")
         if self.reference and (self.reference_by or self.reference_view):
             raise ValueError("--reference gives the stylised views; --reference-by and --reference-view make one")
         views = [file_of(text)[0] for text in self.reference]

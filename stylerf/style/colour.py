@@ -17,6 +17,7 @@ from stylerf.errors import InvalidValue
 from stylerf.light import LUMA
 
 VARIANCE_FLOOR = 1e-8  # eigenvalues of a covariance below this are raised to it (ARF clamps its singular values so)
+NOISE = (2 / 255) ** 2  # variance of content below which it is no colour but the noise of a photo in eight bits
 HARMONIC_0 = 0.28209479177387814  # the constant spherical harmonic, 1 / (2 sqrt(pi))
 
 
@@ -58,10 +59,10 @@ def colour_statistics(colours: Tensor, weights: Tensor | None = None) -> tuple[T
     return mean, (weights[:, None] * centred).T @ centred / total
 
 
-def symmetric_power(covariance: Tensor, exponent: float) -> Tensor:
-    """V^exponent of a symmetric matrix through its eigenvalues, each raised to at least 1e-8 first."""
+def symmetric_power(covariance: Tensor, exponent: float, least: float = VARIANCE_FLOOR) -> Tensor:
+    """V^exponent of a symmetric matrix through its eigenvalues, each raised to at least `least` first."""
     values, vectors = torch.linalg.eigh(covariance)
-    return (vectors * values.clamp_min(VARIANCE_FLOOR).pow(exponent)) @ vectors.T
+    return (vectors * values.clamp_min(least).pow(exponent)) @ vectors.T
 
 
 def match_colours(
@@ -72,11 +73,12 @@ def match_colours(
 ) -> ColourMap:
     """The map after which the content's weighted mean and covariance are the style's (exactly, before clamping).
 
-    Float64 inside and out, on the CPU. A content without spread in some direction (a grey picture) gains none there.
+    Float64 inside and out, on the CPU. A content with less spread in some direction than NOISE (a grey picture) gains
+    only in proportion there: exactly matched, its noise would become colours.
     """
     mean_c, covariance_c = colour_statistics(content.cpu(), _on_cpu(content_weights))
     mean_s, covariance_s = colour_statistics(style.cpu(), _on_cpu(style_weights))
-    matrix = symmetric_power(covariance_s, 0.5) @ symmetric_power(covariance_c, -0.5)
+    matrix = symmetric_power(covariance_s, 0.5) @ symmetric_power(covariance_c, -0.5, NOISE)
     return ColourMap(matrix, mean_s - matrix @ mean_c)
 
 

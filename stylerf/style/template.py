@@ -42,13 +42,15 @@ class Template:
 class Wanted:
     """What a view is asked to be: matches, the photo's features by block (half precision), colours of coarse cells.
 
-    colours: [3, few, few]. trusted: [few, few], 1 where a cell's match says something, times its coverage.
+    colours: [3, few, few]. trusted: [few, few], 1 where a cell's match says something, times its coverage. covered: the
+    coverage of all cells together.
     """
 
     matches: Matches
     content: dict[str, Tensor]
     colours: Tensor
     trusted: Tensor
+    covered: float
 
     @property
     def bytes(self) -> int:
@@ -60,9 +62,10 @@ class Wanted:
 class TemplateObjective:
     """Loss of a picture [3, h, w] by its correspondences with the references.
 
-    trunk: its taps' blocks are matched, each by itself (Ref-NPR: blocks 2 and 3). coarse: a trunk whose deepest block
-    finds coarse matches (Ref-NPR: block 4). weights: style, content in the mean square of the stylised pictures'
-    features (docs/decisions/0010), variation, coarse colour. scale: size of the picture that features are taken from.
+    trunk: its taps' blocks are matched, each by itself (Ref-NPR: conv3 and conv4). coarse: a trunk whose deepest
+    block finds coarse matches (Ref-NPR: conv5), in pictures of full size. weights: style, content in the mean square of
+    the stylised pictures' features (docs/decisions/0010), variation, coarse colour. scale: size of the picture that
+    features are taken from.
     """
 
     def __init__(
@@ -140,8 +143,7 @@ class TemplateObjective:
     def _coarse_features(self, photo: Tensor, window: Window) -> tuple[Tensor, tuple[int, int]]:
         """([cells, c], (rows, columns)) of the coarse trunk's deepest block, a cell COARSE_PIXELS wide or wider."""
         part = photo[:, *window]
-        small = resized(part, *feature_size(*part.shape[1:], self.scale))
-        blocks = by_block(self.coarse.taps, features(self.coarse, small[None], self.half))
+        blocks = by_block(self.coarse.taps, features(self.coarse, part[None], self.half))
         feature = blocks[max(blocks)]
         size = tuple(min(n, -(-length // COARSE_PIXELS)) for n, length in zip(feature.shape[1:], part.shape[1:]))
         return rows_of(F.adaptive_avg_pool2d(feature, size)), size
@@ -153,11 +155,13 @@ class TemplateObjective:
         keys, size = self._coarse_features(photo, window)
         place, cosine = nearest(keys, self.coarse_keys, self.memory_mb)
         trusted = (1 - cosine <= STRANGE).float().reshape(size)
+        covers = torch.ones_like(trusted)
         if alpha is not None:
-            trusted = trusted * F.adaptive_avg_pool2d(alpha[window][None], size)[0]
+            covers = F.adaptive_avg_pool2d(alpha[window][None], size)[0]
         colours = self.coarse_colours[place].T.reshape(3, *size)
         matches = self.matches_of(found, self.keys, alpha, window)
-        return Wanted(matches, {b: f.half() for b, f in found.items()}, colours, trusted)
+        content = {b: f.half() for b, f in found.items()}
+        return Wanted(matches, content, colours, trusted * covers, float(covers.sum()))
 
     def __call__(
         self, picture: Tensor, wanted: Wanted, alpha: Tensor | None = None, window: Window = EVERYTHING
@@ -171,7 +175,7 @@ class TemplateObjective:
             content = content + (apart * weights).sum() / weights.sum().clamp_min(1e-6)
         cells = F.adaptive_avg_pool2d(picture[:, *window], wanted.trusted.shape)
         apart = (cells - wanted.colours).square().mean(0)
-        colour = (apart * wanted.trusted).sum() / wanted.trusted.sum().clamp_min(1e-6)
+        colour = (apart * wanted.trusted).sum() / max(wanted.covered, 1e-6)
         parts = {"style": style, "content": content, "variation": self.variation(picture), "colour": colour}
         loss = sum(getattr(self.weights, name) * part for name, part in parts.items())
         return loss, {name: float(part.detach()) for name, part in parts.items()}
@@ -179,7 +183,7 @@ class TemplateObjective:
     def style_distance(
         self, found: dict[str, Tensor], matches: Matches, alpha: Tensor | None, window: Window
     ) -> Tensor:
-        """Mean over blocks and positions of 1 - cos(F_render,i , F_stylised,j(i))."""
+        """Mean over positions of 1 - cos(F_render,i , F_stylised,j(i)), summed over blocks."""
         total = 0.0
         for block, feature in found.items():
             weights = None if alpha is None else self._weights(feature, alpha, window)
@@ -187,7 +191,7 @@ class TemplateObjective:
                 feature, self.stylised[block], weights, matches=matches[block].long()
             )
             total = total + distances.sum() / (distances.numel() if weights is None else weights.sum().clamp_min(1e-6))
-        return total / len(found)
+        return total
 
     @staticmethod
     def _weights(feature: Tensor, alpha: Tensor | None, window: Window) -> Tensor:

@@ -6,7 +6,9 @@ pictures disagree about is evened out by the field, from whose renders the next 
 trunk's graph and a field's samples in memory together.
 
 A step is one picture painted (`image_steps` evaluations of the loss), or one step of the field. Views are taken in turn
-from round to round: where a round is too short for all of them, the others keep the picture that they had.
+from round to round: where a round is too short for all of them, the others keep the picture that they had; where there
+is time for more, pictures are painted on from where they are, in smaller and smaller steps. Of a budget of steps, the
+pictures' turn takes no more than the field's, and no more than there are views.
 """
 
 import time
@@ -22,13 +24,15 @@ class Alternating(Repainting):
 
     def __init__(self, *given, **more) -> None:
         self.targets: dict[int, np.ndarray] = {}  # [h, w, 3] uint8, as a picture file would keep them
+        self._visits: dict[int, tuple[int, int]] = {}  # the round in which each was begun, times painted in it
         super().__init__(*given, **more)
 
     @property
     def paints(self) -> bool:
         """Whether it is the pictures' turn."""
         s = self.settings
-        return self.progress * s.rounds % 1.0 < s.image_share or not self.targets
+        share = min(s.image_share, 0.5, len(self.cameras) * s.rounds / s.steps) if s.steps else s.image_share
+        return self.progress * s.rounds % 1.0 < share or not self.targets
 
     @property
     def left_of_turn(self) -> float:
@@ -40,12 +44,18 @@ class Alternating(Repainting):
         return self.picture_step() if self.paints else self.field_step()
 
     def picture_step(self) -> dict[str, float]:
-        """Paints the next view's present render; the parts of its loss."""
+        """Paints the next view, from its present render or on from this round's picture; the parts of its loss."""
         s, made = self.settings, self.state.counts.get("pictures", 0)
         epoch, at = divmod(made, len(self.cameras))
         view = int(np.random.default_rng([self.seed, 3, epoch]).permutation(len(self.cameras))[at])
         alpha = self.geometry.alpha(view)
-        rgb = self.paint_view(view).reshape(*alpha.shape, 3) + (1 - alpha[..., None]) * self.background
+        now = int(self.progress * s.rounds)
+        begun, visits = self._visits.get(view, (now, 0))
+        visits = visits if begun == now else 0
+        if visits:
+            rgb = self.targets[view].astype(np.float32) / 255
+        else:
+            rgb = self.paint_view(view).reshape(*alpha.shape, 3) + (1 - alpha[..., None]) * self.background
         coverage, content = self._alpha_there(view), self._content_of(view)
 
         def loss(picture):
@@ -54,10 +64,10 @@ class Alternating(Repainting):
         # However slow the machine, the field has its turn.
         ends = time.perf_counter() + self.left_of_turn
         found, parts = painted(
-            self._there(rgb), coverage, self.background, loss, s.image_steps, s.image_rate,
+            self._there(rgb), coverage, self.background, loss, s.image_steps, s.image_rate / (1 + visits),
             lambda: not s.steps and time.perf_counter() > ends,
         )  # fmt: skip
-        self.targets[view] = np.rint(found * 255).astype(np.uint8)
+        self.targets[view], self._visits[view] = np.rint(found * 255).astype(np.uint8), (now, visits + 1)
         self.state.counts["pictures"] = made + 1
         return parts
 
@@ -73,7 +83,9 @@ class Alternating(Repainting):
         return {"mse": error}
 
     def _own_arrays(self) -> dict[str, np.ndarray]:
-        return {f"target.{view}": picture.copy() for view, picture in self.targets.items()}
+        arrays = {f"target.{view}": picture.copy() for view, picture in self.targets.items()}
+        return arrays | {f"visits.{view}": np.asarray(visits) for view, visits in self._visits.items()}
 
     def _restore_own(self, arrays: dict[str, np.ndarray]) -> None:
         self.targets = {int(k[7:]): v.copy() for k, v in arrays.items() if k.startswith("target.")}
+        self._visits = {int(k[7:]): (int(v[0]), int(v[1])) for k, v in arrays.items() if k.startswith("visits.")}

@@ -160,7 +160,7 @@ class Decomposing(Repainting):
             guide = torch.from_numpy(self.extracted.weights_of(photo))
             losses |= {
                 "mse": mixed.square().mean(),
-                "guide": (images - seen.alpha * guide).square().sum(1).mean(),
+                "guide": (images - seen.alpha * guide).square().mean(),
             }
         return losses
 

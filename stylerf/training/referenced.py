@@ -7,7 +7,7 @@
                 In the last quarter correspondences are sought between renders, as the field then shows them.
 
 The loss of a step is w (MSE of the references' pixels + MSE of registered pixels) + style + content + colour +
-variation, in the last quarter w (...) + 0.2 style + variation.
+variation, in the last quarter of the style steps w (...) + 0.2 style + variation.
 """
 
 from collections.abc import Callable
@@ -21,12 +21,12 @@ from stylerf.style.painted_picture import PaintedPicture
 from stylerf.style.template import Template, TemplateObjective
 from stylerf.style.trunks import Trunk
 from stylerf.training.kept import Kept
-from stylerf.training.matched import over
 from stylerf.training.repainting import CONTENT
 from stylerf.training.stylize import Stylizer
 
 LATE_WEIGHT = 0.2  # of the style distance once matches are sought between renders (Ref-NPR)
-PAINTING_SHARE = 1 / 3  # of a budget of time, that painting references may take
+PAINTING_SHARE = 1 / 3  # of the budget, that painting references may take
+NOTHING = 0.01  # coverage under which nothing of an object is seen
 REGISTERED = 0.1  # of the memory
 Registered = tuple[np.ndarray, np.ndarray]  # pixels [n], colours [n, 3]
 
@@ -57,11 +57,11 @@ class Referenced(Stylizer):
         self._template: TemplateObjective | None = None
         self._late: dict[int, np.ndarray] = {}  # the references' views as they are when the last quarter begins
         self._late_keys = None
-        self._late_matches: dict[int, dict[str, torch.Tensor]] = {}
         super().__init__(*given, **more)
         for view, picture in self.references.items():
             if picture is not None and not self.closed:  # nothing is asked for where nothing of the object is
-                self.references[view] = over(picture, self.still.alpha(view), self.background)
+                seen = self.still.alpha(view)[..., None] > NOTHING
+                self.references[view] = np.where(seen, picture, self.background).astype(np.float32)
         views = len(self.cameras)
         self._wanted = Kept(self._wanted_of, lambda wanted: wanted.bytes, views, CONTENT * self.memory)
         self._reached = Kept(
@@ -76,19 +76,39 @@ class Referenced(Stylizer):
     # -- painting a reference ---------------------------------------------------------------------------------------
 
     @property
+    def _painting_steps(self) -> int:
+        """Of the picture of each reference that is painted here."""
+        s = self.settings
+        most = max(1, int(PAINTING_SHARE * s.steps / len(self.to_paint))) if s.steps else s.reference_steps
+        return min(s.reference_steps, most)
+
+    @property
+    def steps_of_phase(self) -> int:
+        painting = self._painting_steps * len(self.to_paint) if self.to_paint else 0
+        if self.state.phase == "reference":
+            return painting
+        if self.state.phase == "style" and self.settings.steps:
+            return max(1, self.settings.steps - painting)
+        return super().steps_of_phase
+
+    @property
     def progress(self) -> float:
         s, state = self.settings, self.state
-        if state.phase != "reference":
+        if state.phase == "reference":
+            done = state.step / self.steps_of_phase
+            return min(1.0, done if s.steps else max(done, state.seconds / (PAINTING_SHARE * s.seconds)))
+        if state.phase != "style":
             return super().progress
-        done = state.step / max(1, s.reference_steps * len(self.to_paint))
-        return min(1.0, done if s.steps else max(done, state.seconds / (PAINTING_SHARE * s.seconds)))
+        painted = state.counts.get("painting_ms", 0) / 1000
+        done = state.step / self.steps_of_phase if s.steps else (state.seconds - painted) / (s.seconds - painted)
+        return min(1.0, done)
 
     def _step(self) -> dict[str, float]:
         return self.reference_step() if self.state.phase == "reference" else self.style_step()
 
     def reference_step(self) -> dict[str, float]:
         """One step of the picture of a reference, one after the other; the parts of its loss."""
-        each = self.settings.reference_steps
+        each = self._painting_steps
         at, step = divmod(self.state.step, each)
         view = self.to_paint[at]
         if self._painted is None:
@@ -117,6 +137,8 @@ class Referenced(Stylizer):
         super()._next_phase()
         if painting:
             self.state.seconds = seconds
+            if not self.settings.steps:
+                self.state.counts["painting_ms"] = round(1000 * seconds)
 
     # -- what the references ask for --------------------------------------------------------------------------------
 
@@ -183,13 +205,12 @@ class Referenced(Stylizer):
         alpha, window = self._alpha_there(view), self.windows[view]
         if self.progress < 1 - self.settings.late:
             return self.template(picture, self._wanted[view], alpha, window)
-        found = self.template.features_of(picture, window)
-        if view not in self._late_matches:
-            looks = {block: feature.detach() for block, feature in found.items()}
-            self._late_matches[view] = self.template.matches_of(looks, self.late_keys, alpha, window)
-        style = self.template.style_distance(found, self._late_matches[view], alpha, window)
+        found, weights = self.template.features_of(picture, window), self.settings.template_weights
+        looks = {block: feature.detach() for block, feature in found.items()}
+        matches = self.template.matches_of(looks, self.late_keys, alpha, window)
+        style = self.template.style_distance(found, matches, alpha, window)
         variation = self.template.variation(picture)
-        loss = LATE_WEIGHT * style + self.settings.template_weights.variation * variation
+        loss = LATE_WEIGHT * weights.style * style + weights.variation * variation
         return loss, {"style": float(style.detach()), "variation": float(variation.detach())}
 
     @property
@@ -214,8 +235,6 @@ class Referenced(Stylizer):
         if self._painted is not None:
             arrays |= {f"painted.{k}": v for k, v in self._painted.arrays().items()}
         arrays |= {f"late.{view}": picture.astype(np.float32) for view, picture in self._late.items()}
-        for view, matches in self._late_matches.items():
-            arrays |= {f"matches.{view}.{block}": found.cpu().numpy() for block, found in matches.items()}
         return arrays
 
     def _restore_own(self, arrays: dict[str, np.ndarray]) -> None:
@@ -225,12 +244,7 @@ class Referenced(Stylizer):
                 self.references[view] = arrays[f"reference.{view}"].astype(np.float32) / 255
         moments = {k[8:]: v for k, v in arrays.items() if k.startswith("painted.")}
         if moments:
-            self._painted = self._new_picture(self.to_paint[self.state.step // self.settings.reference_steps])
+            self._painted = self._new_picture(self.to_paint[self.state.step // self._painting_steps])
             self._painted.restore(moments)
         self._late = {int(k[5:]): v.copy() for k, v in arrays.items() if k.startswith("late.")}
-        self._late_matches, self._late_keys = {}, None
-        for name, found in arrays.items():
-            if name.startswith("matches."):
-                _, view, block = name.split(".")
-                there = torch.from_numpy(found.copy()).to(self._template_trunk.input_scale.device)
-                self._late_matches.setdefault(int(view), {})[block] = there
+        self._late_keys = None

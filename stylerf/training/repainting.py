@@ -201,6 +201,11 @@ class Repainting:
             return min(1.0, state.step / max(1, s.refit_steps))
         return min(1.0, state.step / s.steps if s.steps else state.seconds / s.seconds)
 
+    @property
+    def steps_of_phase(self) -> int:
+        """Of the present phase; 0 where time decides."""
+        return self.settings.refit_steps if self.state.phase == "refit" else self.settings.steps
+
     def refit_step(self) -> float:
         """One step of colours towards the matched photos; its mean squared error."""
         generator = np.random.default_rng([self.seed, 2, self.state.step])

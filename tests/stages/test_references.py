@@ -12,10 +12,9 @@ from schemas.images import write_png
 from stages.configs.stylize import StylizeConfig
 from stages.references import digest_of, read_references, training_view
 from stages.styling import coarse_taps, match_of, painting_loss, painting_taps, settings_of, template_taps
-from stylerf.style.trunks import taps_of
+from stylerf.style.trunks import LAYERS, taps_of
 
-LAYERS_THERE = [f"conv{b}_{i}" for b, n in ((1, 2), (2, 2), (3, 3), (4, 3)) for i in range(1, n + 1)]
-WEIGHTS = {f"{layer}.weight": torch.zeros(1) for layer in LAYERS_THERE}
+WEIGHTS = {f"{layer}.weight": torch.zeros(1) for layer in LAYERS}
 
 
 def scene(width: int = 40, height: int = 30) -> SimpleNamespace:
@@ -62,20 +61,27 @@ def test_the_digest_is_of_the_files(tmp_path):
     [
         ({}, "nnfm", "conv3", "both"),
         ({"method": "desrf", "taps": "conv2"}, "nnfm", "conv2", "both"),
-        ({"method": "snerf"}, "gram", "conv1,conv2,conv3", "both"),
+        ({"method": "snerf"}, "gram", "conv2,conv3,conv4", "both"),
         ({"method": "snerf", "image_by": "nnfm", "match": "none"}, "nnfm", "conv3", "none"),
         ({"method": "refnpr"}, "nnfm", "conv3", "before"),
-        ({"method": "refnpr", "reference_by": "gram", "taps": "conv2"}, "gram", "conv1,conv2,conv3", "before"),
+        ({"method": "refnpr", "reference_by": "gram", "taps": "conv2"}, "gram", "conv2,conv3,conv4", "before"),
         ({"method": "refnpr", "reference_by": "adain"}, "nnfm", "conv3", "none"),
         ({"method": "refnpr", "reference": ("0=x.png",)}, "nnfm", "conv3", "none"),
         ({"method": "refnpr", "reference": ("0=x.png",), "match": "before"}, "nnfm", "conv3", "before"),
     ],
 )
 def test_loss_layers_and_matching_follow_from_the_method(options, loss, taps, match):
-    config = StylizeConfig(style="x", **options)
+    config = StylizeConfig(**{"style": "" if "reference" in options else "x"} | options)
     found = painting_loss(config), painting_taps(config, WEIGHTS), match_of(config)
     wanted = ",".join(taps_of(taps)) if taps != config.taps or config.method == "refnpr" else taps
     assert found == (loss, wanted, match)
+
+
+def test_a_painting_beside_references_must_have_a_say():
+    with pytest.raises(ValueError, match="has no say"):
+        StylizeConfig(style="x", method="refnpr", reference=("0=x.png",))
+    for match in ("before", "after", "both"):
+        StylizeConfig(style="x", method="refnpr", reference=("0=x.png",), match=match)
 
 
 def test_a_reference_is_painted_as_arf_paints_and_followed_by_other_weights():
@@ -85,14 +91,24 @@ def test_a_reference_is_painted_as_arf_paints_and_followed_by_other_weights():
     assert (weights.style, weights.content, weights.colour) == (3.0, 0.1, 5.0)
 
 
-def test_coarse_matches_are_found_by_block_four_or_the_deepest_layer():
-    assert coarse_taps(WEIGHTS) == "conv4"
-    assert coarse_taps({name: v for name, v in WEIGHTS.items() if "conv4" not in name}) == "conv3_3"
+def test_blocks_are_those_that_ref_npr_counts_from_zero():
+    """By torchvision's places of ReLUs: 11, 13, 15 are its block 2; 18, 20, 22 its block 3; 25, 27, 29 its block 4."""
+    places = dict(zip(LAYERS, (1, 3, 6, 8, 11, 13, 15, 18, 20, 22, 25, 27, 29), strict=True))
+    config = StylizeConfig(style="x", method="refnpr")
+    assert [places[layer] for layer in taps_of(template_taps(config, WEIGHTS))] == [11, 13, 15, 18, 20, 22]
+    assert [places[layer] for layer in taps_of(coarse_taps(WEIGHTS))] == [25, 27, 29]
+    gram = painting_taps(StylizeConfig(style="x", method="snerf"), WEIGHTS)
+    assert [places[layer] for layer in taps_of(gram)] == [6, 8, 11, 13, 15, 18, 20, 22]
+
+
+def test_coarse_matches_are_found_by_the_last_block_or_the_deepest_layer():
+    assert coarse_taps(WEIGHTS) == "conv5"
+    assert coarse_taps({name: v for name, v in WEIGHTS.items() if "conv5" not in name}) == "conv4_3"
     assert coarse_taps({"conv1_1.weight": torch.zeros(1), "conv3_1.weight": torch.zeros(1)}) == "conv3_1"
 
 
 def test_layers_that_weights_do_not_have_are_left_out_of_defaults_and_not_of_what_is_asked_for():
-    short = {f"{layer}.weight": torch.zeros(1) for layer in LAYERS_THERE[:5]}  # to conv3_1
+    short = {f"{layer}.weight": torch.zeros(1) for layer in LAYERS[:5]}  # to conv3_1
     config = StylizeConfig(style="x", method="refnpr")
-    assert painting_taps(config, short) == "conv3_1" and template_taps(config, short) == "conv2_1,conv2_2,conv3_1"
+    assert painting_taps(config, short) == "conv3_1" and template_taps(config, short) == "conv3_1"
     assert template_taps(replace(config, taps="conv3"), short) == "conv3"

@@ -47,6 +47,17 @@ def test_a_grey_picture_stays_finite():
     assert torch.isfinite(colour.match_colours(torch.full((9, 3), 0.5), colours(300, 5)).matrix).all()
 
 
+def test_noise_of_a_grey_picture_does_not_become_colours():
+    """Greys with one code value of noise a channel: exactly matched, the noise would grow a hundredfold."""
+    generator = torch.Generator().manual_seed(16)
+    grey = torch.linspace(0.1, 0.9, 3000, dtype=torch.float64)[:, None]
+    noisy = grey + (torch.rand(3000, 3, generator=generator, dtype=torch.float64) - 0.5) / 127.5
+    assert float(torch.linalg.svdvals(colour.match_colours(noisy, colours(300, 5)).matrix).max()) < 40
+    tinted = grey * torch.tensor([1.0, 0.9, 0.8]) + 0.02 * torch.randn(3000, 3, generator=generator).double()
+    found = colour.match_colours(tinted, colours(300, 5))
+    torch.testing.assert_close(found(tinted).T.cov(correction=0), colours(300, 5).T.cov(correction=0))
+
+
 def test_spherical_harmonics_are_mapped_as_the_colours_they_stand_for():
     generator = torch.Generator().manual_seed(6)
     coefficients = torch.randn(20, 4, 3, generator=generator, dtype=torch.float64) * 0.2

@@ -41,7 +41,7 @@ def test_style_is_the_look_that_the_reference_has_where_its_content_is():
         for i in range(len(asked)):
             j = int(np.argmax(key @ asked[i]))
             total += 1 - float(seen[i] @ look[j])
-        expected += total / len(asked) / 2
+        expected += total / len(asked)
     loss, parts = made(render, made.wanted(photo))
     assert parts["style"] == pytest.approx(expected, rel=1e-5) and expected > 0.05
     together = 0.7 * parts["style"] + 0.2 * parts["content"] + 0.3 * parts["variation"] + 5 * parts["colour"]
@@ -86,6 +86,10 @@ def test_coarse_colours_are_those_of_the_likest_cell_unless_it_is_strange():
     expected = np.concatenate(pooled)[cosines.argmax(1)].T.reshape(3, *size)
     np.testing.assert_allclose(wanted.colours.numpy(), expected, atol=1e-6)
     assert (wanted.trusted == 1).all()
+    image, half = picture(HEIGHT, WIDTH, 1), made.wanted(photo)
+    half.trusted[0] = 0  # strange cells count as 0 in the mean over all
+    gaps = (F.adaptive_avg_pool2d(image, size) - half.colours).square().mean(0)
+    assert made(image, half)[1]["colour"] == pytest.approx(float(gaps[1].sum() / 4), rel=1e-5)
     made.coarse_keys = -made.coarse_keys  # features are not negative: nothing is like anything now
     strange = made.wanted(photo)
     assert not strange.trusted.any() and made(photo, strange)[1]["colour"] == 0 and STRANGE < 1

@@ -60,6 +60,34 @@ def test_a_picture_is_its_render_painted_and_kept_in_eight_bits():
     assert np.abs(expected - rgb).max() > 0.05
 
 
+def test_in_one_turn_a_picture_is_painted_on_and_in_the_next_anew():
+    """What is rendered does not change while pictures are painted: begun from it again, a visit would be the last."""
+    one = alternating(match="none", steps=0)
+    one.settings = replace(one.settings, seconds=100.0)
+    one.state.phase = "style"
+    losses = [one.picture_step() for _ in range(3 * VIEWS)]
+    first, second, third = (sum(one["style"] for one in losses[at : at + VIEWS]) for at in range(0, 3 * VIEWS, VIEWS))
+    assert third < second < first
+    begun, other = one.targets[0].copy(), alternating(match="none")
+    one.state.seconds = 50.0  # the second round
+    for _ in range(VIEWS):
+        one.picture_step()
+    other.state.phase = "style"
+    for _ in range(VIEWS):
+        other.picture_step()
+    assert np.array_equal(one.targets[0], other.targets[0]) and not np.array_equal(one.targets[0], begun)
+
+
+def test_of_few_steps_the_field_has_half():
+    """Steps are cheap for the field and dear for pictures: methods given the same number do comparable work."""
+    one, before = alternating(steps=15, rounds=3, image_share=0.75, match="none"), []
+    one.run(lambda now: before.append(now.state.counts.get("pictures", 0)))
+    assert before[-1] == 9  # a half of five, rounded up
+    one, before = alternating(steps=60, rounds=2, image_share=0.75, match="none"), []
+    one.run(lambda now: before.append(now.state.counts.get("pictures", 0)))
+    assert before[-1] == 2 * VIEWS
+
+
 def test_a_step_of_the_field_is_that_of_the_mean_squared_error():
     one, found = alternating(match="none"), []
     one.state.phase, one.state.step = "style", 3

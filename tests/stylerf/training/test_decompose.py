@@ -80,7 +80,7 @@ def test_parts_of_the_loss_are_those_written_ray_by_ray():
         gap = (1 - alpha) * GREY - wanted[r]
         expected["direct"] += ((direct + gap) ** 2).sum() / 15
         expected["mse"] += ((mixed + gap) ** 2).sum() / 15
-        expected["guide"] += ((mixture - alpha * one.extracted.weights_of(wanted[r : r + 1])[0]) ** 2).sum() / 5
+        expected["guide"] += ((mixture - alpha * one.extracted.weights_of(wanted[r : r + 1])[0]) ** 2).sum() / 20
     for name, value in expected.items():
         assert float(found[name]) == pytest.approx(value, rel=2e-4, abs=1e-7), name
     assert float(found["drift"]) == 0 and x.shape[1] == 3
