@@ -34,7 +34,7 @@ from stylerf.kernels.cpu.compiling import compiling_note, set_threads
 from stylerf.rendering.pictures import depth_picture, displacement_picture
 from stylerf.rendering.view import RenderedView, render_view
 
-SPEC = Spec(stage="render", verb="render", revision=1, writes="frames")
+SPEC = Spec(stage="render", verb="render", revision=2, writes="frames")
 Shot = tuple[Camera, int | None]
 
 

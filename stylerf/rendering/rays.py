@@ -10,7 +10,7 @@ from stylerf.fields.field import RadianceField
 from stylerf.fields.room import room
 from stylerf.fields.samples import Rays, Samples
 from stylerf.geometry.harmonics import harmonics
-from stylerf.kernels.cpu.composite import composite, composite_backward, scale_near, significant
+from stylerf.kernels.cpu.composite import composite, composite_backward, scale_near, significant, surface_distance
 from stylerf.kernels.cpu.regions import keep_inside
 
 SAMPLE_LIMIT = 512
@@ -48,6 +48,13 @@ def render_rays(field: RadianceField, rays: Rays, *, chunks: int, opaque=1e-3, s
         mapped = field.colour_map.premultiplied(torch.from_numpy(out[:, :3]), torch.from_numpy(out[:, 3]))
         out = np.concatenate([np.clip(mapped.numpy(), 0, out[:, 3:4]), out[:, 3:]], 1)
     return Rendered(out, unmapped, rays, samples, basis, colours)
+
+
+def seen(rendered: Rendered, chunks: int) -> np.ndarray:
+    """[rays, 5]: premultiplied rgb, alpha, and the distance of what the ray shows (composite.py's surface_distance)."""
+    s, out = rendered.samples, rendered.out.copy()
+    surface_distance(s.weights, s.t, s.starts, s.ends, chunks, out)
+    return out
 
 
 def backward(

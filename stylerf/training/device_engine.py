@@ -218,7 +218,7 @@ class DeviceEngine:
         for at in range(0, len(origins), 1 << 16):
             part = slice(at, at + (1 << 16))
             rays = DeviceRays.of(origins[part], directions[part], self.device)
-            found[part] = self.live.render_rays(rays).out.cpu().numpy()
+            found[part] = self.live.render_rays(rays).seen().cpu().numpy()
         return found
 
     def follow_exposure(self) -> None:

@@ -5,7 +5,8 @@ from numba import prange
 
 from stylerf.kernels.cpu.compiling import parallel_kernel
 
-_ONE, _ZERO = np.float32(1), np.float32(0)
+_ONE, _ZERO, _HALF = np.float32(1), np.float32(0), np.float32(0.5)
+AROUND = np.float32(0.05)  # of its distance: samples so close to a ray's middle one are of the same surface
 
 
 @parallel_kernel
@@ -34,6 +35,36 @@ def composite(weights, colours, t, starts, ends, chunks, out):
             out[r, 2] = blue * scale
             out[r, 3] = total
             out[r, 4] = depth
+
+
+@parallel_kernel
+def surface_distance(weights, t, starts, ends, chunks, out):
+    """out[r, 4] = distance of what ray r shows, from out[r, 3] = sum w; 0 for a ray without weight.
+
+    It is found where half of the weight lies, as the mean of w t over the samples within AROUND of there. What lies
+    before or behind, be it a haze, another surface or the backdrop, does not move it.
+    """
+    n = len(ends)
+    for c in prange(chunks):
+        for r in range(c * n // chunks, (c + 1) * n // chunks):
+            half, passed, middle = out[r, 3] * _HALF, _ZERO, ends[r]
+            for k in range(starts[r], ends[r]):
+                passed += weights[k]
+                if passed >= half:
+                    middle = k
+                    break
+            near, depth = _ZERO, _ZERO
+            if middle < ends[r]:
+                reach = AROUND * t[middle]
+                first = middle
+                while first > starts[r] and t[middle] - t[first - 1] <= reach:
+                    first -= 1
+                for k in range(first, ends[r]):
+                    if t[k] - t[middle] > reach:
+                        break
+                    near += weights[k]
+                    depth += weights[k] * t[k]
+            out[r, 4] = depth / near if near > _ZERO else _ZERO
 
 
 @parallel_kernel

@@ -5,6 +5,8 @@ import triton.language as tl
 
 from stylerf.kernels.gpu.indexing import offset, store_vector, vector
 
+AROUND = tl.constexpr(0.05)  # as on the CPU
+
 
 @triton.jit(do_not_specialize=["rays"])
 def composite_kernel(weights, colours, t, starts, ends, out, rays, BLOCK: tl.constexpr):
@@ -35,6 +37,33 @@ def composite_kernel(weights, colours, t, starts, ends, out, rays, BLOCK: tl.con
     tl.store(out + at + 2, blue * scale, mask=live)
     tl.store(out + at + 3, total, mask=live)
     tl.store(out + at + 4, depth, mask=live)
+
+
+@triton.jit(do_not_specialize=["rays"])
+def surface_distance_kernel(weights, t, starts, ends, out, rays, BLOCK: tl.constexpr):
+    """out[r] = distance of what ray r shows; see the CPU's surface_distance."""
+    r = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
+    live = r < rays
+    first = tl.load(starts + r, mask=live, other=0)
+    count = tl.load(ends + r, mask=live, other=0) - first
+    zero = first.to(tl.float32) * 0.0
+    longest = tl.max(count, axis=0)
+    total, passed, at, near, depth = zero, zero, zero, zero, zero
+    for i in range(0, longest):
+        total += tl.load(weights + first + i, mask=i < count, other=0.0)
+    for i in range(0, longest):
+        own = i < count
+        w = tl.load(weights + first + i, mask=own, other=0.0)
+        here = own & (passed < total * 0.5) & (passed + w >= total * 0.5)
+        at = tl.where(here, tl.load(t + first + i, mask=own, other=0.0), at)
+        passed += w
+    for i in range(0, longest):
+        own = i < count
+        there = tl.load(t + first + i, mask=own, other=0.0)
+        w = tl.load(weights + first + i, mask=own & (tl.abs(there - at) <= AROUND * at), other=0.0)
+        near += w
+        depth += w * there
+    tl.store(out + r, tl.where(near > 0.0, depth / tl.where(near > 0.0, near, 1.0), 0.0), mask=live)
 
 
 @triton.jit(do_not_specialize=["rays"])

@@ -203,6 +203,17 @@ def composite(samples: DeviceSamples, colours: Tensor) -> Tensor:
     return out
 
 
+def surface_distance(samples: DeviceSamples) -> Tensor:
+    """[rays]: distance of what each ray shows, scene units, 0 where there is nothing."""
+    n = len(samples.starts)
+    out = torch.empty(n, device=samples.t.device)
+    if n:
+        composite_kernels.surface_distance_kernel[(triton.cdiv(n, RAYS),)](
+            samples.weights, samples.t, samples.starts, samples.ends, out, n, BLOCK=RAYS, num_warps=1
+        )
+    return out
+
+
 def composite_backward(
     samples: DeviceSamples, colours: Tensor, out: Tensor, gradients: Tensor, even_from: float
 ) -> tuple[Tensor, Tensor]:

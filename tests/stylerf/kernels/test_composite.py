@@ -67,6 +67,29 @@ def test_pixels_and_gradients_equal_the_oracle(chunks):
     close(to_colours[lit], c.grad[colours[at, 0] >= 0], 1e-6)
 
 
+@pytest.mark.parametrize("chunks", [1, 3])
+def test_distance_is_the_mean_of_the_samples_around_the_middle_of_the_weights(chunks):
+    starts, ends, at, optical, sigma, t, colours = samples()
+    weights = np.full(len(sigma), np.nan, np.float32)
+    weights[at] = reference(at, optical, sigma, t, colours)[2].detach()
+    t[starts[0] + 1] = 1.01 * t[starts[0]]
+    weights[starts[0] : ends[0]] = [0.3, 0.2, 0.2, 0.1, 0.1, 0.05, 0.05]
+    weights[starts[6] : ends[6]] = 0
+    out = np.full((len(COUNTS), 5), np.nan, np.float32)
+    out[:, 3] = [weights[first:end].sum() for first, end in zip(starts, ends)]
+    kernels.surface_distance(weights, t, starts, ends, chunks, out)
+    found = out[:, 4]
+    expected = []
+    for first, end in zip(starts, ends):
+        w, far = weights[first:end].astype(float), t[first:end].astype(float)
+        middle = far[min(np.searchsorted(np.cumsum(w), 0.5 * w.sum() * (1 - 1e-6)), len(w) - 1)] if len(w) else 0.0
+        around = w * (np.abs(far - middle) <= 0.05 * middle)
+        expected.append((around * far).sum() / around.sum() if around.any() else 0.0)
+    np.testing.assert_allclose(found, expected, rtol=1e-5)
+    assert found[0] == pytest.approx(t[starts[0]] * (0.3 + 0.2 * 1.01) / 0.5, rel=1e-5)
+    assert found[1] == 0 and found[6] == 0 and found[3] == t[starts[3]]
+
+
 def test_a_backdrop_and_what_lies_behind_an_opaque_sample_teach_no_density():
     starts, ends, at, optical, sigma, t, colours = samples()
     _, _, w, _ = reference(at, optical, sigma, t, colours)
