@@ -16,7 +16,7 @@ from stylerf.fields.samples import Rays
 from stylerf.rendering.rays import backward, render_rays, seen
 from stylerf.training.optimiser import Adam
 from stylerf.training.ranks import ALONE, Ranks
-from stylerf.training.rays import RayBank
+from stylerf.training.rays import RayBank, unhidden
 
 
 @dataclass(frozen=True)
@@ -201,7 +201,10 @@ class CpuEngine:
         count = batch.rays
         rendered = render_rays(self.field, rays, chunks=self.chunks)
         out = rendered.out
-        difference = over(out[:, :3], out[:, 3:4], back) - target(colours, back)
+        found = over(out[:, :3], out[:, 3:4], back)
+        if self.field.closed and self.bank.channels == 4:
+            colours = unhidden(colours, found)
+        difference = found - target(colours, back)
         gradients = np.zeros_like(out)
         gradients[:, :3] = difference * np.float32(2 / (3 * count))
         gradients[:, 3] = -(gradients[:, :3] * back).sum(1)

@@ -27,7 +27,7 @@ from tests.stylerf.small import (
     wall_in_front,
 )
 from tests.stylerf.training.running import resumed, run_until
-from tests.stylerf.training.scenes import AROUND, Rung, box_bank, dome, settings
+from tests.stylerf.training.scenes import AROUND, Rung, box_bank, dome, masked_wall, settings
 
 
 @pytest.fixture(scope="module")
@@ -182,6 +182,15 @@ def test_held_out_views_are_judged_as_on_the_cpu(bank, device):
     expected = CpuEngine(bank, 0, 1, field).rendered(*rays)
     assert expected[:, 3].any() and expected[:, 4].any()
     np.testing.assert_allclose(engine_on(device, bank, field).rendered(*rays), expected, rtol=1e-4, atol=1e-5)
+
+
+def test_what_masks_hide_in_a_closed_space_teaches_nothing(device):
+    field = thin_field(masked_wall(0)[0])
+    for hidden in (24, 12):
+        engine = engine_on(device, masked_wall(hidden)[1], field)
+        found = kept_gradients(engine)
+        engine.learn(batch(among=8, lit_share=0.0))
+        assert all(bool(gradients.abs().max() > 1e-6) == (hidden < 24) for gradients in found)
 
 
 def test_photos_of_another_exposure_are_drawn_as_on_the_cpu(bank, device):
