@@ -18,9 +18,9 @@ SAMPLE_LIMIT = 512
 
 @dataclass
 class Rendered:
-    """What rays came back with. out [rays, 5]: premultiplied rgb, alpha, sum of w t; the rest serves the backward.
+    """What rays came back with. out [rays, 5]: premultiplied rgb, alpha, sum of w t without a backdrop's.
 
-    unmapped: out before the field's colour map.
+    The rest serves the backward. unmapped: out before the field's colour map.
     """
 
     out: np.ndarray
@@ -42,7 +42,7 @@ def render_rays(field: RadianceField, rays: Rays, *, chunks: int, opaque=1e-3, s
     significant(samples.weights, samples.starts, samples.ends, np.float32(share), chunks, shown)
     colours = field.colour.colours(samples.x, basis, samples.starts, samples.ends, shown, 0.0, chunks)
     unmapped = np.empty((len(rays.origins), 5), np.float32)
-    composite(samples.weights, colours, samples.t, samples.starts, samples.ends, chunks, unmapped)
+    composite(samples.weights, samples.optical, colours, samples.t, samples.starts, samples.ends, chunks, unmapped)
     out = unmapped
     if field.colour_map is not None:
         mapped = field.colour_map.premultiplied(torch.from_numpy(out[:, :3]), torch.from_numpy(out[:, 3]))

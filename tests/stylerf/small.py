@@ -228,4 +228,5 @@ def oracle_pixels(field, rays, rendered, density_values, colour_values, grid=Non
     basis = float64(rendered.basis)[packed.rays]
     colours = oracle_colour(field.colour, colour_values, basis, x)
     coloured = torch.from_numpy(rendered.colours[packed.at, 0] >= 0)
-    return oracle.composite(weights, colours, coloured, packed.t, packed.rays, len(rays.origins)), x
+    t = torch.where(packed.backdrop, 0, packed.t)
+    return oracle.composite(weights, colours, coloured, t, packed.rays, len(rays.origins)), x

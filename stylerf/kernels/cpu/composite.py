@@ -10,10 +10,11 @@ AROUND = np.float32(0.05)  # of its distance: samples so close to a ray's middle
 
 
 @parallel_kernel
-def composite(weights, colours, t, starts, ends, chunks, out):
+def composite(weights, optical, colours, t, starts, ends, chunks, out):
     """out[r] = (sum w c (3), sum w, sum w t). Samples without a colour (colours[k, 0] < 0) take the mean of the others.
 
-    They weigh next to nothing; counting them as black would pull every density the wrong way.
+    They weigh next to nothing; counting them as black would pull every density the wrong way. A backdrop (optical[k]
+    0) has no part in sum w t: so far out, the least of light that reaches it would be all that counts.
     """
     n = len(ends)
     for c in prange(chunks):
@@ -23,7 +24,8 @@ def composite(weights, colours, t, starts, ends, chunks, out):
             for k in range(starts[r], ends[r]):
                 w = weights[k]
                 total += w
-                depth += w * t[k]
+                if optical[k] > _ZERO:
+                    depth += w * t[k]
                 if colours[k, 0] >= _ZERO:
                     coloured += w
                     red += w * colours[k, 0]
@@ -86,7 +88,7 @@ def composite_backward(
             behind = _ZERO
             for k in range(starts[r], ends[r]):
                 w = weights[k]
-                d = ga + gd * t[k]
+                d = ga + gd * t[k] if optical[k] > _ZERO else ga
                 if colours[k, 0] >= _ZERO:
                     d += g0 * colours[k, 0] + g1 * colours[k, 1] + g2 * colours[k, 2]
                     colour_gradients[k, 0] = w * g0

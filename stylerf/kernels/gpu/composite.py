@@ -9,8 +9,11 @@ AROUND = tl.constexpr(0.05)  # as on the CPU
 
 
 @triton.jit(do_not_specialize=["rays"])
-def composite_kernel(weights, colours, t, starts, ends, out, rays, BLOCK: tl.constexpr):
-    """out[r] = (sum w c (3), sum w, sum w t); samples without a colour (colours[k, 0] < 0) take the others' mean."""
+def composite_kernel(weights, optical, colours, t, starts, ends, out, rays, BLOCK: tl.constexpr):
+    """out[r] = (sum w c (3), sum w, sum w t); samples without a colour (colours[k, 0] < 0) take the others' mean.
+
+    A backdrop (optical[k] 0) has no part in sum w t.
+    """
     r = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
     live = r < rays
     first = tl.load(starts + r, mask=live, other=0)
@@ -24,7 +27,8 @@ def composite_kernel(weights, colours, t, starts, ends, out, rays, BLOCK: tl.con
         c0 = tl.load(colours + offset(k, 3, 0), mask=own, other=-1.0)
         _c0, c1, c2 = vector(colours, k, own & (c0 >= 0.0))
         total += w
-        depth += w * tl.load(t + k, mask=own, other=0.0)
+        held = own & (tl.load(optical + k, mask=own, other=0.0) > 0.0)
+        depth += w * tl.load(t + k, mask=held, other=0.0)
         shown = tl.where(c0 >= 0.0, w, 0.0)
         coloured += shown
         red += shown * c0
@@ -99,7 +103,8 @@ def composite_backward_kernel(
         c0 = tl.load(colours + offset(k, 3, 0), mask=own, other=-1.0)
         shown = own & (c0 >= 0.0)
         c0, c1, c2 = vector(colours, k, shown)
-        d = ga + gd * tl.load(t + k, mask=own, other=0.0)
+        held = own & (tl.load(optical + k, mask=own, other=0.0) > 0.0)
+        d = ga + gd * tl.load(t + k, mask=held, other=0.0)
         d += tl.where(shown, g0 * c0 + g1 * c1 + g2 * c2, mean)
         behind += tl.where(own, w * d, 0.0)
     through = 1.0 + 0.0 * total
@@ -111,13 +116,14 @@ def composite_backward_kernel(
         shown = own & (c0 >= 0.0)
         c0, c1, c2 = vector(colours, k, shown)
         far = tl.load(t + k, mask=own, other=0.0)
-        d = ga + gd * far
+        length = tl.load(optical + k, mask=own, other=0.0)
+        d = ga + tl.where(length > 0.0, gd * far, 0.0)
         d += tl.where(shown, g0 * c0 + g1 * c1 + g2 * c2, mean)
         behind -= tl.where(own, w * d, 0.0)
         through -= w
         near = far / tl.maximum(even_from, 1e-9)
         even = tl.where(far < even_from, near * near, 1.0)
-        s = tl.load(optical + k, mask=own, other=0.0) * (through * d - behind)
+        s = length * (through * d - behind)
         tl.store(sigma_gradients + k, s * even, mask=own)
         store_vector(colour_gradients, k, w * g0 * even, w * g1 * even, w * g2 * even, shown)
 

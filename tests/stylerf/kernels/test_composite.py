@@ -42,7 +42,7 @@ def reference(at, optical, sigma, t, colours):
     rays, length = torch.from_numpy(RAYS), float64(optical[at])
     w, _ = oracle.weights(s, length, rays, length == 0)
     coloured = torch.from_numpy(colours[at, 0] >= 0)
-    return s, c, w, oracle.composite(w, c, coloured, float64(t[at]), rays, len(COUNTS))
+    return s, c, w, oracle.composite(w, c, coloured, torch.where(length == 0, 0, float64(t[at])), rays, len(COUNTS))
 
 
 @pytest.mark.parametrize("chunks", [1, 3])
@@ -52,7 +52,7 @@ def test_pixels_and_gradients_equal_the_oracle(chunks):
     weights = np.full(len(sigma), np.nan, np.float32)
     weights[at] = w.detach()
     out = np.full((len(COUNTS), 5), np.nan, np.float32)
-    kernels.composite(weights, colours, t, starts, ends, chunks, out)
+    kernels.composite(weights, optical, colours, t, starts, ends, chunks, out)
     close(out, expected, 1e-6)
     assert not out[1].any() and (out[5, :3] == 0).all() and out[5, 3] > 0
     gradients = np.random.default_rng(1).normal(size=out.shape).astype(np.float32)
@@ -96,7 +96,7 @@ def test_a_backdrop_and_what_lies_behind_an_opaque_sample_teach_no_density():
     weights = np.zeros_like(sigma)
     weights[at] = w.detach()
     out, gradients = np.empty((len(COUNTS), 5), np.float32), np.ones((len(COUNTS), 5), np.float32)
-    kernels.composite(weights, colours, t, starts, ends, 1, out)
+    kernels.composite(weights, optical, colours, t, starts, ends, 1, out)
     to_sigma, to_colours = np.empty_like(sigma), np.empty_like(colours)
     kernels.composite_backward(
         sigma, weights, optical, colours, t, starts, ends, out, gradients, 1, to_sigma, to_colours

@@ -9,7 +9,7 @@ from stylerf.fields.vm_tables import split_table
 from stylerf.rendering.view import render_view
 from stylerf.training.finetune import EditedPixels, FineTuner, FineTuneSettings
 from stylerf.training.rays import RayBank
-from tests.stylerf.small import field_of, hash_colour
+from tests.stylerf.small import field_of, hash_colour, wall_in_front
 from tests.stylerf.training.scenes import SIDE, box_fitter, box_photo, dome, masked_wall
 
 RED = np.uint8([230, 20, 30])
@@ -67,6 +67,14 @@ def test_what_masks_hide_in_a_closed_space_teaches_nothing():
     before = {name: array.copy() for name, array in made.field.arrays().items()}
     assert made.step()["outside"] == 0
     assert all(np.array_equal(array, before[name]) for name, array in made.field.arrays().items())
+
+
+def test_light_that_passes_a_surface_of_a_capture_is_no_error_of_its_depth():
+    bank = masked_wall(0)[1]
+    pixels, depth = np.arange(200, 300), np.full(100, 3.1, np.float32)
+    edited = EditedPixels(np.zeros(100, np.int64), pixels, depth, (pixels[:0], pixels[:0]))
+    made = FineTuner(wall_in_front(0.02), bank, edited, FineTuneSettings(steps=3, rays=64), 0, 1)
+    assert made.step()["depth"] < 26 * 0.1**2
 
 
 def errors(field, bank) -> tuple[float, float]:
