@@ -10,7 +10,7 @@ from stages.configs.fit import budget_of
 from stages.edits import save_palette
 from stages.fields import load_checkpoint, load_field, save_field
 from stages.memory import room
-from stages.photos import level_of, photo_over
+from stages.photos import level_of, photo_for
 from stages.progress import Context
 from stages.runner import Spec
 from stages.scenes import load_scene
@@ -36,7 +36,7 @@ def run(inputs: dict[str, Artefact], config: DecomposeConfig, partial: Partial, 
     torch.set_num_threads(threads)
     views, level = scene.splits["train"], level_of(background)
     cameras = [scene.cameras[i] for i in views]
-    photos = Kept(lambda place: photo_over(scene, views[place], level), len, len(views), 0)
+    photos = Kept(lambda place: photo_for(field, scene, views[place], level, threads), len, len(views), 0)
     if context.device == "cuda":
         context.progress.say("a palette is learnt on the CPU: its colours have no GPU kernel")
 

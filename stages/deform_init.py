@@ -18,7 +18,7 @@ from stylerf.fields.deformation import Deformation
 from stylerf.kernels.cpu.compiling import compiling_note, set_threads
 from stylerf.training.deform import DeformationFitter, DeformSettings
 
-SPEC = Spec(stage="deform_init", verb="deform", revision=2, writes="field")
+SPEC = Spec(stage="deform_init", verb="deform", revision=3, writes="field")
 
 
 def run(inputs: dict[str, Artefact], config: DeformConfig, partial: Partial, context: Context) -> dict:

@@ -38,7 +38,7 @@ from stages.evaluation.views import FrameViews, Photo, Render, SceneViews
 from stages.progress import Context
 from stages.runner import Spec, versions
 
-SPEC = Spec(stage="evaluate", verb="eval", revision=3, writes="report")
+SPEC = Spec(stage="evaluate", verb="eval", revision=4, writes="report")
 STYLE_KEYS = ("nnfm", "gram", "sifid", "palette", "palette_mean", "palette_covariance", "content_ssim")
 
 
@@ -158,7 +158,8 @@ class Evaluation:
             if photo is not None and base.image.shape == photo.image.shape:
                 measure_content(reference, base.image, photo)
         elif base is None and photo is not None:
-            mask = np.ones(photo.image.shape[:2], np.float32) if photo.mask is None else photo.mask.astype(np.float32)
+            mask = photo.mask if photo.shown is None else photo.shown
+            mask = np.ones(photo.image.shape[:2], np.float32) if mask is None else mask.astype(np.float32)
             self._measure_look(reference, photo.image, mask)
         self.reference_rows.append(reference.row())
 

@@ -23,7 +23,7 @@ from stylerf.training.fit import Fitter
 from stylerf.training.fit_state import FitSettings
 from stylerf.training.ladders import BEYOND, LADDER, Kinds, Rung
 
-SPEC = Spec(stage="nerf_fit", verb="fit", revision=7, writes="field", parallel=True)
+SPEC = Spec(stage="nerf_fit", verb="fit", revision=8, writes="field", parallel=True)
 GPU_SAMPLES = 262_144  # of a step: smaller ones would leave a GPU waiting for launches
 RATE = {"object": 2e-2, "forward": 4e-2, "unbounded": 4e-2}
 

@@ -12,8 +12,10 @@ from schemas.atomic import TEMPORARY_SUFFIX, writing
 from stages.memory import in_words, room
 from stages.progress import Context
 from stages.scenes import SceneData
+from stylerf.fields.field import RadianceField
+from stylerf.rendering.view import render_view
 from stylerf.training.pixels import STRETCH, Pixels
-from stylerf.training.rays import RayBank
+from stylerf.training.rays import HIDDEN, RayBank
 
 # What training takes beside its photos, as measured: a field of 256^3, its gradients, moments and two copies of it.
 WORKING_BYTES = 1.2e9
@@ -81,6 +83,19 @@ def photo_over(scene: SceneData, index: int, level: float) -> np.ndarray:
     if pixels.shape[2] == 4:
         pixels = pixels[..., :3] * pixels[..., 3:] + (1 - pixels[..., 3:]) * np.float32(level)
     return np.ascontiguousarray(pixels, dtype=np.float32)
+
+
+def photo_for(field: RadianceField, scene: SceneData, index: int, level: float, chunks: int) -> np.ndarray:
+    """As photo_over, for what teaches colours to a field's shapes: nothing of a closed space is transparent, and what
+
+    a mask hides there is what the field shows already.
+    """
+    pixels = scene.images(index)
+    if pixels.shape[2] != 4 or not field.closed:
+        return photo_over(scene, index, level)
+    shown = pixels[..., 3:] > HIDDEN
+    seen = pixels if shown.all() else render_view(field, scene.cameras[index], chunks=chunks).rgb
+    return np.where(shown, pixels[..., :3], seen[..., :3]).astype(np.float32)
 
 
 def level_of(background: str) -> float:

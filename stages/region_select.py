@@ -12,7 +12,7 @@ from schemas.store import Artefact, Partial
 from stages.configs.select import SelectConfig
 from stages.configs.views import depth_of, file_of, pixel_of
 from stages.fields import load_field
-from stages.photos import level_of, photo_over
+from stages.photos import level_of, photo_for, photo_over
 from stages.progress import Context
 from stages.regions import load_region, save_region
 from stages.runner import Spec
@@ -47,7 +47,7 @@ from stylerf.fields.field import RadianceField
 from stylerf.fields.surface import cells_of
 from stylerf.kernels.cpu.compiling import compiling_note, set_threads
 
-SPEC = Spec(stage="region_select", verb="select", revision=2, writes="region")
+SPEC = Spec(stage="region_select", verb="select", revision=3, writes="region")
 LOOKING_VIEWS = 24  # views whose photos give the cells their colours
 PIXELS_A_CELL = 1.5
 CLAIMS = 2  # rounds in which views claim what is as much the region as what has grown
@@ -80,10 +80,8 @@ class Looking:
         """Some of the training views."""
         train = self.scene.splits["train"]
         chosen = [train[i] for i in np.unique(np.linspace(0, len(train) - 1, LOOKING_VIEWS).round().astype(int))]
-        return [
-            Look.at(self.field, self.scene.cameras[i], photo_over(self.scene, i, self.level), self.chunks)
-            for i in chosen
-        ]
+        photos = ((i, photo_for(self.field, self.scene, i, self.level, self.chunks)) for i in chosen)
+        return [Look.at(self.field, self.scene.cameras[i], photo, self.chunks) for i, photo in photos]
 
     @cached_property
     def seen(self) -> SeenCells:

@@ -17,7 +17,7 @@ from schemas.errors import BadInput
 from schemas.exr import LARGEST_SIDE, ExrView, write_exr
 from schemas.frames import Frame, FrameCamera, Frames, write_frames
 from schemas.images import linear_from_srgb, to_uint8, write_png
-from schemas.scene import as_matrix
+from schemas.scene import Bounds, as_matrix
 from schemas.store import Artefact, Partial
 from stages.configs.render import OWN_VIEWS, RenderConfig, frames_of
 from stages.devices import gpu_figures, gpu_of
@@ -34,7 +34,7 @@ from stylerf.kernels.cpu.compiling import compiling_note, set_threads
 from stylerf.rendering.pictures import depth_picture, displacement_picture
 from stylerf.rendering.view import RenderedView, render_view
 
-SPEC = Spec(stage="render", verb="render", revision=1, writes="frames")
+SPEC = Spec(stage="render", verb="render", revision=2, writes="frames")
 Shot = tuple[Camera, int | None]
 
 
@@ -61,14 +61,14 @@ def run(inputs: dict[str, Artefact], config: RenderConfig, partial: Partial, con
     seen = _on_device(field, device) if device else functools.partial(render_view, field, chunks=threads)
     with nullcontext() if device else compiling_note(context.progress.say):
         for done, (camera, view) in enumerate(shots):
-            frames.append(_frame(field, background, camera, view, config, partial.path, seen, attributes, cells))
+            given = field, background, scene.bounds, camera, view, config, partial.path, seen, attributes, cells
+            frames.append(_frame(*given))
             context.progress.update(done + 1)
     context.progress.finish()
     video = _video(partial.path, [f.png for f in frames], config, context) if config.video else None
-    write_frames(
-        partial.path,
-        Frames(inputs["field"].name, config.path, tuple(frames), config.fps, channels if config.exr else {}),
-    )
+    fps = config.fps if config.video or config.path not in OWN_VIEWS else None
+    told = channels if config.exr else {}
+    write_frames(partial.path, Frames(inputs["field"].name, config.path, tuple(frames), fps, told))
     return {
         "frames": len(frames),
         "pixels": int(sum(c.width * c.height for c, _ in shots)),
@@ -146,14 +146,14 @@ def _cameras_of_file(path: Path, like: Camera) -> list[Camera]:
     return cameras
 
 
-def _frame(field, background, camera, view, config, folder: Path, seen, attributes, regions) -> Frame:
+def _frame(field, background, bounds, camera, view, config, folder: Path, seen, attributes, regions) -> Frame:
     name = camera.name if view is not None else f"{int(camera.name):04d}" if camera.name.isdigit() else camera.name
     frame = Frame(name, f"exr/{name}.exr" if config.exr else "", f"png/{name}.png", _camera_entry(camera), view)
     if (folder / frame.png).is_file() and (not config.exr or (folder / frame.exr).is_file()):
         return frame
     rendered = seen(camera, regions=regions)
     if config.exr:
-        write_exr(folder / frame.exr, exr_view(rendered, camera, field, attributes))
+        write_exr(folder / frame.exr, exr_view(rendered, camera, bounds, attributes))
     if config.masks:
         for region, mask in rendered.masks.items():
             write_png(folder / f"masks/{region}/{name}.png", to_uint8(mask))
@@ -168,7 +168,7 @@ def _frame(field, background, camera, view, config, folder: Path, seen, attribut
     return frame
 
 
-def exr_view(rendered: RenderedView, camera: Camera, field: RadianceField, attributes: Mapping[str, str]) -> ExrView:
+def exr_view(rendered: RenderedView, camera: Camera, bounds: Bounds, attributes: Mapping[str, str]) -> ExrView:
     """Linear and premultiplied: the encoded colour is divided by alpha, made linear, and multiplied again."""
     channels = channels_of(rendered.masks)
     alpha = rendered.alpha[..., None]
@@ -180,8 +180,8 @@ def exr_view(rendered: RenderedView, camera: Camera, field: RadianceField, attri
         ray_distance=rendered.ray_distance,
         world_from_camera=camera.world_from_camera,
         intrinsics=(camera.fx, camera.fy, camera.cx, camera.cy),
-        near=max(field.space.near, 1e-3),
-        far=field.space.far,
+        near=bounds.near,
+        far=bounds.far,
         masks={channels[name]: mask for name, mask in rendered.masks.items()},
         attributes=dict(attributes),
     )

@@ -21,7 +21,7 @@ from stages.fields import (
 )
 from stages.memory import in_words, room
 from stages.paintings import read_painting
-from stages.photos import level_of, photo_over
+from stages.photos import level_of, photo_for
 from stages.progress import Context
 from stages.references import chosen_view, decoded_reference, read_references
 from stages.runner import Spec
@@ -109,7 +109,8 @@ def _stylizer(
         return Trunk(resolved.state, taps, resolved.kind).to(device or "cpu")
 
     cameras = [scene.cameras[i] for i in views]
-    photos = Kept(lambda place: photo_over(scene, views[place], level), len, len(views), 0)
+    threads = torch.get_num_threads()
+    photos = Kept(lambda place: photo_for(field, scene, views[place], level, threads), len, len(views), 0)
     settings = settings_of(config, max(max(c.width, c.height) for c in scene.cameras), field.closed)
     given = (
         field,
@@ -120,7 +121,7 @@ def _stylizer(
         trunk(painting_taps(config, resolved.state)),
         settings,
         context.seed,
-        torch.get_num_threads(),
+        threads,
         functools.partial(new_colour, config),
     )
     more = {"memory": _room_for(scene, views, context), "device": rays_on(device, field, context, moving)}
@@ -129,7 +130,7 @@ def _stylizer(
     if config.method == "refnpr":
         references = read_references(scene, config.reference)
         if not references:
-            view = chosen_view(scene, field, cameras, config, settings.share, torch.get_num_threads())
+            view = chosen_view(scene, field, cameras, config, settings.share, threads)
             context.progress.say(f"view {cameras[view].name} is made the reference")
             references = {view: None}
             if config.reference_by == "adain":

@@ -73,7 +73,7 @@ class LocalEdit:
         parts = split_view(inside, self.margin, self._config.ring)
         row.measure((prefix + "region_share",), lambda: float(inside.mean()))
         if photo is not None:
-            covered = ~parts.outside
+            covered = ~parts.outside if photo.shown is None else ~(parts.outside & photo.shown)
             row.measure((prefix + UNEDITED,), lambda: background_mse(base.image, photo.image, covered))
             row.measure((prefix + "background_mse",), lambda: background_mse(render.image, photo.image, covered))
             _put_ratio(row, prefix)

@@ -85,7 +85,7 @@ FITTED = (
     Kind(
         "depth_abs_rel", "Depth error, relative", "", "lower", 4,
         "Mean of |z - z*| / z* over pixels where the render's alpha is over 0.5 and the true planar depth z* is "
-        "known; z is the expected depth of the field.",
+        "known; z is that of the rendered frame.",
     ),
     Kind(
         "depth_rmse", "Depth error, RMS", "scene units", "lower", 4,

@@ -64,12 +64,13 @@ def measure_fit(row: ViewRow, render: Render, photo: Photo, scores: Mapping[str,
     if render.spoiled:
         row.spoil((*keys, *(depth_keys if photo.depth is not None else ())), spoiled_words(render))
         return
-    row.measure(("psnr",), lambda: min(images.psnr(render.image, photo.image), HIGHEST_PSNR))
+    beside = photo.beside(render.image)
+    row.measure(("psnr",), lambda: min(images.psnr(render.image, photo.image, photo.shown), HIGHEST_PSNR))
     if photo.mask is not None and photo.mask.any():
         row.measure(("psnr_object",), lambda: min(images.psnr(render.image, photo.image, photo.mask), HIGHEST_PSNR))
-    row.measure(("ssim",), lambda: images.ssim(render.image, photo.image))
+    row.measure(("ssim",), lambda: images.ssim(render.image, beside, photo.shown))
     for key, score in scores.items():
-        row.measure((key,), lambda score=score: score(render.image, photo.image))
+        row.measure((key,), lambda score=score: score(render.image, beside))
     if photo.depth is not None:
         row.measure(depth_keys, lambda: _depth_values(render, photo.depth))
 
@@ -97,7 +98,7 @@ def measure_style(row: ViewRow, image: np.ndarray, alpha: np.ndarray, distances:
 
 def measure_content(row: ViewRow, image: np.ndarray, photo: Photo) -> None:
     """Structure of the photo that a stylised image kept."""
-    row.measure(("content_ssim",), lambda: images.content_ssim(image, photo.image))
+    row.measure(("content_ssim",), lambda: images.content_ssim(image, photo.beside(image), photo.shown))
 
 
 def measure_shape(row: ViewRow, render: Render, base: Render) -> None:

@@ -74,7 +74,7 @@ def _fit_pictures(row: Row, render: Render, photo: Photo | None, _: Render | Non
     pictures = [Picture(shown(render.image), f"render, {told}", f"Render of view {render.name}, PSNR {told}")]
     if photo is None:
         return pictures
-    error = error_picture(render.image, photo.image)
+    error = error_picture(render.image, photo.beside(render.image))
     where = f"Absolute difference between photo and render of view {render.name}; bright is large"
     return [_photo(render, photo), *pictures, Picture(error, "error", where)]
 

@@ -15,6 +15,7 @@ from stages.scenes import load_scene, view_index
 from stylerf.errors import InvalidValue
 from stylerf.geometry.cameras import Camera
 from stylerf.metrics.consistency import PosedView
+from stylerf.training.rays import HIDDEN
 
 BACKGROUNDS = {"alpha": 1.0, "white": 1.0, "black": 0.0, "none": 0.0}
 
@@ -43,6 +44,7 @@ class Render:
 class Photo:
     """What was really seen: image [h, w, 3] sRGB over the background; object mask [h, w] or None; true z or None.
 
+    shown: of a capture's photo, the pixels [h, w] that no mask hides; None: all of them.
     resized, depth_unfit: the photo was stored at another size; so was a depth, which is then left out.
     """
 
@@ -51,6 +53,11 @@ class Photo:
     depth: np.ndarray | None
     resized: bool
     depth_unfit: bool
+    shown: np.ndarray | None = None
+
+    def beside(self, image: np.ndarray) -> np.ndarray:
+        """The photo with what it hides taken from an image of its size."""
+        return self.image if self.shown is None else np.where(self.shown[..., None], self.image, image)
 
 
 class SceneViews:
@@ -67,7 +74,9 @@ class SceneViews:
     def background_words(self) -> str:
         """How a protocol tells what stands behind transparent pixels."""
         return {
-            "alpha": "(both composited on white)",
+            "alpha": "(both composited on white)"
+            if self._data.layout == "object"
+            else "(where its mask shows the scene; distances by networks see the render where it does not)",
             "white": "(photo as stored, on white; render composited on white)",
             "black": "(photo as stored, on black; render composited on black)",
             "none": "(render composited on black where it is not opaque)",
@@ -83,14 +92,19 @@ class SceneViews:
         premultiplied = _premultiplied(pixels)
         if other_size:
             premultiplied = resize(premultiplied, (height, width, pixels.shape[2]), anti_aliasing=True)
-        colour, mask = premultiplied[..., :3], None
+        colour, mask, shown = premultiplied[..., :3], None, None
         if premultiplied.shape[2] == 4:
-            alpha = premultiplied[..., 3]
-            mask = alpha > 0.5
-            colour = colour + (1 - alpha[..., None]) * self.background
+            alpha = premultiplied[..., 3:]
+            if self._data.layout == "object":
+                mask = alpha[..., 0] > 0.5
+                colour = colour + (1 - alpha) * self.background
+            else:  # nothing of a capture is transparent: masks hide passers-by
+                shown = alpha[..., 0] > HIDDEN
+                colour = np.where(shown[..., None], colour / np.maximum(alpha, HIDDEN), self.background)
         depth = self._data.truth_depth(index)
         unfit = depth is not None and depth.shape != (height, width)
-        return Photo(np.clip(colour, 0, 1).astype(np.float32), mask, None if unfit else depth, other_size, unfit)
+        image = np.clip(colour, 0, 1).astype(np.float32)
+        return Photo(image, mask, None if unfit else depth, other_size, unfit, shown)
 
     def centre_of(self, name: str) -> np.ndarray:
         """Camera centre [3] of a view by its name, or else by its number; BadInput where there is none."""

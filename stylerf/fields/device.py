@@ -180,6 +180,10 @@ class DeviceRendered:
     samples: DeviceSamples
     colours: Tensor
 
+    def seen(self) -> Tensor:
+        """As rendering/rays.py's seen."""
+        return torch.cat([self.out[:, :4], launch.surface_distance(self.samples)[:, None]], 1)
+
 
 class DeviceField:
     """field: what is copied to the device; its shapes, space and step stay as they are there.

@@ -73,7 +73,7 @@ class DeviceRenderer:
         regions: Mapping[str, Tensor] | None = None,
         on_rays: Callable[[int], None] = lambda done: None,
     ) -> tuple[Tensor, dict[str, Tensor]]:
-        """([pixels, 5], by region [pixels]: the part of alpha that lies in it), on the device."""
+        """([pixels, 5]: premultiplied rgb, alpha, ray distance; by region [pixels]: alpha in it), on the device."""
         if self.half is None:
             self._choose(camera)
         count = camera.width * camera.height
@@ -82,7 +82,7 @@ class DeviceRenderer:
             number = torch.arange(at, min(at + self.rays_at_once, count), device=self.device)
             rays = rays_of(camera, number)
             rendered = self.field.render_rays(rays, opaque=opaque, share=self.field.share)
-            parts.append(rendered.out)
+            parts.append(rendered.seen())
             for name, found in inside.items():
                 found.append(alpha_inside(regions[name], rendered))
             on_rays(min(at + self.rays_at_once, count))
@@ -102,7 +102,7 @@ class DeviceRenderer:
         out, inside = self.pixels(camera, opaque=opaque, regions=marked, on_rays=on_rays)
         out = out.cpu().numpy().reshape(camera.height, camera.width, 5)
         alpha = np.clip(out[..., 3], 0, 1)
-        distance = np.where(alpha > 0, out[..., 4] / np.maximum(alpha, 1e-8), 0).astype(np.float32)
+        distance = np.where(alpha > 0, out[..., 4], 0)
         masks = {name: np.minimum(m.cpu().numpy().reshape(alpha.shape), alpha) for name, m in inside.items()}
         return RenderedView(out[..., :3], alpha, distance, distance * camera.ray_cosines(), masks)
 

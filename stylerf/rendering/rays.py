@@ -10,7 +10,7 @@ from stylerf.fields.field import RadianceField
 from stylerf.fields.room import room
 from stylerf.fields.samples import Rays, Samples
 from stylerf.geometry.harmonics import harmonics
-from stylerf.kernels.cpu.composite import composite, composite_backward, scale_near, significant
+from stylerf.kernels.cpu.composite import composite, composite_backward, scale_near, significant, surface_distance
 from stylerf.kernels.cpu.regions import keep_inside
 
 SAMPLE_LIMIT = 512
@@ -18,9 +18,9 @@ SAMPLE_LIMIT = 512
 
 @dataclass
 class Rendered:
-    """What rays came back with. out [rays, 5]: premultiplied rgb, alpha, sum of w t; the rest serves the backward.
+    """What rays came back with. out [rays, 5]: premultiplied rgb, alpha, sum of w t without a backdrop's.
 
-    unmapped: out before the field's colour map.
+    The rest serves the backward. unmapped: out before the field's colour map.
     """
 
     out: np.ndarray
@@ -42,12 +42,19 @@ def render_rays(field: RadianceField, rays: Rays, *, chunks: int, opaque=1e-3, s
     significant(samples.weights, samples.starts, samples.ends, np.float32(share), chunks, shown)
     colours = field.colour.colours(samples.x, basis, samples.starts, samples.ends, shown, 0.0, chunks)
     unmapped = np.empty((len(rays.origins), 5), np.float32)
-    composite(samples.weights, colours, samples.t, samples.starts, samples.ends, chunks, unmapped)
+    composite(samples.weights, samples.optical, colours, samples.t, samples.starts, samples.ends, chunks, unmapped)
     out = unmapped
     if field.colour_map is not None:
         mapped = field.colour_map.premultiplied(torch.from_numpy(out[:, :3]), torch.from_numpy(out[:, 3]))
         out = np.concatenate([np.clip(mapped.numpy(), 0, out[:, 3:4]), out[:, 3:]], 1)
     return Rendered(out, unmapped, rays, samples, basis, colours)
+
+
+def seen(rendered: Rendered, chunks: int) -> np.ndarray:
+    """[rays, 5]: premultiplied rgb, alpha, and the distance of what the ray shows (composite.py's surface_distance)."""
+    s, out = rendered.samples, rendered.out.copy()
+    surface_distance(s.weights, s.t, s.starts, s.ends, chunks, out)
+    return out
 
 
 def backward(

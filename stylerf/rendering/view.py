@@ -10,7 +10,7 @@ from stylerf.fields.field import RadianceField
 from stylerf.fields.room import Memory
 from stylerf.fields.samples import Rays
 from stylerf.geometry.cameras import Camera
-from stylerf.rendering.rays import render_rays
+from stylerf.rendering.rays import render_rays, seen
 
 RAYS_AT_ONCE = 8192
 
@@ -19,7 +19,7 @@ RAYS_AT_ONCE = 8192
 class RenderedView:
     """rgb [h, w, 3]: sRGB-encoded, premultiplied (sum of w c, no background). alpha [h, w].
 
-    ray_distance [h, w]: expected distance along the ray, sum(w t)/alpha, scene units (0 where alpha is 0);
+    ray_distance [h, w]: along the ray to the surface that it shows (decision 0032), scene units, 0 where alpha is 0;
     z [h, w]: the same along the viewing axis. masks: by region, [h, w] the part of alpha that lies in it, 0..alpha.
     """
 
@@ -54,12 +54,12 @@ def render_view(
         with memory.round():
             rays = Rays.of(*camera.rays(pixels), field.space.near)
             rendered = render_rays(field, rays, chunks=chunks, opaque=opaque, share=field.share)
-            out[part] = rendered.out
+            out[part] = seen(rendered, chunks)
             for name, mask in inside.items():
                 mask[part] = alpha_inside(regions[name], rendered.samples, chunks)
         on_rays(min(at + rays_at_once, count))
     out = out.reshape(camera.height, camera.width, 5)
     alpha = np.clip(out[..., 3], 0, 1)
-    distance = np.where(alpha > 0, out[..., 4] / np.maximum(alpha, 1e-8), 0).astype(np.float32)
+    distance = np.where(alpha > 0, out[..., 4], 0)
     masks = {name: np.minimum(mask.reshape(alpha.shape), alpha) for name, mask in inside.items()}
     return RenderedView(out[..., :3], alpha, distance, distance * camera.ray_cosines(), masks)

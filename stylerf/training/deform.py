@@ -15,7 +15,7 @@ from stylerf.fields.samples import Rays
 from stylerf.rendering.rays import Rendered, backward, render_rays
 from stylerf.training.deformer import Deformer, deformer_on
 from stylerf.training.fit import psnr_from_mse
-from stylerf.training.rays import RayBank
+from stylerf.training.rays import RayBank, shown_rays, unhidden
 
 FIXED_RAYS = 8192
 LOOK_EVERY = 200  # steps
@@ -66,8 +66,11 @@ class PhotoError:
         field, back = self.deformer.field, self.background
         rays = Rays.of(origins, directions, field.space.near, jitter)
         rendered = render_rays(field, rays, chunks=self.chunks, share=self.share)
+        found = rendered.out[:, :3] + (1 - rendered.out[:, 3:4]) * back
+        if field.closed:
+            colours = unhidden(colours, found)
         target = colours[:, :3] * colours[:, 3:] + (1 - colours[:, 3:]) * back
-        return rendered, rendered.out[:, :3] + (1 - rendered.out[:, 3:4]) * back - target
+        return rendered, found - target
 
     def of(self, origins: np.ndarray, directions: np.ndarray, colours: np.ndarray) -> float:
         """Mean squared difference of rays, marched from the middle of their first step, from straight rgba [n, 4]."""
@@ -124,9 +127,11 @@ class DeformationFitter:
         """Rays of the views kept aside, of all where none is."""
         views = len(self.bank.cameras)
         if self.among == views:
-            return self.bank.draw(FIXED_RAYS, generator)[:3]
-        chosen = generator.integers(self.among, views, FIXED_RAYS)
-        return self.bank.at(chosen, (generator.random(FIXED_RAYS) * self.bank.sizes[chosen]).astype(np.int64))
+            rays = self.bank.draw(FIXED_RAYS, generator)[:3]
+        else:
+            chosen = generator.integers(self.among, views, FIXED_RAYS)
+            rays = self.bank.at(chosen, (generator.random(FIXED_RAYS) * self.bank.sizes[chosen]).astype(np.int64))
+        return shown_rays(*rays) if self.field.closed else rays
 
     @property
     def dropped(self) -> bool:

@@ -17,6 +17,7 @@ from stylerf.kernels.gpu import launch
 from stylerf.kernels.gpu.launch_deform import displaced_cells
 from stylerf.training.deformer import Deformer
 from stylerf.training.device_engine import DeviceAdam
+from stylerf.training.device_rays import unhidden
 from stylerf.training.device_traffic import Reports, sent
 
 RAYS_AT_ONCE = 1 << 16
@@ -114,10 +115,10 @@ class DevicePhotoError:
         rays = DeviceRays(*(sent(array, device) for array in (origins, directions, jitter)))
         rendered = live.render_rays(rays, room=min(n * LIMIT, MOST_SAMPLES), share=self.share, limit=LIMIT)
         background = torch.full((n, 3), float(self.background), device=device)
-        sums = self._reports.begin()
-        gradients = launch.photometric_loss(
-            rendered.out, sent(colours, device), background, rendered.samples, 2 / (3 * n), sums
-        )
+        sums, wanted = self._reports.begin(), sent(colours, device)
+        if live.closed:
+            wanted = unhidden(wanted, rendered.out, background)
+        gradients = launch.photometric_loss(rendered.out, wanted, background, rendered.samples, 2 / (3 * n), sums)
         live.backward(rendered, gradients, None, None, self.deformer.gradients)
         return self._reports.send(n)
 

@@ -15,7 +15,7 @@ from stylerf.fields.device import DeviceField, DeviceRays, DeviceRendered
 from stylerf.fields.device_occupancy import refresh
 from stylerf.fields.field import RadianceField
 from stylerf.kernels.gpu import launch
-from stylerf.training.device_rays import DeviceBank
+from stylerf.training.device_rays import DeviceBank, unhidden
 from stylerf.training.device_traffic import Reports
 from stylerf.training.engine import Batch, Learnt, parts_of
 from stylerf.training.optimiser import BETA1, BETA2, EPSILON
@@ -188,6 +188,8 @@ class DeviceEngine:
                 seed, part.start, part.stop - part.start, batch.rays, batch.among, batch.lit_share, level
             )
             rendered = field.render_rays(drawn.rays, room=-(-self.room // batch.parts))
+            if field.closed and self.bank.channels == 4:
+                drawn.wanted = unhidden(drawn.wanted, rendered.out, drawn.background)
             scale = 2 / (3 * batch.rays)
             gradients = launch.photometric_loss(
                 rendered.out, drawn.wanted, drawn.background, rendered.samples, scale, sums
@@ -218,7 +220,7 @@ class DeviceEngine:
         for at in range(0, len(origins), 1 << 16):
             part = slice(at, at + (1 << 16))
             rays = DeviceRays.of(origins[part], directions[part], self.device)
-            found[part] = self.live.render_rays(rays).out.cpu().numpy()
+            found[part] = self.live.render_rays(rays).seen().cpu().numpy()
         return found
 
     def follow_exposure(self) -> None:

@@ -12,7 +12,7 @@ from stylerf.fields.patch import PatchColour
 from stylerf.kernels.gpu import launch_edit
 from stylerf.rendering.rays import SAMPLE_LIMIT
 from stylerf.training.device_engine import DeviceAdam
-from stylerf.training.device_rays import DeviceBank
+from stylerf.training.device_rays import DeviceBank, unhidden
 from stylerf.training.device_traffic import Reports, sent
 from stylerf.training.finetune_engine import FineTuneSettings, TuningBatch, parts_of
 from stylerf.training.ranks import ALONE, Ranks
@@ -63,6 +63,8 @@ class DeviceTuning:
         )
         rays, wanted = self.bank.at(chosen, jitter)
         rendered = field.render_rays(rays, room=min(len(chosen) * SAMPLE_LIMIT, MOST_ROOM), limit=SAMPLE_LIMIT)
+        if field.closed and self.bank.channels == 4:
+            wanted = unhidden(wanted, rendered.out, s.background)
         pulling = 2 * s.depth_weight / batch.inside if moving and batch.inside else 0.0
         scale = 2 / (3 * s.rays)
         gradients = launch_edit.tuning_loss(

@@ -9,7 +9,14 @@ from torch import Tensor
 from stylerf.errors import InvalidValue
 from stylerf.fields.device import DeviceRays
 from stylerf.kernels.gpu import launch, launch_edit
-from stylerf.training.rays import RayBank
+from stylerf.training.rays import HIDDEN, RayBank
+
+
+def unhidden(wanted: Tensor, out: Tensor, background: Tensor | float) -> Tensor:
+    """As training/rays.py's unhidden; out [n, 5]: what the rays came back with, over a background."""
+    found = out[:, :3] + (1 - out[:, 3:4]) * background
+    rgb = torch.where(wanted[:, 3:] > HIDDEN, wanted[:, :3], found)
+    return torch.cat([rgb, torch.ones_like(wanted[:, 3:])], 1)
 
 
 @dataclass

@@ -13,10 +13,10 @@ import numpy as np
 from stylerf.fields.field import RadianceField
 from stylerf.fields.room import Memory
 from stylerf.fields.samples import Rays
-from stylerf.rendering.rays import backward, render_rays
+from stylerf.rendering.rays import backward, render_rays, seen
 from stylerf.training.optimiser import Adam
 from stylerf.training.ranks import ALONE, Ranks
-from stylerf.training.rays import RayBank
+from stylerf.training.rays import RayBank, unhidden
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ class Engine(Protocol):
         """Drop gradients that no step has taken."""
 
     def rendered(self, origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
-        """[rays, 5] float32: premultiplied colour, alpha and their distance times it, of rays without jitter."""
+        """[rays, 5] float32: premultiplied colour, alpha and distance of what they show, of rays without jitter."""
 
     def follow_exposure(self) -> None:
         """Take photos for what the codes of the loop's bank say now."""
@@ -201,7 +201,10 @@ class CpuEngine:
         count = batch.rays
         rendered = render_rays(self.field, rays, chunks=self.chunks)
         out = rendered.out
-        difference = over(out[:, :3], out[:, 3:4], back) - target(colours, back)
+        found = over(out[:, :3], out[:, 3:4], back)
+        if self.field.closed and self.bank.channels == 4:
+            colours = unhidden(colours, found)
+        difference = found - target(colours, back)
         gradients = np.zeros_like(out)
         gradients[:, :3] = difference * np.float32(2 / (3 * count))
         gradients[:, 3] = -(gradients[:, :3] * back).sum(1)
@@ -224,7 +227,7 @@ class CpuEngine:
             part = slice(begin, begin + 4096)
             rays = Rays.of(origins[part], directions[part], self.field.space.near)
             with self._memory.round():
-                found[part] = render_rays(self.field, rays, chunks=self.chunks).out
+                found[part] = seen(render_rays(self.field, rays, chunks=self.chunks), self.chunks)
         self.ranks.add(found)
         return found
 

@@ -55,7 +55,7 @@ class Exposures:
         and the distance [n]."""
         origins, directions, colours = self.bank.at(views, pixels)
         out = rendered(origins, directions)
-        distance = out[:, 4] / np.maximum(out[:, 3], SOLID)
+        distance = out[:, 4]
         rgb = colours[:, :3]
         telling = (rgb > DARKEST) & (rgb < np.minimum(self.bank.codes[views, CLIPPED], BRIGHTEST)[:, None])
         telling = telling.all(1) & (colours[:, 3] > SOLID) & (out[:, 3] > SOLID)

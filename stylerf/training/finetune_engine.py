@@ -16,7 +16,7 @@ from stylerf.fields.samples import Rays
 from stylerf.rendering.rays import backward, render_rays
 from stylerf.training.optimiser import Adam
 from stylerf.training.ranks import ALONE, Ranks
-from stylerf.training.rays import RayBank
+from stylerf.training.rays import RayBank, unhidden
 
 
 @dataclass(frozen=True)
@@ -109,8 +109,10 @@ class CpuTuning:
         rays = Rays.of(origins, directions, field.space.near, batch.jitter)
         rendered = render_rays(field, rays, chunks=self.chunks)
         out, level = rendered.out, np.float32(s.background)
-        wanted = colours[:, :3] * colours[:, 3:] + (1 - colours[:, 3:]) * level
-        difference = out[:, :3] + (1 - out[:, 3:4]) * level - wanted
+        found = out[:, :3] + (1 - out[:, 3:4]) * level
+        if field.closed and self.bank.channels == 4:
+            colours = unhidden(colours, found)
+        difference = found - (colours[:, :3] * colours[:, 3:] + (1 - colours[:, 3:]) * level)
         gradients = np.zeros_like(out)
         gradients[:, :3] = difference * np.float32(2 / (3 * s.rays))
         gradients[:, 3] = -level * gradients[:, :3].sum(1)

@@ -26,7 +26,7 @@ from stylerf.training.fit_state import FitSettings, FitState
 from stylerf.training.hull import clear_cells
 from stylerf.training.ladders import Rung, capacity_at, first_parts
 from stylerf.training.ranks import ALONE, Ranks
-from stylerf.training.rays import RayBank
+from stylerf.training.rays import RayBank, shown_rays
 
 EXPOSED_FROM = 0.1  # of the budget: before, a field is brighter or darker than its photos for other reasons
 SMOOTH_EVERY = 8  # steps; the planes' total variation costs a third of a step, and is felt over hundreds of them
@@ -126,7 +126,8 @@ class Fitter:
         first = len(self.bank.cameras) - self.held_out if self.held_out else 0
         views = generator.integers(first, len(self.bank.cameras), 16384)
         pixels = (generator.random(len(views)) * self.bank.sizes[views]).astype(np.int64)
-        return self.bank.at(views, pixels)
+        chosen = self.bank.at(views, pixels)
+        return chosen if self.space.kind == "box" else shown_rays(*chosen)
 
     @property
     def _judges(self) -> str:

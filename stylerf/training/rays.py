@@ -11,6 +11,25 @@ from stylerf.kernels.cpu.pixels import gather
 from stylerf.light import codes_at
 from stylerf.training.pixels import STRETCH, LitPixels, Pixels
 
+HIDDEN = 0.5  # alpha up to which a photo of a closed space hides what lies there
+
+
+def unhidden(colours: np.ndarray, found: np.ndarray) -> np.ndarray:
+    """Straight rgba [n, 4] that rays of a closed space are to learn, opaque, of what its photos have there.
+
+    Nothing of such a space is transparent: a mask hides a passer-by. There it is what was found [n, 3], which teaches
+    nothing.
+    """
+    rgb = np.where(colours[:, 3:] > HIDDEN, colours[:, :3], found)
+    return np.concatenate([rgb, np.ones_like(colours[:, 3:])], 1)
+
+
+def shown_rays(origins: np.ndarray, directions: np.ndarray, colours: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Those of a closed space's rays [n] that photos show, opaque; all, where they show none."""
+    shown = colours[:, 3] > HIDDEN
+    shown = shown if shown.any() else np.ones_like(shown)
+    return origins[shown], directions[shown], unhidden(colours[shown], np.zeros((int(shown.sum()), 3), np.float32))
+
 
 class RayBank:
     """8-bit photos and their cameras; rays are made when asked for, and none is ever stored.

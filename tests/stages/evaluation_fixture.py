@@ -62,9 +62,15 @@ def commit(work: Work, kind: str, name: str, stage: str, inputs: dict[str, Artef
 
 
 def make_scene(
-    work: Work, positions: list[float], background: str = "none", depth: bool = True, size: tuple[int, int] = (96, 72)
+    work: Work,
+    positions: list[float],
+    background: str = "none",
+    depth: bool = True,
+    size: tuple[int, int] = (96, 72),
+    layout: str = "",
 ) -> Artefact:
-    """Every view is a test view: evaluation does not look at the others."""
+    """Every view is a test view: evaluation does not look at the others. layout: an object where photos have alpha."""
+    layout = layout or ("object" if background == "alpha" else "forward")
     cameras = [camera(x, f"photo_{i:02d}", size) for i, x in enumerate(positions)]
 
     def write(folder: Path) -> None:
@@ -79,7 +85,7 @@ def make_scene(
         truth = Truth("truth/depth_000.exr") if depth else Truth()
         bounds = Bounds(((-4, -4, 1), (4, 4, 6)), NEAR, FAR)
         identity = as_matrix(np.eye(4))
-        write_scene(folder, Scene(tuple(views), "forward", "made up", bounds, background, identity, truth=truth))
+        write_scene(folder, Scene(tuple(views), layout, "made up", bounds, background, identity, truth=truth))
 
     return commit(work, "scene", "wall", "import", {}, write, seconds=1.5, peak_memory_mb=80)
 

@@ -15,6 +15,7 @@ from stages.configs.evaluate import EvaluateConfig
 from stages.evaluation.asked import pinned
 from stages.evaluation.film import Film, pairs_of
 from stages.evaluation.lenses import Lenses
+from stages.evaluation.measuring import measure_content
 from stages.evaluation.views import SceneViews
 from stages.progress import Context
 from stages.runner import execute, recipe_of
@@ -263,6 +264,29 @@ def test_exr_colours_come_back_as_they_were_composited():
     view = made.exr_of(made.camera(0, "any", (7, 6)), seen)
     wanted = seen.rgb * seen.alpha[..., None] + (1 - seen.alpha[..., None]) * 1.0
     np.testing.assert_allclose(composite(view.rgb, view.alpha, 1.0), wanted, atol=1e-5)
+
+
+def test_what_masks_hide_of_a_capture_is_not_measured(tmp_path):
+    work = Work(tmp_path)
+    scene = made.make_scene(work, [0.0], background="alpha", depth=False, layout="forward")
+    field = made.make_field(work, "wall", "fit", {"scene": scene})
+    view, ball = made.camera(0.0, "test_0"), made.look(made.camera(0.0, "test_0"), wall=False)
+    noise = np.random.default_rng(0).random((72, 96, 3)).astype(np.float32)
+    photo, values = SceneViews(scene).photo(0, 96, 72), []
+    assert photo.mask is None and np.array_equal(photo.shown, ball.alpha > 0.5)
+    for hidden in (noise, np.ones_like(noise), 1 - noise):
+        rgb = np.where(ball.alpha[..., None] > 0.5, np.clip(ball.rgb + 0.05, 0, 1), hidden)
+        frames = made.make_frames(
+            work, "wall-test", "test", [view], [replace(ball, rgb=rgb, alpha=np.ones_like(ball.alpha))], field
+        )
+        row = evaluate.ViewRow("view")
+        distance = {"lpips": lambda a, b: float(np.abs(a - b).sum())}
+        evaluate.measure_fit(row, evaluate.FrameViews(frames, 1.0).render(0), photo, distance)
+        measure_content(row, rgb, photo)
+        values.append(row.values)
+    assert 25 < values[0]["psnr"] < 28 and "psnr_object" not in values[0]
+    for key, tolerance in (("psnr", 1e-6), ("lpips", 1e-3), ("ssim", 0.05), ("content_ssim", 0.05)):
+        assert np.ptp([one[key] for one in values]) <= tolerance, key
 
 
 def test_pairs_are_spread_and_few_are_looked_at_perceptually(fitted):

@@ -4,16 +4,20 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from schemas.errors import OutOfResources
 from stages import photos
-from stages.photos import bank_of
+from stages.photos import bank_of, photo_for
 from stages.progress import Context, Silent
 from stages.scenes import load_scene
+from stylerf.geometry.cameras import Camera
+from stylerf.rendering.view import render_view
 from tests.stages.test_scenes import build
+from tests.stylerf.small import SPACES, field_of, wall_in_front
 
 
 class Said(Silent):
@@ -83,6 +87,7 @@ def test_a_disk_that_is_full_is_met_at_the_start_and_named(scene, tmp_path, monk
 MAPPED = """
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 import numpy as np
 from stages.photos import _on_disk
 from stages.memory import in_words
@@ -114,3 +119,17 @@ def test_no_more_of_the_file_stays_in_memory_than_it_may(tmp_path):
         for bound in ("1e12", "40e6")
     ]  # fmt: skip
     assert found[0] > 100e6 and found[1] < 75e6, found
+
+
+def test_a_photo_that_teaches_colours_to_a_capture_has_what_the_field_shows_where_it_hides_something():
+    field = wall_in_front(0.02)
+    camera = Camera("view", 8, 6, 8.0, 8.0, 4.0, 3.0, np.eye(4))
+    pixels = np.full((6, 8, 4), 0.25, np.float32)
+    pixels[..., 3] = np.arange(8) >= 4
+    scene = SimpleNamespace(images=lambda index: pixels, cameras=[camera])
+    found = photo_for(field, scene, 0, 1.0, 1)
+    assert (found[:, 4:] == 0.25).all()
+    np.testing.assert_array_equal(found[:, :4], render_view(field, camera, chunks=1).rgb[:, :4])
+    # An object's stays what it is over the background.
+    found = photo_for(field_of(SPACES["box"], 1), scene, 0, 1.0, 1)
+    assert (found[:, 4:] == 0.25).all() and (found[:, :4] == 1).all()

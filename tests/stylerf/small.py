@@ -20,6 +20,7 @@ from stylerf.fields.vm import VmColour, VmDensity
 from stylerf.fields.voxel import Grid, VoxelDensity
 from stylerf.geometry.space import Space
 from stylerf.kernels import oracle
+from stylerf.kernels.cpu.march import OPTICAL_SCALE
 
 DENSITY_RANK, COLOUR_RANK = 16, 24
 SIZE = (7, 6, 8)
@@ -123,6 +124,24 @@ def field_of(space: Space, seed: int, colour=None, step: float = 1 / 24, displac
     return RadianceField(space, density(seed), made, occupied(), step, displacement)
 
 
+def wall_in_front(through: float, backs: bool = False) -> RadianceField:
+    """A frustum that holds a wall at z = 3 which lets `through` of the light pass; backs: another one like it at z = 6.
+
+    The walls are one cell of the cube thick; a ray along the axis is asked four times in each.
+    """
+    space, cells = Space.frustum(0.7, 0.6, 1.0, 1e4), 96
+    made = field_of(space, 1, hash_colour(2), step=1 / (4 * cells))
+    made.density = density(0, size=(2, 2, 2))
+    made.density.values[:-1] = 0
+    made.density.values[-1] = np.log(-np.log(through) * cells / OPTICAL_SCALE)
+    solid = np.zeros((cells, cells, cells), bool)
+    solid[..., 64] = True  # 1 - near / z = 2/3
+    solid[..., 80] = backs
+    made.occupancy = Occupancy(cells)
+    made.occupancy.set_occupied(solid.ravel())
+    return made
+
+
 def displacement_grid(seed: int, cells: int = 5, reach: float = 0.05) -> np.ndarray:
     return np.random.default_rng(seed).uniform(-reach, reach, (cells, cells, cells, 3)).astype(np.float32)
 
@@ -209,4 +228,5 @@ def oracle_pixels(field, rays, rendered, density_values, colour_values, grid=Non
     basis = float64(rendered.basis)[packed.rays]
     colours = oracle_colour(field.colour, colour_values, basis, x)
     coloured = torch.from_numpy(rendered.colours[packed.at, 0] >= 0)
-    return oracle.composite(weights, colours, coloured, packed.t, packed.rays, len(rays.origins)), x
+    t = torch.where(packed.backdrop, 0, packed.t)
+    return oracle.composite(weights, colours, coloured, t, packed.rays, len(rays.origins)), x

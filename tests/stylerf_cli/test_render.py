@@ -92,6 +92,21 @@ def test_exr_and_png_show_the_same(work, capsys):
         assert read_image(folder / "depth" / f"{view.name}.png").size == (32, 32)
 
 
+def test_depth_between_near_and_far_tells_the_object_apart(work, capsys):
+    folder, _ = rendered(work, capsys, "--of", "fit", "--path", "test")
+    for view in read_frames(folder).views:
+        exr = read_exr(folder / view.exr)
+        z = exr.z[exr.alpha > 0.5]
+        ndc = exr.far / (exr.far - exr.near) * (1 - exr.near / z)
+        assert np.ptp(ndc) > 0.1 and -0.05 < ndc.min() and ndc.max() < 1.05
+
+
+def test_only_films_have_frames_a_second(work, capsys):
+    wanted = ("--of", "fit", "--count", "2", "--path")
+    assert read_frames(rendered(work, capsys, *wanted, "test")[0]).fps is None
+    assert read_frames(rendered(work, capsys, *wanted, "orbit")[0]).fps == 24
+
+
 def test_the_command_that_only_names_makes_what_was_missing(work, capsys):
     """Another seed than the default, a path of its own length: all that decides what `eval` asks for."""
     measured = ["eval", str(work), "--of", "fit", "--path", "interpolate", "--perceptual", "none", "--seed", "3"]

@@ -5,14 +5,16 @@ from numba import prange
 
 from stylerf.kernels.cpu.compiling import parallel_kernel
 
-_ONE, _ZERO = np.float32(1), np.float32(0)
+_ONE, _ZERO, _HALF = np.float32(1), np.float32(0), np.float32(0.5)
+AROUND = np.float32(0.05)  # of its distance: samples so close to a ray's middle one are of the same surface
 
 
 @parallel_kernel
-def composite(weights, colours, t, starts, ends, chunks, out):
+def composite(weights, optical, colours, t, starts, ends, chunks, out):
     """out[r] = (sum w c (3), sum w, sum w t). Samples without a colour (colours[k, 0] < 0) take the mean of the others.
 
-    They weigh next to nothing; counting them as black would pull every density the wrong way.
+    They weigh next to nothing; counting them as black would pull every density the wrong way. A backdrop (optical[k]
+    0) has no part in sum w t: so far out, the least of light that reaches it would be all that counts.
     """
     n = len(ends)
     for c in prange(chunks):
@@ -22,7 +24,8 @@ def composite(weights, colours, t, starts, ends, chunks, out):
             for k in range(starts[r], ends[r]):
                 w = weights[k]
                 total += w
-                depth += w * t[k]
+                if optical[k] > _ZERO:
+                    depth += w * t[k]
                 if colours[k, 0] >= _ZERO:
                     coloured += w
                     red += w * colours[k, 0]
@@ -34,6 +37,36 @@ def composite(weights, colours, t, starts, ends, chunks, out):
             out[r, 2] = blue * scale
             out[r, 3] = total
             out[r, 4] = depth
+
+
+@parallel_kernel
+def surface_distance(weights, t, starts, ends, chunks, out):
+    """out[r, 4] = distance of what ray r shows, from out[r, 3] = sum w; 0 for a ray without weight.
+
+    It is found where half of the weight lies, as the mean of w t over the samples within AROUND of there. What lies
+    before or behind, be it a haze, another surface or the backdrop, does not move it.
+    """
+    n = len(ends)
+    for c in prange(chunks):
+        for r in range(c * n // chunks, (c + 1) * n // chunks):
+            half, passed, middle = out[r, 3] * _HALF, _ZERO, ends[r]
+            for k in range(starts[r], ends[r]):
+                passed += weights[k]
+                if passed >= half:
+                    middle = k
+                    break
+            near, depth = _ZERO, _ZERO
+            if middle < ends[r]:
+                reach = AROUND * t[middle]
+                first = middle
+                while first > starts[r] and t[middle] - t[first - 1] <= reach:
+                    first -= 1
+                for k in range(first, ends[r]):
+                    if t[k] - t[middle] > reach:
+                        break
+                    near += weights[k]
+                    depth += weights[k] * t[k]
+            out[r, 4] = depth / near if near > _ZERO else _ZERO
 
 
 @parallel_kernel
@@ -55,7 +88,7 @@ def composite_backward(
             behind = _ZERO
             for k in range(starts[r], ends[r]):
                 w = weights[k]
-                d = ga + gd * t[k]
+                d = ga + gd * t[k] if optical[k] > _ZERO else ga
                 if colours[k, 0] >= _ZERO:
                     d += g0 * colours[k, 0] + g1 * colours[k, 1] + g2 * colours[k, 2]
                     colour_gradients[k, 0] = w * g0

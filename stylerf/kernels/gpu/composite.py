@@ -5,10 +5,15 @@ import triton.language as tl
 
 from stylerf.kernels.gpu.indexing import offset, store_vector, vector
 
+AROUND = tl.constexpr(0.05)  # as on the CPU
+
 
 @triton.jit(do_not_specialize=["rays"])
-def composite_kernel(weights, colours, t, starts, ends, out, rays, BLOCK: tl.constexpr):
-    """out[r] = (sum w c (3), sum w, sum w t); samples without a colour (colours[k, 0] < 0) take the others' mean."""
+def composite_kernel(weights, optical, colours, t, starts, ends, out, rays, BLOCK: tl.constexpr):
+    """out[r] = (sum w c (3), sum w, sum w t); samples without a colour (colours[k, 0] < 0) take the others' mean.
+
+    A backdrop (optical[k] 0) has no part in sum w t.
+    """
     r = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
     live = r < rays
     first = tl.load(starts + r, mask=live, other=0)
@@ -22,7 +27,8 @@ def composite_kernel(weights, colours, t, starts, ends, out, rays, BLOCK: tl.con
         c0 = tl.load(colours + offset(k, 3, 0), mask=own, other=-1.0)
         _c0, c1, c2 = vector(colours, k, own & (c0 >= 0.0))
         total += w
-        depth += w * tl.load(t + k, mask=own, other=0.0)
+        held = own & (tl.load(optical + k, mask=own, other=0.0) > 0.0)
+        depth += w * tl.load(t + k, mask=held, other=0.0)
         shown = tl.where(c0 >= 0.0, w, 0.0)
         coloured += shown
         red += shown * c0
@@ -35,6 +41,33 @@ def composite_kernel(weights, colours, t, starts, ends, out, rays, BLOCK: tl.con
     tl.store(out + at + 2, blue * scale, mask=live)
     tl.store(out + at + 3, total, mask=live)
     tl.store(out + at + 4, depth, mask=live)
+
+
+@triton.jit(do_not_specialize=["rays"])
+def surface_distance_kernel(weights, t, starts, ends, out, rays, BLOCK: tl.constexpr):
+    """out[r] = distance of what ray r shows; see the CPU's surface_distance."""
+    r = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
+    live = r < rays
+    first = tl.load(starts + r, mask=live, other=0)
+    count = tl.load(ends + r, mask=live, other=0) - first
+    zero = first.to(tl.float32) * 0.0
+    longest = tl.max(count, axis=0)
+    total, passed, at, near, depth = zero, zero, zero, zero, zero
+    for i in range(0, longest):
+        total += tl.load(weights + first + i, mask=i < count, other=0.0)
+    for i in range(0, longest):
+        own = i < count
+        w = tl.load(weights + first + i, mask=own, other=0.0)
+        here = own & (passed < total * 0.5) & (passed + w >= total * 0.5)
+        at = tl.where(here, tl.load(t + first + i, mask=own, other=0.0), at)
+        passed += w
+    for i in range(0, longest):
+        own = i < count
+        there = tl.load(t + first + i, mask=own, other=0.0)
+        w = tl.load(weights + first + i, mask=own & (tl.abs(there - at) <= AROUND * at), other=0.0)
+        near += w
+        depth += w * there
+    tl.store(out + r, tl.where(near > 0.0, depth / tl.where(near > 0.0, near, 1.0), 0.0), mask=live)
 
 
 @triton.jit(do_not_specialize=["rays"])
@@ -70,7 +103,8 @@ def composite_backward_kernel(
         c0 = tl.load(colours + offset(k, 3, 0), mask=own, other=-1.0)
         shown = own & (c0 >= 0.0)
         c0, c1, c2 = vector(colours, k, shown)
-        d = ga + gd * tl.load(t + k, mask=own, other=0.0)
+        held = own & (tl.load(optical + k, mask=own, other=0.0) > 0.0)
+        d = ga + gd * tl.load(t + k, mask=held, other=0.0)
         d += tl.where(shown, g0 * c0 + g1 * c1 + g2 * c2, mean)
         behind += tl.where(own, w * d, 0.0)
     through = 1.0 + 0.0 * total
@@ -82,13 +116,14 @@ def composite_backward_kernel(
         shown = own & (c0 >= 0.0)
         c0, c1, c2 = vector(colours, k, shown)
         far = tl.load(t + k, mask=own, other=0.0)
-        d = ga + gd * far
+        length = tl.load(optical + k, mask=own, other=0.0)
+        d = ga + tl.where(length > 0.0, gd * far, 0.0)
         d += tl.where(shown, g0 * c0 + g1 * c1 + g2 * c2, mean)
         behind -= tl.where(own, w * d, 0.0)
         through -= w
         near = far / tl.maximum(even_from, 1e-9)
         even = tl.where(far < even_from, near * near, 1.0)
-        s = tl.load(optical + k, mask=own, other=0.0) * (through * d - behind)
+        s = length * (through * d - behind)
         tl.store(sigma_gradients + k, s * even, mask=own)
         store_vector(colour_gradients, k, w * g0 * even, w * g1 * even, w * g2 * even, shown)
 

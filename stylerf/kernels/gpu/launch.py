@@ -193,12 +193,24 @@ def smoothness(part, strength: float, to: Tensor) -> None:
 
 
 def composite(samples: DeviceSamples, colours: Tensor) -> Tensor:
-    """[rays, 5]: sum w c (3), sum w, sum w t."""
+    """[rays, 5]: sum w c (3), sum w, sum w t without a backdrop's."""
     n = len(samples.starts)
     out = torch.empty((n, 5), device=colours.device)
     if n:
         composite_kernels.composite_kernel[(triton.cdiv(n, RAYS),)](
-            samples.weights, colours, samples.t, samples.starts, samples.ends, out, n, BLOCK=RAYS, num_warps=1
+            samples.weights, samples.optical, colours, samples.t, samples.starts, samples.ends, out, n, BLOCK=RAYS,
+            num_warps=1,
+        )  # fmt: skip
+    return out
+
+
+def surface_distance(samples: DeviceSamples) -> Tensor:
+    """[rays]: distance of what each ray shows, scene units, 0 where there is nothing."""
+    n = len(samples.starts)
+    out = torch.empty(n, device=samples.t.device)
+    if n:
+        composite_kernels.surface_distance_kernel[(triton.cdiv(n, RAYS),)](
+            samples.weights, samples.t, samples.starts, samples.ends, out, n, BLOCK=RAYS, num_warps=1
         )
     return out
 

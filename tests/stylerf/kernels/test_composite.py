@@ -42,7 +42,7 @@ def reference(at, optical, sigma, t, colours):
     rays, length = torch.from_numpy(RAYS), float64(optical[at])
     w, _ = oracle.weights(s, length, rays, length == 0)
     coloured = torch.from_numpy(colours[at, 0] >= 0)
-    return s, c, w, oracle.composite(w, c, coloured, float64(t[at]), rays, len(COUNTS))
+    return s, c, w, oracle.composite(w, c, coloured, torch.where(length == 0, 0, float64(t[at])), rays, len(COUNTS))
 
 
 @pytest.mark.parametrize("chunks", [1, 3])
@@ -52,7 +52,7 @@ def test_pixels_and_gradients_equal_the_oracle(chunks):
     weights = np.full(len(sigma), np.nan, np.float32)
     weights[at] = w.detach()
     out = np.full((len(COUNTS), 5), np.nan, np.float32)
-    kernels.composite(weights, colours, t, starts, ends, chunks, out)
+    kernels.composite(weights, optical, colours, t, starts, ends, chunks, out)
     close(out, expected, 1e-6)
     assert not out[1].any() and (out[5, :3] == 0).all() and out[5, 3] > 0
     gradients = np.random.default_rng(1).normal(size=out.shape).astype(np.float32)
@@ -67,13 +67,36 @@ def test_pixels_and_gradients_equal_the_oracle(chunks):
     close(to_colours[lit], c.grad[colours[at, 0] >= 0], 1e-6)
 
 
+@pytest.mark.parametrize("chunks", [1, 3])
+def test_distance_is_the_mean_of_the_samples_around_the_middle_of_the_weights(chunks):
+    starts, ends, at, optical, sigma, t, colours = samples()
+    weights = np.full(len(sigma), np.nan, np.float32)
+    weights[at] = reference(at, optical, sigma, t, colours)[2].detach()
+    t[starts[0] + 1] = 1.01 * t[starts[0]]
+    weights[starts[0] : ends[0]] = [0.3, 0.2, 0.2, 0.1, 0.1, 0.05, 0.05]
+    weights[starts[6] : ends[6]] = 0
+    out = np.full((len(COUNTS), 5), np.nan, np.float32)
+    out[:, 3] = [weights[first:end].sum() for first, end in zip(starts, ends)]
+    kernels.surface_distance(weights, t, starts, ends, chunks, out)
+    found = out[:, 4]
+    expected = []
+    for first, end in zip(starts, ends):
+        w, far = weights[first:end].astype(float), t[first:end].astype(float)
+        middle = far[min(np.searchsorted(np.cumsum(w), 0.5 * w.sum() * (1 - 1e-6)), len(w) - 1)] if len(w) else 0.0
+        around = w * (np.abs(far - middle) <= 0.05 * middle)
+        expected.append((around * far).sum() / around.sum() if around.any() else 0.0)
+    np.testing.assert_allclose(found, expected, rtol=1e-5)
+    assert found[0] == pytest.approx(t[starts[0]] * (0.3 + 0.2 * 1.01) / 0.5, rel=1e-5)
+    assert found[1] == 0 and found[6] == 0 and found[3] == t[starts[3]]
+
+
 def test_a_backdrop_and_what_lies_behind_an_opaque_sample_teach_no_density():
     starts, ends, at, optical, sigma, t, colours = samples()
     _, _, w, _ = reference(at, optical, sigma, t, colours)
     weights = np.zeros_like(sigma)
     weights[at] = w.detach()
     out, gradients = np.empty((len(COUNTS), 5), np.float32), np.ones((len(COUNTS), 5), np.float32)
-    kernels.composite(weights, colours, t, starts, ends, 1, out)
+    kernels.composite(weights, optical, colours, t, starts, ends, 1, out)
     to_sigma, to_colours = np.empty_like(sigma), np.empty_like(colours)
     kernels.composite_backward(
         sigma, weights, optical, colours, t, starts, ends, out, gradients, 1, to_sigma, to_colours

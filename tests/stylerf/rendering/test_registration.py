@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from stylerf.fields.surface import Surface
+from stylerf.fields.surface import Surface, surface_of
 from stylerf.geometry.cameras import Camera
 from stylerf.geometry.paths import look_at
 from stylerf.geometry.space import Space
@@ -15,6 +15,7 @@ from stylerf.rendering.registration import (
     registered,
     sampled_at,
 )
+from tests.stylerf.small import wall_in_front
 
 SPACE = Space.box([-4, -4, -4], [4, 4, 4])
 NORMAL, OFFSET = np.array([0.15, -0.1, 1.0]), 0.2  # the plane NORMAL x = OFFSET
@@ -126,3 +127,10 @@ def test_a_picture_is_sampled_linearly_and_level_outside():
     np.testing.assert_allclose(sampled_at(picture, at), expected, rtol=1e-6)
     np.testing.assert_allclose(sampled_at(picture, np.array([[-5.0, 9.0]])), picture[4:5, 0])
     np.testing.assert_allclose(sampled_at(picture[:1, :1], np.array([[0.9, 0.2]])), picture[:1, 0])
+
+
+def test_a_point_lies_on_the_surface_whatever_light_passes_it():
+    field, one = wall_in_front(0.3), Camera("c", 5, 4, 40.0, 40.0, 2.5, 2.0, np.eye(4))
+    seen = points_of(surface_of(field, one, 0.02, 1), one, field.space)
+    assert seen.there.all()
+    np.testing.assert_allclose(seen.points[:, 2], 3, rtol=0.05)

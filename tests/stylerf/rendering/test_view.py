@@ -7,7 +7,7 @@ from stylerf.geometry.cameras import Camera
 from stylerf.geometry.paths import look_at
 from stylerf.geometry.space import Space
 from stylerf.rendering.view import render_view
-from tests.stylerf.small import density, field_of, hash_colour, vm_colour
+from tests.stylerf.small import density, field_of, hash_colour, vm_colour, wall_in_front
 
 BOX = Space.box([-1, -1, -1], [1, 1, 1])
 
@@ -46,11 +46,27 @@ def test_a_solid_box_has_its_front_as_a_plane_of_even_depth():
     assert not seen.z[~front].any() and not seen.rgb[~front].any()
 
 
-def test_depth_in_fog_is_the_mean_over_what_is_seen():
-    """Even fog of raw density s: mean distance into it (1/k - L/(exp(k L) - 1)), k = 100 s a cube's width, L = 1."""
+def test_depth_in_fog_is_where_half_of_what_is_seen_lies():
+    """Even fog that takes 1 - exp(-3 x) of the light on its first x of the cube: half of what all of it takes."""
     field = field_of(BOX, 1, hash_colour(2), step=1 / 400)
     field.density = density(0, size=(2, 2, 2))
     field.density.values[:-1], field.density.values[-1] = 0, np.log(0.03)
     seen = render_view(field, camera(centre=(4.0, 0, 0), width=1, height=1, focal=20), chunks=1, opaque=0.0)
     assert seen.alpha[0, 0] == pytest.approx(1 - np.exp(-3), rel=1e-4)
-    assert seen.z[0, 0] == pytest.approx(3 + 2 * (1 / 3 - 1 / (np.exp(3) - 1)), rel=1e-4)
+    assert seen.z[0, 0] == pytest.approx(3 - 2 / 3 * np.log((1 + np.exp(-3)) / 2), abs=0.02)
+
+
+def along_the_axis(width=5, height=5) -> Camera:
+    return Camera("view", width, height, 40.0, 40.0, width / 2, height / 2, np.eye(4))
+
+
+@pytest.mark.parametrize(("through", "backs", "z"), [(0.02, False, 3), (0.3, False, 3), (0.4, True, 3), (0.6, True, 6)])
+def test_depth_is_that_of_a_surface_whatever_light_passes_it(through, backs, z):
+    seen = render_view(wall_in_front(through, backs), along_the_axis(), chunks=1)
+    np.testing.assert_allclose(seen.alpha, 1, atol=1e-5)
+    np.testing.assert_allclose(seen.z, z, rtol=0.05)
+
+
+def test_depth_of_what_nothing_stops_is_that_of_the_backdrop():
+    seen = render_view(wall_in_front(0.8), along_the_axis(), chunks=1)
+    np.testing.assert_allclose(seen.ray_distance, 1e4, rtol=1e-5)

@@ -53,6 +53,14 @@ def wall_bank(views: int = 8, size: int = 24) -> tuple[Space, RayBank]:
     return Space.frustum(1.0, 1.0, 1.0, 1e4), RayBank(cameras, [photo.copy() for _ in cameras])
 
 
+def masked_wall(hidden: int, size: int = 24) -> tuple[Space, RayBank]:
+    """The wall, all of whose photos have a mask that hides their `hidden` left columns, which are blue."""
+    space, bank = wall_bank(size=size)
+    photo = np.full((size, size, 4), [180, 120, 60, 255], np.uint8)
+    photo[:, :hidden] = [0, 0, 255, 0]
+    return space, RayBank(bank.cameras, [photo.copy() for _ in bank.cameras])
+
+
 def settings(steps: int, **more) -> FitSettings:
     return FitSettings(**{"steps": steps, "samples": 4000, "ladder": LADDER, "reductions": (), **more})
 

@@ -9,7 +9,8 @@ from stylerf.fields.vm_tables import split_table
 from stylerf.rendering.view import render_view
 from stylerf.training.finetune import EditedPixels, FineTuner, FineTuneSettings
 from stylerf.training.rays import RayBank
-from tests.stylerf.training.scenes import SIDE, box_fitter, box_photo, dome
+from tests.stylerf.small import field_of, hash_colour, wall_in_front
+from tests.stylerf.training.scenes import SIDE, box_fitter, box_photo, dome, masked_wall
 
 RED = np.uint8([230, 20, 30])
 
@@ -56,6 +57,24 @@ def edited():
 def tuner(fitted, edited, **more) -> FineTuner:
     settings = FineTuneSettings(**{"steps": 60, "rays": 512, "rate": 2e-2, "background": 1.0, **more})
     return FineTuner(copy_of(fitted), *edited, settings, 0, 1)
+
+
+def test_what_masks_hide_in_a_closed_space_teaches_nothing():
+    space, bank = masked_wall(24)
+    nothing = np.empty(0, np.int64)
+    edited = EditedPixels(nothing, nothing, np.empty(0, np.float32), (nothing, nothing))
+    made = FineTuner(field_of(space, 1, hash_colour(2)), bank, edited, FineTuneSettings(steps=3, rays=64), 0, 1)
+    before = {name: array.copy() for name, array in made.field.arrays().items()}
+    assert made.step()["outside"] == 0
+    assert all(np.array_equal(array, before[name]) for name, array in made.field.arrays().items())
+
+
+def test_light_that_passes_a_surface_of_a_capture_is_no_error_of_its_depth():
+    bank = masked_wall(0)[1]
+    pixels, depth = np.arange(200, 300), np.full(100, 3.1, np.float32)
+    edited = EditedPixels(np.zeros(100, np.int64), pixels, depth, (pixels[:0], pixels[:0]))
+    made = FineTuner(wall_in_front(0.02), bank, edited, FineTuneSettings(steps=3, rays=64), 0, 1)
+    assert made.step()["depth"] < 26 * 0.1**2
 
 
 def errors(field, bank) -> tuple[float, float]:

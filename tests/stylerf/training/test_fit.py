@@ -8,11 +8,16 @@ import numpy as np
 import pytest
 
 from stylerf.errors import Diverged
+from stylerf.fields.samples import Rays
+from stylerf.geometry.space import Space
+from stylerf.rendering.rays import backward, render_rays
 from stylerf.training import engine as module
-from stylerf.training.engine import Learnt
+from stylerf.training.engine import Batch, CpuEngine, Learnt
 from stylerf.training.fit import Fitter
+from stylerf.training.rays import RayBank
+from tests.stylerf.small import close, field_of, vm_colour
 from tests.stylerf.training.running import Stopped, assert_same_bits, now, result_of, resumed, run_until
-from tests.stylerf.training.scenes import LADDER, box_fitter
+from tests.stylerf.training.scenes import LADDER, box_fitter, masked_wall, settings
 
 # -- resuming -------------------------------------------------------------------------------------------------------
 
@@ -35,6 +40,48 @@ def test_a_fit_that_was_stopped_goes_on_to_the_same_bits():
     state, found = result_of(at)
     assert state == expected
     assert_same_bits(found, arrays)
+
+
+# -- masks ----------------------------------------------------------------------------------------------------------
+
+
+def gradients_of(bank: RayBank, field) -> list[np.ndarray]:
+    """Of one step, by the engine's optimisers."""
+    engine, found = CpuEngine(bank, 0, 1, field), []
+    for adam in (engine.density_adam, engine.colour_adam):
+        adam.step = lambda rate, adam=adam: found.append(adam.gradients.copy())
+    engine.learn(Batch(0, 200, 1, len(bank.cameras), 0.0, "white", 1e-2, (0.0, 0.0), 0.0))
+    return found
+
+
+@pytest.mark.parametrize("kind", ["frustum", "contraction"])
+def test_what_masks_hide_in_a_closed_space_teaches_nothing(kind):
+    space = masked_wall(0)[0] if kind == "frustum" else Space.box([-1] * 3, [1] * 3, near=0.05, far=1e3, kind=kind)
+    field = field_of(space, 1, vm_colour(2))
+    assert all(not found.any() for found in gradients_of(masked_wall(24)[1], field))
+    # What a photo shows counts for as much as without the mask.
+    half, whole = masked_wall(12)[1], masked_wall(0)[1]
+    generator = np.random.default_rng([0, 4, 0])
+    views, pixels = half.choose(200, generator, 8, 0.0)
+    jitter = generator.random(200, dtype=np.float32)
+    shown = pixels % 24 >= 12
+    origins, directions, colours = (array[shown] for array in whole.at(views, pixels))
+    rendered = render_rays(field, Rays.of(origins, directions, space.near, jitter[shown]), chunks=1)
+    towards = np.zeros_like(rendered.out)
+    towards[:, :3] = 2 / 600 * (rendered.out[:, :3] + (1 - rendered.out[:, 3:4]) - colours[:, :3])
+    towards[:, 3] = -towards[:, :3].sum(1)
+    wanted = [np.zeros((1, len(part.values)), np.float32) for part in (field.density, field.colour)]
+    backward(field, rendered, towards, *wanted)
+    for found, expected in zip(gradients_of(half, field), wanted, strict=True):
+        close(found, expected, 1e-4)
+
+
+def test_held_out_views_are_judged_where_masks_show_them():
+    space, bank = masked_wall(12)
+    held_out = Fitter(space, bank, 2, settings(3), 0, 1)._held_out_rays
+    assert 7000 < len(held_out[0]) < 9000
+    np.testing.assert_allclose(held_out[2], np.broadcast_to(np.float32([180, 120, 60, 255]) / 255, held_out[2].shape))
+    assert len(Fitter(space, masked_wall(24)[1], 2, settings(3), 0, 1)._held_out_rays[0]) == 16384
 
 
 def test_another_seed_is_another_fit_and_the_same_seed_the_same():

@@ -36,6 +36,7 @@ def test_all_kernels_compile_and_fit(tmp_path, capability):
         "march.march_kernel", "vm.density_kernel", "vm.density_backward_kernel", "vm.colour_kernel",
         "vm.colour_backward_kernel", "vm.smoothness_kernel", "hash.colour_kernel", "hash.colour_backward_kernel",
         "composite.composite_kernel", "composite.composite_backward_kernel", "composite.loss_kernel",
+        "composite.surface_distance_kernel",
         "density.density_kernel", "hash_density.density_backward_kernel", "hash_density.smoothness_kernel",
         "voxel.density_backward_kernel", "voxel.smoothness_kernel", "heads.linear_kernel",
         "heads.linear_backward_kernel", "heads.harmonic_kernel", "heads.harmonic_backward_kernel",

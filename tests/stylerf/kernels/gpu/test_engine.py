@@ -10,14 +10,24 @@ from stylerf.fields.field import RadianceField
 from stylerf.fields.occupancy import Occupancy
 from stylerf.fields.samples import Rays
 from stylerf.fields.vm_tables import split_table
+from stylerf.geometry.cameras import Camera
 from stylerf.rendering.rays import backward, render_rays
 from stylerf.rendering.view import render_view
 from stylerf.training.engine import Batch, CpuEngine, coverage_gradient, opacity_gradient
 from stylerf.training.fit import Fitter
 from tests.stylerf.fields.test_densities import LARGER
-from tests.stylerf.small import SPARSE, field_of, hash_colour, hash_density, headed, vm_colour, voxel_density
+from tests.stylerf.small import (
+    SPARSE,
+    field_of,
+    hash_colour,
+    hash_density,
+    headed,
+    vm_colour,
+    voxel_density,
+    wall_in_front,
+)
 from tests.stylerf.training.running import resumed, run_until
-from tests.stylerf.training.scenes import AROUND, Rung, box_bank, dome, settings
+from tests.stylerf.training.scenes import AROUND, Rung, box_bank, dome, masked_wall, settings
 
 
 @pytest.fixture(scope="module")
@@ -174,6 +184,15 @@ def test_held_out_views_are_judged_as_on_the_cpu(bank, device):
     np.testing.assert_allclose(engine_on(device, bank, field).rendered(*rays), expected, rtol=1e-4, atol=1e-5)
 
 
+def test_what_masks_hide_in_a_closed_space_teaches_nothing(device):
+    field = thin_field(masked_wall(0)[0])
+    for hidden in (24, 12):
+        engine = engine_on(device, masked_wall(hidden)[1], field)
+        found = kept_gradients(engine)
+        engine.learn(batch(among=8, lit_share=0.0))
+        assert all(bool(gradients.abs().max() > 1e-6) == (hidden < 24) for gradients in found)
+
+
 def test_photos_of_another_exposure_are_drawn_as_on_the_cpu(bank, device):
     engine, stops = engine_on(device, bank, thin_field()), np.array([0.5, 0.0, -0.7, 0.1])
     numbers = torch.arange(len(bank), device=device)
@@ -249,6 +268,17 @@ def test_a_view_is_the_cpus_picture(device):
         np.testing.assert_allclose(getattr(found, name), getattr(expected, name), atol=2e-5)
     np.testing.assert_allclose(found.masks["one"], expected.masks["one"], atol=2e-5)
     assert expected.masks["one"].any()
+
+
+@pytest.mark.parametrize(("through", "backs", "z"), [(0.02, False, 3), (0.6, True, 6)])
+def test_depth_is_that_of_a_surface_whatever_light_passes_it(through, backs, z, device):
+    from stylerf.rendering.device_view import DeviceRenderer
+
+    field, camera = wall_in_front(through, backs), Camera("view", 5, 4, 40.0, 40.0, 2.5, 2.0, np.eye(4))
+    expected = render_view(field, camera, chunks=1)
+    found = DeviceRenderer(field, device, "float32").view(camera)
+    np.testing.assert_allclose(found.z, z, rtol=0.05)
+    np.testing.assert_allclose(found.z, expected.z, rtol=1e-5)
 
 
 @pytest.mark.slow
