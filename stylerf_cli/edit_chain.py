@@ -84,18 +84,18 @@ def finetuned(session: Any, edit: Artefact, field: Artefact | None, config: Any)
     dataset = edit_dataset_of(session, edit)
     looked_at = input_of(session, dataset, "field", "field")
     if field and field.digest != looked_at.digest:
-        _refuse_other_pictures(session, field, dataset)
+        _refuse_other_pictures(session, field, looked_at, dataset)
     field = field or looked_at
     inputs = {"scene": ensure_distilled(session, edit), "field": field, "region": input_of(session, dataset, "region")}
     return session.run(finetune.SPEC, finetune.run, inputs, config, edit.name)
 
 
-def _refuse_other_pictures(session: Any, field: Artefact, dataset: Artefact) -> None:
-    """UsageError where a field does not look as the pictures do that the edit was painted into: it would unlearn."""
+def _refuse_other_pictures(session: Any, field: Artefact, looked_at: Artefact, dataset: Artefact) -> None:
+    """UsageError where a field does not look as the pictures do that the edit was painted into: it would be lost."""
     from stages.evaluation.lineage import shows_its_pictures
 
-    pictures = input_of(session, dataset, "scene")
-    if not shows_its_pictures(field) or pictures_of(session, field).digest != pictures.digest:
+    pictured = shows_its_pictures(field) and shows_its_pictures(looked_at)
+    if not pictured or pictures_of(session, field).digest != input_of(session, dataset, "scene").digest:
         anew = shlex.join(["stylerf", "select", str(session.work.root), "--of", field.name])
         raise UsageError(
             f"--of {field.name}: the edit was painted into pictures that show another field; edit that one anew, from "

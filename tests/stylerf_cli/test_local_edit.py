@@ -320,9 +320,9 @@ def test_an_edit_of_a_stylised_field_is_taught_by_what_that_field_shows(edited, 
     for command in (("stylize", "--method", "palettenerf"), ("deform",)):
         line = refused(capsys, command[0], edited, "--of", name, *command[1:], "--name", "other")
         assert f"start from --of {fitted(edited)}" in line
-    assert "show another field" in refused(
-        capsys, "finetune", edited, "--edit", "ball", "--of", name, "--name", "other"
-    )
+    for edit, of in (("ball", name), ("on-paint", fitted(edited)), ("on-paint", "ball")):
+        line = refused(capsys, "finetune", edited, "--edit", edit, "--of", of, "--name", "other")
+        assert "show another field" in line
 
 
 def test_the_whole_fields_colours_can_learn_instead(edited, capsys):
