@@ -67,7 +67,11 @@ def _on_device(module: PaletteModule, device: str):
 def _edited(
     scene: SceneData, view: EditView, module, changes: PaletteEdits, config: DistillConfig, chunks: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The photo with the edit [h, w, 3 or 4] uint8, and which of the view's pixels carry it."""
+    """The photo with the edit [h, w, 3 or 4] uint8, and which of the view's pixels carry it.
+
+    LAENeRF paints such pixels whole, by the alpha of the field; what shows beside the region would be taught its colours.
+    Only rims are blended: a pixel further in, alpha_E is over 0.96 of alpha (98 % of pixels, still life, 48x48).
+    """
     photo = scene.images(view.view)
     fading = view.transition if config.fade else None
     found = module.colours(view.x, view.directions, changes, fading, chunks)
