@@ -69,7 +69,7 @@ def _edited(
 ) -> tuple[np.ndarray, np.ndarray]:
     """The photo with the edit [h, w, 3 or 4] uint8, and which of the view's pixels carry it.
 
-    LAENeRF paints such pixels whole, by the alpha of the field; what shows beside the region would be taught its colours.
+    LAENeRF paints such pixels whole, by the alpha of the field: what shows beside the region would learn its colours.
     Only rims are blended: a pixel further in, alpha_E is over 0.96 of alpha (98 % of pixels, still life, 48x48).
     """
     photo = scene.images(view.view)
