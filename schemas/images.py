@@ -108,10 +108,10 @@ def read_srgb(path: Path | str, upright: bool = True) -> Image:
 
 def coverage(pixels: np.ndarray) -> np.ndarray:
     """What the picture of a mask, [h, w, 1, 3 or 4], keeps, [h, w] 0..1: its alpha where any pixel is transparent, else
-    its brightest channel."""
-    if pixels.shape[2] == 4 and pixels[..., 3].min() < 1:
-        return pixels[..., 3]
-    return pixels[..., :3].max(axis=2)
+    its brightest channel; divided by its largest value, for masks of 0 and 1 in eight bits are common."""
+    cut = pixels.shape[2] == 4 and pixels[..., 3].min() < 1
+    kept = pixels[..., 3] if cut else pixels[..., :3].max(axis=2)
+    return (kept / max(float(kept.max()), 1e-12)).clip(0, 1)
 
 
 def _colour_channels(pixels: np.ndarray, names: tuple[str, ...], path: Path) -> np.ndarray:

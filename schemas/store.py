@@ -5,11 +5,13 @@ WORK/<kind>/<name>/manifest.json and the files that it lists
 
 import re
 import shlex
+import shutil
 from collections.abc import Collection
 from contextlib import suppress
 from pathlib import Path
 
 from schemas.artefact import MADE_BY, Artefact
+from schemas.atomic import writing
 from schemas.errors import ArtefactDamaged, ArtefactStale, StylerfError, UsageError
 from schemas.manifest import MANIFEST, InputRef, Recipe
 from schemas.migrations import CURRENT
@@ -81,6 +83,22 @@ class Work:
     def begin(self, kind: str, name: str, recipe: Recipe, careful: bool = False) -> Partial:
         """Goes on with an interrupted run of this recipe, or starts afresh; see Partial."""
         return Partial(self.root, _known(kind), sound_name(name), recipe, careful)
+
+    def copy(self, artefact: Artefact, name: str) -> Artefact:
+        """The artefact under another name too, in place of what is called so; its digest knows no name and stays."""
+        made = artefact.manifest
+        recipe = Recipe(made.stage, made.revision, made.config, made.inputs, made.seed)
+        partial = self.begin(artefact.kind, name, recipe, careful=True)
+        try:
+            for record in made.files:
+                target = partial.path / record.path
+                with writing(target):
+                    target.parent.mkdir(parents=True, exist_ok=True)
+                    shutil.copyfile(artefact.path / record.path, target)
+            measured = {"seconds": made.seconds, "peak_memory_mb": made.peak_memory_mb, "figures": made.figures}
+            return partial.commit(device=made.device, versions=made.versions, **measured)
+        finally:
+            partial.release()
 
     def unfinished(self) -> list[tuple[str, str]]:
         """Kind and name of every interrupted run."""

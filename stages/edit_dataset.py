@@ -13,10 +13,10 @@ from stages.configs.extract import ExtractConfig
 from stages.devices import gpu_figures, gpu_of
 from stages.edit_views import save_edit_views
 from stages.fields import load_field
+from stages.pictures import load_pictures
 from stages.progress import Context
 from stages.regions import load_region
 from stages.runner import Spec
-from stages.scenes import load_scene
 from stylerf.editing.extraction import Extraction, Seen, seen_of_view
 from stylerf.editing.regions import Region
 from stylerf.fields.field import RadianceField
@@ -24,13 +24,14 @@ from stylerf.geometry.cameras import Camera
 from stylerf.geometry.space import Space
 from stylerf.kernels.cpu.compiling import compiling_note, set_threads
 
-SPEC = Spec(stage="edit_dataset", verb="extract", revision=1, writes="edit-dataset")
+SPEC = Spec(stage="edit_dataset", verb="extract", revision=2, writes="edit-dataset")
 FADING = 1 / 40  # of the region's size
 
 
 def run(inputs: dict[str, Artefact], config: ExtractConfig, partial: Partial, context: Context) -> dict:
     """Writes the views' pixels, and what they are as EXR; returns the figures."""
-    scene = load_scene(inputs["scene"], inputs["field"])
+    chunks = set_threads(context.threads)
+    scene = load_pictures(inputs["scene"], inputs["field"], chunks)
     field, _ = load_field(inputs["field"])
     region, space = load_region(inputs["region"])
     if space != field.space:
@@ -38,7 +39,6 @@ def run(inputs: dict[str, Artefact], config: ExtractConfig, partial: Partial, co
             f"region {inputs['region'].name} divides the space of another field than {inputs['field'].name}; "
             f"select it anew with `stylerf select --of {inputs['field'].name}`"
         )
-    chunks = set_threads(context.threads)
     size = _size(region, space)
     reach = FADING * size if config.transition < 0 else config.transition
     settings = Extraction(config.tolerance, reach)

@@ -72,13 +72,13 @@ def run(inputs: dict[str, Artefact], config: EditConfig, partial: Partial, conte
 
 def settings_of(config: EditConfig) -> EditSettings:
     """What the config asks for, in the trainer's terms."""
+    pruned = dict.fromkeys(("pruned_steps", "pruned_style_steps"), config.pruned_steps)
     return EditSettings(
         colours=config.colours,
         palette=config.start,
         most_colours=config.most_colours,
         palette_steps=config.palette_steps,
         style_steps=config.style_steps,
-        pruned_steps=config.pruned_steps,
         seconds=budget_of(config.budget)[0],
         weights=EditWeights(
             certainty=config.certainty_weight,
@@ -90,6 +90,7 @@ def settings_of(config: EditConfig) -> EditSettings:
         ),
         style_side=config.style_side,
         preserve_colour=config.preserve_colour,
+        **({} if config.pruned_steps < 0 else pruned),
     )
 
 

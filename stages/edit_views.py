@@ -10,7 +10,7 @@ from schemas.tensors import load_tensors, save_tensors
 from stylerf.editing.views import EditView
 
 DESCRIPTION, NUMBERS = "dataset.json", "dataset.safetensors"
-ARRAYS = ("pixels", "x", "along", "directions", "target", "weight", "depth", "transition", "edges")
+ARRAYS = ("pixels", "x", "along", "directions", "target", "weight", "inside", "depth", "through", "transition", "edges")
 
 
 def save_edit_views(folder: Path, views: list[EditView], told: dict) -> None:

@@ -17,7 +17,7 @@ from stages.photos import bank_of, level_of
 from stages.progress import Context
 from stages.regions import load_region
 from stages.runner import Spec
-from stages.scenes import EDIT_TARGETS, SceneData, load_scene
+from stages.scenes import EARLIER, EDIT_TARGETS, SceneData, load_scene
 from stages.training import run_training
 from stylerf.fields.field import RadianceField
 from stylerf.fields.patch import PatchColour
@@ -37,8 +37,14 @@ def run(inputs: dict[str, Artefact], config: FinetuneConfig, partial: Partial, c
     field, background = load_field(inputs["field"])
     threads = set_threads(context.threads)
     train = scene.splits["train"]
-    edited, device = edited_pixels(scene, train), gpu_of(context, field)
-    if config.colours == "region":
+    whole = config.colours == "field"
+    if whole and isinstance(field.colour, PatchColour):
+        raise BadInput(
+            f"{inputs['field'].path} holds a local edit over its colours, which the whole field's cannot learn under: "
+            "leave out --colours field, or teach the earlier edits by it too"
+        )
+    edited, device = edited_pixels(scene, train, earlier=whole), gpu_of(context, field)
+    if not whole:
         cameras = [scene.cameras[train[view]] for view in np.unique(edited.views)]
         field.colour = _patch(inputs, field, cameras, threads, device)
     seconds, steps = budget_of(config.budget)
@@ -102,20 +108,25 @@ def _surfaces(field: RadianceField, cameras: list[Camera], chunks: int, device: 
     return (shapes.surface(view) for view in range(len(cameras)))
 
 
-def edited_pixels(scene: SceneData, train: list[int]) -> EditedPixels:
-    """The edited pixels of an edited scene's training views, by their place in `train`."""
+def edited_pixels(scene: SceneData, train: list[int], earlier: bool) -> EditedPixels:
+    """The edited pixels of an edited scene's training views, by their place in `train`.
+
+    earlier: with those of the edits before the last; colours of the last region's own cannot learn from them.
+    """
     path = scene.folder / EDIT_TARGETS
     if not path.is_file():
         raise BadInput(f"{scene.folder} carries no edit; give a scene that `stylerf distill` made")
     arrays, _ = load_tensors(path)
     views, pixels, depths, beside = [], [], [], []
+    edits = ("", EARLIER) if earlier else ("",)
     try:
         for place, index in enumerate(train):
-            own = arrays.get(f"{index}.pixels", ())
+            parts = [part for part in edits if f"{index}.{part}pixels" in arrays]
+            own = np.concatenate([np.empty(0, np.int64), *(arrays[f"{index}.{part}pixels"] for part in parts)])
             if len(own):  # a view may show nothing of it as solidly as was asked for
                 views.append(np.full(len(own), place, np.int64))
-                pixels.append(own.astype(np.int64))
-                depths.append(arrays[f"{index}.depth"])
+                pixels.append(own)
+                depths.extend(arrays[f"{index}.{part}depth"] for part in parts)
                 beside.append(_around(own, scene.cameras[index]))
     except KeyError as missing:
         raise ArtefactDamaged(f"{path} lacks {missing}; run `stylerf distill` again") from missing

@@ -86,9 +86,9 @@ def photo_over(scene: SceneData, index: int, level: float) -> np.ndarray:
 
 
 def photo_for(field: RadianceField, scene: SceneData, index: int, level: float, chunks: int) -> np.ndarray:
-    """As photo_over, for what teaches colours to a field's shapes: nothing of a closed space is transparent, and what
+    """As photo_over, for what teaches colours to a field's shapes.
 
-    a mask hides there is what the field shows already.
+    Nothing of a closed space is transparent: what a mask hides there is what the field shows already.
     """
     pixels = scene.images(index)
     if pixels.shape[2] != 4 or not field.closed:

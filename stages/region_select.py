@@ -1,10 +1,12 @@
 """Select: a part of the scene in 3D, from pixels, masks, boxes or colours, grown over the density (LAENeRF, 3.2)."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from schemas.errors import BadInput
 from schemas.images import coverage, read_image, to_uint8, write_png
@@ -13,16 +15,18 @@ from stages.configs.select import SelectConfig
 from stages.configs.views import depth_of, file_of, pixel_of
 from stages.fields import load_field
 from stages.photos import level_of, photo_for, photo_over
+from stages.pictures import load_pictures
 from stages.progress import Context
 from stages.regions import load_region, save_region
 from stages.runner import Spec
-from stages.scenes import SceneData, load_scene, view_index
+from stages.scenes import SceneData, view_index
 from stylerf.editing.extraction import ends_of_view
 from stylerf.editing.regions import (
     FEWEST_CELLS,
     MOST_CELLS,
     Region,
     alpha_inside,
+    cells_of_points,
     grow,
     march_view,
     marked_at,
@@ -31,7 +35,6 @@ from stylerf.editing.regions import (
 from stylerf.editing.selection import (
     Look,
     SeenCells,
-    centres_of,
     claimed,
     ends_of_rays,
     filled,
@@ -64,6 +67,7 @@ class Looking:
     level: float
     asked_cells: int
     chunks: int
+    say: Callable[[str], None]
 
     @cached_property
     def cells(self) -> int:
@@ -103,12 +107,13 @@ class Looking:
 
 def run(inputs: dict[str, Artefact], config: SelectConfig, partial: Partial, context: Context) -> dict:
     """Writes the region and previews of it over the photos; returns the figures."""
-    scene = load_scene(inputs["scene"], inputs["field"])
-    field, background = load_field(inputs["field"])
     chunks = set_threads(context.threads)
+    scene = load_pictures(inputs["scene"], inputs["field"], chunks)
+    field, background = load_field(inputs["field"])
     others = {role: load_region(artefact) for role, artefact in inputs.items() if role.partition(".")[2]}
     with compiling_note(context.progress.say):
-        looking = Looking(scene, field, level_of(background), _asked_cells(config, others), chunks)
+        cells = _asked_cells(config, others)
+        looking = Looking(scene, field, level_of(background), cells, chunks, context.progress.say)
         solid = solid_cells(field, looking.cells, chunks, config.solid)
         if not solid.any():
             raise BadInput(f"{inputs['field'].path}: nothing in the field is solid; give a smaller --solid")
@@ -131,11 +136,14 @@ def _around(looking: Looking, edit: np.ndarray, solid: np.ndarray, config: Selec
 
 def _asked_cells(config: SelectConfig, others: dict) -> int:
     """Cells a side as asked for, or as regions to combine with have them; 0: by what a pixel sees."""
-    for region, _ in others.values():
-        if config.cells and config.cells != region.cells:
-            raise BadInput(f"--cells {config.cells}: a region to combine with has {region.cells}; leave it out")
-        return region.cells
-    return config.cells
+    sizes = {role.partition(".")[2]: region.cells for role, (region, _) in others.items()}
+    if len(set(sizes.values())) > 1:
+        told = ", ".join(f"{name} {cells}" for name, cells in sizes.items())
+        raise BadInput(f"regions of different numbers of cells a side cannot be combined ({told}); select one anew")
+    for cells in sizes.values():
+        if config.cells not in (0, cells):
+            raise BadInput(f"--cells {config.cells}: a region to combine with has {cells}; leave it out")
+    return next(iter(sizes.values()), config.cells)
 
 
 def _marked(looking: Looking, solid: np.ndarray, config: SelectConfig) -> np.ndarray:
@@ -153,71 +161,101 @@ def _marked(looking: Looking, solid: np.ndarray, config: SelectConfig) -> np.nda
         edit |= padded(shown, np.zeros_like(shown))
     if config.depth:
         edit |= _between_depths(looking, config.depth)
-    points = _seeds(looking, config.at, config.scribble)
-    if config.colour or len(points):
+    seeds = _seeds(looking, config.at, config.scribble)
+    if config.colour or len(seeds.points):
         seen = looking.seen
         if config.colour:
             wanted = np.array([[int(config.colour[i : i + 2], 16) / 255 for i in (1, 3, 5)]])
             alike = seen.like(halved_light(wanted), config.tolerance)
             edit |= padded(alike & solid, seen.seen & ~alike)
-        if len(points):
-            edit |= _grown(looking, solid, seen, points, config)
+        if len(seeds.points):
+            edit |= _grown(looking, solid, seen, seeds, config)
     return edit
 
 
-def _seeds(looking: Looking, at: tuple[str, ...], scribbles: tuple[str, ...]) -> np.ndarray:
-    """[n, 3] cube points where the rays of the seeds end; BadInput for a seed that meets nothing."""
-    by_view: dict[int, list[int]] = {}
+@dataclass(frozen=True, eq=False)
+class Seeds:
+    """n places of a scene: points [n, 3] in the cube, which row-major pixels [n] of which views [n] show."""
+
+    points: np.ndarray
+    views: np.ndarray
+    pixels: np.ndarray
+
+    def marked(self, cells: int) -> np.ndarray:
+        """[cells, cells, cells] bool: their cells."""
+        return marked_at(self.points, cells)
+
+    def lab(self, looking: Looking) -> np.ndarray:
+        """[m, 3] colours of their cells, as SeenCells has them; where no look has seen a cell, those of the pixels."""
+        seen = looking.seen
+        unknown = ~seen.known[tuple(cells_of_points(self.points, looking.cells).T)]
+        found = [seen.lab[self.marked(looking.cells) & seen.known]]
+        for view in np.unique(self.views[unknown]):
+            photo = photo_over(looking.scene, view, looking.level).reshape(-1, 3)
+            found.append(halved_light(photo[self.pixels[unknown & (self.views == view)]]))
+        return np.concatenate(found)
+
+
+def _seeds(looking: Looking, at: tuple[str, ...], scribbles: tuple[str, ...]) -> Seeds:
+    """Where the rays of the seeds end; BadInput for a pixel, or a scribble, that meets nothing."""
+    found = [(np.empty((0, 3), np.float32), np.empty(0, np.int64), np.empty(0, np.int64))]
+
+    def meet(view: int, pixels: np.ndarray) -> float:
+        """Takes what the pixels meet; the share of them that meets anything."""
+        x, alpha = ends_of_rays(looking.field, looking.scene.cameras[view], pixels, looking.chunks)
+        met = alpha > 0.5
+        found.append((x[met], np.full(met.sum(), view), pixels[met]))
+        return float(met.mean())
+
     for text in at:
         name, x, y = pixel_of(text)
         view = view_index(looking.scene, name, text)
         camera = looking.scene.cameras[view]
         if not (0 <= x < camera.width and 0 <= y < camera.height):
             raise BadInput(f"{text}: view {name} has {camera.width}x{camera.height} pixels")
-        by_view.setdefault(view, []).append(int(y) * camera.width + int(x))
+        if not meet(view, np.array([int(y) * camera.width + int(x)])):
+            raise BadInput(f"{text} meets nothing of the field: choose a pixel where the render shows the object")
     for text in scribbles:
         view, mask = looking.mask(text)
         bright = np.flatnonzero(mask.ravel() > 0.5)
         if not len(bright):
             raise BadInput(f"{text}: no pixel of the scribble is brighter than half")
-        by_view.setdefault(view, []).extend(bright.tolist())
-    found = []
-    for view, pixels in by_view.items():
-        camera = looking.scene.cameras[view]
-        x, alpha = ends_of_rays(looking.field, camera, np.array(pixels), looking.chunks)
-        if not (alpha > 0.5).any():
-            raise BadInput(
-                f"the {len(pixels)} seed pixels in view {camera.name} meet nothing of the field: "
-                "choose pixels where the render shows the object"
-            )
-        found.append(x[alpha > 0.5])
-    return np.concatenate(found) if found else np.empty((0, 3))
+        share = meet(view, bright)
+        if not share:
+            raise BadInput(f"{text}: no pixel of the scribble meets anything of the field: draw it over the object")
+        if share < 1:
+            looking.say(f"{text}: {1 - share:.0%} of the scribble meets nothing of the field and is left out")
+    return Seeds(*(np.concatenate(parts) for parts in zip(*found)))
 
 
-def _grown(looking: Looking, solid, seen: SeenCells, points: np.ndarray, config: SelectConfig) -> np.ndarray:
+def _grown(looking: Looking, solid, seen: SeenCells, seeds: Seeds, config: SelectConfig) -> np.ndarray:
     """Grown from seeds over solid cells of the seeds' colours, with a margin of one cell."""
-    start, allowed = marked_at(points, looking.cells), solid
+    start, allowed = seeds.marked(looking.cells), solid
     refused = np.zeros_like(solid)
     if config.tolerance > 0:
-        colours = modes(seen.lab[start], config.tolerance / 2)
-        if len(colours):
-            alike = seen.like(colours, config.tolerance)
+        colours = modes(seeds.lab(looking), config.tolerance / 2)
+        alike = seen.like(colours, config.tolerance)
+        if config.avoid:
             avoided = _seeds(looking, config.avoid, ())
-            if len(avoided):
-                alike &= ~seen.nearer(modes(seen.lab[marked_at(avoided, looking.cells)], 1.0), colours)
-            allowed, refused = solid & alike, seen.seen & ~alike
+            alike &= ~seen.nearer(modes(avoided.lab(looking), 1.0), colours)
+        allowed, refused = solid & alike, seen.seen & ~alike
     if config.reach > 0:
-        ends = looking.field.space.unwarp(points)
-        centres = looking.field.space.unwarp(centres_of(looking.cells))
-        near = np.zeros(len(centres), bool)
-        for end in ends[:: max(1, len(ends) // 16)]:
-            near |= np.linalg.norm(centres - end, axis=1) <= config.reach
-        allowed = allowed & near.reshape(allowed.shape)
+        allowed = allowed & _within(looking, seeds.points, config.reach, allowed)
     found = filled(grow(start, allowed, config.steps * config.iterations, config.neck).grown, config.fill, solid)
     found = padded(found, refused & ~found) | start
     for _ in range(CLAIMS):
         found = claimed(looking.looks, found, looking.chunks)
     return found
+
+
+def _within(looking: Looking, points: np.ndarray, reach: float, among: np.ndarray) -> np.ndarray:
+    """The cells of `among` whose centres lie within `reach`, scene units, of any of the cube points [n, 3]."""
+    where = np.argwhere(among)
+    unwarp, out = looking.field.space.unwarp, np.zeros_like(among)
+    ends = unwarp(np.clip(points, 1e-6, 1 - 1e-6))
+    away, _ = cKDTree(ends).query(unwarp((where + 0.5) / looking.cells), distance_upper_bound=reach)
+    out[tuple(where[away <= reach].T)] = True
+    return out
 
 
 def _between_depths(looking: Looking, text: str) -> np.ndarray:

@@ -1,6 +1,6 @@
 """Reads a scene artefact into cameras and images for the mathematics."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -18,6 +18,7 @@ from stylerf.light import exposed
 
 EXPOSURE_STOPS = "exposure_stops"  # among the figures of a fit: by view
 EDIT_TARGETS = "edit/targets.safetensors"  # of a scene whose photos carry an edit: which pixels, and their depths
+EARLIER = "earlier_"  # before the names of what edits before that one left there
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,13 +32,17 @@ class Points:
 
 @dataclass(frozen=True, eq=False)
 class SceneData:
-    """A scene ready for use; images and depths are read when asked for. stops: by which views' photos are darkened."""
+    """A scene ready for use; images and depths are read when asked for. stops: by which views' photos are darkened.
+
+    retaken: the image of a view, by its index, where that is not its photo.
+    """
 
     folder: Path
     scene: Scene
     cameras: list[Camera]
     points: Points | None
     stops: Mapping[str, float] = field(default_factory=dict)
+    retaken: Callable[[int], np.ndarray] | None = None
 
     @property
     def views(self) -> tuple[View, ...]:
@@ -69,6 +74,8 @@ class SceneData:
 
         ArtefactDamaged when it is missing, damaged or not of its camera's size.
         """
+        if self.retaken:
+            return self.retaken(index)
         view = self.views[index]
         try:
             pixels = read_image(self._path(view.image)).pixels
@@ -81,6 +88,10 @@ class SceneData:
             )
         pixels = pixels if pixels.shape[2] >= 3 else np.repeat(pixels, 3, axis=2)
         return exposed(pixels, -self.stops[view.name]) if view.name in self.stops else pixels
+
+    def as_stored(self, index: int) -> bool:
+        """Whether images(index) is what its file holds."""
+        return self.retaken is None and self.views[index].name not in self.stops
 
     @property
     def exposure_figures(self) -> dict[str, dict[str, float]]:

@@ -22,6 +22,41 @@ def scene_of_work(session: Any) -> Artefact:
     return scenes[0] if scenes else session.work.get("scene", "main")
 
 
+def input_of(session: Any, artefact: Artefact, kind: str, role: str = "") -> Artefact:
+    """What an artefact was made from, of one kind (and role); ArtefactStale where it is gone or was made anew."""
+    for ref in artefact.manifest.inputs:
+        if ref.kind == kind and role in ("", ref.role):
+            found = session.work.get(kind, ref.name)
+            if found.digest != ref.digest:
+                raise ArtefactStale(
+                    f"{kind} {ref.name} was made anew after {artefact.kind} {artefact.name}; make that again too: "
+                    f"{artefact.remade_by()}"
+                )
+            return found
+    raise ArtefactStale(f"{artefact.kind} {artefact.name} names no {kind} it was made from; make it again")
+
+
+def pictures_of(session: Any, field: Artefact) -> Artefact:
+    """The scene of the pictures that a field was last taught: the photos, or those with the edits it has learnt."""
+    for ref in field.manifest.inputs:
+        if ref.kind == "scene" and session.work.get("scene", ref.name).manifest.stage == "distill":
+            return input_of(session, field, "scene")
+    return scene_of_work(session)
+
+
+def teaching_pictures(session: Any, field: Artefact) -> Artefact:
+    """As pictures_of, to teach the whole field by; UsageError for one whose colours they do not show."""
+    from stages.evaluation.lineage import fields_behind, shows_its_pictures
+
+    if not shows_its_pictures(field):
+        before = next((one.name for one in fields_behind(field) if shows_its_pictures(one)), "")
+        raise UsageError(
+            f"field {field.name} has colours that no photo shows, and would be taught the photos' again; start from "
+            f"--of {before or 'the field that it was made from'}, or edit a part of it by `stylerf edit`"
+        )
+    return pictures_of(session, field)
+
+
 def made_from(session: Any, kind: str, stage: str, source: Artefact) -> Artefact | None:
     """What a stage made last of `source` as it stands, None where there is nothing of it."""
     made = [

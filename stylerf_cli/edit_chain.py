@@ -1,19 +1,13 @@
 """What a local edit is made of, from region to taught field: each step brings the one before it up to date."""
 
+import shlex
 from typing import Any
 
-from schemas.errors import ArtefactStale, UsageError
+from schemas.errors import UsageError
 from schemas.store import Artefact
 from stages.configs.distill import DistillConfig
 from stages.configs.extract import ExtractConfig
-from stylerf_cli.chains import made_from, scene_of_work
-
-
-def scene_behind(session: Any, field: Artefact) -> Artefact:
-    """The scene whose photos a field was last taught with: edits of edits see the edits before them."""
-    if any(ref.kind == "scene" for ref in field.manifest.inputs):
-        return input_of(session, field, "scene")
-    return scene_of_work(session)
+from stylerf_cli.chains import input_of, made_from, pictures_of
 
 
 def region_of(session: Any, name: str) -> Artefact:
@@ -24,20 +18,6 @@ def region_of(session: Any, name: str) -> Artefact:
     if len(regions) > 1:
         raise UsageError(f"there are several regions: {', '.join(one.name for one in regions)}; give --region NAME")
     return regions[0] if regions else session.work.get("region", "region")
-
-
-def input_of(session: Any, artefact: Artefact, kind: str, role: str = "") -> Artefact:
-    """What an artefact was made from, of one kind (and role); ArtefactStale where it is gone or was made anew."""
-    for ref in artefact.manifest.inputs:
-        if ref.kind == kind and role in ("", ref.role):
-            found = session.work.get(kind, ref.name)
-            if found.digest != ref.digest:
-                raise ArtefactStale(
-                    f"{kind} {ref.name} was made anew after {artefact.kind} {artefact.name}; make that again too: "
-                    f"{artefact.remade_by()}"
-                )
-            return found
-    raise ArtefactStale(f"{artefact.kind} {artefact.name} names no {kind} it was made from; make it again")
 
 
 def standing(session: Any, spec: Any, source: Artefact) -> Artefact | None:
@@ -58,7 +38,7 @@ def ensure_edit_dataset(session: Any, region: Artefact, field: Artefact | None, 
     if made := standing(session, edit_dataset.SPEC, region):
         return made
     inputs = {
-        "scene": scene_behind(session, field) if field else input_of(session, region, "scene"),
+        "scene": pictures_of(session, field) if field else input_of(session, region, "scene"),
         "field": field or input_of(session, region, "field", "field"),
         "region": region,
     }
@@ -74,7 +54,8 @@ def ensure_distilled(session: Any, edit: Artefact, config: Any = None) -> Artefa
     if made := standing(session, distill.SPEC, edit):
         return made
     dataset = edit_dataset_of(session, edit)
-    inputs = {"scene": input_of(session, dataset, "scene"), "edit-dataset": dataset, "edit": edit}
+    inputs = {"scene": input_of(session, dataset, "scene"), "field": input_of(session, dataset, "field", "field")}
+    inputs |= {"edit-dataset": dataset, "edit": edit}
     config = config or session.config_of("distill", DistillConfig)
     return session.run(distill.SPEC, distill.run, inputs, config, edit.name, by=("--edit", edit.name))
 
@@ -101,15 +82,32 @@ def finetuned(session: Any, edit: Artefact, field: Artefact | None, config: Any)
     from stages import finetune
 
     dataset = edit_dataset_of(session, edit)
-    field = field or input_of(session, dataset, "field", "field")
+    looked_at = input_of(session, dataset, "field", "field")
+    if field and field.digest != looked_at.digest:
+        _refuse_other_pictures(session, field, looked_at, dataset)
+    field = field or looked_at
     inputs = {"scene": ensure_distilled(session, edit), "field": field, "region": input_of(session, dataset, "region")}
     return session.run(finetune.SPEC, finetune.run, inputs, config, edit.name)
+
+
+def _refuse_other_pictures(session: Any, field: Artefact, looked_at: Artefact, dataset: Artefact) -> None:
+    """UsageError where a field does not look as the pictures do that the edit was painted into: it would be lost."""
+    from stages.evaluation.lineage import shows_its_pictures
+
+    pictured = shows_its_pictures(field) and shows_its_pictures(looked_at)
+    if not pictured or pictures_of(session, field).digest != input_of(session, dataset, "scene").digest:
+        anew = shlex.join(["stylerf", "select", str(session.work.root), "--of", field.name])
+        raise UsageError(
+            f"--of {field.name}: the edit was painted into pictures that show another field; edit that one anew, from "
+            f"its selection on: {anew}"
+        )
 
 
 def learnt_edit(session: Any, region: Artefact, config: Any, changes: Any, name: str, changed: str) -> Artefact:
     """An edit of a region: learnt, and with changes of its palette, then called `changed`, where any are asked for.
 
-    Changes need no training where any edit stands that was learnt just so; else it is learnt, as <name>-learnt.
+    Changes need no training where any edit stands that was learnt just so, if need be the one that `changed` takes the
+    place of, which stays beside as <name>-learnt; else it is learnt, called so.
     """
     from stages import edit_learn, edit_palette
     from stages.runner import recipe_of
@@ -123,6 +121,8 @@ def learnt_edit(session: Any, region: Artefact, config: Any, changes: Any, name:
     others = [one.name for one in session.work.artefacts("edit") if one.name != changed]
     found = (session.work.standing("edit", other, recipe) for other in others)
     learnt = next(filter(None, found), None)
+    if learnt is None and (own := session.work.standing("edit", changed, recipe)):
+        learnt = session.work.copy(own, f"{name}-learnt") if session.ranks.first else own
     if learnt is None:
         by = ("--region", region.name)
         learnt = session.run(edit_learn.SPEC, edit_learn.run, inputs, config, f"{name}-learnt", own=False, by=by)

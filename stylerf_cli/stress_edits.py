@@ -27,7 +27,8 @@ SPECS = (region_select.SPEC, edit_dataset.SPEC, edit_learn.SPEC, edit_palette.SP
 REACH = 0.12  # of the way from that camera: photos this small tell colours too badly to end a growth by them alone
 ORDINARY = "all=#2050d0"
 PALETTES = {"palette-full": "all=#00ff00", "palette-black": "all=#000000"}
-QUICK_LEARNING = {"palette_steps": 80, "style_steps": 15, "pruned_steps": 10, "style_side": 64}
+QUICK_RECOLOUR = {"palette_steps": 80, "pruned_steps": 10}
+QUICK_PAINT = {"palette_steps": 80, "style_steps": 15, "style_side": 64}
 QUICK_FINETUNE, QUICK_RAYS, QUICK_REFIT, QUICK_PIXELS = "60", 2048, 60, 512
 UNTIMED = "1h"  # where steps decide
 REMEDIES_OF_LEARNING = {"start": "clusters"}  # against a palette whose colours collapse into a few
@@ -64,7 +65,7 @@ def options_of(method: Method, fault: Fault, remedies: bool, conditions: dict, p
         return EditOptions(method, learning, changes, teaching)
     look = {"recolor": True} if painting is None else {"style": str(painting), "style_digest": file_sha256(painting)}
     look |= {"start": "random"} if fault.name == "palette-random" else {}
-    look |= QUICK_LEARNING if quick else {}
+    look |= (QUICK_PAINT if painting else QUICK_RECOLOUR) if quick else {}
     look |= REMEDIES_OF_LEARNING if remedies else {}
     return EditOptions(method, EditConfig(budget=budget if timed else UNTIMED, **look), changes, teaching)
 
@@ -88,6 +89,6 @@ def edited(
     edit = execute(edit_learn, {"edit-dataset": dataset}, options.learning, name)
     if options.changes:
         edit = execute(edit_palette, {"edit": edit}, PaletteConfig(palette=options.changes), changed)
-    given = {"scene": scene, "edit-dataset": dataset, "edit": edit}
+    given = {"scene": scene, "field": field, "edit-dataset": dataset, "edit": edit}
     photos = execute(distill, given, DistillConfig(), edit.name)
     return execute(finetune, inputs | {"scene": photos}, options.finetune, edit.name), region

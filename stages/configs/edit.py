@@ -1,10 +1,15 @@
 """Options of `stylerf stylize --region`, palette changes apart."""
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 from stages.configs import option
 from stages.configs.fit import budget_of
+
+OF_A_PAINTING = (
+    "crop", "match", "preserve_colour", "style_steps", "style_weight", "style_side", "variation_weight", "edge_weight",
+    "smooth_weight", "features", "taps",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -24,7 +29,7 @@ class EditConfig:
     )
     palette_steps: int = option(300, help="steps towards the photos alone")
     style_steps: int = option(100, help="steps towards the painting")
-    pruned_steps: int = option(100, help="steps after colours were removed")
+    pruned_steps: int = option(-1, help="steps after colours were removed (-1: 100, with a painting 40)")
     budget: str = option("90s", metavar="TIME", help="time of all steps, at most")
     style_weight: float = option(3.0, help="weight of the Gram distance to the painting")
     style_side: int = option(128, help="longer side of the picture that features are taken from")
@@ -44,6 +49,11 @@ class EditConfig:
     def __post_init__(self) -> None:
         if self.recolor == bool(self.style):
             raise ValueError("a region is either recoloured (--recolor) or given a painting (--style IMAGE)")
+        given = [one.name for one in fields(EditConfig) if getattr(self, one.name) != one.default]
+        if self.recolor and (idle := [name for name in OF_A_PAINTING if name in given]):
+            raise ValueError(f"{', '.join(idle)}: of a painting, and means nothing with --recolor; leave it out")
+        if min(self.palette_steps, self.style_steps) < 0 or self.pruned_steps < -1:
+            raise ValueError("palette_steps and style_steps must be at least 0, pruned_steps at least 0, or -1")
         if self.crop and (len(self.crop) != 3 or min(self.crop) < 0 or self.crop[2] < 16):
             raise ValueError("crop takes x, y and a size of at least 16 pixels")
         if not 1 <= self.most_colours <= self.colours <= 16:

@@ -139,11 +139,15 @@ class LocalEdit:
 
     def warnings(self) -> list[str]:
         """What a reader must know before believing the figures."""
-        absent = self._masks.absent if isinstance(self._masks, PictureMasks) else []
-        if not absent:
+        if not isinstance(self._masks, PictureMasks):
             return []
-        shown = ", ".join(absent[:6]) + (f" and {len(absent) - 6} more" if len(absent) > 6 else "")
-        return [f"{len(absent)} views have no mask in {self._config.masks} and take no part in its figures: {shown}."]
+        absent, folder, told = self._masks.absent, self._config.masks, []
+        if self._masks.held and not any(self._masks.held):
+            told.append(f"No mask in {folder} shows anything of a region: all that is seen counts as background.")
+        if absent:
+            shown = ", ".join(absent[:6]) + (f" and {len(absent) - 6} more" if len(absent) > 6 else "")
+            told.append(f"{len(absent)} views have no mask in {folder} and take no part in its figures: {shown}.")
+        return told
 
 
 def palette_rows(field: Artefact | None, edited: bool) -> list[Row]:

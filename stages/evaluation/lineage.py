@@ -47,6 +47,11 @@ def field_unstylised(field: Artefact) -> Artefact | None:
     return next((one for one in behind if not is_stylised(one)), None)
 
 
+def shows_its_pictures(field: Artefact) -> bool:
+    """Whether a field looks as the pictures do that it was taught last; a stylised or recoloured one does not."""
+    return field.manifest.stage not in ("stylize", "recolour")
+
+
 def original_scene(scene: Artefact) -> Artefact:
     """The scene of photos that a scene of edited ones (stage `distill`) was made from, through all artefacts between.
 

@@ -9,7 +9,7 @@ from skimage.transform import resize
 
 from schemas.canonical import digest_of, file_sha256
 from schemas.errors import BadInput
-from schemas.images import read_image
+from schemas.images import coverage, read_image
 from schemas.store import Artefact
 from stages.evaluation.views import FrameViews, Render
 from stages.fields import load_field
@@ -63,7 +63,10 @@ class RegionMasks:
 
 
 class PictureMasks:
-    """Masks by pictures in a folder, named like the views; white (or the brightest there is) is the region."""
+    """Masks by pictures in a folder, named like the views: opaque, or else white (or the brightest), is the region.
+
+    absent: views without one; held: of the others, whether it holds anything.
+    """
 
     words = "where the given mask, over its largest value and resized, is over 0.5"
 
@@ -72,6 +75,7 @@ class PictureMasks:
         self._files = {path.relative_to(folder).with_suffix("").as_posix(): path for path in mask_files(folder)}
         self._bare = Counter(PurePosixPath(name).name for name in map(_stem, names))
         self.absent: list[str] = []
+        self.held: list[bool] = []
 
     def inside(self, frames: FrameViews, index: int, render: Render) -> np.ndarray | None:
         """[h, w] bool of the view's own picture; None, and `absent` grows, where there is none."""
@@ -79,7 +83,9 @@ class PictureMasks:
         if path is None:
             self.absent.append(render.name)
             return None
-        return mask_of(read_image(path).pixels, render.alpha.shape, path)
+        inside = mask_of(read_image(path).pixels, render.alpha.shape, path)
+        self.held.append(bool(inside.any()))
+        return inside
 
     def _file(self, name: str) -> Path | None:
         """DIR/<name>.png or DIR/<name>_mask.png; without the name's own folders where no other view is called so."""
@@ -106,19 +112,14 @@ def masks_digest(folder: Path) -> str:
 
 
 def mask_of(pixels: np.ndarray, size: tuple[int, int], path: Path) -> np.ndarray:
-    """bool [h, w] of a picture [rows, columns, 1, 3 or 4]: its brightest channel times its alpha.
-
-    Divided by its largest value (masks of 0 and 1 in eight bits are common), resized to `size`, over 0.5.
-    """
+    """bool [h, w] of a picture [rows, columns, 1, 3 or 4]: what it covers, resized to `size`, over 0.5."""
     height, width = size
     if abs(pixels.shape[1] * height / (pixels.shape[0] * width) - 1) > SIDES_DIFFER:
         raise BadInput(
             f"{path} is {pixels.shape[1]}x{pixels.shape[0]} where the view is {width}x{height}: a mask has to show the "
             "whole view, at any size"
         )
-    grey = pixels[..., :3].max(axis=-1)
-    grey = grey * pixels[..., 3] if pixels.shape[2] == 4 else grey
-    grey = grey / max(float(grey.max()), 1e-12)
+    grey = coverage(pixels)
     if grey.shape != size:
         grey = resize(grey, size, order=1, anti_aliasing=True)
     return grey > SHOWN

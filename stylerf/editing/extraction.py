@@ -18,6 +18,7 @@ from stylerf.kernels.cpu.regions import ends_inside
 JITTERS = 512  # the depths of a view are that many jitters apart
 OPAQUE = 0.5  # alpha, of the field and of the photo, under which a pixel is too little of anything to be edited
 SURE = 0.98  # weight of a pixel from which its depth counts for an edge
+EVERYWHERE = np.ones((1, 1, 1), bool)  # the whole cube, as one marked cell
 TOUCHING = 0.5  # share of a ray's opacity inside the growing grid from which the ray ends there
 
 
@@ -72,8 +73,8 @@ def seen_of_view(
     silhouettes would teach the palette a black that is not there. ends_of: ends_of_view on another device; None: here.
     """
     fading = settings.reach > 0 and bool(region.grow.any())
-    grids = [region.edit, region.grow] if fading else [region.edit]
-    ends, *around = ends_of(camera, grids) if ends_of else ends_of_view(field, camera, grids, chunks)
+    grids = [region.edit, region.grow, EVERYWHERE] if fading else [region.edit, EVERYWHERE]
+    ends, *around, rays = ends_of(camera, grids) if ends_of else ends_of_view(field, camera, grids, chunks)
     alpha, inside = np.clip(ends[:, 0], 0, 1), np.clip(ends[:, 1], 0, 1)
     shape = (camera.height, camera.width)
     shown = (alpha > OPAQUE) & (alpha - inside <= settings.tolerance) & (inside > 1e-3)
@@ -98,7 +99,9 @@ def seen_of_view(
         directions=np.ascontiguousarray(directions, np.float32),
         target=np.ascontiguousarray(colours.reshape(-1, 3)[pixels], np.float32),
         weight=weight.ravel()[pixels],
+        inside=inside[pixels].astype(np.float32),
         depth=depth[pixels],
+        through=(rays[pixels, 1] * rays[pixels, 2]).astype(np.float32),
         transition=_transition(field, x, around[0], settings.reach) if fading else np.zeros(len(x), np.float32),
         edges=_edges(depth.reshape(shape), weight, colours)[pixels],
     )

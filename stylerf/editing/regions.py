@@ -71,14 +71,11 @@ def solid_cells(field: RadianceField, cells: int, chunks: int, opacity: float = 
 
     LAENeRF asks for a raw density of 10 instead, which means nothing where densities are counted per cell or cube.
     The density of a cell is that of its centre, or the largest of eight points where there are fewer than FINE cells a
-    side; only the field's occupied cells are asked.
+    side; only cells that hold something of the field's occupied ones are asked.
     """
     least = -np.log1p(-opacity) / (float(OPTICAL_SCALE) / cells)
-    occupied = field.occupancy.distances == 0
-    own = field.occupancy.cells
     corner = np.stack(np.unravel_index(np.arange(cells**3), (cells,) * 3), -1).astype(np.int32)
-    inside = ((corner * 2 + 1) * own // (2 * cells)).astype(np.int64)
-    asked = np.flatnonzero(occupied[(inside[:, 0] * own + inside[:, 1]) * own + inside[:, 2]])
+    asked = np.flatnonzero(_holding(field.occupancy.distances.reshape((field.occupancy.cells,) * 3) == 0, cells))
     highest = np.zeros(cells**3, np.float32)
     probes = 1 if cells >= FINE else 2
     for probe in np.ndindex((probes,) * 3):
@@ -88,6 +85,16 @@ def solid_cells(field: RadianceField, cells: int, chunks: int, opacity: float = 
             points = np.ascontiguousarray((corner[some] + shift) / np.float32(cells), np.float32)
             highest[some] = np.maximum(highest[some], field.density.sigma(points, chunks))
     return (highest >= least).reshape((cells,) * 3)
+
+
+def _holding(occupied: np.ndarray, cells: int) -> np.ndarray:
+    """[cells, cells, cells] bool: cells that share room with an occupied one [s, s, s]."""
+    ends = np.arange(cells + 1) * occupied.shape[0]
+    spans = np.stack([ends[:-1] // cells, -(-ends[1:] // cells)], 1).ravel()  # from the first to beyond the last
+    out = np.pad(occupied, (0, 1))
+    for axis in range(3):
+        out = np.logical_or.reduceat(out, spans, axis).take(np.arange(0, 2 * cells, 2), axis)
+    return out
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,9 @@ class EditView:
 
     view: index of the scene's view. pixels: [n] int64 row-major numbers, ascending. x: [n, 3] where their rays end, in
     the cube. along: [n, 3] what x moves by when the ray ends one jitter further. directions: [n, 3] unit, from the
-    camera. target: [n, 3] sRGB 0..1 of the photo. weight: [n] alpha of the field.
-    depth: [n] distance along the ray, scene units. transition: [n] lambda, 1 where the region meets what surrounds it,
+    camera. target: [n, 3] sRGB 0..1 of the photo. weight: [n] alpha of the field. inside: [n] alpha_E, the part of it
+    that lies in the region. depth: [n] mean distance along the ray within the region, scene units. through: [n]
+    sum(w t) over the whole ray. transition: [n] lambda, 1 where the region meets what surrounds it,
     0 far from it. edges: [n, 2] geometry edges zeta >= 0 between a pixel and the one below it, the one right of it.
     """
 
@@ -25,7 +26,9 @@ class EditView:
     directions: np.ndarray
     target: np.ndarray
     weight: np.ndarray
+    inside: np.ndarray
     depth: np.ndarray
+    through: np.ndarray
     transition: np.ndarray
     edges: np.ndarray
 

@@ -15,11 +15,10 @@ def add_arguments(parser) -> None:
 
 def run(args, session) -> dict:
     """The deformed field's place and figures."""
-    from stylerf_cli.chains import deform, ensure_field, scene_of_work
+    from stylerf_cli.chains import deform, ensure_field, scene_of_work, teaching_pictures
 
-    scene = scene_of_work(session)
-    field = ensure_field(session, scene, args.of)
-    made = deform(session, scene, field, session.config)
+    field = ensure_field(session, scene_of_work(session), args.of)
+    made = deform(session, teaching_pictures(session, field), field, session.config)
     figures = made.manifest.figures
     result = {"field": made.path, "name": made.name, "figures": figures, "seconds": made.manifest.seconds}
     words = (

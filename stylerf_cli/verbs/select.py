@@ -36,12 +36,11 @@ def selected(session, config: SelectConfig, field, name: str = "region"):
     """The region artefact. field: the one to select in, None for the fitted one."""
     from schemas.canonical import digest_of, file_sha256
     from stages import region_select
-    from stylerf_cli.chains import ensure_field, scene_of_work
-    from stylerf_cli.edit_chain import scene_behind
+    from stylerf_cli.chains import ensure_field, pictures_of, scene_of_work
 
     files = masks_of(config)
     if field:
-        scene = scene_behind(session, field)
+        scene = pictures_of(session, field)
     else:
         scene = scene_of_work(session)
         field = ensure_field(session, scene)

@@ -54,7 +54,7 @@ def run(args, session) -> dict:
 def _whole(args, session) -> dict:
     from stages import references, stylize
     from stages.scenes import load_scene
-    from stylerf_cli.chains import ensure_deformed, ensure_field, scene_of_work
+    from stylerf_cli.chains import ensure_deformed, ensure_field, scene_of_work, teaching_pictures
 
     # Refused before hours of upstream work, not after them.
     config, name = _pinned_whole(session.config)
@@ -62,6 +62,7 @@ def _whole(args, session) -> dict:
     if config.method == "refnpr":
         references.checked(load_scene(scene), config)
     field = ensure_field(session, scene, args.of)
+    scene = teaching_pictures(session, field)
     if config.method == "desrf":
         field = ensure_deformed(session, scene, field)
     name = f"{name}-{config.method}"
@@ -94,17 +95,25 @@ def _pinned_whole(config: StylizeConfig) -> tuple[StylizeConfig, str]:
 
 
 def _palette(args, session) -> dict:
-    from stylerf_cli.chains import ensure_field, palette_changed, palette_learnt, scene_of_work
+    from stylerf_cli.chains import (
+        ensure_field,
+        palette_changed,
+        palette_learnt,
+        pictures_of,
+        scene_of_work,
+        teaching_pictures,
+    )
 
-    config, scene = session.config, scene_of_work(session)
-    field = ensure_field(session, scene, args.of)
+    config = session.config
+    field = ensure_field(session, scene_of_work(session), args.of)
     if field.manifest.stage in ("decompose", "recolour"):
         if config.learning != DecomposeConfig():
             raise UsageError(f"field {field.name} has its palette already; options of learning one mean nothing here")
         if not config.changes:
             raise UsageError(f"field {field.name} has its palette already; change it by --palette I=#rrggbb")
-        made = palette_changed(session, scene, field, config.changes)
+        made = palette_changed(session, pictures_of(session, field), field, config.changes)
     else:
+        scene = teaching_pictures(session, field)
         made = palette_learnt(session, scene, field, config.learning, config.changes)
     figures, seconds = made.manifest.figures, made.manifest.seconds
     result = {"field": made.path, "name": made.name, "figures": figures, "seconds": seconds}
@@ -112,7 +121,8 @@ def _palette(args, session) -> dict:
 
 
 def _region(args, session) -> dict:
-    from stylerf_cli.edit_chain import input_of, learnt_edit, region_of
+    from stylerf_cli.chains import input_of
+    from stylerf_cli.edit_chain import learnt_edit, region_of
 
     region = region_of(session, args.region)
     if args.of:

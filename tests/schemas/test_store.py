@@ -45,6 +45,21 @@ def test_digest_tells_content_recipe_and_kind_but_not_name(tmp_path):
     assert make(work, "e", kind="edit").digest != base
 
 
+def test_a_copy_is_the_same_artefact_by_another_name_at_what_it_cost(tmp_path):
+    work = Work(tmp_path)
+    first, other = make(work), make(work, "den", content=b"other").digest
+    copy = work.copy(first, "den")
+    copy.verify()
+    assert copy.name == "den" and copy.digest == first.digest != other
+    assert (copy.manifest.seconds, copy.manifest.figures) == (1.5, {"psnr": 27.1})
+    first.verify()
+    held = work.begin("field", "den", recipe())
+    with pytest.raises(OutOfResources, match="being written"):
+        work.copy(first, "den")
+    held.discard()
+    assert sorted(os.listdir(tmp_path / "field")) == [".den.lock", ".fox.lock", "den", "fox"]
+
+
 @pytest.mark.parametrize("which", ["b.json", "sub/a.bin", MANIFEST])
 def test_a_flipped_bit_anywhere_is_found(tmp_path, which):
     artefact = make(Work(tmp_path))

@@ -206,6 +206,14 @@ def test_given_masks_at_any_size_and_depth(made_up, tmp_path):
     assert pinned(config).masks_digest != first
 
 
+def test_that_no_mask_shows_a_region_is_said(made_up, tmp_path):
+    work, inputs, *_ = made_up
+    for i, level in enumerate((0, 0)):
+        write_png(tmp_path / f"photo_{i:02d}.png", np.full((72, 96), level, np.uint8))
+    _, report = evaluated(work, inputs, replace(QUIET, masks=str(tmp_path)), name="black")
+    assert any("shows anything of a region" in text for text in report["warnings"])
+
+
 def test_masks_of_another_shape_and_empty_folders_are_refused(made_up, tmp_path):
     work, inputs, *_ = made_up
     with pytest.raises(BadInput, match="no picture"):

@@ -12,6 +12,7 @@ from schemas.exr import ExrView, write_exr
 from schemas.images import read_image, to_uint8, write_png
 from schemas.store import Work
 from stages import region_select
+from stages.evaluation.masks import mask_of
 from stages.paintings import read_painting
 from stages.readers.digest import digest_of_source
 from stages.readers.source import find_image
@@ -230,18 +231,20 @@ def test_a_mask_that_could_be_of_either_of_two_photos_is_refused(source, tmp_pat
     assert cut_out(imported(source, tmp_path / "work")) == ["a/p00", "b/p00"]
 
 
-@pytest.mark.parametrize("cut", ["by colour", "by transparency"])
+@pytest.mark.parametrize("cut", ["by colour", "by transparency", "by labels"])
 def test_pictures_of_masks_mean_the_same_wherever_they_are_read(posed, tmp_path, cut):
-    """White on black that is opaque all over; black on nothing. The left half is kept."""
+    """White on black that is opaque all over; black on nothing; 1 and 0 in eight bits. The left half is kept."""
     kept = np.where(np.arange(48) < 24, np.full((36, 48), 255), 0).astype(np.uint8)
     opaque = np.full_like(kept, 255)
-    colour, alpha = (kept, opaque) if cut == "by colour" else (np.zeros_like(kept), kept)
+    colour, alpha = (np.zeros_like(kept), kept) if cut == "by transparency" else (kept, opaque)
+    colour = colour // 255 if cut == "by labels" else colour
     mask = posed / "masks" / "p02.png"
     write_png(mask, np.dstack([colour] * 3 + [alpha]))
     scene = load_scene(imported(posed, tmp_path / "work"))
     np.testing.assert_array_equal(to_uint8(scene.images(2))[..., 3], kept)
-    looking = region_select.Looking(scene, None, 0.0, 0, 1)
+    looking = region_select.Looking(scene, None, 0.0, 0, 1, print)
     np.testing.assert_array_equal(to_uint8(looking.mask(f"p02={mask}")[1]), kept)
+    np.testing.assert_array_equal(mask_of(read_image(mask).pixels, kept.shape, mask), kept > 0)
 
 
 def test_masks_that_transforms_name(source, tmp_path):

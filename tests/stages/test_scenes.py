@@ -135,7 +135,7 @@ def test_a_distilled_scene_holds_photos_of_one_exposure(tmp_path):
     seen = dataclasses.replace(load_scene(scene), stops={"train_001": 1.0, "train_002": -0.5})
     copy = tmp_path / "copy"
     shutil.copytree(scene.path, copy)
-    distill._expose_others(seen, {1}, copy)
+    distill._write_others(seen, {1}, copy)
     for index, wanted in ((1, load_scene(scene).images(1)), (2, seen.images(2)), (3, load_scene(scene).images(3))):
         assert np.abs(read_image(copy / seen.views[index].image).pixels - wanted).max() < 0.51 / 255
 
@@ -146,8 +146,8 @@ def test_a_view_without_an_edited_pixel_carries_no_edit(tmp_path):
     some = {"2.pixels": np.array([5, 6]), "2.depth": np.ones(2, np.float32)}
     none = {"1.pixels": np.empty(0, np.int64), "1.depth": np.empty(0, np.float32)}
     save_tensors(scene.folder / EDIT_TARGETS, none | some)
-    found = finetune.edited_pixels(scene, [1, 2, 3])
+    found = finetune.edited_pixels(scene, [1, 2, 3], earlier=False)
     assert found.views.tolist() == [1, 1] and found.pixels.tolist() == [5, 6]
     save_tensors(scene.folder / EDIT_TARGETS, none)
     with pytest.raises(BadInput, match="no training view carries the edit"):
-        finetune.edited_pixels(scene, [1, 2, 3])
+        finetune.edited_pixels(scene, [1, 2, 3], earlier=False)

@@ -3,18 +3,21 @@
 import json
 import shlex
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.ndimage import binary_erosion
+from scipy.ndimage import binary_dilation, binary_erosion
 
 from schemas.exr import read_exr
 from schemas.images import read_image, write_png
-from schemas.store import Work
+from schemas.store import Recipe, Work
+from schemas.tensors import load_tensors
+from stages import edit_learn
 from stages.fields import load_field
-from stages.regions import load_region
-from stages.scenes import load_scene
+from stages.regions import load_region, save_region
+from stages.scenes import EDIT_TARGETS, load_scene
 from stylerf.fields.field import layers_of
 from stylerf.rendering.view import render_view
 from stylerf_cli.main import main
@@ -65,6 +68,17 @@ def edited(still_life, middle) -> Path:
     assert main(["edit", str(still_life), "--at", middle, "--recolor", "--palette", "0=#10e020", "--name", "ball",
                  "--config", str(_finetune(still_life)), "--quiet", *QUICK]) == 0  # fmt: skip
     return still_life
+
+
+def photos_of(work: Work):
+    """The scene of photos."""
+    return next(one for one in work.artefacts("scene") if one.manifest.stage == "pose_import")
+
+
+def photographed(work: Work):
+    """The camera of the first training view."""
+    scene = load_scene(photos_of(work))
+    return scene.cameras[scene.splits["train"][0]]
 
 
 def fitted(work: Path) -> str:
@@ -160,9 +174,29 @@ def test_what_stands_under_the_ordinary_name_needs_no_training_either(edited, ca
     assert changed["figures"]["learnt"] == "ball-recolor"
     edits = [one.name for one in Work(work).artefacts("edit")]
     assert sorted(edits) == ["ball-recolor", "ball-recolor-changed"]
-    # An edit never takes the place of what it is made from.
-    named = said(capsys, "stylize", work, *asked, "--palette", "0=#2030f0", "--name", "ball-recolor")
-    assert named["figures"]["learnt"] != "ball-recolor"
+
+
+def test_a_change_under_the_very_name_of_what_was_learnt_needs_no_training(edited, capsys, tmp_path, monkeypatch):
+    work, asked = tmp_path / "work", ("--region", "ball", "--recolor", "--palette-steps", "30", *QUICK[2:])
+    shutil.copytree(edited, work)
+    said(capsys, "stylize", work, *asked, "--name", "vase")
+    looked_at = Work(work).get("edit", "vase")
+    before, files = looked_at.manifest, {one.path: one.sha256 for one in looked_at.manifest.files}
+
+    def never(*_):
+        raise AssertionError("learnt again")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(edit_learn, "run", never)
+        refused(capsys, "stylize", work, *asked, "--palette", "9=#000000", "--name", "vase")
+        assert Work(work).get("edit", "vase").digest == looked_at.digest  # a slip loses nothing
+        named = said(capsys, "stylize", work, *asked, "--palette", "0=#2030f0", "--name", "vase")
+    assert named["figures"]["learnt"] == "vase-learnt"
+    learnt = Work(work).get("edit", "vase-learnt")
+    learnt.verify()
+    assert {one.path: one.sha256 for one in learnt.manifest.files} == files
+    assert (learnt.manifest.recipe, learnt.manifest.seconds) == (before.recipe, before.seconds)
+    assert Work(work).get("edit", "vase").manifest.stage == "edit_palette"
 
 
 def test_options_of_extract_and_distill_reach_the_edit(edited, capsys, tmp_path):
@@ -229,6 +263,65 @@ def test_a_second_edit_of_the_edited_field_keeps_the_first_and_either_can_be_gon
     assert green[1] > green[0] and blue[2] > blue[0] + 0.05
     # What the first edit made of the ball, the second leaves as it is, but for a seam.
     assert np.abs(shift(1, 2, in_ball & (views[0].masks["table"] < 0.01))).max() < 0.03
+    again = ("--colours", "field", "--budget", "5", "--name", "whole-table")
+    assert "holds a local edit over its colours" in refused(capsys, "finetune", edited, "--edit", "table", *again)
+
+
+def test_a_palette_of_the_whole_scene_is_learnt_from_pictures_that_hold_the_edit(edited, capsys):
+    few = ("--budget", "30", "--refit-steps", "40", "--pixels", "512", "--levels", "4", "--table-bits", "12")
+    said(capsys, "stylize", edited, "--of", "ball", "--method", "palettenerf", *few, "--name", "all-over")
+    work = Work(edited)
+    camera = photographed(work)
+    region = {"ball": load_region(work.get("region", "ball"))[0].edit}
+    names = (fitted(edited), "ball", "all-over")
+    plain, green, mixed = (render_view(load_field(work.get("field", one))[0], camera, chunks=1, regions=region)
+                           for one in names)  # fmt: skip
+    inside = plain.masks["ball"] > 0.9
+    before, wanted, found = (view.rgb[inside].mean(0) for view in (plain, green, mixed))
+    assert np.abs(found - wanted).max() < 0.5 * np.abs(wanted - before).max()
+
+
+def test_an_edit_of_a_stylised_field_is_taught_by_what_that_field_shows(edited, middle, capsys):
+    """A painting is in no photo: what lies beside the region would turn to the photos' colours."""
+    name = next(one.name for one in Work(edited).artefacts("field") if one.manifest.stage == "stylize")
+    flags = (
+        "--at",
+        middle,
+        "--tolerance",
+        "0",
+        "--reach",
+        "0.3",
+        "--most",
+        "1",
+        "--palette",
+        "all=#10e020",
+        "--recolor",
+    )
+    options = ("--config", _finetune(edited), *QUICK)
+    said(capsys, "edit", edited, "--of", name, *flags, "--name", "on-paint", *options)
+    work = Work(edited)
+    photos, pictures = (load_scene(work.get("scene", one)) for one in (photos_of(work).name, "on-paint"))
+    stylised, taught = (load_field(work.get("field", one))[0] for one in (name, "on-paint"))
+    region = {"part": load_region(work.get("region", "on-paint"))[0].edit}
+    targets, _ = load_tensors(pictures.folder / EDIT_TARGETS)
+    moved = []
+    for view in pictures.splits["train"][:3]:
+        camera, picture = pictures.cameras[view], pictures.images(view)
+        seen, now = (render_view(one, camera, chunks=1, regions=region) for one in (stylised, taught))
+        edited_here = np.isin(np.arange(seen.alpha.size), targets.get(f"{view}.pixels", ())).reshape(seen.alpha.shape)
+        solid = ~edited_here & (seen.alpha > 0.9)
+        assert np.abs(picture[..., :3] - seen.rgb / seen.alpha.clip(1e-6)[..., None])[solid].max() < 0.01
+        assert np.abs(picture[..., :3] - photos.images(view)[..., :3])[solid].mean() > 0.03
+        beside = binary_dilation(edited_here, iterations=4) & ~edited_here & (seen.masks["part"] < 0.02)
+        moved.append(np.abs(now.rgb - seen.rgb)[beside])
+    assert np.concatenate(moved).mean() < 0.01
+    # The whole of it would lose the painting, and says so.
+    for command in (("stylize", "--method", "palettenerf"), ("deform",)):
+        line = refused(capsys, command[0], edited, "--of", name, *command[1:], "--name", "other")
+        assert f"start from --of {fitted(edited)}" in line
+    for edit, of in (("ball", name), ("on-paint", fitted(edited)), ("on-paint", "ball")):
+        line = refused(capsys, "finetune", edited, "--edit", edit, "--of", of, "--name", "other")
+        assert "show another field" in line
 
 
 def test_the_whole_fields_colours_can_learn_instead(edited, capsys):
@@ -283,6 +376,7 @@ def test_regions_are_joined_and_cut(edited, capsys):
         (["stylize", "--region", "ball", "--recolor", "--of", "painting-arf"], "was selected in field fit"),
         (["stylize", "--region", "ball", "--style", "PAINTING", "--crop", "0", "0", "9000"], "does not fit"),
         (["stylize", "--region", "no-such", "--recolor"], "none found"),
+        (["stylize", "--region", "ball", "--recolor", "--crop", "0", "0", "32"], "means nothing with --recolor"),
         (["distill", "--edit", "no-such"], "none found"),
         (["edit", "--of", "ball", "--at", "MIDDLE", "--recolor", "--name", "ball"], "region ball would replace"),
         (["edit", "--at", "MIDDLE", "--recolor", "--name", "main"], "scene main would replace what it is made from"),
@@ -297,7 +391,7 @@ def test_bad_requests_are_one_line_and_lose_nothing(edited, middle, capsys, flag
     verb, *more = [swapped.get(flag, flag).replace("FIRST", first) for flag in flags]
     before = sorted(path.relative_to(edited) for path in edited.rglob("*") if path.is_file())
     name = [] if "--name" in more else ["--name", "other"]
-    assert words in refused(capsys, verb, edited, *more, *name) or verb in ("distill",)
+    assert words in refused(capsys, verb, edited, *more, *name)
     after = sorted(path.relative_to(edited) for path in edited.rglob("*") if path.is_file())
     assert [p for p in before if p not in after] == []
 
@@ -312,16 +406,39 @@ def test_a_scribble_of_another_size_or_of_nothing_is_refused(edited, middle, cap
     )
 
 
+def test_seeds_that_meet_nothing_are_refused_or_told(edited, middle, capsys, tmp_path):
+    scene, first = load_scene(photos_of(Work(edited))), middle.partition(":")[0]
+    empty = ~binary_dilation(scene.images(scene.splits["train"][0])[..., 3] > 0, iterations=3)
+    row, column = np.argwhere(empty)[0]
+    nowhere = f"{first}:{column},{row}"
+    for flags in (("--at", nowhere), ("--avoid", nowhere)):
+        assert f"{nowhere} meets nothing" in refused(
+            capsys, "select", edited, "--at", middle, *flags, "--name", "seeds"
+        )
+    x, y = map(int, middle.partition(":")[2].split(","))
+    scribble = np.zeros((48, 48), np.uint8)
+    scribble[y, x] = 255
+    scribble[tuple(np.argwhere(empty)[:3].T)] = 255
+    write_png(tmp_path / "drawn.png", scribble)
+    drawn = ("--scribble", f"{first}={tmp_path}/drawn.png", "--name", "seeds")
+    assert main(["select", str(edited), *drawn]) == 0
+    assert "75% of the scribble meets nothing" in capsys.readouterr().err
+    write_png(tmp_path / "drawn.png", 255 * empty.astype(np.uint8))
+    assert "no pixel of the scribble meets anything" in refused(capsys, "select", edited, *drawn)
+
+
 def test_an_edit_of_a_region_of_another_field_is_refused(edited, capsys, tmp_path):
     """A region divides the space of the field that it was selected in."""
     other = tmp_path / "other"
     shutil.copytree(edited, other)
-    text = (other / "region" / "ball" / "region.json").read_text()
-    data = json.loads(text)
-    data["space"]["far"] *= 2
-    (other / "region" / "ball" / "region.json").write_text(json.dumps(data))
-    assert main(["extract", str(other), "--region", "ball", "--force", "--quiet"]) == 4  # altered: its digest differs
-    capsys.readouterr()
+    work = Work(other)
+    ball = work.get("region", "ball")
+    region, space = load_region(ball)
+    made = ball.manifest
+    begun = work.begin("region", "elsewhere", Recipe(made.stage, made.revision, made.config, made.inputs, made.seed))
+    save_region(begun.path, region, replace(space, far=2 * space.far), {})
+    begun.commit()
+    assert "divides the space of another field" in refused(capsys, "extract", other, "--region", "elsewhere")
 
 
 @pytest.mark.slow

@@ -78,3 +78,21 @@ def test_that_the_field_of_another_painting_is_replaced_is_said(work, tmp_path, 
     assert names(work) == {"night-arf", "night-of-a"}
     (work.root / "field/night-arf/manifest.json").write_text("{}")  # one that nobody can read is made again
     assert "replaced" not in stylised(work, capsys, one)
+
+
+def test_an_edited_field_is_stylised_by_the_photos_that_hold_its_edit_and_a_stylised_one_is_not(work, tmp_path, capsys):
+    fit, style = work.get("field", "fit"), painting(tmp_path / "night.png", 0)
+    photos = made.commit(work, "scene", "vase-red", "distill", {"scene": work.artefacts("scene")[0]}, blank)
+    made.make_field(work, "vase-red", "finetune", {"scene": photos, "field": fit})
+    for of, scene in (("fit", "wall"), ("vase-red", "vase-red")):
+        assert main(["stylize", str(work.root), "--style", str(style), "--of", of, "--name", f"of-{of}"]) == 0
+        inputs = {ref.role: ref.name for ref in work.get("field", f"of-{of}").manifest.inputs}
+        assert inputs == {"scene": scene, "field": of}
+    capsys.readouterr()
+    assert main(["stylize", str(work.root), "--style", str(style), "--of", "of-vase-red", "--name", "twice"]) == 2
+    assert "field of-vase-red has colours that no photo shows" in (told := capsys.readouterr().err)
+    assert "start from --of vase-red," in told
+
+
+def blank(folder):
+    (folder / "numbers").write_bytes(b"")

@@ -30,8 +30,7 @@ def view_of(number: int, side: int = 48, shade: float = 0.12, width: int = 60) -
         (1e-3 * directions).astype(np.float32),
         directions,
         (PLAIN[quarter] * lit[:, None]).astype(np.float32),
-        np.ones(count, np.float32),
-        np.ones(count, np.float32),
+        *(np.ones(count, np.float32),) * 4,
         np.zeros(count, np.float32),
         np.zeros((count, 2), np.float32),
     )
@@ -49,8 +48,7 @@ def tiny_view(colours=None, edges=None, transition=None) -> EditView:
         np.zeros((6, 3), np.float32),
         np.tile(np.float32([0, 0, 1]), (6, 1)),
         np.zeros((6, 3), np.float32) if colours is None else np.asarray(colours, np.float32),
-        zeros + 1,
-        zeros + 1,
+        *(zeros + 1,) * 4,
         zeros if transition is None else np.asarray(transition, np.float32),
         np.zeros((6, 2), np.float32) if edges is None else np.asarray(edges, np.float32),
     )

@@ -4,11 +4,13 @@ import numpy as np
 import pytest
 
 from stylerf.editing.extraction import Extraction, seen_of_view
-from stylerf.editing.regions import Region
+from stylerf.editing.regions import Region, alpha_inside, march_view
 from stylerf.editing.views import EditView
 from stylerf.fields.field import RadianceField
 from stylerf.fields.occupancy import Occupancy
+from stylerf.fields.samples import Rays
 from stylerf.geometry.space import Space
+from stylerf.rendering.rays import render_rays
 from tests.stylerf.small import density, vm_colour
 from tests.stylerf.training.scenes import SIDE, box_photo, dome
 
@@ -67,6 +69,22 @@ def test_depth_and_ends_agree_with_the_box(seen):
     assert np.quantile(on_a_side, 0.9) < 0.06
 
 
+def test_what_lies_behind_the_region_takes_part_in_its_rays_depth_and_opacity():
+    """A fog: of many rays a good part of the opacity lies before or behind the region."""
+    field = RadianceField(SPACE, density(1, size=(8, 8, 8), shift=-3.0), vm_colour(2), Occupancy(32), 0.01)
+    camera = dome(6, 1)[2]
+    photo = np.full((24, 24, 3), 0.5, np.float32)
+    seen = seen_of_view(field, camera, photo, halves(), Extraction(1.0), 0, 1).edit
+    rays = Rays.of(*camera.rays(seen.pixels), SPACE.near)
+    out = render_rays(field, rays, chunks=1).out
+    partly = (seen.inside > 0.3) & (seen.inside < 0.7 * seen.weight)
+    assert partly.sum() > 5
+    np.testing.assert_allclose(seen.through, out[:, 4], rtol=1e-3)
+    assert np.abs(seen.depth * seen.weight / out[:, 4] - 1)[partly].max() > 0.1
+    inside = np.concatenate([alpha_inside(halves().edit, s, 1) for _, s in march_view(field, camera, 1)])
+    np.testing.assert_allclose(seen.inside, inside[seen.pixels], atol=1e-5)
+
+
 def test_targets_are_the_photo_where_it_shows_anything(seen):
     _, photo, found = seen
     np.testing.assert_array_equal(found.edit.target, photo[..., :3].reshape(-1, 3)[found.edit.pixels])
@@ -117,7 +135,7 @@ def test_pairs_are_the_neighbours_that_both_show_the_region():
     pixels = np.array([0, 1, 3, 4, 7, 11])  # of a picture 4 wide: 3 and 4 are no neighbours
     n = len(pixels)
     blank = {name: np.zeros((n, 3), np.float32) for name in ("x", "along", "directions", "target")}
-    view = EditView(0, 4, 3, pixels, *blank.values(), *(np.zeros(n, np.float32),) * 3, np.zeros((n, 2), np.float32))
+    view = EditView(0, 4, 3, pixels, *blank.values(), *(np.zeros(n, np.float32),) * 5, np.zeros((n, 2), np.float32))
     upper, lower, left, right = view.pairs()
     assert list(zip(pixels[upper], pixels[lower])) == [(0, 4), (3, 7), (7, 11)]
     assert list(zip(pixels[left], pixels[right])) == [(0, 1)]

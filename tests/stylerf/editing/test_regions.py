@@ -8,6 +8,7 @@ import pytest
 from stylerf.editing.regions import Region, alpha_inside, grow, marked_at, narrowest, neighbours, solid_cells
 from stylerf.errors import InvalidValue
 from stylerf.fields.field import RadianceField
+from stylerf.fields.occupancy import Occupancy
 from tests.stylerf.small import SPACES, density, occupied, rays_into, vm_colour
 
 SIDE = 7
@@ -107,6 +108,27 @@ def test_solid_cells_are_those_a_walk_across_which_is_opaque_enough():
     found = solid_cells(field, 8, 2, 0.02)
     assert found[:3].all()
     assert not found[5:].any()
+
+
+@pytest.mark.parametrize("at", [4, 5])
+def test_a_cell_over_several_of_the_occupancy_is_solid_for_any_of_them(at):
+    occupancy, slab = Occupancy(16), np.zeros((16,) * 3, bool)
+    slab[at] = True
+    occupancy.set_occupied(slab.ravel())
+    field = RadianceField(SPACES["box"], _slab(at), vm_colour(2), occupancy, 0.02)
+    expected = np.zeros((8,) * 3, bool)
+    expected[at // 2] = True
+    np.testing.assert_array_equal(solid_cells(field, 8, 2), expected)
+
+
+class _slab:
+    """Raw density 100 in one of sixteen layers across x."""
+
+    def __init__(self, at: int) -> None:
+        self.at = at
+
+    def sigma(self, points, chunks):
+        return np.where(np.floor(points[:, 0] * 16) == self.at, 100.0, 1e-4).astype(np.float32)
 
 
 class _half_full:

@@ -104,8 +104,8 @@ def test_the_picture_of_weights_varies_as_that_of_a_local_edit():
     shown = alpha > 0.3
     pixels = np.flatnonzero(shown)
     zeros = np.zeros((len(pixels), 3), np.float32)
-    view = EditView(0, 7, 5, pixels, zeros, zeros, zeros, zeros, alpha.ravel()[pixels], alpha.ravel()[pixels],
-                    alpha.ravel()[pixels], zeros[:, :2])  # fmt: skip
+    view = EditView(0, 7, 5, pixels, zeros, zeros, zeros, zeros, *(alpha.ravel()[pixels],) * 5,
+                    zeros[:, :2])  # fmt: skip
     expected = weight_variation(weights.reshape(-1, 3)[pixels], view)
     assert picture_variation(weights, alpha, shown) == pytest.approx(expected, rel=1e-9)
 
