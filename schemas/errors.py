@@ -2,9 +2,13 @@
 
 
 class StylerfError(Exception):
-    """A fault told in one line: what was expected, what was found, where, and what to do next."""
+    """A fault told in one line: what was expected, what was found, where, and what to do next.
+
+    keeps_run: what a run has done so far stays for the next one to go on with.
+    """
 
     exit_code = 3
+    keeps_run = False
 
 
 class CheckFailed(StylerfError):
@@ -41,3 +45,4 @@ class OutOfResources(StylerfError):
     """No memory, no disk space, or no permission left to go on."""
 
     exit_code = 5
+    keeps_run = True

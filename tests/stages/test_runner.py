@@ -305,7 +305,19 @@ def test_a_machine_that_refuses_is_told_and_the_run_can_be_resumed(tmp_path, fau
     assert toy(work)[0].digest == expected
 
 
-@pytest.mark.parametrize("fault", [BadInput("no photos"), ZeroDivisionError(), OSError(errno.ENOENT, "gone")])
+def test_a_codec_that_tells_no_reason_keeps_the_run(tmp_path):
+    def failing(*_):
+        raise OSError("encoder error -2")
+
+    with pytest.raises(OSError, match="encoder error -2"):
+        toy(Work(tmp_path), function=failing)
+    assert Work(tmp_path).unfinished() == [("field", "fox")]
+
+
+@pytest.mark.parametrize(
+    "fault",
+    [BadInput("no photos"), ZeroDivisionError(), OSError(errno.ENOENT, "gone"), IsADirectoryError(errno.EISDIR, "")],
+)
 def test_other_faults_leave_nothing_that_would_fail_again(tmp_path, fault):
     def failing(*_):
         raise fault
@@ -332,6 +344,10 @@ def test_ctrl_c_keeps_the_checkpoint(tmp_path, expected):
 FILL = """
 import sys, numpy as np
 from pathlib import Path
+        (OSError(errno.ENOMEM, "Cannot allocate memory"), "out of memory"),
+        (OSError(errno.EIO, "Input/output error", "/disk/7.exr"), "/disk/7.exr: Input/output error; what is done is"),
+        (TimeoutError(errno.ETIMEDOUT, "Connection timed out"), "Connection timed out"),
+        (OSError(errno.ESTALE, "Stale file handle"), "Stale file handle"),
 from schemas.errors import OutOfResources
 from schemas.store import Work
 from stages.progress import Context
