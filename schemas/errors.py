@@ -41,6 +41,12 @@ class ArtefactStale(StylerfError):
     exit_code = 4
 
 
+class WouldBeLost(ArtefactDamaged):
+    """Files that no run wrote lie where an artefact is to stand."""
+
+    keeps_run = True
+
+
 class OutOfResources(StylerfError):
     """No memory, no disk space, or no permission left to go on."""
 

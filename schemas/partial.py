@@ -21,10 +21,10 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from schemas.artefact import Artefact, of_a_desktop
+from schemas.artefact import Artefact, added_files, of_a_desktop
 from schemas.atomic import is_temporary, make_folder, sync_file, sync_folder, write_bytes, write_json, writing
 from schemas.canonical import file_sha256, plain
-from schemas.errors import ArtefactStale, OutOfResources
+from schemas.errors import ArtefactStale, OutOfResources, WouldBeLost
 from schemas.manifest import MANIFEST, FileRecord, InputRef, Manifest, Recipe
 from schemas.migrations import CURRENT
 
@@ -74,7 +74,9 @@ class Partial:
     """A run in progress. The stage writes its files below `path` and its checkpoints below `checkpoint`.
 
     `resumed` tells that an earlier run of the same recipe left something here. What a run with other options left is
-    deleted; with `careful`, where that is a minute's work or more, it is kept and UnlikeInterrupted raised.
+    deleted; with `careful`, where that is a minute's work or more, it is kept and UnlikeInterrupted raised, or, where
+    no option goes on with it, `lost` tells what was deleted. Where files lie at the artefact's place that no run wrote,
+    no run begins or finishes (WouldBeLost).
     """
 
     def __init__(self, root: Path, kind: str, name: str, recipe: Recipe, careful: bool = False) -> None:
@@ -96,6 +98,7 @@ class Partial:
             for leftover in [item for item in self.folder.rglob(".*") if is_temporary(item)]:
                 leftover.unlink(missing_ok=True)
         except BaseException:
+            self._refuse_to_bury()
             self._lock.release()
             raise
 
@@ -128,10 +131,23 @@ class Partial:
 
     def _restore_replaced(self) -> None:
         replaced = self.folder / "replaced"
-        if replaced.is_dir() and not self.target.exists():
+        if replaced.is_dir() and not os.path.lexists(self.target):
             os.rename(replaced, self.target)
 
     def _restore_ready(self) -> None:
+    def _refuse_to_bury(self) -> None:
+        """WouldBeLost where something stands in the artefact's place that no manifest there lists."""
+        if os.path.islink(self.target) and not self.target.exists():
+            raise WouldBeLost(f"{self.target} is a link to nothing; delete it, or mend what it leads to")
+        if not self.target.exists():
+            return
+        added = added_files(self.target, _listed_in(self.target)) if self.target.is_dir() else [self.target]
+        if added:
+            raise WouldBeLost(
+                f"{added[0]} would be deleted with what stands as {self.kind} {self.name}, whose manifest does not "
+                "list it; move it elsewhere"
+            )
+
         """A run that was killed after its last file and before its artefact stood goes on from there."""
         ready = self.folder / "ready"
         made = [_recipe_in(folder) == self.recipe.digest for folder in (ready, self.target)]
@@ -183,6 +199,7 @@ class Partial:
         items = (item for item in self.path.rglob("*") if item.is_file())
         items = [item for item in items if not is_temporary(item) and not of_a_desktop(item)]
         return sorted(items, key=lambda item: item.relative_to(self.path).as_posix())
+            self._refuse_to_bury()
 
     def _record(self, item: Path) -> FileRecord:
         sync_file(item)
@@ -193,7 +210,7 @@ class Partial:
             sync_folder(folder)
         ready = self.folder / "ready"
         os.rename(self.path, ready)
-        if not self.target.exists():
+        if not os.path.lexists(self.target):
             os.rename(ready, self.target)
         elif not _exchange(ready, self.target):
             os.rename(self.target, self.folder / "replaced")
@@ -236,5 +253,13 @@ def _exchange(one: Path, other: Path) -> bool:
     try:
         renameat2 = ctypes.CDLL(None, use_errno=True).renameat2
     except (OSError, AttributeError):
+def _listed_in(folder: Path) -> set[str]:
+    """Paths that a manifest lists, also one of another version or with an altered byte."""
+    try:
+        return {record["path"] for record in json.loads((folder / MANIFEST).read_text())["files"]}
+    except (OSError, ValueError, KeyError, TypeError):
+        return set()
+
+
         return False
     return renameat2(_AT_FDCWD, os.fsencode(one), _AT_FDCWD, os.fsencode(other), _RENAME_EXCHANGE) == 0

@@ -8,7 +8,7 @@ import shutil
 import pytest
 
 from schemas import migrations, partial
-from schemas.errors import ArtefactDamaged, ArtefactStale, OutOfResources, StylerfError, UsageError
+from schemas.errors import ArtefactDamaged, ArtefactStale, OutOfResources, StylerfError, UsageError, WouldBeLost
 from schemas.manifest import MANIFEST, InputRef
 from schemas.store import Artefact, Recipe, Work, sources_of
 
@@ -183,6 +183,57 @@ def test_a_death_between_the_two_renames_is_mended(tmp_path, monkeypatch):
     begun = work.begin("field", "fox", recipe(seed=1))
     monkeypatch.setattr(partial, "_exchange", lambda one, other: False)
     rename = os.rename
+@pytest.mark.parametrize("added", ["comp.nk", "sub/retouched.exr"])
+def test_what_no_run_wrote_is_not_deleted_with_what_is_replaced(tmp_path, added):
+    work = Work(tmp_path)
+    old = make(work)
+    begun = work.begin("field", "fox", recipe(seed=1))
+    (old.path / added).write_text("mine")
+    (old.path / ".DS_Store").write_text("")
+    with pytest.raises(WouldBeLost, match=f"{added} would be deleted .*; move it elsewhere"):
+        begun.commit()  # saved while the run went on
+    begun.release()
+    with pytest.raises(WouldBeLost, match=added):
+        work.begin("field", "fox", recipe(seed=2))
+    assert (old.path / added).read_text() == "mine"
+    (old.path / added).unlink()
+    again = work.begin("field", "fox", recipe(seed=1))
+    assert again.resumed and again.commit().manifest.seed == 1
+
+
+def test_a_folder_that_is_no_artefact_is_not_deleted_and_a_damaged_one_is_made_again(tmp_path):
+    work, folder = Work(tmp_path), tmp_path / "field" / "fox"
+    (folder / "scans").mkdir(parents=True)
+    work.begin("field", "fox", recipe()).discard()  # nothing would be lost
+    (folder / "scans" / "1.exr").write_text("mine")
+    with pytest.raises(WouldBeLost, match=r"scans/1\.exr"):
+        work.begin("field", "fox", recipe())
+    shutil.rmtree(folder)
+    folder.write_text("mine")
+    with pytest.raises(WouldBeLost, match="field/fox would be deleted"):
+        work.begin("field", "fox", recipe())
+    folder.unlink()
+    make(work)
+    text = (folder / MANIFEST).read_text()
+    (folder / MANIFEST).write_text(text.replace("27.1", "27.2"))
+    with pytest.raises(ArtefactDamaged, match="altered"):
+        Artefact(folder).verify()
+    make(work).verify()
+
+
+def test_a_link_to_nothing_is_told_before_a_run_and_does_not_cost_a_finished_one(tmp_path):
+    work = Work(tmp_path)
+    begun = work.begin("field", "fox", recipe())
+    os.symlink(tmp_path / "gone", tmp_path / "field" / "fox")
+    with pytest.raises(WouldBeLost, match="field/fox is a link to nothing"):
+        begun.commit()
+    begun.release()
+    with pytest.raises(WouldBeLost, match="a link to nothing"):
+        work.begin("field", "fox", recipe())
+    (tmp_path / "field" / "fox").unlink()
+    assert work.begin("field", "fox", recipe()).resumed
+
+
 
     def die(source, target):
         if os.fspath(source).endswith("ready"):
