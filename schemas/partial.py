@@ -148,6 +148,18 @@ class Partial:
                 "list it; move it elsewhere"
             )
 
+    def _start_afresh(self) -> None:
+        with writing(self.folder):
+            self._delete()
+        make_folder(self.path)
+        write_json(self.folder / "recipe.json", {**asdict(self.recipe), "digest": self.recipe.digest})
+
+    def _restore_replaced(self) -> None:
+        replaced = self.folder / "replaced"
+        if replaced.is_dir() and not os.path.lexists(self.target):
+            os.rename(replaced, self.target)
+
+    def _restore_ready(self) -> None:
         """A run that was killed after its last file and before its artefact stood goes on from there."""
         ready = self.folder / "ready"
         made = [_recipe_in(folder) == self.recipe.digest for folder in (ready, self.target)]
@@ -219,8 +231,15 @@ class Partial:
 
     def discard(self) -> None:
         """Deletes the run with its checkpoints."""
-        shutil.rmtree(self.folder, ignore_errors=True)
+        with suppress(OSError):
+            self._delete()
         self.release()
+
+    def _delete(self) -> None:
+        """The recipe goes first: what a kill leaves of the rest is never taken up again."""
+        (self.folder / "recipe.json").unlink(missing_ok=True)
+        if self.folder.exists():
+            shutil.rmtree(self.folder)
 
     def release(self) -> None:
         """Lets others write here; the folder stays and can be resumed."""

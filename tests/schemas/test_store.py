@@ -156,6 +156,26 @@ def test_interrupted_run_resumes_only_for_the_same_recipe(tmp_path):
 
 
 def test_damaged_recipe_starts_afresh(tmp_path):
+@pytest.mark.parametrize("ended_by", ["discard", "another recipe"])
+def test_what_a_kill_leaves_of_a_deletion_is_not_resumed(tmp_path, monkeypatch, ended_by):
+    work = Work(tmp_path)
+    first = work.begin("field", "fox", recipe())
+    (first.path / "a.png").write_text("")
+
+    def half(folder, **_):
+        (first.path / "a.png").unlink()
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(partial.shutil, "rmtree", half)
+        if ended_by == "discard":
+            first.discard()
+        first.release()
+        work.begin("field", "fox", recipe(seed=1))
+    first.release()
+    assert not work.begin("field", "fox", recipe()).resumed
+
+
     first = Work(tmp_path).begin("field", "fox", recipe())
     (first.folder / "recipe.json").write_text("{")
     first.release()
