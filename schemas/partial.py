@@ -11,6 +11,7 @@ one rename.
 """
 
 import ctypes
+import errno
 import fcntl
 import json
 import os
@@ -29,6 +30,7 @@ from schemas.manifest import MANIFEST, FileRecord, InputRef, Manifest, Recipe
 from schemas.migrations import CURRENT
 
 DEAR_SECONDS = 60.0  # so much work goes without a word, no more
+_HELD = {errno.EWOULDBLOCK, errno.EAGAIN, errno.EACCES}
 _AT_FDCWD = -100
 _RENAME_EXCHANGE = 2
 
@@ -45,7 +47,8 @@ class Lock:
     """The right to write one artefact. The system frees it when the process ends, however it ends."""
 
     def __init__(self, path: Path) -> None:
-        """Takes the lock at `path`; OutOfResources naming the holder's process when another one has it."""
+        """Takes the lock at `path`; OutOfResources naming the holder's process when another one has it, or telling
+        that the disk knows no locks."""
         make_folder(path.parent)
         with writing(path):
             self._handle: int | None = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
@@ -54,6 +57,11 @@ class Lock:
         except OSError as error:
             holder = os.pread(self._handle, 32, 0).decode(errors="replace").strip() or "unknown"
             self.release()
+            if error.errno not in _HELD:
+                raise OutOfResources(
+                    f"{path} cannot be locked ({error.strerror}), so nothing keeps two processes apart; choose a work "
+                    "folder on a disk that can"
+                ) from error
             name = path.name.removeprefix(".").removesuffix(".lock")
             raise OutOfResources(
                 f"{path.parent.name} {name} is being written by another process ({holder}); wait for it to end, or "

@@ -1,5 +1,6 @@
 """The store: artefacts are finished or absent, altered bytes are found, one writer at a time, old recipes resume."""
 
+import errno
 import json
 import multiprocessing
 import os
@@ -290,6 +291,16 @@ def test_a_second_writer_is_refused_until_the_first_ends(tmp_path):
     child.kill()
     child.join()
     Work(tmp_path).begin("field", "fox", recipe()).discard()
+
+
+def test_a_disk_that_cannot_lock_is_not_taken_for_another_process(tmp_path, monkeypatch):
+    def refuse(*_):
+        raise OSError(errno.ENOSYS, os.strerror(errno.ENOSYS))
+
+    monkeypatch.setattr(partial.fcntl, "flock", refuse)
+    with pytest.raises(OutOfResources, match=r"\.fox\.lock cannot be locked .Function not implemented.") as caught:
+        Work(tmp_path).begin("field", "fox", recipe())
+    assert "another process" not in str(caught.value)
 
 
 def test_standing_needs_the_recipe_and_whole_files(tmp_path):
