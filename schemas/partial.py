@@ -93,10 +93,12 @@ class Partial:
         self.folder = root / kind / f".{name}.partial"
         self.path = self.folder / "files"
         self.checkpoint = self.folder / "checkpoint"
+        self.lost = ""
         self._lock = Lock(root / kind / f".{name}.lock")
         try:
             self._restore_replaced()
             self._restore_ready()
+            self._refuse_to_bury()
             self.resumed = self._holds_same_recipe()
             if not self.resumed:
                 if careful:
@@ -106,7 +108,6 @@ class Partial:
             for leftover in [item for item in self.folder.rglob(".*") if is_temporary(item)]:
                 leftover.unlink(missing_ok=True)
         except BaseException:
-            self._refuse_to_bury()
             self._lock.release()
             raise
 
@@ -127,22 +128,13 @@ class Partial:
             before = Recipe(**{**left, "inputs": [InputRef(**one) for one in left["inputs"]]})
         except (OSError, ValueError, KeyError, TypeError):
             return  # nothing that could go on
-        if seconds >= DEAR_SECONDS and self.path.is_dir() and (options := self.recipe.other_options(before)):
+        if seconds < DEAR_SECONDS or not self.path.is_dir():
+            return
+        if sources := self.recipe.other_sources(before):
+            self.lost = f"{seconds / 60:.0f} min of work with {sources}"
+        elif options := self.recipe.other_options(before):
             raise UnlikeInterrupted(self.kind, self.name, seconds, options)
 
-    def _start_afresh(self) -> None:
-        with writing(self.folder):
-            if self.folder.exists():
-                shutil.rmtree(self.folder)
-        make_folder(self.path)
-        write_json(self.folder / "recipe.json", {**asdict(self.recipe), "digest": self.recipe.digest})
-
-    def _restore_replaced(self) -> None:
-        replaced = self.folder / "replaced"
-        if replaced.is_dir() and not os.path.lexists(self.target):
-            os.rename(replaced, self.target)
-
-    def _restore_ready(self) -> None:
     def _refuse_to_bury(self) -> None:
         """WouldBeLost where something stands in the artefact's place that no manifest there lists."""
         if os.path.islink(self.target) and not self.target.exists():
@@ -207,6 +199,7 @@ class Partial:
                 created=datetime.now(UTC).isoformat(timespec="seconds"),
                 figures=plain(figures or {}),
             )
+            self._refuse_to_bury()
             write_bytes(self.path / MANIFEST, manifest.to_bytes())
             self._swap()
             shutil.rmtree(self.folder, ignore_errors=True)
@@ -219,7 +212,6 @@ class Partial:
         items = (item for item in self.path.rglob("*") if item.is_file())
         items = [item for item in items if not is_temporary(item) and not of_a_desktop(item)]
         return sorted(items, key=lambda item: item.relative_to(self.path).as_posix())
-            self._refuse_to_bury()
 
     def _record(self, item: Path) -> FileRecord:
         sync_file(item)
@@ -261,6 +253,14 @@ def _recipe_in(folder: Path) -> str | None:
         return None
 
 
+def _listed_in(folder: Path) -> set[str]:
+    """Paths that a manifest lists, also one of another version or with an altered byte."""
+    try:
+        return {record["path"] for record in json.loads((folder / MANIFEST).read_text())["files"]}
+    except (OSError, ValueError, KeyError, TypeError):
+        return set()
+
+
 def sweep_finished(root: Path, kind: str, name: str) -> None:
     """Deletes what a run left that was killed between its last rename and its own tidying up; never a resumable run."""
     folder = root / kind / f".{name}.partial"
@@ -280,13 +280,5 @@ def _exchange(one: Path, other: Path) -> bool:
     try:
         renameat2 = ctypes.CDLL(None, use_errno=True).renameat2
     except (OSError, AttributeError):
-def _listed_in(folder: Path) -> set[str]:
-    """Paths that a manifest lists, also one of another version or with an altered byte."""
-    try:
-        return {record["path"] for record in json.loads((folder / MANIFEST).read_text())["files"]}
-    except (OSError, ValueError, KeyError, TypeError):
-        return set()
-
-
         return False
     return renameat2(_AT_FDCWD, os.fsencode(one), _AT_FDCWD, os.fsencode(other), _RENAME_EXCHANGE) == 0

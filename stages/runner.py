@@ -98,9 +98,13 @@ def execute(
     except UnlikeInterrupted as lost:
         raise ArtefactStale(
             f"an interrupted `stylerf {spec.verb}` of {spec.writes} {name}, {lost.seconds / 60:.0f} min of work with "
-            f"{lost.options}, would be lost; run `stylerf {spec.verb}` with these options to go on with it, with "
+            f"{lost.options}, would be lost; run `stylerf {spec.verb}` with these to go on with it, with "
             "another --name to keep both, or with --force to begin anew"
         ) from lost
+    if partial.lost:
+        context.progress.say(
+            f"an interrupted `stylerf {spec.verb}` of {spec.writes} {name}, {partial.lost}, cannot go on and is deleted"
+        )
     if careful:
         _tell_replaced(work, spec, name, recipe, context)
     try:
@@ -128,7 +132,7 @@ def _tell_replaced(work: Work, spec: Spec, name: str, recipe: Recipe, context: C
     with suppress(StylerfError):  # what is not there, or cannot be read, is no loss
         made = Artefact(work.root / spec.writes / name).manifest
         before = Recipe(made.stage, made.revision, made.config, made.inputs, made.seed)
-        options = recipe.other_options(before)
+        options = ", ".join(filter(None, (recipe.other_options(before), recipe.other_sources(before))))
         if options and made.seconds >= DEAR_SECONDS:
             context.progress.say(
                 f"{spec.writes} {name}, {made.seconds / 60:.0f} min of work with {options}, is replaced once this is "
@@ -161,6 +165,11 @@ def versions() -> dict[str, str]:
     return found
 
 
+def _passes(error: OSError) -> bool:
+    """Whether the same run may get past the fault another time; a path that leads nowhere does so again."""
+    return error.errno not in (errno.ENOENT, errno.ENOTDIR, errno.EISDIR)
+
+
 def refusal_of_machine(error: BaseException, where: Path) -> OutOfResources | None:
     """OutOfResources in words when `error` means lack of memory, disk space or permission, or a disk or system that
     fails; None for other faults."""
@@ -173,11 +182,6 @@ def refusal_of_machine(error: BaseException, where: Path) -> OutOfResources | No
                 "with --force to begin anew"
             )
         return refused
-def _passes(error: OSError) -> bool:
-    """Whether the same run may get past the fault another time; a path that leads nowhere does so again."""
-    return error.errno not in (errno.ENOENT, errno.ENOTDIR, errno.EISDIR)
-
-
     # torch tells lack of memory by a RuntimeError of its own on CUDA and a plain one on the CPU.
     of_torch = isinstance(error, RuntimeError) and (
         type(error).__name__ == "OutOfMemoryError" or "can't allocate memory" in str(error)
