@@ -182,6 +182,7 @@ def test_pixels_to_avoid_where_nothing_grows_by_colour(tmp_path, capsys, flags):
 SOUND = {"world_from_camera": [[1, 0, 0, 0], [0, -1, 0, 0], [0, 0, -1, 4], [0, 0, 0, 1]], "width": 16, "height": 16,
          "fx": 20, "fy": 20, "cx": 8, "cy": 8}  # fmt: skip
 SCALED = [[2, 0, 0, 0], [0, 2, 0, 0], [0, 0, 2, 4], [0, 0, 0, 1]]
+TRANSPOSED = np.array(SOUND["world_from_camera"]).T.tolist()
 PATHS = {
     "no JSON": ("{", "is not JSON"),
     "binary": ("\x00\x01", "is not JSON"),
@@ -192,6 +193,9 @@ PATHS = {
     "no pose": (json.dumps([SOUND, {"width": 3}]), "camera 1 is not sound"),
     "NaN": (json.dumps([SOUND | {"world_from_camera": np.full((4, 4), math.nan).tolist()}]), "camera 0 is not sound"),
     "scaled": (json.dumps([SOUND | {"world_from_camera": SCALED}]), "not a rotation"),
+    "transposed": (json.dumps([SOUND | {"world_from_camera": TRANSPOSED}]), "the last row of its pose is not 0 0 0 1"),
+    "an object of no list": (json.dumps({"views": SOUND}), "a list of cameras was expected"),
+    "no camera": (json.dumps({"views": [{"camera": None}]}), "camera 0 is not sound"),
     "3x3": (json.dumps([SOUND | {"world_from_camera": np.eye(3).tolist()}]), "camera 0 is not sound"),
     "no size": (json.dumps([SOUND | {"width": 0}]), "camera 0 is not sound"),
     "endless": (json.dumps([SOUND | {"height": math.inf}]), "camera 0 is not sound"),
