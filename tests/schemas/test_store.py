@@ -156,7 +156,6 @@ def test_interrupted_run_resumes_only_for_the_same_recipe(tmp_path):
     assert work.unfinished() == []
 
 
-def test_damaged_recipe_starts_afresh(tmp_path):
 @pytest.mark.parametrize("ended_by", ["discard", "another recipe"])
 def test_what_a_kill_leaves_of_a_deletion_is_not_resumed(tmp_path, monkeypatch, ended_by):
     work = Work(tmp_path)
@@ -177,33 +176,13 @@ def test_what_a_kill_leaves_of_a_deletion_is_not_resumed(tmp_path, monkeypatch, 
     assert not work.begin("field", "fox", recipe()).resumed
 
 
+def test_damaged_recipe_starts_afresh(tmp_path):
     first = Work(tmp_path).begin("field", "fox", recipe())
     (first.folder / "recipe.json").write_text("{")
     first.release()
     assert not Work(tmp_path).begin("field", "fox", recipe()).resumed
 
 
-@pytest.mark.parametrize("exchange", [True, False])
-def test_replacing_keeps_the_older_one_until_the_rename(tmp_path, monkeypatch, exchange):
-    if not exchange:
-        monkeypatch.setattr(partial, "_exchange", lambda one, other: False)
-    work = Work(tmp_path)
-    old = make(work)
-    begun = work.begin("field", "fox", recipe(seed=1))
-    (begun.path / "other.bin").write_bytes(b"new")
-    old.verify()
-    new = begun.commit()
-    assert work.get("field", "fox").digest == new.digest != old.digest
-    assert sorted(os.listdir(new.path)) == [MANIFEST, "other.bin"]
-    assert sorted(os.listdir(tmp_path / "field")) == [".fox.lock", "fox"]
-
-
-def test_a_death_between_the_two_renames_is_mended(tmp_path, monkeypatch):
-    work = Work(tmp_path)
-    old = make(work).digest
-    begun = work.begin("field", "fox", recipe(seed=1))
-    monkeypatch.setattr(partial, "_exchange", lambda one, other: False)
-    rename = os.rename
 @pytest.mark.parametrize("added", ["comp.nk", "sub/retouched.exr"])
 def test_what_no_run_wrote_is_not_deleted_with_what_is_replaced(tmp_path, added):
     work = Work(tmp_path)
@@ -255,6 +234,27 @@ def test_a_link_to_nothing_is_told_before_a_run_and_does_not_cost_a_finished_one
     assert work.begin("field", "fox", recipe()).resumed
 
 
+@pytest.mark.parametrize("exchange", [True, False])
+def test_replacing_keeps_the_older_one_until_the_rename(tmp_path, monkeypatch, exchange):
+    if not exchange:
+        monkeypatch.setattr(partial, "_exchange", lambda one, other: False)
+    work = Work(tmp_path)
+    old = make(work)
+    begun = work.begin("field", "fox", recipe(seed=1))
+    (begun.path / "other.bin").write_bytes(b"new")
+    old.verify()
+    new = begun.commit()
+    assert work.get("field", "fox").digest == new.digest != old.digest
+    assert sorted(os.listdir(new.path)) == [MANIFEST, "other.bin"]
+    assert sorted(os.listdir(tmp_path / "field")) == [".fox.lock", "fox"]
+
+
+def test_a_death_between_the_two_renames_is_mended(tmp_path, monkeypatch):
+    work = Work(tmp_path)
+    old = make(work).digest
+    begun = work.begin("field", "fox", recipe(seed=1))
+    monkeypatch.setattr(partial, "_exchange", lambda one, other: False)
+    rename = os.rename
 
     def die(source, target):
         if os.fspath(source).endswith("ready"):
