@@ -121,21 +121,19 @@ def _focus_depth(scene: SceneData) -> float:
 
 
 def _cameras_of_file(path: Path, like: Camera) -> list[Camera]:
-    """Cameras of a JSON list of {world_from_camera, and optionally width, height, fx, fy, cx, cy}, in scene units."""
+    """Cameras of a JSON list of {world_from_camera, and optionally width, height, fx, fy, cx, cy}, in scene units, or
+    those of a frames.json."""
     try:
-        entries = json.loads(path.read_text())
+        content = json.loads(path.read_text())
     except OSError as error:
         raise BadInput(f"--path {path}: neither a known path nor a readable file ({error.strerror})") from error
     except (ValueError, RecursionError) as error:
         raise BadInput(f"--path {path} is not JSON: {error}") from error
-    cameras = []
+    entries, cameras = content.get("views") if isinstance(content, dict) else content, []
     for number, entry in enumerate(entries if isinstance(entries, list) else []):
         try:
-            own = {
-                k: type(getattr(like, k))(entry[k]) for k in ("width", "height", "fx", "fy", "cx", "cy") if k in entry
-            }
-            camera = replace(like, name=f"{number:04d}", world_from_camera=np.array(entry["world_from_camera"]), **own)
-        except (KeyError, TypeError, ValueError, OverflowError, InvalidValue) as error:
+            camera = _camera_of_entry(entry.get("camera", entry), f"{number:04d}", like)
+        except (AttributeError, KeyError, TypeError, ValueError, OverflowError, InvalidValue) as error:
             raise BadInput(f"--path {path}: camera {number} is not sound ({error})") from error
         if max(camera.width, camera.height) > LARGEST_SIDE:
             size = f"{camera.width}x{camera.height}"
@@ -146,8 +144,21 @@ def _cameras_of_file(path: Path, like: Camera) -> list[Camera]:
     return cameras
 
 
+def _camera_of_entry(entry: dict, name: str, like: Camera) -> Camera:
+    """What an entry does not tell is as `like` has it: its size, its view across, and its centre, at the entry's size.
+
+    One focal length alone holds for both sides: pixels are square.
+    """
+    width, height = int(entry.get("width", like.width)), int(entry.get("height", like.height))
+    kx, ky = width / like.width, height / like.height
+    fx = float(entry.get("fx", entry.get("fy", like.fx * kx)))
+    fy = float(entry.get("fy", entry.get("fx", like.fy * kx)))
+    cx, cy = float(entry.get("cx", like.cx * kx)), float(entry.get("cy", like.cy * ky))
+    return Camera(name, width, height, fx, fy, cx, cy, np.array(entry["world_from_camera"], dtype=np.float64))
+
+
 def _frame(field, background, camera, view, config, folder: Path, seen, attributes, regions) -> Frame:
-    name = camera.name if view is not None else f"{int(camera.name):04d}" if camera.name.isdigit() else camera.name
+    name = camera.name
     frame = Frame(name, f"exr/{name}.exr" if config.exr else "", f"png/{name}.png", _camera_entry(camera), view)
     if (folder / frame.png).is_file() and (not config.exr or (folder / frame.exr).is_file()):
         return frame
