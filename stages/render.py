@@ -83,10 +83,13 @@ def _on_device(field: RadianceField, device: str) -> Callable[..., RenderedView]
 
 
 def pinned(config: RenderConfig) -> RenderConfig:
-    """The config with the digest of its file of cameras, so that frames of an older file are not taken for its own."""
+    """The config with the digest of its file of cameras, so that frames of an older file are not taken for its own, and
+    without the count, which is 1, where the path is not one that can have any number of frames."""
+    if config.path in PATHS:
+        return replace(config, path_digest="")
     path = Path(config.path)
-    known = config.path in OWN_VIEWS or config.path in PATHS
-    return replace(config, path_digest="" if known or not path.is_file() else file_sha256(path))
+    known = config.path in OWN_VIEWS or not path.is_file()
+    return replace(config, count=1, path_digest="" if known else file_sha256(path))
 
 
 def shots_of(scene: SceneData, config: RenderConfig) -> list[Shot]:
