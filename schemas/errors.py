@@ -29,14 +29,14 @@ class BadInput(StylerfError):
     exit_code = 3
 
 
+class NoFilm(BadInput):
+    """Frames were rendered, but no film could be made of them."""
+
+    keeps_run = True
+
+
 class ArtefactDamaged(StylerfError):
     """A file of an artefact is missing, cut short or altered since it was written."""
-
-    exit_code = 4
-
-
-class ArtefactStale(StylerfError):
-    """An artefact is missing, out of date, or of a schema this version cannot read."""
 
     exit_code = 4
 
@@ -45,6 +45,12 @@ class WouldBeLost(ArtefactDamaged):
     """Files that no run wrote lie where an artefact is to stand."""
 
     keeps_run = True
+
+
+class ArtefactStale(StylerfError):
+    """An artefact is missing, out of date, or of a schema this version cannot read."""
+
+    exit_code = 4
 
 
 class OutOfResources(StylerfError):

@@ -13,12 +13,13 @@ from pathlib import Path
 import numpy as np
 
 from schemas.canonical import file_sha256
-from schemas.errors import BadInput
+from schemas.errors import BadInput, NoFilm, StylerfError
 from schemas.exr import LARGEST_SIDE, ExrView, write_exr
 from schemas.frames import Frame, FrameCamera, Frames, write_frames
 from schemas.images import linear_from_srgb, to_uint8, write_png
 from schemas.scene import as_matrix
 from schemas.store import Artefact, Partial
+from schemas.video import try_video, write_video
 from stages.configs.render import OWN_VIEWS, RenderConfig, frames_of
 from stages.devices import gpu_figures, gpu_of
 from stages.fields import load_field
@@ -48,6 +49,8 @@ def run(inputs: dict[str, Artefact], config: RenderConfig, partial: Partial, con
     if config.video and len(sizes) > 1:
         two = " and ".join(f"{width}x{height}" for width, height in sizes[:: len(sizes) - 1])
         raise BadInput(f"--video: a film has one size, frames along {config.path} have {two}; render them without it")
+    if config.video:
+        try_video(*sizes[0], config.fps)
     regions = regions_among(inputs, field.space) if config.shows_regions else {}
     channels = channels_of(regions)
     attributes = {"field": inputs["field"].name, "fieldDigest": inputs["field"].digest, "path": config.path}
@@ -64,7 +67,6 @@ def run(inputs: dict[str, Artefact], config: RenderConfig, partial: Partial, con
             frames.append(_frame(field, background, camera, view, config, partial.path, seen, attributes, cells))
             context.progress.update(done + 1)
     context.progress.finish()
-    video = _video(partial.path, [f.png for f in frames], config, context) if config.video else None
     write_frames(
         partial.path,
         Frames(inputs["field"].name, config.path, tuple(frames), config.fps, channels if config.exr else {}),
@@ -72,7 +74,7 @@ def run(inputs: dict[str, Artefact], config: RenderConfig, partial: Partial, con
     return {
         "frames": len(frames),
         "pixels": int(sum(c.width * c.height for c, _ in shots)),
-        "video": video,
+        "video": _video(partial.path, [f.png for f in frames], config, context) if config.video else None,
     } | gpu_figures(device)
 
 
@@ -208,8 +210,14 @@ def _camera_entry(camera: Camera) -> FrameCamera:
 
 
 def _video(folder: Path, pictures: list[str], config: RenderConfig, context: Context) -> str:
-    from schemas.video import write_video
-
-    path, how = write_video(folder / "video", [folder / p for p in pictures], config.fps)
+    try:
+        path, how = write_video(folder / "video", [folder / p for p in pictures], config.fps)
+    except (StylerfError, MemoryError):
+        raise
+    except Exception as error:
+        raise NoFilm(
+            f"--video: no film could be made of the frames ({type(error).__name__}: {error}); they are kept in "
+            f"{folder}: run the same command to try again"
+        ) from error
     context.progress.say(f"video: {path.name}, by {how}")
     return path.name
