@@ -27,6 +27,7 @@ from stages.masks import CHANNEL, channels_of, regions_among
 from stages.progress import Context
 from stages.runner import Spec
 from stages.scenes import SceneData, load_scene
+from stages.shards import take_frames
 from stylerf.errors import InvalidValue
 from stylerf.fields.field import RadianceField
 from stylerf.geometry.cameras import Camera
@@ -40,7 +41,8 @@ Shot = tuple[Camera, int | None]
 
 
 def run(inputs: dict[str, Artefact], config: RenderConfig, partial: Partial, context: Context) -> dict:
-    """Writes frames.json, png/, and exr/, depth/ and a video where asked for. A frame on disk is not rendered again."""
+    """Writes frames.json, png/, and exr/, depth/ and a video where asked for. A frame on disk, here or in another
+    artefact of the work folder, is not rendered again."""
     scene = load_scene(inputs["scene"])
     field, background = load_field(inputs["field"])
     threads = set_threads(context.threads)
@@ -58,23 +60,26 @@ def run(inputs: dict[str, Artefact], config: RenderConfig, partial: Partial, con
     cells = {name: region.cells for name, region in regions.items()}
     if config.displacement and field.displacement is None:
         context.progress.say(f"field {inputs['field'].name} has no deformation: no displacement pictures")
+    listed = tuple(_frame_of(camera, view, config) for camera, view in shots)
+    taken = {} if context.anew else take_frames(partial, listed)
+    if taken:
+        count = sum(map(len, taken.values()))
+        context.progress.say(f"{count} of {len(shots)} frames stand already in {', '.join(taken)}")
     context.progress.start("render", len(shots), "frame")
-    frames = []
     device = gpu_of(context, field)
     seen = _on_device(field, device) if device else functools.partial(render_view, field, chunks=threads)
     with nullcontext() if device else compiling_note(context.progress.say):
-        for done, (camera, view) in enumerate(shots):
-            frames.append(_frame(field, background, camera, view, config, partial.path, seen, attributes, cells))
+        for done, (frame, (camera, _)) in enumerate(zip(listed, shots, strict=True)):
+            _render(frame, field, background, camera, config, partial.path, seen, attributes, cells)
             context.progress.update(done + 1)
     context.progress.finish()
-    write_frames(
-        partial.path,
-        Frames(inputs["field"].name, config.path, tuple(frames), config.fps, channels if config.exr else {}),
-    )
+    masks = channels if config.exr else {}
+    write_frames(partial.path, Frames(inputs["field"].name, config.path, listed, config.fps, masks))
+    elsewhere = {name for names in taken.values() for name in names}
     return {
-        "frames": len(frames),
-        "pixels": int(sum(c.width * c.height for c, _ in shots)),
-        "video": _video(partial.path, [f.png for f in frames], config, context) if config.video else None,
+        "frames": len(listed),
+        "pixels": int(sum(c.width * c.height for c, _ in shots if c.name not in elsewhere)),
+        "video": _video(partial.path, [f.png for f in listed], config, context) if config.video else None,
     } | gpu_figures(device)
 
 
@@ -162,11 +167,15 @@ def _camera_of_entry(entry: dict, name: str, like: Camera) -> Camera:
     return Camera(name, width, height, fx, fy, cx, cy, np.array(entry["world_from_camera"], dtype=np.float64))
 
 
-def _frame(field, background, camera, view, config, folder: Path, seen, attributes, regions) -> Frame:
+def _frame_of(camera: Camera, view: int | None, config: RenderConfig) -> Frame:
     name = camera.name
-    frame = Frame(name, f"exr/{name}.exr" if config.exr else "", f"png/{name}.png", _camera_entry(camera), view)
+    return Frame(name, f"exr/{name}.exr" if config.exr else "", f"png/{name}.png", _camera_entry(camera), view)
+
+
+def _render(frame: Frame, field, background, camera, config, folder: Path, seen, attributes, regions) -> None:
+    name = frame.name
     if (folder / frame.png).is_file() and (not config.exr or (folder / frame.exr).is_file()):
-        return frame
+        return
     rendered = seen(camera, regions=regions)
     if config.exr:
         write_exr(folder / frame.exr, exr_view(rendered, camera, field, attributes))
@@ -181,7 +190,6 @@ def _frame(field, background, camera, view, config, folder: Path, seen, attribut
     level = 1.0 if background == "white" else 0.0
     rgb = rendered.rgb + (1 - rendered.alpha[..., None]) * np.float32(level)
     write_png(folder / frame.png, to_uint8(np.clip(rgb, 0, 1)))
-    return frame
 
 
 def exr_view(rendered: RenderedView, camera: Camera, field: RadianceField, attributes: Mapping[str, str]) -> ExrView:
