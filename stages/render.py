@@ -41,8 +41,8 @@ Shot = tuple[Camera, int | None]
 
 
 def run(inputs: dict[str, Artefact], config: RenderConfig, partial: Partial, context: Context) -> dict:
-    """Writes frames.json, png/, and exr/, depth/ and a video where asked for. A frame on disk, here or in another
-    artefact of the work folder, is not rendered again."""
+    """Writes frames.json, png/, and exr/, depth/ and a video where asked for. A frame on disk, here or in a shard
+    of the work folder, is not rendered again."""
     scene = load_scene(inputs["scene"])
     field, background = load_field(inputs["field"])
     threads = set_threads(context.threads)
@@ -61,7 +61,7 @@ def run(inputs: dict[str, Artefact], config: RenderConfig, partial: Partial, con
     if config.displacement and field.displacement is None:
         context.progress.say(f"field {inputs['field'].name} has no deformation: no displacement pictures")
     listed = tuple(_frame_of(camera, view, config) for camera, view in shots)
-    taken = {} if context.anew else take_frames(partial, listed)
+    taken = {} if context.anew or config.frames else take_frames(partial, listed)
     if taken:
         count = sum(map(len, taken.values()))
         context.progress.say(f"{count} of {len(shots)} frames stand already in {', '.join(taken)}")

@@ -1,4 +1,4 @@
-"""Frames that stand already: those of the same recipe but for the span and the film, as shards of a job are."""
+"""Shards of a job: frames of the same recipe but for their span, put together without being rendered again."""
 
 import os
 import shutil
@@ -18,7 +18,7 @@ NO_SAY = ("frames", "video", "fps")  # options that no picture depends on
 
 
 def take_frames(partial: Partial, frames: Sequence[Frame]) -> dict[str, list[str]]:
-    """Puts what stands of `frames` below `partial.path`; the names of those taken by the artefact they are from.
+    """Puts what shards hold of `frames` below `partial.path`; the names of those taken, by shard.
 
     Files are linked where the disk can, else copied. One that was altered since it was written is not taken.
     """
@@ -39,7 +39,8 @@ def _shards(partial: Partial) -> Iterator[Artefact]:
     for one in Work(partial.target.parent.parent).artefacts(partial.kind):
         with suppress(StylerfError):  # one that cannot be read is no help
             made = one.manifest
-            if _pictured(Recipe(made.stage, made.revision, made.config, made.inputs, made.seed)) == wanted:
+            recipe = Recipe(made.stage, made.revision, made.config, made.inputs, made.seed)
+            if made.config.get("frames") and _pictured(recipe) == wanted:
                 yield one
 
 
