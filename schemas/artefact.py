@@ -103,11 +103,8 @@ class Artefact:
                     f"{self.path / record.path} was altered since it was written (its SHA-256 differs); make it "
                     f"again: {self.remade_by()}"
                 )
-        listed = {record.path for record in self.manifest.files} | {MANIFEST}
-        items = (item for item in self.path.rglob("*") if not (item.is_dir() or of_a_desktop(item)))
-        present = {item.relative_to(self.path).as_posix() for item in items}
-        if added := sorted(present - listed):
-            raise ArtefactDamaged(f"{self.path / added[0]} is no part of this artefact; move it elsewhere")
+        if added := added_files(self.path, {record.path for record in self.manifest.files}):
+            raise ArtefactDamaged(f"{added[0]} is no part of this artefact; move it elsewhere")
 
     def remade_by(self) -> str:
         """What a user types to have it made again."""
@@ -119,6 +116,12 @@ class Artefact:
         work = str(self.path.parent.parent)
         command = shlex.join(["stylerf", verb, *source, work, "--name", self.name, "--force"])
         return f"{command}, with the options that are told by: {shlex.join(['stylerf', 'show', str(self.path)])}"
+
+
+def added_files(folder: Path, listed: set[str]) -> list[Path]:
+    """What lies in `folder` beside a manifest and the files that it lists by path, but for files of_a_desktop."""
+    items = (item for item in folder.rglob("*") if not (item.is_dir() or of_a_desktop(item)))
+    return sorted(item for item in items if item.relative_to(folder).as_posix() not in listed | {MANIFEST})
 
 
 def of_a_desktop(path: Path) -> bool:

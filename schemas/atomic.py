@@ -21,10 +21,11 @@ TEMPORARY_SUFFIX = ".tmp"
 _NO_SPACE = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 _NO_PERMISSION = {errno.EACCES, errno.EPERM, errno.EROFS}
 _NO_HANDLES = {errno.EMFILE, errno.ENFILE}
+_NO_MEMORY = {errno.ENOMEM}
 
 
 def out_of_resources(error: OSError, path: Path | str) -> OutOfResources | None:
-    """The fault in words when the machine refuses (space, permission, handles), None for any other OSError."""
+    """The fault in words when the machine refuses (space, permission, handles, memory), None for any other OSError."""
     place = error.filename if isinstance(error.filename, str) else path
     if error.errno in _NO_SPACE:
         return OutOfResources(f"no space left to write {place} ({_free(path)}); free some and run the same command")
@@ -32,6 +33,8 @@ def out_of_resources(error: OSError, path: Path | str) -> OutOfResources | None:
         return OutOfResources(f"no permission for {place}; choose a folder you may write to, or change its mode")
     if error.errno in _NO_HANDLES:
         return OutOfResources(f"too many files are open to write {place}; raise `ulimit -n` and run the same command")
+    if error.errno in _NO_MEMORY:
+        return OutOfResources(f"out of memory at {place}; free some and run the same command")
     return None
 
 

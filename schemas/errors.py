@@ -2,9 +2,13 @@
 
 
 class StylerfError(Exception):
-    """A fault told in one line: what was expected, what was found, where, and what to do next."""
+    """A fault told in one line: what was expected, what was found, where, and what to do next.
+
+    keeps_run: what a run has done so far stays for the next one to go on with.
+    """
 
     exit_code = 3
+    keeps_run = False
 
 
 class CheckFailed(StylerfError):
@@ -25,10 +29,22 @@ class BadInput(StylerfError):
     exit_code = 3
 
 
+class NoFilm(BadInput):
+    """Frames were rendered, but no film could be made of them."""
+
+    keeps_run = True
+
+
 class ArtefactDamaged(StylerfError):
     """A file of an artefact is missing, cut short or altered since it was written."""
 
     exit_code = 4
+
+
+class WouldBeLost(ArtefactDamaged):
+    """Files that no run wrote lie where an artefact is to stand."""
+
+    keeps_run = True
 
 
 class ArtefactStale(StylerfError):
@@ -41,3 +57,4 @@ class OutOfResources(StylerfError):
     """No memory, no disk space, or no permission left to go on."""
 
     exit_code = 5
+    keeps_run = True

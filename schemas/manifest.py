@@ -43,14 +43,34 @@ class Recipe:
         return digest_of([self.stage, self.revision, self.config, inputs, self.seed])
 
     def other_options(self, before: "Recipe") -> str:
-        """Where `before` is of the same code and inputs: its options that are other than here, in words; else empty."""
-        made_of = [sorted((ref.role, ref.digest) for ref in one.inputs) for one in (self, before)]
-        if (self.stage, self.revision) != (before.stage, before.revision) or made_of[0] != made_of[1]:
-            return ""
+        """Options of `before` that are other than here, and regions, which come and go with the work folder; in words,
+        empty where there are none."""
         here, there = ({**one.config, "seed": one.seed} for one in (self, before))
         names = [name for name, value in there.items() if here.get(name, value) != value]
         told = [f"--{name.replace('_', '-')} {there[name]}" for name in names if not name.endswith("_digest")]
-        return ", ".join(told) or ("other files" if names else "")
+        told = told or (["other files"] if names else [])
+        return ", ".join(told + self._other_inputs(before, regions=True))
+
+    def other_sources(self, before: "Recipe") -> str:
+        """Inputs but for regions, and code, of `before` that are other than here: no option leads back to them."""
+        told = self._other_inputs(before, regions=False)
+        if (self.stage, self.revision) != (before.stage, before.revision):
+            told.append(f"revision {before.revision} of {before.stage}")
+        return ", ".join(told)
+
+    def _other_inputs(self, before: "Recipe", regions: bool) -> list[str]:
+        here, there = ({ref.role: ref for ref in one.inputs} for one in (self, before))
+        told = []
+        for role in sorted(here.keys() | there.keys()):
+            ref = there.get(role) or here[role]
+            if role.startswith("region.") == regions:
+                if role not in there:
+                    told.append(f"no {ref.kind} {ref.name}")
+                elif role not in here:
+                    told.append(f"{ref.kind} {ref.name}")
+                elif here[role].digest != ref.digest:
+                    told.append(f"{ref.kind} {ref.name} as it was")
+        return told
 
 
 @dataclass(frozen=True)

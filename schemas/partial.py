@@ -11,6 +11,7 @@ one rename.
 """
 
 import ctypes
+import errno
 import fcntl
 import json
 import os
@@ -21,14 +22,15 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from schemas.artefact import Artefact, of_a_desktop
+from schemas.artefact import Artefact, added_files, of_a_desktop
 from schemas.atomic import is_temporary, make_folder, sync_file, sync_folder, write_bytes, write_json, writing
 from schemas.canonical import file_sha256, plain
-from schemas.errors import ArtefactStale, OutOfResources
+from schemas.errors import ArtefactStale, OutOfResources, WouldBeLost
 from schemas.manifest import MANIFEST, FileRecord, InputRef, Manifest, Recipe
 from schemas.migrations import CURRENT
 
 DEAR_SECONDS = 60.0  # so much work goes without a word, no more
+_HELD = {errno.EWOULDBLOCK, errno.EAGAIN, errno.EACCES}
 _AT_FDCWD = -100
 _RENAME_EXCHANGE = 2
 
@@ -45,7 +47,8 @@ class Lock:
     """The right to write one artefact. The system frees it when the process ends, however it ends."""
 
     def __init__(self, path: Path) -> None:
-        """Takes the lock at `path`; OutOfResources naming the holder's process when another one has it."""
+        """Takes the lock at `path`; OutOfResources naming the holder's process when another one has it, or telling
+        that the disk knows no locks."""
         make_folder(path.parent)
         with writing(path):
             self._handle: int | None = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
@@ -54,6 +57,11 @@ class Lock:
         except OSError as error:
             holder = os.pread(self._handle, 32, 0).decode(errors="replace").strip() or "unknown"
             self.release()
+            if error.errno not in _HELD:
+                raise OutOfResources(
+                    f"{path} cannot be locked ({error.strerror}), so nothing keeps two processes apart; choose a work "
+                    "folder on a disk that can"
+                ) from error
             name = path.name.removeprefix(".").removesuffix(".lock")
             raise OutOfResources(
                 f"{path.parent.name} {name} is being written by another process ({holder}); wait for it to end, or "
@@ -74,7 +82,9 @@ class Partial:
     """A run in progress. The stage writes its files below `path` and its checkpoints below `checkpoint`.
 
     `resumed` tells that an earlier run of the same recipe left something here. What a run with other options left is
-    deleted; with `careful`, where that is a minute's work or more, it is kept and UnlikeInterrupted raised.
+    deleted; with `careful`, where that is a minute's work or more, it is kept and UnlikeInterrupted raised, or, where
+    no option goes on with it, `lost` tells what was deleted. Where files lie at the artefact's place that no run wrote,
+    no run begins or finishes (WouldBeLost).
     """
 
     def __init__(self, root: Path, kind: str, name: str, recipe: Recipe, careful: bool = False) -> None:
@@ -83,10 +93,12 @@ class Partial:
         self.folder = root / kind / f".{name}.partial"
         self.path = self.folder / "files"
         self.checkpoint = self.folder / "checkpoint"
+        self.lost = ""
         self._lock = Lock(root / kind / f".{name}.lock")
         try:
             self._restore_replaced()
             self._restore_ready()
+            self._refuse_to_bury()
             self.resumed = self._holds_same_recipe()
             if not self.resumed:
                 if careful:
@@ -116,19 +128,35 @@ class Partial:
             before = Recipe(**{**left, "inputs": [InputRef(**one) for one in left["inputs"]]})
         except (OSError, ValueError, KeyError, TypeError):
             return  # nothing that could go on
-        if seconds >= DEAR_SECONDS and self.path.is_dir() and (options := self.recipe.other_options(before)):
+        if seconds < DEAR_SECONDS or not self.path.is_dir():
+            return
+        if sources := self.recipe.other_sources(before):
+            self.lost = f"{seconds / 60:.0f} min of work with {sources}"
+        elif options := self.recipe.other_options(before):
             raise UnlikeInterrupted(self.kind, self.name, seconds, options)
+
+    def _refuse_to_bury(self) -> None:
+        """WouldBeLost where something stands in the artefact's place that no manifest there lists."""
+        if os.path.islink(self.target) and not self.target.exists():
+            raise WouldBeLost(f"{self.target} is a link to nothing; delete it, or mend what it leads to")
+        if not self.target.exists():
+            return
+        added = added_files(self.target, _listed_in(self.target)) if self.target.is_dir() else [self.target]
+        if added:
+            raise WouldBeLost(
+                f"{added[0]} would be deleted with what stands as {self.kind} {self.name}, whose manifest does not "
+                "list it; move it elsewhere"
+            )
 
     def _start_afresh(self) -> None:
         with writing(self.folder):
-            if self.folder.exists():
-                shutil.rmtree(self.folder)
+            self._delete()
         make_folder(self.path)
         write_json(self.folder / "recipe.json", {**asdict(self.recipe), "digest": self.recipe.digest})
 
     def _restore_replaced(self) -> None:
         replaced = self.folder / "replaced"
-        if replaced.is_dir() and not self.target.exists():
+        if replaced.is_dir() and not os.path.lexists(self.target):
             os.rename(replaced, self.target)
 
     def _restore_ready(self) -> None:
@@ -171,6 +199,7 @@ class Partial:
                 created=datetime.now(UTC).isoformat(timespec="seconds"),
                 figures=plain(figures or {}),
             )
+            self._refuse_to_bury()
             write_bytes(self.path / MANIFEST, manifest.to_bytes())
             self._swap()
             shutil.rmtree(self.folder, ignore_errors=True)
@@ -193,7 +222,7 @@ class Partial:
             sync_folder(folder)
         ready = self.folder / "ready"
         os.rename(self.path, ready)
-        if not self.target.exists():
+        if not os.path.lexists(self.target):
             os.rename(ready, self.target)
         elif not _exchange(ready, self.target):
             os.rename(self.target, self.folder / "replaced")
@@ -202,8 +231,15 @@ class Partial:
 
     def discard(self) -> None:
         """Deletes the run with its checkpoints."""
-        shutil.rmtree(self.folder, ignore_errors=True)
+        with suppress(OSError):
+            self._delete()
         self.release()
+
+    def _delete(self) -> None:
+        """The recipe goes first: what a kill leaves of the rest is never taken up again."""
+        (self.folder / "recipe.json").unlink(missing_ok=True)
+        if self.folder.exists():
+            shutil.rmtree(self.folder)
 
     def release(self) -> None:
         """Lets others write here; the folder stays and can be resumed."""
@@ -215,6 +251,14 @@ def _recipe_in(folder: Path) -> str | None:
         return json.loads((folder / MANIFEST).read_text())["recipe"]
     except (OSError, ValueError, KeyError, TypeError):
         return None
+
+
+def _listed_in(folder: Path) -> set[str]:
+    """Paths that a manifest lists, also one of another version or with an altered byte."""
+    try:
+        return {record["path"] for record in json.loads((folder / MANIFEST).read_text())["files"]}
+    except (OSError, ValueError, KeyError, TypeError):
+        return set()
 
 
 def sweep_finished(root: Path, kind: str, name: str) -> None:

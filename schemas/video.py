@@ -1,8 +1,11 @@
 """Films of rendered frames: MP4 where PyAV is installed (extra `video`), else GIF."""
 
+import io
+from collections.abc import Iterable
 from fractions import Fraction
 from importlib.util import find_spec
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 
@@ -13,6 +16,7 @@ from schemas.images import read_image, to_uint8
 BT709 = 1  # its primaries and its transfer, by ITU-T H.273
 PALETTE_FRAMES = 12
 SHORTEST_MS = 20  # players show a GIF's frame of less than this for a tenth of a second
+LONGEST_MS = 655_350  # 16 bits of hundredths
 
 
 def write_video(path: Path, pictures: list[Path], fps: float) -> tuple[Path, str]:
@@ -24,32 +28,51 @@ def write_video(path: Path, pictures: list[Path], fps: float) -> tuple[Path, str
     return _write_gif(path.with_suffix(".gif"), pictures, fps), "GIF (pip install 'stylerf[video]' for MP4)"
 
 
+def try_video(width: int, height: int, fps: float) -> None:
+    """BadInput where no film of such frames can be made, told before any of them is there."""
+    if find_spec("av") is None:
+        return
+    try:
+        _encode(io.BytesIO(), [np.zeros((height, width, 3), np.uint8)], fps)
+    except Exception as error:
+        if isinstance(error, MemoryError):
+            raise
+        raise BadInput(
+            f"--video: PyAV makes no film of {width}x{height} pixels at {fps:g} frames a second ({error}); render "
+            "without it, larger, or with an av that has libx264 (pip install 'stylerf[video]')"
+        ) from error
+
+
 def _frame(path: Path) -> np.ndarray:
     return to_uint8(read_image(path).pixels[..., :3])
 
 
 def _write_mp4(path: Path, pictures: list[Path], fps: float) -> Path:
+    with replacing(path) as temporary:
+        _encode(str(temporary), (_frame(picture) for picture in pictures), fps)
+    return path
+
+
+def _encode(target: str | BinaryIO, frames: Iterable[np.ndarray], fps: float) -> None:
     import av
     from av.video.reformatter import ColorRange, Colorspace
 
-    first = _frame(pictures[0])
-    # H.264 with halved colour takes even sides only.
-    height, width = first.shape[0] // 2 * 2, first.shape[1] // 2 * 2
-    with replacing(path) as temporary, av.open(str(temporary), "w", format="mp4") as film:
+    with av.open(target, "w", format="mp4") as film:
         stream = film.add_stream("libx264", rate=Fraction(fps).limit_denominator(1001))
-        stream.width, stream.height, stream.pix_fmt = width, height, "yuv420p"
-        stream.options = {"crf": "18"}
+        stream.pix_fmt, stream.options = "yuv420p", {"crf": "18"}
         # Said and done: without a word players take large films for BT.709 and small ones for BT.601.
         told = stream.codec_context
         told.colorspace, told.color_range = Colorspace.ITU709, ColorRange.MPEG
         told.color_primaries = told.color_trc = BT709
-        for picture in pictures:
-            frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(_frame(picture)[:height, :width]), format="rgb24")
+        for number, pixels in enumerate(frames):
+            if number == 0:
+                # H.264 with halved colour takes even sides only.
+                stream.height, stream.width = height, width = pixels.shape[0] // 2 * 2, pixels.shape[1] // 2 * 2
+            frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(pixels[:height, :width]), format="rgb24")
             for packet in stream.encode(frame.reformat(format="yuv420p", dst_colorspace=Colorspace.ITU709)):
                 film.mux(packet)
         for packet in stream.encode():
             film.mux(packet)
-    return path
 
 
 def _write_gif(path: Path, pictures: list[Path], fps: float) -> Path:
@@ -70,6 +93,6 @@ def _write_gif(path: Path, pictures: list[Path], fps: float) -> Path:
             save_all=True,
             append_images=frames[1:],
             loop=0,
-            duration=max(SHORTEST_MS, round(1000 / fps)),
+            duration=min(max(SHORTEST_MS, round(1000 / fps)), LONGEST_MS),
         )
     return path

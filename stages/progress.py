@@ -39,11 +39,13 @@ class Context:
     """What every stage is run with beside its inputs and options; nothing of it but the seed changes a result.
 
     memory: bytes that the process may take, 0: most of what is free. ranks: the processes that run a stage together.
+    anew: nothing that was made before is to be taken for what is made now.
     """
 
     seed: int = 0
     device: str = "cpu"
     threads: int = 2
     memory: int = 0
+    anew: bool = False
     ranks: Any = ALONE
     progress: Any = Silent()

@@ -13,12 +13,13 @@ from pathlib import Path
 import numpy as np
 
 from schemas.canonical import file_sha256
-from schemas.errors import BadInput
+from schemas.errors import BadInput, NoFilm, StylerfError
 from schemas.exr import LARGEST_SIDE, ExrView, write_exr
 from schemas.frames import Frame, FrameCamera, Frames, write_frames
 from schemas.images import linear_from_srgb, to_uint8, write_png
 from schemas.scene import Bounds, as_matrix
 from schemas.store import Artefact, Partial
+from schemas.video import try_video, write_video
 from stages.configs.render import OWN_VIEWS, RenderConfig, frames_of
 from stages.devices import gpu_figures, gpu_of
 from stages.fields import load_field
@@ -26,6 +27,7 @@ from stages.masks import CHANNEL, channels_of, regions_among
 from stages.progress import Context
 from stages.runner import Spec
 from stages.scenes import SceneData, load_scene
+from stages.shards import take_frames
 from stylerf.errors import InvalidValue
 from stylerf.fields.field import RadianceField
 from stylerf.geometry.cameras import Camera
@@ -39,7 +41,8 @@ Shot = tuple[Camera, int | None]
 
 
 def run(inputs: dict[str, Artefact], config: RenderConfig, partial: Partial, context: Context) -> dict:
-    """Writes frames.json, png/, and exr/, depth/ and a video where asked for. A frame on disk is not rendered again."""
+    """Writes frames.json, png/, and exr/, depth/ and a video where asked for. A frame on disk, here or in a shard
+    of the work folder, is not rendered again."""
     scene = load_scene(inputs["scene"])
     field, background = load_field(inputs["field"])
     threads = set_threads(context.threads)
@@ -48,6 +51,8 @@ def run(inputs: dict[str, Artefact], config: RenderConfig, partial: Partial, con
     if config.video and len(sizes) > 1:
         two = " and ".join(f"{width}x{height}" for width, height in sizes[:: len(sizes) - 1])
         raise BadInput(f"--video: a film has one size, frames along {config.path} have {two}; render them without it")
+    if config.video:
+        try_video(*sizes[0], config.fps)
     regions = regions_among(inputs, field.space) if config.shows_regions else {}
     channels = channels_of(regions)
     attributes = {"field": inputs["field"].name, "fieldDigest": inputs["field"].digest, "path": config.path}
@@ -55,24 +60,28 @@ def run(inputs: dict[str, Artefact], config: RenderConfig, partial: Partial, con
     cells = {name: region.cells for name, region in regions.items()}
     if config.displacement and field.displacement is None:
         context.progress.say(f"field {inputs['field'].name} has no deformation: no displacement pictures")
+    listed = tuple(_frame_of(camera, view, config) for camera, view in shots)
+    taken = {} if context.anew or config.frames else take_frames(partial, listed)
+    if taken:
+        count = sum(map(len, taken.values()))
+        context.progress.say(f"{count} of {len(shots)} frames stand already in {', '.join(taken)}")
     context.progress.start("render", len(shots), "frame")
-    frames = []
     device = gpu_of(context, field)
     seen = _on_device(field, device) if device else functools.partial(render_view, field, chunks=threads)
     with nullcontext() if device else compiling_note(context.progress.say):
-        for done, (camera, view) in enumerate(shots):
-            given = field, background, scene.bounds, camera, view, config, partial.path, seen, attributes, cells
-            frames.append(_frame(*given))
+        for done, (frame, (camera, _)) in enumerate(zip(listed, shots, strict=True)):
+            given = field, background, scene.bounds, camera, config, partial.path, seen, attributes, cells
+            _render(frame, *given)
             context.progress.update(done + 1)
     context.progress.finish()
-    video = _video(partial.path, [f.png for f in frames], config, context) if config.video else None
+    masks = channels if config.exr else {}
     fps = config.fps if config.video or config.path not in OWN_VIEWS else None
-    told = channels if config.exr else {}
-    write_frames(partial.path, Frames(inputs["field"].name, config.path, tuple(frames), fps, told))
+    write_frames(partial.path, Frames(inputs["field"].name, config.path, listed, fps, masks))
+    elsewhere = {name for names in taken.values() for name in names}
     return {
-        "frames": len(frames),
-        "pixels": int(sum(c.width * c.height for c, _ in shots)),
-        "video": video,
+        "frames": len(listed),
+        "pixels": int(sum(c.width * c.height for c, _ in shots if c.name not in elsewhere)),
+        "video": _video(partial.path, [f.png for f in listed], config, context) if config.video else None,
     } | gpu_figures(device)
 
 
@@ -83,10 +92,13 @@ def _on_device(field: RadianceField, device: str) -> Callable[..., RenderedView]
 
 
 def pinned(config: RenderConfig) -> RenderConfig:
-    """The config with the digest of its file of cameras, so that frames of an older file are not taken for its own."""
+    """The config with the digest of its file of cameras, so that frames of an older file are not taken for its own, and
+    without the count, which is 1, where the path is not one that can have any number of frames."""
+    if config.path in PATHS:
+        return replace(config, path_digest="")
     path = Path(config.path)
-    known = config.path in OWN_VIEWS or config.path in PATHS
-    return replace(config, path_digest="" if known or not path.is_file() else file_sha256(path))
+    known = config.path in OWN_VIEWS or not path.is_file()
+    return replace(config, count=1, path_digest="" if known else file_sha256(path))
 
 
 def shots_of(scene: SceneData, config: RenderConfig) -> list[Shot]:
@@ -121,21 +133,19 @@ def _focus_depth(scene: SceneData) -> float:
 
 
 def _cameras_of_file(path: Path, like: Camera) -> list[Camera]:
-    """Cameras of a JSON list of {world_from_camera, and optionally width, height, fx, fy, cx, cy}, in scene units."""
+    """Cameras of a JSON list of {world_from_camera, and optionally width, height, fx, fy, cx, cy}, in scene units, or
+    those of a frames.json."""
     try:
-        entries = json.loads(path.read_text())
+        content = json.loads(path.read_text())
     except OSError as error:
         raise BadInput(f"--path {path}: neither a known path nor a readable file ({error.strerror})") from error
     except (ValueError, RecursionError) as error:
         raise BadInput(f"--path {path} is not JSON: {error}") from error
-    cameras = []
+    entries, cameras = content.get("views") if isinstance(content, dict) else content, []
     for number, entry in enumerate(entries if isinstance(entries, list) else []):
         try:
-            own = {
-                k: type(getattr(like, k))(entry[k]) for k in ("width", "height", "fx", "fy", "cx", "cy") if k in entry
-            }
-            camera = replace(like, name=f"{number:04d}", world_from_camera=np.array(entry["world_from_camera"]), **own)
-        except (KeyError, TypeError, ValueError, OverflowError, InvalidValue) as error:
+            camera = _camera_of_entry(entry.get("camera", entry), f"{number:04d}", like)
+        except (AttributeError, KeyError, TypeError, ValueError, OverflowError, InvalidValue) as error:
             raise BadInput(f"--path {path}: camera {number} is not sound ({error})") from error
         if max(camera.width, camera.height) > LARGEST_SIDE:
             size = f"{camera.width}x{camera.height}"
@@ -146,11 +156,28 @@ def _cameras_of_file(path: Path, like: Camera) -> list[Camera]:
     return cameras
 
 
-def _frame(field, background, bounds, camera, view, config, folder: Path, seen, attributes, regions) -> Frame:
-    name = camera.name if view is not None else f"{int(camera.name):04d}" if camera.name.isdigit() else camera.name
-    frame = Frame(name, f"exr/{name}.exr" if config.exr else "", f"png/{name}.png", _camera_entry(camera), view)
+def _camera_of_entry(entry: dict, name: str, like: Camera) -> Camera:
+    """What an entry does not tell is as `like` has it: its size, its view across, and its centre, at the entry's size.
+
+    One focal length alone holds for both sides: pixels are square.
+    """
+    width, height = int(entry.get("width", like.width)), int(entry.get("height", like.height))
+    kx, ky = width / like.width, height / like.height
+    fx = float(entry.get("fx", entry.get("fy", like.fx * kx)))
+    fy = float(entry.get("fy", entry.get("fx", like.fy * kx)))
+    cx, cy = float(entry.get("cx", like.cx * kx)), float(entry.get("cy", like.cy * ky))
+    return Camera(name, width, height, fx, fy, cx, cy, np.array(entry["world_from_camera"], dtype=np.float64))
+
+
+def _frame_of(camera: Camera, view: int | None, config: RenderConfig) -> Frame:
+    name = camera.name
+    return Frame(name, f"exr/{name}.exr" if config.exr else "", f"png/{name}.png", _camera_entry(camera), view)
+
+
+def _render(frame: Frame, field, background, bounds, camera, config, folder: Path, seen, attributes, regions) -> None:
+    name = frame.name
     if (folder / frame.png).is_file() and (not config.exr or (folder / frame.exr).is_file()):
-        return frame
+        return
     rendered = seen(camera, regions=regions)
     if config.exr:
         write_exr(folder / frame.exr, exr_view(rendered, camera, bounds, attributes))
@@ -165,7 +192,6 @@ def _frame(field, background, bounds, camera, view, config, folder: Path, seen, 
     level = 1.0 if background == "white" else 0.0
     rgb = rendered.rgb + (1 - rendered.alpha[..., None]) * np.float32(level)
     write_png(folder / frame.png, to_uint8(np.clip(rgb, 0, 1)))
-    return frame
 
 
 def exr_view(rendered: RenderedView, camera: Camera, bounds: Bounds, attributes: Mapping[str, str]) -> ExrView:
@@ -194,8 +220,14 @@ def _camera_entry(camera: Camera) -> FrameCamera:
 
 
 def _video(folder: Path, pictures: list[str], config: RenderConfig, context: Context) -> str:
-    from schemas.video import write_video
-
-    path, how = write_video(folder / "video", [folder / p for p in pictures], config.fps)
+    try:
+        path, how = write_video(folder / "video", [folder / p for p in pictures], config.fps)
+    except (StylerfError, MemoryError):
+        raise
+    except Exception as error:
+        raise NoFilm(
+            f"--video: no film could be made of the frames ({type(error).__name__}: {error}); they are kept in "
+            f"{folder}: run the same command to try again"
+        ) from error
     context.progress.say(f"video: {path.name}, by {how}")
     return path.name

@@ -1,9 +1,10 @@
 """Runs any stage the same way: reuse what stands, else run under a lock, resume, measure, finish as one step."""
 
+import errno
 import sys
 from collections.abc import Callable, Iterable
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -79,9 +80,10 @@ def execute(
     Unless `force`, an artefact of the same recipe (stage, revision, options, seed, digests of the inputs) is returned
     as it stands. Otherwise every input is verified, an interrupted run of the same recipe is taken up where it
     stopped, and the result replaces the older artefact of that name by one rename; it must be none of its sources.
-    What an interruption or a lack of memory, space or permission leaves behind is kept for the next run; after any
-    other fault it is deleted, because the same state would fail again. careful: a minute's work or more that was done
-    with other options is not lost without a word: an interrupted run is kept (ArtefactStale), what stands is told of.
+    What an interruption, the machine (memory, space, permission, a disk that fails) or a fault that keeps the run
+    leaves behind is kept for the next run; after any other fault it is deleted: the same state would fail again.
+    careful: a minute's work or more that was done with other options is not lost without a word: an interrupted run is
+    kept (ArtefactStale), what stands or cannot be gone on with is told of.
     """
     recipe = recipe_of(spec, inputs, config, context.seed)
     standing = None if force else work.standing(spec.writes, name, recipe)
@@ -96,9 +98,13 @@ def execute(
     except UnlikeInterrupted as lost:
         raise ArtefactStale(
             f"an interrupted `stylerf {spec.verb}` of {spec.writes} {name}, {lost.seconds / 60:.0f} min of work with "
-            f"{lost.options}, would be lost; run `stylerf {spec.verb}` with these options to go on with it, with "
+            f"{lost.options}, would be lost; run `stylerf {spec.verb}` with these to go on with it, with "
             "another --name to keep both, or with --force to begin anew"
         ) from lost
+    if partial.lost:
+        context.progress.say(
+            f"an interrupted `stylerf {spec.verb}` of {spec.writes} {name}, {partial.lost}, cannot go on and is deleted"
+        )
     if careful:
         _tell_replaced(work, spec, name, recipe, context)
     try:
@@ -109,13 +115,14 @@ def execute(
             return standing, True
         if partial.resumed:
             context.progress.say(f"going on with the interrupted {spec.verb} of {name}")
-        return _run(spec, run, partial, inputs, config, context), False
-    except (KeyboardInterrupt, SystemExit, OutOfResources):
+        return _run(spec, run, partial, inputs, config, replace(context, anew=force)), False
+    except (KeyboardInterrupt, SystemExit):
         raise
     except BaseException as error:
         if refusal := refusal_of_machine(error, partial.folder):
             raise refusal from error
-        partial.discard()
+        if not (error.keeps_run if isinstance(error, StylerfError) else isinstance(error, OSError) and _passes(error)):
+            partial.discard()
         raise
     finally:
         partial.release()
@@ -125,7 +132,7 @@ def _tell_replaced(work: Work, spec: Spec, name: str, recipe: Recipe, context: C
     with suppress(StylerfError):  # what is not there, or cannot be read, is no loss
         made = Artefact(work.root / spec.writes / name).manifest
         before = Recipe(made.stage, made.revision, made.config, made.inputs, made.seed)
-        options = recipe.other_options(before)
+        options = ", ".join(filter(None, (recipe.other_options(before), recipe.other_sources(before))))
         if options and made.seconds >= DEAR_SECONDS:
             context.progress.say(
                 f"{spec.writes} {name}, {made.seconds / 60:.0f} min of work with {options}, is replaced once this is "
@@ -158,10 +165,23 @@ def versions() -> dict[str, str]:
     return found
 
 
+def _passes(error: OSError) -> bool:
+    """Whether the same run may get past the fault another time; a path that leads nowhere does so again."""
+    return error.errno not in (errno.ENOENT, errno.ENOTDIR, errno.EISDIR)
+
+
 def refusal_of_machine(error: BaseException, where: Path) -> OutOfResources | None:
-    """OutOfResources in words when `error` means lack of memory, disk space or permission, None for other faults."""
+    """OutOfResources in words when `error` means lack of memory, disk space or permission, or a disk or system that
+    fails; None for other faults."""
     if isinstance(error, OSError):
-        return out_of_resources(error, where)
+        refused = out_of_resources(error, where)
+        if refused is None and error.errno is not None and _passes(error):
+            place = error.filename if isinstance(error.filename, str) else where
+            refused = OutOfResources(
+                f"{place}: {error.strerror or error}; what is done is kept: run the same command to go on with it, or "
+                "with --force to begin anew"
+            )
+        return refused
     # torch tells lack of memory by a RuntimeError of its own on CUDA and a plain one on the CPU.
     of_torch = isinstance(error, RuntimeError) and (
         type(error).__name__ == "OutOfMemoryError" or "can't allocate memory" in str(error)

@@ -135,12 +135,13 @@ def ensure_frames(session: Any, field: Artefact, path: str, name: str) -> Artefa
 
 
 def frames_config(session: Any, path: str) -> RenderConfig:
-    """A table [render] decides all but that frames are the whole path's, of full size and with EXR; 30 without it."""
+    """A table [render] decides all but that frames are the whole path's, of full size and with EXR, and that photos'
+    views are no film; 30 frames without it."""
     from stages.render import pinned
 
-    count = 1 if path in OWN_VIEWS else session.options.table("render").get("count", 30)
-    config = session.config_of("render", RenderConfig)
-    return pinned(replace(config, path=path, count=count, scale=1.0, frames="", exr=True))
+    config, count = session.config_of("render", RenderConfig), session.options.table("render").get("count", 30)
+    film = config.video and path not in OWN_VIEWS
+    return pinned(replace(config, path=path, count=count, scale=1.0, frames="", exr=True, video=film))
 
 
 def regions_shown(session: Any, field: Artefact, config: RenderConfig) -> dict[str, Artefact]:

@@ -7,6 +7,7 @@ from pathlib import Path
 from stages.configs import option
 
 OWN_VIEWS = ("train", "test", "views")  # paths of the scene's own views; "views": both others
+SLOWEST_FPS = 1 / 1001  # the least that a film's rate is told by: a fraction whose denominator is at most 1001
 
 
 @dataclass(frozen=True)
@@ -16,7 +17,8 @@ class RenderConfig:
     path: str = option(
         "orbit",
         metavar="test|train|views|orbit|spiral|interpolate|FILE",
-        help="cameras: the scene's own views, a path around, in front of or through them, or a JSON file of cameras",
+        help="cameras: the scene's own views, a path around, in front of or through them, or a JSON file of cameras "
+        "(docs/artefacts.md tells its form), such as the frames.json of a render",
     )
     path_digest: str = option("", help="sha256 of the file of cameras (filled in; guards against a changed file)")
     count: int = option(60, help="frames of a whole path (orbit, spiral, interpolate)")
@@ -32,8 +34,8 @@ class RenderConfig:
 
     def __post_init__(self) -> None:
         frames_of(self.frames, 1 << 30)
-        if self.count < 1 or not 0 < self.scale <= 8 or not 0 < self.fps <= 240:
-            raise ValueError("count must be at least 1, scale in (0, 8] and fps in (0, 240]")
+        if self.count < 1 or not 0 < self.scale <= 8 or not SLOWEST_FPS <= self.fps <= 240:
+            raise ValueError("count must be at least 1, scale in (0, 8] and fps in [1/1001, 240]")
         if self.masks and not self.regions:
             raise ValueError("masks are pictures of the regions, which no-regions leaves out")
 

@@ -79,10 +79,15 @@ class Film:
             "cancel and have no step (Ruder et al. 2016)"
         )
         return {
-            "path": f"the path {self.frames.frames.path} of {len(self.frames)} frames",
+            "path": f"the path {self._path()} of {len(self.frames)} frames",
             "warp_protocol": by_flow if self.config.flow else by_depth,
             "flow": self.flows.words[0].upper() + self.flows.words[1:],
         }
+
+    def _path(self) -> str:
+        """A file of cameras goes by its content: another of that name is another path."""
+        path, digest = self.frames.frames.path, self.frames.artefact.manifest.config.get("path_digest")
+        return f"{Path(path).name} ({digest[:8]})" if digest else path
 
     def _pair(self, label: str, views: tuple[Render, Render], places: tuple[int, int], looked_at: bool) -> ViewRow:
         row = ViewRow(f"{views[0].name} > {views[1].name}")

@@ -36,6 +36,8 @@ class Camera:
         rotation = pose[:3, :3]
         if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-4) or np.linalg.det(rotation) < 0:
             raise InvalidValue(f"camera {self.name}: the upper left 3x3 of its pose is not a rotation")
+        if not np.allclose(pose[3], [0, 0, 0, 1], rtol=0, atol=1e-6):
+            raise InvalidValue(f"camera {self.name}: the last row of its pose is not 0 0 0 1; is it transposed?")
         if not (self.fx > 0 and self.fy > 0 and np.isfinite([self.fx, self.fy, self.cx, self.cy]).all()):
             raise InvalidValue(f"camera {self.name}: focal length {self.fx:g} x {self.fy:g} is not positive")
         if self.width < 1 or self.height < 1:

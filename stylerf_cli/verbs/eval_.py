@@ -141,8 +141,9 @@ def frames_of(session: Any, field: Artefact, path: str) -> Artefact:
 
 
 def film_there(work: Work, field: Artefact) -> Artefact | None:
-    """The last rendered frames of the field along a camera path that can be measured, None where there are none."""
-    films = [frames for frames, path, _ in measurable(work, field) if path not in OWN_VIEWS]
+    """The last rendered frames, two or more, of the field along a camera path that can be measured, None where there
+    are none."""
+    films = [frames for frames, path, count in measurable(work, field) if path not in OWN_VIEWS and count > 1]
     return last(films) if films else None
 
 

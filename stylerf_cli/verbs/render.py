@@ -26,7 +26,8 @@ def run(args, session) -> dict:
     figures = frames.manifest.figures
     rate = figures["pixels"] / max(frames.manifest.seconds, 1e-9)
     result = {"frames": frames.path, "name": frames.name, "figures": figures, "seconds": frames.manifest.seconds}
-    words = [f"{figures['frames']} frames of {field.name}, {rate / 1e3:.0f} thousand rays a second", f"  {frames.path}"]
+    speed = f", {rate / 1e3:.0f} thousand rays a second" if rate else ""
+    words = [f"{figures['frames']} frames of {field.name}{speed}", f"  {frames.path}"]
     if figures["video"]:
         words.insert(1, f"  video: {frames.path / figures['video']}")
     if shown := [ref.name for ref in frames.manifest.inputs if ref.kind == "region"]:

@@ -1,5 +1,6 @@
 """The store: artefacts are finished or absent, altered bytes are found, one writer at a time, old recipes resume."""
 
+import errno
 import json
 import multiprocessing
 import os
@@ -8,7 +9,7 @@ import shutil
 import pytest
 
 from schemas import migrations, partial
-from schemas.errors import ArtefactDamaged, ArtefactStale, OutOfResources, StylerfError, UsageError
+from schemas.errors import ArtefactDamaged, ArtefactStale, OutOfResources, StylerfError, UsageError, WouldBeLost
 from schemas.manifest import MANIFEST, InputRef
 from schemas.store import Artefact, Recipe, Work, sources_of
 
@@ -170,11 +171,82 @@ def test_interrupted_run_resumes_only_for_the_same_recipe(tmp_path):
     assert work.unfinished() == []
 
 
+@pytest.mark.parametrize("ended_by", ["discard", "another recipe"])
+def test_what_a_kill_leaves_of_a_deletion_is_not_resumed(tmp_path, monkeypatch, ended_by):
+    work = Work(tmp_path)
+    first = work.begin("field", "fox", recipe())
+    (first.path / "a.png").write_text("")
+
+    def half(folder, **_):
+        (first.path / "a.png").unlink()
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(partial.shutil, "rmtree", half)
+        if ended_by == "discard":
+            first.discard()
+        first.release()
+        work.begin("field", "fox", recipe(seed=1))
+    first.release()
+    assert not work.begin("field", "fox", recipe()).resumed
+
+
 def test_damaged_recipe_starts_afresh(tmp_path):
     first = Work(tmp_path).begin("field", "fox", recipe())
     (first.folder / "recipe.json").write_text("{")
     first.release()
     assert not Work(tmp_path).begin("field", "fox", recipe()).resumed
+
+
+@pytest.mark.parametrize("added", ["comp.nk", "sub/retouched.exr"])
+def test_what_no_run_wrote_is_not_deleted_with_what_is_replaced(tmp_path, added):
+    work = Work(tmp_path)
+    old = make(work)
+    begun = work.begin("field", "fox", recipe(seed=1))
+    (old.path / added).write_text("mine")
+    (old.path / ".DS_Store").write_text("")
+    with pytest.raises(WouldBeLost, match=f"{added} would be deleted .*; move it elsewhere"):
+        begun.commit()  # saved while the run went on
+    begun.release()
+    with pytest.raises(WouldBeLost, match=added):
+        work.begin("field", "fox", recipe(seed=2))
+    assert (old.path / added).read_text() == "mine"
+    (old.path / added).unlink()
+    again = work.begin("field", "fox", recipe(seed=1))
+    assert again.resumed and again.commit().manifest.seed == 1
+
+
+def test_a_folder_that_is_no_artefact_is_not_deleted_and_a_damaged_one_is_made_again(tmp_path):
+    work, folder = Work(tmp_path), tmp_path / "field" / "fox"
+    (folder / "scans").mkdir(parents=True)
+    work.begin("field", "fox", recipe()).discard()  # nothing would be lost
+    (folder / "scans" / "1.exr").write_text("mine")
+    with pytest.raises(WouldBeLost, match=r"scans/1\.exr"):
+        work.begin("field", "fox", recipe())
+    shutil.rmtree(folder)
+    folder.write_text("mine")
+    with pytest.raises(WouldBeLost, match="field/fox would be deleted"):
+        work.begin("field", "fox", recipe())
+    folder.unlink()
+    make(work)
+    text = (folder / MANIFEST).read_text()
+    (folder / MANIFEST).write_text(text.replace("27.1", "27.2"))
+    with pytest.raises(ArtefactDamaged, match="altered"):
+        Artefact(folder).verify()
+    make(work).verify()
+
+
+def test_a_link_to_nothing_is_told_before_a_run_and_does_not_cost_a_finished_one(tmp_path):
+    work = Work(tmp_path)
+    begun = work.begin("field", "fox", recipe())
+    os.symlink(tmp_path / "gone", tmp_path / "field" / "fox")
+    with pytest.raises(WouldBeLost, match="field/fox is a link to nothing"):
+        begun.commit()
+    begun.release()
+    with pytest.raises(WouldBeLost, match="a link to nothing"):
+        work.begin("field", "fox", recipe())
+    (tmp_path / "field" / "fox").unlink()
+    assert work.begin("field", "fox", recipe()).resumed
 
 
 @pytest.mark.parametrize("exchange", [True, False])
@@ -234,6 +306,16 @@ def test_a_second_writer_is_refused_until_the_first_ends(tmp_path):
     child.kill()
     child.join()
     Work(tmp_path).begin("field", "fox", recipe()).discard()
+
+
+def test_a_disk_that_cannot_lock_is_not_taken_for_another_process(tmp_path, monkeypatch):
+    def refuse(*_):
+        raise OSError(errno.ENOSYS, os.strerror(errno.ENOSYS))
+
+    monkeypatch.setattr(partial.fcntl, "flock", refuse)
+    with pytest.raises(OutOfResources, match=r"\.fox\.lock cannot be locked .Function not implemented.") as caught:
+        Work(tmp_path).begin("field", "fox", recipe())
+    assert "another process" not in str(caught.value)
 
 
 def test_standing_needs_the_recipe_and_whole_files(tmp_path):

@@ -60,7 +60,7 @@ def test_still_parts_of_a_gif_do_not_flicker(pictures, tmp_path, without_av):
     assert np.abs(np.diff(shown, axis=0)).mean() < 4
 
 
-@pytest.mark.parametrize(("fps", "duration"), [(60.0, 20), (240.0, 20), (10.0, 100), (0.5, 2000)])
+@pytest.mark.parametrize(("fps", "duration"), [(60.0, 20), (240.0, 20), (10.0, 100), (0.5, 2000), (1 / 1001, 655_350)])
 def test_frames_of_a_gif_are_shown_as_long_as_players_allow(pictures, tmp_path, without_av, fps, duration):
     path, _ = video.write_video(tmp_path / "film", pictures[:2], fps)
     with Image.open(path) as film:
@@ -87,6 +87,21 @@ def test_mp4_holds_every_frame_at_its_time(pictures, tmp_path, fps):
         assert np.argmin(errors) == number
         # Colour is stored at half the size, which sharp edges between strong colours show.
         assert -10 * np.log10(errors[number] / 255**2) > 21
+
+
+def test_a_film_that_no_encoder_makes_is_refused_without_its_frames(monkeypatch):
+    av = pytest.importorskip("av", reason="the extra `video` is not installed")
+    video.try_video(WIDTH, HEIGHT, 24.0)
+    video.try_video(2, 2, 1 / 1001)
+    with pytest.raises(BadInput, match="no film of 1x33 pixels"):
+        video.try_video(1, HEIGHT, 24.0)
+
+    def unknown(*_, **__):
+        raise av.codec.codec.UnknownCodecError("libx264")
+
+    monkeypatch.setattr(av, "open", unknown)
+    with pytest.raises(BadInput, match="libx264"):
+        video.try_video(WIDTH, HEIGHT, 24.0)
 
 
 def test_a_film_of_nothing_is_refused(tmp_path):

@@ -271,6 +271,50 @@ def test_dear_work_with_other_options_is_not_lost_without_a_word(tmp_path, expec
     assert work.unfinished() == []
 
 
+def test_dear_work_of_other_inputs_is_told_when_it_is_given_up(tmp_path, monkeypatch):
+    monkeypatch.setattr(partial, "DEAR_SECONDS", 0.0)
+    monkeypatch.setattr(runner, "DEAR_SECONDS", 0.0)
+    work, said = Work(tmp_path), []
+
+    class Heard(Silent):
+        def say(self, text):
+            said.append(text)
+
+    def asked(scene, function=run):
+        context = Context(progress=Heard())
+        return execute(SPEC, function, work, "fox", {"scene": scene}, ToyConfig(), context, careful=True)
+
+    def interrupted(inputs, config, partial, context):
+        raise KeyboardInterrupt
+
+    def source(seed):
+        spec = Spec("src", "import", 1, "scene")
+        return execute(spec, run, work, "main", {}, ToyConfig(steps=3), Context(seed=seed), force=True)[0]
+
+    with pytest.raises(KeyboardInterrupt):
+        asked(source(0), interrupted)
+    asked(source(1))
+    asked(source(2))
+    assert said == [
+        f"{before}, 0 min of work with scene main as it was, {after}"
+        for before, after in (
+            ("an interrupted `stylerf toy` of field fox", "cannot go on and is deleted"),
+            ("field fox", "is replaced once this is done; --name NAME keeps both"),
+        )
+    ]
+
+
+def test_a_users_own_files_are_not_deleted_even_with_force(tmp_path):
+    work = Work(tmp_path)
+    made = toy(work)[0]
+    (made.path / "comp.nk").write_text("mine")
+    assert toy(work)[1]  # what stands is of use as before
+    for more in ({"force": True}, {"seed": 1}):
+        with pytest.raises(ArtefactDamaged, match=r"comp\.nk would be deleted"):
+            toy(work, **more)
+    assert (made.path / "comp.nk").read_text() == "mine"
+
+
 def test_peak_memory_is_that_of_the_stage_not_of_the_one_before(tmp_path):
     def greedy(inputs, config, partial, context):
         return {"sum": float(np.ones(40_000_000).sum())}
@@ -288,6 +332,10 @@ def test_peak_memory_is_that_of_the_stage_not_of_the_one_before(tmp_path):
         (OSError(errno.ENOSPC, "No space left on device"), "no space left"),
         (PermissionError(errno.EACCES, "Permission denied"), "no permission"),
         (MemoryError(), "out of memory"),
+        (OSError(errno.ENOMEM, "Cannot allocate memory"), "out of memory"),
+        (OSError(errno.EIO, "Input/output error", "/disk/7.exr"), "/disk/7.exr: Input/output error; what is done is"),
+        (TimeoutError(errno.ETIMEDOUT, "Connection timed out"), "Connection timed out"),
+        (OSError(errno.ESTALE, "Stale file handle"), "Stale file handle"),
         (RuntimeError("[enforce fail] DefaultCPUAllocator: can't allocate memory: you tried 9"), "out of memory"),
         (type("OutOfMemoryError", (RuntimeError,), {})("CUDA out of memory"), "out of memory"),
     ],
@@ -305,7 +353,19 @@ def test_a_machine_that_refuses_is_told_and_the_run_can_be_resumed(tmp_path, fau
     assert toy(work)[0].digest == expected
 
 
-@pytest.mark.parametrize("fault", [BadInput("no photos"), ZeroDivisionError(), OSError(errno.ENOENT, "gone")])
+def test_a_codec_that_tells_no_reason_keeps_the_run(tmp_path):
+    def failing(*_):
+        raise OSError("encoder error -2")
+
+    with pytest.raises(OSError, match="encoder error -2"):
+        toy(Work(tmp_path), function=failing)
+    assert Work(tmp_path).unfinished() == [("field", "fox")]
+
+
+@pytest.mark.parametrize(
+    "fault",
+    [BadInput("no photos"), ZeroDivisionError(), OSError(errno.ENOENT, "gone"), IsADirectoryError(errno.EISDIR, "")],
+)
 def test_other_faults_leave_nothing_that_would_fail_again(tmp_path, fault):
     def failing(*_):
         raise fault

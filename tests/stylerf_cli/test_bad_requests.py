@@ -182,6 +182,7 @@ def test_pixels_to_avoid_where_nothing_grows_by_colour(tmp_path, capsys, flags):
 SOUND = {"world_from_camera": [[1, 0, 0, 0], [0, -1, 0, 0], [0, 0, -1, 4], [0, 0, 0, 1]], "width": 16, "height": 16,
          "fx": 20, "fy": 20, "cx": 8, "cy": 8}  # fmt: skip
 SCALED = [[2, 0, 0, 0], [0, 2, 0, 0], [0, 0, 2, 4], [0, 0, 0, 1]]
+TRANSPOSED = np.array(SOUND["world_from_camera"]).T.tolist()
 PATHS = {
     "no JSON": ("{", "is not JSON"),
     "binary": ("\x00\x01", "is not JSON"),
@@ -192,6 +193,9 @@ PATHS = {
     "no pose": (json.dumps([SOUND, {"width": 3}]), "camera 1 is not sound"),
     "NaN": (json.dumps([SOUND | {"world_from_camera": np.full((4, 4), math.nan).tolist()}]), "camera 0 is not sound"),
     "scaled": (json.dumps([SOUND | {"world_from_camera": SCALED}]), "not a rotation"),
+    "transposed": (json.dumps([SOUND | {"world_from_camera": TRANSPOSED}]), "the last row of its pose is not 0 0 0 1"),
+    "an object of no list": (json.dumps({"views": SOUND}), "a list of cameras was expected"),
+    "no camera": (json.dumps({"views": [{"camera": None}]}), "camera 0 is not sound"),
     "3x3": (json.dumps([SOUND | {"world_from_camera": np.eye(3).tolist()}]), "camera 0 is not sound"),
     "no size": (json.dumps([SOUND | {"width": 0}]), "camera 0 is not sound"),
     "endless": (json.dumps([SOUND | {"height": math.inf}]), "camera 0 is not sound"),
@@ -210,6 +214,13 @@ def test_camera_files_that_are_none(work, tmp_path, capsys, name):
     line = told(capsys, 3, "render", work, "--of", "fit", "--path", tmp_path / "cameras.json")
     assert words in line and "cameras.json" in line
     assert not (work / "frames" / "fit-cameras").exists()
+
+
+@pytest.mark.parametrize("flags", [("--scale", "0.04"), ("--fps", "0.0004")])
+def test_a_film_that_cannot_be_is_refused_before_any_frame_is_rendered(work, capsys, monkeypatch, flags):
+    pytest.importorskip("av", reason="the extra `video` is not installed")
+    monkeypatch.setattr(render, "render_view", None)
+    told(capsys, 2 if "--fps" in flags else 3, "render", work, "--of", "fit", "--count", "2", "--video", *flags)
 
 
 def test_a_film_of_frames_of_several_sizes_is_refused_before_any_is_rendered(work, tmp_path, capsys, monkeypatch):

@@ -1,6 +1,8 @@
 """`stylerf eval`: which field, which frames, what is printed."""
 
+import hashlib
 import json
+import shutil
 import subprocess
 import sys
 
@@ -101,6 +103,18 @@ def test_views_of_photos_are_no_film(work, renderer, capsys, path):
     assert f"--path {path}" in capsys.readouterr().err and renderer == []
 
 
+def test_one_frame_is_no_film(work, renderer, capsys):
+    field = work.get("field", "wall")
+    film = render(work, field, "slide")
+    view = made.camera(0.0, "alone")
+    made.make_frames(work, "wall-alone", "alone.json", [view], [made.look(view)], field, matched=False)
+    found = result(capsys, work.root)
+    assert {ref.role: ref.digest for ref in work.get("report", "wall").manifest.inputs}["path_frames"] == film.digest
+    assert "short_rmse" in found["figures"]
+    shutil.rmtree(film.path)
+    assert "short_rmse" not in result(capsys, work.root)["figures"]
+
+
 @pytest.mark.parametrize("config", [{"exr": False}, {"scale": 0.5}, {"frames": "0-1"}])
 def test_frames_that_cannot_be_measured_are_kept_and_others_rendered_beside(work, renderer, capsys, config):
     field = work.get("field", "wall")
@@ -119,8 +133,10 @@ def test_frames_along_a_file_of_cameras_stand_until_it_changes(work, renderer, c
     path = tmp_path / "walk.json"
     for content, count in (("one", 1), ("one", 1), ("two", 2), ("two", 2)):
         path.write_text(content)
-        assert "short_rmse" in result(capsys, work.root, "--path", path)["figures"]
-        assert len(renderer) == count
+        found = result(capsys, work.root, "--path", path)
+        assert "short_rmse" in found["figures"] and len(renderer) == count
+        digest = hashlib.sha256(content.encode()).hexdigest()
+        assert f"the path walk.json ({digest[:8]}) of 9 frames" in found["protocols"]["short_rmse"]
 
 
 def test_a_film_of_another_length_is_another_protocol(work, renderer, capsys, tmp_path):

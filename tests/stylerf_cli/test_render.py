@@ -1,7 +1,10 @@
 """`stylerf render`: shards, sizes, depth pictures, films, frames that are there already."""
 
 import json
+import os
 import shlex
+import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,8 +13,12 @@ from schemas import video
 from schemas.exr import read_exr
 from schemas.frames import read_frames
 from schemas.images import read_image
+from schemas.store import Artefact, Work
 from stages import render as stage
+from stages.configs.render import RenderConfig
+from stages.scenes import load_scene
 from stylerf_cli.main import main
+from tests.conftest import REPOSITORY
 
 ORBIT = ("--of", "fit", "--path", "orbit", "--count", "5", "--depth")
 
@@ -42,6 +49,113 @@ def test_shards_of_any_path_are_the_bytes_of_the_whole(work, tmp_path, capsys, p
         shard = shards[0] if (shards[0] / view.png).exists() else shards[1]
         for relative in (view.png, view.exr, view.png.replace("png/", "depth/")):
             assert (shard / relative).read_bytes() == (whole / relative).read_bytes()
+
+
+def refuse(*_, **__):
+    raise OSError("refused")
+
+
+@pytest.mark.parametrize("linked", [True, False])
+def test_shards_are_put_together_and_filmed_without_rendering(work, capsys, monkeypatch, linked):
+    whole, _ = rendered(work, capsys, *ORBIT, name="whole")
+    kept = shutil.move(whole, work.parent / "whole")
+    for span in ("0-1", "2-4"):
+        rendered(work, capsys, *ORBIT, "--frames", span, name=f"shard-{span}")
+    if not linked:
+        monkeypatch.setattr(os, "link", refuse)
+    monkeypatch.setattr(stage, "render_view", refuse)
+    folder, notes = rendered(work, capsys, *ORBIT, "--video")
+    assert "5 of 5 frames stand already in shard-0-1, shard-2-4" in notes
+    assert len(list(folder.glob("video.*"))) == 1 and len(list(folder.glob("depth/*"))) == 5
+    for view in read_frames(folder).views:
+        for relative in (view.png, view.exr, view.png.replace("png/", "depth/")):
+            assert (folder / relative).read_bytes() == (kept / relative).read_bytes()
+    assert Artefact(folder).manifest.figures["pixels"] == 0
+
+
+def test_frames_of_other_options_or_that_were_altered_are_rendered(work, capsys, monkeypatch):
+    rendered(work, capsys, *ORBIT[:-1], "--frames", "0-1", name="other")
+    shard, _ = rendered(work, capsys, *ORBIT, "--frames", "2-4", name="shard")
+    (shard / "exr" / "0003.exr").write_bytes(b"retouched")
+    real, seen = stage.render_view, []
+    monkeypatch.setattr(
+        stage, "render_view", lambda field, camera, **more: seen.append(camera.name) or real(field, camera, **more)
+    )
+    _, notes = rendered(work, capsys, *ORBIT)
+    assert seen == ["0000", "0001", "0003"] and "2 of 5 frames stand already in shard" in notes
+    rendered(work, capsys, *ORBIT, "--force")
+    assert len(seen) == 8  # all of them
+
+
+def test_a_film_that_fails_keeps_the_frames(work, capsys, monkeypatch):
+    monkeypatch.setattr(stage, "write_video", refuse)
+    command = ["render", str(work), *ORBIT, "--video", "--name", "new", "--quiet"]
+    assert main(command) == 3
+    err = capsys.readouterr().err
+    assert "--video" in err and "OSError: refused" in err and "the same command" in err and err.count("\n") == 1
+    assert len(read_frames(work / "frames" / ".new.partial" / "files").views) == 5
+    monkeypatch.undo()
+    monkeypatch.setattr(stage, "render_view", refuse)
+    assert main(command) == 0
+
+
+def test_the_frames_of_a_render_are_a_path_of_cameras(work, capsys):
+    orbit, _ = rendered(work, capsys, *ORBIT, name="orbit")
+    again, _ = rendered(work, capsys, "--of", "fit", "--path", orbit / "frames.json")
+    assert [one.camera for one in read_frames(again).views] == [one.camera for one in read_frames(orbit).views]
+
+
+def test_the_example_of_a_file_of_cameras_is_one(work, capsys):
+    folder, _ = rendered(work, capsys, "--of", "fit", "--path", REPOSITORY / "examples/cameras.json", "--scale", "0.05")
+    for view in read_frames(folder).views:
+        assert (view.camera.width, view.camera.height, view.camera.cx) == (32, 24, 16)
+        assert read_exr(folder / view.exr).alpha.max() > 0.9  # it sees the still life
+
+
+def test_cameras_of_a_file_see_as_the_scenes_first_in_as_many_pixels_as_they_ask_for(work, tmp_path):
+    scene = load_scene(Work(work).get("scene", "main"))
+    first = replace(scene.cameras[0], cx=15.0, fy=40.0)
+    pose = {"world_from_camera": first.world_from_camera.tolist()}
+    path = tmp_path / "cameras.json"
+    path.write_text(json.dumps([pose, pose | {"width": 64, "height": 64}, pose | {"fx": 50.0}, pose | {"fy": 60.0}]))
+    scene = replace(scene, cameras=[first, *scene.cameras[1:]])
+    cameras = [camera for camera, _ in stage.shots_of(scene, RenderConfig(path=str(path)))]
+    for camera, wanted in zip(
+        cameras,
+        (first, first.scaled(2), replace(first, fx=50.0, fy=50.0), replace(first, fx=60.0, fy=60.0)),
+        strict=True,
+    ):
+        assert camera_of(camera) == camera_of(wanted)
+
+
+def camera_of(camera) -> tuple:
+    return tuple(getattr(camera, key) for key in ("width", "height", "fx", "fy", "cx", "cy"))
+
+
+def test_scaled_views_keep_their_names(work, capsys, monkeypatch):
+    names = ["1", "01"]
+
+    def named(artefact):
+        scene = load_scene(artefact)
+        for place, name in zip(scene.splits["test"], names, strict=True):
+            scene.cameras[place] = replace(scene.cameras[place], name=name)
+        return scene
+
+    monkeypatch.setattr(stage, "load_scene", named)
+    folder, _ = rendered(work, capsys, "--of", "fit", "--path", "test", "--scale", "0.5")
+    assert [view.name for view in read_frames(folder).views] == names
+    assert sorted(item.stem for item in (folder / "png").iterdir()) == sorted(names)
+
+
+def test_frames_that_fit_made_are_those_that_render_would_make(work, tmp_path, capsys):
+    options = tmp_path / "options.toml"
+    options.write_text("[render]\nvideo = true\n")
+    fit = ("--budget", "3", "--capacity", "fixed:32x8x8", "--samples", "3000", "--name", "short")
+    assert main(["fit", str(work), *fit, "--quiet"]) == 0
+    assert main(["render", str(work), "--of", "short", "--path", "views"]) == 0
+    assert "stands up to date" in capsys.readouterr().err
+    assert main(["fit", str(work), *fit, "--config", str(options), "--quiet"]) == 0  # photos in no order are no film
+    assert not list((work / "frames" / "short-views").glob("video.*"))
 
 
 def test_a_table_of_render_reaches_the_frames_that_other_verbs_make(work, tmp_path, capsys):

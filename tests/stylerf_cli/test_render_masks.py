@@ -1,6 +1,7 @@
 """`stylerf render` where the work folder holds regions: EXR channels as compositors read them, pictures, recipes."""
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,9 +9,11 @@ import numpy as np
 import OpenImageIO as oiio
 import pytest
 
+from schemas import partial
 from schemas.frames import read_frames
 from schemas.images import read_image
 from schemas.store import Artefact, Recipe, Work
+from stages import render as stage
 from stages.fields import load_field
 from stages.masks import channels_of
 from stages.regions import save_region
@@ -118,6 +121,31 @@ def test_a_changed_region_makes_frames_anew_and_one_that_stands_does_not(work, r
     make_region(work, "low", regions["low"])
     assert "stands up to date" in rendered(work, capsys, *TEST, "--no-regions", name="plain")[2]
     assert {ref.kind for ref in Artefact(plain).manifest.inputs} == {"scene", "field"}
+
+
+def test_a_region_selected_since_does_not_cost_an_interrupted_render(work, regions, capsys, monkeypatch):
+    monkeypatch.setattr(partial, "DEAR_SECONDS", 0.0)
+    real, stopping = stage.render_view, True
+
+    def stopped(*arguments, **options):
+        if stopping:
+            raise KeyboardInterrupt
+        return real(*arguments, **options)
+
+    monkeypatch.setattr(stage, "render_view", stopped)
+    command = ["render", str(work), *TEST, "--name", "new", "--quiet"]
+    assert main(command) == 130
+    stopping = False
+    (old := work / "region" / "low").rename(work.parent / "low")
+    make_region(work, "high", ~regions["low"])
+    capsys.readouterr()
+    assert main(command) == 4
+    err = capsys.readouterr().err
+    assert "work with no region high, region low, would be lost" in err and "--force" in err
+    shutil.rmtree(work / "region" / "high")
+    (work.parent / "low").rename(old)
+    assert main([*command[:-1]]) == 0
+    assert "going on with the interrupted" in capsys.readouterr().err
 
 
 def test_a_region_of_another_space_is_left_out_and_named(work, regions, capsys):
