@@ -75,10 +75,10 @@ def test_a_change_around_a_pixel_has_its_place_on_the_surface_that_it_shows(work
     (centre,) = edit.within.centres
     assert np.abs(centre[:2]).max() < 0.05 and 2 < centre[2] < 4
     assert edit.within.reach == pytest.approx(0.1 * np.linalg.norm(centre), rel=1e-6)
-    recoloured(work, palette=("1=#ffffff",), at=("0:48,36",), reach=0.5, name="second", of="new")
+    recoloured(work, palette=("1=#ffffff",), at=("#0:48,36",), reach=0.5, name="second", of="new")
     edits = load_field(work.get("field", "second"))[0].colour.edits
     assert len(edits) == 2 and edits[1].within.reach == 0.5 and edits[1].within.centres == edits[0].within.centres
-    recoloured(work, palette=("1=#ffffff",), at=("0:48,36",), filter="none", name="third")
+    recoloured(work, palette=("1=#ffffff",), at=("#0:48,36",), filter="none", name="third")
     assert load_field(work.get("field", "third"))[0].colour.edits[0].within is None
 
 
