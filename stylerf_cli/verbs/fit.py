@@ -5,6 +5,7 @@ from stages.configs.fit import FitConfig
 NAME = "fit"
 HELP = "fit a radiance field to a scene, no larger than it needs"
 CONFIG = FitConfig
+VIEW_BYTES = 10  # of a rendered pixel on disk, EXR and PNG, about
 
 
 def add_arguments(parser) -> None:
@@ -22,8 +23,27 @@ def run(args, session) -> dict:
     figures = field.manifest.figures
     result = {"field": field.path, "name": field.name, "figures": figures, "seconds": field.manifest.seconds}
     if session.config.buffers and not session.only:
-        result["buffers"] = ensure_frames(session, field, "views", f"{field.name}-views").path
+        name = f"{field.name}-views"
+        tell_buffers(session, scene, field, name)
+        result["buffers"] = ensure_frames(session, field, "views", name).path
     return session.emit(result, "\n".join(_words(field, figures)))
+
+
+def tell_buffers(session, scene, field, name: str) -> None:
+    """Says how much is about to be rendered, where it does not stand."""
+    from schemas.scene import read_scene
+    from stages.memory import in_words
+
+    frames = session.work.artefacts("frames")
+    if any(one.name == name and field.digest in [ref.digest for ref in one.manifest.inputs] for one in frames):
+        return
+    views = read_scene(scene.path).views
+    largest = max(views, key=lambda view: view.width * view.height)
+    size = sum(view.width * view.height for view in views) * VIEW_BYTES
+    session.say(
+        f"rendering {len(views)} views of {largest.width}x{largest.height} to EXR and PNG, about {in_words(size)}; "
+        "--no-buffers leaves it out"
+    )
 
 
 def _words(field, figures: dict) -> list[str]:
