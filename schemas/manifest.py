@@ -3,6 +3,7 @@
 import hashlib
 import json
 import re
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any
@@ -28,27 +29,45 @@ class InputRef:
 
 @dataclass(frozen=True)
 class Recipe:
-    """All that decides what a stage makes. Two equal recipes make the same artefact, so the older one is reused."""
+    """All that decides what a stage makes. Two equal recipes make the same artefact, so the older one is reused.
+
+    aside: options of the config that are told in the manifest and decide nothing, such as where a file lies.
+    """
 
     stage: str
     revision: int
     config: dict
     inputs: list[InputRef]
     seed: int = 0
+    aside: Sequence[str] = ()
 
     @property
     def digest(self) -> str:
-        """SHA-256 over stage, revision, config, seed and the inputs' roles and digests (not their names)."""
+        """SHA-256 over stage, revision, deciding options, seed and the inputs' roles and digests (not their names)."""
         inputs = sorted((ref.role, ref.kind, ref.digest) for ref in self.inputs)
-        return digest_of([self.stage, self.revision, self.config, inputs, self.seed])
+        deciding = {name: value for name, value in self.config.items() if name not in self.aside}
+        return digest_of([self.stage, self.revision, deciding, inputs, self.seed])
 
     def other_options(self, before: "Recipe") -> str:
         """Where `before` is of the same code and inputs: its options that are other than here, in words; else empty."""
         made_of = [sorted((ref.role, ref.digest) for ref in one.inputs) for one in (self, before)]
         if (self.stage, self.revision) != (before.stage, before.revision) or made_of[0] != made_of[1]:
             return ""
+        return self._options_unlike(before)
+
+    def unlike(self, before: "Recipe") -> str:
+        """What `before` was made with, from or by that is other than here, in words."""
+        if self.stage != before.stage:
+            return f"of {before.stage}"
+        here = {(ref.role, ref.digest) for ref in self.inputs}
+        others = [f"{ref.kind} {ref.name}" for ref in before.inputs if (ref.role, ref.digest) not in here]
+        options = self._options_unlike(before)
+        told = [f"with {options}"] * bool(options) + [f"from another {' and '.join(others)}"] * bool(others)
+        return " and ".join(told) or "by another version of stylerf"
+
+    def _options_unlike(self, before: "Recipe") -> str:
         here, there = ({**one.config, "seed": one.seed} for one in (self, before))
-        names = [name for name, value in there.items() if here.get(name, value) != value]
+        names = [k for k, value in there.items() if k not in self.aside and here.get(k, value) != value]
         told = [f"--{name.replace('_', '-')} {there[name]}" for name in names if not name.endswith("_digest")]
         return ", ".join(told) or ("other files" if names else "")
 

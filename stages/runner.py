@@ -52,8 +52,7 @@ class Spec:
 def recipe_of(spec: Spec, inputs: dict[str, Artefact], config: Any, seed: int) -> Recipe:
     """The recipe by which `spec` would make its artefact from these inputs (by role) and options."""
     references = [artefact.reference(role) for role, artefact in sorted(inputs.items())]
-    deciding = {name: value for name, value in plain(config).items() if name not in incidental(config)}
-    return Recipe(spec.stage, spec.revision, deciding, references, seed)
+    return Recipe(spec.stage, spec.revision, plain(config), references, seed, sorted(incidental(config)))
 
 
 def refuse_to_replace(work: Work, kind: str, name: str, sources: Iterable[Artefact]) -> None:
@@ -80,8 +79,8 @@ def execute(
     as it stands. Otherwise every input is verified, an interrupted run of the same recipe is taken up where it
     stopped, and the result replaces the older artefact of that name by one rename; it must be none of its sources.
     What an interruption or a lack of memory, space or permission leaves behind is kept for the next run; after any
-    other fault it is deleted, because the same state would fail again. careful: a minute's work or more that was done
-    with other options is not lost without a word: an interrupted run is kept (ArtefactStale), what stands is told of.
+    other fault it is deleted, because the same state would fail again. careful: a minute's work or more is not lost
+    without a word: an interrupted run with other options is kept (ArtefactStale), what stands is told of.
     """
     recipe = recipe_of(spec, inputs, config, context.seed)
     standing = None if force else work.standing(spec.writes, name, recipe)
@@ -125,11 +124,10 @@ def _tell_replaced(work: Work, spec: Spec, name: str, recipe: Recipe, context: C
     with suppress(StylerfError):  # what is not there, or cannot be read, is no loss
         made = Artefact(work.root / spec.writes / name).manifest
         before = Recipe(made.stage, made.revision, made.config, made.inputs, made.seed)
-        options = recipe.other_options(before)
-        if options and made.seconds >= DEAR_SECONDS:
+        if made.recipe != recipe.digest and made.seconds >= DEAR_SECONDS:
             context.progress.say(
-                f"{spec.writes} {name}, {made.seconds / 60:.0f} min of work with {options}, is replaced once this is "
-                "done; --name NAME keeps both"
+                f"{spec.writes} {name}, {made.seconds / 60:.0f} min of work {recipe.unlike(before)}, is replaced once "
+                f"this is done; `stylerf {spec.verb} --name NAME` keeps both"
             )
 
 

@@ -17,6 +17,7 @@ class RenderConfig:
         "orbit",
         metavar="test|train|views|orbit|spiral|interpolate|FILE",
         help="cameras: the scene's own views, a path around, in front of or through them, or a JSON file of cameras",
+        digest="path_digest",
     )
     path_digest: str = option("", help="sha256 of the file of cameras (filled in; guards against a changed file)")
     count: int = option(60, help="frames of a whole path (orbit, spiral, interpolate)")
