@@ -186,8 +186,10 @@ def test_the_child_dies_with_its_parent(room, tmp_path):
 
 
 def test_an_interrupted_import_goes_on(finished, room, tmp_path):
-    """KeyboardInterrupt out of the progress callback, in the midst of matching; then the photos are moved. The second run
-    ends as an undisturbed one does."""
+    """KeyboardInterrupt out of the progress callback, in the midst of matching; then the photos are moved.
+
+    The second run ends as an undisturbed one does.
+    """
 
     class Stopping(Silent):
         label = ""
