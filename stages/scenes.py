@@ -146,8 +146,8 @@ def view_index(scene: SceneData, name: str, asked_by: str) -> int:
         return int(number)
     ordered = sorted({*names, name})
     at = ordered.index(name)
-    near = [*ordered[max(0, at - 3) : at], *ordered[at + 1 : at + 4]]
-    told = f"{'the nearest of ' if len(near) < len(names) else ''}the scene's {len(names)} views are {', '.join(near)}"
+    some = [*ordered[max(0, at - 3) : at], *ordered[at + 1 : at + 4]] if len(names) > 6 else names
+    told = f"{'the nearest of ' if len(names) > 6 else ''}the scene's {len(names)} views are {', '.join(some)}"
     raise BadInput(f"{asked_by}: there is no view {name!r}; {told}; `stylerf show WORK/scene/main` lists all")
 
 
