@@ -5,7 +5,8 @@ from stages.configs.fit import FitConfig
 NAME = "fit"
 HELP = "fit a radiance field to a scene, no larger than it needs"
 CONFIG = FitConfig
-VIEW_BYTES = 10  # of a rendered pixel on disk, EXR and PNG, about
+# Of a rendered pixel on disk, EXR and PNG, as measured: a capture fills its pictures, an object a part of them.
+CAPTURE_BYTES, OBJECT_BYTES = 14, 6
 
 
 def add_arguments(parser) -> None:
@@ -37,9 +38,11 @@ def tell_buffers(session, scene, field, name: str) -> None:
     frames = session.work.artefacts("frames")
     if any(one.name == name and field.digest in [ref.digest for ref in one.manifest.inputs] for one in frames):
         return
-    views = read_scene(scene.path).views
+    found = read_scene(scene.path)
+    views = found.views
     largest = max(views, key=lambda view: view.width * view.height)
-    size = sum(view.width * view.height for view in views) * VIEW_BYTES
+    each = OBJECT_BYTES if found.layout == "object" else CAPTURE_BYTES
+    size = sum(view.width * view.height for view in views) * each
     session.say(
         f"rendering {len(views)} views of {largest.width}x{largest.height} to EXR and PNG, about {in_words(size)}; "
         "--no-buffers leaves it out"
