@@ -1,5 +1,8 @@
 """`stylerf fit WORK`: a radiance field from the scene's photos."""
 
+from contextlib import suppress
+
+from schemas.errors import ArtefactDamaged, ArtefactStale
 from stages.configs.fit import FitConfig
 
 NAME = "fit"
@@ -35,9 +38,9 @@ def tell_buffers(session, scene, field, name: str) -> None:
     from schemas.scene import read_scene
     from stages.memory import in_words
 
-    frames = session.work.artefacts("frames")
-    if any(one.name == name and field.digest in [ref.digest for ref in one.manifest.inputs] for one in frames):
-        return
+    with suppress(ArtefactDamaged, ArtefactStale):  # what is not there, or cannot be read, is rendered
+        if field.digest in [ref.digest for ref in session.work.get("frames", name).manifest.inputs]:
+            return
     found = read_scene(scene.path)
     views = found.views
     largest = max(views, key=lambda view: view.width * view.height)
