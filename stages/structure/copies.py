@@ -6,7 +6,7 @@ copies keep all of that away from it.
 
 import json
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
@@ -63,7 +63,7 @@ def restored(content: dict) -> Copy:
 def _copy(folder: Path, side: int, index: int, photo: str) -> Copy:
     facts = folder / f"{index:05d}.json"
     if facts.is_file():  # written after its picture, so that is whole
-        return replace(restored(json.loads(facts.read_text())), photo=photo)  # which may have been moved
+        return restored(json.loads(facts.read_text()))
     image = read_srgb(photo)
     pixels = image.pixels
     if image.channels == 4:
