@@ -3,6 +3,7 @@
 import hashlib
 import json
 import re
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any
@@ -28,25 +29,30 @@ class InputRef:
 
 @dataclass(frozen=True)
 class Recipe:
-    """All that decides what a stage makes. Two equal recipes make the same artefact, so the older one is reused."""
+    """All that decides what a stage makes. Two equal recipes make the same artefact, so the older one is reused.
+
+    aside: options of the config that are told in the manifest and decide nothing, such as where a file lies.
+    """
 
     stage: str
     revision: int
     config: dict
     inputs: list[InputRef]
     seed: int = 0
+    aside: Sequence[str] = ()
 
     @property
     def digest(self) -> str:
-        """SHA-256 over stage, revision, config, seed and the inputs' roles and digests (not their names)."""
+        """SHA-256 over stage, revision, deciding options, seed and the inputs' roles and digests (not their names)."""
         inputs = sorted((ref.role, ref.kind, ref.digest) for ref in self.inputs)
-        return digest_of([self.stage, self.revision, self.config, inputs, self.seed])
+        deciding = {name: value for name, value in self.config.items() if name not in self.aside}
+        return digest_of([self.stage, self.revision, deciding, inputs, self.seed])
 
     def other_options(self, before: "Recipe") -> str:
         """Options of `before` that are other than here, and regions, which come and go with the work folder; in words,
         empty where there are none."""
         here, there = ({**one.config, "seed": one.seed} for one in (self, before))
-        names = [name for name, value in there.items() if here.get(name, value) != value]
+        names = [k for k, value in there.items() if k not in self.aside and here.get(k, value) != value]
         told = [f"--{name.replace('_', '-')} {there[name]}" for name in names if not name.endswith("_digest")]
         told = told or (["other files"] if names else [])
         return ", ".join(told + self._other_inputs(before, regions=True))

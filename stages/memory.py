@@ -5,10 +5,11 @@ import re
 from contextlib import suppress
 from pathlib import Path
 
+from stages import cgroups
+
 FREE_SHARE = 0.75  # of what is free, where no bound is given: the rest of the machine goes on working
 UNITS = {"": 1, "K": 10**3, "M": 10**6, "G": 10**9, "T": 10**12}
 LEAST = 256 * 10**6  # bytes; the program alone is larger
-_CGROUP = Path("/sys/fs/cgroup")
 
 
 def bytes_of(text: str) -> int:
@@ -35,23 +36,12 @@ def used() -> int:
 
 
 def free() -> int:
-    """Bytes that processes can still take: of the machine, and of the container where one sets a limit."""
+    """Bytes that processes can still take: of the machine, and of the groups that bound this process."""
     found = [os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")]
     with suppress(OSError, ValueError, StopIteration):
         lines = Path("/proc/meminfo").read_text().splitlines()
         found = [int(next(line for line in lines if line.startswith("MemAvailable:")).split()[1]) * 1024]
-    with suppress(OSError, ValueError):  # cgroup v2; without a limit it says `max`, which is no number
-        limit = int((_CGROUP / "memory.max").read_text())
-        found.append(limit - int((_CGROUP / "memory.current").read_text()) + _given_back())
-    return max(0, min(found))
-
-
-def _given_back() -> int:
-    """Bytes that the container counts as taken and gives back when they are asked for: files read long ago."""
-    with suppress(OSError, ValueError, StopIteration):
-        lines = (_CGROUP / "memory.stat").read_text().splitlines()
-        return int(next(line for line in lines if line.startswith("inactive_file ")).split()[1])
-    return 0
+    return max(0, int(min(*found, cgroups.memory_left())))
 
 
 def room(bound: int) -> int:

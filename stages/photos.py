@@ -17,8 +17,10 @@ from stylerf.rendering.view import render_view
 from stylerf.training.pixels import STRETCH, Pixels
 from stylerf.training.rays import HIDDEN, RayBank
 
-# What training takes beside its photos, as measured: a field of 256^3, its gradients, moments and two copies of it.
+# What training takes beside its photos, as measured: a field of 256^3, its moments and two copies of it; and for each
+# thread a buffer of its gradients.
 WORKING_BYTES = 1.2e9
+THREAD_BYTES = 4 * 8.3e6
 LEAST_BYTES = 64e6  # of photos that may be in memory, however little of it is left
 
 
@@ -30,7 +32,7 @@ def bank_of(scene: SceneData, views: list[int], folder: Path, context: Context) 
     cameras = [scene.cameras[i] for i in views]
     channels = max(scene.channels(i) for i in views)
     size = sum(c.width * c.height for c in cameras) * channels
-    left = max(room(context.memory) - WORKING_BYTES, LEAST_BYTES)
+    left = max(room(context.memory) - WORKING_BYTES - THREAD_BYTES * context.threads, LEAST_BYTES)
     if size <= left:
         pixels = Pixels(np.empty(size, np.uint8), channels)
         _fill(lambda at, photo: pixels.values.__setitem__(slice(at, at + len(photo)), photo), scene, views, channels)

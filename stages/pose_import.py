@@ -16,7 +16,7 @@ from stages.configs.pose_import import ImportConfig
 from stages.progress import Context
 from stages.readers import detected, read_source
 from stages.readers.backdrop import Backdrop
-from stages.readers.photo_folder import photos_of, unreadable_beside
+from stages.readers.photo_folder import conversion, photos_of, unreadable_beside
 from stages.readers.photos import Developer, Sized, present, scale_of, scene_camera, sized
 from stages.readers.source import SourceCamera, SourceScene, natural
 from stages.runner import Spec
@@ -52,9 +52,10 @@ def _source(config: ImportConfig, partial: Partial, context: Context) -> SourceS
     if not found or found[0] == "photos":
         photos = photos_of(source, config.images)
         if others := unreadable_beside(photos):
-            kinds = ", ".join(sorted({one.suffix for one in others}))
+            kinds = sorted({one.suffix for one in others})
+            how = conversion(others[0].parent, kinds[0])
             context.progress.say(
-                f"{len(others)} photos beside {len(photos)} cannot be read ({kinds}): convert them to JPEG or PNG"
+                f"{len(others)} photos beside {len(photos)} cannot be read ({', '.join(kinds)}); {how}"
             )
         scene = reconstructed(
             photos, source, partial.checkpoint, context, matching=config.matching, side=config.sfm_side,

@@ -24,14 +24,14 @@ LIKE = 0.01  # by so much may a picture's proportions differ from its view's: a 
 
 
 def digest_of(references: Sequence[str]) -> str:
-    """Of the files of VIEW=FILE texts, in their order; BadInput where one is missing or no picture."""
+    """Of the views and files of VIEW=FILE texts, in their order; BadInput where one is missing or no picture."""
     total = hashlib.sha256()
     for text in references:
-        path = file_of(text)[1]
+        view, path = file_of(text)
         if not path.is_file():
             raise BadInput(f"--reference {text}: there is no such image")
         read_painting(path)
-        total.update(file_sha256(path).encode())
+        total.update(f"{view}={file_sha256(path)}\n".encode())
     return total.hexdigest() if references else ""
 
 

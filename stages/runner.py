@@ -53,8 +53,7 @@ class Spec:
 def recipe_of(spec: Spec, inputs: dict[str, Artefact], config: Any, seed: int) -> Recipe:
     """The recipe by which `spec` would make its artefact from these inputs (by role) and options."""
     references = [artefact.reference(role) for role, artefact in sorted(inputs.items())]
-    deciding = {name: value for name, value in plain(config).items() if name not in incidental(config)}
-    return Recipe(spec.stage, spec.revision, deciding, references, seed)
+    return Recipe(spec.stage, spec.revision, plain(config), references, seed, sorted(incidental(config)))
 
 
 def refuse_to_replace(work: Work, kind: str, name: str, sources: Iterable[Artefact]) -> None:
@@ -132,11 +131,12 @@ def _tell_replaced(work: Work, spec: Spec, name: str, recipe: Recipe, context: C
     with suppress(StylerfError):  # what is not there, or cannot be read, is no loss
         made = Artefact(work.root / spec.writes / name).manifest
         before = Recipe(made.stage, made.revision, made.config, made.inputs, made.seed)
-        options = ", ".join(filter(None, (recipe.other_options(before), recipe.other_sources(before))))
-        if options and made.seconds >= DEAR_SECONDS:
+        if made.recipe != recipe.digest and made.seconds >= DEAR_SECONDS:
+            other = [recipe.other_options(before), recipe.other_sources(before)]
+            other = ", ".join(filter(None, other)) or "older options"
             context.progress.say(
-                f"{spec.writes} {name}, {made.seconds / 60:.0f} min of work with {options}, is replaced once this is "
-                "done; --name NAME keeps both"
+                f"{spec.writes} {name}, {made.seconds / 60:.0f} min of work with {other}, is replaced once this "
+                f"is done; `stylerf {spec.verb} --name NAME` keeps both"
             )
 
 

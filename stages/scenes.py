@@ -145,14 +145,21 @@ def load_scene(artefact: Artefact, seen_by: Artefact | None = None) -> SceneData
 
 
 def view_index(scene: SceneData, name: str, asked_by: str) -> int:
-    """Index of a view by its name, or else by its number in the scene; BadInput naming some of those there are."""
+    """Index of a view by its name, or by its number in the scene written #12; BadInput naming some of those there are.
+
+    A bare number is a name: that of a photo which is missing must not mean the photo at that place.
+    """
     names = [view.name for view in scene.views]
     if name in names:
         return names.index(name)
-    if name.isdecimal() and int(name) < len(names):
-        return int(name)
-    shown = ", ".join(names[:6]) + (" ..." if len(names) > 6 else "")
-    raise BadInput(f"{asked_by}: there is no view {name!r}; the scene's {len(names)} views are {shown}")
+    number = name.removeprefix("#")
+    if number != name and number.isdecimal() and int(number) < len(names):
+        return int(number)
+    ordered = sorted({*names, name})
+    at = ordered.index(name)
+    some = [*ordered[max(0, at - 3) : at], *ordered[at + 1 : at + 4]] if len(names) > 6 else names
+    told = f"{'the nearest of ' if len(names) > 6 else ''}the scene's {len(names)} views are {', '.join(some)}"
+    raise BadInput(f"{asked_by}: there is no view {name!r}; {told}; `stylerf show WORK/scene/main` lists all")
 
 
 def spread(views: list[int], count: int) -> list[int]:

@@ -20,7 +20,7 @@ from schemas.errors import BadInput, OutOfResources
 from stages.progress import Context
 from stages.readers.colmap import scene_of
 from stages.readers.colmap_model import read_model
-from stages.readers.source import SourceCamera, SourceScene, natural, with_masks
+from stages.readers.source import SourceCamera, SourceScene, natural, told, with_masks
 from stages.structure.job import Job
 from stages.structure.pairs import chosen_matching
 
@@ -49,22 +49,24 @@ def reconstructed(
     result = folder / "result.json"
     if not result.is_file():
         run_child(folder / "job.json", context)
-    return _scene(json.loads(result.read_text()), folder / "model", root, context)
+    return _scene(json.loads(result.read_text()), photos, folder / "model", root, context)
 
 
-def _scene(result: dict, model: Path, root: Path, context: Context) -> SourceScene:
+def _scene(result: dict, photos: list[Path], model: Path, root: Path, context: Context) -> SourceScene:
     figures = result["figures"]
     context.progress.say(
         f"structure from motion: {figures['registered']} of {figures['photos']} photos placed, {figures['points']} "
         f"points, {figures['error_px']:.2f} px"
     )
-    copies = {copy["file"]: copy for copy in result["copies"]}
+    # The photos may have been moved since an interrupted run looked at them; their order is the same.
+    every = [{**copy, "photo": str(photo)} for copy, photo in zip(result["copies"], photos, strict=True)]
+    copies = {copy["file"]: copy for copy in every}
     scene = scene_of(read_model(model), model, root, "photos, by structure from motion")
     cameras = with_masks([_of_photo(camera, copies[camera.source], root) for camera in scene.cameras], root)
     placed = {camera.image for camera in cameras}
     skipped = [
-        (_told(Path(copy["photo"]), root), copy["unusable"] or "structure from motion could not place it")
-        for copy in result["copies"]
+        (told(Path(copy["photo"]), root), copy["unusable"] or "structure from motion could not place it")
+        for copy in every
         if Path(copy["photo"]) not in placed
     ]
     return replace(scene, cameras=cameras, upright=True, sfm=figures, skipped=tuple(skipped))
@@ -76,13 +78,9 @@ def _of_photo(camera: SourceCamera, copy: dict, root: Path) -> SourceCamera:
     kx, ky = size[0] / copy["size"][0], size[1] / copy["size"][1]
     fx, fy, cx, cy = camera.intrinsics
     return replace(
-        camera, name=photo.stem, source=_told(photo, root), image=photo, size=size,
+        camera, name=photo.stem, source=told(photo, root), image=photo, size=size,
         intrinsics=(fx * kx, fy * ky, cx * kx, cy * ky),
     )  # fmt: skip
-
-
-def _told(photo: Path, root: Path) -> str:
-    return str(photo.relative_to(root)) if photo.is_relative_to(root) else str(photo)
 
 
 def run_child(job: Path, context: Context) -> None:

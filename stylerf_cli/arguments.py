@@ -6,6 +6,7 @@ import difflib
 import math
 import tomllib
 import typing
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -34,7 +35,7 @@ def add_common(parser: Parser) -> None:
     common.add_argument("--quiet", action="store_true", help="no progress and no notes on stderr, only faults")
     common.add_argument("--seed", type=_whole, help="seed of everything random (default: 0)")
     common.add_argument("--device", choices=("auto", "cpu", "cuda"), help="where to compute (default: auto)")
-    common.add_argument("--threads", type=_positive, metavar="N", help="CPU threads (default: all)")
+    common.add_argument("--threads", type=_positive, metavar="N", help="CPU threads (default: all it may use)")
     common.add_argument(
         "--memory", type=_memory, metavar="SIZE", help="most memory to take, 512M or 8G (default: most of what is free)"
     )
@@ -152,20 +153,25 @@ def _number(text: str) -> float:
     return value
 
 
-def build_config(config: type, given: argparse.Namespace, table: dict[str, Any], where: str) -> Any:
+def build_config(
+    config: type, given: argparse.Namespace, table: dict[str, Any], where: str, others: Collection[type] = ()
+) -> Any:
     """The config of a verb from its flags and a TOML table (`where` names it in faults).
 
+    A key that has its flag counts for nothing. Keys of `others`, the configs of the verb's other uses, are passed over.
     UsageError for unknown keys (naming the nearest known one), values of a wrong type, missing required ones, and
     whatever the config itself refuses.
     """
+    elsewhere = {item.name for other in others for item in dataclasses.fields(other)}
     kinds = dict((item.name, (item, kind)) for item, kind in _fields(config))
     values: dict[str, Any] = {}
     for key, value in table.items():
         name = key.replace("-", "_")
-        if name not in kinds:
+        if name in kinds and not hasattr(given, name):
+            values[name] = _from_toml(value, *kinds[name], f"{where}: {key}")
+        elif name not in kinds and name not in elsewhere:
             raise UsageError(f"{where}: there is no option {key!r}{nearest(name, list(kinds))}")
-        values[name] = _from_toml(value, *kinds[name], f"{where}: {key}")
-    of_file = {name for name in values if not hasattr(given, name)}
+    of_file = set(values)
     for name, (item, _) in kinds.items():
         if hasattr(given, name):
             value = getattr(given, name)

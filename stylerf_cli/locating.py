@@ -15,7 +15,8 @@ def work_or_artefact(path: Path) -> Work | Artefact:
         path = path.parent
     if not path.is_dir():
         raise BadInput(f"{path} is no folder; expected a work folder or an artefact such as WORK/scene/NAME")
-    if (path / MANIFEST).is_file() or path.resolve().parent.name in CURRENT:
+    within = any((path / kind).is_dir() for kind in CURRENT)  # a work folder may itself lie in one called scene or edit
+    if (path / MANIFEST).is_file() or (path.resolve().parent.name in CURRENT and not within):
         return Artefact(path.resolve())
     work = Work(path)
     if not work.artefacts() and not work.unfinished():

@@ -96,7 +96,8 @@ def _run_verb(verb: str, module, args: Namespace, config: type | None) -> dict:
     from stylerf_cli.options import Options
     from stylerf_cli.session import Session
 
-    session = Session(verb, args, Options(verb, args, list(VERBS)), config)
+    options = Options(verb, args, list(VERBS), getattr(module, "CONFIGS", ()))
+    session = Session(verb, args, options, config)
     try:
         return module.run(args, session)
     except BaseException as error:

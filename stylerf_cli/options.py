@@ -12,11 +12,13 @@ after verbs, of which each verb reads its own: one file serves a whole chain of 
 
 import argparse
 import os
+from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from schemas.errors import UsageError
+from stages import cgroups
 from stages.memory import bytes_of
 from stylerf_cli.arguments import build_config, nearest, read_toml
 
@@ -41,10 +43,13 @@ class Common:
 
 
 class Options:
-    """Reads the flags and the file once; gives the config of the verb and of the stages before it."""
+    """Reads the flags and the file once; gives the config of the verb and of the stages before it.
 
-    def __init__(self, verb: str, given: argparse.Namespace, verbs: list[str]) -> None:
-        self.verb, self._given = verb, given
+    others: configs of the verb's other uses, whose keys may stand in its table too.
+    """
+
+    def __init__(self, verb: str, given: argparse.Namespace, verbs: list[str], others: Collection[type] = ()) -> None:
+        self.verb, self._given, self._others = verb, given, others
         self._path: Path | None = given.config
         content = read_toml(self._path) if self._path else {}
         self._tables = {key: value for key, value in content.items() if key in verbs and isinstance(value, dict)}
@@ -66,7 +71,7 @@ class Options:
             if table:
                 raise UsageError(f"{self._path}: {self.verb} has no option {min(table)!r}")
             return None
-        return build_config(config, self._given, table, str(self._path))
+        return build_config(config, self._given, table, str(self._path), self._others)
 
     def table(self, verb: str) -> dict[str, Any]:
         """What the file says of another verb, empty where it says nothing."""
@@ -107,6 +112,6 @@ def _usable_threads() -> int:
 
 
 def _usable_cores() -> int:
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
+    """Those that this process may run on, and of a container's or a job's quota of time whole ones."""
+    allowed = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return max(1, int(min(allowed, cgroups.cores())))

@@ -3,7 +3,8 @@
 #
 #   workflows/scene.sh PHOTOS PAINTING WORK [FIT_TIME [STYLE_TIME]]
 #
-# PHOTOS      what `stylerf import` reads: photos with transforms.json, a COLMAP model or poses_bounds.npy
+# PHOTOS      what `stylerf import` reads: photos alone, or with transforms.json, a COLMAP model or
+#             poses_bounds.npy
 # PAINTING    an image file
 # WORK        work folder, made where it does not exist
 # FIT_TIME    training time of the field, such as 60s, 5m, 1h (default 5m)
@@ -29,7 +30,7 @@ settings=$(dirname "$0")/../examples/render.toml
 run() { "${STYLERF:-stylerf}" "$@" ${OPTIONS:-}; }
 
 # The field that a painting called night.jpg makes is named night-arf: its file's name, with _ for whatever cannot stand
-# in the name of an artefact (its checksum where nothing else is left), and the method (METHOD: arf or desrf).
+# in the name of an artefact (its checksum where nothing else is left), and the method (METHOD: arf, desrf, snerf or refnpr).
 field=$(basename "$painting")
 field=$(printf %s "${field%.*}" | LC_ALL=C sed 's/[^A-Za-z0-9._+-]\{1,\}/_/g; s/^[._+-]*//; s/[._+-]*$//')
 method=${METHOD:-arf}

@@ -53,7 +53,7 @@ class RecolourConfig(PaletteConfig):
 
     offset_scale: float = option(1.0, help="factor of the offsets from palette colours (0: flat colours)")
     view_scale: float = option(1.0, help="factor of what depends on the view (0: no gloss)")
-    at: tuple[str, ...] = option((), metavar="VIEW:X,Y", help="a pixel of what is changed, counted from its upper left")
+    at: tuple[str, ...] = option((), metavar="VIEW:X,Y", help="a pixel of what is changed, as of `select`")
     reach: float = option(
         0.0, help="distance from there at which a change has fallen to 1/e, scene units (0: a tenth of the view's)"
     )

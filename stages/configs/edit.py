@@ -17,7 +17,7 @@ class EditConfig:
     """How the look of a region is learnt."""
 
     recolor: bool = option(False, help="learn a palette to recolour with; shapes and shading stay")
-    style: str = option("", help="the painting: an image file")
+    style: str = option("", help="the painting: an image file", digest="style_digest")
     style_digest: str = option("", help="sha256 of the painting (filled in; guards against a changed file)")
     crop: tuple[int, ...] = option((), metavar="N", help="x y size: the square of the painting that is taken")
     match: bool = option(True, help="give the region the painting's colours before its strokes (LAENeRF does not)")
@@ -38,7 +38,9 @@ class EditConfig:
     variation_weight: float = option(10.0, help="weight of differences between neighbours, edges of geometry apart")
     edge_weight: float = option(50.0, help="weight of contrast at edges of geometry")
     smooth_weight: float = option(100.0, help="weight of the photo's colours where the edit fades")
-    features: str = option("", help="feature trunk: a name or a file of VGG weights (default: the first found)")
+    features: str = option(
+        "", help="feature trunk: a name or a file of VGG weights (default: the first found)", digest="features_digest"
+    )
     features_digest: str = option("", help="sha256 of that file (filled in; guards against a changed file)")
     taps: str = option("conv3", help="layers of the trunk whose Gram matrices are matched")
     preview_every: float = option(

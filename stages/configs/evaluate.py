@@ -13,7 +13,11 @@ SMALLEST_SIDE = 64  # pixels: below it the deepest layers of the networks have n
 class EvaluateConfig:
     """What is measured and how much of it is shown."""
 
-    style: str = option("", help="painting to measure a stylised field against (default: the one it was made with)")
+    style: str = option(
+        "",
+        help="painting to measure a stylised field against (default: the one it was made with)",
+        digest="style_digest",
+    )
     style_digest: str = option("", help="sha256 of that painting (filled in; guards against a changed file)")
     features: str = option("", help="feature trunk of the style distances: a name or a file of VGG weights")
     style_side: int = option(256, help="longer side, in pixels, at which render and painting are compared")
@@ -31,19 +35,23 @@ class EvaluateConfig:
         "",
         metavar="DIR",
         help="optical flow from files FROM_to_TO.flo or .npy, numbered as the frames (default: by depth and poses)",
+        digest="flow_digest",
     )
     flow_digest: str = option("", help="sha256 of those flows (filled in; guards against changed ones)")
     reference: tuple[str, ...] = option(
         (),
         metavar="VIEW=FILE",
         help="stylised picture of a view of the scene, for Ref-LPIPS against the test views nearest to it",
+        digest="reference_digest",
     )
     reference_digest: str = option("", help="sha256 of those pictures (filled in; guards against changed ones)")
     gap: int = option(7, help="frames between the two views of a long-range pair")
     pairs: int = option(24, help="most pairs of views measured per range, evenly spread (0: all)")
     perceptual_pairs: int = option(8, help="most pairs per range measured by the perceptual distance too (0: all)")
     depth_tolerance: float = option(0.02, help="relative depth difference up to which a warped pixel counts as visible")
-    masks: str = option("", metavar="DIR", help="masks of a local edit: pictures named like views, white: edited")
+    masks: str = option(
+        "", metavar="DIR", help="masks of a local edit: pictures named like views, white: edited", digest="masks_digest"
+    )
     masks_digest: str = option("", help="sha256 of those masks (filled in; guards against changed ones)")
     margin: int = option(2, help="pixels around a region, as its cells tell it, that do not count as background")
     ring: int = option(8, help="width in pixels of the ring around a region where bleeding is measured")

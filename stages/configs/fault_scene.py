@@ -14,5 +14,5 @@ class FaultConfig:
     side: int = option(160, help="longer side of the photos, pixels; larger ones are averaged down")
     views: int = option(24, help="training views of a procedural scene")
     tests: int = option(4, help="test views, which have no fault")
-    source: str = option("", help="folder of the scene")
+    source: str = option("", help="folder of the scene", digest="source_digest")
     source_digest: str = option("", help="its digest")

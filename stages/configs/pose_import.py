@@ -20,6 +20,7 @@ class ImportOptions:
         metavar="FOLDER",
         help="folder of photos to use in place of the source's own, such as images_8; its photos may be smaller, "
         "in the same subfolders or none",
+        digest="source_digest",
     )
     downscale: float = option(1.0, help="divide the photos' sides by this")
     max_side: int = option(0, help="and limit the longer side to this many pixels (0: no limit)")
@@ -63,5 +64,5 @@ class ImportOptions:
 class ImportConfig(ImportOptions):
     """The options with what they are applied to. source_digest: of every file that counts, see stages/readers."""
 
-    source: str = ""
+    source: str = option("", help="folder of the photos", digest="source_digest")
     source_digest: str = ""

@@ -19,6 +19,7 @@ class RenderConfig:
         metavar="test|train|views|orbit|spiral|interpolate|FILE",
         help="cameras: the scene's own views, a path around, in front of or through them, or a JSON file of cameras "
         "(docs/artefacts.md tells its form), such as the frames.json of a render",
+        digest="path_digest",
     )
     path_digest: str = option("", help="sha256 of the file of cameras (filled in; guards against a changed file)")
     count: int = option(60, help="frames of a whole path (orbit, spiral, interpolate)")

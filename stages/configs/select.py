@@ -11,11 +11,21 @@ from stages.configs.views import depth_of, file_of, pixel_of
 class SelectConfig:
     """How a part of the scene is selected: seeds, what it grows through, and other regions it is joined with."""
 
-    at: tuple[str, ...] = option((), metavar="VIEW:X,Y", help="seed: a pixel of a view, counted from its upper left")
-    scribble: tuple[str, ...] = option((), metavar="VIEW=MASK.png", help="seeds: the bright pixels of a mask of a view")
+    at: tuple[str, ...] = option(
+        (),
+        metavar="VIEW:X,Y",
+        help="seed: a pixel of a view, counted from the upper left of its picture; VIEW is its name, or its number as "
+        "'#12' (`stylerf show WORK/scene/main` lists views and pictures)",
+    )
+    scribble: tuple[str, ...] = option(
+        (), metavar="VIEW=MASK.png", help="seeds: the bright pixels of a mask of a view", digest="files_digest"
+    )
     avoid: tuple[str, ...] = option((), metavar="VIEW:X,Y", help="a pixel of what does not belong to it")
     mask: tuple[str, ...] = option(
-        (), metavar="VIEW=MASK.png", help="what most of these masks show, of whatever tool made them; not grown"
+        (),
+        metavar="VIEW=MASK.png",
+        help="what most of these masks show, of whatever tool made them; not grown",
+        digest="files_digest",
     )
     box: tuple[float, ...] = option((), metavar="S", help="two corners x y z x y z, scene units; not grown")
     sphere: tuple[float, ...] = option((), metavar="S", help="centre and radius x y z r, scene units; not grown")

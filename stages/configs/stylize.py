@@ -17,7 +17,7 @@ OF_RAYS = ("rays", "dilation", "blur", "remember")  # which snerf, whose field l
 class StylizeConfig:
     """How a fitted field is stylised with a painting."""
 
-    style: str = option("", help="the painting: an image file (needed, but with --reference)")
+    style: str = option("", help="the painting: an image file (needed, but with --reference)", digest="style_digest")
     style_digest: str = option("", help="sha256 of the painting (filled in; guards against a changed file)")
     method: str = option(
         "arf",
@@ -38,6 +38,7 @@ class StylizeConfig:
     features: str = option(
         "",
         help="feature trunk: a name or a file of VGG weights (default: the first found of vgg16, hed-vgg16, st-vgg16)",
+        digest="features_digest",
     )
     features_digest: str = option("", help="sha256 of that file (filled in; guards against a changed file)")
     taps: str = option(
@@ -100,7 +101,10 @@ class StylizeConfig:
     image_rate: float = option(0.03, help="learning rate of a picture's pixels (snerf, refnpr)")
     image_by: str = option("gram", choices=("gram", "nnfm"), help="by what pictures are painted (snerf)")
     reference: tuple[str, ...] = option(
-        (), metavar="VIEW=FILE", help="a training view, and that view stylised; repeatable (refnpr)"
+        (),
+        metavar="VIEW=FILE",
+        help="a training view, and that view stylised; repeatable (refnpr)",
+        digest="references_digest",
     )
     reference_by: str = option(
         "",

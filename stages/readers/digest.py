@@ -1,51 +1,50 @@
-"""The identity of a source: every file that an import may read."""
+"""The identity of a source: the content of what an import reads, wherever it lies and whenever it was written."""
 
-import os
 from pathlib import Path
+
+import numpy as np
 
 from schemas.canonical import digest_of, file_sha256
 from schemas.errors import BadInput
-from schemas.store import Work
-from stages.readers.source import IMAGE_SUFFIXES
+from stages.readers import detected, model_folders, read_source
+from stages.readers.photo_folder import photos_of, unreadable_beside
+from stages.readers.source import SourceCamera, told, with_masks
+from stages.readers.transforms import lists_of
 
-HASHED = (".json", ".npy", ".bin", ".txt")
 
-
-def digest_of_source(source: Path, images: str = "", work: Work | None = None) -> str:
-    """SHA-256 over names and sizes, with the content of files that tell poses and the time of change of photos.
-
-    Photos are not read for it: hundreds of megabytes of them would cost more than the import itself. What lies in the
-    work folder is left out; where that is the source itself, its artefacts are.
+def digest_of_source(source: Path, format: str = "auto", images: str = "") -> str:
+    """SHA-256 over the files that tell poses and over every photo, its mask and its known depth, each under the name
+    that the source has for it. What else lies there does not count. BadInput where the source cannot be read.
     """
     if not source.exists():
         raise BadInput(f"{source} does not exist; give a folder of photos with poses")
-    root = source.parent if source.is_file() else source
-    folders = [root]
-    if images and Path(images).is_dir() and not (root / images).is_dir():
-        folders.append(Path(images))
-    ours = {os.path.realpath(one) for one in [work.root, *(made.path for made in work.artefacts())]} if work else set()
-    return digest_of([_entry(path, folder) for folder in folders for path in _files(folder, ours)])
+    kind = next(iter(detected(source)), "photos") if format == "auto" else format
+    if kind == "photos":
+        photos = photos_of(source, images)
+        cameras = with_masks([SourceCamera(one.stem, told(one, source), one, np.eye(4)) for one in photos], source)
+        others = [one.name for one in unreadable_beside(photos)]
+        return digest_of([kind, others, [_entry(one) for one in cameras]])
+    cameras = read_source(source, kind, images).cameras
+    poses = [[path.name, _content(path)] for path in _files_of_poses(source, kind)]
+    return digest_of([kind, poses, [_entry(one) for one in cameras]])
 
 
-def _files(folder: Path, passed_over: set[str]) -> list[Path]:
-    """Those that count, links followed; no folder twice, so that links in a circle end."""
-    found, been = [], {os.path.realpath(folder), *passed_over}
-    for where, folders, names in os.walk(folder, followlinks=True):
-        kept = []
-        for name in sorted(name for name in folders if not name.startswith(".")):
-            place = os.path.realpath(os.path.join(where, name))
-            if place not in been:
-                been.add(place)
-                kept.append(name)
-        folders[:] = kept
-        found += [Path(where) / name for name in names if Path(name).suffix.lower() in HASHED + IMAGE_SUFFIXES]
-    return sorted(found)
+def _files_of_poses(source: Path, kind: str) -> list[Path]:
+    if kind == "transforms":
+        return [path for path, _ in lists_of(source)]
+    if kind == "llff":
+        return [source if source.is_file() else source / "poses_bounds.npy"]
+    names = [f"{name}{end}" for name in ("cameras", "images", "points3D") for end in (".bin", ".txt")]
+    places = [folder / name for folder in model_folders(source) for name in names]
+    return [place for place in places if place.is_file()]
 
 
-def _entry(path: Path, folder: Path) -> list:
+def _entry(camera: SourceCamera) -> list:
+    return [camera.source, *(one and _content(one) for one in (camera.image, camera.mask, camera.depth))]
+
+
+def _content(path: Path) -> str:
     try:
-        facts = path.stat()
-        told = file_sha256(path) if path.suffix.lower() in HASHED else facts.st_mtime_ns
+        return file_sha256(path)
     except OSError as error:
         raise BadInput(f"{path} cannot be read ({error.strerror}); restore it or its permissions") from error
-    return [path.relative_to(folder).as_posix(), facts.st_size, told]

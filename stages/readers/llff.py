@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from schemas.errors import BadInput
-from stages.readers.source import SourceCamera, SourceScene, image_folder, images_in, with_masks
+from stages.readers.source import SourceCamera, SourceScene, image_folder, images_in, told, with_masks
 from stylerf.geometry.conventions import from_llff
 
 FOLDERS = ("images", "images_2", "images_4", "images_8")
@@ -32,7 +32,7 @@ def read(source: Path, images: str) -> SourceScene:
         cameras.append(
             SourceCamera(
                 name=photo.stem,
-                source=str(photo.relative_to(path.parent) if photo.is_relative_to(path.parent) else photo),
+                source=told(photo, path.parent),
                 image=photo,
                 world_from_camera=from_llff(pose),
                 size=(round(width), round(height)),

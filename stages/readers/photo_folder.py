@@ -1,5 +1,6 @@
 """A folder of photos and nothing else: which files count, and what to say where none does."""
 
+import shlex
 from pathlib import Path
 
 from schemas.errors import BadInput
@@ -22,9 +23,8 @@ def photos_of(source: Path, images: str = "") -> list[Path]:
     names = [item.name for item in folder.iterdir()]
     foreign = sorted({Path(name).suffix for name in names if Path(name).suffix.lower() in UNREADABLE})
     if foreign:
-        raise BadInput(
-            f"{folder} holds only files that cannot be read ({', '.join(foreign)}); convert them to JPEG or PNG"
-        )
+        how = conversion(folder, foreign[0])
+        raise BadInput(f"{folder} holds only files that cannot be read ({', '.join(foreign)}); {how}")
     films = [name for name in names if Path(name).suffix.lower() in FILMS]
     if films:
         raise _film(folder / films[0])
@@ -42,6 +42,11 @@ def unreadable_beside(photos: list[Path]) -> list[Path]:
     return sorted(found, key=lambda one: natural(one.name))
 
 
+def conversion(folder: Path, suffix: str) -> str:
+    """What turns the files of a suffix in a folder into photos that can be read."""
+    return f"convert them to JPEG or PNG, with ImageMagick: mogrify -format jpg {shlex.quote(str(folder))}/*{suffix}"
+
+
 def _folder(source: Path) -> Path:
     if images_in(source):
         return source
@@ -55,4 +60,5 @@ def _no_folder(source: Path) -> BadInput:
 
 
 def _film(film: Path) -> BadInput:
-    return BadInput(f"{film} is a video; take frames out of it first: ffmpeg -i {film.name} -vf fps=3 frames/%04d.jpg")
+    command = f"mkdir -p frames && ffmpeg -i {shlex.quote(str(film))} -vf fps=3 frames/%04d.jpg"
+    return BadInput(f"{film} is a video; take frames out of it first: {command}")

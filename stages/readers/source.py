@@ -140,6 +140,11 @@ def natural(text: str) -> tuple:
     return tuple(parts)
 
 
+def told(photo: Path, root: Path) -> str:
+    """The photo's path as its source has it; of a photo elsewhere, its folder's name and its own."""
+    return str(photo.relative_to(root) if photo.is_relative_to(root) else Path(photo.parent.name, photo.name))
+
+
 def image_folder(root: Path, wanted: str) -> Path:
     """The folder that --images names, inside the source or anywhere; BadInput where there is none."""
     for folder in (root / wanted, Path(wanted)):

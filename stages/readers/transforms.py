@@ -20,7 +20,7 @@ def read(source: Path, images: str) -> SourceScene:
     """One transforms.json, or transforms_train.json and transforms_test.json (else _val) of a folder."""
     root = source.parent if source.is_file() else source
     cameras, kinds = [], set()
-    for path, split in _files(source):
+    for path, split in lists_of(source):
         content = _content(path)
         kinds.add(_kind(content))
         undo = _undo(content, path)
@@ -38,7 +38,8 @@ def read(source: Path, images: str) -> SourceScene:
     )
 
 
-def _files(source: Path) -> list[tuple[Path, str | None]]:
+def lists_of(source: Path) -> list[tuple[Path, str | None]]:
+    """The files of frames that count, with the split of each where its name tells one."""
     if source.is_file():
         return [(source, None)]
     if (source / "transforms_train.json").is_file():

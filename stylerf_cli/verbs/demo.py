@@ -1,8 +1,9 @@
 """`stylerf demo`: the whole path on an embedded scene, with nothing but the install."""
 
+from contextlib import suppress
 from pathlib import Path
 
-from schemas.errors import UsageError
+from schemas.errors import BadInput, UsageError
 from schemas.store import Work
 from stages.configs.demo import DemoConfig
 
@@ -104,7 +105,8 @@ def refuse_others(work: Work, photos: Path) -> None:
 
     sources = {"source": str(photos.resolve())}
     if (photos / STAMP).is_file():
-        sources["source_digest"] = digest_of_source(photos)  # it may have been moved
+        with suppress(BadInput):  # photos that a stopped demo left unfinished
+            sources["source_digest"] = digest_of_source(photos)  # they may have been moved
     elif photos.is_dir() and any(photos.iterdir()):
         raise UsageError(f"{photos} is not the demo's, which would write there; give the demo another work folder")
     for scene in work.artefacts("scene"):

@@ -96,9 +96,9 @@ def _device(session) -> list[dict]:
 
 
 def _kernels() -> list[dict]:
-    from stylerf.kernels import kernel_cache_dir
+    from stylerf.kernels import kernel_cache_dir, unwritable
 
-    folder = kernel_cache_dir()
+    folder = unwritable or kernel_cache_dir()
     compiled = list(folder.rglob("*.nbc")) if folder.is_dir() else []
     size = sum(path.stat().st_size for path in compiled)
     words = f"{folder}: {len(compiled)} compiled kernels, {size / 1e6:.1f} MB"

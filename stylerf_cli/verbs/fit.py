@@ -1,10 +1,15 @@
 """`stylerf fit WORK`: a radiance field from the scene's photos."""
 
+from contextlib import suppress
+
+from schemas.errors import ArtefactDamaged, ArtefactStale
 from stages.configs.fit import FitConfig
 
 NAME = "fit"
 HELP = "fit a radiance field to a scene, no larger than it needs"
 CONFIG = FitConfig
+# Of a rendered pixel on disk, EXR and PNG, as measured: a capture fills its pictures, an object a part of them.
+CAPTURE_BYTES, OBJECT_BYTES = 14, 6
 
 
 def add_arguments(parser) -> None:
@@ -22,8 +27,29 @@ def run(args, session) -> dict:
     figures = field.manifest.figures
     result = {"field": field.path, "name": field.name, "figures": figures, "seconds": field.manifest.seconds}
     if session.config.buffers and not session.only:
-        result["buffers"] = ensure_frames(session, field, "views", f"{field.name}-views").path
+        name = f"{field.name}-views"
+        tell_buffers(session, scene, field, name)
+        result["buffers"] = ensure_frames(session, field, "views", name).path
     return session.emit(result, "\n".join(_words(field, figures)))
+
+
+def tell_buffers(session, scene, field, name: str) -> None:
+    """Says how much is about to be rendered, where it does not stand."""
+    from schemas.scene import read_scene
+    from stages.memory import in_words
+
+    with suppress(ArtefactDamaged, ArtefactStale):  # what is not there, or cannot be read, is rendered
+        if field.digest in [ref.digest for ref in session.work.get("frames", name).manifest.inputs]:
+            return
+    found = read_scene(scene.path)
+    views = found.views
+    largest = max(views, key=lambda view: view.width * view.height)
+    each = OBJECT_BYTES if found.layout == "object" else CAPTURE_BYTES
+    size = sum(view.width * view.height for view in views) * each
+    session.say(
+        f"rendering {len(views)} views of {largest.width}x{largest.height} to EXR and PNG, about {in_words(size)}; "
+        "--no-buffers leaves it out"
+    )
 
 
 def _words(field, figures: dict) -> list[str]:

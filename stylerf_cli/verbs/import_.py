@@ -4,7 +4,6 @@ from dataclasses import asdict
 from pathlib import Path
 
 from schemas.errors import UsageError
-from schemas.store import Work
 from stages.configs.pose_import import ImportConfig, ImportOptions
 
 NAME = "import"
@@ -26,7 +25,7 @@ def run(args, session) -> dict:
     from stages import pose_import
 
     _refuse_a_second(session.work, session.name or SCENE)
-    config = config_for(args.source, session.config, session.work)
+    config = config_for(args.source, session.config)
     artefact = session.run(pose_import.SPEC, pose_import.run, {}, config, SCENE)
     figures = artefact.manifest.figures
     result = {
@@ -46,12 +45,12 @@ def _refuse_a_second(work, name: str) -> None:
         )
 
 
-def config_for(source: Path, options: ImportOptions = _DEFAULTS, work: Work | None = None) -> ImportConfig:
-    """The options of an import into `work` with its source and the source's digest, so that changed photos are seen."""
+def config_for(source: Path, options: ImportOptions = _DEFAULTS) -> ImportConfig:
+    """The options of an import with its source and the source's digest, so that changed photos are seen."""
     from stages.readers.digest import digest_of_source
 
     source = source.resolve()
-    digest = digest_of_source(source, options.images, work)
+    digest = digest_of_source(source, options.format, options.images)
     return ImportConfig(**asdict(options), source=str(source), source_digest=digest)
 
 

@@ -48,15 +48,17 @@ def selected(session, config: SelectConfig, field, name: str = "region"):
     for kind in ("union", "subtract", "intersect"):
         for other in getattr(config, kind):
             inputs[f"{kind}.{other}"] = session.work.find("region", other)
-    config = replace(config, files_digest=digest_of([file_sha256(path) for path in files]) if files else "")
+    config = replace(
+        config, files_digest=digest_of([[*one, file_sha256(path)] for *one, path in files]) if files else ""
+    )
     return session.run(region_select.SPEC, region_select.run, inputs, config, name)
 
 
-def masks_of(config: SelectConfig) -> list[Path]:
-    """Files of its scribbles and masks; BadInput where one is not there."""
+def masks_of(config: SelectConfig) -> list[tuple[str, str, Path]]:
+    """Option, view and file of its scribbles and masks; BadInput where one is not there."""
     from schemas.errors import BadInput
 
-    files = [file_of(text)[1] for text in (*config.scribble, *config.mask)]
-    if missing := [path for path in files if not path.is_file()]:
+    files = [(option, *file_of(text)) for option in ("scribble", "mask") for text in getattr(config, option)]
+    if missing := [path for *_, path in files if not path.is_file()]:
         raise BadInput(f"{missing[0]}: there is no such mask")
     return files

@@ -5,6 +5,7 @@ from typing import Any
 
 from schemas.canonical import plain
 from schemas.errors import ArtefactDamaged, ArtefactStale
+from schemas.scene import SCENE_FILE, read_scene
 from schemas.store import Artefact, Work
 from stylerf_cli.locating import work_around, work_or_artefact
 from stylerf_cli.progress import duration
@@ -34,13 +35,25 @@ def run(args, session) -> dict:
 def described(artefact: Artefact) -> dict:
     """The manifest as a dict, with `path`, `digest`, `bytes` and `outdated` (reasons, empty when up to date)."""
     manifest = plain(artefact.manifest)
-    return manifest | {
-        "name": artefact.name,
-        "path": artefact.path,
-        "digest": artefact.digest,
-        "bytes": sum(record["bytes"] for record in manifest["files"]),
-        "outdated": work_around(artefact).outdated(artefact),
-    }
+    return (
+        manifest
+        | {
+            "name": artefact.name,
+            "path": artefact.path,
+            "digest": artefact.digest,
+            "bytes": sum(record["bytes"] for record in manifest["files"]),
+            "outdated": work_around(artefact).outdated(artefact),
+        }
+        | _views(artefact)
+    )
+
+
+def _views(artefact: Artefact) -> dict:
+    """Of a scene its `views`: name, picture, size and split."""
+    if artefact.kind != "scene" or not (artefact.path / SCENE_FILE).is_file():
+        return {}
+    kept = ("name", "image", "width", "height", "split")
+    return {"views": [{key: getattr(view, key) for key in kept} for view in read_scene(artefact.path).views]}
 
 
 def _work(work: Work) -> dict:
@@ -88,12 +101,23 @@ def _artefact_words(result: dict) -> str:
         lines.append(f"  from       {ref['kind']} {ref['name']} {ref['digest'][:16]} as {ref['role']}")
     lines += [f"  OUT OF DATE {reason}" for reason in result["outdated"]]
     lines += _table("options", result["config"]) + _table("figures", result["figures"])
+    lines += _view_lines(result.get("views", []))
     files = result["files"]
     lines.append(f"  files      {len(files)}, {result['bytes'] / 1e6:.2f} MB")
     lines += [f"    {one['bytes']:>12,}  {one['path']}" for one in files[:SHOWN_FILES]]
     if len(files) > SHOWN_FILES:
         lines.append(f"    and {len(files) - SHOWN_FILES} more")
     return "\n".join(lines)
+
+
+def _view_lines(views: list[dict]) -> list[str]:
+    if not views:
+        return []
+    width = max(len(view["name"]) for view in views)
+    return ["  views"] + [
+        f"    #{number:<4} {one['name']:<{width}}  {one['width']}x{one['height']}  {one['split']:<5}  {one['image']}"
+        for number, one in enumerate(views)
+    ]
 
 
 def _table(title: str, values: dict[str, Any]) -> list[str]:

@@ -17,6 +17,7 @@ from stages.configs.views import file_of
 NAME = "stylize"
 HELP = "stylise the whole scene or a region of it, or change its palette"
 CONFIG = StylizeConfig
+CONFIGS = (StylizeConfig, RegionConfig, PaletteFieldConfig)
 LONGEST_NAME = 60  # of a painting: what is made with it adds to it
 
 

@@ -24,7 +24,7 @@ class Said(Silent):
 
 def imported(source, work, said=None, seed=0, **options) -> Artefact:
     """The scene artefact of `stylerf import source work` with these options."""
-    config = config_for(source, ImportOptions(**options), Work(work))
+    config = config_for(source, ImportOptions(**options))
     context = Context(seed=seed, progress=said or Silent())
     return execute(pose_import.SPEC, pose_import.run, Work(work), "main", {}, config, context)[0]
 

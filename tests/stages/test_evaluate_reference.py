@@ -44,7 +44,7 @@ def mean_difference(a, b):
     return float(np.abs(a - b).mean())
 
 
-@pytest.mark.parametrize("view", ["photo_03", "3"])
+@pytest.mark.parametrize("view", ["photo_03", "#3"])
 def test_a_reference_is_compared_with_the_views_nearest_to_its_camera(stylised, tmp_path, monkeypatch, view):
     _, scene, frames = stylised
     monkeypatch.setattr(references, "NEAREST", 2)

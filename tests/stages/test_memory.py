@@ -4,8 +4,9 @@ import mmap
 
 import pytest
 
-from stages import memory
+from stages import cgroups, memory
 from stages.memory import bytes_of, free, in_words, room, used
+from stylerf_cli import options
 
 
 @pytest.mark.parametrize(
@@ -50,12 +51,58 @@ def test_without_a_bound_most_of_what_is_free_is_shared_among_the_processes_of_a
     assert room(0) == 1.5 * 10**9
 
 
-def test_a_container_may_leave_less_than_its_machine(monkeypatch, tmp_path):
-    (tmp_path / "memory.max").write_text("3000000\n")
-    (tmp_path / "memory.current").write_text("1000000\n")
-    monkeypatch.setattr(memory, "_CGROUP", tmp_path)
+@pytest.fixture
+def groups(monkeypatch, tmp_path):
+    """make(own lines, {file: content}): control groups as a process would find them."""
+
+    def make(own: str, files: dict[str, str]) -> None:
+        (tmp_path / "own").write_text(own)
+        for name, content in files.items():
+            (tmp_path / "tree" / name).parent.mkdir(parents=True, exist_ok=True)
+            (tmp_path / "tree" / name).write_text(content + "\n")
+
+    monkeypatch.setattr(cgroups, "ROOT", tmp_path / "tree")
+    monkeypatch.setattr(cgroups, "OWN", tmp_path / "own")
+    return make
+
+
+def test_a_container_may_leave_less_than_its_machine(groups):
+    groups("0::/\n", {"memory.max": "3000000", "memory.current": "1000000"})
     assert free() == 2_000_000
-    (tmp_path / "memory.stat").write_text("anon 1\ninactive_file 500000\nactive_file 7\n")
+    groups("0::/\n", {"memory.stat": "anon 1\ninactive_file 500000\nactive_file 7"})
     assert free() == 2_500_000
-    (tmp_path / "memory.max").write_text("max\n")
+    groups("0::/\n", {"memory.max": "max"})
     assert free() > 10_000_000
+
+
+@pytest.mark.parametrize(
+    ("own", "folder", "names"),
+    [
+        ("0::/slurm/job_7/step_0\n", "slurm/job_7", ("memory.max", "memory.current")),
+        (
+            "5:cpu,cpuacct:/other\n4:memory:/slurm/job_7/step_0\n0::/\n",
+            "memory/slurm/job_7",
+            ("memory.limit_in_bytes", "memory.usage_in_bytes"),
+        ),
+        ("4:memory:/docker/not/seen/inside\n", "memory", ("memory.limit_in_bytes", "memory.usage_in_bytes")),
+    ],
+)
+def test_a_limit_of_any_group_around_the_process_counts(groups, own, folder, names):
+    groups(own, {f"{folder}/{name}": count for name, count in zip(names, ("5000000", "1000000"), strict=True)})
+    assert free() == 4_000_000
+
+
+@pytest.mark.parametrize(
+    ("own", "files", "cores"),
+    [
+        ("0::/a/b\n", {"a/cpu.max": "250000 100000", "a/b/cpu.max": "max 100000"}, 2.5),
+        ("3:cpu,cpuacct:/a\n", {"cpu/a/cpu.cfs_quota_us": "400000", "cpu/a/cpu.cfs_period_us": "100000"}, 4),
+        ("3:cpu,cpuacct:/a\n", {"cpu/a/cpu.cfs_quota_us": "-1", "cpu/a/cpu.cfs_period_us": "100000"}, float("inf")),
+        ("", {}, float("inf")),
+    ],
+)
+def test_a_quota_of_processors_time_counts(groups, own, files, cores, monkeypatch):
+    groups(own, files)
+    assert cgroups.cores() == cores
+    monkeypatch.setattr(options.os, "sched_getaffinity", lambda process: set(range(16)))
+    assert options._usable_cores() == min(16, int(min(cores, 16)))

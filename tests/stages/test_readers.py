@@ -10,7 +10,6 @@ import pytest
 from schemas.errors import BadInput
 from schemas.exr import ExrView, write_exr
 from schemas.images import read_image, to_uint8, write_png
-from schemas.store import Work
 from stages import region_select
 from stages.evaluation.masks import mask_of
 from stages.paintings import read_painting
@@ -270,11 +269,46 @@ def test_a_photo_that_changes_behind_a_link_is_noticed(source, tmp_path):
     assert digest_of_source(source) != before
 
 
+@pytest.mark.parametrize("kind", ["photos", "transforms", "colmap", "llff"])
+def test_what_an_import_does_not_read_does_not_count(source, tmp_path, kind):
+    if kind == "transforms":
+        capture.write_transforms(source, capture.transforms())
+    elif kind == "colmap":
+        capture.write_colmap(source)
+    elif kind == "llff":
+        np.save(source / "poses_bounds.npy", capture.llff())
+    before = digest_of_source(source)
+    (source / "notes.txt").write_text("sunny")
+    (source / "import.json").write_text("{}")
+    write_mask(source / "painting.png" if kind == "photos" else source / "images" / "p01_other" / "x.png")
+    shutil.copytree(source, tmp_path / "elsewhere", copy_function=shutil.copyfile)
+    assert digest_of_source(tmp_path / "elsewhere", "auto" if kind != "photos" else kind, "images") == before
+    write_mask(tmp_path / "elsewhere" / "masks" / "p01.png")
+    masked = digest_of_source(tmp_path / "elsewhere", images="images")
+    assert masked != before
+    (tmp_path / "elsewhere" / "images" / "p00.png").write_bytes((source / "images" / "p01.png").read_bytes())
+    assert digest_of_source(tmp_path / "elsewhere", images="images") not in (before, masked)
+
+
+def test_a_list_of_poses_counts(posed):
+    before = digest_of_source(posed)
+    content = capture.transforms()
+    content["frames"][1]["transform_matrix"][0][3] += 0.01
+    capture.write_transforms(posed, content)
+    assert digest_of_source(posed) != before
+
+
+def test_photos_in_a_folder_elsewhere_are_told_by_its_name(source, tmp_path):
+    np.save(source / "poses_bounds.npy", capture.llff())
+    (source / "images").rename(tmp_path / "images_2")
+    scene = scene_of(imported(source, tmp_path / "work", images=str(tmp_path / "images_2")))
+    assert [view.source for view in scene.views] == [f"images_2/p0{i}.png" for i in range(4)]
+
+
 @pytest.mark.parametrize("place", ["work", "", ".."])
 def test_an_import_into_a_folder_of_its_source_stands(posed, place):
-    work = Work(posed / place)
-    config = config_for(posed, work=work)
-    imported(posed, work.root)
-    assert config_for(posed, work=work) == config
+    config = config_for(posed)
+    imported(posed, posed / place)
+    assert config_for(posed) == config
     write_mask(posed / "images" / "p01.png")
-    assert config_for(posed, work=work) != config
+    assert config_for(posed) != config

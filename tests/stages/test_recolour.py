@@ -75,10 +75,10 @@ def test_a_change_around_a_pixel_has_its_place_on_the_surface_that_it_shows(work
     (centre,) = edit.within.centres
     assert np.abs(centre[:2]).max() < 0.05 and 2 < centre[2] < 4
     assert edit.within.reach == pytest.approx(0.1 * np.linalg.norm(centre), rel=1e-6)
-    recoloured(work, palette=("1=#ffffff",), at=("0:48,36",), reach=0.5, name="second", of="new")
+    recoloured(work, palette=("1=#ffffff",), at=("#0:48,36",), reach=0.5, name="second", of="new")
     edits = load_field(work.get("field", "second"))[0].colour.edits
     assert len(edits) == 2 and edits[1].within.reach == 0.5 and edits[1].within.centres == edits[0].within.centres
-    recoloured(work, palette=("1=#ffffff",), at=("0:48,36",), filter="none", name="third")
+    recoloured(work, palette=("1=#ffffff",), at=("#0:48,36",), filter="none", name="third")
     assert load_field(work.get("field", "third"))[0].colour.edits[0].within is None
 
 
@@ -88,8 +88,8 @@ def test_a_change_around_a_pixel_has_its_place_on_the_surface_that_it_shows(work
         ({"palette": ("4=#ffffff",)}, "palette", "there are 0 to 3"),
         ({"palette": ("0=#ffffff",)}, "plain", "has no palette"),
         ({"palette": ("0=#ffffff",), "at": ("nobody:1,1",)}, "palette", "there is no view 'nobody'"),
-        ({"palette": ("0=#ffffff",), "at": ("0:96,1",)}, "palette", "has 96x72 pixels"),
-        ({"palette": ("0=#ffffff",), "at": ("0:0,0",)}, "palette", "nothing of the field is seen"),
+        ({"palette": ("0=#ffffff",), "at": ("#0:96,1",)}, "palette", "has 96x72 pixels"),
+        ({"palette": ("0=#ffffff",), "at": ("#0:0,0",)}, "palette", "nothing of the field is seen"),
     ],
 )
 def test_changes_that_cannot_be_made_are_told(work, options, of, words):

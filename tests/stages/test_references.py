@@ -25,9 +25,9 @@ def scene(width: int = 40, height: int = 30) -> SimpleNamespace:
 
 
 def test_views_go_by_name_and_else_by_number():
-    assert [training_view(scene(), name, "--x") for name in ("a", "7", "d", "0", "3")] == [0, 1, 2, 0, 2]
-    unknown = [(name, f"--x: there is no view '{name}'") for name in ("8", "-1", "\N{SUPERSCRIPT TWO}")]
-    for name, words in (("b", "held out"), ("1", "held out"), *unknown):
+    assert [training_view(scene(), name, "--x") for name in ("a", "7", "d", "#0", "#3")] == [0, 1, 2, 0, 2]
+    unknown = [(name, f"--x: there is no view '{name}'") for name in ("0", "#4", "#-1", "#", "#\N{SUPERSCRIPT TWO}")]
+    for name, words in (("b", "held out"), ("#1", "held out"), *unknown):
         with pytest.raises(BadInput, match=words):
             training_view(scene(), name, "--x")
 
@@ -43,15 +43,18 @@ def test_a_reference_of_another_size_is_scaled_and_of_another_shape_refused(tmp_
     with pytest.raises(BadInput, match="80x50 where view a is 40x30"):
         read_references(scene(), [f"a={tmp_path}/wide.png"])
     with pytest.raises(BadInput, match="has a reference already"):
-        read_references(scene(), [f"a={tmp_path}/large.png", f"0={tmp_path}/large.png"])
+        read_references(scene(), [f"a={tmp_path}/large.png", f"#0={tmp_path}/large.png"])
 
 
-def test_the_digest_is_of_the_files(tmp_path):
+def test_the_digest_is_of_views_and_content(tmp_path):
     for name, level in (("one.png", 10), ("other.png", 20)):
         write_png(tmp_path / name, np.full((20, 20, 3), level, np.uint8))
     one, other = (f"a={tmp_path}/{name}" for name in ("one.png", "other.png"))
     assert digest_of([]) == "" and len({digest_of(d) for d in ([one], [other], [one, other], [other, one])}) == 4
     before = digest_of([one])
+    assert digest_of([one.replace("a=", "b=")]) != before
+    write_png(tmp_path / "copy.png", np.full((20, 20, 3), 10, np.uint8))
+    assert digest_of([f"a={tmp_path}/copy.png"]) == before
     write_png(tmp_path / "one.png", np.full((20, 20, 3), 11, np.uint8))
     assert digest_of([one]) != before
 

@@ -12,6 +12,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from dataclasses import dataclass, replace
 from functools import partial as partial_call
 from pathlib import Path
 
@@ -24,8 +25,9 @@ from schemas.errors import ArtefactDamaged, ArtefactStale, BadInput, OutOfResour
 from schemas.manifest import MANIFEST
 from schemas.store import Artefact, Work
 from stages import clock, runner
+from stages.configs import option
 from stages.progress import Context, Silent
-from stages.runner import Spec, execute
+from stages.runner import Spec, execute, recipe_of
 from tests.conftest import REPOSITORY
 from tests.stages.toy_stage import SPEC, ToyConfig, run
 
@@ -58,7 +60,7 @@ def test_a_standing_artefact_is_reused_and_a_changed_recipe_is_not(tmp_path):
         return run(*arguments)
 
     first, reused = toy(work, function=counted)
-    assert not reused and first.manifest.figures["list"] == [1] and first.manifest.config == {"steps": 30}
+    assert not reused and first.manifest.figures["list"] == [1] and first.manifest.config == {"steps": 30, "pause": 0.0}
     again, reused = toy(work, function=counted)
     assert reused and again.digest == first.digest and len(calls) == 1
     assert toy(work, function=counted, config=ToyConfig(pause=0.5))[1]  # which has no say in the result
@@ -257,7 +259,7 @@ def test_dear_work_with_other_options_is_not_lost_without_a_word(tmp_path, expec
     assert said == ["going on with the interrupted toy of fox"]
     asked(ToyConfig(steps=31))
     assert said[1:] == [
-        "field fox, 55 min of work with --steps 30, is replaced once this is done; --name NAME keeps both"
+        "field fox, 55 min of work with --steps 30, is replaced once this is done; `stylerf toy --name NAME` keeps both"
     ]
     asked(ToyConfig())  # what took a moment goes without a word
     with pytest.raises(KeyboardInterrupt):
@@ -269,6 +271,44 @@ def test_dear_work_with_other_options_is_not_lost_without_a_word(tmp_path, expec
     (work.root / "field/.fox.partial/clock.json").write_text(json.dumps(told | {"seconds": 3300.0}))
     asked(ToyConfig(steps=42), force=True)
     assert work.unfinished() == []
+
+
+def test_dear_work_on_other_inputs_is_not_replaced_without_a_word(tmp_path, monkeypatch):
+    work, said = Work(tmp_path / "x"), []
+    monkeypatch.setattr("stages.runner.DEAR_SECONDS", 0.0)
+
+    class Heard(Silent):
+        def say(self, text):
+            said.append(text)
+
+    def asked(steps: int, inputs: dict, spec: Spec = SPEC):
+        return execute(spec, run, work, "fox", inputs, ToyConfig(steps=steps), Context(progress=Heard()), careful=True)
+
+    source, _ = toy(work, "photos")
+    asked(5, {"scene": source})
+    source, _ = toy(work, "photos", ToyConfig(steps=7))
+    asked(5, {"scene": source})
+    assert [line.partition("work ")[2].partition(",")[0] for line in said] == ["with field photos as it was"]
+    source, _ = toy(work, "photos", ToyConfig(steps=8))
+    asked(6, {"scene": source})
+    asked(6, {"scene": source}, replace(SPEC, revision=SPEC.revision + 1))
+    assert "work with --steps 5, field photos as it was, is" in said[1]
+    assert f"work with revision {SPEC.revision} of {SPEC.stage}, is" in said[2] and len(said) == 3
+
+
+def test_where_a_file_lies_has_no_say_once_its_content_is_known():
+    @dataclass(frozen=True)
+    class Config:
+        style: str = option("", help="a file", digest="style_digest")
+        style_digest: str = ""
+
+    def made(*values: str):
+        return recipe_of(SPEC, {}, Config(*values), 0)
+
+    assert made("/here/a.png", "12").digest == made("/there/b.png", "12").digest
+    assert made("/here/a.png", "12").digest != made("/here/a.png", "13").digest
+    assert made("/here/a.png", "").digest != made("/there/b.png", "").digest
+    assert made("/here/a.png", "12").config["style"] == "/here/a.png"  # told in the manifest all the same
 
 
 def test_dear_work_of_other_inputs_is_told_when_it_is_given_up(tmp_path, monkeypatch):
@@ -299,7 +339,7 @@ def test_dear_work_of_other_inputs_is_told_when_it_is_given_up(tmp_path, monkeyp
         f"{before}, 0 min of work with scene main as it was, {after}"
         for before, after in (
             ("an interrupted `stylerf toy` of field fox", "cannot go on and is deleted"),
-            ("field fox", "is replaced once this is done; --name NAME keeps both"),
+            ("field fox", "is replaced once this is done; `stylerf toy --name NAME` keeps both"),
         )
     ]
 
@@ -395,7 +435,7 @@ from pathlib import Path
 from schemas.errors import OutOfResources
 from schemas.store import Work
 from stages.progress import Context
-from stages.runner import Spec, execute
+from stages.runner import Spec, execute, recipe_of
 from schemas.tensors import save_tensors
 import tests.stages.toy_stage as toy
 

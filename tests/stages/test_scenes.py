@@ -2,6 +2,7 @@
 
 import dataclasses
 import shutil
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from schemas.scene import Bounds, Scene, Truth, View, as_matrix, write_scene
 from schemas.store import Recipe, Work
 from schemas.tensors import save_tensors
 from stages import distill, finetune
-from stages.scenes import EDIT_TARGETS, EXPOSURE_STOPS, load_scene
+from stages.scenes import EDIT_TARGETS, EXPOSURE_STOPS, load_scene, view_index
 from stylerf.light import exposed
 from tests.stages.evaluation_fixture import commit
 from tests.stages.stress_fixture import make_capture
@@ -151,3 +152,15 @@ def test_a_view_without_an_edited_pixel_carries_no_edit(tmp_path):
     save_tensors(scene.folder / EDIT_TARGETS, none)
     with pytest.raises(BadInput, match="no training view carries the edit"):
         finetune.edited_pixels(scene, [1, 2, 3], earlier=False)
+
+
+def test_a_number_that_is_no_views_name_is_no_views_place_either():
+    names = [f"{number:04d}" for number in range(1, 22) if number != 12]
+    scene = SimpleNamespace(views=[SimpleNamespace(name=name) for name in names])
+    assert view_index(scene, "0013", "--at") == 11 and view_index(scene, "#12", "--at") == 12
+    with pytest.raises(
+        BadInput, match=r"--at: there is no view '0012'; the nearest of the scene's 20 views are .*0011, 0013"
+    ):
+        view_index(scene, "0012", "--at")
+    with pytest.raises(BadInput, match="there is no view '12'"):
+        view_index(scene, "12", "--at")

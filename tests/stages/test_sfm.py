@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -185,8 +186,10 @@ def test_the_child_dies_with_its_parent(room, tmp_path):
 
 
 def test_an_interrupted_import_goes_on(finished, room, tmp_path):
-    """KeyboardInterrupt out of the progress callback, in the midst of matching; the second run ends as an undisturbed
-    one does."""
+    """KeyboardInterrupt out of the progress callback, in the midst of matching; then the photos are moved.
+
+    The second run ends as an undisturbed one does.
+    """
 
     class Stopping(Silent):
         label = ""
@@ -198,10 +201,12 @@ def test_an_interrupted_import_goes_on(finished, room, tmp_path):
             if self.label == "reconstructing":
                 raise KeyboardInterrupt
 
+    shutil.copytree(room, tmp_path / "here")
     with pytest.raises(KeyboardInterrupt):
-        imported(room, tmp_path / "w", Stopping())
+        imported(tmp_path / "here", tmp_path / "w", Stopping())
+    (tmp_path / "here").rename(tmp_path / "there")
     said = Said()
-    scene = scene_of(imported(room, tmp_path / "w", said))
+    scene = scene_of(imported(tmp_path / "there", tmp_path / "w", said))
     assert any("going on" in line for line in said.lines)
     result = json.loads((finished / "result.json").read_text())["figures"]
     assert scene.sfm == result

@@ -82,7 +82,7 @@ def before(stage: str, work: Path) -> tuple[tuple[object, ...], ...]:
     """Commands that make what a stage of a local edit starts from: a region of all that is solid, and its edit."""
     if stage not in ("stylize a region", "finetune"):
         return ()
-    everything = ("--at", "0:16,16", "--tolerance", "0", "--neck", "0", "--most", "1")
+    everything = ("--at", "#0:16,16", "--tolerance", "0", "--neck", "0", "--most", "1")
     made = (("select", work, *everything, "--name", "all"), ("extract", work, "--region", "all"))
     if stage == "stylize a region":
         return made

@@ -1,5 +1,6 @@
 """Flags from dataclasses: every type, from the command line and from TOML, with flags above TOML above defaults."""
 
+import textwrap
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -9,7 +10,9 @@ from schemas.errors import UsageError
 from stages.configs import option
 from stages.configs.render import RenderConfig
 from stylerf_cli.arguments import Parser, add_common, add_config, flags_of
+from stylerf_cli.main import main
 from stylerf_cli.options import Options
+from tests.conftest import REPOSITORY
 
 
 @dataclass(frozen=True)
@@ -156,3 +159,15 @@ def test_help_tells_defaults_and_choices(capsys):
     assert "how long, 100 % of it (default: 5m)" in text
     assert "--prune, --no-prune whether to prune (default: True)" in text
     assert "(default: 4 5)" in text and "fast|exact" in text
+
+
+@pytest.mark.parametrize("flags", [("--region", "head", "--recolor"), ("--method", "palettenerf")])
+def test_a_file_for_a_chain_serves_every_use_of_a_verb(tmp_path, capsys, flags):
+    """The one of docs/artefacts.md. There is no work folder: options are found sound, then that nothing is there."""
+    text = (REPOSITORY / "docs" / "artefacts.md").read_text().partition("    seed = 7\n")
+    chain = textwrap.dedent("".join(text[1:]).partition("\n\nFrames")[0])
+    (tmp_path / "chain.toml").write_text(chain)
+    command = ["stylize", str(tmp_path / "work"), *flags, "--config", str(tmp_path / "chain.toml")]
+    assert "[stylize]" in chain and main(command) == 4, capsys.readouterr().err
+    (tmp_path / "chain.toml").write_text(chain + "\nmehtod = 1\n")
+    assert main(command) == 2 and "no option 'mehtod'" in capsys.readouterr().err

@@ -71,9 +71,11 @@ def test_no_photos(tmp_path, capsys):
     assert "holds no photos" in refused(tmp_path / "source", capsys)
     assert "does not exist" in refused(tmp_path / "nowhere", capsys)
     (tmp_path / "source" / "IMG_1.HEIC").write_bytes(b"x")
-    assert "convert them to JPEG or PNG" in refused(tmp_path / "source", capsys)
-    (tmp_path / "film.mp4").write_bytes(b"x")
-    assert "ffmpeg -i" in refused(tmp_path / "film.mp4", capsys)
+    line = refused(tmp_path / "source", capsys)
+    assert f"convert them to JPEG or PNG, with ImageMagick: mogrify -format jpg {tmp_path}/source/*.HEIC" in line
+    (tmp_path / "my film.mp4").write_bytes(b"x")
+    command = refused(tmp_path / "my film.mp4", capsys).partition("first: ")[2]
+    assert command == f"mkdir -p frames && ffmpeg -i '{tmp_path}/my film.mp4' -vf fps=3 frames/%04d.jpg\n"
 
 
 def test_one_photo(source, capsys):

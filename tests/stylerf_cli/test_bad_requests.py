@@ -115,13 +115,13 @@ def test_methods_whose_options_do_not_go_together(paintings, capsys, monkeypatch
 @pytest.mark.parametrize(
     ("reference", "words"),
     [
-        ("0={}/missing.png", "there is no such image"),
-        ("0={}/cut.png", "cannot be read whole"),
-        ("nobody={}/sound.png", "there is no view 'nobody'; the scene's 12 views are"),
+        ("#0={}/missing.png", "there is no such image"),
+        ("#0={}/cut.png", "cannot be read whole"),
+        ("nobody={}/sound.png", "there is no view 'nobody'; the nearest of the scene's 12 views are"),
         ("99={}/sound.png", "there is no view '99'"),
         ("held out={}/sound.png", "is held out for evaluation; give a training view"),
-        ("0={}/wide.png", "is 80x64 where view 0 is 32x32"),
-        ("0={}/narrow.png", "at least 16 pixels a side"),
+        ("#0={}/wide.png", "is 80x64 where view #0 is 32x32"),
+        ("#0={}/narrow.png", "at least 16 pixels a side"),
     ],
 )
 def test_references_that_are_none(work, paintings, capsys, reference, words):

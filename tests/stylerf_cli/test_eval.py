@@ -195,7 +195,7 @@ def test_a_reference_is_of_a_view_of_the_scene_by_name_or_number(work, renderer,
     ):
         assert main(["eval", *asked, reference]) == code
         assert told in capsys.readouterr().err and renderer == []
-    assert main(["eval", *asked, f"1={tmp_path}/red.png"]) == 0
+    assert main(["eval", *asked, f"#1={tmp_path}/red.png"]) == 0
 
 
 def test_a_stylised_field_is_set_against_the_fit_it_came_from(work, renderer, capsys):

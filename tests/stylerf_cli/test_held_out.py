@@ -33,6 +33,15 @@ def test_with_held_out_views_both_figures_are_told_apart(work, capsys):
     assert f"held-out views: {kept[-1]:.2f} dB (2 training views kept aside)" in words
 
 
+def test_what_is_rendered_after_a_fit_is_told_before(work, capsys):
+    options = ["fit", str(work), *(flag for flag in FIT if flag != "--no-buffers")]
+    assert main(options) == 0
+    told = "rendering 12 views of 32x32 to EXR and PNG, about 0 MB; --no-buffers leaves it out"
+    assert told in capsys.readouterr().err
+    assert main(options) == 0
+    assert "rendering" not in capsys.readouterr().err
+
+
 def test_a_scene_of_few_views_holds_none_out(photos, tmp_path, capsys):
     """Eight training views: too few to spare one. Decisions of growth are told as made on training views."""
     shutil.copytree(photos, tmp_path / "few")

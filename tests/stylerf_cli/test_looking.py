@@ -32,6 +32,28 @@ def test_show_tells_an_artefact_in_words(work, capsys):
         assert words in out, words
 
 
+def test_show_lists_the_views_of_a_scene(posed, tmp_path, capsys):
+    assert main(["import", str(posed), str(tmp_path / "work"), "--quiet"]) == 0
+    capsys.readouterr()
+    assert main(["show", str(tmp_path / "work/scene/main")]) == 0
+    assert "#1    p01  48x36  train  images/001.png" in capsys.readouterr().out
+    assert main(["show", str(tmp_path / "work/scene/main"), "--json"]) == 0
+    views = json.loads(capsys.readouterr().out)["views"]
+    assert views[0] == {"name": "p00", "image": "images/000.png", "width": 48, "height": 36, "split": "test"}
+
+
+def test_a_work_folder_in_a_folder_that_is_called_as_a_kind(work, tmp_path, capsys):
+    for kind in ("scene", "report"):
+        work.root.rename(tmp_path / kind)
+        (tmp_path / "w").mkdir()
+        (tmp_path / kind).rename(tmp_path / "w" / "fox")
+        (tmp_path / "w").rename(tmp_path / kind)
+        assert main(["verify", str(tmp_path / kind / "fox")]) == 0
+        assert "field fox: sound" in capsys.readouterr().out
+        (tmp_path / kind / "fox").rename(work.root)
+        (tmp_path / kind).rmdir()
+
+
 def test_show_json_is_the_manifest(work, capsys):
     for path in ("field/fox", "field/fox/manifest.json"):
         assert main(["show", str(work.root / path), "--json"]) == 0

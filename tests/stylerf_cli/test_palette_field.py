@@ -42,7 +42,7 @@ def test_a_palette_is_learnt_once_and_changed_without_learning(work, capsys):
     asked = ("--method", "palettenerf", "--palette", "0=#10e020")
     everywhere = said(capsys, "stylize", work, "--of", "palette", *asked, "--name", "green")
     here = said(
-        capsys, "stylize", work, "--of", "palette", *asked, "--at", "0:16,16", "--reach", "0.2", "--name", "here"
+        capsys, "stylize", work, "--of", "palette", *asked, "--at", "#0:16,16", "--reach", "0.2", "--name", "here"
     )
     assert everywhere["seconds"] < 20 and here["figures"]["learnt"] == "palette"
     plain, green, local = (pictures(capsys, work, name) for name in ("palette", "green", "here"))

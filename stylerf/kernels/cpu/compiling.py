@@ -6,6 +6,8 @@ from pathlib import Path
 
 import numba
 
+from stylerf.kernels import unwritable
+
 # No fast-math: what a compiler may reorder it reorders differently when it compiles a kernel and when it links one from
 # the cache, and a fit would not repeat to the bit. Division by zero gives what numpy gives.
 parallel_kernel = numba.njit(parallel=True, error_model="numpy", cache=True, nogil=True)
@@ -30,6 +32,11 @@ def compiled_here() -> bool:
 @contextmanager
 def compiling_note(say: Callable[[str], None]) -> Iterator[None]:
     """Tell once, before a first compile, what the machine will be busy with."""
-    if not compiled_here():
+    if not compiled_here() and unwritable:
+        say(
+            f"compiling the kernels for this run alone, a minute or two: {unwritable} cannot be written; set "
+            "STYLERF_CACHE to a folder that can"
+        )
+    elif not compiled_here():
         say("compiling the kernels for this processor, once: a minute or two")
     yield

@@ -23,9 +23,47 @@ def test_cache_folder_moves_when_any_kernel_source_changes(monkeypatch, tmp_path
     assert package.kernel_cache_dir() != before
 
 
-def test_a_folder_that_the_user_names_is_taken_as_it_is(monkeypatch, tmp_path):
+def test_in_a_folder_that_the_user_names_too_and_once_where_a_child_inherits_it(monkeypatch, tmp_path):
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
-    assert package.kernel_cache_dir() == tmp_path
+    folder = package.kernel_cache_dir()
+    assert folder.parent == tmp_path
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(folder))
+    assert package.kernel_cache_dir() == folder
+
+
+def test_unlike_processors_that_share_a_home_keep_their_kernels_apart(monkeypatch, tmp_path):
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    here = package.kernel_cache_dir()
+    monkeypatch.setattr(package.binding, "get_host_cpu_name", lambda: "znver4")
+    assert package.kernel_cache_dir() != here and "znver4" in package.kernel_cache_dir().name
+    monkeypatch.undo()
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    features = package.binding.get_host_cpu_features()
+    monkeypatch.setattr(package.binding, "get_host_cpu_features", lambda: type(features)({"avx512f": False}))
+    assert package.kernel_cache_dir() != here
+
+
+def test_without_a_folder_to_write_to_kernels_are_compiled_for_one_run_and_that_is_said(tmp_path):
+    program = """
+import numpy as np, os
+from stylerf.fields.vm import VmDensity
+from stylerf.kernels.cpu.compiling import compiling_note
+random = np.random.default_rng(0)
+field = VmDensity.create(np.full(3, 24), 16, random)
+for _ in range(2):
+    with compiling_note(print):
+        field.sigma(random.random((20, 3), dtype=np.float32), 2)
+print(os.environ["NUMBA_CACHE_DIR"])
+"""
+    (tmp_path / "file").touch()
+    environment = os.environ | {
+        "NUMBA_CACHE_DIR": str(tmp_path / "file" / "kernels"), "TMPDIR": str(tmp_path),
+        "PYTHONPATH": str(Path(package.__file__).parents[2]),
+    }  # fmt: skip
+    run = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=True)
+    note, folder = run.stdout.splitlines()
+    assert "for this run alone" in note and f"{tmp_path}/file/kernels" in note and "STYLERF_CACHE" in note
+    assert Path(folder).is_relative_to(tmp_path) and not Path(folder).exists()
 
 
 def test_a_kernel_just_compiled_and_the_same_from_the_cache_give_the_same_bits(tmp_path):
