@@ -31,7 +31,8 @@ class InputRef:
 class Recipe:
     """All that decides what a stage makes. Two equal recipes make the same artefact, so the older one is reused.
 
-    aside: options of the config that are told in the manifest and decide nothing, such as where a file lies.
+    aside: options of the config that are told in the manifest and decide nothing, such as where a file lies. known: the
+    digest of one that was read from a manifest, which does not tell what is aside.
     """
 
     stage: str
@@ -40,10 +41,13 @@ class Recipe:
     inputs: list[InputRef]
     seed: int = 0
     aside: Sequence[str] = ()
+    known: str = ""
 
     @property
     def digest(self) -> str:
         """SHA-256 over stage, revision, deciding options, seed and the inputs' roles and digests (not their names)."""
+        if self.known:
+            return self.known
         inputs = sorted((ref.role, ref.kind, ref.digest) for ref in self.inputs)
         deciding = {name: value for name, value in self.config.items() if name not in self.aside}
         return digest_of([self.stage, self.revision, deciding, inputs, self.seed])

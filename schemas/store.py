@@ -87,7 +87,7 @@ class Work:
     def copy(self, artefact: Artefact, name: str) -> Artefact:
         """The artefact under another name too, in place of what is called so; its digest knows no name and stays."""
         made = artefact.manifest
-        recipe = Recipe(made.stage, made.revision, made.config, made.inputs, made.seed)
+        recipe = Recipe(made.stage, made.revision, made.config, made.inputs, made.seed, known=made.recipe)
         partial = self.begin(artefact.kind, name, recipe, careful=True)
         try:
             for record in made.files:

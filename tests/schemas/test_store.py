@@ -54,11 +54,13 @@ def test_a_copy_is_the_same_artefact_by_another_name_at_what_it_cost(tmp_path):
     assert copy.name == "den" and copy.digest == first.digest != other
     assert (copy.manifest.seconds, copy.manifest.figures) == (1.5, {"psnr": 27.1})
     first.verify()
+    moved = make(work, "moved", config={"path": "/here"}, aside=["path"])
+    assert work.copy(moved, "den").digest == moved.digest  # which knows nothing of the path that it tells
     held = work.begin("field", "den", recipe())
     with pytest.raises(OutOfResources, match="being written"):
         work.copy(first, "den")
     held.discard()
-    assert sorted(os.listdir(tmp_path / "field")) == [".den.lock", ".fox.lock", "den", "fox"]
+    assert sorted(os.listdir(tmp_path / "field")) == [".den.lock", ".fox.lock", ".moved.lock", "den", "fox", "moved"]
 
 
 @pytest.mark.parametrize("which", ["b.json", "sub/a.bin", MANIFEST])
