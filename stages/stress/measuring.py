@@ -6,7 +6,7 @@ from schemas.errors import BadInput
 from schemas.store import Artefact
 from stages.evaluation.masks import SHOWN
 from stages.fields import load_field
-from stages.photos import level_of, photo_over
+from stages.photos import level_of, photo_for
 from stages.regions import load_region
 from stages.scenes import load_scene
 from stages.stress.criteria import Seen
@@ -17,16 +17,19 @@ OPAQUE = 0.9
 
 
 def seen_from_tests(scene: Artefact, field: Artefact, threads: int) -> list[Seen]:
-    """Every test view of the scene, rendered over the background that the field was fitted on."""
+    """Every test view of the scene, rendered over the background that the field was fitted on.
+
+    What a mask hides in a capture is as the field shows it: no method is judged by that.
+    """
     data = load_scene(scene)
     radiance, background = load_field(field)
     level, chunks = level_of(background), set_threads(threads)
     views = []
     for index in data.splits["test"]:
         camera, photo = data.cameras[index], data.images(index)
-        mask = photo[..., 3] > 0.5 if photo.shape[2] == 4 else None
+        mask = photo[..., 3] > 0.5 if photo.shape[2] == 4 and not radiance.closed else None
         render = _over(render_view(radiance, camera, chunks=chunks), level)
-        views.append(Seen(camera.name, render, photo_over(data, index, level), mask))
+        views.append(Seen(camera.name, render, photo_for(radiance, data, index, level, chunks), mask))
     return views
 
 

@@ -3,6 +3,7 @@
 import json
 import statistics
 from html import escape
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from skimage.color import lab2rgb
 
 from schemas.errors import BadInput, UsageError
 from stages.configs.stress import StressConfig
+from stages.stress import measuring
 from stages.stress.baseline import compared, read_baseline, write_baseline
 from stages.stress.cells import cells_of
 from stages.stress.criteria import LEAST_GAIN, Seen, judged_edit, judged_fit, judged_style
@@ -18,7 +20,9 @@ from stages.stress.heat_map import heat_map, rates
 from stages.stress.measuring import shown_beside
 from stages.stress.outcomes import keep_outcome, kept_outcome
 from stages.stress.page import build_page, cell_rows, run_rows
+from stylerf.geometry.cameras import Camera
 from tests.stages.stress_fixture import outcome
+from tests.stylerf.small import SPACES, field_of, wall_in_front
 
 # -- criteria -------------------------------------------------------------------------------------------------------
 
@@ -305,3 +309,20 @@ def test_options_choose_and_refuse():
     assert facing["laenerf-recolour"] == facing["palettenerf"] == {"scene", "made", PALETTE}
     assert not METHODS["palettenerf"].faces(FAULTS["palette-random"])
     assert all("{" not in fault.told for fault in FAULTS.values())
+
+
+def test_what_a_mask_hides_in_a_capture_judges_no_method(monkeypatch):
+    """What is transparent in an object's photo is no object; in a capture's it is hidden: nothing is asked there."""
+    camera = Camera("v", 16, 16, 14.0, 14.0, 8.0, 8.0, np.eye(4))
+    pixels = np.full((16, 16, 4), 0.25, np.float32)
+    pixels[..., 3] = 1.0
+    pixels[:, :8, 3] = 0.0
+    data = SimpleNamespace(cameras=[camera], splits={"test": [0]}, images=lambda index: pixels)
+    monkeypatch.setattr(measuring, "load_scene", lambda artefact: data)
+    for field, hidden in ((wall_in_front(0.02), True), (field_of(SPACES["box"], 1), False)):
+        monkeypatch.setattr(measuring, "load_field", lambda artefact, field=field: (field, "none"))
+        (view,) = measuring.seen_from_tests(None, None, 1)
+        assert (view.mask is None) == hidden
+        left = view.render if hidden else np.zeros_like(view.render)
+        np.testing.assert_allclose(view.photo[:, :8], left[:, :8], atol=1e-6)
+        assert (view.photo[:, 8:] == 0.25).all()
