@@ -1,5 +1,6 @@
 """`stylerf eval --region`: which field stands for the unedited one, which photos, which frames; what is refused."""
 
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -89,7 +90,7 @@ def test_training_views_are_measured_where_wanted(work, edited, masks, renderer,
 
 
 def test_frames_of_the_unedited_field_are_rendered_where_they_are_missing(work, edited, masks, renderer, capsys):
-    (work.get("frames", "wall-test").path / "manifest.json").unlink()
+    shutil.rmtree(work.get("frames", "wall-test").path)
     result(capsys, work.root, "--of", "blue", "--masks", masks)
     assert renderer == [("wall", "test")]
 
