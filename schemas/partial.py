@@ -141,7 +141,10 @@ class Partial:
             raise WouldBeLost(f"{self.target} is a link to nothing; delete it, or mend what it leads to")
         if not self.target.exists():
             return
-        added = added_files(self.target, _listed_in(self.target)) if self.target.is_dir() else [self.target]
+        listed = _listed_in(self.target)
+        if listed is None:
+            return
+        added = added_files(self.target, listed) if self.target.is_dir() else [self.target]
         if added:
             raise WouldBeLost(
                 f"{added[0]} would be deleted with what stands as {self.kind} {self.name}, whose manifest does not "
@@ -253,12 +256,17 @@ def _recipe_in(folder: Path) -> str | None:
         return None
 
 
-def _listed_in(folder: Path) -> set[str]:
-    """Paths that a manifest lists, also one of another version or with an altered byte."""
+def _listed_in(folder: Path) -> set[str] | None:
+    """Paths that a manifest lists, also one of another version or with an altered byte; none where there is none.
+
+    None where there is one that cannot be read: an artefact that is to be made again, as whoever asks for it is told.
+    """
+    if not (folder / MANIFEST).is_file():
+        return set()
     try:
         return {record["path"] for record in json.loads((folder / MANIFEST).read_text())["files"]}
     except (OSError, ValueError, KeyError, TypeError):
-        return set()
+        return None
 
 
 def sweep_finished(root: Path, kind: str, name: str) -> None:

@@ -63,6 +63,12 @@ def test_a_copy_is_the_same_artefact_by_another_name_at_what_it_cost(tmp_path):
     assert sorted(os.listdir(tmp_path / "field")) == [".den.lock", ".fox.lock", ".moved.lock", "den", "fox", "moved"]
 
 
+def test_an_artefact_whose_manifest_nobody_can_read_may_be_made_again(tmp_path):
+    work = Work(tmp_path)
+    (make(work).path / MANIFEST).write_text("{")
+    make(work, seed=1).verify()
+
+
 @pytest.mark.parametrize("which", ["b.json", "sub/a.bin", MANIFEST])
 def test_a_flipped_bit_anywhere_is_found(tmp_path, which):
     artefact = make(Work(tmp_path))
