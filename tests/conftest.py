@@ -1,10 +1,12 @@
-"""Shared fixtures: where the real scenes are, seeds, quiet numerics."""
+"""Shared fixtures: where the real scenes are, a small source to import."""
 
 import os
 import signal
 from pathlib import Path
 
 import pytest
+
+from tests.stylerf_cli import capture
 
 REPOSITORY = Path(__file__).resolve().parent.parent
 
@@ -25,3 +27,17 @@ def data_dir() -> Path:
     if not (folder / "lego" / "transforms_train.json").is_file():
         pytest.skip(f"real scenes not found in {folder}; set STYLERF_DATA to run this test")
     return folder
+
+
+@pytest.fixture
+def source(tmp_path) -> Path:
+    """Four photos without poses, images/p00.png to p03.png, 48 x 36."""
+    capture.write_images(tmp_path / "source")
+    return tmp_path / "source"
+
+
+@pytest.fixture
+def posed(source) -> Path:
+    """The same with a sound transforms.json."""
+    capture.write_transforms(source, capture.transforms())
+    return source

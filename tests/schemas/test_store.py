@@ -66,7 +66,9 @@ def test_a_copy_is_the_same_artefact_by_another_name_at_what_it_cost(tmp_path):
 def test_an_artefact_whose_manifest_nobody_can_read_may_be_made_again(tmp_path):
     work = Work(tmp_path)
     (make(work).path / MANIFEST).write_text("{")
-    make(work, seed=1).verify()
+    again = make(work, seed=1)
+    again.verify()
+    assert again.manifest.seed == 1 and sorted(os.listdir(tmp_path / "field")) == [".fox.lock", "fox"]
 
 
 @pytest.mark.parametrize("which", ["b.json", "sub/a.bin", MANIFEST])

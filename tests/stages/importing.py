@@ -8,7 +8,6 @@ from stages import pose_import
 from stages.configs.pose_import import ImportOptions
 from stages.progress import Context, Silent
 from stages.runner import execute
-from stages.scenes import load_scene
 from stylerf_cli.verbs.import_ import config_for
 
 
@@ -32,17 +31,6 @@ def imported(source, work, said=None, seed=0, **options) -> Artefact:
 def scene_of(artefact: Artefact) -> Scene:
     """Its scene.json."""
     return read_scene(artefact.path)
-
-
-def assert_same_pixels(artefact: Artefact, project, points: np.ndarray, atol: float = 1e-6) -> None:
-    """project(view name, points [n, 3] in the source's frame): pixels of the scene's size, by the source's formula."""
-    data = load_scene(artefact)
-    matrix = np.array(data.scene.scene_from_source)
-    moved = points @ matrix[:3, :3].T + matrix[:3, 3]
-    for camera in data.cameras:
-        pixels, depth = camera.project(moved)
-        assert (depth > 0).all(), camera.name
-        np.testing.assert_allclose(pixels, project(camera.name, points), atol=atol, err_msg=camera.name)
 
 
 def psnr(one: np.ndarray, two: np.ndarray) -> float:

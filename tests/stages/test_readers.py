@@ -22,20 +22,6 @@ from tests.stages.photo_room import write_tagged
 from tests.stylerf_cli import capture
 
 
-@pytest.fixture
-def source(tmp_path) -> Path:
-    """Four photos without poses, images/p00.png to p03.png, 48 x 36."""
-    capture.write_images(tmp_path / "source")
-    return tmp_path / "source"
-
-
-@pytest.fixture
-def posed(source) -> Path:
-    """The same with transforms.json."""
-    capture.write_transforms(source, capture.transforms())
-    return source
-
-
 def colours_of(photo: Path, **options) -> np.ndarray:
     return to_uint8(read_image(photo, **options).pixels)
 

@@ -12,7 +12,6 @@ import pytest
 from stages.demo_data import PAINTING, write_demo
 from stages.progress import Silent
 from tests.stages.photo_room import walk, write_photos
-from tests.stylerf_cli import capture
 from tests.stylerf_cli.long_stages import LongStage, arguments_of, before, undisturbed
 from tests.stylerf_cli.nursery import Nursery
 
@@ -107,17 +106,3 @@ def long_stage(in_memory, finished, nursery, photos, room) -> Callable[[str], tu
         return made["import"]
 
     return prepared
-
-
-@pytest.fixture
-def source(tmp_path) -> Path:
-    """Four photos without poses."""
-    capture.write_images(tmp_path / "source")
-    return tmp_path / "source"
-
-
-@pytest.fixture
-def posed(source) -> Path:
-    """The same with a sound transforms.json."""
-    capture.write_transforms(source, capture.transforms())
-    return source
