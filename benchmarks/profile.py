@@ -2,13 +2,13 @@
 
 WORK holds an imported scene.
 
-Protocol: for each capacity a fit of that one capacity takes LEARNING steps, so that its occupancy is a real fit's; the
-next STEPS steps are timed kernel by kernel, on one thread and on all. A kernel's bound is the time that this
+Protocol: for each capacity a fit of that one capacity takes LEARNING steps, so that its occupancy is a real fit's;
+the next STEPS steps are timed kernel by kernel, on one thread and on all. A kernel's bound is the time that this
 machine needs, in a kernel of its own and on as many threads, for the memory that the kernel cannot avoid: `march` and
-`colour` read 18 rows a sample from the table, at the very places of the last batch; the backward passes read them and
-add to 18 rows of a buffer as large; `adam` reads all gradients, and reads and writes five arrays where they are not
-zero, at the bandwidth of a triad over arrays as long as the table. Arithmetic is no part of a bound. Least of REPEATS.
-`psnr`: of training rays after LEARNING steps.
+`colour` read 18 rows a sample from the table, at the very places of the last batch, each sample's asked for while the
+one before is read; the backward passes read them and add to 18 rows of a buffer as large; `adam` reads all gradients,
+and reads and writes five arrays where they are not zero, at the bandwidth of a triad over arrays as long as the
+table. Arithmetic is no part of a bound. Least of REPEATS. `psnr`: of training rays after LEARNING steps.
 """
 
 import dataclasses
@@ -25,8 +25,8 @@ from numba import prange
 
 from benchmarks.conditions import here_and_now
 from stylerf.kernels.cpu.compiling import parallel_kernel, set_threads
-from stylerf.kernels.cpu.vector import axpy_row
-from stylerf.kernels.cpu.vm import place
+from stylerf.kernels.cpu.vector import axpy_row, vm_prefetch
+from stylerf.kernels.cpu.vm import place, places
 
 CAPACITIES = ("64x16x24", "128x16x24", "192x16x24", "256x16x24")
 LEARNING, STEPS, REPEATS = 150, 30, 25
@@ -53,7 +53,10 @@ def read_rows(table, size, ranks, x, chunks, sums):
     rank = np.int64(len(ranks))
     flat = sums.reshape(-1)
     for c in prange(chunks):
-        for p in range(c * n // chunks, (c + 1) * n // chunks):
+        stop = (c + 1) * n // chunks
+        for p in range(c * n // chunks, stop):
+            if p + 1 < stop:
+                vm_prefetch(table, np.int64(0), *places(x[p + 1], size, rank), ranks)
             for m in range(3):
                 first, second, line, _, _, _ = place(m, x[p], size, rank)
                 for at in (first, first + rank, second, second + rank, line, line + rank):
@@ -68,7 +71,10 @@ def add_rows(table, size, ranks, x, chunks, row, to):
     flat = to.reshape(-1)
     stride = to.shape[1]
     for c in prange(chunks):
-        for p in range(c * n // chunks, (c + 1) * n // chunks):
+        stop = (c + 1) * n // chunks
+        for p in range(c * n // chunks, stop):
+            if p + 1 < stop:
+                vm_prefetch(flat, np.int64(c * stride), *places(x[p + 1], size, rank), ranks)
             for m in range(3):
                 first, second, line, _, _, _ = place(m, x[p], size, rank)
                 for at in (first, first + rank, second, second + rank, line, line + rank):

@@ -11,7 +11,14 @@ import numpy as np
 from numba import prange
 
 from stylerf.kernels.cpu.compiling import inline, parallel_kernel
-from stylerf.kernels.cpu.vector_hash import hash_features_backward, hash_logits, hash_slopes, sigmoid_three
+from stylerf.kernels.cpu.march import end_of_chunk
+from stylerf.kernels.cpu.vector_hash import (
+    hash_features_backward,
+    hash_logits,
+    hash_prefetch,
+    hash_slopes,
+    sigmoid_three,
+)
 
 _ONE, _ZERO = np.float32(1), np.float32(0)
 
@@ -25,11 +32,14 @@ def colour(table, layout, levels, x, starts, ends, weights, least, chunks, out):
     n = len(ends)
     flat = out.reshape(-1)
     for c in prange(chunks):
+        stop = end_of_chunk(ends, c, chunks)
         for r in range(c * n // chunks, (c + 1) * n // chunks):
             for k in range(starts[r], ends[r]):
                 if weights[k] <= least:
                     out[k, 0] = -_ONE
                     continue
+                if k + 1 < stop and weights[k + 1] > least:
+                    hash_prefetch(table, np.int64(0), layout, x[k + 1, 0], x[k + 1, 1], x[k + 1, 2], levels)
                 hash_logits(table, layout, x[k, 0], x[k, 1], x[k, 2], flat, k * 3, levels)
             # A loop of its own: the long chain of one sample's exponential overlaps with the next one's.
             for k in range(starts[r], ends[r]):
@@ -54,10 +64,13 @@ def colour_backward(layout, levels, x, starts, ends, colours, colour_gradients, 
     for c in prange(chunks):
         base = np.int64(c * stride)
         g = np.empty(4, np.float32)
+        stop = end_of_chunk(ends, c, chunks)
         for r in range(c * n // chunks, (c + 1) * n // chunks):
             for k in range(starts[r], ends[r]):
                 if colours[k, 0] < _ZERO:
                     continue
+                if k + 1 < stop and colours[k + 1, 0] >= _ZERO:
+                    hash_prefetch(flat, base, layout, x[k + 1, 0], x[k + 1, 1], x[k + 1, 2], levels)
                 _logit_gradient(colours, colour_gradients, k, g)
                 hash_features_backward(flat, base, layout, x[k, 0], x[k, 1], x[k, 2], g, np.int64(0), levels)
 

@@ -10,7 +10,7 @@ import numpy as np
 from numba import prange
 
 from stylerf.kernels.cpu.compiling import inline, parallel_kernel
-from stylerf.kernels.cpu.march import EXPONENT_MAX, EXPONENT_MIN, walk_chunk
+from stylerf.kernels.cpu.march import EXPONENT_MAX, EXPONENT_MIN, fetch_nothing, walk_chunk
 from stylerf.kernels.cpu.vector_hash_density import hash_sum, hash_sum_backward, hash_sum_slopes
 
 _ZERO = np.float32(0)
@@ -66,6 +66,7 @@ def march_density(
     for c in prange(chunks):
         walk_chunk(
             raw_density,
+            fetch_nothing,
             table,
             layout,
             shift,

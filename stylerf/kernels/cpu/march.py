@@ -108,13 +108,29 @@ def ray_span(kind, space, ox, oy, oz, dx, dy, dz, near, far):
 
 
 @inline
+def _time_out_of(x, speed, distance, cells, least):
+    """The less of `least` and the time until coordinate x has left all cells nearer than `distance` to its own."""
+    own = np.float32(min(int(x * np.float32(cells)), cells - 1))
+    edge = own + np.float32(distance) if speed > _ZERO else own - np.float32(distance) + _ONE
+    time = (edge / np.float32(cells) - x) / speed
+    return time if time < least else least  # also where the speed is zero and the time no number
+
+
+@inline
 def leap(kind, space, ox, oy, oz, dx, dy, dz, t, dt, distance, cells, step, q, ahead):
     """Steps of dt that can be taken at once from q, whose nearest occupied cell is `distance` cells away.
 
-    A box has one speed, and in a frustum rays only slow down. A contraction speeds up towards its middle, up to
-    sixteenfold from m = 4: there the leap is halved until what is moved in the cube is within reach. A straight line's
-    image strays from between its ends by a few hundredths of their distance at most, hence the margin.
+    In a box a ray goes straight on and leaps to the first step behind all cells that are known to be empty. In a frustum
+    rays only slow down. A contraction speeds up towards its middle, up to sixteenfold from m = 4: there the leap is
+    halved until what is moved in the cube is within reach. A straight line's image strays from between its ends by a
+    few hundredths of their distance at most, hence the margin.
     """
+    if kind == BOX:
+        left = dt * _TWO / step  # twice the cube: no ray stays in it for longer
+        left = _time_out_of(q[0], dx * space[3], distance, cells, left)
+        left = _time_out_of(q[1], dy * space[4], distance, cells, left)
+        left = _time_out_of(q[2], dz * space[5], distance, cells, left)
+        return np.int64(left / dt) + 1
     if distance <= 1:
         return np.int64(1)
     reach = (np.float32(distance) - _ONE) / np.float32(cells)
@@ -164,8 +180,24 @@ def displace(displacement, cells, q, out):
 
 
 @inline
+def end_of_chunk(ends, c, chunks):
+    """Where the samples of chunk c end: ray after ray, they lie side by side up to there (0: the chunk has no rays).
+
+    What the next sample will read can be asked for while one is worked on, also where it lies on the next ray.
+    """
+    last = (c + 1) * len(ends) // chunks
+    return ends[last - 1] if last > 0 else np.int64(0)
+
+
+@inline
+def fetch_nothing(table, layout, shift, shape, q):
+    """For kinds of fields that do not say what they will read."""
+
+
+@inline
 def walk_chunk(
     raw_density,
+    fetch,
     table,
     layout,
     shift,
@@ -198,7 +230,8 @@ def walk_chunk(
     """Walk each ray of chunk c front to back until transmittance is under `opaque`, its span ends or `limit` samples
 
     lie on it. raw_density(table, layout, shift, shape, q): an inline function, one kind of field; the kernels that call
-    this are compiled around it, so that no kind pays for the others.
+    this are compiled around it, so that no kind pays for the others. fetch: inline too, asks for what raw_density will
+    read at a place, while the sample before it is worked on.
 
     Ray r's samples are starts[r]:ends[r] of t_out, optical (optical length of unit raw density), x (position in the
     cube, displaced), sigma (raw density) and weights (T (1 - exp(-sigma optical))). Each chunk of rays packs its
@@ -207,6 +240,7 @@ def walk_chunk(
     """
     n = len(origins)
     q = np.empty(3, np.float32)
+    ahead = np.empty(3, np.float32)
     moved = np.empty(3, np.float32)
     begin = c * n // chunks
     at = begin * limit
@@ -220,28 +254,35 @@ def walk_chunk(
         if t < end:
             speed, _ = warp_at(kind, space, ox + t * dx, oy + t * dy, oz + t * dz, dx, dy, dz, q)
             t += jitter[r] * step / speed
-        while t < end and through >= opaque and at < last:
             speed, jacobian = warp_at(kind, space, ox + t * dx, oy + t * dy, oz + t * dz, dx, dy, dz, q)
+        while t < end and through >= opaque and at < last:
             dt = step / speed
             distance = cell_distance(occupancy, cells, q)
             if distance > 0:
                 taken = leap(kind, space, ox, oy, oz, dx, dy, dz, t, dt, distance, cells, step, q, moved)
                 t += dt * np.float32(taken)
+                speed, jacobian = warp_at(kind, space, ox + t * dx, oy + t * dy, oz + t * dz, dx, dy, dz, q)
                 continue
+            # Where the next sample will be is known before this one's density is.
+            s = t + dt
+            next_speed, next_jacobian = warp_at(kind, space, ox + s * dx, oy + s * dy, oz + s * dz, dx, dy, dz, ahead)
+            t_out[at] = t
             if displacement_cells > 0:
                 displace(displacement, displacement_cells, q, moved)
                 q[0], q[1], q[2] = moved[0], moved[1], moved[2]
-            s = raw_density(table, layout, shift, shape, q)
+            else:
+                fetch(table, layout, shift, shape, ahead)
+            density = raw_density(table, layout, shift, shape, q)
             length = dt * jacobian * OPTICAL_SCALE
-            stay = np.float32(math.exp(-s * length))
-            t_out[at] = t
+            stay = np.float32(math.exp(-density * length))
             optical[at] = length
             x[at, 0], x[at, 1], x[at, 2] = q[0], q[1], q[2]
-            sigma[at] = s
+            sigma[at] = density
             weights[at] = through * (_ONE - stay)
             through *= stay
             at += 1
-            t += dt
+            t, speed, jacobian = s, next_speed, next_jacobian
+            q[0], q[1], q[2] = ahead[0], ahead[1], ahead[2]
         if closed and through >= opaque and at < last:
             # The far end takes what light is left; its density is fixed, so only its colour learns.
             warp_at(kind, space, ox + end * dx, oy + end * dy, oz + end * dz, dx, dy, dz, q)

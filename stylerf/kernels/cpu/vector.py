@@ -16,6 +16,7 @@ from numba.extending import intrinsic
 
 FLOAT = ir.FloatType()
 INT32 = ir.IntType(32)
+LINE = 16  # floats of a cache line
 
 
 class Rows:
@@ -130,16 +131,51 @@ SCALAR, INDEX = types.float32, types.intp
 _PLACE = (INDEX, INDEX, INDEX, SCALAR, SCALAR, SCALAR)  # first, second, line, fu, fv, fw
 
 
+def _products(context, builder, rows, table, places):
+    """One sample's three _Products. places: tuples of first, second, line, fu, fv, fw."""
+    return [_Product(rows, table, *cgutils.unpack_tuple(builder, place)) for place in places]
+
+
+def prefetch(builder, pointer, offset) -> None:
+    """Ask for the cache line that holds element `offset`."""
+    byte = ir.IntType(8).as_pointer()
+    kind = ir.FunctionType(ir.VoidType(), [byte, INT32, INT32, INT32])
+    function = cgutils.get_or_insert_function(builder.module, kind, "llvm.prefetch.p0i8")
+    hints = [ir.Constant(INT32, hint) for hint in (0, 3, 1)]  # to be read, kept near, data
+    builder.call(function, [builder.bitcast(builder.gep(pointer, [offset]), byte), *hints])
+
+
 @intrinsic
-def vm_dot(typing, table, first, second, line, fu, fv, fw, ranks):
-    """sum_r P_r L_r of one sample in one plane; fu, fv, fw: float32 position inside the cell, 0..1."""
+def vm_prefetch(typing, table, at, place0, place1, place2, ranks):
+    """Ask for the rows of table[at:] that a sample will need, so that they come while another one is worked on."""
+
+    def generate(context, builder, sig, args):
+        length = 2 * sig.args[-1].count  # two rows lie side by side
+        table_at = builder.gep(data_pointer(context, builder, sig.args[0], args[0]), [args[1]])
+        for place in args[2:5]:
+            for begin in cgutils.unpack_tuple(builder, place)[:3]:
+                for step in (*range(0, length - 1, LINE), length - 1):
+                    prefetch(builder, table_at, builder.add(begin, ir.Constant(begin.type, step)))
+        return context.get_dummy_value()
+
+    return types.void(table, INDEX, place0, place1, place2, ranks), generate
+
+
+@intrinsic
+def vm_sum(typing, table, place0, place1, place2, ranks):
+    """sum_m sum_r P_mr L_mr of one sample. place: (first, second, line, fu, fv, fw) of a plane, f: float32 position
+    inside the cell, 0..1."""
 
     def generate(context, builder, sig, args):
         rows = Rows(builder, sig.args[-1].count)
-        product = _Product(rows, data_pointer(context, builder, sig.args[0], args[0]), *args[1:7])
-        return rows.total(rows.mul(product.plane, product.line))
+        table_at = data_pointer(context, builder, sig.args[0], args[0])
+        first, *others = _products(context, builder, rows, table_at, args[1:4])
+        total = rows.mul(first.plane, first.line)
+        for product in others:
+            total = rows.fused(product.plane, product.line, total)
+        return rows.total(total)
 
-    return types.float32(table, *_PLACE, ranks), generate
+    return types.float32(table, place0, place1, place2, ranks), generate
 
 
 @intrinsic
@@ -155,9 +191,57 @@ def vm_features(typing, table, first, second, line, fu, fv, fw, out, at, ranks):
     return types.void(table, *_PLACE, out, INDEX, ranks), generate
 
 
+def _head(rows, heads, j, m):
+    """heads[(3 j + m) rank :]: what output j makes of the features of plane m."""
+    return rows.load(heads, ir.Constant(ir.IntType(64), (3 * j + m) * rows.rank))
+
+
+@intrinsic
+def vm_projected(typing, table, place0, place1, place2, heads, out, ranks):
+    """out[j] = sum_m sum_r heads[(3 j + m) rank + r] P_mr L_mr for j = 0, 1, 2; places as vm_sum's."""
+
+    def generate(context, builder, sig, args):
+        rows = Rows(builder, sig.args[-1].count)
+        table_at, heads_at, out_at = (data_pointer(context, builder, sig.args[i], args[i]) for i in (0, 4, 5))
+        sums = [None, None, None]
+        for m, product in enumerate(_products(context, builder, rows, table_at, args[1:4])):
+            feature = rows.mul(product.plane, product.line)
+            for j, before in enumerate(sums):
+                head = _head(rows, heads_at, j, m)
+                sums[j] = rows.mul(feature, head) if before is None else rows.fused(feature, head, before)
+        for j, row in enumerate(sums):
+            builder.store(rows.total(row), builder.gep(out_at, [ir.Constant(INT32, j)]))
+        return context.get_dummy_value()
+
+    return types.void(table, place0, place1, place2, heads, out, ranks), generate
+
+
+@intrinsic
+def vm_projected_backward(typing, table, place0, place1, place2, heads, g0, g1, g2, head_gradients, buffer, at, ranks):
+    """Add dL/d(heads) to head_gradients, and dL/d(table) to buffer[at:], from g = dL/d(out) of vm_projected."""
+
+    def generate(context, builder, sig, args):
+        rows = Rows(builder, sig.args[-1].count)
+        pointers = (data_pointer(context, builder, sig.args[i], args[i]) for i in (0, 4, 8, 9))
+        table_at, heads_at, head_gradients_at, buffer_at = pointers
+        target, gradients = builder.gep(buffer_at, [args[10]]), [rows.splat(g) for g in args[5:8]]
+        for m, product in enumerate(_products(context, builder, rows, table_at, args[1:4])):
+            feature, to_feature = rows.mul(product.plane, product.line), None
+            for j, gradient in enumerate(gradients):
+                here = ir.Constant(ir.IntType(64), (3 * j + m) * rows.rank)
+                rows.add_product(head_gradients_at, here, gradient, feature)
+                head = _head(rows, heads_at, j, m)
+                to_feature = rows.mul(gradient, head) if j == 0 else rows.fused(gradient, head, to_feature)
+            product.scatter(to_feature, target)
+        return context.get_dummy_value()
+
+    given = table, place0, place1, place2, heads, SCALAR, SCALAR, SCALAR, head_gradients, buffer, INDEX, ranks
+    return types.void(*given), generate
+
+
 @intrinsic
 def vm_dot_backward(typing, table, first, second, line, fu, fv, fw, gradient, buffer, at, ranks):
-    """Add gradient * d(vm_dot)/d(table) to buffer[at:], laid out as the table."""
+    """Add gradient * d(sum_r P_r L_r)/d(table) to buffer[at:], laid out as the table."""
 
     def generate(context, builder, sig, args):
         rows = Rows(builder, sig.args[-1].count)
@@ -196,7 +280,7 @@ def _slopes(product, table, fu, fv):
 
 @intrinsic
 def vm_slopes(typing, table, first, second, line, fu, fv, fw, out, ranks):
-    """out[0:3] = d(vm_dot) / d(fu, fv, fw)."""
+    """out[0:3] = d(sum_r P_r L_r) / d(fu, fv, fw)."""
 
     def generate(context, builder, sig, args):
         rows = Rows(builder, sig.args[-1].count)

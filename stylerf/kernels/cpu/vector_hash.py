@@ -12,7 +12,7 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-from stylerf.kernels.cpu.vector import INDEX, INT32, SCALAR, Rows, data_pointer
+from stylerf.kernels.cpu.vector import INDEX, INT32, SCALAR, Rows, data_pointer, prefetch
 
 ROW = 4  # floats of a vertex
 PRIME_X, PRIME_Y = 805459861, 2654435761 - 2**32  # as signed 32-bit numbers; z takes 1 (Mueller et al. 2022, eq. 4)
@@ -138,6 +138,26 @@ def _sum(rows, terms):
     while len(terms) > 1:
         terms = [rows.add(*pair) for pair in zip(terms[::2], terms[1::2])] + terms[len(terms) & ~1 :]
     return terms[0]
+
+
+@intrinsic
+def hash_prefetch(typing, table, at, layout, x, y, z, levels):
+    """Ask for the vertices of table[at:] around (x, y, z), so that they come while another point is worked on.
+
+    Of each edge along z the lower end alone: both mostly lie in one line of the cache.
+    """
+
+    def generate(context, builder, sig, args):
+        where = Levels(
+            context, builder, data_pointer(context, builder, sig.args[2], args[2]), args[3:6], sig.args[-1].count
+        )
+        table_at = builder.gep(data_pointer(context, builder, sig.args[0], args[0]), [args[1]])
+        for level in range(where.count):
+            for offset in where.corner_offsets(level)[::2]:
+                prefetch(builder, table_at, offset)
+        return context.get_dummy_value()
+
+    return types.void(table, INDEX, layout, SCALAR, SCALAR, SCALAR, levels), generate
 
 
 @intrinsic

@@ -11,8 +11,15 @@ import numpy as np
 from numba import prange
 
 from stylerf.kernels.cpu.compiling import inline, parallel_kernel
-from stylerf.kernels.cpu.march import EXPONENT_MAX, EXPONENT_MIN, cell, walk_chunk
-from stylerf.kernels.cpu.vector import axpy_row, dot_rows, vm_dot, vm_dot_backward, vm_features, vm_features_backward
+from stylerf.kernels.cpu.march import EXPONENT_MAX, EXPONENT_MIN, cell, end_of_chunk, walk_chunk
+from stylerf.kernels.cpu.vector import (
+    axpy_row,
+    vm_dot_backward,
+    vm_prefetch,
+    vm_projected,
+    vm_projected_backward,
+    vm_sum,
+)
 
 _ONE, _ZERO = np.float32(1), np.float32(0)
 
@@ -36,13 +43,22 @@ def place(m, x, size, rank):
 
 
 @inline
+def places(x, size, rank):
+    """place() of all three planes."""
+    return place(0, x, size, rank), place(1, x, size, rank), place(2, x, size, rank)
+
+
+@inline
 def raw_density(table, size, shift, ranks, x):
     """exp(shift + features) of one warped point."""
-    total = shift
-    for m in range(3):
-        first, second, line, fu, fv, fw = place(m, x, size, np.int64(len(ranks)))
-        total += vm_dot(table, first, second, line, fu, fv, fw, ranks)
+    total = shift + vm_sum(table, *places(x, size, np.int64(len(ranks))), ranks)
     return np.float32(math.exp(min(max(total, EXPONENT_MIN), EXPONENT_MAX)))
+
+
+@inline
+def fetch(table, size, shift, ranks, x):
+    """Ask for the rows of one warped point."""
+    vm_prefetch(table, np.int64(0), *places(x, size, np.int64(len(ranks))), ranks)
 
 
 @parallel_kernel
@@ -88,6 +104,7 @@ def march_density(
     for c in prange(chunks):
         walk_chunk(
             raw_density,
+            fetch,
             table,
             size,
             shift,
@@ -126,12 +143,17 @@ def density_backward(table, size, shift, ranks, x, starts, ends, sigma, sigma_gr
     stride = to.shape[1]
     flat = to.reshape(-1)
     for c in prange(chunks):
+        stop = end_of_chunk(ends, c, chunks)
         shift_gradient = _ZERO
         for r in range(c * n // chunks, (c + 1) * n // chunks):
             for k in range(starts[r], ends[r]):
                 g = sigma_gradients[k] * sigma[k]  # d exp(e)/de = exp(e)
                 if g != _ZERO:
                     shift_gradient += g
+                    if k + 1 < stop:
+                        following = places(x[k + 1], size, np.int64(len(ranks)))
+                        vm_prefetch(table, np.int64(0), *following, ranks)
+                        vm_prefetch(flat, np.int64(c * stride), *following, ranks)
                     for m in range(3):
                         first, second, line, fu, fv, fw = place(m, x[k], size, np.int64(len(ranks)))
                         vm_dot_backward(table, first, second, line, fu, fv, fw, g, flat, np.int64(c * stride), ranks)
@@ -162,24 +184,22 @@ def colour(table, size, ranks, head, bias, basis, x, starts, ends, weights, leas
     width = 3 * rank
     for c in prange(chunks):
         ray_head = np.empty(3 * width, np.float32)
-        feature = np.empty(width, np.float32)
+        z = np.empty(3, np.float32)
+        stop = end_of_chunk(ends, c, chunks)
         for r in range(c * n // chunks, (c + 1) * n // chunks):
             ready = False
             for k in range(starts[r], ends[r]):
                 if weights[k] <= least:
                     out[k, 0] = -_ONE
                     continue
+                if k + 1 < stop and weights[k + 1] > least:
+                    vm_prefetch(table, np.int64(0), *places(x[k + 1], size, rank), ranks)
                 if not ready:
                     head_of_ray(head, basis, r, bands, width, ray_head)
                     ready = True
-                for m in range(3):
-                    first, second, line, fu, fv, fw = place(m, x[k], size, rank)
-                    vm_features(table, first, second, line, fu, fv, fw, feature, m * rank, ranks)
+                vm_projected(table, *places(x[k], size, rank), ray_head, z, ranks)
                 for j in range(3):
-                    z = bias[j]
-                    for m in range(3):
-                        z += dot_rows(ray_head, j * width + m * rank, feature, m * rank, ranks)
-                    out[k, j] = _ONE / (_ONE + np.float32(math.exp(-z)))
+                    out[k, j] = _ONE / (_ONE + np.float32(math.exp(-(bias[j] + z[j]))))
 
 
 @parallel_kernel
@@ -199,32 +219,26 @@ def colour_backward(table, size, ranks, head, basis, x, starts, ends, colours, c
         base = np.int64(c * stride)
         ray_head = np.empty(3 * width, np.float32)
         ray_head_gradient = np.empty(3 * width, np.float32)
-        feature = np.empty(width, np.float32)
-        feature_gradient = np.empty(width, np.float32)
+        g = np.empty(3, np.float32)
+        stop = end_of_chunk(ends, c, chunks)
         for r in range(c * n // chunks, (c + 1) * n // chunks):
             ready = False
             for k in range(starts[r], ends[r]):
                 if colours[k, 0] < _ZERO:
                     continue
+                if k + 1 < stop and colours[k + 1, 0] >= _ZERO:
+                    following = places(x[k + 1], size, rank)
+                    vm_prefetch(table, np.int64(0), *following, ranks)
+                    vm_prefetch(flat, base, *following, ranks)
                 if not ready:
                     head_of_ray(head, basis, r, bands, width, ray_head)
                     ray_head_gradient[:] = _ZERO
                     ready = True
-                for m in range(3):
-                    first, second, line, fu, fv, fw = place(m, x[k], size, rank)
-                    vm_features(table, first, second, line, fu, fv, fw, feature, m * rank, ranks)
-                feature_gradient[:] = _ZERO
                 for j in range(3):
-                    g = colour_gradients[k, j] * colours[k, j] * (_ONE - colours[k, j])
-                    to[c, stride - 3 + j] += g
-                    for m in range(3):
-                        axpy_row(g, ray_head, j * width + m * rank, feature_gradient, m * rank, ranks)
-                        axpy_row(g, feature, m * rank, ray_head_gradient, j * width + m * rank, ranks)
-                for m in range(3):
-                    first, second, line, fu, fv, fw = place(m, x[k], size, rank)
-                    vm_features_backward(
-                        table, first, second, line, fu, fv, fw, feature_gradient, m * rank, flat, base, ranks
-                    )
+                    g[j] = colour_gradients[k, j] * colours[k, j] * (_ONE - colours[k, j])
+                    to[c, stride - 3 + j] += g[j]
+                where = places(x[k], size, rank)
+                vm_projected_backward(table, *where, ray_head, g[0], g[1], g[2], ray_head_gradient, flat, base, ranks)
             if ready:
                 for j in range(3):
                     for b in range(bands):

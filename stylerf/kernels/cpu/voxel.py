@@ -11,7 +11,7 @@ import numpy as np
 from numba import prange
 
 from stylerf.kernels.cpu.compiling import inline, parallel_kernel
-from stylerf.kernels.cpu.march import EXPONENT_MAX, EXPONENT_MIN, cell, walk_chunk
+from stylerf.kernels.cpu.march import EXPONENT_MAX, EXPONENT_MIN, cell, fetch_nothing, walk_chunk
 from stylerf.kernels.cpu.vector_voxel import voxel_row, voxel_row_backward, voxel_row_slopes
 
 _ZERO = np.float32(0)
@@ -92,6 +92,7 @@ def march_density(
     for c in prange(chunks):
         walk_chunk(
             raw_density,
+            fetch_nothing,
             table,
             links,
             shift,
