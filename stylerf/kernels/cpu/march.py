@@ -120,10 +120,10 @@ def _time_out_of(x, speed, distance, cells, least):
 def leap(kind, space, ox, oy, oz, dx, dy, dz, t, dt, distance, cells, step, q, ahead):
     """Steps of dt that can be taken at once from q, whose nearest occupied cell is `distance` cells away.
 
-    In a box a ray goes straight on and leaps to the first step behind all cells that are known to be empty. In a frustum
-    rays only slow down. A contraction speeds up towards its middle, up to sixteenfold from m = 4: there the leap is
-    halved until what is moved in the cube is within reach. A straight line's image strays from between its ends by a
-    few hundredths of their distance at most, hence the margin.
+    In a box a ray goes straight on and leaps to the first step behind all cells that are known to be empty. In a
+    frustum rays only slow down. A contraction speeds up towards its middle, up to sixteenfold from m = 4: there the
+    leap is halved until what is moved in the cube is within reach. A straight line's image strays from between its ends
+    by a few hundredths of their distance at most, hence the margin.
     """
     if kind == BOX:
         left = dt * _TWO / step  # twice the cube: no ray stays in it for longer
