@@ -38,7 +38,7 @@ from stages.evaluation.views import FrameViews, Photo, Render, SceneViews
 from stages.progress import Context
 from stages.runner import Spec, versions
 
-SPEC = Spec(stage="evaluate", verb="eval", revision=4, writes="report")
+SPEC = Spec(stage="evaluate", verb="eval", revision=5, writes="report")
 STYLE_KEYS = ("nnfm", "gram", "sifid", "palette", "palette_mean", "palette_covariance", "content_ssim")
 
 

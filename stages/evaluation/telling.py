@@ -149,10 +149,14 @@ def warnings_of(
 
 
 def curve_of(field: Artefact | None) -> dict | None:
-    """{"of": name, "points": [{seconds, psnr, ...}]} of this field, or of the nearest one it was made from."""
+    """{"of": name, "points": [{seconds, psnr, held_out, ...}]} of this field, or of the nearest one it was made from.
+
+    held_out: false where those views are trained on by then, or it is not known.
+    """
     for artefact in [field, *fields_behind(field)] if field is not None else []:
         points = artefact.manifest.figures.get("curve")
-        usable = [point for point in points if _is_point(point)] if isinstance(points, list) else []
+        usable = points if isinstance(points, list) else []
+        usable = [{**point, "held_out": point.get("held_out") is True} for point in usable if _is_point(point)]
         if len(usable) > 1:
             return {"of": artefact.name, "points": sorted(usable, key=lambda point: point["seconds"])}
     return None
