@@ -150,8 +150,8 @@ class Evaluation:
             self._measure_look(row, render.image, render.alpha)
             if photo is not None:
                 measure_content(row, render.image, photo)
-            if base is not None:
-                measure_shape(row, render, base)
+        if base is not None:
+            measure_shape(row, render, base)
         reference = ViewRow(render.name)
         if base is not None and not base.spoiled:
             self._measure_look(reference, base.image, base.alpha)
