@@ -15,6 +15,7 @@ import numpy as np
 from schemas.atomic import write_bytes, write_json
 from schemas.store import Artefact, Partial
 from stages.configs.evaluate import EvaluateConfig
+from stages.edits import OF_WEIGHTS
 from stages.evaluation.edited import LocalEdit, palette_facts, palette_rows
 from stages.evaluation.figures import Figure, Row, summarise, write_csv
 from stages.evaluation.film import Film
@@ -260,6 +261,8 @@ class Evaluation:
             gap=self.config.gap,
             field=self.field is not None,
             edited=self.edit is not None,
+            masks=bool(self.config.masks),
+            weights_changed=any(not {*row} & {*OF_WEIGHTS} for row in palette_rows(self.field, self.edit is not None)),
         )
 
     def sheet(self) -> Sheet:

@@ -114,8 +114,8 @@ def test_a_spoiled_render_is_left_out_and_counted(stylised, monkeypatch, tmp_pat
         return replace(found, spoiled=1) if index == 1 and self.frames.field == spoiled else found
 
     monkeypatch.setattr(FrameViews, "render", render)
-    inputs = {"scene": scene, "frames": frames["second"], "twin_frames": frames["first"], "base_frames": frames["first"]}
-    inputs["field"] = work.get("field", "second")
+    inputs = {"scene": scene, "frames": frames["second"], "field": work.get("field", "second")}
+    inputs |= dict.fromkeys(("twin_frames", "base_frames"), frames["first"])
     config = EvaluateConfig(perceptual="none", sheet=1)
     artefact, _ = execute(evaluate.SPEC, evaluate.run, Work(tmp_path), "second", inputs, config, Context())
     report = json.loads(artefact.file("report.json").read_text())

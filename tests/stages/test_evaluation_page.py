@@ -151,7 +151,7 @@ def test_charts_take_the_ink_of_the_page_only_when_inlined():
 
 
 def test_a_curve_names_what_is_held_out_and_what_is_trained_on():
-    """Decision 0003: from three quarters of the budget on, and always with few photos, the views looked at teach too."""
+    """Decision 0003: from three quarters of the budget on, or always with few photos, the views looked at teach too."""
     curve = [{"seconds": s, "psnr": 20 + s, "held_out": s < 3} for s in (1, 2, 3, 4)]
     chart = curve_chart("quality_seconds", "Quality", curve)
     assert chart.told.endswith("held out 21.00 dB at 1 s to 22.00 dB at 2 s; of views trained on 23.00 dB at 3 s to "
