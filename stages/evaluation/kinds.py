@@ -26,8 +26,8 @@ EDITED = (
     ),
     Kind(
         "background_ratio", "Background MSE over that of the unedited field", "", "lower", 3,
-        "Ratio to the mean of field {unedited}, over the views that have both; lowest and highest are ratios of single "
-        "views.",
+        "Ratio to the mean of field {unedited}, over the views that have both; median, lowest and highest are of the "
+        "ratios of single views.",
     ),
     Kind(
         "change_inside", "Change in the region", "", "", 4,
@@ -50,8 +50,8 @@ EDITED = (
     ),
     Kind(
         "palette_variation", "Palette TV", "", "lower", 5,
-        "Squared differences of the weights of neighbours among {palette_pixels}, summed over pairs and colours, by "
-        "their number; same views.",
+        "Differences of the weights of neighbours among {palette_pixels}, times the alpha of both, squared and summed "
+        "over pairs and colours, over the number of pixels (as LAENeRF's released code); same views.",
     ),
     Kind("region_share", "Region in view", "share", "", 4, "Pixels {inside}, over all pixels of the view."),
 )  # fmt: skip
@@ -117,7 +117,8 @@ STYLISED = (
     Kind(
         "sifid", "SIFID-style distance, {style_trunk}", "", "lower", 3,
         "Squared Frechet distance between the features of conv2_2 of {style_trunk} at the positions of render and "
-        "painting, sizes and weights as for NNFM. SIFID itself looks through Inception: its values are others.",
+        "painting, sizes as for NNFM, each position counted once where over half of it is opaque. SIFID itself looks "
+        "through Inception: its values are others.",
     ),
     Kind(
         "palette", "Palette distance to the painting", "", "lower", 4,
@@ -195,8 +196,8 @@ def _script(label: str, words: str) -> tuple[Kind, ...]:
             f"{label}_laenerf_script_mse", f"{name}, MSE", "", "lower", 4,
             f"As LAENeRF's released script, faults included: frame k of {{path}} read along the flow of frame {words}; "
             "squared difference summed over RGB, mean over the pixels that its check flags; mean of the pairs that "
-            "have any. The check adds the forward flow to itself. {flow}. The script takes RAFT's flow of the "
-            "unstylised film, and all pairs of it.",
+            "have any. The check adds the forward flow to itself. {flow}; where there is none, it is taken as 0. The "
+            "script takes RAFT's flow of the unstylised film, and all pairs of it.",
         ),
         Kind(
             f"{label}_laenerf_script_perceptual", f"{name}, {{perceptual_net}}", "", "lower", 4,
