@@ -107,27 +107,28 @@ FITTED = (
 
 STYLISED = (
     Kind(
-        "nnfm", "NNFM distance to the painting", "", "lower", 4,
-        "Mean of 1 - cosine between each feature of the render and its nearest in the painting; {style_protocol}.",
+        "nnfm", "NNFM distance to {style_words}", "", "lower", 4,
+        "Mean of 1 - cosine between each feature of the render and its nearest in {style_words}; {style_protocol}.",
     ),
     Kind(
-        "gram", "Gram distance to the painting", "", "lower", 4,
-        "|G - G_s| / |G_s| of the Gram matrices of render and painting; features, sizes and weights as for NNFM.",
+        "gram", "Gram distance to {style_words}", "", "lower", 4,
+        "|G - G_s| / |G_s| of the Gram matrices of the render and {style_words}; features, sizes and weights as for "
+        "NNFM.",
     ),
     Kind(
         "sifid", "SIFID-style distance, {style_trunk}", "", "lower", 3,
-        "Squared Frechet distance between the features of conv2_2 of {style_trunk} at the positions of render and "
-        "painting, sizes as for NNFM, each position counted once where over half of it is opaque. SIFID itself looks "
-        "through Inception: its values are others.",
+        "Squared Frechet distance between the features of conv2_2 of {style_trunk} at the positions of the render and "
+        "{style_words}, sizes as for NNFM, each position counted once where over half of it is opaque. SIFID itself "
+        "looks through Inception: its values are others.",
     ),
     Kind(
-        "palette", "Palette distance to the painting", "", "lower", 4,
-        "2-Wasserstein distance between the Gaussians that have the mean and covariance of the sRGB colours of render "
-        "and painting; pixels with alpha under 0.5 are left out.",
+        "palette", "Palette distance to {style_words}", "", "lower", 4,
+        "2-Wasserstein distance between the Gaussians that have the mean and covariance of the sRGB colours of the "
+        "render and {style_words}; pixels with alpha under 0.5 are left out.",
     ),
     Kind(
         "palette_mean", "Difference of mean colour", "", "lower", 4,
-        "Euclidean distance between the mean sRGB colours of render and painting, same pixels.",
+        "Euclidean distance between the mean sRGB colours of the render and {style_words}, same pixels.",
     ),
     Kind(
         "palette_covariance", "Difference of colour covariance", "", "lower", 4,

@@ -9,7 +9,7 @@ from stages.evaluation.figures import Row, is_number
 from stages.evaluation.lineage import Made, fields_behind
 from stages.evaluation.wording import listed
 
-BAR_FIGURES = {False: ("psnr", "PSNR", "dB"), True: ("nnfm", "NNFM distance to the painting", "")}
+BAR_FIGURES = {False: ("psnr", "PSNR", "dB"), True: ("nnfm", "NNFM distance to {style_words}", "")}
 
 
 @dataclass(frozen=True)
@@ -193,10 +193,13 @@ def _is_point(point: object) -> bool:
     return isinstance(point, dict) and is_number(point.get("seconds")) and is_number(point.get("psnr"))
 
 
-def draw_charts(stylised: bool, rows: Sequence[Row], pairs: Sequence[Row], curve: dict | None, gap: int) -> list[Chart]:
+def draw_charts(
+    stylised: bool, rows: Sequence[Row], pairs: Sequence[Row], curve: dict | None, gap: int, style_words: str
+) -> list[Chart]:
     """Bars of the leading figure, quality against seconds, consistency along the path: what there is data for."""
     charts = []
     key, title, unit = BAR_FIGURES[stylised]
+    title = title.format(style_words=style_words)
     if any(is_number(row.get(key)) for row in rows):
         labels = [str(row["name"]) for row in rows]
         values = [float(row[key]) if is_number(row.get(key)) else None for row in rows]

@@ -16,8 +16,10 @@ from stages.evaluation.figures import summarise
 from stages.evaluation.kinds import KINDS
 from stages.evaluation.page import Pictures, SheetRow, build_page
 from stages.evaluation.pictures import NOT_FINITE, Picture, depth_picture, depth_range, encode, error_picture, shown
-from stages.evaluation.sheet import chosen_views
+from stages.evaluation.sheet import Sheet, chosen_views
+from stages.evaluation.views import Photo, Render
 from stages.evaluation.wording import clock, count, duration, listed, megabytes, number
+from tests.stages import evaluation_fixture as made
 
 VOID = {"meta", "link", "img", "br", "hr", "input"}
 
@@ -169,6 +171,22 @@ def test_pictures_shrink_until_they_fit():
     assert sum(len(picture.uri) for picture in tight) <= 150_000
     decoded = Image.open(io.BytesIO(base64.b64decode(tight[0].uri.split(",")[1])))
     assert decoded.size == (tight[0].width, tight[0].height) and decoded.format == "JPEG"
+
+
+def test_what_the_sheet_keeps_of_a_view_does_not_grow_with_the_photos():
+    held = []
+    for scale in (6, 12):
+        view = made.camera(0.0, "a").scaled(scale)
+        seen = made.look(view)
+        render = Render("a", view, seen.rgb, seen.alpha, seen.z, 0, 0)
+        sheet = Sheet(Picture(seen.rgb, "the painting", "P").small(), stylised=True)
+        sheet.add("a", {}, render, Photo(seen.rgb, None, None, False, False), render)
+        (kept,) = sheet._views
+        held.append([one.image.nbytes for one in kept.pictures] + [kept.z.nbytes, kept.alpha.nbytes])
+        encoded = sheet.encoded()
+        assert [picture.width for picture in encoded.sheet[0].pictures] == [480] * 4
+        assert encoded.depth_range == pytest.approx((2.42, 5.0), abs=0.05)  # the ball's front, the wall
+    assert held[0] == held[1] == [480 * 360 * 3 * 4] * 3 + [480 * 360 * 4] * 2
 
 
 def test_what_is_not_finite_is_seen():

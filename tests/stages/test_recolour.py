@@ -72,7 +72,7 @@ def test_colours_are_counted_by_their_shares_and_numbers_stay(work):
 
 
 def test_figures_of_weights_do_not_outlive_them(work):
-    """Sparsity and TV are of the weights as learnt: gone with a bias or a scale, kept with a colour; by both methods."""
+    """Sparsity and TV are of the weights as learnt: gone with a bias or a scale, kept with a colour; by either way."""
     changed = recoloured(work, palette_bias=("0=0.2",), name="biased")
     again = recoloured(work, palette=("0=#ff00ff",), name="again", of="biased")
     for one in (changed, again):
