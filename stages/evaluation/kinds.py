@@ -164,71 +164,77 @@ SHARED = (
 )  # fmt: skip
 
 
+def _means(label: str) -> tuple[str, str]:
+    """How many pairs of a range a figure is the mean of; and a perceptual distance, the slowest."""
+    return f"mean of {{{label}_pairs}} pairs", f"mean of {{{label}_looked_at}} pairs"
+
+
 def _correct(label: str, words: str) -> tuple[Kind, ...]:
     """Our own, of one range; of a local edit also within its region."""
-    name = f"Consistency {label} (correct)"
+    name, (mean, looked_at) = f"Consistency {label} (correct)", _means(label)
     warped = f"Frame k of {{path}} warped onto frame {words} {{warp_protocol}}"
     return (
         Kind(
             f"{label}_rmse", f"{name}, RMSE", "", "lower", 4,
-            f"{warped}; root mean square over visible pixels and RGB; mean of the pairs.",
+            f"{warped}; root mean square over visible pixels and RGB; {mean}.",
         ),
         Kind(
             f"edit_{label}_rmse", f"Consistency {label} within the region (correct), RMSE", "", "lower", 4,
-            f"{warped}; root mean square over RGB and the visible pixels of the target {{inside}}; mean of the pairs.",
+            f"{warped}; root mean square over RGB and the visible pixels of the target {{inside}}; {mean}.",
         ),
         Kind(
             f"{label}_perceptual", f"{name}, {{perceptual_net}}", "", "lower", 4,
             f"{warped}; {{perceptual_net}} per pixel, averaged over visible pixels; elsewhere both images show the "
-            "target, so nothing counts.",
+            f"target, so nothing counts; {looked_at}.",
         ),
         Kind(
             f"{label}_share", f"{name}, visible", "share", "", 4,
-            f"{warped}; visible pixels over opaque pixels of the target.",
+            f"{warped}; visible pixels over opaque pixels of the target; {mean}.",
         ),
     )  # fmt: skip
 
 
 def _script(label: str, words: str) -> tuple[Kind, ...]:
     """LAENeRF's released script, of one range."""
-    name = f"Consistency {label} (laenerf-script)"
+    name, (mean, looked_at) = f"Consistency {label} (laenerf-script)", _means(label)
     return (
         Kind(
             f"{label}_laenerf_script_mse", f"{name}, MSE", "", "lower", 4,
             f"As LAENeRF's released script, faults included: frame k of {{path}} read along the flow of frame {words}; "
-            "squared difference summed over RGB, mean over the pixels that its check flags; mean of the pairs that "
-            "have any. The check adds the forward flow to itself. {flow}; where there is none, it is taken as 0. The "
+            f"squared difference summed over RGB, mean over the pixels that its check flags; {mean}, those that have "
+            "any. The check adds the forward flow to itself. {flow}; where there is none, it is taken as 0. The "
             "script takes RAFT's flow of the unstylised film, and all pairs of it.",
         ),
         Kind(
             f"{label}_laenerf_script_perceptual", f"{name}, {{perceptual_net}}", "", "lower", 4,
-            "{perceptual_net} of the same two whole images of {path}, given 0..1 where -1..1 is expected. The script "
-            "takes LPIPS on AlexNet.",
+            f"{{perceptual_net}} of the same two whole images of {{path}}, given 0..1 where -1..1 is expected; "
+            f"{looked_at}. The script takes LPIPS on AlexNet.",
         ),
         Kind(
             f"{label}_laenerf_script_flagged", f"{name}, flagged", "share", "", 4,
-            "Pixels that its check flags, which are those it averages over.",
+            f"Pixels that its check flags, which are those it averages over; {mean}.",
         ),
     )  # fmt: skip
 
 
 def _family(label: str, words: str) -> tuple[Kind, ...]:
     """StyleRF's protocol, of one range."""
-    name = f"Consistency {label} (stylerf-family)"
+    name, (mean, looked_at) = f"Consistency {label} (stylerf-family)", _means(label)
     return (
         Kind(
             f"{label}_stylerf_family_rmse", f"{name}, RMSE", "", "lower", 4,
             f"Frame k of {{path}} moved onto frame {words} by softmax splatting (importance -20 times the difference "
-            "of colours); root mean square over RGB and the pixels that anything lands on; mean of the pairs. "
-            "{flow}. Papers take RAFT's flow, and pairs of their own.",
+            f"of colours); root mean square over RGB and the pixels that anything lands on; {mean}. {{flow}}. Papers "
+            "take RAFT's flow, and pairs of their own.",
         ),
         Kind(
             f"{label}_stylerf_family_perceptual", f"{name}, {{perceptual_net}}", "", "lower", 4,
             "{perceptual_net} per pixel of the same pairs of {path}, averaged over the pixels that anything lands on; "
-            "elsewhere both images show the target.",
+            f"elsewhere both images show the target; {looked_at}.",
         ),
         Kind(
-            f"{label}_stylerf_family_share", f"{name}, reached", "share", "", 4, "Pixels that anything lands on.",
+            f"{label}_stylerf_family_share", f"{name}, reached", "share", "", 4,
+            f"Pixels that anything lands on; {mean}.",
         ),
     )  # fmt: skip
 
