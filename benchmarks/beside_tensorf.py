@@ -5,8 +5,9 @@ $STYLERF_BENCH_WORK our work folder is kept there, and what stands in it is not 
 
 Protocol: lego's training photos at 200x200 for all. Ours: `stylerf fit --budget Ns`, anew for each N until its fit has
 28 dB, then once for 60 s; the mean PSNR of all test views by `stylerf eval`; the time to a quality is the smallest N
-that reaches it. Theirs: see benchmarks/tensorf.py, three test views, looked at every 50 steps. Data loading, compiling
-and judging are on nobody's clock. Peak memory is that of the process, ours of the fit of 60 s. One seed.
+that reaches it. Theirs: see benchmarks/tensorf.py, three test views, evenly spread, looked at every 50 steps. Data
+loading, compiling and judging are on nobody's clock. Peak memory is that of the process, ours of the fit of 60 s. One
+seed.
 """
 
 import json

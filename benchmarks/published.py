@@ -40,6 +40,8 @@ def _fit(scene: str, budget: str) -> tuple[str, dict, str]:
 TIMES = "their scenes and an NVIDIA GPU; ours lego at 400x400 on two CPU cores"
 SET = "{} of ours are a budget that is set, not what the method asks for; " + TIMES
 SAME_SCENE = "800x800 and masks of theirs; ours 400x400, the region as the field shows it"
+# Of edits.json as it stands; measured again, ours is of their formula and this can go.
+GATED = SAME_SCENE + "; ours weighs a pair by one pixel's alpha, theirs by the square of both, which is no more"
 NO_REGION = "our Ref-NPR has not been measured on a part of a scene"
 NO_SCENE = "their scene and its masks are not at hand"
 NO_FILM = "films of theirs, RAFT's flow; nothing of it is at hand"
@@ -48,12 +50,14 @@ FULL_SIZE = "hours on a GPU at full size; ours five minutes on two CPU cores at 
 PUBLISHED = (
     Published("LAENeRF", "extraction of the edit dataset", 16, "lower", f"{SUPPLEMENT}, table 3",
               _seconds("edit-dataset"), TIMES, "s"),
-    Published("LAENeRF", "learning the edit", 133, "lower", f"{SUPPLEMENT}, table 3", _seconds("edit"), TIMES, "s"),
+    Published("LAENeRF", "learning the edit", 133, "lower", f"{SUPPLEMENT}, table 3",
+              _seconds("edit"), SET.format("400 steps"), "s", judged=False),
     Published("LAENeRF", "distillation", 32, "lower", f"{SUPPLEMENT}, table 3", _seconds("scene"), TIMES, "s"),
     Published("LAENeRF", "fine-tuning", 129, "lower", f"{SUPPLEMENT}, table 3",
               _seconds("field"), SET.format("30 s"), "s", judged=False),
     Published("LAENeRF", "extraction to fine-tuning", 310, "lower", f"{SUPPLEMENT}, table 3",
-              _edit("lego shovel, recoloured", "seconds_after_selection"), SET.format("30 s"), "s"),
+              _edit("lego shovel, recoloured", "seconds_after_selection"), SET.format("400 steps and 30 s"), "s",
+              judged=False),
     Published("PaletteNeRF", "palette and decomposition of a scene", 582, "lower", f"{SUPPLEMENT}, table 3",
               ("palettes.json", {"case": "lego shovel", "method": "palettenerf, everywhere"}, "seconds"),
               SET.format("60 s"), "s", judged=False),
@@ -62,13 +66,13 @@ PUBLISHED = (
     Published("LAENeRF", "lego shovel recoloured: sparsity L_sp", 0.859, "lower", f"{SUPPLEMENT}, table 1",
               _edit("lego shovel, recoloured", "sparsity"), SAME_SCENE),
     Published("LAENeRF", "lego shovel recoloured: palette TV", 0.107, "lower", f"{SUPPLEMENT}, table 1",
-              _edit("lego shovel, recoloured", "palette_variation"), SAME_SCENE),
+              _edit("lego shovel, recoloured", "palette_variation"), GATED),
     Published("LAENeRF", "lego shovel stylised: palette colours", 6, "lower", f"{SUPPLEMENT}, table 1",
               _edit("lego shovel, starry_night", "colours"), SAME_SCENE),
     Published("LAENeRF", "lego shovel stylised: sparsity L_sp", 2.129, "lower", f"{SUPPLEMENT}, table 1",
               _edit("lego shovel, starry_night", "sparsity"), SAME_SCENE),
     Published("LAENeRF", "lego shovel stylised: palette TV", 0.029, "lower", f"{SUPPLEMENT}, table 1",
-              _edit("lego shovel, starry_night", "palette_variation"), SAME_SCENE),
+              _edit("lego shovel, starry_night", "palette_variation"), GATED),
     Published("LAENeRF", "lego stylised: background MSE", 0.0021, "lower", f"{SUPPLEMENT}, table 4",
               _edit("lego shovel, starry_night", "background_mse"), SAME_SCENE),
     Published("Ref-NPR", "lego stylised: background MSE", 0.0233, "lower", f"{SUPPLEMENT}, table 4", None, NO_REGION),

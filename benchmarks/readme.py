@@ -65,7 +65,8 @@ def tensorf() -> str:
             f"| {row['last_psnr']:.2f} dB, {row['last_seconds']:.0f} s | {row['peak_memory_mb'] / 1000:.1f} GB |"
         )
     chart = "![PSNR against seconds of training](docs/images/tensorf.svg)"
-    return "\n".join([chart, "", *lines, "", "Lego at 200x200. " + where(report)])
+    views = "PSNR is the mean of all test views for ours, of a few of them, evenly spread, for TensoRF. "
+    return "\n".join([chart, "", *lines, "", "Lego at 200x200. " + views + where(report)])
 
 
 def _time_beside(row: dict, own: dict, key: str) -> str:

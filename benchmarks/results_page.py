@@ -51,9 +51,10 @@ def page(results: Path = RESULTS) -> str:
     rows = [(one, ours(one, results)) for one in PUBLISHED]
     measured = [(one, value) for one, value in rows if value is not None]
     told = [verdict(one, value) for one, value in measured]
+    figures = sum(not math.isnan(one.value) for one in PUBLISHED)
     lines = [
         HEAD,
-        f"Of {len(rows)} published figures {len(measured)} have one of ours beside them: "
+        f"Of {figures} published figures {len(measured)} have one of ours beside them: "
         f"{told.count('better')} better, {told.count('worse')} worse, {told.count('equal')} equal, {told.count('-')} "
         "without a verdict.",
         "",

@@ -78,6 +78,11 @@ def small_photos(data: Path, folder: Path) -> None:
         (folder / f"transforms_{split}.json").write_text(json.dumps(meta))
 
 
+def looked_at(count: int) -> list[int]:
+    """VIEWS of so many test views, evenly spread."""
+    return np.linspace(0, count - 1, VIEWS).round().astype(int).tolist()
+
+
 class Looks:
     """In place of its `evaluation`: the PSNR of a few test views, and the clock stopped meanwhile."""
 
@@ -94,7 +99,7 @@ class Looks:
         at, found = time.perf_counter(), []
         self.steps += LOOK
         with torch.no_grad():
-            for view in range(0, len(dataset.all_rays), len(dataset.all_rays) // VIEWS):
+            for view in looked_at(len(dataset.all_rays)):
                 rays = dataset.all_rays[view]
                 rgb = renderer(rays, field, chunk=4096, N_samples=N_samples, white_bg=white_bg, device="cpu")[0]
                 error = rgb.clamp(0, 1).reshape(-1, 3) - dataset.all_rgbs[view].reshape(-1, 3)

@@ -23,7 +23,7 @@ from stylerf.training.decompose import Decomposing, DecompositionWeights
 from stylerf.training.kept import Kept
 from stylerf.training.style_settings import StyleSettings
 
-SPEC = Spec(stage="decompose", verb="stylize", revision=2, writes="field")
+SPEC = Spec(stage="decompose", verb="stylize", revision=3, writes="field")
 FINAL_RATE = 0.1  # of the learning rate, at the end
 WORKING_BYTES = 1e9  # what a step takes beside what is kept of the views
 

@@ -32,7 +32,7 @@ from stylerf.style.colour import match_colours
 from stylerf.style.trunks import Trunk
 from stylerf.training.edit import EditSettings, EditTrainer, sampled_colours, start_module
 
-SPEC = Spec(stage="edit_learn", verb="stylize", revision=3, writes="edit")
+SPEC = Spec(stage="edit_learn", verb="stylize", revision=4, writes="edit")
 
 
 def run(inputs: dict[str, Artefact], config: EditConfig, partial: Partial, context: Context) -> dict:

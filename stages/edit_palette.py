@@ -1,6 +1,5 @@
 """Change a learnt palette: other colours, more or less of them, nothing trained (LAENeRF, 3.5)."""
 
-import json
 import shutil
 
 import numpy as np
@@ -8,12 +7,12 @@ import numpy as np
 from schemas.errors import BadInput
 from schemas.store import Artefact, Partial
 from stages.configs.edit import PaletteConfig
-from stages.edits import PALETTE, Edit, by_column, changes_of, columns_and_shares, load_edit, save_edit
+from stages.edits import PALETTE, Edit, by_column, changes_of, columns_and_shares, load_edit, save_edit, told_after
 from stages.progress import Context
 from stages.runner import Spec
 from stylerf.errors import InvalidValue
 
-SPEC = Spec(stage="edit_palette", verb="stylize", revision=1, writes="edit")
+SPEC = Spec(stage="edit_palette", verb="stylize", revision=2, writes="edit")
 
 
 def run(inputs: dict[str, Artefact], config: PaletteConfig, partial: Partial, context: Context) -> dict:
@@ -26,8 +25,7 @@ def run(inputs: dict[str, Artefact], config: PaletteConfig, partial: Partial, co
         changes.check(len(columns))
     except InvalidValue as error:
         raise BadInput(f"{learnt.path}: {error}; see {learnt.path / PALETTE}") from error
-    told = json.loads(learnt.file(PALETTE).read_text())
-    told.pop("colours")
+    told = told_after(learnt, changes)
     save_edit(partial.path, Edit(edit.module, by_column(changes, columns)), shares, told)
     if (learnt.path / "style.png").is_file():
         shutil.copyfile(learnt.path / "style.png", partial.path / "style.png")

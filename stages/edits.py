@@ -17,6 +17,7 @@ from stylerf.editing.palette import PaletteModule
 from stylerf.errors import InvalidValue
 
 DESCRIPTION, NUMBERS, PALETTE, SWATCH = "edit.json", "edit.safetensors", "palette.json", "palette.png"
+OF_WEIGHTS = ("sparsity", "palette_variation")  # what palette.json tells of the weights, beside their shares
 SWATCH_SIDE = 64
 
 
@@ -77,6 +78,13 @@ def columns_and_shares(artefact: Artefact) -> tuple[list[int], list[float]]:
         return columns, [shares[column] for column in range(len(columns))]
     except (KeyError, TypeError, ValueError) as error:
         raise ArtefactDamaged(f"{artefact.path / PALETTE} is not sound ({error}); make it anew") from error
+
+
+def told_after(artefact: Artefact, changes: PaletteEdits) -> dict:
+    """What palette.json tells beside colours, as far as it holds of the changed palette: not of other weights."""
+    told = json.loads(artefact.file(PALETTE).read_text())
+    gone = {"colours", *(OF_WEIGHTS if changes.scales or changes.biases else ())}
+    return {key: value for key, value in told.items() if key not in gone}
 
 
 def by_column(changes: PaletteEdits, columns: list[int]) -> PaletteEdits:

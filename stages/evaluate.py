@@ -15,6 +15,7 @@ import numpy as np
 from schemas.atomic import write_bytes, write_json
 from schemas.store import Artefact, Partial
 from stages.configs.evaluate import EvaluateConfig
+from stages.edits import OF_WEIGHTS
 from stages.evaluation.edited import LocalEdit, palette_facts, palette_rows
 from stages.evaluation.figures import Figure, Row, summarise, write_csv
 from stages.evaluation.film import Film
@@ -31,6 +32,7 @@ from stages.evaluation.measuring import (
     spoiled_words,
 )
 from stages.evaluation.page import build_page
+from stages.evaluation.pictures import Picture
 from stages.evaluation.references import NEAREST, References, measure_robustness
 from stages.evaluation.sheet import Sheet, chosen_views
 from stages.evaluation.telling import Presence, curve_of, draw_charts, not_measured, warnings_of
@@ -38,7 +40,7 @@ from stages.evaluation.views import FrameViews, Photo, Render, SceneViews
 from stages.progress import Context
 from stages.runner import Spec, versions
 
-SPEC = Spec(stage="evaluate", verb="eval", revision=4, writes="report")
+SPEC = Spec(stage="evaluate", verb="eval", revision=5, writes="report")
 STYLE_KEYS = ("nnfm", "gram", "sifid", "palette", "palette_mean", "palette_covariance", "content_ssim")
 
 
@@ -48,7 +50,7 @@ def run(inputs: dict[str, Artefact], config: EvaluateConfig, partial: Partial, c
     task.measure_views()
     task.measure_path()
     report, figures = task.report()
-    charts = draw_charts(task.stylised, task.rows, task.pairs, report["curve"], config.gap)
+    charts = draw_charts(task.stylised, task.rows, task.pairs, report["curve"], config.gap, task.lenses.style_words)
     for chart in charts:
         write_bytes(partial.path / "charts" / f"{chart.name}.svg", chart.svg.encode())
         write_bytes(partial.path / "charts" / f"{chart.name}.png", chart.png)
@@ -56,7 +58,7 @@ def run(inputs: dict[str, Artefact], config: EvaluateConfig, partial: Partial, c
     for name, rows in (("views", task.rows), ("pairs", task.pairs), ("training", task.training_rows)):
         if rows or name == "views":
             write_csv(partial.path / f"{name}.csv", rows)
-    page = build_page(report, replace(task.sheet().encoded(task.stylised), charts=charts))
+    page = build_page(report, replace(task.sheet().encoded(), charts=charts))
     write_bytes(partial.path / "report.html", page.encode())
     return {
         **{figure.key: figure.mean for figure in figures},
@@ -150,8 +152,8 @@ class Evaluation:
             self._measure_look(row, render.image, render.alpha)
             if photo is not None:
                 measure_content(row, render.image, photo)
-            if base is not None:
-                measure_shape(row, render, base)
+        if base is not None:
+            measure_shape(row, render, base)
         reference = ViewRow(render.name)
         if base is not None and not base.spoiled:
             self._measure_look(reference, base.image, base.alpha)
@@ -196,6 +198,7 @@ class Evaluation:
             "lpips_net": lenses.lpips.words if lenses.lpips else "absent",
             "perceptual_net": lenses.pixel_name,
             "style_protocol": lenses.painting.protocol if lenses.painting else "no painting",
+            "style_words": lenses.style_words,
             "style_trunk": lenses.painting.trunk_name if lenses.painting else "no painting",
             "gap": self.config.gap,
             "nearest": NEAREST,
@@ -260,13 +263,18 @@ class Evaluation:
             gap=self.config.gap,
             field=self.field is not None,
             edited=self.edit is not None,
+            masks=bool(self.config.masks),
+            weights_changed=any(not {*row} & {*OF_WEIGHTS} for row in palette_rows(self.field, self.edit is not None)),
         )
 
     def sheet(self) -> Sheet:
         """The contact sheet of the views worth seeing."""
         key = "content_ssim" if self.stylised else "psnr"
-        painting = self.lenses.painting.image if self.lenses.painting else None
-        sheet = Sheet(painting, self.lenses.painting_name, edited=self.edit is not None)
+        lenses, painting = self.lenses, None
+        if lenses.painting:
+            words = f"{lenses.style_words[:1].upper()}{lenses.style_words[1:]} {lenses.painting_name}"
+            painting = Picture(lenses.painting.image, lenses.style_words, words)
+        sheet = Sheet(painting, self.stylised, edited=self.edit is not None)
         for index, word in chosen_views(self.rows, key, self.config.sheet):
             render = self.frames.render(index)
             known = render.name not in self.unmatched

@@ -1,14 +1,12 @@
 """Recolour: a decomposed field with another palette, everywhere or around a place; nothing is trained (PaletteNeRF)."""
 
-import json
-
 import numpy as np
 
 from schemas.errors import BadInput
 from schemas.store import Artefact, Partial
 from stages.configs.decompose import RecolourConfig
 from stages.configs.views import pixel_of
-from stages.edits import PALETTE, by_column, changes_of, columns_and_shares, save_palette
+from stages.edits import PALETTE, by_column, changes_of, columns_and_shares, save_palette, told_after
 from stages.fields import load_field, save_field
 from stages.progress import Context
 from stages.runner import Spec
@@ -20,7 +18,7 @@ from stylerf.fields.field import RadianceField
 from stylerf.fields.palette import PaletteColour
 from stylerf.kernels.cpu.compiling import set_threads
 
-SPEC = Spec(stage="recolour", verb="stylize", revision=1, writes="field")
+SPEC = Spec(stage="recolour", verb="stylize", revision=2, writes="field")
 REACH = 0.1  # of the distance between camera and place
 SEEN = 0.5  # alpha from which a pixel shows a place
 
@@ -44,8 +42,7 @@ def run(inputs: dict[str, Artefact], config: RecolourConfig, partial: Partial, c
     changes = by_column(changes, columns)
     edit = Recolouring(changes, config.offset_scale, config.view_scale, within)
     field.colour = colour.edited(edit)
-    told = json.loads(source.file(PALETTE).read_text())
-    told.pop("colours")
+    told = told_after(source, changes)
     save_field(partial.path, field, background)
     save_palette(partial.path, colour.palette, field.colour.present_palette, shares, told)
     return {

@@ -2,7 +2,7 @@
 
 import json
 
-from benchmarks import beside_tensorf, charts, readme
+from benchmarks import beside_tensorf, charts, readme, tensorf
 from tests.test_gpu_benchmark import understood
 
 SHIPPED = {
@@ -44,4 +44,11 @@ def test_ours_is_fitted_until_it_gets_there_and_set_beside_theirs(monkeypatch, t
     table = readme.tensorf().splitlines()
     assert "| 800 s (400x) | over 800 s (133x) |" in table[5] and "compressed to 300 steps | 90 s (45x) |" in table[6]
     assert "| 2 s | 6 s | 82.00 dB, 60 s | 0.8 GB |" in table[4]
+    assert "mean of all test views for ours, of a few of them" in table[-1]
     assert charts.tensorf_chart(report) == charts.tensorf_chart(report)
+
+
+def test_as_many_views_are_looked_at_as_the_protocol_tells():
+    for count in (3, 25, 200):
+        views = tensorf.looked_at(count)
+        assert len({*views}) == tensorf.VIEWS == 3 and (views[0], views[-1]) == (0, count - 1)

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import matplotlib
 from matplotlib.axes import Axes
+from matplotlib.colors import to_hex, to_rgb
 from matplotlib.figure import Figure as Drawing
 from matplotlib.lines import Line2D
 
@@ -14,6 +15,8 @@ from stages.evaluation.wording import count
 
 # Okabe and Ito's, which most eyes tell apart, without the yellow that fails on white.
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#888888")
+LINES = ("-", "--", ":", "-.")  # of groups that take a colour once more, each time darker
+DARKER = 0.6
 MARKERS = "osD^vPX*"
 AXES = {
     "seconds": ("seconds", "Time"),
@@ -39,7 +42,7 @@ def comparison_charts(runs: Sequence[Run]) -> list[Chart]:
 
 def _chart(family: str, cost: str, panels: list[Panel]) -> Chart:
     shown = list({run.title: run for panel in panels for run in panel.runs}.values())
-    groups = {group: COLOURS[i % len(COLOURS)] for i, group in enumerate(dict.fromkeys(run.group for run in shown))}
+    groups = {group: look_of(i) for i, group in enumerate(dict.fromkeys(run.group for run in shown))}
     methods = {one: MARKERS[i % len(MARKERS)] for i, one in enumerate(dict.fromkeys(run.method for run in shown))}
     columns = min(2, len(panels))
     rows = -(-len(panels) // columns)
@@ -54,15 +57,22 @@ def _chart(family: str, cost: str, panels: list[Panel]) -> Chart:
         return finished(drawing, f"{family}_{cost}", title, "; ".join(map(_told, panels)))
 
 
-def _draw(axes: Axes, panel: Panel, groups: dict[str, str], methods: dict[str, str]) -> None:
+def look_of(place: int) -> tuple[str, str]:
+    """Colour and line of the group at this place; no two of the first 28 are alike."""
+    again, colour = divmod(place, len(COLOURS))
+    return to_hex([part * DARKER**again for part in to_rgb(COLOURS[colour])]), LINES[again % len(LINES)]
+
+
+def _draw(axes: Axes, panel: Panel, groups: dict[str, tuple[str, str]], methods: dict[str, str]) -> None:
     leading = {run.title for front in panel.fronts for run in front}
     for run in panel.runs:
-        colour = groups[run.group]
+        colour, _ = groups[run.group]
         fill = colour if run.title in leading else "none"
         axes.plot(*panel.at(run), methods[run.method], color=colour, markerfacecolor=fill, markersize=7, zorder=3)
     for front in panel.fronts:
         points = [panel.at(run) for run in front]
-        axes.step(*zip(*points), where="post", color=groups[front[0].group], linewidth=1.3, alpha=0.8, zorder=2)
+        colour, line = groups[front[0].group]
+        axes.step(*zip(*points), line, where="post", color=colour, linewidth=1.3, alpha=0.8, zorder=2)
     if len(panel.runs) <= NAMED:
         for run in panel.runs:
             axes.annotate(run.name, panel.at(run), xytext=(5, 4), textcoords="offset points", fontsize=7.5, color=INK)
@@ -80,8 +90,11 @@ def _draw(axes: Axes, panel: Panel, groups: dict[str, str], methods: dict[str, s
     axes.grid()
 
 
-def _legend(drawing: Drawing, groups: dict[str, str], methods: dict[str, str]) -> None:
-    handles = [Line2D([], [], color=colour, linewidth=3, label=group) for group, colour in groups.items()]
+def _legend(drawing: Drawing, groups: dict[str, tuple[str, str]], methods: dict[str, str]) -> None:
+    handles = [
+        Line2D([], [], color=colour, linestyle=line, linewidth=3, label=group)
+        for group, (colour, line) in groups.items()
+    ]
     handles += [
         Line2D([], [], color=INK, marker=marker, linestyle="", markerfacecolor="none", label=method)
         for method, marker in methods.items()

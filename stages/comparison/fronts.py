@@ -12,7 +12,8 @@ LEAST_SHARE = 0.1  # of its pixels: what fewer tell of a consistency is no groun
 
 @dataclass(frozen=True)
 class Panel:
-    """One figure of one family against one cost: the runs that have both, and their fronts by group and protocol."""
+    """One figure of one family against one cost: the runs that have both, and their fronts by group and way of
+    measuring."""
 
     key: str
     cost: str
@@ -33,11 +34,10 @@ def panel_of(runs: Sequence[Run], key: str, cost: str) -> Panel | None:
     if not having:
         return None
     first = having[0].figures[key]
-    sets: dict[tuple[str, str], list[Run]] = {}
+    sets: dict[tuple[str, tuple[str, int]], list[Run]] = {}
     for run in having:
-        if _too_few(run, key):
-            continue
-        sets.setdefault((run.group, run.figures[key].protocol), []).append(run)
+        if not why_off(run, key):
+            sets.setdefault((run.group, run.figures[key].way), []).append(run)
     fronts = []
     for some in sets.values() if first.better else ():
         costs, means = [float(run.costs[cost]) for run in some], [run.figures[key].mean for run in some]
@@ -57,37 +57,42 @@ def on_fronts(runs: Sequence[Run], keys: Sequence[str]) -> dict[str, list[str]]:
     return found
 
 
-def disagreements(runs: Sequence[Run], keys: Sequence[str]) -> list[Gap]:
-    """Figures of one group that were measured by more than one protocol, and so share no front; and those of too few
-    pixels for any."""
-    found = []
-    for key in keys:
-        protocols: dict[str, set[str]] = {}
-        for run in runs:
-            if key in run.figures:
-                protocols.setdefault(run.group, set()).add(run.figures[key].protocol)
-        found += [
-            Gap(
-                f"{run.title}: {key}",
-                f"Told by {_share(run, key):.1%} of the pixels alone, a front asks for {LEAST_SHARE:.0%}.",
-            )
-            for run in runs
-            if key in run.figures and _too_few(run, key)
-        ]
-        found += [
-            Gap(f"{group}: {key}", f"Measured by {len(some)} protocols; only runs of the same one share a front.")
-            for group, some in protocols.items()
-            if len(some) > 1
-        ]
+def disagreements(runs: Sequence[Run], charted: Sequence[str]) -> list[Gap]:
+    """Figures of one group that were measured in more than one way, and so cannot be set beside one another; and which
+    of those that are charted no front can take."""
+    found = [
+        Gap(f"{run.title}: {key}", why)
+        for key in charted
+        for run in runs
+        if key in run.figures and (why := why_off(run, key))
+    ]
+    for (group, key), ways in ways_of(runs).items():
+        protocols = len({protocol for protocol, _ in ways})
+        if protocols > 1:
+            why = f"Measured by {protocols} protocols; only runs of the same one share a front."
+        elif len(ways) > 1:
+            counts = " and ".join(str(count) for count in sorted(count for _, count in ways))
+            why = f"Over {counts} views or pairs; only runs of the same ones share a front."
+        else:
+            continue
+        found.append(Gap(f"{group}: {key}", why))
     return found
 
 
-def _share(run: Run, key: str) -> float | None:
-    """Of its pixels, that a figure is the mean over, where its report tells that."""
-    share = run.figures.get(f"{key.rpartition('_')[0]}_share")
-    return share.mean if share else None
+def ways_of(runs: Sequence[Run]) -> dict[tuple[str, str], list[tuple[str, int]]]:
+    """By group and key, the ways in which a figure was measured there, in the order of the runs."""
+    found: dict[tuple[str, str], dict[tuple[str, int], None]] = {}
+    for run in runs:
+        for key, measure in run.figures.items():
+            found.setdefault((run.group, key), {})[measure.way] = None
+    return {where: list(ways) for where, ways in found.items()}
 
 
-def _too_few(run: Run, key: str) -> bool:
-    share = _share(run, key)
-    return share is not None and share < LEAST_SHARE
+def why_off(run: Run, key: str) -> str:
+    """Why a figure of a run is on no front whatever the others are; empty where it may be."""
+    measure, share = run.figures[key], run.figures.get(f"{key.rpartition('_')[0]}_share")
+    if measure.left_out:
+        return f"Of {measure.count + measure.left_out} views or pairs {measure.left_out} could not be measured."
+    if share is not None and share.mean < LEAST_SHARE:
+        return f"Told by {share.mean:.1%} of the pixels alone, a front asks for {LEAST_SHARE:.0%}."
+    return ""

@@ -4,7 +4,8 @@ from collections.abc import Mapping, Sequence
 from html import escape
 
 from stages.comparison.charts import TITLES
-from stages.comparison.runs import CHARTED, EDITS, FITS, STYLISATIONS, Gap, Run
+from stages.comparison.fronts import ways_of
+from stages.comparison.runs import CHARTED, EDITS, FITS, STYLISATIONS, Gap, Measure, Run
 from stages.evaluation.charts import Chart
 from stages.evaluation.figures import Row
 from stages.evaluation.kinds import BY_KEY
@@ -13,10 +14,12 @@ from stages.evaluation.page_tables import table
 from stages.evaluation.wording import count, duration, megabytes, number
 
 FAMILIES = (FITS, STYLISATIONS, EDITS)
+LETTERS = "abcdefghijklmnopqrstuvwxyz"
 
 
 def rows_of(runs: Sequence[Run], fronts: Mapping[str, Sequence[str]]) -> list[Row]:
-    """One flat row a run: what it is, its costs, all its figures by key, and the fronts that it is on."""
+    """One flat row a run: what it is, its costs, all its figures by key with their protocols and numbers of views or
+    pairs, and the fronts that it is on."""
     return [
         {
             **{key: getattr(run, key) for key in ("family", "group", "work", "name", "method", "settings", "device")},
@@ -24,6 +27,8 @@ def rows_of(runs: Sequence[Run], fronts: Mapping[str, Sequence[str]]) -> list[Ro
             **run.costs,
             "fronts": " ".join(fronts[run.title]),
             **{key: measure.mean for key, measure in run.figures.items()},
+            **{f"{key}_protocol": measure.protocol for key, measure in run.figures.items()},
+            **{f"{key}_count": measure.count for key, measure in run.figures.items()},
         }
         for run in runs
     ]
@@ -60,11 +65,12 @@ def build_page(
 
 
 _HOW = (
-    "<p>A run is on a Pareto front where no other run of the same group, measured by the same protocol, is as good for "
-    "less or better for as much. A group is a scene, for stylisations with one painting, for edits with one set of "
-    "regions or masks, known by their content. Time is wall time of all attempts: of a fit its own; of a stylisation "
-    "or an edit that of every stage since the fitted field, selection and rendering left out. Memory is the greatest "
-    "of these stages’ processes.</p>"
+    "<p>A run is on a Pareto front where no other run of the same group, measured by the same protocol over as many "
+    "views or pairs, none left out, is as good for less or better for as much. A group is a scene, for stylisations "
+    "with one painting, for edits with one set of regions or masks, known by their content. Time is wall time of all "
+    "attempts: of a fit its own; of a stylisation or an edit that of every stage since the fitted field, selection and "
+    "rendering left out. Memory is the greatest of these stages’ processes. A figure is that of the newest evaluation "
+    "of the field that holds it.</p>"
 )
 
 
@@ -82,12 +88,15 @@ def _family(family: str, runs: Sequence[Run], charts: Sequence[Chart], fronts: M
 
 
 def _runs_table(family: str, runs: Sequence[Run], fronts: Mapping[str, Sequence[str]]) -> str:
-    known = [key for key in BY_KEY if any(key in run.figures for run in runs)]
-    keys = [*(key for key in CHARTED[family] if key in known), *(key for key in known if key not in CHARTED[family])]
-    labels = {key: next(run.figures[key] for run in runs if key in run.figures) for key in keys}
+    # Networks stand in the labels: what others measured has a column of its own.
+    columns = [
+        (key, label)
+        for key in (*CHARTED[family], *(key for key in BY_KEY if key not in CHARTED[family]))
+        for label in dict.fromkeys(run.figures[key].label for run in runs if key in run.figures)
+    ]
     heads = ["Run", "Group", "Method", "Settings", "Stages", "Device", "Time", "Peak memory", "Parameters"]
-    heads += [f"{labels[key].label}{_better(labels[key].better)}" for key in keys]
-    rows = []
+    heads += [f"{label}{_better(BY_KEY[key].better)}" for key, label in columns]
+    ways, rows = ways_of(runs), []
     for run in runs:
         words = (run.group, run.method, run.settings, " + ".join(run.stages), run.device)
         costs = (
@@ -98,13 +107,27 @@ def _runs_table(family: str, runs: Sequence[Run], fronts: Mapping[str, Sequence[
         cells = "".join(f"<td>{escape(text)}</td>" for text in words)
         cells += "".join(f'<td class="number">{text}</td>' for text in costs)
         leading = {one.partition("/")[0] for one in fronts[run.title]}
-        for key in keys:
-            value = number(run.figures[key].mean if key in run.figures else None, BY_KEY[key].digits)
-            on = ' mean" title="on a Pareto front' if key in leading else ""
-            cells += f'<td class="number{on}">{value}</td>'
+        for key, label in columns:
+            measure = run.figures.get(key)
+            measure = measure if measure and measure.label == label else None
+            value = number(measure.mean if measure else None, BY_KEY[key].digits)
+            on = ' mean" title="on a Pareto front' if measure and key in leading else ""
+            mark = _mark(measure, ways[run.group, key]) if measure else ""
+            cells += f'<td class="number{on}">{value}{mark}</td>'
         rows.append(f'<tr><th scope="row">{escape(run.title)}</th>{cells}</tr>')
-    caption = "Every run; bold figures are on a Pareto front against time, memory or parameters; – : not measured"
-    return table(f"{TITLES[family]}, all runs", caption, heads, range(6, 9 + len(keys)), rows, "dense")
+    caption = (
+        "Every run; bold figures are on a Pareto front against time, memory or parameters; – : not measured; a small "
+        "letter: within its group measured in more than one way, one letter each"
+    )
+    return table(f"{TITLES[family]}, all runs", caption, heads, range(6, 9 + len(columns)), rows, "dense")
+
+
+def _mark(measure: Measure, ways: Sequence[tuple[str, int]]) -> str:
+    """Which of the ways of its group a figure was measured in; empty where there is one."""
+    if len(ways) == 1:
+        return ""
+    told = f"{measure.protocol} Views or pairs: {measure.count}."
+    return f'<sup title="{escape(told)}">{LETTERS[ways.index(measure.way) % len(LETTERS)]}</sup>'
 
 
 def _better(better: str) -> str:

@@ -12,6 +12,7 @@ from schemas.canonical import digest_of
 from schemas.errors import StylerfError
 from schemas.store import Artefact, Work
 from stages.evaluation.figures import is_number
+from stages.evaluation.kinds import BY_KEY
 from stages.evaluation.lineage import counted, is_stylised, original_scene
 
 FITS, STYLISATIONS, EDITS = "fits", "stylisations", "edits"
@@ -20,21 +21,28 @@ COSTS = ("seconds", "peak_memory_mb", "parameters")
 CHARTED = {
     FITS: {"psnr": "", "ssim": "", "lpips": ""},
     STYLISATIONS: {"nnfm": "", "content_ssim": "", "short_rmse": "--path", "long_rmse": "--path"},
-    EDITS: {"background_mse": "--region", "bleeding": "--region", "sparsity": "--region", "short_rmse": "--path"},
+    EDITS: {"background_mse": "--region", "bleeding": "--region", "sparsity": "--region", "edit_short_rmse": "--path"},
 }
-PREPARING = ("distill", "deform_init", "decompose", "recolour")  # stages whose fields and scenes cost an edit its time
+ORDER = {key: place for place, key in enumerate(BY_KEY)}
 NEEDED = {FITS: ("psnr",), STYLISATIONS: tuple(CHARTED[STYLISATIONS]), EDITS: ("background_mse", "bleeding")}
 
 
 @dataclass(frozen=True)
 class Measure:
-    """One figure of a run as its report tells it."""
+    """One figure of a run as its report tells it. count, left_out: views or pairs that took part, and could not."""
 
     mean: float
     label: str
     unit: str
     better: str
     protocol: str
+    count: int
+    left_out: int
+
+    @property
+    def way(self) -> tuple[str, int]:
+        """What has to be the same for two figures to be set beside one another."""
+        return self.protocol, self.count
 
 
 @dataclass(frozen=True)
@@ -122,9 +130,15 @@ def _run(artefact: Artefact, family: str, work: Work, called: str, scenes: dict[
     """The group's name is given when all runs are known."""
     manifest = artefact.manifest
     made = [*(_made_for(artefact) if family != FITS else ()), artefact]
-    report = _report(artefact, work)
-    told = json.loads(report.file("report.json").read_text()) if report else {}
-    group = _group(artefact, family, called, scenes, report, told)
+    reports = _reports(artefact, work)
+    own = [_own(artefact, family, *one) for one in reports] or [_own(artefact, family)]
+    # The newest that tells what it is of; what tells nothing of it fits any.
+    leading = next((one for one in own if one[0]), own[0])
+    measured: dict[str, Measure] = {}
+    for (what, _), (_, told) in zip(own, reports):
+        if what in ((), leading[0]):
+            measured = _measures(told) | measured
+    group = _group(artefact, family, called, scenes, leading)
     run = Run(
         family=family,
         work=called,
@@ -139,13 +153,20 @@ def _run(artefact: Artefact, family: str, work: Work, called: str, scenes: dict[
             "peak_memory_mb": max(one.manifest.peak_memory_mb for one in made) or None,
             "parameters": counted(manifest.figures.get("parameters")),
         },
-        figures={
-            one["key"]: Measure(one["mean"], one["label"], one["unit"], one["better"], one["protocol"])
-            for one in told.get("figures", [])
-            if is_number(one["mean"])
-        },
+        figures=dict(sorted(measured.items(), key=lambda one: ORDER.get(one[0], len(ORDER)))),
     )
     return run, group
+
+
+def _measures(told: dict) -> dict[str, Measure]:
+    """By key, the figures of a report."""
+    return {
+        one["key"]: Measure(
+            one["mean"], one["label"], one["unit"], one["better"], one["protocol"], one["count"], one["left_out"]
+        )
+        for one in told.get("figures", [])
+        if is_number(one["mean"])
+    }
 
 
 def _made_for(artefact: Artefact, seen: set[Path] | None = None) -> list[Artefact]:
@@ -158,15 +179,15 @@ def _made_for(artefact: Artefact, seen: set[Path] | None = None) -> list[Artefac
         if ref.kind not in ("field", "scene", "edit", "edit-dataset"):
             continue
         source = work.get(ref.kind, ref.name)
-        prepares = ref.kind in ("edit", "edit-dataset") or source.manifest.stage in PREPARING
-        if prepares and source.path not in seen:
+        made = source.manifest.stage != "nerf_fit" if ref.kind == "field" else source.manifest.stage == "distill"
+        if (made or ref.kind in ("edit", "edit-dataset")) and source.path not in seen:
             seen.add(source.path)
             found += [*_made_for(source, seen), source]
     return found
 
 
-def _report(artefact: Artefact, work: Work) -> Artefact | None:
-    """The last evaluation of this very field."""
+def _reports(artefact: Artefact, work: Work) -> list[tuple[Artefact, dict]]:
+    """The evaluations of this very field with what they tell, the newest first."""
     found = []
     for report in work.artefacts("report"):
         with suppress(StylerfError):  # a damaged report counts as none
@@ -174,13 +195,24 @@ def _report(artefact: Artefact, work: Work) -> Artefact | None:
             if any(ref.role == "field" and ref.digest == artefact.digest for ref in refs):
                 report.check_sizes()
                 found.append(report)
-    return max(found, key=lambda one: one.manifest.created, default=None)
+    found.sort(key=lambda one: one.manifest.created, reverse=True)
+    return [(report, json.loads(report.file("report.json").read_text())) for report in found]
+
+
+def _own(
+    artefact: Artefact, family: str, report: Artefact | None = None, told: dict | None = None
+) -> tuple[tuple[str, ...], str]:
+    """Digests and names of what a report measures a run by, beside its scene: the painting, or the edited part."""
+    if family == FITS:
+        return (), ""
+    return _look(artefact, report) if family == STYLISATIONS else _edited(report, told or {})
 
 
 def _group(
-    artefact: Artefact, family: str, called: str, scenes: dict[str, str], report: Artefact | None, told: dict
+    artefact: Artefact, family: str, called: str, scenes: dict[str, str], leading: tuple[tuple[str, ...], str]
 ) -> Group:
-    """scenes: names by digest, of scenes met so far, so that two folders with one scene make one group."""
+    """scenes: names by digest, of scenes met so far, so that two folders with one scene make one group. leading: what
+    its figures are measured by."""
     waiting, scene = [artefact], None
     while waiting and scene is None:
         one = waiting.pop(0)
@@ -193,9 +225,7 @@ def _group(
                 waiting.append(inside.get("field", ref.name))
     name = called if scene is None else scenes.setdefault(scene.digest, called)
     what = (called if scene is None else scene.digest,)
-    if family == FITS:
-        return Group(what, name)
-    own, shown = _look(artefact, report) if family == STYLISATIONS else _edited(report, told)
+    own, shown = leading
     return Group((*what, *own), f"{name}, {shown}" if shown else name)
 
 

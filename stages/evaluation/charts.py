@@ -12,6 +12,7 @@ from matplotlib.ticker import MaxNLocator
 
 INK = "#24292f"  # text and axes; becomes the page's own colour when inlined
 BLUE, ORANGE = "#3d85c6", "#d9822b"  # both read on white and on near-black
+LINES = {"held out": "-", "trained on": "--"}  # a fit's views kept aside, until they are trained on too, and from then
 SETTINGS = {
     "svg.fonttype": "none",  # text stays text: selectable, small, and in the page's own font
     "svg.hashsalt": "stylerf",  # the same chart gives the same bytes
@@ -88,19 +89,27 @@ def bar_chart(name: str, title: str, unit: str, labels: Sequence[str], values: S
 
 
 def curve_chart(name: str, title: str, curve: Sequence[dict]) -> Chart:
-    """Held-out PSNR against training seconds and, where recorded, parameters below it.
+    """PSNR of the views that a fit looks at against its seconds and, where recorded, parameters below it.
 
-    curve: [{seconds, psnr, parameters (optional)}], in order of time.
+    curve: [{seconds, psnr, held_out, parameters (optional)}], in order of time. What is trained on by then is dashed,
+    and never joined to what is held out.
     """
-    seconds, quality = [point["seconds"] for point in curve], [point["psnr"] for point in curve]
+    seconds = [point["seconds"] for point in curve]
+    kinds = {label: [point for point in curve if point["held_out"] == (label == "held out")] for label in LINES}
+    kinds = {label: points for label, points in kinds.items() if points}
     sized = all(isinstance(point.get("parameters"), (int, float)) for point in curve)
     with matplotlib.rc_context(SETTINGS):
         drawing = Drawing(figsize=(8, 4.2 if sized else 3.2), layout="constrained")
         grid = drawing.add_gridspec(2 if sized else 1, 1, height_ratios=[3, 1] if sized else None)
         upper = drawing.add_subplot(grid[0])
-        upper.plot(seconds, quality, "-o", color=BLUE, markersize=3.5)
-        upper.annotate(f"{quality[-1]:.2f} dB", (seconds[-1], quality[-1]), xytext=(0, 6), textcoords="offset points",
-                       ha="right")  # fmt: skip
+        for label, points in kinds.items():
+            places = [point["seconds"] for point in points], [point["psnr"] for point in points]
+            fill = BLUE if label == "held out" else "none"
+            upper.plot(*places, LINES[label] + "o", color=BLUE, markerfacecolor=fill, markersize=3.5, label=label)
+        leading, points = next(iter(kinds.items()))
+        at = points[-1]["seconds"], points[-1]["psnr"]
+        upper.annotate(f"{at[1]:.2f} dB {leading}", at, xytext=(0, 6), textcoords="offset points", ha="right")
+        upper.legend(loc="lower right")
         upper.set_ylabel("PSNR (dB)")
         upper.margins(y=0.15)
         upper.grid()
@@ -114,9 +123,13 @@ def curve_chart(name: str, title: str, curve: Sequence[dict]) -> Chart:
             upper.tick_params(labelbottom=False)
         lowest.set_xlabel("seconds of fitting")
         lowest.set_xlim(left=0)
-        first, last = (f"{quality[i]:.2f} dB at {seconds[i]:.0f} s" for i in (0, -1))
-        told = f"PSNR against seconds: {first}, {last}"
-        return finished(drawing, name, title, told)
+        told = [f"{label} {_ends(points)}" for label, points in kinds.items()]
+        return finished(drawing, name, title, f"PSNR against seconds of views {'; of views '.join(told)}")
+
+
+def _ends(points: Sequence[dict]) -> str:
+    told = [f"{point['psnr']:.2f} dB at {point['seconds']:.0f} s" for point in points]
+    return " to ".join(dict.fromkeys((told[0], told[-1])))
 
 
 def pairs_chart(name: str, title: str, series: dict[str, Sequence[tuple[float, float]]]) -> Chart:

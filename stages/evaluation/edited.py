@@ -8,6 +8,7 @@ import numpy as np
 
 from schemas.store import Artefact
 from stages.configs.evaluate import EvaluateConfig
+from stages.edits import OF_WEIGHTS
 from stages.evaluation.figures import Figure, Row, is_number
 from stages.evaluation.lineage import palette_behind
 from stages.evaluation.masks import PictureMasks, RegionMasks
@@ -18,7 +19,6 @@ from stages.progress import Context
 from stylerf.metrics.background import background_mse, mean_change, split_view
 
 TRAIN = "train_"
-PALETTE = ("sparsity", "palette_variation")
 UNEDITED = "background_mse_unedited"
 REFERENCE = "the unedited renders"
 
@@ -159,7 +159,7 @@ def palette_rows(field: Artefact | None, edited: bool) -> list[Row]:
     if made is None or (made.kind == "edit" and not edited):
         return []
     told = made.manifest.figures
-    return [{"name": made.name, **{key: told[key] for key in PALETTE if is_number(told.get(key))}}]
+    return [{"name": made.name, **{key: told[key] for key in OF_WEIGHTS if is_number(told.get(key))}}]
 
 
 def palette_facts(field: Artefact | None) -> dict:

@@ -36,20 +36,21 @@ class Film:
     def __init__(self, frames: FrameViews, config: EvaluateConfig, lenses: Lenses, inside: Inside | None) -> None:
         self.frames, self.config, self._inside = frames, config, inside
         self.modes = tuple(PARTS) if config.consistency == "all" else (config.consistency,)
-        self.flows = FileFlows(Path(config.flow).expanduser(), frames) if config.flow else FieldFlows()
+        flows = (Path(config.flow).expanduser(), frames, config.flow_digest)
+        self.flows = FileFlows(*flows) if config.flow else FieldFlows()
+        gaps = {"short": 1, "long": config.gap}
+        self._ranges = {label: pairs_of(len(frames), gap, config.pairs) for label, gap in gaps.items()}
         size = frames.render(0).alpha.shape
         self._pixels, self._whole = lenses.pixel_distance(size), lenses.whole_distance(size)
         self.rows: list[Row] = []
 
     def measure(self, progress) -> None:
         """Fills `rows`."""
-        gaps = {"short": 1, "long": self.config.gap}
-        ranges = {label: pairs_of(len(self.frames), gap, self.config.pairs) for label, gap in gaps.items()}
-        pairs = [pair for some in ranges.values() for pair in some]
+        pairs = [pair for some in self._ranges.values() for pair in some]
         if isinstance(self.flows, FileFlows):
             self.flows.require([*pairs, *((second, first) for first, second in pairs)])
         progress.start("warping views", len(pairs), "pair")
-        for row in self.measured(ranges):
+        for row in self.measured(self._ranges):
             self.rows.append(row)
             progress.update(len(self.rows))
         progress.finish()
@@ -61,14 +62,20 @@ class Film:
         """
         last: dict[int, Render] = {}
         for label, pairs in ranges.items():
-            looked_at = spread(len(pairs), self.config.perceptual_pairs) if self._pixels is not None else []
+            looked_at = self._looked_at(pairs) if self._pixels is not None else []
             for place, (source, target) in enumerate(pairs):
                 last = {i: last[i] if i in last else self.frames.render(i) for i in (source, target)}
                 row = self._pair(label, (last[source], last[target]), (source, target), place in looked_at)
                 yield {**row.row(), "range": label, "frame": target}
 
+    def _looked_at(self, pairs: list[tuple[int, int]]) -> list[int]:
+        """Places of the pairs that a perceptual distance is taken of."""
+        return spread(len(pairs), self.config.perceptual_pairs)
+
     def facts(self) -> dict:
         """What the protocols are filled in with."""
+        counted = {f"{label}_pairs": len(pairs) for label, pairs in self._ranges.items()}
+        looked_at = {f"{label}_looked_at": len(self._looked_at(pairs)) for label, pairs in self._ranges.items()}
         by_depth = (
             "by the field's own depth and poses; visible where the alpha of both is over 0.5 and "
             f"their depths agree to {self.config.depth_tolerance * 100:g} % at all four source pixels, worn down by 1 "
@@ -79,6 +86,8 @@ class Film:
             "cancel and have no step (Ruder et al. 2016)"
         )
         return {
+            **counted,
+            **looked_at,
             "path": f"the path {self._path()} of {len(self.frames)} frames",
             "warp_protocol": by_flow if self.config.flow else by_depth,
             "flow": self.flows.words[0].upper() + self.flows.words[1:],

@@ -24,12 +24,15 @@ class FieldFlows:
 
 
 class FileFlows:
-    """Flow from a folder of `FROM_to_TO.flo` or `.npy`; FROM and TO are frames' numbers as in png/NNNN.png."""
+    """Flow from a folder of `FROM_to_TO.flo` or `.npy`; FROM and TO are frames' numbers as in png/NNNN.png.
 
-    def __init__(self, folder: Path, frames: FrameViews) -> None:
+    digest: of the flows, whose beginning a protocol tells beside the folder's name.
+    """
+
+    def __init__(self, folder: Path, frames: FrameViews, digest: str) -> None:
         self._folder, self._files = folder, {path.stem: path for path in flow_files(folder)}
         self._numbers = [PurePosixPath(view.png).stem for view in frames.frames.views]
-        self.words = f"flow from files ({folder.name})"
+        self.words = f"flow from files ({folder.name} {digest[:8]})"
 
     def require(self, pairs: Iterable[tuple[int, int]]) -> None:
         """BadInput unless there is a file for each of these pairs, first and second frame by place."""

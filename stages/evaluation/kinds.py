@@ -26,8 +26,8 @@ EDITED = (
     ),
     Kind(
         "background_ratio", "Background MSE over that of the unedited field", "", "lower", 3,
-        "Ratio to the mean of field {unedited}, over the views that have both; lowest and highest are ratios of single "
-        "views.",
+        "Ratio to the mean of field {unedited}, over the views that have both; median, lowest and highest are of the "
+        "ratios of single views.",
     ),
     Kind(
         "change_inside", "Change in the region", "", "", 4,
@@ -50,8 +50,8 @@ EDITED = (
     ),
     Kind(
         "palette_variation", "Palette TV", "", "lower", 5,
-        "Squared differences of the weights of neighbours among {palette_pixels}, summed over pairs and colours, by "
-        "their number; same views.",
+        "Differences of the weights of neighbours among {palette_pixels}, times the alpha of both, squared and summed "
+        "over pairs and colours, over the number of pixels (as LAENeRF's released code); same views.",
     ),
     Kind("region_share", "Region in view", "share", "", 4, "Pixels {inside}, over all pixels of the view."),
 )  # fmt: skip
@@ -107,26 +107,28 @@ FITTED = (
 
 STYLISED = (
     Kind(
-        "nnfm", "NNFM distance to the painting", "", "lower", 4,
-        "Mean of 1 - cosine between each feature of the render and its nearest in the painting; {style_protocol}.",
+        "nnfm", "NNFM distance to {style_words}", "", "lower", 4,
+        "Mean of 1 - cosine between each feature of the render and its nearest in {style_words}; {style_protocol}.",
     ),
     Kind(
-        "gram", "Gram distance to the painting", "", "lower", 4,
-        "|G - G_s| / |G_s| of the Gram matrices of render and painting; features, sizes and weights as for NNFM.",
+        "gram", "Gram distance to {style_words}", "", "lower", 4,
+        "|G - G_s| / |G_s| of the Gram matrices of the render and {style_words}; features, sizes and weights as for "
+        "NNFM.",
     ),
     Kind(
         "sifid", "SIFID-style distance, {style_trunk}", "", "lower", 3,
-        "Squared Frechet distance between the features of conv2_2 of {style_trunk} at the positions of render and "
-        "painting, sizes and weights as for NNFM. SIFID itself looks through Inception: its values are others.",
+        "Squared Frechet distance between the features of conv2_2 of {style_trunk} at the positions of the render and "
+        "{style_words}, sizes as for NNFM, each position counted once where over half of it is opaque. SIFID itself "
+        "looks through Inception: its values are others.",
     ),
     Kind(
-        "palette", "Palette distance to the painting", "", "lower", 4,
-        "2-Wasserstein distance between the Gaussians that have the mean and covariance of the sRGB colours of render "
-        "and painting; pixels with alpha under 0.5 are left out.",
+        "palette", "Palette distance to {style_words}", "", "lower", 4,
+        "2-Wasserstein distance between the Gaussians that have the mean and covariance of the sRGB colours of the "
+        "render and {style_words}; pixels with alpha under 0.5 are left out.",
     ),
     Kind(
         "palette_mean", "Difference of mean colour", "", "lower", 4,
-        "Euclidean distance between the mean sRGB colours of render and painting, same pixels.",
+        "Euclidean distance between the mean sRGB colours of the render and {style_words}, same pixels.",
     ),
     Kind(
         "palette_covariance", "Difference of colour covariance", "", "lower", 4,
@@ -162,71 +164,77 @@ SHARED = (
 )  # fmt: skip
 
 
+def _means(label: str) -> tuple[str, str]:
+    """How many pairs of a range a figure is the mean of; and a perceptual distance, the slowest."""
+    return f"mean of {{{label}_pairs}} pairs", f"mean of {{{label}_looked_at}} pairs"
+
+
 def _correct(label: str, words: str) -> tuple[Kind, ...]:
     """Our own, of one range; of a local edit also within its region."""
-    name = f"Consistency {label} (correct)"
+    name, (mean, looked_at) = f"Consistency {label} (correct)", _means(label)
     warped = f"Frame k of {{path}} warped onto frame {words} {{warp_protocol}}"
     return (
         Kind(
             f"{label}_rmse", f"{name}, RMSE", "", "lower", 4,
-            f"{warped}; root mean square over visible pixels and RGB; mean of the pairs.",
+            f"{warped}; root mean square over visible pixels and RGB; {mean}.",
         ),
         Kind(
             f"edit_{label}_rmse", f"Consistency {label} within the region (correct), RMSE", "", "lower", 4,
-            f"{warped}; root mean square over RGB and the visible pixels of the target {{inside}}; mean of the pairs.",
+            f"{warped}; root mean square over RGB and the visible pixels of the target {{inside}}; {mean}.",
         ),
         Kind(
             f"{label}_perceptual", f"{name}, {{perceptual_net}}", "", "lower", 4,
             f"{warped}; {{perceptual_net}} per pixel, averaged over visible pixels; elsewhere both images show the "
-            "target, so nothing counts.",
+            f"target, so nothing counts; {looked_at}.",
         ),
         Kind(
             f"{label}_share", f"{name}, visible", "share", "", 4,
-            f"{warped}; visible pixels over opaque pixels of the target.",
+            f"{warped}; visible pixels over opaque pixels of the target; {mean}.",
         ),
     )  # fmt: skip
 
 
 def _script(label: str, words: str) -> tuple[Kind, ...]:
     """LAENeRF's released script, of one range."""
-    name = f"Consistency {label} (laenerf-script)"
+    name, (mean, looked_at) = f"Consistency {label} (laenerf-script)", _means(label)
     return (
         Kind(
             f"{label}_laenerf_script_mse", f"{name}, MSE", "", "lower", 4,
             f"As LAENeRF's released script, faults included: frame k of {{path}} read along the flow of frame {words}; "
-            "squared difference summed over RGB, mean over the pixels that its check flags; mean of the pairs that "
-            "have any. The check adds the forward flow to itself. {flow}. The script takes RAFT's flow of the "
-            "unstylised film, and all pairs of it.",
+            f"squared difference summed over RGB, mean over the pixels that its check flags; {mean}, those that have "
+            "any. The check adds the forward flow to itself. {flow}; where there is none, it is taken as 0. The "
+            "script takes RAFT's flow of the unstylised film, and all pairs of it.",
         ),
         Kind(
             f"{label}_laenerf_script_perceptual", f"{name}, {{perceptual_net}}", "", "lower", 4,
-            "{perceptual_net} of the same two whole images of {path}, given 0..1 where -1..1 is expected. The script "
-            "takes LPIPS on AlexNet.",
+            f"{{perceptual_net}} of the same two whole images of {{path}}, given 0..1 where -1..1 is expected; "
+            f"{looked_at}. The script takes LPIPS on AlexNet.",
         ),
         Kind(
             f"{label}_laenerf_script_flagged", f"{name}, flagged", "share", "", 4,
-            "Pixels that its check flags, which are those it averages over.",
+            f"Pixels that its check flags, which are those it averages over; {mean}.",
         ),
     )  # fmt: skip
 
 
 def _family(label: str, words: str) -> tuple[Kind, ...]:
     """StyleRF's protocol, of one range."""
-    name = f"Consistency {label} (stylerf-family)"
+    name, (mean, looked_at) = f"Consistency {label} (stylerf-family)", _means(label)
     return (
         Kind(
             f"{label}_stylerf_family_rmse", f"{name}, RMSE", "", "lower", 4,
             f"Frame k of {{path}} moved onto frame {words} by softmax splatting (importance -20 times the difference "
-            "of colours); root mean square over RGB and the pixels that anything lands on; mean of the pairs. "
-            "{flow}. Papers take RAFT's flow, and pairs of their own.",
+            f"of colours); root mean square over RGB and the pixels that anything lands on; {mean}. {{flow}}. Papers "
+            "take RAFT's flow, and pairs of their own.",
         ),
         Kind(
             f"{label}_stylerf_family_perceptual", f"{name}, {{perceptual_net}}", "", "lower", 4,
             "{perceptual_net} per pixel of the same pairs of {path}, averaged over the pixels that anything lands on; "
-            "elsewhere both images show the target.",
+            f"elsewhere both images show the target; {looked_at}.",
         ),
         Kind(
-            f"{label}_stylerf_family_share", f"{name}, reached", "share", "", 4, "Pixels that anything lands on.",
+            f"{label}_stylerf_family_share", f"{name}, reached", "share", "", 4,
+            f"Pixels that anything lands on; {mean}.",
         ),
     )  # fmt: skip
 

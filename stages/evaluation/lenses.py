@@ -23,6 +23,7 @@ class Lenses:
     lpips: Perceptual | None
     painting: Painting | None
     painting_name: str
+    style_words: str = "the painting"  # what that picture is
 
     @classmethod
     def found(cls, config: EvaluateConfig, field: Artefact | None, context: Context) -> "Lenses":
@@ -33,7 +34,7 @@ class Lenses:
             return cls(tolerant, lpips, None, "")
         painting = Painting(read_colours(path), config.features, config.style_side, context.device)
         context.progress.say(f"style distances to {path.name} by features of {painting.trunk_name}")
-        return cls(tolerant, lpips, painting, path.name)
+        return cls(tolerant, lpips, painting, path.name, style_words(config, field))
 
     @property
     def pixel_name(self) -> str:
@@ -60,6 +61,12 @@ class Lenses:
         """The same distance of whole images."""
         net = self.lpips or self.tolerant
         return net.distance if net is not None and self.large_enough(shape) else None
+
+
+def style_words(config: EvaluateConfig, field: Artefact | None) -> str:
+    """What the picture is that style is measured by: a field made after references alone keeps the first of them."""
+    made_with = {} if config.style or field is None else field.manifest.config
+    return "the reference" if made_with.get("reference") and not made_with.get("style") else "the painting"
 
 
 def painting_file(config: EvaluateConfig, field: Artefact | None) -> Path | None:

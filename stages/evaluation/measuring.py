@@ -103,14 +103,20 @@ def measure_content(row: ViewRow, image: np.ndarray, photo: Photo) -> None:
 
 def measure_shape(row: ViewRow, render: Render, base: Render) -> None:
     """Depth of a stylised render against that of its unstylised twin."""
-    if base.z.shape == render.z.shape and not base.spoiled:
+    if render.spoiled or base.spoiled:
+        words = spoiled_words(render) if render.spoiled else f"unstylised: {spoiled_words(base)}"
+        row.spoil(("shape_change",), words)
+    elif base.z.shape == render.z.shape:
         row.measure(("shape_change",), lambda: shape_change(render.z, render.alpha, base.z, base.alpha))
 
 
 def measure_see_through(row: ViewRow, render: Render, other: Render) -> None:
     """Signs of floaters from a view and its neighbour."""
-    if not (render.spoiled or other.spoiled):
-        row.measure(("see_through",), lambda: seen_through(render.posed(), other.posed()))
+    if render.spoiled or other.spoiled:
+        words = spoiled_words(render) if render.spoiled else f"the view before it: {spoiled_words(other)}"
+        row.spoil(("see_through",), words)
+        return
+    row.measure(("see_through",), lambda: seen_through(render.posed(), other.posed()))
 
 
 def spread(count: int, most: int) -> list[int]:

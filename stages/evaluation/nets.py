@@ -108,8 +108,8 @@ class Painting:
     def protocol(self) -> str:
         """How style distances are measured, in words."""
         return (
-            f"features conv3_1..3 of {self.trunk_name} ({self.trunk_words}), render and painting at {self.side} pixels "
-            "on the longer side or the render's own if smaller, positions weighted by alpha"
+            f"features conv3_1..3 of {self.trunk_name} ({self.trunk_words}), both pictures at {self.side} pixels on "
+            "the longer side or the render's own if smaller, positions weighted by alpha"
         )
 
     @torch.no_grad()

@@ -25,6 +25,10 @@ class Picture:
     caption: str
     alt: str
 
+    def small(self) -> "Picture":
+        """As large as a page shows it at the best, so that many can wait whatever the photos' size."""
+        return Picture(shrunk(self.image, LADDER[0][0]).astype(np.float32), self.caption, self.alt)
+
 
 @dataclass(frozen=True)
 class Encoded:
@@ -88,11 +92,16 @@ def encode(pictures: Sequence[Picture], budget_bytes: int) -> list[Encoded]:
     return encoded
 
 
+def shrunk(image: np.ndarray, width: int) -> np.ndarray:
+    """An image [h, w, 3] averaged down to `width` pixels, where it is wider."""
+    if image.shape[1] <= width:
+        return image
+    height = max(1, round(image.shape[0] * width / image.shape[1]))
+    return resize(image, (height, width), anti_aliasing=True)
+
+
 def _encoded(picture: Picture, width: int, quality: int) -> Encoded:
-    image = picture.image
-    if image.shape[1] > width:
-        height = max(1, round(image.shape[0] * width / image.shape[1]))
-        image = resize(image, (height, width), anti_aliasing=True)
+    image = shrunk(picture.image, width)
     pixels = np.round(np.clip(image, 0, 1) * 255).astype(np.uint8)
     buffer = io.BytesIO()
     imsave(buffer, pixels, format="jpeg", pil_kwargs={"quality": quality, "optimize": True})

@@ -14,7 +14,7 @@ from schemas.canonical import digest_of, file_sha256
 from schemas.errors import BadInput
 from stages.configs.views import file_of
 from stages.evaluation.masks import SIDES_DIFFER
-from stages.evaluation.measuring import HIGHEST_PSNR, ViewRow
+from stages.evaluation.measuring import HIGHEST_PSNR, ViewRow, spoiled_words
 from stages.evaluation.views import FrameViews, Render, SceneViews
 from stages.paintings import read_colours
 from stylerf.metrics.images import psnr
@@ -38,7 +38,11 @@ class References:
     def measure(self, row: ViewRow, index: int, render: Render, distance: ImageDistance | None) -> None:
         """Mean distance of test view `index` from the references it is near to, under `ref_lpips`."""
         near = [self._pictures[i] for i, views in enumerate(self._near) if index in views]
-        if near and distance is not None and not render.spoiled:
+        if not near or distance is None:
+            return
+        if render.spoiled:
+            row.spoil(("ref_lpips",), spoiled_words(render))
+        else:
             sized = [sized_as(picture, render) for picture in near]
             row.measure(("ref_lpips",), lambda: float(np.mean([distance(render.image, one) for one in sized])))
 
@@ -80,7 +84,11 @@ def references_digest(asked: Sequence[str]) -> str:
 def measure_robustness(row: ViewRow, render: Render, twins: FrameViews) -> None:
     """PSNR of a render against the same view of the field whose renders were the references, under `robustness`."""
     at = twins.showing(render.scene_view)
-    if at is None or render.spoiled:
+    if at is None:
         return
     twin = twins.render(at)
-    row.measure(("robustness",), lambda: min(psnr(render.image, twin.image), HIGHEST_PSNR))
+    if render.spoiled or twin.spoiled:
+        words = spoiled_words(render) if render.spoiled else f"of the other field: {spoiled_words(twin)}"
+        row.spoil(("robustness",), words)
+    else:
+        row.measure(("robustness",), lambda: min(psnr(render.image, twin.image), HIGHEST_PSNR))

@@ -1,12 +1,13 @@
 """Which views go on the contact sheet, and the pictures of each."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from stages.evaluation.figures import Row, is_number
 from stages.evaluation.page import Pictures, SheetRow
-from stages.evaluation.pictures import Picture, depth_picture, depth_range, encode, error_picture, shown
+from stages.evaluation.pictures import LADDER, Picture, depth_picture, depth_range, encode, error_picture, shown
 from stages.evaluation.views import Photo, Render
 from stages.evaluation.wording import number
 
@@ -34,39 +35,51 @@ def chosen_views(rows: Sequence[Row], key: str, most: int) -> list[tuple[int, st
 
 
 class Sheet:
-    """Gathers views and encodes all their pictures at once, so that the whole fits its budget."""
+    """Gathers views, each as small as the page shows it, and encodes all at once, so that the whole fits its budget."""
 
-    def __init__(self, painting: np.ndarray | None, painting_name: str, edited: bool = False) -> None:
-        self._edited = edited
+    def __init__(self, painting: Picture | None, stylised: bool, edited: bool = False) -> None:
+        self._make = _edited_pictures if edited else _stylised_pictures if stylised else _fit_pictures
         self._painting = painting
-        self._painting_name = painting_name
-        self._views: list[tuple[str, Row, Render, Photo | None, Render | None]] = []
+        self._views: list[_View] = []
 
     def add(self, heading: str, row: Row, render: Render, photo: Photo | None, base: Render | None = None) -> None:
         """One view; `base` is the unstylised (of a local edit the unedited) render of the same view."""
-        self._views.append((heading, row, render, photo, base))
+        pictures = [picture.small() for picture in self._make(row, render, photo, base)]
+        # Depths cannot be averaged: of every so many pixels one is taken.
+        height, width = render.z.shape
+        part = min(1.0, LADDER[0][0] / width)
+        taken = np.ix_(*(np.linspace(0, side - 1, max(1, round(side * part))).round().astype(int)
+                         for side in (height, width)))  # fmt: skip
+        self._views.append(_View(heading, render.name, pictures, render.z[taken], render.alpha[taken]))
 
-    def encoded(self, stylised: bool) -> Pictures:
+    def encoded(self) -> Pictures:
         """Rows ready for the page: photo, render, error, depth; or photo, unstylised render, stylised render, depth.
 
         Of a local edit: photo, unedited render, edited render, what differs between the two, depth.
         """
-        renders = [view[2] for view in self._views]
-        near, far = depth_range([render.z for render in renders], [render.alpha for render in renders])
-        groups = []
-        for _, row, render, photo, base in self._views:
-            make = _edited_pictures if self._edited else _stylised_pictures if stylised else _fit_pictures
-            groups.append([*make(row, render, photo, base), _depth(render, near, far)])
+        near, far = depth_range([view.z for view in self._views], [view.alpha for view in self._views])
+        groups = [[*view.pictures, _depth(view, near, far)] for view in self._views]
         flat = [picture for group in groups for picture in group]
         if self._painting is not None:
-            flat.append(Picture(self._painting, "the painting", f"The painting {self._painting_name}"))
+            flat.append(self._painting)
         done = encode(flat, PICTURES_BYTES)
         painting = done.pop() if self._painting is not None else None
         rows, at = [], 0
-        for (heading, *_), group in zip(self._views, groups, strict=True):
-            rows.append(SheetRow(heading, done[at : at + len(group)]))
+        for view, group in zip(self._views, groups, strict=True):
+            rows.append(SheetRow(view.heading, done[at : at + len(group)]))
             at += len(group)
         return Pictures(sheet=rows, painting=painting, depth_range=(near, far))
+
+
+@dataclass(frozen=True, eq=False)
+class _View:
+    """What is kept of a view: pictures, and depth and alpha for one whose colours all views settle."""
+
+    heading: str
+    name: str
+    pictures: list[Picture]
+    z: np.ndarray
+    alpha: np.ndarray
 
 
 def _fit_pictures(row: Row, render: Render, photo: Photo | None, _: Render | None) -> list[Picture]:
@@ -103,6 +116,6 @@ def _photo(render: Render, photo: Photo) -> Picture:
     return Picture(photo.image, "photo", f"Photo of view {render.name}")
 
 
-def _depth(render: Render, near: float, far: float) -> Picture:
-    what = f"Depth of view {render.name}; near is bright, far is dark, grey is nothing"
-    return Picture(depth_picture(render.z, render.alpha, near, far), "depth", what)
+def _depth(view: _View, near: float, far: float) -> Picture:
+    what = f"Depth of view {view.name}; near is bright, far is dark, grey is nothing"
+    return Picture(depth_picture(view.z, view.alpha, near, far), "depth", what)

@@ -9,7 +9,7 @@ from stages.evaluation.figures import Row, is_number
 from stages.evaluation.lineage import Made, fields_behind
 from stages.evaluation.wording import listed
 
-BAR_FIGURES = {False: ("psnr", "PSNR", "dB"), True: ("nnfm", "NNFM distance to the painting", "")}
+BAR_FIGURES = {False: ("psnr", "PSNR", "dB"), True: ("nnfm", "NNFM distance to {style_words}", "")}
 
 
 @dataclass(frozen=True)
@@ -30,6 +30,8 @@ class Presence:
     gap: int
     field: bool
     edited: bool = False  # a local edit, with its region
+    masks: bool = False  # the edit's region is told by pictures of its views
+    weights_changed: bool = False  # of the edit's palette, since its sparsity and TV were told
     consistency: str = "correct"
     reference: bool = False  # Ref-NPR's: a stylised picture of a view
     twin: bool = False  # a field whose renders were references
@@ -41,6 +43,9 @@ def not_measured(have: Presence) -> list[dict]:
     if have.edited and not have.stylised:
         why = "They are of whole views, where the edit counts as an error; background MSE leaves it out."
         notes.append(_note("PSNR, SSIM and LPIPS without the edit", why))
+    if have.weights_changed:
+        why = "The palette's weights were changed after they were learnt; what was learnt tells of its own."
+        notes.append(_note("Palette sparsity and TV", why))
     notes += _consistency_notes(have)
     if not have.field:
         notes.append(_note("Parameters of the field", "The field itself was not given, only its frames."))
@@ -49,10 +54,8 @@ def not_measured(have: Presence) -> list[dict]:
 
 def _fit_notes(have: Presence) -> list[dict]:
     notes = []
-    if not have.perceptual_wanted:
-        notes.append(_note("LPIPS and ST-LPIPS", "Turned off by --perceptual none."))
-    elif not have.large_enough:
-        notes.append(_note("LPIPS and ST-LPIPS", "The images are smaller than 64 pixels on a side."))
+    if why := _blind(have):
+        notes.append(_note("LPIPS and ST-LPIPS", why))
     else:
         if not have.lpips:
             notes.append(_note("LPIPS", "Its trained weights were not found; `stylerf doctor` tells how to get them."))
@@ -79,6 +82,8 @@ def _style_notes(have: Presence) -> list[dict]:
         notes.append(_note("Change of depth, and figures of the unstylised render", why))
     if not have.reference:
         notes.append(_note("Ref-LPIPS", "No stylised picture of a view was given; give it with --reference VIEW=FILE."))
+    elif why := _blind(have):
+        notes.append(_note("Ref-LPIPS", why))
     if not have.twin:
         why = "No field was named whose renders were this one's references; name it with --robust-to."
         notes.append(_note("Robustness", why))
@@ -111,9 +116,31 @@ def _consistency_notes(have: Presence) -> list[dict]:
                 "not be put side by side. --consistency all measures by laenerf-script and stylerf-family too.",
             )
         )
-    if have.path_length >= 2 and not have.perceptual_wanted:
-        notes.append(_note("Consistency by a perceptual distance", "Turned off by --perceptual none."))
+    if have.path_length >= 2 and have.edited:
+        notes += _region_notes(have)
+    if have.path_length >= 2 and (why := _blind(have)):
+        notes.append(_note("Consistency by a perceptual distance", why))
     return notes
+
+
+def _region_notes(have: Presence) -> list[dict]:
+    what = "Consistency within the region"
+    if have.masks:
+        return [_note(what, "Masks given by --masks are of other views; name the region by --region alone.")]
+    if have.consistency not in ("correct", "all"):
+        return [_note(what, "It is measured by --consistency correct or all.")]
+    return []
+
+
+def _blind(have: Presence) -> str:
+    """Why nothing is measured by LPIPS or ST-LPIPS, empty where something is."""
+    if not have.perceptual_wanted:
+        return "Turned off by --perceptual none."
+    if not have.large_enough:
+        return "The images are smaller than 64 pixels on a side."
+    if not (have.lpips or have.tolerant):
+        return "Neither weights of LPIPS nor of ST-LPIPS were found; `stylerf doctor` tells how to get them."
+    return ""
 
 
 def _note(what: str, why: str) -> dict:
@@ -149,10 +176,14 @@ def warnings_of(
 
 
 def curve_of(field: Artefact | None) -> dict | None:
-    """{"of": name, "points": [{seconds, psnr, ...}]} of this field, or of the nearest one it was made from."""
+    """{"of": name, "points": [{seconds, psnr, held_out, ...}]} of this field, or of the nearest one it was made from.
+
+    held_out: false where those views are trained on by then, or it is not known.
+    """
     for artefact in [field, *fields_behind(field)] if field is not None else []:
         points = artefact.manifest.figures.get("curve")
-        usable = [point for point in points if _is_point(point)] if isinstance(points, list) else []
+        usable = points if isinstance(points, list) else []
+        usable = [{**point, "held_out": point.get("held_out") is True} for point in usable if _is_point(point)]
         if len(usable) > 1:
             return {"of": artefact.name, "points": sorted(usable, key=lambda point: point["seconds"])}
     return None
@@ -162,10 +193,13 @@ def _is_point(point: object) -> bool:
     return isinstance(point, dict) and is_number(point.get("seconds")) and is_number(point.get("psnr"))
 
 
-def draw_charts(stylised: bool, rows: Sequence[Row], pairs: Sequence[Row], curve: dict | None, gap: int) -> list[Chart]:
+def draw_charts(
+    stylised: bool, rows: Sequence[Row], pairs: Sequence[Row], curve: dict | None, gap: int, style_words: str
+) -> list[Chart]:
     """Bars of the leading figure, quality against seconds, consistency along the path: what there is data for."""
     charts = []
     key, title, unit = BAR_FIGURES[stylised]
+    title = title.format(style_words=style_words)
     if any(is_number(row.get(key)) for row in rows):
         labels = [str(row["name"]) for row in rows]
         values = [float(row[key]) if is_number(row.get(key)) else None for row in rows]

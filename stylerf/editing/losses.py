@@ -141,9 +141,12 @@ def sparsity(weights: np.ndarray) -> float:
 
 
 def weight_variation(weights: np.ndarray, view: EditView) -> float:
-    """Palette TV of a view: sum over pairs of neighbours, gated by the second one's alpha, of squared differences of
-    weights [n, A], over n."""
+    """Palette TV of a view: sum over pairs ij of neighbours and over weights [n, A] of ((w_i - w_j) a_i a_j)^2, over n.
+
+    a: alpha of the field. As LAENeRF's released code measures it where an edit is put into the photos.
+    """
     upper, lower, left, right = view.pairs()
     first, second = np.concatenate([upper, left]), np.concatenate([lower, right])
     differences = np.square(weights[first].astype(np.float64) - weights[second]).sum(1)
-    return float((differences * view.weight[second]).sum() / max(len(view), 1))
+    gates = view.weight[first].astype(np.float64) * view.weight[second]
+    return float((differences * gates**2).sum() / max(len(view), 1))

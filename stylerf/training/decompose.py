@@ -269,13 +269,13 @@ def roughness(parts: Parts, beside: Parts, away: Tensor) -> Tensor:
 
 def picture_variation(weights: np.ndarray, alpha: np.ndarray, shown: np.ndarray) -> float:
     """Palette TV of a picture, as editing/losses.weight_variation has it: squared differences of weights [h, w, M] of
-    neighbours that are both shown, counted by the second one's alpha, summed, over the number of shown pixels."""
-    total, weights = 0.0, weights.astype(np.float64)
+    neighbours that are both shown, times both alphas squared, summed, over the number of shown pixels."""
+    total, weights, alpha = 0.0, weights.astype(np.float64), alpha.astype(np.float64)
     for axis in (0, 1):
         first, second = (
             tuple(slice(*ends) if a == axis else slice(None) for a in (0, 1)) for ends in ((-1,), (1, None))
         )
         both = shown[first] & shown[second]
         squares = np.square(weights[first] - weights[second]).sum(2)
-        total += float((squares * alpha[second])[both].sum())
+        total += float((squares * (alpha[first] * alpha[second]) ** 2)[both].sum())
     return total / max(int(shown.sum()), 1)

@@ -2,7 +2,8 @@
 
 from typing import Any
 
-from schemas.errors import UsageError
+from schemas.canonical import plain
+from schemas.errors import StylerfError, UsageError
 from schemas.frames import FRAMES_FILE, read_frames
 from schemas.store import Artefact, Work
 from stages.configs.evaluate import EvaluateConfig
@@ -67,6 +68,9 @@ def run(args, session) -> dict:
     twin = chosen_field(session, args.robust_to) if args.robust_to else None
     base, regions = edit_asked(session, field, args)
     session.say(f"measuring field {field.name}")
+    for one in session.work.artefacts("frames"):
+        if fault := fault_of(one):
+            session.say(f"frames {one.name} are passed over: {fault}")
     film = frames_of(session, field, args.path) if args.path else film_there(session.work, field)
     if film is None and config.flow:
         raise UsageError("--flow is of the frames of a camera path, and there are none; name the path by --path")
@@ -136,7 +140,11 @@ def frames_of(session: Any, field: Artefact, path: str) -> Artefact:
     if there:
         return last(there)
     name = f"{field.name}-{label_of(path)}"
-    taken = any(one.name == name and shows(one, field) for one in session.work.artefacts("frames"))
+    taken = any(
+        # What an earlier stylerf made by these very options is made again in its place.
+        one.name == name and shows(one, field) and one.manifest.config != plain(wanted)
+        for one in readable(session.work)
+    )
     return ensure_frames(session, field, path, f"{name}-eval" if taken else name)
 
 
@@ -148,16 +156,36 @@ def film_there(work: Work, field: Artefact) -> Artefact | None:
 
 
 def measurable(work: Work, field: Artefact) -> list[tuple[Artefact, str, int]]:
-    """Frames of the field as it stands, their path and how many: whole ones, with EXR, of the views' own size."""
+    """Frames of the field as it stands, their path and how many: whole ones, with EXR, of the views' own size, as this
+    stylerf renders them."""
+    from stages.render import SPEC
+
     found = []
-    for one in work.artefacts("frames"):
+    for one in readable(work):
         config = one.manifest.config
         whole = config.get("exr", True) and config.get("scale", 1) == 1 and not config.get("frames")
-        if whole and shows(one, field) and (one.path / FRAMES_FILE).is_file():
+        of_now = (one.manifest.stage, one.manifest.revision) == (SPEC.stage, SPEC.revision)
+        if whole and of_now and shows(one, field) and (one.path / FRAMES_FILE).is_file():
             frames = read_frames(one.path)
             if frames.field == field.name:
                 found.append((one, frames.path, len(frames.views)))
     return found
+
+
+def readable(work: Work) -> list[Artefact]:
+    """Frames that are whole as far as manifests, lengths of files and lists of views tell."""
+    return [one for one in work.artefacts("frames") if not fault_of(one)]
+
+
+def fault_of(frames: Artefact) -> str:
+    """What keeps these frames from being read, in words; empty where nothing does."""
+    try:
+        frames.check_sizes()
+        if (frames.path / FRAMES_FILE).is_file():
+            read_frames(frames.path)
+    except StylerfError as error:
+        return str(error)
+    return ""
 
 
 def last(artefacts: list[Artefact]) -> Artefact:

@@ -11,6 +11,8 @@ LABELS = {"psnr": ("PSNR", "dB", "higher"), "nnfm": ("NNFM distance to the paint
           "short_rmse": ("Consistency short (correct), RMSE", "", "lower"),
           "short_share": ("Consistency short (correct), visible", "share", ""),
           "long_share": ("Consistency long (correct), visible", "share", ""),
+          "edit_short_rmse": ("Consistency short within the region (correct), RMSE", "", "lower"),
+          "ref_lpips": ("Ref-LPIPS (lpips-alex)", "", "lower"),
           "long_rmse": ("Consistency long (correct), RMSE", "", "lower")}  # fmt: skip
 
 
@@ -71,18 +73,20 @@ def edited(
 def report(
     work: Work, field: Artefact, figures: dict, edit: dict | None = None, protocol: str = "as ever", **more
 ) -> Artefact:
-    """What `stylerf eval` leaves, as far as a comparison looks at it. more: of its manifest; `regions`, artefacts."""
+    """What `stylerf eval` leaves, as far as a comparison looks at it. more: of its manifest; `regions`, artefacts;
+    `name`, else the field's; `changed`, of each figure."""
     inputs = {"field": field} | {f"region.{one.name}": one for one in more.pop("regions", ())}
+    name, changed = more.pop("name", field.name), more.pop("changed", {})
     told = [
         {"key": key, "mean": mean, "label": LABELS[key][0], "unit": LABELS[key][1], "better": LABELS[key][2],
-         "protocol": protocol}
+         "protocol": protocol, "count": 3, "left_out": 0} | changed
         for key, mean in figures.items()
     ]  # fmt: skip
 
     def write(folder) -> None:
         (folder / "report.json").write_text(json.dumps({"figures": told, "painting": "style.png", "edit": edit}))
 
-    return made.commit(work, "report", field.name, "evaluate", inputs, write, figures=figures, **more)
+    return made.commit(work, "report", name, "evaluate", inputs, write, figures=figures, **more)
 
 
 def _nothing(folder) -> None:

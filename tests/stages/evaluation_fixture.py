@@ -10,6 +10,7 @@ from schemas.frames import Frame, FrameCamera, Frames, write_frames
 from schemas.images import linear_from_srgb, write_png
 from schemas.scene import Bounds, Scene, Truth, View, as_matrix, write_scene
 from schemas.store import Artefact, Recipe, Work
+from stages import render
 from stylerf.geometry.cameras import Camera
 
 NEAR, FAR = 0.5, 20.0
@@ -55,7 +56,8 @@ def camera_entry(view: Camera) -> dict:
 
 
 def commit(work: Work, kind: str, name: str, stage: str, inputs: dict[str, Artefact], write, **manifest) -> Artefact:
-    recipe = Recipe(stage, 1, manifest.pop("config", {}), [a.reference(role) for role, a in inputs.items()], 0)
+    revision, config = manifest.pop("revision", 1), manifest.pop("config", {})
+    recipe = Recipe(stage, revision, config, [a.reference(role) for role, a in inputs.items()], 0)
     partial = work.begin(kind, name, recipe)
     write(partial.path)
     return partial.commit(**manifest)
@@ -107,6 +109,7 @@ def make_frames(
     field: Artefact,
     matched: bool = True,
     config: dict | None = None,
+    revision: int = render.SPEC.revision,
 ) -> Artefact:
     """Frames as `render` writes them; `matched`: frame k repeats view k of the scene."""
 
@@ -119,7 +122,7 @@ def make_frames(
             frames.append(Frame(view.name, exr, png, FrameCamera(**camera_entry(view)), i if matched else None))
         write_frames(folder, Frames(field.name, path, tuple(frames), None if path == "test" else 24.0))
 
-    told = {"seconds": 3.0, "peak_memory_mb": 120, "config": config or {}}
+    told = {"seconds": 3.0, "peak_memory_mb": 120, "config": config or {}, "revision": revision}
     return commit(work, "frames", name, "render", {"field": field}, write, **told)
 
 

@@ -1,9 +1,13 @@
 """Runs as manifests and reports tell them: families, costs, groups, fronts, what is missing."""
 
+import shutil
+from datetime import datetime
+
 import pytest
 
+from schemas import partial
 from schemas.store import Work
-from stages.comparison.charts import comparison_charts
+from stages.comparison.charts import comparison_charts, look_of
 from stages.comparison.fronts import disagreements, on_fronts, panel_of
 from stages.comparison.page import build_page, rows_of
 from stages.comparison.runs import EDITS, FITS, STYLISATIONS, runs_of
@@ -24,7 +28,7 @@ def work(tmp_path):
     deformed = made.make_field(work, "bent", "deform_init", inputs, seconds=7.0, peak_memory_mb=2000)
     runs.stylised(work, scene, small, "starry-arf", 20.0, STYLE)
     runs.stylised(work, scene, deformed, "starry-desrf", 30.0, STYLE | {"nnfm": 0.2}, method="desrf")
-    edit = {"background_mse": 0.001, "bleeding": 0.1, "sparsity": 0.5}
+    edit = {"background_mse": 0.001, "bleeding": 0.1, "sparsity": 0.5, "short_rmse": 0.01, "edit_short_rmse": 0.03}
     runs.edited(work, scene, small, "cup", (1.0, 2.0, 4.0, 8.0), edit)
     return work
 
@@ -83,6 +87,90 @@ def test_fields_that_replaced_each_other_cost_what_each_of_them_did(tmp_path):
         inputs = inputs | {"field": field}
     by_name, _ = found(work)
     assert {name: run.costs["seconds"] for name, run in by_name.items()} == {"red": 6.0, "blue": 6.0}
+
+
+def test_an_edit_of_an_edit_and_of_a_stylised_field_costs_what_these_did(work):
+    """Whatever field it began with, all that was made since the fit counts, and the fit does not."""
+    scene = work.get("scene", "wall")
+    runs.edited(work, scene, work.get("field", "cup"), "saucer", (1.0, 2.0, 4.0, 8.5), {})
+    runs.edited(work, scene, work.get("field", "starry-desrf"), "moon", (1.0, 2.0, 4.0, 9.0), {})
+    made.make_field(
+        work, "twice", "stylize", {"scene": scene, "field": work.get("field", "starry-arf")}, seconds=3.0,
+        peak_memory_mb=1.0, figures={"parameters": 1}, config={"method": "arf"},
+    )  # fmt: skip
+    seconds = {name: run.costs["seconds"] for name, run in found(work)[0].items()}
+    assert (seconds["saucer"], seconds["moon"], seconds["twice"]) == (15.5 + 15.0, 16.0 + 37.0, 3.0 + 20.0)
+
+
+def test_a_figure_is_that_of_the_newest_report_that_holds_it(work, monkeypatch):
+    """A later and smaller evaluation of an edit, without its region, takes nothing away; another region's is not
+    mixed in."""
+    field, region = work.get("field", "cup"), work.get("region", "cup")
+    other = made.commit(work, "region", "other", "region_select", {}, lambda at: (at / "b").write_text("b"))
+    for minute, name, figures, regions in (
+        (1, "full", {"background_mse": 0.002, "bleeding": 0.2, "short_rmse": 0.05}, [region]),
+        (2, "again", {"background_mse": 0.003}, [region]),
+        (3, "small", {"psnr": 20.0, "short_rmse": 0.04}, []),
+        (0, "elsewhere", {"sparsity": 9.0, "content_ssim": 9.0}, [other]),
+    ):
+        created(monkeypatch, minute)
+        told = {"regions": [one.name for one in regions]} if regions else None
+        runs.report(work, field, figures, told, name=name, regions=regions)
+    shutil.rmtree(work.root / "report" / "cup")
+    run = found(work)[0]["cup"]
+    means = {key: measure.mean for key, measure in run.figures.items()}
+    assert means == {"background_mse": 0.003, "bleeding": 0.2, "short_rmse": 0.04, "psnr": 20.0}
+    assert run.group == "room, cup"
+    created(monkeypatch, 4)
+    runs.report(work, field, {"bleeding": 0.9}, {"regions": ["other"]}, name="latest", regions=[other])
+    run = found(work)[0]["cup"]
+    assert run.group == "room, other" and "background_mse" not in run.figures
+    assert run.figures["bleeding"].mean == 0.9 and run.figures["sparsity"].mean == 9.0
+
+
+def created(monkeypatch, minute: int) -> None:
+    """What is made from now on says that it was made at this minute."""
+
+    class Clock(datetime):
+        @classmethod
+        def now(cls, tz=None):
+            return datetime(2030, 1, 1, 0, minute, tzinfo=tz)
+
+    monkeypatch.setattr(partial, "datetime", Clock)
+
+
+def test_views_left_out_and_other_numbers_of_views_share_no_front(work):
+    field = work.get("field", "fit-10s")
+    runs.report(work, field, {"psnr": 99.0}, changed={"count": 2, "left_out": 1})
+    every = list(found(work)[0].values())
+    fronts = on_fronts(every, ["psnr"])
+    assert not fronts["room/fit-10s"] and "psnr/seconds" in fronts["room/fit-60s"]
+    told = {gap.what: gap.why for gap in disagreements(every, ["psnr"])}
+    assert told["room/fit-10s: psnr"] == "Of 3 views or pairs 1 could not be measured."
+    assert told["room: psnr"].startswith("Over 2 and 3 views or pairs")
+    runs.report(work, field, {"psnr": 99.0}, changed={"count": 2})
+    fronts = on_fronts(list(found(work)[0].values()), ["psnr"])
+    assert "psnr/seconds" in fronts["room/fit-10s"] and "psnr/seconds" in fronts["room/fit-300s"]
+
+
+def test_figures_by_other_networks_or_protocols_are_told_apart(work):
+    """Another network has a column of its own; another protocol within a group a letter, and a line in the table."""
+    scene, base = work.get("scene", "wall"), work.get("field", "fit-10s")
+    for name, changed in (("a", {}), ("b", {"label": "Ref-LPIPS (lpips-vgg)"}), ("c", {"protocol": "by <hand>"})):
+        field = runs.stylised(work, scene, base, name, 20.0, {}, budget=name)
+        runs.report(work, field, {"ref_lpips": 0.7}, changed=changed)
+    some, gaps = runs_of([work])
+    page = build_page(some, [], gaps, {run.title: [] for run in some})
+    assert "Ref-LPIPS (lpips-alex) (lower" in page and "Ref-LPIPS (lpips-vgg) (lower" in page
+    assert page.count("0.7000") == 3 and page.count("<sup") == 3
+    assert '<sup title="by &lt;hand&gt; Views or pairs: 3.">b</sup>' in page and page.count(">a</sup>") == 2
+    assert any(gap.what.endswith("ref_lpips") and "2 protocols" in gap.why for gap in disagreements(some, []))
+    row = next(row for row in rows_of(some, {run.title: [] for run in some}) if row["name"] == "c")
+    assert (row["ref_lpips"], row["ref_lpips_protocol"], row["ref_lpips_count"]) == (0.7, "by <hand>", 3)
+
+
+def test_no_two_groups_look_alike():
+    assert len({look_of(place) for place in range(28)}) == len({look_of(place)[0] for place in range(28)}) == 28
 
 
 def test_fronts_are_those_of_the_group(work):
@@ -152,7 +240,7 @@ def test_groups_are_known_by_content_and_called_by_names(work):
 def test_what_is_missing_is_named_with_its_command(work):
     scene, base = work.get("scene", "wall"), work.get("field", "fit-10s")
     runs.fit(work, scene, "unseen", 11.0, None)
-    runs.stylised(work, scene, base, "half", 20.0, {"nnfm": 0.4, "content_ssim": 0.2})
+    runs.stylised(work, scene, base, "half", 20.0, {"nnfm": 0.4, "content_ssim": 0.2}, budget="20s")
     runs.edited(work, scene, base, "plain", (1.0, 1.0, 1.0, 1.0), {"sparsity": 1.0})
     made.make_field(work, "nameless", "nerf_fit", {"scene": scene}, peak_memory_mb=1.0)
     _, gaps = found(work)
@@ -186,6 +274,8 @@ def test_charts_page_and_table_tell_the_same(work):
     assert first.png.startswith(b"\x89PNG") and "fit-300s" in first.svg
     assert "on the front: room/fit-10s, room/fit-300s" in first.told
     assert comparison_charts(some)[0].svg == first.svg
+    edits = next(chart.told for chart in charts if chart.name == "edits_seconds")
+    assert "within the region (correct)" in edits and "Consistency short (correct)" not in edits  # of whole frames
     page = build_page(some, charts, gaps, fronts)
     assert page.count("<svg") == 9 and "<script" not in page and "http" not in page.replace("http://www.w3.org", "")
     assert "Nothing: every run tells its costs" in page and "room/starry-desrf" in page

@@ -12,8 +12,9 @@ from schemas.store import Work
 from stages import evaluate
 from stages.configs.evaluate import CONSISTENCY, EvaluateConfig
 from stages.evaluation.asked import pinned
-from stages.evaluation.film import PARTS
+from stages.evaluation.film import PARTS, Film
 from stages.evaluation.kinds import BY_KEY
+from stages.evaluation.lenses import Lenses
 from stages.evaluation.views import FrameViews
 from stages.progress import Context
 from stages.runner import execute
@@ -114,8 +115,10 @@ def test_the_same_flow_from_files_gives_the_same_figures(filmed, tmp_path, suffi
     # Without depth to test against, visible is what flows there and back.
     assert figures(again)["short_rmse"] == pytest.approx(figures(report)["short_rmse"], abs=0.01)
     protocols = {item["key"]: item["protocol"] for item in again["figures"]}
-    assert all("files (flows)" in protocols[key] for key in ("short_rmse", "short_laenerf_script_mse"))
-    assert pinned(replace(ALL, flow=str(folder))).flow_digest
+    digest = pinned(replace(ALL, flow=str(folder))).flow_digest
+    told = f"files (flows {digest[:8]})"
+    assert digest and all(told in protocols[key] for key in ("short_rmse", "short_laenerf_script_mse"))
+    assert "where there is none, it is taken as 0" in protocols["short_laenerf_script_mse"]
     (folder / f"0000_to_0001{suffix}").unlink()
     with pytest.raises(BadInput, match=r"1 of 12 flows are missing \(0000_to_0001\)"):
         evaluated(work, inputs, replace(ALL, flow=str(folder)), "fewer")
@@ -135,6 +138,18 @@ def test_along_flow_too_the_background_is_neither_visible_nor_asked_for(tmp_path
     flows = write_flows(tmp_path / "flows", film, ".npy")
     found = figures(evaluated(work, given, pinned(replace(QUIET, flow=str(flows))), "flow"))
     assert found["short_rmse"] == pytest.approx(0.1, abs=0.02) and 0.7 < found["short_share"] <= 1
+
+
+def test_a_protocol_tells_how_many_pairs_its_figure_is_of(filmed):
+    work, inputs, everything = filmed
+    fewer = evaluated(work, inputs, replace(ALL, pairs=2))
+    told = [{item["key"]: item["protocol"] for item in report["figures"]} for report in (everything, fewer)]
+    for key in told[0]:
+        if key.startswith(("short_", "long_")):
+            count = 4 if key.startswith("short_") else 2  # of five frames, 1 and 3 apart
+            assert f"mean of {count} pairs" in told[0][key] and "mean of 2 pairs" in told[1][key], key
+    film = Film(FrameViews(inputs["path_frames"], 0.0), replace(ALL, perceptual_pairs=1), Lenses(*[None] * 3, ""), None)
+    assert (film.facts()["short_looked_at"], film.facts()["short_pairs"]) == (1, 4)
 
 
 def test_flow_of_another_size_or_none_at_all_is_told_in_words(filmed, tmp_path):

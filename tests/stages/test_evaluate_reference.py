@@ -103,6 +103,37 @@ def test_robustness_is_the_psnr_between_the_two_fields(stylised):
     assert "Robustness" not in notes and "Ref-LPIPS" in notes and "weights are missing" in notes["ArtFID"]
 
 
+@pytest.mark.parametrize(("spoiled", "remark"), [("second", "of the render"), ("first", "of the other field")])
+def test_a_spoiled_render_is_left_out_and_counted(stylised, monkeypatch, tmp_path, spoiled, remark):
+    """A pixel of view 1 is not finite: neither Robustness nor what floats is told of it, and both say so."""
+    work, scene, frames = stylised
+    real = FrameViews.render
+
+    def render(self, index):
+        found = real(self, index)
+        return replace(found, spoiled=1) if index == 1 and self.frames.field == spoiled else found
+
+    monkeypatch.setattr(FrameViews, "render", render)
+    inputs = {"scene": scene, "frames": frames["second"], "field": work.get("field", "second")}
+    inputs |= dict.fromkeys(("twin_frames", "base_frames"), frames["first"])
+    config = EvaluateConfig(perceptual="none", sheet=1)
+    artefact, _ = execute(evaluate.SPEC, evaluate.run, Work(tmp_path), "second", inputs, config, Context())
+    report = json.loads(artefact.file("report.json").read_text())
+    counts = {item["key"]: (item["count"], item["left_out"]) for item in report["figures"]}
+    assert counts["robustness"] == counts["shape_change"] == (3, 1)
+    assert counts["see_through"] == ((1, 2) if spoiled == "second" else (3, 0))  # of the view and of the one after it
+    assert remark in report["views"][1]["remark"]
+
+
+def test_a_reference_is_not_compared_with_a_spoiled_view(stylised, tmp_path):
+    _, scene, frames = stylised
+    views, row = FrameViews(frames["first"], 0.0), ViewRow("any")
+    write_png(tmp_path / "reference.png", np.zeros((72, 96, 3), np.uint8))
+    found = References([f"photo_00={tmp_path / 'reference.png'}"], SceneViews(scene), views)
+    found.measure(row, 1, replace(views.render(1), spoiled=2), mean_difference)
+    assert row.values == {"ref_lpips": None} and "2 of" in row.remarks[0]
+
+
 def test_a_changed_reference_is_measured_anew(tmp_path):
     for name in ("r.png", "s.png"):
         write_png(tmp_path / name, np.zeros((4, 4, 3), np.uint8))

@@ -121,6 +121,30 @@ def test_figures_of_a_stylised_field(stylised, painted):
     assert {record.path for record in artefact.manifest.files} >= {"charts/nnfm_views.svg"}
 
 
+def test_a_field_made_after_references_alone_is_measured_against_the_first_and_says_so(stylised, tmp_path, painted):
+    """Ref-NPR without --style: what stands in its folder as style.png is the reference picture, no painting."""
+    inputs, *_ = stylised
+    write_png(tmp_path / "stripes.png", np.round(painted * 255).astype(np.uint8))
+
+    def write(folder):
+        write_png(folder / "style.png", np.round(painted * 255).astype(np.uint8))
+
+    work, given = Work(tmp_path / "work"), {key: inputs[key] for key in ("scene", "frames")}
+    made_with = {"style": "", "reference": ["0=stripes.png"]}
+    field = made.commit(work, "field", "referenced", "stylize", {"scene": inputs["scene"]}, write, config=made_with)
+    told = {}
+    for words, style in (("the reference", ""), ("the painting", str(tmp_path / "stripes.png"))):
+        config = EvaluateConfig(features=FEATURES, sheet=1, perceptual="none", style=style)
+        report, _ = execute(evaluate.SPEC, evaluate.run, work, "r", given | {"field": field}, config, Context())
+        told[words] = json.loads(report.file("report.json").read_text())
+        for key in ("nnfm", "gram", "palette"):
+            assert figure(told[words], key)["label"].endswith(f"distance to {words}")
+            assert words in figure(told[words], key)["protocol"]
+        page = report.file("report.html").read_text()
+        assert f"NNFM distance to {words}" in page and f"<figcaption>{words}</figcaption>" in page
+    assert "painting" not in json.dumps(told["the reference"]["figures"])
+
+
 def test_a_painting_that_is_not_there_is_bad_input(stylised):
     inputs, *_ = stylised
     with pytest.raises(BadInput, match="no such file"):

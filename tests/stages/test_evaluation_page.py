@@ -16,8 +16,10 @@ from stages.evaluation.figures import summarise
 from stages.evaluation.kinds import KINDS
 from stages.evaluation.page import Pictures, SheetRow, build_page
 from stages.evaluation.pictures import NOT_FINITE, Picture, depth_picture, depth_range, encode, error_picture, shown
-from stages.evaluation.sheet import chosen_views
+from stages.evaluation.sheet import Sheet, chosen_views
+from stages.evaluation.views import Photo, Render
 from stages.evaluation.wording import clock, count, duration, listed, megabytes, number
+from tests.stages import evaluation_fixture as made
 
 VOID = {"meta", "link", "img", "br", "hr", "input"}
 
@@ -74,7 +76,7 @@ def report_with_all_figures():
 def pictures():
     image = np.random.default_rng(0).random((30, 40, 3))
     encoded = encode([Picture(image, "photo", 'Photo of "a"'), Picture(image, "error", "Error")], 10**6)
-    curve = [{"seconds": s, "psnr": 20 + s, "parameters": 1e5} for s in (1, 2, 3)]
+    curve = [{"seconds": s, "psnr": 20 + s, "held_out": s < 3, "parameters": 1e5} for s in (1, 2, 3)]
     charts = [
         bar_chart("psnr_views", "PSNR", "dB", ["a", "b"], [21.25, None]),
         curve_chart("quality_seconds", "Quality", curve),
@@ -150,6 +152,17 @@ def test_charts_take_the_ink_of_the_page_only_when_inlined():
     assert "#24292f" not in chart.inline()
 
 
+def test_a_curve_names_what_is_held_out_and_what_is_trained_on():
+    """Decision 0003: from three quarters of the budget on, or always with few photos, the views looked at teach too."""
+    curve = [{"seconds": s, "psnr": 20 + s, "held_out": s < 3} for s in (1, 2, 3, 4)]
+    chart = curve_chart("quality_seconds", "Quality", curve)
+    assert chart.told.endswith("held out 21.00 dB at 1 s to 22.00 dB at 2 s; of views trained on 23.00 dB at 3 s to "
+                               "24.00 dB at 4 s")  # fmt: skip
+    assert "22.00 dB held out" in chart.svg and "24.00" not in chart.svg and "stroke-dasharray" in chart.svg
+    alone = curve_chart("quality_seconds", "Quality", curve[2:])
+    assert "24.00 dB trained on" in alone.svg and "held out" not in alone.svg + alone.told
+
+
 def test_pictures_shrink_until_they_fit():
     random = np.random.default_rng(1)
     noise = [Picture(random.random((400, 600, 3)), "photo", "noise") for _ in range(4)]
@@ -158,6 +171,22 @@ def test_pictures_shrink_until_they_fit():
     assert sum(len(picture.uri) for picture in tight) <= 150_000
     decoded = Image.open(io.BytesIO(base64.b64decode(tight[0].uri.split(",")[1])))
     assert decoded.size == (tight[0].width, tight[0].height) and decoded.format == "JPEG"
+
+
+def test_what_the_sheet_keeps_of_a_view_does_not_grow_with_the_photos():
+    held = []
+    for scale in (6, 12):
+        view = made.camera(0.0, "a").scaled(scale)
+        seen = made.look(view)
+        render = Render("a", view, seen.rgb, seen.alpha, seen.z, 0, 0)
+        sheet = Sheet(Picture(seen.rgb, "the painting", "P").small(), stylised=True)
+        sheet.add("a", {}, render, Photo(seen.rgb, None, None, False, False), render)
+        (kept,) = sheet._views
+        held.append([one.image.nbytes for one in kept.pictures] + [kept.z.nbytes, kept.alpha.nbytes])
+        encoded = sheet.encoded()
+        assert [picture.width for picture in encoded.sheet[0].pictures] == [480] * 4
+        assert encoded.depth_range == pytest.approx((2.42, 5.0), abs=0.05)  # the ball's front, the wall
+    assert held[0] == held[1] == [480 * 360 * 3 * 4] * 3 + [480 * 360 * 4] * 2
 
 
 def test_what_is_not_finite_is_seen():

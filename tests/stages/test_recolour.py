@@ -7,15 +7,18 @@ import pytest
 
 from schemas.errors import BadInput
 from schemas.store import Work
-from stages import recolour
+from stages import edit_palette, recolour
 from stages.configs.decompose import DecomposeConfig, PaletteFieldConfig, RecolourConfig
+from stages.configs.edit import PaletteConfig
 from stages.decompose import settings_of, weights_of
-from stages.edits import save_palette
+from stages.edits import Edit, save_edit, save_palette
 from stages.evaluation.edited import palette_facts, palette_rows
 from stages.evaluation.lineage import palette_behind
 from stages.fields import load_field, save_field
 from stages.progress import Context
 from stages.runner import execute
+from stylerf.editing.edits import PaletteEdits
+from stylerf.editing.palette import PaletteModule
 from stylerf.fields.palette import PaletteColour
 from stylerf.geometry.space import Space
 from tests.stages import evaluation_fixture as made
@@ -66,6 +69,29 @@ def test_colours_are_counted_by_their_shares_and_numbers_stay(work):
     assert [one["now"] for one in entries["colours"]][::3] == ["#ff00ff", "#00ffff"]
     assert entries["colours"][0]["learnt"] == "#1a9933" and entries["sparsity"] == TOLD["sparsity"]
     assert found.manifest.figures["sparsity"] == 0.4 and (found.path / "palette.png").is_file()
+
+
+def test_figures_of_weights_do_not_outlive_them(work):
+    """Sparsity and TV are of the weights as learnt: gone with a bias or a scale, kept with a colour; by either way."""
+    changed = recoloured(work, palette_bias=("0=0.2",), name="biased")
+    again = recoloured(work, palette=("0=#ff00ff",), name="again", of="biased")
+    for one in (changed, again):
+        told = json.loads(one.file("palette.json").read_text())
+        assert not {*TOLD} & {*one.manifest.figures, *told}
+        assert palette_rows(one, True) == [{"name": one.name}]
+    box = np.float32([[0, 0, 0], [1, 1, 1]])
+    module = PaletteModule.create(np.random.default_rng(0), PALETTE, box)
+
+    def write(folder):
+        save_edit(folder, Edit(module, PaletteEdits()), SHARES, TOLD)
+
+    learnt = made.commit(work, "edit", "learnt", "edit_learn", {}, write, figures=TOLD)
+    kept = []
+    for name, options in {"scaled": {"palette_weight": ("1=2",)}, "red": {"palette": ("1=#ff0000",)}}.items():
+        config = PaletteConfig(**options)
+        found, _ = execute(edit_palette.SPEC, edit_palette.run, work, name, {"edit": learnt}, config, Context())
+        kept.append({key: found.manifest.figures.get(key) for key in TOLD})
+    assert kept == [dict.fromkeys(TOLD), TOLD]
 
 
 def test_a_change_around_a_pixel_has_its_place_on_the_surface_that_it_shows(work):

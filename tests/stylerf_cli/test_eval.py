@@ -9,10 +9,11 @@ import sys
 import numpy as np
 import pytest
 
+from schemas.canonical import plain
 from schemas.images import write_png
 from schemas.store import Work
 from stages.configs.render import RenderConfig
-from stages.render import pinned
+from stages.render import SPEC, pinned
 from stylerf_cli import chains
 from stylerf_cli.main import main
 from tests.conftest import REPOSITORY
@@ -36,12 +37,13 @@ def cameras(path):
     return [made.camera(x, f"{path}_{i}") for i, x in enumerate(places)]
 
 
-def render(work, field, path, shift=0.0, name="", **config):
+def render(work, field, path, /, shift=0.0, name="", revision=SPEC.revision, **config):
     views = cameras(path)
     seen = [made.look(view) for view in views]
     seen = [made.Seen(one.rgb + shift, one.alpha, one.z) for one in seen]
     name = name or f"{field.name}-{path}"
-    return made.make_frames(work, name, path, views, seen, field, matched=path == "test", config=config)
+    given = {"matched": path == "test", "config": config, "revision": revision}
+    return made.make_frames(work, name, path, views, seen, field, **given)
 
 
 @pytest.fixture
@@ -127,6 +129,34 @@ def test_frames_that_cannot_be_measured_are_kept_and_others_rendered_beside(work
     inputs = {ref.role: ref.name for ref in work.get("report", "wall").manifest.inputs}
     assert (inputs["frames"], inputs["path_frames"]) == ("wall-test-eval", "wall-slide-eval")
     assert [work.get("frames", name).digest for name in ("wall-test", "wall-slide")] == kept
+
+
+@pytest.mark.parametrize("wanted", [True, False])
+def test_frames_of_an_earlier_render_are_not_measured(work, renderer, capsys, wanted):
+    """They are 0.3 too bright. Made by the options that would be asked for they are replaced, others are kept."""
+    field = work.get("field", "wall")
+    config = plain(pinned(RenderConfig(path="test", count=30))) if wanted else {"count": 7}
+    old = render(work, field, "test", shift=0.3, revision=SPEC.revision - 1, **config).digest
+    film = render(work, field, "slide", revision=SPEC.revision - 1).digest
+    found = result(capsys, work.root)
+    assert found["figures"]["psnr"] > 40 and "short_rmse" not in found["figures"] and renderer == [("wall", "test")]
+    inputs = {ref.role: ref.name for ref in work.get("report", "wall").manifest.inputs}
+    assert inputs["frames"] == ("wall-test" if wanted else "wall-test-eval")
+    assert (work.get("frames", "wall-test").digest != old) is wanted
+    assert work.get("frames", "wall-slide").digest == film
+
+
+@pytest.mark.parametrize("file", ["manifest.json", "frames.json"])
+def test_damaged_frames_are_passed_over_and_said_once(work, renderer, capsys, file):
+    other = made.make_field(work, "other", "fit", {"scene": work.get("scene", "wall")}, config={"other": 1})
+    damaged = [render(work, field, "orbit") for field in (other, work.get("field", "wall"))]
+    for one in damaged:
+        (one.path / file).write_text("{")
+    assert main(["eval", str(work.root), "--of", "wall", *FAST[:-1]]) == 0
+    told = capsys.readouterr().err
+    assert [told.count(f"frames {one.name} are passed over: ") for one in damaged] == [1, 1]
+    result(capsys, work.root, "--of", "wall", "--path", "orbit")
+    assert renderer == [("wall", "orbit")] and work.get("frames", "wall-orbit").manifest  # made again in its place
 
 
 def test_frames_along_a_file_of_cameras_stand_until_it_changes(work, renderer, capsys, tmp_path):

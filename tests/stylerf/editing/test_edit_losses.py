@@ -114,5 +114,7 @@ def test_sparsity_and_variation_of_weights():
     weights = np.array([[1, 0], [1, 0], [0, 1], [1, 0], [0.5, 0.5], [0, 1]])
     view = tiny_view()
     view.weight[5] = 0.5
-    # Below: 0, .5, 0. Beside: 0, 2, .5 and .5, the last gated by the half-covered pixel.
-    assert losses.weight_variation(weights, view) == pytest.approx((0.5 + 2 + 0.5 + 0.25) / 6)
+    # Below: 0, .5, 0. Beside: 0, 2, .5 and .5, the last gated by the half-covered pixel, and that is squared.
+    assert losses.weight_variation(weights, view) == pytest.approx((0.5 + 2 + 0.5 + 0.5 / 4) / 6)
+    view.weight[4] = 0.5  # which gates .5 below, .5 on its left, and once more .5 on its right
+    assert losses.weight_variation(weights, view) == pytest.approx((0.5 / 4 + 2 + 0.5 / 4 + 0.5 / 16) / 6)
