@@ -3,6 +3,7 @@
 import hashlib
 import json
 import re
+import shlex
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
@@ -10,6 +11,7 @@ from typing import Any
 
 from schemas.canonical import digest_of, plain
 from schemas.errors import ArtefactDamaged
+from schemas.flags import flags
 from schemas.migrations import migrated
 
 MANIFEST = "manifest.json"
@@ -57,8 +59,8 @@ class Recipe:
         empty where there are none."""
         here, there = ({**one.config, "seed": one.seed} for one in (self, before))
         names = [k for k, value in there.items() if k not in self.aside and here.get(k, value) != value]
-        told = [f"--{name.replace('_', '-')} {there[name]}" for name in names if not name.endswith("_digest")]
-        told = told or (["other files"] if names else [])
+        given = [flags(f"--{name.replace('_', '-')}", there[name]) for name in names if not name.endswith("_digest")]
+        told = [shlex.join(one) for one in given] or (["other files"] if names else [])
         return ", ".join(told + self._other_inputs(before, regions=True))
 
     def other_sources(self, before: "Recipe") -> str:

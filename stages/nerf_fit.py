@@ -10,6 +10,7 @@ from schemas.store import Artefact, Partial
 from stages.configs.fit import EVEN_FROM, SMOOTHNESS, FitConfig, budget_of, capacity_of, kinds_of
 from stages.devices import gpu_figures, gpu_of
 from stages.fields import load_checkpoint, save_field
+from stages.memory import in_words
 from stages.photos import bank_of
 from stages.progress import Context
 from stages.runner import Spec
@@ -21,10 +22,13 @@ from stylerf.kernels.cpu.compiling import compiling_note, set_threads
 from stylerf.training.engine import CpuEngine
 from stylerf.training.fit import Fitter
 from stylerf.training.fit_state import FitSettings
-from stylerf.training.ladders import BEYOND, LADDER, Kinds, Rung
+from stylerf.training.ladders import BEYOND, LADDER, Kinds, Rung, capacity_at, first_parts
 
-SPEC = Spec(stage="nerf_fit", verb="fit", revision=8, writes="field", parallel=True)
+SPEC = Spec(stage="nerf_fit", verb="fit", revision=9, writes="field", parallel=True)
 GPU_SAMPLES = 262_144  # of a step: smaller ones would leave a GPU waiting for launches
+# Peak memory of the fits of benchmarks/results/kinds.json, on two threads: of the program with a batch, of a parameter
+# with its gradients, its moments and the copies that a return and a change of size need.
+FIT_BYTES, PARAMETER_BYTES = 0.37e9, 94
 RATE = {"object": 2e-2, "forward": 4e-2, "unbounded": 4e-2}
 
 
@@ -45,6 +49,8 @@ def run(inputs: dict[str, Artefact], config: FitConfig, partial: Partial, contex
     bank = bank_of(scene, order, partial.folder, context)
     device = gpu_of(context)
     settings = _settings(config, scene, space, device)
+    if context.memory and device is None:
+        _tell_memory(settings, space, context)
     engine = _engine(device, settings, config.clip)
     say, ranks = context.progress.say, context.ranks
     fitter = Fitter(space, bank, len(held_out), settings, context.seed, threads, say, ranks, engine)
@@ -54,6 +60,10 @@ def run(inputs: dict[str, Artefact], config: FitConfig, partial: Partial, contex
         context.progress.say(f"going on from step {fitter.state.step}, {fitter.state.seconds:.0f} s into the fit")
     with nullcontext() if device else compiling_note(context.progress.say):
         _train(fitter, config, partial, context)
+    if settings.always_climb and fitter.state.rung < len(settings.ladder) - 1:
+        why = "a fall led back to a coarser one" if fitter.state.fixed else f"{fitter.state.step} steps are too few"
+        fitter.state.decisions.append(f"--capacity {config.capacity} was not reached: {why}")
+        context.progress.say(fitter.state.decisions[-1])
     context.progress.say(fitter.climb.told(fitter.field.parameters))
     if ranks.first:
         save_field(partial.path, fitter.field, "none" if fitter.field.closed else _shown(settings.background))
@@ -67,6 +77,25 @@ def _engine(device: str | None, settings: FitSettings, clip: float):
     from stylerf.training.device_engine import DeviceEngine
 
     return functools.partial(DeviceEngine, device=device, samples=settings.samples, clip=clip)
+
+
+def _tell_memory(settings: FitSettings, space: Space, context: Context) -> None:
+    """Says that the bound is below what the largest field takes to fit; of voxels the first: how many of a finer one
+    are kept is not known before."""
+    kinds, finest = settings.kinds, settings.ladder[-1].resolution
+    rung = settings.ladder[0 if "voxel" in (kinds.density, kinds.colour) else -1]
+
+    def parts(of: Rung) -> tuple:
+        capacity = capacity_at(of, finest, kinds.levels, space, degree=settings.degree)
+        return first_parts(kinds, capacity, np.random.default_rng(0))
+
+    parameters = len(parts(rung)[0].values) + len(parts(rung.colour)[1].values)
+    needed = FIT_BYTES + PARAMETER_BYTES * parameters
+    if context.memory < needed:
+        context.progress.say(
+            f"--memory {in_words(context.memory)} is less than a field of {rung.resolution}^3 takes to fit, about "
+            f"{in_words(needed)} beside its photos: it is exceeded where the field grows so large"
+        )
 
 
 def _train(fitter: Fitter, config: FitConfig, partial: Partial, context: Context) -> None:
@@ -130,7 +159,8 @@ def _cpu_samples(seconds: float) -> int:
 def _climb(fixed: tuple[int, int, int] | None, kinds: Kinds, space: Space) -> dict:
     """The ladder, and when its rungs are left."""
     if fixed is not None:
-        ladder = _fixed_ladder(*fixed)
+        # A small network behind the colour has one width: its ranks are those of the first rung.
+        ladder = _fixed_ladder(*fixed, first_colour=16 if kinds.head == "linear" else fixed[2])
         return {"ladder": ladder, "shares": FitSettings.shares[: len(ladder) - 1]}
     if space.kind == "contraction" and kinds == Kinds():
         shares, longest = (0.08, 0.17, 0.27, 0.39, 0.55), (350, 850, 1350, 1900, 2600)
@@ -138,14 +168,14 @@ def _climb(fixed: tuple[int, int, int] | None, kinds: Kinds, space: Space) -> di
     return {"ladder": LADDER}
 
 
-def _fixed_ladder(resolution: int, density: int, colour: int) -> tuple[Rung, ...]:
+def _fixed_ladder(resolution: int, density: int, colour: int, first_colour: int) -> tuple[Rung, ...]:
     """Coarse to fine towards one capacity: the same end, reached sooner than by starting there."""
     coarser = [n for n in (64, 128, 192) if n < resolution]
     return tuple(
         Rung(
             n,
             min(density, 8) if n == 64 else density,
-            min(colour, 16) if n == 64 else colour,
+            min(colour, first_colour) if n == 64 else colour,
             table_bits=_table_bits(n),
         )
         for n in coarser
@@ -164,31 +194,33 @@ def _held_out(train: list[int], wanted: int) -> list[int]:
 
 
 def _shown(background: str) -> str:
-    return "black" if background == "black" else "white"
+    """What stands behind the field in pictures: what it was trained over; white where that was random."""
+    return background if background in ("black", "none") else "white"
 
 
 def _figures(fitter: Fitter, held_out: list[int], reason: str) -> dict:
-    state, curve = fitter.state, fitter.state.curve
-    decided, trained = ([p["psnr"] for p in curve if p["held_out"] == kept_aside] for kept_aside in (True, False))
+    state = fitter.state
     rung, kinds = fitter.climb.rung, fitter.settings.kinds
+    density, colour = fitter.field.density, fitter.field.colour
     return {
         "steps": state.step,
         "train_seconds": round(state.seconds, 2),
         "parameters": fitter.field.parameters,
-        "held_out_psnr": decided[-1] if decided else None,
-        "training_psnr": trained[-1] if trained else None,
-        "curve": curve,
+        "held_out_psnr": state.stands.get("held out"),
+        "training_psnr": state.stands.get("trained on"),
+        "curve": state.curve,
         "decisions": state.decisions,
         "capacity": fitter.climb.told(fitter.field.parameters),
         "sizes": state.sizes,
         "kinds": [kinds.density, kinds.colour, kinds.head],
         "resolution": rung.resolution,
-        "density_rank": rung.density_rank if kinds.density == "vm" else None,
-        "colour_rank": rung.colour_rank if kinds.colour == "vm" else None,
-        "degree": getattr(fitter.field.colour, "degree", None),
+        "density_rank": getattr(density, "rank", None),
+        "colour_rank": getattr(getattr(colour, "features", colour), "rank", None),
+        "degree": getattr(colour, "degree", None),
         "table_bits": rung.table_bits if "hash" in (kinds.density, kinds.colour) else None,
         "occupied_share": round(fitter.field.occupancy.share, 4),
         "rollbacks": state.rollbacks,
+        "ended_at": state.ended_at,
         EXPOSURE_STOPS: {c.name: round(s, 3) for c, s in zip(fitter.bank.cameras, state.stops or [])},
         "held_out_views": len(held_out),
         "space": fitter.space.kind,

@@ -80,13 +80,18 @@ def chosen(features: str) -> dict[str, str]:
 
     Reads no weights. Errors as for `resolve`, but for what is wrong inside a file.
     """
-    features = features or next((row["name"] for row in describe() if row["chosen"]), "")
+    features = features or found_trunk()
     if features in TRUNKS:
         return {"features": features, "features_digest": ""}
     path = Path(features).expanduser()
     if not path.is_file():
         resolve(features or None)  # which tells why
     return {"features": str(path.resolve()), "features_digest": file_sha256(path)}
+
+
+def found_trunk() -> str:
+    """Name of the trunk that None finds, empty without any; reads no weights."""
+    return next((row["name"] for row in describe() if row["chosen"]), "")
 
 
 def resolve_metric(name: str) -> ResolvedTrunk:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from schemas.errors import UsageError
+from schemas.flags import flags
 from stages.memory import bytes_of
 
 
@@ -100,17 +101,13 @@ def _default(item: dataclasses.Field) -> Any:
 
 def flags_of(config: Any) -> list[str]:
     """The flags that make a config of its defaults; digests are left out, which the verb fills in."""
-    flags: list[str] = []
+    given: list[str] = []
     for item in dataclasses.fields(config):
         value = getattr(config, item.name)
         if value == _default(item) or item.name.endswith("_digest"):
             continue
-        flag = _flag(item)
-        if isinstance(value, bool):
-            flags.append(flag if value else f"--no-{flag[2:]}")
-        else:
-            flags += [flag, *map(str, value if isinstance(value, tuple) else [value])]
-    return flags
+        given += flags(_flag(item), value)
+    return given
 
 
 def _shape(kind: Any) -> tuple[Any, int | None]:

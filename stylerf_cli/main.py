@@ -42,8 +42,7 @@ def main(argv: list[str] | None = None) -> int:
         write_out("")
         return 0
     except OutputClosed:
-        # Python would complain once more when it closes stdout on leaving.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+        _leave_stdout()
         return 0
     except BaseException as error:
         if not speaks():
@@ -52,8 +51,16 @@ def main(argv: list[str] | None = None) -> int:
         with suppress(OSError):  # nobody may be reading; the exit code still tells
             sys.stderr.write(f"stylerf: error: {line}\n")
         if as_json:
-            print_json({"error": line, "exit_code": code, **getattr(error, "details", {})})
+            try:
+                print_json({"error": line, "exit_code": code, **getattr(error, "details", {})})
+            except OutputClosed:
+                _leave_stdout()
         return code
+
+
+def _leave_stdout() -> None:
+    """Python would complain once more when it closes a stdout that nobody reads."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
 
 
 def _run(argv: list[str], state: dict[str, Path | None]) -> dict | None:
@@ -96,6 +103,8 @@ def _run_verb(verb: str, module, args: Namespace, config: type | None) -> dict:
     from stylerf_cli.options import Options
     from stylerf_cli.session import Session
 
+    if args.name is not None and hasattr(module, "NAMELESS"):
+        raise UsageError(f"--name: {module.NAMELESS}; leave it out")
     options = Options(verb, args, list(VERBS), getattr(module, "CONFIGS", ()))
     session = Session(verb, args, options, config)
     try:

@@ -45,7 +45,12 @@ class OutputClosed(Exception):
 
 
 def write_out(text: str) -> None:
-    """Writes to stdout at once. OutputClosed where nobody reads it any more: no fault of a stage is taken for that."""
+    """Writes to stdout at once, names of files that are no text by their own bytes.
+
+    OutputClosed where nobody reads it any more: no fault of a stage is taken for that.
+    """
+    if hasattr(sys.stdout, "reconfigure"):
+        sys.stdout.reconfigure(errors="surrogateescape")
     try:
         sys.stdout.write(text)
         sys.stdout.flush()
@@ -54,5 +59,13 @@ def write_out(text: str) -> None:
 
 
 def print_json(value: Any) -> None:
-    """Prints one JSON object and a newline on stdout; NaN and infinity become strings."""
-    write_out(json.dumps(plain(value), ensure_ascii=False, allow_nan=False) + "\n")
+    """Prints one JSON object and a newline on stdout; NaN and infinity become strings.
+
+    What stdout cannot write as text is escaped, as JSON has it: a name of a file may be none.
+    """
+    text = json.dumps(plain(value), ensure_ascii=False, allow_nan=False)
+    try:
+        text.encode(sys.stdout.encoding or "utf-8")
+    except UnicodeEncodeError:
+        text = json.dumps(plain(value), allow_nan=False)
+    write_out(text + "\n")

@@ -10,15 +10,17 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 
+from schemas.atomic import make_folder
 from schemas.canonical import digest_of, file_sha256
-from schemas.errors import BadInput, OutOfResources, StylerfError
+from schemas.errors import ArtefactDamaged, ArtefactStale, BadInput, OutOfResources, UsageError
 from schemas.images import to_uint8, write_png
 from schemas.store import Artefact, Work
-from stages import deform_init, fault_scene, nerf_fit, stylize
+from stages import deform_init, fault_scene, nerf_fit, stylize, weights
 from stages.configs.deform import DeformConfig
 from stages.configs.fault_scene import FaultConfig
 from stages.configs.fit import FitConfig
@@ -33,10 +35,12 @@ from stages.stress.faults import CLEAN, FAULTS, METHODS, ORDINARY_STYLE, STYLE, 
 from stages.stress.measuring import seen_from_tests, seen_of_edit, shown_beside
 from stages.stress.outcomes import keep_outcome, kept_outcome
 from stylerf.corruption import paintings
-from stylerf.errors import Diverged
 from stylerf_cli import stress_edits
 
 WORST = "worst"
+KEPT = "kept"  # the file that marks a work folder as one of --keep
+# What is wrong with the command, the work folder or the machine says nothing about a method.
+NOT_OF_A_METHOD = (UsageError, ArtefactDamaged, ArtefactStale, OutOfResources, MemoryError, OSError)
 QUICK_CAPACITY, QUICK_SAMPLES = "fixed:64x8x16", 20_000
 QUICK_REFIT, QUICK_DEFORM, DEFORM_STEPS = 60, 40, 400
 # What --remedies on runs with.
@@ -71,15 +75,26 @@ class Trial:
 
 
 class Stress:
-    """Makes the runs of a config that do not stand yet. root: WORK/stress. source: the scene to be spoilt."""
+    """Makes the runs of a config that do not stand yet. root: WORK/stress. source: the scene to be spoilt.
+
+    conditions: what all runs share and a baseline must share with them, here with trunk, device and criteria.
+    """
 
     def __init__(self, session: Any, config: StressConfig, source: Artefact, root: Path) -> None:
         self.session, self.config, self.source, self.root = session, config, source, root
-        self.conditions = config.conditions
+        # UsageError without any trunk, where a method needs one.
+        needed = any(METHODS[name].sees_painting for name in config.chosen_methods)
+        self.features = weights.chosen("") if needed else {"features": weights.found_trunk()}
+        self.conditions = config.conditions | {
+            "features": self.features["features"],
+            "device": session.context.device,
+            "criteria": criteria.REVISION,
+        }
         self.missing: dict[str, str] = {}
         self._worked_in: set[Path] = set()
+        self._digests: dict[Path, str] = {}  # of paintings
         self._seconds = 0.0  # of all that the run in progress is made of
-        self._afresh = False
+        self._afresh, self._only = False, False
 
     def trials(self) -> Iterator[Trial]:
         """In the order in which scenes and fits are shared: by seed, then scene, then painting, then method."""
@@ -95,7 +110,8 @@ class Stress:
 
     def run(self, only: bool, force: bool) -> list[Outcome]:
         """All outcomes, kept or made. only: those that stand. force: every one made anew."""
-        trials, self._afresh = list(self.trials()), force
+        trials, self._afresh, self._only = list(self.trials()), force, only
+        standing: dict[Path, bool] = {}  # whether all runs of a work folder do
         found: list[Outcome] = []
         progress = self.session.progress
         progress.start("stress", len(trials), "run")
@@ -106,9 +122,11 @@ class Stress:
                 outcome = self._made(trial, key)
             if outcome is not None:
                 found.append(outcome)
+            place = self._place(trial).root
+            standing[place] = standing.get(place, True) and outcome is not None
             following = trials[number + 1] if number + 1 < len(trials) else None
-            if following is None or (following.origin, following.seed) != (trial.origin, trial.seed):
-                self._tidy(trial)
+            if following is None or self._place(following).root != place:
+                self._tidy(place, standing[place])
             progress.update(number + 1, f"{sum(not one.ok for one in found)} failed")
         progress.finish()
         return found
@@ -131,6 +149,7 @@ class Stress:
                 "deform": self.deform_config(trial) if method.style == "desrf" else None,
                 "style": style,
                 "seed": trial.seed,
+                "device": self.conditions["device"],
                 "revisions": {spec.stage: spec.revision for spec in specs} | {"criteria": criteria.REVISION},
             }
         )
@@ -157,13 +176,14 @@ class Stress:
         return replace(config, **REMEDIES_OF_DEFORM) if trial.remedies else config
 
     def style_config(self, trial: Trial) -> StylizeConfig:
-        """Of its stylisation, with the digest of its painting, which is made where it is missing."""
-        painting = self.painting(trial)
+        """Of its stylisation, with the digest of its painting."""
+        painting, digest = self.painting(trial)
         config = StylizeConfig(
             style=str(painting.resolve()),
-            style_digest=file_sha256(painting),
+            style_digest=digest,
             method=trial.method.style,
             budget=self.conditions["style_budget"],
+            **self.features,
         )
         if self.conditions["quick"]:
             config = replace(config, refit_steps=QUICK_REFIT)
@@ -171,19 +191,29 @@ class Stress:
 
     def edit_options(self, trial: Trial) -> stress_edits.EditOptions:
         """Of its local edit."""
-        painting = self.painting(trial).resolve() if trial.method.sees_painting else None
-        return stress_edits.options_of(trial.method, trial.fault, trial.remedies, self.conditions, painting)
+        look = None
+        if trial.method.sees_painting:
+            painting, digest = self.painting(trial)
+            look = {"style": str(painting.resolve()), "style_digest": digest, **self.features}
+        return stress_edits.options_of(trial.method, trial.fault, trial.remedies, self.conditions, look)
 
-    def painting(self, trial: Trial) -> Path:
-        """File of the painting of a trial: the fault's, or the ordinary one."""
+    def painting(self, trial: Trial) -> tuple[Path, str]:
+        """The painting of a trial, the fault's or the ordinary one, and its digest.
+
+        It is made where it is missing; where nothing is to be run, for its digest alone.
+        """
         fault = trial.fault if trial.fault.of == STYLE else None
         side = int(fault.amount) if fault else ORDINARY_STYLE
         if self.conditions["quick"] and fault and fault.name == "style-huge":
             side //= 4
         path = self.root / "styles" / f"{fault.name if fault else 'ordinary'}-{side}-{trial.seed}.png"
-        if not path.is_file():
-            write_png(path, to_uint8(painted(fault.name if fault else "", side, trial.seed)))
-        return path
+        if path not in self._digests:
+            with TemporaryDirectory() as aside:
+                file = Path(aside) / path.name if self._only and not path.is_file() else path
+                if not file.is_file():
+                    write_png(file, to_uint8(painted(fault.name if fault else "", side, trial.seed)))
+                self._digests[path] = file_sha256(file)
+        return path, self._digests[path]
 
     # -- a run ------------------------------------------------------------------------------------------------------
 
@@ -201,9 +231,9 @@ class Stress:
         picture = f"{self._name(trial, key)}.png"
         try:
             verdict, worst = self._verdict(trial, scene)
-        except (OutOfResources, MemoryError):
+        except NOT_OF_A_METHOD:
             raise
-        except (StylerfError, Diverged, ArithmeticError, ValueError, RuntimeError, LookupError) as error:
+        except Exception as error:
             # A method that breaks has failed, however it breaks: that is what is counted here.
             verdict = criteria.Verdict(False, f"{type(error).__name__}: {error}"[:300], None, 0)
             (self.root / WORST / picture).unlink(missing_ok=True)
@@ -235,6 +265,9 @@ class Stress:
         if self._afresh and place.root not in self._worked_in:
             shutil.rmtree(place.root, ignore_errors=True)  # what --keep left there may be of other code
         self._worked_in.add(place.root)
+        if self.config.keep:
+            make_folder(place.root)
+            (place.root / KEPT).touch()
         begun, made = time.monotonic(), None
         try:
             made, _ = execute(stage.SPEC, stage.run, place, name, inputs, config, context)
@@ -266,17 +299,18 @@ class Stress:
             field = self._execute(trial, stylize, inputs, config, f"{trial.fault.name}-{trial.label}")
         views = seen_from_tests(scene, field, threads)
         if method.style:
-            painting = read_painting(self.painting(trial)).permute(1, 2, 0).numpy()
+            painting = read_painting(self.painting(trial)[0]).permute(1, 2, 0).numpy()
             verdict = criteria.judged_style(views, painting)
         else:
             verdict = criteria.judged_fit(views)
         return verdict, shown_beside(views[verdict.worst])
 
-    def _tidy(self, trial: Trial) -> None:
-        """Scenes and fields go when nothing more is made of them, unless they are to be kept; outcomes stay."""
-        root = self._place(trial).root
-        if not self.config.keep and root in self._worked_in:
-            shutil.rmtree(root, ignore_errors=True)
+    def _tidy(self, place: Path, all_stand: bool) -> None:
+        """Scenes and fields go when nothing more is made of them, also those that a killed run has left; not what is
+        to be kept, or was. Outcomes stay."""
+        left = all_stand and not self._only and not (place / KEPT).exists()
+        if not self.config.keep and (place in self._worked_in or left):
+            shutil.rmtree(place, ignore_errors=True)
 
 
 def painted(fault: str, side: int, seed: int) -> np.ndarray:

@@ -6,10 +6,9 @@ chooses for a fault.
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
-from schemas.canonical import digest_of, file_sha256
+from schemas.canonical import digest_of
 from schemas.store import Artefact
 from stages import decompose, distill, edit_dataset, edit_learn, edit_palette, finetune, recolour, region_select
 from stages.configs.decompose import DecomposeConfig, RecolourConfig
@@ -52,8 +51,10 @@ class EditOptions:
         return {"learning": learning, "changes": self.changes, "finetune": self.finetune, "reach": REACH}
 
 
-def options_of(method: Method, fault: Fault, remedies: bool, conditions: dict, painting: Path | None) -> EditOptions:
-    """Of one run. painting: its file, where the method sees one."""
+def options_of(
+    method: Method, fault: Fault, remedies: bool, conditions: dict, painting: dict[str, str] | None
+) -> EditOptions:
+    """Of one run. painting: the options of learning that name it and its features, where the method sees one."""
     quick, budget = conditions["quick"], conditions["style_budget"]
     timed = budget_of(budget)[0] > 0
     budget = QUICK_FINETUNE if quick and not timed else budget
@@ -63,7 +64,7 @@ def options_of(method: Method, fault: Fault, remedies: bool, conditions: dict, p
         learning = DecomposeConfig(budget=budget)
         learning = replace(learning, refit_steps=QUICK_REFIT, pixels=QUICK_PIXELS) if quick else learning
         return EditOptions(method, learning, changes, teaching)
-    look = {"recolor": True} if painting is None else {"style": str(painting), "style_digest": file_sha256(painting)}
+    look = {"recolor": True} if painting is None else dict(painting)
     look |= {"start": "random"} if fault.name == "palette-random" else {}
     look |= (QUICK_PAINT if painting else QUICK_RECOLOUR) if quick else {}
     look |= REMEDIES_OF_LEARNING if remedies else {}

@@ -44,7 +44,7 @@ class FitConfig:
     samples: int = option(
         0,
         help="density samples a step; the number of rays follows (0: on the CPU 500 for each second of the budget, "
-        "30000 to 90000; on a GPU 262144)",
+        "30000 to 90000, and 90000 where it is in steps; on a GPU 262144)",
     )
     rate: float = option(0.0, help="learning rate (0: by the scene's layout)")
     smoothness: float = option(-1.0, help="weight of the planes' total variation (-1: by the scene's layout)")

@@ -52,7 +52,10 @@ def read_baseline(path: Path, conditions: dict) -> list[dict]:
         raise BadInput(f"--baseline {path} is no baseline ({error!r}); --write-baseline {path} makes one") from error
     differing = [key for key in {**made, **conditions} if made.get(key) != conditions.get(key)]
     if differing:
-        told = ", ".join(f"{key} {made.get(key)!r}, now {conditions.get(key)!r}" for key in sorted(differing))
+        told = ", ".join(
+            f"{key} {made[key]!r}, now {conditions.get(key)!r}" if key in made else f"{key} not told"
+            for key in sorted(differing)
+        )
         raise UsageError(f"--baseline {path} was made under other conditions: {told}; give the same, or write it anew")
     return cells
 

@@ -7,7 +7,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from stylerf.fields.occupancy import OPAQUE_STEP
+from stylerf.fields.occupancy import DENSEST, MARK, OPAQUE_STEP, UNSEEN
 from stylerf.kernels.oracle import OPTICAL_SCALE
 
 FARTHEST = 32  # cells; distances beyond are told as this one: leaps come out shorter, never wrong
@@ -21,14 +21,13 @@ def refresh(field, seed: int, share: int, decay: float) -> None:
     index = torch.arange(start, cells**3, share, device=device)
     corner = torch.stack([index // cells**2, index // cells % cells, index % cells], 1)
     points = (corner + torch.rand(corner.shape, generator=generator, device=device)) / cells
-    seen = field.density.sigma(points.contiguous())
-    field.highest.clamp_(max=1e4)  # infinite where nobody has looked yet
+    seen = field.density.sigma(points.contiguous()).clamp(max=DENSEST)
     old = field.highest[index]
-    field.highest[index] = torch.maximum(torch.where(old >= 1e4, 0.0, old * decay), seen)
+    field.highest[index] = torch.maximum(torch.where(old == UNSEEN, 0.0, old * decay), seen)
     if field.clear is not None:
         field.highest.masked_fill_(field.clear, 0.0)
     least = -math.log1p(-OPAQUE_STEP) / (OPTICAL_SCALE * field.step)
-    occupied = field.highest > field.highest.clamp(max=1e4).mean().clamp(max=least)
+    occupied = field.highest > field.highest.clamp(max=MARK).mean().clamp(max=least)
     if field.clear is not None:
         occupied &= ~field.clear
     field.distances = distances_to(occupied.view(cells, cells, cells)).flatten()

@@ -11,6 +11,9 @@ from scipy.ndimage import distance_transform_cdt
 from stylerf.kernels.cpu.march import OPTICAL_SCALE
 
 OPAQUE_STEP = 0.01
+UNSEEN = np.inf  # in place of the density of a cell that nobody has looked at
+MARK = 1e4  # the same in files of before
+DENSEST = 9999.0  # of what was seen no more is kept
 
 
 class Occupancy:
@@ -21,7 +24,7 @@ class Occupancy:
 
     def __init__(self, cells: int, highest: np.ndarray | None = None, clear: np.ndarray | None = None) -> None:
         self.cells, self.clear = cells, clear
-        self.highest = np.full(cells**3, np.inf, np.float32) if highest is None else highest
+        self.highest = np.full(cells**3, UNSEEN, np.float32) if highest is None else _marked(highest)
         self.distances = np.zeros(cells**3, np.uint8)
         if clear is not None:
             self.highest[clear] = 0
@@ -39,17 +42,16 @@ class Occupancy:
             index = index[~self.clear[index]]
         corner = np.stack(np.unravel_index(index, (self.cells,) * 3), -1).astype(np.float32)
         points = (corner + generator.random(corner.shape, dtype=np.float32)) / np.float32(self.cells)
-        seen = density(np.ascontiguousarray(points))
-        np.minimum(self.highest, np.float32(1e4), out=self.highest)  # infinite where nobody has looked yet
+        seen = np.minimum(density(np.ascontiguousarray(points)), DENSEST)
         old = self.highest[index]
-        self.highest[index] = np.maximum(np.where(old >= 1e4, 0, old * np.float32(decay)), seen)
+        self.highest[index] = np.maximum(np.where(old == UNSEEN, 0, old * np.float32(decay)), seen)
         self.decide(step)
 
     def decide(self, step: float) -> None:
         """Recompute `distances` for rays of step `step` (cube units)."""
         least = -np.log1p(-OPAQUE_STEP) / (float(OPTICAL_SCALE) * step)
         # Never let a young, thin field vanish as a whole: its mean is still worth a look.
-        occupied = self.highest > min(least, float(np.mean(np.minimum(self.highest, 1e4))))
+        occupied = self.highest > min(least, float(np.mean(np.minimum(self.highest, MARK))))
         self.set_occupied(occupied)
 
     def set_occupied(self, occupied: np.ndarray) -> None:
@@ -81,3 +83,8 @@ class Occupancy:
         for axis in range(3):
             grid = np.repeat(grid, cells // self.cells, axis=axis)
         return np.ascontiguousarray(grid.ravel())
+
+
+def _marked(highest: np.ndarray) -> np.ndarray:
+    """These densities, with the present mark where an older file has its own."""
+    return np.where(highest >= MARK, UNSEEN, highest)

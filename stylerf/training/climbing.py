@@ -100,10 +100,14 @@ class Climb:
 
     # -- when -------------------------------------------------------------------------------------------------------
 
-    @property
-    def _ripe(self) -> bool:
-        """Whether the present rung has had its least steps."""
-        return self.state.step >= LEAST_STEPS_PER_RUNG * (self.state.rung + 1)
+    def _ripe(self, progress: float) -> bool:
+        """Whether the present rung has had its least steps.
+
+        On the way to a capacity that was asked for an even part of a short budget is enough.
+        """
+        rungs = self.state.rung + 1
+        even = self.settings.always_climb and progress >= rungs / (self._last + 1)
+        return even or self.state.step >= LEAST_STEPS_PER_RUNG * rungs
 
     def _used_up(self, progress: float) -> bool:
         """Whether the present rung has had its share of the budget, or as many steps as do it good."""
@@ -118,7 +122,8 @@ class Climb:
     def rung_due(self, progress: float) -> bool:
         """Whether the next rung is to be tried."""
         s, settings = self.state, self.settings
-        due = not s.fixed and s.trial is None and self._ripe and s.rung < self._last and self._used_up(progress)
+        possible = not s.fixed and s.trial is None and s.rung < self._last
+        due = possible and self._ripe(progress) and self._used_up(progress)
         # Views that are trained on decide nothing: a trial needs its least steps before that, unless it is none.
         return due and (settings.always_climb or self._steps_left(progress) >= LEAST_STEPS_PER_RUNG)
 
@@ -134,7 +139,7 @@ class Climb:
         """The name of what is to be given up next, on trial."""
         s, settings = self.state, self.settings
         climbing = not s.fixed and s.rung < self._last
-        if settings.always_climb or s.trial is not None or climbing or not self._ripe:
+        if settings.always_climb or s.trial is not None or climbing or not self._ripe(progress):
             return None
         if not s.fixed and not self._used_up(progress):
             return None
@@ -154,7 +159,7 @@ class Climb:
             return False
         if trial["what"] != GROW and self.state.step >= trial["until"]:
             return True
-        return (trial["what"] == GROW and self._ripe and self._used_up(progress)) or (
+        return (trial["what"] == GROW and self._ripe(progress) and self._used_up(progress)) or (
             progress >= self.settings.held_out_until
         )
 

@@ -31,7 +31,8 @@ class Deformer:
     """Gives `field` a displacement grid of `vertices`^3 that follows `deformation`, and teaches it.
 
     The network is asked at the vertices around what the cameras see of the field at rest; every other vertex moves as
-    the nearest of these. gradients [chunks, 3 vertices^3]: where backward() adds dL/dD.
+    the nearest of these. clip: of the network's gradients, see Adam. gradients [chunks, 3 vertices^3]: where backward()
+    adds dL/dD.
     """
 
     def __init__(
@@ -42,8 +43,10 @@ class Deformer:
         vertices: int,
         seed: int,
         chunks: int,
+        clip: float = 0.0,
     ) -> None:
         self.field, self.deformation, self.vertices = field, deformation, vertices
+        self.clip = clip
         self.taken = 0
         field.displacement = None
         rays = random_rays(cameras, SIGHT_RAYS, field.space.near, np.random.default_rng([seed, 7]))
@@ -69,7 +72,7 @@ class Deformer:
     def _prepare(self, chunks: int) -> None:
         """Buffers and the optimiser; the field has its grid."""
         self.gradients = np.zeros((chunks, 3 * self.vertices**3), np.float32)
-        self.adam = Adam(self.deformation.values, [(0, len(self.deformation.values), 1.0)], 1)
+        self.adam = Adam(self.deformation.values, [(0, len(self.deformation.values), 1.0)], 1, self.clip)
 
     def _gathered(self) -> Tensor:
         """dL/dD [vertices^3, 3], from `gradients`."""

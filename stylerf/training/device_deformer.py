@@ -41,9 +41,10 @@ class DeviceDeformer(Deformer):
         vertices: int,
         seed: int,
         chunks: int,
+        clip: float = 0.0,
     ) -> None:
         self.device = device
-        super().__init__(field, deformation, cameras, vertices, seed, chunks)
+        super().__init__(field, deformation, cameras, vertices, seed, chunks, clip)
         self.collect()
 
     def _there(self, tensor: Tensor) -> Tensor:
@@ -54,7 +55,7 @@ class DeviceDeformer(Deformer):
         self._at_rest = self._there(torch.from_numpy(self.rest.distances))
         self.gradients = torch.zeros(3 * self.vertices**3, device=self.device)
         values = torch.from_numpy(self.deformation.values).to(self.device, copy=True)
-        self.adam = DeviceAdam(values, [(0, len(values), 1.0)])
+        self.adam = DeviceAdam(values, [(0, len(values), 1.0)], self.clip)
         self._sizes, self._brought = Reports(self.device, 1, lambda sums, _: sums[0], 0.0), None
 
     def _gathered(self) -> Tensor:

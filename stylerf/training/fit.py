@@ -29,6 +29,8 @@ from stylerf.training.ranks import ALONE, Ranks
 from stylerf.training.rays import RayBank, shown_rays
 
 EXPOSED_FROM = 0.1  # of the budget: before, a field is brighter or darker than its photos for other reasons
+MOST_ROLLBACKS = 4
+SOUND_FROM = 0.5  # of the budget: from here on the best field so far is worth more than none
 SMOOTH_EVERY = 8  # steps; the planes' total variation costs a third of a step, and is felt over hundreds of them
 
 
@@ -133,6 +135,11 @@ class Fitter:
     def _judges(self) -> str:
         return "held-out views" if self.held_out else "training views"
 
+    @property
+    def _judging(self) -> bool:
+        """Whether views are kept aside now."""
+        return self.held_out > 0 and self.progress < self.settings.held_out_until
+
     def held_out_psnr(self) -> float:
         """PSNR over the held-out rays (training rays where no view is held out), dB.
 
@@ -166,6 +173,8 @@ class Fitter:
         self._expose(stops.tolist())
         shift = self.held_out_psnr() - quality
         self.state.best += shift
+        for known in (self.state.stands, self.state.anchored):
+            known.update({views: round(value + shift, 3) for views, value in known.items()})
         if self.state.whole is not None:
             self.state.whole += shift
         if self.state.trial is not None:
@@ -194,7 +203,7 @@ class Fitter:
             self._refreshed_at = state.step
             self.engine.refresh(self.seed + state.step, 1 if state.step < 300 else 4)
         among = len(self.bank.cameras)
-        if self.held_out and self.progress < settings.held_out_until:
+        if self._judging:
             among -= self.held_out
         smoothing = SMOOTH_EVERY if state.step % SMOOTH_EVERY == 0 else 0
         learnt = self.engine.learn(
@@ -224,7 +233,7 @@ class Fitter:
         self.warm_up()
         state = self.state
         next_check = (math.floor(self.progress / check_every) + 1) * check_every
-        while self.progress < 1.0:
+        while self.progress < 1.0 and state.ended_at is None:
             begun, self.between_steps = time.perf_counter(), False
             try:
                 error = self.step()
@@ -283,12 +292,13 @@ class Fitter:
                 "seconds": round(state.seconds, 2),
                 "psnr": round(quality, 3),
                 "parameters": self.parameters,
-                "held_out": self.held_out > 0 and self.progress < self.settings.held_out_until,
+                "held_out": self._judging,
             }
         )
         if fallen:
             self._roll_back(f"{self._judges} fell from {state.best:.1f} to {quality:.1f} dB")
             return
+        self._stands(quality)
         if climb.over(self.progress):
             quality = self._judge(quality)
         if state.trial is None and quality >= state.best:
@@ -313,7 +323,7 @@ class Fitter:
         self.state.fixed = True
         self.state.decisions.append(
             f"staying at {self.climb.name(self.climb.rung)}: "
-            f"held-out views are met within the photos' rounding, {quality:.1f} dB"
+            f"{self._judges} are met within the photos' rounding, {quality:.1f} dB"
         )
 
     def _try(self, what: str, quality: float) -> None:
@@ -329,22 +339,28 @@ class Fitter:
         state.decisions.append(text)
         if kept:
             state.best = quality if reduced else max(state.best, quality)
+            self._stands(quality)
             self._keep()
             return quality
-        self._restore(self._anchor)
+        self._go_back()
         self.on_say(text)
         return before
 
     def _roll_back(self, reason: str) -> None:
         state = self.state
         state.rollbacks += 1
-        if self._anchor is None or state.rollbacks > 4:
+        last = state.rollbacks > MOST_ROLLBACKS
+        if self._anchor is None or (last and self.progress < SOUND_FROM):
             raise Diverged(f"{reason}, {state.rollbacks} times; try another seed, a smaller rate or check the poses")
         if state.trial is not None:
             self.climb.end(kept=False)
-        self._restore(self._anchor)
-        state.rate_scale *= 0.5
-        text = f"{reason}: back to the best field so far, with half the learning rate"
+        self._go_back()
+        if last:
+            state.ended_at = round(self.progress, 3)
+            text = f"{reason}, {state.rollbacks} times: ended with the best field, {state.ended_at:.0%} into the budget"
+        else:
+            state.rate_scale *= 0.5
+            text = f"{reason}: back to the best field so far, with half the learning rate"
         state.decisions.append(text)
         self.on_say(text)
 
@@ -354,8 +370,19 @@ class Fitter:
         """As it stands: the next step writes to these very arrays."""
         return {"field": self.field.describe(), "arrays": self.field.arrays() | self.engine.moments()}
 
+    def _stands(self, quality: float) -> None:
+        """Note the quality, dB, of the field that stands: of views that are kept aside, or of those it is taught."""
+        if math.isfinite(quality):
+            self.state.stands["held out" if self._judging else "trained on"] = round(quality, 3)
+
+    def _go_back(self) -> None:
+        """To the anchor, and to its quality."""
+        self.state.stands = dict(self.state.anchored)
+        self._restore(self._anchor)
+
     def _keep(self) -> None:
         """Make what stands the anchor; what was goes first, so that there is never memory for both."""
+        self.state.anchored = dict(self.state.stands)
         self._anchor, now = None, self._now()
         self._anchor = now | {"arrays": {k: v.copy() for k, v in now["arrays"].items()}}
 

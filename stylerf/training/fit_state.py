@@ -67,6 +67,9 @@ class FitState:
     parts: int = 1
     rays: int = 1024
     best: float = -math.inf
+    stands: dict[str, float] = field(default_factory=dict)  # dB of what stands, of views `held out` and `trained on`
+    anchored: dict[str, float] = field(default_factory=dict)  # the same of what a return leads to
+    ended_at: float | None = None  # part of the budget after which no more returns were left
     curve: list[dict] = field(default_factory=list)
     decisions: list[str] = field(default_factory=list)
     stops: list[float] | None = None  # by which photos are overexposed; empty: all alike; None: not judged

@@ -27,12 +27,12 @@ class Guard:
         return self.asked.slowed(rollbacks) if rollbacks else settings
 
     def look(self, loop: Any) -> None:
-        """After a step whose loss was finite: keeps the state every KEEP_EVERY steps, if its colours are finite too."""
+        """After a step whose loss was finite: keeps the state every KEEP_EVERY steps, if it is finite too."""
         state = loop.state
         if not self.most or (state.step % KEEP_EVERY and self._kept and self._kept[0]["phase"] == state.phase):
             return
         _, arrays = loop.checkpoint()
-        if not np.isfinite(arrays["colour"]).all():
+        if not all(np.isfinite(values).all() for values in arrays.values()):
             return  # a gradient may have left the numbers where the loss had not
         kept = {"phase": state.phase, "step": state.step}
         self._kept = kept, {name: np.array(values, copy=True) for name, values in arrays.items()}

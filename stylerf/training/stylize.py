@@ -58,7 +58,7 @@ class Stylizer(Repainting):
             # A walk costs by its samples, and its step cannot change later: colours are learnt where it samples them.
             self.field.step = max(self.field.step, COARSEST_STEP)
             given = self.field, self._deformation, self.cameras, vertices, self.seed, self.chunks
-            self.deformer = deformer_on(self.device, *given)
+            self.deformer = deformer_on(self.device, *given, self.settings.clip)
 
     def _phase_begins(self) -> None:
         if self.deformer is not None:

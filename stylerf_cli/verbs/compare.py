@@ -11,6 +11,7 @@ from stylerf_cli.locating import work_or_artefact
 NAME = "compare"
 HELP = "set fits, stylisations and edits side by side: figures against time, memory, parameters"
 CONFIG = None
+NAMELESS = "a comparison is no artefact"
 FOLDER = "comparison"
 
 

@@ -10,6 +10,7 @@ from stages.configs.demo import DemoConfig
 NAME = "demo"
 HELP = "the whole path on an embedded scene: photos, fit, painting, film, report"
 CONFIG = DemoConfig
+NAMELESS = "a demo's artefacts have names of their own"
 MARGIN = 4  # pixels around the object on the contact sheet
 
 
@@ -29,15 +30,14 @@ def run(args, session) -> dict:
     from stages.configs.fit import FitConfig
     from stages.configs.render import RenderConfig
     from stages.configs.stylize import StylizeConfig
+    from stages.weights import chosen
     from stylerf_cli.verbs.import_ import config_for
 
-    if args.name:
-        raise UsageError("--name: a demo's artefacts have names of their own; leave it out")
     session.own_verbs = {"import", "fit", "deform", "stylize", "render", "eval"}
     config, work = session.config, session.work
     photos = work.root / "photos"
     refuse_others(work, photos)
-    context = session.context
+    context, features = session.context, chosen("")
     demo_data.write_demo(
         photos, config.size, config.train_views, config.test_views, context.seed, context.threads, session.progress
     )
@@ -56,6 +56,7 @@ def run(args, session) -> dict:
         style_scale=2.0,
         colour_weight=3.0,
         content_weight=5e-3,
+        **features,
     )
     shaped = fit
     if config.method == "desrf":

@@ -12,6 +12,7 @@ from pathlib import Path
 NAME = "doctor"
 HELP = "tell what is installed, what is missing, and how to get it"
 CONFIG = None
+NAMELESS = "nothing is written"
 
 # package: what it is for, and whether everything else works without it
 PACKAGES: dict[str, tuple[str, bool]] = {

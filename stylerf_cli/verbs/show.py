@@ -13,6 +13,7 @@ from stylerf_cli.progress import duration
 NAME = "show"
 HELP = "tell what a work folder or an artefact holds"
 CONFIG = None
+NAMELESS = "nothing is written"
 SHOWN_FILES = 12
 SHOWN_ITEMS = 6
 

@@ -8,6 +8,7 @@ from stages.configs.stress import StressConfig
 NAME = "stress"
 HELP = "run methods under faults of photos, poses and paintings: how often each succeeds, a heat map, a baseline"
 CONFIG = StressConfig
+NAMELESS = "a stress writes no artefact in WORK"
 FOLDER = "stress"
 BASELINE = "baseline.json"
 
@@ -61,6 +62,11 @@ def run(args, session) -> dict:
     # By its files, not by where they came from: a baseline is to hold on another machine.
     content = digest_of([(record.path, record.sha256) for record in scene.manifest.files])
     conditions = stress.conditions | {"seed": session.common.seed, "scene": content}
+    kept = root / BASELINE if args.write_baseline is True else args.write_baseline
+    if args.baseline and kept and args.baseline.resolve() == kept.resolve():
+        raise UsageError(
+            f"--baseline and --write-baseline name one file, {kept}: what is worse would pass the next time; give two"
+        )
     # Refused before hours of work, not after them.
     before = read_baseline(args.baseline, conditions) if args.baseline else None
     if before is not None and {trial.cell for trial in stress.trials()}.isdisjoint(
@@ -92,8 +98,8 @@ def run(args, session) -> dict:
         "baseline": None if held is None else asdict(held),
     }
     write_json(root / "stress.json", told)
-    if args.write_baseline:
-        write_baseline(root / BASELINE if args.write_baseline is True else args.write_baseline, cells, conditions)
+    if kept:
+        write_baseline(kept, cells, conditions)
     result = {"page": root / "stress.html", "heat_map": root / "charts" / "heat_map.svg", **told}
     if held is not None and held.worse:
         for line in held.worse[1:]:

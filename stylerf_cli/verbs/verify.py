@@ -9,6 +9,7 @@ from stylerf_cli.locating import work_or_artefact
 NAME = "verify"
 HELP = "check every file of an artefact or a work folder against its digest"
 CONFIG = None
+NAMELESS = "nothing is written"
 
 
 class NotSound(ArtefactDamaged):

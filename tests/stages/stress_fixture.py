@@ -20,18 +20,20 @@ def photo_of(index: int, alpha: bool = True) -> np.ndarray:
     return np.dstack([rgb, 255 * seen if alpha else np.full((SIZE, SIZE), 255)]).astype(np.uint8)
 
 
-def make_capture(work: Work, layout: str = "object", tests: int = TEST, train: int = TRAIN) -> Artefact:
+def make_capture(
+    work: Work, layout: str = "object", tests: int = TEST, train: int = TRAIN, background: str = "alpha"
+) -> Artefact:
     """Scene `main`: views train_000 ... and test_000 ... on a dome of radius 4.03."""
 
     def write(folder) -> None:
         cameras = [*dome_cameras(train, SIZE, "train", 0), *dome_cameras(tests, SIZE, "test", 9)]
         views = []
         for index, camera in enumerate(cameras):
-            write_png(folder / f"images/{index:03d}.png", photo_of(index))
+            write_png(folder / f"images/{index:03d}.png", photo_of(index, background == "alpha"))
             split = camera.name.partition("_")[0]
             views.append(View(camera.name, f"images/{index:03d}.png", split, **camera_entry(camera)))
         bounds = Bounds(((-1, -1, -1), (1, 1, 1)), 0.5, 8.0)
-        write_scene(folder, Scene(tuple(views), layout, "made up", bounds, "alpha", as_matrix(np.eye(4))))
+        write_scene(folder, Scene(tuple(views), layout, "made up", bounds, background, as_matrix(np.eye(4))))
 
     return commit(work, "scene", "main", "pose_import", {}, write)
 

@@ -1,13 +1,23 @@
 """Which capacities a fit climbs, by the space of its scene."""
 
+import json
 from types import SimpleNamespace
 
 import pytest
 
+from schemas.store import Work
+from stages import nerf_fit
 from stages.configs.fit import FitConfig
-from stages.nerf_fit import _settings
+from stages.fields import load_field
+from stages.nerf_fit import _settings, _shown, _tell_memory
+from stages.photos import level_of
+from stages.progress import Context
+from stages.runner import execute
 from stylerf.geometry.space import Space
+from stylerf.training.engine import background_of
 from stylerf.training.ladders import LADDER
+from tests.stages.importing import Said
+from tests.stages.stress_fixture import make_capture
 from tests.stylerf.small import SPACES
 
 SCENE = SimpleNamespace(background="none", layout="unbounded")
@@ -51,3 +61,50 @@ def test_batches_grow_with_the_time_there_is_unless_their_size_is_given():
     assert all(_settings(FitConfig(samples=2000), SCENE, space, device).samples == 2000 for device in (None, "cuda"))
     with pytest.raises(ValueError, match="samples must be 1000 or more"):
         FitConfig(samples=999)
+
+
+@pytest.mark.parametrize("kind", ["white", "black", "none", "random"])
+def test_behind_a_field_stands_what_it_was_trained_over(kind):
+    assert level_of(_shown(kind)) == background_of(kind, 1, None)[0, 0]
+
+
+def test_a_scene_without_background_in_a_box_stands_on_what_taught_it_and_tells_its_own_ranks(tmp_path):
+    """What is made of the field later teaches with the background that is told here. Behind a small network the colour
+    has one width from the first rung on; six steps are enough for two rungs."""
+    work, said = Work(tmp_path / "work"), Said()
+    scene = make_capture(work, background="none")
+    config = FitConfig(budget="6", space="box", capacity="fixed:72x8x24", head="mlp", samples=1000, held_out=0)
+    made, _ = execute(nerf_fit.SPEC, nerf_fit.run, work, "fit", {"scene": scene}, config, Context(progress=said))
+    field, background = load_field(made)
+    assert (background, field.closed) == ("none", False)
+    figures, told = made.manifest.figures, json.loads(made.file("field.json").read_text())
+    assert told["colour"]["features"]["rank"] == figures["colour_rank"] == 24
+    assert told["density"]["rank"] == figures["density_rank"] == 8
+    assert figures["resolution"] == 72 and max(told["density"]["size"]) == 72
+    assert figures["training_psnr"] == figures["curve"][-1]["psnr"] and figures["held_out_psnr"] is None
+    assert figures["ended_at"] is None and not any("not reached" in line for line in said.lines)
+    assert settings(SPACES["box"], capacity="fixed:72x8x24").ladder[0].colour_rank == 16  # as ever, without a network
+
+
+def test_what_cannot_be_reached_is_told(tmp_path):
+    work, said = Work(tmp_path / "work"), Said()
+    config = FitConfig(budget="1", capacity="fixed:136x8x8", samples=1000, held_out=0)
+    scene = make_capture(work)
+    made, _ = execute(nerf_fit.SPEC, nerf_fit.run, work, "fit", {"scene": scene}, config, Context(progress=said))
+    assert "--capacity fixed:136x8x8 was not reached: 1 steps are too few" in said.lines
+    assert made.manifest.figures["resolution"] == 128 and "not reached" in made.manifest.figures["decisions"][-1]
+
+
+def test_a_bound_below_what_a_fit_takes_is_told():
+    """vm of 256^3, ranks 16 and 24: 3 * 40 * (256^2 + 256) parameters and a few of a head, 94 bytes each."""
+    even = Space.box([-1] * 3, [1] * 3)
+    for memory, told in ((10**9, True), (1_200_000_000, False)):
+        said = Said()
+        _tell_memory(settings(even), even, Context(progress=said, memory=memory))
+        assert len(said.lines) == told
+    said = Said()
+    _tell_memory(settings(even), even, Context(progress=said, memory=10**9))
+    assert "--memory 1.0 GB is less than a field of 256^3 takes to fit, about 1.1 GB" in said.lines[0]
+    small = settings(even, capacity="fixed:64x8x8")
+    _tell_memory(small, even, Context(progress=said, memory=10**9))
+    assert len(said.lines) == 1

@@ -22,7 +22,7 @@ import pytest
 from schemas import atomic, partial
 from schemas.artefact import VERB_OF
 from schemas.errors import ArtefactDamaged, ArtefactStale, BadInput, OutOfResources, UsageError
-from schemas.manifest import MANIFEST
+from schemas.manifest import MANIFEST, Recipe
 from schemas.store import Artefact, Work
 from stages import clock, runner
 from stages.configs import option
@@ -271,6 +271,12 @@ def test_dear_work_with_other_options_is_not_lost_without_a_word(tmp_path, expec
     (work.root / "field/.fox.partial/clock.json").write_text(json.dumps(told | {"seconds": 3300.0}))
     asked(ToyConfig(steps=42), force=True)
     assert work.unfinished() == []
+
+
+def test_options_to_go_on_with_are_told_as_a_command_line_takes_them():
+    before = Recipe("toy", 1, {"remember": False, "masks": True, "layers": ["a b", "c"], "steps": 30}, [], seed=7)
+    now = Recipe("toy", 1, {"remember": True, "masks": False, "layers": [], "steps": 30}, [], seed=0)
+    assert now.other_options(before) == "--no-remember, --masks, --layers 'a b' c, --seed 7"
 
 
 def test_dear_work_on_other_inputs_is_not_replaced_without_a_word(tmp_path, monkeypatch):

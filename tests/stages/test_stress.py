@@ -256,6 +256,8 @@ def test_other_conditions_and_files_that_are_none_are_refused(tmp_path):
     write_baseline(path, cells_of(five(5, 20.0)), {"budget": "10"})
     with pytest.raises(UsageError, match="budget '10', now '20'"):
         read_baseline(path, {"budget": "20"})
+    with pytest.raises(UsageError, match="other conditions: criteria not told; give the same, or write it anew"):
+        read_baseline(path, {"budget": "10", "criteria": 3})  # of before it was kept
     content = json.loads(path.read_text())
     for spoilt in (
         "[]",

@@ -17,9 +17,9 @@ from schemas.store import Artefact, Work
 from tests.stylerf_cli.nursery import Command, Nursery
 
 FOLLOWED_EVERY_SECONDS = 0.002
-STAGES = ("import", "fit", "deform", "stylize", "stylize by turns", "stylize after a view", "stylize with shapes",
-          "stylize a region", "stylize by a palette", "finetune", "render", "eval")  # fmt: skip
-IN_THE_SLOW_TESTS = ("deform", "stylize with shapes", "stylize a region", "stylize by a palette")
+STAGES = ("import", "fit", "fit that grows", "deform", "stylize", "stylize by turns", "stylize after a view",
+          "stylize with shapes", "stylize a region", "stylize by a palette", "finetune", "render", "eval")  # fmt: skip
+IN_THE_SLOW_TESTS = ("fit that grows", "deform", "stylize with shapes", "stylize a region", "stylize by a palette")
 # The rest goes the same ways: its turn comes with the slow tests.
 IN_THE_GATE = [pytest.param(name, marks=[pytest.mark.slow] if name in IN_THE_SLOW_TESTS else []) for name in STAGES]
 TAKEN = re.compile(r"seconds|runs|peak_memory_mb")
@@ -57,6 +57,8 @@ def arguments_of(stage: str, work: Path, photos: Path, room: Path) -> tuple[tupl
         "import": (("import", room, work, "--sfm-features", "1024"), "scene"),
         "fit": (("fit", work, "--budget", "150", "--no-buffers", "--capacity", "fixed:96x8x8", "--samples", "3000",
                  *often), "field"),
+        "fit that grows": (("fit", work, "--budget", "480", "--no-buffers", "--samples", "1500", "--held-out", "2",
+                            "--min-gain", "0.13", *often), "field"),
         "deform": (("deform", work, "--of", "fit", "--steps", "60", "--vertices", "16", "--width", "32",
                     "--patience-db", "0", *often), "field"),
         "stylize": (("stylize", work, "--of", "fit", "--budget", "12", "--rays", "dilated", *style), "field"),

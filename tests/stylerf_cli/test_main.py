@@ -122,6 +122,10 @@ def test_json_in_process(tmp_path, capsys):
         (["toy", "w", "--seed", "-1"], "--seed is -1; expected 0 to 4294967295"),
         (["toy", "w", "--seed", "4294967296"], "--seed is 4294967296"),
         (["toy", "w", "--config", "absent.toml"], "absent.toml cannot be read"),
+        *(
+            ([verb, *(["w"] if verb != "doctor" else []), "--name", "mine"], "leave it out")
+            for verb in ("stress", "compare", "show", "verify", "doctor", "demo")
+        ),
     ],
 )
 def test_usage_faults_end_with_2_and_one_line(arguments, words, capsys, monkeypatch, tmp_path):
@@ -197,6 +201,30 @@ def test_a_reader_that_closes_stdout_is_no_fault(tmp_path):
         done = subprocess.run(line, stdout=writing, stderr=subprocess.PIPE, text=True, check=False, cwd=REPOSITORY)
         os.close(writing)
         assert done.stderr.replace("noise from a library\nnoise from native code\n", "") == "" and done.returncode == 0
+
+
+def test_a_fault_keeps_its_exit_code_though_nobody_reads_it(tmp_path):
+    reading, writing = os.pipe()
+    os.close(reading)
+    line = [sys.executable, "-m", "stylerf_cli.main", "show", str(tmp_path / "nowhere"), "--json"]
+    done = subprocess.run(line, stdout=writing, stderr=subprocess.PIPE, text=True, check=False, cwd=REPOSITORY)
+    os.close(writing)
+    assert done.returncode == 3 and done.stderr.count("\n") == 1 and "error" in done.stderr
+
+
+@pytest.mark.parametrize("as_json", [False, True])
+def test_a_work_folder_whose_name_is_no_text_is_told_by_its_bytes(tmp_path, as_json):
+    work = os.fsencode(tmp_path) + b"/caf\xe9"
+    assert main(["toy", str(tmp_path / "cafe"), "--quiet"]) == 0
+    os.rename(tmp_path / "cafe", work)
+    line = [sys.executable, "-m", "stylerf_cli.main", "show", work, *(["--json"] if as_json else [])]
+    strict = os.environ | {"PYTHONIOENCODING": "utf-8:strict", "LC_ALL": "C.UTF-8"}
+    done = subprocess.run(line, capture_output=True, check=False, cwd=REPOSITORY, env=strict)
+    assert done.returncode == 0 and done.stderr == b""
+    if as_json:
+        assert os.fsencode(json.loads(done.stdout)["path"]) == work  # JSON that any reader takes
+    else:
+        assert work in done.stdout
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

@@ -2,13 +2,16 @@
 
 import csv
 import json
+import shutil
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from schemas.errors import BadInput, OutOfResources
+from schemas.canonical import file_sha256
+from schemas.errors import ArtefactDamaged, ArtefactStale, BadInput, OutOfResources, UsageError
 from schemas.store import Work
+from stages.configs.stress import StressConfig
 from stages.stress.criteria import Seen, Verdict
 from stages.stress.faults import FAULTS, METHODS
 from stylerf.errors import Diverged
@@ -105,6 +108,7 @@ def test_what_stands_is_not_run_again(folder, runs, capsys):
 
 def test_nothing_stands_and_nothing_faces(folder, runs, capsys):
     assert stress(folder, "--only") == 4 and runs.made == []
+    assert not (folder / "stress").exists()  # not even a painting
     assert main(["stress", str(folder), "--methods", "fit", "--faults", "style-white"]) == 2
     assert main(["stress", str(folder), "--methods", "magic"]) == 2
     assert "there are fit, fit-hash" in capsys.readouterr().err
@@ -120,6 +124,79 @@ def test_what_breaks_has_failed_and_what_the_machine_refuses_ends_it(folder, run
     assert cells[0]["worst"]["picture"] == ""
     runs.raising = {("arf", "blur", 0): OutOfResources("no space")}
     assert stress(folder, "--force") == 5
+
+
+@pytest.mark.parametrize("fault", [TypeError("no such argument"), AssertionError(), Exception("of a compiler")])
+def test_whatever_a_method_raises_it_has_failed(folder, runs, capsys, fault):
+    runs.raising["fit", "seeds", 1] = fault
+    assert stress(folder, "--json") == 0
+    cell = json.loads(capsys.readouterr().out)["cells"][0]
+    assert (cell["successes"], cell["count"]) == (2, 3) and type(fault).__name__ in cell["whys"][0]
+
+
+@pytest.mark.parametrize("fault", [UsageError("no trunk"), ArtefactDamaged("cut short"), ArtefactStale("gone")])
+def test_what_is_not_of_a_method_ends_it_and_is_not_counted(folder, runs, capsys, fault):
+    runs.raising["fit", "seeds", 1] = fault
+    assert stress(folder) == fault.exit_code and str(fault) in capsys.readouterr().err
+    assert [path.name.split("--")[2] for path in (folder / "stress" / "runs").glob("fit--seeds--*")] == ["0"]
+
+
+def test_another_trunk_or_device_is_another_run_and_no_baseline(folder, runs, capsys, monkeypatch, tmp_path):
+    baseline = str(tmp_path / "baseline.json")
+    assert stress(folder, "--write-baseline", baseline) == 0 and len(runs.made) == 15
+    other = {"features": "another-trunk", "features_digest": ""}
+    monkeypatch.setattr(stress_chain.weights, "chosen", lambda features: other)
+    assert stress(folder, "--baseline", baseline) == 2 and "now 'another-trunk'" in capsys.readouterr().err
+    assert stress(folder) == 0 and len(runs.made) == 15 + 9  # a fit sees no painting
+    monkeypatch.setattr(stress_chain.weights, "chosen", lambda features: (_ for _ in ()).throw(UsageError("none")))
+    fits = ("--methods", "fit", "--faults", "seeds", "blur", "--seeds", "3", "--budget", "10")
+    assert stress(folder) == 2 and main(["stress", str(folder), *fits]) == 0
+    monkeypatch.undo()
+    config = StressConfig(methods=("fit",), faults=("seeds",))
+    keys = []
+    for device in ("cpu", "cuda"):
+        session = SimpleNamespace(context=SimpleNamespace(device=device), common=SimpleNamespace(seed=0))
+        one = stress_chain.Stress(session, config, Work(folder).get("scene", "main"), folder / "stress")
+        keys.append(one.key_of(next(one.trials())))
+        assert one.conditions["device"] == device and one.conditions["criteria"] == stress_chain.criteria.REVISION
+    assert keys[0] != keys[1]
+
+
+def test_what_stands_is_found_without_its_painting(folder, runs, capsys):
+    assert stress(folder) == 0
+    shutil.rmtree(folder / "stress" / "styles")
+    assert stress(folder, "--only") == 0 and len(runs.made) == 15
+    assert not (folder / "stress" / "styles").exists()
+
+
+def test_a_baseline_does_not_replace_itself(folder, runs, capsys, tmp_path):
+    baseline = folder / "stress" / "baseline.json"
+    assert stress(folder, "--write-baseline") == 0
+    before = baseline.read_bytes()
+    runs.answers["arf", "seeds"] = 5.0
+    for named in (["--write-baseline"], ["--write-baseline", str(baseline)]):
+        assert stress(folder, "--force", "--baseline", f"{folder}/stress/../stress/baseline.json", *named) == 2
+        assert "name one file" in capsys.readouterr().err
+    assert baseline.read_bytes() == before
+
+
+def test_what_a_killed_run_left_goes_once_all_of_it_stands(folder, runs, capsys):
+    left, kept = (folder / "stress" / "works" / name for name in ("seeds-0", "seeds-1"))
+
+    def leave() -> None:
+        for place in (left, kept):
+            (place / "field").mkdir(parents=True, exist_ok=True)
+        (kept / stress_chain.KEPT).touch()
+
+    leave()
+    runs.raising["arf", "seeds", 0] = KeyboardInterrupt()
+    assert stress(folder) == 130 and left.exists()
+    runs.raising.clear()
+    assert stress(folder) == 0 and kept.exists() and not left.exists()
+    leave()
+    assert stress(folder, "--only") == 0 and left.exists()
+    assert stress(folder, "--keep") == 0 and left.exists()
+    assert stress(folder) == 0 and not left.exists() and kept.exists()
 
 
 def test_a_fault_that_a_scene_cannot_have_is_left_out(folder, runs, capsys):
@@ -209,7 +286,10 @@ def test_an_edits_options_follow_its_fault(folder, runs, capsys):
 
     def options(method, fault, remedies=False, quick=False, budget="25s"):
         conditions = {"quick": quick, "style_budget": budget}
-        painting = folder / "stress" / "styles" / "ordinary-256-0.png" if METHODS[method].sees_painting else None
+        painting = None
+        if METHODS[method].sees_painting:
+            file = folder / "stress" / "styles" / "ordinary-256-0.png"
+            painting = {"style": str(file), "style_digest": file_sha256(file)}
         return stress_edits.options_of(METHODS[method], FAULTS[fault], remedies, conditions, painting)
 
     plain, begun = options("laenerf-recolour", "seeds"), options("laenerf-recolour", "palette-random")

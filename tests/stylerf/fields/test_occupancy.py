@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from stylerf.fields.occupancy import OPAQUE_STEP, Occupancy
+from stylerf.fields.occupancy import DENSEST, OPAQUE_STEP, Occupancy
 
 
 def test_distances_are_chebyshev_distances():
@@ -81,3 +81,24 @@ def test_what_is_known_to_be_clear_is_never_looked_at_or_occupied_on_a_finer_gri
     finer.decide(1 / 50)
     cell = np.stack(np.unravel_index(np.arange(512), (8, 8, 8)), 1) // 2
     assert np.array_equal(finer.distances == 0, ~clear[np.ravel_multi_index(cell.T, (4, 4, 4))])
+
+
+def test_a_cell_that_was_seen_however_dense_is_not_forgotten_at_once():
+    """The densities of a solid may pass any number: its mark must be none of them."""
+    made = Occupancy(4)
+    made.refresh(lambda x: np.full(len(x), 3e4, np.float32), 1 / 50, 0, 1, 0.9)
+    assert np.isfinite(made.highest).all()
+    made.refresh(lambda x: np.zeros(len(x), np.float32), 1 / 50, 1, 1, 0.9)
+    assert np.allclose(made.highest, 0.9 * DENSEST) and (made.distances == 0).all()
+
+
+@pytest.mark.parametrize("mark", [np.inf, 1e4])
+def test_a_cell_that_nobody_has_looked_at_counts_until_somebody_does(mark):
+    """In a file of before it holds 10,000."""
+    made = Occupancy(4, np.full(64, mark, np.float32))
+    made.refresh(lambda x: np.full(len(x), 1e-3, np.float32), 1 / 50, 0, 4, 0.9)
+    looked = np.isfinite(made.highest)
+    assert looked.sum() == 16 and np.array_equal(made.distances == 0, ~looked)
+    for seed in range(1, 40):
+        made.refresh(lambda x: np.full(len(x), 1e-3, np.float32), 1 / 50, seed, 4, 0.9)
+    assert np.isfinite(made.highest).all() and np.allclose(made.highest, 1e-3)

@@ -16,7 +16,7 @@ from stylerf.training.engine import Batch, CpuEngine, Learnt
 from stylerf.training.fit import Fitter
 from stylerf.training.rays import RayBank
 from tests.stylerf.small import close, field_of, vm_colour
-from tests.stylerf.training.running import Stopped, assert_same_bits, now, result_of, resumed, run_until
+from tests.stylerf.training.running import Stopped, assert_same_bits, now, result_of, resumed, run_until, saved
 from tests.stylerf.training.scenes import LADDER, box_fitter, masked_wall, settings
 
 # -- resuming -------------------------------------------------------------------------------------------------------
@@ -203,6 +203,7 @@ def test_held_out_views_that_fall_by_more_than_two_db_bring_back_the_best_field(
     assert fitter.state.decisions[-1].startswith("held-out views fell from 17.")
     best, last = fitter.state.best, fitter.state.curve[-1]["psnr"]
     assert best - last > 2 and fitter.held_out_psnr() == pytest.approx(best, abs=1e-9)
+    assert fitter.state.stands["held out"] == pytest.approx(best, abs=1e-3)  # not of what was left behind
 
 
 def test_a_fall_of_less_is_noise():
@@ -238,6 +239,7 @@ def test_quality_that_is_no_number_counts_as_a_fall(monkeypatch):
     monkeypatch.setattr(fitter, "held_out_psnr", lambda: next(looks, 14.0))
     fitter.run()
     assert fitter.state.rollbacks == 1 and "nan" in fitter.state.decisions[0]
+    assert all(np.isfinite(value) for value in fitter.state.stands.values())
 
 
 def test_the_fifth_return_is_a_divergence_and_the_first_where_nothing_is_to_return_to():
@@ -250,6 +252,35 @@ def test_the_fifth_return_is_a_divergence_and_the_first_where_nothing_is_to_retu
     poison(fresh, {0})
     with pytest.raises(Diverged, match="finite"):
         fresh.run()
+
+
+def test_past_half_of_its_budget_a_fit_that_falls_apart_ends_with_its_best_field():
+    fitter, anchor = box_fitter(60), {}
+    poison(fitter, range(40, 60))
+
+    def on_step(now_: Fitter) -> None:
+        if now_.state.step == 40:
+            anchor.update(now(now_.checkpoint()[1], "anchor."))
+
+    fitter.run(on_step)
+    assert fitter.state.step == 45 and fitter.state.rollbacks == 5 and fitter.state.ended_at == 0.75
+    assert_same_bits(now(fitter.checkpoint()[1]), anchor)
+    assert fitter.said[-1] == fitter.state.decisions[-1] and "ended with the best field, 75%" in fitter.said[-1]
+    again = resumed(box_fitter(60), fitter)
+    again.run()
+    assert again.state.step == 45
+    assert_same_bits(again.field.arrays(), fitter.field.arrays())
+
+
+def test_a_checkpoint_of_before_goes_on():
+    """It tells neither the quality of what stands nor whether the fit has ended."""
+    data, arrays = saved(run_until(box_fitter(30), 12))
+    for later in ("stands", "anchored", "ended_at"):
+        del data["state"][later]
+    fitter = box_fitter(30)
+    fitter.resume(data, arrays)
+    fitter.run()
+    assert fitter.state.step == 30 and fitter.state.stands
 
 
 # -- memory ---------------------------------------------------------------------------------------------------------

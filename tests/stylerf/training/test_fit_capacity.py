@@ -1,5 +1,7 @@
 """Capacity on tiny scenes: what is kept, dropped, not even tried; and that time spent longer is never lost."""
 
+import math
+
 import numpy as np
 import pytest
 
@@ -93,6 +95,43 @@ def test_a_capacity_that_was_asked_for_is_reached_whatever_it_gains():
     fitter = box_fitter(300, min_gain=50.0, always_climb=True)
     fitter.run()
     assert fitter.field.density.size.max() == 16 and all("kept" in d for d in fitter.state.decisions)
+
+
+@pytest.mark.parametrize("steps", [60, 250])
+def test_a_short_fit_shares_its_steps_among_the_rungs_to_what_was_asked_for(steps):
+    fitter, climbed = box_fitter(steps, always_climb=True), {}
+    fitter.run(lambda now_: climbed.setdefault(now_.state.rung, now_.state.step))
+    assert climbed == {0: 1, 1: math.ceil(steps / 3), 2: math.ceil(2 * steps / 3)}
+    assert fitter.field.density.size.max() == 16
+
+
+@pytest.mark.parametrize("steps", [300, 900])
+def test_where_every_rung_has_its_least_steps_nothing_of_that_changes(steps):
+    fitter, climbed = box_fitter(steps, always_climb=True, shares=(0.05, 0.1)), {}
+
+    def on_step(now_: Fitter) -> None:
+        climbed.setdefault(now_.state.rung, now_.state.step)
+        if now_.state.rung == 2:
+            raise Stopped
+
+    with pytest.raises(Stopped):
+        fitter.run(on_step)
+    assert climbed == {0: 1, 1: LEAST_STEPS_PER_RUNG, 2: 2 * LEAST_STEPS_PER_RUNG}
+
+
+def test_what_is_told_is_the_quality_of_the_field_that_stands():
+    """Neither of one on trial that was refused nor of one that was left behind by a return."""
+    fitter, told = box_fitter(300, min_gain=50.0, shares=(0.34, 0.68), ladder=LADDER[:2]), []
+
+    def on_step(now_: Fitter) -> None:
+        if now_.state.fixed and not told:
+            told.extend([now_.state.stands["held out"], now_.state.curve[-1]["psnr"], now_.held_out_psnr()])
+            raise Stopped
+
+    with pytest.raises(Stopped):
+        fitter.run(on_step)
+    stands, last, found = told
+    assert stands == pytest.approx(found, abs=1e-3) and abs(last - stands) > 0.1
 
 
 @pytest.mark.parametrize("steps", [200, 600])

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from stylerf.errors import Diverged
+from stylerf.fields.deformation import Deformation
 from stylerf.training.guard import KEEP_EVERY
 from stylerf.training.stylize import Stylizer
 from tests.stylerf.training.running import assert_same_bits, result_of, resumed
@@ -79,18 +80,49 @@ def test_a_sound_run_is_the_same_with_and_without():
     assert_same_bits(result_of(plain)[1], result_of(guarded)[1])
 
 
-def test_colours_of_nan_that_only_the_device_has_yet_are_not_kept():
-    one = made(Stylizer, match="none", steps=12, refit_steps=4, rollbacks=1)
+@pytest.mark.parametrize("spoilt", ["colour", "adam.second", "deform.values", "deform.adam.first"])
+def test_what_is_not_finite_and_only_the_device_has_yet_is_not_kept(spoilt):
+    one = with_shapes(rollbacks=1)
     one.state.phase = "style"
+    one._phase_begins()
     checkpoint = one.checkpoint
 
     def collected():
         data, arrays = checkpoint()
-        return data, arrays | {"colour": np.full_like(arrays["colour"], np.nan)}
+        return data, arrays | {spoilt: np.full_like(arrays[spoilt], np.nan)}
 
     one.checkpoint = collected
     one._guard.look(one)
     assert one._guard._kept is None and np.isfinite(one.field.colour.values).all()
     one.checkpoint = checkpoint
     one._guard.look(one)
-    assert np.isfinite(one._guard._kept[1]["colour"]).all()
+    assert np.isfinite(one._guard._kept[1][spoilt]).all()
+
+
+def test_what_is_kept_has_shapes_that_can_be_seen():
+    """A displacement of NaN is told of a step late, when the state that holds it might have been kept."""
+    one = with_shapes(rollbacks=1)
+    plain, left = one._step, [KEEP_EVERY]
+
+    def step() -> dict[str, float]:
+        parts = plain()
+        if left and one.state.phase == "style" and one.state.step + 1 == left[0]:
+            left.pop()
+            one.deformer.deformation.values[:] = np.nan
+            one.deformer.bake()
+        return parts
+
+    one._step = step
+    one.run()
+    assert one.state.counts["rollbacks"] == 1 and np.isfinite(one.field.displacement).all()
+
+
+def test_a_clip_holds_the_network_of_the_shapes_too():
+    assert with_shapes(clip=3.0).deformer.adam.clip == 3.0 and with_shapes().deformer.adam.clip == 0.0
+
+
+def with_shapes(**given) -> Stylizer:
+    """A short stylisation whose shapes move."""
+    moved = Deformation.create(np.random.default_rng(0), frequencies=2, width=16)
+    options = {"match": "none", "steps": KEEP_EVERY + 3, "refit_steps": 4, "displacement_vertices": 6, **given}
+    return made(Stylizer, more={"deformation": moved}, **options)

@@ -32,8 +32,8 @@ def bent(seed: int = 0) -> Deformation:
     return made
 
 
-def made_on(device) -> Deformer:
-    return deformer_on(device, thin_field(step=STEP), bent(), dome(3, 1), VERTICES, 0, 1)
+def made_on(device, clip: float = 0.0) -> Deformer:
+    return deformer_on(device, thin_field(step=STEP), bent(), dome(3, 1), VERTICES, 0, 1, clip)
 
 
 def pushed(made: Deformer, steps: int, weight: float = 0.3, smoothness: float = 0.5) -> list[float]:
@@ -47,6 +47,14 @@ def pushed(made: Deformer, steps: int, weight: float = 0.3, smoothness: float = 
 
 
 # -- the deformer ---------------------------------------------------------------------------------------------------
+
+
+def test_a_clip_holds_the_network_here_as_there(device):
+    (cpu, gpu), plain = (made_on(where, clip=0.5) for where in (None, device)), made_on(device)
+    for made in (cpu, gpu, plain):
+        pushed(made, 3)
+    np.testing.assert_allclose(gpu.values(), cpu.values(), rtol=1e-3, atol=1e-5)
+    assert not np.allclose(gpu.values(), plain.values(), rtol=1e-3, atol=1e-5)
 
 
 def test_steps_of_the_network_are_the_cpus(device, monkeypatch):

@@ -173,3 +173,17 @@ def test_the_occupancy_looks_where_it_should_and_decides_as_the_cpus_does(device
     field.occupancy.decide(field.step)
     assert np.array_equal(carved.distances.cpu().numpy(), np.minimum(field.occupancy.distances, 32))
     assert not (carved.distances.cpu().numpy() == 0)[clear].any()
+
+
+def test_the_occupancy_forgets_no_density_at_once_however_high(device):
+    from stylerf.fields.device import DeviceField
+    from stylerf.fields.device_occupancy import refresh
+    from tests.stylerf.small import SPACES, field_of
+
+    made = DeviceField(field_of(SPACES["box"], 3), device)
+    assert bool(torch.isinf(made.highest).all())
+    made.density.sigma = lambda x: torch.full((len(x),), 3e4, device=x.device)
+    refresh(made, 0, 1, 0.9)
+    made.density.sigma = lambda x: torch.zeros(len(x), device=x.device)
+    refresh(made, 1, 1, 0.9)
+    assert bool(torch.isfinite(made.highest).all()) and float(made.highest.min()) > 1e3
