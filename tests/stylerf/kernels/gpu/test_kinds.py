@@ -57,7 +57,7 @@ def density(request):
 def taught_alone(part, found, expected, rounding: float) -> None:
     """Gradients equal where the part learns; what never learns (blocks not kept) has none, whatever was asked there."""
     fixed = part.groups()[0][0]
-    assert not found[:fixed].any() and bool(expected[:fixed].any()) == (fixed > 0)
+    assert not found[:fixed].any()
     close(found[fixed:], expected[fixed:], rounding)
 
 
@@ -81,7 +81,7 @@ def test_a_density_and_its_gradient_equal_the_oracle(density, count, device):
     for _ in range(2):
         made.backward(s, torch.from_numpy(gradients).to(device), to)
     taught_alone(density, to.cpu() / 2, values.grad, 1e-5)
-    assert values.grad[-1] != 0
+    assert values.grad[-1] != 0 and (count == 1 or values.grad[:64].any())
 
 
 @pytest.mark.parametrize(("shift", "limit"), [(-40.0, np.exp(-15.0)), (40.0, np.exp(12.0))])
