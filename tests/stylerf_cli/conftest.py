@@ -23,7 +23,10 @@ STYLIZE = ("--budget", "6", "--refit-steps", "40", "--levels", "4", "--finest", 
 
 @pytest.fixture(scope="package", autouse=True)
 def without_gpus():
-    """`--device auto` is the CPU here, in children too (the nursery's own begin before this): a GPU's runs agree to rounding, and bits are compared."""
+    """`--device auto` is the CPU here, in children too: a GPU's runs agree to rounding, and bits are compared.
+
+    The nursery begins before this, with the same variables.
+    """
     with pytest.MonkeyPatch.context() as patched:
         for name, value in WITHOUT_GPUS.items():
             patched.setenv(name, value)
