@@ -6,7 +6,8 @@ render; all if none is named. Writes no figure where there is no GPU: it stops.
 Protocol: fits, stylisations and edits are the stylerf commands below with --device cuda, one process each; seconds are
 the manifests' (training alone where it says so). Lego is fitted anew for each budget; its time to a quality is the
 smallest budget whose fit reaches it on the test views, white background. Frames are whole views of the longest fit,
-kept on the device. Kernels: median of 30 launches after 5, timed by events, on an empty cache, inputs random. `bound`
+kept on the device. Kernels: median of 30 launches after 5, timed by events while the host is ahead, on an empty cache,
+inputs random. `bound`
 counts each input once and each output once; what a kernel gathers again from the cache is not counted, so its share of
 the bandwidth is a lower bound. One seed.
 """
@@ -28,6 +29,7 @@ from benchmarks import gpu_deform
 
 BUDGETS = ("5s", "10s", "20s", "40s")
 GOALS = (31.0, 33.0)
+BUSY_CYCLES = 10_000_000  # some milliseconds: the host queues any of these calls meanwhile
 SHOVEL = ["--at", "r_10:600,180", "--at", "r_10:488,200", "--neck", "0", "--tolerance", "26", "--reach", "0.38"]
 
 
@@ -54,7 +56,8 @@ def stylerf(*arguments: str) -> dict:
 def seconds_of(call, device: torch.device, repeats: int = 30) -> tuple[float, float]:
     """(median, spread: half of the range of the middle half) of one call, seconds.
 
-    On a GPU the call finds its cache empty, and the device busy for longer than a launch takes.
+    On a GPU the call finds its cache empty, and the device busy until the host has queued all of it: between the two
+    events lies the device's time alone.
     """
     times = []
     flush = torch.empty(1 << 30, dtype=torch.uint8, device=device) if device.type == "cuda" else None
@@ -62,6 +65,7 @@ def seconds_of(call, device: torch.device, repeats: int = 30) -> tuple[float, fl
         if device.type == "cuda":
             begin, end = (torch.cuda.Event(enable_timing=True) for _ in range(2))
             flush.zero_()
+            torch.cuda._sleep(BUSY_CYCLES)
             begin.record()
             call()
             end.record()

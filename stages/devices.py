@@ -1,5 +1,8 @@
 """Which device a stage computes on, and what it says where that is another than was asked for."""
 
+import numpy as np
+
+from schemas.errors import OutOfResources
 from stages.progress import Context
 from stylerf.kernels.gpu import unavailable
 
@@ -7,7 +10,8 @@ from stylerf.kernels.gpu import unavailable
 def gpu_of(context: Context, field=None, moving: bool = False) -> str | None:
     """`cuda` where the context asks for it and the kernels (and the field's kinds) are there; None: the CPU.
 
-    moving: the field's shapes are to learn to move. Says in one line why a GPU that was asked for is not used.
+    moving: the field's shapes are to learn to move. Says in one line why a GPU that was asked for is not used;
+    processes that train together must all find it so. From here on the peak of the GPU's memory is this stage's.
     """
     if context.device != "cuda":
         return None
@@ -16,7 +20,18 @@ def gpu_of(context: Context, field=None, moving: bool = False) -> str | None:
         from stylerf.fields.device import unsupported
 
         why = unsupported(field, moving)
+    lacking = np.array([why is not None], np.float32)
+    context.ranks.add(lacking)
+    if 0 < lacking[0] < context.ranks.count:
+        raise OutOfResources(
+            f"{lacking[0]:.0f} of {context.ranks.count} processes that train together cannot compute on their GPU "
+            f"(process {context.ranks.place} {f'cannot: {why}' if why else 'can'}); bring their machines to the same "
+            "state (`stylerf doctor` on each), or run with --device cpu"
+        )
     if why is None:
+        import torch
+
+        torch.cuda.reset_peak_memory_stats()
         return "cuda"
     context.progress.say(f"computing on the CPU: {why}")
     return None
@@ -38,7 +53,7 @@ def rays_on(device: str | None, field, context: Context, moving: bool = False) -
 
 
 def gpu_figures(device: str | None) -> dict:
-    """The most memory that this process has held on the GPU, MB, for a stage's figures; nothing on the CPU."""
+    """The most memory held on the GPU since gpu_of, MB, for a stage's figures; nothing on the CPU."""
     if device is None:
         return {}
     import torch

@@ -7,11 +7,12 @@ what it runs, on their part of the rays, and write nothing.
 """
 
 import os
+from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
 
 from schemas.errors import OutOfResources, UsageError
-from stylerf.errors import ProcessLost
+from stylerf.errors import InvalidValue, ProcessLost
 
 VERBS = ("fit", "finetune")
 RUN = "\n"  # no artefact is named so
@@ -30,8 +31,12 @@ def speaks() -> bool:
     return launched() == 1 or os.environ["RANK"] == "0"
 
 
-def joined(verb: str, device: str) -> Any:
-    """This process's place among those started together; UsageError for a verb that one process runs."""
+def joined(verb: str, device: Callable[[], str]) -> Any:
+    """This process's place among those started together; UsageError for a verb that one process runs.
+
+    device: what this process computes on. Where it has nothing to compute on, or something else than the others, all of
+    them are told so, UsageError.
+    """
     from stylerf.training.ranks import ALONE, Together  # late: main must not wait for numpy
 
     if launched() == 1:
@@ -40,7 +45,14 @@ def joined(verb: str, device: str) -> Any:
         raise UsageError(
             f"{verb} runs in one process; start it without torchrun ({' and '.join(VERBS)} run in several)"
         )
-    return _told(Together, device)
+    try:
+        found = device()
+    except UsageError as error:
+        found = str(error)
+    try:
+        return _told(Together, found)
+    except InvalidValue as error:
+        raise UsageError(str(error)) from error
 
 
 def led(ranks: Any, run: Any, parallel: bool) -> Any:

@@ -4,7 +4,7 @@ import argparse
 import os
 import shlex
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -35,7 +35,7 @@ class Session:
         self.config = options.config(config)
         self.common = options.common()
         self.progress: Any = Silent() if self.quiet or not speaks() else Bars(sys.stderr)
-        self.ranks = joined(verb, resolved_device(self.common.device) if launched() > 1 else "cpu")
+        self.ranks = joined(verb, lambda: resolved_device(self.common.device, self.say))
         if self.common.threads_given:
             _use_threads(self.common.threads)
 
@@ -125,24 +125,42 @@ class Session:
     def emit(self, result: dict, words: str) -> dict:
         """The result of a verb: prints `words` on stdout, unless --json; returns `result`, which main prints then."""
         self.progress.finish()
+        self.ranks.leave()
         if not self.json and self.ranks.first:
             write_out(words.rstrip("\n") + "\n")
         return result
 
 
-def resolved_device(wanted: str) -> str:
-    """`cpu` or `cuda`. UsageError when CUDA is asked for and torch finds none."""
+def resolved_device(wanted: str, say: Callable[[str], None] = lambda text: None) -> str:
+    """`cpu` or `cuda`. UsageError when CUDA is asked for and torch finds none, or too few for the processes here.
+
+    say: told where there are GPUs, but too few.
+    """
     if wanted == "cpu" or (wanted == "auto" and not _may_have_gpu()):
         return "cpu"
     import torch
 
     if torch.cuda.is_available():
-        return "cuda"
+        here, gpus = int(os.environ.get("LOCAL_WORLD_SIZE", "1")) if launched() > 1 else 1, torch.cuda.device_count()
+        if here <= gpus:
+            return _float32_kept(torch)
+        few = f"{here} processes on this machine, each of which needs a GPU of its own, find {gpus}"
+        if wanted == "cuda":
+            raise UsageError(f"--device cuda: {few}; start {gpus} here, or run with --device cpu")
+        say(f"computing on the CPU: {few}")
+        return "cpu"
     if wanted == "cuda":
         raise UsageError(
             "--device cuda: torch finds no usable GPU here; run with --device cpu, or see `stylerf doctor`"
         )
     return "cpu"
+
+
+def _float32_kept(torch: Any) -> str:
+    """`cuda`, its products in the precision of their numbers: those for TF32's, or sums in halves, are rounded more."""
+    torch.backends.cudnn.allow_tf32 = False
+    torch.backends.cuda.matmul.allow_fp16_reduced_precision_reduction = False
+    return "cuda"
 
 
 def _may_have_gpu() -> bool:

@@ -5,14 +5,18 @@ import signal
 from pathlib import Path
 
 import pytest
+import torch
 
 from tests.stylerf_cli import capture
 
 REPOSITORY = Path(__file__).resolve().parent.parent
 
+# Asked of the driver alone: CUDA, once begun in this process, could not be used in one that it forks.
+os.environ.setdefault("PYTORCH_NVML_BASED_CUDA_CHECK", "1")
 # Triton reads this when it is first imported: without a GPU its kernels are tested through its interpreter.
-if not any(os.path.exists(path) for path in ("/dev/nvidiactl", "/dev/nvidia0", "/dev/dxg", "/dev/kfd")):
+if torch.version.cuda is None or not torch.cuda.is_available():
     os.environ.setdefault("TRITON_INTERPRET", "1")
+torch.backends.cudnn.allow_tf32 = False  # as where the command chooses CUDA: tolerances are those of float32
 
 # A shell that starts the tests in the background has SIGINT ignored, and every child would inherit that: Ctrl-C is
 # tested on children.

@@ -5,6 +5,7 @@ import torch
 from torch import Tensor
 
 from stylerf.fields.device import DeviceField, marked_cells
+from stylerf.fields.device_memory import in_parts
 from stylerf.fields.field import RadianceField
 from stylerf.geometry.cameras import Camera
 from stylerf.kernels.gpu import launch_edit
@@ -33,13 +34,16 @@ class DeviceEnds:
     def __call__(self, camera: Camera, grids: list[np.ndarray]) -> list[np.ndarray]:
         """By grid of marked cells [s, s, s]: [pixels, 6] alpha, alpha inside, depth and x there, as ends_of_view."""
         count = camera.height * camera.width
-        marked, parts = [self._marked(grid) for grid in grids], [[] for _ in grids]
-        for at in range(0, count, self.rays_at_once):
-            number = torch.arange(at, min(at + self.rays_at_once, count), device=self._field.device)
-            rays = rays_of(camera, number)
+        marked = [self._marked(grid) for grid in grids]
+
+        def part(begin: int, end: int) -> list[Tensor]:
+            rays, found = rays_of(camera, torch.arange(begin, end, device=self._field.device)), []
             samples = self._field.march(rays, SAMPLE_LIMIT, 1e-3, None)
-            for grid, own, found in zip(grids, marked, parts):
+            for grid, own in zip(grids, marked):
                 ends = launch_edit.ends_inside(own, grid.shape[0], samples)
                 ends[:, 2:] /= ends[:, 1:2].clamp(min=1e-8)
                 found.append(ends)
-        return [torch.cat(found).cpu().numpy() for found in parts]
+            return found
+
+        parts = in_parts(count, self.rays_at_once, part)
+        return [torch.cat(found).cpu().numpy() for found in zip(*parts)]

@@ -26,6 +26,12 @@ def refresh(field, seed: int, share: int, decay: float) -> None:
     field.highest[index] = torch.maximum(torch.where(old == UNSEEN, 0.0, old * decay), seen)
     if field.clear is not None:
         field.highest.masked_fill_(field.clear, 0.0)
+    decide(field)
+
+
+def decide(field) -> None:
+    """Recompute the distances of a DeviceField from what was seen in its cells."""
+    cells = field.cells
     least = -math.log1p(-OPAQUE_STEP) / (OPTICAL_SCALE * field.step)
     occupied = field.highest > field.highest.clamp(max=MARK).mean().clamp(max=least)
     if field.clear is not None:

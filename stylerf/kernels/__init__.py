@@ -62,3 +62,6 @@ def _prepared(folder: Path) -> tuple[Path, Path | None]:
 # which compiled kernels would have been kept, where that cannot be.
 _folder, unwritable = _prepared(kernel_cache_dir())
 os.environ["NUMBA_CACHE_DIR"] = str(_folder)
+# Triton's lie beside them, unless the user has set them another place; it names them by all that they are made of.
+if not any(os.environ.get(name) for name in ("TRITON_CACHE_DIR", "TRITON_HOME")):
+    os.environ["TRITON_CACHE_DIR"] = str(_folder.parent / "triton")

@@ -7,6 +7,7 @@ import torch
 from torch import Tensor
 
 from stylerf.fields.device import DeviceField, DeviceRays, DeviceRendered
+from stylerf.fields.device_memory import in_parts
 from stylerf.fields.field import RadianceField
 from stylerf.geometry.cameras import Camera
 from stylerf.rendering.view import RenderedView
@@ -76,17 +77,18 @@ class DeviceRenderer:
         """([pixels, 5]: premultiplied rgb, alpha, ray distance; by region [pixels]: alpha in it), on the device."""
         if self.half is None:
             self._choose(camera)
-        count = camera.width * camera.height
-        parts, inside = [], {name: [] for name in regions or {}}
-        for at in range(0, count, self.rays_at_once):
-            number = torch.arange(at, min(at + self.rays_at_once, count), device=self.device)
-            rays = rays_of(camera, number)
+        marked = regions or {}
+
+        def part(begin: int, end: int) -> list[Tensor]:
+            rays = rays_of(camera, torch.arange(begin, end, device=self.device))
             rendered = self.field.render_rays(rays, opaque=opaque, share=self.field.share)
-            parts.append(rendered.seen())
-            for name, found in inside.items():
-                found.append(alpha_inside(regions[name], rendered))
-            on_rays(min(at + self.rays_at_once, count))
-        return torch.cat(parts), {name: torch.cat(found) for name, found in inside.items()}
+            found = [rendered.seen(), *(alpha_inside(cells, rendered) for cells in marked.values())]
+            on_rays(end)
+            return found
+
+        parts = in_parts(camera.width * camera.height, self.rays_at_once, part)
+        seen, *inside = (torch.cat(found) for found in zip(*parts))
+        return seen, dict(zip(marked, inside))
 
     def view(
         self,

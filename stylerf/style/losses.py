@@ -34,7 +34,7 @@ def nearest_neighbour_distance(
     style: StyleRows,
     weights: Tensor | None = None,  # [h, w] >= 0; positions of weight 0 are neither matched nor differentiated
     memory_mb: float = 64.0,
-    half_precision: torch.dtype | None = None,
+    half: bool = False,
     matches: Tensor | None = None,  # indices from an earlier call, to skip the search
 ) -> tuple[Tensor, Tensor]:
     """NNFM (ARF eq. 2): 1 - cos(F_i, S_j(i)) with j(i) the style row of greatest cosine.
@@ -49,7 +49,7 @@ def nearest_neighbour_distance(
         inside = flat > 0
         rows, flat = rows[inside], flat[inside]
     if matches is None:
-        matches = style.match(rows.detach(), memory_mb, half_precision)
+        matches = style.match(rows.detach(), memory_mb, half)
     distances = 1 - (unit_rows(rows) * style.rows[matches]).sum(dim=1)
     return (distances if weights is None else distances * flat), matches
 

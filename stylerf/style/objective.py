@@ -67,7 +67,7 @@ class StyleObjective:
     """Loss of a picture [3, h, w] against a painting, with the painting's features computed once.
 
     Pictures, photos and alphas lie where the trunk does. On a GPU the trunk runs in bfloat16 and neighbours are sought
-    among features rounded to it; what is summed up is float32.
+    among unit rows in float16; what is summed up is float32.
 
     scale: size of the picture that features are taken from (0.5: ARF). most_rows: style features kept for matching;
     basis: leading directions in which neighbours are sought (0: all, exact). variation: squared (ARF) or diagonal
@@ -108,7 +108,9 @@ class StyleObjective:
 
     def _style_distance(self, block: str, feature: Tensor, weights: Tensor | None) -> Tensor:
         """Of one block of a picture's features [c, h, w]; weights [h, w]: where it counts."""
-        distances, _ = nearest_neighbour_distance(feature, self.style[block], weights, self.memory_mb, self.half)
+        distances, _ = nearest_neighbour_distance(
+            feature, self.style[block], weights, self.memory_mb, self.half is not None
+        )
         return distances.sum() / (distances.numel() if weights is None else weights.sum().clamp_min(1e-6))
 
     def features_of(self, picture: Tensor, window: Window = EVERYTHING) -> dict[str, Tensor]:

@@ -127,7 +127,7 @@ class TemplateObjective:
             rows = rows_of(feature)
             if alpha is not None:
                 rows = rows[position_weights(alpha[window], feature).flatten() > 0]
-            matches[block] = keys[block].match(rows, self.memory_mb, self.half).int()
+            matches[block] = keys[block].match(rows, self.memory_mb, self.half is not None).int()
         return matches
 
     def _cells(self, one: Template) -> tuple[Tensor, Tensor]:

@@ -7,13 +7,14 @@ from torch import Tensor
 from stylerf.editing.device_palette import DevicePalette
 from stylerf.editing.palette import DEGREE, PaletteModule
 from stylerf.editing.views import EditView
+from stylerf.fields.device_memory import free_on
 from stylerf.geometry.harmonics import harmonics
 from stylerf.training.device_engine import DeviceAdam
 from stylerf.training.device_traffic import Reports, sent
 from stylerf.training.edit_engine import groups_of
 from stylerf.training.kept import Kept
 
-MEMORY = 8e9  # bytes that views may take on the device; those beyond are sent anew each time
+MEMORY = 8e9  # bytes that views may take on the device, or a third of what is free; those beyond are sent each time
 MOST_PARTS = 16  # of a loss
 
 
@@ -21,10 +22,11 @@ class DeviceEdit:
     """stylerf/training/edit_engine.py's CpuEdit on `device`: from the same pixels the same, to rounding."""
 
     def __init__(
-        self, views: list[EditView], module: PaletteModule, device: torch.device | str, memory: float = MEMORY
+        self, views: list[EditView], module: PaletteModule, device: torch.device | str, memory: float | None = None
     ) -> None:
         self.device, self.views = torch.device(device), views
         self.asked = DevicePalette(module, self.device)
+        memory = min(MEMORY, free_on(self.device, 3 * MEMORY) / 3) if memory is None else memory
         self._there = Kept(self._moved, lambda parts: sum(part.nbytes for part in parts), len(views), memory)
         self._reports = Reports(self.device, MOST_PARTS, lambda told, names: dict(zip(names, told)), {})
         self._new_adams()

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from stylerf.fields.device import DeviceField, DeviceRays, DeviceRendered
-from stylerf.fields.device_occupancy import refresh
+from stylerf.fields.device_occupancy import decide, refresh
 from stylerf.fields.field import RadianceField
 from stylerf.kernels.gpu import launch
 from stylerf.training.device_rays import DeviceBank, unhidden
@@ -149,7 +149,7 @@ class DeviceEngine:
         self.density_adam = self._adam_of(self.live.density, self.density_adam if kept[0] else None)
         self.colour_adam = self._adam_of(self.live.colour, self.colour_adam if kept[1] else None)
         self._parts = parts
-        self._reports = Reports(self.device, 3, _learnt, Learnt(0.0, 0.0), in_step=self.ranks.count > 1)
+        self._reports = Reports(self.device, 3, _learnt, Learnt(0.0, 0.0), in_step=True)
 
     def _adam_of(self, part, before: DeviceAdam | None) -> DeviceAdam:
         """Of a part's new tensors; `before` is that of the same part."""
@@ -175,11 +175,20 @@ class DeviceEngine:
         self._stale = True
 
     def learn(self, batch: Batch) -> Learnt:
+        sums = self._reports.begin()
         with out_of_memory():
-            return self._learn(batch)
+            self._add_gradients(batch, sums)
+        # From here on lack of memory ends the run: a step begun anew would ask the other processes for its sums again.
+        for summed in (sums, self.density_adam.gradients, self.colour_adam.gradients):
+            self.ranks.add(summed)
+        self.density_adam.step(batch.rate)
+        self.colour_adam.step(batch.rate)
+        self._stale = True
+        return self._reports.send(batch.rays)
 
-    def _learn(self, batch: Batch) -> Learnt:
-        sums, field = self._reports.begin(), self.live
+    def _add_gradients(self, batch: Batch, sums: Tensor) -> None:
+        """Those of this process's part of the rays, and of the smoothness, to the optimisers'; the rest to sums [3]."""
+        field = self.live
         seed = (self.seed * 1_000_003 + batch.step) & 0x7FFFFFFF
         level = None if batch.background == "random" else 0.0 if batch.background in ("black", "none") else 1.0
         own = self.ranks.own(batch.rays)
@@ -204,12 +213,6 @@ class DeviceEngine:
         for strength, (part, adam) in zip(batch.smoothness, both):
             if strength > 0 and self.ranks.first:
                 part.smooth(strength, adam.gradients)
-        for summed in (sums, self.density_adam.gradients, self.colour_adam.gradients):
-            self.ranks.add(summed)
-        self.density_adam.step(batch.rate)
-        self.colour_adam.step(batch.rate)
-        self._stale = True
-        return self._reports.send(batch.rays)
 
     def discard(self) -> None:
         self.density_adam.gradients.zero_()
@@ -232,6 +235,10 @@ class DeviceEngine:
     def agree(self) -> None:
         for part in (self.live.density, self.live.colour):
             self.ranks.take_first(part.values)
+        if self.ranks.count > 1:  # unlike GPUs draw unlike points to look at
+            self.ranks.take_first(self.live.highest)
+            decide(self.live)
+            self._stale = True
 
     def moments(self) -> dict[str, np.ndarray]:
         both = ("density", self.density_adam), ("colour", self.colour_adam)
@@ -259,5 +266,6 @@ class DeviceEngine:
                 if weight > 0:
                     part.smooth(weight, adam.gradients)
                 adam.step(1e-3)
+        self.ranks.add(torch.zeros(1, device=self.device))  # the first sum connects the processes' GPUs
         if self.device.type == "cuda":
             torch.cuda.synchronize(self.device)

@@ -5,6 +5,7 @@ import torch
 from torch import Tensor
 
 from stylerf.fields.device import COLOUR_KINDS, DeviceField, DeviceRendered
+from stylerf.fields.device_memory import free_on, in_parts
 from stylerf.fields.field import RadianceField
 from stylerf.fields.surface import Surface
 from stylerf.geometry.cameras import Camera
@@ -29,8 +30,7 @@ class DeviceFixedGeometry:
     def __init__(self, field: RadianceField, cameras: list[Camera], share: float, device: str | torch.device) -> None:
         self.field, self.cameras, self.share, self.device = field, cameras, share, torch.device(device)
         self._marched = DeviceField(field, self.device)
-        on_gpu = self.device.type == "cuda"
-        self.memory_bytes = torch.cuda.mem_get_info(self.device)[0] / 2 if on_gpu else MEMORY_BYTES
+        self.memory_bytes = free_on(self.device, 2 * MEMORY_BYTES) / 2
         self._kept: dict[int, tuple[Tensor, Tensor, Tensor]] = {}
         self._last: tuple[int, tuple[Tensor, Tensor, Tensor]] | None = None
         self._alphas: dict[int, np.ndarray] = {}
@@ -66,10 +66,8 @@ class DeviceFixedGeometry:
         return found
 
     def _march(self, camera: Camera) -> tuple[Tensor, Tensor, Tensor]:
-        pixels = torch.arange(camera.width * camera.height, device=self.device)
-        counts, xs, weights = [], [], []
-        for chosen in pixels.split(RAYS_AT_ONCE):
-            rays = rays_of(camera, chosen)
+        def part(begin: int, end: int) -> tuple[Tensor, Tensor, Tensor]:
+            rays = rays_of(camera, torch.arange(begin, end, device=self.device))
             s = self._marched.march(rays, 512, 1e-3, None)
             ray, n = s.ray_of.long(), len(rays.origins)
             shown = (s.weights > 0) & (s.weights >= self.share * s.largest[ray])
@@ -77,10 +75,12 @@ class DeviceFixedGeometry:
             sums[0].index_add_(0, ray, s.weights)
             sums[1].index_add_(0, ray[shown], s.weights[shown])
             scale = torch.where(sums[1] > 0, sums[0] / sums[1].clamp(min=1e-30), 0.0)
-            counts.append(torch.zeros(n, dtype=torch.int64, device=self.device).index_add_(0, ray, shown.long()))
-            xs.append(s.x[shown])
-            weights.append(s.weights[shown] * scale[ray[shown]])
-        offsets = torch.zeros(len(pixels) + 1, dtype=torch.int64, device=self.device)
+            counts = torch.zeros(n, dtype=torch.int64, device=self.device).index_add_(0, ray, shown.long())
+            return counts, s.x[shown], s.weights[shown] * scale[ray[shown]]
+
+        pixels = camera.width * camera.height
+        counts, xs, weights = zip(*in_parts(pixels, RAYS_AT_ONCE, part))
+        offsets = torch.zeros(pixels + 1, dtype=torch.int64, device=self.device)
         torch.cumsum(torch.cat(counts), 0, out=offsets[1:])
         return offsets, torch.cat(xs), torch.cat(weights)
 

@@ -1,5 +1,6 @@
 """The training photos on a device: random rays with their colours, drawn there."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,7 +10,10 @@ from torch import Tensor
 from stylerf.errors import InvalidValue
 from stylerf.fields.device import DeviceRays
 from stylerf.kernels.gpu import launch, launch_edit
+from stylerf.training.pixels import STRETCH
 from stylerf.training.rays import HIDDEN, RayBank
+
+AT_ONCE = 1 << 22  # bytes of photos, or numbers of pixels, on their way to the device
 
 
 def unhidden(wanted: Tensor, out: Tensor, background: Tensor | float) -> Tensor:
@@ -36,16 +40,33 @@ class DeviceBank:
             raise InvalidValue(f"{len(bank)} pixels of photos; at most {2**31 - 1} can be drawn from on a GPU")
         self.device, self.channels, self.views = device, bank.channels, len(bank.cameras)
         self.ends = np.cumsum(bank.sizes)
-        self.bytes, self.widths = self._copy(bank.bytes), self._copy(bank.widths)
-        self.view_ends, self.view_sizes = self._copy(self.ends), self._copy(bank.sizes)
+        self.bytes, self.lit = self._photos(bank), self._near_objects(bank)
+        self.widths, self.view_ends = self._copy(bank.widths), self._copy(self.ends)
+        self.view_sizes = self._copy(bank.sizes)
         self.intrinsics, self.poses = self._copy(bank.intrinsics), self._copy(bank.poses)
         self.codes = self._copy(bank.codes)
         self._host = bank
-        lit = np.zeros(1, np.int64) if bank.lit is None else bank.lit[np.arange(bank.lit.below(len(bank)))]
-        self.lit = self._copy(lit)
 
     def _copy(self, array: np.ndarray) -> Tensor:
         return torch.from_numpy(np.ascontiguousarray(array)).to(self.device)
+
+    def _photos(self, bank: RayBank) -> Tensor:
+        """The bank's bytes, brought over little by little: where they are mapped from a file, never all in memory."""
+        there = torch.empty(len(bank.bytes), dtype=torch.uint8, device=self.device)
+        for at in range(0, len(there), AT_ONCE):
+            part = bank.bytes[at : at + AT_ONCE].copy()
+            bank.read(math.ceil(len(part) / STRETCH))
+            there[at : at + len(part)] = torch.from_numpy(part)
+        return there
+
+    def _near_objects(self, bank: RayBank) -> Tensor:
+        """The pixels worth more, int32, one by one: the device draws from them; the bank keeps them as runs."""
+        count = 0 if bank.lit is None else bank.lit.below(len(bank))
+        there = torch.zeros(max(1, count), dtype=torch.int32, device=self.device)
+        for at in range(0, count, AT_ONCE):
+            part = bank.lit[np.arange(at, min(at + AT_ONCE, count))].astype(np.int32)
+            there[at : at + len(part)] = torch.from_numpy(part)
+        return there
 
     def follow_exposure(self) -> None:
         """Take the codes that the bank on the host has now."""

@@ -5,13 +5,15 @@ one process does with all of them. Decisions depend on sums and on the first pro
 """
 
 import json
+import os
 from collections.abc import Callable
+from contextlib import suppress
 from datetime import timedelta
 from typing import Any, Protocol
 
 import numpy as np
 
-from stylerf.errors import ProcessLost
+from stylerf.errors import InvalidValue, ProcessLost
 
 LONGEST_WAIT = timedelta(days=7)  # the first process may render for hours; one that dies is noticed at once
 Checkpoint = tuple[dict, dict[str, np.ndarray]]
@@ -42,6 +44,9 @@ class Ranks(Protocol):
     def checkpoint(self, saved: Checkpoint | None) -> Checkpoint | None:
         """The first process's checkpoint."""
 
+    def leave(self) -> None:
+        """Nothing more is to be done together."""
+
 
 class Alone:
     """One process: its part is the whole, its sums are its own."""
@@ -63,6 +68,8 @@ class Alone:
     def checkpoint(self, saved: Checkpoint | None) -> Checkpoint | None:
         return saved
 
+    def leave(self) -> None: ...
+
 
 ALONE = Alone()
 
@@ -70,7 +77,8 @@ ALONE = Alone()
 class Together:
     """Processes joined by torch.distributed, under the addresses that torchrun leaves in the environment.
 
-    device: `cpu` (gloo) or `cuda` (gloo for what is in memory, NCCL for what is on GPUs, one a process).
+    device: `cpu` (gloo) or `cuda` (gloo for what is in memory, NCCL for what is on GPUs, one a process); anything else
+    says why this process has neither. InvalidValue, in every process, unless all have the same.
     """
 
     def __init__(self, device: str = "cpu") -> None:
@@ -81,19 +89,37 @@ class Together:
         # The store outlives the processes under torchrun: a fault can be told through it.
         self._store, self.place, self.count = next(iter(distributed.rendezvous("env://")))
         self.first = self.place == 0
-        backend = "gloo"
-        if device == "cuda":
-            import os
-
-            torch.cuda.set_device(int(os.environ.get("LOCAL_RANK", "0")))
-            backend = "cpu:gloo,cuda:nccl"
+        self._try(self._compare, self._taken(device))
+        self._on_gpus = device == "cuda"
+        backend = "cpu:gloo,cuda:nccl" if device == "cuda" else "gloo"
         settings = {"store": self._store, "rank": self.place, "world_size": self.count, "timeout": LONGEST_WAIT}
         self._try(distributed.init_process_group, backend, **settings)
+
+    def _taken(self, device: str) -> str:
+        """`device`, this process's own GPU made the one that it uses; or why it cannot be used."""
+        if device == "cuda":
+            try:
+                self._torch.cuda.set_device(int(os.environ.get("LOCAL_RANK", "0")))
+            except RuntimeError as error:
+                return f"no GPU ({str(error).splitlines()[0]})"
+        return device
+
+    def _compare(self, device: str) -> None:
+        """Through the store, since processes with unlike devices could not even join."""
+        self._store.set_timeout(LONGEST_WAIT)
+        self._store.set(f"stylerf device {self.place}", device)
+        found = [self._store.get(f"stylerf device {place}").decode() for place in range(self.count)]
+        if len(set(found)) == 1 and device not in ("cpu", "cuda"):
+            raise InvalidValue(device)
+        if len(set(found)) > 1:
+            told = "; ".join(f"process {found.index(one)}: {one}" for one in dict.fromkeys(found))
+            raise InvalidValue(f"processes that train together need devices of one kind, found {told}")
 
     def _try(self, collective: Callable, *arguments: Any, **more: Any) -> None:
         try:
             collective(*arguments, **more)
         except RuntimeError as error:  # of gloo, NCCL and the store alike: a connection closed
+            self._abort()
             raise ProcessLost(self._told_fault()) from error
 
     def own(self, count: int) -> slice:
@@ -126,6 +152,15 @@ class Together:
             arrays[name] = np.ascontiguousarray(array)
             self.take_first(arrays[name].reshape(-1).view(np.uint8))
         return None if data is None else (data, arrays)
+
+    def leave(self) -> None:
+        self._distributed.destroy_process_group()
+
+    def _abort(self) -> None:
+        """Ends sums under way: a GPU would wait for a lost process's part before anything else is done there."""
+        if self._distributed.is_initialized() and self._on_gpus:
+            with suppress(RuntimeError):
+                self._distributed.group.WORLD._get_backend(self._torch.device("cuda")).abort()
 
     def tell(self, text: str = "") -> str:
         """The first process's text; the others' own is not looked at."""

@@ -48,7 +48,7 @@ class RayBank:
                 if image.shape[:2] != (camera.height, camera.width) or image.dtype != np.uint8:
                     raise InvalidValue(f"view {camera.name}: image {image.shape} does not fit its camera")
             photos = Pixels.of(photos)
-        self.channels, self.bytes, self._read = photos.channels, photos.values, photos.read
+        self.channels, self.bytes, self.read = photos.channels, photos.values, photos.read
         if self.bytes.dtype != np.uint8 or len(self.bytes) != self._ends[-1] * self.channels:
             raise InvalidValue(f"{len(self.bytes)} bytes do not make {self._ends[-1]} pixels of {self.channels}")
         self.starts = (self._ends - self.sizes) * self.channels
@@ -63,7 +63,7 @@ class RayBank:
         for camera, start, size in zip(self.cameras, self.starts, self.sizes):
             rgba = self.bytes[start : start + 4 * size].reshape(camera.height, camera.width, 4)
             yield rgba[..., 3].copy()
-            self._read(math.ceil(4 * size / STRETCH))
+            self.read(math.ceil(4 * size / STRETCH))
 
     def __len__(self) -> int:
         return int(self._ends[-1])
@@ -126,5 +126,5 @@ class RayBank:
             directions,
             colours,
         )
-        self._read(n)
+        self.read(n)
         return origins, directions, colours

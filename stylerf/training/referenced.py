@@ -63,7 +63,7 @@ class Referenced(Stylizer):
                 seen = self.still.alpha(view)[..., None] > NOTHING
                 self.references[view] = np.where(seen, picture, self.background).astype(np.float32)
         views = len(self.cameras)
-        self._wanted = Kept(self._wanted_of, lambda wanted: wanted.bytes, views, CONTENT * self.memory)
+        self._wanted = Kept(self._wanted_of, lambda wanted: wanted.bytes, views, CONTENT * self.memory_there)
         self._reached = Kept(
             self._registered_of, lambda found: sum(a.nbytes for a in found), views, REGISTERED * self.memory
         )

@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 import torch
 
+from stylerf.fields.device_memory import free_on
 from stylerf.fields.field import RadianceField
 from stylerf.fields.surface import pixel_cells
 from stylerf.geometry.cameras import Camera
@@ -39,8 +40,8 @@ class Repainting:
 
     background: level of grey behind the field. new_colour: the colour to learn, from a generator and the cells a side
     that are as wide as a pixel sees (nan: nothing is seen). memory: bytes that surfaces, features and photos may take
-    together; those beyond are made anew each time. device: where rays are followed; None: by the CPU. The trunk works
-    where it lies.
+    together; those beyond are made anew each time. What lies on a GPU is bounded by what is free there. device: where
+    rays are followed; None: by the CPU. The trunk works where it lies.
     """
 
     PHASES: tuple[str, ...] = ("refit", "style")
@@ -82,6 +83,8 @@ class Repainting:
         ]
         self.photos = Kept(self._matched(photos), lambda photo: photo.nbytes, len(cameras), PHOTOS * memory)
         self.state = StyleState()
+        # Where the trunk lies; of a GPU half of what surfaces have left free: steps need room too.
+        self.memory_there = free_on(self.trunk.input_scale.device, 2 * memory) / 2
         self._objective: StyleObjective | None = None
         self._content = self._kept_content()
         self.between_steps = True
@@ -180,7 +183,7 @@ class Repainting:
         def content(view: int) -> Content:
             return self.objective.content_of(self._there(self.photos[view]), self.windows[view])
 
-        return Kept(content, lambda made: made.bytes, len(self.cameras), CONTENT * self.memory)
+        return Kept(content, lambda made: made.bytes, len(self.cameras), CONTENT * self.memory_there)
 
     def _there(self, image: np.ndarray) -> torch.Tensor:
         """An image [h, w, 3] as [3, h, w] where the trunk lies."""

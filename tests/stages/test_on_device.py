@@ -4,11 +4,13 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import torch
 
+from schemas.errors import OutOfResources
 from schemas.images import write_png
 from schemas.scene import Bounds, Scene, View, as_matrix, write_scene
 from schemas.store import Artefact, Recipe, Work
-from stages import deform_init, stylize
+from stages import deform_init, devices, stylize
 from stages.configs.deform import DeformConfig
 from stages.configs.stylize import StylizeConfig
 from stages.devices import rays_on
@@ -19,6 +21,7 @@ from stylerf.fields.deformation import Deformation
 from stylerf.kernels.gpu import interpreted
 from stylerf.training import deform, deformer
 from stylerf.training.device_deformer import DeviceDeformer
+from stylerf.training.ranks import Alone
 from tests.stages.evaluation_fixture import camera_entry, commit
 from tests.stylerf.small import field_of, hash_density, vm_colour
 from tests.stylerf.style.small_trunk import picture, small_trunk
@@ -117,6 +120,29 @@ def test_a_stylisation_that_bends_is_handed_the_device_where_its_kernels_know_th
     assert given["device"] == ("cuda" if kind == "vm" else None)
     expected = [] if kind == "vm" else ["features and matching run on the GPU, rays on the CPU"]
     assert [line.split(":")[0] for line in said.lines] == expected
+
+
+class OneLacks(Alone):
+    """Three processes, one of the others without what a GPU needs."""
+
+    count = 3
+
+    def add(self, values: np.ndarray) -> None:
+        values += 1
+
+
+def test_processes_that_train_together_all_take_their_gpu_or_none(monkeypatch):
+    begun = []
+    monkeypatch.setattr(devices, "unavailable", lambda: None)
+    monkeypatch.setattr(torch.cuda, "reset_peak_memory_stats", lambda: begun.append(1))
+    assert devices.gpu_of(Context(device="cuda")) == "cuda" and begun == [1]
+    with pytest.raises(OutOfResources, match=r"1 of 3 processes .* .process 0 can.; "):
+        devices.gpu_of(Context(device="cuda", ranks=OneLacks()))
+    monkeypatch.setattr(devices, "unavailable", lambda: "Triton is not installed")
+    with pytest.raises(OutOfResources, match=r"2 of 3 .*process 0 cannot: Triton is not installed"):
+        devices.gpu_of(Context(device="cuda", ranks=OneLacks()))
+    said = Said()
+    assert devices.gpu_of(Context(device="cuda", progress=said)) is None and len(said.lines) == 1
 
 
 def test_where_there_is_no_device_nothing_is_said():

@@ -11,13 +11,27 @@ import pytest
 
 from stages.demo_data import PAINTING, write_demo
 from stages.progress import Silent
+from stylerf_cli import session
 from tests.stages.photo_room import walk, write_photos
 from tests.stylerf_cli.long_stages import LongStage, arguments_of, before, undisturbed
-from tests.stylerf_cli.nursery import Nursery
+from tests.stylerf_cli.nursery import WITHOUT_GPUS, Nursery
 
 FIT = ("--budget", "60", "--no-buffers", "--capacity", "fixed:32x8x8", "--samples", "3000")
 DEFORM = ("--steps", "20", "--vertices", "12", "--width", "16", "--patience-db", "0")
 STYLIZE = ("--budget", "6", "--refit-steps", "40", "--levels", "4", "--finest", "64", "--table-bits", "12")
+
+
+@pytest.fixture(scope="package", autouse=True)
+def without_gpus():
+    """`--device auto` is the CPU here, in children too: a GPU's runs agree to rounding, and bits are compared.
+
+    The nursery begins before this, with the same variables.
+    """
+    with pytest.MonkeyPatch.context() as patched:
+        for name, value in WITHOUT_GPUS.items():
+            patched.setenv(name, value)
+        patched.setattr(session, "_may_have_gpu", lambda: False)
+        yield
 
 
 @pytest.fixture(scope="session")

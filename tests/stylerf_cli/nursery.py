@@ -15,6 +15,7 @@ from pathlib import Path
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 LONGEST_SECONDS = 500.0
+WITHOUT_GPUS = {"CUDA_VISIBLE_DEVICES": ""}
 
 
 class Nursery:
@@ -23,7 +24,7 @@ class Nursery:
     def __init__(self) -> None:
         self._process = subprocess.Popen(
             [sys.executable, "-m", "tests.stylerf_cli.nursery"], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
-            cwd=REPOSITORY, bufsize=0,
+            cwd=REPOSITORY, bufsize=0, env=os.environ | WITHOUT_GPUS,
         )  # fmt: skip
         self._read = b""
 

@@ -76,6 +76,14 @@ def test_a_fault_of_a_process_that_is_silent_is_told_by_the_first(scene, tmp_pat
     assert (tmp_path / "err1").read_text() == ""
 
 
+def test_processes_that_find_no_gpu_end_at_once_and_say_so(scene, tmp_path):
+    processes = start(2, *command(scene, 30, "--device", "cuda"), folder=tmp_path)
+    assert ended(processes, 100) == [2, 2]
+    told = (tmp_path / "err0").read_text().splitlines()
+    assert len(told) == 1 and told[0].startswith("stylerf: error: --device cuda: torch finds no usable GPU"), told
+    assert (tmp_path / "err1").read_text() == ""
+
+
 def test_verbs_of_one_process_say_so(tmp_path):
     processes = start(2, "stylerf_cli.main", "render", str(tmp_path / "work"), folder=tmp_path)
     assert ended(processes, 60) == [2, 2]

@@ -72,6 +72,27 @@ def test_cuda_that_is_not_there_is_a_usage_fault():
         sessions.resolved_device("cuda")
 
 
+def test_more_processes_than_gpus_compute_on_the_cpu_or_are_refused(monkeypatch):
+    import torch
+
+    monkeypatch.setattr(sessions, "_may_have_gpu", lambda: True)
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    monkeypatch.setattr(torch.cuda, "device_count", lambda: 2)
+    monkeypatch.setattr(torch.backends.cudnn, "allow_tf32", True)
+    for count in ("2", "3"):
+        said = []
+        for name in ("WORLD_SIZE", "LOCAL_WORLD_SIZE"):
+            monkeypatch.setenv(name, count)
+        monkeypatch.setenv("RANK", "0")
+        assert sessions.resolved_device("auto", said.append) == ("cuda" if count == "2" else "cpu")
+        assert [line.startswith("computing on the CPU: 3 processes") for line in said] == [True] * (count == "3")
+    assert torch.backends.cudnn.allow_tf32 is False
+    with pytest.raises(UsageError, match=r"3 processes on this machine.* find 2; start 2 here"):
+        sessions.resolved_device("cuda")
+    monkeypatch.delenv("RANK")  # of no launcher
+    assert sessions.resolved_device("cuda") == "cuda"
+
+
 def test_auto_does_not_import_torch_where_no_gpu_can_be(monkeypatch):
     monkeypatch.setattr(os.path, "exists", lambda path: False)
     monkeypatch.setitem(sys.modules, "torch", None)  # an import would raise

@@ -140,6 +140,7 @@ def density_backward(links, widths, x, starts, ends, sigma, sigma_gradients, chu
                     shift_gradient += g[0]
                     fx, fy, fz = corners(links, x[k], np.int64(1), offsets)
                     voxel_row_backward(flat, np.int64(c * stride), offsets, fx, fy, fz, g, np.int64(0), widths)
+        to[c, :64] = 0  # what stands for blocks not kept never learns, and nothing else would clear this
         to[c, stride - 1] += shift_gradient
 
 
@@ -186,6 +187,7 @@ def features_backward(links, widths, x, index, gradients, chunks, to):
         for i in range(c * n // chunks, (c + 1) * n // chunks):
             fx, fy, fz = corners(links, x[index[i]], width, offsets)
             voxel_row_backward(buffers, base, offsets, fx, fy, fz, flat, np.int64(i * width), widths)
+        to[c, : 64 * width] = 0  # as above
 
 
 @parallel_kernel

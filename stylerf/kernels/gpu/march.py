@@ -80,6 +80,7 @@ def march_kernel(
     t = tl.where(open_ray, t + tl.load(jitter + r, mask=live, other=0.0) * step / speed, t)
     through = 1.0 + 0.0 * t
     peak = 0.0 * t
+    newest = 0.0 * t  # weight
     found = r * 0
     turns = 0
     walking = ((t < end) & (found < most)).to(tl.int32)
@@ -100,6 +101,7 @@ def march_kernel(
             if FILL:
                 _keep(t_out, optical, points, sigma, weights, ray_of, begin + found, t, length, x, y, z, s, w, r, hit)
                 peak = tl.where(hit, tl.maximum(peak, w), peak)
+                newest = tl.where(hit, w, newest)
             through = tl.where(hit, through * stay, through)
             found = tl.where(hit, found + 1, found)
         t = tl.where(walks, t + dt * taken.to(tl.float32), t)
@@ -116,6 +118,10 @@ def march_kernel(
                 takes,
             )  # fmt: skip
             peak = tl.where(takes, tl.maximum(peak, through), peak)
+            # A sample more than was counted has the backdrop's place: it takes the backdrop's light too.
+            crowded = (through >= opaque) & (found == most) & (most > 0) & (most < limit) & (takes == 0)
+            tl.store(weights + begin + found - 1, newest + through, mask=crowded)
+            peak = tl.where(crowded, tl.maximum(peak, newest + through), peak)
         found = tl.where(takes, found + 1, found)
     if FILL:
         tl.store(starts + r, begin, mask=live)

@@ -103,7 +103,7 @@ def draw_kernel(
     index = _below(a, total + 0 * local.to(tl.int64))
     among_lit = mask & (number < lit_rays)
     lit_place = _below(b, lit_total + 0 * local.to(tl.int64))
-    index = tl.where(among_lit, tl.load(lit + lit_place, mask=among_lit, other=0), index)
+    index = tl.where(among_lit, tl.load(lit + lit_place, mask=among_lit, other=0).to(tl.int64), index)
     view = view_of(index, view_ends, views, STEPS)
     ox, oy, oz, dx, dy, dz, red, green, blue, alpha = ray_of_pixel(
         index, view, view_ends, view_sizes, widths, intrinsics, poses, bytes_, codes, CHANNELS, mask

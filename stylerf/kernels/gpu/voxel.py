@@ -47,7 +47,7 @@ def raw_density(table, links, shift, x, y, z, s0, s1, s2, live):
 def density_backward_kernel(
     links, points, sigma, sigma_gradients, total, to, shift_to, s0, s1, s2, BLOCK: tl.constexpr
 ):
-    """Add dL/d(table) to `to` and dL/d(shift) to shift_to[0]; total: pointer to the number of samples."""
+    """Add dL/d(table), of kept blocks, to `to`, dL/d(shift) to shift_to[0]; total: pointer to the number of samples."""
     count = tl.load(total)
     for block in range(tl.program_id(0).to(tl.int64), tl.cdiv(count, BLOCK), tl.num_programs(0)):
         k = block * BLOCK + tl.arange(0, BLOCK)
@@ -57,7 +57,8 @@ def density_backward_kernel(
         x, y, z = vector(points, k, live)
         tl.atomic_add(shift_to, tl.sum(tl.where(live, g, 0.0), axis=0), sem="relaxed")
         rows, weights = _corners(links, x, y, z, s0, s1, s2, live)
-        tl.atomic_add(to + rows, weights * g[:, None], mask=live[:, None], sem="relaxed")
+        # What stands for blocks not kept never learns, and nothing would clear its gradients.
+        tl.atomic_add(to + rows, weights * g[:, None], mask=live[:, None] & (rows >= 64), sem="relaxed")
 
 
 @triton.jit
@@ -76,14 +77,15 @@ def row_tile(table, links, x, y, z, s0, s1, s2, columns, ROW: tl.constexpr, live
 
 @triton.jit
 def row_tile_scatter(to, links, x, y, z, s0, s1, s2, gradient, columns, ROW: tl.constexpr, live, mask):
-    """Add gradient [samples, WIDTH] times each vertex's weight to the rows of `to`, laid out as the table."""
+    """Add gradient [samples, WIDTH] times each kept vertex's weight to the rows of `to`, laid out as the table."""
     i, fx = cell(x, s0)
     j, fy = cell(y, s1)
     k, fz = cell(z, s2)
     for corner in tl.static_range(8):
         row = row_of(links, s1, s2, i + corner // 4, j + (corner // 2) % 2, k + corner % 2, live)
         share = trilinear_corner(corner, fx, fy, fz)[:, None] * gradient
-        tl.atomic_add(to + offset(row[:, None], ROW, columns[None, :]), share, mask=mask, sem="relaxed")
+        kept = mask & (row >= 64)[:, None]
+        tl.atomic_add(to + offset(row[:, None], ROW, columns[None, :]), share, mask=kept, sem="relaxed")
 
 
 @triton.jit(do_not_specialize=[*SIZES, "rows"])

@@ -66,6 +66,24 @@ print(os.environ["NUMBA_CACHE_DIR"])
     assert Path(folder).is_relative_to(tmp_path) and not Path(folder).exists()
 
 
+def test_a_gpus_kernels_lie_beside_them_unless_the_user_says_where(tmp_path):
+    program = "import os, stylerf.kernels; print(os.environ.get('TRITON_CACHE_DIR'), os.environ['NUMBA_CACHE_DIR'])"
+    (tmp_path / "file").touch()
+    plain = {name: value for name, value in os.environ.items() if not name.startswith(("TRITON_", "NUMBA_"))}
+    plain |= {"PYTHONPATH": str(Path(package.__file__).parents[2]), "TMPDIR": str(tmp_path)}
+
+    def folders(**more: str) -> list[str]:
+        command = [sys.executable, "-c", program]
+        run = subprocess.run(command, env=plain | more, capture_output=True, text=True, check=True)
+        return run.stdout.split()
+
+    assert folders(STYLERF_CACHE=str(tmp_path))[0] == f"{tmp_path}/kernels/triton"
+    assert folders(TRITON_CACHE_DIR="/mine")[0] == "/mine" and folders(TRITON_HOME="/mine")[0] == "None"
+    passing, ours = folders(STYLERF_CACHE=str(tmp_path / "file"))
+    assert Path(passing).parent == Path(ours).parent and Path(passing).name == "triton"
+    assert Path(passing).is_relative_to(tmp_path) and not Path(passing).parent.exists()
+
+
 def test_a_kernel_just_compiled_and_the_same_from_the_cache_give_the_same_bits(tmp_path):
     """With fast-math a quarter of the densities differed in the last bit; see docs/decisions/0007."""
     program = """

@@ -5,8 +5,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
+from torch import distributed
 
-from stylerf.training.ranks import ALONE
+from stylerf.errors import InvalidValue
+from stylerf.training.ranks import ALONE, Together
 from tests.ranks import ended, start
 from tests.stylerf.training import two_ranks
 
@@ -54,6 +57,35 @@ def test_a_budget_of_time_ends_for_all_at_the_same_step(together):
     first, second = together["time0"], together["time1"]
     assert json.loads(str(first["state"]))["step"] > 2
     assert all(np.array_equal(second[name], values) for name, values in first.items())
+
+
+@pytest.mark.parametrize(
+    ("own", "other", "told"),
+    [
+        ("cuda", "no GPU (invalid device ordinal)", "process 0: cuda; process 1: no GPU .invalid device ordinal"),
+        ("cpu", "cuda", "process 0: cpu; process 1: cuda"),
+        ("no GPU here", "no GPU here", "^no GPU here$"),
+    ],
+)
+def test_processes_with_unlike_devices_are_told_so_before_they_wait_for_each_other(own, other, told):
+    ranks, store = Together.__new__(Together), distributed.HashStore()
+    ranks._store, ranks.place, ranks.count = store, 0, 2
+    store.set("stylerf device 1", other)
+    with pytest.raises(InvalidValue, match=told):
+        ranks._compare(own)
+    store.set("stylerf device 1", "cpu")
+    ranks._compare("cpu")
+
+
+def test_a_gpu_that_cannot_be_used_is_told_to_the_others(monkeypatch):
+    def refused(number):
+        raise RuntimeError(f"CUDA error: invalid device ordinal {number}\nmore of it")
+
+    ranks = Together.__new__(Together)
+    ranks._torch = torch
+    monkeypatch.setattr(torch.cuda, "set_device", refused)
+    monkeypatch.setenv("LOCAL_RANK", "5")
+    assert ranks._taken("cuda") == "no GPU (CUDA error: invalid device ordinal 5)" and ranks._taken("cpu") == "cpu"
 
 
 def test_one_process_has_it_all():

@@ -68,6 +68,7 @@ def main() -> None:
     np.savez(f"{folder}/fit{ranks.place}.npz", **fitted(steps, 1, ranks))
     np.savez(f"{folder}/time{ranks.place}.npz", **timed(ranks))
     np.savez(f"{folder}/tune{ranks.place}.npz", **tuned(1, ranks))
+    ranks.leave()
 
 
 if __name__ == "__main__":

@@ -100,6 +100,32 @@ def test_closed_spaces_end_in_a_backdrop_that_takes_the_rest(kind, device):
     assert (s.t == np.float32(SPACES[kind].far)).all()
 
 
+@pytest.mark.parametrize("kind", ["contraction", "frustum"])
+def test_a_sample_that_was_not_counted_takes_the_backdrops_light(kind, device, monkeypatch):
+    """The two walks of a march are compiled apart: rounding can have the second meet a sample more than the first."""
+    from stylerf.kernels.gpu import launch
+
+    walk_rays = launch._walk_rays
+
+    def miscounted(walk, density, origins, directions, jitter, samples, last, room, fill):
+        walk_rays(walk, density, origins, directions, jitter, samples, last, room, fill)
+        if not fill:
+            samples.counts -= 1
+
+    rays, field = device_rays(rays_into(SPACES[kind], 5, 9), device), device_field(even_fog(1e-4), device, SPACES[kind])
+    whole = field.march(rays, 512, 1e-3, None)
+    light = whole.weights[whole.ends - 1]  # of the backdrops
+    assert bool((whole.optical[whole.ends - 1] == 0).all()) and bool((light > 0.1).all())
+    monkeypatch.setattr(launch, "_walk_rays", miscounted)
+    found = field.march(rays, 512, 1e-3, None)
+    assert torch.equal(found.ends - found.starts, whole.ends - whole.starts - 1)
+    sums = torch.zeros(5, device=device).index_add_(0, found.ray_of.long(), found.weights)
+    np.testing.assert_allclose(sums.cpu(), 1, atol=1e-5)
+    expected = whole.weights[whole.ends - 2] + light
+    np.testing.assert_allclose(found.weights[found.ends - 1].cpu(), expected.cpu(), rtol=1e-5)
+    assert bool((found.largest >= found.weights[found.ends - 1]).all())
+
+
 @pytest.mark.parametrize("kind", SPACES)
 def test_leaps_reach_every_occupied_cell_that_the_cpu_reaches(kind, device):
     full, occupancy = np.zeros((8, 8, 8), bool), Occupancy(8)

@@ -13,8 +13,10 @@ from stylerf.fields.vm_tables import split_table
 from stylerf.geometry.cameras import Camera
 from stylerf.rendering.rays import backward, render_rays
 from stylerf.rendering.view import render_view
+from stylerf.training.device_traffic import BEHIND
 from stylerf.training.engine import Batch, CpuEngine, coverage_gradient, opacity_gradient
 from stylerf.training.fit import Fitter
+from stylerf.training.ranks import Alone
 from tests.stylerf.fields.test_densities import LARGER
 from tests.stylerf.small import (
     SPARSE,
@@ -216,8 +218,46 @@ def test_lack_of_memory_is_told_as_the_loop_knows_it(bank, device, monkeypatch):
         raise torch.OutOfMemoryError("CUDA out of memory")
 
     monkeypatch.setattr(engine.live, "render_rays", full)
+    engine.ranks, summed = Alone(), []
+    engine.ranks.add = summed.append
     with pytest.raises(MemoryError, match="out of memory"):
         engine.learn(batch())
+    assert not summed
+
+
+def test_lack_of_memory_once_processes_have_summed_ends_the_run(bank, device, monkeypatch):
+    """A step begun anew would sum again, while the other processes are at the next one."""
+    engine = engine_on(device, bank, thin_field())
+    monkeypatch.setattr(engine, "_add_gradients", lambda batch, sums: None)
+
+    def full(rate):
+        raise torch.OutOfMemoryError("CUDA out of memory")
+
+    engine.density_adam.step = full
+    with pytest.raises(torch.OutOfMemoryError):
+        engine.learn(batch())
+
+
+def test_a_loop_is_told_of_a_step_so_many_later_however_fast_the_device_is(bank, device, monkeypatch):
+    """What has come by chance would give the next batches another size in every run."""
+    engine = engine_on(device, bank, thin_field())
+    monkeypatch.setattr(
+        engine, "_add_gradients", lambda given, sums: sums.copy_(torch.tensor([0.0, 10.0 * (given.step + 1), 0.0]))
+    )
+    told = [engine.learn(batch(step=step, rays=10)).live for step in range(BEHIND + 3)]
+    assert told == [0.0] * BEHIND + [1.0, 2.0, 3.0]
+
+
+def test_processes_agree_about_what_is_occupied(bank, device):
+    engine, first = engine_on(device, bank, thin_field()), torch.zeros(8**3, device=device)
+    first[100] = 1e3
+    engine.ranks = Alone()
+    engine.ranks.count = 2
+    engine.ranks.take_first = lambda values: values.copy_(first) if values is engine.live.highest else None
+    engine.agree()
+    occupied = engine.live.distances == 0
+    assert occupied.nonzero().flatten().tolist() == [100]
+    assert np.flatnonzero(engine.field.occupancy.distances == 0).tolist() == [100]
 
 
 def small_fitter(bank, device, steps=3):

@@ -7,6 +7,7 @@ import torch
 from stylerf.fields.occupancy import Occupancy
 from stylerf.kernels import oracle
 from stylerf.training.optimiser import Adam
+from stylerf.training.rays import RayBank
 from tests.stylerf.small import close, density, float64, hash_colour, vm_colour
 from tests.stylerf.training.scenes import box_bank
 
@@ -122,6 +123,21 @@ def test_drawn_rays_are_those_of_pixels_of_the_photos(device):
     jitter = drawn.rays.jitter.cpu()
     assert 0 <= float(jitter.min()) and float(jitter.max()) < 1 and abs(float(jitter.mean()) - 0.5) < 0.05
     assert bool((drawn.background == 1).all())
+
+
+def test_photos_are_brought_over_little_by_little_and_let_go_of_between(device, monkeypatch):
+    from stylerf.training import device_rays
+    from stylerf.training.pixels import STRETCH, Pixels
+
+    plain, told = box_bank(5, 12), []
+    bank = RayBank(plain.cameras, Pixels(plain.bytes, plain.channels, told.append))
+    told.clear()  # of the look at the alphas
+    monkeypatch.setattr(device_rays, "AT_ONCE", 100)
+    made = device_rays.DeviceBank(bank, device)
+    assert len(told) == -(-len(plain.bytes) // 100) and set(told) == {-(-100 // STRETCH)}
+    assert np.array_equal(made.bytes.cpu(), plain.bytes)
+    lit = plain.lit[np.arange(plain.lit.below(len(plain)))]
+    assert len(lit) > 200 and np.array_equal(made.lit.cpu(), lit) and made.lit.dtype == torch.int32
 
 
 def test_a_batch_is_the_same_however_it_is_cut_and_another_for_another_seed(device):
