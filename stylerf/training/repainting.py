@@ -83,8 +83,8 @@ class Repainting:
         ]
         self.photos = Kept(self._matched(photos), lambda photo: photo.nbytes, len(cameras), PHOTOS * memory)
         self.state = StyleState()
-        # Where the trunk lies; of a GPU half of what surfaces have left free: steps need room too.
-        self.memory_there = free_on(self.trunk.input_scale.device, 2 * memory) / 2
+        # Where features are; of a GPU half of what surfaces have left free: steps need room too.
+        self.memory_there = free_on("cpu" if trunk is None else trunk.input_scale.device, 2 * memory) / 2
         self._objective: StyleObjective | None = None
         self._content = self._kept_content()
         self.between_steps = True
