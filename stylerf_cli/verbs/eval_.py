@@ -124,7 +124,8 @@ def edit_inputs(session: Any, field: Artefact, base: Artefact, regions: list[Art
 def frames_of(session: Any, field: Artefact, path: str) -> Artefact:
     """Frames of the field along `path`: the last that can be measured and are as many as would be rendered, else those.
 
-    Frames of the field that are of no use here, but were asked for once, are not replaced.
+    Frames of the field that are of no use here, but were asked for once, are not replaced; what lies in the place of
+    new ones and cannot be read stops it.
     """
     from stylerf.geometry.paths import PATHS
     from stylerf_cli.chains import ensure_frames, frames_config
@@ -140,6 +141,9 @@ def frames_of(session: Any, field: Artefact, path: str) -> Artefact:
     if there:
         return last(there)
     name = f"{field.name}-{label_of(path)}"
+    for one in session.work.artefacts("frames"):
+        if one.name == name:
+            check(one)  # what cannot be read, perhaps of a newer stylerf, is not replaced unasked
     taken = any(
         # What an earlier stylerf made by these very options is made again in its place.
         one.name == name and shows(one, field) and one.manifest.config != plain(wanted)
@@ -177,12 +181,17 @@ def readable(work: Work) -> list[Artefact]:
     return [one for one in work.artefacts("frames") if not fault_of(one)]
 
 
+def check(frames: Artefact) -> None:
+    """StylerfError where a manifest, a file's length or the list of views cannot be read."""
+    frames.check_sizes()
+    if (frames.path / FRAMES_FILE).is_file():
+        read_frames(frames.path)
+
+
 def fault_of(frames: Artefact) -> str:
     """What keeps these frames from being read, in words; empty where nothing does."""
     try:
-        frames.check_sizes()
-        if (frames.path / FRAMES_FILE).is_file():
-            read_frames(frames.path)
+        check(frames)
     except StylerfError as error:
         return str(error)
     return ""
