@@ -141,14 +141,11 @@ def frames_of(session: Any, field: Artefact, path: str) -> Artefact:
     if there:
         return last(there)
     name = f"{field.name}-{label_of(path)}"
-    for one in session.work.artefacts("frames"):
-        if one.name == name:
-            check(one)  # what cannot be read, perhaps of a newer stylerf, is not replaced unasked
-    taken = any(
-        # What an earlier stylerf made by these very options is made again in its place.
-        one.name == name and shows(one, field) and one.manifest.config != plain(wanted)
-        for one in readable(session.work)
-    )
+    here = next((one for one in session.work.artefacts("frames") if one.name == name), None)
+    if here is not None:
+        check(here)  # what cannot be read, perhaps of a newer stylerf, is not replaced unasked
+    # What an earlier stylerf made by these very options is made again in its place.
+    taken = here is not None and shows(here, field) and here.manifest.config != plain(wanted)
     return ensure_frames(session, field, path, f"{name}-eval" if taken else name)
 
 
