@@ -137,4 +137,5 @@ def settings_of(config: StylizeConfig, long_side: int, closed: bool) -> StyleSet
         rollbacks=config.rollbacks,
         clip=config.clip,
         least_spread=config.least_spread,
+        most_gain=config.most_gain,
     )

@@ -40,7 +40,7 @@ from stylerf.training.referenced import Referenced
 from stylerf.training.repainting import Repainting
 from stylerf.training.stylize import Stylizer
 
-SPEC = Spec(stage="stylize", verb="stylize", revision=6, writes="field")
+SPEC = Spec(stage="stylize", verb="stylize", revision=7, writes="field")
 WORKING_BYTES = 1.5e9  # what a step takes beside what is kept of the views: pictures at full size, the trunk's graph
 KEPT_BYTES = 60  # about, for each pixel of a view: its photo, samples on its surfaces, features at half its size
 WORDS = {"refit": "new colours"}  # of phases that are not told by their own name

@@ -129,6 +129,11 @@ class StylizeConfig:
         help="standard deviation of luma, 0 to 0.25, that colour matching gives at least; a painting with less spread "
         "than that counts as less of a style (remedy for blank paintings)",
     )
+    most_gain: float = option(
+        4.0,
+        help="how many times as far apart colour matching sets the scene's colours at most, along any of their "
+        "principal axes (0: as far as the painting's, as ARF does, which turns the noise of a grey scene into colours)",
+    )
     references_digest: str = option("", help="sha256 of the references (filled in; guards against changed files)")
     checkpoint_every_seconds: float = option(20.0, help="time between checkpoints", incidental=True)
 
@@ -145,6 +150,8 @@ class StylizeConfig:
             raise ValueError("deform_rate must be over 0, displacement_vertices 4 to 128")
         if self.rollbacks < 0 or self.clip < 0 or not 0 <= self.least_spread <= 0.25:
             raise ValueError("rollbacks and clip must not be negative, least_spread in 0..0.25")
+        if self.most_gain < 0:
+            raise ValueError("most_gain must not be negative (0: no bound)")
         if not (0 <= self.coarse <= 1 or self.coarse == -1):
             raise ValueError("coarse must be in 0..1 (or -1: by method and scene)")
         for name in ("variation_weight", "content_weight", "colour_weight", "displacement_weight"):

@@ -120,6 +120,32 @@ def spread_at_least(painting: Tensor, least: float) -> Tensor:
     return (inside + step * signs).reshape(painting.shape).to(painting.dtype)
 
 
+def spread_at_most(
+    painting: Tensor,  # [3, h, w] sRGB
+    content: Tensor,  # [n, 3] sRGB
+    most: float,
+    content_weights: Tensor | None = None,  # [n]
+) -> Tensor:
+    """A painting [3, h, w] to take colours from, for which no spread of the content grows more than `most` times.
+
+    Exact matching to it then stretches no principal axis of the content's colours further; 0: any stretch. Along those
+    along which the painting spreads more, its colours are drawn in towards their mean, which they keep: with E the
+    content's axes, l_k its variances and V the painting's covariance, by E D E^T, D_k = min(1, most sqrt(l_k / (E^T V
+    E)_kk)). It may lie a little beyond 0..1: it is for its mean and covariance, not to be looked at.
+    """
+    if most <= 0:
+        return painting
+    spread, axes = torch.linalg.eigh(colour_statistics(content.cpu(), _on_cpu(content_weights))[1])
+    mean, covariance = colour_statistics(painting.cpu().flatten(1).T)
+    wanted = (axes.T @ covariance @ axes).diagonal().clamp_min(VARIANCE_FLOOR)
+    drawn = (most * (spread.clamp_min(VARIANCE_FLOOR) / wanted).sqrt()).clamp_max(1.0)
+    if bool((drawn == 1).all()):
+        return painting
+    matrix = (axes * drawn) @ axes.T
+    colours = (painting.cpu().double().flatten(1).T - mean) @ matrix.T + mean
+    return colours.T.reshape(painting.shape).to(painting)
+
+
 def strokes_in(painting: Tensor, least: float) -> float:
     """0..1: what there is of strokes in a painting [3, h, w], its colours' spread (rms over channels) over `least`.
 

@@ -1,6 +1,7 @@
 """Colours of photos and of rendered views brought to a painting's, weighted by what of them is object."""
 
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -8,33 +9,31 @@ import torch
 from stylerf.style.colour import ColourMap, match_colours, pixels_of
 
 
-def matched_photos(
-    photos: Sequence[np.ndarray],  # [h, w, 3] over the background
-    alpha: Callable[[int], np.ndarray],  # [h, w]: the field's own coverage of a view, before anything moves
-    background: np.float32,
-    painting: torch.Tensor,  # [3, h, w]
-    seed: int,
-    count: int,  # pixels of all photos
-) -> Callable[[int], np.ndarray]:
-    """The photos in the painting's colours, by one map for all of them; the background stays as it is."""
+@dataclass(frozen=True, eq=False)
+class ObjectPhotos:
+    """Photos without their background. photos: [h, w, 3] over it; alpha: of a view [h, w], before anything moves."""
 
-    def object_of(view: int) -> tuple[np.ndarray, np.ndarray]:
-        """Premultiplied rgb [h, w, 3] of what is not background, and its coverage."""
-        coverage = alpha(view)
-        behind = (1 - coverage[..., None]) * background
-        return np.clip(photos[view] - behind, 0, coverage[..., None]), coverage
+    photos: Sequence[np.ndarray]
+    alpha: Callable[[int], np.ndarray]
+    background: np.float32
 
-    straight = (straight_rgba(*object_of(view)) for view in range(len(photos)))
-    colours, weights = pixels_of(straight, seed=seed, count=count)
-    colour_map = match_colours(colours, painting.flatten(1).T, weights)
+    def __call__(self, view: int) -> tuple[np.ndarray, np.ndarray]:
+        """Premultiplied rgb [h, w, 3] of what is not background, and its coverage [h, w]."""
+        coverage = self.alpha(view)
+        behind = (1 - coverage[..., None]) * self.background
+        return np.clip(self.photos[view] - behind, 0, coverage[..., None]), coverage
 
-    def matched(view: int) -> np.ndarray:
-        rgb, coverage = object_of(view)
+    def colours(self, seed: int, count: int) -> tuple[torch.Tensor, torch.Tensor]:
+        """A sample of their colours [n, 3] and its weights [n]. count: pixels of all photos."""
+        straight = (straight_rgba(*self(view)) for view in range(len(self.photos)))
+        return pixels_of(straight, seed=seed, count=count)
+
+    def mapped(self, view: int, colour_map: ColourMap) -> np.ndarray:
+        """[h, w, 3]: a photo whose object has other colours; the background stays as it is."""
+        rgb, coverage = self(view)
         mapped = colour_map.premultiplied(torch.from_numpy(rgb), torch.from_numpy(coverage)).numpy()
         level = coverage[..., None]
-        return (np.clip(mapped, 0, level) + (1 - level) * background).astype(np.float32)
-
-    return matched
+        return (np.clip(mapped, 0, level) + (1 - level) * self.background).astype(np.float32)
 
 
 def straight_rgba(rgb: np.ndarray, coverage: np.ndarray, least: float = 0.0) -> torch.Tensor:

@@ -17,13 +17,13 @@ from stylerf.fields.device_memory import free_on
 from stylerf.fields.field import RadianceField
 from stylerf.fields.surface import pixel_cells
 from stylerf.geometry.cameras import Camera
-from stylerf.style.colour import ColourMap, spread_at_least, strokes_in
+from stylerf.style.colour import ColourMap, match_colours, spread_at_least, spread_at_most, strokes_in
 from stylerf.style.objective import EVERYTHING, Content, GramObjective, StyleObjective, window_of
 from stylerf.style.trunks import Trunk
 from stylerf.training.geometry import FixedGeometry, MovingGeometry
 from stylerf.training.guard import Guard
 from stylerf.training.kept import Kept
-from stylerf.training.matched import matched_photos, rendered_match
+from stylerf.training.matched import ObjectPhotos, rendered_match
 from stylerf.training.optimiser import Adam
 from stylerf.training.style_settings import StyleSettings, StyleState
 
@@ -142,16 +142,22 @@ class Repainting:
         return pixel_cells(self.still.surface(view) for view in chosen)
 
     def _matched(self, photos: Sequence[np.ndarray]) -> Callable[[int], np.ndarray]:
-        """The photos in the painting's colours, where that is asked for; the background stays as it is."""
-        if self.settings.match not in ("before", "both"):
+        """The photos in the painting's colours, where that is asked for. Settles which colours those are."""
+        if self.settings.match == "none":
             return photos.__getitem__
-        count = sum(camera.width * camera.height for camera in self.cameras)
 
         def alpha(view: int) -> np.ndarray:
             camera = self.cameras[view]
             return np.ones((camera.height, camera.width), np.float32) if self.closed else self.still.alpha(view)
 
-        return matched_photos(photos, alpha, self.background, self._palette, self.seed, count)
+        of_object = ObjectPhotos(photos, alpha, self.background)
+        colours, weights = of_object.colours(self.seed, sum(camera.width * camera.height for camera in self.cameras))
+        # Both matches aim at these colours: two that were bounded apart would stretch twice as far.
+        self._palette = spread_at_most(self._palette, colours, self.settings.most_gain, weights)
+        if self.settings.match == "after":
+            return photos.__getitem__
+        colour_map = match_colours(colours, self._palette.flatten(1).T, weights)
+        return lambda view: of_object.mapped(view, colour_map)
 
     def paint_view(self, view: int, geometry: FixedGeometry | None = None) -> np.ndarray:
         """Premultiplied rgb of a whole view, [h*w, 3], in parts of bounded memory; as it stands, or in `geometry`."""

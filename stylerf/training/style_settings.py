@@ -15,7 +15,7 @@ class StyleSettings:
     of themselves. deform_rate, displacement_weight, displacement_vertices: see training/deformer. loss: nnfm or gram
     (style/objective). rounds, image_share, image_steps, image_rate: see training/alternating. reference_steps,
     reference_weight, template_weights, late: see training/referenced. rollbacks: see training/guard; clip:
-    training/optimiser; least_spread: style/colour.spread_at_least, strokes_in.
+    training/optimiser; least_spread, most_gain: style/colour.spread_at_least, strokes_in, spread_at_most.
     """
 
     steps: int = 0
@@ -53,6 +53,7 @@ class StyleSettings:
     rollbacks: int = 0
     clip: float = 0.0
     least_spread: float = 0.0
+    most_gain: float = 4.0
 
     def slowed(self, times: int) -> "StyleSettings":
         """All rates halved so many times."""

@@ -1,10 +1,10 @@
-"""A painting that colours are matched to keeps a least spread of luma."""
+"""A painting that colours are matched to: a least spread of luma, and no more than the scene can follow."""
 
 import pytest
 import torch
 
 from stylerf.light import LUMA
-from stylerf.style.colour import match_colours, spread_at_least, strokes_in
+from stylerf.style.colour import colour_statistics, match_colours, spread_at_least, spread_at_most, strokes_in
 from stylerf.training.stylize import Stylizer
 from tests.stylerf.style.small_trunk import picture
 from tests.stylerf.training.stylizing import made
@@ -59,3 +59,44 @@ def test_matching_to_a_blank_sheet_keeps_light_and_shade():
     found = kept @ weights
     assert found.std(correction=0) == pytest.approx(0.08, rel=0.02)
     assert torch.corrcoef(torch.stack([found, grey.double() @ weights]))[0, 1] > 0.99
+
+
+def nearly_grey(count: int, hue: float) -> torch.Tensor:
+    """Colours along grey, `hue` beside it."""
+    generator = torch.Generator().manual_seed(4)
+    grey = torch.rand(count, 1, generator=generator).expand(count, 3)
+    return (0.2 + 0.6 * grey + hue * torch.randn(count, 3, generator=generator)).double()
+
+
+@pytest.mark.parametrize("most", [2.0, 4.0])
+def test_no_axis_of_a_nearly_grey_scene_is_stretched_further_than_asked(most):
+    content, painting = nearly_grey(4000, 0.01), picture(30, 30, 5)
+    axes = torch.linalg.eigh(colour_statistics(content)[1])[1]
+    free = match_colours(content, painting.flatten(1).T)
+    assert float((free.matrix @ axes).norm(dim=0).max()) > 2 * most
+    bounded = match_colours(content, spread_at_most(painting, content, most).flatten(1).T)
+    gains = (bounded.matrix @ axes).norm(dim=0)
+    assert float(gains.max()) == pytest.approx(most, rel=1e-4)
+    # What is brought nearer is brought no nearer than needed, and around the painting's own mean.
+    assert float(gains[2]) == pytest.approx(float((free.matrix @ axes).norm(dim=0)[2]), rel=1e-4)
+    torch.testing.assert_close(bounded(content).mean(0), painting.double().flatten(1).mean(1), atol=1e-6, rtol=0)
+
+
+def test_a_scene_with_colours_enough_is_matched_exactly():
+    content, painting = nearly_grey(4000, 0.2), picture(30, 30, 5)
+    assert spread_at_most(painting, content, 4.0) is painting
+    assert spread_at_most(painting, nearly_grey(4000, 0.01), 0.0) is painting
+
+
+@pytest.mark.parametrize("match", ["after", "both"])
+def test_both_matches_of_a_stylisation_together_stay_below_the_bound(match):
+    """The second aims at what the first could reach: two bounds one after the other would be their product."""
+    painting = picture(16, 16, 2)
+    one = made(Stylizer, painting=painting, match=match, most_gain=0.5)
+    free = made(Stylizer, painting=painting, match=match, most_gain=0.0)
+    assert torch.equal(free._palette, painting)
+    drawn, full = (colour_statistics(x.flatten(1).T)[1].trace() for x in (one._palette, painting))
+    assert drawn < 0.9 * full
+    before = colour_statistics(torch.cat([torch.from_numpy(free.photos[v].reshape(-1, 3)) for v in range(2)]))[1]
+    after = colour_statistics(torch.cat([torch.from_numpy(one.photos[v].reshape(-1, 3)) for v in range(2)]))[1]
+    assert (after.trace() < 0.9 * before.trace()) == (match == "both")

@@ -4,8 +4,15 @@ import numpy as np
 import pytest
 import torch
 
-from stylerf.training.matched import matched_photos
+from stylerf.style.colour import match_colours
+from stylerf.training.matched import ObjectPhotos
 from tests.stylerf.style.small_trunk import picture
+
+
+def matched(photo: np.ndarray, alpha: np.ndarray, background: float, painting: torch.Tensor) -> np.ndarray:
+    of_object = ObjectPhotos([photo], lambda view: alpha, np.float32(background))
+    colours, weights = of_object.colours(0, photo.size // 3)
+    return of_object.mapped(0, match_colours(colours, painting.flatten(1).T, weights))
 
 
 @pytest.mark.parametrize("background", [0.0, 1.0])
@@ -19,14 +26,12 @@ def test_photos_in_their_own_colours_stay_as_they_are_where_they_are_half_covere
     weights = np.repeat(seen, (2 * alpha[alpha > 0]).astype(int), 0)  # the fully covered count twice
     painting = torch.from_numpy(weights.T[:, None].copy())
     photo = straight * alpha[..., None] + (1 - alpha[..., None]) * np.float32(background)
-    matched = matched_photos([photo], lambda view: alpha, np.float32(background), painting, 0, photo.size // 3)
-    np.testing.assert_allclose(matched(0), photo, atol=2e-5)
+    np.testing.assert_allclose(matched(photo, alpha, background, painting), photo, atol=2e-5)
 
 
 def test_a_half_covered_pixel_is_half_the_painting_and_half_the_background():
     photo = np.full((6, 6, 3), 0.5, np.float32)
     photo[:3] = np.random.default_rng(1).random((3, 6, 3), dtype=np.float32)
     alpha = np.full((6, 6), 0.5, np.float32)
-    painting = picture(8, 8, 3)
-    found = matched_photos([photo], lambda view: alpha, np.float32(1.0), painting, 0, 36)(0)
+    found = matched(photo, alpha, 1.0, picture(8, 8, 3))
     assert found.min() >= 0.5 - 1e-6 and found.max() <= 1 + 1e-6
