@@ -14,7 +14,7 @@ from stages.configs.stress import StressConfig
 from stages.stress import measuring
 from stages.stress.baseline import compared, read_baseline, write_baseline
 from stages.stress.cells import cells_of
-from stages.stress.criteria import LEAST_GAIN, Seen, judged_edit, judged_fit, judged_style
+from stages.stress.criteria import LEAST_GAIN, LEAST_STRUCTURE, Seen, judged_edit, judged_fit, judged_style
 from stages.stress.faults import FAULTS, METHODS, PALETTE, STYLE
 from stages.stress.heat_map import heat_map, rates
 from stages.stress.measuring import shown_beside
@@ -107,10 +107,12 @@ def test_a_stylisation_without_structure_fails_however_smooth_the_photo_is():
         flat = recoloured(one, one.mean((0, 1)), 0.0)
         for render in (flat, 0.9 * flat + 0.1 * noise):
             verdict = judged_style([Seen("v", render, one)], flat)
-            assert not verdict.ok and "structure kept" in verdict.why and verdict.score < 1e-6
+            assert not verdict.ok and "structure kept" in verdict.why and verdict.score < LEAST_STRUCTURE / 2
     assert judged_style([Seen("v", flat, faint)], flat).figures["content_ssim"] > 0.8
+    # What was light and became dark is still to be seen.
+    assert judged_style([Seen("v", 1 - seen, seen)], 1 - seen).ok
     kept = judged_style([Seen("a", seen, seen), Seen("b", recoloured(seen, seen.mean((0, 1)), 0.0), seen)], seen)
-    assert kept.score == pytest.approx(0.5) and kept.worst == 1
+    assert kept.score == pytest.approx(0.5, abs=2e-3) and kept.worst == 1
 
 
 def test_of_an_object_only_what_is_there_counts():

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from stylerf.errors import InvalidValue
-from stylerf.metrics.images import content_ssim, mse, psnr, ssim, ssim_map
+from stylerf.metrics.images import content_ssim, explained_structure, mse, psnr, ssim, ssim_map
 
 
 def test_psnr_of_a_constant_offset_is_known():
@@ -82,3 +82,44 @@ def test_not_finite_and_unequal_sizes_are_refused():
             metric(good, np.zeros((12, 13, 3)))
     with pytest.raises(InvalidValue):
         ssim(good[:10], good[:10])
+
+
+def test_explained_structure_is_that_of_a_line_in_each_window():
+    """Written out at every pixel; whole of any straight line, rising or falling; none of a flat picture."""
+    generator = np.random.default_rng(3)
+    photo, other = generator.random((20, 24, 3)), generator.random((20, 24, 3))
+    assert explained_structure(0.2 + 0.5 * photo, photo) == pytest.approx(1, abs=2e-3)
+    assert explained_structure(1 - photo, photo) == pytest.approx(1, abs=2e-3)
+    assert explained_structure(np.full_like(photo, 0.4), photo) < 1e-12
+    half = np.concatenate([photo[:, :12], np.full((20, 12, 3), 0.4)], 1)
+    assert 0.4 < explained_structure(half, photo) < 0.6
+
+    weights = np.array([0.2126, 0.7152, 0.0722])
+    render, wanted, sigma = other @ weights, photo @ weights, 0.05 * 24
+    reach = int(3.5 * sigma + 0.5)
+    taps = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)
+    window = np.outer(taps, taps) / taps.sum() ** 2
+    mirrored = [np.pad(x, reach, mode="symmetric") for x in (render, wanted)]
+    explained = of_wanted = 0.0
+    for row in range(20):
+        for column in range(24):
+            r, p = (x[row : row + len(window), column : column + len(window)] for x in mirrored)
+            r, p = r - (window * r).sum(), p - (window * p).sum()
+            explained += (window * r * p).sum() ** 2 / ((window * r * r).sum() + 1 / 255**2)
+            of_wanted += (window * p * p).sum()
+    expected = explained / 480 / (of_wanted / 480 + 1 / 255**2)
+    assert explained_structure(other, photo) == pytest.approx(expected, rel=1e-6) and expected < 0.2
+
+
+def test_explained_structure_asks_nothing_where_the_photo_is_smooth_or_masked():
+    generator = np.random.default_rng(4)
+    photo = np.full((40, 40, 3), 0.5)
+    photo[:, :16] = generator.random((40, 16, 3))
+    strokes = photo.copy()
+    strokes[:, 24:] = generator.random((40, 16, 3))
+    assert ssim(strokes, photo) < 0.7 and explained_structure(strokes, photo) > 0.98
+    mask = np.zeros((40, 40))
+    mask[:, :12] = 1
+    wrong = photo.copy()
+    wrong[:, 20:] = 0
+    assert explained_structure(wrong, photo, mask) > explained_structure(wrong, photo) - 1e-9
