@@ -9,8 +9,8 @@ succeeds where it is finite and 3 dB nearer to the test photos than one flat col
 one colour); a stylisation where it is finite, keeps a third of the photos' structure (of the local variance of luma
 what a straight line from the render's luma explains, of an object beyond its outlines) and is at most 0.7 times as far
 from the painting's colours; a local edit where it is finite, changes its part by 10 dE and what is around it by at most
-a fifth of that, and keeps an SSIM of luma of 0.2 with the field before. Figures: PSNR (dB) of fits, structure kept of stylisations, of edits the share of the change that stays inside,
-medians over the seeds.
+a fifth of that, and keeps an SSIM of luma of 0.2 with the field before. Figures: PSNR (dB) of fits, structure kept of
+stylisations, of edits the share of the change that stays inside, medians over the seeds.
 """
 
 import argparse
