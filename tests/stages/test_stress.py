@@ -107,7 +107,9 @@ def test_a_stylisation_without_structure_fails_however_smooth_the_photo_is():
         flat = recoloured(one, one.mean((0, 1)), 0.0)
         for render in (flat, 0.9 * flat + 0.1 * noise):
             verdict = judged_style([Seen("v", render, one)], flat)
-            assert not verdict.ok and "structure kept" in verdict.why and verdict.score < LEAST_STRUCTURE / 2
+            assert not verdict.ok and "structure kept" in verdict.why
+            # Noise explains a little of anything by chance.
+            assert verdict.score < (1e-6 if render is flat else LEAST_STRUCTURE / 2)
     assert judged_style([Seen("v", flat, faint)], flat).figures["content_ssim"] > 0.8
     # What was light and became dark is still to be seen.
     assert judged_style([Seen("v", 1 - seen, seen)], 1 - seen).ok
