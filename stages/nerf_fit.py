@@ -2,6 +2,7 @@
 
 import functools
 from contextlib import nullcontext
+from dataclasses import replace
 
 import numpy as np
 
@@ -24,7 +25,7 @@ from stylerf.training.fit import Fitter
 from stylerf.training.fit_state import FitSettings
 from stylerf.training.ladders import BEYOND, LADDER, Kinds, Rung, capacity_at, first_parts
 
-SPEC = Spec(stage="nerf_fit", verb="fit", revision=9, writes="field", parallel=True)
+SPEC = Spec(stage="nerf_fit", verb="fit", revision=10, writes="field", parallel=True)
 GPU_SAMPLES = 262_144  # of a step: smaller ones would leave a GPU waiting for launches
 # Peak memory of the fits of benchmarks/results/kinds.json, on two threads: of the program with a batch, of a parameter
 # with its gradients, its moments and the copies that a return and a change of size need.
@@ -158,13 +159,16 @@ def _cpu_samples(seconds: float) -> int:
 
 def _climb(fixed: tuple[int, int, int] | None, kinds: Kinds, space: Space) -> dict:
     """The ladder, and when its rungs are left."""
+    # A small network behind the colour has one width: its ranks are those of the first rung.
+    one_width = kinds.head != "linear"
     if fixed is not None:
-        # A small network behind the colour has one width: its ranks are those of the first rung.
-        ladder = _fixed_ladder(*fixed, first_colour=16 if kinds.head == "linear" else fixed[2])
+        ladder = _fixed_ladder(*fixed, first_colour=fixed[2] if one_width else 16)
         return {"ladder": ladder, "shares": FitSettings.shares[: len(ladder) - 1]}
     if space.kind == "contraction" and kinds == Kinds():
         shares, longest = (0.08, 0.17, 0.27, 0.39, 0.55), (350, 850, 1350, 1900, 2600)
         return {"ladder": (*LADDER, BEYOND), "shares": shares, "longest": longest}
+    if one_width:
+        return {"ladder": (replace(LADDER[0], colour_rank=LADDER[-1].colour_rank), *LADDER[1:])}
     return {"ladder": LADDER}
 
 

@@ -7,7 +7,7 @@ gradients are flat buffers [chunks, len(values)] of the same layout and one opti
 import numpy as np
 
 from stylerf.fields.capacity import Capacity
-from stylerf.fields.narrowing import best_ranks, telling_ranks, texel_weights
+from stylerf.fields.narrowing import best_ranks, best_seen_ranks, texel_weights
 from stylerf.fields.occupancy import Occupancy
 from stylerf.fields.room import room
 from stylerf.fields.samples import Samples
@@ -172,15 +172,15 @@ class VmColour:
         return VmColour(self.size, rank, self.degree, np.concatenate([table, head.ravel(), self.values[-3:]]))
 
     def narrowed(self, rank: int, occupancy: Occupancy) -> "VmColour":
-        """Nearly the same colour with fewer ranks: those of which most is seen where `occupancy` is occupied."""
+        """Nearly the same colour with fewer ranks, as near as so few come where `occupancy` is occupied."""
         table = np.empty(table_length(self.size, rank), np.float32)
         weights = texel_weights(occupancy, self.size)
         head = self.head.reshape(-1, 3, self.rank)
         kept_head = np.empty((len(head), 3, rank), np.float32)
         old, new = split_table(self.table, self.size, self.rank), split_table(table, self.size, rank)
         for m, (plane, line, pair, to_plane, to_line) in enumerate(zip(*old, weights, *new)):
-            kept = telling_ranks(plane.reshape(-1, self.rank), line, pair, head[:, m], rank)
-            to_plane[:], to_line[:], kept_head[:, m] = plane[..., kept], line[:, kept], head[:, m, kept]
+            found = best_seen_ranks(plane.reshape(-1, self.rank), line, pair, head[:, m], rank)
+            to_plane[:], to_line[:], kept_head[:, m] = found[0].reshape(to_plane.shape), *found[1:]
         values = np.concatenate([table, kept_head.ravel(), self.values[-3:]])
         return VmColour(self.size, rank, self.degree, values)
 

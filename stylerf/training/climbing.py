@@ -17,11 +17,11 @@ TRIAL_SHARE, TRIAL_STEPS = 0.08, (50, 250)
 HOPELESS = 0.6  # dB that a reduction may take at first: a trial brings back about a third of a dB
 # Steps in which the rate rises after a reduction: Adam's first steps, without a past, are its largest. (Moments carried
 # over were tried and bring a field back more slowly than none.)
-RAMP = 20
-# dB by which a rung must have gained when it was climbed for its resolution not to be asked back: teaching alone gains
-# about half of that in as long, and a trial that is refused costs what it lasted.
-PLAINLY_WORTH = 0.5
-FEWEST_RANKS = 8
+RAMP = 5
+# dB by which a rung must have gained when it was climbed for its resolution not to be asked back: what it gained in its
+# trial is the least that it will, and a trial that is refused costs what it lasted.
+PLAINLY_WORTH = 0.15
+RANKS = (8, 16)  # that may be gone down to: each number is a set of kernels to compile
 RESOLUTIONS = (32, 48, 64, 96, 128, 192, 256, 384, 512)
 # An error of one step of an eight-bit photo. What lies beyond is rounding: no reason to grow, and no collapse to lose.
 TELLING_PSNR = 20 * math.log10(255)
@@ -29,14 +29,14 @@ GROW = "grow"
 
 
 def _fewer_density_ranks(rung: Rung, kinds: Kinds, settings: FitSettings) -> dict[str, int]:
-    possible = kinds.density == "vm" and rung.density_rank > FEWEST_RANKS
-    return {"density_rank": FEWEST_RANKS} if possible else {}
+    below = [n for n in RANKS if n < rung.density_rank]
+    return {"density_rank": below[-1]} if kinds.density == "vm" and below else {}
 
 
 def _fewer_colour_ranks(rung: Rung, kinds: Kinds, settings: FitSettings) -> dict[str, int]:
     # A headed colour's network has one width.
-    possible = kinds.colour == "vm" and kinds.head == "linear" and rung.colour_rank > FEWEST_RANKS
-    return {"colour_rank": FEWEST_RANKS} if possible else {}
+    below = [n for n in RANKS if n < rung.colour_rank]
+    return {"colour_rank": below[-1]} if kinds.colour == "vm" and kinds.head == "linear" and below else {}
 
 
 def _coarser(rung: Rung, kinds: Kinds, settings: FitSettings) -> dict[str, int]:
@@ -61,8 +61,8 @@ def _seen_alike(rung: Rung, kinds: Kinds, settings: FitSettings) -> dict[str, in
 REDUCTIONS = {
     "density ranks": _fewer_density_ranks,
     "resolution": _coarser,
-    "colour resolution": _coarser_colour,
     "colour ranks": _fewer_colour_ranks,
+    "colour resolution": _coarser_colour,
     "degree": _seen_alike,
 }
 

@@ -37,7 +37,7 @@ class FitSettings:
     shares: tuple[float, ...] = (0.1, 0.22, 0.38, 0.55)
     longest: tuple[int, ...] = (350, 850, 1350, 2100)
     held_out_until: float = 0.75
-    reductions: tuple[str, ...] = ("density ranks", "resolution", "colour resolution", "colour ranks", "degree")
+    reductions: tuple[str, ...] = ("density ranks", "resolution", "colour ranks", "colour resolution", "degree")
     min_gain: float = 0.1
     background: str = "white"  # white, black, random or none
     lit_share: float = 0.9

@@ -45,8 +45,8 @@ class Kinds:
     levels: int = 8
 
 
-# One pair of ranks on every rung: each pair is a set of kernels to compile.
-LADDER = (Rung(64, table_bits=16), Rung(128, table_bits=17), Rung(192, table_bits=17), Rung(256, table_bits=18))
+# Few ranks on the first rung: what is added later begins beside what is known already, where the error is.
+LADDER = (Rung(64, 8, 16, table_bits=16), Rung(128, table_bits=17), Rung(192, table_bits=17), Rung(256, table_bits=18))
 # A contraction leaves half of each axis to what the cameras stand around: there a finer density still tells.
 BEYOND = Rung(384, table_bits=18, colour_resolution=256)
 

@@ -1,6 +1,7 @@
 """Which capacities a fit climbs, by the space of its scene."""
 
 import json
+from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
@@ -37,11 +38,19 @@ def test_a_density_in_a_contraction_may_grow_finer_than_its_colour():
 
 @pytest.mark.parametrize(
     ("space", "options"),
-    [("box", {}), ("frustum", {}), ("contraction", {"field": "voxel"}), ("contraction", {"head": "mlp"})],
+    [("box", {}), ("frustum", {}), ("contraction", {"field": "voxel"})],
 )
 def test_elsewhere_and_with_other_kinds_the_ladder_ends_sooner(space, options):
     asked = settings(SPACES[space], **options)
     assert asked.ladder == LADDER and len(asked.shares) == len(asked.longest) == len(asked.ladder)
+
+
+def test_a_colour_behind_a_network_has_one_width_on_every_rung():
+    asked = settings(SPACES["contraction"], head="mlp")
+    assert {rung.colour_rank for rung in asked.ladder} == {24}
+    assert [replace(rung, colour_rank=0) for rung in asked.ladder] == [replace(r, colour_rank=0) for r in LADDER]
+    fixed = settings(SPACES["box"], head="mlp", capacity="fixed:128x8x16")
+    assert {rung.colour_rank for rung in fixed.ladder} == {16}
 
 
 def test_a_capacity_given_by_hand_is_climbed_to_whatever_the_space():

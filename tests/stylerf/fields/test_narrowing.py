@@ -1,9 +1,11 @@
 """Fewer ranks: as near as so few can be, where something is seen."""
 
+import itertools
+
 import numpy as np
 import pytest
 
-from stylerf.fields.narrowing import EMPTY, best_ranks, telling_ranks, texel_weights
+from stylerf.fields.narrowing import EMPTY, best_ranks, best_seen_ranks, texel_weights
 from stylerf.fields.occupancy import Occupancy
 from stylerf.fields.vm import VmColour, VmDensity
 from stylerf.fields.vm_tables import split_table
@@ -41,12 +43,70 @@ def test_what_lies_where_nothing_is_does_not_count():
     assert np.abs((new_plane @ new_line.T)[seen] - (plane @ line.T)[seen]).max() > 0.1
 
 
-def test_ranks_that_the_head_does_not_look_at_go_first():
+UNWEIGHTED = np.ones(40), np.ones(9)
+
+
+def seen(plane: np.ndarray, line: np.ndarray, head: np.ndarray) -> np.ndarray:
+    """What a linear head makes of the products, [n, k, outputs]."""
+    return np.einsum("nr,kr,or->nko", *(factor.astype(np.float64) for factor in (plane, line, head)))
+
+
+def head_of(outputs: int, rank: int) -> np.ndarray:
+    return np.random.default_rng(12).normal(size=(outputs, rank)).astype(np.float32)
+
+
+def test_ranks_that_the_head_does_not_look_at_cost_nothing():
     plane, line = factors(2, rank=6)
-    head = np.ones((12, 6), np.float32)
+    head = head_of(12, 6)
     head[:, [1, 4]] = 0
-    plane[:, 2] *= 1e-3
-    assert telling_ranks(plane, line, (np.ones(40), np.ones(9)), head, 3).tolist() == [0, 3, 5]
+    fewer = best_seen_ranks(plane, line, UNWEIGHTED, head, 4)
+    assert [f.shape for f in fewer] == [(40, 4), (9, 4), (12, 4)]
+    np.testing.assert_allclose(seen(*fewer), seen(plane, line, head), atol=1e-4)
+
+
+def test_ranks_that_say_the_same_become_one():
+    """Eight products that are four, each split in two: no choice among the eight would do."""
+    plane, line = factors(3, rank=4)
+    head, share = head_of(12, 4), np.array([0.5, 0.3, 0.6, 0.4], np.float32)
+    doubled = np.concatenate([plane * share, plane * (1 - share)], axis=1)
+    fewer = best_seen_ranks(doubled, np.tile(line, 2), UNWEIGHTED, np.tile(head, 2), 4)
+    np.testing.assert_allclose(seen(*fewer), seen(plane, line, head), atol=1e-4)
+
+
+def test_fewer_ranks_come_nearer_than_any_chosen_of_the_old():
+    plane, line = factors(4, rank=6)
+    head = head_of(3, 6)
+    whole = seen(plane, line, head)
+    fewer = np.linalg.norm(seen(*best_seen_ranks(plane, line, UNWEIGHTED, head, 3)) - whole)
+    chosen = [list(kept) for kept in itertools.combinations(range(6), 3)]
+    left = [np.linalg.norm(seen(plane[:, kept], line[:, kept], head[:, kept]) - whole) for kept in chosen]
+    assert fewer < 0.95 * min(left)
+
+
+def test_what_is_seen_where_nothing_is_does_not_count():
+    plane, line = factors(5, rank=8)
+    head = head_of(12, 8)
+    there = np.arange(40) < 20
+    plane[:20, 4:] = 0  # four ranks hold only what lies where nothing is
+    plane[20:] *= 10
+    fewer = best_seen_ranks(plane, line, (np.where(there, 1.0, EMPTY), np.ones(9)), head, 4)
+    assert np.abs((seen(*fewer) - seen(plane, line, head))[there]).max() < 0.05
+    blind = best_seen_ranks(plane, line, UNWEIGHTED, head, 4)
+    assert np.abs((seen(*blind) - seen(plane, line, head))[there]).max() > 0.5
+
+
+def test_factors_stay_in_proportion():
+    """Planes, lines and heads are taught at rates of their own: none may take on the size of another."""
+    plane, line = factors(6)
+    head = head_of(12, 16)
+    fewer = best_seen_ranks(100 * plane, line, UNWEIGHTED, 0.01 * head, 8)
+    lengths = [
+        np.linalg.norm(f, axis=0).mean() / np.linalg.norm(old, axis=0).mean()
+        for f, old in zip(fewer, (100 * plane, line, 0.01 * head))
+    ]
+    assert max(lengths) < 1.5 * min(lengths)
+    new_plane, new_line = best_ranks(100 * plane, 0.01 * line, UNWEIGHTED, 8)
+    assert 2000 < np.linalg.norm(new_plane) / np.linalg.norm(new_line) < 60000
 
 
 def test_texels_weigh_what_lies_along_their_columns():
