@@ -14,7 +14,9 @@ from stylerf.training.ladders import Kinds, Rung
 LEAST_STEPS_PER_RUNG = 100
 # A reduction's trial: part of the budget, within these numbers of steps.
 TRIAL_SHARE, TRIAL_STEPS = 0.08, (50, 250)
-HOPELESS = 0.6  # dB that a reduction may take at first: a trial brings back about a third of a dB
+# dB that a reduction may take at first. A trial brings back about a third of a dB of what resolution held; of ranks it
+# brings back little, and what the views gain in its time as well hides that.
+HOPELESS, HOPELESS_RANKS = 0.6, 0.3
 # Steps in which the rate rises after a reduction: Adam's first steps, without a past, are its largest. (Moments carried
 # over were tried and bring a field back more slowly than none.)
 RAMP = 5
@@ -23,6 +25,7 @@ RAMP = 5
 PLAINLY_WORTH = 0.15
 RANKS = (8, 16)  # that may be gone down to: each number is a set of kernels to compile
 RESOLUTIONS = (32, 48, 64, 96, 128, 192, 256, 384, 512)
+COLOUR_STEP = 16  # a coarser colour's resolution is a multiple of it
 # An error of one step of an eight-bit photo. What lies beyond is rounding: no reason to grow, and no collapse to lose.
 TELLING_PSNR = 20 * math.log10(255)
 GROW = "grow"
@@ -48,8 +51,9 @@ def _coarser(rung: Rung, kinds: Kinds, settings: FitSettings) -> dict[str, int]:
 
 
 def _coarser_colour(rung: Rung, kinds: Kinds, settings: FitSettings) -> dict[str, int]:
-    below = [n for n in RESOLUTIONS if n < rung.colour.resolution]
-    return {"colour_resolution": below[-1]} if below else {}
+    # By a third: at once the views miss it no more than a quarter, and a colour of 176^3 halves a field of 256^3.
+    below = max(RESOLUTIONS[0], round(rung.colour.resolution * 2 / 3 / COLOUR_STEP) * COLOUR_STEP)
+    return {"colour_resolution": below} if below < rung.colour.resolution else {}
 
 
 def _seen_alike(rung: Rung, kinds: Kinds, settings: FitSettings) -> dict[str, int]:
@@ -65,6 +69,7 @@ REDUCTIONS = {
     "colour resolution": _coarser_colour,
     "degree": _seen_alike,
 }
+OF_RANKS = ("density ranks", "colour ranks")
 
 
 def named(rung: Rung, kinds: Kinds, settings: FitSettings) -> str:
@@ -165,7 +170,9 @@ class Climb:
 
     def hopeless(self, quality: float) -> bool:
         """Whether a reduction, just made, has lost more than it can win back."""
-        return not min(self.state.trial["before"], TELLING_PSNR) - quality <= HOPELESS  # so written, NaN is hopeless
+        trial = self.state.trial
+        bound = HOPELESS_RANKS if trial["what"] in OF_RANKS else HOPELESS
+        return not min(trial["before"], TELLING_PSNR) - quality <= bound  # so written, NaN is hopeless
 
     def enough(self, quality: float) -> bool:
         """Whether the views lose next to nothing by what is on trial."""

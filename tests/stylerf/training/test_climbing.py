@@ -48,7 +48,7 @@ def test_a_reduction_that_loses_little_stays_and_one_that_loses_more_is_refused_
     assert tried(climb, 0.57, 29.8) == ("colour ranks", False)
     assert climb.rung.colour_rank == 16
     assert tried(climb, 0.58, 30.0) == ("colour resolution", True)
-    assert climb.rung.colour.resolution == 192 and climb.rung.resolution == 256
+    assert climb.rung.colour.resolution == 176 and climb.rung.resolution == 256
     assert tried(climb, 0.59, 29.8) == ("colour resolution", False)
     assert tried(climb, 0.60, 30.2) == ("degree", True)
     assert climb.rung.degree == 0 and climb.reduction_due(0.64) is None
@@ -145,3 +145,19 @@ def test_what_falls_too_far_at_once_is_not_taught():
     assert climb.enough(29.95) and not climb.hopeless(29.95)
     assert not climb.enough(29.7) and not climb.hopeless(29.7)
     assert climb.hopeless(28.0) and climb.hopeless(float("nan"))
+
+
+@pytest.mark.parametrize(
+    ("what", "bears"), [("colour resolution", True), ("colour ranks", False), ("density ranks", False)]
+)
+def test_ranks_must_fall_less_than_resolution(what, bears):
+    climb = climb_at()
+    climb.begin(what, 30.0, 1000, 0.6)
+    assert climb.hopeless(29.55) is not bears and not climb.hopeless(29.75)
+
+
+@pytest.mark.parametrize(("now", "then"), [(384, 256), (256, 176), (176, 112), (64, 48), (32, None), (8, None)])
+def test_a_colour_gets_coarser_by_a_third(now, then):
+    climb = climb_at()
+    found = REDUCTIONS["colour resolution"](Rung(now, 16, 24), climb.settings.kinds, climb.settings)
+    assert found == ({} if then is None else {"colour_resolution": then})

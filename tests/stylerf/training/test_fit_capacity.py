@@ -182,7 +182,7 @@ def test_what_the_views_miss_comes_back_to_the_bit():
 
 
 def test_what_the_views_miss_badly_is_not_even_taught(monkeypatch):
-    monkeypatch.setattr(climbing, "HOPELESS", -50.0)
+    monkeypatch.setattr(climbing, "HOPELESS_RANKS", -50.0)
     fitter = reducing(260, reductions=("colour ranks",), min_gain=-50.0)
     fitter.run()
     assert fitter.field.colour.rank == 24 and "8^3 rank 16+16 is too little" in fitter.state.decisions[0]
@@ -190,7 +190,7 @@ def test_what_the_views_miss_badly_is_not_even_taught(monkeypatch):
 
 
 def test_a_fit_stopped_within_a_reduction_goes_on_to_the_same_bits(monkeypatch):
-    monkeypatch.setattr(climbing, "HOPELESS", 50.0)
+    monkeypatch.setattr(climbing, "HOPELESS_RANKS", 50.0)
     given = {"reductions": ("colour ranks",), "min_gain": 0.01}
     whole = reducing(260, **given)
     whole.run()
