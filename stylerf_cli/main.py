@@ -5,6 +5,7 @@ import os
 import signal
 import sys
 import threading
+from _thread import interrupt_main
 from argparse import SUPPRESS, Namespace, RawDescriptionHelpFormatter
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -148,15 +149,28 @@ def _terminable():
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    before = signal.signal(signal.SIGTERM, _interrupt)
+    numbers = [signal.SIGTERM]
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # else whoever started it wants it ignored
+        numbers.append(signal.SIGINT)
+    before = {number: signal.signal(number, _interrupt) for number in numbers}
     try:
         yield
     finally:
-        signal.signal(signal.SIGTERM, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def _interrupt(*_) -> None:
+    sys.unraisablehook = _complaint  # for good: what was left half built is thrown away as the process ends
     raise KeyboardInterrupt
+
+
+def _complaint(report) -> None:
+    """Says nothing of what an interruption left half built; one lost in a destructor, where Python drops it, is sent
+    anew.
+    """
+    if report.exc_type is KeyboardInterrupt:
+        threading.Timer(0.1, interrupt_main).start()
 
 
 if __name__ == "__main__":

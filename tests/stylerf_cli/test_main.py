@@ -252,3 +252,36 @@ def test_ctrl_c_and_termination_end_with_130_and_the_same_command_resumes(tmp_pa
     )
     done = command(*arguments)
     assert done.returncode == 0 and "going on with the interrupted toy of fox" in done.stderr
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("where", ["in a constructor", "in a destructor"])
+def test_an_interruption_that_leaves_something_half_built_says_one_line(tmp_path, number, where):
+    """A destructor may then complain, or the interruption may fall into one, where Python would drop it."""
+    (tmp_path / "delicate_verb.py").write_text(
+        "import signal, time\n"
+        "HELP, CONFIG = 'break', None\n"
+        "def add_arguments(parser): pass\n"
+        "class InConstructor:\n"
+        "    def __init__(self):\n"
+        f"        signal.raise_signal({int(number)})\n"
+        "        self.built = True\n"
+        "    def __del__(self):\n"
+        "        self.built\n"
+        "class InDestructor:\n"
+        "    def __del__(self):\n"
+        f"        signal.raise_signal({int(number)})\n"
+        "def run(args, session):\n"
+        f"    {'InConstructor()' if where == 'in a constructor' else 'InDestructor()'}\n"
+        "    for _ in range(200):\n"
+        "        time.sleep(0.05)\n"
+    )
+    code = (
+        f"import sys; sys.path.insert(0, {str(tmp_path)!r}); from stylerf_cli.verbs import VERBS\n"
+        "VERBS['delicate'] = ('delicate_verb', 'break')\n"
+        "from stylerf_cli.main import main; sys.exit(main(['delicate']))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, cwd=REPOSITORY)
+    assert done.returncode == 130, done.stderr
+    said = "stylerf: error: interrupted; the same command goes on where it stopped: stylerf delicate"
+    assert done.stderr.splitlines() == [said]
