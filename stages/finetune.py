@@ -26,7 +26,7 @@ from stylerf.geometry.cameras import Camera
 from stylerf.kernels.cpu.compiling import compiling_note, set_threads
 from stylerf.training.finetune import EditedPixels, FineTuner, FineTuneSettings
 
-SPEC = Spec(stage="finetune", verb="finetune", revision=3, writes="field", parallel=True)
+SPEC = Spec(stage="finetune", verb="finetune", revision=4, writes="field", parallel=True)
 SEEN = 2e-2  # part of a ray's largest weight from which a sample tells what a pixel sees
 MARGIN = 2  # cells: samples in front of a surface, which is where its colour is looked for too
 

@@ -7,7 +7,7 @@ from stages.configs import option
 
 FIELD_KINDS = ("vm", "hash", "voxel")
 # By layout; of every training of a field's shapes (docs/decisions/0011).
-SMOOTHNESS = {"object": 0.0, "forward": 1e-3, "unbounded": 1e-3}
+SMOOTHNESS = {"object": 1e-4, "forward": 1e-3, "unbounded": 1e-3}
 EVEN_FROM = {"object": 0.0, "forward": 0.0, "unbounded": 1.0}  # 1: the median distance of the cameras from their focus
 
 
