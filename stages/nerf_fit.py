@@ -2,7 +2,6 @@
 
 import functools
 from contextlib import nullcontext
-from dataclasses import replace
 
 import numpy as np
 
@@ -23,13 +22,16 @@ from stylerf.kernels.cpu.compiling import compiling_note, set_threads
 from stylerf.training.engine import CpuEngine
 from stylerf.training.fit import Fitter
 from stylerf.training.fit_state import FitSettings
-from stylerf.training.ladders import BEYOND, LADDER, Kinds, Rung, capacity_at, first_parts
+from stylerf.training.ladders import LADDER, Kinds, Rung, capacity_at, first_parts, ladder_of
 
-SPEC = Spec(stage="nerf_fit", verb="fit", revision=12, writes="field", parallel=True)
+SPEC = Spec(stage="nerf_fit", verb="fit", revision=13, writes="field", parallel=True)
 GPU_SAMPLES = 262_144  # of a step: smaller ones would leave a GPU waiting for launches
 # Peak memory of the fits of benchmarks/results/kinds.json, on two threads: of the program with a batch, of a parameter
 # with its gradients, its moments and the copies that a return and a change of size need.
 FIT_BYTES, PARAMETER_BYTES = 0.37e9, 94
+FIVE_SHARES = (0.08, 0.17, 0.27, 0.39, 0.55)  # FitSettings.shares of a ladder of five rungs
+# In a contraction, steps after which rungs end at the latest (FitSettings).
+LONGEST = (350, 850, 1350, 1900, 2600)
 RATE = {"object": 2e-2, "forward": 4e-2, "unbounded": 4e-2}
 
 
@@ -84,14 +86,17 @@ def _tell_memory(settings: FitSettings, space: Space, context: Context) -> None:
     """Says that the bound is below what the largest field takes to fit; of voxels the first: how many of a finer one
     are kept is not known before."""
     kinds, finest = settings.kinds, settings.ladder[-1].resolution
-    rung = settings.ladder[0 if "voxel" in (kinds.density, kinds.colour) else -1]
+    rungs = settings.ladder[:1] if "voxel" in (kinds.density, kinds.colour) else settings.ladder
 
-    def parts(of: Rung) -> tuple:
-        capacity = capacity_at(of, finest, kinds.levels, space, degree=settings.degree)
-        return first_parts(kinds, capacity, np.random.default_rng(0))
+    def parameters(rung: Rung) -> int:
+        found = 0
+        for part, of in enumerate((rung, rung.colour)):
+            capacity = capacity_at(of, finest, kinds.levels, space, degree=settings.degree)
+            found += len(first_parts(kinds, capacity, np.random.default_rng(0))[part].values)
+        return found
 
-    parameters = len(parts(rung)[0].values) + len(parts(rung.colour)[1].values)
-    needed = FIT_BYTES + PARAMETER_BYTES * parameters
+    rung = max(rungs, key=parameters)
+    needed = FIT_BYTES + PARAMETER_BYTES * parameters(rung)
     if context.memory < needed:
         context.progress.say(
             f"--memory {in_words(context.memory)} is less than a field of {rung.resolution}^3 takes to fit, about "
@@ -145,7 +150,7 @@ def _settings(config: FitConfig, scene: SceneData, space: Space, device: str | N
         coverage=config.coverage_weight if scene.layout == "object" else 0.0,
         # An object's light differs from side to side by itself.
         exposure="off" if config.exposure == "auto" and scene.layout == "object" else config.exposure,
-        **_climb(fixed, kinds, space),
+        **_climb(fixed, kinds, space, max(max(camera.width, camera.height) for camera in scene.cameras)),
     )
 
 
@@ -157,19 +162,16 @@ def _cpu_samples(seconds: float) -> int:
     return int(np.clip(500 * seconds, 30_000, 90_000)) if seconds else 90_000
 
 
-def _climb(fixed: tuple[int, int, int] | None, kinds: Kinds, space: Space) -> dict:
-    """The ladder, and when its rungs are left."""
-    # A small network behind the colour has one width: its ranks are those of the first rung.
-    one_width = kinds.head != "linear"
+def _climb(fixed: tuple[int, int, int] | None, kinds: Kinds, space: Space, pixels: int) -> dict:
+    """The ladder, and when its rungs are left. pixels: the longest side of the photos."""
+    contraction, four = space.kind == "contraction", FitSettings.shares
+    # What a coarse field is taught for longer is wrong in a contraction; elsewhere it is overfit the less.
+    longest = LONGEST if contraction else ()
     if fixed is not None:
-        ladder = _fixed_ladder(*fixed, first_colour=fixed[2] if one_width else 16)
-        return {"ladder": ladder, "shares": FitSettings.shares[: len(ladder) - 1]}
-    if space.kind == "contraction" and kinds == Kinds():
-        shares, longest = (0.08, 0.17, 0.27, 0.39, 0.55), (350, 850, 1350, 1900, 2600)
-        return {"ladder": (*LADDER, BEYOND), "shares": shares, "longest": longest}
-    if one_width:
-        return {"ladder": (replace(LADDER[0], colour_rank=LADDER[-1].colour_rank), *LADDER[1:])}
-    return {"ladder": LADDER}
+        ladder = _fixed_ladder(*fixed, first_colour=16 if kinds.head == "linear" else fixed[2])
+        return {"ladder": ladder, "shares": four[: len(ladder) - 1], "longest": longest}
+    ladder = ladder_of(kinds, space.kind, pixels)
+    return {"ladder": ladder, "shares": four if len(ladder) == len(four) else FIVE_SHARES, "longest": longest}
 
 
 def _fixed_ladder(resolution: int, density: int, colour: int, first_colour: int) -> tuple[Rung, ...]:

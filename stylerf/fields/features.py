@@ -120,7 +120,7 @@ class VmFeatures:
 
     def smooth(self, table: np.ndarray, strength: float, to: np.ndarray) -> None:
         """As VmColour.smooth."""
-        vm.smoothness_backward(table, self.size, self.rank, np.float32(strength / self.length), to)
+        vm.smoothness_backward(table, self.size, self._ranks, np.float32(strength / self.length), to)
 
     def describe(self) -> dict:
         return {"kind": self.kind, "size": [int(s) for s in self.size], "rank": self.rank}

@@ -118,7 +118,7 @@ class VmDensity:
 
     def smooth(self, strength: float, to: np.ndarray) -> None:
         """Add the gradient of the planes' total variation (mean squared difference) to buffer `to` [len(values)]."""
-        kernels.smoothness_backward(self.table, self.size, self.rank, np.float32(strength / len(self.values)), to)
+        kernels.smoothness_backward(self.table, self.size, self._ranks, np.float32(strength / len(self.values)), to)
 
     def describe(self) -> dict:
         return {"kind": self.kind, "size": [int(s) for s in self.size], "rank": self.rank}
@@ -259,7 +259,7 @@ class VmColour:
 
     def smooth(self, strength: float, to: np.ndarray) -> None:
         """As VmDensity.smooth."""
-        kernels.smoothness_backward(self.table, self.size, self.rank, np.float32(strength / len(self.table)), to)
+        kernels.smoothness_backward(self.table, self.size, self._ranks, np.float32(strength / len(self.table)), to)
 
     def describe(self) -> dict:
         return {"kind": self.kind, "size": [int(s) for s in self.size], "rank": self.rank, "degree": self.degree}

@@ -35,7 +35,7 @@ class FitSettings:
     kinds: Kinds = field(default_factory=Kinds)
     ladder: tuple[Rung, ...] = LADDER
     shares: tuple[float, ...] = (0.1, 0.22, 0.38, 0.55)
-    longest: tuple[int, ...] = (350, 850, 1350, 2100)
+    longest: tuple[int, ...] = ()
     held_out_until: float = 0.75
     reductions: tuple[str, ...] = ("density ranks", "resolution", "colour ranks", "colour resolution", "degree")
     min_gain: float = 0.1

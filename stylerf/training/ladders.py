@@ -45,10 +45,29 @@ class Kinds:
     levels: int = 8
 
 
-# Few ranks on the first rung: what is added later begins beside what is known already, where the error is.
-LADDER = (Rung(64, 8, 16, table_bits=16), Rung(128, table_bits=17), Rung(192, table_bits=17), Rung(256, table_bits=18))
+# Few ranks on the first rung: what is added later begins beside what is known already, where the error is. On the
+# finest grid a density of half the ranks and a coarser colour hold as much, and a step takes less time (0040).
+LADDER = (
+    Rung(64, 8, 16, table_bits=16),
+    Rung(128, table_bits=17),
+    Rung(192, table_bits=17),
+    Rung(256, 8, table_bits=18, colour_resolution=176),
+)
+# The same with colours as fine as the density, where the photos of an object hold more than LADDER's colours can.
+FULL = Rung(256, 8, table_bits=18)
 # A contraction leaves half of each axis to what the cameras stand around: there a finer density still tells.
-BEYOND = Rung(384, table_bits=18, colour_resolution=256)
+BEYOND = Rung(384, 8, table_bits=18, colour_resolution=256)
+
+
+def ladder_of(kinds: Kinds, space: str, pixels: int) -> tuple[Rung, ...]:
+    """The rungs that a fit of so made fields climbs. space: its kind. pixels: the longest side of the photos."""
+    if kinds.head != "linear":
+        # A small network behind the colour has one width: its ranks are those of the first rung.
+        return (replace(LADDER[0], colour_rank=FULL.colour_rank), *LADDER[1:3], FULL)
+    if kinds == Kinds() and space == "contraction":
+        return (*LADDER[:3], FULL, BEYOND)
+    lean = kinds == Kinds() and (space == "frustum" or pixels < 2 * LADDER[-1].colour_resolution)
+    return LADDER if lean else (*LADDER[:3], FULL)
 
 
 def capacity_at(

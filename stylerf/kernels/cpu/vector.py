@@ -323,6 +323,25 @@ def axpy_row(typing, scale, source, source_at, to, to_at, ranks):
 
 
 @intrinsic
+def add_roughness(typing, table, here, above, below, left, right, strength, to, ranks):
+    """to[here + r] += strength * sum over the four neighbours of table[here + r] - table[neighbour + r]."""
+
+    def generate(context, builder, sig, args):
+        rows = Rows(builder, sig.args[-1].count)
+        table_at = data_pointer(context, builder, sig.args[0], args[0])
+        own = rows.load(table_at, args[1])
+        apart = [rows.sub(own, rows.load(table_at, neighbour)) for neighbour in args[2:6]]
+        total = apart[0]
+        for row in apart[1:]:
+            total = rows.add(total, row)
+        to_at = data_pointer(context, builder, sig.args[7], args[7])
+        rows.add_product(to_at, args[1], rows.splat(args[6]), total)
+        return context.get_dummy_value()
+
+    return types.void(table, *[INDEX] * 5, SCALAR, to, ranks), generate
+
+
+@intrinsic
 def dot_rows(typing, a, a_at, b, b_at, ranks):
     """sum_r a[a_at + r] b[b_at + r]."""
 

@@ -13,6 +13,7 @@ from numba import prange
 from stylerf.kernels.cpu.compiling import inline, parallel_kernel
 from stylerf.kernels.cpu.march import EXPONENT_MAX, EXPONENT_MIN, cell, end_of_chunk, walk_chunk
 from stylerf.kernels.cpu.vector import (
+    add_roughness,
     axpy_row,
     vm_dot_backward,
     vm_prefetch,
@@ -255,23 +256,20 @@ def colour_backward(table, size, ranks, head, basis, x, starts, ends, colours, c
 
 
 @parallel_kernel
-def smoothness_backward(table, size, rank, strength, to):
+def smoothness_backward(table, size, ranks, strength, to):
     """Add strength * d/dt of half the summed squared differences between neighbouring plane texels to to[...]."""
+    rank = np.int64(len(ranks))
     at = np.int64(0)
     for m in range(3):
         rows, columns = size[(m + 1) % 3], size[(m + 2) % 3]
+        across = columns * rank
         for i in prange(rows):
             for j in range(columns):
                 here = at + (i * columns + j) * rank
-                for r in range(rank):
-                    s = _ZERO
-                    if i > 0:
-                        s += table[here + r] - table[here - columns * rank + r]
-                    if i < rows - 1:
-                        s += table[here + r] - table[here + columns * rank + r]
-                    if j > 0:
-                        s += table[here + r] - table[here - rank + r]
-                    if j < columns - 1:
-                        s += table[here + r] - table[here + rank + r]
-                    to[here + r] += strength * s
-        at += rows * columns * rank
+                # Past an edge lies the texel itself, from which it does not differ.
+                above = here - across if i > 0 else here
+                below = here + across if i < rows - 1 else here
+                left = here - rank if j > 0 else here
+                right = here + rank if j < columns - 1 else here
+                add_roughness(table, here, above, below, left, right, strength, to, ranks)
+        at += rows * across

@@ -6,9 +6,12 @@ from stylerf.training.climbing import GROW, RAMP, REDUCTIONS, TRIAL_STEPS, Climb
 from stylerf.training.fit_state import FitSettings, FitState
 from stylerf.training.ladders import LADDER, Kinds, Rung
 
+EVEN = tuple(Rung(n, table_bits=18) for n in (64, 128, 192, 256))
+
 
 def climb_at(rung: int = 3, step: int = 1200, **more) -> Climb:
-    return Climb(FitSettings(steps=2000, **more), FitState(step=step, rung=rung, best=30.0), "held-out views")
+    settings = FitSettings(**{"steps": 2000, "ladder": EVEN, **more})
+    return Climb(settings, FitState(step=step, rung=rung, best=30.0), "held-out views")
 
 
 def tried(climb: Climb, progress: float, quality: float) -> tuple[str, bool]:
@@ -108,7 +111,7 @@ def test_a_trial_lasts_a_share_of_the_budget_within_bounds():
 
 
 def test_the_capacity_is_told_with_what_more_and_less_of_it_would_do():
-    climb = climb_at(0, min_gain=0.1)
+    climb = climb_at(0, min_gain=0.1, ladder=LADDER)
     climb.begin(GROW, 30.0, 200_000, 0.1)
     assert not climb.judge(30.04, 340_000)[0] and climb.state.fixed
     assert climb.told(200_000) == (
@@ -118,10 +121,12 @@ def test_the_capacity_is_told_with_what_more_and_less_of_it_would_do():
     climb.judge(29.0, 100_000)
     assert climb.told(200_000).endswith("1.7x the size; 48^3 rank 8+16 would lose 1.00 dB")
     assert climb_at(1).told(5_000_000) == "vm 128^3 rank 16+24, 5.00 M parameters"
+    lean = climb_at(3, ladder=LADDER)
+    assert lean.told(3_930_000) == "vm 256^3+176^3 rank 8+24, 3.93 M parameters"
 
 
 def test_a_ladder_of_the_product_ends_in_time_for_reductions():
-    climb = climb_at(len(LADDER) - 1)
+    climb = climb_at(len(LADDER) - 1, ladder=LADDER)
     assert climb.reduction_due(climb.settings.shares[-1] + 0.01) is not None
 
 
