@@ -65,7 +65,8 @@ def ladder_of(kinds: Kinds, space: str, pixels: int) -> tuple[Rung, ...]:
         # A small network behind the colour has one width: its ranks are those of the first rung.
         return (replace(LADDER[0], colour_rank=FULL.colour_rank), *LADDER[1:3], FULL)
     if kinds == Kinds() and space == "contraction":
-        return (*LADDER[:3], FULL, BEYOND)
+        # All ranks until the last: 256^3 with half of them seems to gain nothing, where 384^3 then would.
+        return (*LADDER[:3], replace(FULL, density_rank=16), BEYOND)
     lean = kinds == Kinds() and (space == "frustum" or pixels < 2 * LADDER[-1].colour_resolution)
     return LADDER if lean else (*LADDER[:3], FULL)
 

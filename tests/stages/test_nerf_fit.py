@@ -35,6 +35,7 @@ def test_a_density_in_a_contraction_may_grow_finer_than_its_colour():
     asked = settings(SPACES["contraction"])
     assert [rung.resolution for rung in asked.ladder] == [64, 128, 192, 256, 384]
     assert asked.ladder[-1].colour.resolution == asked.ladder[-2].colour.resolution == 256
+    assert [rung.density_rank for rung in asked.ladder] == [8, 16, 16, 16, 8]
     assert len(asked.shares) == len(asked.longest) == len(asked.ladder) and ends_in_time(asked)
 
 
