@@ -199,7 +199,7 @@ class Partial:
                 versions=dict(versions or {}),
                 seconds=round(float(seconds), 3),
                 peak_memory_mb=round(float(peak_memory_mb), 1),
-                created=datetime.now(UTC).isoformat(timespec="seconds"),
+                created=datetime.now(UTC).isoformat(timespec="milliseconds"),
                 figures=plain(figures or {}),
             )
             self._refuse_to_bury()

@@ -92,7 +92,7 @@ def _made_last(work: Work) -> Artefact:
     fields = work.artefacts("field")
     if not fields:
         return work.get("field", FIT_NAME)
-    # The time is kept to the second: of two made within one, that made from the other is the later.
+    # Earlier versions kept the time to the second: of two made within one, that made from the other is the later.
     return max(fields, key=lambda one: (one.manifest.created, len(fields_behind(one))))
 
 

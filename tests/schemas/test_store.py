@@ -5,6 +5,7 @@ import json
 import multiprocessing
 import os
 import shutil
+import time
 
 import pytest
 
@@ -35,6 +36,17 @@ def test_a_finished_artefact_reads_back(tmp_path):
     assert again.file("sub/a.bin").read_bytes() == b"weights"
     assert sorted(os.listdir(tmp_path / "field")) == [".fox.lock", "fox"]
     again.verify()
+
+
+def test_of_two_made_within_a_second_the_later_is_known(tmp_path):
+    """What is made of "the last" of several looks at nothing else."""
+    work, times = Work(tmp_path), []
+    for name in ("b", "a", "c"):
+        time.sleep(0.002)
+        times.append(make(work, name).manifest.created)
+    assert times == sorted(times) and len(set(times)) == 3
+    # What earlier versions wrote counts as the beginning of its second.
+    assert times[0].split(".")[0] + "+00:00" < times[0]
 
 
 def test_digest_tells_content_recipe_and_kind_but_not_name(tmp_path):
