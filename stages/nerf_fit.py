@@ -86,7 +86,8 @@ def _tell_memory(settings: FitSettings, space: Space, context: Context) -> None:
     """Says that the bound is below what the largest field takes to fit; of voxels the first: how many of a finer one
     are kept is not known before."""
     kinds, finest = settings.kinds, settings.ladder[-1].resolution
-    rungs = settings.ladder[:1] if "voxel" in (kinds.density, kinds.colour) else settings.ladder
+    # A lean last rung may have fewer numbers than the one before.
+    rungs = settings.ladder[:1] if "voxel" in (kinds.density, kinds.colour) else settings.ladder[-2:]
 
     def parameters(rung: Rung) -> int:
         found = 0
@@ -95,8 +96,8 @@ def _tell_memory(settings: FitSettings, space: Space, context: Context) -> None:
             found += len(first_parts(kinds, capacity, np.random.default_rng(0))[part].values)
         return found
 
-    rung = max(rungs, key=parameters)
-    needed = FIT_BYTES + PARAMETER_BYTES * parameters(rung)
+    most, rung = max(((parameters(rung), rung) for rung in rungs), key=lambda found: found[0])
+    needed = FIT_BYTES + PARAMETER_BYTES * most
     if context.memory < needed:
         context.progress.say(
             f"--memory {in_words(context.memory)} is less than a field of {rung.resolution}^3 takes to fit, about "
