@@ -14,7 +14,7 @@ class FitSettings:
     rates in value units per step; smoothness: weights of the planes' total variation (density, colour); even_from:
     distance, scene units, below which samples learn by the square of their distance, against floaters (0: all alike);
     shares: parts of the budget at which the trial of the next rung begins, and that of the last ends, at the latest
-    after so many steps in all (`longest`, of every rung: what a coarse field is taught for longer is wrong);
+    after so many steps in all (`longest`, of every rung; empty: however many those are);
     reductions: what is tried to be given up then (climbing.REDUCTIONS); held_out_until: part of the budget from which
     the held-out views are trained on as well. opacity: weight of the opacity prior (engine.opacity_gradient) at the end
     of the budget, growing from nothing in its first quarter, so that it cannot forbid what is yet to appear.
