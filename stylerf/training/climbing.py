@@ -208,7 +208,10 @@ class Climb:
         old, new, gain = Rung(**trial["from"]), self.rung, quality - trial["before"]
         names, sizes = (self.name(old), self.name(new)), (trial["parameters"], parameters)
         if trial["what"] == GROW:
-            kept = gain >= settings.min_gain or settings.always_climb
+            least = (
+                settings.min_gain if parameters > trial["parameters"] else 0.0
+            )  # what costs nothing need gain nothing
+            kept = gain >= least or settings.always_climb
             if kept:
                 self.state.climbed = round(gain, 3)
                 text = f"{names[1]} kept: {self.judges} gained {gain:.2f} dB over {names[0]}"

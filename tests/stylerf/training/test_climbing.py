@@ -70,6 +70,16 @@ def test_a_rung_that_was_plainly_worth_its_climb_is_not_asked_back(gain, asked_b
     assert not climb.judge(30.05, 1000)[0] and climb.state.climbed == 0.3
 
 
+@pytest.mark.parametrize(
+    ("gain", "size", "kept"), [(0.09, 900, True), (0.0, 1000, True), (-0.01, 900, False), (0.09, 1001, False)]
+)
+def test_a_rung_that_is_no_larger_stays_where_nothing_is_lost(gain, size, kept):
+    climb = climb_at(2, min_gain=0.1)
+    climb.begin(GROW, 30.0, 1000, 0.4)
+    assert climb.judge(30.0 + gain, size)[0] is kept
+    assert climb.state.rung == (3 if kept else 2)
+
+
 def test_small_losses_do_not_add_up():
     """What is compared is the best field so far, not the one before the last reduction."""
     climb = climb_at(min_gain=0.1, reductions=("resolution",))
