@@ -97,7 +97,8 @@ def _tell_memory(settings: FitSettings, space: Space, context: Context) -> None:
         return found
 
     most, rung = max(((parameters(rung), rung) for rung in rungs), key=lambda found: found[0])
-    needed = FIT_BYTES + PARAMETER_BYTES * most
+    # A gradient buffer a thread: PARAMETER_BYTES has those of two.
+    needed = FIT_BYTES + (PARAMETER_BYTES + 4 * max(0, context.threads - 2)) * most
     if context.memory < needed:
         context.progress.say(
             f"--memory {in_words(context.memory)} is less than a field of {rung.resolution}^3 takes to fit, about "

@@ -40,7 +40,7 @@ from stylerf.training.referenced import Referenced
 from stylerf.training.repainting import Repainting
 from stylerf.training.stylize import Stylizer
 
-SPEC = Spec(stage="stylize", verb="stylize", revision=7, writes="field")
+SPEC = Spec(stage="stylize", verb="stylize", revision=8, writes="field")
 WORKING_BYTES = 1.5e9  # what a step takes beside what is kept of the views: pictures at full size, the trunk's graph
 KEPT_BYTES = 60  # about, for each pixel of a view: its photo, samples on its surfaces, features at half its size
 WORDS = {"refit": "new colours"}  # of phases that are not told by their own name
@@ -67,8 +67,11 @@ def run(inputs: dict[str, Artefact], config: StylizeConfig, partial: Partial, co
     if (saved := load_checkpoint(partial.checkpoint)) is not None:
         stylizer.resume(*saved)
         context.progress.say(f"going on from step {stylizer.state.step} of phase {stylizer.state.phase}")
-    with compiling_note(context.progress.say):
-        _train(stylizer, config, partial, context)
+    try:
+        with compiling_note(context.progress.say):
+            _train(stylizer, config, partial, context)
+    except InvalidValue as error:
+        raise BadInput(f"{inputs['field'].path}: {error}") from error
     save_field(partial.path, stylizer.field, background)
     if deformation is not None:
         save_deformation(partial.path, deformation)

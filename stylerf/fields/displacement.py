@@ -58,6 +58,18 @@ def displaced_occupancy(occupancy: Occupancy, displacement: np.ndarray) -> Occup
     return moved
 
 
+def at_rest(field: RadianceField) -> None:
+    """Take the deformation away from a field: where it is occupied is decided anew, from its own densities.
+
+    A deformed field keeps the cells that lead to something once they are moved, which are not those of what it holds.
+    """
+    if field.displacement is None:
+        return
+    field.displacement, highest = None, field.occupancy.highest
+    field.occupancy = Occupancy(field.occupancy.cells, highest)
+    field.occupancy.decide(field.step)
+
+
 def seen_cells(field: RadianceField, rays: Rays, cells: int, share: float, chunks: int) -> np.ndarray:
     """[cells, cells, cells] bool: cells of an even grid over the cube that rays see something of the field in.
 

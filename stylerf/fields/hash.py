@@ -93,16 +93,6 @@ class HashColour:
             out,
         )
 
-    def colours_at(self, x: np.ndarray, chunks: int) -> np.ndarray:
-        """[n, 3] colours of packed warped points [n, 3] float32."""
-        starts, ends = _pieces(len(x), chunks)
-        return self.colours(x, None, starts, ends, np.ones(len(x), np.float32), 0.0, chunks)
-
-    def backward_at(self, x: np.ndarray, colours: np.ndarray, colour_gradients: np.ndarray, to: np.ndarray) -> None:
-        """As backward, for packed points."""
-        starts, ends = _pieces(len(x), len(to))
-        self.backward(x, None, starts, ends, colours, colour_gradients, to)
-
     def smooth(self, strength: float, to: np.ndarray) -> None:
         """Add the gradient of strength/2 times the mean squared value to buffer `to` [len(values)].
 
@@ -123,9 +113,3 @@ class HashColour:
     @classmethod
     def restore(cls, data: dict, values: np.ndarray) -> "HashColour":
         return cls(data["levels"], data["base"], data["finest"], data["table"], values)
-
-
-def _pieces(n: int, chunks: int) -> tuple[np.ndarray, np.ndarray]:
-    """n packed samples as `chunks` rays, one to a chunk."""
-    edges = np.arange(chunks + 1, dtype=np.int64) * n // chunks
-    return edges[:-1].copy(), edges[1:].copy()

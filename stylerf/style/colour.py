@@ -3,8 +3,7 @@
     A = V_s^(1/2) V_c^(-1/2),  b = mu_s - A mu_c,  x' = A x + b        (ARF; symmetric square roots)
 
 with mu, V the weighted mean and covariance (1/N) of the content colours c and the style colours s. It is a map of
-colours as they are seen (sRGB-encoded, [0, 1]). Spherical-harmonic coefficients are not colours: see
-`match_harmonics`.
+colours as they are seen (sRGB-encoded, [0, 1]); spherical-harmonic coefficients are not colours.
 """
 
 from collections.abc import Iterable
@@ -18,7 +17,6 @@ from stylerf.light import LUMA
 
 VARIANCE_FLOOR = 1e-8  # eigenvalues of a covariance below this are raised to it (ARF clamps its singular values so)
 NOISE = (2 / 255) ** 2  # variance of content below which it is no colour but the noise of a photo in eight bits
-HARMONIC_0 = 0.28209479177387814  # the constant spherical harmonic, 1 / (2 sqrt(pi))
 
 
 @dataclass(frozen=True)
@@ -82,23 +80,6 @@ def match_colours(
     return ColourMap(matrix, mean_s - matrix @ mean_c)
 
 
-def match_luminance(
-    content: Tensor, style: Tensor, content_weights: Tensor | None = None, style_weights: Tensor | None = None
-) -> ColourMap:
-    """Hues kept: only the mean and spread of the luma (Rec.709 weights of sRGB values) become the style's.
-
-    x' = x + 1 (a - 1) l(x) + 1 b with l the luma, so that l(x') = a l(x) + b and differences between channels stay.
-    """
-    weights = torch.tensor(LUMA, dtype=torch.float64)
-    mean_c, covariance_c = colour_statistics(content.cpu(), _on_cpu(content_weights))
-    mean_s, covariance_s = colour_statistics(style.cpu(), _on_cpu(style_weights))
-    spread_c, spread_s = weights @ covariance_c @ weights, weights @ covariance_s @ weights
-    gain = torch.sqrt(spread_s.clamp_min(VARIANCE_FLOOR) / spread_c.clamp_min(VARIANCE_FLOOR))
-    ones = torch.ones(3, dtype=torch.float64)
-    matrix = torch.eye(3, dtype=torch.float64) + (gain - 1) * torch.outer(ones, weights)
-    return ColourMap(matrix, ones * (weights @ mean_s - gain * (weights @ mean_c)))
-
-
 def spread_at_least(painting: Tensor, least: float) -> Tensor:
     """A painting [3, h, w] to take colours from, whose luma has a standard deviation of at least `least` (0..0.25).
 
@@ -156,18 +137,6 @@ def strokes_in(painting: Tensor, least: float) -> float:
     flat = painting.double().flatten(1)
     spread = float((flat - flat.mean(1, keepdim=True)).square().mean()) ** 0.5
     return min(1.0, spread / least)
-
-
-def match_harmonics(coefficients: Tensor, colour_map: ColourMap) -> Tensor:
-    """Spherical-harmonic colours [..., bands, 3] whose value is mapped exactly.
-
-    A colour is 0.5 + C0 s_0 + sum_k Y_k(d) s_k, so A (colour) + b asks for
-    s_0' = A s_0 + (0.5 A 1 - 0.5 + b) / C0 and s_k' = A s_k. Holds where the field's own clamp does not act.
-    """
-    matrix, offset = colour_map.matrix.to(coefficients), colour_map.offset.to(coefficients)
-    mapped = coefficients @ matrix.T
-    shift = (0.5 * matrix.sum(dim=1) - 0.5 + offset) / HARMONIC_0
-    return torch.cat([mapped[..., :1, :] + shift, mapped[..., 1:, :]], dim=-2)
 
 
 def pixels_of(

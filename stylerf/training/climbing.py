@@ -12,7 +12,7 @@ from stylerf.training.fit_state import FitSettings, FitState
 from stylerf.training.ladders import Kinds, Rung
 
 LEAST_STEPS_PER_RUNG = 100
-# A reduction's trial: part of the budget, within these numbers of steps.
+# A reduction's trial: part of the budget, within these numbers of steps; a rung's, before it is dropped.
 TRIAL_SHARE, TRIAL_STEPS = 0.08, (50, 250)
 # dB that a reduction may take at first. A trial brings back about a third of a dB of what resolution held; of ranks it
 # brings back little, and what the views gain in its time as well hides that.
@@ -89,7 +89,8 @@ class Climb:
     """What is tried next, and what becomes of it; it knows no array.
 
     state.trial, while one is on: {what: `grow` or a reduction's name, before: dB, from, parameters: of the field
-    before; of a reduction also its first step, the step `until` which it goes on, and what was `given_up` before}.
+    before; of a rung the progress at which it was `begun` and, where it is prolonged, at which it ends; of a reduction
+    its first step, the step `until` which it goes on, and what was `given_up` before}.
     """
 
     def __init__(self, settings: FitSettings, state: FitState, judges: str) -> None:
@@ -164,9 +165,29 @@ class Climb:
             return False
         if trial["what"] != GROW and self.state.step >= trial["until"]:
             return True
-        return (trial["what"] == GROW and self._ripe(progress) and self._used_up(progress)) or (
-            progress >= self.settings.held_out_until
-        )
+        if trial["what"] == GROW and self.settings.always_climb:
+            return True  # nothing is to be decided: a fall later must lead back to this rung, not to the one before
+        due = trial["what"] == GROW and self._ripe(progress) and self._used_up(progress)
+        return (due and progress >= trial.get("longer", 0.0)) or progress >= self.settings.held_out_until
+
+    def prolonged(self, quality: float, parameters: int, progress: float) -> bool:
+        """Whether a rung that has not gained enough when its trial is over is tried longer; noted where it is.
+
+        After a few hundred of very many steps a rung shows little, and the views' noise may hide it: none is dropped
+        that has had less than TRIAL_SHARE of the budget.
+        """
+        trial = self.state.trial
+        until = min(trial.get("begun", 0.0) + TRIAL_SHARE, self.settings.held_out_until)
+        if trial["what"] != GROW or progress >= until or self._gained(quality, parameters):
+            return False
+        trial["longer"] = until
+        return True
+
+    def _gained(self, quality: float, parameters: int) -> bool:
+        """Whether the rung on trial has gained enough; one that costs nothing need gain nothing."""
+        trial, settings = self.state.trial, self.settings
+        least = settings.min_gain if parameters > trial["parameters"] else 0.0
+        return quality - trial["before"] >= least or settings.always_climb
 
     def hopeless(self, quality: float) -> bool:
         """Whether a reduction, just made, has lost more than it can win back."""
@@ -194,6 +215,7 @@ class Climb:
         before = self.rung
         state.trial = {"what": what, "before": quality, "from": asdict(before), "parameters": parameters}
         if what == GROW:
+            state.trial["begun"] = progress
             state.rung += 1
         else:
             state.whole = quality if state.whole is None else max(state.whole, quality)
@@ -208,11 +230,10 @@ class Climb:
         old, new, gain = Rung(**trial["from"]), self.rung, quality - trial["before"]
         names, sizes = (self.name(old), self.name(new)), (trial["parameters"], parameters)
         if trial["what"] == GROW:
-            least = (
-                settings.min_gain if parameters > trial["parameters"] else 0.0
-            )  # what costs nothing need gain nothing
-            kept = gain >= least or settings.always_climb
-            if kept:
+            kept = self._gained(quality, parameters)
+            if settings.always_climb:
+                text = f"{names[1]} after {names[0]}, as asked for"
+            elif kept:
                 self.state.climbed = round(gain, 3)
                 text = f"{names[1]} kept: {self.judges} gained {gain:.2f} dB over {names[0]}"
             else:

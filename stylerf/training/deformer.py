@@ -11,6 +11,7 @@ from torch import Tensor
 from stylerf.errors import InvalidValue
 from stylerf.fields.deformation import Deformation
 from stylerf.fields.displacement import (
+    at_rest,
     displaced_occupancy,
     nearest_of,
     occupancy_of_seen,
@@ -28,7 +29,7 @@ SIGHT_RAYS = 1 << 17  # rays that find out which vertices are seen
 
 
 class Deformer:
-    """Gives `field` a displacement grid of `vertices`^3 that follows `deformation`, and teaches it.
+    """Gives `field`, which is at rest, a displacement grid of `vertices`^3 that follows `deformation`, and teaches it.
 
     The network is asked at the vertices around what the cameras see of the field at rest; every other vertex moves as
     the nearest of these. clip: of the network's gradients, see Adam. gradients [chunks, 3 vertices^3]: where backward()
@@ -48,7 +49,7 @@ class Deformer:
         self.field, self.deformation, self.vertices = field, deformation, vertices
         self.clip = clip
         self.taken = 0
-        field.displacement = None
+        at_rest(field)
         rays = random_rays(cameras, SIGHT_RAYS, field.space.near, np.random.default_rng([seed, 7]))
         self.rest = occupancy_of_seen(field, rays, chunks)  # of the field at rest
         active = vertices_of(seen_cells(field, rays, vertices - 1, 0.1, chunks))
@@ -84,6 +85,9 @@ class Deformer:
 
     def look(self) -> None:
         """Find anew where the deformed field is occupied."""
+        # What has left the numbers the next loss tells.
+        if not np.isfinite(self.field.displacement).all():
+            return
         self.field.occupancy = displaced_occupancy(self.rest, self.field.displacement)
 
     def _place(self, distances: np.ndarray) -> None:

@@ -56,7 +56,14 @@ class DeviceDeformer(Deformer):
         self.gradients = torch.zeros(3 * self.vertices**3, device=self.device)
         values = torch.from_numpy(self.deformation.values).to(self.device, copy=True)
         self.adam = DeviceAdam(values, [(0, len(values), 1.0)], self.clip)
-        self._sizes, self._brought = Reports(self.device, 1, lambda sums, _: sums[0], 0.0), None
+        self._sizes, self._brought = self._no_sizes(), None
+
+    def _no_sizes(self) -> Reports:
+        return Reports(self.device, 1, lambda sums, _: sums[0], 0.0)
+
+    def restore(self, arrays: dict[str, np.ndarray]) -> None:
+        super().restore(arrays)
+        self._sizes = self._no_sizes()  # what is still on its way is of the state that was left
 
     def _gathered(self) -> Tensor:
         return self.gradients.view(-1, 3)

@@ -18,7 +18,7 @@ from stylerf.kernels.gpu import launch
 from stylerf.training.device_rays import DeviceBank, unhidden
 from stylerf.training.device_traffic import Reports
 from stylerf.training.engine import Batch, Learnt, parts_of
-from stylerf.training.optimiser import BETA1, BETA2, EPSILON
+from stylerf.training.optimiser import BETA1, BETA2, EPSILON, UNKNOWN
 from stylerf.training.ranks import ALONE, Ranks
 from stylerf.training.rays import RayBank
 
@@ -38,7 +38,7 @@ class DeviceAdam:
     def step(self, rate: float) -> None:
         """One update with learning rate `rate` times each group's factor; clears the gradients."""
         if self.clip > 0:
-            self.usual = clipped(self.gradients, self.clip, self.usual)
+            self.usual = clipped(self.gradients, self.clip, self.usual, self.steps)
         self.steps += 1
         corrections = 1 - BETA1**self.steps, 1 - BETA2**self.steps
         for begin, end, factor in _joined(self.groups):
@@ -60,14 +60,16 @@ class DeviceAdam:
         self.usual.fill_(float(arrays["steps"][1]) if len(arrays["steps"]) > 1 else 0.0)
 
 
-def clipped(gradients: Tensor, clip: float, usual: Tensor) -> Tensor:
+def clipped(gradients: Tensor, clip: float, usual: Tensor, steps: int) -> Tensor:
     """As optimiser.py's, of gradients [n]; nothing of it is asked of the host."""
     length = torch.linalg.vector_norm(gradients, dtype=torch.float64)
-    finite, known = torch.isfinite(length), usual > 0
-    shortened = torch.where(known, torch.minimum(length, clip * usual), length)
+    tells, known = torch.isfinite(length) & (length > 0), usual > 0
+    shortened = torch.minimum(length, clip * usual) if steps >= UNKNOWN else length
+    shortened = torch.where(known, shortened, length)
     share = torch.where(length > 0, shortened / length, 1.0)
-    gradients.mul_(torch.where(finite, share, 0.0).to(gradients.dtype)).nan_to_num_(0.0, 0.0, 0.0)
-    return torch.where(finite, torch.where(known, 0.9 * usual + 0.1 * shortened, shortened), usual)
+    gradients.mul_(torch.where(torch.isfinite(length), share, 0.0).to(gradients.dtype)).nan_to_num_(0.0, 0.0, 0.0)
+    newest = 0.1 if steps >= UNKNOWN else 1 / (steps + 1)
+    return torch.where(tells, torch.where(known, usual + newest * (shortened - usual), shortened), usual)
 
 
 def opacity_gradient(rendered: DeviceRendered, weight: float, rays: int) -> Tensor:

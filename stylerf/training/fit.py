@@ -299,7 +299,7 @@ class Fitter:
             self._roll_back(f"{self._judges} fell from {state.best:.1f} to {quality:.1f} dB")
             return
         self._stands(quality)
-        if climb.over(self.progress):
+        if climb.over(self.progress) and not climb.prolonged(quality, self.parameters, self.progress):
             quality = self._judge(quality)
         if state.trial is None and quality >= state.best:
             state.best = quality
@@ -312,7 +312,8 @@ class Fitter:
         while (reduction := climb.reduction_due(self.progress)) is not None:
             self._try(reduction, quality)
             reduced = self.held_out_psnr()
-            if not climb.hopeless(reduced):  # else it is never taught, and what teaches it need not be compiled
+            # What is refused at once is never taught, and what teaches it need not be compiled.
+            if climb.enough(reduced) or not climb.hopeless(reduced):
                 self._warm_up([climb.rung])
                 if not climb.enough(reduced):
                     break  # a while of teaching decides

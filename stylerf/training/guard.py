@@ -10,6 +10,11 @@ from stylerf.training.style_settings import StyleSettings, StyleState
 KEEP_EVERY = 25  # steps: what is kept is a checkpoint in memory, its copy costs about a tenth of a step
 
 
+def finite(arrays: dict[str, np.ndarray]) -> bool:
+    """Whether every value is."""
+    return all(np.isfinite(values).all() for values in arrays.values())
+
+
 class Guard:
     """asked: settings as they were asked for; their `rollbacks` of 0 keeps nothing and never goes back.
 
@@ -32,9 +37,9 @@ class Guard:
         if not self.most or (state.step % KEEP_EVERY and self._kept and self._kept[0]["phase"] == state.phase):
             return
         _, arrays = loop.checkpoint()
-        if not all(np.isfinite(values).all() for values in arrays.values()):
+        if not finite(arrays):
             return  # a gradient may have left the numbers where the loss had not
-        kept = {"phase": state.phase, "step": state.step}
+        kept = {"phase": state.phase, "step": state.step, "counts": dict(state.counts), "told": len(state.curve)}
         self._kept = kept, {name: np.array(values, copy=True) for name, values in arrays.items()}
 
     def go_back(self, loop: Any, parts: dict[str, float]) -> None:
@@ -45,5 +50,6 @@ class Guard:
         if rollbacks > self.most or self._kept is None or self._kept[0]["phase"] != state.phase:
             raise Diverged(told)
         kept, arrays = self._kept
-        counts = {**state.counts, "rollbacks": rollbacks}
-        loop.resume({"state": vars(state) | {"step": kept["step"], "counts": counts}}, arrays)
+        counts = {**kept["counts"], "rollbacks": rollbacks}
+        there = {"step": kept["step"], "counts": counts, "curve": state.curve[: kept["told"]]}
+        loop.resume({"state": vars(state) | there}, arrays)

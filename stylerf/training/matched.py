@@ -8,6 +8,8 @@ import torch
 
 from stylerf.style.colour import ColourMap, match_colours, pixels_of
 
+SOLID = 0.5  # coverage over which a pixel shows more of the object than of what is behind it
+
 
 @dataclass(frozen=True, eq=False)
 class ObjectPhotos:
@@ -48,6 +50,13 @@ def rendered_match(
     painting: torch.Tensor,
     seed: int,
 ) -> ColourMap:
-    """The map from rendered views' colours to the painting's (ARF's last step); half-covered pixels do not count."""
-    colours, weights = pixels_of([straight_rgba(*picture, least=0.5) for picture in pictures], seed=seed)
+    """The map from rendered views' colours to the painting's (ARF's last step).
+
+    Half-covered pixels do not count, unless there are no others: of haze, or of rods thinner than a pixel.
+    """
+    seen = [straight_rgba(*picture) for picture in pictures]
+    if any(bool((rgba[3] > SOLID).any()) for rgba in seen):
+        for rgba in seen:
+            rgba[3][rgba[3] <= SOLID] = 0
+    colours, weights = pixels_of(seen, seed=seed)
     return match_colours(colours.clamp(0, 1), painting.flatten(1).T, weights)

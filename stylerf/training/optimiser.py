@@ -1,10 +1,14 @@
 """Adam over the flat value arrays of field parts."""
 
+import math
+
 import numpy as np
 
 from stylerf.kernels.cpu.optimiser import adam
 
 BETA1, BETA2, EPSILON = 0.9, 0.99, 1e-15
+UNKNOWN = 10  # steps after which it is known how long a gradient usually is
+SUMMED = 1 << 16  # values whose gradients are summed over the chunks at a time
 
 
 class Adam:
@@ -23,7 +27,7 @@ class Adam:
     def step(self, rate: float) -> None:
         """One update with learning rate `rate` times each group's factor."""
         if self.clip > 0:
-            self.usual = clipped(self.gradients, self.clip, self.usual)
+            self.usual = clipped(self.gradients, self.clip, self.usual, self.steps)
         self.steps += 1
         corrections = np.float32(1 - BETA1**self.steps), np.float32(1 - BETA2**self.steps)
         for begin, end, factor in self.groups:
@@ -53,18 +57,31 @@ class Adam:
         self.usual = float(arrays["steps"][1]) if len(arrays["steps"]) > 1 else 0.0
 
 
-def clipped(gradients: np.ndarray, clip: float, usual: float) -> float:
+def clipped(gradients: np.ndarray, clip: float, usual: float, steps: int) -> float:
     """Shortens the sum over chunks of gradients [chunks, n], in place, to `clip` times the usual length; the new usual.
 
-    usual: running mean (9 parts of 10 the past) of the lengths after clipping; 0 before the first step, which sets it.
-    A gradient that is not finite counts as none: one ray of NaN would otherwise stay in the moments for good.
+    usual: of the first UNKNOWN steps the plain mean of the lengths, of which none is shortened: a network whose last
+    layer begins at zero has next to no gradient at first. Then a running mean (9 parts of 10 the past) of the lengths
+    after clipping. Gradients of nothing but zeros tell nothing. One that is not finite counts as none: one ray of NaN
+    would otherwise stay in the moments for good. steps: taken before.
     """
-    whole = gradients.sum(0) if len(gradients) > 1 else gradients[0]
-    length = float(np.sqrt(np.square(whole, dtype=np.float64).sum()))
+    length = _length(gradients)
     if not np.isfinite(length):
         gradients[:] = 0
         return usual
-    if usual > 0 and length > clip * usual:
+    if length == 0:
+        return usual
+    if steps < UNKNOWN or usual == 0:
+        return usual + (length - usual) / (steps + 1) if usual > 0 else length
+    if length > clip * usual:
         gradients *= np.float32(clip * usual / length)
         length = clip * usual
-    return 0.9 * usual + 0.1 * length if usual > 0 else length
+    return 0.9 * usual + 0.1 * length
+
+
+def _length(gradients: np.ndarray) -> float:
+    """Of the sum over chunks. A part at a time: where memory lacks, half of a step must not have been made."""
+    squares = 0.0
+    for at in range(0, gradients.shape[1], SUMMED):
+        squares += float(np.square(gradients[:, at : at + SUMMED].sum(0), dtype=np.float64).sum())
+    return math.sqrt(squares) if math.isfinite(squares) else squares

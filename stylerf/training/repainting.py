@@ -21,7 +21,7 @@ from stylerf.style.colour import ColourMap, match_colours, spread_at_least, spre
 from stylerf.style.objective import EVERYTHING, Content, GramObjective, StyleObjective, window_of
 from stylerf.style.trunks import Trunk
 from stylerf.training.geometry import FixedGeometry, MovingGeometry
-from stylerf.training.guard import Guard
+from stylerf.training.guard import Guard, finite
 from stylerf.training.kept import Kept
 from stylerf.training.matched import ObjectPhotos, rendered_match
 from stylerf.training.optimiser import Adam
@@ -64,7 +64,9 @@ class Repainting:
     ) -> None:
         self.device, self.memory = device, memory
         weights, strokes = settings.weights, strokes_in(painting, settings.least_spread)
-        settings = replace(settings, weights=replace(weights, style=strokes * weights.style))
+        # A painting that counts as less of a style moves shapes less, too: Adam's steps are as long for a weak loss.
+        weights, rate = replace(weights, style=strokes * weights.style), strokes * settings.deform_rate
+        settings = replace(settings, weights=weights, deform_rate=rate)
         self.settings, self.seed, self.chunks, self.background = settings, seed, chunks, np.float32(background)
         self._guard = Guard(settings)
         self.cameras, self.painting, self.trunk = cameras, painting, trunk
@@ -271,6 +273,10 @@ class Repainting:
                 self._guard.look(self)
                 self.between_steps = True
                 on_step(self)
+            if not finite(self.checkpoint()[1]):  # the last step's own result, which no loss has told of
+                self._guard.go_back(self, {"values": math.nan})
+                state = self.state
+                continue
             self._next_phase()
 
     def _next_phase(self) -> None:

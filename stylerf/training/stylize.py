@@ -9,6 +9,7 @@ import numpy as np
 import torch
 
 from stylerf.fields.deformation import Deformation
+from stylerf.fields.displacement import at_rest
 from stylerf.fields.field import RadianceField
 from stylerf.geometry.cameras import Camera
 from stylerf.rendering.strategies import selected_gradient, selected_pixels, spread_over_picture
@@ -20,6 +21,9 @@ from stylerf.training.style_settings import StyleSettings
 
 BESIDE = 3  # feature positions beside a silhouette that may move: what stands out from it shows there, or is missing
 COARSEST_STEP = 1 / 128  # cube units; of a field whose rays are walked anew in every step
+# Style steps in which the rate of shapes rises. Adam's first steps have no past, and weights of one sign move together:
+# the whole scene would slide by some cells, which a short stylisation does not undo.
+SHAPE_RAMP = 10
 
 
 class Stylizer(Repainting):
@@ -55,6 +59,7 @@ class Stylizer(Repainting):
     def _prepare_shapes(self) -> None:
         if self._deformation is not None:
             vertices = self.settings.displacement_vertices
+            at_rest(self.field)  # by the step that its densities were fitted with
             # A walk costs by its samples, and its step cannot change later: colours are learnt where it samples them.
             self.field.step = max(self.field.step, COARSEST_STEP)
             given = self.field, self._deformation, self.cameras, vertices, self.seed, self.chunks
@@ -105,7 +110,8 @@ class Stylizer(Repainting):
         self.adam.step(settings.rate * falling)
         if self.deformer is not None:
             weight = settings.displacement_weight
-            parts["displacement"] = self.deformer.step(settings.deform_rate * falling, weight)
+            rising = min(1.0, (self.state.step + 1) / SHAPE_RAMP)
+            parts["displacement"] = self.deformer.step(settings.deform_rate * falling * rising, weight)
         return parts
 
     def _also_learn(self, generator: np.random.Generator) -> dict[str, float]:

@@ -64,16 +64,10 @@ def test_position_gradient_equals_the_oracle(layout):
         assert (np.delete(out, at, 0) == 0.5).all()
 
 
-def test_free_points_are_coloured_and_taught_alike():
-    made, s = made_of("mixed")
-    values = float64(made.values).requires_grad_()
-    expected = oracle_colour(made, values, None, float64(s.x))
-    close(made.colours_at(s.x, 3), expected, 3e-6)
-    gradients = np.random.default_rng(3).normal(size=(len(s.x), 3)).astype(np.float32)
-    (expected * float64(gradients)).sum().backward()
-    to = buffers(3, len(made.values))
-    made.backward_at(s.x, made.colours_at(s.x, 3), gradients, to)
-    close(added(to), values.grad, 1e-5)
+def coloured(made, x):
+    """[n, 3] colours of points [n, 3], as one ray."""
+    ends = np.array([len(x)], np.int64)
+    return made.colours(x, None, np.zeros(1, np.int64), ends, np.ones(len(x), np.float32), 0.0, 1)
 
 
 def test_far_logits_saturate_without_leaving_the_finite_numbers():
@@ -81,13 +75,13 @@ def test_far_logits_saturate_without_leaving_the_finite_numbers():
     x = np.full((1, 3), 0.3, np.float32)
     for level in (-1e30, -200.0, -50.0, 50.0, 200.0, 1e30):
         made.values[:] = level / 2
-        assert made.colours_at(x, 1)[0].tolist() == pytest.approx([float(level > 0)] * 3, rel=2e-7, abs=1e-20)
+        assert coloured(made, x)[0].tolist() == pytest.approx([float(level > 0)] * 3, rel=2e-7, abs=1e-20)
 
 
 def test_sigmoid_is_exact_over_its_range():
     made = hash_colour(1, levels=1, base=1, finest=1, table=8)
     for z in np.linspace(-20, 20, 801, dtype=np.float32):
         made.values[:] = z / 2
-        found = made.colours_at(np.full((1, 3), 0.5, np.float32), 1)[0]
+        found = coloured(made, np.full((1, 3), 0.5, np.float32))[0]
         # The polynomial's 3e-7, and the rounding of an exponent as large as z.
         np.testing.assert_allclose(found, 1 / (1 + np.exp(-np.float64(z))), rtol=5e-7 + 1e-7 * abs(z))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from stylerf.training.optimiser import BETA1, BETA2, EPSILON, Adam, clipped
+from stylerf.training.optimiser import BETA1, BETA2, EPSILON, UNKNOWN, Adam, clipped
 
 
 def gradients_of(step: int, length: int) -> np.ndarray:
@@ -84,16 +84,31 @@ def test_a_leap_is_shortened_to_what_is_usual_and_the_direction_stays():
     """Gradients split over two chunks; lengths by another norm."""
     whole = gradients_of(1, 30)
     parts = np.stack([0.25 * whole, 0.75 * whole])
-    usual = clipped(parts, 2.0, 0.0)
+    usual = clipped(parts, 2.0, 0.0, 0)
     assert usual == pytest.approx(np.linalg.norm(whole), rel=1e-5)  # the first sets it, and is not touched
     np.testing.assert_array_equal(parts[1], 0.75 * whole)
     leap = 50 * parts
-    after = clipped(leap, 2.0, usual)
+    after = clipped(leap, 2.0, usual, UNKNOWN)
     np.testing.assert_allclose(leap.sum(0), 2.0 * whole, rtol=1e-5)
     assert after == pytest.approx(0.9 * usual + 0.1 * 2.0 * usual, rel=1e-5)
     small = 1.5 * parts
-    clipped(small, 2.0, usual)
+    clipped(small, 2.0, usual, UNKNOWN)
     np.testing.assert_array_equal(small, 1.5 * parts)
+    nothing = np.zeros_like(parts)
+    assert clipped(nothing, 2.0, usual, UNKNOWN) == usual  # tells nothing of what is usual
+
+
+def test_what_is_usual_is_learnt_before_anything_is_shortened():
+    """A first gradient of next to nothing, as of a network whose last layer begins at zero, holds no later one down."""
+    usual, lengths = 0.0, [1e-4, *range(1, UNKNOWN)]
+    for step, length in enumerate(lengths):
+        one = np.full((1, 4), length / 2, np.float32)
+        usual = clipped(one, 2.0, usual, step)
+        np.testing.assert_array_equal(one, np.float32(length / 2))
+    assert usual == pytest.approx(np.mean(lengths), rel=1e-5)
+    leap = np.full((1, 4), 50.0, np.float32)
+    clipped(leap, 2.0, usual, UNKNOWN)
+    assert np.linalg.norm(leap) == pytest.approx(2 * usual, rel=1e-5)
 
 
 def test_a_gradient_of_nan_is_no_step_and_without_a_clip_nothing_changes():

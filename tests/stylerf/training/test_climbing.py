@@ -80,6 +80,27 @@ def test_a_rung_that_is_no_larger_stays_where_nothing_is_lost(gain, size, kept):
     assert climb.state.rung == (3 if kept else 2)
 
 
+def test_a_rung_is_not_dropped_after_next_to_no_part_of_the_budget():
+    """In a contraction coarse rungs end after so many steps, of many thousands a fiftieth."""
+    climb = climb_at(1, step=1350, min_gain=0.1, steps=50_000, longest=(350, 850, 1350, 1350))
+    climb.begin(GROW, 30.0, 1000, 0.027)
+    assert climb.over(0.038) and climb.prolonged(30.06, 2000, 0.038)
+    assert not climb.over(0.1) and climb.over(0.11)
+    assert not climb.prolonged(30.06, 2000, 0.11) and not climb.judge(30.06, 2000)[0]
+    climb = climb_at(1, step=1350, min_gain=0.1, steps=50_000, longest=(350, 850, 1350, 1350))
+    climb.begin(GROW, 30.0, 1000, 0.027)
+    assert not climb.prolonged(30.2, 2000, 0.038) and climb.judge(30.2, 2000)[0]  # what is plain is not waited for
+
+
+def test_a_capacity_that_was_asked_for_is_on_no_trial():
+    """What it has grown to stands at the next look: a fall leads back to it, not to the rung before."""
+    climb = climb_at(2, always_climb=True)
+    climb.begin(GROW, 30.0, 1000, 0.4)
+    assert climb.over(0.4)
+    kept, text = climb.judge(28.5, 2000)
+    assert kept and climb.state.rung == 3 and text.endswith("as asked for")
+
+
 def test_small_losses_do_not_add_up():
     """What is compared is the best field so far, not the one before the last reduction."""
     climb = climb_at(min_gain=0.1, reductions=("resolution",))

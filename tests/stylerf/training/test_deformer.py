@@ -57,6 +57,28 @@ def test_a_step_goes_down_the_gradient_that_the_grid_was_given(scene):
     assert moved[1][0] < 0.5 * moved[0][0]
 
 
+def test_a_field_that_is_deformed_already_is_moved_from_where_it_rests(scene):
+    """Moved by some cells and taken up again, as a stylisation does: occupied is what was, not what is moved twice."""
+    first = Deformer(scene(), deformation(), dome(4, 1), 8, 0, 1)
+    values = first.values()
+    values[-3:] = 2.0, 0.0, -2.0  # the last layer's biases: everything by 0.034 of the cube
+    first.take(values)
+    moved = first.field.occupancy
+    assert (moved.distances != first.rest.distances).any()
+    again = Deformation.restore(deformation().describe(), values)
+    second = Deformer(first.field, again, dome(4, 1), 8, 0, 1)
+    np.testing.assert_array_equal(second.rest.distances, first.rest.distances)
+    np.testing.assert_array_equal(second.field.occupancy.distances, moved.distances)
+
+
+def test_where_it_has_left_the_numbers_nothing_is_looked_for(scene):
+    deformer = Deformer(scene(), deformation(), dome(4, 1), 8, 0, 1)
+    before = deformer.field.occupancy.distances.copy()
+    deformer._set(np.full_like(deformer.values(), np.nan))
+    deformer.look()
+    np.testing.assert_array_equal(deformer.field.occupancy.distances, before)
+
+
 def test_gradient_reaches_the_network_exactly(scene):
     deformer = Deformer(scene(), deformation(), dome(4, 1), 6, 0, 1)
     random = np.random.default_rng(3)

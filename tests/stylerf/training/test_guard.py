@@ -68,6 +68,42 @@ def test_what_it_goes_back_to_is_the_kept_state_to_the_bit():
     assert_same_bits(result_of(one)[1], result_of(other)[1])
 
 
+def test_what_was_counted_and_told_since_is_forgotten():
+    one = poisoned({11}, rollbacks=1, steps=14)
+    plain = one._step
+
+    def counted() -> dict[str, float]:
+        one.state.counts["steps"] = one.state.counts.get("steps", 0) + 1
+        return plain()
+
+    one._step = counted
+    one.run()
+    assert one.state.counts == {"steps": 14, "rollbacks": 1}
+    assert [told["step"] for told in one.state.curve if told["phase"] == "style"] == [10]
+
+
+@pytest.mark.parametrize("rollbacks", [0, 1])
+def test_the_last_step_is_looked_at_too(rollbacks):
+    """What it leaves no loss tells of."""
+    one = made(Stylizer, match="none", steps=12, refit_steps=4, rollbacks=rollbacks)
+    plain, left = one._step, [11]
+
+    def step() -> dict[str, float]:
+        parts = plain()
+        if left and one.state.step == left[0]:
+            left.pop()
+            one.field.colour.values[:] = np.nan
+        return parts
+
+    one._step = step
+    if not rollbacks:
+        with pytest.raises(Diverged):
+            one.run()
+        return
+    one.run()
+    assert np.isfinite(one.field.colour.values).all() and one.state.phase == "done"
+
+
 def test_too_often_is_the_end():
     with pytest.raises(Diverged):
         poisoned({2, 3, 5}, rollbacks=2).run()

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from stylerf.style.colour import match_colours
-from stylerf.training.matched import ObjectPhotos
+from stylerf.training.matched import ObjectPhotos, rendered_match
 from tests.stylerf.style.small_trunk import picture
 
 
@@ -35,3 +35,18 @@ def test_a_half_covered_pixel_is_half_the_painting_and_half_the_background():
     alpha = np.full((6, 6), 0.5, np.float32)
     found = matched(photo, alpha, 1.0, picture(8, 8, 3))
     assert found.min() >= 0.5 - 1e-6 and found.max() <= 1 + 1e-6
+
+
+def test_half_covered_pixels_count_where_there_are_no_others():
+    """Haze, or rods thinner than a pixel, would otherwise end a stylisation after its last step."""
+    painting, colours = picture(16, 16, 5), picture(12, 12, 6).permute(1, 2, 0).numpy()
+
+    def after(coverage: float, beside: float) -> np.ndarray:
+        alpha = np.full((12, 12), coverage, np.float32)
+        alpha[:6] = beside
+        change = rendered_match([(colours * alpha[..., None], alpha)], painting, 0)
+        return np.cov(change(torch.from_numpy(colours[6:].reshape(-1, 3)).double()).numpy().T, ddof=0)
+
+    wanted = np.cov(painting.flatten(1).double().numpy(), ddof=0)
+    np.testing.assert_allclose(after(0.3, 0.0), wanted, atol=1e-4)
+    np.testing.assert_allclose(after(0.9, 0.4), wanted, atol=1e-4)  # the upper half does not count
