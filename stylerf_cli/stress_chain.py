@@ -308,8 +308,9 @@ class Stress:
     def _tidy(self, place: Path, all_stand: bool) -> None:
         """Scenes and fields go when nothing more is made of them, also those that a killed run has left; not what is
         to be kept, or was. Outcomes stay."""
-        left = all_stand and not self._only and not (place / KEPT).exists()
-        if not self.config.keep and (place in self._worked_in or left):
+        if self.config.keep or (place / KEPT).exists():
+            return
+        if place in self._worked_in or (all_stand and not self._only):
             shutil.rmtree(place, ignore_errors=True)
 
 

@@ -199,6 +199,42 @@ def test_what_a_killed_run_left_goes_once_all_of_it_stands(folder, runs, capsys)
     assert stress(folder) == 0 and not left.exists() and kept.exists()
 
 
+class Stages:
+    """Stands in for every stage that a stress executes: a folder and a second each. made: place, stage and seed."""
+
+    def __init__(self) -> None:
+        self.made: list[tuple[str, str, int]] = []
+        self.raising: dict[str, Exception] = {}  # by stage
+
+    def execute(self, spec, run, work, name, inputs, config, context):
+        self.made.append((work.root.name, spec.stage, context.seed))
+        (work.root / spec.writes).mkdir(parents=True, exist_ok=True)
+        if error := self.raising.get(spec.stage):
+            raise error
+        return SimpleNamespace(manifest=SimpleNamespace(seconds=1.0)), False
+
+
+@pytest.fixture
+def stages(monkeypatch):
+    stand_in, view = Stages(), Seen("v", np.zeros((4, 4, 3)), np.ones((4, 4, 3)))
+    monkeypatch.setattr(stress_chain, "execute", stand_in.execute)
+    monkeypatch.setattr(stress_chain, "seen_from_tests", lambda *_: [view])
+    monkeypatch.setattr(stress_chain.criteria, "judged_style", lambda *_: Verdict(True, "", 0.5, 0))
+    monkeypatch.setattr(stress_chain, "painted", lambda *_: np.zeros((16, 16, 3)))
+    return stand_in
+
+
+def test_a_run_without_keep_leaves_what_another_kept(folder, stages, capsys):
+    one = ("--faults", "seeds", "--seeds", "1", "--budget", "10")
+    place = folder / "stress" / "works" / "seeds-0"
+    assert main(["stress", str(folder), "--methods", "fit", *one]) == 0 and not place.exists()
+    assert main(["stress", str(folder), "--methods", "arf", *one, "--keep"]) == 0 and (place / "field").is_dir()
+    made = len(stages.made)
+    assert main(["stress", str(folder), "--methods", "desrf", *one]) == 0
+    assert len(stages.made) > made and (place / "field").is_dir()
+    assert main(["stress", str(folder), "--methods", "desrf", *one, "--force"]) == 0 and not place.exists()
+
+
 def test_a_fault_that_a_scene_cannot_have_is_left_out(folder, runs, capsys):
     runs.raising = {("scene", "blur", seed): BadInput("too small to blur") for seed in range(3)}
     assert stress(folder, "--json") == 0
