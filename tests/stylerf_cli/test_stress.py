@@ -287,6 +287,19 @@ def test_a_baseline_of_other_cells_passes_nothing(folder, runs, capsys, tmp_path
     assert "no cell could be compared" in capsys.readouterr().err
 
 
+def test_what_stands_of_a_stress_that_was_stopped_is_no_baseline_and_passes_none(folder, runs, capsys, tmp_path):
+    baseline = tmp_path / "baseline.json"
+    assert stress(folder, "--write-baseline", str(baseline)) == 0
+    kept = baseline.read_bytes()
+    for path in (folder / "stress" / "runs").iterdir():
+        if path.name.split("--")[2] != "0":
+            path.unlink()
+    assert stress(folder, "--only", "--baseline", str(baseline)) == 1
+    assert "no cell could be compared" in (told := capsys.readouterr().err) and "number of runs 1, was 3" in told
+    assert stress(folder, "--only", "--write-baseline", str(baseline)) == 2
+    assert "has 1 of 3 runs" in capsys.readouterr().err and baseline.read_bytes() == kept
+
+
 def test_remedies_stand_beside_runs_without(folder, runs, capsys):
     assert stress(folder) == 0
     capsys.readouterr()
