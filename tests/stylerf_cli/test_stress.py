@@ -2,6 +2,7 @@
 
 import csv
 import json
+import os
 import shutil
 from types import SimpleNamespace
 
@@ -29,8 +30,10 @@ class Runs:
         self.made: list[tuple[str, str, int, bool]] = []
         self.answers = {("fit", "blur"): 9.0}
         self.raising: dict[tuple[str, str, int], BaseException] = {}
+        self.during = lambda: None
 
     def scene(self, trial):
+        self.during()
         if error := self.raising.get(("scene", trial.fault.name, trial.seed)):
             raise error
 
@@ -104,6 +107,28 @@ def test_what_stands_is_not_run_again(folder, runs, capsys):
     assert stress(folder, "--style-budget", "11", "--seed", "1") == 0 and len(runs.made) == 40 + 5  # seed 3 is new
     assert stress(folder) == 0 and len(runs.made) == 45  # what was run first is there still
     capsys.readouterr()
+
+
+def test_a_second_stress_of_a_work_folder_is_refused_until_the_first_ends(folder, runs, capsys):
+    codes: list[tuple[int, int]] = []
+
+    def second() -> None:
+        if len(runs.made) in (0, 14):
+            runs.during = lambda: None
+            codes.append((stress(folder), stress(folder, "--only")))
+            runs.during = second
+
+    runs.during = second
+    assert stress(folder) == 0 and len(runs.made) == 15
+    assert codes == [(5, 4), (5, 0)]  # nothing stood at first
+    told = f"stress runs is being written by another process ({os.getpid()}); wait for it to end, or add --only"
+    assert told in capsys.readouterr().err
+    runs.during = lambda: None
+    assert stress(folder, "--force") == 0
+    runs.raising["fit", "seeds", 0] = OutOfResources("no space")
+    assert stress(folder, "--force") == 5 and "no space" in capsys.readouterr().err
+    runs.raising.clear()
+    assert stress(folder, "--force") == 0
 
 
 def test_nothing_stands_and_nothing_faces(folder, runs, capsys):
