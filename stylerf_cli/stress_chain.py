@@ -77,7 +77,8 @@ class Trial:
 class Stress:
     """Makes the runs of a config that do not stand yet. root: WORK/stress. source: the scene to be spoilt.
 
-    conditions: what all runs share and a baseline must share with them, here with trunk, device and criteria.
+    conditions: what all runs share and a baseline must share with them, here with trunk, device, criteria and
+    paintings.
     """
 
     def __init__(self, session: Any, config: StressConfig, source: Artefact, root: Path) -> None:
@@ -89,6 +90,7 @@ class Stress:
             "features": self.features["features"],
             "device": session.context.device,
             "criteria": criteria.REVISION,
+            "paintings": paintings.REVISION,
         }
         self.missing: dict[str, str] = {}
         self._worked_in: set[Path] = set()
@@ -200,17 +202,18 @@ class Stress:
     def painting(self, trial: Trial) -> tuple[Path, str]:
         """The painting of a trial, the fault's or the ordinary one, and its digest.
 
-        It is made where it is missing; where nothing is to be run, for its digest alone.
+        It is made where it is missing, with --force once anew; where nothing is to be run, for its digest alone.
         """
         fault = trial.fault if trial.fault.of == STYLE else None
         side = int(fault.amount) if fault else ORDINARY_STYLE
         if self.conditions["quick"] and fault and fault.name == "style-huge":
             side //= 4
-        path = self.root / "styles" / f"{fault.name if fault else 'ordinary'}-{side}-{trial.seed}.png"
+        name = f"{fault.name if fault else 'ordinary'}-{side}-{trial.seed}-r{paintings.REVISION}.png"
+        path = self.root / "styles" / name
         if path not in self._digests:
             with TemporaryDirectory() as aside:
-                file = Path(aside) / path.name if self._only and not path.is_file() else path
-                if not file.is_file():
+                file = Path(aside) / name if self._only and not path.is_file() else path
+                if not file.is_file() or (self._afresh and not self._only):
                     write_png(file, to_uint8(painted(fault.name if fault else "", side, trial.seed)))
                 self._digests[path] = file_sha256(file)
         return path, self._digests[path]

@@ -194,6 +194,28 @@ def test_what_stands_is_found_without_its_painting(folder, runs, capsys):
     assert not (folder / "stress" / "styles").exists()
 
 
+def test_paintings_are_made_anew_by_force_and_of_another_revision(folder, runs, capsys, monkeypatch, tmp_path):
+    baseline, painted = str(tmp_path / "baseline.json"), []
+
+    def other(fault, side, seed):
+        painted.append((fault, seed))
+        return np.full((16, 16, 3), 0.9)
+
+    assert stress(folder, "--write-baseline", baseline) == 0
+    before = {path.name: path.read_bytes() for path in (folder / "stress" / "styles").iterdir()}
+    monkeypatch.setattr(stress_chain, "painted", other)
+    assert stress(folder) == 0 and painted == [] and len(runs.made) == 15
+    assert stress(folder, "--force", "--only") == 4 and painted == []
+    assert stress(folder, "--force") == 0
+    assert sorted(painted) == [("", 0), ("", 1), ("", 2), *(("style-white", seed) for seed in range(3))]
+    assert all((folder / "stress" / "styles" / name).read_bytes() != content for name, content in before.items())
+    assert stress(folder, "--baseline", baseline) == 0  # who changes a painting tells by its revision
+    monkeypatch.setattr(stress_chain.paintings, "REVISION", 2)
+    capsys.readouterr()
+    assert stress(folder, "--baseline", baseline) == 2 and "paintings 1, now 2" in capsys.readouterr().err
+    assert stress(folder) == 0 and len(painted) == 12
+
+
 def test_a_baseline_does_not_replace_itself(folder, runs, capsys, tmp_path):
     baseline = folder / "stress" / "baseline.json"
     assert stress(folder, "--write-baseline") == 0
@@ -362,7 +384,7 @@ def test_an_edits_options_follow_its_fault(folder, runs, capsys):
         conditions = {"quick": quick, "style_budget": budget}
         painting = None
         if METHODS[method].sees_painting:
-            file = folder / "stress" / "styles" / "ordinary-256-0.png"
+            file = folder / "stress" / "styles" / f"ordinary-256-0-r{stress_chain.paintings.REVISION}.png"
             painting = {"style": str(file), "style_digest": file_sha256(file)}
         return stress_edits.options_of(METHODS[method], FAULTS[fault], remedies, conditions, painting)
 
