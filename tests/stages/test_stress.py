@@ -212,6 +212,10 @@ def test_page_and_tables_tell_the_same(tmp_path):
     assert page.count("<svg") == 1 and "<script" not in page and page.count("data:image/png") == 1
     assert "2 of 4" in page and "too far off" in page and "too few" in page and "side 24" in page
     assert all(escape(fault.told) in page for fault in FAULTS.values())
+    # The criteria are those that judge: of a stylisation no SSIM (decision 0037).
+    asked = page[page.index("A stylisation succeeds") : page.index("A local edit succeeds")]
+    assert "the share that a straight line from the render’s luma explains" in asked and "SSIM" not in asked
+    assert "at least 0.33 of the photos’ structure" in asked
     rows = cell_rows(cells)
     assert [row["rate"] for row in rows] == [1.0, 0.5, 1.0, 0.0] and rows[1]["worst_seed"] == 2
     assert len(run_rows(outcomes)) == 10 and run_rows(outcomes)[8]["method"] == "arf + remedies"
