@@ -74,6 +74,10 @@ class Trial:
         return f"{self.method.name}{REMEDIED_FILE if self.remedies else ''}"
 
 
+class FitFailed(Exception):
+    """A fit that failed earlier in this command; told in the words of its fault."""
+
+
 class Stress:
     """Makes the runs of a config that do not stand yet. root: WORK/stress. source: the scene to be spoilt.
 
@@ -95,6 +99,7 @@ class Stress:
         self.missing: dict[str, str] = {}
         self._worked_in: set[Path] = set()
         self._digests: dict[Path, str] = {}  # of paintings
+        self._failed: dict[tuple[Path, FitConfig], tuple[str, float]] = {}  # fits: why, and seconds
         self._seconds = 0.0  # of all that the run in progress is made of
         self._afresh, self._only = False, False
 
@@ -238,7 +243,7 @@ class Stress:
             raise
         except Exception as error:
             # A method that breaks has failed, however it breaks: that is what is counted here.
-            verdict = criteria.Verdict(False, f"{type(error).__name__}: {error}"[:300], None, 0)
+            verdict = criteria.Verdict(False, why_of(error), None, 0)
             (self.root / WORST / picture).unlink(missing_ok=True)
             picture = ""
         else:
@@ -282,12 +287,28 @@ class Stress:
     def _scene(self, trial: Trial) -> Artefact:
         return self._execute(trial, fault_scene, {}, self.fault_config(trial), "main")
 
+    def _fitted(self, trial: Trial, scene: Artefact, name: str) -> Artefact:
+        """Its fit. One that has failed fails at once for all that would be made of it: it would fail again."""
+        config = self.fit_config(trial)
+        recipe = self._place(trial).root, config
+        if recipe in self._failed:
+            why, seconds = self._failed[recipe]
+            self._seconds += seconds
+            raise FitFailed(why)
+        before = self._seconds
+        try:
+            return self._execute(trial, nerf_fit, {"scene": scene}, config, name)
+        except NOT_OF_A_METHOD:
+            raise
+        except Exception as error:
+            self._failed[recipe] = why_of(error), self._seconds - before
+            raise
+
     def _verdict(self, trial: Trial, scene: Artefact) -> tuple[criteria.Verdict, np.ndarray]:
         """And the picture of the worst view."""
         method, threads = trial.method, self.session.context.threads
-        suffix = REMEDIED_FILE if trial.remedies else ""
-        fit_name = f"fit-{method.field}{suffix}"
-        field = self._execute(trial, nerf_fit, {"scene": scene}, self.fit_config(trial), fit_name)
+        fit_name = f"fit-{method.field}{REMEDIED_FILE if trial.remedies else ''}"
+        field = self._fitted(trial, scene, fit_name)
         if method.edit:
             chain, options = partial(self._execute, trial), self.edit_options(trial)
             after, region = stress_edits.edited(chain, scene, field, options, threads)
@@ -315,6 +336,11 @@ class Stress:
             return
         if place in self._worked_in or (all_stand and not self._only):
             shutil.rmtree(place, ignore_errors=True)
+
+
+def why_of(error: Exception) -> str:
+    """What an outcome tells of a fault."""
+    return str(error) if isinstance(error, FitFailed) else f"{type(error).__name__}: {error}"[:300]
 
 
 def painted(fault: str, side: int, seed: int) -> np.ndarray:

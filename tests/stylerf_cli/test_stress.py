@@ -282,6 +282,22 @@ def test_a_run_without_keep_leaves_what_another_kept(folder, stages, capsys):
     assert main(["stress", str(folder), "--methods", "desrf", *one, "--force"]) == 0 and not place.exists()
 
 
+def test_a_fit_that_fails_is_not_run_again_for_what_would_be_made_of_it(folder, stages, capsys):
+    stages.raising["nerf_fit"] = Diverged("left the finite numbers")
+    methods = ("fit", "fit-hash", "arf", "desrf", "laenerf-recolour")
+    more = ("--faults", "seeds", "blur", "style-white", "--seeds", "2", "--budget", "10", "--remedies", "both")
+    assert main(["stress", str(folder), "--methods", *methods, *more, "--json"]) == 0
+    fits = [place for place, stage, _ in stages.made if stage == "nerf_fit"]
+    # Of each scene and seed: vm and hash, without remedies and with them.
+    assert {place: fits.count(place) for place in fits} == dict.fromkeys(("seeds-0", "seeds-1", "blur-0", "blur-1"), 4)
+    cells = json.loads(capsys.readouterr().out)["cells"]
+    assert len(cells) == 2 * (5 + 5 + 2) and all(cell["successes"] == 0 for cell in cells)
+    assert {why for cell in cells for why in cell["whys"]} == {"Diverged: left the finite numbers"}
+    stages.raising.clear()
+    assert main(["stress", str(folder), "--methods", *methods[:4], *more, "--force", "--json"]) == 0
+    assert "Diverged" not in capsys.readouterr().out  # another command tries again
+
+
 def test_a_fault_that_a_scene_cannot_have_is_left_out(folder, runs, capsys):
     runs.raising = {("scene", "blur", seed): BadInput("too small to blur") for seed in range(3)}
     assert stress(folder, "--json") == 0
