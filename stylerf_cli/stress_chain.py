@@ -82,19 +82,19 @@ class Stress:
     """Makes the runs of a config that do not stand yet. root: WORK/stress. source: the scene to be spoilt.
 
     conditions: what all runs share and a baseline must share with them, here with trunk, device, criteria and
-    paintings.
+    paintings; trunk and paintings are empty where no method sees one.
     """
 
     def __init__(self, session: Any, config: StressConfig, source: Artefact, root: Path) -> None:
         self.session, self.config, self.source, self.root = session, config, source, root
         # UsageError without any trunk, where a method needs one.
         needed = any(METHODS[name].sees_painting for name in config.chosen_methods)
-        self.features = weights.chosen("") if needed else {"features": weights.found_trunk()}
+        self.features = weights.chosen("") if needed else {"features": ""}
         self.conditions = config.conditions | {
             "features": self.features["features"],
             "device": session.context.device,
             "criteria": criteria.REVISION,
-            "paintings": paintings.REVISION,
+            "paintings": paintings.REVISION if needed else "",
         }
         self.missing: dict[str, str] = {}
         self._worked_in: set[Path] = set()

@@ -132,7 +132,7 @@ def _pictures(cells: Sequence[Cell], folder: Path) -> str:
 def _how(conditions: dict, missing: Sequence[tuple[str, str]]) -> str:
     faults = "".join(f"<dt>{escape(one.name)}</dt><dd>{escape(one.told)}</dd>" for one in FAULTS.values())
     gaps = "".join(f"<dt>{escape(what)}</dt><dd>{escape(why)}</dd>" for what, why in missing)
-    told = ", ".join(f"{key} {value}" for key, value in conditions.items())
+    told = ", ".join(f"{key} {value}" for key, value in conditions.items() if value != "")
     return (
         f"<p>A fit succeeds where every value is finite and its test views are {LEAST_GAIN:g} dB nearer to their "
         "photos than the best picture of one colour (of an object: than its own outlines in one colour). A stylisation "

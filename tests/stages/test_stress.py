@@ -250,6 +250,21 @@ def test_a_baseline_sees_what_is_worse(tmp_path, now, verdict):
     assert all(text.startswith("fit under seeds") for text in held.worse + held.better)
 
 
+def test_weights_and_paintings_count_where_both_have_methods_that_see_one(tmp_path):
+    path, fits = tmp_path / "baseline.json", {"seeds": 5, "features": "", "paintings": ""}
+    mixed, other = fits | {"features": "a", "paintings": 1}, fits | {"features": "b", "paintings": 2}
+    for made, fitting in ((fits, (fits, mixed, other)), (mixed, (fits, mixed))):
+        write_baseline(path, cells_of(five(5, 20.0)), made)
+        for conditions in fitting:
+            assert len(read_baseline(path, conditions)) == 1
+    with pytest.raises(UsageError, match="features 'a', now 'b', paintings 1, now 2; give the same"):
+        read_baseline(path, other)
+    write_baseline(path, cells_of(five(5, 20.0)), {"seeds": 5, "features": "a"})  # of before paintings were told
+    assert len(read_baseline(path, fits)) == 1
+    with pytest.raises(UsageError, match="paintings not told"):
+        read_baseline(path, mixed)
+
+
 def test_runs_that_all_break_are_worse_than_runs_that_fail():
     broken = [outcome(seed=seed, score=None, ok=False) for seed in range(5)]
     failing, none = cells_of(five(0, 5.0)), cells_of(broken)

@@ -176,6 +176,15 @@ def test_another_trunk_or_device_is_another_run_and_no_baseline(folder, runs, ca
     monkeypatch.setattr(stress_chain.weights, "chosen", lambda features: (_ for _ in ()).throw(UsageError("none")))
     fits = ("--methods", "fit", "--faults", "seeds", "blur", "--seeds", "3", "--budget", "10")
     assert stress(folder) == 2 and main(["stress", str(folder), *fits]) == 0
+    kept = str(tmp_path / "fits.json")  # of fits: whatever weights there are, they compare
+    assert main(["stress", str(folder), *fits, "--write-baseline", kept]) == 0
+    assert "features" not in (folder / "stress" / "stress.html").read_text()
+    monkeypatch.setattr(stress_chain.weights, "found_trunk", lambda: "yet-another")
+    assert main(["stress", str(folder), *fits, "--baseline", kept]) == 0
+    assert main(["stress", str(folder), *fits, "--baseline", baseline]) == 0
+    monkeypatch.setattr(stress_chain.weights, "chosen", lambda features: other)
+    capsys.readouterr()
+    assert stress(folder, "--baseline", kept) == 0 and "no cell of 2 compared" in capsys.readouterr().out
     monkeypatch.undo()
     config = StressConfig(methods=("fit",), faults=("seeds",))
     keys = []
