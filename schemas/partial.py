@@ -44,11 +44,12 @@ class UnlikeInterrupted(ArtefactStale):
 
 
 class Lock:
-    """The right to write one artefact. The system frees it when the process ends, however it ends."""
+    """The right to write one artefact, or what else `path` tells. The system frees it when the process ends, however
+    it ends."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, instead: str = "give another --name") -> None:
         """Takes the lock at `path`; OutOfResources naming the holder's process when another one has it, or telling
-        that the disk knows no locks."""
+        that the disk knows no locks. instead: what there is to do but wait."""
         make_folder(path.parent)
         with writing(path):
             self._handle: int | None = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
@@ -65,7 +66,7 @@ class Lock:
             name = path.name.removeprefix(".").removesuffix(".lock")
             raise OutOfResources(
                 f"{path.parent.name} {name} is being written by another process ({holder}); wait for it to end, or "
-                "give another --name"
+                f"{instead}"
             ) from error
         with suppress(OSError):  # only so that the other side can name us; a full disk is met soon enough
             os.ftruncate(self._handle, 0)

@@ -50,6 +50,7 @@ def run(inputs: dict[str, Artefact], config: FitConfig, partial: Partial, contex
     held_out = _held_out(train, config.held_out)
     order = [i for i in train if i not in held_out] + held_out
     bank = bank_of(scene, order, partial.folder, context)
+    _tell_idle(config, scene.layout, space.kind, bank.channels == 4, context)
     device = gpu_of(context)
     settings = _settings(config, scene, space, device)
     if context.memory and device is None:
@@ -71,6 +72,25 @@ def run(inputs: dict[str, Artefact], config: FitConfig, partial: Partial, contex
     if ranks.first:
         save_field(partial.path, fitter.field, "none" if fitter.field.closed else _shown(settings.background))
     return _figures(fitter, held_out, reason) | gpu_figures(device)
+
+
+def _tell_idle(config: FitConfig, layout: str, space: str, cut_out: bool, context: Context) -> None:
+    """Says which options for objects were set and change nothing here, as _settings and the fit take them.
+
+    cut_out: some photo has alpha.
+    """
+    works = {
+        "opacity_weight": layout == "object",
+        "coverage_weight": layout == "object" and cut_out,
+        "hull": space == "box" and cut_out,
+    }
+    idle = [name for name, used in works.items() if not used and getattr(config, name) != getattr(FitConfig, name)]
+    if idle:
+        flags = ", ".join("--" + name.replace("_", "-") for name in idle)
+        context.progress.say(
+            f"no effect of {flags}, for objects cut out by transparency: layout {layout}, space {space}, photos "
+            f"{'with' if cut_out else 'without'} transparency"
+        )
 
 
 def _engine(device: str | None, settings: FitSettings, clip: float):

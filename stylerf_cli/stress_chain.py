@@ -74,25 +74,32 @@ class Trial:
         return f"{self.method.name}{REMEDIED_FILE if self.remedies else ''}"
 
 
+class FitFailed(Exception):
+    """A fit that failed earlier in this command; told in the words of its fault."""
+
+
 class Stress:
     """Makes the runs of a config that do not stand yet. root: WORK/stress. source: the scene to be spoilt.
 
-    conditions: what all runs share and a baseline must share with them, here with trunk, device and criteria.
+    conditions: what all runs share and a baseline must share with them, here with trunk, device, criteria and
+    paintings; trunk and paintings are empty where no method sees one.
     """
 
     def __init__(self, session: Any, config: StressConfig, source: Artefact, root: Path) -> None:
         self.session, self.config, self.source, self.root = session, config, source, root
         # UsageError without any trunk, where a method needs one.
         needed = any(METHODS[name].sees_painting for name in config.chosen_methods)
-        self.features = weights.chosen("") if needed else {"features": weights.found_trunk()}
+        self.features = weights.chosen("") if needed else {"features": ""}
         self.conditions = config.conditions | {
             "features": self.features["features"],
             "device": session.context.device,
             "criteria": criteria.REVISION,
+            "paintings": paintings.REVISION if needed else "",
         }
         self.missing: dict[str, str] = {}
         self._worked_in: set[Path] = set()
         self._digests: dict[Path, str] = {}  # of paintings
+        self._failed: dict[tuple[Path, FitConfig], tuple[str, float]] = {}  # fits: why, and seconds
         self._seconds = 0.0  # of all that the run in progress is made of
         self._afresh, self._only = False, False
 
@@ -200,17 +207,18 @@ class Stress:
     def painting(self, trial: Trial) -> tuple[Path, str]:
         """The painting of a trial, the fault's or the ordinary one, and its digest.
 
-        It is made where it is missing; where nothing is to be run, for its digest alone.
+        It is made where it is missing, with --force once anew; where nothing is to be run, for its digest alone.
         """
         fault = trial.fault if trial.fault.of == STYLE else None
         side = int(fault.amount) if fault else ORDINARY_STYLE
         if self.conditions["quick"] and fault and fault.name == "style-huge":
             side //= 4
-        path = self.root / "styles" / f"{fault.name if fault else 'ordinary'}-{side}-{trial.seed}.png"
+        name = f"{fault.name if fault else 'ordinary'}-{side}-{trial.seed}-r{paintings.REVISION}.png"
+        path = self.root / "styles" / name
         if path not in self._digests:
             with TemporaryDirectory() as aside:
-                file = Path(aside) / path.name if self._only and not path.is_file() else path
-                if not file.is_file():
+                file = Path(aside) / name if self._only and not path.is_file() else path
+                if not file.is_file() or (self._afresh and not self._only):
                     write_png(file, to_uint8(painted(fault.name if fault else "", side, trial.seed)))
                 self._digests[path] = file_sha256(file)
         return path, self._digests[path]
@@ -235,7 +243,7 @@ class Stress:
             raise
         except Exception as error:
             # A method that breaks has failed, however it breaks: that is what is counted here.
-            verdict = criteria.Verdict(False, f"{type(error).__name__}: {error}"[:300], None, 0)
+            verdict = criteria.Verdict(False, why_of(error), None, 0)
             (self.root / WORST / picture).unlink(missing_ok=True)
             picture = ""
         else:
@@ -279,12 +287,28 @@ class Stress:
     def _scene(self, trial: Trial) -> Artefact:
         return self._execute(trial, fault_scene, {}, self.fault_config(trial), "main")
 
+    def _fitted(self, trial: Trial, scene: Artefact, name: str) -> Artefact:
+        """Its fit. One that has failed fails at once for all that would be made of it: it would fail again."""
+        config = self.fit_config(trial)
+        recipe = self._place(trial).root, config
+        if recipe in self._failed:
+            why, seconds = self._failed[recipe]
+            self._seconds += seconds
+            raise FitFailed(why)
+        before = self._seconds
+        try:
+            return self._execute(trial, nerf_fit, {"scene": scene}, config, name)
+        except NOT_OF_A_METHOD:
+            raise
+        except Exception as error:
+            self._failed[recipe] = why_of(error), self._seconds - before
+            raise
+
     def _verdict(self, trial: Trial, scene: Artefact) -> tuple[criteria.Verdict, np.ndarray]:
         """And the picture of the worst view."""
         method, threads = trial.method, self.session.context.threads
-        suffix = REMEDIED_FILE if trial.remedies else ""
-        fit_name = f"fit-{method.field}{suffix}"
-        field = self._execute(trial, nerf_fit, {"scene": scene}, self.fit_config(trial), fit_name)
+        fit_name = f"fit-{method.field}{REMEDIED_FILE if trial.remedies else ''}"
+        field = self._fitted(trial, scene, fit_name)
         if method.edit:
             chain, options = partial(self._execute, trial), self.edit_options(trial)
             after, region = stress_edits.edited(chain, scene, field, options, threads)
@@ -308,9 +332,15 @@ class Stress:
     def _tidy(self, place: Path, all_stand: bool) -> None:
         """Scenes and fields go when nothing more is made of them, also those that a killed run has left; not what is
         to be kept, or was. Outcomes stay."""
-        left = all_stand and not self._only and not (place / KEPT).exists()
-        if not self.config.keep and (place in self._worked_in or left):
+        if self.config.keep or (place / KEPT).exists():
+            return
+        if place in self._worked_in or (all_stand and not self._only):
             shutil.rmtree(place, ignore_errors=True)
+
+
+def why_of(error: Exception) -> str:
+    """What an outcome tells of a fault."""
+    return str(error) if isinstance(error, FitFailed) else f"{type(error).__name__}: {error}"[:300]
 
 
 def painted(fault: str, side: int, seed: int) -> np.ndarray:

@@ -16,11 +16,13 @@ SCHEMA = 1
 # dB; shares: what runs on another machine may differ by.
 TOLERANCE = {"fits": 0.5, "stylisations": 0.03, "edits": 0.03}
 SPREADS = 2.0  # a median that falls by so many standard errors of the two is no chance
+# Conditions of methods that see a painting: empty without any, and then no cell that both have depends on them.
+OF_PAINTINGS = ("features", "paintings")
 
 
 @dataclass(frozen=True)
 class Compared:
-    """worse, better: in words, by cell. unmatched: cells that only one of the two has. matched: how many both have."""
+    """worse, better: in words, by cell. matched: how many cells both have, of as many runs. unmatched: the others."""
 
     worse: list[str]
     better: list[str]
@@ -29,7 +31,13 @@ class Compared:
 
 
 def write_baseline(path: Path, cells: Sequence[Cell], conditions: dict) -> None:
-    """Replaces the file."""
+    """Replaces the file; UsageError where a cell lacks runs, for what the others say may be chance."""
+    for cell in cells:
+        if cell.count != conditions["seeds"]:
+            raise UsageError(
+                f"no baseline is written to {path}: {cell.method} under {cell.fault} has {cell.count} of "
+                f"{conditions['seeds']} runs; run the same without --only, or leave that fault out"
+            )
     kept = [
         {key: getattr(cell, key) for key in ("method", "fault", "successes", "count", "median", "spread")}
         for cell in cells
@@ -50,7 +58,12 @@ def read_baseline(path: Path, conditions: dict) -> list[dict]:
         ) from error
     except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
         raise BadInput(f"--baseline {path} is no baseline ({error!r}); --write-baseline {path} makes one") from error
-    differing = [key for key in {**made, **conditions} if made.get(key) != conditions.get(key)]
+    differing = [
+        key
+        for key in {**made, **conditions}
+        if made.get(key) != conditions.get(key)
+        and not (key in OF_PAINTINGS and "" in (made.get(key), conditions.get(key)))
+    ]
     if differing:
         told = ", ".join(
             f"{key} {made[key]!r}, now {conditions.get(key)!r}" if key in made else f"{key} not told"
@@ -77,20 +90,28 @@ def _checked(content: dict) -> tuple[list[dict], dict]:
 
 
 def compared(before: Sequence[dict], cells: Sequence[Cell]) -> Compared:
-    """A cell is worse where fewer of its runs succeed, or its median score falls by more than chance explains.
+    """A cell is worse where fewer of its runs succeed, or its median score is gone or falls by more than chance
+    explains.
 
     Chance: the tolerance of its family, or SPREADS standard errors of the difference of the two, whichever is more.
+    Cells of which either lacks runs are not compared.
     """
     earlier = {(one["method"], one["fault"]): one for one in before}
     now = {(cell.method, cell.fault): cell for cell in cells}
     worse, better = [], []
-    matched = [key for key in now if key in earlier]
+    both = [key for key in now if key in earlier]
+    matched = [key for key in both if now[key].count == earlier[key]["count"]]
     for key in matched:
         change, words = _change(earlier[key], now[key])
         if change:
             (worse if change < 0 else better).append(words)
     lone = [f"{method} under {fault}: only in the baseline" for method, fault in earlier if (method, fault) not in now]
     lone += [f"{method} under {fault}: not in the baseline" for method, fault in now if (method, fault) not in earlier]
+    lone += [
+        f"{' under '.join(key)}: number of runs {now[key].count}, was {earlier[key]['count']}"
+        for key in both
+        if key not in matched
+    ]
     return Compared(worse, better, lone, len(matched))
 
 
@@ -101,11 +122,16 @@ def _change(before: dict, cell: Cell) -> tuple[int, str]:
     if cell.rate != rate:
         words = f"{where}: {cell.successes} of {cell.count} succeed, {before['successes']} of {before['count']} did"
         return (-1 if cell.rate < rate else 1), words
-    if before["median"] is None or cell.median is None:
-        return 0, ""
+    was, now = before["median"], cell.median
+    if was is None or now is None:
+        return (now is not None) - (was is not None), f"{where}: median score {_told(now)}, was {_told(was)}"
     family = METHODS[cell.method.removesuffix(REMEDIED)].family
     error = math.hypot(before["spread"] or 0.0, cell.spread or 0.0) / math.sqrt(cell.count)
-    change = cell.median - before["median"]
+    change = now - was
     if abs(change) <= max(TOLERANCE[family], SPREADS * error):
         return 0, ""
-    return (1 if change > 0 else -1), f"{where}: median score {cell.median:.3f}, was {before['median']:.3f}"
+    return (1 if change > 0 else -1), f"{where}: median score {_told(now)}, was {_told(was)}"
+
+
+def _told(median: float | None) -> str:
+    return "of no run" if median is None else f"{median:.3f}"

@@ -132,12 +132,13 @@ def _pictures(cells: Sequence[Cell], folder: Path) -> str:
 def _how(conditions: dict, missing: Sequence[tuple[str, str]]) -> str:
     faults = "".join(f"<dt>{escape(one.name)}</dt><dd>{escape(one.told)}</dd>" for one in FAULTS.values())
     gaps = "".join(f"<dt>{escape(what)}</dt><dd>{escape(why)}</dd>" for what, why in missing)
-    told = ", ".join(f"{key} {value}" for key, value in conditions.items())
+    told = ", ".join(f"{key} {value}" for key, value in conditions.items() if value != "")
     return (
         f"<p>A fit succeeds where every value is finite and its test views are {LEAST_GAIN:g} dB nearer to their "
         "photos than the best picture of one colour (of an object: than its own outlines in one colour). A stylisation "
-        "succeeds where every value is finite, the SSIM of its test views’ luma with the photos covers "
-        f"{LEAST_STRUCTURE:g} of the way from that of flat pictures (each view’s own mean colour) to 1, and their "
+        f"succeeds where every value is finite, its test views keep at least {LEAST_STRUCTURE:.2f} of the photos’ "
+        "structure (of the variance of luma around each pixel of the photo, the share that a straight line from the "
+        "render’s luma explains, rising or falling; of an object, of what its outlines in one colour leave), and their "
         f"colours are at most {COLOUR_SHARE:g} times as far from the painting’s as the photos’ are, or at most "
         f"{COLOUR_NEAR:g}. A local edit succeeds where every value is finite, the part changes by {LEAST_CHANGE:g} dE "
         f"or more and keeps {LEAST_CONTENT:g} of SSIM with the field before, and what is around it changes by at most "

@@ -11,6 +11,7 @@ CONFIG = StressConfig
 NAMELESS = "a stress writes no artefact in WORK"
 FOLDER = "stress"
 BASELINE = "baseline.json"
+LOCK = ".runs.lock"  # two commands at once would delete each other's work folders
 
 
 class Worse(CheckFailed):
@@ -42,17 +43,11 @@ def run(args, session) -> dict:
 
     A verb without an artefact of its own: what it runs lies in work folders below WORK/stress/works.
     """
-    from dataclasses import asdict
-
-    from schemas.atomic import write_bytes, write_json
     from schemas.canonical import digest_of
-    from stages.evaluation.figures import write_csv
-    from stages.stress.baseline import compared, read_baseline, write_baseline
-    from stages.stress.cells import cells_of
-    from stages.stress.heat_map import heat_map
-    from stages.stress.page import build_page, cell_rows, run_rows
+    from schemas.partial import Lock
+    from stages.stress.baseline import read_baseline
     from stylerf_cli.chains import scene_of_work
-    from stylerf_cli.stress_chain import WORST, Stress
+    from stylerf_cli.stress_chain import Stress
 
     scene = scene_of_work(session)
     root = session.work.root / FOLDER
@@ -76,6 +71,28 @@ def run(args, session) -> dict:
             f"--baseline {args.baseline} holds no cell of these methods, faults and remedies; give those it was made "
             "with, or write it anew"
         )
+    if session.only:  # runs nothing and deletes nothing: what another process has made so far may be looked at
+        return _results(stress, conditions, before, kept, args.baseline)
+    lock = Lock(root / LOCK, "add --only to see what stands")
+    try:
+        return _results(stress, conditions, before, kept, args.baseline)
+    finally:
+        lock.release()
+
+
+def _results(stress, conditions: dict, before: list[dict] | None, kept: Path | None, baseline: Path | None) -> dict:
+    """The runs, and all that is written of them. before: cells of the file `baseline`. kept: where to write another."""
+    from dataclasses import asdict
+
+    from schemas.atomic import write_bytes, write_json
+    from stages.evaluation.figures import write_csv
+    from stages.stress.baseline import compared, write_baseline
+    from stages.stress.cells import cells_of
+    from stages.stress.heat_map import heat_map
+    from stages.stress.page import build_page, cell_rows, run_rows
+    from stylerf_cli.stress_chain import WORST
+
+    session, root = stress.session, stress.root
     outcomes = stress.run(session.only, session.force)
     if not outcomes:
         if stress.missing:
@@ -104,10 +121,10 @@ def run(args, session) -> dict:
     if held is not None and held.worse:
         for line in held.worse[1:]:
             session.say(line)
-        more = f" ({len(held.worse)} cells are worse than in {args.baseline})"
+        more = f" ({len(held.worse)} cells are worse than in {baseline})"
         raise Worse(held.worse[0] + more, result)
     if held is not None and not held.matched:
-        raise Worse(f"no cell could be compared with {args.baseline} ({held.unmatched[0]})", result)
+        raise Worse(f"no cell could be compared with {baseline} ({held.unmatched[0]})", result)
     return session.emit(result, words_of(result))
 
 

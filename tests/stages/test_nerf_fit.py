@@ -1,6 +1,7 @@
 """Which capacities a fit climbs, by the space of its scene."""
 
 import json
+from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
@@ -9,7 +10,7 @@ from schemas.store import Work
 from stages import nerf_fit
 from stages.configs.fit import FitConfig
 from stages.fields import load_field
-from stages.nerf_fit import _settings, _shown, _tell_memory
+from stages.nerf_fit import _settings, _shown, _tell_idle, _tell_memory
 from stages.photos import level_of
 from stages.progress import Context
 from stages.runner import execute
@@ -115,6 +116,41 @@ def test_what_cannot_be_reached_is_told(tmp_path):
     made, _ = execute(nerf_fit.SPEC, nerf_fit.run, work, "fit", {"scene": scene}, config, Context(progress=said))
     assert "--capacity fixed:136x8x8 was not reached: 1 steps are too few" in said.lines
     assert made.manifest.figures["resolution"] == 128 and "not reached" in made.manifest.figures["decisions"][-1]
+
+
+OF_OBJECTS = {"opacity_weight": 0.01, "coverage_weight": 0.2, "hull": 0.1}
+
+
+@pytest.mark.parametrize(
+    ("layout", "space", "cut_out", "idle"),
+    [
+        ("object", "box", True, ""),
+        ("object", "box", False, "--coverage-weight, --hull"),
+        ("object", "contraction", True, "--hull"),
+        ("unbounded", "contraction", True, "--opacity-weight, --coverage-weight, --hull"),
+        ("forward", "box", True, "--opacity-weight, --coverage-weight"),
+    ],
+)
+def test_options_of_objects_without_effect_are_told_where_they_were_set(layout, space, cut_out, idle):
+    said = Said()
+    _tell_idle(FitConfig(), layout, space, cut_out, Context(progress=said))
+    assert said.lines == []
+    _tell_idle(FitConfig(**OF_OBJECTS), layout, space, cut_out, Context(progress=said))
+    assert len(said.lines) == bool(idle)
+    assert not idle or said.lines[0].startswith(f"no effect of {idle}, for objects cut out by transparency: layout")
+
+
+def test_a_fit_of_a_capture_tells_options_of_objects_and_is_the_same_without_them(tmp_path):
+    """What is told to have no effect has none: the field is the same to the bit."""
+    work, digests = Work(tmp_path / "work"), []
+    scene = make_capture(work, layout="unbounded", background="none")
+    plain = FitConfig(budget="3", capacity="fixed:64x8x8", samples=1000, held_out=0)
+    for config, told in ((plain, 0), (replace(plain, **OF_OBJECTS), 1)):
+        said = Said()
+        made, _ = execute(nerf_fit.SPEC, nerf_fit.run, work, "fit", {"scene": scene}, config, Context(progress=said))
+        assert sum("no effect" in line for line in said.lines) == told
+        digests.append({one.path: one.sha256 for one in made.manifest.files})
+    assert digests[0] == digests[1] and digests[0]
 
 
 def test_a_bound_below_what_a_fit_takes_is_told():

@@ -2,6 +2,7 @@
 
 import json
 import statistics
+from dataclasses import asdict
 from html import escape
 from types import SimpleNamespace
 
@@ -211,6 +212,10 @@ def test_page_and_tables_tell_the_same(tmp_path):
     assert page.count("<svg") == 1 and "<script" not in page and page.count("data:image/png") == 1
     assert "2 of 4" in page and "too far off" in page and "too few" in page and "side 24" in page
     assert all(escape(fault.told) in page for fault in FAULTS.values())
+    # The criteria are those that judge: of a stylisation no SSIM (decision 0037).
+    asked = page[page.index("A stylisation succeeds") : page.index("A local edit succeeds")]
+    assert "the share that a straight line from the render’s luma explains" in asked and "SSIM" not in asked
+    assert "at least 0.33 of the photos’ structure" in asked
     rows = cell_rows(cells)
     assert [row["rate"] for row in rows] == [1.0, 0.5, 1.0, 0.0] and rows[1]["worst_seed"] == 2
     assert len(run_rows(outcomes)) == 10 and run_rows(outcomes)[8]["method"] == "arf + remedies"
@@ -245,10 +250,48 @@ def test_a_baseline_sees_what_is_worse(tmp_path, now, verdict):
     assert all(text.startswith("fit under seeds") for text in held.worse + held.better)
 
 
+def test_weights_and_paintings_count_where_both_have_methods_that_see_one(tmp_path):
+    path, fits = tmp_path / "baseline.json", {"seeds": 5, "features": "", "paintings": ""}
+    mixed, other = fits | {"features": "a", "paintings": 1}, fits | {"features": "b", "paintings": 2}
+    for made, fitting in ((fits, (fits, mixed, other)), (mixed, (fits, mixed))):
+        write_baseline(path, cells_of(five(5, 20.0)), made)
+        for conditions in fitting:
+            assert len(read_baseline(path, conditions)) == 1
+    with pytest.raises(UsageError, match="features 'a', now 'b', paintings 1, now 2; give the same"):
+        read_baseline(path, other)
+    write_baseline(path, cells_of(five(5, 20.0)), {"seeds": 5, "features": "a"})  # of before paintings were told
+    assert len(read_baseline(path, fits)) == 1
+    with pytest.raises(UsageError, match="paintings not told"):
+        read_baseline(path, mixed)
+
+
+def test_runs_that_all_break_are_worse_than_runs_that_fail():
+    broken = [outcome(seed=seed, score=None, ok=False) for seed in range(5)]
+    failing, none = cells_of(five(0, 5.0)), cells_of(broken)
+    before = [[asdict(cell) for cell in cells] for cells in (failing, none)]
+    assert compared(before[0], none).worse == ["fit under seeds: median score of no run, was 5.000"]
+    assert compared(before[1], failing).better == ["fit under seeds: median score 5.000, was of no run"]
+    same = compared(before[1], none)
+    assert same.worse == same.better == [] and same.matched == 1
+
+
+def test_cells_that_lack_runs_are_not_compared_nor_kept(tmp_path):
+    path, conditions = tmp_path / "baseline.json", {"seeds": 5}
+    write_baseline(path, cells_of(five(5, 20.0)), conditions)
+    part = cells_of([*five(5, 0.5, method="arf"), *five(0, 9.0)[:1]])
+    held = compared(read_baseline(path, conditions), part)
+    assert held.worse == held.better == [] and held.matched == 0
+    assert held.unmatched[1:] == ["fit under seeds: number of runs 1, was 5"]
+    kept = path.read_bytes()
+    with pytest.raises(UsageError, match="fit under seeds has 1 of 5 runs; run the same without --only"):
+        write_baseline(path, part, conditions)
+    assert path.read_bytes() == kept
+
+
 def test_cells_of_one_side_are_told_and_not_judged(tmp_path):
-    path = tmp_path / "baseline.json"
-    write_baseline(path, cells_of([*five(5, 20.0), *five(5, 0.5, method="arf")]), {})
-    held = compared(read_baseline(path, {}), cells_of([*five(5, 20.0), *five(0, 9.0, fault="blur")]))
+    path, conditions = tmp_path / "baseline.json", {"seeds": 5}
+    write_baseline(path, cells_of([*five(5, 20.0), *five(5, 0.5, method="arf")]), conditions)
+    held = compared(read_baseline(path, conditions), cells_of([*five(5, 20.0), *five(0, 9.0, fault="blur")]))
     assert held.worse == held.better == []
     assert held.unmatched == ["arf under seeds: only in the baseline", "fit under blur: not in the baseline"]
 
@@ -257,11 +300,12 @@ def test_other_conditions_and_files_that_are_none_are_refused(tmp_path):
     path = tmp_path / "baseline.json"
     with pytest.raises(BadInput, match="--write-baseline"):
         read_baseline(path, {})
-    write_baseline(path, cells_of(five(5, 20.0)), {"budget": "10"})
+    conditions = {"budget": "10", "seeds": 5}
+    write_baseline(path, cells_of(five(5, 20.0)), conditions)
     with pytest.raises(UsageError, match="budget '10', now '20'"):
-        read_baseline(path, {"budget": "20"})
+        read_baseline(path, conditions | {"budget": "20"})
     with pytest.raises(UsageError, match="other conditions: criteria not told; give the same, or write it anew"):
-        read_baseline(path, {"budget": "10", "criteria": 3})  # of before it was kept
+        read_baseline(path, conditions | {"criteria": 3})  # of before it was kept
     content = json.loads(path.read_text())
     for spoilt in (
         "[]",
@@ -278,7 +322,7 @@ def test_other_conditions_and_files_that_are_none_are_refused(tmp_path):
     ):  # fmt: skip
         path.write_text(spoilt)
         with pytest.raises(BadInput):
-            read_baseline(path, {"budget": "10"})
+            read_baseline(path, conditions)
 
 
 # -- outcomes on disk, options --------------------------------------------------------------------------------------

@@ -2,6 +2,7 @@
 
 import csv
 import json
+import os
 import shutil
 from types import SimpleNamespace
 
@@ -29,8 +30,10 @@ class Runs:
         self.made: list[tuple[str, str, int, bool]] = []
         self.answers = {("fit", "blur"): 9.0}
         self.raising: dict[tuple[str, str, int], BaseException] = {}
+        self.during = lambda: None
 
     def scene(self, trial):
+        self.during()
         if error := self.raising.get(("scene", trial.fault.name, trial.seed)):
             raise error
 
@@ -106,6 +109,28 @@ def test_what_stands_is_not_run_again(folder, runs, capsys):
     capsys.readouterr()
 
 
+def test_a_second_stress_of_a_work_folder_is_refused_until_the_first_ends(folder, runs, capsys):
+    codes: list[tuple[int, int]] = []
+
+    def second() -> None:
+        if len(runs.made) in (0, 14):
+            runs.during = lambda: None
+            codes.append((stress(folder), stress(folder, "--only")))
+            runs.during = second
+
+    runs.during = second
+    assert stress(folder) == 0 and len(runs.made) == 15
+    assert codes == [(5, 4), (5, 0)]  # nothing stood at first
+    told = f"stress runs is being written by another process ({os.getpid()}); wait for it to end, or add --only"
+    assert told in capsys.readouterr().err
+    runs.during = lambda: None
+    assert stress(folder, "--force") == 0
+    runs.raising["fit", "seeds", 0] = OutOfResources("no space")
+    assert stress(folder, "--force") == 5 and "no space" in capsys.readouterr().err
+    runs.raising.clear()
+    assert stress(folder, "--force") == 0
+
+
 def test_nothing_stands_and_nothing_faces(folder, runs, capsys):
     assert stress(folder, "--only") == 4 and runs.made == []
     assert not (folder / "stress").exists()  # not even a painting
@@ -151,6 +176,15 @@ def test_another_trunk_or_device_is_another_run_and_no_baseline(folder, runs, ca
     monkeypatch.setattr(stress_chain.weights, "chosen", lambda features: (_ for _ in ()).throw(UsageError("none")))
     fits = ("--methods", "fit", "--faults", "seeds", "blur", "--seeds", "3", "--budget", "10")
     assert stress(folder) == 2 and main(["stress", str(folder), *fits]) == 0
+    kept = str(tmp_path / "fits.json")  # of fits: whatever weights there are, they compare
+    assert main(["stress", str(folder), *fits, "--write-baseline", kept]) == 0
+    assert "features" not in (folder / "stress" / "stress.html").read_text()
+    monkeypatch.setattr(stress_chain.weights, "found_trunk", lambda: "yet-another")
+    assert main(["stress", str(folder), *fits, "--baseline", kept]) == 0
+    assert main(["stress", str(folder), *fits, "--baseline", baseline]) == 0
+    monkeypatch.setattr(stress_chain.weights, "chosen", lambda features: other)
+    capsys.readouterr()
+    assert stress(folder, "--baseline", kept) == 0 and "no cell of 2 compared" in capsys.readouterr().out
     monkeypatch.undo()
     config = StressConfig(methods=("fit",), faults=("seeds",))
     keys = []
@@ -167,6 +201,28 @@ def test_what_stands_is_found_without_its_painting(folder, runs, capsys):
     shutil.rmtree(folder / "stress" / "styles")
     assert stress(folder, "--only") == 0 and len(runs.made) == 15
     assert not (folder / "stress" / "styles").exists()
+
+
+def test_paintings_are_made_anew_by_force_and_of_another_revision(folder, runs, capsys, monkeypatch, tmp_path):
+    baseline, painted = str(tmp_path / "baseline.json"), []
+
+    def other(fault, side, seed):
+        painted.append((fault, seed))
+        return np.full((16, 16, 3), 0.9)
+
+    assert stress(folder, "--write-baseline", baseline) == 0
+    before = {path.name: path.read_bytes() for path in (folder / "stress" / "styles").iterdir()}
+    monkeypatch.setattr(stress_chain, "painted", other)
+    assert stress(folder) == 0 and painted == [] and len(runs.made) == 15
+    assert stress(folder, "--force", "--only") == 4 and painted == []
+    assert stress(folder, "--force") == 0
+    assert sorted(painted) == [("", 0), ("", 1), ("", 2), *(("style-white", seed) for seed in range(3))]
+    assert all((folder / "stress" / "styles" / name).read_bytes() != content for name, content in before.items())
+    assert stress(folder, "--baseline", baseline) == 0  # who changes a painting tells by its revision
+    monkeypatch.setattr(stress_chain.paintings, "REVISION", 2)
+    capsys.readouterr()
+    assert stress(folder, "--baseline", baseline) == 2 and "paintings 1, now 2" in capsys.readouterr().err
+    assert stress(folder) == 0 and len(painted) == 12
 
 
 def test_a_baseline_does_not_replace_itself(folder, runs, capsys, tmp_path):
@@ -197,6 +253,58 @@ def test_what_a_killed_run_left_goes_once_all_of_it_stands(folder, runs, capsys)
     assert stress(folder, "--only") == 0 and left.exists()
     assert stress(folder, "--keep") == 0 and left.exists()
     assert stress(folder) == 0 and not left.exists() and kept.exists()
+
+
+class Stages:
+    """Stands in for every stage that a stress executes: a folder and a second each. made: place, stage and seed."""
+
+    def __init__(self) -> None:
+        self.made: list[tuple[str, str, int]] = []
+        self.raising: dict[str, Exception] = {}  # by stage
+
+    def execute(self, spec, run, work, name, inputs, config, context):
+        self.made.append((work.root.name, spec.stage, context.seed))
+        (work.root / spec.writes).mkdir(parents=True, exist_ok=True)
+        if error := self.raising.get(spec.stage):
+            raise error
+        return SimpleNamespace(manifest=SimpleNamespace(seconds=1.0)), False
+
+
+@pytest.fixture
+def stages(monkeypatch):
+    stand_in, view = Stages(), Seen("v", np.zeros((4, 4, 3)), np.ones((4, 4, 3)))
+    monkeypatch.setattr(stress_chain, "execute", stand_in.execute)
+    monkeypatch.setattr(stress_chain, "seen_from_tests", lambda *_: [view])
+    monkeypatch.setattr(stress_chain.criteria, "judged_style", lambda *_: Verdict(True, "", 0.5, 0))
+    monkeypatch.setattr(stress_chain, "painted", lambda *_: np.zeros((16, 16, 3)))
+    return stand_in
+
+
+def test_a_run_without_keep_leaves_what_another_kept(folder, stages, capsys):
+    one = ("--faults", "seeds", "--seeds", "1", "--budget", "10")
+    place = folder / "stress" / "works" / "seeds-0"
+    assert main(["stress", str(folder), "--methods", "fit", *one]) == 0 and not place.exists()
+    assert main(["stress", str(folder), "--methods", "arf", *one, "--keep"]) == 0 and (place / "field").is_dir()
+    made = len(stages.made)
+    assert main(["stress", str(folder), "--methods", "desrf", *one]) == 0
+    assert len(stages.made) > made and (place / "field").is_dir()
+    assert main(["stress", str(folder), "--methods", "desrf", *one, "--force"]) == 0 and not place.exists()
+
+
+def test_a_fit_that_fails_is_not_run_again_for_what_would_be_made_of_it(folder, stages, capsys):
+    stages.raising["nerf_fit"] = Diverged("left the finite numbers")
+    methods = ("fit", "fit-hash", "arf", "desrf", "laenerf-recolour")
+    more = ("--faults", "seeds", "blur", "style-white", "--seeds", "2", "--budget", "10", "--remedies", "both")
+    assert main(["stress", str(folder), "--methods", *methods, *more, "--json"]) == 0
+    fits = [place for place, stage, _ in stages.made if stage == "nerf_fit"]
+    # Of each scene and seed: vm and hash, without remedies and with them.
+    assert {place: fits.count(place) for place in fits} == dict.fromkeys(("seeds-0", "seeds-1", "blur-0", "blur-1"), 4)
+    cells = json.loads(capsys.readouterr().out)["cells"]
+    assert len(cells) == 2 * (5 + 5 + 2) and all(cell["successes"] == 0 for cell in cells)
+    assert {why for cell in cells for why in cell["whys"]} == {"Diverged: left the finite numbers"}
+    stages.raising.clear()
+    assert main(["stress", str(folder), "--methods", *methods[:4], *more, "--force", "--json"]) == 0
+    assert "Diverged" not in capsys.readouterr().out  # another command tries again
 
 
 def test_a_fault_that_a_scene_cannot_have_is_left_out(folder, runs, capsys):
@@ -251,6 +359,19 @@ def test_a_baseline_of_other_cells_passes_nothing(folder, runs, capsys, tmp_path
     assert "no cell could be compared" in capsys.readouterr().err
 
 
+def test_what_stands_of_a_stress_that_was_stopped_is_no_baseline_and_passes_none(folder, runs, capsys, tmp_path):
+    baseline = tmp_path / "baseline.json"
+    assert stress(folder, "--write-baseline", str(baseline)) == 0
+    kept = baseline.read_bytes()
+    for path in (folder / "stress" / "runs").iterdir():
+        if path.name.split("--")[2] != "0":
+            path.unlink()
+    assert stress(folder, "--only", "--baseline", str(baseline)) == 1
+    assert "no cell could be compared" in (told := capsys.readouterr().err) and "number of runs 1, was 3" in told
+    assert stress(folder, "--only", "--write-baseline", str(baseline)) == 2
+    assert "has 1 of 3 runs" in capsys.readouterr().err and baseline.read_bytes() == kept
+
+
 def test_remedies_stand_beside_runs_without(folder, runs, capsys):
     assert stress(folder) == 0
     capsys.readouterr()
@@ -288,7 +409,7 @@ def test_an_edits_options_follow_its_fault(folder, runs, capsys):
         conditions = {"quick": quick, "style_budget": budget}
         painting = None
         if METHODS[method].sees_painting:
-            file = folder / "stress" / "styles" / "ordinary-256-0.png"
+            file = folder / "stress" / "styles" / f"ordinary-256-0-r{stress_chain.paintings.REVISION}.png"
             painting = {"style": str(file), "style_digest": file_sha256(file)}
         return stress_edits.options_of(METHODS[method], FAULTS[fault], remedies, conditions, painting)
 
