@@ -4,11 +4,12 @@ With $STYLERF_BENCH_WORK the work folders are kept there.
 
 Protocol: every scene is fitted with each kind of field, growing as the product does, all for BUDGET (seconds of
 training, or steps), one seed; mean PSNR and SSIM of the test views by `stylerf eval`; Mrays/s: of rendering those views
-to no file, a second time. Peak memory is that of the fit's process.
+to no file, the median of PASSES over all of them after one that is not counted. Peak memory: of the fit's process.
 """
 
 import json
 import os
+import statistics
 import sys
 import tempfile
 import time
@@ -25,6 +26,7 @@ KINDS = {
     "vm+hash": ("--field", "vm+hash"),
     "hash, small network": ("--field", "hash", "--head", "mlp"),
 }
+PASSES = 5
 BUDGET, SCENES = "60s", ("lego 200x200", "fern 504x378")
 
 
@@ -39,11 +41,13 @@ def rays_a_second(work: Path, name: str) -> float:
     threads = set_threads(os.cpu_count() or 1)
     scene, field = load_scene(Work(work).find("scene", "main")), load_field(Work(work).find("field", name))[0]
     cameras = [scene.cameras[i] for i in scene.splits["test"]]
-    render_view(field, cameras[0], chunks=threads)
-    begun = time.perf_counter()
-    for camera in cameras:
-        render_view(field, camera, chunks=threads)
-    return sum(c.width * c.height for c in cameras) / (time.perf_counter() - begun)
+    seconds = []
+    for _ in range(1 + PASSES):
+        begun = time.perf_counter()
+        for camera in cameras:
+            render_view(field, camera, chunks=threads)
+        seconds.append(time.perf_counter() - begun)
+    return sum(c.width * c.height for c in cameras) / statistics.median(seconds[1:])
 
 
 def measure(scene: str, kind: str, budget: str, work: Path) -> dict:

@@ -175,6 +175,9 @@ class StylizeConfig:
             owner = next((m for m, names in OWN.items() if item.name.startswith(names)), self.method)
             if owner != self.method:
                 raise ValueError(f"{flag} is an option of --method {owner}; this is --method {self.method}")
+            unmatched = self.match == "none" or (self.match == "auto" and bool(self.reference))
+            if unmatched and (item.name == "most_gain" or (item.name == "least_spread" and self.reference)):
+                raise ValueError(f"{flag} bounds the matching of colours, and none are matched here; leave it out")
         if not self.style and not self.reference:
             raise ValueError("--style is required: the painting, an image file")
         if self.reference and self.style and self.match in ("auto", "none"):

@@ -96,6 +96,7 @@ def test_settings_of_a_stylisation_that_mean_nothing(paintings, capsys, flags, w
         (("--style", "sound.png", "--displacement-weight", "1"), "an option of --method desrf; this is --method arf"),
         (("--style", "sound.png", "--method", "snerf", "--rays", "patch"), "--rays is no option of --method snerf"),
         (("--style", "sound.png", "--method", "snerf", "--no-remember"), "--remember is no option of --method snerf"),
+        (("--style", "sound.png", "--match", "none", "--most-gain", "2"), "--most-gain bounds the matching of colours"),
         (("--style", "sound.png", "--method", "snerf", "--deform-rate", "1"), "an option of --method desrf"),
         (("--method", "refnpr", "--reference", "sound.png"), "written VIEW=FILE.png"),
         (("--method", "refnpr", "--reference", "0=sound.png", "0=sound.png"), "given two references"),
