@@ -82,13 +82,16 @@ class Lock:
 class Partial:
     """A run in progress. The stage writes its files below `path` and its checkpoints below `checkpoint`.
 
-    `resumed` tells that an earlier run of the same recipe left something here. What a run with other options left is
-    deleted; with `careful`, where that is a minute's work or more, it is kept and UnlikeInterrupted raised, or, where
-    no option goes on with it, `lost` tells what was deleted. Where files lie at the artefact's place that no run wrote,
-    no run begins or finishes (WouldBeLost).
+    `resumed` tells that an earlier run of the same recipe left something here; with `anew` one that was begun so,
+    too. What a run with other options left is deleted; with `careful`, where that is a minute's work or more, it is
+    kept and UnlikeInterrupted raised, or, where no option goes on with it, `lost` tells what was deleted. Where files
+    lie at the artefact's place that no run wrote, no run begins or finishes (WouldBeLost).
     """
 
-    def __init__(self, root: Path, kind: str, name: str, recipe: Recipe, careful: bool = False) -> None:
+    def __init__(
+        self, root: Path, kind: str, name: str, recipe: Recipe, careful: bool = False, anew: bool = False
+    ) -> None:
+        self.anew = anew
         self.kind, self.name, self.recipe = kind, name, recipe
         self.target = root / kind / name
         self.folder = root / kind / f".{name}.partial"
@@ -117,7 +120,8 @@ class Partial:
         if not self.path.is_dir():
             return False
         try:
-            return json.loads((self.folder / "recipe.json").read_text())["digest"] == self.recipe.digest
+            left = json.loads((self.folder / "recipe.json").read_text())
+            return left["digest"] == self.recipe.digest and (not self.anew or left.get("anew") is True)
         except (OSError, ValueError, KeyError, TypeError):
             return False
 
@@ -126,6 +130,7 @@ class Partial:
             left = json.loads((self.folder / "recipe.json").read_text())
             seconds = float(json.loads((self.folder / "clock.json").read_text())["seconds"])
             del left["digest"]
+            left.pop("anew", None)
             before = Recipe(**{**left, "inputs": [InputRef(**one) for one in left["inputs"]]})
         except (OSError, ValueError, KeyError, TypeError):
             return  # nothing that could go on
@@ -156,7 +161,8 @@ class Partial:
         with writing(self.folder):
             self._delete()
         make_folder(self.path)
-        write_json(self.folder / "recipe.json", {**asdict(self.recipe), "digest": self.recipe.digest})
+        told = {**asdict(self.recipe), "digest": self.recipe.digest, "anew": self.anew}
+        write_json(self.folder / "recipe.json", told)
 
     def _restore_replaced(self) -> None:
         replaced = self.folder / "replaced"

@@ -80,12 +80,13 @@ class Work:
         """Deletes what is left of the run that made the artefact of that name, where a kill kept it from doing so."""
         sweep_finished(self.root, _known(kind), sound_name(name))
 
-    def begin(self, kind: str, name: str, recipe: Recipe, careful: bool = False) -> Partial:
+    def begin(self, kind: str, name: str, recipe: Recipe, careful: bool = False, anew: bool = False) -> Partial:
         """Goes on with an interrupted run of this recipe, or starts afresh; see Partial."""
-        return Partial(self.root, _known(kind), sound_name(name), recipe, careful)
+        return Partial(self.root, _known(kind), sound_name(name), recipe, careful, anew)
 
     def copy(self, artefact: Artefact, name: str) -> Artefact:
         """The artefact under another name too, in place of what is called so; its digest knows no name and stays."""
+        artefact.verify()  # else a damaged file would get a sound seal
         made = artefact.manifest
         recipe = Recipe(made.stage, made.revision, made.config, made.inputs, made.seed, known=made.recipe)
         partial = self.begin(artefact.kind, name, recipe, careful=True)

@@ -24,7 +24,7 @@ from stylerf.geometry.cameras import Camera
 from stylerf.geometry.space import Space
 from stylerf.kernels.cpu.compiling import compiling_note, set_threads
 
-SPEC = Spec(stage="edit_dataset", verb="extract", revision=2, writes="edit-dataset")
+SPEC = Spec(stage="edit_dataset", verb="extract", revision=3, writes="edit-dataset")
 FADING = 1 / 40  # of the region's size
 
 

@@ -27,7 +27,7 @@ from stylerf.geometry.cameras import Camera
 from stylerf.geometry.hull import hull_box
 from stylerf.geometry.resampling import nearest
 
-SPEC = Spec(stage="pose_import", verb="import", revision=3, writes="scene")
+SPEC = Spec(stage="pose_import", verb="import", revision=4, writes="scene")
 FEWEST_PHOTOS = 2
 
 

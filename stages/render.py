@@ -67,7 +67,9 @@ def run(inputs: dict[str, Artefact], config: RenderConfig, partial: Partial, con
         context.progress.say(f"{count} of {len(shots)} frames stand already in {', '.join(taken)}")
     context.progress.start("render", len(shots), "frame")
     device = gpu_of(context, field)
-    seen = _on_device(field, device) if device else functools.partial(render_view, field, chunks=threads)
+    seen = (
+        _on_device(field, device, scene.cameras[0]) if device else functools.partial(render_view, field, chunks=threads)
+    )
     with nullcontext() if device else compiling_note(context.progress.say):
         for done, (frame, (camera, _)) in enumerate(zip(listed, shots, strict=True)):
             given = field, background, scene.bounds, camera, config, partial.path, seen, attributes, cells
@@ -85,10 +87,12 @@ def run(inputs: dict[str, Artefact], config: RenderConfig, partial: Partial, con
     } | gpu_figures(device)
 
 
-def _on_device(field: RadianceField, device: str) -> Callable[..., RenderedView]:
+def _on_device(field: RadianceField, device: str, camera: Camera) -> Callable[..., RenderedView]:
     from stylerf.rendering.device_view import DeviceRenderer
 
-    return DeviceRenderer(field, device).view
+    renderer = DeviceRenderer(field, device)
+    renderer.choose(camera)  # one for all: shards, and runs that go on, must not decide by frames of their own
+    return renderer.view
 
 
 def pinned(config: RenderConfig) -> RenderConfig:

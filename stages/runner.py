@@ -93,7 +93,7 @@ def execute(
     for artefact in inputs.values():
         artefact.verify()
     try:
-        partial = work.begin(spec.writes, name, recipe, careful and not force)
+        partial = work.begin(spec.writes, name, recipe, careful and not force, anew=force)
     except UnlikeInterrupted as lost:
         raise ArtefactStale(
             f"an interrupted `stylerf {spec.verb}` of {spec.writes} {name}, {lost.seconds / 60:.0f} min of work with "

@@ -45,15 +45,18 @@ def _shards(partial: Partial) -> Iterator[Artefact]:
 
 
 def _pictured(recipe: Recipe) -> str:
-    config = {name: value for name, value in recipe.config.items() if name not in NO_SAY}
+    # A file of cameras is known by its content.
+    idle = (*NO_SAY, "path") if recipe.config.get("path_digest") else NO_SAY
+    config = {name: value for name, value in recipe.config.items() if name not in idle}
     return Recipe(recipe.stage, recipe.revision, config, recipe.inputs, recipe.seed).digest
 
 
 def _files_by_frame(made: Manifest) -> dict[str, list[FileRecord]]:
     found = defaultdict(list)
     for record in made.files:
-        if "/" in record.path:
-            found[PurePosixPath(record.path).stem].append(record)
+        kind, *name = PurePosixPath(record.path).with_suffix("").parts
+        if name:  # of a mask its region comes first; a frame's own name may have folders
+            found["/".join(name[1:] if kind == "masks" else name)].append(record)
     return found
 
 

@@ -41,5 +41,10 @@ class FinetuneConfig:
             raise ValueError("rays must be at least 64, inside in (0, 1], rate at least 0")
         if not 0 <= self.beside <= 1 - self.inside:
             raise ValueError("beside must be at least 0, inside and beside together at most 1")
+        if self.colours == "region" and self.rates[1] == 0:
+            for name in ("beside", "depth_weight"):
+                if getattr(self, name) != getattr(type(self), name):
+                    flag = "--" + name.replace("_", "-")
+                    raise ValueError(f"{flag} has no effect while a region's own colours learn alone: no shape moves")
         if (self.density_factor < 0 and self.density_factor != -1) or self.depth_weight < 0:
             raise ValueError("density_factor must be at least 0, or -1, and depth_weight at least 0")

@@ -1,4 +1,4 @@
-"""LLFF's poses_bounds.npy: one row per photo, in the order of the photos' names."""
+"""LLFF's poses_bounds.npy: one row per photo, in the alphabetical order of the photos' names."""
 
 from pathlib import Path
 
@@ -17,7 +17,8 @@ def read(source: Path, images: str) -> SourceScene:
     path = source if source.is_file() else source / "poses_bounds.npy"
     rows = _rows(path)
     folder = image_folder(path.parent, images) if images else _default_folder(path.parent)
-    photos = images_in(folder)
+    # As LLFF and those after it sort names: letter by letter, 10 before 2.
+    photos = sorted(images_in(folder), key=lambda photo: photo.name)
     if len(photos) != len(rows):
         raise BadInput(
             f"{path} holds {len(rows)} poses but {folder} holds {len(photos)} photos; LLFF tells photos by their order "

@@ -2,7 +2,8 @@
 
 import json
 import math
-from pathlib import Path
+from dataclasses import replace
+from pathlib import Path, PurePosixPath
 
 import numpy as np
 
@@ -32,7 +33,7 @@ def read(source: Path, images: str) -> SourceScene:
     kind = "nerfstudio" if "nerfstudio" in kinds else "instant-ngp" if "instant-ngp" in kinds else "Blender"
     return SourceScene(
         f"transforms.json of {kind}",
-        with_masks(_distinct(cameras), root),
+        with_masks(_distinct(cameras, root), root),
         keeps_frame=kind != "nerfstudio",
         rescalable=bool(images),
     )
@@ -111,7 +112,6 @@ def _camera(root, path, content, frame, index, undo, told, split, images) -> Sou
     photo = _copy_in(image_folder(root, images), listed) if images else find_image(root / listed)
     numbers = _Numbers(content | frame, where)
     size, intrinsics, angle = _intrinsics(numbers)
-    depth = root / "truth" / f"depth_{bare(listed).name}.exr"
     return SourceCamera(
         name=bare(listed).name,
         source=frame["file_path"],
@@ -123,8 +123,15 @@ def _camera(root, path, content, frame, index, undo, told, split, images) -> Sou
         distortion=_distortion(numbers),
         split=split or told.get(frame["file_path"]),
         mask=_mask(root, frame, where) if photo else None,
-        depth=depth if depth.is_file() else None,
+        depth=_depth(root, bare(listed).name),
     )
+
+
+def _depth(root: Path, name: str) -> Path | None:
+    """True depth of the view of that name, where it is there."""
+    path = PurePosixPath(name)
+    found = root / "truth" / path.parent / f"depth_{path.name}.exr"
+    return found if found.is_file() else None
 
 
 def _mask(root: Path, frame: dict, where: str) -> Path | None:
@@ -200,13 +207,13 @@ def _distortion(numbers: _Numbers) -> Distortion:
     return Distortion("brown", k, p)
 
 
-def _distinct(cameras: list[SourceCamera]) -> list[SourceCamera]:
-    """Names that occur in several folders get their folder in front: train/r_0 and test/r_0."""
-    from dataclasses import replace
-
-    names = [camera.name for camera in cameras]
+def _distinct(cameras: list[SourceCamera], root: Path) -> list[SourceCamera]:
+    """Names that occur in several folders get their folder in front, as train/r_0, and so does their true depth."""
+    names, found = [camera.name for camera in cameras], []
     doubled = {name for name in names if names.count(name) > 1}
-    return [
-        replace(one, name=str(bare(_listed(one.source))).lstrip("./")) if one.name in doubled else one
-        for one in cameras
-    ]
+    for one in cameras:
+        if one.name in doubled:
+            name = str(bare(_listed(one.source))).lstrip("./")
+            one = replace(one, name=name, depth=_depth(root, name))
+        found.append(one)
+    return found

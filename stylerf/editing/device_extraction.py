@@ -1,9 +1,12 @@
 """Where rays of whole views end in a region, found on a GPU: the march and the sums of extraction.ends_of_view."""
 
+from dataclasses import replace
+
 import numpy as np
 import torch
 from torch import Tensor
 
+from stylerf.editing.extraction import EVERYWHERE
 from stylerf.fields.device import DeviceField, marked_cells
 from stylerf.fields.device_memory import in_parts
 from stylerf.fields.field import RadianceField
@@ -39,8 +42,9 @@ class DeviceEnds:
         def part(begin: int, end: int) -> list[Tensor]:
             rays, found = rays_of(camera, torch.arange(begin, end, device=self._field.device)), []
             samples = self._field.march(rays, SAMPLE_LIMIT, 1e-3, None)
+            of_things = replace(samples, weights=torch.where(samples.optical > 0, samples.weights, 0.0))
             for grid, own in zip(grids, marked):
-                ends = launch_edit.ends_inside(own, grid.shape[0], samples)
+                ends = launch_edit.ends_inside(own, grid.shape[0], of_things if grid is EVERYWHERE else samples)
                 ends[:, 2:] /= ends[:, 1:2].clamp(min=1e-8)
                 found.append(ends)
             return found

@@ -13,7 +13,7 @@ class EditView:
     the cube. along: [n, 3] what x moves by when the ray ends one jitter further. directions: [n, 3] unit, from the
     camera. target: [n, 3] sRGB 0..1 of the photo. weight: [n] alpha of the field. inside: [n] alpha_E, the part of it
     that lies in the region. depth: [n] mean distance along the ray within the region, scene units. through: [n]
-    sum(w t) over the whole ray. transition: [n] lambda, 1 where the region meets what surrounds it,
+    sum(w t) over the whole ray but its backdrop. transition: [n] lambda, 1 where the region meets what surrounds it,
     0 far from it. edges: [n, 2] geometry edges zeta >= 0 between a pixel and the one below it, the one right of it.
     """
 

@@ -55,7 +55,10 @@ class DeviceRenderer:
         """The field that pictures are made of."""
         return self._halves if self.half else self._exact
 
-    def _choose(self, camera: Camera) -> None:
+    def choose(self, camera: Camera) -> None:
+        """Halves or not, by what they change of this view; else by the first that is seen."""
+        if self.half is not None:
+            return
         count = camera.width * camera.height
         pixels = np.linspace(0, count - 1, min(count, TRIED_RAYS)).astype(np.int64)
         rays = DeviceRays.of(*camera.rays(pixels), self.device)
@@ -75,8 +78,7 @@ class DeviceRenderer:
         on_rays: Callable[[int], None] = lambda done: None,
     ) -> tuple[Tensor, dict[str, Tensor]]:
         """([pixels, 5]: premultiplied rgb, alpha, ray distance; by region [pixels]: alpha in it), on the device."""
-        if self.half is None:
-            self._choose(camera)
+        self.choose(camera)
         marked = regions or {}
 
         def part(begin: int, end: int) -> list[Tensor]:

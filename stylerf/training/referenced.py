@@ -21,6 +21,7 @@ from stylerf.style.painted_picture import PaintedPicture
 from stylerf.style.template import Template, TemplateObjective
 from stylerf.style.trunks import Trunk
 from stylerf.training.kept import Kept
+from stylerf.training.matched import ObjectPhotos, rendered_match
 from stylerf.training.repainting import CONTENT
 from stylerf.training.stylize import Stylizer
 
@@ -114,10 +115,24 @@ class Referenced(Stylizer):
         if self._painted is None:
             self._painted = self._new_picture(view)
         parts = self._painted.step(self._painting_loss(view), 1 - step / each)
-        self.references[view] = np.rint(self._painted.pixels() * 255).astype(np.uint8).astype(np.float32) / 255
+        self.references[view] = _in_eight_bits(self._painted.pixels())
         if step + 1 == each:
-            self._painted = None
+            self._painted_whole(view)
         return parts
+
+    def _painted_whole(self, view: int) -> None:
+        """A reference has had its steps: it gets the painting's colours, as ARF's result does.
+
+        Features know little of hue: what is painted by them alone has specks of green and violet.
+        """
+        if self.settings.match != "none":
+            alpha = self.still.alpha(view)
+            picture = ObjectPhotos(
+                [self.references[view]], lambda _: np.ones_like(alpha) if self.closed else alpha, self.background
+            )
+            matched = picture.mapped(0, rendered_match([picture(0)], self._palette, self.seed))
+            self.references[view] = _in_eight_bits(matched)
+        self._painted = None
 
     def _new_picture(self, view: int) -> PaintedPicture:
         start = self._there(self.photos[view])
@@ -130,10 +145,12 @@ class Referenced(Stylizer):
     def _next_phase(self) -> None:
         painting, seconds = self.state.phase == "reference", self.state.seconds
         if painting:
-            self._painted = None
-            for view in self.to_paint:  # a budget of time can end before the turn of the last ones
+            self.between_steps = False  # a checkpoint of a picture that is matched already would have it matched again
+            if self._painted is not None:  # a budget of time can end in the midst of one
+                self._painted_whole(self.to_paint[self.state.step // self._painting_steps])
+            for view in self.to_paint:  # or before the turn of the last ones
                 if self.references[view] is None:
-                    self.references[view] = self.photos[view]
+                    self.references[view] = _in_eight_bits(self.photos[view])
         super()._next_phase()
         if painting:
             self.state.seconds = seconds
@@ -243,8 +260,14 @@ class Referenced(Stylizer):
             if f"reference.{view}" in arrays:
                 self.references[view] = arrays[f"reference.{view}"].astype(np.float32) / 255
         moments = {k[8:]: v for k, v in arrays.items() if k.startswith("painted.")}
+        self._painted = None
         if moments:
             self._painted = self._new_picture(self.to_paint[self.state.step // self._painting_steps])
             self._painted.restore(moments)
         self._late = {int(k[5:]): v.copy() for k, v in arrays.items() if k.startswith("late.")}
         self._late_keys = None
+
+
+def _in_eight_bits(picture: np.ndarray) -> np.ndarray:
+    """Rounded as a file of it, and a checkpoint, has it."""
+    return np.rint(picture * 255).astype(np.uint8).astype(np.float32) / 255

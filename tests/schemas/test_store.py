@@ -173,6 +173,32 @@ def test_unsound_names_are_refused(tmp_path, name):
         Work(tmp_path).begin("field", name, recipe())
 
 
+def test_what_is_begun_anew_goes_on_with_nothing_but_its_own(tmp_path):
+    work = Work(tmp_path)
+    first = work.begin("field", "fox", recipe())
+    (first.checkpoint / "step").write_text("7")
+    first.release()
+    second = work.begin("field", "fox", recipe(), anew=True)
+    assert not second.resumed and not (second.checkpoint / "step").exists()
+    second.release()
+    for anew in (True, False):  # killed, and asked for again in either way
+        again = work.begin("field", "fox", recipe(), anew=anew)
+        assert again.resumed
+        again.release()
+
+
+def test_a_copy_of_what_is_damaged_is_refused(tmp_path):
+    work = Work(tmp_path)
+    made = make(work)
+    file = next(item for item in made.path.iterdir() if item.name != "manifest.json")
+    data = bytearray(file.read_bytes())
+    data[0] ^= 1
+    file.write_bytes(data)
+    with pytest.raises(ArtefactDamaged):
+        work.copy(made, "other")
+    assert [one.name for one in work.artefacts("field")] == [made.name]
+
+
 def test_interrupted_run_resumes_only_for_the_same_recipe(tmp_path):
     work = Work(tmp_path)
     first = work.begin("field", "fox", recipe())

@@ -298,3 +298,18 @@ def test_an_import_into_a_folder_of_its_source_stands(posed, place):
     assert config_for(posed) == config
     write_mask(posed / "images" / "p01.png")
     assert config_for(posed) != config
+
+
+def test_rows_of_llff_are_of_photos_in_alphabetical_order(source, tmp_path):
+    """As LLFF sorts names: 10 before 2, which people, and the other readers, count the other way."""
+    for before, after in (("p00", "1"), ("p01", "10"), ("p02", "11"), ("p03", "2")):
+        (source / "images" / f"{before}.png").rename(source / "images" / f"{after}.png")
+    np.save(source / "poses_bounds.npy", capture.llff())
+    scene = scene_of(imported(source, tmp_path / "work"))
+    centres = {view.name: np.array(view.camera.world_from_camera)[:3, 3] for view in scene.views}
+    apart = {name: [np.linalg.norm(centres[name] - centres[other]) for other in centres] for name in centres}
+    wanted = [one.world_from_camera[:3, 3] for one in capture.cameras()]
+    for name, place in (("1", 0), ("10", 1), ("11", 2), ("2", 3)):
+        expected = [np.linalg.norm(wanted[place] - wanted[("1", "10", "11", "2").index(other)]) for other in centres]
+        ratio = np.array(apart[name])[np.array(expected) > 0] / np.array(expected)[np.array(expected) > 0]
+        assert np.ptp(ratio) < 1e-3 * ratio.mean()  # a scene may be scaled as a whole

@@ -85,6 +85,19 @@ def test_what_lies_behind_the_region_takes_part_in_its_rays_depth_and_opacity():
     np.testing.assert_allclose(seen.inside, inside[seen.pixels], atol=1e-5)
 
 
+def test_the_depth_of_a_whole_ray_leaves_out_the_backdrop_as_a_renders_does():
+    """A capture, of whose rays some light is left for an opaque backdrop far away: fine-tuning compares the two."""
+    space = Space("contraction", Space.box([-0.8] * 3, [0.8] * 3).parameters, 0.0, 1e3)
+    field = RadianceField(space, density(1, size=(8, 8, 8), shift=-3.0), vm_colour(2), Occupancy(32), 0.01)
+    assert field.closed
+    camera = dome(6, 1)[2]
+    photo = np.full((24, 24, 3), 0.5, np.float32)
+    seen = seen_of_view(field, camera, photo, halves(), Extraction(1.0), 0, 1).edit
+    out = render_rays(field, Rays.of(*camera.rays(seen.pixels), space.near), chunks=1).out
+    np.testing.assert_allclose(seen.through, out[:, 4], rtol=1e-3)
+    assert seen.weight.min() > 0.99  # opaque by the backdrop
+
+
 def test_targets_are_the_photo_where_it_shows_anything(seen):
     _, photo, found = seen
     np.testing.assert_array_equal(found.edit.target, photo[..., :3].reshape(-1, 3)[found.edit.pixels])

@@ -160,3 +160,29 @@ def test_rays_are_not_registered_through_a_deformation():
     with pytest.raises(InvalidValue, match="deformation"):
         Referenced(field, [], [], GREY, None, small_trunk(), settings(), 0, 1, None, references={},
                    template_trunk=small_trunk(), coarse_trunk=small_trunk())  # fmt: skip
+
+
+def test_a_reference_that_is_painted_here_ends_with_the_paintings_colours():
+    """Their mean and covariance where all is covered; as published, with --match none, what features leave of them."""
+
+    def colours(match: str) -> np.ndarray:
+        one = referenced(match=match, steps=40, refit_steps=1)
+        one.run()
+        covered = one.still.alpha(1) > 0.5
+        picture = one.references[1] - (1 - one.still.alpha(1)[..., None]) * GREY
+        return (picture / np.maximum(one.still.alpha(1)[..., None], 1e-3))[covered]
+
+    palette = referenced().painting.flatten(1).numpy()
+    apart = {m: np.abs(colours(m).mean(0) - palette.mean(1)).max() for m in ("before", "none")}
+    assert apart["before"] < 0.04 < apart["none"]
+
+
+def test_so_does_one_in_the_midst_of_which_the_time_ends():
+    one = referenced(match="before", reference_steps=30, refit_steps=1)
+    one.state.phase = "reference"
+    for _ in range(3):
+        one.reference_step()
+        one.state.step += 1
+    before = one.references[1].copy()
+    one._next_phase()
+    assert one.state.phase == "style" and np.abs(one.references[1] - before).max() > 0.01
