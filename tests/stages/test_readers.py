@@ -306,7 +306,7 @@ def test_rows_of_llff_are_of_photos_in_alphabetical_order(source, tmp_path):
         (source / "images" / f"{before}.png").rename(source / "images" / f"{after}.png")
     np.save(source / "poses_bounds.npy", capture.llff())
     scene = scene_of(imported(source, tmp_path / "work"))
-    centres = {view.name: np.array(view.camera.world_from_camera)[:3, 3] for view in scene.views}
+    centres = {view.name: np.array(view.world_from_camera)[:3, 3] for view in scene.views}
     apart = {name: [np.linalg.norm(centres[name] - centres[other]) for other in centres] for name in centres}
     wanted = [one.world_from_camera[:3, 3] for one in capture.cameras()]
     for name, place in (("1", 0), ("10", 1), ("11", 2), ("2", 3)):

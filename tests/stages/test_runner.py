@@ -532,10 +532,10 @@ def test_a_second_writer_is_refused(tmp_path):
 def test_an_artefact_finished_by_another_in_the_meantime_is_reused(tmp_path, monkeypatch):
     work, begin = Work(tmp_path), Work.begin
 
-    def late(self, *arguments):
+    def late(self, *arguments, **more):
         monkeypatch.undo()
         toy(work)
-        return begin(self, *arguments)
+        return begin(self, *arguments, **more)
 
     monkeypatch.setattr(Work, "begin", late)
     assert toy(work)[1] is True

@@ -109,7 +109,7 @@ def test_painting_counts_towards_a_budget_and_takes_a_third_at_most():
     assert (one.state.phase, one.state.step, one.state.seconds) == ("style", 0, 300.0) and one.progress == 0
     one.state.seconds = 750.0
     assert one.progress == pytest.approx(0.75)  # of the 600 that are left: the last quarter begins
-    assert np.array_equal(one.references[1], one.photos[1])  # no step of it was made
+    assert np.abs(one.references[1] - one.photos[1]).max() <= 0.5 / 255 + 1e-6  # no step of it was made
 
 
 def test_in_the_last_quarter_renders_are_matched_with_the_references_render():
@@ -172,9 +172,9 @@ def test_a_reference_that_is_painted_here_ends_with_the_paintings_colours():
         picture = one.references[1] - (1 - one.still.alpha(1)[..., None]) * GREY
         return (picture / np.maximum(one.still.alpha(1)[..., None], 1e-3))[covered]
 
-    palette = referenced().painting.flatten(1).numpy()
-    apart = {m: np.abs(colours(m).mean(0) - palette.mean(1)).max() for m in ("before", "none")}
-    assert apart["before"] < 0.04 < apart["none"]
+    palette = np.cov(referenced().painting.flatten(1).numpy())
+    apart = {m: np.abs(np.cov(colours(m).T) - palette).max() / palette.max() for m in ("before", "none")}
+    assert apart["before"] < 0.05 < apart["none"]
 
 
 def test_so_does_one_in_the_midst_of_which_the_time_ends():

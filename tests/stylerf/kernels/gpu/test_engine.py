@@ -16,6 +16,7 @@ from stylerf.rendering.view import render_view
 from stylerf.training.device_traffic import BEHIND
 from stylerf.training.engine import Batch, CpuEngine, coverage_gradient, opacity_gradient
 from stylerf.training.fit import Fitter
+from stylerf.training.optimiser import UNKNOWN
 from stylerf.training.ranks import Alone
 from tests.stylerf.fields.test_densities import LARGER
 from tests.stylerf.small import (
@@ -169,7 +170,7 @@ def test_both_parts_are_clipped_where_that_is_asked_for(bank, device):
     engine = engine_on(device, bank, thin_field(), clip=1.5)
     engine.learn(batch())
     for adam in (engine.density_adam, engine.colour_adam):
-        usual = float(adam.usual)
+        usual, adam.steps = float(adam.usual), UNKNOWN
         assert usual > 0
         adam.gradients[:] = 0
         adam.gradients[0] = 100 * usual
