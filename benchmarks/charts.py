@@ -68,8 +68,8 @@ def pareto_chart(report: dict) -> str:
             for scene, one in zip(scenes, line):
                 rows = [row for row in report["rows"] if (row["work"], row["family"]) == (scene, family)]
                 rows = [row for row in rows if key in row["figures"] and row["costs"]["parameters"]]
-                for row in rows:
-                    _mark(one, row, key)
+                for row, label in zip(rows, unlike([row["name"] for row in rows])):
+                    _mark(one, row, key, label)
                 leading = [row for row in rows if f"{key}/seconds" in row["fronts"]]
                 places = sorted((row["costs"]["seconds"], row["figures"][key]) for row in leading)
                 if places:
@@ -141,10 +141,20 @@ def tensorf_chart(report: dict) -> str:
     return drawn((7, 3.4), draw)
 
 
-def _mark(axes, row: dict, key: str) -> None:
+def unlike(names: list[str]) -> list[str]:
+    """Names of parts joined by hyphens, without the first and the last parts that all of them share."""
+    parts = [name.split("-") for name in names]
+    while len(parts) > 1 and min(map(len, parts)) > 1 and len({name[0] for name in parts}) == 1:
+        parts = [name[1:] for name in parts]
+    while len(parts) > 1 and min(map(len, parts)) > 1 and len({name[-1] for name in parts}) == 1:
+        parts = [name[:-1] for name in parts]
+    return ["-".join(name) for name in parts]
+
+
+def _mark(axes, row: dict, key: str, label: str) -> None:
     place = (row["costs"]["seconds"], row["figures"][key])
     colour = "#0072b2" if row["family"] == "fits" else "#d55e00"
     filled = f"{key}/seconds" in row["fronts"]
     area = 15 + row["costs"]["parameters"] / 1e5
     axes.scatter(*place, s=area, facecolors=colour if filled else "none", edgecolors=colour, alpha=0.8)
-    axes.annotate(row["name"], place, xytext=(5, 3), textcoords="offset points", fontsize=6)
+    axes.annotate(label, place, xytext=(5, 3), textcoords="offset points", fontsize=6)
