@@ -65,8 +65,8 @@ def at_rest(field: RadianceField) -> None:
     """
     if field.displacement is None:
         return
-    field.displacement, highest = None, field.occupancy.highest
-    field.occupancy = Occupancy(field.occupancy.cells, highest)
+    field.displacement = None
+    field.occupancy = Occupancy(field.occupancy.cells, field.occupancy.highest)
     field.occupancy.decide(field.step)
 
 

@@ -29,7 +29,7 @@ SIGHT_RAYS = 1 << 17  # rays that find out which vertices are seen
 
 
 class Deformer:
-    """Gives `field`, which is at rest, a displacement grid of `vertices`^3 that follows `deformation`, and teaches it.
+    """Brings `field` to rest, gives it a displacement grid of `vertices`^3 that follows `deformation`, and teaches it.
 
     The network is asked at the vertices around what the cameras see of the field at rest; every other vertex moves as
     the nearest of these. clip: of the network's gradients, see Adam. gradients [chunks, 3 vertices^3]: where backward()

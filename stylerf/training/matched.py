@@ -6,9 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
+from stylerf.rendering.registration import SOLID
 from stylerf.style.colour import ColourMap, match_colours, pixels_of
-
-SOLID = 0.5  # coverage over which a pixel shows more of the object than of what is behind it
 
 
 @dataclass(frozen=True, eq=False)

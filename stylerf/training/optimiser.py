@@ -69,10 +69,10 @@ def clipped(gradients: np.ndarray, clip: float, usual: float, steps: int) -> flo
     if not np.isfinite(length):
         gradients[:] = 0
         return usual
-    if length == 0:
-        return usual
-    if steps < UNKNOWN or usual == 0:
-        return usual + (length - usual) / (steps + 1) if usual > 0 else length
+    if length == 0 or usual == 0:
+        return usual or length
+    if steps < UNKNOWN:
+        return usual + (length - usual) / (steps + 1)
     if length > clip * usual:
         gradients *= np.float32(clip * usual / length)
         length = clip * usual
@@ -84,4 +84,4 @@ def _length(gradients: np.ndarray) -> float:
     squares = 0.0
     for at in range(0, gradients.shape[1], SUMMED):
         squares += float(np.square(gradients[:, at : at + SUMMED].sum(0), dtype=np.float64).sum())
-    return math.sqrt(squares) if math.isfinite(squares) else squares
+    return math.sqrt(squares)

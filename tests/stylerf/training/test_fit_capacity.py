@@ -91,6 +91,12 @@ def test_nothing_is_tried_without_the_steps_to_judge_it(steps):
     assert len(set(sizes_by_step(steps, min_gain=0.0).values())) == 1
 
 
+def test_where_no_view_is_held_out_decisions_are_told_as_of_training_views():
+    fitter = box_fitter(300, held_out=0, min_gain=-9.0)
+    fitter.run()
+    assert fitter.state.decisions and all("training views gained" in d for d in fitter.state.decisions[:1])
+
+
 def test_a_capacity_that_was_asked_for_is_reached_whatever_it_gains():
     fitter = box_fitter(300, min_gain=50.0, always_climb=True)
     fitter.run()
