@@ -24,7 +24,7 @@ from stylerf.training.fit import Fitter
 from stylerf.training.fit_state import FitSettings
 from stylerf.training.ladders import LADDER, Kinds, Rung, capacity_at, first_parts, ladder_of
 
-SPEC = Spec(stage="nerf_fit", verb="fit", revision=14, writes="field", parallel=True)
+SPEC = Spec(stage="nerf_fit", verb="fit", revision=15, writes="field", parallel=True)
 GPU_SAMPLES = 262_144  # of a step: smaller ones would leave a GPU waiting for launches
 # Peak memory of the fits of benchmarks/results/kinds.json, on two threads: of the program with a batch, of a parameter
 # with its gradients, its moments and the copies that a return and a change of size need.

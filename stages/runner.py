@@ -105,7 +105,7 @@ def execute(
             f"an interrupted `stylerf {spec.verb}` of {spec.writes} {name}, {partial.lost}, cannot go on and is deleted"
         )
     if careful:
-        _tell_replaced(work, spec, name, recipe, context)
+        tell_replaced(work, spec, name, recipe, context)
     try:
         # Another process may have made it between the look above and our lock.
         standing = None if force else work.standing(spec.writes, name, recipe)
@@ -127,7 +127,8 @@ def execute(
         partial.release()
 
 
-def _tell_replaced(work: Work, spec: Spec, name: str, recipe: Recipe, context: Context) -> None:
+def tell_replaced(work: Work, spec: Spec, name: str, recipe: Recipe, context: Context) -> None:
+    """Says what takes a minute or more to make and is about to be replaced by what another recipe makes."""
     with suppress(StylerfError):  # what is not there, or cannot be read, is no loss
         made = Artefact(work.root / spec.writes / name).manifest
         before = Recipe(made.stage, made.revision, made.config, made.inputs, made.seed)

@@ -7,6 +7,9 @@ from stylerf.geometry.space import Space
 
 KIND_OF_LAYOUT = {"object": "box", "forward": "frustum", "unbounded": "contraction"}
 _MARGIN = 1.02
+# Half a side of a contraction's uncontracted box, in distances of the cameras from what they look at. What is between
+# the two is seldom the subject, and half of every axis goes to the box (decision 0042).
+FOCUS = 0.6
 
 
 def space_of(scene: SceneData, wanted: str) -> tuple[Space, str]:
@@ -17,9 +20,15 @@ def space_of(scene: SceneData, wanted: str) -> tuple[Space, str]:
     if kind == "box":
         return Space.box(*bounds.aabb), reason
     if kind == "contraction":
-        return Space.box(*bounds.aabb, near=bounds.near, far=max(bounds.far, 1e3), kind="contraction"), reason
+        low, high = np.asarray(bounds.aabb)
+        # An unbounded scene's box reaches as far as its cameras; others know what is in theirs.
+        middle, half = (low + high) / 2, (FOCUS if scene.layout == "unbounded" else 1.0) * (high - low) / 2
+        far = max(bounds.far, 1e3)
+        return Space.box(middle - half, middle + half, near=bounds.near, far=far, kind="contraction"), reason
     half_width, half_height = _frustum_sides(scene, bounds.near)
-    return Space.frustum(half_width, half_height, bounds.near, max(bounds.far, 1e4)), reason
+    centres = np.array([camera.world_from_camera[:3, 3] for camera in scene.cameras])
+    parallax = np.ptp(centres, axis=0)[:2].max() / bounds.near
+    return Space.frustum(half_width, half_height, bounds.near, max(bounds.far, 1e4), parallax), reason
 
 
 def _frustum_sides(scene: SceneData, near: float) -> tuple[float, float]:

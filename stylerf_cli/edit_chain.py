@@ -8,6 +8,7 @@ from schemas.store import Artefact
 from stages.configs.distill import DistillConfig
 from stages.configs.extract import ExtractConfig
 from stylerf_cli.chains import input_of, made_from, pictures_of
+from stylerf_cli.joining import agreed
 
 
 def region_of(session: Any, name: str) -> Artefact:
@@ -27,8 +28,12 @@ def standing(session: Any, spec: Any, source: Artefact) -> Artefact | None:
     """
     if spec.verb in session.own_verbs or session.options.table(spec.verb):
         return None
-    made = made_from(session, spec.writes, spec.stage, source)
-    return None if made is None or session.work.outdated(made) else made
+
+    def in_date() -> Artefact | None:
+        made = made_from(session, spec.writes, spec.stage, source)
+        return None if made is None or session.work.outdated(made) else made
+
+    return agreed(session, spec.writes, in_date)
 
 
 def ensure_edit_dataset(session: Any, region: Artefact, field: Artefact | None, config: Any = None) -> Artefact:
@@ -106,24 +111,37 @@ def _refuse_other_pictures(session: Any, field: Artefact, looked_at: Artefact, d
 def learnt_edit(session: Any, region: Artefact, config: Any, changes: Any, name: str, changed: str) -> Artefact:
     """An edit of a region: learnt, and with changes of its palette, then called `changed`, where any are asked for.
 
-    Changes need no training where any edit stands that was learnt just so, if need be the one that `changed` takes the
-    place of, which stays beside as <name>-learnt; else it is learnt, called so.
+    Nothing is learnt again where any edit stands that was learnt just so: without changes it is copied, unless --force
+    is given; with changes, one that `changed` takes the place of stays beside as <name>-learnt. Else it is learnt,
+    with changes called so.
     """
     from stages import edit_learn, edit_palette
-    from stages.runner import recipe_of
+    from stages.runner import recipe_of, tell_replaced
 
     dataset = ensure_edit_dataset(session, region, None)
     inputs = {"edit-dataset": dataset}
+    spec, name, changed = edit_learn.SPEC, session.name or name, session.name or changed
+    recipe = recipe_of(spec, inputs, config, session.context.seed)
+
+    def standing_beside(own: str) -> Artefact | None:
+        others = [one.name for one in session.work.artefacts("edit") if one.name != own]
+        return next(filter(None, (session.work.standing("edit", other, recipe) for other in others)), None)
+
+    def copied(source: Artefact, name: str) -> Artefact:
+        tell_replaced(session.work, spec, name, recipe, session.context)
+        return session.work.copy(source, name)
+
     if not changes:
-        return session.run(edit_learn.SPEC, edit_learn.run, inputs, config, name)
-    name, changed = session.name or name, session.name or changed
-    recipe = recipe_of(edit_learn.SPEC, inputs, config, session.context.seed)
-    others = [one.name for one in session.work.artefacts("edit") if one.name != changed]
-    found = (session.work.standing("edit", other, recipe) for other in others)
-    learnt = next(filter(None, found), None)
+        known = session.force or session.work.standing("edit", name, recipe)
+        learnt = None if known else standing_beside(name)
+        if learnt:
+            session.say(f"edit {name}: as {learnt.name}, learnt just so before (--force learns it anew)")
+            return copied(learnt, name)
+        return session.run(spec, edit_learn.run, inputs, config, name)
+    learnt = standing_beside(changed)
     if learnt is None and (own := session.work.standing("edit", changed, recipe)):
-        learnt = session.work.copy(own, f"{name}-learnt") if session.ranks.first else own
+        learnt = copied(own, f"{name}-learnt")
     if learnt is None:
         by = ("--region", region.name)
-        learnt = session.run(edit_learn.SPEC, edit_learn.run, inputs, config, f"{name}-learnt", own=False, by=by)
+        learnt = session.run(spec, edit_learn.run, inputs, config, f"{name}-learnt", own=False, by=by)
     return session.run(edit_palette.SPEC, edit_palette.run, {"edit": learnt}, changes, changed)

@@ -80,6 +80,18 @@ def follow(ranks: Any, session: Any, spec: Any, run: Any, inputs: dict[str, Any]
     return session.work.get(spec.writes, word)
 
 
+def agreed(session: Any, kind: str, find: Callable[[], Any]) -> Any:
+    """The artefact of that kind that `find` gives, or None: as the first of several processes finds it.
+
+    By the time that another looks, the first may have made the next one already.
+    """
+    if session.ranks.count == 1:
+        return find()
+    found = find() if session.ranks.first else None
+    name = _told(session.ranks.tell, found.name if found else "")
+    return session.work.get(kind, name) if name else None
+
+
 def leave_fault(ranks: Any, error: BaseException) -> None:
     """A fault of a process that must not speak, for the first one to tell; that another was lost is none of its own."""
     if not ranks.first and not isinstance(error, (ProcessLost, KeyboardInterrupt)):

@@ -73,7 +73,7 @@ class FitConfig:
         0.0, help="a gradient counts as no longer than so many times the usual (remedy for leaps; 0: as long as it is)"
     )
     held_out: int = option(
-        -1, help="training views kept aside for decisions until the last quarter (-1: every tenth, at most 4; 0: none)"
+        -1, help="training views kept aside while there is anything to decide (-1: every tenth, at most 4; 0: none)"
     )
     checkpoint_every_seconds: float = option(15.0, help="time between checkpoints", incidental=True)
     buffers: bool = option(True, help="also render every view to EXR when the field stands", incidental=True)

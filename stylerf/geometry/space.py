@@ -44,9 +44,14 @@ class Space:
         return Space(kind, tuple(float(v) for v in values), float(near), float(far))
 
     @staticmethod
-    def frustum(half_width: float, half_height: float, near: float, far: float) -> "Space":
-        """Frustum along +z of the frame: |x| <= half_width z, |y| <= half_height z, z >= near."""
-        return Space("frustum", (float(half_width), float(half_height), float(near), 0.0, 0.0, 0.0, 0.0), near, far)
+    def frustum(half_width: float, half_height: float, near: float, far: float, parallax: float = 0.0) -> "Space":
+        """Frustum along +z of the frame: |x| <= half_width z, |y| <= half_height z, z >= near.
+
+        parallax: by how much views see the nearest point apart, against what is infinitely far, in the units of the
+        half sides (baseline / near): it tells how finely depth need be told apart. 0: as finely as the sides.
+        """
+        values = half_width, half_height, near, parallax, 0.0, 0.0, 0.0
+        return Space("frustum", tuple(float(value) for value in values), near, far)
 
     @property
     def code(self) -> int:
@@ -58,10 +63,18 @@ class Space:
         return np.asarray(self.parameters, dtype=np.float32)
 
     def cells_per_axis(self, resolution: int) -> np.ndarray:
-        """Vertices per axis, [3] int64, so that `resolution`^3 vertices are spread evenly over the box's sides."""
-        if self.kind != "box":
+        """Vertices per axis, [3] int64, so that `resolution`^3 vertices are spread evenly over the sides.
+
+        Those of a frustum are as views see them: its width, its height and the parallax of its nearest point.
+        """
+        if self.kind == "contraction" or (self.kind == "frustum" and self.parameters[3] <= 0):
             return np.full(3, resolution, dtype=np.int64)
-        extent = 1.0 / np.asarray(self.parameters[3:6])
+        if self.kind == "box":
+            extent = 1.0 / np.asarray(self.parameters[3:6])
+        else:
+            width, height, _, parallax = self.parameters[:4]
+            widest = 2 * max(width, height)
+            extent = np.array([2 * width, 2 * height, np.clip(parallax, widest / 4, widest)])
         sides = resolution * extent / np.prod(extent) ** (1 / 3)
         return np.maximum(8, np.round(sides)).astype(np.int64)
 

@@ -149,14 +149,22 @@ class Climb:
             return None
         if not s.fixed and not self._used_up(progress):
             return None
-        if self._steps_left(progress) < self._trial_steps(progress):
-            return None
+        return None if self._steps_left(progress) < self._trial_steps(progress) else self._next_reduction()
+
+    def _next_reduction(self) -> str | None:
+        s, settings = self.state, self.settings
         for name in settings.reductions:
             if name == "resolution" and s.climbed is not None and s.climbed >= PLAINLY_WORTH:
                 continue
             if name not in s.refused and REDUCTIONS[name](self.rung, settings.kinds, settings):
                 return name
         return None
+
+    @property
+    def settled(self) -> bool:
+        """Whether nothing is on trial, and nothing left that could be."""
+        top = self.state.trial is None and (self.state.fixed or self.state.rung >= self._last)
+        return top and (self.settings.always_climb or self._next_reduction() is None)
 
     def over(self, progress: float) -> bool:
         """Whether the trial that is on has had its time."""

@@ -3,8 +3,8 @@
 The field starts coarse and climbs a ladder of capacities. Each rung is a trial: if, when its share of the budget is
 used up, held-out views have not gained `min_gain` dB over the rung before, the field goes back to that rung and stays
 there. When the ladder has ended, what the views do not miss is given up again (climbing.py decides). Held-out views
-are taken from the training views, never from the test views, and are trained on in the last part of the budget, when
-nothing is left to decide.
+are taken from the training views, never from the test views, and are trained on as well as soon as nothing is left to
+decide, in the last part of the budget at the latest.
 """
 
 import itertools
@@ -138,7 +138,8 @@ class Fitter:
     @property
     def _judging(self) -> bool:
         """Whether views are kept aside now."""
-        return self.held_out > 0 and self.progress < self.settings.held_out_until
+        until = self.settings.held_out_until
+        return self.held_out > 0 and self.progress < until and (until >= 1 or not self.state.decided)
 
     def held_out_psnr(self) -> float:
         """PSNR over the held-out rays (training rays where no view is held out), dB.
@@ -318,6 +319,7 @@ class Fitter:
                 if not climb.enough(reduced):
                     break  # a while of teaching decides
             quality = self._judge(reduced)
+        state.decided |= climb.settled
 
     def _stay(self, quality: float) -> None:
         """Leave the ladder: the field is as exact as its photos."""

@@ -16,8 +16,9 @@ class FitSettings:
     shares: parts of the budget at which the trial of the next rung begins, and that of the last ends, at the latest
     after so many steps in all (`longest`, of every rung; empty: however many those are);
     reductions: what is tried to be given up then (climbing.REDUCTIONS); held_out_until: part of the budget from which
-    the held-out views are trained on as well. opacity: weight of the opacity prior (engine.opacity_gradient) at the end
-    of the budget, growing from nothing in its first quarter, so that it cannot forbid what is yet to appear.
+    the held-out views are trained on as well, unless nothing is left to decide before that (1: never).
+    opacity: weight of the opacity prior (engine.opacity_gradient) at the end of the budget, growing from nothing in its
+    first quarter, so that it cannot forbid what is yet to appear.
     hull: share of the training views that must show a cell of a box as clear, by their transparency, for nothing to be
     looked for there (hull.clear_cells; 0: everywhere is). coverage: weight of the squared error of alpha
     (engine.coverage_gradient) beside that of the colours, where photos are cut out. exposure: whether photos are
@@ -58,6 +59,7 @@ class FitState:
     fixed: bool = False  # the ladder has been left: no more growth
     given_up: dict[str, int] = field(default_factory=dict)  # of the rung, by its fields' names
     climbed: float | None = None  # dB by which the present rung was kept; None: no rung was climbed
+    decided: bool = False  # nothing more is to be tried
     refused: list[str] = field(default_factory=list)  # reductions that lost too much
     whole: float | None = None  # the best held-out dB from which anything was given up
     trial: dict | None = None  # see climbing.Climb

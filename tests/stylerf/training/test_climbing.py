@@ -35,6 +35,21 @@ def test_nothing_is_given_up_before_the_ladder_ends():
     assert climb_at(always_climb=True).reduction_due(0.6) is None
 
 
+def test_a_fit_is_settled_when_nothing_is_left_to_try():
+    climb = climb_at(reductions=("density ranks", "degree"))
+    assert not climb.settled and not climb_at(2).settled
+    assert climb_at(always_climb=True).settled and not climb_at(2, always_climb=True).settled
+    assert tried(climb, 0.56, 29.5) == ("density ranks", False)
+    assert not climb.settled
+    climb.begin("degree", 30.0, 1000, 0.6)
+    assert not climb.settled  # while it is on trial
+    climb.judge(30.0, 900)
+    assert climb.settled
+    left = climb_at(2, reductions=())
+    left.state.fixed = True
+    assert left.settled
+
+
 def test_nor_when_the_held_out_views_are_about_to_be_trained_on():
     assert climb_at(step=1400).reduction_due(0.70) is None
     assert climb_at(step=1200).reduction_due(0.66) is not None
