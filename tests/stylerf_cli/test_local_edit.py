@@ -191,12 +191,17 @@ def test_a_change_under_the_very_name_of_what_was_learnt_needs_no_training(edite
         refused(capsys, "stylize", work, *asked, "--palette", "9=#000000", "--name", "vase")
         assert Work(work).get("edit", "vase").digest == looked_at.digest  # a slip loses nothing
         named = said(capsys, "stylize", work, *asked, "--palette", "0=#2030f0", "--name", "vase")
+        stages = [Work(work).get("edit", "vase").manifest.stage]
+        back = said(capsys, "stylize", work, *asked, "--name", "vase")
+    again = Work(work).get("edit", "vase")
+    again.verify()
+    assert back["name"] == "vase" and {one.path: one.sha256 for one in again.manifest.files} == files
     assert named["figures"]["learnt"] == "vase-learnt"
     learnt = Work(work).get("edit", "vase-learnt")
     learnt.verify()
     assert {one.path: one.sha256 for one in learnt.manifest.files} == files
     assert (learnt.manifest.recipe, learnt.manifest.seconds) == (before.recipe, before.seconds)
-    assert Work(work).get("edit", "vase").manifest.stage == "edit_palette"
+    assert [*stages, again.manifest.stage] == ["edit_palette", "edit_learn"]
 
 
 def test_options_of_extract_and_distill_reach_the_edit(edited, capsys, tmp_path):

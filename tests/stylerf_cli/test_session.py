@@ -2,8 +2,10 @@
 
 import argparse
 import os
+import queue
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import pytest
 
@@ -11,6 +13,7 @@ from schemas.errors import ArtefactStale, UsageError
 from stages.runner import Spec
 from stylerf_cli import session as sessions
 from stylerf_cli.arguments import Parser, add_common
+from stylerf_cli.joining import agreed
 from stylerf_cli.options import Options
 from stylerf_cli.session import Session
 from tests.conftest import REPOSITORY
@@ -38,6 +41,21 @@ def test_earlier_stages_are_announced_made_once_and_never_forced_or_named(tmp_pa
         assert ("running `stylerf import` first" in told) == (not flags)
     session(tmp_path).run(toy_stage.SPEC, toy_stage.run, {"scene": scene}, ToyConfig(), "fox")
     assert capsys.readouterr().err == "field fox stands up to date (--force makes it anew)\n"
+
+
+def test_several_processes_go_by_what_the_first_one_finds(tmp_path):
+    """Here the second looks when the first has made what it did not find."""
+    made = session(tmp_path).run(UPSTREAM, toy_stage.run, {}, ToyConfig(steps=3), "fox")
+    told = queue.SimpleQueue()
+
+    first, second = (SimpleNamespace(work=session(tmp_path).work) for _ in range(2))
+    first.ranks = SimpleNamespace(count=2, first=True, tell=lambda text: told.put(text) or text)
+    second.ranks = SimpleNamespace(count=2, first=False, tell=lambda text: told.get_nowait())
+    assert agreed(first, "scene", lambda: None) is None
+    assert agreed(second, "scene", lambda: made) is None
+    assert agreed(first, "scene", lambda: made) is not None
+    assert agreed(second, "scene", lambda: None).digest == made.digest
+    assert agreed(session(tmp_path), "scene", lambda: made) is made
 
 
 def test_only_refuses_to_make_earlier_stages_with_the_command_that_does(tmp_path):
