@@ -40,7 +40,7 @@ class RadianceField:
     step: float
     displacement: np.ndarray | None = None
     colour_map: ColourMap | None = None
-    share: float = 1e-3
+    share: float = 1e-2
 
     @property
     def closed(self) -> bool:
