@@ -20,9 +20,6 @@ HOPELESS, HOPELESS_RANKS = 0.6, 0.3
 # Steps in which the rate rises after a reduction: Adam's first steps, without a past, are its largest. (Moments carried
 # over were tried and bring a field back more slowly than none.)
 RAMP = 5
-# dB by which a rung must have gained when it was climbed for its resolution not to be asked back: what it gained in its
-# trial is the least that it will, and a trial that is refused costs what it lasted.
-PLAINLY_WORTH = 0.15
 RANKS = (8, 16)  # that may be gone down to: each number is a set of kernels to compile
 RESOLUTIONS = (32, 48, 64, 96, 128, 192, 256, 384, 512)
 COLOUR_STEP = 16  # a coarser colour's resolution is a multiple of it
@@ -154,7 +151,9 @@ class Climb:
     def _next_reduction(self) -> str | None:
         s, settings = self.state, self.settings
         for name in settings.reductions:
-            if name == "resolution" and s.climbed is not None and s.climbed >= PLAINLY_WORTH:
+            # What a rung gained in its trial is the least that it will: later, what the views gain by more training
+            # would hide that they miss it. One that is no larger may have been kept without a gain.
+            if name == "resolution" and s.climbed is not None and s.climbed >= settings.min_gain:
                 continue
             if name not in s.refused and REDUCTIONS[name](self.rung, settings.kinds, settings):
                 return name
