@@ -110,10 +110,12 @@ def ray_span(kind, space, ox, oy, oz, dx, dy, dz, near, far):
 @inline
 def _time_out_of(x, speed, distance, cells, least):
     """The less of `least` and the time until coordinate x has left all cells nearer than `distance` to its own."""
+    if speed == _ZERO:
+        return least
     own = np.float32(min(int(x * np.float32(cells)), cells - 1))
     edge = own + np.float32(distance) if speed > _ZERO else own - np.float32(distance) + _ONE
     time = (edge / np.float32(cells) - x) / speed
-    return time if time < least else least  # also where the speed is zero and the time no number
+    return min(max(time, _ZERO), least)
 
 
 @inline
@@ -260,7 +262,10 @@ def walk_chunk(
             distance = cell_distance(occupancy, cells, q)
             if distance > 0:
                 taken = leap(kind, space, ox, oy, oz, dx, dy, dz, t, dt, distance, cells, step, q, moved)
-                t += dt * np.float32(taken)
+                s = t + dt * np.float32(taken)
+                if not s > t:  # a step is lost in the rounding of so large a distance
+                    break
+                t = s
                 speed, jacobian = warp_at(kind, space, ox + t * dx, oy + t * dy, oz + t * dz, dx, dy, dz, q)
                 continue
             # Where the next sample will be is known before this one's density is.

@@ -5,6 +5,7 @@ import pytest
 import torch
 
 from stylerf.fields.occupancy import Occupancy
+from stylerf.fields.samples import Rays
 from stylerf.fields.vm import VmDensity
 from stylerf.fields.vm_tables import split_table
 from stylerf.kernels import oracle
@@ -93,3 +94,33 @@ def test_no_leap_passes_into_an_occupied_cell(kind, cells):
                 assert float(away.max()) < bound
                 checked += 1
     assert checked > 60
+
+
+@pytest.mark.parametrize("zero", [0.0, -0.0])
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_rays_along_a_side_of_a_box_leap_as_their_neighbours_do(axis, zero):
+    """A ray that does not move along an axis at all never leaves its cells on that axis."""
+    space, step, cells = SPACES["box"], 1 / 64, 16
+    occupancy = Occupancy(cells)
+    occupancy.set_occupied(clumps(cells, 14))
+    rays = rays_into(space, 400, 13, jitter=False)
+    rays.directions[:, axis] = zero
+    rays.directions[:200, (axis + 1) % 3] = zero
+    rays.directions[:] /= np.linalg.norm(rays.directions, axis=1, keepdims=True)
+    beside = Rays(rays.origins, rays.directions.copy(), rays.jitter, rays.near)
+    beside.directions[beside.directions == 0] = 1e-7
+    found, wanted = (march(even_fog(0.05), space, one, step=step, occupancy=occupancy) for one in (rays, beside))
+    found, wanted = (sums(one, np.ones_like(one.t)) for one in (found, wanted))
+    assert (wanted > 0.01).sum() > 20
+    assert (np.abs(found - wanted) < 1e-3).mean() > 0.97  # the others graze a cell, or a side of the box
+
+
+def test_a_step_that_is_lost_in_a_far_cameras_distance_ends_the_ray():
+    """In float32 a thousandth cannot be added to a distance of 1e5, and beside an occupied cell that is a leap."""
+    space, cells = SPACES["box"], 24
+    occupancy = Occupancy(cells)
+    occupancy.set_occupied(clumps(cells, 14))
+    rays = rays_into(space, 400, 3)
+    away = Rays(rays.origins - 1e5 * rays.directions, rays.directions, rays.jitter, rays.near)
+    found = march(even_fog(1e-6), space, away, step=1e-3, occupancy=occupancy)
+    assert len(found.t) and np.isfinite(found.t).all()
