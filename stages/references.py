@@ -2,6 +2,7 @@
 
 import hashlib
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -13,6 +14,7 @@ from stages.configs.views import file_of
 from stages.paintings import read_painting
 from stages.scenes import SceneData, view_index
 from stages.weights import resolve, resolve_decoder
+from stylerf.editing.regions import Region
 from stylerf.fields.field import RadianceField
 from stylerf.geometry.cameras import Camera
 from stylerf.rendering.registration import best_reference, few_points
@@ -64,12 +66,24 @@ def read_references(scene: SceneData, references: Sequence[str]) -> dict[int, np
 
 
 def chosen_view(
-    scene: SceneData, field: RadianceField, cameras: list[Camera], config: StylizeConfig, share: float, chunks: int
+    scene: SceneData,
+    field: RadianceField,
+    cameras: list[Camera],
+    config: StylizeConfig,
+    share: float,
+    chunks: int,
+    region: Region | None = None,
 ) -> int:
-    """Place among the training views of the one to make a reference: --reference-view, or the best seen by all."""
+    """Place among the training views of the one to make a reference: --reference-view, or the best seen by all.
+
+    region: what is to be seen, rather than the scene.
+    """
     if config.reference_view:
         return training_view(scene, config.reference_view, f"--reference-view {config.reference_view}")
-    return best_reference(few_points(field, cameras, share, chunks))
+    seen = few_points(field, cameras, share, chunks)
+    if region is not None:
+        seen = [replace(one, there=one.there & region.holds(one.places)) for one in seen]
+    return best_reference(seen)
 
 
 def checked(scene: SceneData, config: StylizeConfig) -> None:

@@ -4,16 +4,19 @@ import json
 from pathlib import Path
 
 import numpy as np
+from scipy.ndimage import binary_dilation
 
 from schemas.atomic import write_json
-from schemas.errors import ArtefactDamaged
+from schemas.errors import ArtefactDamaged, BadInput
 from schemas.store import Artefact
 from schemas.tensors import load_tensors, save_tensors
 from stylerf.editing.regions import Region
 from stylerf.errors import InvalidValue
+from stylerf.fields.field import RadianceField
 from stylerf.geometry.space import Space
 
 DESCRIPTION, NUMBERS = "region.json", "region.safetensors"
+MARGIN = 2  # cells: samples in front of a surface, which is where its colour is looked for too
 
 
 def save_region(folder: Path, region: Region, space: Space, told: dict) -> None:
@@ -21,6 +24,25 @@ def save_region(folder: Path, region: Region, space: Space, told: dict) -> None:
     packed = {name: np.packbits(grid.reshape(-1)) for name, grid in (("edit", region.edit), ("grow", region.grow))}
     save_tensors(folder / NUMBERS, packed)
     write_json(folder / DESCRIPTION, {**told, "cells": region.cells, "space": space.describe()})
+
+
+def region_of_field(region: Artefact, of: Artefact, field: RadianceField, otherwise: str = "") -> Region:
+    """The region's cells; BadInput where they divide the space of another field than `of`, which holds `field`.
+
+    otherwise: what else could be done, for the message.
+    """
+    found, space = load_region(region)
+    if space != field.space:
+        raise BadInput(
+            f"region {region.name} divides the space of another field than {of.name}; select it anew with "
+            f"`stylerf select --of {of.name}`{otherwise}"
+        )
+    return found
+
+
+def patched_cells(region: Region) -> np.ndarray:
+    """[s, s, s] bool: where a region has colours of its own: its cells and MARGIN around them."""
+    return binary_dilation(region.edit, iterations=MARGIN)
 
 
 def load_region(artefact: Artefact) -> tuple[Region, Space]:

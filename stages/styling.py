@@ -8,6 +8,8 @@ import torch
 from stages.configs.fit import budget_of
 from stages.configs.stylize import COLOUR_CELLS, StylizeConfig
 from stylerf.fields.hash import HashColour
+from stylerf.fields.patch import PatchColour
+from stylerf.fields.protocol import ColourPart
 from stylerf.style.objective import StyleWeights
 from stylerf.style.trunks import LAYERS, taps_of
 from stylerf.training.style_settings import StyleSettings
@@ -34,6 +36,14 @@ def new_colour(config: StylizeConfig, generator: np.random.Generator, pixel_cell
     """
     finest = finest_cells(config.finest, pixel_cells)
     return HashColour.create(generator, levels=config.levels, finest=finest, table=1 << config.table_bits)
+
+
+def own_colour(
+    config: StylizeConfig, base: ColourPart, cells: np.ndarray, generator: np.random.Generator, pixel_cells: float
+) -> PatchColour:
+    """As new_colour, over `base` in marked cells [s, s, s] of the cube alone; at first it is the base."""
+    finest = float(finest_cells(config.finest, pixel_cells))
+    return PatchColour.create(base, cells, finest, 1 << config.table_bits, config.levels)
 
 
 def finest_cells(asked: int, pixel_cells: float) -> int:
@@ -93,8 +103,11 @@ def match_of(config: StylizeConfig) -> str:
     return "none" if config.reference or config.reference_by == "adain" else "before"
 
 
-def settings_of(config: StylizeConfig, long_side: int, closed: bool) -> StyleSettings:
-    """closed: whether the field is a capture, rather than an object alone."""
+def settings_of(config: StylizeConfig, long_side: int, closed: bool, region: bool = False) -> StyleSettings:
+    """closed: whether the field is a capture, rather than an object alone. region: whether a part of it is stylised.
+
+    Colours over the field's own look as the photos do from the start, unless other colours are asked for.
+    """
     own = BENT_OBJECT if config.method == "desrf" and not closed else ELSE
     own = BY_REFERENCE if config.method == "refnpr" else own
     held = {name: value if getattr(config, name) == -1 else getattr(config, name) for name, value in own.items()}
@@ -109,7 +122,7 @@ def settings_of(config: StylizeConfig, long_side: int, closed: bool) -> StyleSet
     return StyleSettings(
         steps=steps,
         seconds=seconds or 1.0,
-        refit_steps=config.refit_steps,
+        refit_steps=1 if region and match_of(config) == "none" else config.refit_steps,
         rate=config.rate,
         deform_rate=config.deform_rate,
         displacement_weight=held["displacement_weight"],

@@ -24,14 +24,18 @@ from stages.paintings import read_painting
 from stages.photos import level_of, photo_for
 from stages.progress import Context
 from stages.references import chosen_view, decoded_reference, read_references
+from stages.regions import patched_cells, region_of_field
 from stages.runner import Spec
 from stages.scenes import SceneData, load_scene
-from stages.styling import coarse_taps, new_colour, painting_taps, settings_of, template_taps
+from stages.styling import coarse_taps, new_colour, own_colour, painting_taps, settings_of, template_taps
 from stages.training import run_training
 from stages.weights import ResolvedTrunk, resolve
+from stylerf.editing.regions import Region
 from stylerf.errors import InvalidValue
 from stylerf.fields.deformation import Deformation
 from stylerf.fields.field import RadianceField
+from stylerf.fields.hash import HashColour
+from stylerf.fields.patch import PatchColour
 from stylerf.kernels.cpu.compiling import compiling_note, set_threads
 from stylerf.style.trunks import Trunk
 from stylerf.training.alternating import Alternating
@@ -50,6 +54,7 @@ def run(inputs: dict[str, Artefact], config: StylizeConfig, partial: Partial, co
     """Writes the stylised field; returns the figures, among them the curve of the loss."""
     scene = load_scene(inputs["scene"], inputs["field"])
     field, background = load_field(inputs["field"])
+    region = region_of_field(inputs["region"], inputs["field"], field) if "region" in inputs else None
     deformation = load_deformation(inputs["field"]) if config.method == "desrf" else None
     if config.method == "desrf" and deformation is None:
         raise BadInput(f"{inputs['field'].path} has no deformation to move; run `stylerf deform` on it first")
@@ -60,7 +65,7 @@ def run(inputs: dict[str, Artefact], config: StylizeConfig, partial: Partial, co
     painting = read_painting(Path(config.style or file_of(config.reference[0])[1]))
     device = gpu_of(context)
     try:
-        given = scene, field, level_of(background), painting, resolved, deformation
+        given = scene, field, level_of(background), painting, resolved, deformation, region
         stylizer = _stylizer(config, *given, context, device)
     except InvalidValue as error:
         raise BadInput(f"{config.style or config.reference[0]} on {inputs['field'].path}: {error}") from error
@@ -83,7 +88,7 @@ def run(inputs: dict[str, Artefact], config: StylizeConfig, partial: Partial, co
         "steps": state.step,
         "train_seconds": round(state.seconds, 2),
         "curve_style": state.curve,
-        "finest": stylizer.field.colour.finest,
+        "finest": _learnt(stylizer.field).finest,
         "parameters": stylizer.field.parameters,
         "features": resolved.manifest(),
         "views": len(stylizer.cameras),
@@ -94,6 +99,11 @@ def run(inputs: dict[str, Artefact], config: StylizeConfig, partial: Partial, co
     }
 
 
+def _learnt(field: RadianceField) -> HashColour:
+    """The colours that were taught."""
+    return field.colour.own if isinstance(field.colour, PatchColour) else field.colour
+
+
 def _stylizer(
     config: StylizeConfig,
     scene: SceneData,
@@ -102,6 +112,7 @@ def _stylizer(
     painting: torch.Tensor,
     resolved: ResolvedTrunk,
     deformation: Deformation | None,
+    region: Region | None,
     context: Context,
     device: str | None,
 ) -> Repainting:
@@ -114,7 +125,11 @@ def _stylizer(
     cameras = [scene.cameras[i] for i in views]
     threads = torch.get_num_threads()
     photos = Kept(lambda place: photo_for(field, scene, views[place], level, threads), len, len(views), 0)
-    settings = settings_of(config, max(max(c.width, c.height) for c in scene.cameras), field.closed)
+    long_side = max(max(c.width, c.height) for c in scene.cameras)
+    settings = settings_of(config, long_side, field.closed, region is not None)
+    colour = functools.partial(new_colour, config)
+    if region is not None:
+        colour = functools.partial(own_colour, config, field.colour, patched_cells(region))
     given = (
         field,
         cameras,
@@ -125,15 +140,16 @@ def _stylizer(
         settings,
         context.seed,
         threads,
-        functools.partial(new_colour, config),
+        colour,
     )
     more = {"memory": _room_for(scene, views, context), "device": rays_on(device, field, context, moving)}
+    more["within"] = None if region is None else region.edit
     if config.method == "snerf":
         return Alternating(*given, **more)
     if config.method == "refnpr":
         references = read_references(scene, config.reference)
         if not references:
-            view = chosen_view(scene, field, cameras, config, settings.share, threads)
+            view = chosen_view(scene, field, cameras, config, settings.share, threads, region)
             context.progress.say(f"view {cameras[view].name} is made the reference")
             references = {view: None}
             if config.reference_by == "adain":

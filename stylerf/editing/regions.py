@@ -41,6 +41,10 @@ class Region:
         """s."""
         return self.edit.shape[0]
 
+    def holds(self, x: np.ndarray) -> np.ndarray:
+        """[n] bool: whether cube points [n, 3] lie in E."""
+        return self.edit[tuple(cells_of_points(x, self.cells).T)]
+
     def alpha(self, samples: Samples, chunks: int) -> np.ndarray:
         """alpha_E [rays]: how much of each ray's opacity lies inside E."""
         return alpha_inside(self.edit, samples, chunks)

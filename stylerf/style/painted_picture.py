@@ -14,12 +14,13 @@ Loss = Callable[[Tensor], tuple[Tensor, dict[str, float]]]
 class PaintedPicture:
     """Straight colours that learn by Adam; what is seen is alpha colours + (1 - alpha) background.
 
-    start: [3, h, w] over the background, sRGB 0..1. alpha: [h, w], None where all is covered. Adam moves every colour
+    start: [3, h, w] over the background, sRGB 0..1. alpha: [h, w], None where all is covered. background: a level of
+    grey, or a picture [3, h, w] of which only a part is painted. Adam moves every colour
     by about `rate` a step, however small its gradient: where the coverage is small, so is what is seen of that.
     """
 
-    def __init__(self, start: Tensor, alpha: Tensor | None, background: float, rate: float) -> None:
-        self.alpha, self.background, self.rate = alpha, float(background), rate
+    def __init__(self, start: Tensor, alpha: Tensor | None, background: float | Tensor, rate: float) -> None:
+        self.alpha, self.background, self.rate = alpha, background, rate
         straight = start if alpha is None else (start - (1 - alpha) * self.background) / alpha.clamp_min(1e-3)
         self.colours = straight.detach().clamp(0, 1).clone()
         self.first, self.second, self.steps = torch.zeros_like(start), torch.zeros_like(start), 0
@@ -60,7 +61,7 @@ class PaintedPicture:
 def painted(
     start: Tensor,
     alpha: Tensor | None,
-    background: float,
+    background: float | Tensor,
     loss: Loss,
     steps: int,
     rate: float,

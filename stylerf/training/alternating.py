@@ -64,7 +64,7 @@ class Alternating(Repainting):
         # However slow the machine, the field has its turn.
         ends = time.perf_counter() + self.left_of_turn
         found, parts = painted(
-            self._there(rgb), coverage, self.background, loss, s.image_steps, s.image_rate / (1 + visits),
+            self._there(rgb), coverage, float(self.background), loss, s.image_steps, s.image_rate / (1 + visits),
             lambda: not s.steps and time.perf_counter() > ends,
         )  # fmt: skip
         self.targets[view], self._visits[view] = np.rint(found * 255).astype(np.uint8), (now, visits + 1)

@@ -7,6 +7,7 @@ from torch import Tensor
 from stylerf.fields.device import COLOUR_KINDS, DeviceField, DeviceRendered
 from stylerf.fields.device_memory import free_on, in_parts
 from stylerf.fields.field import RadianceField
+from stylerf.fields.hash import HashColour
 from stylerf.fields.surface import Surface
 from stylerf.geometry.cameras import Camera
 from stylerf.kernels.gpu import launch
@@ -114,7 +115,9 @@ class DeviceFixedGeometry:
             starts, ends, counts.int(), zero[: len(pixels)], torch.full((1,), n, dtype=torch.int64, device=self.device),
             zero[:n], zero[:n], x[place].contiguous(), zero[:n], own, ray.int(),
         )  # fmt: skip
-        colours = self._colour.colours(samples, None, 0.0)
+        plain = isinstance(self.field.colour, HashColour)
+        directions = None if plain else rays_of(self.cameras[view], chosen).directions
+        colours = self._colour.colours(samples, directions, 0.0)
         return launch.composite(samples, colours)[:, :3].cpu().numpy(), (samples, colours)
 
     def learn(self, kept: tuple[DeviceSamples, Tensor], gradients: np.ndarray, colour_to: Tensor) -> None:

@@ -3,9 +3,11 @@
 import numpy as np
 
 from stylerf.fields.field import RadianceField
+from stylerf.fields.hash import HashColour
 from stylerf.fields.samples import Rays
 from stylerf.fields.surface import Surface, surface_of
 from stylerf.geometry.cameras import Camera
+from stylerf.geometry.harmonics import harmonics
 from stylerf.kernels.cpu.composite import shade, shade_backward
 from stylerf.rendering.rays import Rendered, backward, render_rays
 from stylerf.training.deformer import Deformer
@@ -18,7 +20,7 @@ OPAQUE = 1e-2  # transmittance at which a walked ray ends
 class FixedGeometry:
     """Colours on surfaces that do not move: every view is marched once and its samples are kept, up to `memory` bytes.
 
-    share: part of a ray's largest weight that a sample needs to take part.
+    share: part of a ray's largest weight that a sample needs to take part. What learns is the same from everywhere.
     """
 
     def __init__(
@@ -41,7 +43,10 @@ class FixedGeometry:
     def paint(self, view: int, pixels: np.ndarray) -> tuple[np.ndarray, tuple]:
         """Premultiplied rgb [n, 3] of pixels, and what learn() needs."""
         starts, ends, x, weights = self.surface(view).samples(pixels)
-        colours = self.field.colour.colours(x, None, starts, ends, weights, 0.0, self.chunks)
+        colour, basis = self.field.colour, None
+        if not isinstance(colour, HashColour):  # what lies under a part's own colours is seen from somewhere
+            basis = harmonics(self.cameras[view].rays(pixels)[1], colour.degree)
+        colours = colour.colours(x, basis, starts, ends, weights, 0.0, self.chunks)
         out = np.empty((len(pixels), 3), np.float32)
         shade(weights, colours, starts, ends, out)
         return out, (starts, ends, x, weights, colours)

@@ -12,17 +12,23 @@ from stylerf.style.colour import ColourMap, match_colours, pixels_of
 
 @dataclass(frozen=True, eq=False)
 class ObjectPhotos:
-    """Photos without their background. photos: [h, w, 3] over it; alpha: of a view [h, w], before anything moves."""
+    """Photos without their background. photos: [h, w, 3] over it; alpha: of a view [h, w], before anything moves.
+
+    background: its level of grey; None: of a part of what the photos show, beside which they stay as they are.
+    """
 
     photos: Sequence[np.ndarray]
     alpha: Callable[[int], np.ndarray]
-    background: np.float32
+    background: np.float32 | None
 
     def __call__(self, view: int) -> tuple[np.ndarray, np.ndarray]:
         """Premultiplied rgb [h, w, 3] of what is not background, and its coverage [h, w]."""
         coverage = self.alpha(view)
-        behind = (1 - coverage[..., None]) * self.background
+        behind = (1 - coverage[..., None]) * self._beside(view)
         return np.clip(self.photos[view] - behind, 0, coverage[..., None]), coverage
+
+    def _beside(self, view: int) -> np.ndarray | np.float32:
+        return self.photos[view] if self.background is None else self.background
 
     def colours(self, seed: int, count: int) -> tuple[torch.Tensor, torch.Tensor]:
         """A sample of their colours [n, 3] and its weights [n]. count: pixels of all photos."""
@@ -34,7 +40,7 @@ class ObjectPhotos:
         rgb, coverage = self(view)
         mapped = colour_map.premultiplied(torch.from_numpy(rgb), torch.from_numpy(coverage)).numpy()
         level = coverage[..., None]
-        return (np.clip(mapped, 0, level) + (1 - level) * self.background).astype(np.float32)
+        return (np.clip(mapped, 0, level) + (1 - level) * self._beside(view)).astype(np.float32)
 
 
 def straight_rgba(rgb: np.ndarray, coverage: np.ndarray, least: float = 0.0) -> torch.Tensor:

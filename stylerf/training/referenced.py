@@ -11,6 +11,7 @@ variation, in the last quarter of the style steps w (...) + 0.2 style + variatio
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -36,7 +37,9 @@ class Referenced(Stylizer):
     """references: by training view, its stylised picture [h, w, 3] over the background; None: painted here, in 2D, by
     the objective of `painting` (settings.loss) on `trunk`. template_trunk, coarse_trunk: see TemplateObjective.
 
-    Painting counts towards the budget. Shapes are held fast, and must not have been displaced.
+    Painting counts towards the budget. Shapes are held fast, and must not have been displaced. Of a part of the scene
+    (within) references are that part of their pictures, and the photos beside it; InvalidValue where one shows nothing
+    of it.
     """
 
     def __init__(
@@ -60,9 +63,10 @@ class Referenced(Stylizer):
         self._late_keys = None
         super().__init__(*given, **more)
         for view, picture in self.references.items():
-            if picture is not None and not self.closed:  # nothing is asked for where nothing of the object is
-                seen = self.still.alpha(view)[..., None] > NOTHING
-                self.references[view] = np.where(seen, picture, self.background).astype(np.float32)
+            if view not in self.shown:
+                raise InvalidValue(f"view {self.cameras[view].name}, a reference, shows nothing of the region")
+            if picture is not None:
+                self.references[view] = self._asked_for(view, picture)
         views = len(self.cameras)
         self._wanted = Kept(self._wanted_of, lambda wanted: wanted.bytes, views, CONTENT * self.memory_there)
         self._reached = Kept(
@@ -73,6 +77,15 @@ class Referenced(Stylizer):
     @property
     def stride(self) -> int:
         return max(trunk.stride for trunk in (self.trunk, self._template_trunk, self._coarse_trunk))
+
+    def _asked_for(self, view: int, picture: np.ndarray) -> np.ndarray:
+        """A reference without what it cannot ask for: beside the part that is stylised, or where no object is."""
+        if self.partial:
+            part = self.counted(view)[..., None]
+            return part * picture + (1 - part) * self.photos[view]
+        if self.closed:
+            return picture
+        return np.where(self.still.alpha(view)[..., None] > NOTHING, picture, self.background).astype(np.float32)
 
     # -- painting a reference ---------------------------------------------------------------------------------------
 
@@ -126,17 +139,17 @@ class Referenced(Stylizer):
         Features know little of hue: what is painted by them alone has specks of green and violet.
         """
         if self.settings.match != "none":
-            alpha = self.still.alpha(view)
-            picture = ObjectPhotos(
-                [self.references[view]], lambda _: np.ones_like(alpha) if self.closed else alpha, self.background
-            )
+            counted = np.ones_like(self.counted(view)) if self._all_counts else self.counted(view)
+            behind = None if self.partial else self.background
+            picture = ObjectPhotos([self.references[view]], lambda _: counted, behind)
             matched = picture.mapped(0, rendered_match([picture(0)], self._palette, self.seed))
             self.references[view] = _in_eight_bits(matched)
         self._painted = None
 
     def _new_picture(self, view: int) -> PaintedPicture:
         start = self._there(self.photos[view])
-        return PaintedPicture(start, self._alpha_there(view), float(self.background), self.settings.image_rate)
+        beside = start if self.partial else float(self.background)
+        return PaintedPicture(start, self._alpha_there(view), beside, self.settings.image_rate)
 
     def _painting_loss(self, view: int) -> Callable:
         content, alpha, window = self._content_of(view), self._alpha_there(view), self.windows[view]
@@ -179,6 +192,8 @@ class Referenced(Stylizer):
         if view in self._points:
             return self._points[view]
         found = points_of(self.still.surface(view), self.cameras[view], self.field.space)
+        if self.partial:
+            found = replace(found, there=found.there & (self.counted(view).ravel() > SOLID))
         if view in self.references:
             self._points[view] = found
         return found
@@ -200,8 +215,8 @@ class Referenced(Stylizer):
     @property
     def registered_share(self) -> float:
         """Of what views other than the references see, the part that the references tell the colour of."""
-        others = [view for view in range(len(self.cameras)) if view not in self.references]
-        shares = [len(self._reached[v][0]) / max(1, int((self.still.alpha(v) > SOLID).sum())) for v in others]
+        others = [view for view in self.shown if view not in self.references]
+        shares = [len(self._reached[v][0]) / max(1, int((self.counted(v) > SOLID).sum())) for v in others]
         return float(np.mean(shares)) if shares else 0.0
 
     def _also_learn(self, generator: np.random.Generator) -> dict[str, float]:
@@ -209,7 +224,7 @@ class Referenced(Stylizer):
         views = list(self.references)
         view = views[int(generator.integers(len(views)))]
         parts["reference"] = self._learn_image(view, self.references[view], generator, weight) or 0.0
-        others = [v for v in range(len(self.cameras)) if v not in self.references]
+        others = [v for v in self.shown if v not in self.references]
         if others:
             view = others[int(generator.integers(len(others)))]
             pixels, colours = self._reached[view]

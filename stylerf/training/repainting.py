@@ -13,10 +13,13 @@ from dataclasses import replace
 import numpy as np
 import torch
 
+from stylerf.errors import InvalidValue
 from stylerf.fields.device_memory import free_on
 from stylerf.fields.field import RadianceField
 from stylerf.fields.surface import pixel_cells
 from stylerf.geometry.cameras import Camera
+from stylerf.kernels.cpu.regions import weights_inside
+from stylerf.rendering.registration import SOLID
 from stylerf.style.colour import ColourMap, match_colours, spread_at_least, spread_at_most, strokes_in
 from stylerf.style.objective import EVERYTHING, Content, GramObjective, StyleObjective, window_of
 from stylerf.style.trunks import Trunk
@@ -32,6 +35,7 @@ MATCHED_VIEWS = 24  # their colours are those of all
 MEMORY = 8e9  # bytes
 # Parts of the memory: a march takes seconds to repeat, features about as long, a photo a tenth of that.
 SURFACES, CONTENT, PHOTOS = 0.5, 0.35, 0.15
+PARTS = 0.05  # beyond these: what belongs to a part of the scene
 OBJECTIVES = {"nnfm": StyleObjective, "gram": GramObjective}
 
 
@@ -42,6 +46,9 @@ class Repainting:
     that are as wide as a pixel sees (nan: nothing is seen). memory: bytes that surfaces, features and photos may take
     together; those beyond are made anew each time. What lies on a GPU is bounded by what is free there. device: where
     rays are followed; None: by the CPU. The trunk works where it lies.
+
+    within: cells [s, s, s] of the cube whose part of the scene alone is looked at, matched and taught; new_colour then
+    gives colours over the scene's own, which stand everywhere else. InvalidValue where no view shows it.
     """
 
     PHASES: tuple[str, ...] = ("refit", "style")
@@ -61,8 +68,9 @@ class Repainting:
         new_colour: Callable[[np.random.Generator, float], object],
         memory: float = MEMORY,
         device: str | None = None,
+        within: np.ndarray | None = None,
     ) -> None:
-        self.device, self.memory = device, memory
+        self.device, self.memory, self.within = device, memory, within
         weights, strokes = settings.weights, strokes_in(painting, settings.least_spread)
         # A painting that counts as less of a style moves shapes less, too: Adam's steps are as long for a weak loss.
         weights, rate = replace(weights, style=strokes * weights.style), strokes * settings.deform_rate
@@ -71,17 +79,21 @@ class Repainting:
         self._guard = Guard(settings)
         self.cameras, self.painting, self.trunk = cameras, painting, trunk
         self._palette = spread_at_least(painting, settings.least_spread)
-        self.field = replace(scene, colour_map=None, share=settings.share)
+        self.field = replace(scene, colour_map=None, share=scene.share if self.partial else settings.share)
         self.closed = scene.closed
         self._prepare_shapes()
         self.still = self._fixed_geometry()
         self.geometry: FixedGeometry | MovingGeometry = self.still
+        self._parts = Kept(self._part_of, lambda part: part.nbytes, len(cameras), PARTS * memory)
+        self.shown = [view for view in range(len(cameras)) if not self.partial or (self._parts[view] > SOLID).any()]
+        if not self.shown:
+            raise InvalidValue("no training view shows anything of the region")
         self.field.colour = new_colour(np.random.default_rng([seed, 1]), self._pixel_cells())
         self.still.field.colour = self.field.colour
         self.adam = self._new_adam()
         least = math.ceil(2 * self.stride / settings.feature_scale * (2 if settings.coarse > 0 else 1))
         self.windows = [
-            EVERYTHING if self.closed else window_of(self.geometry.alpha(view), least) for view in range(len(cameras))
+            EVERYTHING if self._all_counts else window_of(self.counted(view), least) for view in range(len(cameras))
         ]
         self.photos = Kept(self._matched(photos), lambda photo: photo.nbytes, len(cameras), PHOTOS * memory)
         self.state = StyleState()
@@ -143,6 +155,26 @@ class Repainting:
         chosen = np.unique(np.linspace(0, len(self.cameras) - 1, 4).round().astype(int))
         return pixel_cells(self.still.surface(view) for view in chosen)
 
+    @property
+    def partial(self) -> bool:
+        """Whether only a part of the scene is stylised."""
+        return self.within is not None
+
+    @property
+    def _all_counts(self) -> bool:
+        return self.closed and not self.partial
+
+    def counted(self, view: int) -> np.ndarray:
+        """[h, w]: how much of a pixel is object, or belongs to the part that is stylised."""
+        return self._parts[view] if self.partial else self.geometry.alpha(view)
+
+    def _part_of(self, view: int) -> np.ndarray:
+        starts, ends, x, weights = self.still.surface(view).samples(np.arange(self.still.alpha(view).size))
+        part = np.zeros(len(ends), np.float32)
+        cells = np.ascontiguousarray(self.within).reshape(-1)
+        weights_inside(cells, len(self.within), x, weights, starts, ends, self.chunks, part)
+        return np.clip(part, 0, 1).reshape(self.still.alpha(view).shape)
+
     def _matched(self, photos: Sequence[np.ndarray]) -> Callable[[int], np.ndarray]:
         """The photos in the painting's colours, where that is asked for. Settles which colours those are."""
         if self.settings.match == "none":
@@ -150,9 +182,9 @@ class Repainting:
 
         def alpha(view: int) -> np.ndarray:
             camera = self.cameras[view]
-            return np.ones((camera.height, camera.width), np.float32) if self.closed else self.still.alpha(view)
+            return np.ones((camera.height, camera.width), np.float32) if self._all_counts else self.counted(view)
 
-        of_object = ObjectPhotos(photos, alpha, self.background)
+        of_object = ObjectPhotos(photos, alpha, None if self.partial else self.background)
         colours, weights = of_object.colours(self.seed, sum(camera.width * camera.height for camera in self.cameras))
         # Both matches aim at these colours: two that were bounded apart would stretch twice as far.
         self._palette = spread_at_most(self._palette, colours, self.settings.most_gain, weights)
@@ -199,10 +231,10 @@ class Repainting:
         return there.permute(2, 0, 1).contiguous()
 
     def _alpha_there(self, view: int) -> torch.Tensor | None:
-        """The coverage [h, w] of a view where the trunk lies; None in a capture, which fills its pictures."""
-        if self.closed:
+        """counted(view), [h, w], where the trunk lies; None for a whole capture, which fills its pictures."""
+        if self._all_counts:
             return None
-        return torch.from_numpy(self.geometry.alpha(view)).to(self.trunk.input_scale.device)
+        return torch.from_numpy(self.counted(view)).to(self.trunk.input_scale.device)
 
     @property
     def progress(self) -> float:
@@ -220,7 +252,7 @@ class Repainting:
     def refit_step(self) -> float:
         """One step of colours towards the matched photos; its mean squared error."""
         generator = np.random.default_rng([self.seed, 2, self.state.step])
-        view = int(generator.integers(len(self.cameras)))
+        view = self.shown[int(generator.integers(len(self.shown)))]
         error = self._learn_image(view, self.photos[view], generator)
         if error is None:
             return 0.0
@@ -232,9 +264,9 @@ class Repainting:
     ) -> float | None:
         """Adds the gradient of `weight` times the mean squared error to an image [h, w, 3] of the view.
 
-        Over `refit_pixels` random pixels of those where anything is seen. Returns the error, None where nothing is.
+        Over `refit_pixels` random pixels of those that count. Returns the error, None where none does.
         """
-        lit = np.flatnonzero(self.geometry.alpha(view).ravel() > 1e-3)
+        lit = np.flatnonzero(self.counted(view).ravel() > 1e-3)
         if len(lit) == 0:
             return None
         pixels = lit[generator.integers(0, len(lit), self.settings.refit_pixels)]

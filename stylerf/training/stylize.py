@@ -47,14 +47,14 @@ class Stylizer(Repainting):
         deformation: Deformation | None = None,
         memory: float = MEMORY,
         device: str | None = None,
+        within: np.ndarray | None = None,
     ) -> None:
         self._deformation: Deformation | None = deformation
         self.deformer: Deformer | None = None
         self.around = BESIDE if deformation is not None else 0
         self._remembered: dict[int, np.ndarray] = {}
-        super().__init__(
-            scene, cameras, photos, background, painting, trunk, settings, seed, chunks, new_colour, memory, device
-        )
+        given = scene, cameras, photos, background, painting, trunk, settings, seed, chunks, new_colour
+        super().__init__(*given, memory, device, within)
 
     def _prepare_shapes(self) -> None:
         if self._deformation is not None:
@@ -119,9 +119,9 @@ class Stylizer(Repainting):
         return {}
 
     def _view_of_step(self) -> int:
-        """Every view once an epoch, in an order drawn anew for each."""
-        epoch, at = divmod(self.state.step, len(self.cameras))
-        return int(np.random.default_rng([self.seed, 3, epoch]).permutation(len(self.cameras))[at])
+        """Every view that shows what is stylised once an epoch, in an order drawn anew for each."""
+        epoch, at = divmod(self.state.step, len(self.shown))
+        return self.shown[int(np.random.default_rng([self.seed, 3, epoch]).permutation(len(self.shown))[at])]
 
     def _picture(self, view: int, pixels: np.ndarray) -> tuple[np.ndarray, tuple | None]:
         """Premultiplied rgb of the whole view [h*w, 3], and what the selected pixels need to learn (None: repaint)."""

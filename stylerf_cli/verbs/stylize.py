@@ -18,15 +18,19 @@ NAME = "stylize"
 HELP = "stylise the whole scene or a region of it, or change its palette"
 CONFIG = StylizeConfig
 CONFIGS = (StylizeConfig, RegionConfig, PaletteFieldConfig)
+WITHIN = "refnpr"  # the method that stylises a region as it does a scene; else a region's look is LAENeRF's
 LONGEST_NAME = 60  # of a painting: what is made with it adds to it
 
 
 def options_for(argv: list[str]) -> type:
     """The options of a region, and of a palette of the whole scene, are others than those of a painting."""
+
+    def asked(method: str) -> bool:
+        return f"--method={method}" in argv or ("--method", method) in pairwise(argv)
+
     if any(one == "--region" or one.startswith("--region=") for one in argv):
-        return RegionConfig
-    asked = f"--method={METHOD}" in argv or ("--method", METHOD) in pairwise(argv)
-    return PaletteFieldConfig if asked else StylizeConfig
+        return StylizeConfig if asked(WITHIN) else RegionConfig
+    return PaletteFieldConfig if asked(METHOD) else StylizeConfig
 
 
 def add_arguments(parser) -> None:
@@ -40,14 +44,15 @@ def add_arguments(parser) -> None:
     parser.add_argument(
         "--region",
         metavar="REGION",
-        help="recolour (--recolor) or stylise a region alone; `stylerf stylize --region NAME --help` tells its "
-        "options, `stylerf stylize --method palettenerf --help` those of a palette of the whole scene",
+        help="recolour (--recolor) or stylise a region alone (with --method refnpr: after stylised views of it); "
+        "`stylerf stylize --region NAME --help` tells its options, `stylerf stylize --method palettenerf --help` those "
+        "of a palette of the whole scene",
     )
 
 
 def run(args, session) -> dict:
     """The stylised field's, or the edit's, place and figures."""
-    if args.region is not None:
+    if isinstance(session.config, RegionConfig):
         return _region(args, session)
     return _palette(args, session) if isinstance(session.config, PaletteFieldConfig) else _whole(args, session)
 
@@ -56,19 +61,27 @@ def _whole(args, session) -> dict:
     from stages import references, stylize
     from stages.scenes import load_scene
     from stylerf_cli.chains import ensure_deformed, ensure_field, scene_of_work, teaching_pictures
+    from stylerf_cli.edit_chain import region_of
 
     # Refused before hours of upstream work, not after them.
     config, name = _pinned_whole(session.config)
-    scene = scene_of_work(session)
+    scene, more = scene_of_work(session), {}
     if config.method == "refnpr":
         references.checked(load_scene(scene), config)
-    field = ensure_field(session, scene, args.of)
+    if args.region is None:
+        field = ensure_field(session, scene, args.of)
+    else:
+        region = region_of(session, args.region)
+        field = _field_of(region, args, session)
+        more, name = {"region": region}, f"{region.name}-{name}"
+        if config.match in ("after", "both"):
+            raise UsageError(f"--match {config.match} maps every pixel; of a region colours are matched before, or not")
     scene = teaching_pictures(session, field)
     if config.method == "desrf":
         field = ensure_deformed(session, scene, field)
     name = f"{name}-{config.method}"
     tell_replaced(session, "field", name, config)
-    made = session.run(stylize.SPEC, stylize.run, {"scene": scene, "field": field}, config, name)
+    made = session.run(stylize.SPEC, stylize.run, {"scene": scene, "field": field, **more}, config, name)
     figures = made.manifest.figures
     result = {"field": made.path, "name": made.name, "figures": figures, "seconds": made.manifest.seconds}
     words = (
@@ -121,18 +134,25 @@ def _palette(args, session) -> dict:
     return session.emit(result, told_palette(made, "field"))
 
 
-def _region(args, session) -> dict:
+def _field_of(region, args, session):
+    """The field that a region was selected in; UsageError where --of names another."""
     from stylerf_cli.chains import input_of
+
+    own = input_of(session, region, "field", "field")
+    if args.of and (field := session.work.find("field", args.of)).digest != own.digest:
+        anew = shlex.join(["stylerf", "select", str(session.work.root), "--of", field.name])
+        raise UsageError(
+            f"--of {field.name}: region {region.name} was selected in field {own.name}; select it anew: {anew}"
+        )
+    return own
+
+
+def _region(args, session) -> dict:
     from stylerf_cli.edit_chain import learnt_edit, region_of
 
     region = region_of(session, args.region)
     if args.of:
-        field, own = session.work.find("field", args.of), input_of(session, region, "field", "field")
-        if field.digest != own.digest:
-            anew = shlex.join(["stylerf", "select", str(session.work.root), "--of", field.name])
-            raise UsageError(
-                f"--of {field.name}: region {region.name} was selected in field {own.name}; select it anew: {anew}"
-            )
+        _field_of(region, args, session)
     config, name = pinned(session.config, region.name)
     if not config.changes:
         tell_replaced(session, "edit", name, config)

@@ -46,6 +46,14 @@ def test_a_reference_of_another_size_is_scaled_and_of_another_shape_refused(tmp_
         read_references(scene(), [f"a={tmp_path}/large.png", f"#0={tmp_path}/large.png"])
 
 
+@pytest.mark.parametrize(("options", "matched"), [({}, "before"), ({"reference": ("a=x.png",)}, "none")])
+def test_colours_over_the_fields_own_look_as_the_photos_do_from_the_start(options, matched):
+    config = StylizeConfig(style="" if options else "x", method="refnpr", refit_steps=70, **options)
+    assert match_of(config) == matched
+    assert settings_of(config, 300, True).refit_steps == 70
+    assert settings_of(config, 300, True, region=True).refit_steps == (1 if matched == "none" else 70)
+
+
 def test_the_digest_is_of_views_and_content(tmp_path):
     for name, level in (("one.png", 10), ("other.png", 20)):
         write_png(tmp_path / name, np.full((20, 20, 3), level, np.uint8))

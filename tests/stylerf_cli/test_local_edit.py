@@ -286,6 +286,49 @@ def test_a_palette_of_the_whole_scene_is_learnt_from_pictures_that_hold_the_edit
     assert np.abs(found - wanted).max() < 0.5 * np.abs(wanted - before).max()
 
 
+def test_a_part_alone_is_stylised_after_a_view_and_all_else_stays_to_the_bit(edited, middle, capsys, tmp_path):
+    work, view = Work(edited), middle.partition(":")[0]
+    few = ("--method", "refnpr", "--levels", "4", "--table-bits", "12", "--budget", "9", "--refit-steps", "8")
+    red = np.zeros((48, 48, 3), np.uint8) + np.array([220, 10, 10], np.uint8)
+    write_png(tmp_path / "red.png", red)
+    given = ("--reference", f"{view}={tmp_path / 'red.png'}")
+    painted = ("--style", edited / "photos" / "painting.png", "--reference-view", view, "--reference-steps", "3")
+    fit, _ = load_field(work.get("field", fitted(edited)))
+    region = load_region(work.get("region", "ball"))[0]
+    camera = photographed(work)
+    before = render_view(fit, camera, chunks=1, regions={"ball": region.edit})
+    for flags, name in ((given, "ball-red-refnpr"), (painted, "ball-painting-refnpr")):
+        made = said(capsys, "stylize", edited, "--region", "ball", *flags, *few)
+        assert made["name"] == name
+        field, _ = load_field(work.get("field", name))
+        assert [part.kind for part in layers_of(field.colour)] == ["patch", fit.colour.kind]
+        assert {ref.role: ref.name for ref in work.get("field", name).manifest.inputs}["region"] == "ball"
+        after = render_view(field, camera, chunks=1, regions={"own": field.colour.marked})
+        beside = after.masks["own"] == 0
+        assert beside.sum() > 500 and np.array_equal(after.rgb[beside], before.rgb[beside])
+        inside = before.masks["ball"] > 0.9
+        assert np.abs(after.rgb - before.rgb)[inside].mean() > 0.02
+        (reference,) = made["figures"]["references"]
+        picture = read_image(Path(made["field"]) / reference["file"]).pixels
+        photo = load_scene(photos_of(work)).images(0)
+        over = photo[..., :3] * photo[..., 3:] + 1 - photo[..., 3:]
+        assert np.abs(picture - over)[before.masks["ball"] == 0].max() < 0.01
+    figures = said(capsys, "eval", edited, "--of", "ball-red-refnpr", "--region", "ball", "--perceptual", "none")
+    assert figures["figures"]["background_ratio"] == pytest.approx(1, abs=0.1)
+    assert figures["figures"]["change_inside"] > 0.02
+
+
+def test_a_part_is_stylised_by_methods_that_can_and_whole_pictures_are_not_matched(edited, capsys):
+    painting = edited / "photos" / "painting.png"
+    told = refused(capsys, "stylize", edited, "--region", "ball", "--style", painting, "--method", "refnpr", "--match",
+                   "both")  # fmt: skip
+    assert "--match both maps every pixel" in told
+    told = refused(capsys, "stylize", edited, "--region", "ball", "--of", "ball", "--style", painting, "--method",
+                   "refnpr")  # fmt: skip
+    assert "--of ball: region ball was selected in field fit; select it anew" in told
+    assert "--method" in refused(capsys, "stylize", edited, "--region", "ball", "--style", painting, "--method", "arf")
+
+
 def test_an_edit_of_a_stylised_field_is_taught_by_what_that_field_shows(edited, middle, capsys):
     """A painting is in no photo: what lies beside the region would turn to the photos' colours."""
     name = next(one.name for one in Work(edited).artefacts("field") if one.manifest.stage == "stylize")

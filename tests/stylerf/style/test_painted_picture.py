@@ -39,6 +39,16 @@ def test_what_is_not_covered_stays_background_and_half_of_it_half():
     assert 0 <= float(made.colours.min()) and float(made.colours.max()) <= 1
 
 
+def test_of_a_part_alone_the_rest_stays_the_picture_that_it_began_as():
+    alpha, start = torch.zeros(6, 8), picture(6, 8, 1)
+    alpha[:3] = 1
+    made = PaintedPicture(start, alpha, start, 0.05)
+    for _ in range(60):
+        made.step(towards)
+    assert torch.equal(made.seen()[:, 3:], start[:, 3:])
+    assert float((made.seen()[:, :3] - WANTED[:, :3]).abs().max()) < 0.03
+
+
 def test_a_picture_that_was_put_aside_goes_on_to_the_same_bits():
     whole, first = (PaintedPicture(picture(6, 8, 1), None, 0.0, 0.02) for _ in range(2))
     for at in range(6):

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from stylerf.fields.patch import PatchColour
 from stylerf.geometry.cameras import Camera
 from stylerf.geometry.paths import look_at
 from stylerf.geometry.space import Space
@@ -28,13 +29,18 @@ def settings(**more) -> StyleSettings:
 def made(
     kind: type, seed: int = 0, apart: float = 1.3, raw: float = -3.0, more: dict | None = None, painting=None, **given
 ):
-    """A stylisation of class `kind`. apart: radians between neighbouring looks. raw: of the fog's density."""
+    """A stylisation of class `kind`. apart: radians between neighbouring looks. raw: of the fog's density.
+
+    more: may tell the cells `within` which colours of their own learn.
+    """
     field = field_of(BOX, 3, vm_colour(4))
     field.density.values[-1] = raw
     photos = [picture(HEIGHT, WIDTH, 20 + i).permute(1, 2, 0).numpy().copy() for i in range(VIEWS)]
     cameras = [camera(i, apart) for i in range(VIEWS)]
 
     def new_colour(generator, pixel_cells):
+        if "within" in (more or {}):
+            return PatchColour.create(field.colour, more["within"], 16.0, table=4096, levels=4)
         return hash_colour(int(generator.integers(1000)))
 
     painting = picture(20, 24, 9) if painting is None else painting

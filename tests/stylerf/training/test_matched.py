@@ -37,6 +37,18 @@ def test_a_half_covered_pixel_is_half_the_painting_and_half_the_background():
     assert found.min() >= 0.5 - 1e-6 and found.max() <= 1 + 1e-6
 
 
+def test_what_lies_beside_a_part_of_a_photo_stays_and_half_of_it_half():
+    photo, alpha = picture(6, 8, 1).permute(1, 2, 0).numpy(), np.zeros((6, 8), np.float32)
+    alpha[:3], alpha[3] = 1, 0.5
+    of_part = ObjectPhotos([photo], lambda view: alpha, None)
+    colours, weights = of_part.colours(0, 48)
+    found = of_part.mapped(0, match_colours(colours, torch.tensor([[0.2, 0.4, 0.6]] * 9), weights))
+    np.testing.assert_array_equal(found[4:], photo[4:])
+    wanted = np.array([0.2, 0.4, 0.6], np.float32)  # of a painting of one colour
+    np.testing.assert_allclose(found[:3], np.broadcast_to(wanted, (3, 8, 3)), atol=1e-2)
+    np.testing.assert_allclose(found[3], (photo[3] + wanted) / 2, atol=1e-2)
+
+
 def test_half_covered_pixels_count_where_there_are_no_others():
     """Haze, or rods thinner than a pixel, would otherwise end a stylisation after its last step."""
     painting, colours = picture(16, 16, 5), picture(12, 12, 6).permute(1, 2, 0).numpy()

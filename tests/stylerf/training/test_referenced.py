@@ -8,6 +8,7 @@ import torch
 
 from stylerf.errors import InvalidValue
 from stylerf.rendering.registration import points_of
+from stylerf.rendering.view import render_view
 from stylerf.style.objective import StyleWeights
 from stylerf.training.referenced import LATE_WEIGHT, Referenced
 from tests.stylerf.small import displacement_grid, field_of
@@ -18,12 +19,19 @@ from tests.stylerf.training.stylizing import BOX, GREY, HEIGHT, VIEWS, WIDTH, ma
 ONLY_COLOURS = StyleWeights(0, 0, 0, 0)
 
 
-def referenced(references: dict | None = None, **given) -> Referenced:
-    """A solid cube, seen from three places close to each other; view 1 is the reference."""
-    more = {"references": references or {1: None}, "template_trunk": small_trunk(),
+def referenced(references: dict | None = None, within=None, apart: float = 0.2, **given) -> Referenced:
+    """A solid cube, seen from three places close to each other; view 1 is the reference. within: of a part alone."""
+    more = {} if within is None else {"within": within}
+    more |= {"references": references or {1: None}, "template_trunk": small_trunk(),
             "coarse_trunk": small_trunk("conv2_2", 3)}  # fmt: skip
     options = {"match": "none", "reference_steps": 6, "strategy": "deferred", **given}
-    return made(Referenced, apart=0.2, raw=6.0, more=more, **options)
+    return made(Referenced, apart=apart, raw=6.0, more=more, **options)
+
+
+def upper_half(cells: int = 8) -> np.ndarray:
+    within = np.zeros((cells,) * 3, bool)
+    within[..., cells // 2 :] = True
+    return within
 
 
 def waves(points: np.ndarray) -> np.ndarray:
@@ -139,21 +147,69 @@ def test_in_the_last_quarter_renders_are_matched_with_the_references_render():
     assert float(tripled) == pytest.approx(LATE_WEIGHT * 3 * weights.style * parts["style"], rel=1e-5)
 
 
-def test_a_stopped_one_goes_on_to_the_same_bits():
-    whole = referenced(steps=12, match="before")
+@pytest.mark.parametrize("within", [None, upper_half()], ids=["all of it", "a part"])
+def test_a_stopped_one_goes_on_to_the_same_bits(within):
+    whole = referenced(steps=12, match="before", within=within)
     whole.run()
     expected, arrays = result_of(whole)
-    at, on_step = referenced(steps=12, match="before"), stopping([3, 8, 10, 12, 15, 18, 19])
+    at, on_step = referenced(steps=12, match="before", within=within), stopping([3, 8, 10, 12, 15, 18, 19])
     for _ in range(7):  # refit, its end, painting, its end, style, at the last quarter's begin, within it
         with pytest.raises(Stopped):
             at.run(on_step)
-        at = resumed(referenced(steps=12, match="before"), at)
+        at = resumed(referenced(steps=12, match="before", within=within), at)
     at.run(on_step)
     state, found = result_of(at)
     assert state == expected and state["phase"] == "done"
     assert_same_bits(found, arrays)
     names = {name.split(".")[0] for name in arrays}
     assert {"reference", "late"} <= names and "painted" not in names
+
+
+def test_of_a_part_what_lies_beside_it_keeps_its_colours_to_the_bit():
+    black = np.zeros((HEIGHT, WIDTH, 3), np.float32)
+    one = referenced({1: black}, upper_half(), steps=60, refit_steps=1, template_weights=ONLY_COLOURS, late=0.0)
+    fitted = replace(one.field, colour=one.field.colour.base)
+    before = [one.paint_view(view) for view in range(VIEWS)]
+    one.run()
+    assert one.field.colour.base is fitted.colour and one.field.share == fitted.share
+    for view in range(VIEWS):
+        part, after = one.counted(view).ravel(), one.paint_view(view)
+        assert np.array_equal(after[part == 0], before[view][part == 0])
+        inside = part > 0.9
+        assert inside.sum() > 20 and (part == 0).sum() > 40
+        assert after[inside].mean() < 0.5 * before[view][inside].mean()
+        old, new = (render_view(field, one.cameras[view], chunks=1) for field in (fitted, one.field))
+        assert np.array_equal(new.rgb[part.reshape(HEIGHT, WIDTH) == 0], old.rgb[part.reshape(HEIGHT, WIDTH) == 0])
+    part, asked = one.counted(1), one.references[1]
+    assert np.array_equal(asked[part == 0], one.photos[1][part == 0]) and np.abs(asked[part > 0.999]).max() < 0.01
+    assert 0.5 < one.registered_share <= 1
+
+
+def test_a_reference_that_is_painted_of_a_part_is_the_photo_beside_it():
+    photo = referenced().photos[1]
+    for match in ("none", "before"):
+        one = referenced(within=upper_half(), match=match, steps=20)
+        one.run()
+        part, apart = one.counted(1), np.abs(one.references[1] - photo).max(2)
+        assert apart[part == 0].max() < 1 / 255 and apart[part > 0.9].mean() > 0.02, match
+
+
+def test_views_that_show_nothing_of_a_part_do_not_learn_and_are_no_reference():
+    front = np.zeros((8, 8, 8), bool)
+    front[7, 3:5, 3:5] = True  # of the face that the first view looks at
+    one = referenced({0: np.zeros((HEIGHT, WIDTH, 3), np.float32)}, front, apart=1.6)
+    assert 0 in one.shown and 2 not in one.shown
+    views = set()
+    for step in range(9):
+        one.state.step = step
+        views.add(one._view_of_step())
+    assert views == set(one.shown)
+    with pytest.raises(InvalidValue, match="view s2, a reference, shows nothing of the region"):
+        referenced({2: np.zeros((HEIGHT, WIDTH, 3), np.float32)}, front, apart=1.6)
+    hidden = np.zeros((8, 8, 8), bool)
+    hidden[3:5, 3:5, 3:5] = True
+    with pytest.raises(InvalidValue, match="no training view shows anything of the region"):
+        referenced(within=hidden)
 
 
 def test_rays_are_not_registered_through_a_deformation():

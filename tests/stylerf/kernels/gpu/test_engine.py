@@ -8,6 +8,7 @@ import torch
 
 from stylerf.fields.field import RadianceField
 from stylerf.fields.occupancy import Occupancy
+from stylerf.fields.patch import PatchColour
 from stylerf.fields.samples import Rays
 from stylerf.fields.vm_tables import split_table
 from stylerf.geometry.cameras import Camera
@@ -342,14 +343,17 @@ def test_halves_are_taken_where_pixels_allow_it_and_refused_elsewhere(device):
 
 
 @pytest.mark.slow
-def test_fixed_surfaces_paint_and_learn_as_on_the_cpu(device):
+@pytest.mark.parametrize("over", [False, True], ids=["alone", "over the field's own in a part"])
+def test_fixed_surfaces_paint_and_learn_as_on_the_cpu(device, over):
     from stylerf.training.device_geometry import DeviceFixedGeometry
     from stylerf.training.geometry import FixedGeometry
 
     field, cameras = thin_field(step=1 / 6), dome(2, 3, 6)
     field.density.values[-1] = -2.0
     cpu, gpu = FixedGeometry(field, cameras, 0.2, 1), DeviceFixedGeometry(field, cameras, 0.2, device)
-    field.colour = hash_colour(6)
+    marked = np.zeros((4, 4, 4), bool)
+    marked[:, :2] = True
+    field.colour = PatchColour(field.colour, hash_colour(6), marked) if over else hash_colour(6)
     adam = gpu.new_adam()
     np.testing.assert_allclose(gpu.alpha(1), cpu.alpha(1), atol=2e-5)
     assert np.array_equal(gpu.surface(1).offsets, cpu.surface(1).offsets)
