@@ -15,7 +15,7 @@ from stages.devices import gpu_figures, gpu_of
 from stages.fields import load_checkpoint, load_field, save_field
 from stages.photos import bank_of, level_of
 from stages.progress import Context
-from stages.regions import patched_cells, region_of_field
+from stages.regions import region_of_field
 from stages.runner import Spec
 from stages.scenes import EARLIER, EDIT_TARGETS, SceneData, load_scene
 from stages.training import run_training
@@ -28,6 +28,7 @@ from stylerf.training.finetune import EditedPixels, FineTuner, FineTuneSettings
 
 SPEC = Spec(stage="finetune", verb="finetune", revision=4, writes="field", parallel=True)
 SEEN = 2e-2  # part of a ray's largest weight from which a sample tells what a pixel sees
+MARGIN = 2  # cells: samples in front of a surface, which is where its colour is looked for too
 
 
 def run(inputs: dict[str, Artefact], config: FinetuneConfig, partial: Partial, context: Context) -> dict:
@@ -85,12 +86,12 @@ def run(inputs: dict[str, Artefact], config: FinetuneConfig, partial: Partial, c
 def _patch(
     inputs: dict[str, Artefact], field: RadianceField, cameras: list[Camera], chunks: int, device: str | None
 ) -> PatchColour:
-    """Colours of the region's own, over the field's. cameras: that see it."""
+    """Colours for the region and MARGIN cells around it, over the field's. cameras: that see it."""
     otherwise = ", or teach the whole field with --colours field"
     region = region_of_field(inputs["region"], inputs["field"], field, otherwise)
     some = [cameras[i] for i in np.unique(np.linspace(0, len(cameras) - 1, 4).round().astype(int))]
     seen = pixel_cells(_surfaces(field, some, chunks, device))
-    return PatchColour.create(field.colour, patched_cells(region), seen)
+    return PatchColour.create(field.colour, binary_dilation(region.edit, iterations=MARGIN), seen)
 
 
 def _surfaces(field: RadianceField, cameras: list[Camera], chunks: int, device: str | None) -> Iterator[Surface]:

@@ -4,7 +4,6 @@ import json
 from pathlib import Path
 
 import numpy as np
-from scipy.ndimage import binary_dilation
 
 from schemas.atomic import write_json
 from schemas.errors import ArtefactDamaged, BadInput
@@ -16,7 +15,6 @@ from stylerf.fields.field import RadianceField
 from stylerf.geometry.space import Space
 
 DESCRIPTION, NUMBERS = "region.json", "region.safetensors"
-MARGIN = 2  # cells: samples in front of a surface, which is where its colour is looked for too
 
 
 def save_region(folder: Path, region: Region, space: Space, told: dict) -> None:
@@ -38,11 +36,6 @@ def region_of_field(region: Artefact, of: Artefact, field: RadianceField, otherw
             f"`stylerf select --of {of.name}`{otherwise}"
         )
     return found
-
-
-def patched_cells(region: Region) -> np.ndarray:
-    """[s, s, s] bool: where a region has colours of its own: its cells and MARGIN around them."""
-    return binary_dilation(region.edit, iterations=MARGIN)
 
 
 def load_region(artefact: Artefact) -> tuple[Region, Space]:

@@ -24,7 +24,7 @@ from stages.paintings import read_painting
 from stages.photos import level_of, photo_for
 from stages.progress import Context
 from stages.references import chosen_view, decoded_reference, read_references
-from stages.regions import patched_cells, region_of_field
+from stages.regions import region_of_field
 from stages.runner import Spec
 from stages.scenes import SceneData, load_scene
 from stages.styling import coarse_taps, new_colour, own_colour, painting_taps, settings_of, template_taps
@@ -129,7 +129,8 @@ def _stylizer(
     settings = settings_of(config, long_side, field.closed, region is not None)
     colour = functools.partial(new_colour, config)
     if region is not None:
-        colour = functools.partial(own_colour, config, field.colour, patched_cells(region))
+        # In no cell around it: nothing there is asked to stay as it is.
+        colour = functools.partial(own_colour, config, field.colour, region.edit)
     given = (
         field,
         cameras,

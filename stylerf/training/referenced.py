@@ -153,7 +153,18 @@ class Referenced(Stylizer):
 
     def _painting_loss(self, view: int) -> Callable:
         content, alpha, window = self._content_of(view), self._alpha_there(view), self.windows[view]
-        return lambda picture: self.objective(picture, content, alpha, window)
+
+        def loss(picture: torch.Tensor) -> tuple[torch.Tensor, dict[str, float]]:
+            found, parts = self.objective(picture, content, alpha, window)
+            return found + self._variation_lacking(view, picture, self.settings.weights.variation), parts
+
+        return loss
+
+    def _variation_lacking(self, view: int, picture: torch.Tensor, weight: float) -> torch.Tensor | float:
+        """What a part's share of the loss lacks of variation: that is a mean over all of the picture, the rest is not."""
+        if not self.partial:
+            return 0.0
+        return (1 / float(self.counted(view).mean()) - 1) * weight * self.objective.variation(picture)
 
     def _next_phase(self) -> None:
         painting, seconds = self.state.phase == "reference", self.state.seconds
@@ -235,14 +246,16 @@ class Referenced(Stylizer):
 
     def _loss(self, view: int, picture: torch.Tensor) -> tuple[torch.Tensor, dict[str, float]]:
         alpha, window = self._alpha_there(view), self.windows[view]
+        lacking = self._variation_lacking(view, picture, self.settings.template_weights.variation)
         if self.progress < 1 - self.settings.late:
-            return self.template(picture, self._wanted[view], alpha, window)
+            loss, parts = self.template(picture, self._wanted[view], alpha, window)
+            return loss + lacking, parts
         found, weights = self.template.features_of(picture, window), self.settings.template_weights
         looks = {block: feature.detach() for block, feature in found.items()}
         matches = self.template.matches_of(looks, self.late_keys, alpha, window)
         style = self.template.style_distance(found, matches, alpha, window)
         variation = self.template.variation(picture)
-        loss = LATE_WEIGHT * weights.style * style + weights.variation * variation
+        loss = LATE_WEIGHT * weights.style * style + weights.variation * variation + lacking
         return loss, {"style": float(style.detach()), "variation": float(variation.detach())}
 
     @property
