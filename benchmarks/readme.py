@@ -151,6 +151,22 @@ def palettes() -> str:
     return "\n".join([*lines, "", over + where(report)])
 
 
+def parts() -> str:
+    """Markdown of a part stylised by two methods; nothing where it has not been measured."""
+    if not (RESULTS / "parts.json").is_file():
+        return ""
+    report = result("parts.json")
+    lines = ["| part, stylised | method | time | background MSE (before) | change inside | bleeding |",
+             "|---|---|---|---|---|---|"]  # fmt: skip
+    for row in report["rows"]:
+        before = row["background_mse"] / row["background_ratio"]
+        lines.append(
+            f"| {row['case']} | {row['method']} | {row['seconds']:.0f} s | {row['background_mse']:.5f} ({before:.5f}) "
+            f"| {row['change_lab']:.0f} dE | {row['bleeding']:.4f} |"
+        )
+    return "\n".join([*lines, "", where(report)])
+
+
 def pareto() -> str:
     """The chart over methods, rays and capacities, and what failed; nothing where it has not been measured."""
     if not (RESULTS / "pareto.json").is_file():
@@ -359,6 +375,7 @@ BLOCKS = {
         "strategies": strategies,
         "edits": edits,
         "palettes": palettes,
+        "parts": parts,
         "pareto": pareto,
         "stress": stress,
     },

@@ -161,7 +161,7 @@ class Referenced(Stylizer):
         return loss
 
     def _variation_lacking(self, view: int, picture: torch.Tensor, weight: float) -> torch.Tensor | float:
-        """What a part's share of the loss lacks of variation: that is a mean over all of the picture, the rest is not."""
+        """What the loss of a part lacks of variation, which is a mean over all of the picture as nothing else is."""
         if not self.partial:
             return 0.0
         return (1 / float(self.counted(view).mean()) - 1) * weight * self.objective.variation(picture)

@@ -24,13 +24,18 @@ LONGEST_NAME = 60  # of a painting: what is made with it adds to it
 
 def options_for(argv: list[str]) -> type:
     """The options of a region, and of a palette of the whole scene, are others than those of a painting."""
-
-    def asked(method: str) -> bool:
-        return f"--method={method}" in argv or ("--method", method) in pairwise(argv)
-
-    if any(one == "--region" or one.startswith("--region=") for one in argv):
-        return StylizeConfig if asked(WITHIN) else RegionConfig
-    return PaletteFieldConfig if asked(METHOD) else StylizeConfig
+    given = [(flag, value) for one in argv for flag, equals, value in [one.partition("=")] if equals] + [
+        *pairwise(argv)
+    ]
+    method = next((value for flag, value in given if flag == "--method"), "")
+    if any(one.partition("=")[0] == "--region" for one in argv):
+        if method not in ("", WITHIN):
+            raise UsageError(
+                f"--method {method} is for the whole scene; a --region takes --method {WITHIN} (after a stylised view) "
+                "or none (LAENeRF)"
+            )
+        return StylizeConfig if method else RegionConfig
+    return PaletteFieldConfig if method == METHOD else StylizeConfig
 
 
 def add_arguments(parser) -> None:

@@ -326,7 +326,9 @@ def test_a_part_is_stylised_by_methods_that_can_and_whole_pictures_are_not_match
     told = refused(capsys, "stylize", edited, "--region", "ball", "--of", "ball", "--style", painting, "--method",
                    "refnpr")  # fmt: skip
     assert "--of ball: region ball was selected in field fit; select it anew" in told
-    assert "--method" in refused(capsys, "stylize", edited, "--region", "ball", "--style", painting, "--method", "arf")
+    for method in (("--method", "arf"), ("--method=palettenerf",)):
+        told = refused(capsys, "stylize", edited, "--region", "ball", "--style", painting, *method)
+        assert "is for the whole scene; a --region takes --method refnpr" in told
 
 
 def test_an_edit_of_a_stylised_field_is_taught_by_what_that_field_shows(edited, middle, capsys):
