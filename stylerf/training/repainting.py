@@ -181,8 +181,9 @@ class Repainting:
             return photos.__getitem__
 
         def alpha(view: int) -> np.ndarray:
-            camera = self.cameras[view]
-            return np.ones((camera.height, camera.width), np.float32) if self._all_counts else self.counted(view)
+            if self._all_counts:
+                return np.ones((self.cameras[view].height, self.cameras[view].width), np.float32)
+            return self._parts[view] if self.partial else self.still.alpha(view)
 
         of_object = ObjectPhotos(photos, alpha, None if self.partial else self.background)
         colours, weights = of_object.colours(self.seed, sum(camera.width * camera.height for camera in self.cameras))

@@ -115,7 +115,7 @@ def test_a_stylisation_that_bends_is_handed_the_device_where_its_kernels_know_th
     config, bends = StylizeConfig(method="desrf", style="painting.png"), Deformation.create(np.random.default_rng(0))
     resolved = SimpleNamespace(state={}, kind="vgg16")
     context = Context(device="cuda", progress=said)
-    stylize._stylizer(config, scene, field, 1.0, picture(8, 8, 1), resolved, bends, context, "cuda")
+    stylize._stylizer(config, scene, field, 1.0, picture(8, 8, 1), resolved, bends, None, context, "cuda")
     assert given["deformation"] is bends and given["trunk"] == "cuda"
     assert given["device"] == ("cuda" if kind == "vm" else None)
     expected = [] if kind == "vm" else ["features and matching run on the GPU, rays on the CPU"]
