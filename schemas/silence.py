@@ -23,6 +23,18 @@ def native_output_silenced() -> Iterator[None]:
         _leave()
 
 
+@contextmanager
+def heard_in_the_end() -> Iterator[None]:
+    """After the block descriptors lead where they led, also where an interruption broke off the beginning or the end of
+    a silence, or a thread is still in one: what a command says last must be heard.
+    """
+    try:
+        yield
+    finally:
+        with _lock:
+            _restore()
+
+
 def _enter() -> None:
     global _depth, _saved  # noqa: PLW0603 - descriptors belong to the process, so the count of users does too
     with _lock:
@@ -41,12 +53,20 @@ def _enter() -> None:
 
 
 def _leave() -> None:
-    global _depth, _saved  # noqa: PLW0603 - see _enter
+    global _depth  # noqa: PLW0603 - see _enter
     with _lock:
         _depth -= 1
-        if _depth or _saved is None:
-            return
-        for number, copy in zip((1, 2), _saved):
-            os.dup2(copy, number)
-            os.close(copy)
-        _saved = None
+        if not _depth:
+            _restore()
+
+
+def _restore() -> None:
+    """Begun anew after an interruption, it comes to the same."""
+    global _saved  # noqa: PLW0603 - see _enter
+    if (saved := _saved) is None:
+        return
+    for number, copy in zip((1, 2), saved):
+        os.dup2(copy, number)
+    _saved = None
+    for copy in saved:
+        os.close(copy)

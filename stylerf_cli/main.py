@@ -11,6 +11,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from schemas.errors import UsageError
+from schemas.silence import heard_in_the_end
 from stylerf_cli.arguments import Parser, add_common, add_config, nearest
 from stylerf_cli.faults import told
 from stylerf_cli.joining import leave_fault, speaks
@@ -36,7 +37,7 @@ def main(argv: list[str] | None = None) -> int:
     state: dict[str, Path | None] = {"work": None}
     result = None
     try:
-        with _terminable(), stdout_kept_free(as_json):
+        with _terminable(), stdout_kept_free(as_json), heard_in_the_end():
             result = _run(argv, state)
         if as_json and result is not None and speaks():
             print_json(result)

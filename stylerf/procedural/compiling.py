@@ -5,6 +5,7 @@ compilation. `released` is one called from Python, during which other Python thr
 Infinities and NaN must not occur in any of them (fast-math).
 """
 
+import stylerf.kernels  # noqa: F401, I001 - before numba, which looks once for where compiled kernels are kept
 import numba
 
 FAST = {"reassoc", "nnan", "ninf", "nsz", "arcp", "contract", "afn"}

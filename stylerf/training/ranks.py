@@ -16,6 +16,7 @@ import numpy as np
 from stylerf.errors import InvalidValue, ProcessLost
 
 LONGEST_WAIT = timedelta(days=7)  # the first process may render for hours; one that dies is noticed at once
+READING_WAIT = timedelta(seconds=10)
 Checkpoint = tuple[dict, dict[str, np.ndarray]]
 
 
@@ -109,11 +110,20 @@ class Together:
         self._store.set_timeout(LONGEST_WAIT)
         self._store.set(f"stylerf device {self.place}", device)
         found = [self._store.get(f"stylerf device {place}").decode() for place in range(self.count)]
-        if len(set(found)) == 1 and device not in ("cpu", "cuda"):
+        if len(set(found)) == 1 and device in ("cpu", "cuda"):
+            return
+        self._await_readers()
+        if len(set(found)) == 1:
             raise InvalidValue(device)
-        if len(set(found)) > 1:
-            told = "; ".join(f"process {found.index(one)}: {one}" for one in dict.fromkeys(found))
-            raise InvalidValue(f"processes that train together need devices of one kind, found {told}")
+        told = "; ".join(f"process {found.index(one)}: {one}" for one in dict.fromkeys(found))
+        raise InvalidValue(f"processes that train together need devices of one kind, found {told}")
+
+    def _await_readers(self) -> None:
+        """Of what was found: all end now, and the first process may hold the store that the others read it from."""
+        self._store.set(f"stylerf read {self.place}", "")
+        if self.place == 0:
+            with suppress(RuntimeError):  # one that has died meanwhile reads no more
+                self._store.wait([f"stylerf read {place}" for place in range(self.count)], READING_WAIT)
 
     def _try(self, collective: Callable, *arguments: Any, **more: Any) -> None:
         try:

@@ -1,6 +1,7 @@
 """Compiled kernels are found again only while every source file that they are made of is the same."""
 
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -102,3 +103,22 @@ print(hashlib.sha256(sigma.tobytes()).hexdigest(), sum(kernels.density.stats.cac
     (first, compiled), (second, loaded) = (run.stdout.split() for run in said)
     assert (compiled, loaded) == ("0", "1")
     assert first == second
+
+
+def test_whoever_imports_numba_first_has_the_folder(tmp_path):
+    """Else kernels lie beside their sources and are taken from there after another file they inline has changed."""
+    root = Path(package.__file__).parents[2]
+    given = os.environ | {"STYLERF_CACHE": str(tmp_path)}
+    given.pop("NUMBA_CACHE_DIR", None)
+    words = [r"^import numba\b", r"^from numba\b"]
+    sources = [path for folder in ("stylerf", "stages", "schemas") for path in (root / folder).rglob("*.py")]
+    users = [path for path in sources if any(re.search(one, path.read_text(), re.MULTILINE) for one in words)]
+    beside = [path for path in users if "kernels" not in path.parts]
+    assert len(users) > 10 and beside
+    for path in beside:
+        module = ".".join(path.relative_to(root).with_suffix("").parts)
+        code = f"import {module}, numba; print(numba.config.CACHE_DIR)"
+        found = subprocess.run(
+            [sys.executable, "-c", code], env=given, cwd=root, capture_output=True, text=True, check=True
+        )
+        assert Path(found.stdout.strip()).is_relative_to(tmp_path / "kernels"), module

@@ -122,5 +122,5 @@ def test_a_step_that_is_lost_in_a_far_cameras_distance_ends_the_ray():
     occupancy.set_occupied(clumps(cells, 14))
     rays = rays_into(space, 400, 3)
     away = Rays(rays.origins - 1e5 * rays.directions, rays.directions, rays.jitter, rays.near)
-    found = march(even_fog(1e-6), space, away, step=1e-3, occupancy=occupancy)
-    assert len(found.t) and np.isfinite(found.t).all()
+    found = Packed.of(march(even_fog(1e-6), space, away, step=1e-3, occupancy=occupancy))
+    assert len(found.t) and bool(found.t.isfinite().all())

@@ -71,6 +71,7 @@ def test_processes_with_unlike_devices_are_told_so_before_they_wait_for_each_oth
     ranks, store = Together.__new__(Together), distributed.HashStore()
     ranks._store, ranks.place, ranks.count = store, 0, 2
     store.set("stylerf device 1", other)
+    store.set("stylerf read 1", "")
     with pytest.raises(InvalidValue, match=told):
         ranks._compare(own)
     store.set("stylerf device 1", "cpu")
@@ -94,3 +95,32 @@ def test_one_process_has_it_all():
     ALONE.add_gradients(buffers)
     assert ALONE.own(7) == slice(0, 7) and ALONE.of_first(2.5) == 2.5 and ALONE.checkpoint(None) is None
     assert values.tolist() == [0, 1, 2] and (buffers == 1).all()
+
+
+class Store(dict):
+    """What processes tell one another, and what this one has waited for."""
+
+    def __init__(self, told: dict[str, str]) -> None:
+        super().__init__({key: value.encode() for key, value in told.items()})
+        self.awaited: list[str] = []
+
+    def set(self, key: str, value: str) -> None:
+        self[key] = value.encode()
+
+    def set_timeout(self, timeout) -> None:
+        pass
+
+    def wait(self, keys: list[str], timeout) -> None:
+        self.awaited += keys
+        raise RuntimeError("one of them has died")
+
+
+@pytest.mark.parametrize(("place", "others", "awaited"), [(0, "none", 2), (0, "cpu", 2), (1, "none", 0)])
+def test_the_first_process_does_not_take_the_store_away_before_all_have_read_it(place, others, awaited):
+    """Else the others find it lost, and end as if the first had crashed."""
+    one = Together.__new__(Together)
+    one.place, one.count = place, 2
+    one._store = Store({f"stylerf device {1 - place}": others})
+    with pytest.raises(InvalidValue):
+        one._compare("none")
+    assert f"stylerf read {place}" in one._store and len(one._store.awaited) == awaited
