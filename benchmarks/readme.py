@@ -141,12 +141,7 @@ def palettes() -> str:
     report = result("palettes.json")
     lines = ["| part, blue | method | time | background MSE (before) | change inside | bleeding | colours, L_sp |",
              "|---|---|---|---|---|---|---|"]  # fmt: skip
-    for row in report["rows"]:
-        before = row["background_mse"] / row["background_ratio"]
-        lines.append(
-            f"| {row['case']} | {row['method']} | {row['seconds']:.0f} s | {row['background_mse']:.5f} ({before:.5f}) "
-            f"| {row['change_lab']:.0f} dE | {row['bleeding']:.4f} | {row['colours']}, {row['sparsity']:.2f} |"
-        )
+    lines += [f"{_of_part(row)} {row['colours']}, {row['sparsity']:.2f} |" for row in report["rows"]]
     over = "L_sp: of LAENeRF over the region's pixels, of PaletteNeRF over all pixels that show the scene. "
     return "\n".join([*lines, "", over + where(report)])
 
@@ -158,13 +153,16 @@ def parts() -> str:
     report = result("parts.json")
     lines = ["| part, stylised | method | time | background MSE (before) | change inside | bleeding |",
              "|---|---|---|---|---|---|"]  # fmt: skip
-    for row in report["rows"]:
-        before = row["background_mse"] / row["background_ratio"]
-        lines.append(
-            f"| {row['case']} | {row['method']} | {row['seconds']:.0f} s | {row['background_mse']:.5f} ({before:.5f}) "
-            f"| {row['change_lab']:.0f} dE | {row['bleeding']:.4f} |"
-        )
-    return "\n".join([*lines, "", where(report)])
+    return "\n".join([*lines, *map(_of_part, report["rows"]), "", where(report)])
+
+
+def _of_part(row: dict) -> str:
+    """What is told of a method on a part, as cells of a table."""
+    before = row["background_mse"] / row["background_ratio"]
+    return (
+        f"| {row['case']} | {row['method']} | {row['seconds']:.0f} s | {row['background_mse']:.5f} ({before:.5f}) "
+        f"| {row['change_lab']:.0f} dE | {row['bleeding']:.4f} |"
+    )
 
 
 def pareto() -> str:

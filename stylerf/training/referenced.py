@@ -18,6 +18,7 @@ import torch
 
 from stylerf.errors import InvalidValue
 from stylerf.rendering.registration import SOLID, SeenPoints, points_of, registered, sampled_at
+from stylerf.style.objective import VARIATIONS
 from stylerf.style.painted_picture import PaintedPicture
 from stylerf.style.template import Template, TemplateObjective
 from stylerf.style.trunks import Trunk
@@ -164,7 +165,8 @@ class Referenced(Stylizer):
         """What the loss of a part lacks of variation, which is a mean over all of the picture as nothing else is."""
         if not self.partial:
             return 0.0
-        return (1 / float(self.counted(view).mean()) - 1) * weight * self.objective.variation(picture)
+        variation = VARIATIONS[self.settings.variation]
+        return (1 / float(self.counted(view).mean()) - 1) * weight * variation(picture)
 
     def _next_phase(self) -> None:
         painting, seconds = self.state.phase == "reference", self.state.seconds
