@@ -1,0 +1,49 @@
+"""Names and paths that come from a file: checked once, here, before anything is opened, written or shown by them."""
+
+import unicodedata
+
+from schemas.errors import ArtefactDamaged, StylerfError
+
+LONGEST_NAME = 255  # bytes, what common file systems take
+LONGEST_PATH = 1024  # bytes
+_HIDDEN = {"Cc", "Cs", "Zl", "Zp"}  # control characters, surrogates, separators of lines and paragraphs
+_BIDI = set("\u061c\u200e\u200f\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069\ufeff")
+
+
+def relative_path(text: object, what: str, fault: type[StylerfError] = ArtefactDamaged) -> str:
+    """`text` if it is a path, with forward slashes, that stays inside the folder it is relative to; else `fault`.
+
+    Refuses absolute paths, `.` and `..`, empty parts, control and bidi characters, lone surrogates, and what no file
+    system takes for its length. what: names the path in the message. Links are not looked for: see schemas.artefact.
+    """
+    if not isinstance(text, str):
+        raise fault(f"{what} is {printable(repr(text))[:60]}, expected a path as text")
+    shown = repr(printable(text if len(text) <= 80 else text[:80] + "..."))
+    if text.startswith("/") or any(part in ("", ".", "..") for part in text.split("/")):
+        raise fault(f"{what} is {shown}, which does not stay inside its folder; expected a relative path without '..'")
+    if any(_hidden(letter) for letter in text):
+        raise fault(f"{what} is {shown}, which holds control characters or no valid Unicode")
+    if len(text.encode()) > LONGEST_PATH or any(len(part.encode()) > LONGEST_NAME for part in text.split("/")):
+        raise fault(f"{what} is {shown}, {len(text.encode())} bytes long; at most {LONGEST_NAME} a name can be stored")
+    return text
+
+
+def file_name(text: object, what: str, fault: type[StylerfError] = ArtefactDamaged) -> str:
+    """As relative_path, of a single part: what a file is to be called."""
+    name = relative_path(text, what, fault)
+    if "/" in name:
+        raise fault(f"{what} is {printable(name)!r}, expected a name without '/'")
+    return name
+
+
+def printable(text: str) -> str:
+    """`text` for a terminal or a page: control and bidi characters, line breaks and lone surrogates become escapes."""
+    return "".join(_escaped(letter) if _hidden(letter) else letter for letter in text)
+
+
+def _hidden(letter: str) -> bool:
+    return letter in _BIDI or unicodedata.category(letter) in _HIDDEN
+
+
+def _escaped(letter: str) -> str:
+    return letter.encode("unicode_escape").decode("ascii")
