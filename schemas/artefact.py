@@ -39,10 +39,15 @@ VERB_OF: dict[str, str] = {
 
 
 class Artefact:
-    """A finished artefact on disk. Its manifest is read, and its seal checked, when first asked for."""
+    """A finished artefact on disk. Its manifest is read, and its seal checked, when first asked for.
 
-    def __init__(self, path: Path) -> None:
+    Its files are those that the manifest lists, and nothing on the way to them is a link. name: by which it can be
+    found, the folder's own unless the folder is on its way to its place.
+    """
+
+    def __init__(self, path: Path, name: str | None = None) -> None:
         self.path = Path(path)
+        self._name = name
 
     def __repr__(self) -> str:
         return f"Artefact({str(self.path)!r})"
@@ -64,7 +69,7 @@ class Artefact:
     @property
     def name(self) -> str:
         """Name of the folder, so that a renamed or copied artefact goes by the name it can be found under."""
-        return self.path.name
+        return self._name or self.path.name
 
     @property
     def digest(self) -> str:
@@ -75,9 +80,23 @@ class Artefact:
         """This artefact as an input that plays `role`."""
         return InputRef(role, self.kind, self.name, self.digest)
 
+    @cached_property
+    def _listed(self) -> frozenset[str]:
+        return frozenset(record.path for record in self.manifest.files)
+
+    def has(self, relative: str) -> bool:
+        """Whether the manifest lists a file of that path."""
+        return relative in self._listed
+
     def file(self, relative: str) -> Path:
-        """Path of one of its files; ArtefactDamaged where it is not there."""
+        """Path of one of its files; ArtefactDamaged where the manifest does not list it, or it is not there as a
+        regular file."""
+        if not self.has(relative):
+            raise ArtefactDamaged(f"{self.path} lists no file {relative!r}; make it again: {self.remade_by()}")
         path = self.path / relative
+        steps = [path, *path.parents[: relative.count("/")]]
+        if link := next((step for step in reversed(steps) if step.is_symlink()), None):
+            raise ArtefactDamaged(f"{link} is a link, which no artefact holds; make it again: {self.remade_by()}")
         if not path.is_file():
             raise ArtefactDamaged(f"{self.path} lacks {relative}; make it again: {self.remade_by()}")
         return path
@@ -95,7 +114,8 @@ class Artefact:
     def verify(self) -> None:
         """Full check: seal of the manifest, digest of every file, nothing added (see of_a_desktop). ArtefactDamaged
         names what differs."""
-        self.__dict__.pop("_read", None)  # what is on disk now, not what was read earlier
+        for earlier in ("_read", "_listed"):  # what is on disk now, not what was read before
+            self.__dict__.pop(earlier, None)
         self.check_sizes()
         for record in self.manifest.files:
             if file_sha256(self.path / record.path) != record.sha256:
@@ -120,7 +140,8 @@ class Artefact:
 
 def added_files(folder: Path, listed: set[str]) -> list[Path]:
     """What lies in `folder` beside a manifest and the files that it lists by path, but for files of_a_desktop."""
-    items = (item for item in folder.rglob("*") if not (item.is_dir() or of_a_desktop(item)))
+    # A link to a folder counts: what lies behind it can change without a word.
+    items = (item for item in folder.rglob("*") if item.is_symlink() or not (item.is_dir() or of_a_desktop(item)))
     return sorted(item for item in items if item.relative_to(folder).as_posix() not in listed | {MANIFEST})
 
 

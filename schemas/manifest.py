@@ -4,18 +4,33 @@ import hashlib
 import json
 import re
 import shlex
+import unicodedata
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, fields
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 from schemas.canonical import digest_of, plain
 from schemas.errors import ArtefactDamaged
 from schemas.flags import flags
-from schemas.migrations import migrated
+from schemas.migrations import CURRENT, migrated
+from schemas.names import file_name, relative_path
+from schemas.reading import parsed, read_bytes
 
 MANIFEST = "manifest.json"
+MOST_BYTES = 64 << 20  # of a manifest; one of 10,000 files takes 2 MB
 _SEAL = re.compile(rb'"self_sha256": "([0-9a-f]{64})"')
+_SHA256 = re.compile(r"[0-9a-f]{64}")
+_TYPES: dict[str, tuple[type, ...]] = {
+    **dict.fromkeys(("kind", "name", "stage", "recipe", "device", "created"), (str,)),
+    **dict.fromkeys(("schema", "revision", "seed"), (int,)),
+    **dict.fromkeys(("config", "versions", "figures"), (dict,)),
+    **dict.fromkeys(("inputs", "files"), (list,)),
+    **dict.fromkeys(("seconds", "peak_memory_mb"), (int, float)),
+    "threads": (int, type(None)),
+}
+_RANGES = {"revision": (0, 1e9), "seconds": (0.0, 1e12), "peak_memory_mb": (0.0, 1e12)}
 _BLANK = b'"self_sha256": "' + b"0" * 64 + b'"'
 
 
@@ -99,6 +114,8 @@ class Manifest:
     """manifest.json. `schema` counts the versions of this kind, `created` is UTC in ISO 8601, sizes are in MB = 1e6.
 
     `seconds` and `peak_memory_mb` cover all runs that an interrupted artefact took. `figures` is free to each stage.
+    `threads`: of the run that finished it, None where an earlier version did not tell; sums over another number of
+    threads round otherwise, so that the same recipe gives the same bytes only with as many.
     """
 
     kind: str
@@ -117,6 +134,7 @@ class Manifest:
     peak_memory_mb: float
     created: str
     figures: dict = field(default_factory=dict)
+    threads: int | None = None
 
     @property
     def digest(self) -> str:
@@ -153,15 +171,15 @@ def read_manifest(folder: Path) -> tuple[Manifest, str]:
     """
     path = folder / MANIFEST
     try:
-        text = path.read_bytes()
+        text = read_bytes(path, MOST_BYTES, ArtefactDamaged)
     except FileNotFoundError:
         raise ArtefactDamaged(f"{folder} has no {MANIFEST}, so it is no finished artefact; make it again") from None
-    except OSError as error:
-        raise ArtefactDamaged(f"{path} cannot be read: {error.strerror}") from error
     if not _seal_holds(text):
         raise ArtefactDamaged(f"{path} was altered since it was written (its own digest differs); make it again")
-    content = json.loads(text)
-    del content["self_sha256"]
+    content = parsed(text.decode("utf-8", "replace"), str(path), ArtefactDamaged)
+    if not isinstance(content, dict):
+        raise ArtefactDamaged(f"{path} is no JSON object; make the artefact again")
+    content.pop("self_sha256", None)
     stored = _digest_as_stored(content)
     return _from_dict(migrated(content, folder), path), stored
 
@@ -176,10 +194,47 @@ def _from_dict(content: dict, path: Path) -> Manifest:
         raise ArtefactDamaged(f"{path} lacks {', '.join(missing)}; make the artefact again")
     if more := sorted(content.keys() - known):
         raise ArtefactDamaged(f"{path} holds unknown fields {', '.join(more)}; make the artefact again")
-    values: dict[str, Any] = dict(content)
     try:
-        values["inputs"] = [InputRef(**ref) for ref in content["inputs"]]
-        values["files"] = [FileRecord(**record) for record in content["files"]]
-    except TypeError as error:
-        raise ArtefactDamaged(f"{path}: its inputs or files are not as expected ({error}); make it again") from error
-    return Manifest(**values)
+        return _checked(content)
+    except (TypeError, ValueError, OverflowError, ArtefactDamaged) as error:
+        raise ArtefactDamaged(f"{path} is not as a manifest is written ({error}); make the artefact again") from error
+
+
+def _checked(content: dict) -> Manifest:
+    """The manifest, every field of the type and range that others rely on; ValueError telling the first that is not."""
+    for key, kinds in _TYPES.items():
+        if type(content.get(key)) not in kinds:
+            raise ValueError(f"{key} is a {type(content.get(key)).__name__}")
+    for key, (low, high) in _RANGES.items():
+        if not low <= content[key] <= high:
+            raise ValueError(f"{key} is {content[key]}")
+    if not _SHA256.fullmatch(content["recipe"]):
+        raise ValueError("recipe is no SHA-256")
+    if datetime.fromisoformat(content["created"]).tzinfo is None:
+        raise ValueError("created names no time zone")
+    for key in ("name", "stage"):
+        file_name(content[key], key)
+    if not all(isinstance(one, str) for pair in content["versions"].items() for one in pair):
+        raise ValueError("versions are not text")
+    inputs, files = [_input(one) for one in content["inputs"]], [_file(one) for one in content["files"]]
+    folded = [unicodedata.normalize("NFC", one.path).casefold() for one in files]
+    if len(set(folded)) < len(folded):
+        raise ValueError("it lists a file twice")
+    return Manifest(**{**content, "inputs": inputs, "files": files})
+
+
+def _input(entry: Any) -> InputRef:
+    ref = InputRef(**entry)
+    file_name(ref.name, "name of an input")
+    if ref.kind not in CURRENT or not isinstance(ref.role, str) or not _SHA256.fullmatch(ref.digest):
+        raise ValueError(f"input {ref.name!r} has no kind, role and SHA-256")
+    return ref
+
+
+def _file(entry: Any) -> FileRecord:
+    record = FileRecord(**entry)
+    if relative_path(record.path, "path of a file").casefold() == MANIFEST:
+        raise ValueError("it lists itself")
+    if type(record.bytes) is not int or record.bytes < 0 or not _SHA256.fullmatch(record.sha256):
+        raise ValueError(f"file {record.path!r} has no length and SHA-256")
+    return record

@@ -10,19 +10,22 @@ from pathlib import Path
 from schemas.errors import ArtefactDamaged, ArtefactStale
 
 CURRENT: dict[str, int] = {
-    "scene": 1,
-    "field": 1,
-    "frames": 1,
-    "region": 1,
-    "edit-dataset": 1,
-    "edit": 1,
-    "report": 1,
+    "scene": 2,
+    "field": 2,
+    "frames": 2,
+    "region": 2,
+    "edit-dataset": 2,
+    "edit": 2,
+    "report": 2,
 }
 
 Migration = Callable[[dict, Path], dict]
 
 # (kind, from this schema) -> function(manifest as stored, folder) -> manifest of the next schema. Nothing is written.
-MIGRATIONS: dict[tuple[str, int], Migration] = {}
+MIGRATIONS: dict[tuple[str, int], Migration] = {
+    (kind, 1): lambda content, folder: {**content, "threads": None}
+    for kind in CURRENT  # were not recorded
+}
 
 
 def migrated(content: dict, folder: Path) -> dict:

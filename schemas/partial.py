@@ -4,18 +4,20 @@
                                 files/         the files of the artefact to be
                                 checkpoint/    what the stage needs to go on, gone once it is finished
                                 clock.json     seconds and peak memory of the runs so far
-    WORK/<kind>/.<name>.lock                   held while a process writes here
+                                ready/         the finished artefact, on its way to its place
+                                replaced/      the one that it takes the place of
+    WORK/<kind>/.<name>.lock                   held while a process writes here; see schemas.lock
 
 Finishing hashes and flushes the files, writes the manifest last, and swaps `files` with the artefact of that name in
-one rename.
+one rename. No run leaves links here, so none is followed.
 """
 
 import ctypes
-import errno
-import fcntl
 import json
 import os
 import shutil
+import stat
+from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import asdict
 from datetime import UTC, datetime
@@ -26,11 +28,11 @@ from schemas.artefact import Artefact, added_files, of_a_desktop
 from schemas.atomic import is_temporary, make_folder, sync_file, sync_folder, write_bytes, write_json, writing
 from schemas.canonical import file_sha256, plain
 from schemas.errors import ArtefactStale, OutOfResources, WouldBeLost
+from schemas.lock import Lock
 from schemas.manifest import MANIFEST, FileRecord, InputRef, Manifest, Recipe
 from schemas.migrations import CURRENT
 
 DEAR_SECONDS = 60.0  # so much work goes without a word, no more
-_HELD = {errno.EWOULDBLOCK, errno.EAGAIN, errno.EACCES}
 _AT_FDCWD = -100
 _RENAME_EXCHANGE = 2
 
@@ -41,42 +43,6 @@ class UnlikeInterrupted(ArtefactStale):
     def __init__(self, kind: str, name: str, seconds: float, options: str) -> None:
         super().__init__(f"an interrupted run of {kind} {name} with {options} would be lost")
         self.seconds, self.options = seconds, options
-
-
-class Lock:
-    """The right to write one artefact, or what else `path` tells. The system frees it when the process ends, however
-    it ends."""
-
-    def __init__(self, path: Path, instead: str = "give another --name") -> None:
-        """Takes the lock at `path`; OutOfResources naming the holder's process when another one has it, or telling
-        that the disk knows no locks. instead: what there is to do but wait."""
-        make_folder(path.parent)
-        with writing(path):
-            self._handle: int | None = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
-        try:
-            fcntl.flock(self._handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
-            holder = os.pread(self._handle, 32, 0).decode(errors="replace").strip() or "unknown"
-            self.release()
-            if error.errno not in _HELD:
-                raise OutOfResources(
-                    f"{path} cannot be locked ({error.strerror}), so nothing keeps two processes apart; choose a work "
-                    "folder on a disk that can"
-                ) from error
-            name = path.name.removeprefix(".").removesuffix(".lock")
-            raise OutOfResources(
-                f"{path.parent.name} {name} is being written by another process ({holder}); wait for it to end, or "
-                f"{instead}"
-            ) from error
-        with suppress(OSError):  # only so that the other side can name us; a full disk is met soon enough
-            os.ftruncate(self._handle, 0)
-            os.pwrite(self._handle, f"{os.getpid()}\n".encode(), 0)
-
-    def release(self) -> None:
-        """Gives the lock back; harmless when it was given back before."""
-        if self._handle is not None:
-            os.close(self._handle)
-            self._handle = None
 
 
 class Partial:
@@ -100,6 +66,9 @@ class Partial:
         self.lost = ""
         self._lock = Lock(root / kind / f".{name}.lock")
         try:
+            self._refuse_links()
+            if self.folder.exists():
+                self._lock.hold_folder(self.folder)
             self._restore_replaced()
             self._restore_ready()
             self._refuse_to_bury()
@@ -119,20 +88,17 @@ class Partial:
         # `files` is gone from the moment a run is finished, so what a kill after that left behind is not resumed.
         if not self.path.is_dir():
             return False
-        try:
-            left = json.loads((self.folder / "recipe.json").read_text())
-            return left["digest"] == self.recipe.digest and (not self.anew or left.get("anew") is True)
-        except (OSError, ValueError, KeyError, TypeError):
-            return False
+        left = _stored(self.folder / "recipe.json")
+        return left.get("digest") == self.recipe.digest and (not self.anew or left.get("anew") is True)
 
     def _refuse_to_lose(self) -> None:
+        left = _stored(self.folder / "recipe.json")
         try:
-            left = json.loads((self.folder / "recipe.json").read_text())
-            seconds = float(json.loads((self.folder / "clock.json").read_text())["seconds"])
+            seconds = float(_stored(self.folder / "clock.json")["seconds"])
             del left["digest"]
             left.pop("anew", None)
             before = Recipe(**{**left, "inputs": [InputRef(**one) for one in left["inputs"]]})
-        except (OSError, ValueError, KeyError, TypeError):
+        except (ValueError, KeyError, TypeError):
             return  # nothing that could go on
         if seconds < DEAR_SECONDS or not self.path.is_dir():
             return
@@ -140,6 +106,12 @@ class Partial:
             self.lost = f"{seconds / 60:.0f} min of work with {sources}"
         elif options := self.recipe.other_options(before):
             raise UnlikeInterrupted(self.kind, self.name, seconds, options)
+
+    def _refuse_links(self) -> None:
+        """WouldBeLost where a link, a pipe or a device lies among the run's own files: through it, a run that goes on
+        would write elsewhere."""
+        if strange := next(_strange_in(self.folder), None):
+            raise WouldBeLost(f"{strange} is a link or no file, which no run leaves there; delete it")
 
     def _refuse_to_bury(self) -> None:
         """WouldBeLost where something stands in the artefact's place that no manifest there lists."""
@@ -161,11 +133,12 @@ class Partial:
         with writing(self.folder):
             self._delete()
         make_folder(self.path)
+        self._lock.hold_folder(self.folder)
         told = {**asdict(self.recipe), "digest": self.recipe.digest, "anew": self.anew}
         write_json(self.folder / "recipe.json", told)
 
     def _restore_replaced(self) -> None:
-        replaced = self.folder / "replaced"
+        replaced = replaced_by(self.target.parent.parent, self.kind, self.name)
         if replaced.is_dir() and not os.path.lexists(self.target):
             os.rename(replaced, self.target)
 
@@ -180,6 +153,7 @@ class Partial:
         self,
         *,
         device: str = "cpu",
+        threads: int | None = None,
         versions: dict[str, str] | None = None,
         seconds: float = 0.0,
         peak_memory_mb: float = 0.0,
@@ -189,6 +163,7 @@ class Partial:
 
         A kill at any moment leaves either the older artefact (or none) with this run resumable, or the new one.
         """
+        self._refuse_links()
         with writing(self.path):
             records = [self._record(item) for item in self._files()]
             manifest = Manifest(
@@ -208,6 +183,7 @@ class Partial:
                 peak_memory_mb=round(float(peak_memory_mb), 1),
                 created=datetime.now(UTC).isoformat(timespec="milliseconds"),
                 figures=plain(figures or {}),
+                threads=threads,
             )
             self._refuse_to_bury()
             write_bytes(self.path / MANIFEST, manifest.to_bytes())
@@ -235,7 +211,7 @@ class Partial:
         if not os.path.lexists(self.target):
             os.rename(ready, self.target)
         elif not _exchange(ready, self.target):
-            os.rename(self.target, self.folder / "replaced")
+            os.rename(self.target, replaced_by(self.target.parent.parent, self.kind, self.name))
             os.rename(ready, self.target)
         sync_folder(self.target.parent)
 
@@ -256,11 +232,40 @@ class Partial:
         self._lock.release()
 
 
-def _recipe_in(folder: Path) -> str | None:
+def replaced_by(root: Path, kind: str, name: str) -> Path:
+    """Where an artefact lies while a newer one takes its place, where the disk cannot swap the two in one step."""
+    return root / kind / f".{name}.partial" / "replaced"
+
+
+def _stored(path: Path) -> dict:
+    """A JSON object that a run keeps for itself; empty where it is absent or damaged.
+
+    OSError where it cannot be read: what a disk that is away holds is not given up.
+    """
     try:
-        return json.loads((folder / MANIFEST).read_text())["recipe"]
-    except (OSError, ValueError, KeyError, TypeError):
-        return None
+        found = json.loads(path.read_bytes())
+    except (FileNotFoundError, NotADirectoryError):
+        return {}
+    except (ValueError, RecursionError):
+        return {}
+    return found if isinstance(found, dict) else {}
+
+
+def _recipe_in(folder: Path) -> str | None:
+    return _stored(folder / MANIFEST).get("recipe")
+
+
+def _strange_in(folder: Path) -> Iterator[Path]:
+    """What is neither a file nor a folder: `folder` itself, or anything below it."""
+    if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
+        yield folder
+        return
+    for parent, folders, files in os.walk(folder):
+        for name in (*folders, *files):
+            with suppress(FileNotFoundError):
+                mode = os.lstat(os.path.join(parent, name)).st_mode
+                if not (stat.S_ISDIR(mode) or stat.S_ISREG(mode)):
+                    yield Path(parent, name)
 
 
 def _listed_in(folder: Path) -> set[str] | None:
@@ -272,7 +277,7 @@ def _listed_in(folder: Path) -> set[str] | None:
         return set()
     try:
         return {record["path"] for record in json.loads((folder / MANIFEST).read_text())["files"]}
-    except (OSError, ValueError, KeyError, TypeError):
+    except (OSError, ValueError, RecursionError, KeyError, TypeError):
         return None
 
 
@@ -281,9 +286,10 @@ def sweep_finished(root: Path, kind: str, name: str) -> None:
     folder = root / kind / f".{name}.partial"
     if not folder.is_dir() or (folder / "files").is_dir():
         return
-    with suppress(OutOfResources):  # another process is at work here, or we may not write: no harm done
+    with suppress(OutOfResources, WouldBeLost):  # another process is at work here, or we may not write: no harm done
         lock = Lock(root / kind / f".{name}.lock")
         try:
+            lock.hold_folder(folder)
             if not (folder / "files").is_dir() and (root / kind / name).exists():
                 shutil.rmtree(folder, ignore_errors=True)
         finally:

@@ -3,11 +3,13 @@
 WORK/<kind>/<name>/manifest.json and the files that it lists
 """
 
+import os
 import re
 import shlex
 import shutil
-from collections.abc import Collection
+from collections.abc import Collection, Iterable
 from contextlib import suppress
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 from schemas.artefact import MADE_BY, Artefact
@@ -15,10 +17,11 @@ from schemas.atomic import writing
 from schemas.errors import ArtefactDamaged, ArtefactStale, StylerfError, UsageError
 from schemas.manifest import MANIFEST, InputRef, Recipe
 from schemas.migrations import CURRENT
-from schemas.partial import Partial, sweep_finished
+from schemas.partial import Partial, replaced_by, sweep_finished
 
-__all__ = ["MADE_BY", "Artefact", "InputRef", "Partial", "Recipe", "Work", "sound_name", "sources_of"]
+__all__ = ["MADE_BY", "Artefact", "InputRef", "Partial", "Recipe", "Work", "newest", "sound_name", "sources_of"]
 
+CLOCK_SLACK = timedelta(minutes=5)  # by which the clocks of two machines may differ
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._+-]{0,99}")
 
 
@@ -33,17 +36,17 @@ class Work:
     def artefacts(self, kind: str | None = None) -> list[Artefact]:
         """All finished artefacts (of one kind), by kind and name; folders without a manifest are not among them."""
         kinds = [_known(kind)] if kind else list(CURRENT)
-        folders = [item for one in kinds for item in sorted((self.root / one).glob("*"))]
-        return [Artefact(item) for item in folders if item.name[0] != "." and (item / MANIFEST).is_file()]
+        return [self._standing(one, name) for one in kinds for name in self._names(one)]
 
     def get(self, kind: str, name: str) -> Artefact:
         """The artefact of that kind and name; ArtefactStale with the command that makes it where there is none."""
-        folder = self.root / _known(kind) / sound_name(name)
-        if not folder.is_dir():
+        artefact = self._standing(_known(kind), sound_name(name))
+        if not artefact.path.is_dir():
             raise ArtefactStale(f"no {kind} {name} in {self.root}; make it with: {self._maker(kind)}")
-        artefact = Artefact(folder)
         if artefact.kind != kind:
-            raise ArtefactDamaged(f"{folder} is a {artefact.kind} by its manifest, not a {kind}; move it to its place")
+            raise ArtefactDamaged(
+                f"{artefact.path} is a {artefact.kind} by its manifest, not a {kind}; move it to its place"
+            )
         return artefact
 
     def find(self, kind: str, name: str) -> Artefact:
@@ -64,10 +67,9 @@ class Work:
 
     def standing(self, kind: str, name: str, recipe: Recipe) -> Artefact | None:
         """The artefact of that name if it was made by this very recipe and all its files have their lengths."""
-        folder = self.root / _known(kind) / sound_name(name)
-        if not (folder / MANIFEST).is_file():
+        artefact = self._standing(_known(kind), sound_name(name))
+        if not (artefact.path / MANIFEST).is_file():
             return None
-        artefact = Artefact(folder)
         try:
             if artefact.manifest.recipe != recipe.digest:
                 return None
@@ -96,7 +98,12 @@ class Work:
                 with writing(target):
                     target.parent.mkdir(parents=True, exist_ok=True)
                     shutil.copyfile(artefact.path / record.path, target)
-            measured = {"seconds": made.seconds, "peak_memory_mb": made.peak_memory_mb, "figures": made.figures}
+            measured = {
+                "threads": made.threads,
+                "seconds": made.seconds,
+                "peak_memory_mb": made.peak_memory_mb,
+                "figures": made.figures,
+            }
             return partial.commit(device=made.device, versions=made.versions, **measured)
         finally:
             partial.release()
@@ -115,7 +122,7 @@ class Work:
         while waiting:
             made = waiting.pop(0)
             for ref in made.manifest.inputs:
-                source = Artefact(self.root / ref.kind / ref.name)
+                source = self._standing(ref.kind, ref.name)
                 if not (source.path / MANIFEST).is_file():
                     reasons.append(f"{ref.kind} {ref.name}, from which {made.name} was made, is gone")
                     continue
@@ -129,6 +136,20 @@ class Work:
                     seen.add(source.path.resolve())
                     waiting.append(source)
         return reasons
+
+    def _standing(self, kind: str, name: str) -> Artefact:
+        """The artefact in its place, or where a kill has left it: without a way to swap two folders in one step, there
+        is a moment between two renames in which nothing stands in its place."""
+        place, aside = self.root / kind / name, replaced_by(self.root, kind, name)
+        lost = not os.path.lexists(place) and (aside / MANIFEST).is_file()
+        return Artefact(aside, name) if lost else Artefact(place)
+
+    def _names(self, kind: str) -> list[str]:
+        """Of all that stands, sorted."""
+        folder = self.root / kind
+        standing = {item.name for item in folder.glob("*") if item.name[0] != "." and (item / MANIFEST).is_file()}
+        aside = {name for one, name in self.unfinished() if one == kind}
+        return sorted(standing | {name for name in aside if self._standing(kind, name).path.parent != folder})
 
     def _maker(self, kind: str) -> str:
         return MADE_BY[kind].replace("WORK", shlex.quote(str(self.root)))
@@ -146,6 +167,21 @@ def sources_of(artefact: Artefact, kinds: Collection[str] = tuple(CURRENT)) -> l
                 with suppress(StylerfError):
                     found.append(work.get(ref.kind, ref.name))
     return found[1:]
+
+
+def newest(artefacts: Iterable[Artefact]) -> list[Artefact]:
+    """The artefacts, that made last first.
+
+    One dated in the future comes last, as the clock that dated it was wrong. Of two of one moment, that made of the
+    other is the later.
+    """
+    now = datetime.now(UTC) + CLOCK_SLACK
+
+    def made(artefact: Artefact) -> tuple[bool, datetime, int]:
+        date = datetime.fromisoformat(artefact.manifest.created)
+        return date <= now, date, len(sources_of(artefact))
+
+    return sorted(artefacts, key=made, reverse=True)
 
 
 def _known(kind: str) -> str:

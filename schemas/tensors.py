@@ -1,6 +1,8 @@
 """Named arrays on disk as safetensors: nothing in such a file is executed when it is read."""
 
+import hashlib
 import json
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +24,21 @@ def save_tensors(path: Path, tensors: dict[str, np.ndarray], metadata: dict[str,
     The bytes depend on the content alone: the library writes metadata in another order in every process. It would also
     hold everything once more, and a checkpoint is as large as all that learns.
     """
+    _write(path, _parts(tensors, metadata))
+
+
+def save_tensors_with_digest(path: Path, tensors: dict[str, np.ndarray], metadata: dict[str, str]) -> str:
+    """As save_tensors; returns the SHA-256 of the bytes as they are in memory, taken while they are written."""
+    parts, digest = _parts(tensors, metadata), hashlib.sha256()
+    with ThreadPoolExecutor(1) as pool:
+        hashed = pool.submit(lambda: [digest.update(part) for part in parts])
+        _write(path, parts)
+        hashed.result()
+    return digest.hexdigest()
+
+
+def _parts(tensors: dict[str, np.ndarray], metadata: dict[str, str] | None) -> list[bytes | memoryview]:
+    """Header and arrays, as they follow one another in the file."""
     rank = list(TYPES)
     whole = {name: np.asarray(array, array.dtype.newbyteorder("<"), order="C") for name, array in tensors.items()}
     names = sorted(whole, key=lambda name: (-rank.index(whole[name].dtype.name), name))
@@ -34,10 +51,13 @@ def save_tensors(path: Path, tensors: dict[str, np.ndarray], metadata: dict[str,
         at = end
     text = json.dumps(header, separators=(",", ":"), ensure_ascii=False).encode()
     text += b" " * (-len(text) % 8)
+    return [len(text).to_bytes(8, "little") + text, *(whole[name].reshape(-1).view(np.uint8).data for name in names)]
+
+
+def _write(path: Path, parts: list[bytes | memoryview]) -> None:
     with replacing(Path(path)) as temporary, open(temporary, "wb") as stream:
-        stream.write(len(text).to_bytes(8, "little") + text)
-        for name in names:
-            stream.write(whole[name].reshape(-1).view(np.uint8).data)
+        for part in parts:
+            stream.write(part)
 
 
 def load_tensors(path: Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:

@@ -5,10 +5,11 @@ import torch
 
 from schemas.errors import BadInput
 from schemas.store import Artefact, Partial
+from stages.checkpoints import load_checkpoint
 from stages.configs.decompose import DecomposeConfig
 from stages.configs.fit import budget_of
 from stages.edits import save_palette
-from stages.fields import load_checkpoint, load_field, save_field
+from stages.fields import load_field, save_field
 from stages.memory import room
 from stages.photos import level_of, photo_for
 from stages.progress import Context
@@ -50,7 +51,7 @@ def run(inputs: dict[str, Artefact], config: DecomposeConfig, partial: Partial, 
         learner = Decomposing(field, cameras, photos, level, *settled)
     except InvalidValue as error:
         raise BadInput(f"{inputs['field'].path}: {error}") from error
-    if (saved := load_checkpoint(partial.checkpoint)) is not None:
+    if (saved := load_checkpoint(partial.checkpoint, context.progress.say)) is not None:
         learner.resume(*saved)
         context.progress.say(f"going on from step {learner.state.step} of phase {learner.state.phase}")
     with compiling_note(context.progress.say):

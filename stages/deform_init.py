@@ -5,9 +5,10 @@ import torch
 
 from schemas.errors import BadInput
 from schemas.store import Artefact, Partial
+from stages.checkpoints import load_checkpoint
 from stages.configs.deform import DeformConfig
 from stages.devices import gpu_figures, gpu_of
-from stages.fields import load_checkpoint, load_field, save_deformation, save_field
+from stages.fields import load_field, save_deformation, save_field
 from stages.photos import bank_of, level_of
 from stages.progress import Context
 from stages.runner import Spec
@@ -50,7 +51,7 @@ def run(inputs: dict[str, Artefact], config: DeformConfig, partial: Partial, con
             fitter = DeformationFitter(field, deformation, bank, settings, context.seed, threads, len(aside), device)
         except InvalidValue as error:
             raise BadInput(f"{inputs['field'].path}: {error}") from error
-        if (saved := load_checkpoint(partial.checkpoint)) is not None:
+        if (saved := load_checkpoint(partial.checkpoint, context.progress.say)) is not None:
             fitter.resume(*saved)
             context.progress.say(f"going on from step {fitter.state.step}")
         _train(fitter, config, partial, context)

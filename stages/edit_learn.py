@@ -11,17 +11,17 @@ import torch
 from schemas.errors import BadInput
 from schemas.images import to_uint8, write_png
 from schemas.store import Artefact, Partial
+from stages.checkpoints import load_checkpoint
 from stages.configs.edit import EditConfig
 from stages.configs.fit import budget_of
 from stages.devices import gpu_figures, gpu_of
 from stages.edit_views import load_edit_views
 from stages.edits import Edit, save_edit
-from stages.fields import load_checkpoint
 from stages.paintings import read_painting
 from stages.progress import Context
 from stages.runner import Spec
 from stages.training import run_training
-from stages.weights import resolve
+from stages.weights import digests_of_files, resolve
 from stylerf.editing.edits import PaletteEdits
 from stylerf.editing.losses import EditWeights
 from stylerf.editing.painting import crop_of
@@ -32,7 +32,7 @@ from stylerf.style.colour import match_colours
 from stylerf.style.trunks import Trunk
 from stylerf.training.edit import EditSettings, EditTrainer, sampled_colours, start_module
 
-SPEC = Spec(stage="edit_learn", verb="stylize", revision=4, writes="edit")
+SPEC = Spec(stage="edit_learn", verb="stylize", revision=4, writes="edit", outside=digests_of_files)
 
 
 def run(inputs: dict[str, Artefact], config: EditConfig, partial: Partial, context: Context) -> dict:
@@ -55,7 +55,7 @@ def run(inputs: dict[str, Artefact], config: EditConfig, partial: Partial, conte
         trainer = EditTrainer(views, module, settings, painting, trunk, context.seed, threads, device)
     except InvalidValue as error:
         raise BadInput(f"{inputs['edit-dataset'].path}: {error}") from error
-    if (saved := load_checkpoint(partial.checkpoint)) is not None:
+    if (saved := load_checkpoint(partial.checkpoint, context.progress.say)) is not None:
         trainer.resume(*saved)
         context.progress.say(f"going on from step {trainer.state.step} of phase {trainer.state.phase}")
     with nullcontext() if device else compiling_note(context.progress.say):

@@ -16,6 +16,7 @@ from schemas.atomic import write_bytes, write_json
 from schemas.store import Artefact, Partial
 from stages.configs.evaluate import EvaluateConfig
 from stages.edits import OF_WEIGHTS
+from stages.evaluation.asked import digests_of_files
 from stages.evaluation.edited import LocalEdit, palette_facts, palette_rows
 from stages.evaluation.figures import Figure, Row, summarise, write_csv
 from stages.evaluation.film import Film
@@ -40,7 +41,7 @@ from stages.evaluation.views import FrameViews, Photo, Render, SceneViews
 from stages.progress import Context
 from stages.runner import Spec, versions
 
-SPEC = Spec(stage="evaluate", verb="eval", revision=5, writes="report")
+SPEC = Spec(stage="evaluate", verb="eval", revision=5, writes="report", outside=digests_of_files)
 STYLE_KEYS = ("nnfm", "gram", "sifid", "palette", "palette_mean", "palette_covariance", "content_ssim")
 
 

@@ -27,7 +27,16 @@ from stylerf.light import exposed
 from stylerf.procedural.still_life import dome_cameras
 from stylerf.procedural.variants import HardStillLife
 
-SPEC = Spec(stage="fault_scene", verb="stress", revision=1, writes="scene")
+
+def _outside(config: FaultConfig) -> dict[str, str]:
+    if not config.source:
+        return {}
+    scene = Artefact(Path(config.source))
+    scene.verify()
+    return {"source_digest": scene.digest}
+
+
+SPEC = Spec(stage="fault_scene", verb="stress", revision=1, writes="scene", outside=_outside)
 STILL_LIFE_BOX = ((-1.25,) * 3, (1.25,) * 3)
 Photo = Callable[[], np.ndarray]
 

@@ -3,8 +3,6 @@
 import json
 from pathlib import Path
 
-import numpy as np
-
 from schemas.atomic import write_json
 from schemas.errors import ArtefactDamaged
 from schemas.store import Artefact
@@ -47,17 +45,3 @@ def load_deformation(artefact: Artefact) -> Deformation | None:
         return Deformation.restore(json.loads(metadata["kind"]), arrays["values"].copy())
     except (KeyError, TypeError, ValueError, InvalidValue) as error:
         raise ArtefactDamaged(f"{artefact.path / DEFORMATION} is not sound ({error}); make it anew") from error
-
-
-def save_checkpoint(folder: Path, data: dict, arrays: dict[str, np.ndarray]) -> None:
-    """Both in one file, so that no kill can leave the two of different moments."""
-    save_tensors(folder / "checkpoint.safetensors", arrays, {"state": json.dumps(data)})
-
-
-def load_checkpoint(folder: Path) -> tuple[dict, dict[str, np.ndarray]] | None:
-    """What save_checkpoint wrote, or None where nothing was written."""
-    path = folder / "checkpoint.safetensors"
-    if not path.is_file():
-        return None
-    arrays, metadata = load_tensors(path)
-    return json.loads(metadata["state"]), arrays

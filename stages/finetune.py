@@ -9,10 +9,11 @@ from scipy.ndimage import binary_dilation
 from schemas.errors import ArtefactDamaged, BadInput
 from schemas.store import Artefact, Partial
 from schemas.tensors import load_tensors
+from stages.checkpoints import load_checkpoint
 from stages.configs.finetune import FinetuneConfig
 from stages.configs.fit import EVEN_FROM, SMOOTHNESS, budget_of
 from stages.devices import gpu_figures, gpu_of
-from stages.fields import load_checkpoint, load_field, save_field
+from stages.fields import load_field, save_field
 from stages.photos import bank_of, level_of
 from stages.progress import Context
 from stages.regions import region_of_field
@@ -64,7 +65,9 @@ def run(inputs: dict[str, Artefact], config: FinetuneConfig, partial: Partial, c
     )
     bank = bank_of(scene, train, partial.folder, context)
     tuner = FineTuner(field, bank, edited, settings, context.seed, threads, context.ranks, device)
-    saved = context.ranks.checkpoint(load_checkpoint(partial.checkpoint) if context.ranks.first else None)
+    saved = context.ranks.checkpoint(
+        load_checkpoint(partial.checkpoint, context.progress.say) if context.ranks.first else None
+    )
     if saved is not None:
         tuner.resume(*saved)
         context.progress.say(f"going on from step {tuner.state.step}")

@@ -7,9 +7,10 @@ import numpy as np
 
 from schemas.errors import BadInput
 from schemas.store import Artefact, Partial
+from stages.checkpoints import load_checkpoint
 from stages.configs.fit import EVEN_FROM, SMOOTHNESS, FitConfig, budget_of, capacity_of, kinds_of
 from stages.devices import gpu_figures, gpu_of
-from stages.fields import load_checkpoint, save_field
+from stages.fields import save_field
 from stages.memory import in_words
 from stages.photos import bank_of
 from stages.progress import Context
@@ -58,7 +59,7 @@ def run(inputs: dict[str, Artefact], config: FitConfig, partial: Partial, contex
     engine = _engine(device, settings, config.clip)
     say, ranks = context.progress.say, context.ranks
     fitter = Fitter(space, bank, len(held_out), settings, context.seed, threads, say, ranks, engine)
-    saved = ranks.checkpoint(load_checkpoint(partial.checkpoint) if ranks.first else None)
+    saved = ranks.checkpoint(load_checkpoint(partial.checkpoint, context.progress.say) if ranks.first else None)
     if saved is not None:
         fitter.resume(*saved)
         context.progress.say(f"going on from step {fitter.state.step}, {fitter.state.seconds:.0f} s into the fit")

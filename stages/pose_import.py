@@ -16,6 +16,7 @@ from stages.configs.pose_import import ImportConfig
 from stages.progress import Context
 from stages.readers import detected, read_source
 from stages.readers.backdrop import Backdrop
+from stages.readers.digest import digest_of_source
 from stages.readers.photo_folder import conversion, photos_of, unreadable_beside
 from stages.readers.photos import Developer, Sized, present, scale_of, scene_camera, sized
 from stages.readers.source import SourceCamera, SourceScene, natural
@@ -27,7 +28,10 @@ from stylerf.geometry.cameras import Camera
 from stylerf.geometry.hull import hull_box
 from stylerf.geometry.resampling import nearest
 
-SPEC = Spec(stage="pose_import", verb="import", revision=4, writes="scene")
+SPEC = Spec(
+    stage="pose_import", verb="import", revision=4, writes="scene",
+    outside=lambda config: {"source_digest": digest_of_source(Path(config.source), config.format, config.images)},
+)  # fmt: skip
 FEWEST_PHOTOS = 2
 
 

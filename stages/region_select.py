@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import cKDTree
 
+from schemas.canonical import digest_of, file_sha256
 from schemas.errors import BadInput
 from schemas.images import coverage, read_image, to_uint8, write_png
 from schemas.store import Artefact, Partial
@@ -50,7 +51,10 @@ from stylerf.fields.field import RadianceField
 from stylerf.fields.surface import cells_of
 from stylerf.kernels.cpu.compiling import compiling_note, set_threads
 
-SPEC = Spec(stage="region_select", verb="select", revision=3, writes="region")
+SPEC = Spec(
+    stage="region_select", verb="select", revision=3, writes="region",
+    outside=lambda config: {"files_digest": digest_of_masks(config)},
+)  # fmt: skip
 LOOKING_VIEWS = 24  # views whose photos give the cells their colours
 PIXELS_A_CELL = 1.5
 CLAIMS = 2  # rounds in which views claim what is as much the region as what has grown
@@ -103,6 +107,20 @@ class Looking:
                 f"{camera.width}x{camera.height}; give a mask of that size"
             )
         return view, coverage(pixels)
+
+
+def masks_of(config: SelectConfig) -> list[tuple[str, str, Path]]:
+    """Option, view and file of its scribbles and masks; BadInput where one is not there."""
+    files = [(option, *file_of(text)) for option in ("scribble", "mask") for text in getattr(config, option)]
+    if missing := [path for *_, path in files if not path.is_file()]:
+        raise BadInput(f"{missing[0]}: there is no such mask")
+    return files
+
+
+def digest_of_masks(config: SelectConfig) -> str:
+    """Of the scribbles and masks with their views, empty without any."""
+    files = masks_of(config)
+    return digest_of([[*one, file_sha256(path)] for *one, path in files]) if files else ""
 
 
 def run(inputs: dict[str, Artefact], config: SelectConfig, partial: Partial, context: Context) -> dict:

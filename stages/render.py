@@ -17,6 +17,7 @@ from schemas.errors import BadInput, NoFilm, StylerfError
 from schemas.exr import LARGEST_SIDE, ExrView, write_exr
 from schemas.frames import Frame, FrameCamera, Frames, write_frames
 from schemas.images import linear_from_srgb, to_uint8, write_png
+from schemas.journal import Journal
 from schemas.scene import Bounds, as_matrix
 from schemas.store import Artefact, Partial
 from schemas.video import try_video, write_video
@@ -36,7 +37,10 @@ from stylerf.kernels.cpu.compiling import compiling_note, set_threads
 from stylerf.rendering.pictures import depth_picture, displacement_picture
 from stylerf.rendering.view import RenderedView, render_view
 
-SPEC = Spec(stage="render", verb="render", revision=2, writes="frames")
+SPEC = Spec(
+    stage="render", verb="render", revision=2, writes="frames",
+    outside=lambda config: {"path_digest": pinned(config).path_digest},
+)  # fmt: skip
 Shot = tuple[Camera, int | None]
 
 
@@ -61,7 +65,8 @@ def run(inputs: dict[str, Artefact], config: RenderConfig, partial: Partial, con
     if config.displacement and field.displacement is None:
         context.progress.say(f"field {inputs['field'].name} has no deformation: no displacement pictures")
     listed = tuple(_frame_of(camera, view, config) for camera, view in shots)
-    taken = {} if context.anew or config.frames else take_frames(partial, listed)
+    journal = Journal(partial.checkpoint / "frames.jsonl", partial.path)
+    taken = {} if context.anew or config.frames else take_frames(partial, listed, journal)
     if taken:
         count = sum(map(len, taken.values()))
         context.progress.say(f"{count} of {len(shots)} frames stand already in {', '.join(taken)}")
@@ -72,8 +77,11 @@ def run(inputs: dict[str, Artefact], config: RenderConfig, partial: Partial, con
     )
     with nullcontext() if device else compiling_note(context.progress.say):
         for done, (frame, (camera, _)) in enumerate(zip(listed, shots, strict=True)):
-            given = field, background, scene.bounds, camera, config, partial.path, seen, attributes, cells
-            _render(frame, *given)
+            files = _files_of(frame, config, field, cells)
+            if not journal.holds(files):
+                given = field, background, scene.bounds, camera, config, partial.path, seen, attributes, cells
+                _render(frame, *given)
+                journal.add(files)
             context.progress.update(done + 1)
     context.progress.finish()
     masks = channels if config.exr else {}
@@ -178,10 +186,16 @@ def _frame_of(camera: Camera, view: int | None, config: RenderConfig) -> Frame:
     return Frame(name, f"exr/{name}.exr" if config.exr else "", f"png/{name}.png", _camera_entry(camera), view)
 
 
+def _files_of(frame: Frame, config: RenderConfig, field: RadianceField, regions: Mapping) -> list[str]:
+    """All that _render writes of a frame."""
+    folders = [f"masks/{region}" for region in regions] if config.masks else []
+    folders += ["depth"] if config.depth else []
+    folders += ["displacement"] if config.displacement and field.displacement is not None else []
+    return [*filter(None, [frame.exr]), *(f"{folder}/{frame.name}.png" for folder in folders), frame.png]
+
+
 def _render(frame: Frame, field, background, bounds, camera, config, folder: Path, seen, attributes, regions) -> None:
     name = frame.name
-    if (folder / frame.png).is_file() and (not config.exr or (folder / frame.exr).is_file()):
-        return
     rendered = seen(camera, regions=regions)
     if config.exr:
         write_exr(folder / frame.exr, exr_view(rendered, camera, bounds, attributes))
@@ -192,7 +206,6 @@ def _render(frame: Frame, field, background, bounds, camera, config, folder: Pat
         write_png(folder / f"depth/{name}.png", depth_picture(rendered.z, rendered.alpha))
     if config.displacement and field.displacement is not None:
         write_png(folder / f"displacement/{name}.png", displacement_picture(field, camera, rendered))
-    # The PNG comes last: its presence says that the frame is whole.
     level = 1.0 if background == "white" else 0.0
     rgb = rendered.rgb + (1 - rendered.alpha[..., None]) * np.float32(level)
     write_png(folder / frame.png, to_uint8(np.clip(rgb, 0, 1)))

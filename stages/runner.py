@@ -11,7 +11,7 @@ from typing import Any
 
 from schemas.atomic import out_of_resources
 from schemas.canonical import plain
-from schemas.errors import ArtefactStale, OutOfResources, StylerfError, UsageError
+from schemas.errors import ArtefactStale, BadInput, OutOfResources, StylerfError, UsageError
 from schemas.partial import DEAR_SECONDS, UnlikeInterrupted
 from schemas.store import Artefact, Partial, Recipe, Work, sources_of
 from stages.clock import Clock, peak_memory_mb
@@ -40,7 +40,8 @@ class Spec:
     """What a stage is: its name, the verb that runs it, its code revision, and the kind of artefact that it writes.
 
     Raise `revision` when the same inputs and options give another result than before. parallel: several processes can
-    run it together (Context.ranks).
+    run it together (Context.ranks). outside: for a stage that reads files which are no artefacts, their digests as they
+    are now, by the option that has the digest they were asked for with.
     """
 
     stage: str
@@ -48,6 +49,7 @@ class Spec:
     revision: int
     writes: str
     parallel: bool = False
+    outside: Callable[[Any], dict[str, str]] | None = None
 
 
 def recipe_of(spec: Spec, inputs: dict[str, Artefact], config: Any, seed: int) -> Recipe:
@@ -81,6 +83,7 @@ def execute(
     stopped, and the result replaces the older artefact of that name by one rename; it must be none of its sources.
     What an interruption, the machine (memory, space, permission, a disk that fails) or a fault that keeps the run
     leaves behind is kept for the next run; after any other fault it is deleted: the same state would fail again.
+    What was read is verified once more before the result is finished: it may have changed while the stage ran.
     careful: a minute's work or more that was done with other options is not lost without a word: an interrupted run is
     kept (ArtefactStale), what stands or cannot be gone on with is told of.
     """
@@ -100,6 +103,8 @@ def execute(
             f"{lost.options}, would be lost; run `stylerf {spec.verb}` with these to go on with it, with "
             "another --name to keep both, or with --force to begin anew"
         ) from lost
+    except OSError as error:
+        raise refusal_of_machine(error, work.root) or error from error
     if partial.lost:
         context.progress.say(
             f"an interrupted `stylerf {spec.verb}` of {spec.writes} {name}, {partial.lost}, cannot go on and is deleted"
@@ -120,7 +125,7 @@ def execute(
     except BaseException as error:
         if refusal := refusal_of_machine(error, partial.folder):
             raise refusal from error
-        if not (error.keeps_run if isinstance(error, StylerfError) else isinstance(error, OSError) and _passes(error)):
+        if not _keeps_run(error):
             partial.discard()
         raise
     finally:
@@ -149,9 +154,29 @@ def _run(
         if clock.runs > 1:
             figures = {**figures, "runs": clock.runs}
         seconds, peak = clock.seconds, clock.peak_mb
+    _refuse_changed(spec, partial.recipe, inputs, config)
     return partial.commit(
-        device=context.device, versions=versions(), seconds=seconds, peak_memory_mb=peak, figures=figures
-    )
+        device=context.device, threads=context.threads, versions=versions(), seconds=seconds, peak_memory_mb=peak,
+        figures=figures,
+    )  # fmt: skip
+
+
+def _refuse_changed(spec: Spec, recipe: Recipe, inputs: dict[str, Artefact], config: Any) -> None:
+    """ArtefactStale or BadInput where an input is no longer what it was verified to be when the run began."""
+    began = {ref.role: ref.digest for ref in recipe.inputs}
+    for role, artefact in inputs.items():
+        artefact.verify()
+        if artefact.digest != began[role]:
+            raise ArtefactStale(
+                f"{artefact.kind} {artefact.name} was made again while `stylerf {spec.verb}` read it; run the same "
+                "command again"
+            )
+    for option, digest in (spec.outside(config) if spec.outside else {}).items():
+        if getattr(config, option) not in ("", digest):
+            what = option.removesuffix("_digest")
+            raise BadInput(
+                f"--{what}: the file changed while `stylerf {spec.verb}` read it; run the same command again"
+            )
 
 
 def versions() -> dict[str, str]:
@@ -164,6 +189,18 @@ def versions() -> dict[str, str]:
         except PackageNotFoundError:  # run from a checkout, or put on the path by hand
             found[module] = str(getattr(sys.modules.get(module), "__version__", "not installed"))
     return found
+
+
+def _keeps_run(error: BaseException) -> bool:
+    """Whether what is done stays: the fault says so, or somewhere behind it something could not be read or written."""
+    if isinstance(error, StylerfError) and error.keeps_run:
+        return True
+    behind: BaseException | None = error
+    while behind is not None:
+        if isinstance(behind, OSError) and _passes(behind):
+            return True
+        behind = behind.__cause__
+    return False
 
 
 def _passes(error: OSError) -> bool:

@@ -11,14 +11,15 @@ from schemas.atomic import make_folder, replacing
 from schemas.canonical import file_sha256
 from schemas.errors import StylerfError
 from schemas.frames import Frame
+from schemas.journal import Journal
 from schemas.manifest import FileRecord, Manifest
 from schemas.store import Artefact, Partial, Recipe, Work
 
 NO_SAY = ("frames", "video", "fps")  # options that no picture depends on
 
 
-def take_frames(partial: Partial, frames: Sequence[Frame]) -> dict[str, list[str]]:
-    """Puts what shards hold of `frames` below `partial.path`; the names of those taken, by shard.
+def take_frames(partial: Partial, frames: Sequence[Frame], journal: Journal) -> dict[str, list[str]]:
+    """Puts what shards hold of `frames` below `partial.path`, and records it; the names of those taken, by shard.
 
     Files are linked where the disk can, else copied. One that was altered since it was written is not taken.
     """
@@ -28,8 +29,9 @@ def take_frames(partial: Partial, frames: Sequence[Frame]) -> dict[str, list[str
         for frame in frames:
             records = files.get(frame.name, [])
             if records and not (partial.path / frame.png).exists() and all(_sound(shard, one) for one in records):
-                for record in sorted(records, key=lambda one: one.path == frame.png):  # which says that it is whole
+                for record in records:
                     _place(shard.path / record.path, partial.path / record.path)
+                journal.add(record.path for record in records)
                 taken.setdefault(shard.name, []).append(frame.name)
     return taken
 

@@ -8,12 +8,12 @@ import torch
 from schemas.errors import BadInput
 from schemas.images import to_uint8, write_png
 from schemas.store import Artefact, Partial
+from stages.checkpoints import load_checkpoint
 from stages.configs.fit import budget_of
 from stages.configs.stylize import StylizeConfig
 from stages.configs.views import file_of
 from stages.devices import gpu_figures, gpu_of, rays_on
 from stages.fields import (
-    load_checkpoint,
     load_deformation,
     load_field,
     save_deformation,
@@ -23,13 +23,13 @@ from stages.memory import in_words, room
 from stages.paintings import read_painting
 from stages.photos import level_of, photo_for
 from stages.progress import Context
-from stages.references import chosen_view, decoded_reference, read_references
+from stages.references import chosen_view, decoded_reference, digest_of, read_references
 from stages.regions import region_of_field
 from stages.runner import Spec
 from stages.scenes import SceneData, load_scene
 from stages.styling import coarse_taps, new_colour, own_colour, painting_taps, settings_of, template_taps
 from stages.training import run_training
-from stages.weights import ResolvedTrunk, resolve
+from stages.weights import ResolvedTrunk, digests_of_files, resolve
 from stylerf.editing.regions import Region
 from stylerf.errors import InvalidValue
 from stylerf.fields.deformation import Deformation
@@ -44,7 +44,12 @@ from stylerf.training.referenced import Referenced
 from stylerf.training.repainting import Repainting
 from stylerf.training.stylize import Stylizer
 
-SPEC = Spec(stage="stylize", verb="stylize", revision=8, writes="field")
+
+def _outside(config: StylizeConfig) -> dict[str, str]:
+    return digests_of_files(config) | ({"references_digest": digest_of(config.reference)} if config.reference else {})
+
+
+SPEC = Spec(stage="stylize", verb="stylize", revision=8, writes="field", outside=_outside)
 WORKING_BYTES = 1.5e9  # what a step takes beside what is kept of the views: pictures at full size, the trunk's graph
 KEPT_BYTES = 60  # about, for each pixel of a view: its photo, samples on its surfaces, features at half its size
 WORDS = {"refit": "new colours"}  # of phases that are not told by their own name
@@ -69,7 +74,7 @@ def run(inputs: dict[str, Artefact], config: StylizeConfig, partial: Partial, co
         stylizer = _stylizer(config, *given, context, device)
     except InvalidValue as error:
         raise BadInput(f"{config.style or config.reference[0]} on {inputs['field'].path}: {error}") from error
-    if (saved := load_checkpoint(partial.checkpoint)) is not None:
+    if (saved := load_checkpoint(partial.checkpoint, context.progress.say)) is not None:
         stylizer.resume(*saved)
         context.progress.say(f"going on from step {stylizer.state.step} of phase {stylizer.state.phase}")
     try:

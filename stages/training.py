@@ -6,7 +6,7 @@ from typing import Any
 
 from schemas.errors import BadInput
 from schemas.store import Partial
-from stages.fields import save_checkpoint
+from stages.checkpoints import save_checkpoint
 from stages.progress import Context
 from stylerf.errors import Diverged
 

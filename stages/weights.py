@@ -89,6 +89,12 @@ def chosen(features: str) -> dict[str, str]:
     return {"features": str(path.resolve()), "features_digest": file_sha256(path)}
 
 
+def digests_of_files(config: Any) -> dict[str, str]:
+    """SHA-256, as they are now, of the painting and the file of weights that the options of a stylisation name."""
+    found = {"style_digest": config.style and file_sha256(config.style)}
+    return found | ({"features_digest": file_sha256(config.features)} if config.features_digest else {})
+
+
 def found_trunk() -> str:
     """Name of the trunk that None finds, empty without any; reads no weights."""
     return next((row["name"] for row in describe() if row["chosen"]), "")

@@ -4,7 +4,7 @@ from dataclasses import replace
 from typing import Any
 
 from schemas.errors import ArtefactStale, UsageError
-from schemas.store import Artefact, Work
+from schemas.store import Artefact, Work, newest
 from stages.configs.decompose import METHOD
 from stages.configs.deform import DeformConfig
 from stages.configs.fit import FitConfig
@@ -64,7 +64,7 @@ def made_from(session: Any, kind: str, stage: str, source: Artefact) -> Artefact
         for one in session.work.artefacts(kind)
         if one.manifest.stage == stage and any(ref.digest == source.digest for ref in one.manifest.inputs)
     ]
-    return max(made, key=lambda one: one.manifest.created, default=None)
+    return next(iter(newest(made)), None)
 
 
 def scene_of(work: Work, field: Artefact) -> Artefact:
@@ -87,13 +87,10 @@ def chosen_field(session: Any, name: str | None) -> Artefact:
 
 
 def _made_last(work: Work) -> Artefact:
-    from stages.evaluation.lineage import fields_behind
-
     fields = work.artefacts("field")
     if not fields:
         return work.get("field", FIT_NAME)
-    # Earlier versions kept the time to the second: of two made within one, that made from the other is the later.
-    return max(fields, key=lambda one: (one.manifest.created, len(fields_behind(one))))
+    return newest(fields)[0]
 
 
 def ensure_field(session: Any, scene: Artefact, name: str | None = None) -> Artefact:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from schemas.canonical import digest_of
 from schemas.errors import StylerfError
-from schemas.store import Artefact, Work
+from schemas.store import Artefact, Work, newest
 from stages.evaluation.figures import is_number
 from stages.evaluation.kinds import BY_KEY
 from stages.evaluation.lineage import counted, is_stylised, original_scene
@@ -195,8 +195,7 @@ def _reports(artefact: Artefact, work: Work) -> list[tuple[Artefact, dict]]:
             if any(ref.role == "field" and ref.digest == artefact.digest for ref in refs):
                 report.check_sizes()
                 found.append(report)
-    found.sort(key=lambda one: one.manifest.created, reverse=True)
-    return [(report, json.loads(report.file("report.json").read_text())) for report in found]
+    return [(report, json.loads(report.file("report.json").read_text())) for report in newest(found)]
 
 
 def _own(

@@ -24,9 +24,17 @@ def pinned(config: EvaluateConfig, field: Artefact | None = None) -> EvaluateCon
         read_image(painting)
     return replace(
         config,
+        **digests_of_files(config),
         networks=networks_found(config.perceptual != "none", painting_file(config, field) is not None, config.features),
-        style_digest="" if painting is None else file_sha256(painting),
-        masks_digest=masks_digest(Path(config.masks).expanduser()) if config.masks else "",
-        flow_digest=flows_digest(Path(config.flow).expanduser()) if config.flow else "",
-        reference_digest=references_digest(config.reference) if config.reference else "",
     )
+
+
+def digests_of_files(config: EvaluateConfig) -> dict[str, str]:
+    """The digests of the files that the options name, as they are now; empty where an option names none."""
+    painting = painting_file(config, None)
+    return {
+        "style_digest": "" if painting is None else file_sha256(painting),
+        "masks_digest": masks_digest(Path(config.masks).expanduser()) if config.masks else "",
+        "flow_digest": flows_digest(Path(config.flow).expanduser()) if config.flow else "",
+        "reference_digest": references_digest(config.reference) if config.reference else "",
+    }

@@ -5,7 +5,7 @@ from typing import Any
 from schemas.canonical import plain
 from schemas.errors import StylerfError, UsageError
 from schemas.frames import FRAMES_FILE, read_frames
-from schemas.store import Artefact, Work
+from schemas.store import Artefact, Work, newest
 from stages.configs.evaluate import EvaluateConfig
 from stages.configs.render import OWN_VIEWS, label_of
 
@@ -196,7 +196,7 @@ def fault_of(frames: Artefact) -> str:
 
 def last(artefacts: list[Artefact]) -> Artefact:
     """That made last."""
-    return max(artefacts, key=lambda one: one.manifest.created)
+    return newest(artefacts)[0]
 
 
 def shows(frames: Artefact, field: Artefact) -> bool:

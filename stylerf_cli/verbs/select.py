@@ -1,10 +1,8 @@
 """`stylerf select WORK --at VIEW:X,Y`: a part of the scene in 3D, to be edited or masked out."""
 
 from dataclasses import replace
-from pathlib import Path
 
 from stages.configs.select import SelectConfig
-from stages.configs.views import file_of
 
 NAME = "select"
 HELP = "select a part of the scene in 3D, by pixels, masks, a box or a colour"
@@ -34,11 +32,10 @@ def run(args, session) -> dict:
 
 def selected(session, config: SelectConfig, field, name: str = "region"):
     """The region artefact. field: the one to select in, None for the fitted one."""
-    from schemas.canonical import digest_of, file_sha256
     from stages import region_select
     from stylerf_cli.chains import ensure_field, pictures_of, scene_of_work
 
-    files = masks_of(config)
+    config = replace(config, files_digest=region_select.digest_of_masks(config))
     if field:
         scene = pictures_of(session, field)
     else:
@@ -48,17 +45,4 @@ def selected(session, config: SelectConfig, field, name: str = "region"):
     for kind in ("union", "subtract", "intersect"):
         for other in getattr(config, kind):
             inputs[f"{kind}.{other}"] = session.work.find("region", other)
-    config = replace(
-        config, files_digest=digest_of([[*one, file_sha256(path)] for *one, path in files]) if files else ""
-    )
     return session.run(region_select.SPEC, region_select.run, inputs, config, name)
-
-
-def masks_of(config: SelectConfig) -> list[tuple[str, str, Path]]:
-    """Option, view and file of its scribbles and masks; BadInput where one is not there."""
-    from schemas.errors import BadInput
-
-    files = [(option, *file_of(text)) for option in ("scribble", "mask") for text in getattr(config, option)]
-    if missing := [path for *_, path in files if not path.is_file()]:
-        raise BadInput(f"{missing[0]}: there is no such mask")
-    return files

@@ -44,7 +44,7 @@ def run(args, session) -> dict:
     A verb without an artefact of its own: what it runs lies in work folders below WORK/stress/works.
     """
     from schemas.canonical import digest_of
-    from schemas.partial import Lock
+    from schemas.lock import Lock
     from stages.stress.baseline import read_baseline
     from stylerf_cli.chains import scene_of_work
     from stylerf_cli.stress_chain import Stress

@@ -21,7 +21,15 @@ DIGESTS = {
     "edit-dataset-1": "c6bc05efb54d9559fe913ac0ac276658a9b94ea9fc9c267f6c7e28372427c98e",
     "edit-1": "caf07e7ce3077b932faf55a872dc5f39e7e6b228add34541550e96f2da5b5631",
     "report-1": "e2950e6098d9b0f0108cfc6472e39d81391c380519196296b3383dacb6d22c7c",
+    "scene-2": "d513108cc1a26d2a12fd913a387afc7b9463a23711f5e0122a70ab55d9b9ecf2",
+    "field-2": "d8b4bd71de1acf133a83463579f65542a256e04db2fb0ff9c5e848c931389b54",
+    "frames-2": "77bb14702f2c5d46387d81f6a8ea07003ed07d0358638aeccb027070b9f9a58c",
+    "region-2": "92cf05d02cef730f241fa1917a5a16ea9a57e6fa54a2b6c22cc6d953b54b5609",
+    "edit-dataset-2": "6bd34c90db625305ef56b5954427db14e8788f7c0cf0032b6f74f1dfddee7743",
+    "edit-2": "624e8ef096c68767ef392ef73d29359a41ed4470ac538d5b28cccbaf65cdf64b",
+    "report-2": "08f66b12e1b62cebbb05f36dd1cfbae4141e244b24950d6424883c1f0d55dfc7",
 }
+THREADS = {1: None, 2: 2}  # by schema: what the manifest tells of them
 
 
 def test_every_schema_of_every_kind_has_a_sample():
@@ -36,25 +44,26 @@ def test_a_sample_loads_verifies_and_keeps_its_digest(name):
     assert sample.digest == DIGESTS[name]
     assert sample.manifest.kind == name.rpartition("-")[0]
     assert sample.manifest.schema == CURRENT[sample.kind]
+    assert sample.manifest.threads == THREADS[int(name.rpartition("-")[2])]
     assert (sample.manifest.seconds, sample.manifest.versions["stylerf"]) == (1.25, "0.1.0")
 
 
 def test_inputs_of_the_samples_are_the_samples():
     for name in DIGESTS:
         for ref in Artefact(SAMPLES / name).manifest.inputs:
-            assert ref.digest == DIGESTS[f"{ref.kind}-1"]
+            assert ref.digest == DIGESTS[f"{ref.kind}-{name.rpartition('-')[2]}"]
 
 
 def test_the_scene_sample_reads_as_a_scene():
-    scene = read_scene(SAMPLES / "scene-1")
+    scene = read_scene(SAMPLES / "scene-2")
     assert scene.layout == "object" and scene.skipped[0].reason == "cut short" and scene.sfm == {"registered": 1}
-    data = load_scene(Artefact(SAMPLES / "scene-1"))
+    data = load_scene(Artefact(SAMPLES / "scene-2"))
     assert data.images(0).shape == (3, 4, 4) and len(data.points.xyz) == 2
     np.testing.assert_array_equal(np.unique(data.truth_depth(0)), np.float32([2, FAR_Z]))
 
 
 def test_the_exr_and_tensor_samples_read():
-    view = read_exr(SAMPLES / "frames-1" / "exr" / "000.exr")
+    view = read_exr(SAMPLES / "frames-2" / "exr" / "000.exr")
     assert view.attributes == {"field": "toy"} and view.masks["head"].sum() == 2 and view.intrinsics == (5, 5, 2, 1.5)
-    tensors, metadata = load_tensors(SAMPLES / "field-1" / "field.safetensors")
+    tensors, metadata = load_tensors(SAMPLES / "field-2" / "field.safetensors")
     assert tensors["density"].sum() == 8 and metadata == {"kind": "vm"}

@@ -9,7 +9,7 @@ import time
 
 import pytest
 
-from schemas import migrations, partial
+from schemas import lock, migrations, partial
 from schemas.errors import ArtefactDamaged, ArtefactStale, OutOfResources, StylerfError, UsageError, WouldBeLost
 from schemas.manifest import MANIFEST, InputRef
 from schemas.store import Artefact, Recipe, Work, sources_of
@@ -360,7 +360,7 @@ def test_a_disk_that_cannot_lock_is_not_taken_for_another_process(tmp_path, monk
     def refuse(*_):
         raise OSError(errno.ENOSYS, os.strerror(errno.ENOSYS))
 
-    monkeypatch.setattr(partial.fcntl, "flock", refuse)
+    monkeypatch.setattr(lock.fcntl, "flock", refuse)
     with pytest.raises(OutOfResources, match=r"\.fox\.lock cannot be locked .Function not implemented.") as caught:
         Work(tmp_path).begin("field", "fox", recipe())
     assert "another process" not in str(caught.value)
@@ -451,8 +451,10 @@ def test_sealed_nonsense_is_damage_not_a_crash(tmp_path, changes):
 
 
 def test_old_schemas_migrate_step_by_step_and_keep_their_digest(tmp_path, monkeypatch):
+    monkeypatch.setitem(migrations.CURRENT, "field", 1)
     artefact = make(Work(tmp_path))
     monkeypatch.setitem(migrations.CURRENT, "field", 3)
+    monkeypatch.delitem(migrations.MIGRATIONS, ("field", 1))
     with pytest.raises(ArtefactStale, match="too old"):
         Artefact(artefact.path).verify()
 

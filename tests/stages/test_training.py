@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from schemas.errors import BadInput
-from stages.fields import load_checkpoint
+from stages.checkpoints import load_checkpoint
 from stages.progress import Context, Silent
 from stages.training import run_training
 from stylerf.errors import Diverged
@@ -48,7 +48,7 @@ def run(toy, partial, every=1e9, first=True):
         run_training(toy, "the toy", every, partial, context, lambda now: told.append(now.step))
     finally:
         assert told == [1, 2, 3] and said.finished == 1
-    return load_checkpoint(partial.checkpoint)
+    return load_checkpoint(partial.checkpoint, print)
 
 
 def test_checkpoints_come_every_so_often_and_from_the_first_process_alone(partial):
@@ -62,7 +62,7 @@ def test_checkpoints_come_every_so_often_and_from_the_first_process_alone(partia
 def test_ctrl_c_keeps_whole_steps_alone(partial, between_steps):
     with pytest.raises(KeyboardInterrupt):
         run(Toy(KeyboardInterrupt(), between_steps), partial)
-    assert (load_checkpoint(partial.checkpoint) is not None) == between_steps
+    assert (load_checkpoint(partial.checkpoint, print) is not None) == between_steps
 
 
 def test_what_does_not_converge_is_told_by_its_name(partial):

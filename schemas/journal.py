@@ -1,0 +1,47 @@
+"""Which files of an unfinished run are whole: one line for each with its SHA-256, in a file that only grows."""
+
+import json
+import os
+from collections.abc import Iterable
+from pathlib import Path
+
+from schemas.atomic import make_folder
+from schemas.canonical import file_sha256
+
+
+class Journal:
+    """The journal at `path` of files below `root`. A last line that a kill cut short is passed over."""
+
+    def __init__(self, path: Path, root: Path) -> None:
+        self._path, self._root = path, root
+        self._digests: dict[str, str] = {}
+        make_folder(path.parent)
+        if path.is_file():
+            for line in path.read_text("utf-8", "replace").splitlines():
+                self._read(line)
+
+    def _read(self, line: str) -> None:
+        try:
+            name, digest = json.loads(line)
+            self._digests[str(name)] = str(digest)
+        except (ValueError, TypeError, RecursionError):
+            return
+
+    def add(self, names: Iterable[str]) -> None:
+        """Records files, by their paths below the root, as they are now; each must be flushed to the disk already."""
+        fresh = {name: file_sha256(self._root / name) for name in names}
+        text = "".join(json.dumps(pair) + "\n" for pair in fresh.items())
+        handle = os.open(self._path, os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_NOFOLLOW | os.O_CLOEXEC, 0o666)
+        with open(handle, "w", encoding="utf-8") as stream:
+            stream.write(text)
+        self._digests |= fresh
+
+    def holds(self, names: Iterable[str]) -> bool:
+        """Whether every one of these files is recorded and still what it was then; OSError where one cannot be read."""
+        return all(name in self._digests and self._is(name) for name in names)
+
+    def _is(self, name: str) -> bool:
+        try:
+            return file_sha256(self._root / name) == self._digests[name]
+        except (FileNotFoundError, NotADirectoryError):
+            return False
