@@ -100,7 +100,7 @@ def replacing(path: Path) -> Iterator[Path]:
     """
     make_folder(path.parent)
     # Codecs choose their format by the extension, so the mark of a temporary file goes before it.
-    temporary = path.parent / f".{path.stem}.{secrets.token_hex(4)}{TEMPORARY_SUFFIX}{path.suffix}"
+    temporary = path.parent / f".{path.stem[:40]}.{secrets.token_hex(4)}{TEMPORARY_SUFFIX}{path.suffix[:8]}"
     try:
         with writing(path):
             yield temporary
@@ -134,7 +134,7 @@ def refusal_of_disk(path: Path, size: int) -> OutOfResources | None:
 
     Returns None when the zeros could be written, so the codec failed for a reason of its own.
     """
-    trial = path.parent / f".{path.stem}.{secrets.token_hex(4)}{TEMPORARY_SUFFIX}"
+    trial = path.parent / f".{path.stem[:40]}.{secrets.token_hex(4)}{TEMPORARY_SUFFIX}"
     block = bytes(1 << 20)
     try:
         with open(trial, "wb") as stream:

@@ -1,6 +1,5 @@
 """frames.json: rendered views of a field, in order, with the cameras that saw them."""
 
-import json
 import math
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -8,6 +7,8 @@ from typing import Any
 
 from schemas.atomic import write_json
 from schemas.errors import ArtefactDamaged
+from schemas.names import relative_path
+from schemas.reading import read_json
 from schemas.scene import Matrix, as_matrix
 
 FRAMES_FILE = "frames.json"
@@ -63,14 +64,14 @@ def read_frames(folder: Path) -> Frames:
     """
     path = Path(folder) / FRAMES_FILE
     try:
-        content = json.loads(path.read_text())
+        content = read_json(path, ArtefactDamaged)
         views = tuple(_frame(entry) for entry in content["views"])
         fps = content.get("fps")
         masks = {str(name): str(channel) for name, channel in content.get("masks", {}).items()}
         return Frames(str(content["field"]), str(content["path"]), views, None if fps is None else float(fps), masks)
     except FileNotFoundError:
         raise ArtefactDamaged(f"{path} is missing; run `stylerf render` again") from None
-    except (ValueError, TypeError, KeyError, AttributeError) as error:
+    except (ValueError, TypeError, KeyError, AttributeError, OverflowError) as error:
         told = f"it lacks {error}" if isinstance(error, KeyError) else str(error)
         raise ArtefactDamaged(f"{path} is damaged ({told}); run `stylerf render` again") from error
 
@@ -81,8 +82,9 @@ def _frame(entry: dict[str, Any]) -> Frame:
     if not all(math.isfinite(number) for number in numbers) or min(given["width"], given["height"]) < 1:
         raise ValueError(f"the camera of frame {entry['name']} has no size or no finite focal length")
     camera = FrameCamera(int(given["width"]), int(given["height"]), *numbers, as_matrix(given["world_from_camera"]))
+    relative_path(entry["name"], "name of a frame")
     for key in ("exr", "png"):
-        if Path(entry[key]).is_absolute() or ".." in Path(entry[key]).parts:
-            raise ValueError(f"path {entry[key]!r} leaves the artefact")
+        if entry[key] != "":  # of frames without one
+            relative_path(entry[key], f"{key} of frame {entry['name']}")
     index = entry.get("scene_view")
     return Frame(str(entry["name"]), entry["exr"], entry["png"], camera, None if index is None else int(index))

@@ -3,7 +3,6 @@
 Camera axes are OpenCV's (x right, y down, z forward); pixel (i, j) has its centre at (i + 0.5, j + 0.5).
 """
 
-import json
 import math
 import re
 from dataclasses import dataclass, field, fields
@@ -14,6 +13,8 @@ import numpy as np
 
 from schemas.atomic import write_json
 from schemas.errors import ArtefactDamaged, BadInput
+from schemas.names import relative_path
+from schemas.reading import read_json
 
 SCENE_FILE = "scene.json"
 POINTS_FILE = "points.safetensors"
@@ -118,6 +119,8 @@ def validate_scene(scene: Scene) -> None:
         raise BadInput(f"view names must differ; {min(twice)!r} stands {names.count(min(twice))} times")
     for view in scene.views:
         _validate_view(view)
+    if scene.truth.depth is not None:
+        relative_path(scene.truth.depth, "pattern of known depths", BadInput)
     _one_of(scene.layout, LAYOUTS, "layout")
     _one_of(scene.background, BACKGROUNDS, "background")
     bounds = scene.bounds
@@ -134,7 +137,9 @@ def validate_scene(scene: Scene) -> None:
 
 
 def _validate_view(view: View) -> None:
-    where = f"view {view.name}"
+    # Renders are filed under the name: it must not lead out of their folder.
+    where = f"view {relative_path(view.name, 'name of a view', BadInput)}"
+    relative_path(view.image, f"{where}: its image", BadInput)
     _one_of(view.split, SPLITS, f"{where}: split")
     if view.width < 1 or view.height < 1:
         raise BadInput(f"{where}: size {view.width}x{view.height} is empty")
@@ -148,8 +153,6 @@ def _validate_view(view: View) -> None:
         raise BadInput(f"{where}: the upper left 3x3 of its pose is not a rotation")
     if not np.allclose(pose[3], [0, 0, 0, 1]):
         raise BadInput(f"{where}: the last row of its pose is {pose[3].tolist()}, expected 0 0 0 1")
-    if Path(view.image).is_absolute() or ".." in Path(view.image).parts:
-        raise BadInput(f"{where}: image path {view.image!r} leaves the artefact")
 
 
 def _one_of(value: str, allowed: tuple[str, ...], what: str) -> None:
@@ -167,11 +170,11 @@ def read_scene(folder: Path) -> Scene:
     """The scene described in `folder`; ArtefactDamaged when scene.json is missing or not what write_scene writes."""
     path = Path(folder) / SCENE_FILE
     try:
-        scene = _from_dict(json.loads(path.read_text()))
+        scene = _from_dict(read_json(path, ArtefactDamaged))
         validate_scene(scene)
     except FileNotFoundError:
         raise ArtefactDamaged(f"{path} is missing; run `stylerf import` again") from None
-    except (ValueError, TypeError, KeyError, AttributeError, BadInput) as error:
+    except (ValueError, TypeError, KeyError, AttributeError, OverflowError, BadInput) as error:
         raise ArtefactDamaged(f"{path} is damaged ({error}); run `stylerf import` again") from error
     return scene
 

@@ -39,7 +39,7 @@ def run(inputs: dict[str, Artefact], config: DistillConfig, partial: Partial, co
         if record.path != EDIT_TARGETS:
             target = partial.path / record.path
             target.parent.mkdir(parents=True, exist_ok=True)
-            shutil.copyfile(inputs["scene"].path / record.path, target)
+            shutil.copyfile(inputs["scene"].file(record.path), target)
     targets: dict[str, np.ndarray] = {}
     device = gpu_of(context)
     module = _on_device(edit.module, device) if device else edit.module
@@ -93,10 +93,9 @@ def _write_others(scene: SceneData, shown: set[int], folder: Path) -> None:
 
 def _keep_earlier(scene: Artefact, targets: dict[str, np.ndarray]) -> None:
     """Pixels of earlier edits of the same photos, apart: a whole field that learns this one must see those too."""
-    path = scene.path / EDIT_TARGETS
-    if not path.is_file():
+    if not scene.has(EDIT_TARGETS):
         return
-    before, _ = load_tensors(path)
+    before, _ = load_tensors(scene.file(EDIT_TARGETS))
     for index in sorted({name.partition(".")[0] for name in before}):
         parts = [part for part in ("", EARLIER) if f"{index}.{part}pixels" in before]
         pixels = np.concatenate([before[f"{index}.{part}pixels"] for part in parts])

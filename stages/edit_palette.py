@@ -27,6 +27,6 @@ def run(inputs: dict[str, Artefact], config: PaletteConfig, partial: Partial, co
         raise BadInput(f"{learnt.path}: {error}; see {learnt.path / PALETTE}") from error
     told = told_after(learnt, changes)
     save_edit(partial.path, Edit(edit.module, by_column(changes, columns)), shares, told)
-    if (learnt.path / "style.png").is_file():
-        shutil.copyfile(learnt.path / "style.png", partial.path / "style.png")
+    if learnt.has("style.png"):
+        shutil.copyfile(learnt.file("style.png"), partial.path / "style.png")
     return {"learnt": learnt.name, "changes": changes.describe(), **told}

@@ -38,7 +38,7 @@ def save_deformation(folder: Path, deformation: Deformation) -> None:
 
 def load_deformation(artefact: Artefact) -> Deformation | None:
     """The network behind a field's displacement grid; None for a field without one."""
-    if not (artefact.path / DEFORMATION).is_file():
+    if not artefact.has(DEFORMATION):
         return None
     arrays, metadata = load_tensors(artefact.file(DEFORMATION))
     try:

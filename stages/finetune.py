@@ -112,9 +112,9 @@ def edited_pixels(scene: SceneData, train: list[int], earlier: bool) -> EditedPi
 
     earlier: with those of the edits before the last; colours of the last region's own cannot learn from them.
     """
-    path = scene.folder / EDIT_TARGETS
-    if not path.is_file():
+    if not scene.artefact.has(EDIT_TARGETS):
         raise BadInput(f"{scene.folder} carries no edit; give a scene that `stylerf distill` made")
+    path = scene.artefact.file(EDIT_TARGETS)
     arrays, _ = load_tensors(path)
     views, pixels, depths, beside = [], [], [], []
     edits = ("", EARLIER) if earlier else ("",)

@@ -9,6 +9,7 @@ import numpy as np
 from schemas.errors import BadInput
 from schemas.exr import FAR_Z, ExrView, read_depth, write_exr
 from schemas.images import to_uint8, write_png
+from schemas.names import printable
 from schemas.scene import POINTS_FILE, Bounds, Scene, Skipped, Truth, View, as_matrix, write_scene
 from schemas.store import Artefact, Partial
 from schemas.tensors import save_tensors
@@ -131,8 +132,8 @@ def _without_doubles(cameras: list[SourceCamera]) -> tuple[list[SourceCamera], l
 
 
 def _inside(name: str) -> str:
-    """The name without steps out of a folder: pictures and frames are filed under it."""
-    return "/".join(part for part in Path(name).parts if part not in ("..", "/"))
+    """The name without steps out of a folder or control characters: pictures and frames are filed under it."""
+    return "/".join(printable(part) for part in Path(name).parts if part not in ("..", "/"))
 
 
 def _told_apart(cameras: list[SourceCamera]) -> list[SourceCamera]:

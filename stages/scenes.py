@@ -9,7 +9,7 @@ import numpy as np
 from schemas.errors import ArtefactDamaged, BadInput
 from schemas.exr import read_depth
 from schemas.images import image_channels, read_image
-from schemas.scene import POINTS_FILE, Bounds, Scene, View, read_scene
+from schemas.scene import POINTS_FILE, SCENE_FILE, Bounds, Scene, View, read_scene
 from schemas.store import Artefact, sources_of
 from schemas.tensors import load_tensors
 from stylerf.errors import InvalidValue
@@ -37,12 +37,17 @@ class SceneData:
     retaken: the image of a view, by its index, where that is not its photo.
     """
 
-    folder: Path
+    artefact: Artefact
     scene: Scene
     cameras: list[Camera]
     points: Points | None
     stops: Mapping[str, float] = field(default_factory=dict)
     retaken: Callable[[int], np.ndarray] | None = None
+
+    @property
+    def folder(self) -> Path:
+        """Of the artefact."""
+        return self.artefact.path
 
     @property
     def views(self) -> tuple[View, ...]:
@@ -78,7 +83,7 @@ class SceneData:
             return self.retaken(index)
         view = self.views[index]
         try:
-            pixels = read_image(self._path(view.image)).pixels
+            pixels = read_image(self.artefact.file(view.image)).pixels
         except BadInput as error:
             raise ArtefactDamaged(f"{error}; run `stylerf import` again") from error
         if pixels.shape[:2] != (view.height, view.width):
@@ -99,31 +104,28 @@ class SceneData:
 
         Photos that carry an edit are at one exposure themselves, and say nothing of the others.
         """
-        return {} if self._path(EDIT_TARGETS).is_file() else {EXPOSURE_STOPS: dict(self.stops)}
+        return {} if self.artefact.has(EDIT_TARGETS) else {EXPOSURE_STOPS: dict(self.stops)}
 
     def channels(self, index: int) -> int:
         """3 or 4: those that images(index) has, by the file's header."""
         try:
-            return max(3, image_channels(self._path(self.views[index].image)))
+            return max(3, image_channels(self.artefact.file(self.views[index].image)))
         except BadInput as error:
             raise ArtefactDamaged(f"{error}; run `stylerf import` again") from error
 
     def truth_depth(self, index: int) -> np.ndarray | None:
         """Known planar depth of view `index`, [height, width] float32 scene units; None where there is no truth."""
         relative = self.scene.truth.depth_file(index)
-        if relative is None or not (self.folder / relative).is_file():
+        if relative is None or not self.artefact.has(relative):
             return None
         try:
-            depth = read_depth(self.folder / relative)
+            depth = read_depth(self.artefact.file(relative))
         except BadInput as error:
             raise ArtefactDamaged(f"{error}; run `stylerf import` again") from error
         view = self.views[index]
         if depth.shape != (view.height, view.width):
             raise ArtefactDamaged(f"{self.folder / relative} is not of its camera's size; run `stylerf import` again")
         return depth
-
-    def _path(self, relative: str) -> Path:
-        return self.folder / relative
 
 
 def load_scene(artefact: Artefact, seen_by: Artefact | None = None) -> SceneData:
@@ -132,7 +134,7 @@ def load_scene(artefact: Artefact, seen_by: Artefact | None = None) -> SceneData
     seen_by: what was made of a field; photos are then brought to the one exposure that its fit found for them.
     """
     artefact.check_sizes()
-    scene = read_scene(artefact.path)
+    scene = read_scene(artefact.file(SCENE_FILE).parent)
     for view in scene.views:
         artefact.file(view.image)
     try:
@@ -140,8 +142,9 @@ def load_scene(artefact: Artefact, seen_by: Artefact | None = None) -> SceneData
     except InvalidValue as error:
         raise ArtefactDamaged(f"{artefact.path}: {error}; run `stylerf import` again") from error
     # Photos that carry an edit were brought to it when that was distilled.
-    stops = _stops(seen_by) if seen_by and not (artefact.path / EDIT_TARGETS).is_file() else {}
-    return SceneData(artefact.path, scene, cameras, _points(artefact.path / POINTS_FILE), stops)
+    stops = _stops(seen_by) if seen_by and not artefact.has(EDIT_TARGETS) else {}
+    points = _points(artefact.file(POINTS_FILE)) if artefact.has(POINTS_FILE) else None
+    return SceneData(artefact, scene, cameras, points, stops)
 
 
 def view_index(scene: SceneData, name: str, asked_by: str) -> int:
@@ -180,9 +183,7 @@ def _camera(view: View) -> Camera:
     return Camera(view.name, view.width, view.height, view.fx, view.fy, view.cx, view.cy, pose)
 
 
-def _points(path: Path) -> Points | None:
-    if not path.is_file():
-        return None
+def _points(path: Path) -> Points:
     tensors, _ = load_tensors(path)
     try:
         xyz, rgb, error = tensors["xyz"], tensors["rgb"], tensors["error"]

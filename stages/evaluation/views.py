@@ -8,7 +8,7 @@ from skimage.transform import resize
 
 from schemas.errors import ArtefactDamaged, BadInput
 from schemas.exr import read_channels
-from schemas.frames import Frame, Frames, read_frames
+from schemas.frames import FRAMES_FILE, Frame, Frames, read_frames
 from schemas.images import srgb_from_linear
 from schemas.store import Artefact
 from stages.scenes import load_scene, view_index
@@ -121,7 +121,7 @@ class FrameViews:
 
     def __init__(self, artefact: Artefact, background: float) -> None:
         self.artefact, self.background = artefact, background
-        self.frames: Frames = read_frames(artefact.path)
+        self.frames: Frames = read_frames(artefact.file(FRAMES_FILE).parent)
         if not self.frames.views:
             raise BadInput(f"frames {artefact.name} hold no view; render them again")
 

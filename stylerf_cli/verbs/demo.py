@@ -134,6 +134,6 @@ def write_sheet(path: Path, photos: Path, fit, stylised) -> Path:
     box = tuple(slice(max(0, at.min() - MARGIN), at.max() + 1 + MARGIN) for at in np.nonzero(filled))
     rows = [[(p[..., :3] * p[..., 3:] + 1 - p[..., 3:])[box] for p in taken]]
     for frames in (fit, stylised):
-        rows.append([read_image(frames.path / view.png).pixels[box] for view in read_frames(frames.path).views[:4]])
+        rows.append([read_image(frames.file(view.png)).pixels[box] for view in read_frames(frames.path).views[:4]])
     write_png(path, to_uint8(sheet_of(rows, read_image(photos / PAINTING).pixels)))
     return path

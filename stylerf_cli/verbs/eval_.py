@@ -166,7 +166,7 @@ def measurable(work: Work, field: Artefact) -> list[tuple[Artefact, str, int]]:
         config = one.manifest.config
         whole = config.get("exr", True) and config.get("scale", 1) == 1 and not config.get("frames")
         of_now = (one.manifest.stage, one.manifest.revision) == (SPEC.stage, SPEC.revision)
-        if whole and of_now and shows(one, field) and (one.path / FRAMES_FILE).is_file():
+        if whole and of_now and shows(one, field) and one.has(FRAMES_FILE):
             frames = read_frames(one.path)
             if frames.field == field.name:
                 found.append((one, frames.path, len(frames.views)))
@@ -181,8 +181,8 @@ def readable(work: Work) -> list[Artefact]:
 def check(frames: Artefact) -> None:
     """StylerfError where a manifest, a file's length or the list of views cannot be read."""
     frames.check_sizes()
-    if (frames.path / FRAMES_FILE).is_file():
-        read_frames(frames.path)
+    if frames.has(FRAMES_FILE):
+        read_frames(frames.file(FRAMES_FILE).parent)
 
 
 def fault_of(frames: Artefact) -> str:

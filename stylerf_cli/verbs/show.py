@@ -51,7 +51,7 @@ def described(artefact: Artefact) -> dict:
 
 def _views(artefact: Artefact) -> dict:
     """Of a scene its `views`: name, picture, size and split."""
-    if artefact.kind != "scene" or not (artefact.path / SCENE_FILE).is_file():
+    if artefact.kind != "scene" or not artefact.has(SCENE_FILE):
         return {}
     kept = ("name", "image", "width", "height", "split")
     return {"views": [{key: getattr(view, key) for key in kept} for view in read_scene(artefact.path).views]}

@@ -144,6 +144,7 @@ def test_a_distilled_scene_holds_photos_of_one_exposure(tmp_path):
 def test_a_view_without_an_edited_pixel_carries_no_edit(tmp_path):
     scene = load_scene(make_capture(Work(tmp_path)))
     (scene.folder / EDIT_TARGETS).parent.mkdir()
+    scene.artefact.__dict__["_listed"] = frozenset({EDIT_TARGETS})
     some = {"2.pixels": np.array([5, 6]), "2.depth": np.ones(2, np.float32)}
     none = {"1.pixels": np.empty(0, np.int64), "1.depth": np.empty(0, np.float32)}
     save_tensors(scene.folder / EDIT_TARGETS, none | some)
