@@ -1,6 +1,5 @@
 """Reads and writes edit artefacts: edit.json, edit.safetensors for the module, palette.json, palette.png to be read."""
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -9,12 +8,14 @@ import numpy as np
 from schemas.atomic import write_json
 from schemas.errors import ArtefactDamaged
 from schemas.images import to_uint8, write_png
+from schemas.reading import read_json
 from schemas.store import Artefact
 from schemas.tensors import load_tensors, save_tensors
 from stages.configs.edit import PaletteConfig, colour_of, number_of
+from stages.soundness import sound
+from stylerf import checks
 from stylerf.editing.edits import PaletteEdits, tinted
 from stylerf.editing.palette import PaletteModule
-from stylerf.errors import InvalidValue
 
 DESCRIPTION, NUMBERS, PALETTE, SWATCH = "edit.json", "edit.safetensors", "palette.json", "palette.png"
 OF_WEIGHTS = ("sparsity", "palette_variation")  # what palette.json tells of the weights, beside their shares
@@ -62,29 +63,30 @@ def load_edit(artefact: Artefact) -> Edit:
     """The edit; ArtefactDamaged where its files do not make one."""
     artefact.check_sizes()
     arrays, _ = load_tensors(artefact.file(NUMBERS))
-    try:
-        data = json.loads(artefact.file(DESCRIPTION).read_text())
-        return Edit(PaletteModule.restore(data["module"], arrays), PaletteEdits.restore(data["changes"]))
-    except (KeyError, TypeError, ValueError, InvalidValue) as error:
-        raise ArtefactDamaged(f"{artefact.path} does not hold a sound edit ({error}); make it anew") from error
+    data = read_json(artefact.file(DESCRIPTION), ArtefactDamaged)
+    with sound(artefact.path, "a sound edit"):
+        module = PaletteModule.restore(checks.entry(data, "module"), arrays)
+        changes = PaletteEdits.restore(checks.entry(data, "changes"))
+        changes.check(len(module.palette))
+        return Edit(module, changes)
 
 
 def columns_and_shares(artefact: Artefact) -> tuple[list[int], list[float]]:
     """(the module's number of each colour as palette.json counts them, shares by the module's numbers)."""
-    try:
-        entries = json.loads(artefact.file(PALETTE).read_text())["colours"]
-        columns = [int(entry["column"]) for entry in entries]
-        shares = {column: float(entry["share"]) for column, entry in zip(columns, entries)}
+    data = read_json(artefact.file(PALETTE), ArtefactDamaged)
+    with sound(artefact.path / PALETTE, "a sound palette"):
+        entries = checks.entry(data, "colours", list)
+        columns = [checks.integer(entry, "column", 0, len(entries) - 1) for entry in entries]
+        shares = {column: checks.number(entry, "share", 0, 1) for column, entry in zip(columns, entries)}
         return columns, [shares[column] for column in range(len(columns))]
-    except (KeyError, TypeError, ValueError) as error:
-        raise ArtefactDamaged(f"{artefact.path / PALETTE} is not sound ({error}); make it anew") from error
 
 
 def told_after(artefact: Artefact, changes: PaletteEdits) -> dict:
     """What palette.json tells beside colours, as far as it holds of the changed palette: not of other weights."""
-    told = json.loads(artefact.file(PALETTE).read_text())
-    gone = {"colours", *(OF_WEIGHTS if changes.scales or changes.biases else ())}
-    return {key: value for key, value in told.items() if key not in gone}
+    told = read_json(artefact.file(PALETTE), ArtefactDamaged)
+    kept = () if changes.scales or changes.biases else OF_WEIGHTS
+    with sound(artefact.path / PALETTE, "a sound palette"):
+        return {key: checks.number(told, key) for key in kept if key in told}
 
 
 def by_column(changes: PaletteEdits, columns: list[int]) -> PaletteEdits:
