@@ -16,6 +16,7 @@ from stages.soundness import sound
 from stylerf import checks
 from stylerf.editing.edits import PaletteEdits, tinted
 from stylerf.editing.palette import PaletteModule
+from stylerf.errors import InvalidValue
 
 DESCRIPTION, NUMBERS, PALETTE, SWATCH = "edit.json", "edit.safetensors", "palette.json", "palette.png"
 OF_WEIGHTS = ("sparsity", "palette_variation")  # what palette.json tells of the weights, beside their shares
@@ -71,14 +72,34 @@ def load_edit(artefact: Artefact) -> Edit:
         return Edit(module, changes)
 
 
-def columns_and_shares(artefact: Artefact) -> tuple[list[int], list[float]]:
-    """(the module's number of each colour as palette.json counts them, shares by the module's numbers)."""
+def told_colours(artefact: Artefact) -> list[dict]:
+    """The colours of palette.json: index, name, learnt and now as text, share, and column, the module's number."""
     data = read_json(artefact.file(PALETTE), ArtefactDamaged)
     with sound(artefact.path / PALETTE, "a sound palette"):
         entries = checks.entry(data, "colours", list)
-        columns = [checks.integer(entry, "column", 0, len(entries) - 1) for entry in entries]
-        shares = {column: checks.number(entry, "share", 0, 1) for column, entry in zip(columns, entries)}
-        return columns, [shares[column] for column in range(len(columns))]
+        for number, one in enumerate(entries):
+            checks.integer(one, "index", number, number)
+            checks.number(one, "share", 0, 1)
+            for key in ("name", "learnt", "now"):
+                checks.entry(one, key, str)
+        if sorted(checks.integer(one, "column", 0, len(entries)) for one in entries) != [*range(len(entries))]:
+            raise InvalidValue(f"its columns are not 0 to {len(entries) - 1}, each once")
+        return entries
+
+
+def columns_and_shares(artefact: Artefact, colours: int) -> tuple[list[int], list[float]]:
+    """(the module's number of each colour as palette.json counts them, shares by the module's numbers).
+
+    colours: that the module has.
+    """
+    entries = told_colours(artefact)
+    if len(entries) != colours:
+        raise ArtefactDamaged(
+            f"{artefact.path / PALETTE} tells {len(entries)} colours where {colours} were learnt; make it anew"
+        )
+    columns = [entry["column"] for entry in entries]
+    shares = {entry["column"]: entry["share"] for entry in entries}
+    return columns, [shares[column] for column in range(len(columns))]
 
 
 def told_after(artefact: Artefact, changes: PaletteEdits) -> dict:

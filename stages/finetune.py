@@ -18,6 +18,7 @@ from stages.progress import Context
 from stages.regions import region_of_field
 from stages.runner import Spec
 from stages.scenes import EARLIER, SceneData, edit_targets, load_scene
+from stages.soundness import sound
 from stages.training import run_training
 from stylerf.fields.field import RadianceField
 from stylerf.fields.patch import PatchColour
@@ -68,7 +69,8 @@ def run(inputs: dict[str, Artefact], config: FinetuneConfig, partial: Partial, c
         load_checkpoint(partial.checkpoint, context.progress.say) if context.ranks.first else None
     )
     if saved is not None:
-        tuner.resume(*saved)
+        with sound(partial.checkpoint, "a sound checkpoint"):
+            tuner.resume(*saved)
         context.progress.say(f"going on from step {tuner.state.step}")
     with nullcontext() if device else compiling_note(context.progress.say):
         _train(tuner, config, partial, context)

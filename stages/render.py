@@ -200,6 +200,11 @@ def _files_of(frame: Frame, config: RenderConfig, field: RadianceField, regions:
 def _render(frame: Frame, field, background, bounds, camera, config, folder: Path, seen, attributes, regions) -> None:
     name = frame.name
     rendered = seen(camera, regions=regions)
+    if not all(np.isfinite(plane).all() for plane in (rendered.rgb, rendered.alpha, rendered.z)):
+        raise BadInput(
+            f"the field {attributes['field']} shows what is not finite in frame {name}: its numbers are sound one by "
+            "one, but not together; make it anew"
+        )
     if config.exr:
         write_exr(folder / frame.exr, exr_view(rendered, camera, bounds, attributes))
     if config.masks:

@@ -15,11 +15,23 @@ LARGEST = 1e9  # of lengths in scene units, pixels and factors: float32 can stil
 _AT_ONCE = 1 << 20  # floats that are looked at together: they stay in the processor's cache
 
 
+def table(value: Any, what: str) -> dict:
+    """`value`, where it is an object of JSON."""
+    if not isinstance(value, Mapping):
+        raise InvalidValue(f"{what} is {_shown(value)}, expected an object")
+    return value
+
+
+def text(value: Any, what: str) -> str:
+    """`value`, where it is a text."""
+    if not isinstance(value, str):
+        raise InvalidValue(f"{what} holds {_shown(value)}, expected a text")
+    return value
+
+
 def entry(data: Any, key: str, kind: type = object) -> Any:
     """data[key], where `data` is an object of JSON and what it holds there is a `kind`."""
-    if not isinstance(data, Mapping):
-        raise InvalidValue(f"an object with {key} was expected, found {_shown(data)}")
-    if key not in data:
+    if key not in table(data, f"what should hold {key}"):
         raise InvalidValue(f"{key} is missing")
     if not isinstance(data[key], kind):
         words = {dict: "an object", list: "a list", str: "a text"}
