@@ -6,7 +6,7 @@ import numpy as np
 
 from schemas.atomic import write_json
 from schemas.errors import ArtefactDamaged
-from schemas.numbers import LARGEST_SIDE
+from schemas.numbers import LARGEST_PICTURE, LARGEST_SIDE
 from schemas.reading import read_json
 from schemas.store import Artefact
 from schemas.tensors import load_tensors, save_tensors
@@ -44,6 +44,8 @@ def load_edit_views(artefact: Artefact) -> tuple[list[EditView], dict]:
 def _view(item: dict, arrays: dict[str, np.ndarray]) -> EditView:
     view = checks.integer(item, "view", 0, 10**9)
     width, height = (checks.integer(item, side, 1, LARGEST_SIDE) for side in ("width", "height"))
+    if width * height > LARGEST_PICTURE:
+        raise InvalidValue(f"view {view} has {width}x{height} pixels; at most {LARGEST_PICTURE} can be")
     count = checks.integer(item, "pixels", 1, width * height)
     pixels = checks.array(arrays, f"{view}.pixels", np.int64, (count,))
     check_pixels(pixels, f"{view}.pixels", width, height)

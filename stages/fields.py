@@ -45,5 +45,5 @@ def load_deformation(artefact: Artefact) -> Deformation | None:
         return None
     arrays, metadata = load_tensors(artefact.file(DEFORMATION))
     with sound(artefact.path / DEFORMATION, "a sound deformation"):
-        values = checks.array(arrays, "values", np.float32, (None,))
+        values = checks.array(arrays, "values", np.float32, (None,), checks.LEARNT)
         return Deformation.restore(json.loads(checks.entry(metadata, "kind", str)), values.copy())

@@ -12,6 +12,7 @@ import numpy as np
 from stylerf.errors import InvalidValue
 
 LARGEST = 1e9  # of lengths in scene units, pixels and factors: float32 can still multiply a few of them
+LEARNT = 1e6  # of what is learnt: products over the layers of a network stay finite; none trained was over 1e4
 _AT_ONCE = 1 << 20  # floats that are looked at together: they stay in the processor's cache
 
 
@@ -74,11 +75,11 @@ def rows(data: Any, key: str, count: int | None, width: int) -> list[list[float]
 
 
 def array(
-    arrays: Mapping[str, np.ndarray], name: str, dtype: type, shape: tuple[int | None, ...], any_float: bool = False
+    arrays: Mapping[str, np.ndarray], name: str, dtype: type, shape: tuple[int | None, ...], most: float = np.inf
 ) -> np.ndarray:
-    """arrays[name], where it is of that dtype and shape, and finite. None: of any length along that axis.
+    """arrays[name], where it is of that dtype and shape. None: of any length along that axis.
 
-    any_float: it may hold NaN and infinity.
+    most: of its floats, which must be finite and lie in -most..most; NaN: they may be any.
     """
     if name not in arrays:
         raise InvalidValue(f"the array {name} is missing")
@@ -88,20 +89,21 @@ def array(
         wanted = " x ".join("any" if side is None else str(side) for side in shape)
         held = " x ".join(map(str, found.shape))
         raise InvalidValue(f"the array {name} holds {held} {found.dtype}, expected {wanted} {np.dtype(dtype)}")
-    if found.dtype.kind == "f" and not any_float:
-        finite(found, name)
+    if found.dtype.kind == "f" and most == most:
+        finite(found, name, most)
     return found
 
 
-def finite(values: np.ndarray, name: str) -> None:
-    """InvalidValue where an array holds NaN or infinity."""
+def finite(values: np.ndarray, name: str, most: float = np.inf) -> None:
+    """InvalidValue where an array holds NaN, infinity, or what does not lie in -most..most."""
     flat = values.reshape(-1)
     for at in range(0, len(flat), _AT_ONCE):
         some = flat[at : at + _AT_ONCE]
-        fine = np.isfinite(some)
+        fine = np.isfinite(some) if most == np.inf else np.abs(some) <= np.float32(most)  # so written, NaN is not
         if not fine.all():
             where = int(fine.argmin())
-            raise InvalidValue(f"the array {name} holds {some[where]} (number {at + where} of {len(flat)})")
+            told = "" if most == np.inf else f", expected -{most:g} to {most:g}"
+            raise InvalidValue(f"the array {name} holds {some[where]} (number {at + where} of {len(flat)}){told}")
 
 
 def bits(arrays: Mapping[str, np.ndarray], name: str, cells: int) -> np.ndarray:

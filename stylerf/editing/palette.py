@@ -186,7 +186,9 @@ class PaletteModule:
 
     @classmethod
     def restore(cls, data: dict, arrays: dict[str, np.ndarray]) -> "PaletteModule":
-        table, networks = (checks.array(arrays, name, np.float32, (None,)) for name in ("table", "networks"))
+        table, networks = (
+            checks.array(arrays, name, np.float32, (None,), checks.LEARNT) for name in ("table", "networks")
+        )
         encoding = HashEncoding.restore(checks.entry(data, "encoding"), table.copy())
         active = checks.entry(data, "active", list)
         if not all(isinstance(one, bool) for one in active):

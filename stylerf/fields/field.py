@@ -136,7 +136,7 @@ def _colour_arrays(colour, name: str) -> dict[str, np.ndarray]:
 
 def _values(arrays: dict[str, np.ndarray], name: str) -> np.ndarray:
     """What a part has learnt; how long it must be the part knows."""
-    return checks.array(arrays, name, np.float32, (None,))
+    return checks.array(arrays, name, np.float32, (None,), checks.LEARNT)
 
 
 def _colour(data: dict, arrays: dict[str, np.ndarray], name: str, patches: int = MOST_PATCHES):
@@ -153,10 +153,9 @@ def _displacement(arrays: dict[str, np.ndarray]) -> np.ndarray | None:
     if "displacement" not in arrays:
         return None
     side = len(arrays["displacement"]) if arrays["displacement"].ndim else 0
-    grid = checks.array(arrays, "displacement", np.float32, (side, side, side, 3))
-    if side < 2 or np.abs(grid).max() > 1:
-        raise InvalidValue("the array displacement moves places by more than the cube, or is no grid")
-    return grid
+    if side < 2:
+        raise InvalidValue("the array displacement has no cells")
+    return checks.array(arrays, "displacement", np.float32, (side, side, side, 3), most=1.0)  # the whole cube
 
 
 def _colour_map(data: dict | None) -> ColourMap | None:
