@@ -195,7 +195,7 @@ def _points(path: Path) -> Points | None:
     with sound(path, "a sound list of points"):
         xyz = checks.array(tensors, "xyz", np.float32, (None, 3))
         rgb = checks.array(tensors, "rgb", np.uint8, (len(xyz), 3))
-        return Points(xyz, rgb, checks.array(tensors, "error", np.float32, (len(xyz),), most=np.nan))
+        return Points(xyz, rgb, checks.array(tensors, "error", np.float32, (len(xyz),), most=None))
 
 
 @dataclass(frozen=True, eq=False)

@@ -75,11 +75,11 @@ def rows(data: Any, key: str, count: int | None, width: int) -> list[list[float]
 
 
 def array(
-    arrays: Mapping[str, np.ndarray], name: str, dtype: type, shape: tuple[int | None, ...], most: float = np.inf
+    arrays: Mapping[str, np.ndarray], name: str, dtype: type, shape: tuple[int | None, ...], most: float | None = np.inf
 ) -> np.ndarray:
     """arrays[name], where it is of that dtype and shape. None: of any length along that axis.
 
-    most: of its floats, which must be finite and lie in -most..most; NaN: they may be any.
+    most: of its floats, which must be finite and lie in -most..most; None: they may be any.
     """
     if name not in arrays:
         raise InvalidValue(f"the array {name} is missing")
@@ -89,7 +89,7 @@ def array(
         wanted = " x ".join("any" if side is None else str(side) for side in shape)
         held = " x ".join(map(str, found.shape))
         raise InvalidValue(f"the array {name} holds {held} {found.dtype}, expected {wanted} {np.dtype(dtype)}")
-    if found.dtype.kind == "f" and most == most:
+    if found.dtype.kind == "f" and most is not None:
         finite(found, name, most)
     return found
 

@@ -36,7 +36,7 @@ class Occupancy:
     @staticmethod
     def restore(cells: int, arrays: dict[str, np.ndarray]) -> "Occupancy":
         """From a field's description and arrays."""
-        highest = checks.array(arrays, "occupancy.highest", np.float32, (cells**3,), most=np.nan)
+        highest = checks.array(arrays, "occupancy.highest", np.float32, (cells**3,), most=None)
         if not (highest >= 0).all():  # infinity stands for what nobody has looked at
             raise InvalidValue("the array occupancy.highest holds NaN, or a density below 0")
         made = Occupancy(cells, highest)
