@@ -107,7 +107,7 @@ def told_after(artefact: Artefact, changes: PaletteEdits) -> dict:
     told = read_json(artefact.file(PALETTE), ArtefactDamaged)
     kept = () if changes.scales or changes.biases else OF_WEIGHTS
     with sound(artefact.path / PALETTE, "a sound palette"):
-        return {key: checks.number(told, key) for key in kept if key in told}
+        return {key: checks.number(told, key) for key in kept if told.get(key, "nan") != "nan"}  # of no pixel
 
 
 def by_column(changes: PaletteEdits, columns: list[int]) -> PaletteEdits:
