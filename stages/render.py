@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from schemas.canonical import file_sha256
-from schemas.errors import BadInput, NoFilm, StylerfError
+from schemas.errors import ArtefactDamaged, BadInput, NoFilm, StylerfError
 from schemas.exr import ExrView, write_exr
 from schemas.frames import Frame, FrameCamera, Frames, write_frames
 from schemas.images import linear_from_srgb, to_uint8, write_png
@@ -201,7 +201,7 @@ def _render(frame: Frame, field, background, bounds, camera, config, folder: Pat
     name = frame.name
     rendered = seen(camera, regions=regions)
     if not all(np.isfinite(plane).all() for plane in (rendered.rgb, rendered.alpha, rendered.z)):
-        raise BadInput(
+        raise ArtefactDamaged(
             f"the field {attributes['field']} shows what is not finite in frame {name}: its numbers are sound one by "
             "one, but not together; make it anew"
         )
