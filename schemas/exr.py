@@ -13,11 +13,11 @@ import OpenEXR
 
 from schemas.atomic import refusal_of_disk, replacing
 from schemas.errors import BadInput
+from schemas.numbers import LARGEST_SIDE
 from schemas.silence import native_output_silenced
 
 # Depth where nothing was hit (alpha 0): compositors sort by Z, and a 0 there would put the void in front of all.
 FAR_Z = 1e10
-LARGEST_SIDE = 32768
 LARGEST_HALF = 65504.0
 REC709 = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)  # x, y of red, green, blue, white
 PREFIX = "stylerf:"

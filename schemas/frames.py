@@ -1,6 +1,5 @@
 """frames.json: rendered views of a field, in order, with the cameras that saw them."""
 
-import math
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -8,8 +7,9 @@ from typing import Any
 from schemas.atomic import write_json
 from schemas.errors import ArtefactDamaged
 from schemas.names import relative_path
+from schemas.numbers import FOCAL_LENGTHS, LARGEST_SIDE, matrix, number, whole
 from schemas.reading import read_json
-from schemas.scene import Matrix, as_matrix
+from schemas.scene import Matrix
 
 FRAMES_FILE = "frames.json"
 
@@ -68,7 +68,8 @@ def read_frames(folder: Path) -> Frames:
         views = tuple(_frame(entry) for entry in content["views"])
         fps = content.get("fps")
         masks = {str(name): str(channel) for name, channel in content.get("masks", {}).items()}
-        return Frames(str(content["field"]), str(content["path"]), views, None if fps is None else float(fps), masks)
+        fps = None if fps is None else number(fps, "fps", 1e-3, 1e4)
+        return Frames(str(content["field"]), str(content["path"]), views, fps, masks)
     except FileNotFoundError:
         raise ArtefactDamaged(f"{path} is missing; run `stylerf render` again") from None
     except (ValueError, TypeError, KeyError, AttributeError, OverflowError) as error:
@@ -77,14 +78,17 @@ def read_frames(folder: Path) -> Frames:
 
 
 def _frame(entry: dict[str, Any]) -> Frame:
-    given = entry["camera"]
-    numbers = [float(given[key]) for key in ("fx", "fy", "cx", "cy")]
-    if not all(math.isfinite(number) for number in numbers) or min(given["width"], given["height"]) < 1:
-        raise ValueError(f"the camera of frame {entry['name']} has no size or no finite focal length")
-    camera = FrameCamera(int(given["width"]), int(given["height"]), *numbers, as_matrix(given["world_from_camera"]))
+    given, where = entry["camera"], f"the camera of frame {entry['name']}: "
+    camera = FrameCamera(
+        *(whole(given[key], where + key, 1, LARGEST_SIDE) for key in ("width", "height")),
+        *(number(given[key], where + key, *FOCAL_LENGTHS) for key in ("fx", "fy")),
+        *(number(given[key], where + key) for key in ("cx", "cy")),
+        matrix(given["world_from_camera"], where + "world_from_camera"),
+    )
     relative_path(entry["name"], "name of a frame")
     for key in ("exr", "png"):
         if entry[key] != "":  # of frames without one
             relative_path(entry[key], f"{key} of frame {entry['name']}")
     index = entry.get("scene_view")
-    return Frame(str(entry["name"]), entry["exr"], entry["png"], camera, None if index is None else int(index))
+    index = None if index is None else whole(index, f"frame {entry['name']}: scene_view", 0, 10**9)
+    return Frame(str(entry["name"]), entry["exr"], entry["png"], camera, index)

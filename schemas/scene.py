@@ -5,6 +5,7 @@ Camera axes are OpenCV's (x right, y down, z forward); pixel (i, j) has its cent
 
 import math
 import re
+from collections import Counter
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ import numpy as np
 from schemas.atomic import write_json
 from schemas.errors import ArtefactDamaged, BadInput
 from schemas.names import relative_path
+from schemas.numbers import FOCAL_LENGTHS, LARGEST, LARGEST_PICTURE, LARGEST_SIDE, matrix, number, numbers, whole
 from schemas.reading import read_json
 
 SCENE_FILE = "scene.json"
@@ -114,9 +116,9 @@ def validate_scene(scene: Scene) -> None:
     """Checks everything that later stages rely on; BadInput telling the first thing that is wrong."""
     if not scene.views:
         raise BadInput("a scene needs at least one view; none was given")
-    names = [view.name for view in scene.views]
-    if twice := {name for name in names if names.count(name) > 1}:
-        raise BadInput(f"view names must differ; {min(twice)!r} stands {names.count(min(twice))} times")
+    stand = Counter(view.name for view in scene.views)
+    if twice := [name for name, count in stand.items() if count > 1]:
+        raise BadInput(f"view names must differ; {min(twice)!r} stands {stand[min(twice)]} times")
     for view in scene.views:
         _validate_view(view)
     if scene.truth.depth is not None:
@@ -125,12 +127,14 @@ def validate_scene(scene: Scene) -> None:
     _one_of(scene.background, BACKGROUNDS, "background")
     bounds = scene.bounds
     corners = [*bounds.aabb[0], *bounds.aabb[1]]
-    if not all(math.isfinite(value) for value in corners):
-        raise BadInput("the scene's bounding box is not finite")
-    if any(low >= high for low, high in zip(*bounds.aabb, strict=True)):
+    if not all(abs(value) <= LARGEST for value in corners):  # so written, NaN is none
+        raise BadInput(f"the scene's bounding box is not finite, or reaches beyond {LARGEST:g} units")
+    if any(high - low < 1 / LARGEST for low, high in zip(*bounds.aabb, strict=True)):
         raise BadInput(f"the scene's bounding box {bounds.aabb} is empty: each lower corner must be below the upper")
-    if not 0 < bounds.near < bounds.far < math.inf:
-        raise BadInput(f"near and far must satisfy 0 < near < far; they are {bounds.near:g} and {bounds.far:g}")
+    if not 1 / LARGEST <= bounds.near < bounds.far <= LARGEST:
+        raise BadInput(
+            f"near and far must satisfy 0 < near < far < {LARGEST:g}; they are {bounds.near:g} and {bounds.far:g}"
+        )
     similarity = np.array(scene.scene_from_source)
     if not np.isfinite(similarity).all() or not np.linalg.det(similarity[:3, :3]) > 0:
         raise BadInput("scene_from_source is not an invertible similarity")
@@ -143,11 +147,23 @@ def _validate_view(view: View) -> None:
     _one_of(view.split, SPLITS, f"{where}: split")
     if view.width < 1 or view.height < 1:
         raise BadInput(f"{where}: size {view.width}x{view.height} is empty")
-    if not all(math.isfinite(value) for value in (view.fx, view.fy, view.cx, view.cy)) or min(view.fx, view.fy) <= 0:
-        raise BadInput(f"{where}: focal lengths must be positive, found {view.fx:g} and {view.fy:g}")
+    if max(view.width, view.height) > LARGEST_SIDE or view.width * view.height > LARGEST_PICTURE:
+        raise BadInput(
+            f"{where}: size {view.width}x{view.height}; at most {LARGEST_SIDE} pixels a side and "
+            f"{LARGEST_PICTURE / 1e6:.0f} million in all can be"
+        )
+    least, most = FOCAL_LENGTHS
+    if not all(math.isfinite(value) for value in (view.cx, view.cy)) or max(abs(view.cx), abs(view.cy)) > LARGEST:
+        raise BadInput(f"{where}: its principal point {view.cx:g}, {view.cy:g} lies nowhere near the picture")
+    if not all(least <= value <= most for value in (view.fx, view.fy)):
+        raise BadInput(
+            f"{where}: focal lengths must be positive, {least:g} to {most:g} pixels, found {view.fx:g} and {view.fy:g}"
+        )
     pose = np.array(view.world_from_camera)
     if not np.isfinite(pose).all():
         raise BadInput(f"{where}: its pose holds NaN or infinity")
+    if np.abs(pose[:3, 3]).max() > LARGEST:
+        raise BadInput(f"{where}: its camera is {np.abs(pose[:3, 3]).max():g} units away; at most {LARGEST:g} can be")
     rotation = pose[:3, :3]
     if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-4) or np.linalg.det(rotation) < 0:
         raise BadInput(f"{where}: the upper left 3x3 of its pose is not a rotation")
@@ -184,22 +200,31 @@ def _from_dict(content: dict) -> Scene:
     views = []
     for entry in content["views"]:
         _known_only(entry, View)
-        views.append(View(**{**entry, "world_from_camera": as_matrix(entry["world_from_camera"])}))
+        views.append(_view(entry))
     bounds = content["bounds"]
-    low, high = (tuple(float(value) for value in corner) for corner in bounds["aabb"])
-    if len(low) != 3 or len(high) != 3:
-        raise ValueError("bounds.aabb needs two corners of three numbers")
+    low, high = (numbers(corner, "a corner of bounds.aabb", 3) for corner in bounds["aabb"])
+    truth = Truth(**(content.get("truth") or {}))
+    if not isinstance(truth.depth, (str, type(None))):
+        raise ValueError("truth.depth is no pattern of file names")
     return Scene(
         views=tuple(views),
         layout=content["layout"],
         layout_reason=content["layout_reason"],
-        bounds=Bounds((low, high), float(bounds["near"]), float(bounds["far"])),
+        bounds=Bounds((low, high), number(bounds["near"], "bounds.near"), number(bounds["far"], "bounds.far")),
         background=content["background"],
-        scene_from_source=as_matrix(content["scene_from_source"]),
+        scene_from_source=matrix(content["scene_from_source"], "scene_from_source", 1e30),  # units may be any
         skipped=tuple(Skipped(**item) for item in content.get("skipped", ())),
-        truth=Truth(**(content.get("truth") or {})),
+        truth=truth,
         sfm=content.get("sfm"),
     )
+
+
+def _view(entry: dict) -> View:
+    where = f"view {entry['name']}"
+    sides = {key: whole(entry[key], f"{where}: {key}", 1, LARGEST_SIDE) for key in ("width", "height")}
+    lens = {key: number(entry[key], f"{where}: {key}") for key in ("fx", "fy", "cx", "cy")}
+    pose = matrix(entry["world_from_camera"], f"{where}: world_from_camera")
+    return View(**{**entry, **sides, **lens, "world_from_camera": pose})
 
 
 def _known_only(entry: dict, kind: type) -> None:

@@ -10,6 +10,7 @@ from safetensors import SafetensorError, safe_open
 
 from schemas.atomic import replacing
 from schemas.errors import ArtefactDamaged
+from schemas.names import printable
 
 # By numpy's name, in the format's order from the last in a file to the first.
 TYPES = {
@@ -71,6 +72,9 @@ def load_tensors(path: Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:
         raise ArtefactDamaged(f"{path} is missing; make the artefact it belongs to again")
     try:
         with safe_open(path, framework="numpy") as stream:
+            for name in stream.keys():
+                if (kind := str(stream.get_slice(name).get_dtype())) not in TYPES.values():
+                    raise ValueError(f"its array {printable(name)} is of type {kind}, which no artefact has")
             return {name: stream.get_tensor(name) for name in stream.keys()}, dict(stream.metadata() or {})
-    except (SafetensorError, OSError, ValueError) as error:
+    except (SafetensorError, OSError, ValueError, OverflowError) as error:
         raise ArtefactDamaged(f"{path} is no readable safetensors file ({error}); make its artefact again") from error

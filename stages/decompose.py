@@ -15,6 +15,7 @@ from stages.photos import level_of, photo_for
 from stages.progress import Context
 from stages.runner import Spec
 from stages.scenes import load_scene
+from stages.soundness import sound
 from stages.styling import finest_cells
 from stages.training import run_training
 from stylerf.errors import InvalidValue
@@ -52,7 +53,8 @@ def run(inputs: dict[str, Artefact], config: DecomposeConfig, partial: Partial, 
     except InvalidValue as error:
         raise BadInput(f"{inputs['field'].path}: {error}") from error
     if (saved := load_checkpoint(partial.checkpoint, context.progress.say)) is not None:
-        learner.resume(*saved)
+        with sound(partial.checkpoint, "a sound checkpoint"):
+            learner.resume(*saved)
         context.progress.say(f"going on from step {learner.state.step} of phase {learner.state.phase}")
     with compiling_note(context.progress.say):
         _train(learner, config, partial, context)

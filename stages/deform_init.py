@@ -13,6 +13,7 @@ from stages.photos import bank_of, level_of
 from stages.progress import Context
 from stages.runner import Spec
 from stages.scenes import load_scene, spread
+from stages.soundness import sound
 from stages.training import run_training
 from stylerf.errors import InvalidValue
 from stylerf.fields.deformation import Deformation
@@ -52,7 +53,8 @@ def run(inputs: dict[str, Artefact], config: DeformConfig, partial: Partial, con
         except InvalidValue as error:
             raise BadInput(f"{inputs['field'].path}: {error}") from error
         if (saved := load_checkpoint(partial.checkpoint, context.progress.say)) is not None:
-            fitter.resume(*saved)
+            with sound(partial.checkpoint, "a sound checkpoint"):
+                fitter.resume(*saved)
             context.progress.say(f"going on from step {fitter.state.step}")
         _train(fitter, config, partial, context)
     if fitter.dropped:

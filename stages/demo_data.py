@@ -1,13 +1,15 @@
 """The demo's data set: the procedural still life as ordinary photos with poses and truth, and a painting."""
 
-import json
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 
 from schemas.atomic import make_folder, write_json
+from schemas.errors import BadInput
 from schemas.exr import FAR_Z, ExrView, write_exr
 from schemas.images import linear_from_srgb, to_uint8, write_png
+from schemas.reading import read_json
 from stages.progress import Progress
 from stylerf.geometry.cameras import Camera
 from stylerf.procedural.painting import paint
@@ -27,8 +29,9 @@ def write_demo(folder: Path, size: int, train_views: int, test_views: int, seed:
     """
     wanted = {"size": size, "train_views": train_views, "test_views": test_views, "seed": seed}
     stamp = folder / STAMP
-    if stamp.is_file() and json.loads(stamp.read_text()) == wanted:
-        return
+    with suppress(BadInput, FileNotFoundError):  # a damaged stamp tells nothing
+        if read_json(stamp) == wanted:
+            return
     make_folder(folder)
     # First of all: while photos of other options are replaced, the old stamp would be a lie.
     write_json(stamp, {})

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
-from schemas.errors import BadInput
+from schemas.errors import ArtefactDamaged, BadInput
 from schemas.images import to_uint8, write_png
 from schemas.store import Artefact, Partial
-from schemas.tensors import load_tensors, save_tensors
+from schemas.tensors import save_tensors
 from stages.configs.distill import DistillConfig
 from stages.devices import gpu_figures, gpu_of
 from stages.edit_views import load_edit_views
@@ -17,7 +17,7 @@ from stages.edits import load_edit
 from stages.pictures import load_pictures
 from stages.progress import Context
 from stages.runner import Spec
-from stages.scenes import EARLIER, EDIT_TARGETS, SceneData
+from stages.scenes import EARLIER, EDIT_TARGETS, SceneData, edit_targets
 from stylerf.editing.edits import PaletteEdits
 from stylerf.editing.palette import PaletteModule
 from stylerf.editing.views import EditView
@@ -35,6 +35,13 @@ def run(inputs: dict[str, Artefact], config: DistillConfig, partial: Partial, co
     made_from = {ref.digest for ref in inputs["edit-dataset"].manifest.inputs if ref.role == "scene"}
     if inputs["scene"].digest not in made_from:
         raise BadInput(f"{inputs['edit-dataset'].path} was extracted from another scene than {inputs['scene'].path}")
+    for view in views:
+        camera = scene.cameras[view.view] if view.view < len(scene.cameras) else None
+        if camera is None or (view.width, view.height) != (camera.width, camera.height):
+            raise ArtefactDamaged(
+                f"{inputs['edit-dataset'].path}: its view {view.view}, {view.width}x{view.height}, is none of the "
+                f"scene's; make it anew"
+            )
     for record in inputs["scene"].manifest.files:
         if record.path != EDIT_TARGETS:
             target = partial.path / record.path
@@ -53,7 +60,7 @@ def run(inputs: dict[str, Artefact], config: DistillConfig, partial: Partial, co
     context.progress.finish()
     _write_others(scene, {view.view for view in views}, partial.path)
     pixels = int(sum(len(v) for k, v in targets.items() if k.endswith(".pixels")))
-    _keep_earlier(inputs["scene"], targets)
+    _keep_earlier(scene, targets)
     save_tensors(partial.path / EDIT_TARGETS, targets)
     return {"views": len(views), "pixels": pixels, **gpu_figures(device)}
 
@@ -91,14 +98,12 @@ def _write_others(scene: SceneData, shown: set[int], folder: Path) -> None:
             write_png(folder / view.image, to_uint8(scene.images(index)))
 
 
-def _keep_earlier(scene: Artefact, targets: dict[str, np.ndarray]) -> None:
+def _keep_earlier(scene: SceneData, targets: dict[str, np.ndarray]) -> None:
     """Pixels of earlier edits of the same photos, apart: a whole field that learns this one must see those too."""
-    if not scene.has(EDIT_TARGETS):
-        return
-    before, _ = load_tensors(scene.file(EDIT_TARGETS))
-    for index in sorted({name.partition(".")[0] for name in before}):
-        parts = [part for part in ("", EARLIER) if f"{index}.{part}pixels" in before]
-        pixels = np.concatenate([before[f"{index}.{part}pixels"] for part in parts])
-        depth = np.concatenate([before[f"{index}.{part}depth"] for part in parts])
+    before = edit_targets(scene)
+    for index in sorted({index for index, _ in before}):
+        parts = [before[index, part] for part in ("", EARLIER) if (index, part) in before]
+        pixels = np.concatenate([part.pixels for part in parts])
+        depth = np.concatenate([part.depth for part in parts])
         left = ~np.isin(pixels, targets.get(f"{index}.pixels", ()))
         targets |= {f"{index}.{EARLIER}pixels": pixels[left], f"{index}.{EARLIER}depth": depth[left]}

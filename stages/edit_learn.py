@@ -20,6 +20,7 @@ from stages.edits import Edit, save_edit
 from stages.paintings import read_painting
 from stages.progress import Context
 from stages.runner import Spec
+from stages.soundness import sound
 from stages.training import run_training
 from stages.weights import digests_of_files, resolve
 from stylerf.editing.edits import PaletteEdits
@@ -56,7 +57,8 @@ def run(inputs: dict[str, Artefact], config: EditConfig, partial: Partial, conte
     except InvalidValue as error:
         raise BadInput(f"{inputs['edit-dataset'].path}: {error}") from error
     if (saved := load_checkpoint(partial.checkpoint, context.progress.say)) is not None:
-        trainer.resume(*saved)
+        with sound(partial.checkpoint, "a sound checkpoint"):
+            trainer.resume(*saved)
         context.progress.say(f"going on from step {trainer.state.step} of phase {trainer.state.phase}")
     with nullcontext() if device else compiling_note(context.progress.say):
         _train(trainer, shown, config, partial, context)

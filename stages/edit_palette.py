@@ -19,7 +19,7 @@ def run(inputs: dict[str, Artefact], config: PaletteConfig, partial: Partial, co
     """Writes the same module with the changes; returns the figures."""
     learnt = inputs["edit"]
     edit = load_edit(learnt)
-    columns, shares = columns_and_shares(learnt)
+    columns, shares = columns_and_shares(learnt, len(edit.module.palette))
     changes = changes_of(config, edit.module.palette[columns], np.array(shares)[columns])
     try:
         changes.check(len(columns))

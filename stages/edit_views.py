@@ -1,16 +1,24 @@
 """Reads and writes edit datasets: dataset.json lists the views, dataset.safetensors holds what they show."""
 
-import json
 from pathlib import Path
+
+import numpy as np
 
 from schemas.atomic import write_json
 from schemas.errors import ArtefactDamaged
+from schemas.numbers import LARGEST_PICTURE, LARGEST_SIDE
+from schemas.reading import read_json
 from schemas.store import Artefact
 from schemas.tensors import load_tensors, save_tensors
-from stylerf.editing.views import EditView
+from stages.soundness import sound
+from stylerf import checks
+from stylerf.editing.views import EditView, check_pixels
+from stylerf.errors import InvalidValue
 
 DESCRIPTION, NUMBERS = "dataset.json", "dataset.safetensors"
 ARRAYS = ("pixels", "x", "along", "directions", "target", "weight", "inside", "depth", "through", "transition", "edges")
+
+WIDE = {"x": 3, "along": 3, "directions": 3, "target": 3, "edges": 2}  # numbers a pixel, where there are several
 
 
 def save_edit_views(folder: Path, views: list[EditView], told: dict) -> None:
@@ -25,14 +33,24 @@ def load_edit_views(artefact: Artefact) -> tuple[list[EditView], dict]:
     """The views and what dataset.json says; ArtefactDamaged where the two files do not belong together."""
     artefact.check_sizes()
     arrays, _ = load_tensors(artefact.file(NUMBERS))
-    try:
-        data = json.loads(artefact.file(DESCRIPTION).read_text())
-        views = []
-        for item in data["views"]:
-            own = {name: arrays[f"{item['view']}.{name}"] for name in ARRAYS}
-            views.append(EditView(item["view"], item["width"], item["height"], **own))
-            if any(len(array) != item["pixels"] for array in own.values()):
-                raise ValueError(f"view {item['view']} is not of one length")
+    data = read_json(artefact.file(DESCRIPTION), ArtefactDamaged)
+    with sound(artefact.path, "a sound edit dataset"):
+        views = [_view(item, arrays) for item in checks.entry(data, "views", list)]
+        if not views or len({one.view for one in views}) < len(views):
+            raise InvalidValue("there are no views, or one stands twice")
         return views, data
-    except (KeyError, TypeError, ValueError) as error:
-        raise ArtefactDamaged(f"{artefact.path} does not hold a sound edit dataset ({error}); make it anew") from error
+
+
+def _view(item: dict, arrays: dict[str, np.ndarray]) -> EditView:
+    view = checks.integer(item, "view", 0, 10**9)
+    width, height = (checks.integer(item, side, 1, LARGEST_SIDE) for side in ("width", "height"))
+    if width * height > LARGEST_PICTURE:
+        raise InvalidValue(f"view {view} has {width}x{height} pixels; at most {LARGEST_PICTURE} can be")
+    count = checks.integer(item, "pixels", 1, width * height)
+    pixels = checks.array(arrays, f"{view}.pixels", np.int64, (count,))
+    check_pixels(pixels, f"{view}.pixels", width, height)
+    if not (np.diff(pixels) > 0).all():
+        raise InvalidValue(f"the array {view}.pixels is not in ascending order")
+    shapes = {name: (count, WIDE[name]) if name in WIDE else (count,) for name in ARRAYS[1:]}
+    own = {name: checks.array(arrays, f"{view}.{name}", np.float32, shape) for name, shape in shapes.items()}
+    return EditView(view, width, height, pixels, **own)

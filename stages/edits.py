@@ -1,6 +1,5 @@
 """Reads and writes edit artefacts: edit.json, edit.safetensors for the module, palette.json, palette.png to be read."""
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -9,9 +8,12 @@ import numpy as np
 from schemas.atomic import write_json
 from schemas.errors import ArtefactDamaged
 from schemas.images import to_uint8, write_png
+from schemas.reading import read_json
 from schemas.store import Artefact
 from schemas.tensors import load_tensors, save_tensors
 from stages.configs.edit import PaletteConfig, colour_of, number_of
+from stages.soundness import sound
+from stylerf import checks
 from stylerf.editing.edits import PaletteEdits, tinted
 from stylerf.editing.palette import PaletteModule
 from stylerf.errors import InvalidValue
@@ -62,29 +64,50 @@ def load_edit(artefact: Artefact) -> Edit:
     """The edit; ArtefactDamaged where its files do not make one."""
     artefact.check_sizes()
     arrays, _ = load_tensors(artefact.file(NUMBERS))
-    try:
-        data = json.loads(artefact.file(DESCRIPTION).read_text())
-        return Edit(PaletteModule.restore(data["module"], arrays), PaletteEdits.restore(data["changes"]))
-    except (KeyError, TypeError, ValueError, InvalidValue) as error:
-        raise ArtefactDamaged(f"{artefact.path} does not hold a sound edit ({error}); make it anew") from error
+    data = read_json(artefact.file(DESCRIPTION), ArtefactDamaged)
+    with sound(artefact.path, "a sound edit"):
+        module = PaletteModule.restore(checks.entry(data, "module"), arrays)
+        changes = PaletteEdits.restore(checks.entry(data, "changes"))
+        changes.check(len(module.palette))
+        return Edit(module, changes)
 
 
-def columns_and_shares(artefact: Artefact) -> tuple[list[int], list[float]]:
-    """(the module's number of each colour as palette.json counts them, shares by the module's numbers)."""
-    try:
-        entries = json.loads(artefact.file(PALETTE).read_text())["colours"]
-        columns = [int(entry["column"]) for entry in entries]
-        shares = {column: float(entry["share"]) for column, entry in zip(columns, entries)}
-        return columns, [shares[column] for column in range(len(columns))]
-    except (KeyError, TypeError, ValueError) as error:
-        raise ArtefactDamaged(f"{artefact.path / PALETTE} is not sound ({error}); make it anew") from error
+def told_colours(artefact: Artefact) -> list[dict]:
+    """The colours of palette.json: index, name, learnt and now as text, share, and column, the module's number."""
+    data = read_json(artefact.file(PALETTE), ArtefactDamaged)
+    with sound(artefact.path / PALETTE, "a sound palette"):
+        entries = checks.entry(data, "colours", list)
+        for number, one in enumerate(entries):
+            checks.integer(one, "index", number, number)
+            checks.number(one, "share", 0, 1)
+            for key in ("name", "learnt", "now"):
+                checks.entry(one, key, str)
+        if sorted(checks.integer(one, "column", 0, len(entries)) for one in entries) != [*range(len(entries))]:
+            raise InvalidValue(f"its columns are not 0 to {len(entries) - 1}, each once")
+        return entries
+
+
+def columns_and_shares(artefact: Artefact, colours: int) -> tuple[list[int], list[float]]:
+    """(the module's number of each colour as palette.json counts them, shares by the module's numbers).
+
+    colours: that the module has.
+    """
+    entries = told_colours(artefact)
+    if len(entries) != colours:
+        raise ArtefactDamaged(
+            f"{artefact.path / PALETTE} tells {len(entries)} colours where {colours} were learnt; make it anew"
+        )
+    columns = [entry["column"] for entry in entries]
+    shares = {entry["column"]: entry["share"] for entry in entries}
+    return columns, [shares[column] for column in range(len(columns))]
 
 
 def told_after(artefact: Artefact, changes: PaletteEdits) -> dict:
     """What palette.json tells beside colours, as far as it holds of the changed palette: not of other weights."""
-    told = json.loads(artefact.file(PALETTE).read_text())
-    gone = {"colours", *(OF_WEIGHTS if changes.scales or changes.biases else ())}
-    return {key: value for key, value in told.items() if key not in gone}
+    told = read_json(artefact.file(PALETTE), ArtefactDamaged)
+    kept = () if changes.scales or changes.biases else OF_WEIGHTS
+    with sound(artefact.path / PALETTE, "a sound palette"):
+        return {key: checks.number(told, key) for key in kept if told.get(key, "nan") != "nan"}  # of no pixel
 
 
 def by_column(changes: PaletteEdits, columns: list[int]) -> PaletteEdits:

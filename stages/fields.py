@@ -3,15 +3,20 @@
 import json
 from pathlib import Path
 
+import numpy as np
+
 from schemas.atomic import write_json
 from schemas.errors import ArtefactDamaged
+from schemas.reading import read_json
 from schemas.store import Artefact
 from schemas.tensors import load_tensors, save_tensors
-from stylerf.errors import InvalidValue
+from stages.soundness import sound
+from stylerf import checks
 from stylerf.fields.deformation import Deformation
 from stylerf.fields.field import RadianceField
 
 DESCRIPTION, NUMBERS, DEFORMATION = "field.json", "field.safetensors", "deformation.safetensors"
+BACKGROUNDS = ("white", "black", "none")
 
 
 def save_field(folder: Path, field: RadianceField, background: str) -> None:
@@ -24,11 +29,9 @@ def load_field(artefact: Artefact) -> tuple[RadianceField, str]:
     """The field and its background; ArtefactDamaged where the two files do not make one."""
     artefact.check_sizes()
     arrays, _ = load_tensors(artefact.file(NUMBERS))
-    try:
-        data = json.loads(artefact.file(DESCRIPTION).read_text())
-        return RadianceField.restore(data, arrays), data["background"]
-    except (KeyError, TypeError, ValueError, InvalidValue) as error:
-        raise ArtefactDamaged(f"{artefact.path} does not hold a sound field ({error}); make it anew") from error
+    data = read_json(artefact.file(DESCRIPTION), ArtefactDamaged)
+    with sound(artefact.path, "a sound field"):
+        return RadianceField.restore(data, arrays), checks.one_of(data, "background", BACKGROUNDS)
 
 
 def save_deformation(folder: Path, deformation: Deformation) -> None:
@@ -41,7 +44,6 @@ def load_deformation(artefact: Artefact) -> Deformation | None:
     if not artefact.has(DEFORMATION):
         return None
     arrays, metadata = load_tensors(artefact.file(DEFORMATION))
-    try:
-        return Deformation.restore(json.loads(metadata["kind"]), arrays["values"].copy())
-    except (KeyError, TypeError, ValueError, InvalidValue) as error:
-        raise ArtefactDamaged(f"{artefact.path / DEFORMATION} is not sound ({error}); make it anew") from error
+    with sound(artefact.path / DEFORMATION, "a sound deformation"):
+        values = checks.array(arrays, "values", np.float32, (None,), checks.LEARNT)
+        return Deformation.restore(json.loads(checks.entry(metadata, "kind", str)), values.copy())

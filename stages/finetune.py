@@ -6,9 +6,8 @@ from contextlib import nullcontext
 import numpy as np
 from scipy.ndimage import binary_dilation
 
-from schemas.errors import ArtefactDamaged, BadInput
+from schemas.errors import BadInput
 from schemas.store import Artefact, Partial
-from schemas.tensors import load_tensors
 from stages.checkpoints import load_checkpoint
 from stages.configs.finetune import FinetuneConfig
 from stages.configs.fit import EVEN_FROM, SMOOTHNESS, budget_of
@@ -18,7 +17,8 @@ from stages.photos import bank_of, level_of
 from stages.progress import Context
 from stages.regions import region_of_field
 from stages.runner import Spec
-from stages.scenes import EARLIER, EDIT_TARGETS, SceneData, load_scene
+from stages.scenes import EARLIER, SceneData, edit_targets, load_scene
+from stages.soundness import sound
 from stages.training import run_training
 from stylerf.fields.field import RadianceField
 from stylerf.fields.patch import PatchColour
@@ -69,7 +69,8 @@ def run(inputs: dict[str, Artefact], config: FinetuneConfig, partial: Partial, c
         load_checkpoint(partial.checkpoint, context.progress.say) if context.ranks.first else None
     )
     if saved is not None:
-        tuner.resume(*saved)
+        with sound(partial.checkpoint, "a sound checkpoint"):
+            tuner.resume(*saved)
         context.progress.say(f"going on from step {tuner.state.step}")
     with nullcontext() if device else compiling_note(context.progress.say):
         _train(tuner, config, partial, context)
@@ -112,23 +113,19 @@ def edited_pixels(scene: SceneData, train: list[int], earlier: bool) -> EditedPi
 
     earlier: with those of the edits before the last; colours of the last region's own cannot learn from them.
     """
-    if not scene.artefact.has(EDIT_TARGETS):
+    targets = edit_targets(scene)
+    if not targets:
         raise BadInput(f"{scene.folder} carries no edit; give a scene that `stylerf distill` made")
-    path = scene.artefact.file(EDIT_TARGETS)
-    arrays, _ = load_tensors(path)
     views, pixels, depths, beside = [], [], [], []
     edits = ("", EARLIER) if earlier else ("",)
-    try:
-        for place, index in enumerate(train):
-            parts = [part for part in edits if f"{index}.{part}pixels" in arrays]
-            own = np.concatenate([np.empty(0, np.int64), *(arrays[f"{index}.{part}pixels"] for part in parts)])
-            if len(own):  # a view may show nothing of it as solidly as was asked for
-                views.append(np.full(len(own), place, np.int64))
-                pixels.append(own)
-                depths.extend(arrays[f"{index}.{part}depth"] for part in parts)
-                beside.append(_around(own, scene.cameras[index]))
-    except KeyError as missing:
-        raise ArtefactDamaged(f"{path} lacks {missing}; run `stylerf distill` again") from missing
+    for place, index in enumerate(train):
+        parts = [targets[index, part] for part in edits if (index, part) in targets]
+        own = np.concatenate([np.empty(0, np.int64), *(part.pixels for part in parts)])
+        if len(own):  # a view may show nothing of it as solidly as was asked for
+            views.append(np.full(len(own), place, np.int64))
+            pixels.append(own)
+            depths.extend(part.depth for part in parts)
+            beside.append(_around(own, scene.cameras[index]))
     if not pixels:
         raise BadInput(f"{scene.folder}: no training view carries the edit")
     around = np.concatenate([np.full(len(own), group[0]) for group, own in zip(views, beside)]), np.concatenate(beside)

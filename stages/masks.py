@@ -1,6 +1,5 @@
 """Regions that a field's frames show as masks: which of them fit the field, and what their EXR channels are called."""
 
-import json
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -8,10 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from schemas.errors import ArtefactDamaged, BadInput
+from schemas.reading import read_json
 from schemas.store import Artefact, Work
 from stages.fields import DESCRIPTION as FIELD_DESCRIPTION
 from stages.regions import DESCRIPTION, load_region
-from stylerf.errors import InvalidValue
+from stages.soundness import sound
+from stylerf import checks
 from stylerf.geometry.space import Space
 
 ROLE = "region."
@@ -67,7 +68,6 @@ def channels_of(names: Iterable[str]) -> dict[str, str]:
 
 
 def _space(artefact: Artefact, description: str) -> Space:
-    try:
-        return Space.restore(json.loads(artefact.file(description).read_text())["space"])
-    except (KeyError, TypeError, ValueError, InvalidValue) as error:
-        raise ArtefactDamaged(f"{artefact.path / description} is not sound ({error}); make it anew") from error
+    data = read_json(artefact.file(description), ArtefactDamaged)
+    with sound(artefact.path / description, "a sound space"):
+        return Space.restore(checks.entry(data, "space"))

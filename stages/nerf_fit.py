@@ -16,6 +16,7 @@ from stages.photos import bank_of
 from stages.progress import Context
 from stages.runner import Spec
 from stages.scenes import EXPOSURE_STOPS, SceneData, load_scene, spread
+from stages.soundness import sound
 from stages.spaces import space_of
 from stages.training import run_training
 from stylerf.geometry.space import Space
@@ -61,7 +62,8 @@ def run(inputs: dict[str, Artefact], config: FitConfig, partial: Partial, contex
     fitter = Fitter(space, bank, len(held_out), settings, context.seed, threads, say, ranks, engine)
     saved = ranks.checkpoint(load_checkpoint(partial.checkpoint, context.progress.say) if ranks.first else None)
     if saved is not None:
-        fitter.resume(*saved)
+        with sound(partial.checkpoint, "a sound checkpoint"):
+            fitter.resume(*saved)
         context.progress.say(f"going on from step {fitter.state.step}, {fitter.state.seconds:.0f} s into the fit")
     with nullcontext() if device else compiling_note(context.progress.say):
         _train(fitter, config, partial, context)

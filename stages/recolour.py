@@ -30,7 +30,7 @@ def run(inputs: dict[str, Artefact], config: RecolourConfig, partial: Partial, c
     colour = field.colour
     if not isinstance(colour, PaletteColour):
         raise BadInput(f"{source.path} has no palette; make one by `stylerf stylize --method palettenerf`")
-    columns, shares = columns_and_shares(source)
+    columns, shares = columns_and_shares(source, colour.bases)
     changes = changes_of(config, colour.present_palette[columns], np.array(shares)[columns])
     try:
         changes.check(len(columns))

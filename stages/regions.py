@@ -1,16 +1,17 @@
 """Reads and writes region artefacts: region.json tells what was asked for, region.safetensors holds the cells."""
 
-import json
 from pathlib import Path
 
 import numpy as np
 
 from schemas.atomic import write_json
 from schemas.errors import ArtefactDamaged, BadInput
+from schemas.reading import read_json
 from schemas.store import Artefact
 from schemas.tensors import load_tensors, save_tensors
+from stages.soundness import sound
+from stylerf import checks
 from stylerf.editing.regions import Region
-from stylerf.errors import InvalidValue
 from stylerf.fields.field import RadianceField
 from stylerf.geometry.space import Space
 
@@ -42,10 +43,8 @@ def load_region(artefact: Artefact) -> tuple[Region, Space]:
     """The region and the space whose cube it divides; ArtefactDamaged where the two files do not make one."""
     artefact.check_sizes()
     arrays, _ = load_tensors(artefact.file(NUMBERS))
-    try:
-        data = json.loads(artefact.file(DESCRIPTION).read_text())
-        cells = int(data["cells"])
-        grids = [np.unpackbits(arrays[n], count=cells**3).astype(bool).reshape((cells,) * 3) for n in ("edit", "grow")]
-        return Region(*grids), Space.restore(data["space"])
-    except (KeyError, TypeError, ValueError, InvalidValue) as error:
-        raise ArtefactDamaged(f"{artefact.path} does not hold a sound region ({error}); make it anew") from error
+    data = read_json(artefact.file(DESCRIPTION), ArtefactDamaged)
+    with sound(artefact.path, "a sound region"):
+        cells = checks.integer(data, "cells", 1, 1024)
+        region = Region(*(checks.bits(arrays, name, cells) for name in ("edit", "grow")))
+        return region, Space.restore(checks.entry(data, "space"))

@@ -13,11 +13,12 @@ from pathlib import Path
 import numpy as np
 
 from schemas.canonical import file_sha256
-from schemas.errors import BadInput, NoFilm, StylerfError
-from schemas.exr import LARGEST_SIDE, ExrView, write_exr
+from schemas.errors import ArtefactDamaged, BadInput, NoFilm, StylerfError
+from schemas.exr import ExrView, write_exr
 from schemas.frames import Frame, FrameCamera, Frames, write_frames
 from schemas.images import linear_from_srgb, to_uint8, write_png
 from schemas.journal import Journal
+from schemas.numbers import LARGEST_PICTURE, LARGEST_SIDE
 from schemas.scene import Bounds, as_matrix
 from schemas.store import Artefact, Partial
 from schemas.video import try_video, write_video
@@ -159,9 +160,11 @@ def _cameras_of_file(path: Path, like: Camera) -> list[Camera]:
             camera = _camera_of_entry(entry.get("camera", entry), f"{number:04d}", like)
         except (AttributeError, KeyError, TypeError, ValueError, OverflowError, InvalidValue) as error:
             raise BadInput(f"--path {path}: camera {number} is not sound ({error})") from error
-        if max(camera.width, camera.height) > LARGEST_SIDE:
-            size = f"{camera.width}x{camera.height}"
-            raise BadInput(f"--path {path}: camera {number} has {size} pixels; at most {LARGEST_SIDE} a side")
+        if max(camera.width, camera.height) > LARGEST_SIDE or camera.width * camera.height > LARGEST_PICTURE:
+            raise BadInput(
+                f"--path {path}: camera {number} has {camera.width}x{camera.height} pixels; at most {LARGEST_SIDE} a "
+                f"side and {LARGEST_PICTURE / 1e6:.0f} million in all can be"
+            )
         cameras.append(camera)
     if not cameras:
         raise BadInput(f"--path {path}: a list of cameras was expected, each with world_from_camera")
@@ -197,6 +200,11 @@ def _files_of(frame: Frame, config: RenderConfig, field: RadianceField, regions:
 def _render(frame: Frame, field, background, bounds, camera, config, folder: Path, seen, attributes, regions) -> None:
     name = frame.name
     rendered = seen(camera, regions=regions)
+    if not all(np.isfinite(plane).all() for plane in (rendered.rgb, rendered.alpha, rendered.z)):
+        raise ArtefactDamaged(
+            f"the field {attributes['field']} shows what is not finite in frame {name}: its numbers are sound one by "
+            "one, but not together; make it anew"
+        )
     if config.exr:
         write_exr(folder / frame.exr, exr_view(rendered, camera, bounds, attributes))
     if config.masks:

@@ -1,5 +1,6 @@
 """Reads a scene artefact into cameras and images for the mathematics."""
 
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -9,16 +10,22 @@ import numpy as np
 from schemas.errors import ArtefactDamaged, BadInput
 from schemas.exr import read_depth
 from schemas.images import image_channels, read_image
+from schemas.manifest import MANIFEST
 from schemas.scene import POINTS_FILE, SCENE_FILE, Bounds, Scene, View, read_scene
 from schemas.store import Artefact, sources_of
 from schemas.tensors import load_tensors
+from stages.soundness import sound
+from stylerf import checks
+from stylerf.editing.views import check_pixels
 from stylerf.errors import InvalidValue
 from stylerf.geometry.cameras import Camera
 from stylerf.light import exposed
 
 EXPOSURE_STOPS = "exposure_stops"  # among the figures of a fit: by view
+MOST_STOPS = 64
 EDIT_TARGETS = "edit/targets.safetensors"  # of a scene whose photos carry an edit: which pixels, and their depths
 EARLIER = "earlier_"  # before the names of what edits before that one left there
+_TARGET = re.compile(rf"([0-9]{{1,9}})\.({EARLIER})?(pixels|depth)")
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,7 +181,8 @@ def _stops(seen_by: Artefact) -> dict[str, float]:
     """By which the photos of views are overexposed, by the fit that `seen_by` goes back to; empty: all alike."""
     for made in [seen_by, *sources_of(seen_by, ("field",))]:
         if (stops := made.manifest.figures.get(EXPOSURE_STOPS)) is not None:
-            return stops
+            with sound(made.path / MANIFEST, f"sound {EXPOSURE_STOPS}"):
+                return {name: checks.number(stops, name, -MOST_STOPS, MOST_STOPS) for name in stops}
     return {}
 
 
@@ -185,10 +193,37 @@ def _camera(view: View) -> Camera:
 
 def _points(path: Path) -> Points:
     tensors, _ = load_tensors(path)
-    try:
-        xyz, rgb, error = tensors["xyz"], tensors["rgb"], tensors["error"]
-    except KeyError as missing:
-        raise ArtefactDamaged(f"{path} lacks {missing}; run `stylerf import` again") from missing
-    if not (xyz.ndim == rgb.ndim == 2 and xyz.shape == rgb.shape == (len(error), 3) and np.isfinite(xyz).all()):
-        raise ArtefactDamaged(f"{path} holds no sound point list; run `stylerf import` again")
-    return Points(xyz, rgb, error)
+    with sound(path, "a sound list of points"):
+        xyz = checks.array(tensors, "xyz", np.float32, (None, 3))
+        rgb = checks.array(tensors, "rgb", np.uint8, (len(xyz), 3))
+        return Points(xyz, rgb, checks.array(tensors, "error", np.float32, (len(xyz),), most=None))
+
+
+@dataclass(frozen=True, eq=False)
+class EditTarget:
+    """What an edit left of one view in EDIT_TARGETS: pixels [n] int64, row-major; depth [n] float32: sum(w t)."""
+
+    pixels: np.ndarray
+    depth: np.ndarray
+
+
+def edit_targets(scene: SceneData) -> dict[tuple[int, str], EditTarget]:
+    """By index of the view, and "" for the last edit or EARLIER, what EDIT_TARGETS holds; ArtefactDamaged where it
+    holds anything else. Empty where the scene carries no edit."""
+    if not scene.artefact.has(EDIT_TARGETS):
+        return {}
+    path = scene.artefact.file(EDIT_TARGETS)
+    arrays, _ = load_tensors(path)
+    found = {}
+    with sound(path, "sound targets of an edit"):
+        for name in arrays:
+            if not (match := _TARGET.fullmatch(name)) or int(match[1]) >= len(scene.cameras):
+                raise InvalidValue(f"the array {name} is of no view of the scene")
+            index, part, what = int(match[1]), match[2] or "", match[3]
+            if what == "pixels":
+                pixels = checks.array(arrays, name, np.int64, (None,))
+                camera = scene.cameras[index]
+                check_pixels(pixels, name, camera.width, camera.height)
+                depth = checks.array(arrays, f"{index}.{part}depth", np.float32, (len(pixels),))
+                found[index, part] = EditTarget(pixels, depth)
+    return found

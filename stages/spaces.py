@@ -2,7 +2,9 @@
 
 import numpy as np
 
+from schemas.errors import BadInput
 from stages.scenes import SceneData
+from stylerf.errors import InvalidValue
 from stylerf.geometry.space import Space
 
 KIND_OF_LAYOUT = {"object": "box", "forward": "frustum", "unbounded": "contraction"}
@@ -13,7 +15,19 @@ FOCUS = 0.6
 
 
 def space_of(scene: SceneData, wanted: str) -> tuple[Space, str]:
-    """The warp, and in words why. wanted: a kind, or auto for the one of the scene's layout."""
+    """The warp, and in words why. wanted: a kind, or auto for the one of the scene's layout.
+
+    BadInput where the scene's bounds and cameras, sound one by one, span no space.
+    """
+    try:
+        return _space_of(scene, wanted)
+    except InvalidValue as error:
+        raise BadInput(
+            f"{scene.folder}: its bounds and cameras span no space to fit in ({error}); import it again"
+        ) from error
+
+
+def _space_of(scene: SceneData, wanted: str) -> tuple[Space, str]:
     bounds = scene.bounds
     kind = KIND_OF_LAYOUT[scene.layout] if wanted == "auto" else wanted
     reason = f"{scene.layout} layout ({scene.scene.layout_reason})" if wanted == "auto" else "asked for"

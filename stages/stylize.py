@@ -27,6 +27,7 @@ from stages.references import chosen_view, decoded_reference, digest_of, read_re
 from stages.regions import region_of_field
 from stages.runner import Spec
 from stages.scenes import SceneData, load_scene
+from stages.soundness import sound
 from stages.styling import coarse_taps, new_colour, own_colour, painting_taps, settings_of, template_taps
 from stages.training import run_training
 from stages.weights import ResolvedTrunk, digests_of_files, resolve
@@ -75,7 +76,8 @@ def run(inputs: dict[str, Artefact], config: StylizeConfig, partial: Partial, co
     except InvalidValue as error:
         raise BadInput(f"{config.style or config.reference[0]} on {inputs['field'].path}: {error}") from error
     if (saved := load_checkpoint(partial.checkpoint, context.progress.say)) is not None:
-        stylizer.resume(*saved)
+        with sound(partial.checkpoint, "a sound checkpoint"):
+            stylizer.resume(*saved)
         context.progress.say(f"going on from step {stylizer.state.step} of phase {stylizer.state.phase}")
     try:
         with compiling_note(context.progress.say):

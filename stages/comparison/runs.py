@@ -1,6 +1,5 @@
 """The runs of work folders as their manifests and reports tell them; nothing is run, nothing is measured."""
 
-import json
 import shlex
 from collections import Counter
 from collections.abc import Sequence
@@ -14,6 +13,7 @@ from schemas.store import Artefact, Work, newest
 from stages.evaluation.figures import is_number
 from stages.evaluation.kinds import BY_KEY
 from stages.evaluation.lineage import counted, is_stylised, original_scene
+from stages.reports import read_report
 
 FITS, STYLISATIONS, EDITS = "fits", "stylisations", "edits"
 COSTS = ("seconds", "peak_memory_mb", "parameters")
@@ -188,14 +188,14 @@ def _made_for(artefact: Artefact, seen: set[Path] | None = None) -> list[Artefac
 
 def _reports(artefact: Artefact, work: Work) -> list[tuple[Artefact, dict]]:
     """The evaluations of this very field with what they tell, the newest first."""
-    found = []
+    found, told = [], {}
     for report in work.artefacts("report"):
         with suppress(StylerfError):  # a damaged report counts as none
             refs = report.manifest.inputs
             if any(ref.role == "field" and ref.digest == artefact.digest for ref in refs):
-                report.check_sizes()
+                told[report.path] = read_report(report)
                 found.append(report)
-    return [(report, json.loads(report.file("report.json").read_text())) for report in newest(found)]
+    return [(report, told[report.path]) for report in newest(found)]
 
 
 def _own(

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from stylerf import checks
 from stylerf.errors import InvalidValue
 from stylerf.light import LUMA
 
@@ -73,8 +74,18 @@ class PaletteEdits:
 
     @classmethod
     def restore(cls, data: dict) -> "PaletteEdits":
-        colours = {int(i): tuple(colour) for i, colour in data["colours"].items()}
-        return cls(colours, *({int(i): v for i, v in data[name].items()} for name in ("scales", "biases")))
+        colours, *weights = (checks.entry(data, name, dict) for name in ("colours", "scales", "biases"))
+        return cls(
+            {_index(i): tuple(checks.numbers(colours, i, 3)) for i in colours},
+            *({_index(i): checks.number(named, i) for i in named} for named in weights),
+        )
+
+
+def _index(text: str) -> int:
+    """A colour's number, as JSON has it for a key."""
+    if not (text.isascii() and text.isdecimal() and len(text) <= 4):
+        raise InvalidValue(f"palette colour {text[:20]!r} is no number")
+    return int(text)
 
 
 def tinted(palette: np.ndarray, shares: np.ndarray, target: tuple[float, float, float]) -> np.ndarray:

@@ -15,6 +15,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from stylerf import checks
 from stylerf.editing.edits import PaletteEdits
 from stylerf.errors import InvalidValue
 from stylerf.fields.encoding import HashEncoding
@@ -185,9 +186,16 @@ class PaletteModule:
 
     @classmethod
     def restore(cls, data: dict, arrays: dict[str, np.ndarray]) -> "PaletteModule":
-        encoding = HashEncoding.restore(data["encoding"], arrays["table"].copy())
-        box, active = np.asarray(data["box"], np.float32), np.asarray(data["active"], bool)
-        return cls(encoding, box, active, arrays["networks"].copy())
+        table, networks = (
+            checks.array(arrays, name, np.float32, (None,), checks.LEARNT) for name in ("table", "networks")
+        )
+        encoding = HashEncoding.restore(checks.entry(data, "encoding"), table.copy())
+        active = checks.entry(data, "active", list)
+        if not all(isinstance(one, bool) for one in active):
+            raise InvalidValue("palette: active holds other values than true and false")
+        return cls(
+            encoding, np.array(checks.rows(data, "box", 2, 3), np.float32), np.array(active, bool), networks.copy()
+        )
 
 
 def box_around(points: np.ndarray) -> np.ndarray:

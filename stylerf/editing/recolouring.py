@@ -11,6 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from stylerf import checks
 from stylerf.editing.edits import PaletteEdits
 from stylerf.errors import InvalidValue
 from stylerf.geometry.space import Space
@@ -44,8 +45,10 @@ class SpaceFilter:
 
     @classmethod
     def restore(cls, data: dict) -> "SpaceFilter":
-        centres = tuple(tuple(float(v) for v in centre) for centre in data["centres"])
-        return cls(Space.restore(data["space"]), centres, data["reach"])
+        centres = tuple(map(tuple, checks.rows(data, "centres", None, 3)))
+        return cls(
+            Space.restore(checks.entry(data, "space")), centres, checks.number(data, "reach", 1 / checks.LARGEST)
+        )
 
 
 @dataclass(frozen=True)
@@ -74,8 +77,10 @@ class Recolouring:
 
     @classmethod
     def restore(cls, data: dict) -> "Recolouring":
-        within = None if data["within"] is None else SpaceFilter.restore(data["within"])
-        return cls(PaletteEdits.restore(data["changes"]), data["offset_scale"], data["view_scale"], within)
+        within = checks.entry(data, "within")
+        scales = (checks.number(data, f"{what}_scale", 0) for what in ("offset", "view"))
+        changes = PaletteEdits.restore(checks.entry(data, "changes"))
+        return cls(changes, *scales, None if within is None else SpaceFilter.restore(within))
 
 
 def recoloured(

@@ -4,6 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from stylerf.errors import InvalidValue
+
 
 @dataclass(frozen=True, eq=False)
 class EditView:
@@ -49,3 +51,9 @@ class EditView:
         beside = np.where(self.pixels % self.width < self.width - 1, place[self.pixels + 1], -1)
         upper, left = np.flatnonzero(below >= 0), np.flatnonzero(beside >= 0)
         return upper, below[upper], left, beside[left]
+
+
+def check_pixels(pixels: np.ndarray, what: str, width: int, height: int) -> None:
+    """InvalidValue where row-major numbers of pixels [n] int64 are not those of a picture of that size."""
+    if len(pixels) and not (0 <= pixels.min() and pixels.max() < width * height):
+        raise InvalidValue(f"the array {what} holds numbers of no pixel of {width}x{height}")

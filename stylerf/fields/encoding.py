@@ -6,6 +6,7 @@ from torch import Tensor
 
 from stylerf.errors import InvalidValue
 from stylerf.fields.hash import level_layout
+from stylerf.fields.levels import grid_of
 from stylerf.kernels.cpu import encode as kernels
 from stylerf.kernels.cpu.vector_hash import ROW
 
@@ -81,7 +82,7 @@ class HashEncoding:
 
     @classmethod
     def restore(cls, data: dict, values: np.ndarray) -> "HashEncoding":
-        return cls(data["levels"], data["base"], data["finest"], data["table"], values)
+        return cls(*grid_of(data), values)
 
 
 class _Encode(torch.autograd.Function):

@@ -5,7 +5,7 @@ import numpy as np
 from stylerf.fields.capacity import Capacity
 from stylerf.fields.hash_density import add_smoothness, levels_of
 from stylerf.fields.levels import Levels
-from stylerf.fields.vm_tables import initial_table, resized_table, table_length
+from stylerf.fields.vm_tables import grid_of, initial_table, resized_table, table_length
 from stylerf.fields.voxel import VoxelFeatures
 from stylerf.kernels.cpu import hash_features, vm, vm_features
 from stylerf.kernels.cpu.vector_hash import ROW
@@ -127,7 +127,7 @@ class VmFeatures:
 
     @classmethod
     def restore(cls, data: dict) -> "VmFeatures":
-        return cls(np.asarray(data["size"], np.int64), data["rank"])
+        return cls(*grid_of(data))
 
 
 FEATURES = {features.kind: features for features in (VmFeatures, HashFeatures, VoxelFeatures)}

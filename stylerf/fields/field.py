@@ -5,10 +5,12 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
+from stylerf import checks
+from stylerf.errors import InvalidValue
 from stylerf.fields.hash import HashColour
 from stylerf.fields.hash_density import HashDensity
 from stylerf.fields.headed import HeadedColour
-from stylerf.fields.occupancy import Occupancy
+from stylerf.fields.occupancy import MOST_CELLS, Occupancy
 from stylerf.fields.palette import PaletteColour
 from stylerf.fields.patch import PatchColour
 from stylerf.fields.protocol import ColourPart, DensityPart
@@ -20,6 +22,8 @@ from stylerf.style.colour import ColourMap
 
 DENSITY_KINDS = {"vm": VmDensity, "hash": HashDensity, "voxel": VoxelDensity}
 COLOUR_KINDS = {"vm": VmColour, "hash": HashColour, "headed": HeadedColour, "palette": PaletteColour}
+LEAST_STEP = 1e-5  # cube units: a ray takes no more than 10^5 steps
+MOST_PATCHES = 100  # over one another
 _NO_DISPLACEMENT = np.empty(0, np.float32)
 
 
@@ -91,18 +95,18 @@ class RadianceField:
 
     @staticmethod
     def restore(data: dict, arrays: dict[str, np.ndarray]) -> "RadianceField":
-        """From describe() and arrays()."""
-        occupancy = Occupancy(data["cells"], arrays["occupancy.highest"])
-        occupancy.distances = arrays["occupancy.distances"]
+        """From describe() and arrays(), which may be a stranger's; InvalidValue where they do not make a field."""
+        density = checks.entry(data, "density")
+        kind = DENSITY_KINDS[checks.one_of(density, "kind", DENSITY_KINDS)]
         return RadianceField(
-            Space.restore(data["space"]),
-            DENSITY_KINDS[data["density"]["kind"]].restore(data["density"], arrays["density"]),
-            _colour(data["colour"], arrays, "colour"),
-            occupancy,
-            data["step"],
-            arrays.get("displacement"),
+            Space.restore(checks.entry(data, "space")),
+            kind.restore(density, _values(arrays, "density")),
+            _colour(checks.entry(data, "colour"), arrays, "colour"),
+            Occupancy.restore(checks.integer(data, "cells", 1, MOST_CELLS), arrays),
+            checks.number(data, "step", LEAST_STEP, 1.0),
+            _displacement(arrays),
             _colour_map(data.get("colour_map")),
-            data.get("share", 1e-3),
+            checks.number({"share": 1e-3} | data, "share", 0.0, 1.0),
         )
 
 
@@ -130,15 +134,31 @@ def _colour_arrays(colour, name: str) -> dict[str, np.ndarray]:
     return arrays
 
 
-def _colour(data: dict, arrays: dict[str, np.ndarray], name: str):
-    """What _described and _colour_arrays tell."""
-    if data["kind"] != PatchColour.kind:
-        return COLOUR_KINDS[data["kind"]].restore(data, arrays[name])
-    cells = data["cells"]
-    marked = np.unpackbits(arrays[f"{name}.marked"], count=cells**3).astype(bool).reshape((cells,) * 3)
-    own = HashColour.restore(data["own"], arrays[name])
-    return PatchColour(_colour(data["base"], arrays, f"{name}.base"), own, marked)
+def _values(arrays: dict[str, np.ndarray], name: str) -> np.ndarray:
+    """What a part has learnt; how long it must be the part knows."""
+    return checks.array(arrays, name, np.float32, (None,), checks.LEARNT)
+
+
+def _colour(data: dict, arrays: dict[str, np.ndarray], name: str, patches: int = MOST_PATCHES):
+    """What _described and _colour_arrays tell. patches: how many may lie over one another here."""
+    kind = checks.one_of(data, "kind", [*COLOUR_KINDS, *([PatchColour.kind] if patches else [])])
+    if kind != PatchColour.kind:
+        return COLOUR_KINDS[kind].restore(data, _values(arrays, name))
+    marked = checks.bits(arrays, f"{name}.marked", checks.integer(data, "cells", 1, MOST_CELLS))
+    own = HashColour.restore(checks.entry(data, "own"), _values(arrays, name))
+    return PatchColour(_colour(checks.entry(data, "base"), arrays, f"{name}.base", patches - 1), own, marked)
+
+
+def _displacement(arrays: dict[str, np.ndarray]) -> np.ndarray | None:
+    if "displacement" not in arrays:
+        return None
+    side = len(arrays["displacement"]) if arrays["displacement"].ndim else 0
+    if side < 2:
+        raise InvalidValue("the array displacement has no cells")
+    return checks.array(arrays, "displacement", np.float32, (side, side, side, 3), most=1.0)  # the whole cube
 
 
 def _colour_map(data: dict | None) -> ColourMap | None:
-    return None if data is None else ColourMap(torch.tensor(data["matrix"]), torch.tensor(data["offset"]))
+    if data is None:
+        return None
+    return ColourMap(torch.tensor(checks.rows(data, "matrix", 3, 3)), torch.tensor(checks.numbers(data, "offset", 3)))

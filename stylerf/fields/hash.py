@@ -3,6 +3,7 @@
 import numpy as np
 
 from stylerf.errors import InvalidValue
+from stylerf.fields.levels import grid_of
 from stylerf.fields.room import room
 from stylerf.fields.samples import Samples
 from stylerf.kernels.cpu import hash as kernels
@@ -112,4 +113,4 @@ class HashColour:
 
     @classmethod
     def restore(cls, data: dict, values: np.ndarray) -> "HashColour":
-        return cls(data["levels"], data["base"], data["finest"], data["table"], values)
+        return cls(*grid_of(data), values)

@@ -2,11 +2,13 @@
 
 import numpy as np
 
+from stylerf import checks
 from stylerf.errors import InvalidValue
 from stylerf.fields.capacity import Capacity
 from stylerf.fields.features import FEATURES
 from stylerf.fields.heads import HEADS, Packed, hidden_from_view
 from stylerf.fields.samples import Samples
+from stylerf.geometry.harmonics import BANDS
 
 
 class HeadedColour:
@@ -96,5 +98,7 @@ class HeadedColour:
 
     @classmethod
     def restore(cls, data: dict, values: np.ndarray) -> "HeadedColour":
-        features = FEATURES[data["features"]["kind"]].restore(data["features"])
-        return cls(features, HEADS[data["head"]["kind"]](features.width, data["head"]["degree"]), values)
+        described, head = checks.entry(data, "features"), checks.entry(data, "head")
+        features = FEATURES[checks.one_of(described, "kind", FEATURES)].restore(described)
+        degree = checks.integer(head, "degree", 0, max(BANDS))
+        return cls(features, HEADS[checks.one_of(head, "kind", HEADS)](features.width, degree), values)

@@ -4,8 +4,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from stylerf import checks
 from stylerf.errors import InvalidValue
 from stylerf.kernels.cpu.vector_hash import PRIME_X, PRIME_Y
+
+MOST_LEVELS, MOST_CELLS, MOST_VERTICES = 32, 4096, 1 << 24
 
 
 @dataclass(frozen=True)
@@ -110,4 +113,10 @@ class Levels:
 
     @classmethod
     def restore(cls, data: dict, width: int) -> "Levels":
-        return cls(data["levels"], data["base"], data["finest"], data["table"], width, data["active"])
+        return cls(*grid_of(data), width, checks.integer(data, "active", 0, MOST_LEVELS))
+
+
+def grid_of(data: dict) -> tuple[int, int, int, int]:
+    """levels, base, finest and table of the JSON form of a hash grid, each within its bounds."""
+    levels, base = checks.integer(data, "levels", 1, MOST_LEVELS), checks.integer(data, "base", 1, MOST_CELLS)
+    return levels, base, checks.integer(data, "finest", 1, MOST_CELLS), checks.integer(data, "table", 8, MOST_VERTICES)

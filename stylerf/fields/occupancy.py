@@ -8,12 +8,15 @@ else the Chebyshev distance to the nearest occupied cell.
 import numpy as np
 from scipy.ndimage import distance_transform_cdt
 
+from stylerf import checks
+from stylerf.errors import InvalidValue
 from stylerf.kernels.cpu.march import OPTICAL_SCALE
 
 OPAQUE_STEP = 0.01
 UNSEEN = np.inf  # in place of the density of a cell that nobody has looked at
 MARK = 1e4  # the same in files of before
 DENSEST = 9999.0  # of what was seen no more is kept
+MOST_CELLS = 1024  # per axis
 
 
 class Occupancy:
@@ -29,6 +32,17 @@ class Occupancy:
         if clear is not None:
             self.highest[clear] = 0
             self.set_occupied(~clear)
+
+    @staticmethod
+    def restore(cells: int, arrays: dict[str, np.ndarray]) -> "Occupancy":
+        """From a field's description and arrays."""
+        highest = checks.array(arrays, "occupancy.highest", np.float32, (cells**3,), most=None)
+        if not (highest >= 0).all():  # infinity stands for what nobody has looked at
+            raise InvalidValue("the array occupancy.highest holds NaN, or a density below 0")
+        made = Occupancy(cells, highest)
+        made.distances = checks.array(arrays, "occupancy.distances", np.uint8, (cells**3,))
+        _check_distances(made.distances.reshape((cells,) * 3))
+        return made
 
     def refresh(self, density, step: float, seed: int, share: int, decay: float) -> None:
         """Look at one cell in `share` (plus, when share > 1, nothing else), then decide what is occupied.
@@ -83,6 +97,23 @@ class Occupancy:
         for axis in range(3):
             grid = np.repeat(grid, cells // self.cells, axis=axis)
         return np.ascontiguousarray(grid.ravel())
+
+
+def _check_distances(distances: np.ndarray) -> None:
+    """InvalidValue where a cell [s, s, s] says that it is farther from what is occupied than its neighbours allow.
+
+    Chebyshev distances of neighbours, diagonal ones too, differ by 1 at most. One that is too large would have rays
+    leap over what is occupied; one that is too small (those of a GPU end at 32) costs steps, no more.
+    """
+    least = distances
+    for axis in range(3):
+        along = np.moveaxis(least, axis, 0)
+        least = least.copy()
+        to = np.moveaxis(least, axis, 0)
+        np.minimum(to[1:], along[:-1], out=to[1:])
+        np.minimum(to[:-1], along[1:], out=to[:-1])
+    if (distances > np.minimum(least, 254) + 1).any():
+        raise InvalidValue("the array occupancy.distances holds what are no distances to occupied cells")
 
 
 def _marked(highest: np.ndarray) -> np.ndarray:

@@ -6,6 +6,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from stylerf import checks
 from stylerf.editing.recolouring import Recolouring, recoloured
 from stylerf.errors import InvalidValue
 from stylerf.fields.features import HashFeatures
@@ -158,5 +159,6 @@ class PaletteColour:
 
     @classmethod
     def restore(cls, data: dict, values: np.ndarray) -> "PaletteColour":
-        edits = [Recolouring.restore(edit) for edit in data["edits"]]
-        return cls(HashFeatures.restore(data["features"]), data["bases"], values, edits)
+        edits = [Recolouring.restore(edit) for edit in checks.entry(data, "edits", list)]
+        features = HashFeatures.restore(checks.entry(data, "features"))
+        return cls(features, checks.integer(data, "bases", 1, MOST_BASES), values, edits)

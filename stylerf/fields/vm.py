@@ -6,12 +6,14 @@ gradients are flat buffers [chunks, len(values)] of the same layout and one opti
 
 import numpy as np
 
+from stylerf import checks
+from stylerf.errors import InvalidValue
 from stylerf.fields.capacity import Capacity
 from stylerf.fields.narrowing import best_ranks, best_seen_ranks, texel_weights
 from stylerf.fields.occupancy import Occupancy
 from stylerf.fields.room import room
 from stylerf.fields.samples import Samples
-from stylerf.fields.vm_tables import initial_table, resized_table, split_table, table_length, widened_table
+from stylerf.fields.vm_tables import grid_of, initial_table, resized_table, split_table, table_length, widened_table
 from stylerf.fields.walking import walk
 from stylerf.geometry.harmonics import BANDS, C0
 from stylerf.kernels.cpu import vm as kernels
@@ -25,6 +27,8 @@ class VmDensity:
 
     def __init__(self, size: np.ndarray, rank: int, values: np.ndarray) -> None:
         self.size, self.rank, self.values = np.asarray(size, np.int64), int(rank), values
+        if len(values) != (expected := table_length(self.size, self.rank) + 1):
+            raise InvalidValue(f"vm density: {len(values)} values where {expected} were expected")
         self._ranks = (np.int8(0),) * self.rank
 
     @classmethod
@@ -125,7 +129,7 @@ class VmDensity:
 
     @classmethod
     def restore(cls, data: dict, values: np.ndarray) -> "VmDensity":
-        return cls(np.asarray(data["size"], np.int64), data["rank"], values)
+        return cls(*grid_of(data), values)
 
 
 class VmColour:
@@ -137,6 +141,8 @@ class VmColour:
         self.size, self.rank, self.degree, self.values = np.asarray(size, np.int64), int(rank), int(degree), values
         self._ranks = (np.int8(0),) * self.rank
         self._head = 3 * BANDS[self.degree] * 3 * self.rank
+        if len(values) != (expected := table_length(self.size, self.rank) + self._head + 3):
+            raise InvalidValue(f"vm colour: {len(values)} values where {expected} were expected")
 
     @classmethod
     def create(cls, size: np.ndarray, rank: int, degree: int, generator: np.random.Generator) -> "VmColour":
@@ -266,4 +272,4 @@ class VmColour:
 
     @classmethod
     def restore(cls, data: dict, values: np.ndarray) -> "VmColour":
-        return cls(np.asarray(data["size"], np.int64), data["rank"], data["degree"], values)
+        return cls(*grid_of(data), checks.integer(data, "degree", 0, max(BANDS)), values)

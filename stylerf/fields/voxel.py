@@ -2,9 +2,11 @@
 
 import base64
 import zlib
+from math import prod
 
 import numpy as np
 
+from stylerf import checks
 from stylerf.errors import InvalidValue
 from stylerf.fields.capacity import Capacity
 from stylerf.fields.occupancy import Occupancy
@@ -16,6 +18,7 @@ from stylerf.kernels.cpu import voxel as kernels
 BLOCK = 4  # vertices a side; as many as a cell of a 64^3 occupancy grid is wide at 256^3
 # Of the learning rate: a voxel is alone where vm multiplies rows, which all move at once (docs/decisions/0018).
 FASTER = 15.0
+MOST_BLOCKS = 1 << 25  # of a grid, kept or not: 1024^3 vertices have half as many
 EMPTY = -8.0  # what is not kept adds to the density's exponent: an optical depth of 6e-4 across the cube
 
 
@@ -63,16 +66,21 @@ class Grid:
 
     @classmethod
     def restore(cls, data: dict) -> "Grid":
-        size = np.asarray(data["size"], np.int64)
-        blocks = -(-size // BLOCK)
+        size = checks.integers(data, "size", 3, 2, BLOCK * MOST_BLOCKS)
+        blocks = [-(-side // BLOCK) for side in size]
+        count = prod(blocks)
+        if count > MOST_BLOCKS:
+            raise InvalidValue(f"voxel grid {size}: {count} blocks, at most {MOST_BLOCKS} can be")
+        expected = -(-count // 8)
         try:
-            bits = np.frombuffer(zlib.decompress(base64.b64decode(data["kept"])), np.uint8)
-        except zlib.error as error:
+            packed = base64.b64decode(checks.entry(data, "kept", str), validate=True)
+            bits = zlib.decompressobj().decompress(packed, expected + 1)  # no more of what would fill the memory
+        except (zlib.error, ValueError) as error:
             raise InvalidValue(f"voxel grid: the list of its blocks is damaged ({error})") from error
-        count = int(np.prod(blocks))
-        if len(bits) != -(-count // 8):
-            raise InvalidValue(f"voxel grid {size.tolist()}: {len(bits)} bytes of blocks")
-        return cls(size, np.unpackbits(bits, count=count).astype(bool).reshape(blocks))
+        if len(bits) != expected:
+            raise InvalidValue(f"voxel grid {size}: {expected} bytes of blocks were expected")
+        kept = np.unpackbits(np.frombuffer(bits, np.uint8), count=count).astype(bool)
+        return cls(np.array(size), kept.reshape(blocks))
 
 
 def _touched(occupancy: Occupancy, size: np.ndarray, blocks: tuple[int, int, int]) -> np.ndarray:
@@ -237,7 +245,7 @@ class VoxelFeatures:
 
     @classmethod
     def restore(cls, data: dict) -> "VoxelFeatures":
-        return cls(Grid.restore(data), data["width"])
+        return cls(Grid.restore(data), checks.integer(data, "width", 1, 3 * max(BANDS.values())))
 
 
 def sampled(old: Grid, table: np.ndarray, widths: tuple, new: Grid) -> np.ndarray:

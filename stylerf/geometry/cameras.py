@@ -9,7 +9,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from stylerf.checks import LARGEST
 from stylerf.errors import InvalidValue
+
+LEAST_FOCAL = 1e-3  # pixels
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +43,13 @@ class Camera:
             raise InvalidValue(f"camera {self.name}: the last row of its pose is not 0 0 0 1; is it transposed?")
         if not (self.fx > 0 and self.fy > 0 and np.isfinite([self.fx, self.fy, self.cx, self.cy]).all()):
             raise InvalidValue(f"camera {self.name}: focal length {self.fx:g} x {self.fy:g} is not positive")
+        # Rays are of float32: beyond these, their origins or what they are divided by would be infinite.
+        far = max(abs(self.cx), abs(self.cy), self.fx, self.fy, np.abs(pose[:3, 3]).max())
+        if far > LARGEST or min(self.fx, self.fy) < LEAST_FOCAL:
+            raise InvalidValue(
+                f"camera {self.name}: its place, focal length or centre is over {LARGEST:g}, or its focal length "
+                f"under {LEAST_FOCAL:g} pixels"
+            )
         if self.width < 1 or self.height < 1:
             raise InvalidValue(f"camera {self.name}: size {self.width}x{self.height} is empty")
         object.__setattr__(self, "world_from_camera", pose)

@@ -9,6 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from stylerf import checks
+from stylerf.checks import LARGEST
 from stylerf.errors import InvalidValue
 
 KINDS = ("box", "contraction", "frustum")
@@ -26,8 +28,13 @@ class Space:
     def __post_init__(self) -> None:
         if self.kind not in KINDS:
             raise InvalidValue(f"space kind {self.kind!r} is none of {', '.join(KINDS)}")
-        if not (0 <= self.near < self.far and np.isfinite(self.parameters).all()):
+        if not (0 <= self.near < self.far <= LARGEST and np.abs(self.parameters).max() <= LARGEST):
             raise InvalidValue(f"space: near {self.near:g}, far {self.far:g} or a parameter is out of range")
+        # What is divided by, in float32; of boxes the last is the mean of the three.
+        divisors = self.parameters[:3] if self.kind == "frustum" else self.parameters[3:6]
+        mean = 0.0 if self.kind == "frustum" else float(np.mean(divisors))
+        if min(divisors) < 1 / LARGEST or not np.isclose(self.parameters[6], mean, rtol=1e-6):
+            raise InvalidValue(f"space: parameters {self.parameters} make no {self.kind}")
 
     @staticmethod
     def box(low, high, near: float = 0.0, far: float = 1e6, kind: str = "box") -> "Space":
@@ -119,4 +126,5 @@ class Space:
     @staticmethod
     def restore(data: dict) -> "Space":
         """From its JSON form."""
-        return Space(data["kind"], tuple(data["parameters"]), data["near"], data["far"])
+        kind, parameters = checks.one_of(data, "kind", KINDS), tuple(checks.numbers(data, "parameters", 7))
+        return Space(kind, parameters, checks.number(data, "near"), checks.number(data, "far"))

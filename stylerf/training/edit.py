@@ -13,6 +13,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from stylerf import checks
 from stylerf.editing import losses
 from stylerf.editing.losses import EditWeights, Neighbours
 from stylerf.editing.painting import Canvas, RegionStyle, in_colours_of
@@ -294,7 +295,7 @@ class EditTrainer:
     def resume(self, data: dict, arrays: dict[str, np.ndarray]) -> None:
         """From checkpoint(), of whichever device."""
         self.state = EditState(**data["state"])
-        self._module.active = arrays["active"].copy()
+        self._module.active = checks.array(arrays, "active", bool, self._module.active.shape).copy()
         for name, values in self._module.arrays().items():
             values[:] = arrays[f"module.{name}"]
         self.engine.resume(arrays)

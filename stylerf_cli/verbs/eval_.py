@@ -206,9 +206,9 @@ def shows(frames: Artefact, field: Artefact) -> bool:
 
 def told(report: Artefact, session: Any) -> dict:
     """The result for --json, printed in words too."""
-    import json
+    from stages.reports import read_report
 
-    content = json.loads(report.file("report.json").read_text())
+    content = read_report(report)
     page = report.file("report.html")
     result = {
         "report": report.path,

@@ -183,9 +183,9 @@ def pinned(config: RegionConfig, region: str) -> tuple[RegionConfig, str]:
 
 def told_palette(made, kind: str = "edit") -> str:
     """An edit, or a field with a palette, in words: its palette, colour by colour."""
-    import json
+    from stages.edits import told_colours
 
-    colours = json.loads(made.file("palette.json").read_text())["colours"]
+    colours = told_colours(made)
     lines = [
         f"  {one['index']}  {one['now']}  {one['share']:6.1%}  {one['name']}"
         + (f" (was {one['learnt']})" if one["now"] != one["learnt"] else "")

@@ -6,7 +6,9 @@ import tracemalloc
 
 import numpy as np
 import pytest
+import torch
 from safetensors.numpy import save
+from safetensors.torch import save_file
 
 from schemas.errors import ArtefactDamaged
 from schemas.tensors import load_tensors, save_tensors
@@ -72,3 +74,10 @@ def test_truncated_and_missing_files_are_damage(tmp_path, keep):
     path.write_bytes(path.read_bytes()[:keep])
     with pytest.raises(ArtefactDamaged, match=r"a.safetensors"):
         load_tensors(path)
+
+
+@pytest.mark.parametrize(("kind", "told"), [(torch.bfloat16, "BF16"), (torch.float8_e4m3fn, "F8_E4M3")])
+def test_types_that_numpy_lacks_are_damage(tmp_path, kind, told):
+    save_file({"density": torch.zeros(4).to(kind)}, tmp_path / "a.safetensors")
+    with pytest.raises(ArtefactDamaged, match=f"a.safetensors.*density is of type {told}"):
+        load_tensors(tmp_path / "a.safetensors")

@@ -79,7 +79,7 @@ def report(
     name, changed = more.pop("name", field.name), more.pop("changed", {})
     told = [
         {"key": key, "mean": mean, "label": LABELS[key][0], "unit": LABELS[key][1], "better": LABELS[key][2],
-         "protocol": protocol, "count": 3, "left_out": 0} | changed
+         "protocol": protocol, "digits": 2, "count": 3, "left_out": 0, "reference": {}} | changed
         for key, mean in figures.items()
     ]  # fmt: skip
 

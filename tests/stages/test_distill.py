@@ -3,13 +3,14 @@
 import numpy as np
 import pytest
 
-from schemas.store import Work
+from schemas.store import Artefact, Work
 from schemas.tensors import save_tensors
 from stages import distill, finetune
 from stages.configs.distill import DistillConfig
 from stages.scenes import EDIT_TARGETS, load_scene
 from stylerf.editing.edits import PaletteEdits
 from stylerf.editing.views import EditView
+from tests.resealing import reseal
 from tests.stages.stress_fixture import SIZE, make_capture
 
 GREEN = np.float32([0.1, 0.9, 0.2])
@@ -51,13 +52,17 @@ def test_pixels_of_an_earlier_edit_are_learnt_from_by_the_whole_field_only(tmp_p
     first = {"1.pixels": np.array([5, 6]), "1.depth": np.float32([1, 2]), "2.pixels": np.array([7]),
              "2.depth": np.float32([3])}  # fmt: skip
     save_tensors(scene.path / EDIT_TARGETS, first)
+    reseal(scene.path)
+    scene = Artefact(scene.path)
     second = {"1.pixels": np.array([6, 300]), "1.depth": np.float32([4, 5])}
-    distill._keep_earlier(scene, second)
+    distill._keep_earlier(load_scene(scene), second)
     save_tensors(scene.path / EDIT_TARGETS, second)
+    reseal(scene.path)
+    scene = Artefact(scene.path)
     own, all_of_them = (finetune.edited_pixels(load_scene(scene), [1, 2], earlier) for earlier in (False, True))
     assert (own.views.tolist(), own.pixels.tolist(), own.depth.tolist()) == ([0, 0], [6, 300], [4, 5])
     assert all_of_them.views.tolist() == [0, 0, 0, 1] and all_of_them.pixels.tolist() == [6, 300, 5, 7]
     assert all_of_them.depth.tolist() == [4, 5, 1, 3]
     third = {"2.pixels": np.array([300]), "2.depth": np.float32([6])}
-    distill._keep_earlier(scene, third)
+    distill._keep_earlier(load_scene(scene), third)
     assert third["1.earlier_pixels"].tolist() == [6, 300, 5] and third["2.earlier_depth"].tolist() == [3]

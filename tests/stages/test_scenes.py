@@ -16,6 +16,7 @@ from schemas.tensors import save_tensors
 from stages import distill, finetune
 from stages.scenes import EDIT_TARGETS, EXPOSURE_STOPS, load_scene, view_index
 from stylerf.light import exposed
+from tests.resealing import reseal
 from tests.stages.evaluation_fixture import commit
 from tests.stages.stress_fixture import make_capture
 
@@ -126,7 +127,9 @@ def test_photos_are_seen_at_the_exposure_of_the_fit(tmp_path):
     assert load_scene(scene, bent).stops == stops and load_scene(scene, painted).stops == {}
     # Photos that carry an edit already are at that exposure: distill has put the edit on what `seen_by` gives.
     (scene.path / EDIT_TARGETS).parent.mkdir()
-    (scene.path / EDIT_TARGETS).touch()
+    save_tensors(scene.path / EDIT_TARGETS, {"1.pixels": np.array([5]), "1.depth": np.ones(1, np.float32)})
+    reseal(scene.path)
+    scene = Artefact(scene.path)
     assert np.array_equal(load_scene(scene, bent).images(1), plain.images(1))
     assert load_scene(scene, bent).exposure_figures == {}
 
@@ -142,15 +145,17 @@ def test_a_distilled_scene_holds_photos_of_one_exposure(tmp_path):
 
 
 def test_a_view_without_an_edited_pixel_carries_no_edit(tmp_path):
-    scene = load_scene(make_capture(Work(tmp_path)))
-    (scene.folder / EDIT_TARGETS).parent.mkdir()
-    scene.artefact.__dict__["_listed"] = frozenset({EDIT_TARGETS})
+    made = make_capture(Work(tmp_path))
     some = {"2.pixels": np.array([5, 6]), "2.depth": np.ones(2, np.float32)}
     none = {"1.pixels": np.empty(0, np.int64), "1.depth": np.empty(0, np.float32)}
-    save_tensors(scene.folder / EDIT_TARGETS, none | some)
+    save_tensors(made.path / EDIT_TARGETS, none | some)
+    reseal(made.path)
+    scene = load_scene(Artefact(made.path))
     found = finetune.edited_pixels(scene, [1, 2, 3], earlier=False)
     assert found.views.tolist() == [1, 1] and found.pixels.tolist() == [5, 6]
-    save_tensors(scene.folder / EDIT_TARGETS, none)
+    save_tensors(made.path / EDIT_TARGETS, none)
+    reseal(made.path)
+    scene = load_scene(Artefact(made.path))
     with pytest.raises(BadInput, match="no training view carries the edit"):
         finetune.edited_pixels(scene, [1, 2, 3], earlier=False)
 

@@ -76,8 +76,8 @@ def warp_at(kind, space, px, py, pz, dx, dy, dz, out):
             out[2] = _HALF + np.float32(0.25) * az
             speed = np.float32(0.25) * max(abs(vx), abs(vy), abs(vz))
     for a in range(3):
-        out[a] = min(max(out[a], _ZERO), _ONE)
-    return max(speed, _TINY), jacobian
+        out[a] = min(max(_ZERO, out[a]), _ONE)  # in this order NaN becomes 0: cells are looked up by it
+    return max(_TINY, speed), jacobian
 
 
 @inline
@@ -178,7 +178,7 @@ def displace(displacement, cells, q, out):
             di, dj, dk = corner >> 2, (corner >> 1) & 1, corner & 1
             w = (fx if di else _ONE - fx) * (fy if dj else _ONE - fy) * (fz if dk else _ONE - fz)
             moved += w * displacement[(at + (di * cells + dj) * cells + dk) * 3 + a]
-        out[a] = min(max(moved, _ZERO), _ONE)
+        out[a] = min(max(_ZERO, moved), _ONE)
 
 
 @inline
