@@ -137,8 +137,8 @@ def test_truncated_truth_and_masks(posed, capsys):
     mask = posed / "masks" / "p03.png"
     mask.write_bytes(mask.read_bytes()[:60])
     assert "masks/p03.png" in refused(posed, capsys)
-    write_png(mask, np.full((18, 24), 255, np.uint8))
-    assert "p03.png is 24x18 where its photo is 48x36" in refused(posed, capsys)
+    write_png(mask, np.full((18, 30), 255, np.uint8))
+    assert "p03.png is 30x18 where its photo is 48x36" in refused(posed, capsys)
     mask.unlink()
     flat = np.ones((36, 48), np.float32)
     view = ExrView(np.ones((36, 48, 3), np.float32), flat, flat, flat, np.eye(4), (45, 45, 24, 18), 0.1, 9.0)
@@ -225,9 +225,10 @@ def put(pose: np.ndarray, row: int, column: int, value: float) -> list:
 POSES = {
     "NaN": (lambda pose: put(pose, 0, 0, NAN), "NaN or infinity"),
     "infinite centre": (lambda pose: put(pose, 1, 3, INF), "NaN or infinity"),
-    "scaled": (lambda pose: (pose * [[2, 2, 2, 1]]).tolist(), "is not a rotation"),
+    "stretched": (lambda pose: (pose * [[2, 2, 1, 1]]).tolist(), "is not a rotation"),
+    "transposed": (lambda pose: pose.T.tolist(), "as its last row, expected 0 0 0 1; is it transposed?"),
     "mirrored": (lambda pose: (pose * [[-1, 1, 1, 1]]).tolist(), "mirrored"),
-    "zero": (lambda pose: np.zeros((4, 4)).tolist(), "is not a rotation"),
+    "zero": (lambda pose: np.diag([0.0, 0, 0, 1]).tolist(), "is not a rotation"),
     "3x3": (lambda pose: pose[:3, :3].tolist(), "no 4x4 matrix"),
     "ragged": (lambda pose: [[1, 2], [3]], "no 4x4 matrix"),
     "text": (lambda pose: "identity", "no 4x4 matrix"),
@@ -247,8 +248,8 @@ LENSES = {
     "negative focal": ({"fl_y": -3.0}, "must be positive"),
     "NaN focal": ({"fl_x": NAN}, "must be positive"),
     "focal in words": ({"fl_x": "long"}, "fl_x is 'long', expected a number"),
-    "no lens": ({"fl_x": ...}, "neither fl_x nor camera_angle_x"),
-    "zero angle": ({"fl_x": ..., "camera_angle_x": 0.0}, "field of view 0.0 is not between 0 and pi"),
+    "no lens": ({"fl_x": ..., "fl_y": ...}, "tells no focal length: neither fl_x nor camera_angle_x"),
+    "zero angle": ({"fl_x": ..., "camera_angle_x": 0.0}, "its horizontal field of view, 0, is not between 0 and pi"),
     "unknown model": ({"camera_model": "EQUIRECTANGULAR"}, "camera model EQUIRECTANGULAR is not known"),
     "NaN distortion": ({"k1": NAN}, "not finite"),
     "NaN tangential distortion": ({"p1": NAN}, "not finite"),
@@ -307,7 +308,7 @@ def test_truncated_lists_of_poses(source, capsys, keep):
     capture.write_transforms(source, capture.transforms())
     whole = source / "transforms.json"
     whole.write_bytes(whole.read_bytes()[:keep])
-    assert "transforms.json is no JSON" in refused(source, capsys)
+    assert "transforms.json is not valid JSON" in refused(source, capsys)
     whole.unlink()
     np.save(source / "poses_bounds.npy", capture.llff())
     (source / "poses_bounds.npy").write_bytes((source / "poses_bounds.npy").read_bytes()[:keep])
