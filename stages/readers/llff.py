@@ -3,6 +3,7 @@
 import io
 import math
 from pathlib import Path
+from tokenize import TokenError
 
 import numpy as np
 
@@ -57,7 +58,7 @@ def _rows(path: Path) -> np.ndarray:
         raise BadInput(f"{path} is not there; restore it") from error
     try:
         rows = _array(data)
-    except (ValueError, EOFError, RecursionError, MemoryError, SyntaxError, TypeError, OverflowError) as error:
+    except (ValueError, EOFError, RecursionError, MemoryError, SyntaxError, TypeError, TokenError) as error:
         reason = printable(str(error)).splitlines() or ["damaged"]
         raise BadInput(f"{path} cannot be read ({reason[0]}); export it again") from error
     if rows.ndim != 2 or rows.shape[1] != 17 or rows.dtype.kind not in "fi" or not len(rows):

@@ -54,8 +54,12 @@ def baseline_of(poses: np.ndarray) -> float:
     """Largest distance of a camera from the middle of all; InvalidValue where all stand at one point."""
     centres = poses[:, :3, 3]
     baseline = float(np.linalg.norm(centres - centres.mean(0), axis=1).max())
-    if not baseline > max(ONE_POINT * float(np.abs(centres).max()), ONE_POINT_AT_ORIGIN):
-        raise InvalidValue("all cameras stand at one point: without a baseline there is no depth")
+    largest = float(np.abs(centres).max())
+    if not baseline > max(ONE_POINT * largest, ONE_POINT_AT_ORIGIN):
+        raise InvalidValue(
+            f"all cameras stand at one point (within {baseline:.2g}, at coordinates up to {largest:.2g}): without a "
+            "baseline there is no depth"
+        )
     return baseline
 
 

@@ -4,6 +4,7 @@ of them in the work folder."""
 import json
 import math
 import os
+import pickle
 import struct
 from pathlib import Path
 
@@ -301,6 +302,48 @@ def test_cameras_of_colmap_that_are_none(source, capsys):
 def test_poses_of_llff_that_are_none(source, capsys, spoil, words):
     np.save(source / "poses_bounds.npy", spoil(capture.llff()), allow_pickle=True)
     assert words in refused(source, capsys)
+
+
+def npy(header: str, data: bytes = b"") -> bytes:
+    """A .npy file of version 1 with this header, whatever it says."""
+    return b"\x93NUMPY\x01\x00" + struct.pack("<H", len(header) + 1) + header.encode() + b"\n" + data
+
+
+NO_POSES = {
+    "npz": (None, "a zip archive, as .npz is"),
+    "pickle": (pickle.dumps([1, 2]), "no .npy file"),
+    "huge": (npy("{'descr': '<f8', 'fortran_order': False, 'shape': (9000000000, 17)}"), "cut short: its header tells"),
+    "deep": (npy("{'descr': " + "[" * 5000 + "}"), "cannot be read"),
+    "long": (npy("{" + " " * 50000 + "}"), "cannot be read"),
+    "objects": (npy("{'descr': '|O', 'fortran_order': False, 'shape': (0, 17)}"), "cannot be read"),
+    "named columns": (npy("{'descr': [('a', '<f8')], 'fortran_order': False, 'shape': (0, 17)}"), "LLFF's is n x 17"),
+    "negative": (npy("{'descr': '<f8', 'fortran_order': False, 'shape': (-1, 17)}", b"0" * 136), "cannot be read"),
+    "text": (b"1 2 3\n", "no .npy file"),
+}
+
+
+@pytest.mark.parametrize("name", NO_POSES)
+def test_files_named_as_poses_of_llff(source, capsys, name):
+    data, words = NO_POSES[name]
+    if data is None:
+        np.savez(source / "poses.npz", capture.llff())
+        (source / "poses.npz").rename(source / "poses_bounds.npy")
+    else:
+        (source / "poses_bounds.npy").write_bytes(data)
+    assert words in refused(source, capsys)
+
+
+def test_cameras_of_llff_at_one_point(source, capsys):
+    rows = capture.llff()
+    rows[:, [3, 8, 13]] = 0.1, 0.2, 0.3
+    np.save(source / "poses_bounds.npy", rows)
+    assert "all cameras stand at one point" in refused(source, capsys)
+
+
+@pytest.mark.parametrize("name", ["transforms.json", "transforms_a.json"])
+def test_a_list_that_is_a_pipe(source, capsys, name):
+    os.mkfifo(source / name)
+    assert f"{name} is a named pipe, not a file" in refused(source, capsys)
 
 
 @pytest.mark.parametrize("keep", [0, 20, 200])
