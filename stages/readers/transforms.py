@@ -1,5 +1,6 @@
 """transforms.json of Blender / NeRF-synthetic, instant-ngp and nerfstudio. docs/import.md lists what is read of it."""
 
+import os
 import re
 from collections import Counter
 from dataclasses import replace
@@ -244,6 +245,8 @@ class _Frames:
     def _found(self, listed: Path) -> Path | None:
         """Where the list says; of an absolute path of another machine, by its last parts."""
         if found := find_image(self.root / listed):
+            if not Path(os.path.abspath(found)).is_relative_to(os.path.abspath(self.root)):
+                self._say(f"{self.name}: pictures from outside of its folder are used: {printable(str(listed))}")
             for companion in (f"{found.stem}.alpha{found.suffix}", f"{found.name}.alpha{found.suffix}"):
                 if (found.parent / companion).is_file():
                     self._say(f"{self.name}: not used: alpha of its own beside photos, as {printable(companion)}")

@@ -262,6 +262,20 @@ def _(source, tmp_path):
     assert read(source, with_paths("elsewhere/images/p00.png")).cameras[0].image is None  # no end of a relative path
 
 
+@row("path-outside")
+def _(source, tmp_path):
+    for name in ("p01", "p02"):
+        (source / "images" / f"{name}.png").rename(tmp_path / f"{name}.png")
+    found = read(source, with_paths("images/p00.png", "../p01.png", str(tmp_path / "p02.png")))
+    assert all(one.image for one in found.cameras)
+    assert found.remarks == tuple(
+        f"transforms.json: pictures from outside of its folder are used: {path}"
+        for path in ("../p01.png", tmp_path / "p02.png")
+    )
+    scene = scene_of(imported(source, tmp_path / "work"))
+    assert not any(".." in view.name or view.name.startswith("/") for view in scene.views)
+
+
 @row("path-nonsense")
 def _(source, tmp_path):
     for path in ("", ".", "../", "a" * 5000, "a/" * 2000, "p\ud800.png", "p\n00.png", "\0", 3, None, ["a"]):
