@@ -118,7 +118,7 @@ def _content(path: Path) -> dict:
 
 def _without_comments(text: str) -> str:
     """`text` with its // and /* */ comments, which instant-ngp takes, blank; strings stay. In linear time."""
-    tokens = r'"(?:\\.|[^"\\])*+(?:"|\Z)|//[^\n]*|/\*.*?(?:\*/|\Z)'
+    tokens = r'"(?:\\.?|[^"\\])*+(?:"|\Z)|//[^\n]*|/\*.*?(?:\*/|\Z)'
     return re.sub(tokens, lambda found: found[0] if found[0][0] == '"' else " ", text, flags=re.DOTALL)
 
 

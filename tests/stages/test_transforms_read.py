@@ -114,6 +114,8 @@ def _(source, tmp_path):
             assert len(read(source, broken).cameras) == 4  # a comment that does not end is one
         else:
             assert "transforms.json is not valid JSON" in refusal(source, broken)
+    for hostile in ('{"' + '\\"' * 400_000 + "\\", "/*" * 400_000, '"' * 400_001):  # minutes, were the time quadratic
+        assert "not valid JSON" in refusal(source, hostile)
 
 
 @row("json-nan")
