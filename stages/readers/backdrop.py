@@ -81,7 +81,8 @@ class Backdrop:
         border, share = np.mean(self._cut, axis=0)
         return (
             f"masks or transparency in {self._with_alpha} of {len(self._cut)} photos ({share:.2%} of all pixels, "
-            f"{border:.2%} of the borders) hide parts of a room or landscape and cut no object out"
+            f"{border:.2%} of the borders) hide parts of a room or landscape and cut no object out; if they do, give "
+            "--layout object"
         )
 
     def silhouettes(self) -> list[np.ndarray]:

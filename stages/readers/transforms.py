@@ -54,8 +54,10 @@ def read(source: Path, images: str) -> SourceScene:
         reader = _Frames(root, printable(str(path)), content, images)
         cameras += [reader.camera(index, frame, split) for index, frame, split in frames]
         remarks += reader.remarks(frames)
+    remarks += [f"{count} frames left out: {why}" for why, count in Counter(why for _, why in skipped).items()]
     if not cameras:
-        raise BadInput(f"{source} lists no frames; export it again")
+        left_out = f"; {remarks[-1]}" if skipped else ""
+        raise BadInput(f"{source} lists no frames to import{left_out}; repair the list or export it again")
     kind = "nerfstudio" if "nerfstudio" in kinds else "instant-ngp" if "instant-ngp" in kinds else "Blender"
     return SourceScene(
         f"transforms.json of {kind}",

@@ -198,6 +198,9 @@ def _(source, tmp_path):
         (NAMES[0], "train"), (NAMES[1], "train"), (NAMES[3], "test"),
     ]  # fmt: skip
     assert [(one.source, one.reason) for one in scene.skipped] == [(NAMES[2], "in none of the lists of splits")]
+    assert read(source).remarks == ("1 frames left out: in none of the lists of splits",)
+    line = refusal(source, listed(train_filenames=["images/p09.png"]))
+    assert "lists no frames to import; 4 frames left out: in none of the lists of splits" in line
 
 
 @row("splits-lost")
