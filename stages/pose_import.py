@@ -20,7 +20,7 @@ from stages.readers.backdrop import Backdrop
 from stages.readers.digest import digest_of_source
 from stages.readers.photo_folder import conversion, photos_of, unreadable_beside
 from stages.readers.photos import Developer, Sized, present, scale_of, scene_camera, sized
-from stages.readers.source import SourceCamera, SourceScene, natural
+from stages.readers.source import SourceCamera, SourceScene, natural, told, unused_masks
 from stages.runner import Spec
 from stages.sfm import reconstructed
 from stylerf.errors import InvalidValue
@@ -30,7 +30,7 @@ from stylerf.geometry.hull import hull_box
 from stylerf.geometry.resampling import nearest
 
 SPEC = Spec(
-    stage="pose_import", verb="import", revision=4, writes="scene",
+    stage="pose_import", verb="import", revision=5, writes="scene",
     outside=lambda config: {"source_digest": digest_of_source(Path(config.source), config.format, config.images)},
 )  # fmt: skip
 FEWEST_PHOTOS = 2
@@ -71,6 +71,8 @@ def _source(config: ImportConfig, partial: Partial, context: Context) -> SourceS
     scene = read_source(source, found[0], config.images)
     also = f" (also there: {', '.join(found[1:])}; --format takes another)" if found[1:] else ""
     context.progress.say(f"found {scene.kind}{also}")
+    for remark in scene.remarks:
+        context.progress.say(remark)
     return scene
 
 
@@ -79,6 +81,7 @@ def import_scene(source: SourceScene, config: ImportConfig, partial: Partial, co
     here, missing = present(source.cameras)
     here, doubled = _without_doubles([replace(one, name=_inside(one.name)) for one in here])
     _tell_missing(source, here, missing, context)
+    _tell_unused_masks(Path(config.source), here, context)
     here = _with_splits(_told_apart(here), config.test_every)
     alike: dict = {}
     photos = [sized(camera, source, alike) for camera in here]
@@ -119,6 +122,16 @@ def _tell_missing(source: SourceScene, here: list, missing: list[SourceCamera], 
         raise BadInput(
             f"{len(here)} of {len(source.cameras)} listed photos {'is' if len(here) == 1 else 'are'} there{first}; at "
             f"least {FEWEST_PHOTOS} are needed: put the photos where the list says, or name their folder with --images"
+        )
+
+
+def _tell_unused_masks(source: Path, here: list[SourceCamera], context: Context) -> None:
+    root = source.parent if source.is_file() else source
+    if unused := unused_masks(here, root):
+        names = ", ".join(printable(told(one, root)) for one in unused[:3]) + (", ..." if len(unused) > 3 else "")
+        context.progress.say(
+            f"masks not used: {len(unused)} (of photos {sum(bool(one.mask) for one in here)} of {len(here)} have one): "
+            f"{names}; call a mask as its photo, 001.png of 001.jpg, or name it by mask_path"
         )
 
 
@@ -173,19 +186,23 @@ def _develop(photos: list[Sized], cameras: list[Camera], config: ImportConfig, p
         context.progress.update(index + 1)
     context.progress.finish()
     backdrop.decide()
+    if backdrop.remark:
+        context.progress.say(backdrop.remark)
     return backdrop
 
 
 def _framed(source: SourceScene, photos: list[Sized], plain: list[Camera], backdrop: Backdrop, config) -> Frame:
     poses = np.array([one.pose for one in photos])
+    told = np.array([one.camera.near_far for one in photos]) if photos[0].camera.near_far else None
+    points = None if source.points is None else source.points.xyz
+    normalise.check_baseline(poses, told, points)
     layout = normalise.decided_layout(poses, backdrop.cuts_out)
     if config.layout != "auto":
         layout = normalise.Layout(config.layout, "asked for")
     if layout.name == "object" and source.keeps_frame and backdrop.kind == "alpha":
         similarity = np.eye(4)
     elif layout.name == "forward":
-        told = np.array([one.camera.near_far for one in photos]) if photos[0].camera.near_far else None
-        near, known = normalise.nearest_depth(poses, told, None if source.points is None else source.points.xyz)
+        near, known = normalise.nearest_depth(poses, told, points)
         layout = replace(layout, reason=f"{layout.reason}; nearest depth from {known}")
         similarity = normalise.facing(poses, near)
     else:

@@ -40,7 +40,8 @@ def _files_of_poses(source: Path, kind: str) -> list[Path]:
 
 
 def _entry(camera: SourceCamera) -> list:
-    return [camera.source, *(one and _content(one) for one in (camera.image, camera.mask, camera.depth))]
+    files = [camera.image, camera.mask, camera.depth, *filter(None, [camera.hides])]
+    return [camera.source, *(one and _content(one) for one in files)]
 
 
 def _content(path: Path) -> str:

@@ -1,13 +1,19 @@
 """LLFF's poses_bounds.npy: one row per photo, in the alphabetical order of the photos' names."""
 
+import io
+import math
 from pathlib import Path
+from tokenize import TokenError
 
 import numpy as np
 
 from schemas.errors import BadInput
+from schemas.names import printable
+from schemas.reading import read_bytes
 from stages.readers.source import SourceCamera, SourceScene, image_folder, images_in, told, with_masks
 from stylerf.geometry.conventions import from_llff
 
+MOST_BYTES = 64 << 20  # of poses of 400,000 photos
 FOLDERS = ("images", "images_2", "images_4", "images_8")
 
 
@@ -47,15 +53,34 @@ def read(source: Path, images: str) -> SourceScene:
 
 def _rows(path: Path) -> np.ndarray:
     try:
-        rows = np.load(path, allow_pickle=False)
-    except (OSError, ValueError, EOFError) as error:
-        raise BadInput(f"{path} cannot be read ({str(error).splitlines()[0]}); export it again") from error
+        data = read_bytes(path, MOST_BYTES)
+    except FileNotFoundError as error:
+        raise BadInput(f"{path} is not there; restore it") from error
+    try:
+        rows = _array(data)
+    except (ValueError, EOFError, RecursionError, MemoryError, SyntaxError, TypeError, TokenError) as error:
+        reason = printable(str(error)).splitlines() or ["damaged"]
+        raise BadInput(f"{path} cannot be read ({reason[0]}); export it again") from error
     if rows.ndim != 2 or rows.shape[1] != 17 or rows.dtype.kind not in "fi" or not len(rows):
         raise BadInput(f"{path} is an array of {rows.shape}; LLFF's is n x 17 numbers")
     bad = ~np.isfinite(rows[:, 15:]).all(axis=1) | (rows[:, 15] <= 0) | (rows[:, 16] <= rows[:, 15])
     if bad.any():
         raise BadInput(f"{path}: row {int(np.argmax(bad))} has depth bounds {rows[np.argmax(bad), 15:].tolist()}")
     return rows.astype(np.float64)
+
+
+def _array(data: bytes) -> np.ndarray:
+    """The one array of a .npy file; ValueError for another kind of file, objects, or a shape that its bytes belie."""
+    if data[:6] != b"\x93NUMPY":
+        found = "a zip archive, as .npz is" if data[:2] == b"PK" else "no .npy file"
+        raise ValueError(f"it is {found}; LLFF's is one array by numpy.save")
+    stream = io.BytesIO(data)
+    version = np.lib.format.read_magic(stream)
+    header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+    shape, _, kind = header(stream)
+    if math.prod(shape) * kind.itemsize > len(data):  # before numpy sets memory aside for it
+        raise ValueError(f"cut short: its header tells of {shape} numbers")
+    return np.lib.format.read_array(io.BytesIO(data), allow_pickle=False)
 
 
 def _default_folder(root: Path) -> Path:

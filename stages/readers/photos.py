@@ -1,6 +1,7 @@
 """One photo of a source: checked, its mask joined, undistorted and shrunk."""
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -11,7 +12,7 @@ from stylerf.errors import InvalidValue
 from stylerf.geometry.cameras import Camera
 from stylerf.geometry.conventions import checked_pose
 from stylerf.geometry.distortion import pinhole_of, source_positions
-from stylerf.geometry.resampling import shrunk
+from stylerf.geometry.resampling import nearest, shrunk
 
 # Brightest pixel of a photo that shows anything: a covered lens stays below in 8 bit, noise included.
 DARKEST_WHITE = 10 / 255
@@ -63,15 +64,11 @@ def _fits(size: tuple[int, int], told: tuple[int, int], rescalable: bool) -> boo
 
 def _intrinsics(camera: SourceCamera, size: tuple[int, int], rescalable: bool) -> tuple[float, float, float, float]:
     told, where = camera.size or size, camera.source
-    if camera.intrinsics is None:
-        angle = camera.angle
-        if not (angle is not None and 0 < angle < np.pi):
-            raise BadInput(f"{where}: horizontal field of view {angle} is not between 0 and pi; repair camera_angle_x")
-        focal = told[0] / 2 / np.tan(angle / 2)
-        fx, fy, cx, cy = focal, focal, told[0] / 2, told[1] / 2
-    else:
-        fx, fy, cx, cy = camera.intrinsics
-        cx, cy = (told[0] / 2 if np.isnan(cx) else cx), (told[1] / 2 if np.isnan(cy) else cy)
+    fx, fy, cx, cy = camera.intrinsics
+    fx = _focal(fx, camera.angles[0], told[0], f"{where}: its horizontal")
+    fy = _focal(fy, camera.angles[1], told[1], f"{where}: its vertical")
+    fx, fy = (fy if np.isnan(fx) else fx), (fx if np.isnan(fy) else fy)
+    cx, cy = (told[0] / 2 if np.isnan(cx) else cx), (told[1] / 2 if np.isnan(cy) else cy)
     if not (np.isfinite([fx, fy, cx, cy]).all() and fx > 0 and fy > 0):
         raise BadInput(f"{where}: focal length {fx:g} x {fy:g} must be positive; repair the camera")
     if told == size:
@@ -83,6 +80,15 @@ def _intrinsics(camera: SourceCamera, size: tuple[int, int], rescalable: bool) -
         )
     kx, ky = size[0] / told[0], size[1] / told[1]
     return (fx * kx, fy * ky, cx * kx, cy * ky)
+
+
+def _focal(focal: float, angle: float, side: int, which: str) -> float:
+    """The focal length of an axis, in pixels: as told, else by its angle; NaN where neither is."""
+    if not np.isnan(focal) or np.isnan(angle):
+        return focal
+    if not 0 < angle < np.pi:
+        raise BadInput(f"{which} field of view, {angle:g}, is not between 0 and pi; repair the camera")
+    return side / 2 / float(np.tan(angle / 2))
 
 
 def scale_of(size: tuple[int, int], downscale: float, max_side: int) -> float:
@@ -137,17 +143,29 @@ def _rgb(pixels: np.ndarray) -> np.ndarray:
 
 
 def _with_mask(one: Sized, pixels: np.ndarray) -> np.ndarray:
-    if one.camera.mask is None:
-        return pixels
-    mask = read_image(one.camera.mask, one.upright).pixels
-    if mask.shape[:2] != pixels.shape[:2]:
+    kept = [pixels[..., 3]] if pixels.shape[2] == 4 else []
+    if one.camera.mask:
+        kept.append(_fitted(coverage(_mask(one, one.camera.mask)), one.camera.mask, pixels))
+    if one.camera.hides:
+        shown = (_mask(one, one.camera.hides)[..., :3] == 0).all(axis=2).astype(np.float32)
+        kept.append(_fitted(shown, one.camera.hides, pixels) == 1)
+    return np.dstack([pixels[..., :3], np.prod(kept, axis=0, dtype=np.float32)]) if kept else pixels
+
+
+def _mask(one: Sized, path: Path) -> np.ndarray:
+    return read_image(path, one.upright).pixels
+
+
+def _fitted(mask: np.ndarray, path: Path, photo: np.ndarray) -> np.ndarray:
+    """A mask [h, w] at the size of its photo [h, w, ...]: of a photo's smaller or larger copy it is resized."""
+    size, there = (photo.shape[1], photo.shape[0]), (mask.shape[1], mask.shape[0])
+    if size == there:
+        return mask
+    if not (_fits(size, there, True) or _fits(there, size, True)):
         raise BadInput(
-            f"{one.camera.mask} is {mask.shape[1]}x{mask.shape[0]} where its photo is "
-            f"{pixels.shape[1]}x{pixels.shape[0]}; make it of the same size"
+            f"{path} is {there[0]}x{there[1]} where its photo is {size[0]}x{size[1]}; make it of the same size"
         )
-    kept = coverage(mask)
-    whole = pixels[..., 3] * kept if pixels.shape[2] == 4 else kept
-    return np.dstack([pixels[..., :3], whole])
+    return shrunk(mask[..., None], size)[..., 0] if size < there else nearest(mask, size)
 
 
 def present(cameras: list[SourceCamera]) -> tuple[list[SourceCamera], list[SourceCamera]]:

@@ -1,41 +1,71 @@
-"""transforms.json of Blender / NeRF-synthetic, instant-ngp and nerfstudio."""
+"""transforms.json of Blender / NeRF-synthetic, instant-ngp and nerfstudio. docs/import.md lists what is read of it."""
 
-import json
-import math
+import os
+import re
+from collections import Counter
 from dataclasses import replace
-from pathlib import Path, PurePosixPath
+from pathlib import Path, PurePosixPath, PureWindowsPath
 
 import numpy as np
 
 from schemas.errors import BadInput
-from stages.readers.source import SourceCamera, SourceScene, bare, find_image, image_folder, with_masks
-from stylerf.geometry.conventions import from_opengl, with_last_row
-from stylerf.geometry.distortion import Distortion
+from schemas.images import image_size
+from schemas.names import LONGEST_NAME, LONGEST_PATH, printable
+from schemas.reading import MOST_JSON, parsed, read_text
+from stages.readers import transforms_lens, transforms_splits
+from stages.readers.source import (
+    SourceCamera,
+    SourceScene,
+    bare,
+    find_image,
+    image_folder,
+    masks_beside,
+    natural,
+    with_masks,
+)
+from stages.readers.transforms_lens import Numbers
+from stages.readers.transforms_splits import Splits
+from stylerf.geometry.conventions import ROTATION_TOLERANCE, from_mitsuba, from_opengl, with_last_row
 
-_PINHOLES = ("PINHOLE", "SIMPLE_PINHOLE", "PERSPECTIVE", "OPENCV", "SIMPLE_RADIAL", "RADIAL")
-_FISHEYES = ("OPENCV_FISHEYE", "FISHEYE")
-LARGEST_SIDE = 1_000_000
+_OF_FRAMES = {"file_path", "transform_matrix", "mask_path", *transforms_lens.KEYS}
+_OF_FILES = {
+    *("frames", "n_frames", "applied_transform", "applied_scale", "from_mitsuba", "normal_mts_args"),
+    *transforms_lens.KEYS,
+    *transforms_splits.KEYS,
+}
+# What only steers how another program trains, or places a scene that is placed here by the cameras.
+_NEEDLESS = {
+    *("aabb", "aabb_scale", "render_aabb", "scale", "offset", "up", "orientation_override", "scene_scale"),
+    *("sharpness", "sharpen", "importance_sampling", "n_extra_learnable_dims", "enable_depth_loading", "rotation"),
+    *("enable_ray_loading", "integer_depth_scale", "depth_unit_scale_factor", "fovx", "fovy", "colmap_im_id"),
+}
 
 
 def read(source: Path, images: str) -> SourceScene:
     """One transforms.json, or transforms_train.json and transforms_test.json (else _val) of a folder."""
     root = source.parent if source.is_file() else source
-    cameras, kinds = [], set()
+    cameras, kinds, skipped, remarks = [], set(), [], _other_lists(source)
     for path, split in lists_of(source):
         content = _content(path)
         kinds.add(_kind(content))
-        undo = _undo(content, path)
-        told = _told_splits(content, path)
-        for index, frame in enumerate(content["frames"]):
-            cameras.append(_camera(root, path, content, frame, index, undo, told, split, images))
+        frames, left_out, lines = _frames(content, printable(str(path)), split)
+        skipped += left_out
+        remarks += lines
+        reader = _Frames(root, printable(str(path)), content, images)
+        cameras += [reader.camera(index, frame, split) for index, frame, split in frames]
+        remarks += reader.remarks(frames)
+    remarks += [f"{count} frames left out: {why}" for why, count in Counter(why for _, why in skipped).items()]
     if not cameras:
-        raise BadInput(f"{source} lists no frames; export it again")
+        left_out = f"; {remarks[-1]}" if skipped else ""
+        raise BadInput(f"{source} lists no frames to import{left_out}; repair the list or export it again")
     kind = "nerfstudio" if "nerfstudio" in kinds else "instant-ngp" if "instant-ngp" in kinds else "Blender"
     return SourceScene(
         f"transforms.json of {kind}",
         with_masks(_distinct(cameras, root), root),
         keeps_frame=kind != "nerfstudio",
         rescalable=bool(images),
+        skipped=tuple(skipped),
+        remarks=tuple(dict.fromkeys(remarks)),
     )
 
 
@@ -52,17 +82,46 @@ def lists_of(source: Path) -> list[tuple[Path, str | None]]:
     return [(path, None) for path in sorted(source.glob("transforms*.json"))[:1]]
 
 
+def _other_lists(source: Path) -> list[str]:
+    """A line where there are lists that are not read."""
+    if source.is_file():
+        return []
+    read = {path.name for path, _ in lists_of(source)}
+    others = sorted({path.name for path in source.glob("transforms*.json")} - read)
+    if not others:
+        return []
+    names = ", ".join(map(printable, others[:5])) + (", ..." if len(others) > 5 else "")
+    return [f"not used beside {' and '.join(sorted(read))}: {names}; to take one, give its path in place of the folder"]
+
+
 def _content(path: Path) -> dict:
+    shown = printable(str(path))
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise BadInput(f"{path} is no JSON ({error}); export it again") from error
+        text = read_text(path, MOST_JSON)
+    except FileNotFoundError as error:
+        raise BadInput(f"{shown} is not there; restore it") from error
+    try:
+        content = parsed(text, shown)
+    except BadInput:
+        if (code := _without_comments(text)) == text:
+            raise
+        content = parsed(code, shown)
     if not isinstance(content, dict) or not isinstance(content.get("frames"), list):
-        raise BadInput(f"{path} has no list `frames`; expected a transforms.json of Blender, instant-ngp or nerfstudio")
+        raise BadInput(
+            f"{shown} has no list `frames`; expected a transforms.json of Blender, instant-ngp or nerfstudio"
+        )
     for index, frame in enumerate(content["frames"]):
         if not isinstance(frame, dict):
-            raise BadInput(f"{path}: frame {index} is {frame!r:.40}, no object with file_path; export it again")
+            raise BadInput(
+                f"{shown}: frame {index} is {printable(f'{frame!r:.40}')}, no object with file_path; export it again"
+            )
     return content
+
+
+def _without_comments(text: str) -> str:
+    """`text` with its // and /* */ comments, which instant-ngp takes, blank; strings stay. In linear time."""
+    tokens = r'"(?:\\.?|[^"\\])*+(?:"|\Z)|//[^\n]*|/\*.*?(?:\*/|\Z)'
+    return re.sub(tokens, lambda found: found[0] if found[0][0] == '"' else " ", text, flags=re.DOTALL)
 
 
 def _kind(content: dict) -> str:
@@ -72,59 +131,202 @@ def _kind(content: dict) -> str:
     return "instant-ngp" if {"fl_x", "w", "aabb_scale"} & (content.keys() | set(first)) else "Blender"
 
 
-def _undo(content: dict, path: Path) -> np.ndarray:
-    """[4, 4] back from nerfstudio's applied_transform to the frame that the cameras were found in."""
-    if "applied_transform" not in content:
-        return np.eye(4)
-    applied = _matrix(content["applied_transform"], f"{path}: applied_transform")
-    if abs(np.linalg.det(applied[:3, :3]) - 1) > 1e-3:
-        raise BadInput(f"{path}: applied_transform is no rotation and shift; export it again")
-    return np.linalg.inv(applied)
+def _frames(content: dict, path: str, split: str | None) -> tuple[list, list, list[str]]:
+    """[(index, frame, its split)] of those that count, [(photo, reason)] of the others, and remarks."""
+    frames = list(enumerate(content["frames"]))
+    for index, frame in frames:
+        _check_frame(frame, f"{path}: frame {index}")
+    splits = Splits(content, path)
+    names = [frame["file_path"] for _, frame in frames]
+    beyond = _beyond(content, names, path)
+    skipped, kept = [], []
+    for index, frame in frames:
+        name = frame["file_path"]
+        if index in beyond:
+            skipped.append((name, "beyond n_frames of the list"))
+        elif splits.left_out(name):
+            skipped.append((name, "in none of the lists of splits"))
+        else:
+            kept.append((index, frame, split or splits.of(name)))
+    return kept, skipped, splits.remarks(names)
+
+
+def _check_frame(frame: dict, where: str) -> None:
+    if "transform_matrix_start" in frame and "transform_matrix" not in frame:
+        raise BadInput(f"{where} tells how its camera moved while it exposed, which is not read; add transform_matrix")
+    if "file_path" not in frame or "transform_matrix" not in frame:
+        raise BadInput(f"{where} lacks file_path or transform_matrix; export it again")
+    _listed(frame["file_path"], f"{where}: file_path")
+
+
+def _beyond(content: dict, names: list[str], path: str) -> set[int]:
+    """Frames after the first n_frames in the order of their names, which instant-ngp leaves out."""
+    if "n_frames" not in content:
+        return set()
+    count = Numbers(content, {}, path).get("n_frames")
+    if not count >= 0:
+        raise BadInput(f"{path}: n_frames is {count:g}, expected a number of frames; export it again")
+    ordered = sorted(range(len(names)), key=lambda index: natural(names[index]))
+    return set(ordered[int(min(count, len(names))) :])
+
+
+def _listed(text: object, where: str) -> Path:
+    """A path that the list tells, with forward slashes; BadInput for what can be the name of no file."""
+    path = text.replace("\\", "/") if isinstance(text, str) else ""
+    parts = path.encode("utf-8", "replace").split(b"/")
+    if not path.strip("./ ") or max(map(len, parts)) > LONGEST_NAME or sum(map(len, parts)) > LONGEST_PATH:
+        raise BadInput(f"{where} is {printable(f'{text!r:.60}')}, expected the path of a picture; export it again")
+    if printable(path) != path:
+        raise BadInput(f"{where} is {printable(path)!r:.80}, which holds control characters; rename the picture")
+    return Path(path)
+
+
+class _Frames:
+    """Turns the frames of one file into cameras, and keeps what is worth a remark."""
+
+    def __init__(self, root: Path, path: str, content: dict, images: str) -> None:
+        self.root, self.path, self.content = root, path, content
+        self.name = path.rpartition("/")[2]
+        self.images = image_folder(root, images) if images else None
+        self._undone, self._applied_scale = _undone(content, path)
+        mitsuba = content.get("from_mitsuba", "normal_mts_args" in content)
+        self._from_source = from_mitsuba if mitsuba else from_opengl
+        self._scales: list[float] = []
+        self._said: list[str] = []
+
+    def camera(self, index: int, frame: dict, split: str | None) -> SourceCamera:
+        """Of a frame; BadInput naming it where it cannot be read."""
+        where = f"{self.path}: frame {index}"
+        listed = _listed(frame["file_path"], f"{where}: file_path")
+        photo = self._photo(listed)
+        numbers = Numbers(self.content, frame, where)
+        intrinsics, angles = transforms_lens.intrinsics(numbers)
+        size = self._size(numbers, listed, photo)
+        if size and (odd := transforms_lens.disagreement(numbers, *size)):
+            self._say(odd)
+        return SourceCamera(
+            name=bare(listed).name,
+            source=frame["file_path"],
+            image=photo,
+            world_from_camera=self._pose(frame, where),
+            size=size,
+            intrinsics=intrinsics,
+            angles=angles,
+            distortion=transforms_lens.distortion(numbers),
+            split=split,
+            mask=self._mask(frame, where) if photo else None,
+            depth=_depth(self.root, bare(listed).name),
+        )
+
+    def remarks(self, frames: list[tuple]) -> list[str]:
+        """What was passed over or taken in one of two ways, a line each."""
+        unread = {key: len(frames) for key in self.content.keys() - _OF_FILES - _NEEDLESS}
+        for _, frame, _ in frames:
+            for key in frame.keys() - _OF_FRAMES - _NEEDLESS:
+                unread[key] = unread.get(key, 0) + 1
+        if unread:
+            keys = sorted(unread)
+            names = ", ".join(printable(key)[:40] for key in keys[:8]) + (", ..." if len(keys) > 8 else "")
+            self._say(f"{self.name}: not used: {names}")
+        if self._scales:
+            self._say(
+                f"{self.name}: the matrices of {len(self._scales)} frames are scaled, by {min(self._scales):.4g} "
+                f"to {max(self._scales):.4g}: their rotations are taken"
+            )
+        return list(dict.fromkeys(self._said))[:8]
+
+    def _say(self, line: str) -> None:
+        if len(self._said) < 100:
+            self._said.append(line)
+
+    def _photo(self, listed: Path) -> Path | None:
+        if self.images:
+            return _copy_in(self.images, listed)
+        return self._found(listed)
+
+    def _found(self, listed: Path) -> Path | None:
+        """Where the list says; of an absolute path of another machine, by its last parts."""
+        if found := find_image(self.root / listed):
+            if not Path(os.path.abspath(found)).is_relative_to(os.path.abspath(self.root)):
+                self._say(f"{self.name}: pictures from outside of its folder are used: {printable(str(listed))}")
+            for companion in (f"{found.stem}.alpha{found.suffix}", f"{found.name}.alpha{found.suffix}"):
+                if (found.parent / companion).is_file():
+                    self._say(f"{self.name}: not used: alpha of its own beside photos, as {printable(companion)}")
+            return found
+        if not (listed.is_absolute() or PureWindowsPath(listed).drive):
+            return None
+        if found := _copy_in(self.root, listed):
+            self._say(f"{self.name}: its photos are looked for by the ends of their paths, beside it")
+        return found
+
+    def _size(self, numbers: Numbers, listed: Path, photo: Path | None) -> tuple[int, int] | None:
+        """The size that the intrinsics are of. What is not told of it is the listed photo's."""
+        width, height = numbers.side("w"), numbers.side("h")
+        if width and height:
+            return width, height
+        original = self._found(listed) if self.images else photo
+        if original and (width or height or self.images):
+            there = image_size(original, upright=False)
+            return width or there[0], height or there[1]
+        if self.images and photo and any(map(numbers.told, ("fl_x", "fl_y", "cx", "cy"))):
+            self._say(f"{self.name} tells no w and h: its lens is taken to be that of the photos of --images")
+        return None
+
+    def _pose(self, frame: dict, where: str) -> np.ndarray:
+        matrix = _matrix(frame["transform_matrix"], f"{where}: transform_matrix")
+        lengths = np.linalg.norm(matrix[:3, :3], axis=0)
+        mean = float(lengths.mean())
+        # One scale of all three axes leaves directions what they are: instant-ngp and nerfstudio do not notice it.
+        if mean > 0 and np.ptp(lengths) < ROTATION_TOLERANCE * mean and abs(mean - 1) > ROTATION_TOLERANCE / 2:
+            matrix[:3, :3] /= mean
+            self._scales.append(mean)
+        matrix[:3, 3] /= self._applied_scale
+        return self._from_source(self._undone @ matrix)
+
+    def _mask(self, frame: dict, where: str) -> Path | None:
+        """The mask that a frame names; for photos of images_2 the one in masks_2."""
+        if frame.get("mask_path") is None:
+            return None
+        listed = _listed(frame["mask_path"], f"{where}: mask_path")
+        if self.images and self.images.name.startswith("images_"):
+            smaller = self.images.parent / masks_beside(self.images.name)
+            if smaller.is_dir() and (mask := _copy_in(smaller, listed)):
+                return mask
+        mask = self._found(listed)
+        if mask is None:
+            raise BadInput(
+                f"{where}: its mask {self.root / listed} is not there; restore it, or take mask_path out of the list"
+            )
+        return mask
+
+
+def _undone(content: dict, path: str) -> tuple[np.ndarray, float]:
+    """[4, 4] back from nerfstudio's applied_transform to the frame that the cameras were found in, and applied_scale,
+    by which their centres were multiplied afterwards."""
+    scale = Numbers(content, {}, path).get("applied_scale", 1.0)
+    if not (np.isfinite(scale) and scale > 0):
+        raise BadInput(f"{path}: applied_scale is {scale:g}, expected a positive number; export it again")
+    undone = np.eye(4)
+    if "applied_transform" in content:
+        applied = _matrix(content["applied_transform"], f"{path}: applied_transform")
+        if abs(np.linalg.det(applied[:3, :3]) - 1) > 1e-3:
+            raise BadInput(f"{path}: applied_transform is no rotation and shift; export it again")
+        undone = np.linalg.inv(applied)
+    return undone, scale
 
 
 def _matrix(values: object, where: str) -> np.ndarray:
     try:
         matrix = np.asarray(values, dtype=np.float64)
-    except (TypeError, ValueError, OverflowError):
+    except (TypeError, ValueError, OverflowError, RecursionError):
         matrix = np.empty(0)
     if matrix.shape not in ((3, 4), (4, 4)):
         raise BadInput(f"{where} is no 4x4 matrix; export it again")
     if not np.isfinite(matrix).all():
         raise BadInput(f"{where} holds NaN or infinity; repair it or remove the photo from the list")
+    if len(matrix) == 4 and not np.allclose(matrix[3], [0, 0, 0, 1], rtol=0, atol=1e-6):
+        raise BadInput(f"{where} has {matrix[3].tolist()} as its last row, expected 0 0 0 1; is it transposed?")
     return with_last_row(matrix)
-
-
-def _told_splits(content: dict, path: Path) -> dict[str, str]:
-    told = {}
-    for key, split in (("val_filenames", "test"), ("test_filenames", "test"), ("train_filenames", "train")):
-        names = content.get(key, [])
-        if not isinstance(names, list):
-            raise BadInput(f"{path}: {key} is {names!r:.40}, expected a list of photos; export it again")
-        told |= {str(name): split for name in names}
-    return told
-
-
-def _camera(root, path, content, frame, index, undo, told, split, images) -> SourceCamera:
-    where = f"{path}: frame {index}"
-    if not isinstance(frame.get("file_path"), str) or "transform_matrix" not in frame:
-        raise BadInput(f"{where} lacks file_path or transform_matrix; export it again")
-    listed = _listed(frame["file_path"])
-    photo = _copy_in(image_folder(root, images), listed) if images else find_image(root / listed)
-    numbers = _Numbers(content | frame, where)
-    size, intrinsics, angle = _intrinsics(numbers)
-    return SourceCamera(
-        name=bare(listed).name,
-        source=frame["file_path"],
-        image=photo,
-        world_from_camera=from_opengl(undo @ _matrix(frame["transform_matrix"], f"{where}: transform_matrix")),
-        size=size,
-        intrinsics=intrinsics,
-        angle=angle,
-        distortion=_distortion(numbers),
-        split=split or told.get(frame["file_path"]),
-        mask=_mask(root, frame, where) if photo else None,
-        depth=_depth(root, bare(listed).name),
-    )
 
 
 def _depth(root: Path, name: str) -> Path | None:
@@ -134,15 +336,6 @@ def _depth(root: Path, name: str) -> Path | None:
     return found if found.is_file() else None
 
 
-def _mask(root: Path, frame: dict, where: str) -> Path | None:
-    if not isinstance(frame.get("mask_path"), str):
-        return None
-    mask = root / _listed(frame["mask_path"])
-    if not mask.is_file():
-        raise BadInput(f"{where}: its mask {mask} is not there; restore it, or take mask_path out of the list")
-    return mask
-
-
 def _copy_in(folder: Path, listed: Path) -> Path | None:
     """The photo of another folder: by its listed path, by that without its first folders, at last by its name alone."""
     parts = [part for part in listed.parts if part not in ("..", listed.anchor)]
@@ -150,70 +343,12 @@ def _copy_in(folder: Path, listed: Path) -> Path | None:
     return next(filter(None, places), None)
 
 
-def _listed(path: str) -> Path:
-    return Path(path.replace("\\", "/"))
-
-
-class _Numbers:
-    """Numbers of a frame, its own before those of the file; BadInput where one is no number."""
-
-    def __init__(self, values: dict, where: str) -> None:
-        self.values, self.where = values, where
-
-    def get(self, key: str, default: float = math.nan) -> float:
-        value = self.values.get(key, default)
-        if not isinstance(value, int | float) or isinstance(value, bool):
-            raise BadInput(f"{self.where}: {key} is {value!r}, expected a number; export it again")
-        try:
-            return float(value)
-        except OverflowError as error:
-            raise BadInput(f"{self.where}: {key} is beyond all numbers; export it again") from error
-
-    def side(self, key: str) -> int:
-        """A width or height in pixels."""
-        value = self.get(key)
-        if not 1 <= value < LARGEST_SIDE:
-            raise BadInput(f"{self.where}: {key} is {value:g}, expected a size in pixels; export it again")
-        return round(value)
-
-
-def _intrinsics(numbers: _Numbers):
-    """size or None, (fx, fy, cx, cy) or None, horizontal angle or None: what the frame tells of them."""
-    has = numbers.values.keys()
-    size = (numbers.side("w"), numbers.side("h")) if {"w", "h"} <= has else None
-    if "fl_x" in has:
-        fx = numbers.get("fl_x")
-        return size, (fx, numbers.get("fl_y", fx), numbers.get("cx"), numbers.get("cy")), None
-    if "camera_angle_x" not in has:
-        raise BadInput(f"{numbers.where} tells neither fl_x nor camera_angle_x; export it with one of them")
-    return size, None, numbers.get("camera_angle_x")
-
-
-def _distortion(numbers: _Numbers) -> Distortion:
-    model = str(numbers.values.get("camera_model", "OPENCV")).upper()
-    if numbers.values.get("is_fisheye"):
-        model = "OPENCV_FISHEYE"
-    k = tuple(numbers.get(f"k{i}", 0.0) for i in range(1, 5))
-    p = (numbers.get("p1", 0.0), numbers.get("p2", 0.0))
-    if not all(map(math.isfinite, (*k, *p))):
-        raise BadInput(f"{numbers.where}: a distortion coefficient is not finite; export it again")
-    if model in _FISHEYES:
-        return Distortion("fisheye", k)
-    if model not in _PINHOLES:
-        raise BadInput(
-            f"{numbers.where}: its camera model {model} is not known; undistort the pictures first, or use one of "
-            f"{', '.join(_PINHOLES + _FISHEYES)}"
-        )
-    return Distortion("brown", k, p)
-
-
 def _distinct(cameras: list[SourceCamera], root: Path) -> list[SourceCamera]:
     """Names that occur in several folders get their folder in front, as train/r_0, and so does their true depth."""
-    names, found = [camera.name for camera in cameras], []
-    doubled = {name for name in names if names.count(name) > 1}
+    counts, found = Counter(camera.name for camera in cameras), []
     for one in cameras:
-        if one.name in doubled:
-            name = str(bare(_listed(one.source))).lstrip("./")
+        if counts[one.name] > 1:
+            name = str(bare(_listed(one.source, "file_path"))).lstrip("./")
             one = replace(one, name=name, depth=_depth(root, name))
         found.append(one)
     return found

@@ -8,11 +8,17 @@ from stylerf.errors import InvalidValue
 ROTATION_TOLERANCE = 2e-3
 
 _OPENCV_FROM_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
+_OPENCV_FROM_MITSUBA = np.diag([-1.0, -1.0, 1.0, 1.0])
 
 
 def from_opengl(world_from_camera: np.ndarray) -> np.ndarray:
     """Blender, instant-ngp, nerfstudio: camera-to-world [.., 4, 4] with x right, y up, z backward."""
     return world_from_camera @ _OPENCV_FROM_OPENGL
+
+
+def from_mitsuba(world_from_camera: np.ndarray) -> np.ndarray:
+    """Mitsuba: camera-to-world [.., 4, 4] with x left, y up, z forward."""
+    return world_from_camera @ _OPENCV_FROM_MITSUBA
 
 
 def from_llff(pose: np.ndarray) -> np.ndarray:

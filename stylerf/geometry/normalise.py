@@ -16,6 +16,11 @@ FORWARD_SPREAD = 25.0
 # Near plane of a forward capture, as a share of the nearest depth told; 1 in scene units.
 FORWARD_NEAR = 0.75
 UNBOUNDED_NEAR, UNBOUNDED_FAR = 0.05, 1e3
+# Centres this near to one another, as a share of their largest coordinate, differ by rounding alone: two steps of
+# single precision, in which many tools keep poses. About the origin: rounding of rotations in double precision.
+ONE_POINT, ONE_POINT_AT_ORIGIN = 2.4e-7, 1e-12
+# Least baseline as a share of the nearest depth: a hundredth of a pixel of parallax at a focal length of 1,000 pixels.
+LEAST_PARALLAX = 1e-5
 
 
 @dataclass(frozen=True)
@@ -45,6 +50,29 @@ def decided_layout(poses: np.ndarray, cut_out: str) -> Layout:
     )
 
 
+def baseline_of(poses: np.ndarray) -> float:
+    """Largest distance of a camera from the middle of all; InvalidValue where all stand at one point."""
+    centres = poses[:, :3, 3]
+    baseline = float(np.linalg.norm(centres - centres.mean(0), axis=1).max())
+    largest = float(np.abs(centres).max())
+    if not baseline > max(ONE_POINT * largest, ONE_POINT_AT_ORIGIN):
+        raise InvalidValue(
+            f"all cameras stand at one point (within {baseline:.2g}, at coordinates up to {largest:.2g}): without a "
+            "baseline there is no depth"
+        )
+    return baseline
+
+
+def check_baseline(poses: np.ndarray, near_far: np.ndarray | None, points: np.ndarray | None) -> None:
+    """InvalidValue where the cameras stand at one point, by themselves or against the depths told (nearest_depth)."""
+    baseline, (nearest, known) = baseline_of(poses), nearest_depth(poses, near_far, points)
+    if baseline < LEAST_PARALLAX * nearest:
+        raise InvalidValue(
+            f"all cameras stand at one point: within {baseline:.3g}, where the nearest depth is {nearest:.3g} by "
+            f"{known}"
+        )
+
+
 def focus_of(poses: np.ndarray) -> np.ndarray:
     """The point nearest (least squares) to all viewing axes, [3].
 
@@ -53,9 +81,7 @@ def focus_of(poses: np.ndarray) -> np.ndarray:
     centres, forward = poses[:, :3, 3], poses[:, :3, 2]
     across = np.eye(3) - forward[:, :, None] * forward[:, None, :]  # [n, 3, 3]
     total = across.sum(0)
-    middle, spread = centres.mean(0), np.linalg.norm(centres - centres.mean(0), axis=1).max()
-    if spread == 0:
-        raise InvalidValue("all cameras stand at one point: without a baseline there is no depth")
+    middle, spread = centres.mean(0), baseline_of(poses)
     if np.linalg.eigvalsh(total)[0] / len(poses) > 1e-4:
         focus = np.linalg.solve(total, (across @ centres[:, :, None]).sum(0)[:, 0])
         if ((focus - centres) * forward).sum(1).mean() > 0:
@@ -109,6 +135,8 @@ def centred(poses: np.ndarray) -> np.ndarray:
     """For captures around something: focus at the origin, up = +z, median distance of the cameras to the focus 1."""
     focus = focus_of(poses)
     distance = float(np.median(np.linalg.norm(poses[:, :3, 3] - focus, axis=1)))
+    if distance <= ONE_POINT * baseline_of(poses):
+        raise InvalidValue("most cameras stand at the very point that they look at; check the convention of the poses")
     return similarity(1 / distance, rotation_between(up_of(poses), np.array([0.0, 0.0, 1.0])), focus)
 
 
@@ -116,8 +144,12 @@ def facing(poses: np.ndarray, nearest: float) -> np.ndarray:
     """For forward captures: the average camera at the origin looks along +z, y down; the near plane, FORWARD_NEAR of
     the nearest depth told, is at 1."""
     forward = poses[:, :3, 2].mean(0)
+    if np.linalg.norm(forward) < 1e-6:
+        raise InvalidValue("the cameras look in opposite directions: no layout of forward-facing cameras fits them")
     forward /= np.linalg.norm(forward)
     right = np.cross(poses[:, :3, 1].mean(0), forward)
+    if np.linalg.norm(right) < 1e-6:  # cameras rolled all ways have no common downwards
+        right = np.cross(np.eye(3)[np.argmin(np.abs(forward))], forward)
     right /= np.linalg.norm(right)
     rotation = np.stack([right, np.cross(forward, right), forward])
     return similarity(1 / (FORWARD_NEAR * nearest), rotation, poses[:, :3, 3].mean(0))
@@ -134,10 +166,7 @@ def nearest_depth(poses: np.ndarray, near_far: np.ndarray | None, points: np.nda
         depths = np.concatenate([(points - pose[:3, 3]) @ pose[:3, 2] for pose in poses])
         if (depths > 0).mean() > 0.5:
             return float(np.percentile(depths[depths > 0], 0.5)), "the sparse points"
-    spread = float(np.linalg.norm(poses[:, :3, 3] - poses[:, :3, 3].mean(0), axis=1).max())
-    if spread == 0:
-        raise InvalidValue("all cameras stand at one point: without a baseline there is no depth")
-    return spread, "the baseline of the cameras, for want of better"
+    return baseline_of(poses), "the baseline of the cameras, for want of better"
 
 
 def frustum_box(cameras: list[Camera], near: float, far: float) -> np.ndarray:

@@ -14,6 +14,7 @@ from stages import region_select
 from stages.evaluation.masks import mask_of
 from stages.paintings import read_painting
 from stages.readers.digest import digest_of_source
+from stages.readers.photo_folder import photos_of
 from stages.readers.source import find_image
 from stages.scenes import load_scene
 from stylerf_cli.verbs.import_ import config_for
@@ -274,6 +275,17 @@ def test_what_an_import_does_not_read_does_not_count(source, tmp_path, kind):
     assert masked != before
     (tmp_path / "elsewhere" / "images" / "p00.png").write_bytes((source / "images" / "p01.png").read_bytes())
     assert digest_of_source(tmp_path / "elsewhere", images="images") not in (before, masked)
+
+
+def test_a_dynamic_mask_counts_and_is_no_photo(posed):
+    for kind in ("transforms", "photos"):
+        (posed / "images" / "dynamic_mask_p01.png").unlink(missing_ok=True)
+        before = digest_of_source(posed, kind)
+        write_mask(posed / "images" / "dynamic_mask_p01.png")
+        first = digest_of_source(posed, kind)
+        write_png(posed / "images" / "dynamic_mask_p01.png", np.zeros((36, 48), np.uint8))
+        assert len({before, first, digest_of_source(posed, kind)}) == 3
+    assert [photo.stem for photo in photos_of(posed)] == ["p00", "p01", "p02", "p03"]
 
 
 def test_a_list_of_poses_counts(posed):

@@ -4,6 +4,7 @@ of them in the work folder."""
 import json
 import math
 import os
+import pickle
 import struct
 from pathlib import Path
 
@@ -137,8 +138,8 @@ def test_truncated_truth_and_masks(posed, capsys):
     mask = posed / "masks" / "p03.png"
     mask.write_bytes(mask.read_bytes()[:60])
     assert "masks/p03.png" in refused(posed, capsys)
-    write_png(mask, np.full((18, 24), 255, np.uint8))
-    assert "p03.png is 24x18 where its photo is 48x36" in refused(posed, capsys)
+    write_png(mask, np.full((18, 30), 255, np.uint8))
+    assert "p03.png is 30x18 where its photo is 48x36" in refused(posed, capsys)
     mask.unlink()
     flat = np.ones((36, 48), np.float32)
     view = ExrView(np.ones((36, 48, 3), np.float32), flat, flat, flat, np.eye(4), (45, 45, 24, 18), 0.1, 9.0)
@@ -225,9 +226,10 @@ def put(pose: np.ndarray, row: int, column: int, value: float) -> list:
 POSES = {
     "NaN": (lambda pose: put(pose, 0, 0, NAN), "NaN or infinity"),
     "infinite centre": (lambda pose: put(pose, 1, 3, INF), "NaN or infinity"),
-    "scaled": (lambda pose: (pose * [[2, 2, 2, 1]]).tolist(), "is not a rotation"),
+    "stretched": (lambda pose: (pose * [[2, 2, 1, 1]]).tolist(), "is not a rotation"),
+    "transposed": (lambda pose: pose.T.tolist(), "as its last row, expected 0 0 0 1; is it transposed?"),
     "mirrored": (lambda pose: (pose * [[-1, 1, 1, 1]]).tolist(), "mirrored"),
-    "zero": (lambda pose: np.zeros((4, 4)).tolist(), "is not a rotation"),
+    "zero": (lambda pose: np.diag([0.0, 0, 0, 1]).tolist(), "is not a rotation"),
     "3x3": (lambda pose: pose[:3, :3].tolist(), "no 4x4 matrix"),
     "ragged": (lambda pose: [[1, 2], [3]], "no 4x4 matrix"),
     "text": (lambda pose: "identity", "no 4x4 matrix"),
@@ -247,8 +249,8 @@ LENSES = {
     "negative focal": ({"fl_y": -3.0}, "must be positive"),
     "NaN focal": ({"fl_x": NAN}, "must be positive"),
     "focal in words": ({"fl_x": "long"}, "fl_x is 'long', expected a number"),
-    "no lens": ({"fl_x": ...}, "neither fl_x nor camera_angle_x"),
-    "zero angle": ({"fl_x": ..., "camera_angle_x": 0.0}, "field of view 0.0 is not between 0 and pi"),
+    "no lens": ({"fl_x": ..., "fl_y": ...}, "tells no focal length: neither fl_x nor camera_angle_x"),
+    "zero angle": ({"fl_x": ..., "camera_angle_x": 0.0}, "its horizontal field of view, 0, is not between 0 and pi"),
     "unknown model": ({"camera_model": "EQUIRECTANGULAR"}, "camera model EQUIRECTANGULAR is not known"),
     "NaN distortion": ({"k1": NAN}, "not finite"),
     "NaN tangential distortion": ({"p1": NAN}, "not finite"),
@@ -302,12 +304,54 @@ def test_poses_of_llff_that_are_none(source, capsys, spoil, words):
     assert words in refused(source, capsys)
 
 
+def npy(header: str, data: bytes = b"") -> bytes:
+    """A .npy file of version 1 with this header, whatever it says."""
+    return b"\x93NUMPY\x01\x00" + struct.pack("<H", len(header) + 1) + header.encode() + b"\n" + data
+
+
+NO_POSES = {
+    "npz": (None, "a zip archive, as .npz is"),
+    "pickle": (pickle.dumps([1, 2]), "no .npy file"),
+    "huge": (npy("{'descr': '<f8', 'fortran_order': False, 'shape': (9000000000, 17)}"), "cut short: its header tells"),
+    "deep": (npy("{'descr': " + "[" * 5000 + "}"), "cannot be read"),
+    "long": (npy("{" + " " * 50000 + "}"), "cannot be read"),
+    "objects": (npy("{'descr': '|O', 'fortran_order': False, 'shape': (0, 17)}"), "cannot be read"),
+    "named columns": (npy("{'descr': [('a', '<f8')], 'fortran_order': False, 'shape': (0, 17)}"), "LLFF's is n x 17"),
+    "negative": (npy("{'descr': '<f8', 'fortran_order': False, 'shape': (-1, 17)}", b"0" * 136), "cannot be read"),
+    "text": (b"1 2 3\n", "no .npy file"),
+}
+
+
+@pytest.mark.parametrize("name", NO_POSES)
+def test_files_named_as_poses_of_llff(source, capsys, name):
+    data, words = NO_POSES[name]
+    if data is None:
+        np.savez(source / "poses.npz", capture.llff())
+        (source / "poses.npz").rename(source / "poses_bounds.npy")
+    else:
+        (source / "poses_bounds.npy").write_bytes(data)
+    assert words in refused(source, capsys)
+
+
+def test_cameras_of_llff_at_one_point(source, capsys):
+    rows = capture.llff()
+    rows[:, [3, 8, 13]] = 0.1, 0.2, 0.3
+    np.save(source / "poses_bounds.npy", rows)
+    assert "all cameras stand at one point" in refused(source, capsys)
+
+
+@pytest.mark.parametrize("name", ["transforms.json", "transforms_a.json"])
+def test_a_list_that_is_a_pipe(source, capsys, name):
+    os.mkfifo(source / name)
+    assert f"{name} is a named pipe, not a file" in refused(source, capsys)
+
+
 @pytest.mark.parametrize("keep", [0, 20, 200])
 def test_truncated_lists_of_poses(source, capsys, keep):
     capture.write_transforms(source, capture.transforms())
     whole = source / "transforms.json"
     whole.write_bytes(whole.read_bytes()[:keep])
-    assert "transforms.json is no JSON" in refused(source, capsys)
+    assert "transforms.json is not valid JSON" in refused(source, capsys)
     whole.unlink()
     np.save(source / "poses_bounds.npy", capture.llff())
     (source / "poses_bounds.npy").write_bytes((source / "poses_bounds.npy").read_bytes()[:keep])

@@ -77,11 +77,53 @@ def test_facing_looks_along_z_with_y_down_and_near_before_everything():
         assert abs(scale * nearest - 4 / 3) < 1e-9  # the near plane at 1 is three quarters of it
 
 
-def test_cameras_at_one_point_are_refused():
+@pytest.mark.parametrize("centre", [(0, 0, 0), (1, 1, 1), (0.1, 0.2, 0.3), (1e-3, 0, 0), (5e5, 4e6, 120)])
+@pytest.mark.parametrize("kept_in", [np.float32, np.float64])
+def test_cameras_at_one_point_are_refused(centre, kept_in):
+    """Differing by rounding, as after a turn of the camera and back in the numbers that a tool keeps."""
     poses = poses_of(ring())
-    poses[:, :3, 3] = 1.0
-    with pytest.raises(InvalidValue, match="one point"):
-        normalise.focus_of(poses)
+    for pose in poses:
+        turn = pose[:3, :3].astype(kept_in)
+        pose[:3, 3] = turn @ (turn.T @ kept_in(centre))
+    for refusal in (normalise.focus_of, normalise.centred, lambda all: normalise.nearest_depth(all, None, None)):
+        with pytest.raises(InvalidValue, match="one point"):
+            refusal(poses)
+
+
+@pytest.mark.parametrize("scale", [1e-9, 1e-4, 1e6])
+@pytest.mark.parametrize("capture", [ring, forward])
+def test_neither_unit_nor_origin_decide_whether_cameras_stand_at_one_point(capture, scale):
+    poses = poses_of(capture())
+    wanted = np.cbrt(np.linalg.det(normalise.centred(poses)[:3, :3]))
+    small, far = poses.copy(), poses.copy()
+    small[:, :3, 3] *= scale
+    far[:, :3, 3] += [5e5, 4e6, 120]  # metres of a map
+    assert np.isclose(np.cbrt(np.linalg.det(normalise.centred(small)[:3, :3])) * scale, wanted)
+    assert np.isclose(np.cbrt(np.linalg.det(normalise.centred(far)[:3, :3])), wanted, rtol=1e-4)
+
+
+def test_a_baseline_too_small_for_the_depths_is_refused():
+    poses = poses_of(forward())
+    points = np.random.default_rng(0).uniform([-5, 20, -5], [5, 40, 5], (500, 3))
+    told = np.tile([17.0, 80.0], (9, 1))
+    normalise.check_baseline(poses, told, points)
+    poses[:, :3, 3] = 1e-6 * (poses[:, :3, 3] - poses[:, :3, 3].mean(0))
+    for known in ((told, None), (None, points)):
+        with pytest.raises(InvalidValue, match=r"one point: within .* where the nearest depth is"):
+            normalise.check_baseline(poses, *known)
+    normalise.check_baseline(poses, None, None)  # nothing tells the depths
+
+
+def test_forward_layouts_of_cameras_that_have_none():
+    turned_about = poses_of(forward(2))
+    turned_about[1] = turned_about[0] @ np.diag([-1.0, 1, -1, 1])
+    turned_about[1, :3, 3] += 1
+    with pytest.raises(InvalidValue, match="opposite directions"):
+        normalise.facing(turned_about, 20.0)
+    rolled = poses_of(forward(2))
+    rolled[1, :3, :3] = rolled[0, :3, :3] @ np.diag([-1.0, -1, 1])
+    rolled[1, :3, 3] += 1
+    assert np.isclose(np.linalg.det(normalise.facing(rolled, 20.0)[:3, :3]), 1 / 15**3)
 
 
 def test_nearest_depth_prefers_what_is_told_then_points():
