@@ -11,7 +11,7 @@ from schemas.errors import ArtefactDamaged, BadInput
 from schemas.exr import ExrView, write_exr
 from schemas.images import read_image, write_png
 from schemas.scene import Bounds, Scene, Truth, View, as_matrix, write_scene
-from schemas.store import Recipe, Work
+from schemas.store import Artefact, Recipe, Work
 from schemas.tensors import save_tensors
 from stages import distill, finetune
 from stages.scenes import EDIT_TARGETS, EXPOSURE_STOPS, load_scene, view_index
