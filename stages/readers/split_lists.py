@@ -31,14 +31,15 @@ def with_splits(
     """
     told: dict[str, str] = {}
     notes = []
-    keys = {key: one.source for one in cameras for key in _keys(one)}
+    known = _keys(cameras)
     for path, split in lists:
         names = [line.strip().replace("\\", "/") for line in read_text(path, MOST_BYTES).splitlines()]
         names = [name for name in names if name and not name.startswith("#")]
-        found = {keys[name] for name in names if name in keys}
+        photos = {name: _photo(name, known) for name in names}
+        found = set(filter(None, photos.values()))
         if not found:
             notes.append(f"{path} names no photo of the model and is not used")
-        elif unknown := [name for name in names if name not in keys]:
+        elif unknown := [name for name, photo in photos.items() if not photo]:
             notes.append(f"{path}: {len(unknown)} names are of no photo of the model, {printable(unknown[0])!r} first")
         told = {source: split for source in found} | told
     splits = set(told.values())
@@ -53,6 +54,17 @@ def with_splits(
     return [one for one in kept if one.split], skipped, notes
 
 
-def _keys(camera: SourceCamera) -> set[str]:
-    listed = camera.source.replace("\\", "/")
-    return {listed, listed.rsplit("/", 1)[-1], camera.name} | ({camera.image.name} if camera.image else set())
+def _keys(cameras: list[SourceCamera]) -> dict[str, str]:
+    """The photos by their listed paths, by those without first folders, by the names of their views: what is unique."""
+    found: dict[str, set[str]] = {}
+    for one in cameras:
+        listed = one.source.replace("\\", "/")
+        for key in {listed, listed.rsplit("/", 1)[-1], one.name}:
+            found.setdefault(key, set()).add(one.source)
+    return {key: next(iter(photos)) for key, photos in found.items() if len(photos) == 1}
+
+
+def _photo(name: str, known: dict[str, str]) -> str | None:
+    """The photo that a line means: by its path, or without first folders of it."""
+    parts = name.split("/")
+    return next((known[end] for start in range(len(parts)) if (end := "/".join(parts[start:])) in known), None)
