@@ -92,7 +92,7 @@ def read_model(folder: Path) -> Model:
     if not kinds:
         raise BadInput(
             f"the COLMAP model {folder} is incomplete: it has {', '.join(there) or 'no file'}, and needs both cameras "
-            "and images, as .bin or as .txt; export it again"
+            "and images, as .bin or as .txt; export it again, or find new poses with --format photos"
         )
     if len(kinds) == 1:
         half = [name for name in there if not name.endswith(kinds[0]) and not name.startswith("points3D")]
