@@ -70,8 +70,8 @@ def _source(config: ImportConfig, partial: Partial, context: Context) -> SourceS
     scene = read_source(source, config.format, config.images)
     also = f" (also there: {', '.join(found.also)}; --format takes another)" if found.also else ""
     context.progress.say(f"found {scene.kind}{also}")
-    for note in scene.notes:
-        context.progress.say(note)
+    for remark in scene.remarks:
+        context.progress.say(remark)
     return scene
 
 

@@ -14,11 +14,11 @@ XML_MARKS = (b"<document", b"<chunk")
 
 @dataclass(frozen=True)
 class Found:
-    """What a source holds. kind: one of FORMATS, or photos. also: other formats there. notes: what else to say."""
+    """What a source holds. kind: one of FORMATS, or photos. also: other formats there. remarks: what else to say."""
 
     kind: str
     also: tuple[str, ...] = ()
-    notes: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()
 
 
 def found_in(source: Path, format: str = "auto") -> Found:
@@ -41,12 +41,12 @@ def found_in(source: Path, format: str = "auto") -> Found:
         )
     if not kinds:
         return Found("photos")
-    notes = [f"poses of {one.tool} are not read ({printable(one.path.name)})" for one in foreign]
+    remarks = [f"poses of {one.tool} are not read ({printable(one.path.name)})" for one in foreign]
     incomplete = [one for one in model_folders(source) if not whole_model(one)]
     if incomplete and kinds[0] != "colmap":
-        notes.append(f"the COLMAP model {incomplete[0]} lacks cameras or images and is not used")
+        remarks.append(f"the COLMAP model {incomplete[0]} lacks cameras or images and is not used")
     also = [kind for kind in kinds[1:] if not (kind == "colmap" and incomplete)]
-    return Found(kinds[0], tuple(also), tuple(notes))
+    return Found(kinds[0], tuple(also), tuple(remarks))
 
 
 def detected(source: Path) -> list[str]:
@@ -159,4 +159,4 @@ def read_source(source: Path, format: str = "auto", images: str = "") -> SourceS
         if FORMATS.index(found.kind) > 2:
             raise BadInput(f"{error}; or find new poses from the photos, with --format photos") from error
         raise
-    return replace(scene, notes=found.notes + scene.notes)
+    return replace(scene, remarks=found.remarks + scene.remarks)

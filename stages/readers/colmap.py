@@ -42,12 +42,12 @@ def read(source: Path, images: str) -> SourceScene:
     folder = image_folder(root, images) if images else below
     scene = scene_of(models[largest], folder, root, kind, bool(images), above=root)
     lists = lists_of(root, largest)
-    cameras, skipped, notes = with_splits(scene.cameras, lists)
+    cameras, skipped, remarks = with_splits(scene.cameras, lists)
     return replace(
         scene,
         cameras=cameras,
         skipped=tuple(skipped),
-        notes=(*faults, *models[largest].notes, *scene.notes, *notes),
+        remarks=(*faults, *models[largest].remarks, *scene.remarks, *remarks),
         files=(*(path for one in folders for path in files_of(one)), *(path for path, _ in lists)),
     )
 
@@ -89,7 +89,7 @@ def scene_of(
             )
         )
     points = SourcePoints(model.xyz, model.rgb, model.error) if len(model.xyz) else None
-    return SourceScene(kind, with_masks(cameras, root), points, rescalable=rescalable, notes=photos.notes())
+    return SourceScene(kind, with_masks(cameras, root), points, rescalable=rescalable, remarks=photos.remarks())
 
 
 def _photos(source: Path, model: Path) -> tuple[Path, Path]:

@@ -55,7 +55,7 @@ class ModelImage:
 class Model:
     """Cameras by number; photos; points [n, 3] float64 with colours [n, 3] uint8 and errors [n] float32 pixels.
 
-    notes: what is odd about the files, a line each.
+    remarks: what is odd about the files, a line each.
     """
 
     cameras: dict[int, ModelCamera]
@@ -63,7 +63,7 @@ class Model:
     xyz: np.ndarray
     rgb: np.ndarray
     error: np.ndarray
-    notes: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()
 
 
 class _Damaged(Exception):
@@ -102,11 +102,11 @@ def read_model(folder: Path) -> Model:
         binary = _model(folder, ".bin")
     except BadInput as error:
         return _model(folder, ".txt", (f"{error}; its text was taken",))
-    return replace(binary, notes=binary.notes + _against_text(folder, binary))
+    return replace(binary, remarks=binary.remarks + _against_text(folder, binary))
 
 
-def _model(folder: Path, end: str, notes: tuple[str, ...] = ()) -> Model:
-    binary, said = end == ".bin", list(notes)
+def _model(folder: Path, end: str, remarks: tuple[str, ...] = ()) -> Model:
+    binary, said = end == ".bin", list(remarks)
     cameras = _read(folder / f"cameras{end}", _cameras_binary if binary else _cameras_text, said)
     images = _read(folder / f"images{end}", _images_binary if binary else _images_text, said)
     points = (np.zeros((0, 3)), np.zeros((0, 3), np.uint8), np.zeros(0, np.float32))
@@ -156,7 +156,7 @@ def _alike(one: ModelCamera | None, other: ModelCamera) -> bool:
     )
 
 
-def _read(path: Path, parse, notes: list[str]):
+def _read(path: Path, parse, remarks: list[str]):
     try:
         if path.suffix == ".bin":
             data = _Bytes(read_bytes(path, MOST_BYTES))
@@ -168,7 +168,7 @@ def _read(path: Path, parse, notes: list[str]):
         if path.stem == "points3D":
             return content
         if lines.told not in (None, len(content)):
-            notes.append(f"{path}: its head tells of {lines.told} entries, {len(content)} are there")
+            remarks.append(f"{path}: its head tells of {lines.told} entries, {len(content)} are there")
         return content
     except FileNotFoundError as error:
         raise BadInput(f"{path} cannot be read ({error.strerror}); export the COLMAP model again") from error

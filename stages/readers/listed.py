@@ -51,7 +51,7 @@ class Folder:
             self.shortened.append(listed)
         return bare(found.relative_to(root)).as_posix(), found
 
-    def notes(self) -> tuple[str, ...]:
+    def remarks(self) -> tuple[str, ...]:
         """What to say of photos that do not lie where the list has them."""
         if not self.shortened:
             return ()
@@ -66,7 +66,9 @@ class Folder:
             places.insert(1, (self.above, inner))
         for root, path in places:
             # macOS writes names decomposed, other systems composed.
-            for form in dict.fromkeys((path, *(unicodedata.normalize(one, path) for one in ("NFC", "NFD")))):
+            forms = (path, *(unicodedata.normalize(one, path) for one in ("NFC", "NFD")))
+            titled = (str(Path(form).with_suffix(Path(form).suffix.title())) for form in forms)  # .Jpg
+            for form in dict.fromkeys((*forms, *titled)):
                 if found := find_image(root / form):
                     return found, root, (root, path) == places[0]
         return None, self.folder, False

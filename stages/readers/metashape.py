@@ -69,7 +69,7 @@ def read(source: Path, images: str) -> SourceScene:
     cameras = with_masks(sorted(cameras, key=lambda one: natural(one.source)), root)
     return SourceScene(
         "cameras of Metashape", cameras, rescalable=bool(images), skipped=tuple(skipped),
-        notes=(*photos.notes(), *apart), files=(path,),
+        remarks=(*photos.remarks(), *apart), files=(path,),
     )  # fmt: skip
 
 

@@ -56,14 +56,14 @@ def read(source: Path, images: str) -> SourceScene:
     ]
     if not cameras:
         raise BadInput(f"{path} holds no shot; run OpenSfM's `reconstruct` again")
-    notes = list(photos.notes())
+    remarks = list(photos.remarks())
     if len(parts) > 1:
         others = ", ".join(str(count) for index, count in enumerate(counts) if index != largest)
         told = f"of {len(parts)} reconstructions that of most photos, {counts[largest]}, was taken (others: {others})"
-        notes.append(told)
+        remarks.append(told)
     return SourceScene(
         "reconstruction of OpenSfM", with_masks(cameras, root), _points(parts[largest], where),
-        rescalable=bool(images), notes=tuple(notes), files=(path,),
+        rescalable=bool(images), remarks=tuple(remarks), files=(path,),
     )  # fmt: skip
 
 

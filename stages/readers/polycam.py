@@ -32,7 +32,7 @@ def read(source: Path, images: str) -> SourceScene:
     cameras = [_camera(path, photos) for path in files]
     return SourceScene(
         f"keyframes of Polycam ({of_cameras.name})", with_masks(cameras, source), rescalable=bool(images),
-        notes=photos.notes(), files=tuple(files),
+        remarks=photos.remarks(), files=tuple(files),
     )  # fmt: skip
 
 

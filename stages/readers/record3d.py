@@ -42,9 +42,9 @@ def read(source: Path, images: str) -> SourceScene:
         )
         for number, photo in sorted(photos.items())
     ]  # fmt: skip
-    notes = (f"{len(poses) - len(photos)} of {len(poses)} frames have no photo",) if len(photos) < len(poses) else ()
+    remarks = (f"{len(poses) - len(photos)} of {len(poses)} frames have no photo",) if len(photos) < len(poses) else ()
     return SourceScene(
-        "recording of Record3D", with_masks(cameras, root), rescalable=bool(images), notes=notes, files=(path,)
+        "recording of Record3D", with_masks(cameras, root), rescalable=bool(images), remarks=remarks, files=(path,)
     )
 
 

@@ -50,7 +50,8 @@ class SourceScene:
 
     rescalable: photos may be a smaller copy of those that the intrinsics are of. upright: cameras are of the photos as
     EXIF turns them, else as they are stored. sfm: figures of a reconstruction. skipped: (photo, reason) of those that
-    the reader left out itself. notes: what the user is to know, a line each. files: those that tell the poses.
+    the reader left out itself. remarks: what the source tells and the reader passed over or took in one of two ways, a
+    line each. files: those that tell the poses.
     """
 
     kind: str
@@ -61,7 +62,7 @@ class SourceScene:
     upright: bool = False
     sfm: dict | None = None
     skipped: tuple[tuple[str, str], ...] = ()
-    notes: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()
     files: tuple[Path, ...] = ()
 
 
@@ -76,7 +77,7 @@ def bare(path: Path) -> Path:
 def find_image(path: Path) -> Path | None:
     """The file at `path`, or, where the source leaves the suffix out or has another case, the image of that name."""
     if path.suffix.lower() in IMAGE_SUFFIXES:
-        for suffix in (path.suffix, path.suffix.lower(), path.suffix.upper(), path.suffix.title()):
+        for suffix in (path.suffix, path.suffix.lower(), path.suffix.upper()):
             if (candidate := path.with_suffix(suffix)).is_file():
                 return candidate
     for suffix in IMAGE_SUFFIXES:

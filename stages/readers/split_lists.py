@@ -30,7 +30,7 @@ def with_splits(
     names no photo of the model is another file, and does not count.
     """
     told: dict[str, str] = {}
-    notes = []
+    remarks = []
     known = _keys(cameras)
     for path, split in lists:
         names = [line.strip().replace("\\", "/") for line in read_text(path, MOST_BYTES).splitlines()]
@@ -38,20 +38,21 @@ def with_splits(
         photos = {name: _photo(name, known) for name in names}
         found = set(filter(None, photos.values()))
         if not found:
-            notes.append(f"{path} names no photo of the model and is not used")
+            remarks.append(f"{path} names no photo of the model and is not used")
         elif unknown := [name for name, photo in photos.items() if not photo]:
-            notes.append(f"{path}: {len(unknown)} names are of no photo of the model, {printable(unknown[0])!r} first")
+            first = printable(unknown[0])
+            remarks.append(f"{path}: {len(unknown)} names are of no photo of the model, {first!r} first")
         told = {source: split for source in found} | told
     splits = set(told.values())
     if not splits:
-        return cameras, [], notes
+        return cameras, [], remarks
     rest = None if len(splits) == 2 else ({"train", "test"} - splits).pop()
     kept = [replace(one, split=told.get(one.source, rest)) for one in cameras]
     skipped = [(one.source, "in no list of training or test photos") for one in kept if one.split is None]
     train, test = (sum(one.split == split for one in kept) for split in ("train", "test"))
     names = ", ".join(path.name for path, _ in lists)
-    notes.append(f"split by {names}: {train} photos to train on, {test} for tests, {len(skipped)} left out")
-    return [one for one in kept if one.split], skipped, notes
+    remarks.append(f"split by {names}: {train} photos to train on, {test} for tests, {len(skipped)} left out")
+    return [one for one in kept if one.split], skipped, remarks
 
 
 def _keys(cameras: list[SourceCamera]) -> dict[str, str]:

@@ -383,7 +383,7 @@ def test_named(tmp_path, row):
     assert found_in(root, "photos").kind == "photos"
     write_colmap(root)
     assert found_in(root).kind == "colmap"
-    assert found_in(root).notes == (f"poses of {tool} are not read ({Path(name).name})",)
+    assert found_in(root).remarks == (f"poses of {tool} are not read ({Path(name).name})",)
 
 
 @pytest.mark.parametrize("name", ["sidecar.xmp", "notes.csv", "layout.xml"])
