@@ -173,7 +173,7 @@ def _read(path: Path, parse, remarks: list[str]):
     except FileNotFoundError as error:
         raise BadInput(f"{path} cannot be read ({error.strerror}); export the COLMAP model again") from error
     except _Damaged as error:
-        raise BadInput(f"{path} is damaged ({error}); export the COLMAP model again") from error
+        raise BadInput(f"{path} is damaged ({printable(str(error)[:300])}); export the COLMAP model again") from error
     except (ValueError, IndexError, struct.error, OverflowError) as error:
         raise BadInput(f"{path} is damaged (no {path.stem} of COLMAP); export the COLMAP model again") from error
 
@@ -254,7 +254,7 @@ def _images_binary(data: _Bytes) -> list[ModelImage]:
 
 def _image(number: int, name: str, camera: int, pose: list[float]) -> ModelImage:
     quaternion, shift = np.array(pose[:4]), np.array(pose[4:])
-    length = float(np.linalg.norm(quaternion))
+    length = math.hypot(*quaternion)  # no warning where it overflows
     if not (np.isfinite(pose).all() and abs(length - 1) < ROUNDING):
         told = f": its quaternion has length {length:.3g}, expected 1" if math.isfinite(length) else ""
         raise _Damaged(f"the pose of {printable(name)!r} is no rotation{told}")

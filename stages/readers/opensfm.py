@@ -5,6 +5,7 @@ units of the longer side, from the picture's centre (OpenSfM, doc/source/geometr
 pixel centres at whole numbers it lies at ((w - 1)/2, (h - 1)/2).
 """
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -100,7 +101,7 @@ def _camera(key: str, shot: object, lenses: dict, photos: Folder, where: str) ->
 
 def _rotation(vector: np.ndarray) -> np.ndarray:
     """[3, 3] of angle times axis (Rodrigues)."""
-    angle = float(np.linalg.norm(vector))
+    angle = math.hypot(*vector)
     x, y, z = vector / angle if angle > 1e-12 else vector
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     return np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross

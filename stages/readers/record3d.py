@@ -4,6 +4,7 @@ A pose is (qx, qy, qz, qw, x, y, z), camera-to-world with ARKit's axes, x right,
 column; perFrameIntrinsicCoeffs, where they are there, are (fx, fy, cx, cy) of each frame. Frame N is N.jpg.
 """
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -59,7 +60,7 @@ def _intrinsics(content: object, count: int, where: str) -> np.ndarray:
 
 def _pose(values: object, where: str) -> np.ndarray:
     x, y, z, w, *centre = row(values, 7, where)
-    length = float(np.linalg.norm([w, x, y, z]))
+    length = math.hypot(w, x, y, z)
     if abs(length - 1) > ROUNDING:
         raise BadInput(f"{where}: its quaternion has length {length:.3g}, expected 1")
     return with_last_row(np.column_stack([rotation_of(np.array([w, x, y, z]) / length), centre]))

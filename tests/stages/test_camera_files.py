@@ -14,6 +14,7 @@ from tests.stages.importing import imported
 from tests.stylerf_cli import capture
 
 GL_FROM_CV = capture.GL_FROM_CV
+UNMOVED = np.eye(4)
 
 
 @pytest.fixture
@@ -29,7 +30,7 @@ def written(folder: Path, content: object, name: str = "camera_path.json") -> Pa
     return folder / name
 
 
-def path_of_nerfstudio(frame: np.ndarray = np.eye(4), nested: bool = False, **changes) -> dict:
+def path_of_nerfstudio(frame: np.ndarray = UNMOVED, nested: bool = False, **changes) -> dict:
     """The capture's cameras as nerfstudio's viewer exports them, in a frame [4, 4] that it has of the source."""
     scale = np.cbrt(np.linalg.det(frame[:3, :3]))
     entries = []
@@ -127,5 +128,5 @@ def test_files_that_are_no_paths(scene, tmp_path, content, words):
 def test_a_frame_of_nerfstudio_that_is_none(scene, tmp_path, content):
     path = written(tmp_path, path_of_nerfstudio())
     written(tmp_path, content, "dataparser_transforms.json")
-    with pytest.raises(BadInput, match="dataparser_transforms.json"):
+    with pytest.raises(BadInput, match=r"dataparser_transforms\.json"):
         read_cameras(path, scene)

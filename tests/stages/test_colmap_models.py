@@ -9,6 +9,7 @@ import struct
 import unicodedata
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from schemas.errors import BadInput
@@ -187,6 +188,17 @@ def incomplete(root: Path) -> None:
     (root / "sparse/0/cameras.bin").write_bytes(struct.pack("<Q", 0))
 
 
+def incomplete_beside_llff(root: Path) -> None:
+    """COLMAP's files of which images.bin is missing, beside LLFF's poses."""
+    binary(root).joinpath("images.bin").unlink()
+    rows = []
+    for pose in dots.poses():
+        right, down, forward, centre = pose[:3].T
+        size = [dots.HEIGHT, dots.WIDTH, dots.FOCAL]
+        rows.append([*np.column_stack([down, right, -forward, centre, size]).ravel(), 1.0, 9.0])
+    np.save(root / "poses_bounds.npy", np.array(rows))
+
+
 def damaged_binary(root: Path) -> None:
     whole = binary(root) / "images.bin"
     whole.write_bytes(whole.read_bytes()[:-40])
@@ -220,6 +232,7 @@ def rows_missing(root: Path) -> None:
 
 SAID = {
     "incomplete-beside-whole": (incomplete, "cameras.bin alone is no model and is not used", 6),
+    "incomplete-beside-llff": (incomplete_beside_llff, "sparse/0 lacks cameras or images and is not used", 6),
     "damaged-binary-beside-text": (damaged_binary, "images.bin is damaged (cut short at byte", 6),
     "another-text-beside-binary": (another_text, "its text is another model (4 photos, 4 of them as in the binary", 6),
     "damaged-text-beside-binary": (damaged_text, "line 8: expected a photo", 6),
@@ -364,6 +377,24 @@ def test_refused(capture, tmp_path, row):
     with pytest.raises(BadInput) as told:
         imported(capture, tmp_path / "work", test_every=0)
     assert words in str(told.value) and "\n" not in str(told.value)
+
+
+def damaged_beside_llff(root: Path) -> None:
+    incomplete_beside_llff(root)
+    counts_believed(root)
+
+
+def test_a_damaged_model_beside_other_poses_is_refused_with_the_format_that_works(capture, tmp_path):
+    damaged_beside_llff(capture)
+    with pytest.raises(BadInput, match=r"images\.bin is damaged.* take other poses that are there, with --format llff$"):
+        imported(capture, tmp_path / "work")
+    assert dots.error(imported(capture, tmp_path / "work", format="llff", test_every=0)) < 0.15
+
+
+def test_escapes_in_a_model_do_not_reach_the_terminal(capture, tmp_path):
+    text(capture, camera="1 PIN\x1b[2JHOLE 4 4 4 4 4 4\n")
+    with pytest.raises(BadInput, match=r"not known, PIN\\x1b\[2JHOLE"):
+        imported(capture, tmp_path / "work")
 
 
 # -- lists of splits ---------------------------------------------------------------------------------------------------
