@@ -65,10 +65,12 @@ def write_photos(folder: Path, names: list[str], lens=None, project=None, size=(
 
 
 def _photo(places: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    rows, columns = np.mgrid[: size[1], : size[0]] + 0.5
     grey = np.random.default_rng(0).uniform(0.05, 0.25, (size[1], size[0]))
     for x, y in places:
-        spot = np.exp(-((columns - x) ** 2 + (rows - y) ** 2) / 3.4)
+        across, down = (
+            np.exp(-((np.arange(side) + 0.5 - at) ** 2) / 3.4) for side, at in zip(size, (x, y), strict=True)
+        )
+        spot = down[:, None] * across
         grey = grey * (1 - spot) + spot
     return np.repeat((grey * 255).astype(np.uint8)[..., None], 3, axis=2)
 
