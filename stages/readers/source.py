@@ -46,24 +46,25 @@ class SourcePoints:
 
 @dataclass(frozen=True, eq=False)
 class SourceScene:
-    """Everything a source tells. kind: in words. keeps_frame: the frame is that of a made scene, worth keeping.
+    """Everything a source tells. kind: in words. files: those that tell the poses, where a reader names them.
+    keeps_frame: the frame is that of a made scene, worth keeping.
 
     rescalable: photos may be a smaller copy of those that the intrinsics are of. upright: cameras are of the photos as
     EXIF turns them, else as they are stored. sfm: figures of a reconstruction. skipped: (photo, reason) of those that
     the reader left out itself. remarks: what the source tells and the reader passed over or took in one of two ways, a
-    line each. files: those that tell the poses.
+    line each.
     """
 
     kind: str
     cameras: list[SourceCamera]
     points: SourcePoints | None = None
+    files: tuple[Path, ...] = ()
     keeps_frame: bool = False
     rescalable: bool = False
     upright: bool = False
     sfm: dict | None = None
     skipped: tuple[tuple[str, str], ...] = ()
     remarks: tuple[str, ...] = ()
-    files: tuple[Path, ...] = ()
 
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".bmp", ".jp2", ".exr")
