@@ -15,7 +15,7 @@ from schemas.store import Artefact, Partial
 from schemas.tensors import save_tensors
 from stages.configs.pose_import import ImportConfig
 from stages.progress import Context
-from stages.readers import detected, read_source
+from stages.readers import found_in, read_source
 from stages.readers.backdrop import Backdrop
 from stages.readers.digest import digest_of_source
 from stages.readers.photo_folder import conversion, photos_of, unreadable_beside
@@ -53,8 +53,8 @@ def run(inputs: dict[str, Artefact], config: ImportConfig, partial: Partial, con
 
 def _source(config: ImportConfig, partial: Partial, context: Context) -> SourceScene:
     source = Path(config.source)
-    found = detected(source) if config.format == "auto" else [config.format]
-    if not found or found[0] == "photos":
+    found = found_in(source, config.format)
+    if found.kind == "photos":
         photos = photos_of(source, config.images)
         if others := unreadable_beside(photos):
             kinds = sorted({one.suffix for one in others})
@@ -68,8 +68,8 @@ def _source(config: ImportConfig, partial: Partial, context: Context) -> SourceS
         )  # fmt: skip
         unread = tuple((one.name, "of a format that cannot be read; convert it to JPEG or PNG") for one in others)
         return replace(scene, skipped=scene.skipped + unread)
-    scene = read_source(source, found[0], config.images)
-    also = f" (also there: {', '.join(found[1:])}; --format takes another)" if found[1:] else ""
+    scene = read_source(source, config.format, config.images)
+    also = f" (also there: {', '.join(found.also)}; --format takes another)" if found.also else ""
     context.progress.say(f"found {scene.kind}{also}")
     for remark in scene.remarks:
         context.progress.say(remark)

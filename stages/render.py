@@ -4,7 +4,6 @@ Roles of the inputs: `scene`, `field`, and `region.<name>` for every region whos
 """
 
 import functools
-import json
 from collections.abc import Callable, Mapping
 from contextlib import nullcontext
 from dataclasses import replace
@@ -12,16 +11,15 @@ from pathlib import Path
 
 import numpy as np
 
-from schemas.canonical import file_sha256
 from schemas.errors import ArtefactDamaged, BadInput, NoFilm, StylerfError
 from schemas.exr import ExrView, write_exr
 from schemas.frames import Frame, FrameCamera, Frames, write_frames
 from schemas.images import linear_from_srgb, to_uint8, write_png
 from schemas.journal import Journal
-from schemas.numbers import LARGEST_PICTURE, LARGEST_SIDE
 from schemas.scene import Bounds, as_matrix
 from schemas.store import Artefact, Partial
 from schemas.video import try_video, write_video
+from stages.camera_files import digest_of_cameras, read_cameras
 from stages.configs.render import OWN_VIEWS, RenderConfig, frames_of
 from stages.devices import gpu_figures, gpu_of
 from stages.fields import load_field
@@ -30,7 +28,6 @@ from stages.progress import Context
 from stages.runner import Spec
 from stages.scenes import SceneData, load_scene
 from stages.shards import take_frames
-from stylerf.errors import InvalidValue
 from stylerf.fields.field import RadianceField
 from stylerf.geometry.cameras import Camera
 from stylerf.geometry.paths import PATHS, path_camera
@@ -52,6 +49,9 @@ def run(inputs: dict[str, Artefact], config: RenderConfig, partial: Partial, con
     field, background = load_field(inputs["field"])
     threads = set_threads(context.threads)
     shots = shots_of(scene, config)
+    if config.path not in (*OWN_VIEWS, *PATHS):
+        for remark in read_cameras(Path(config.path), scene).remarks:
+            context.progress.say(remark)
     sizes = sorted({(camera.width, camera.height) for camera, _ in shots})
     if config.video and len(sizes) > 1:
         two = " and ".join(f"{width}x{height}" for width, height in sizes[:: len(sizes) - 1])
@@ -111,7 +111,7 @@ def pinned(config: RenderConfig) -> RenderConfig:
         return replace(config, path_digest="")
     path = Path(config.path)
     known = config.path in OWN_VIEWS or not path.is_file()
-    return replace(config, count=1, path_digest="" if known else file_sha256(path))
+    return replace(config, count=1, path_digest="" if known else digest_of_cameras(path))
 
 
 def shots_of(scene: SceneData, config: RenderConfig) -> list[Shot]:
@@ -129,7 +129,7 @@ def shots_of(scene: SceneData, config: RenderConfig) -> list[Shot]:
         shots = [(path_camera(config.path, cameras, i, config.count, focus), None) for i in wanted]
         return [(c.scaled(config.scale), v) for c, v in shots]
     else:
-        shots = [(camera, None) for camera in _cameras_of_file(Path(config.path), scene.cameras[0])]
+        shots = [(camera, None) for camera in read_cameras(Path(config.path), scene).cameras]
     return [(shots[i][0].scaled(config.scale), shots[i][1]) for i in _chosen(config, len(shots))]
 
 
@@ -143,45 +143,6 @@ def _chosen(config: RenderConfig, count: int) -> range:
 def _focus_depth(scene: SceneData) -> float:
     bounds = scene.bounds
     return 1 / (0.5 * (1 / max(bounds.near, 1e-3) + 1 / max(bounds.far, bounds.near * 2)))
-
-
-def _cameras_of_file(path: Path, like: Camera) -> list[Camera]:
-    """Cameras of a JSON list of {world_from_camera, and optionally width, height, fx, fy, cx, cy}, in scene units, or
-    those of a frames.json."""
-    try:
-        content = json.loads(path.read_text())
-    except OSError as error:
-        raise BadInput(f"--path {path}: neither a known path nor a readable file ({error.strerror})") from error
-    except (ValueError, RecursionError) as error:
-        raise BadInput(f"--path {path} is not JSON: {error}") from error
-    entries, cameras = content.get("views") if isinstance(content, dict) else content, []
-    for number, entry in enumerate(entries if isinstance(entries, list) else []):
-        try:
-            camera = _camera_of_entry(entry.get("camera", entry), f"{number:04d}", like)
-        except (AttributeError, KeyError, TypeError, ValueError, OverflowError, InvalidValue) as error:
-            raise BadInput(f"--path {path}: camera {number} is not sound ({error})") from error
-        if max(camera.width, camera.height) > LARGEST_SIDE or camera.width * camera.height > LARGEST_PICTURE:
-            raise BadInput(
-                f"--path {path}: camera {number} has {camera.width}x{camera.height} pixels; at most {LARGEST_SIDE} a "
-                f"side and {LARGEST_PICTURE / 1e6:.0f} million in all can be"
-            )
-        cameras.append(camera)
-    if not cameras:
-        raise BadInput(f"--path {path}: a list of cameras was expected, each with world_from_camera")
-    return cameras
-
-
-def _camera_of_entry(entry: dict, name: str, like: Camera) -> Camera:
-    """What an entry does not tell is as `like` has it: its size, its view across, and its centre, at the entry's size.
-
-    One focal length alone holds for both sides: pixels are square.
-    """
-    width, height = int(entry.get("width", like.width)), int(entry.get("height", like.height))
-    kx, ky = width / like.width, height / like.height
-    fx = float(entry.get("fx", entry.get("fy", like.fx * kx)))
-    fy = float(entry.get("fy", entry.get("fx", like.fy * kx)))
-    cx, cy = float(entry.get("cx", like.cx * kx)), float(entry.get("cy", like.cy * ky))
-    return Camera(name, width, height, fx, fy, cx, cy, np.array(entry["world_from_camera"], dtype=np.float64))
 
 
 def _frame_of(camera: Camera, view: int | None, config: RenderConfig) -> Frame:

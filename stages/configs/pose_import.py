@@ -4,6 +4,9 @@ from dataclasses import dataclass
 
 from stages.configs import option
 
+# Of poses that are read, in the order in which they are taken where several are there.
+FORMATS = ("transforms", "colmap", "llff", "metashape", "opensfm", "polycam", "record3d")
+
 
 @dataclass(frozen=True)
 class ImportOptions:
@@ -11,7 +14,7 @@ class ImportOptions:
 
     format: str = option(
         "auto",
-        choices=("auto", "transforms", "colmap", "llff", "photos"),
+        choices=("auto", *FORMATS, "photos"),
         help="format of the "
         "poses (auto: by the files that are there; photos: none, find them by structure from motion)",
     )

@@ -18,7 +18,8 @@ class RenderConfig:
         "orbit",
         metavar="test|train|views|orbit|spiral|interpolate|FILE",
         help="cameras: the scene's own views, a path around, in front of or through them, or a JSON file of cameras "
-        "(docs/artefacts.md tells its form), such as the frames.json of a render",
+        "(docs/artefacts.md tells its forms): the frames.json of a render, nerfstudio's camera_path.json, a "
+        "transforms.json",
         digest="path_digest",
     )
     path_digest: str = option("", help="sha256 of the file of cameras (filled in; guards against a changed file)")

@@ -1,35 +1,143 @@
 """Readers of sources: one module per format of poses, each returning a SourceScene, and one of plain photos."""
 
+import importlib
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from schemas.errors import BadInput
+from schemas.names import printable
+from stages.configs.pose_import import FORMATS
 from stages.readers.source import SourceScene
 
-FORMATS = ("transforms", "colmap", "llff")
+XML_MARKS = (b"<document", b"<chunk")
+
+
+@dataclass(frozen=True)
+class Found:
+    """What a source holds. kind: one of FORMATS, or photos. also: other formats there. remarks: what else to say."""
+
+    kind: str
+    also: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()
+
+
+def found_in(source: Path, format: str = "auto") -> Found:
+    """The format to read: the wanted one, or the most telling one that is whole; photos where there are no poses.
+
+    BadInput where `source` does not exist, or holds poses that cannot be read and no others.
+    """
+    if not source.exists():
+        raise BadInput(f"{source} does not exist; give a folder of photos")
+    if format != "auto":
+        return Found(format)
+    from stages.readers.foreign import foreign_poses
+
+    kinds, foreign = detected(source), foreign_poses(source)
+    if not kinds and foreign:
+        one = foreign[0]
+        raise BadInput(
+            f"{printable(str(one.path))} holds poses of {one.tool}, which are not read: {one.how}; or find new poses "
+            "from the photos, with --format photos"
+        )
+    if not kinds:
+        return Found("photos")
+    remarks = [f"poses of {one.tool} are not read ({printable(one.path.name)})" for one in foreign]
+    incomplete = [one for one in model_folders(source) if not whole_model(one)]
+    if incomplete and kinds[0] != "colmap":
+        remarks.append(f"the COLMAP model {incomplete[0]} lacks cameras or images and is not used")
+    also = [kind for kind in kinds[1:] if not (kind == "colmap" and incomplete)]
+    return Found(kinds[0], tuple(also), tuple(remarks))
 
 
 def detected(source: Path) -> list[str]:
     """Which of FORMATS lie at `source` (a folder, or one file of it), the most telling first; none: no poses.
 
-    transforms.json tells lens and splits, a COLMAP model lens and points, LLFF neither.
+    transforms.json tells lens and splits, a COLMAP model lens and points, LLFF neither. A COLMAP model of which files
+    are missing comes last: whatever else is there is taken.
     """
     if source.is_file():
-        named = {"poses_bounds.npy": ["llff"]}.get(source.name, [])
-        return ["transforms"] if source.suffix == ".json" else named
-    signs = (any(source.glob("transforms*.json")), model_folders(source), (source / "poses_bounds.npy").is_file())
-    return [kind for kind, sign in zip(FORMATS, signs, strict=True) if sign]
+        named = {"poses_bounds.npy": ["llff"], "reconstruction.json": ["opensfm"], "metadata.json": ["record3d"]}
+        by_suffix = {".json": ["transforms"], ".xml": ["metashape"]}
+        return named.get(source.name, by_suffix.get(source.suffix, []))
+    signs = (
+        any(source.glob("transforms*.json")),
+        any(whole_model(folder) for folder in model_folders(source)),
+        (source / "poses_bounds.npy").is_file(),
+        metashape_file(source),
+        opensfm_file(source),
+        polycam_folder(source),
+        record3d_file(source),
+    )
+    found = [kind for kind, sign in zip(FORMATS, signs, strict=True) if sign]
+    return found + (["colmap"] if "colmap" not in found and model_folders(source) else [])
 
 
 def model_folders(source: Path) -> list[Path]:
-    """Folders of COLMAP models: `source` itself, or those in one of the usual places of it, by their numbers."""
-    numbered = [
-        sorted((item for item in folder.glob("*") if item.name.isdecimal()), key=lambda item: int(item.name))
-        for folder in (source / "sparse", source / "colmap" / "sparse")
-    ]
-    for folders in ([source], numbered[0], [source / "sparse"], numbered[1]):
-        if found := [one for one in folders if any((one / f"cameras{end}").is_file() for end in (".bin", ".txt"))]:
-            return found
-    return []
+    """Folders of COLMAP models: `source` itself, or those in one of the usual places of it, by their numbers.
+
+    Of the places the first that holds a whole model counts, else the first with any file of one.
+    """
+    places = [[source]]
+    for folder in (source / "sparse", source / "colmap" / "sparse", source / "distorted" / "sparse"):
+        numbered = (item for item in folder.glob("*") if item.name.isdecimal())
+        places += [sorted(numbered, key=lambda item: (int(item.name), item.name)), [folder]]
+    there = [[one for one in folders if _any_model(one)] for folders in places]
+    for folders in there:
+        if any(map(whole_model, folders)):
+            return folders
+    return next(filter(None, there), [])
+
+
+def _any_model(folder: Path) -> bool:
+    return any((folder / f"{name}{end}").is_file() for name in ("cameras", "images") for end in (".bin", ".txt"))
+
+
+def whole_model(folder: Path) -> bool:
+    """Whether the folder holds both the cameras and the photos of a COLMAP model."""
+    from stages.readers.colmap_model import whole
+
+    return bool(whole(folder))
+
+
+def metashape_file(source: Path) -> Path | None:
+    """The cameras that Metashape exported: cameras.xml, or the first XML that looks like such."""
+    from stages.readers.foreign import MOST_FILES, head_of
+
+    if source.is_file() or (source / "cameras.xml").is_file():
+        return source if source.is_file() else source / "cameras.xml"
+    files = sorted(source.glob("*.xml"))[:MOST_FILES]
+    return next((path for path in files if all(mark in head_of(path) for mark in XML_MARKS)), None)
+
+
+def opensfm_file(source: Path) -> Path | None:
+    """OpenSfM's reconstruction.json, in the source or where OpenDroneMap puts it."""
+    places = (source, source / "reconstruction.json", source / "opensfm" / "reconstruction.json")
+    return next((path for path in places if path.is_file()), None)
+
+
+def polycam_folder(source: Path) -> Path | None:
+    """The folder with Polycam's cameras and images, as optimised where it has been, else as recorded."""
+    for folder in (source / "keyframes", source):
+        for cameras, images in POLYCAM:
+            if (folder / images).is_dir() and any((folder / cameras).glob("*.json")):
+                return folder
+    return None
+
+
+# Of Polycam: the folders of cameras and their images, those to take first in front.
+POLYCAM = (("corrected_cameras", "corrected_images"), ("cameras", "images"))
+
+
+def record3d_file(source: Path) -> Path | None:
+    """Record3D's metadata.json beside rgb/ or rgbd/, or that in EXR_RGBD/; `metadata` in an unpacked .r3d."""
+    if source.is_file():
+        return source
+    for folder in (source, source / "EXR_RGBD"):
+        if any((folder / name).is_dir() for name in ("rgb", "rgbd")):
+            for name in ("metadata.json", "metadata"):
+                if (folder / name).is_file():
+                    return folder / name
+    return None
 
 
 def read_source(source: Path, format: str = "auto", images: str = "") -> SourceScene:
@@ -37,18 +145,18 @@ def read_source(source: Path, format: str = "auto", images: str = "") -> SourceS
 
     BadInput where nothing is found, or what is found is damaged.
     """
-    if not source.exists():
-        raise BadInput(f"{source} does not exist; give a folder of photos with poses")
-    kind = next(iter(detected(source)), None) if format == "auto" else format
-    if kind == "transforms":
-        from stages.readers.transforms import read
-    elif kind == "colmap":
-        from stages.readers.colmap import read
-    elif kind == "llff":
-        from stages.readers.llff import read
-    else:
+    found = found_in(source, format)
+    if found.kind not in FORMATS:
         raise BadInput(
             f"{source} holds no transforms.json, no COLMAP model (sparse/0) and no poses_bounds.npy; give a folder "
             "that has one of them"
         )
-    return read(source, images)
+    try:
+        scene = importlib.import_module(f"stages.readers.{found.kind}").read(source, images)
+    except BadInput as error:
+        if found.also:
+            raise BadInput(f"{error}; or take other poses that are there, with --format {found.also[0]}") from error
+        if FORMATS.index(found.kind) > 2:
+            raise BadInput(f"{error}; or find new poses from the photos, with --format photos") from error
+        raise
+    return replace(scene, remarks=found.remarks + scene.remarks)

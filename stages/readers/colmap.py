@@ -1,23 +1,27 @@
-"""COLMAP models, binary or text."""
+"""COLMAP models, binary or text, as COLMAP, 3DGS and nerfstudio lay them out."""
 
+from dataclasses import replace
 from pathlib import Path
 
 from schemas.errors import BadInput
+from schemas.names import printable
 from stages.readers import model_folders
-from stages.readers.colmap_model import Model, read_model
+from stages.readers.colmap_model import Model, files_of, read_model
+from stages.readers.listed import Folder
 from stages.readers.source import (
     SourceCamera,
     SourcePoints,
     SourceScene,
-    bare,
-    find_image,
     image_folder,
     natural,
     with_masks,
 )
+from stages.readers.split_lists import lists_of, with_splits
 from stylerf.errors import InvalidValue
 from stylerf.geometry import distortion
 from stylerf.geometry.conventions import from_colmap
+
+PHOTOS = ("images", "input")
 
 
 def read(source: Path, images: str) -> SourceScene:
@@ -28,30 +32,54 @@ def read(source: Path, images: str) -> SourceScene:
     folders = model_folders(source)
     if not folders:
         raise BadInput(f"{source} holds no COLMAP model (cameras.bin or cameras.txt, also in sparse/0)")
-    models = {one: read_model(one) for one in folders}
-    largest = max(folders, key=lambda one: len(models[one].images))
+    models, faults = _models(folders)
+    largest = max(models, key=lambda one: len(models[one].images))
     kind = "COLMAP model"
-    if len(folders) > 1:
-        others = ", ".join(f"{len(models[one].images)} in {one.name}" for one in folders if one != largest)
+    if len(models) > 1:
+        others = ", ".join(f"{len(models[one].images)} in {one.name}" for one in models if one != largest)
         kind += f" {largest.name}, of {len(models[largest].images)} photos ({others}; name another's folder for it)"
-    root = _root(source, largest)
-    folder = image_folder(root, images) if images else root / "images"
-    return scene_of(models[largest], folder, root, kind, bool(images))
+    root, below = _photos(source, largest)
+    folder = image_folder(root, images) if images else below
+    scene = scene_of(models[largest], folder, root, kind, bool(images), above=root)
+    lists = lists_of(root, largest)
+    cameras, skipped, remarks = with_splits(scene.cameras, lists)
+    return replace(
+        scene,
+        cameras=cameras,
+        skipped=tuple(skipped),
+        remarks=(*faults, *models[largest].remarks, *scene.remarks, *remarks),
+        files=(*(path for one in folders for path in files_of(one)), *(path for path, _ in lists)),
+    )
 
 
-def scene_of(model: Model, folder: Path, root: Path, kind: str, rescalable: bool = False) -> SourceScene:
-    """The posed photos of a model whose photos lie in `folder`, in the order of their names."""
-    cameras = []
+def _models(folders: list[Path]) -> tuple[dict[Path, Model], list[str]]:
+    """The models that are whole, and what is wrong with the others; BadInput where none is."""
+    models, faults = {}, []
+    for folder in folders:
+        try:
+            models[folder] = read_model(folder)
+        except BadInput as error:
+            faults.append(error)
+    if not models:
+        raise faults[0]
+    return models, [f"{error}; another model was taken" for error in faults]
+
+
+def scene_of(
+    model: Model, folder: Path, root: Path, kind: str, rescalable: bool = False, above: Path | None = None
+) -> SourceScene:
+    """The posed photos of a model whose photos lie in `folder` (or `above`), in the order of their names."""
+    cameras, photos = [], Folder(folder, above, "the COLMAP model")
     for image in sorted(model.images, key=lambda one: natural(one.name)):
         camera = model.cameras[image.camera]
         try:
             intrinsics, warp = distortion.from_colmap(camera.model, list(camera.params))
         except InvalidValue as error:
-            raise BadInput(f"{image.name}: {error}") from error
-        photo = find_image(folder / image.name)
+            raise BadInput(f"{printable(image.name)}: {error}") from error
+        name, photo = photos.photo(image.name)
         cameras.append(
             SourceCamera(
-                name=str(bare(Path(image.name))),
+                name=name,
                 source=image.name,
                 image=photo,
                 world_from_camera=from_colmap(image.camera_from_world),
@@ -61,12 +89,17 @@ def scene_of(model: Model, folder: Path, root: Path, kind: str, rescalable: bool
             )
         )
     points = SourcePoints(model.xyz, model.rgb, model.error) if len(model.xyz) else None
-    return SourceScene(kind, with_masks(cameras, root), points, rescalable=rescalable)
+    return SourceScene(kind, with_masks(cameras, root), points, rescalable=rescalable, remarks=photos.remarks())
 
 
-def _root(source: Path, model: Path) -> Path:
-    """Where `images` lies: the source, or the nearest folder above the model that has it."""
+def _photos(source: Path, model: Path) -> tuple[Path, Path]:
+    """The source, or the nearest folder above the model that holds photos, and its folder of photos.
+
+    3DGS's convert.py reconstructs input/ in distorted/sparse, and writes images/ without distortion.
+    """
+    names = PHOTOS[::-1] if "distorted" in model.parts[-3:] else PHOTOS
     for folder in (source, *model.parents[:3]):
-        if (folder / "images").is_dir():
-            return folder
-    return source
+        for name in names:
+            if (folder / name).is_dir():
+                return folder, folder / name
+    return source, source / "images"

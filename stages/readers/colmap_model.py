@@ -1,18 +1,22 @@
 """COLMAP's model files, binary or text, read strictly.
 
-COLMAP's own reader, given a file that was cut short or altered, may read on for ever, ask for exabytes of memory, or
-take in a part without a word; here every count is held against the bytes that are there, and nothing may be left over.
-Rigs and frames are not needed: images.bin and images.txt hold each photo's own pose too.
+COLMAP's own reader (pycolmap.Reconstruction), given a file that was cut short or altered, may read on for ever, ask for
+exabytes of memory, or take in a part without a word; here every count is held against the bytes that are there, and
+nothing may be left over. Rigs and frames are not needed: images.bin and images.txt hold each photo's own pose too.
 """
 
 import math
 import struct
-from dataclasses import dataclass
+from array import array
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from schemas.errors import BadInput
+from schemas.names import printable
+from schemas.reading import read_bytes, read_text
 
 # In the order of their numbers in binary files: the name in text files, and the count of parameters.
 MODELS = (
@@ -22,6 +26,9 @@ MODELS = (
     ("EUCM", 6), ("EQUIRECTANGULAR", 2),
 )  # fmt: skip
 LONGEST_NAME = 4096
+MOST_BYTES = 2 << 30  # of one file: images.bin of 5,000 photos with 10,000 features each takes 1.2 GB
+# How far from 1 the length of a quaternion may be: lists written by hand round to two or three digits.
+ROUNDING = 1e-2
 
 
 @dataclass(frozen=True)
@@ -38,6 +45,7 @@ class ModelCamera:
 class ModelImage:
     """camera_from_world: [3, 4], OpenCV axes."""
 
+    number: int
     name: str
     camera: int
     camera_from_world: np.ndarray
@@ -45,53 +53,129 @@ class ModelImage:
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """Cameras by number; photos; points [n, 3] float64 with colours [n, 3] uint8 and errors [n] float32 pixels."""
+    """Cameras by number; photos; points [n, 3] float64 with colours [n, 3] uint8 and errors [n] float32 pixels.
+
+    remarks: what is odd about the files, a line each.
+    """
 
     cameras: dict[int, ModelCamera]
     images: list[ModelImage]
     xyz: np.ndarray
     rgb: np.ndarray
     error: np.ndarray
+    remarks: tuple[str, ...] = ()
 
 
 class _Damaged(Exception):
     pass
 
 
+def whole(folder: Path) -> list[str]:
+    """Which of .bin and .txt the model in `folder` has both its cameras and its photos in, the one to take first."""
+    pairs = {end: [folder / f"{name}{end}" for name in ("cameras", "images")] for end in (".bin", ".txt")}
+    return [end for end, pair in pairs.items() if all(path.is_file() for path in pair)]
+
+
+def files_of(folder: Path) -> list[Path]:
+    """The files of a model that are there, of both kinds."""
+    names = [f"{name}{end}" for name in ("cameras", "images", "points3D") for end in (".bin", ".txt")]
+    return [folder / name for name in names if (folder / name).is_file()]
+
+
 def read_model(folder: Path) -> Model:
-    """The model in `folder`; BadInput naming the file where one is missing, cut short, altered so that it shows, or of
-    an unknown camera model. Points may be missing as a whole."""
-    binary = (folder / "cameras.bin").is_file()
-    cameras = _read(folder, "cameras", binary, _cameras_binary, _cameras_text)
-    images = _read(folder, "images", binary, _images_binary, _images_text)
+    """The model in `folder`: the binary one, as COLMAP itself takes it, or the text where that is missing or damaged.
+
+    BadInput naming the file where one is missing, cut short, altered so that it shows, or of an unknown camera model.
+    Points may be missing as a whole.
+    """
+    kinds, there = whole(folder), [path.name for path in files_of(folder)]
+    if not kinds:
+        raise BadInput(
+            f"the COLMAP model {folder} is incomplete: it has {', '.join(there) or 'no file'}, and needs both cameras "
+            "and images, as .bin or as .txt; export it again, or find new poses with --format photos"
+        )
+    if len(kinds) == 1:
+        half = [name for name in there if not name.endswith(kinds[0]) and not name.startswith("points3D")]
+        unused = (f"{folder}: {half[0]} alone is no model and is not used",) if half else ()
+        return _model(folder, kinds[0], unused)
+    try:
+        binary = _model(folder, ".bin")
+    except BadInput as error:
+        return _model(folder, ".txt", (f"{error}; its text was taken",))
+    return replace(binary, remarks=binary.remarks + _against_text(folder, binary))
+
+
+def _model(folder: Path, end: str, remarks: tuple[str, ...] = ()) -> Model:
+    binary, said = end == ".bin", list(remarks)
+    cameras = _read(folder / f"cameras{end}", _cameras_binary if binary else _cameras_text, said)
+    images = _read(folder / f"images{end}", _images_binary if binary else _images_text, said)
     points = (np.zeros((0, 3)), np.zeros((0, 3), np.uint8), np.zeros(0, np.float32))
-    if (folder / f"points3D{'.bin' if binary else '.txt'}").is_file():
-        points = _read(folder, "points3D", binary, _points_binary, _points_text)
+    if (path := folder / f"points3D{end}").is_file():
+        points = _read(path, _points_binary if binary else _points_text, said)
+    first: dict[int, ModelImage] = {}
     for image in images:
         if image.camera not in cameras:
             raise BadInput(
-                f"the COLMAP model {folder}: {image.name} has camera {image.camera}, which is missing; export it again"
+                f"the COLMAP model {folder}: {printable(image.name)} has camera {image.camera}, which is missing; "
+                "export it again"
             )
+        if (other := first.setdefault(image.number, image)) is not image:
+            two = f"{printable(other.name)} and {printable(image.name)}"
+            raise BadInput(f"the COLMAP model {folder}: {two} have one number, {image.number}; number photos apart")
     if not images:
         raise BadInput(f"the COLMAP model {folder} holds no photo with a pose; reconstruct again")
-    return Model(cameras, images, *points)
+    return Model(cameras, images, *points, tuple(said))
 
 
-def _read(folder: Path, name: str, binary: bool, from_binary, from_text):
-    path = folder / f"{name}{'.bin' if binary else '.txt'}"
+def _against_text(folder: Path, binary: Model) -> tuple[str, ...]:
+    """What to say of the text beside a binary model that is read: nothing where it is the same to its digits."""
+    said: list[str] = []
     try:
-        if binary:
-            data = _Bytes(path.read_bytes())
-            content = from_binary(data)
+        cameras = _read(folder / "cameras.txt", _cameras_text, said)
+        images = {one.name: one for one in _read(folder / "images.txt", _images_text, said)}
+    except BadInput as error:
+        return (f"{error}; the binary model beside it was taken",)
+    ours = {one.name: one for one in binary.images}
+    equal = [
+        np.allclose(images[name].camera_from_world, one.camera_from_world, rtol=1e-4, atol=1e-4)
+        and _alike(cameras.get(images[name].camera), binary.cameras[one.camera])
+        for name, one in ours.items()
+        if name in images
+    ]
+    if len(images) == len(ours) == sum(equal):
+        return ()
+    told = f"{len(images)} photos, {sum(equal)} of them as in the binary model"
+    return (f"{folder}: its text is another model ({told}) and is not used; for it, move the .bin files away",)
+
+
+def _alike(one: ModelCamera | None, other: ModelCamera) -> bool:
+    return (
+        one is not None
+        and (one.model, one.width, one.height) == (other.model, other.width, other.height)
+        and np.allclose(one.params, other.params, rtol=1e-4, atol=1e-6)
+    )
+
+
+def _read(path: Path, parse, remarks: list[str]):
+    try:
+        if path.suffix == ".bin":
+            data = _Bytes(read_bytes(path, MOST_BYTES))
+            content = parse(data)
             data.end()
             return content
-        return from_text(path.read_text(encoding="utf-8"))
-    except OSError as error:
+        lines = _Lines(read_text(path, MOST_BYTES))
+        content = parse(lines)
+        if path.stem == "points3D":
+            return content
+        if lines.told not in (None, len(content)):
+            remarks.append(f"{path}: its head tells of {lines.told} entries, {len(content)} are there")
+        return content
+    except FileNotFoundError as error:
         raise BadInput(f"{path} cannot be read ({error.strerror}); export the COLMAP model again") from error
     except _Damaged as error:
-        raise BadInput(f"{path} is damaged ({error}); export the COLMAP model again") from error
+        raise BadInput(f"{path} is damaged ({printable(str(error)[:300])}); export the COLMAP model again") from error
     except (ValueError, IndexError, struct.error, OverflowError) as error:
-        raise BadInput(f"{path} is damaged (no {name} of COLMAP); export the COLMAP model again") from error
+        raise BadInput(f"{path} is damaged (no {path.stem} of COLMAP); export the COLMAP model again") from error
 
 
 class _Bytes:
@@ -121,9 +205,12 @@ class _Bytes:
         end = self.data.find(b"\0", self.at, self.at + LONGEST_NAME)
         if end < 0:
             raise _Damaged("a name does not end")
-        text = self.data[self.at : end].decode("utf-8")
+        name = self.data[self.at : end]
         self.at = end + 1
-        return text
+        try:
+            return name.decode("utf-8")
+        except UnicodeDecodeError:
+            raise _Damaged(f"the name {printable(name.decode('latin-1'))!r} is not UTF-8; rename the photo") from None
 
     def _need(self, size: int) -> None:
         if size > len(self.data) - self.at:
@@ -135,13 +222,13 @@ class _Bytes:
 
 
 def _cameras_binary(data: _Bytes) -> dict[int, ModelCamera]:
-    cameras = {}
+    cameras: dict[int, ModelCamera] = {}
     for _ in range(data.count(24)):
         number, model, width, height = data.take("IiQQ")
         if not 0 <= model < len(MODELS):
             raise _Damaged(f"camera {number} is of a model that is not known, number {model}")
         name, count = MODELS[model]
-        cameras[number] = _camera(name, width, height, data.take(f"{count}d"))
+        _add(cameras, number, _camera(name, width, height, data.take(f"{count}d")))
     return cameras
 
 
@@ -151,21 +238,27 @@ def _camera(name: str, width: int, height: int, params: tuple[float, ...]) -> Mo
     return ModelCamera(name, int(width), int(height), tuple(params))
 
 
+def _add(cameras: dict[int, ModelCamera], number: int, camera: ModelCamera) -> None:
+    if cameras.setdefault(number, camera) != camera:
+        raise _Damaged(f"two cameras have the number {number}")
+
+
 def _images_binary(data: _Bytes) -> list[ModelImage]:
     images = []
     for _ in range(data.count(73)):
-        _, *pose, camera = data.take("I7dI")
-        images.append(_image(data.text(), camera, pose))
+        number, *pose, camera = data.take("I7dI")
+        images.append(_image(number, data.text(), camera, pose))
         data.skip(24 * data.count(24))
     return images
 
 
-def _image(name: str, camera: int, pose: list[float]) -> ModelImage:
+def _image(number: int, name: str, camera: int, pose: list[float]) -> ModelImage:
     quaternion, shift = np.array(pose[:4]), np.array(pose[4:])
-    length = float(np.linalg.norm(quaternion))
-    if not (np.isfinite(pose).all() and abs(length - 1) < 1e-3):
-        raise _Damaged(f"the pose of {name!r} is no rotation")
-    return ModelImage(name, camera, np.column_stack([rotation_of(quaternion / length), shift]))
+    length = math.hypot(*quaternion)  # no warning where it overflows
+    if not (np.isfinite(pose).all() and abs(length - 1) < ROUNDING):
+        told = f": its quaternion has length {length:.3g}, expected 1" if math.isfinite(length) else ""
+        raise _Damaged(f"the pose of {printable(name)!r} is no rotation{told}")
+    return ModelImage(number, name, camera, np.column_stack([rotation_of(quaternion / length), shift]))
 
 
 def rotation_of(quaternion: np.ndarray) -> np.ndarray:
@@ -181,76 +274,126 @@ def rotation_of(quaternion: np.ndarray) -> np.ndarray:
 
 
 def _points_binary(data: _Bytes) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    rows = []
+    numbers, values = array("Q"), array("d")
     for _ in range(data.count(51)):
-        rows.append(data.take("Q3d3Bd"))
+        number, *point = data.take("Q3d3Bd")
+        numbers.append(number)
+        values.extend(point)
         data.skip(8 * data.count(8))
-    return _points(rows)
+    return _points(numbers, values)
 
 
-def _points(rows: list[tuple]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Sorted by number; those that are not finite are left out."""
-    table = np.array([row[1:] for row in sorted(rows)], dtype=np.float64).reshape(-1, 7)
+def _points(numbers: array, values: array) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Of (x, y, z, r, g, b, error) a point: sorted by number; those that are not finite are left out."""
+    table = np.array(values, dtype=np.float64).reshape(-1, 7)[np.argsort(np.array(numbers), kind="stable")]
     table = table[np.isfinite(table).all(axis=1)]
     if ((table[:, 3:6] < 0) | (table[:, 3:6] > 255)).any():
         raise _Damaged("a colour is not within 0..255")
     return table[:, :3], table[:, 3:6].astype(np.uint8), table[:, 6].astype(np.float32)
 
 
-def _lines(text: str) -> tuple[list[str], int | None]:
-    """The lines without comments, and how many items the head says there are."""
-    told, lines = None, []
-    for line in text.splitlines():
-        if not line.startswith("#"):
-            lines.append(line)
-        elif line.startswith("# Number of "):
-            told = int(line.partition(":")[2].split(",")[0])
-    return lines, told
+class _Lines:
+    """The lines of a text file without blank ones and comments. told: how many entries its head says there are."""
+
+    def __init__(self, text: str) -> None:
+        self.told: int | None = None
+        self._lines = text.split("\n")
+        self._at = 0
+
+    def __iter__(self) -> Iterator[tuple[str, str]]:
+        """(where, line): the number of the line in words, the line without space around it."""
+        while (found := self.next(blank=False)) is not None:
+            yield f"line {self._at}", found
+
+    def next(self, blank: bool) -> str | None:
+        """The next line that is no comment, with blank=True also a blank one; None at the end."""
+        while self._at < len(self._lines):
+            line = self._lines[self._at].strip()
+            self._at += 1
+            if line.startswith("#"):
+                self._head(line)
+            elif line or blank:
+                return line
+        return None
+
+    def back(self) -> None:
+        """Takes the line that was read last back."""
+        self._at -= 1
+
+    def _head(self, line: str) -> None:
+        count = line.partition(":")[2].split(",")[0].strip()
+        if line.startswith("# Number of ") and count.isdecimal():
+            self.told = int(count)
 
 
-def _whole(items: list, told: int | None) -> None:
-    if told is not None and told != len(items):
-        raise _Damaged(f"its head tells of {told} entries, {len(items)} are there")
-
-
-def _cameras_text(text: str) -> dict[int, ModelCamera]:
-    lines, told = _lines(text)
-    cameras, counts = {}, dict(MODELS)
-    for line in lines:
-        if not line.strip():
-            continue
-        number, name, width, height, *params = line.split()
+def _cameras_text(lines: _Lines) -> dict[int, ModelCamera]:
+    cameras: dict[int, ModelCamera] = {}
+    counts = dict(MODELS)
+    for where, line in lines:
+        number, name, *numbers = line.split()
         if name not in counts:
             raise _Damaged(f"camera {number} is of a model that is not known, {name}")
-        if len(params) != counts[name]:
-            raise _Damaged(f"camera {number} has {len(params)} parameters where {name} has {counts[name]}")
-        cameras[int(number)] = _camera(name, int(width), int(height), tuple(map(float, params)))
-    _whole(list(cameras), told)
+        if len(numbers) != counts[name] + 2:
+            raise _Damaged(f"camera {number} has {max(0, len(numbers) - 2)} parameters where {name} has {counts[name]}")
+        try:
+            width, height, params = int(numbers[0]), int(numbers[1]), tuple(map(float, numbers[2:]))
+            _add(cameras, int(number), _camera(name, width, height, params))
+        except ValueError:
+            raise _Damaged(f"{where}: expected a camera (number, model, width, height, parameters)") from None
     return cameras
 
 
-def _images_text(text: str) -> list[ModelImage]:
-    """Each photo has two lines, of which the second, its observations, may be empty."""
-    lines, told = _lines(text)
-    while lines and not lines[-1].strip() and len(lines) % 2:
-        lines.pop()
+def _images_text(lines: _Lines) -> list[ModelImage]:
+    """Each photo has a second line, its observations, which may be empty; lists written by hand leave it out."""
     images = []
-    for line in lines[::2]:
+    for where, line in lines:
         fields = line.split(maxsplit=9)
-        images.append(_image(fields[9].strip(), int(fields[8]), [float(value) for value in fields[1:8]]))
-    _whole(images, told)
+        if len(fields) < 10 or _observations(line):
+            raise _Damaged(f"{where}: expected a photo (number, quaternion, translation, camera, name)")
+        try:
+            number, camera, pose = int(fields[0]), int(fields[8]), [float(value) for value in fields[1:8]]
+        except ValueError:
+            raise _Damaged(f"{where}: expected a photo (number, quaternion, translation, camera, name)") from None
+        try:
+            images.append(_image(number, fields[9], camera, pose))
+        except _Damaged as error:
+            raise _Damaged(f"{where}: {error}") from None
+        second = lines.next(blank=True)
+        if second and not _observations(second):
+            lines.back()
     return images
 
 
-def _points_text(text: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    lines, told = _lines(text)
-    rows = []
-    for line in lines:
-        if not line.strip():
-            continue
+def _observations(line: str) -> bool:
+    """Whether a line is one of observations, x y point of each, and not of a photo whose name is a number.
+
+    Of its numbers, which may be tens of thousands, those are looked at that a photo's line has too.
+    """
+    fields = line.split(maxsplit=10)
+    if not all(map(_is_number, fields[:10])):
+        return False
+    photo = len(fields) >= 10 and not any("." in fields[place] for place in (0, 8)) and _unit(fields[1:5])
+    return not photo if len(fields) > 9 else len(fields) % 3 == 0
+
+
+def _unit(fields: list[str]) -> bool:
+    return abs(math.hypot(*map(float, fields)) - 1) < ROUNDING
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _points_text(lines: _Lines) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    numbers, values = array("Q"), array("d")
+    for where, line in lines:
         fields = line.split()
         if len(fields) < 8 or len(fields) % 2:
-            raise _Damaged(f"point {fields[0]} is cut short")
-        rows.append((int(fields[0]), *map(float, fields[1:4]), *map(int, fields[4:7]), float(fields[7])))
-    _whole(rows, told)
-    return _points(rows)
+            raise _Damaged(f"{where}: point {fields[0]:.20} is cut short")
+        numbers.append(int(fields[0]))
+        values.extend((*map(float, fields[1:4]), *map(int, fields[4:7]), float(fields[7])))
+    return _points(numbers, values)

@@ -17,7 +17,7 @@ def photos_of(source: Path, images: str = "") -> list[Path]:
         raise BadInput(f"{source} does not exist; give a folder of photos")
     if source.is_file():
         raise _no_folder(source)
-    folder = image_folder(source, images) if images else _folder(source)
+    folder = folder_of(source, images)
     if found := images_in(folder):
         return found
     names = [item.name for item in folder.iterdir()]
@@ -47,7 +47,10 @@ def conversion(folder: Path, suffix: str) -> str:
     return f"convert them to JPEG or PNG, with ImageMagick: mogrify -format jpg {shlex.quote(str(folder))}/*{suffix}"
 
 
-def _folder(source: Path) -> Path:
+def folder_of(source: Path, images: str = "") -> Path:
+    """The folder of the photos: --images, else the source where it holds any, else one of FOLDERS in it."""
+    if images:
+        return image_folder(source, images)
     if images_in(source):
         return source
     return next((source / name for name in FOLDERS if (source / name).is_dir()), source)

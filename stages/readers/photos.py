@@ -168,6 +168,11 @@ def _fitted(mask: np.ndarray, path: Path, photo: np.ndarray) -> np.ndarray:
     return shrunk(mask[..., None], size)[..., 0] if size < there else nearest(mask, size)
 
 
+def lens_without_photo(camera: SourceCamera, size: tuple[int, int]) -> tuple[float, float, float, float]:
+    """fx, fy, cx, cy of a camera whose photo need not be there. size: that of its picture where it tells none."""
+    return _intrinsics(camera, camera.size or size, rescalable=True)
+
+
 def present(cameras: list[SourceCamera]) -> tuple[list[SourceCamera], list[SourceCamera]]:
     """Cameras with a photo, and those without."""
     return [one for one in cameras if one.image is not None], [one for one in cameras if one.image is None]

@@ -52,7 +52,8 @@ class SourcePoints:
 
 @dataclass(frozen=True, eq=False)
 class SourceScene:
-    """Everything a source tells. kind: in words. keeps_frame: the frame is that of a made scene, worth keeping.
+    """Everything a source tells. kind: in words. files: those that tell the poses, where a reader names them.
+    keeps_frame: the frame is that of a made scene, worth keeping.
 
     rescalable: photos may be a smaller copy of those that the intrinsics are of. upright: cameras are of the photos as
     EXIF turns them, else as they are stored. sfm: figures of a reconstruction. skipped: (photo, reason) of those that
@@ -63,6 +64,7 @@ class SourceScene:
     kind: str
     cameras: list[SourceCamera]
     points: SourcePoints | None = None
+    files: tuple[Path, ...] = ()
     keeps_frame: bool = False
     rescalable: bool = False
     upright: bool = False

@@ -15,8 +15,8 @@ _DEFAULTS = ImportOptions()
 
 def add_arguments(parser) -> None:
     """SOURCE and WORK."""
-    parser.add_argument("source", type=Path, metavar="SOURCE", help="folder of photos, alone or with transforms.json, "
-                        "a COLMAP model (sparse/0) or poses_bounds.npy; or one such file")  # fmt: skip
+    parser.add_argument("source", type=Path, metavar="SOURCE", help="folder of photos, alone or with poses of "
+                        "transforms.json, COLMAP, LLFF, Metashape, OpenSfM, Polycam or Record3D")  # fmt: skip
     parser.add_argument("work", type=Path, metavar="WORK", help="work folder of one scene, made where there is none")
 
 

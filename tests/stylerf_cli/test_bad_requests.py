@@ -185,9 +185,9 @@ SOUND = {"world_from_camera": [[1, 0, 0, 0], [0, -1, 0, 0], [0, 0, -1, 4], [0, 0
 SCALED = [[2, 0, 0, 0], [0, 2, 0, 0], [0, 0, 2, 4], [0, 0, 0, 1]]
 TRANSPOSED = np.array(SOUND["world_from_camera"]).T.tolist()
 PATHS = {
-    "no JSON": ("{", "is not JSON"),
-    "binary": ("\x00\x01", "is not JSON"),
-    "nested without end": ("[" * 100_000, "is not JSON"),
+    "no JSON": ("{", "is not valid JSON"),
+    "binary": ("\x00\x01", "is not valid JSON"),
+    "nested without end": ("[" * 100_000, "is nested too deeply"),
     "an object": (json.dumps(SOUND), "a list of cameras was expected"),
     "nothing": ("[]", "a list of cameras was expected"),
     "numbers": ("[1, 2]", "camera 0 is not sound"),

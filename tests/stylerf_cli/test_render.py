@@ -112,6 +112,32 @@ def test_the_example_of_a_file_of_cameras_is_one(work, capsys):
         assert read_exr(folder / view.exr).alpha.max() > 0.9  # it sees the still life
 
 
+@pytest.mark.parametrize("name", ["camera_path.json", "transforms.json"])
+def test_paths_of_other_tools_are_rendered(work, tmp_path, capsys, name):
+    """The still life's scene keeps the frame of its source: the view is the scene's own."""
+    first = load_scene(Work(work).get("scene", "main")).cameras[0]
+    pose = first.world_from_camera @ np.diag([1, -1, -1, 1])
+    angle = float(np.degrees(2 * np.arctan(16 / first.fy)))
+    content = {
+        "camera_path.json": {
+            "render_width": 32,
+            "render_height": 32,
+            "camera_path": [{"camera_to_world": pose.ravel().tolist(), "fov": angle}],
+        },
+        "transforms.json": {
+            "fl_x": first.fx,
+            "w": 32,
+            "h": 32,
+            "frames": [{"file_path": "x", "transform_matrix": pose.tolist()}],
+        },
+    }
+    (tmp_path / name).write_text(json.dumps(content[name]))
+    folder, said = rendered(work, capsys, "--of", "fit", "--path", tmp_path / name)
+    (view,) = read_frames(folder).views
+    np.testing.assert_allclose(view.camera.world_from_camera, first.world_from_camera, atol=1e-9)
+    assert ("taken to be in the frame of the scene's source" in said) == (name == "camera_path.json")
+
+
 def test_cameras_of_a_file_see_as_the_scenes_first_in_as_many_pixels_as_they_ask_for(work, tmp_path):
     scene = load_scene(Work(work).get("scene", "main"))
     first = replace(scene.cameras[0], cx=15.0, fy=40.0)

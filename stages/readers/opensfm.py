@@ -1,0 +1,120 @@
+"""OpenSfM's reconstruction.json, as OpenSfM and OpenDroneMap write it.
+
+Shots are world-to-camera, rotation as angle times axis, with OpenCV axes. Focal lengths and principal points are in
+units of the longer side, from the picture's centre (OpenSfM, doc/source/geometry.rst), and its centre is ours: with
+pixel centres at whole numbers it lies at ((w - 1)/2, (h - 1)/2).
+"""
+
+import math
+from pathlib import Path
+
+import numpy as np
+
+from schemas.errors import BadInput
+from schemas.names import printable
+from schemas.reading import read_json
+from stages.readers import opensfm_file
+from stages.readers.listed import Folder
+from stages.readers.photo_folder import folder_of
+from stages.readers.source import SourceCamera, SourcePoints, SourceScene, natural, with_masks
+from stages.readers.values import entry_of, number, object_of, row, size
+from stylerf.geometry.conventions import from_colmap
+from stylerf.geometry.distortion import Distortion
+
+# By projection_type: the kind of distortion, its radial coefficients, whether it has two focal lengths and a centre.
+MODELS = {
+    "perspective": ("brown", ("k1", "k2"), False),
+    "simple_radial": ("brown", ("k1",), True),
+    "radial": ("brown", ("k1", "k2"), True),
+    "brown": ("brown", ("k1", "k2", "k3"), True),
+    "fisheye": ("fisheye", ("k1", "k2"), False),
+    "fisheye_opencv": ("fisheye", ("k1", "k2", "k3", "k4"), True),
+}
+
+
+def read(source: Path, images: str) -> SourceScene:
+    """The shots of the reconstruction that has most of them."""
+    path = opensfm_file(source)
+    if path is None:
+        raise BadInput(f"{source} holds no reconstruction.json of OpenSfM; run OpenSfM's `reconstruct`")
+    parts = read_json(path)
+    if not isinstance(parts, list) or not all(isinstance(one, dict) and "shots" in one for one in parts) or not parts:
+        raise BadInput(f"{path} is no list of OpenSfM's reconstructions; run OpenSfM's `reconstruct` again")
+    counts = [len(object_of(one, "shots", f"{path}: reconstruction {index}")) for index, one in enumerate(parts)]
+    largest = int(np.argmax(counts))
+    where = f"{path}: reconstruction {largest}"
+    used = {str(entry_of(shot, "camera", where)) for shot in parts[largest]["shots"].values()}
+    lenses = {
+        key: _lens(camera, f"{path}: camera {printable(key)}")
+        for key, camera in object_of(parts[largest], "cameras", where).items()
+        if key in used
+    }
+    root = source.parent if source.is_file() else source
+    photos = Folder(folder_of(root, images), root, str(path))
+    cameras = [
+        _camera(key, shot, lenses, photos, f"{path}: shot {printable(key)}")
+        for key, shot in sorted(parts[largest]["shots"].items(), key=lambda item: natural(item[0]))
+    ]
+    if not cameras:
+        raise BadInput(f"{path} holds no shot; run OpenSfM's `reconstruct` again")
+    remarks = list(photos.remarks())
+    if len(parts) > 1:
+        others = ", ".join(str(count) for index, count in enumerate(counts) if index != largest)
+        told = f"of {len(parts)} reconstructions that of most photos, {counts[largest]}, was taken (others: {others})"
+        remarks.append(told)
+    return SourceScene(
+        "reconstruction of OpenSfM", with_masks(cameras, root), _points(parts[largest], where),
+        rescalable=bool(images), remarks=tuple(remarks), files=(path,),
+    )  # fmt: skip
+
+
+def _lens(camera: object, where: str):
+    """(width, height), (fx, fy, cx, cy), distortion."""
+    kind = str(entry_of(camera, "projection_type", where, "perspective"))
+    if kind not in MODELS:
+        raise BadInput(
+            f"{where}: its projection {printable(kind)} is not read; run OpenSfM's `undistort` and import the folder "
+            "undistorted"
+        )
+    distortion, radial, brown = MODELS[kind]
+    width, height = size(camera, where)
+    longer = max(width, height)
+    fx, fy = (number(camera, name, where) * longer for name in (("focal_x", "focal_y") if brown else ("focal",) * 2))
+    cx, cy = (number(camera, name, where, 0.0) * longer if brown else 0.0 for name in ("c_x", "c_y"))
+    tangential = tuple(number(camera, name, where, 0.0) if kind == "brown" else 0.0 for name in ("p1", "p2"))
+    lens = Distortion(distortion, tuple(number(camera, name, where, 0.0) for name in radial), tangential)
+    return (width, height), (fx, fy, width / 2 + cx, height / 2 + cy), lens
+
+
+def _camera(key: str, shot: object, lenses: dict, photos: Folder, where: str) -> SourceCamera:
+    lens = lenses.get(str(entry_of(shot, "camera", where)))
+    if lens is None:
+        raise BadInput(f"{where} has camera {printable(str(shot['camera']))[:40]}, which is missing")
+    rotation = _rotation(row(entry_of(shot, "rotation", where), 3, f"{where}: rotation"))
+    shift = row(entry_of(shot, "translation", where), 3, f"{where}: translation")
+    name, photo = photos.photo(key)
+    return SourceCamera(
+        name=name, source=key, image=photo, world_from_camera=from_colmap(np.column_stack([rotation, shift])),
+        size=lens[0], intrinsics=lens[1], distortion=lens[2],
+    )  # fmt: skip
+
+
+def _rotation(vector: np.ndarray) -> np.ndarray:
+    """[3, 3] of angle times axis (Rodrigues)."""
+    angle = math.hypot(*vector)
+    x, y, z = vector / angle if angle > 1e-12 else vector
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
+
+
+def _points(part: dict, where: str) -> SourcePoints | None:
+    entries = list(object_of(part, "points", where).values()) if part.get("points") else []
+    try:
+        xyz = np.array([one["coordinates"] for one in entries], dtype=np.float64).reshape(-1, 3)
+        rgb = np.array([one.get("color", (128,) * 3) for one in entries], dtype=np.float64).reshape(-1, 3)
+    except (TypeError, ValueError, KeyError, AttributeError, OverflowError) as error:
+        raise BadInput(f"{where}: a point has no coordinates or no colour of three numbers") from error
+    kept = np.isfinite(np.hstack([xyz, rgb])).all(axis=1)
+    if not kept.any():
+        return None
+    return SourcePoints(xyz[kept], rgb[kept].clip(0, 255).astype(np.uint8), np.zeros(int(kept.sum()), np.float32))
