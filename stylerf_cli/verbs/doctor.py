@@ -97,16 +97,18 @@ def _device(session) -> list[dict]:
 
 
 def _kernels() -> list[dict]:
-    from stylerf.kernels import kernel_cache_dir, unwritable
+    from stylerf.kernels import kernel_cache_dir, not_kept
 
-    folder = unwritable or kernel_cache_dir()
+    folder = kernel_cache_dir()
     compiled = list(folder.rglob("*.nbc")) if folder.is_dir() else []
     size = sum(path.stat().st_size for path in compiled)
     words = f"{folder}: {len(compiled)} compiled kernels, {size / 1e6:.1f} MB"
     if not compiled:
         words += "; the first fit compiles them, which takes a minute or so"
-    how = "set STYLERF_CACHE to a folder that you may write to; without it every run compiles anew"
-    return [_check("kernels", "cache", _writable(folder), words, how), _gpu_kernels()]
+    if not_kept:
+        words = f"not kept: {not_kept}"
+    how = "set STYLERF_CACHE to a folder that you alone may write to; without it every run compiles anew"
+    return [_check("kernels", "cache", not not_kept, words, how), _gpu_kernels()]
 
 
 def _gpu_kernels() -> dict:
