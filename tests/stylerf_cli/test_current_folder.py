@@ -88,13 +88,13 @@ def test_a_colon_too_many_in_pythonpath_does_not_make_it_a_source_of_modules(tra
 
 
 def test_a_folder_that_pythonpath_names_in_full_stays(trap, tmp_path):
-    code = f"import sys; sys.path.insert(0, {str(REPOSITORY)!r}); import stylerf_cli; print(sys.path.count({str(trap)!r}))"
-    for named, count in ((str(trap), "1"), ("", "0"), (".", "0")):
+    code = f"import sys; sys.path.insert(0, {str(REPOSITORY)!r}); import stylerf_cli; print({str(trap)!r} in sys.path)"
+    for named, stays in ((str(trap), "True"), ("", "False"), (".", "False")):
         given = os.environ | {"PYTHONPATH": os.pathsep.join([named, str(tmp_path)]), "SPRUNG": str(tmp_path / "sprung")}
         done = subprocess.run(
             [sys.executable, "-P", "-c", code], cwd=trap, env=given, capture_output=True, text=True, check=True
         )
-        assert done.stdout.split()[-1] == count, named
+        assert done.stdout.split()[-1] == stays, named
 
 
 def test_no_child_and_no_documented_command_imports_from_the_current_folder():

@@ -34,8 +34,8 @@ def compiling_note(say: Callable[[str], None]) -> Iterator[None]:
     """Tell once, before a first compile, what the machine will be busy with."""
     if not compiled_here() and not_kept:
         say(
-            f"compiling the kernels for this run alone, a minute or two: {not_kept}; set STYLERF_CACHE to a folder that "
-            "you alone may write to"
+            f"compiling the kernels for this run alone, a minute or two: {not_kept}; set STYLERF_CACHE to a folder "
+            "that you alone may write to"
         )
     elif not compiled_here():
         say("compiling the kernels for this processor, once: a minute or two")
