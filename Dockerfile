@@ -39,7 +39,7 @@ RUN python -m pip install "/opt/stylerf/source[video]"
 RUN python -c "from stages.weights import resolve, resolve_metric; resolve('hed-vgg16'); resolve('st-vgg16'); resolve_metric('st-lpips-alex')" && chmod -R a+rX "$STYLERF_CACHE"
 
 # Kernels are compiled on the machine that runs them, for its processor: at the first run, half a minute.
-# Mount a volume on $NUMBA_CACHE_DIR to keep them, and a GPU's in triton/, from one container to the next. Each user has a
+# Mount a volume on $NUMBA_CACHE_DIR to keep them, and a GPU's beside them, from one container to the next. Each user has a
 # folder of their own in it: what others could have written is not executed (stylerf/ownership.py). Nor is what lies in
 # the home folder that all share, hence PYTHONNOUSERSITE.
 RUN mkdir -p "$NUMBA_CACHE_DIR" "$MPLCONFIGDIR" && chmod -R 1777 "$NUMBA_CACHE_DIR" "$HOME"

@@ -18,11 +18,11 @@ from llvmlite import binding
 from stylerf.current_folder import current_folder
 from stylerf.ownership import not_ours
 
-_NAME = re.compile(r"[0-9a-f]{12}-[^/]+-[0-9a-f]{8}")
+_NAME = re.compile(r"[0-9a-f]{12}-[^/]+-[0-9a-f]{8}-[0-9]+")
 
 
 def kernel_cache_dir() -> Path:
-    """Folder of compiled kernels, one for each state of their sources and each kind of processor.
+    """Folder of compiled kernels, one for each state of their sources, each kind of processor and each user.
 
     It lies in $NUMBA_CACHE_DIR, else in $STYLERF_CACHE/kernels, else in the user's cache folder.
     """
@@ -40,13 +40,14 @@ def _name() -> str:
     """For what all kernels are compiled from and for.
 
     numba looks at the age of a kernel's own file only: one that inlines another file's function would be taken from the
-    cache after that other file has changed. Unlike processors that share a home would overwrite each other's index.
+    cache after that other file has changed. Unlike processors that share a home would overwrite each other's index;
+    users who share a folder would not execute each other's kernels.
     """
     digest = hashlib.sha256()
     for source in sorted((Path(__file__).parent / "cpu").glob("*.py")):
         digest.update(source.read_bytes())
     features = hashlib.sha256(binding.get_host_cpu_features().flatten().encode())
-    return f"{digest.hexdigest()[:12]}-{binding.get_host_cpu_name()}-{features.hexdigest()[:8]}"
+    return f"{digest.hexdigest()[:12]}-{binding.get_host_cpu_name()}-{features.hexdigest()[:8]}-{os.geteuid()}"
 
 
 def refusal(folder: Path) -> str | None:
@@ -81,7 +82,7 @@ if given := os.environ.get("TRITON_CACHE_DIR"):
 elif given := os.environ.get("TRITON_HOME"):
     _triton = Path(given) / ".triton" / "cache"
 else:
-    _triton = _folder.parent / "triton"
+    _triton = _folder.parent / f"triton-{os.geteuid()}"
     os.environ["TRITON_CACHE_DIR"] = str(_triton)
 triton_not_kept = refusal(_triton) if _triton.exists() or not given else None
 if triton_not_kept:

@@ -143,13 +143,13 @@ def test_a_gpus_kernels_lie_beside_them_unless_the_user_says_where(tmp_path):
         run = subprocess.run(command, env=plain | more, capture_output=True, text=True, check=True)
         return run.stdout.split()
 
-    assert folders(STYLERF_CACHE=str(tmp_path))[0] == f"{tmp_path}/kernels/triton"
+    assert folders(STYLERF_CACHE=str(tmp_path))[0] == f"{tmp_path}/kernels/triton-{os.geteuid()}"
     assert folders(TRITON_CACHE_DIR="/mine")[0] == "/mine" and folders(TRITON_HOME="/mine")[0] == "None"
     passing, ours = folders(STYLERF_CACHE=str(tmp_path / "file"))
-    assert Path(passing).parent == Path(ours).parent and Path(passing).name == "triton"
+    assert Path(passing).parent == Path(ours).parent and Path(passing).name == f"triton-{os.geteuid()}"
     assert Path(passing).is_relative_to(tmp_path) and not Path(passing).parent.exists()
     # Nor are those executed that somebody else could have written, wherever they are.
-    for place, more in ((tmp_path / "kernels" / "triton", {"STYLERF_CACHE": str(tmp_path)}),
+    for place, more in ((tmp_path / "kernels" / f"triton-{os.geteuid()}", {"STYLERF_CACHE": str(tmp_path)}),
                         (tmp_path / "mine", {"TRITON_CACHE_DIR": str(tmp_path / "mine")}),
                         (tmp_path / ".triton" / "cache", {"TRITON_HOME": str(tmp_path)})):  # fmt: skip
         place.mkdir(parents=True, exist_ok=True)
