@@ -10,7 +10,9 @@ venv=$1
 here=$(cd "$(dirname "$0")" && pwd)
 
 locked() {
-    "$venv/bin/python" -m pip install --quiet --no-deps --require-hashes -r "$here/$@"
+    file=$1
+    shift
+    "$venv/bin/python" -m pip install --quiet --no-deps --require-hashes -r "$here/$file" "$@"
 }
 
 python3 -m venv "$venv"

