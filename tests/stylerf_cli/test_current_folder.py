@@ -1,5 +1,6 @@
 """What lies in the current folder is never executed and configures nothing: it may have come with the photos."""
 
+import json
 import os
 import re
 import shutil
@@ -69,7 +70,7 @@ def test_structure_from_motions_child_runs_nothing_of_it(trap):
 
 def test_a_whole_chain_runs_nothing_of_it_and_its_charts_are_the_usual_ones(trap, tmp_path):
     chain = ("import posed out", "fit out --budget 3 --no-buffers", "render out --path test", "eval out", "compare out")
-    done = run(trap, *chain)
+    done = run(trap, *(f"{line} --no-paths" for line in chain))
     assert done.returncode == 0, done.stderr
     # numba imports yaml if it can; only the file's absence from its sight keeps it from being read.
     assert sprung(trap).replace("yaml is used: \n", "") == "" and "matplotlibrc" not in done.stderr
@@ -77,6 +78,12 @@ def test_a_whole_chain_runs_nothing_of_it_and_its_charts_are_the_usual_ones(trap
     assert charts and all("#ff0000" not in chart.read_text() for chart in charts)
     text = charts[0].read_text()
     assert "<text" in text and "60px" not in text
+    # --no-paths: nothing that was written tells where the photos or the work folder lay.
+    written = [path for path in (trap / "out").rglob("*") if path.is_file() and path.suffix != ".lock"]
+    assert {".json", ".exr", ".html", ".png"} <= {path.suffix for path in written}
+    for path in written:
+        assert str(tmp_path).encode() not in path.read_bytes(), path
+    assert json.loads((trap / "out" / "scene" / "main" / "manifest.json").read_text())["config"]["source"] == "posed"
 
 
 def test_a_colon_too_many_in_pythonpath_does_not_make_it_a_source_of_modules(trap):
