@@ -101,7 +101,7 @@ def _device(session) -> list[dict]:
 
 
 def _kernels() -> list[dict]:
-    from stylerf.kernels import kernel_cache_dir, not_kept
+    from stylerf.kernels import kernel_cache_dir, not_kept, refusal
 
     folder = kernel_cache_dir()
     compiled = list(folder.rglob("*.nbc")) if folder.is_dir() else []
@@ -109,10 +109,11 @@ def _kernels() -> list[dict]:
     words = f"{folder}: {len(compiled)} compiled kernels, {size / 1e6:.1f} MB"
     if not compiled:
         words += "; the first fit compiles them, which takes a minute or so"
-    if not_kept:
-        words = f"not kept: {not_kept}"
+    why = not_kept or refusal(folder)
+    if why:
+        words = f"not kept: {why}"
     how = "set STYLERF_CACHE to a folder that you alone may write to; without it every run compiles anew"
-    return [_check("kernels", "cache", not not_kept, words, how), _gpu_kernels()]
+    return [_check("kernels", "cache", not why, words, how), _gpu_kernels()]
 
 
 def _gpu_kernels() -> dict:
