@@ -108,9 +108,9 @@ def run_child(job: Path, context: Context) -> None:
 
 
 def _search_path() -> str:
-    """PYTHONPATH of the child: ours, of which an empty entry would mean the current folder."""
-    given = [os.path.abspath(entry) for entry in os.environ.get("PYTHONPATH", "").split(os.pathsep) if entry]
-    return os.pathsep.join([str(ROOT), *(entry for entry in given if entry in sys.path)])
+    """PYTHONPATH of the child: the entries of ours that name a folder in full. An empty one is the current folder."""
+    given = os.environ.get("PYTHONPATH", "").split(os.pathsep)
+    return os.pathsep.join([str(ROOT), *(entry for entry in given if os.path.isabs(entry))])
 
 
 def _end(child: subprocess.Popen) -> None:
