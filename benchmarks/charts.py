@@ -7,10 +7,9 @@ def drawn(size: tuple[float, float], draw) -> str:
     """SVG text of what `draw(figure)` makes of an empty figure: the same for the same figures."""
     import io
 
-    import matplotlib
-    from matplotlib.figure import Figure
+    from stylerf.plotting import Figure, rc_context
 
-    with matplotlib.rc_context({"svg.hashsalt": "stylerf"}):
+    with rc_context({"svg.hashsalt": "stylerf"}):
         figure = Figure(figsize=size, layout="tight")
         draw(figure)
         out = io.StringIO()

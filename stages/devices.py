@@ -4,6 +4,7 @@ import numpy as np
 
 from schemas.errors import OutOfResources
 from stages.progress import Context
+from stylerf.kernels import triton_not_kept
 from stylerf.kernels.gpu import unavailable
 
 
@@ -32,6 +33,8 @@ def gpu_of(context: Context, field=None, moving: bool = False) -> str | None:
         import torch
 
         torch.cuda.reset_peak_memory_stats()
+        if triton_not_kept:
+            context.progress.say(f"compiling the GPU's kernels for this run alone: {triton_not_kept}")
         return "cuda"
     context.progress.say(f"computing on the CPU: {why}")
     return None

@@ -39,7 +39,8 @@ class Context:
     """What every stage is run with beside its inputs and options; nothing of it but the seed changes a result.
 
     memory: bytes that the process may take, 0: most of what is free. ranks: the processes that run a stage together.
-    anew: nothing that was made before is to be taken for what is made now.
+    anew: nothing that was made before is to be taken for what is made now. no_paths: files from outside are
+    told by their names alone, without their folders.
     """
 
     seed: int = 0
@@ -47,5 +48,6 @@ class Context:
     threads: int = 2
     memory: int = 0
     anew: bool = False
+    no_paths: bool = False
     ranks: Any = ALONE
     progress: Any = Silent()

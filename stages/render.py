@@ -60,7 +60,9 @@ def run(inputs: dict[str, Artefact], config: RenderConfig, partial: Partial, con
         try_video(*sizes[0], config.fps)
     regions = regions_among(inputs, field.space) if config.shows_regions else {}
     channels = channels_of(regions)
-    attributes = {"field": inputs["field"].name, "fieldDigest": inputs["field"].digest, "path": config.path}
+    attributes = {"field": inputs["field"].name, "fieldDigest": inputs["field"].digest}
+    along = Path(config.path).name if context.no_paths else config.path
+    attributes["path"] = along
     attributes |= {CHANNEL + channels[name]: f"{name} {regions[name].digest}" for name in channels}
     cells = {name: region.cells for name, region in regions.items()}
     if config.displacement and field.displacement is None:
@@ -87,7 +89,7 @@ def run(inputs: dict[str, Artefact], config: RenderConfig, partial: Partial, con
     context.progress.finish()
     masks = channels if config.exr else {}
     fps = config.fps if config.video or config.path not in OWN_VIEWS else None
-    write_frames(partial.path, Frames(inputs["field"].name, config.path, listed, fps, masks))
+    write_frames(partial.path, Frames(inputs["field"].name, along, listed, fps, masks))
     elsewhere = {name for names in taken.values() for name in names}
     return {
         "frames": len(listed),

@@ -58,6 +58,22 @@ def recipe_of(spec: Spec, inputs: dict[str, Artefact], config: Any, seed: int) -
     return Recipe(spec.stage, spec.revision, plain(config), references, seed, sorted(incidental(config)))
 
 
+def without_folders(recipe: Recipe) -> Recipe:
+    """The same recipe, in which files that are known by their digests are told by their names alone."""
+    named = {key: _name_of(value) for key, value in recipe.config.items() if key in recipe.aside}
+    return replace(recipe, config={**recipe.config, **named})
+
+
+def _name_of(value: Any) -> Any:
+    """PATH -> its last part, VIEW=PATH -> VIEW= and its last part; in a list, of each."""
+    if isinstance(value, list | tuple):
+        return [_name_of(one) for one in value]
+    if not isinstance(value, str):
+        return value
+    view, mark, path = value.partition("=")
+    return f"{view}={Path(path).name}" if mark and "/" not in view else Path(value).name
+
+
 def refuse_to_replace(work: Work, kind: str, name: str, sources: Iterable[Artefact]) -> None:
     """UsageError where the artefact `name` would take the place of what it is made from, directly or through others."""
     target = (work.root / kind / name).resolve()
@@ -88,6 +104,7 @@ def execute(
     kept (ArtefactStale), what stands or cannot be gone on with is told of.
     """
     recipe = recipe_of(spec, inputs, config, context.seed)
+    recipe = without_folders(recipe) if context.no_paths else recipe
     standing = None if force else work.standing(spec.writes, name, recipe)
     if standing:
         work.sweep(spec.writes, name)

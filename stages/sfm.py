@@ -90,11 +90,11 @@ def run_child(job: Path, context: Context) -> None:
     group whatever it is doing.
     """
     log = job.with_suffix(".log")
-    path = os.pathsep.join([str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])])
+    # -P: without it `-m` imports from the current folder first, and what lies there may be a stranger's.
     with open(log, "wb") as errors:
         child = subprocess.Popen(
-            [sys.executable, "-m", "stages.sfm_child", str(job)], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
-            stderr=errors, start_new_session=True, env={**os.environ, "PYTHONPATH": path},
+            [sys.executable, "-P", "-m", "stages.sfm_child", str(job)], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+            stderr=errors, start_new_session=True, env={**os.environ, "PYTHONPATH": _search_path()},
         )  # fmt: skip
     try:
         fault = _follow(child, context)
@@ -105,6 +105,12 @@ def run_child(job: Path, context: Context) -> None:
         # On a full disk COLMAP and the libraries below it end in many ways, few of which say so.
         full = refusal_of_disk(job, PROBED_BYTES) if code != -signal.SIGTERM else None
         raise full or (_fault(fault["kind"], fault["text"]) if fault else _death(code, log))
+
+
+def _search_path() -> str:
+    """PYTHONPATH of the child: the entries of ours that name a folder in full. An empty one is the current folder."""
+    given = os.environ.get("PYTHONPATH", "").split(os.pathsep)
+    return os.pathsep.join([str(ROOT), *(entry for entry in given if os.path.isabs(entry))])
 
 
 def _end(child: subprocess.Popen) -> None:

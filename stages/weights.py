@@ -28,12 +28,14 @@ from stages.weight_sources import (
     DECODERS,
     DEFAULT_METRICS,
     DEFAULT_TRUNKS,
+    HUB_SHA256,
     HUB_URLS,
     METRICS,
     TRUNKS,
     Source,
     hub_folder,
 )
+from stylerf.ownership import not_ours
 
 
 @dataclass(frozen=True)
@@ -114,7 +116,7 @@ def resolve_decoder(name: str = "vgg19-wct-decoder") -> ResolvedTrunk:
 
 def available_metrics() -> list[str]:
     """Names of the perceptual metrics whose weights are here, in the order in which they are reported."""
-    return [name for name in DEFAULT_METRICS if METRICS[name].locate() or _cached_file(METRICS[name]).is_file()]
+    return [name for name in DEFAULT_METRICS if METRICS[name].locate() or _cached(METRICS[name])]
 
 
 def describe() -> list[dict[str, Any]]:
@@ -125,8 +127,8 @@ def describe() -> list[dict[str, Any]]:
     rows, chosen = [], None
     for use, sources in (("features", TRUNKS), ("metric", METRICS), ("decoder", DECODERS)):
         for source in sources.values():
-            files, cache = source.locate(), _cached_file(source)
-            found = bool(files) or cache.is_file()
+            files, cache = source.locate(), _cached(source)
+            found = bool(files or cache)
             if use == "features" and found and chosen is None and source.name in DEFAULT_TRUNKS:
                 chosen = source.name
             rows.append(
@@ -135,8 +137,8 @@ def describe() -> list[dict[str, Any]]:
                     "name": source.name,
                     "what": source.words,
                     "found": found,
-                    "path": str(files[0]) if files else str(cache) if found else None,
-                    "cached": cache.is_file(),
+                    "path": str(files[0] if files else cache) if found else None,
+                    "cached": cache is not None,
                     "chosen": use == "features" and chosen == source.name,
                     "obtain": source.obtain,
                 }
@@ -178,7 +180,7 @@ def _read(source: Source) -> ResolvedTrunk | None:
     if files is None:
         return None
     for file in files:
-        _check_hub_name(file)
+        _check_hub_file(file)
     state = formats.converted(source.convert, files[0], *(formats.read_file(file) for file in files))
     digest = state_digest(state)
     if source.digest not in (None, digest):
@@ -194,9 +196,17 @@ def _cached_file(source: Source) -> Path:
     return cache_folder() / f"{source.name}.safetensors"
 
 
+def _cached(source: Source) -> Path | None:
+    """The cached file, if it is there. Without a digest to hold it to it must be of this user's own making."""
+    path = _cached_file(source)
+    return path if path.is_file() and (source.digest or not_ours(path) is None) else None
+
+
 def _from_cache(source: Source) -> ResolvedTrunk | None:
     """None when nothing is cached or what is there is damaged (it is then made again)."""
-    path = _cached_file(source)
+    path = _cached(source)
+    if path is None:
+        return None
     try:
         with safe_open(path, framework="pt") as file:
             expected = source.digest or (file.metadata() or {}).get("digest")
@@ -226,15 +236,10 @@ def _keep(source: Source, state: dict[str, Tensor], digest: str) -> None:
             Path(temporary).unlink(missing_ok=True)
 
 
-def _check_hub_name(path: Path) -> None:
-    """torch's hub names a file after the beginning of its sha256: a download cut short is told from the whole one."""
-    expected = {url.rsplit("/", 1)[1]: url.rsplit("-", 1)[1].removesuffix(".pth") for url in HUB_URLS.values()}
-    if path.name not in expected or path.parent != hub_folder():
-        return
-    with open(path, "rb") as stream:
-        found = hashlib.file_digest(stream, "sha256").hexdigest()
-    if not found.startswith(expected[path.name]):
+def _check_hub_file(path: Path) -> None:
+    """BadInput where a file in torch's hub is not, to the last byte, the one that its name stands for."""
+    expected = {url.rsplit("/", 1)[1]: HUB_SHA256[model] for model, url in HUB_URLS.items()}
+    if path.name in expected and path.parent == hub_folder() and (found := file_sha256(path)) != expected[path.name]:
         raise BadInput(
-            f"weights {path}: sha256 begins with {found[:8]}, expected {expected[path.name]}; delete the file "
-            "and download it again"
+            f"weights {path}: sha256 is {found}, expected {expected[path.name]}; delete the file and download it again"
         )

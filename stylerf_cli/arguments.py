@@ -43,6 +43,9 @@ def add_common(parser: Parser) -> None:
     common.add_argument("--name", help="name of the artefact to write (default: told by the verb)")
     common.add_argument("--config", type=Path, metavar="FILE.toml", help="options from a file; flags win over it")
     common.add_argument("--only", action="store_true", help="do not bring earlier stages up to date; stop instead")
+    common.add_argument(
+        "--no-paths", action="store_true", help="write names of files from outside, not the folders they lie in"
+    )
     common.add_argument("--force", action="store_true", help="make it anew even if it stands up to date")
 
 

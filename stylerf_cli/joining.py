@@ -1,6 +1,6 @@
 """One command run by several processes, started by torchrun: the first leads, speaks and writes, the others follow it.
 
-    torchrun --nproc-per-node 2 -m stylerf_cli.main fit WORK
+    torchrun --nproc-per-node 2 --no-python stylerf fit WORK
 
 Before a stage the first process says whether it runs; after it, under which name its artefact stands. The others run
 what it runs, on their part of the rays, and write nothing.

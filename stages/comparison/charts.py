@@ -2,16 +2,12 @@
 
 from collections.abc import Sequence
 
-import matplotlib
-from matplotlib.axes import Axes
-from matplotlib.colors import to_hex, to_rgb
-from matplotlib.figure import Figure as Drawing
-from matplotlib.lines import Line2D
-
 from stages.comparison.fronts import Panel, panel_of
 from stages.comparison.runs import CHARTED, COSTS, EDITS, FITS, STYLISATIONS, Run
 from stages.evaluation.charts import INK, SETTINGS, Chart, finished
 from stages.evaluation.wording import count
+from stylerf.plotting import Axes, Line2D, rc_context, to_hex, to_rgb
+from stylerf.plotting import Figure as Drawing
 
 # Okabe and Ito's, which most eyes tell apart, without the yellow that fails on white.
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#888888")
@@ -46,7 +42,7 @@ def _chart(family: str, cost: str, panels: list[Panel]) -> Chart:
     methods = {one: MARKERS[i % len(MARKERS)] for i, one in enumerate(dict.fromkeys(run.method for run in shown))}
     columns = min(2, len(panels))
     rows = -(-len(panels) // columns)
-    with matplotlib.rc_context(SETTINGS):
+    with rc_context(SETTINGS):
         drawing = Drawing(figsize=(6.0 + 3.5 * (columns - 1), 3.2 * rows + 0.9), layout="constrained")
         grid = drawing.add_gridspec(rows, columns)
         for place, panel in enumerate(panels):

@@ -5,10 +5,8 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import matplotlib
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure as Drawing
-from matplotlib.ticker import MaxNLocator
+from stylerf.plotting import Figure as Drawing
+from stylerf.plotting import FigureCanvasAgg, MaxNLocator, rc_context
 
 INK = "#24292f"  # text and axes; becomes the page's own colour when inlined
 BLUE, ORANGE = "#3d85c6", "#d9822b"  # both read on white and on near-black
@@ -61,7 +59,7 @@ def bar_chart(name: str, title: str, unit: str, labels: Sequence[str], values: S
     known = [value for value in values if value is not None]
     mean = sum(known) / len(known)
     worst, best = min(known), max(known)
-    with matplotlib.rc_context(SETTINGS):
+    with rc_context(SETTINGS):
         drawing = Drawing(figsize=(8, 3.2), layout="constrained")
         axes = drawing.add_subplot()
         places = range(len(values))
@@ -98,7 +96,7 @@ def curve_chart(name: str, title: str, curve: Sequence[dict]) -> Chart:
     kinds = {label: [point for point in curve if point["held_out"] == (label == "held out")] for label in LINES}
     kinds = {label: points for label, points in kinds.items() if points}
     sized = all(isinstance(point.get("parameters"), (int, float)) for point in curve)
-    with matplotlib.rc_context(SETTINGS):
+    with rc_context(SETTINGS):
         drawing = Drawing(figsize=(8, 4.2 if sized else 3.2), layout="constrained")
         grid = drawing.add_gridspec(2 if sized else 1, 1, height_ratios=[3, 1] if sized else None)
         upper = drawing.add_subplot(grid[0])
@@ -134,7 +132,7 @@ def _ends(points: Sequence[dict]) -> str:
 
 def pairs_chart(name: str, title: str, series: dict[str, Sequence[tuple[float, float]]]) -> Chart:
     """Lines of (frame, value) for each name, at most two, on one axis from zero."""
-    with matplotlib.rc_context(SETTINGS):
+    with rc_context(SETTINGS):
         drawing = Drawing(figsize=(8, 3), layout="constrained")
         axes = drawing.add_subplot()
         told = []

@@ -5,10 +5,10 @@ import io
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import matplotlib
 import numpy as np
-from matplotlib.image import imsave
 from skimage.transform import resize
+
+from stylerf.plotting import colormaps, imsave
 
 ERROR_FULL = 0.25  # mean absolute difference over RGB that shows as the brightest colour
 ERROR_COLOURS, DEPTH_COLOURS = "inferno", "viridis_r"  # perceptually uniform; near is bright in viridis_r
@@ -50,7 +50,7 @@ def shown(image: np.ndarray) -> np.ndarray:
 def error_picture(render: np.ndarray, photo: np.ndarray) -> np.ndarray:
     """Mean absolute difference over RGB of two images [h, w, 3], 0 .. 0.25 in the colours of inferno."""
     error = np.abs(np.nan_to_num(render) - photo).mean(axis=-1)
-    coloured = matplotlib.colormaps[ERROR_COLOURS](np.clip(error / ERROR_FULL, 0, 1))[..., :3]
+    coloured = colormaps[ERROR_COLOURS](np.clip(error / ERROR_FULL, 0, 1))[..., :3]
     return np.where(np.isfinite(render).all(axis=-1)[..., None], coloured, NOT_FINITE)
 
 
@@ -60,7 +60,7 @@ def depth_picture(z: np.ndarray, alpha: np.ndarray, near: float, far: float) -> 
     finite = np.isfinite(z) & (z > 0)
     inverse = 1 / np.where(finite, z, near)
     place = (1 / near - inverse) / max(1 / near - 1 / far, 1e-12)
-    coloured = matplotlib.colormaps[DEPTH_COLOURS](np.clip(place, 0, 1))[..., :3]
+    coloured = colormaps[DEPTH_COLOURS](np.clip(place, 0, 1))[..., :3]
     coloured = np.where(opaque[..., None], coloured, EMPTY)
     return np.where((opaque & ~finite)[..., None], NOT_FINITE, coloured)
 
@@ -77,7 +77,7 @@ def depth_range(depths: Sequence[np.ndarray], alphas: Sequence[np.ndarray]) -> t
 
 def colour_bar(name: str, steps: int = 9) -> str:
     """A CSS gradient of a colour map, from its low to its high end."""
-    stops = matplotlib.colormaps[name](np.linspace(0, 1, steps))[:, :3]
+    stops = colormaps[name](np.linspace(0, 1, steps))[:, :3]
     colours = ",".join("#" + "".join(f"{round(float(part) * 255):02x}" for part in stop) for stop in stops)
     return f"linear-gradient(to right,{colours})"
 

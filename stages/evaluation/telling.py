@@ -8,6 +8,7 @@ from stages.evaluation.charts import Chart, bar_chart, curve_chart, pairs_chart
 from stages.evaluation.figures import Row, is_number
 from stages.evaluation.lineage import Made, fields_behind
 from stages.evaluation.wording import listed
+from stages.weight_sources import OBTAIN_ST
 
 BAR_FIGURES = {False: ("psnr", "PSNR", "dB"), True: ("nnfm", "NNFM distance to {style_words}", "")}
 
@@ -60,7 +61,7 @@ def _fit_notes(have: Presence) -> list[dict]:
         if not have.lpips:
             notes.append(_note("LPIPS", "Its trained weights were not found; `stylerf doctor` tells how to get them."))
         if not have.tolerant:
-            notes.append(_note("ST-LPIPS", "The package stlpips_pytorch was not found; `stylerf doctor` tells more."))
+            notes.append(_note("ST-LPIPS", f"Its weights were not found; get them with: {OBTAIN_ST}"))
     if not have.true_depth:
         notes.append(_note("Depth error", "The scene has no true depth: photos do not tell it."))
     elif have.depth_sizes_differ:
@@ -139,7 +140,7 @@ def _blind(have: Presence) -> str:
     if not have.large_enough:
         return "The images are smaller than 64 pixels on a side."
     if not (have.lpips or have.tolerant):
-        return "Neither weights of LPIPS nor of ST-LPIPS were found; `stylerf doctor` tells how to get them."
+        return f"Neither weights of LPIPS nor of ST-LPIPS were found; get the latter with: {OBTAIN_ST}"
     return ""
 
 

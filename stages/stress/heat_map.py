@@ -2,15 +2,13 @@
 
 from collections.abc import Sequence
 
-import matplotlib
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.collections import QuadMesh
-from matplotlib.figure import Figure as Drawing
 
 from stages.evaluation.charts import INK, SETTINGS, Chart, finished
 from stages.stress.cells import REMEDIED, Cell
 from stages.stress.faults import METHODS
+from stylerf.plotting import Axes, QuadMesh, colormaps, rc_context
+from stylerf.plotting import Figure as Drawing
 
 COLOURS = "cividis"  # even to the eye, and read alike by those who do not tell red from green
 STEPS = 11  # few enough that the bar beside the map stays lines in an SVG
@@ -34,7 +32,7 @@ def _by_method(cell: Cell) -> tuple[int, bool]:
 def heat_map(cells: Sequence[Cell]) -> Chart:
     """Each cell shows its successes of its runs and, below, the median of the scores with their spread."""
     faults, methods, _ = rates(cells)
-    with matplotlib.rc_context(SETTINGS):
+    with rc_context(SETTINGS):
         drawing = Drawing(figsize=(2.2 + 1.25 * len(methods), 1.4 + 0.46 * len(faults)), layout="constrained")
         axes = drawing.add_subplot()
         mesh = draw_cells(axes, cells)
@@ -56,7 +54,7 @@ def draw_cells(axes: Axes, cells: Sequence[Cell]) -> QuadMesh:
         vmax=1,
         edgecolors="white",
         linewidth=1.5,
-        cmap=matplotlib.colormaps[COLOURS].resampled(STEPS),
+        cmap=colormaps[COLOURS].resampled(STEPS),
     )
     for row, fault in enumerate(faults):
         for column, method in enumerate(methods):

@@ -10,7 +10,7 @@ from stylerf.rendering.view import RenderedView
 
 def depth_picture(z: np.ndarray, alpha: np.ndarray) -> np.ndarray:
     """Planar depth [h, w] in a perceptual colour map, near bright, by inverse depth; [h, w, 3] uint8, void black."""
-    from matplotlib import colormaps
+    from stylerf.plotting import colormaps
 
     seen = (alpha > 0.5) & (z > 0)
     inverse = np.where(seen, 1 / np.maximum(z, 1e-6), 0)
@@ -25,7 +25,7 @@ def displacement_picture(field: RadianceField, camera: Camera, seen: RenderedVie
 
     The scale ends at the 99th percentile of what is seen.
     """
-    from matplotlib import colormaps
+    from stylerf.plotting import colormaps
 
     origins, directions = camera.rays()
     points = field.space.warp(origins + directions * seen.ray_distance.reshape(-1, 1))

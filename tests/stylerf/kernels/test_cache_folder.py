@@ -1,10 +1,13 @@
 """Compiled kernels are found again only while every source file that they are made of is the same."""
 
 import os
+import pickle
 import re
 import shutil
+import stat
 import subprocess
 import sys
+from contextlib import suppress
 from pathlib import Path
 
 import stylerf.kernels as package
@@ -67,6 +70,68 @@ print(os.environ["NUMBA_CACHE_DIR"])
     assert Path(folder).is_relative_to(tmp_path) and not Path(folder).exists()
 
 
+COMPILED = """
+import os, sys, numpy as np
+from stylerf.kernels.cpu.compiling import compiling_note
+with compiling_note(print):
+    if sys.argv[1:]:
+        from stylerf.fields.vm import VmDensity
+        random = np.random.default_rng(0)
+        VmDensity.create(np.full(3, 24), 16, random).sigma(random.random((20, 3), dtype=np.float32), 2)
+print(os.environ["NUMBA_CACHE_DIR"])
+"""
+
+
+class Trap:
+    """Leaves a mark where it is unpickled, as numba unpickles the index of its cache."""
+
+    def __init__(self, mark: Path) -> None:
+        self.mark = mark
+
+    def __reduce__(self):
+        return open, (str(self.mark), "w")
+
+
+def compiled(cache: Path, *kernel: str, **more: str) -> list[str]:
+    """The lines that a process prints which needs a kernel, if any: notes, then its cache folder."""
+    given = {"NUMBA_CACHE_DIR": str(cache), "PYTHONPATH": str(Path(package.__file__).parents[2])}
+    command = [sys.executable, "-c", COMPILED, *kernel]
+    return subprocess.run(
+        command, env=os.environ | given | more, capture_output=True, text=True, check=True
+    ).stdout.splitlines()
+
+
+def test_kernels_that_somebody_else_could_have_written_are_not_executed(tmp_path):
+    mark, cache = tmp_path / "mark", tmp_path / "cache"
+    note, folder = compiled(cache, "kernel", TMPDIR=str(tmp_path))
+    kept = Path(folder)
+    assert "once" in note and kept.parent == cache and stat.S_IMODE(kept.stat().st_mode) == 0o700
+    for index in kept.rglob("*.nbi"):
+        index.write_bytes(pickle.dumps(Trap(mark)))
+    with suppress(subprocess.CalledProcessError):  # in a folder that is ours the trap works, so it would elsewhere
+        compiled(cache, "kernel")
+    assert mark.exists()
+    mark.unlink()
+    for spoil, restore, words, kernel in (
+        (lambda: kept.chmod(0o777), lambda: kept.chmod(0o700), "can be written by others", ["kernel"]),
+        (lambda: cache.chmod(0o777), lambda: cache.chmod(0o755), f"in {cache}, which can be written by others", []),
+        (lambda: linked(kept), lambda: None, "is a link", []),
+    ):
+        spoil()
+        note, folder = compiled(cache, *kernel, TMPDIR=str(tmp_path))
+        assert "for this run alone" in note and words in note and "STYLERF_CACHE" in note
+        assert not Path(folder).is_relative_to(cache) and not Path(folder).exists() and not mark.exists()
+        restore()
+    assert not list(tmp_path.glob("stylerf-kernels-*"))
+
+
+def linked(folder: Path) -> None:
+    """Moves a folder away and leaves a link to it."""
+    elsewhere = folder.parent.parent / "elsewhere"
+    folder.rename(elsewhere)
+    folder.symlink_to(elsewhere)
+
+
 def test_a_gpus_kernels_lie_beside_them_unless_the_user_says_where(tmp_path):
     program = "import os, stylerf.kernels; print(os.environ.get('TRITON_CACHE_DIR'), os.environ['NUMBA_CACHE_DIR'])"
     (tmp_path / "file").touch()
@@ -78,11 +143,18 @@ def test_a_gpus_kernels_lie_beside_them_unless_the_user_says_where(tmp_path):
         run = subprocess.run(command, env=plain | more, capture_output=True, text=True, check=True)
         return run.stdout.split()
 
-    assert folders(STYLERF_CACHE=str(tmp_path))[0] == f"{tmp_path}/kernels/triton"
+    assert folders(STYLERF_CACHE=str(tmp_path))[0] == f"{tmp_path}/kernels/triton-{os.geteuid()}"
     assert folders(TRITON_CACHE_DIR="/mine")[0] == "/mine" and folders(TRITON_HOME="/mine")[0] == "None"
     passing, ours = folders(STYLERF_CACHE=str(tmp_path / "file"))
-    assert Path(passing).parent == Path(ours).parent and Path(passing).name == "triton"
+    assert Path(passing).parent == Path(ours).parent and Path(passing).name == f"triton-{os.geteuid()}"
     assert Path(passing).is_relative_to(tmp_path) and not Path(passing).parent.exists()
+    # Nor are those executed that somebody else could have written, wherever they are.
+    for place, more in ((tmp_path / "kernels" / f"triton-{os.geteuid()}", {"STYLERF_CACHE": str(tmp_path)}),
+                        (tmp_path / "mine", {"TRITON_CACHE_DIR": str(tmp_path / "mine")}),
+                        (tmp_path / ".triton" / "cache", {"TRITON_HOME": str(tmp_path)})):  # fmt: skip
+        place.mkdir(parents=True, exist_ok=True)
+        place.chmod(0o777)
+        assert "stylerf-kernels-" in folders(**more)[0]
 
 
 def test_a_kernel_just_compiled_and_the_same_from_the_cache_give_the_same_bits(tmp_path):

@@ -1,0 +1,21 @@
+"""The current folder, which may hold files of strangers: libraries that look there for configuration find none."""
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+
+@contextmanager
+def current_folder(folder: Path) -> Iterator[None]:
+    """Makes `folder` the current one for a moment: for imports alone, since it is that of every thread.
+
+    The old one is held open, not named: it may have been renamed or deleted.
+    """
+    before = os.open(".", getattr(os, "O_PATH", os.O_RDONLY))
+    try:
+        os.chdir(folder)
+        yield
+    finally:
+        os.fchdir(before)
+        os.close(before)

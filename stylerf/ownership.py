@@ -1,0 +1,44 @@
+"""Whether somebody else could have written a file or folder, of which compiled code would be executed."""
+
+import os
+import stat
+from pathlib import Path
+
+
+def not_ours(path: Path) -> str | None:
+    """Why what lies at `path`, which exists, may be somebody else's, in words that follow its name; None if it is ours.
+
+    All of it must belong to this user, hold no link, and be writable, or out of reach, for everybody else. The folders
+    that lead to it must be this user's or the system's, and writable by nobody else unless they are sticky.
+    """
+    found = path.lstat()
+    if why := _foreign(found) or _open(found):
+        return why
+    for place in path.rglob("*") if path.is_dir() else ():
+        try:
+            inside = place.lstat()
+        except FileNotFoundError:  # another process has just renamed it into place
+            continue
+        if why := _foreign(inside) or (_open(inside) if found.st_mode & 0o011 else None):
+            return f"holds {place.relative_to(path)}, which {why}"
+    # Both ways to it: as it is written, where a link may lead elsewhere, and as it is in the end.
+    for parent in dict.fromkeys([*Path(os.path.abspath(path)).parents, *path.resolve().parents]):
+        for folder in (parent.lstat(), parent.stat()):
+            if folder.st_uid not in (0, os.geteuid()):
+                return f"lies in {parent}, which belongs to user {folder.st_uid}"
+        if not folder.st_mode & stat.S_ISVTX and (why := _open(folder)):
+            return f"lies in {parent}, which {why}"
+    return None
+
+
+def _foreign(found: os.stat_result) -> str | None:
+    if stat.S_ISLNK(found.st_mode):
+        return "is a link"
+    return None if found.st_uid == os.geteuid() else f"belongs to user {found.st_uid}"
+
+
+def _open(found: os.stat_result) -> str | None:
+    # Many systems give each user a group of the same number, which may write to all that the user makes.
+    own_group = found.st_gid == os.getegid() == os.geteuid()
+    others = stat.S_IWOTH if own_group else stat.S_IWOTH | stat.S_IWGRP
+    return "can be written by others" if found.st_mode & others else None
