@@ -25,23 +25,25 @@ def opened(path: Path | str, fault: type[StylerfError] = BadInput) -> Iterator[B
     shown = printable(str(path))
     try:
         # Without O_NONBLOCK, opening a named pipe waits for a writer.
-        handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
-        try:
-            mode = os.fstat(handle).st_mode
-            if not stat.S_ISREG(mode):
-                raise fault(f"{shown} is {_kind(mode)}, not a file")
-            stream = os.fdopen(handle, "rb")
-        except BaseException:
-            os.close(handle)
-            raise
-        with stream:
-            yield stream
+        stream = os.fdopen(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC), "rb")
+    except IsADirectoryError:
+        raise fault(f"{shown} is a folder, not a file") from None
     except FileNotFoundError:
         raise
-    except (OSError, ValueError) as error:  # ValueError: a null byte or a lone surrogate in the path
-        if isinstance(error, OSError) and (refused := out_of_resources(error, path)):
-            raise refused from error
-        raise fault(f"{shown} cannot be read: {getattr(error, 'strerror', None) or error}") from error
+    except ValueError as error:  # a null byte or a lone surrogate in the path
+        raise fault(f"{shown} cannot be read: {error}") from error
+    except OSError as error:
+        raise out_of_resources(error, path) or fault(f"{shown} cannot be read: {error.strerror}") from error
+    with stream:
+        mode = os.fstat(stream.fileno()).st_mode
+        if not stat.S_ISREG(mode):
+            raise fault(f"{shown} is {_kind(mode)}, not a file")
+        try:
+            yield stream
+        except OSError as error:
+            if isinstance(error, FileNotFoundError):
+                raise
+            raise out_of_resources(error, path) or fault(f"{shown} cannot be read: {error.strerror}") from error
 
 
 def read_bytes(path: Path | str, limit: int, fault: type[StylerfError] = BadInput) -> bytes:

@@ -7,6 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import to_hex, to_rgb
 from matplotlib.figure import Figure as Drawing
 from matplotlib.lines import Line2D
+from matplotlib.ticker import LogFormatter
 
 from stages.comparison.fronts import Panel, panel_of
 from stages.comparison.runs import CHARTED, COSTS, EDITS, FITS, STYLISATIONS, Run
@@ -79,6 +80,8 @@ def _draw(axes: Axes, panel: Panel, groups: dict[str, tuple[str, str]], methods:
     costs = [panel.at(run)[0] for run in panel.runs]
     if min(costs) > 0 and max(costs) > WIDE_RANGE * min(costs):
         axes.set_xscale("log")
+        axes.xaxis.set_major_formatter(LogFormatter())
+        axes.xaxis.set_minor_formatter(LogFormatter())  # the usual one writes in TeX
     axes.margins(x=0.2, y=0.14)
     axes.set_xlabel(AXES[panel.cost][0])
     if panel.cost == "parameters":
