@@ -8,6 +8,7 @@ import math
 import os
 import struct
 from pathlib import Path
+from tokenize import TokenError
 
 import numpy as np
 
@@ -58,7 +59,7 @@ def _read_npy(path: Path) -> np.ndarray:
                 check_allowance(path, shape[1], shape[0], math.prod(shape) * max(4, kind.itemsize))
             stream.seek(0)
             found = np.load(stream, allow_pickle=False)
-    except (ValueError, EOFError, SyntaxError, TypeError, RecursionError, OverflowError) as error:
+    except (ValueError, EOFError, SyntaxError, TypeError, RecursionError, OverflowError, TokenError) as error:
         raise BadInput(f"flow {path} is no array that numpy can read without running code: {error}") from error
     if not isinstance(found, np.ndarray) or found.ndim != 3 or found.shape[2] != 2 or found.dtype.kind not in "fiu":
         shape = getattr(found, "shape", "several arrays")

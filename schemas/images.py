@@ -2,8 +2,11 @@
 
 import os
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import OpenImageIO as oiio
@@ -49,6 +52,18 @@ class Image:
         return self.pixels.shape[2]
 
 
+@contextmanager
+def _opened(path: Path) -> Iterator["oiio.ImageInput"]:
+    with native_output_silenced():
+        source = _open(path)
+        try:
+            yield source
+        except UnicodeDecodeError as error:  # of a channel's or an attribute's name
+            raise BadInput(f"{path} is damaged: it holds a name that is no text; replace or remove it") from error
+        finally:
+            source.close()
+
+
 def _open(path: Path) -> "oiio.ImageInput":
     try:
         with opened(path) as stream:  # a codec would wait for a named pipe, and read a device for ever
@@ -60,16 +75,24 @@ def _open(path: Path) -> "oiio.ImageInput":
     oiio.attribute("limits:imagesize_MB", _most_to_open(head) >> 20)
     settings = oiio.ImageSpec()
     settings.attribute("oiio:UnassociatedAlpha", 1)  # else colours come multiplied by alpha, rounded to 8 bit
-    oiio.geterror()  # clears what an earlier file left
+    _error_of(oiio)  # clears what an earlier file left
     source = oiio.ImageInput.open(str(path), settings)
     if source is None:
-        error = oiio.geterror()
+        error = _error_of(oiio)
         if claimed := _CLAIMED.search(error):
             size, width, height = float(claimed[1]), int(claimed[2]), int(claimed[3])
             if size < LARGEST_IMAGE_MB:
                 check_allowance(path, width, height, _SEVERAL * int(size * 2**20))
         raise BadInput(f"{path} is no readable image ({_first_line(error, path)}); replace or remove it")
     return source
+
+
+def _error_of(told: Any) -> str:
+    """What OpenImageIO, or a file of it, has to say; it may quote bytes of the file that are no text."""
+    try:
+        return told.geterror()
+    except UnicodeDecodeError:
+        return "damaged"
 
 
 def _most_to_open(head: bytes) -> int:
@@ -95,13 +118,9 @@ def read_image(path: Path | str, upright: bool = True) -> Image:
     NaN or infinity; OutOfResources where it would take more memory than is allowed (schemas.allowance).
     """
     path = Path(path)
-    with native_output_silenced():
-        source = _open(path)
-        try:
-            spec, form = source.spec(), source.format_name()
-            pixels = _decoded(source, path)
-        finally:
-            source.close()
+    with _opened(path) as source:
+        spec, form = source.spec(), source.format_name()
+        pixels = _decoded(source, path)
     if form == "openexr":
         pixels = _displayed(pixels, spec, path)
     if upright:
@@ -123,7 +142,7 @@ def _decoded(source: "oiio.ImageInput", path: Path) -> np.ndarray:
         end = min(top + rows, spec.height)
         band = _band(source, spec, top, end)
         # Truncated JPEGs come back with pixels and an error: the error decides.
-        error = source.geterror() + oiio.geterror()
+        error = _error_of(source) + _error_of(oiio)
         if band is None or error:
             raise BadInput(f"{path} cannot be read whole ({_first_line(error, path)}); replace or remove it")
         band = band.reshape(end - top, spec.width, -1)
@@ -240,24 +259,16 @@ def _upright(pixels: np.ndarray, orientation: int) -> np.ndarray:
 def image_channels(path: Path | str) -> int:
     """Channels that read_image gives (1, 3 or 4), from the header alone; BadInput as read_image."""
     path = Path(path)
-    with native_output_silenced():
-        source = _open(path)
-        try:
-            return len(_colour_channels(source, path))
-        finally:
-            source.close()
+    with _opened(path) as source:
+        return len(_colour_channels(source, path))
 
 
 def image_size(path: Path | str, upright: bool = True) -> tuple[int, int]:
     """(width, height) of what read_image gives, from its header alone; BadInput as read_image."""
     path = Path(path)
-    with native_output_silenced():
-        source = _open(path)
-        try:
-            spec, form = source.spec(), source.format_name()
-            _colour_channels(source, path)
-        finally:
-            source.close()
+    with _opened(path) as source:
+        spec, form = source.spec(), source.format_name()
+        _colour_channels(source, path)
     size = (spec.full_width, spec.full_height) if form == "openexr" else (spec.width, spec.height)
     turned = upright and 5 <= spec.get_int_attribute("Orientation", 1) <= 8  # the four that swap rows and columns
     return size[::-1] if turned else size

@@ -63,6 +63,8 @@ def _unusable_path(error: BaseException) -> str | None:
         return f"{name} cannot be used as a path ({error.strerror}); shorten or correct it"
     if isinstance(error, FileNotFoundError) and error.filename is None and _nowhere():
         return "the current folder is no longer there; change to one that is (`cd`) and run the same command"
+    if isinstance(error, RuntimeError) and str(error) == "Could not determine home directory.":
+        return "a path begins with ~ and a user who is not known here; write the path out"
     if isinstance(error, UnicodeEncodeError):
         return f"{error.object[:200]!r} cannot be used as a path: it is no valid Unicode; rename it"
     if isinstance(error, ValueError) and str(error) == "embedded null byte":

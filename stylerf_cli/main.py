@@ -28,6 +28,7 @@ EXIT_CODES = (
 def main(argv: list[str] | None = None) -> int:
     """Runs one command and returns its exit code; `argv` is without the program's name."""
     open_standard_streams()
+    _name_the_nameless()
     if sys.platform == "win32":
         write_fault("stylerf: error: it runs on Linux (macOS is untested); on Windows use its Linux subsystem (WSL)")
         return UsageError.exit_code
@@ -56,6 +57,17 @@ def main(argv: list[str] | None = None) -> int:
             except OutputClosed:
                 _leave_stdout()
         return code
+
+
+def _name_the_nameless() -> None:
+    """Gives a user whom the system does not know, as in containers, a home (where nothing can be kept) and a name.
+
+    Libraries ask for both as they are imported, and break where there are none.
+    """
+    if os.path.expanduser("~") == "~":  # neither $HOME nor an entry in passwd
+        os.environ["HOME"] = "/nonexistent"
+        for name in ("LOGNAME", "USER"):
+            os.environ.setdefault(name, str(os.getuid()))
 
 
 def _leave_stdout() -> None:

@@ -74,7 +74,8 @@ def test_an_outcome_comes_back(tmp_path):
     [
         {"picture": "../../secret.png"}, {"picture": "/etc/passwd"}, {"picture": 3}, {"picture": "a\x1b.png"},
         {"seed": "<b>"}, {"seed": True}, {"score": "high"}, {"seconds": None}, {"figures": []},
-        {"figures": {"a": "<b>"}}, {"method": "mine"}, {"fault": "<script>"}, {"ok": 1}, {"why": ["x"]}, {"remedies": "no"},
+        {"figures": {"a": "<b>"}}, {"method": "mine"}, {"fault": "<script>"}, {"ok": 1}, {"why": ["x"]},
+        {"remedies": "no"},
     ],
 )  # fmt: skip
 def test_an_outcome_of_a_stranger_is_not_believed(tmp_path, changed):

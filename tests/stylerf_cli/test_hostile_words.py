@@ -129,3 +129,20 @@ def test_an_unforeseen_fault_keeps_its_traceback_somewhere(tmp_path, monkeypatch
     code, line = faults.told(KeyError("who"), ["fit", "w"], tmp_path)
     log = next(tmp_path.glob("stylerf-crash-*.log"))
     assert str(log) in line and "KeyError: 'who'" in log.read_text() and "ZeroDivisionError" not in line
+
+
+@pytest.mark.parametrize("arguments", [["doctor", "--quiet"], ["show", "nowhere"], ["fit", "nowhere"]])
+def test_a_user_whom_the_system_does_not_know_may_run_it(tmp_path, arguments):
+    """As in a container that is started with a bare uid: no entry in passwd, no $HOME."""
+    code = (
+        "import pwd, sys\n"
+        "def unknown(uid): raise KeyError(uid)\n"
+        "pwd.getpwuid = unknown\n"
+        f"from stylerf_cli.main import main; sys.exit(main({arguments!r}))"
+    )
+    nameless = {key: value for key, value in os.environ.items() if key not in ("HOME", "USER", "LOGNAME", "USERNAME")}
+    environment = nameless | {"PYTHONPATH": str(REPOSITORY), "STYLERF_CACHE": str(tmp_path)}
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=False, cwd=tmp_path, env=environment
+    )
+    assert done.returncode in (0, 3, 4) and "unexpected" not in done.stderr, done.stderr
