@@ -25,7 +25,7 @@ def opened(path: Path | str, fault: type[StylerfError] = BadInput) -> Iterator[B
     shown = printable(str(path))
     try:
         # Without O_NONBLOCK, opening a named pipe waits for a writer.
-        stream = os.fdopen(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC), "rb")
+        stream = open(path, "rb", opener=lambda name, flags: os.open(name, flags | os.O_NONBLOCK))
     except IsADirectoryError:
         raise fault(f"{shown} is a folder, not a file") from None
     except FileNotFoundError:

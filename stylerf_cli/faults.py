@@ -19,7 +19,7 @@ from stylerf_cli.output import write_fault
 
 FAILED, BAD_INPUT, OUT_OF_RESOURCES, INTERRUPTED = 1, 3, OutOfResources.exit_code, 130
 _FAILING = {errno.EIO, errno.ESTALE, errno.ENODEV, errno.ETIMEDOUT, errno.ENOTCONN}
-_NO_PATH = {errno.ENAMETOOLONG, errno.ELOOP, errno.ENOTDIR, errno.EISDIR, errno.EILSEQ}
+_NO_PATH = {errno.ENAMETOOLONG, errno.ELOOP, errno.ENOTDIR, errno.EISDIR, errno.EILSEQ, errno.EINVAL}
 
 
 def told(error: BaseException, argv: list[str], work: Path | None) -> tuple[int, str]:
@@ -60,7 +60,7 @@ def _unusable_path(error: BaseException) -> str | None:
     """In words, where the system takes no such path: one that is too long, runs in circles, or is no text."""
     if isinstance(error, OSError) and error.errno in _NO_PATH and isinstance(error.filename, str):
         name = error.filename if len(error.filename) <= 200 else f"{error.filename[:200]}..."
-        return f"{name} cannot be used as a path ({error.strerror}); shorten or correct it"
+        return f"{name} cannot be used ({error.strerror}); name another"
     if isinstance(error, FileNotFoundError) and error.filename is None and _nowhere():
         return "the current folder is no longer there; change to one that is (`cd`) and run the same command"
     if isinstance(error, RuntimeError) and str(error) == "Could not determine home directory.":

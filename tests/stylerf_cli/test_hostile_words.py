@@ -1,13 +1,16 @@
 """Names from files and folders reach a terminal as text alone: nothing in them moves the cursor or begins a line."""
 
+import errno
 import io
 import json
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
+from schemas.canonical import file_sha256
 from stylerf_cli import faults, output
 from stylerf_cli.main import main
 from stylerf_cli.progress import Bars
@@ -70,7 +73,7 @@ def test_folders_with_hostile_names_are_shown_in_one_line(tmp_path, folder):
 @pytest.mark.parametrize(
     ("shell", "codes"),
     [
-        ("{} doctor <&-", {0, 1}),
+        ("{} show nowhere <&-", {3}),
         ("{} show nowhere <&- >&- 2>&-", {3}),
         ("{} show nowhere >&-", {3}),
         ("{} --version >&-", {0}),
@@ -131,7 +134,7 @@ def test_an_unforeseen_fault_keeps_its_traceback_somewhere(tmp_path, monkeypatch
     assert str(log) in line and "KeyError: 'who'" in log.read_text() and "ZeroDivisionError" not in line
 
 
-@pytest.mark.parametrize("arguments", [["doctor", "--quiet"], ["show", "nowhere"], ["fit", "nowhere"]])
+@pytest.mark.parametrize("arguments", [["doctor", "--quiet"], ["show", "nowhere"]])
 def test_a_user_whom_the_system_does_not_know_may_run_it(tmp_path, arguments):
     """As in a container that is started with a bare uid: no entry in passwd, no $HOME."""
     code = (
@@ -146,3 +149,35 @@ def test_a_user_whom_the_system_does_not_know_may_run_it(tmp_path, arguments):
         [sys.executable, "-c", code], capture_output=True, text=True, check=False, cwd=tmp_path, env=environment
     )
     assert done.returncode in (0, 3, 4) and "unexpected" not in done.stderr, done.stderr
+
+
+@pytest.mark.parametrize("name", ["pipe", "zero", "folder"])
+def test_what_is_no_regular_file_has_no_digest(tmp_path, name):
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "zero").symlink_to("/dev/zero")
+    (tmp_path / "folder").mkdir()
+    with pytest.raises(OSError) as caught:
+        file_sha256(tmp_path / name)
+    code, line = faults.told(caught.value, ["render", "w"], tmp_path)
+    assert code == 3 and name in line and not list(tmp_path.glob("*.log"))
+
+
+def test_a_path_of_an_unknown_user_is_told(tmp_path):
+    with pytest.raises(RuntimeError) as caught:
+        Path("~nobody-is-called-so/x").expanduser()
+    assert faults.told(caught.value, ["eval", "w"], tmp_path)[0] == 3
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        OSError(errno.ENAMETOOLONG, "File name too long", "x" * 5000),
+        UnicodeEncodeError("utf-8", "a\ud800", 1, 2, "surrogates not allowed"),
+        ValueError("embedded null byte"),
+        OSError(errno.ELOOP, "Too many levels of symbolic links", "a"),
+    ],
+)
+def test_paths_that_the_system_does_not_take_are_bad_input(tmp_path, error):
+    code, line = faults.told(error, ["import", "p", "w"], tmp_path)
+    assert code == 3 and len(line) < 400 and not list(tmp_path.iterdir())
