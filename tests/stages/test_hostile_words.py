@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 
 from schemas.images import write_png
+from stages.comparison.charts import comparison_charts
+from stages.comparison.runs import Measure, Run
 from stages.evaluation.charts import bar_chart, pairs_chart
 from stages.evaluation.figures import write_csv
 from stages.evaluation.wording import escape
@@ -38,6 +40,20 @@ def test_labels_of_charts_are_literal():
         inline = chart.inline()
         assert "<b>" not in inline and "\x1b" not in inline and "\u202e" not in inline
     assert "$x$" in bar_chart("a", "A", "", ["$x$"], [1.0]).svg
+
+
+def test_labels_of_a_comparison_are_literal_on_logarithmic_axes_too():
+    runs = [
+        Run(
+            family="fits", work=HOSTILE, name=f"main{power}", group=HOSTILE, method="vm", settings="", device="cpu",
+            stages=("nerf_fit",), costs={"seconds": 10.0**power, "peak_memory_mb": 1.0, "parameters": 10.0},
+            figures={"psnr": Measure(20.0, "PSNR", "dB", "higher", "of views", 4, 0)},
+        )
+        for power in range(3)
+    ]  # fmt: skip
+    seconds = next(chart for chart in comparison_charts(runs) if chart.name == "fits_seconds")
+    texts = "\n".join(ElementTree.fromstring(seconds.svg).itertext())
+    assert r"m$\frac$q <b>&" in texts and "mathdefault" not in texts and re.search(r"^\s*100\s*$", texts, re.M)
 
 
 def test_text_of_pages_is_no_markup():
