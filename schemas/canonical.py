@@ -1,9 +1,12 @@
 """One way to write a value as JSON, so that equal values have equal digests."""
 
 import dataclasses
+import errno
 import hashlib
 import json
 import math
+import os
+import stat
 from collections.abc import Mapping
 from pathlib import PurePath
 from typing import Any
@@ -50,6 +53,8 @@ def digest_of(value: Any) -> str:
 
 
 def file_sha256(path: Any) -> str:
-    """SHA-256 (64 hex digits) of a file's bytes."""
-    with open(path, "rb") as stream:
+    """SHA-256 (64 hex digits) of the bytes of a regular file; OSError for a pipe, which would wait, or a device."""
+    with open(path, "rb", opener=lambda name, flags: os.open(name, flags | os.O_NONBLOCK)) as stream:
+        if not stat.S_ISREG(os.fstat(stream.fileno()).st_mode):
+            raise OSError(errno.EINVAL, "it is no regular file", str(path))
         return hashlib.file_digest(stream, "sha256").hexdigest()

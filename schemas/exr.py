@@ -11,9 +11,11 @@ from pathlib import Path
 import numpy as np
 import OpenEXR
 
+from schemas.allowance import check_allowance
 from schemas.atomic import refusal_of_disk, replacing
 from schemas.errors import BadInput
 from schemas.numbers import LARGEST_SIDE
+from schemas.reading import opened
 from schemas.silence import native_output_silenced
 
 # Depth where nothing was hit (alpha 0): compositors sort by Z, and a 0 there would put the void in front of all.
@@ -149,33 +151,67 @@ def _numbers(values) -> str:
 
 
 def read_channels(path: Path | str, required: tuple[str, ...]) -> tuple[dict[str, np.ndarray], dict]:
-    """All channels [h, w] by name, in their stored types, and the header of a one-part EXR.
+    """All channels [h, w] by name, in their stored types, and the header of an EXR of one flat part.
 
-    BadInput when the file is missing, no EXR, cut short or damaged, lacks one of the `required` channels, or has
-    channels of another size than its data window.
+    BadInput when the file is missing, no EXR, cut short or damaged, lacks one of the `required` channels, is deep, of
+    several parts or resolutions, has channels of another size than its data window, or that is not its display window.
+    OutOfResources where it would take more memory than is allowed.
     """
     path = Path(path)
-    if not path.is_file():
-        raise BadInput(f"{path}: no such EXR file")
+    try:
+        with opened(path):
+            pass
+    except FileNotFoundError:
+        raise BadInput(f"{path}: no such EXR file") from None
+    shape = _checked_header(path, required)
+    parts = _parts(path, header_only=False)
+    # A damaged part is only warned about and dropped: what is there has to be counted.
+    if len(parts) != 1:
+        raise BadInput(f"{path} is damaged: its pixels cannot be read; make or fetch it again")
+    channels = {name: np.array(channel.pixels) for name, channel in parts[0].channels.items()}
+    if missing := [name for name in required if name not in channels]:
+        raise BadInput(f"{path} is damaged: channel {missing[0]} cannot be read; make or fetch it again")
+    if wrong := [name for name, plane in channels.items() if plane.shape != shape]:
+        raise BadInput(f"{path}: channel {wrong[0]} is {channels[wrong[0]].shape} where {shape} was expected")
+    return channels, dict(parts[0].header)
+
+
+def _parts(path: Path, header_only: bool) -> list:
     try:
         with native_output_silenced():
             OpenEXR.setMaxImageSize(LARGEST_SIDE, LARGEST_SIDE)
-            source = OpenEXR.File(str(path), separate_channels=True)
-            parts = source.parts
-            # A damaged part is only warned about and dropped: what is there has to be counted.
-            channels = {name: np.array(channel.pixels) for name, channel in parts[0].channels.items()} if parts else {}
-            header = dict(parts[0].header) if parts else {}
-    except (RuntimeError, ValueError, TypeError, MemoryError) as error:
+            return OpenEXR.File(str(path), separate_channels=True, header_only=header_only).parts
+    except (RuntimeError, ValueError, TypeError, MemoryError, OverflowError, UnicodeError, IndexError) as error:
         raise BadInput(f"{path} is no readable EXR ({_one_line(error)}); make or fetch it again") from error
+
+
+def _checked_header(path: Path, required: tuple[str, ...]) -> tuple[int, int]:
+    """(height, width), before any pixel is read: see read_channels."""
+    parts = _parts(path, header_only=True)
     if len(parts) != 1:
         raise BadInput(f"{path} is damaged or no single-part EXR: {len(parts)} readable parts where 1 was expected")
-    if missing := [name for name in required if name not in channels]:
-        raise BadInput(f"{path} lacks channels {', '.join(missing)}; it holds {', '.join(channels) or 'none'}")
-    low, high = header["dataWindow"]
-    shape = (int(high[1] - low[1] + 1), int(high[0] - low[0] + 1))
-    if wrong := [name for name, plane in channels.items() if plane.shape != shape]:
-        raise BadInput(f"{path}: channel {wrong[0]} is {channels[wrong[0]].shape} where {shape} was expected")
-    return channels, header
+    header = parts[0].header
+    listed, tiles = header.get("channels", []), header.get("tiles")
+    names = [channel.name for channel in listed]
+    if header.get("type") not in (OpenEXR.scanlineimage, OpenEXR.tiledimage):
+        raise BadInput(f"{path} is a deep EXR, with a list of samples a pixel; flatten it")
+    if tiles is not None and tiles.mode != OpenEXR.ONE_LEVEL:
+        raise BadInput(f"{path} is an EXR of several resolutions (mip levels); save it with one")
+    if missing := [name for name in required if name not in names]:
+        raise BadInput(f"{path} lacks channels {', '.join(missing)}; it holds {', '.join(names[:12]) or 'none'}")
+    if thin := [channel.name for channel in listed if (channel.xSampling, channel.ySampling) != (1, 1)]:
+        raise BadInput(f"{path}: channel {thin[0]} is subsampled; expected a value for every pixel")
+    window, display = (
+        [[int(value) for value in corner] for corner in header[key]] for key in ("dataWindow", "displayWindow")
+    )
+    if window != display:
+        raise BadInput(
+            f"{path}: its data window {window[0]} to {window[1]} is not its display window {display[0]} to "
+            f"{display[1]}; expected pixels for the whole picture"
+        )
+    width, height = window[1][0] - window[0][0] + 1, window[1][1] - window[0][1] + 1
+    check_allowance(path, width, height, 4 * width * height * len(listed))
+    return height, width
 
 
 def _one_line(error: BaseException) -> str:
@@ -195,7 +231,7 @@ def read_exr(path: Path | str) -> ExrView:
     planes = {name: plane.astype(np.float32) for name, plane in channels.items()}
     if bad := [name for name, plane in planes.items() if not np.isfinite(plane).all()]:
         raise BadInput(f"{path}: channel {bad[0]} holds NaN or infinity")
-    own = {key.removeprefix(PREFIX): value for key, value in header.items() if key.startswith(PREFIX)}
+    own = {key.removeprefix(PREFIX): str(value) for key, value in header.items() if key.startswith(PREFIX)}
     try:
         pose = np.array([float(word) for word in own.pop("world_from_camera").split()]).reshape(4, 4)
         fx, fy, cx, cy = (float(word) for word in own.pop("intrinsics").split())

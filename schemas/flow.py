@@ -4,23 +4,29 @@ A .flo is the float 202021.25 ("PIEH" as bytes), width and height as int32, then
 little-endian; by its own convention a component over 1e9 means that nothing is known, which comes back as nan.
 """
 
+import math
+import os
 import struct
 from pathlib import Path
+from tokenize import TokenError
 
 import numpy as np
 
+from schemas.allowance import allowance, check_allowance
 from schemas.errors import BadInput
+from schemas.reading import opened, read_bytes
 
 FLOW_SUFFIXES = (".flo", ".npy")
 _TAG = b"PIEH"
 _UNKNOWN = 1e9
+LARGEST_FLOW = 2 << 30  # bytes
 
 
 def read_flow(path: Path) -> np.ndarray:
     """The flow in a file, [h, w, 2] float32, nan where it is unknown; BadInput where the file holds none."""
     try:
         found = _read_flo(path) if path.suffix.lower() == ".flo" else _read_npy(path)
-    except OSError as error:
+    except FileNotFoundError as error:
         raise BadInput(f"flow {path} cannot be read: {error.strerror or error}") from error
     with np.errstate(invalid="ignore"):
         unknown = ~np.isfinite(found) | (np.abs(found) > _UNKNOWN)
@@ -28,7 +34,7 @@ def read_flow(path: Path) -> np.ndarray:
 
 
 def _read_flo(path: Path) -> np.ndarray:
-    data = path.read_bytes()
+    data = read_bytes(path, min(LARGEST_FLOW, allowance()))
     if len(data) < 12 or data[:4] != _TAG:
         raise BadInput(f"flow {path} is no Middlebury .flo: it does not begin with the number 202021.25")
     width, height = struct.unpack("<ii", data[4:12])
@@ -42,8 +48,18 @@ def _read_flo(path: Path) -> np.ndarray:
 
 def _read_npy(path: Path) -> np.ndarray:
     try:
-        found = np.load(path, allow_pickle=False)
-    except (ValueError, EOFError) as error:
+        with opened(path) as stream:
+            magic = np.lib.format.read_magic(stream)
+            header = np.lib.format.read_array_header_1_0 if magic == (1, 0) else np.lib.format.read_array_header_2_0
+            shape, _, kind = header(stream)
+            # numpy asks for all the memory that the header claims before it looks what there is.
+            if math.prod(shape) * kind.itemsize > os.fstat(stream.fileno()).st_size:
+                raise ValueError(f"it is shorter than its shape {shape} tells")
+            if len(shape) == 3:
+                check_allowance(path, shape[1], shape[0], math.prod(shape) * max(4, kind.itemsize))
+            stream.seek(0)
+            found = np.load(stream, allow_pickle=False)
+    except (ValueError, EOFError, SyntaxError, TypeError, RecursionError, OverflowError, TokenError) as error:
         raise BadInput(f"flow {path} is no array that numpy can read without running code: {error}") from error
     if not isinstance(found, np.ndarray) or found.ndim != 3 or found.shape[2] != 2 or found.dtype.kind not in "fiu":
         shape = getattr(found, "shape", "several arrays")

@@ -1,19 +1,32 @@
 """Photos and pictures: read whole or refused, colours as stored or in sRGB; PNG written as one step."""
 
 import os
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import OpenImageIO as oiio
 
+from schemas.allowance import allowance, check_allowance
 from schemas.atomic import refusal_of_disk, replacing
 from schemas.errors import BadInput
+from schemas.reading import opened
 from schemas.silence import native_output_silenced
 
 # A header may claim any size: above this (uncompressed) the file is taken for damaged or hostile.
 LARGEST_IMAGE_MB = 2048
+SLOW_IMAGE_MB = 192  # of JPEG 2000 and JPEG XL, in which a file of 2 kB can hold minutes of work
+BAND_BYTES = 4 << 20
 _LIGHT = ("openexr", "hdr")
+_SCALES = {"uint8": 255, "uint16": 65535, "half": 1, "float": 1, "double": 1}
+_SEVERAL = 4  # times the stored bytes that a decoded picture takes
+_DECODED_BY_ROWS = (b"v/1\x01", b"II*\0", b"MM\0*", b"II+\0", b"MM\0+", b"#?", b"\x89PNG", b"\xff\xd8\xff")
+_SLOW = (b"\0\0\0\x0c", b"\xff\x4f\xff\x51")
+_CLAIMED = re.compile(r"image size ([\d.]+) MB exceeds.*?claimed to be (\d+)x(\d+)", re.S)
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,19 +52,55 @@ class Image:
         return self.pixels.shape[2]
 
 
+@contextmanager
+def _opened(path: Path) -> Iterator["oiio.ImageInput"]:
+    with native_output_silenced():
+        source = _open(path)
+        try:
+            yield source
+        except UnicodeDecodeError as error:  # of a channel's or an attribute's name
+            raise BadInput(f"{path} is damaged: it holds a name that is no text; replace or remove it") from error
+        finally:
+            source.close()
+
+
 def _open(path: Path) -> "oiio.ImageInput":
-    if not path.is_file():
-        raise BadInput(f"{path}: no such image file")
+    try:
+        with opened(path) as stream:  # a codec would wait for a named pipe, and read a device for ever
+            head = stream.read(16)
+    except FileNotFoundError:
+        raise BadInput(f"{path}: no such image file") from None
     if (name := os.fsencode(path).decode("utf-8", "backslashreplace")) != str(path):  # which codecs cannot be given
         raise BadInput(f"{name}: its name is not UTF-8; rename it")
-    oiio.attribute("limits:imagesize_MB", LARGEST_IMAGE_MB)
+    oiio.attribute("limits:imagesize_MB", _most_to_open(head) >> 20)
     settings = oiio.ImageSpec()
     settings.attribute("oiio:UnassociatedAlpha", 1)  # else colours come multiplied by alpha, rounded to 8 bit
-    oiio.geterror()  # clears what an earlier file left
+    _error_of(oiio)  # clears what an earlier file left
     source = oiio.ImageInput.open(str(path), settings)
     if source is None:
-        raise BadInput(f"{path} is no readable image ({_first_line(oiio.geterror(), path)}); replace or remove it")
+        error = _error_of(oiio)
+        if claimed := _CLAIMED.search(error):
+            size, width, height = float(claimed[1]), int(claimed[2]), int(claimed[3])
+            if size < LARGEST_IMAGE_MB:
+                check_allowance(path, width, height, _SEVERAL * int(size * 2**20))
+        raise BadInput(f"{path} is no readable image ({_first_line(error, path)}); replace or remove it")
     return source
+
+
+def _error_of(told: Any) -> str:
+    """What OpenImageIO, or a file of it, has to say; it may quote bytes of the file that are no text."""
+    try:
+        return told.geterror()
+    except UnicodeDecodeError:
+        return "damaged"
+
+
+def _most_to_open(head: bytes) -> int:
+    """Bytes of stored pixels that a file which begins so may have: some codecs decode all of it as they open it."""
+    if head.startswith(_DECODED_BY_ROWS):
+        return LARGEST_IMAGE_MB << 20
+    most = min(LARGEST_IMAGE_MB << 20, allowance() // _SEVERAL)
+    return min(most, SLOW_IMAGE_MB << 20) if head[:4] in _SLOW or head.startswith(b"\xff\x0a") else most
 
 
 def _first_line(message: str, path: Path) -> str:
@@ -66,29 +115,60 @@ def read_image(path: Path | str, upright: bool = True) -> Image:
     8 and 16 bit values are divided by 255 and 65535. Grey with alpha becomes RGBA; of many channels those named
     R, G, B, A are taken. An EXR is what its display window shows: zeros where it has no data. BadInput with the file
     and the reason when it is missing, of an unknown format, cut short, damaged, larger than LARGEST_IMAGE_MB, or holds
-    NaN or infinity.
+    NaN or infinity; OutOfResources where it would take more memory than is allowed (schemas.allowance).
     """
     path = Path(path)
-    with native_output_silenced():
-        source = _open(path)
+    with _opened(path) as source:
         spec, form = source.spec(), source.format_name()
-        kind = spec.format
-        stored = source.read_image(kind)
-        # Truncated JPEGs come back with pixels and an error: the error decides.
-        error = source.geterror() + oiio.geterror()
-        source.close()
-    if stored is None or error:
-        raise BadInput(f"{path} cannot be read whole ({_first_line(error, path)}); replace or remove it")
-    scale = {"uint8": 255, "uint16": 65535}.get(str(kind), 1)
-    pixels = np.asarray(stored, dtype=np.float32).reshape(spec.height, spec.width, -1) / np.float32(scale)
-    if not np.isfinite(pixels).all():
-        raise BadInput(f"{path} holds NaN or infinite values; replace or remove it")
-    pixels = _colour_channels(pixels, spec.channelnames, path)
+        pixels = _decoded(source, path)
     if form == "openexr":
         pixels = _displayed(pixels, spec, path)
     if upright:
         pixels = _upright(pixels, spec.get_int_attribute("Orientation", 1))
-    return Image(np.ascontiguousarray(pixels), kind.size() * 8, form in _LIGHT)
+    return Image(pixels, spec.format.size() * 8, form in _LIGHT)
+
+
+def _decoded(source: "oiio.ImageInput", path: Path) -> np.ndarray:
+    """[h, w, 1, 3 or 4] float32, band by band, so that no second picture of the size is made."""
+    spec = source.spec()
+    scale = _SCALES.get(str(spec.format))
+    if scale is None:
+        raise BadInput(f"{path} stores its pixels as {spec.format}; expected 8 or 16 bits, or floating point")
+    chosen = _colour_channels(source, path)
+    check_allowance(path, spec.width, spec.height, 4 * spec.width * spec.height * len(chosen))
+    pixels = np.empty((spec.height, spec.width, len(chosen)), np.float32)
+    rows = _rows_of_a_band(spec)
+    for top in range(0, spec.height, rows):
+        end = min(top + rows, spec.height)
+        band = _band(source, spec, top, end)
+        # Truncated JPEGs come back with pixels and an error: the error decides.
+        error = _error_of(source) + _error_of(oiio)
+        if band is None or error:
+            raise BadInput(f"{path} cannot be read whole ({_first_line(error, path)}); replace or remove it")
+        band = band.reshape(end - top, spec.width, -1)
+        if scale == 1 and not np.isfinite(band).all():
+            raise BadInput(f"{path} holds NaN or infinite values; replace or remove it")
+        with np.errstate(over="ignore"):
+            for place, channel in enumerate(chosen):
+                np.divide(band[..., channel], np.float32(scale), out=pixels[top:end, :, place], casting="same_kind")
+        if str(spec.format) == "double" and not np.isfinite(pixels[top:end]).all():
+            raise BadInput(f"{path} holds values beyond 32-bit numbers; replace or remove it")
+    return pixels
+
+
+def _rows_of_a_band(spec: "oiio.ImageSpec") -> int:
+    if spec.get_string_attribute("planarconfig") == "separate":  # each band would decode its strips anew
+        return spec.height
+    unit = spec.tile_height or max(1, spec.get_int_attribute("tiff:RowsPerStrip", 1))
+    row = max(1, spec.width * spec.nchannels * spec.format.size())
+    return min(spec.height, unit * max(1, BAND_BYTES // (row * unit)))
+
+
+def _band(source: "oiio.ImageInput", spec: "oiio.ImageSpec", top: int, end: int) -> np.ndarray | None:
+    top, end, many = spec.y + top, spec.y + end, spec.nchannels
+    if spec.tile_width:
+        return source.read_tiles(spec.x, spec.x + spec.width, top, end, spec.z, spec.z + 1, 0, many, spec.format)
+    return source.read_scanlines(top, end, spec.z, 0, many, spec.format)
 
 
 def read_srgb(path: Path | str, upright: bool = True) -> Image:
@@ -114,15 +194,35 @@ def coverage(pixels: np.ndarray) -> np.ndarray:
     return (kept / max(float(kept.max()), 1e-12)).clip(0, 1)
 
 
-def _colour_channels(pixels: np.ndarray, names: tuple[str, ...], path: Path) -> np.ndarray:
-    count = pixels.shape[2]
-    if count in (1, 3):
-        return pixels
-    if count == 2:
-        return pixels[..., [0, 0, 0, 1]]
+def _colour_channels(source: "oiio.ImageInput", path: Path) -> list[int]:
+    """Which stored channels are grey, RGB or RGBA, in this order; BadInput where they are something else."""
+    spec, exr = source.spec(), source.format_name() == "openexr"
+    names, count = spec.channelnames, spec.nchannels
+    if source.format_name() == "null":
+        raise BadInput(f"{path} is no image")
+    if exr and (why := _unusual(source, spec)):
+        raise BadInput(f"{path} is {why}; expected one flat part of R, G, B and perhaps A: save it so")
     if {"R", "G", "B"} <= set(names):
-        return pixels[..., [names.index(name) for name in "RGBA" if name in names]]
-    raise BadInput(f"{path} has channels {', '.join(names)}; expected grey, RGB or RGBA")
+        return [names.index(name) for name in "RGBA" if name in names]
+    # Three of an EXR may be a position, or brightness beside halved colour; one may be a depth.
+    if count == 1 and not (exr and names[0].upper().rpartition(".")[2] == "Z"):
+        return [0]
+    if not exr and count in (2, 3):
+        return [0, 0, 0, 1] if count == 2 else [0, 1, 2]
+    if exr and set(names) == {"Y", "A"}:
+        return [names.index(name) for name in "YYYA"]
+    raise BadInput(f"{path} has channels {', '.join(names[:12])}; expected grey, RGB or RGBA")
+
+
+def _unusual(source: "oiio.ImageInput", spec: "oiio.ImageSpec") -> str:
+    """What an EXR is that one picture cannot be read from; empty where it is an ordinary one."""
+    if spec.deep:
+        return "a deep EXR, with a list of samples a pixel"
+    if (parts := spec.get_int_attribute("oiio:subimages", 1)) > 1:
+        return f"an EXR of {parts} parts"
+    if source.spec(0, 1).width:
+        return "an EXR of several resolutions (mip levels)"
+    return ""
 
 
 def _displayed(pixels: np.ndarray, spec: "oiio.ImageSpec", path: Path) -> np.ndarray:
@@ -131,8 +231,10 @@ def _displayed(pixels: np.ndarray, spec: "oiio.ImageSpec", path: Path) -> np.nda
     x, y = spec.x - spec.full_x, spec.y - spec.full_y
     if (x, y, spec.width, spec.height) == (0, 0, width, height):
         return pixels
-    if width * height * pixels.shape[2] * pixels.itemsize > LARGEST_IMAGE_MB << 20:
+    takes = width * height * pixels.shape[2] * pixels.itemsize
+    if takes > LARGEST_IMAGE_MB << 20:
         raise BadInput(f"{path} has a display window of {width}x{height}, above the limit; replace or remove it")
+    check_allowance(path, width, height, takes)
     shown = np.zeros((height, width, pixels.shape[2]), pixels.dtype)
     left, right, top, bottom = max(x, 0), min(x + spec.width, width), max(y, 0), min(y + spec.height, height)
     if left < right and top < bottom:
@@ -140,32 +242,33 @@ def _displayed(pixels: np.ndarray, spec: "oiio.ImageSpec", path: Path) -> np.nda
     return shown
 
 
+# By EXIF's number: whether rows and columns are swapped, then which of them are turned round.
+_TURNS = {
+    2: (False, np.s_[:, ::-1]), 3: (False, np.s_[::-1, ::-1]), 4: (False, np.s_[::-1]),
+    5: (True, np.s_[:]), 6: (True, np.s_[:, ::-1]), 7: (True, np.s_[::-1, ::-1]), 8: (True, np.s_[::-1]),
+}  # fmt: skip
+
+
 def _upright(pixels: np.ndarray, orientation: int) -> np.ndarray:
-    if orientation == 1 or not 1 <= orientation <= 8:
+    if orientation not in _TURNS:
         return pixels
-    buffer = oiio.ImageBuf(np.ascontiguousarray(pixels))
-    buffer.orientation = orientation
-    turned = oiio.ImageBufAlgo.reorient(buffer)
-    return turned.get_pixels(oiio.FLOAT)
+    swapped, turned = _TURNS[orientation]
+    return np.ascontiguousarray((pixels.swapaxes(0, 1) if swapped else pixels)[turned])
 
 
 def image_channels(path: Path | str) -> int:
     """Channels that read_image gives (1, 3 or 4), from the header alone; BadInput as read_image."""
     path = Path(path)
-    with native_output_silenced():
-        source = _open(path)
-        names = source.spec().channelnames
-        source.close()
-    return _colour_channels(np.empty((1, 1, len(names)), np.float32), names, path).shape[2]
+    with _opened(path) as source:
+        return len(_colour_channels(source, path))
 
 
 def image_size(path: Path | str, upright: bool = True) -> tuple[int, int]:
     """(width, height) of what read_image gives, from its header alone; BadInput as read_image."""
     path = Path(path)
-    with native_output_silenced():
-        source = _open(path)
+    with _opened(path) as source:
         spec, form = source.spec(), source.format_name()
-        source.close()
+        _colour_channels(source, path)
     size = (spec.full_width, spec.full_height) if form == "openexr" else (spec.width, spec.height)
     turned = upright and 5 <= spec.get_int_attribute("Orientation", 1) <= 8  # the four that swap rows and columns
     return size[::-1] if turned else size

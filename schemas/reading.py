@@ -3,8 +3,10 @@
 import json
 import os
 import stat
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 from schemas.atomic import out_of_resources
 from schemas.errors import BadInput, StylerfError
@@ -13,29 +15,44 @@ from schemas.names import printable
 MOST_JSON = 256 << 20  # bytes; a scene of 10,000 views takes 8 MB
 
 
-def read_bytes(path: Path | str, limit: int, fault: type[StylerfError] = BadInput) -> bytes:
-    """All bytes of the regular file at `path`; links to such files are followed.
+@contextmanager
+def opened(path: Path | str, fault: type[StylerfError] = BadInput) -> Iterator[BinaryIO]:
+    """The regular file at `path`, open for reading; links to such files are followed.
 
-    Raises `fault` where it is a named pipe, device or folder, larger than `limit` bytes, or unreadable;
-    FileNotFoundError where nothing is there; OutOfResources where permission, handles or memory are lacking.
+    Raises `fault` where it is a named pipe, device or folder, or unreadable, also while it is read; FileNotFoundError
+    where nothing is there; OutOfResources where permission, handles or memory are lacking.
     """
     shown = printable(str(path))
     try:
         # Without O_NONBLOCK, opening a named pipe waits for a writer.
-        handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
-        with open(handle, "rb") as stream:
-            found = os.fstat(handle)
-            if not stat.S_ISREG(found.st_mode):
-                raise fault(f"{shown} is {_kind(found.st_mode)}, not a file")
-            if found.st_size > limit:
-                raise fault(f"{shown} has {found.st_size / 1e6:.0f} MB; at most {limit / 1e6:.0f} MB can be read")
-            data = stream.read(limit + 1)
+        stream = open(path, "rb", opener=lambda name, flags: os.open(name, flags | os.O_NONBLOCK))
+    except IsADirectoryError:
+        raise fault(f"{shown} is a folder, not a file") from None
     except FileNotFoundError:
         raise
-    except (OSError, ValueError) as error:  # ValueError: a null byte or a lone surrogate in the path
-        if isinstance(error, OSError) and (refused := out_of_resources(error, path)):
-            raise refused from error
-        raise fault(f"{shown} cannot be read: {getattr(error, 'strerror', None) or error}") from error
+    except ValueError as error:  # a null byte or a lone surrogate in the path
+        raise fault(f"{shown} cannot be read: {error}") from error
+    except OSError as error:
+        raise out_of_resources(error, path) or fault(f"{shown} cannot be read: {error.strerror}") from error
+    with stream:
+        mode = os.fstat(stream.fileno()).st_mode
+        if not stat.S_ISREG(mode):
+            raise fault(f"{shown} is {_kind(mode)}, not a file")
+        try:
+            yield stream
+        except OSError as error:
+            if isinstance(error, FileNotFoundError):
+                raise
+            raise out_of_resources(error, path) or fault(f"{shown} cannot be read: {error.strerror}") from error
+
+
+def read_bytes(path: Path | str, limit: int, fault: type[StylerfError] = BadInput) -> bytes:
+    """All bytes of the regular file at `path`; `fault` where it has more than `limit`, else as opened."""
+    shown = printable(str(path))
+    with opened(path, fault) as stream:
+        if (size := os.fstat(stream.fileno()).st_size) > limit:
+            raise fault(f"{shown} has {size / 1e6:.0f} MB; at most {limit / 1e6:.0f} MB can be read")
+        data = stream.read(limit + 1)
     if len(data) > limit:
         raise fault(f"{shown} grew beyond {limit / 1e6:.0f} MB while it was read")
     return data

@@ -19,9 +19,9 @@ with current_folder(Path(find_spec("matplotlib").origin).parent / "mpl-data"):  
     from matplotlib.figure import Figure
     from matplotlib.image import imsave
     from matplotlib.lines import Line2D
-    from matplotlib.ticker import MaxNLocator
+    from matplotlib.ticker import LogFormatter, MaxNLocator
 
 __all__ = [
-    "Axes", "Figure", "FigureCanvasAgg", "Line2D", "MaxNLocator", "QuadMesh", "colormaps", "imsave", "matplotlib",
+    "Axes", "Figure", "FigureCanvasAgg", "Line2D", "LogFormatter", "MaxNLocator", "QuadMesh", "colormaps", "imsave", "matplotlib",
     "rc_context", "to_hex", "to_rgb",
 ]  # fmt: skip

@@ -12,7 +12,10 @@ from typing import Any, NoReturn
 
 from schemas.errors import UsageError
 from schemas.flags import flags
+from schemas.reading import read_text
 from stages.memory import bytes_of
+
+LARGEST_CONFIG, MOST_DOTS = 64 << 10, 1000  # bytes; of a line
 
 
 class Parser(argparse.ArgumentParser):
@@ -219,9 +222,13 @@ def nearest(word: str, known: list[str], listing: bool = True) -> str:
 def read_toml(path: Path) -> dict[str, Any]:
     """The tables of a TOML file; UsageError where it is missing or no TOML."""
     try:
-        with open(path, "rb") as stream:
-            return tomllib.load(stream)
-    except OSError as error:
-        raise UsageError(f"--config {path} cannot be read: {error.strerror}") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        text = read_text(path, LARGEST_CONFIG, UsageError)
+        if any(line.count(".") > MOST_DOTS for line in text.splitlines()):  # tomllib's time grows by their square
+            raise UsageError(f"--config {path} is nested too deeply to be read")
+        return tomllib.loads(text)
+    except FileNotFoundError:
+        raise UsageError(f"--config {path} cannot be read: there is no such file") from None
+    except RecursionError:
+        raise UsageError(f"--config {path} is nested too deeply to be read") from None
+    except ValueError as error:  # of TOML, and of numbers with thousands of digits
         raise UsageError(f"--config {path} is no TOML: {error}") from error

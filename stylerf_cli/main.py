@@ -7,7 +7,7 @@ import sys
 import threading
 from _thread import interrupt_main
 from argparse import SUPPRESS, Namespace, RawDescriptionHelpFormatter
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 
 from schemas.errors import UsageError
@@ -15,7 +15,7 @@ from schemas.silence import heard_in_the_end
 from stylerf_cli.arguments import Parser, add_common, add_config, nearest
 from stylerf_cli.faults import told
 from stylerf_cli.joining import leave_fault, speaks
-from stylerf_cli.output import OutputClosed, print_json, stdout_kept_free, write_out
+from stylerf_cli.output import OutputClosed, open_standard_streams, print_json, stdout_kept_free, write_fault, write_out
 from stylerf_cli.verbs import VERBS
 
 ABOUT = "From photos and a painting to a stylised, editable 3D scene."
@@ -27,10 +27,10 @@ EXIT_CODES = (
 
 def main(argv: list[str] | None = None) -> int:
     """Runs one command and returns its exit code; `argv` is without the program's name."""
+    open_standard_streams()
+    _name_the_nameless()
     if sys.platform == "win32":
-        sys.stderr.write(
-            "stylerf: error: it runs on Linux (macOS is untested); on Windows use its Linux subsystem (WSL)\n"
-        )
+        write_fault("stylerf: error: it runs on Linux (macOS is untested); on Windows use its Linux subsystem (WSL)")
         return UsageError.exit_code
     argv = list(sys.argv[1:] if argv is None else argv)
     as_json = "--json" in argv
@@ -50,14 +50,24 @@ def main(argv: list[str] | None = None) -> int:
         if not speaks():
             return getattr(error, "exit_code", 1)
         code, line = told(error, argv, state["work"])
-        with suppress(OSError):  # nobody may be reading; the exit code still tells
-            sys.stderr.write(f"stylerf: error: {line}\n")
+        write_fault(f"stylerf: error: {line}")
         if as_json:
             try:
                 print_json({"error": line, "exit_code": code, **getattr(error, "details", {})})
             except OutputClosed:
                 _leave_stdout()
         return code
+
+
+def _name_the_nameless() -> None:
+    """Gives a user whom the system does not know, as in containers, a home (where nothing can be kept) and a name.
+
+    Libraries ask for both as they are imported, and break where there are none.
+    """
+    if os.path.expanduser("~") == "~":  # neither $HOME nor an entry in passwd
+        os.environ["HOME"] = "/nonexistent"
+        for name in ("LOGNAME", "USER"):
+            os.environ.setdefault(name, str(os.getuid()))
 
 
 def _leave_stdout() -> None:

@@ -1,13 +1,28 @@
-"""Keeps stdout for the one JSON object of `--json`, whatever libraries print meanwhile."""
+"""What reaches stdout: lines without control characters of names in them, or the one JSON object of `--json` alone."""
 
 import json
 import os
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from typing import Any
 
 from schemas.canonical import plain
+from schemas.names import printable
+
+
+def open_standard_streams() -> None:
+    """Opens what of stdin, stdout and stderr was closed before we were started (`>&-`), to nowhere.
+
+    The next file that is opened would take its number else, and what is printed would go into that file.
+    """
+    for number, name, mode in ((0, "stdin", "r"), (1, "stdout", "w"), (2, "stderr", "w")):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.dup2(os.open(os.devnull, os.O_RDWR), number, inheritable=True)
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(number, mode, errors="backslashreplace", closefd=False))
 
 
 @contextmanager
@@ -44,13 +59,18 @@ class OutputClosed(Exception):
     """Whoever read our stdout (`| head`) has closed it."""
 
 
+def write_lines(lines: Sequence[str]) -> None:
+    """Writes lines to stdout; what would move the cursor, break a line or turn the text round in one is escaped."""
+    write_out("".join(f"{printable(line)}\n" for line in lines))
+
+
 def write_out(text: str) -> None:
-    """Writes to stdout at once, names of files that are no text by their own bytes.
+    """Writes to stdout at once; what its encoding does not have is escaped.
 
     OutputClosed where nobody reads it any more: no fault of a stage is taken for that.
     """
     if hasattr(sys.stdout, "reconfigure"):
-        sys.stdout.reconfigure(errors="surrogateescape")
+        sys.stdout.reconfigure(errors="backslashreplace")
     try:
         sys.stdout.write(text)
         sys.stdout.flush()
@@ -58,14 +78,13 @@ def write_out(text: str) -> None:
         raise OutputClosed from error
 
 
-def print_json(value: Any) -> None:
-    """Prints one JSON object and a newline on stdout; NaN and infinity become strings.
+def write_fault(text: str) -> None:
+    """Writes to stderr, line by line; nobody may be reading: the exit code still tells."""
+    with suppress(OSError, ValueError):
+        sys.stderr.write("".join(f"{printable(line)}\n" for line in text.splitlines()))
+        sys.stderr.flush()
 
-    What stdout cannot write as text is escaped, as JSON has it: a name of a file may be none.
-    """
-    text = json.dumps(plain(value), ensure_ascii=False, allow_nan=False)
-    try:
-        text.encode(sys.stdout.encoding or "utf-8")
-    except UnicodeEncodeError:
-        text = json.dumps(plain(value), allow_nan=False)
-    write_out(text + "\n")
+
+def print_json(value: Any) -> None:
+    """Prints one JSON object and a newline on stdout, all in ASCII; NaN and infinity become strings."""
+    write_out(json.dumps(plain(value), allow_nan=False) + "\n")

@@ -6,6 +6,8 @@ from collections import deque
 from collections.abc import Callable
 from typing import TextIO
 
+from schemas.names import printable
+
 SHOWN_AFTER_SECONDS = 2.0
 REDRAW_SECONDS = 0.1
 LINE_EVERY_SECONDS = 5.0
@@ -113,7 +115,7 @@ class Bars:
             width = os.get_terminal_size(self._stream.fileno()).columns
         except (OSError, ValueError):
             width = 80
-        self._put("\r\x1b[K" + line[: width - 1])
+        self._put("\r\x1b[K" + printable(line)[: max(1, width - 1)])
         self._drawn = True
 
     def _clear(self) -> None:
@@ -122,7 +124,7 @@ class Bars:
             self._drawn = False
 
     def _write(self, line: str) -> None:
-        self._put(line + "\n")
+        self._put(printable(line) + "\n")
 
     def _put(self, text: str) -> None:
         """Writes at once; a stream that nobody reads any more (`2>&1 | head`) is no reason to end the work."""

@@ -9,13 +9,15 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from schemas.allowance import set_allowance
 from schemas.errors import ArtefactStale, UsageError
 from schemas.store import Artefact, Work, sound_name
+from stages.memory import room
 from stages.progress import Context, Silent
 from stylerf_cli.arguments import flags_of
 from stylerf_cli.joining import follow, joined, launched, led, release, speaks
 from stylerf_cli.options import Options
-from stylerf_cli.output import write_out
+from stylerf_cli.output import write_lines
 from stylerf_cli.progress import Bars
 
 
@@ -34,6 +36,7 @@ class Session:
         self.own_verbs = {verb}  # whose stages are this verb's own work
         self.config = options.config(config)
         self.common = options.common()
+        set_allowance(lambda: room(self.common.memory))
         self.progress: Any = Silent() if self.quiet or not speaks() else Bars(sys.stderr)
         self.ranks = joined(verb, lambda: resolved_device(self.common.device, self.say))
         if self.common.threads_given:
@@ -123,12 +126,12 @@ class Session:
         """One line on stderr, unless --quiet."""
         self.progress.say(text)
 
-    def emit(self, result: dict, words: str) -> dict:
-        """The result of a verb: prints `words` on stdout, unless --json; returns `result`, which main prints then."""
+    def emit(self, result: dict, lines: Sequence[str]) -> dict:
+        """The result of a verb: prints its lines on stdout, unless --json; returns `result`, which main prints then."""
         self.progress.finish()
         self.ranks.leave()
         if not self.json and self.ranks.first:
-            write_out(words.rstrip("\n") + "\n")
+            write_lines(lines)
         return result
 
 

@@ -6,7 +6,7 @@ from stages.comparison.fronts import Panel, panel_of
 from stages.comparison.runs import CHARTED, COSTS, EDITS, FITS, STYLISATIONS, Run
 from stages.evaluation.charts import INK, SETTINGS, Chart, finished
 from stages.evaluation.wording import count
-from stylerf.plotting import Axes, Line2D, rc_context, to_hex, to_rgb
+from stylerf.plotting import Axes, Line2D, LogFormatter, rc_context, to_hex, to_rgb
 from stylerf.plotting import Figure as Drawing
 
 # Okabe and Ito's, which most eyes tell apart, without the yellow that fails on white.
@@ -75,6 +75,8 @@ def _draw(axes: Axes, panel: Panel, groups: dict[str, tuple[str, str]], methods:
     costs = [panel.at(run)[0] for run in panel.runs]
     if min(costs) > 0 and max(costs) > WIDE_RANGE * min(costs):
         axes.set_xscale("log")
+        axes.xaxis.set_major_formatter(LogFormatter())
+        axes.xaxis.set_minor_formatter(LogFormatter())  # the usual one writes in TeX
     axes.margins(x=0.2, y=0.14)
     axes.set_xlabel(AXES[panel.cost][0])
     if panel.cost == "parameters":

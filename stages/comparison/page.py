@@ -1,7 +1,6 @@
 """The comparison as one self-contained HTML page, and as a table for other programs."""
 
 from collections.abc import Mapping, Sequence
-from html import escape
 
 from stages.comparison.charts import TITLES
 from stages.comparison.fronts import ways_of
@@ -11,7 +10,7 @@ from stages.evaluation.figures import Row
 from stages.evaluation.kinds import BY_KEY
 from stages.evaluation.page_style import CSS
 from stages.evaluation.page_tables import table
-from stages.evaluation.wording import count, duration, megabytes, number
+from stages.evaluation.wording import count, duration, escape, megabytes, number
 
 FAMILIES = (FITS, STYLISATIONS, EDITS)
 LETTERS = "abcdefghijklmnopqrstuvwxyz"

@@ -5,6 +5,8 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from schemas.names import printable
+from stages.evaluation.wording import escape
 from stylerf.plotting import Figure as Drawing
 from stylerf.plotting import FigureCanvasAgg, MaxNLocator, rc_context
 
@@ -14,6 +16,7 @@ LINES = {"held out": "-", "trained on": "--"}  # a fit's views kept aside, until
 SETTINGS = {
     "svg.fonttype": "none",  # text stays text: selectable, small, and in the page's own font
     "svg.hashsalt": "stylerf",  # the same chart gives the same bytes
+    "text.parse_math": False,  # names may hold dollar signs
     "font.family": "sans-serif",
     "font.size": 10,
     "axes.edgecolor": INK,
@@ -51,7 +54,7 @@ class Chart:
         head, rest = svg.split(">", 1)
         head = re.sub(r' (width|height)="[^"]*"', "", head)
         title = f"{self.name}-title"
-        return f'{head} role="img" aria-labelledby="{title}"><title id="{title}">{_escaped(self.told)}</title>{rest}'
+        return f'{head} role="img" aria-labelledby="{title}"><title id="{title}">{escape(self.told)}</title>{rest}'
 
 
 def bar_chart(name: str, title: str, unit: str, labels: Sequence[str], values: Sequence[float | None]) -> Chart:
@@ -154,8 +157,6 @@ def finished(drawing: Drawing, name: str, title: str, told: str) -> Chart:
     text, picture = io.StringIO(), io.BytesIO()
     drawing.savefig(text, format="svg", transparent=True, metadata={"Date": None})
     drawing.savefig(picture, format="png", dpi=144, facecolor="white", metadata={"Software": None})
-    return Chart(name, title, told, text.getvalue(), picture.getvalue())
-
-
-def _escaped(text: str) -> str:
-    return text.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
+    # Of control characters in a name XML takes none.
+    svg = "".join(letter if letter in "\n\t" else printable(letter) for letter in text.getvalue())
+    return Chart(name, title, told, svg, picture.getvalue())

@@ -2,11 +2,13 @@
 
 import csv
 import math
+import unicodedata
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from schemas.atomic import replacing
+from schemas.names import printable
 from stages.evaluation.kinds import KINDS
 
 Row = dict[str, object]  # one view or one pair of views: name and values by key; None where not measured
@@ -82,9 +84,20 @@ def is_number(value: object) -> bool:
 
 
 def write_csv(path: Path, rows: Sequence[Row]) -> None:
-    """One line a row under the union of their keys; what was not measured is empty."""
+    """One line a row under the union of their keys; what was not measured is empty.
+
+    A text that a spreadsheet would take for a formula begins with an apostrophe, which it shows as text.
+    """
     keys = list(dict.fromkeys(key for row in rows for key in row))
     with replacing(path) as temporary, open(temporary, "w", newline="", encoding="utf-8") as stream:
         writer = csv.DictWriter(stream, keys, restval="", lineterminator="\n")
-        writer.writeheader()
-        writer.writerows([{key: "" if value is None else value for key, value in row.items()} for row in rows])
+        writer.writerow({key: _cell(key) for key in keys})
+        writer.writerows([{key: _cell(value) for key, value in row.items()} for row in rows])
+
+
+def _cell(value: object) -> object:
+    if not isinstance(value, str):
+        return "" if value is None else value
+    # Spaces, tabs and line breaks before a sign are taken away by some programs, full-width signs for plain ones.
+    begins = unicodedata.normalize("NFKC", value).lstrip().startswith(("=", "+", "-", "@"))
+    return f"'{printable(value)}" if begins else printable(value)

@@ -2,13 +2,12 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from html import escape
 
 from stages.evaluation.charts import Chart
 from stages.evaluation.page_style import CSS
 from stages.evaluation.page_tables import TRAINING, figures_table, stages_table, views_table
 from stages.evaluation.pictures import DEPTH_COLOURS, ERROR_COLOURS, ERROR_FULL, Encoded, colour_bar
-from stages.evaluation.wording import clock, count, number
+from stages.evaluation.wording import clock, count, escape, number
 
 
 @dataclass(frozen=True)

@@ -1,10 +1,9 @@
 """The tables of a page: figures with their protocols, values of each view, stages with what they cost."""
 
 from collections.abc import Sequence
-from html import escape
 
 from stages.evaluation.figures import is_number
-from stages.evaluation.wording import count, duration, megabytes, number
+from stages.evaluation.wording import count, duration, escape, megabytes, number
 
 HELD_OUT = "Values of each held-out view; the same stand in views.csv"
 TRAINING = "Values of each training view; the same stand in training.csv"

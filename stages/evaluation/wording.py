@@ -1,6 +1,14 @@
-"""Numbers in the words of a page."""
+"""Numbers in the words of a page, and what is safe to stand in one."""
 
+import html
+
+from schemas.names import printable
 from stages.evaluation.figures import is_number
+
+
+def escape(text: str) -> str:
+    """Text for HTML or SVG, in an element or an attribute: no markup, no control characters, nothing turned round."""
+    return html.escape(printable(text))
 
 
 def number(value: object, digits: int) -> str:

@@ -1,6 +1,5 @@
 """What a run is held against: the cells of an earlier one, so that a change that makes one worse is seen."""
 
-import json
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,6 +7,7 @@ from pathlib import Path
 
 from schemas.atomic import write_json
 from schemas.errors import BadInput, UsageError
+from schemas.reading import read_json
 from stages.evaluation.figures import is_number
 from stages.stress.cells import REMEDIED, Cell
 from stages.stress.faults import METHODS
@@ -48,11 +48,11 @@ def write_baseline(path: Path, cells: Sequence[Cell], conditions: dict) -> None:
 def read_baseline(path: Path, conditions: dict) -> list[dict]:
     """Its cells; BadInput where it cannot be read, UsageError where it was made under other conditions."""
     try:
-        content = json.loads(path.read_text())
+        content = read_json(path)
         if content["schema"] != SCHEMA:
             raise BadInput(f"--baseline {path} is of schema {content['schema']}, expected {SCHEMA}; write it anew")
         cells, made = _checked(content)
-    except OSError as error:
+    except FileNotFoundError as error:
         raise BadInput(
             f"--baseline {path} cannot be read ({error.strerror}); --write-baseline {path} makes one"
         ) from error

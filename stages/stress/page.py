@@ -2,14 +2,15 @@
 
 import base64
 from collections.abc import Sequence
-from html import escape
 from pathlib import Path
 
+from schemas.errors import BadInput
+from schemas.reading import read_bytes
 from stages.evaluation.charts import Chart
 from stages.evaluation.figures import Row
 from stages.evaluation.page_style import CSS
 from stages.evaluation.page_tables import table
-from stages.evaluation.wording import duration, number
+from stages.evaluation.wording import duration, escape, number
 from stages.stress.baseline import Compared
 from stages.stress.cells import REMEDIED, Cell, Outcome
 from stages.stress.criteria import (
@@ -23,6 +24,8 @@ from stages.stress.criteria import (
     SCORES,
 )
 from stages.stress.faults import FAULTS, METHODS
+
+LARGEST_PICTURE = 64 << 20  # bytes; two views of 4000 pixels a side are 50 MB at most
 
 
 def cell_rows(cells: Sequence[Cell]) -> list[Row]:
@@ -115,10 +118,10 @@ def _table(cells: Sequence[Cell]) -> str:
 def _pictures(cells: Sequence[Cell], folder: Path) -> str:
     shown = []
     for cell in cells:
-        path = folder / cell.worst.picture
-        if not cell.worst.picture or not path.is_file():
+        data = _png(folder, cell.worst.picture)
+        if data is None:
             continue
-        uri = "data:image/png;base64," + base64.b64encode(path.read_bytes()).decode("ascii")
+        uri = "data:image/png;base64," + base64.b64encode(data).decode("ascii")
         words = f"{cell.method} under {cell.fault}, seed {cell.worst.seed}"
         told = "failed" if not cell.worst.ok else "the lowest score, a success"
         shown.append(
@@ -127,6 +130,18 @@ def _pictures(cells: Sequence[Cell], folder: Path) -> str:
         )
     intro = "<p>The photo (of an edit: the field before) at the left, the render at the right, of the worst view.</p>"
     return f'{intro}<div class="row" style="--columns:3">{"".join(shown)}</div>' if shown else "<p>There is none.</p>"
+
+
+def _png(folder: Path, name: str) -> bytes | None:
+    """The picture of that name in the folder itself; None where there is none, a link, or something else."""
+    path = folder / name
+    if not name or path.is_symlink():
+        return None
+    try:
+        data = read_bytes(path, LARGEST_PICTURE)
+    except (BadInput, FileNotFoundError):
+        return None
+    return data if data.startswith(b"\x89PNG\r\n\x1a\n") else None
 
 
 def _how(conditions: dict, missing: Sequence[tuple[str, str]]) -> str:

@@ -75,7 +75,7 @@ def work_of(path: Path) -> Work:
     return found
 
 
-def words_of(result: dict) -> str:
+def words_of(result: dict) -> list[str]:
     """One line a run with its leading figure, then what is missing."""
     lines = []
     for run in result["runs"]:
@@ -85,5 +85,4 @@ def words_of(result: dict) -> str:
         lines.append(f"{mark} {run['family'][:-1]:<13} {run['work']}/{run['name']}: {seconds:.0f} s, {figure}")
     lines.append("* on a Pareto front")
     lines += [f"missing: {gap['what']}. {gap['why']}" for gap in result["missing"]]
-    lines.append(f"page: {result['page']}")
-    return "\n".join(lines)
+    return [*lines, f"page: {result['page']}"]

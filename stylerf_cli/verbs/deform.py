@@ -23,6 +23,6 @@ def run(args, session) -> dict:
     result = {"field": made.path, "name": made.name, "figures": figures, "seconds": made.manifest.seconds}
     words = (
         f"field {made.name}: {figures['steps']} steps in {figures['train_seconds']:.0f} s, photos "
-        f"{figures['psnr_before']:.2f} -> {figures['psnr_after']:.2f} dB\n  {made.path}"
+        f"{figures['psnr_before']:.2f} -> {figures['psnr_after']:.2f} dB"
     )
-    return session.emit(result, words)
+    return session.emit(result, [words, f"  {made.path}"])

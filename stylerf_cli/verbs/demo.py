@@ -96,7 +96,7 @@ def run(args, session) -> dict:
         f"fit report:    {result['fit_report']}",
         f"film:          {result['film']}",
     ]
-    return session.emit(result, "\n".join(words))
+    return session.emit(result, words)
 
 
 def refuse_others(work: Work, photos: Path) -> None:

@@ -20,5 +20,5 @@ def run(args, session) -> dict:
     made = ensure_distilled(session, edit_of(session, args.edit), session.config)
     figures = made.manifest.figures
     result = {"scene": made.path, "name": made.name, "figures": figures, "seconds": made.manifest.seconds}
-    words = f"scene {made.name}: {figures['pixels']} pixels edited in {figures['views']} photos\n  {made.path}"
-    return session.emit(result, words)
+    words = f"scene {made.name}: {figures['pixels']} pixels edited in {figures['views']} photos"
+    return session.emit(result, [words, f"  {made.path}"])

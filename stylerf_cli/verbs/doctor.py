@@ -165,7 +165,7 @@ def _disk() -> list[dict]:
     return checks
 
 
-def _words(checks: list[dict], problems: int) -> str:
+def _words(checks: list[dict], problems: int) -> list[str]:
     width = max(len(check["name"]) for check in checks)
     lines, topic = [], None
     for check in checks:
@@ -177,4 +177,4 @@ def _words(checks: list[dict], problems: int) -> str:
         if check["how"]:
             lines.append(f"  {'':<7}  {'':<{width}}  -> {check['how']}")
     lines.append("everything needed is here" if not problems else f"problems found: {problems}, marked MISSING above")
-    return "\n".join(lines)
+    return lines

@@ -48,4 +48,4 @@ def run(args, session) -> dict:
     seconds = {kind: round(one.manifest.seconds, 1) for kind, one in made.items()}
     result = {kind.replace("-", "_"): one.path for kind, one in made.items()} | {"name": name, "seconds": seconds}
     times = ", ".join(f"{kind} {value:.0f} s" for kind, value in seconds.items())
-    return session.emit(result, f"{told_palette(edit)}\nfield {field.name}: {times}\n  {field.path}")
+    return session.emit(result, [*told_palette(edit), f"field {field.name}: {times}", f"  {field.path}"])

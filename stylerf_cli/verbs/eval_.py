@@ -226,7 +226,7 @@ def told(report: Artefact, session: Any) -> dict:
     lines += [_figure_line(figure, width) for figure in content["figures"]]
     lines += [f"  note: {text}" for text in content["warnings"]]
     lines.append(f"page: {page}")
-    return session.emit(result, "\n".join(lines))
+    return session.emit(result, lines)
 
 
 def _figure_line(figure: dict, width: int) -> str:

@@ -25,5 +25,5 @@ def run(args, session) -> dict:
     figures = made.manifest.figures
     hidden = f", hidden in {len(figures['hidden'])}: {' '.join(figures['hidden'][:8])}" if figures["hidden"] else ""
     result = {"edit_dataset": made.path, "name": made.name, "figures": figures, "seconds": made.manifest.seconds}
-    words = f"edit dataset {made.name}: {figures['pixels']} pixels in {figures['views']} views{hidden}\n  {made.path}"
-    return session.emit(result, words)
+    words = f"edit dataset {made.name}: {figures['pixels']} pixels in {figures['views']} views{hidden}"
+    return session.emit(result, [words, f"  {made.path}"])

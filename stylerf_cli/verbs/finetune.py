@@ -24,5 +24,5 @@ def run(args, session) -> dict:
     made = finetuned(session, edit, field, session.config)
     figures = made.manifest.figures
     result = {"field": made.path, "name": made.name, "figures": figures, "seconds": made.manifest.seconds}
-    words = f"field {made.name}: {figures['steps']} steps in {figures['train_seconds']:.0f} s\n  {made.path}"
-    return session.emit(result, words)
+    words = f"field {made.name}: {figures['steps']} steps in {figures['train_seconds']:.0f} s"
+    return session.emit(result, [words, f"  {made.path}"])

@@ -30,7 +30,7 @@ def run(args, session) -> dict:
         name = f"{field.name}-views"
         tell_buffers(session, scene, field, name)
         result["buffers"] = ensure_frames(session, field, "views", name).path
-    return session.emit(result, "\n".join(_words(field, figures)))
+    return session.emit(result, _words(field, figures))
 
 
 def tell_buffers(session, scene, field, name: str) -> None:

@@ -54,7 +54,7 @@ def config_for(source: Path, options: ImportOptions = _DEFAULTS) -> ImportConfig
     return ImportConfig(**asdict(options), source=str(source), source_digest=digest)
 
 
-def _words(result: dict) -> str:
+def _words(result: dict) -> list[str]:
     low, high = ([f"{value:.3g}" for value in corner] for corner in result["aabb"])
     lines = [
         f"scene {result['scene']} ({result['path']}) from {result['format']}",
@@ -71,4 +71,4 @@ def _words(result: dict) -> str:
     if result["skipped"]:
         names = ", ".join(result["skipped"][:5]) + (", ..." if len(result["skipped"]) > 5 else "")
         lines.append(f"  skipped     {len(result['skipped'])} ({'; '.join(result['skipped_why'])}): {names}")
-    return "\n".join(lines)
+    return lines

@@ -33,4 +33,4 @@ def run(args, session) -> dict:
     if shown := [ref.name for ref in frames.manifest.inputs if ref.kind == "region"]:
         result["regions"] = shown
         words.append(f"  masks of {', '.join(shown)}")
-    return session.emit(result, "\n".join(words))
+    return session.emit(result, words)

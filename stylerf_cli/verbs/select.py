@@ -25,9 +25,9 @@ def run(args, session) -> dict:
     result = {"region": made.path, "name": made.name, "figures": figures, "previews": previews}
     words = (
         f"region {made.name}: {figures['edit_cells']} cells of a {figures['cells']}^3 grid, "
-        f"{figures['solid_share']:.1%} of what is solid\n  " + "\n  ".join(previews)
+        f"{figures['solid_share']:.1%} of what is solid"
     )
-    return session.emit(result, words)
+    return session.emit(result, [words, *(f"  {preview}" for preview in previews)])
 
 
 def selected(session, config: SelectConfig, field, name: str = "region"):

@@ -71,7 +71,7 @@ def _work(work: Work) -> dict:
     return {"path": work.root, "artefacts": rows, "unfinished": unfinished}
 
 
-def _work_words(result: dict) -> str:
+def _work_words(result: dict) -> list[str]:
     lines = [f"work folder {result['path']}"]
     width = max([len(f"{row['kind']} {row['name']}") for row in result["artefacts"]], default=0)
     for row in result["artefacts"]:
@@ -86,10 +86,10 @@ def _work_words(result: dict) -> str:
         )
     for row in result["unfinished"]:
         lines.append(f"  {row['kind']} {row['name']}: interrupted; the command that began it goes on with it")
-    return "\n".join(lines)
+    return lines
 
 
-def _artefact_words(result: dict) -> str:
+def _artefact_words(result: dict) -> list[str]:
     lines = [
         f"{result['kind']} {result['name']} ({result['path']})",
         f"  made by    {result['stage']} revision {result['revision']} on {result['created']}, "
@@ -108,7 +108,7 @@ def _artefact_words(result: dict) -> str:
     lines += [f"    {one['bytes']:>12,}  {one['path']}" for one in files[:SHOWN_FILES]]
     if len(files) > SHOWN_FILES:
         lines.append(f"    and {len(files) - SHOWN_FILES} more")
-    return "\n".join(lines)
+    return lines
 
 
 def _view_lines(views: list[dict]) -> list[str]:

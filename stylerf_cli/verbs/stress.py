@@ -128,7 +128,7 @@ def _results(stress, conditions: dict, before: list[dict] | None, kept: Path | N
     return session.emit(result, words_of(result))
 
 
-def words_of(result: dict) -> str:
+def words_of(result: dict) -> list[str]:
     """One line a cell, failing ones with the reason, then what was left out and what the baseline says."""
     lines = []
     for cell in result["cells"]:
@@ -144,4 +144,4 @@ def words_of(result: dict) -> str:
         lines += [f"better: {line}" for line in held["better"]]
         lines += [f"not compared: {line}" for line in held["unmatched"]]
         lines.append(f"no cell of {held['matched']} compared is worse than in the baseline")
-    return "\n".join([*lines, f"page: {result['page']}"])
+    return [*lines, f"page: {result['page']}"]

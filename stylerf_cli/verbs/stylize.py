@@ -91,9 +91,9 @@ def _whole(args, session) -> dict:
     result = {"field": made.path, "name": made.name, "figures": figures, "seconds": made.manifest.seconds}
     words = (
         f"field {made.name}: {figures['steps']} style steps over {figures['views']} views in "
-        f"{figures['train_seconds']:.0f} s, features {figures['features']['name']}\n  {made.path}"
+        f"{figures['train_seconds']:.0f} s, features {figures['features']['name']}"
     )
-    return session.emit(result, words)
+    return session.emit(result, [words, f"  {made.path}"])
 
 
 def _pinned_whole(config: StylizeConfig) -> tuple[StylizeConfig, str]:
@@ -181,7 +181,7 @@ def pinned(config: RegionConfig, region: str) -> tuple[RegionConfig, str]:
     return config, f"{region}-{name_of(style)}"
 
 
-def told_palette(made, kind: str = "edit") -> str:
+def told_palette(made, kind: str = "edit") -> list[str]:
     """An edit, or a field with a palette, in words: its palette, colour by colour."""
     from stages.edits import told_colours
 
@@ -191,7 +191,7 @@ def told_palette(made, kind: str = "edit") -> str:
         + (f" (was {one['learnt']})" if one["now"] != one["learnt"] else "")
         for one in colours
     ]
-    return f"{kind} {made.name}: a palette of {len(colours)} colours\n" + "\n".join(lines) + f"\n  {made.path}"
+    return [f"{kind} {made.name}: a palette of {len(colours)} colours", *lines, f"  {made.path}"]
 
 
 def painting_of(text: str) -> Path:

@@ -42,7 +42,7 @@ def run(args, session) -> dict:
             session.say(fault)
         counted = f" ({len(faults)} of {len(rows)} artefacts are not sound)" if len(rows) > 1 else ""
         raise NotSound(faults[0] + counted, result)
-    return session.emit(result, "\n".join(_words(row) for row in rows) or "nothing to verify")
+    return session.emit(result, [_words(row) for row in rows] or ["nothing to verify"])
 
 
 def _checked(artefact: Artefact) -> dict:

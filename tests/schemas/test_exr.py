@@ -13,6 +13,7 @@ import pytest
 from schemas.errors import BadInput, OutOfResources
 from schemas.exr import FAR_Z, ExrView, read_depth, read_exr, world_to_camera, world_to_ndc, write_exr
 from tests.conftest import REPOSITORY
+from tests.schemas import unusual_exr
 
 WIDTH, HEIGHT = 40, 30
 INTRINSICS = (55.0, 60.0, 18.5, 16.25)
@@ -263,3 +264,34 @@ def test_a_full_disk_is_told(tmp_path, view, monkeypatch):
     with pytest.raises(OutOfResources, match="no space for"):
         write_exr(tmp_path / "v.exr", view)
     assert os.listdir(tmp_path) == []
+
+
+@pytest.mark.parametrize(
+    ("make", "word"),
+    [
+        (unusual_exr.deep, "deep"),
+        (unusual_exr.parts, "part"),
+        (unusual_exr.mip_levels, "mip levels"),
+        (unusual_exr.cropped, "display window"),
+        (unusual_exr.halved_colour, "subsampled"),
+        (unusual_exr.huge_windows, "30000x30000"),
+    ],
+)
+def test_what_is_no_flat_picture_is_refused_by_its_header(tmp_path, make, word):
+    make(tmp_path / "a.exr")
+    with pytest.raises((BadInput, OutOfResources), match=word):
+        read_depth(tmp_path / "a.exr")
+    with pytest.raises((BadInput, OutOfResources), match=r"a\.exr"):
+        read_exr(tmp_path / "a.exr")
+
+
+def test_a_camera_that_is_no_text_is_refused(tmp_path, view):
+    write_exr(tmp_path / "a.exr", view)
+    source = OpenEXR.File(str(tmp_path / "a.exr"), separate_channels=True)
+    channels = {name: np.ascontiguousarray(channel.pixels) for name, channel in source.channels().items()}
+    header = {**source.header(), "stylerf:intrinsics": 3.0}
+    for key in ("channels", "dataWindow", "displayWindow"):
+        header.pop(key, None)
+    OpenEXR.File(header, channels).write(str(tmp_path / "b.exr"))
+    with pytest.raises(BadInput, match="camera attributes"):
+        read_exr(tmp_path / "b.exr")

@@ -1,5 +1,6 @@
 """Flow files: Middlebury's .flo byte by byte, .npy, and what is neither."""
 
+import os
 import struct
 
 import numpy as np
@@ -51,3 +52,26 @@ def test_arrays_of_another_shape_or_with_code_in_them_are_refused(tmp_path):
         read_flow(tmp_path / "objects.npy")
     with pytest.raises(BadInput, match="cannot be read"):
         read_flow(tmp_path / "absent.flo")
+
+
+def test_a_flow_that_claims_more_than_it_holds_is_refused_before_memory_is_asked_for(tmp_path):
+    header = b"{'descr': '<f4', 'fortran_order': False, 'shape': (900000, 900000, 2), }"
+    header += b" " * (64 - (10 + len(header) + 1) % 64) + b"\n"
+    (tmp_path / "a.npy").write_bytes(b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header)
+    with pytest.raises(BadInput, match="shorter"):
+        read_flow(tmp_path / "a.npy")
+    np.savez(tmp_path / "b.npz", a=np.zeros(3))
+    (tmp_path / "b.npz").rename(tmp_path / "b.npy")
+    with pytest.raises(BadInput, match=r"b\.npy"):
+        read_flow(tmp_path / "b.npy")
+
+
+@pytest.mark.parametrize("name", ["a.npy", "a.flo"])
+def test_pipes_and_devices_are_no_flows(tmp_path, name):
+    os.mkfifo(tmp_path / name)
+    with pytest.raises(BadInput, match="named pipe"):
+        read_flow(tmp_path / name)
+    (tmp_path / name).unlink()
+    (tmp_path / name).symlink_to("/dev/zero")
+    with pytest.raises(BadInput, match="device"):
+        read_flow(tmp_path / name)

@@ -8,10 +8,20 @@ import numpy as np
 import OpenImageIO as oiio
 import pytest
 
-from schemas import images
+from schemas import allowance, images
 from schemas.errors import BadInput, OutOfResources
-from schemas.images import image_size, linear_from_srgb, read_image, read_srgb, srgb_from_linear, to_uint8, write_png
+from schemas.images import (
+    image_channels,
+    image_size,
+    linear_from_srgb,
+    read_image,
+    read_srgb,
+    srgb_from_linear,
+    to_uint8,
+    write_png,
+)
 from tests.conftest import REPOSITORY
+from tests.schemas import unusual_exr
 
 
 def store(path, array, **attributes):
@@ -187,6 +197,84 @@ def test_claimed_sizes_beyond_the_limit_are_refused(tmp_path, monkeypatch):
         read_image(path)
     monkeypatch.undo()
     read_image(path)
+
+
+@pytest.mark.parametrize(
+    "make", [unusual_exr.deep, unusual_exr.parts, unusual_exr.mip_levels, unusual_exr.halved_colour]
+)
+def test_an_exr_that_is_no_flat_picture_is_refused(tmp_path, make):
+    make(tmp_path / "a.exr")
+    for read in (read_image, image_size, image_channels):
+        with pytest.raises(BadInput, match=r"a\.exr"):
+            read(tmp_path / "a.exr")
+
+
+@pytest.mark.parametrize("names", [("X", "Y", "Z"), ("Y", "RY", "BY"), ("Z",), ("layer.R", "layer.G", "layer.B")])
+def test_channels_of_an_exr_that_are_no_colours_are_refused(tmp_path, names):
+    path = store_named(tmp_path / "a.exr", np.ones((4, 4, len(names)), np.float32), names)
+    with pytest.raises(BadInput, match="channels"):
+        read_image(path)
+
+
+def test_numbers_of_other_kinds_are_refused(tmp_path):
+    spec = oiio.ImageSpec(4, 4, 3, oiio.UINT)
+    target = oiio.ImageOutput.create(str(tmp_path / "a.tif"))
+    assert target.open(str(tmp_path / "a.tif"), spec) and target.write_image(np.ones((4, 4, 3), np.uint32))
+    target.close()
+    with pytest.raises(BadInput, match="uint"):
+        read_image(tmp_path / "a.tif")
+
+
+@pytest.mark.parametrize("layout", ["rows", "strips", "tiles", "planes"])
+def test_bands_join_without_a_seam(tmp_path, monkeypatch, layout):
+    array = noise(150, 70, 3)
+    spec = oiio.ImageSpec(70, 150, 3, oiio.UINT8)
+    if layout == "tiles":
+        spec.tile_width, spec.tile_height = 32, 16
+    spec.attribute("tiff:RowsPerStrip", 7 if layout == "strips" else 64)
+    spec.attribute("planarconfig", "separate" if layout == "planes" else "contig")
+    path = tmp_path / ("a.png" if layout == "rows" else "a.tif")
+    target = oiio.ImageOutput.create(str(path))
+    assert target.open(str(path), spec) and target.write_image(array) and target.close()
+    monkeypatch.setattr(images, "BAND_BYTES", 5000)
+    np.testing.assert_array_equal(to_uint8(read_image(path).pixels), array)
+
+
+def test_what_takes_more_memory_than_allowed_is_refused_before_it_is_decoded(tmp_path, monkeypatch):
+    paths = [store(tmp_path / f"a.{suffix}", np.zeros((900, 1000, 3), np.uint8)) for suffix in ("png", "jp2", "webp")]
+    for path in paths:
+        assert read_image(path).size == (1000, 900)
+    monkeypatch.setattr(allowance, "LEAST", 0)
+    allowance.set_allowance(lambda: 10_000_000)  # 900 x 1000 x 3 x 4 bytes are 10.8 MB
+    try:
+        for path in paths:
+            with pytest.raises(OutOfResources, match="1000x900"):
+                read_image(path)
+    finally:
+        allowance.set_allowance(None)
+
+
+def test_a_large_picture_is_decoded_once(tmp_path):
+    # 3000 x 3000 RGB as float32 are 108 MB: whole in eight bits as well, or twice in float32, would show.
+    path = store(tmp_path / "a.png", np.zeros((3000, 3000, 3), np.uint8))
+    code = (
+        "import sys\nfrom schemas.images import read_image\n"
+        "peak = lambda: next(int(line.split()[1]) for line in open('/proc/self/status') if line.startswith('VmHWM'))\n"
+        "before = peak()\nimage = read_image(sys.argv[1])\nprint(peak() - before)"
+    )
+    command = [sys.executable, "-c", code, path]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, cwd=REPOSITORY)
+    assert 108 * 0.9 < int(done.stdout) * 1024 / 1e6 < 108 + 22  # the bands, and the codec's own
+
+
+def test_pipes_devices_and_folders_are_no_images(tmp_path):
+    os.mkfifo(tmp_path / "pipe.png")
+    (tmp_path / "zero.png").symlink_to("/dev/zero")
+    (tmp_path / "folder.png").mkdir()
+    for name in ("pipe.png", "zero.png", "folder.png"):
+        for read in (read_image, image_size):
+            with pytest.raises(BadInput, match=name):
+                read(tmp_path / name)
 
 
 def test_codecs_print_nothing_of_their_own(tmp_path):

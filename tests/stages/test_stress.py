@@ -207,7 +207,7 @@ def test_the_heat_maps_numbers_are_those_of_the_cells():
 def test_page_and_tables_tell_the_same(tmp_path):
     outcomes = some_outcomes()
     cells = cells_of(outcomes)
-    (tmp_path / "arf.png").write_bytes(b"\x89PNG")
+    (tmp_path / "arf.png").write_bytes(b"\x89PNG\r\n\x1a\n")
     page = build_page(cells, heat_map(cells), {"side": 24}, [("views-8", "too few")], None, tmp_path)
     assert page.count("<svg") == 1 and "<script" not in page and page.count("data:image/png") == 1
     assert "2 of 4" in page and "too far off" in page and "too few" in page and "side 24" in page

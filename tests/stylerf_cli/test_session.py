@@ -9,7 +9,9 @@ from types import SimpleNamespace
 
 import pytest
 
+from schemas.allowance import LEAST, allowance
 from schemas.errors import ArtefactStale, UsageError
+from stages.memory import free
 from stages.runner import Spec
 from stylerf_cli import session as sessions
 from stylerf_cli.arguments import Parser, add_common
@@ -137,3 +139,12 @@ def test_fewer_threads_once_numba_runs_do_not_hinder_its_compiler():
         [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=REPOSITORY, env=os.environ | ours
     )
     assert done.stdout == "2 1\n"
+
+
+def test_one_picture_may_take_what_the_run_may(tmp_path):
+    session(tmp_path, "--memory", "50G")
+    assert 40e9 < allowance() <= 50e9
+    session(tmp_path, "--memory", "256M")
+    assert allowance() == LEAST  # the program alone has taken more, and a photo must be read all the same
+    session(tmp_path)
+    assert LEAST <= allowance() < free()

@@ -37,4 +37,4 @@ def run(args, session) -> dict:
     if session.json:
         print("noise from a library")
         os.write(1, b"noise from native code\n")
-    return session.emit({"name": artefact.name, "seconds": float("inf")}, f"made {artefact.name}")
+    return session.emit({"name": artefact.name, "seconds": float("inf")}, [f"made {artefact.name}"])
