@@ -122,9 +122,7 @@ def campaign(asked: argparse.Namespace, lanes: Lanes, folder: Path, command: str
     parts: dict[str, Any] = {}
     seconds: dict[str, float] = {}
     begun = time.monotonic()
-    ground = prepared(folder, lanes.nurseries[0], asked.stages)
-    (folder / "trials").mkdir(exist_ok=True)
-    (folder / "bare").mkdir(exist_ok=True)
+    ground = prepared(folder, lanes.nurseries[0], asked.stages or (), readers.plain(asked.cases or ()))
     seconds["preparation"] = time.monotonic() - begun
     wholes: dict[str, kills.Undisturbed] = {}
 
@@ -217,10 +215,10 @@ def failing(asked: argparse.Namespace, ground: Ground, lanes: Lanes, wholes: dic
 
 def damaged(asked: argparse.Namespace, ground: Ground, lanes: Lanes) -> dict[str, Any]:
     """Mutants in workers; a sample is read by commands of their own as well, whose exit codes must be the same."""
-    root = readers.prepare(ground, lanes.nurseries[0], data_folder())
+    root = readers.prepare(ground, lanes.nurseries[0], data_folder(), asked.cases or ())
     workers = [pool.Worker(root, lane) for lane in range(LANES)]
     try:
-        jobs = readers.numbers(asked.mutants, asked.cases)
+        jobs = readers.numbers(asked.mutants, asked.cases or ())
         outcomes = lanes.each(jobs, lambda lane, job: workers[lane].run(job[0], job[1], asked.seed), "mutants")
     finally:
         for one in workers:
@@ -253,8 +251,8 @@ def in_a_command(nursery: Nursery, root: Path, told: dict[str, Any], lane: int) 
 
 def replay(asked: argparse.Namespace, ground: Ground, lanes: Lanes) -> int:
     """One mutant, in a folder that is kept."""
-    root = readers.prepare(ground, lanes.nurseries[0], data_folder())
     name, _, number = asked.replay.rpartition(":")
+    root = readers.prepare(ground, lanes.nurseries[0], data_folder(), [name])
     worker = pool.Worker(root, 0)
     told = worker.run(name, int(number), asked.seed)
     worker.close()

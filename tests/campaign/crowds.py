@@ -16,31 +16,27 @@ from tests.stylerf_cli.nursery import Nursery
 FEWEST, MOST = 2, 8
 
 
-def commands(ground: Ground) -> list[tuple[object, ...]]:
-    """None of them changes what another one reads. `WORK` is the first place after the verb."""
-    return [
-        ("fit", *FIT, "--seed", "1", "--name", "x"),
-        ("fit", *FIT, "--seed", "2", "--name", "y"),
-        ("render", "--of", "fit", "--path", "orbit", "--count", "5", "--name", "x"),
-        ("render", "--of", "painted", "--path", "orbit", "--count", "4", "--name", "y"),
-        ("extract", "--region", "all", "--name", "x"),
-        ("stylize", "--region", "all", "--recolor", "--palette", "0=#ff0000", *FEW, "--name", "x"),
-        ("distill", "--edit", "grey", "--name", "x"),
-        ("finetune", "--edit", "grey", "--budget", "20", "--rays", "512", "--name", "x"),
-    ]
+# None of them changes what another one reads. The work folder comes after the verb.
+COMMANDS: tuple[tuple[object, ...], ...] = (
+    ("fit", *FIT, "--seed", "1", "--name", "x"),
+    ("fit", *FIT, "--seed", "2", "--name", "y"),
+    ("render", "--of", "fit", "--path", "orbit", "--count", "5", "--name", "x"),
+    ("render", "--of", "painted", "--path", "orbit", "--count", "4", "--name", "y"),
+    ("extract", "--region", "all", "--name", "x"),
+    ("stylize", "--region", "all", "--recolor", "--palette", "0=#ff0000", *FEW, "--name", "x"),
+    ("distill", "--edit", "grey", "--name", "x"),
+    ("finetune", "--edit", "grey", "--budget", "20", "--rays", "512", "--name", "x"),
+)
+READING = (("show",), ("verify",))
 
 
-def watching() -> list[tuple[object, ...]]:
-    """Commands that only read."""
-    return [("show",), ("verify",)]
-
-
-def trial(nurseries: list[Nursery], ground: Ground, seed: str, alike: bool) -> dict[str, Any]:
-    """One crowd. alike: all run the same command. What happened; `fault` is empty where all is well."""
+def trial(nurseries: list[Nursery], ground: Ground, seed: str, alike: bool, plain: bool = False) -> dict[str, Any]:
+    """One crowd: what happened; `fault` is empty where all is well. alike: all run the same command. plain: the work
+    folder holds a field, but no edit."""
     chance = Random(seed)
     count = min(chance.randint(FEWEST, MOST), len(nurseries))
-    known = commands(ground)
-    chosen = [chance.choice(known)] * count if alike else [chance.choice(known + watching()) for _ in range(count)]
+    known = COMMANDS[: 3 if plain else None]
+    chosen = [chance.choice(known)] * count if alike else [chance.choice(known + READING) for _ in range(count)]
     told: dict[str, Any] = {
         "seed": seed,
         "alike": alike,

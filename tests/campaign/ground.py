@@ -6,7 +6,7 @@ import random
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -67,8 +67,9 @@ class Ground:
         return self.photos / PAINTING
 
 
-def prepared(folder: Path, nursery: Nursery, names: list[str] | None = None) -> Ground:
-    """Makes the ground in `folder`. names: of the stages that are wanted, None for all."""
+def prepared(folder: Path, nursery: Nursery, names: Sequence[str] = (), plain: bool = False) -> Ground:
+    """Makes the ground in `folder`. names: of the stages that are wanted, all where there are none. plain: nothing is
+    made but a scene, its field and frames."""
     ground = Ground(folder, folder / "photos", folder / "room", folder / "made")
     write_demo(ground.photos, 32, 10, 2, 0, 1, Silent())
     write_photos(ground.room, walk(6, (0.45, 1.0), width=240, height=180, focal=230.0))
@@ -76,6 +77,21 @@ def prepared(folder: Path, nursery: Nursery, names: list[str] | None = None) -> 
     for arguments in (
         ("import", ground.photos, WORK),
         ("fit", WORK, *FIT),
+        ("render", WORK, "--of", "fit", "--path", "test"),
+        *(() if plain else _of_every_kind(style)),
+    ):
+        done(nursery, ground.folder / "said", *Stage("", arguments, None).command(ground.made))
+    for stage in _stages(ground, (*style, *OFTEN)):
+        if not names or stage.name in names:
+            ground.stages[stage.name] = stage
+    for name in ("trials", "bare"):
+        (folder / name).mkdir()
+    return ground
+
+
+def _of_every_kind(style: tuple) -> list[tuple[object, ...]]:
+    """What makes the rest."""
+    return [
         ("deform", WORK, "--of", "fit", *DEFORM),
         ("stylize", WORK, "--of", "fit", "--name", "painted", *style),
         ("stylize", WORK, "--of", "fit", "--name", "palette", "--method", "palettenerf", "--budget", "10",
@@ -84,16 +100,10 @@ def prepared(folder: Path, nursery: Nursery, names: list[str] | None = None) -> 
         ("extract", WORK, "--region", "all"),
         ("stylize", WORK, "--region", "all", "--recolor", "--palette", "0=#808080", "--name", "grey", *FEW),
         ("distill", WORK, "--edit", "grey"),
-        ("render", WORK, "--of", "fit", "--path", "test"),
         ("render", WORK, "--of", "fit", "--path", "orbit", "--count", "4", "--scale", "0.5"),
         ("render", WORK, "--of", "painted", "--path", "test"),
         ("eval", WORK, "--of", "fit", "--perceptual", "none"),
-    ):  # fmt: skip
-        done(nursery, ground.folder / "said", *Stage("", arguments, None).command(ground.made))
-    for stage in _stages(ground, (*style, *OFTEN)):
-        if names is None or stage.name in names:
-            ground.stages[stage.name] = stage
-    return ground
+    ]  # fmt: skip
 
 
 def _stages(ground: Ground, style: tuple) -> list[Stage]:

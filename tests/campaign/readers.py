@@ -5,9 +5,10 @@ import json
 import os
 import re
 import shutil
+import signal
 import struct
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -110,48 +111,46 @@ BY_NAME = {case.name: case for case in CASES}
 # -- what cases start from ---------------------------------------------------------------------------------------------
 
 
-def prepare(ground: Ground, nursery: Nursery, data: Path | None) -> Path:
-    """The folder that holds every case's base."""
+def plain(names: Sequence[str]) -> bool:
+    """Whether the cases of these names need no more than a scene."""
+    return bool(names) and all(BY_NAME[name].base.partition("/")[0] in ("captures", "loose", "scene") for name in names)
+
+
+def prepare(ground: Ground, nursery: Nursery, data: Path | None, names: Sequence[str] = ()) -> Path:
+    """The folder that holds the base of each case; names: of the cases that are wanted, all where there are none."""
     root = ground.folder / "readers"
+    wanted = {case.base.partition("/")[0] for case in CASES if not names or case.name in names}
     write_captures(root / "captures")
     write_loose(root / "loose", ground.painting, data)
     shutil.copytree(ground.made, root / "made" / "work")
-    said = ground.folder / "said"
-    quick = ("--budget", "15", "--no-buffers", "--samples", "2000")
-    work = root / "fields" / "work"
-    shutil.copytree(ground.made, work)
-    done(nursery, said, "fit", work, *quick, "--field", "hash", "--capacity", "fixed:1000", "--name", "hash", *BOUNDED)
-    done(nursery, said, "fit", work, *quick, "--field", "voxel", "--capacity", "fixed:16", "--head", "mlp", "--name",
-         "voxel", *BOUNDED)  # fmt: skip
-    done(
-        nursery,
-        said,
-        "finetune",
-        work,
-        "--edit",
-        "grey",
-        "--budget",
-        "5",
-        "--rays",
-        "256",
-        "--name",
-        "edited",
-        *BOUNDED,
-    )
-    for kind in ("frames", "report", "edit", "edit-dataset"):
-        shutil.rmtree(work / kind)
-    write_paths(root / "fields")
     (root / "scene" / "work").mkdir(parents=True)
     shutil.copytree(ground.made / "scene" / "main", root / "scene" / "work" / "scene" / "main")
-    shutil.copytree(ground.made, root / "edit" / "work", ignore=shutil.ignore_patterns("frames", "report"))
-    _interrupt(root, nursery)
+    if "edit" in wanted:
+        shutil.copytree(ground.made, root / "edit" / "work", ignore=shutil.ignore_patterns("frames", "report"))
+    if "fields" in wanted:
+        _make_fields(ground, nursery, root / "fields")
+    if "resumed" in wanted:
+        _interrupt(root, nursery)
     return root
+
+
+def _make_fields(ground: Ground, nursery: Nursery, folder: Path) -> None:
+    """Every kind of field, and camera paths to render them along."""
+    work, said = folder / "work", ground.folder / "said"
+    shutil.copytree(ground.made, work)
+    quick = ("fit", work, "--budget", "15", "--no-buffers", "--samples", "2000")
+    done(nursery, said, *quick, "--field", "hash", "--capacity", "fixed:1000", "--name", "hash", *BOUNDED)
+    voxel = ("--field", "voxel", "--capacity", "fixed:16", "--head", "mlp", "--name", "voxel")
+    done(nursery, said, *quick, *voxel, *BOUNDED)
+    learnt = ("finetune", work, "--edit", "grey", "--budget", "5", "--rays", "256", "--name", "edited")
+    done(nursery, said, *learnt, *BOUNDED)
+    for kind in ("frames", "report", "edit", "edit-dataset"):
+        shutil.rmtree(work / kind)
+    write_paths(folder)
 
 
 def _interrupt(root: Path, nursery: Nursery) -> None:
     """A fit that was killed after a checkpoint, as often as it takes to meet it in the middle."""
-    import signal
-
     work = root / "resumed" / "work"
     shutil.copytree(root / "scene" / "work", work)
     command = (*(work if one == "work" else one for one in RESUMED), *BOUNDED)
@@ -267,9 +266,9 @@ def alone(name: str) -> Callable[[Path], object]:
     return lambda path: resolve(str(path))
 
 
-def numbers(total: int, names: list[str] | None = None) -> Iterator[tuple[str, int]]:
+def numbers(total: int, names: Sequence[str] = ()) -> Iterator[tuple[str, int]]:
     """Case and number of `total` mutants, cases by turns as their shares have it."""
-    cases = [case for case in CASES if names is None or case.name in names]
+    cases = [case for case in CASES if not names or case.name in names]
     shares = sum(case.share for case in cases)
     counts = {case.name: max(1, round(total * case.share / shares)) for case in cases}
     counts[cases[0].name] += total - sum(counts.values())

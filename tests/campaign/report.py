@@ -17,7 +17,7 @@ command that reads them, in a process that has imported stylerf once. A fault is
 fault of our own; a process that dies; more than 20 s; more than 2 GB of resident memory (with --memory 1G); more or
 other than one line of error; a file written outside of the folders; and a silent success: exit code 0 for a file that
 the digests of a manifest or the check sums of a PNG tell to be damaged, for a field that holds NaN, or, after a
-checkpoint, with another result than the undisturbed run's. Those marked resealed have a manifest made to fit the damage.
+checkpoint, with another result than the undisturbed run's. Those marked resealed have a manifest that fits.
 FAULTS: one system call on the work folder, or all of its kind from there on, answers with an error (strace); a tmpfs
 that is too small; a folder without permission. Exit code 5 and one line are asked for, or 0 and the undisturbed result;
 where a read fails 3 and 4 count too; then `verify`, and the same command without the fault as above.
