@@ -21,7 +21,7 @@ from typing import Any
 
 from tests.campaign import crowds, faults, kills, pool, readers, report
 from tests.campaign.ground import Ground, machine_of_strace, prepared
-from tests.stylerf_cli.nursery import REPOSITORY, Nursery
+from tests.stylerf_cli.nursery import Nursery
 
 LANES = 2
 IN_THE_CLI = 300
@@ -215,9 +215,13 @@ def failing(asked: argparse.Namespace, ground: Ground, lanes: Lanes, wholes: dic
 
 def damaged(asked: argparse.Namespace, ground: Ground, lanes: Lanes) -> dict[str, Any]:
     """Mutants in workers; a sample is read by commands of their own as well, whose exit codes must be the same."""
-    root = readers.prepare(ground, lanes.nurseries[0], data_folder(), asked.cases or ())
+    root = readers.prepare(ground, lanes.nurseries[0], asked.cases or ())
     workers = [pool.Worker(root, lane) for lane in range(LANES)]
     try:
+        for case in readers.CASES:
+            if not asked.cases or case.name in asked.cases:
+                sound = workers[0].run(case.name, readers.SOUND, asked.seed)
+                assert sound["outcome"] == "read", f"what is not damaged is not read: {sound}"
         jobs = readers.numbers(asked.mutants, asked.cases or ())
         outcomes = lanes.each(jobs, lambda lane, job: workers[lane].run(job[0], job[1], asked.seed), "mutants")
     finally:
@@ -252,7 +256,7 @@ def in_a_command(nursery: Nursery, root: Path, told: dict[str, Any], lane: int) 
 def replay(asked: argparse.Namespace, ground: Ground, lanes: Lanes) -> int:
     """One mutant, in a folder that is kept."""
     name, _, number = asked.replay.rpartition(":")
-    root = readers.prepare(ground, lanes.nurseries[0], data_folder(), [name])
+    root = readers.prepare(ground, lanes.nurseries[0], [name])
     worker = pool.Worker(root, 0)
     told = worker.run(name, int(number), asked.seed)
     worker.close()
@@ -260,12 +264,6 @@ def replay(asked: argparse.Namespace, ground: Ground, lanes: Lanes) -> int:
     placed = readers.place(root, readers.BY_NAME[name], int(number), asked.seed, root.parent / "replayed")
     print(f"{placed.file}\nstylerf {shlex.join(placed.command)}")
     return int(told["outcome"] in pool.FAULTS)
-
-
-def data_folder() -> Path | None:
-    """Of the real scenes; None where there are none."""
-    folder = Path(os.environ.get("STYLERF_DATA", REPOSITORY.parent / "shared" / "data"))
-    return folder if (folder / "weights").is_dir() else None
 
 
 if __name__ == "__main__":

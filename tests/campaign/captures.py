@@ -1,7 +1,6 @@
 """Small real files of every format that is read: captures with poses in each form, pictures, flows, weights, lists."""
 
 import json
-import shutil
 import struct
 from pathlib import Path
 
@@ -128,8 +127,8 @@ def _write_binary(text: Path, model: Path) -> None:
     (model / "points3D.bin").write_bytes(packed)
 
 
-def write_loose(folder: Path, painting: Path, data: Path | None) -> None:
-    """Files that are read by themselves: paintings, flows, weights. data: where real weights are, if anywhere."""
+def write_loose(folder: Path, painting: Path) -> None:
+    """Files that are read by themselves: paintings, flows, weights."""
     folder.mkdir(parents=True)
     small = oiio.ImageBufAlgo.resize(oiio.ImageBuf(str(painting)), roi=oiio.ROI(0, 64, 0, 48))
     for suffix in ("png", "jpg", "tif"):
@@ -139,13 +138,14 @@ def write_loose(folder: Path, painting: Path, data: Path | None) -> None:
     np.save(folder / "flow.npy", flow)
     import torch
 
-    shapes = {0: (64, 3), 2: (64, 64), 5: (128, 64), 7: (128, 128)}
-    state = {f"features.{at}.weight": np.zeros((*shape, 3, 3), np.float32) for at, shape in shapes.items()}
-    state |= {f"features.{at}.bias": np.zeros(shape[0], np.float32) for at, shape in shapes.items()}
+    # A VGG-19 to conv3_1 in AdaIN's layout: a convolution of 1x1, then five of 3x3.
+    random = np.random.default_rng(1)
+    state = {"0.weight": 255 * np.eye(3, dtype=np.float32)[::-1, :, None, None], "0.bias": np.zeros(3, np.float32)}
+    for place, out, taken in ((2, 64, 3), (5, 64, 64), (9, 128, 64), (12, 128, 128), (16, 256, 128)):
+        state[f"{place}.weight"] = random.normal(size=(out, taken, 3, 3)).astype(np.float32) / 100
+        state[f"{place}.bias"] = np.zeros(out, np.float32)
     save_tensors(folder / "weights.safetensors", state)
-    torch.save({name: torch.from_numpy(array) for name, array in state.items()}, folder / "weights.pth")
-    if data is not None:
-        shutil.copyfile(data / "weights" / "squeezenet1_1.pth", folder / "squeezenet.pth")
+    torch.save({name: torch.from_numpy(array.copy()) for name, array in state.items()}, folder / "weights.pth")
 
 
 def camera_path(size: int = 12) -> list[dict]:

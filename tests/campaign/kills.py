@@ -30,30 +30,25 @@ class Undisturbed:
     calls: list = field(default_factory=list)
 
 
-def undisturbed(nursery: Nursery, ground: Ground, stage: Stage, with_calls: bool) -> Undisturbed:
-    """Runs a stage once to warm up, once for its time, and once under strace; all must make the same."""
-    made = []
-    for _ in range(2):
-        with copy_of(stage.base, ground.folder / "trials") as work:
-            command = nursery.start(work.parent / "said", *stage.command(work))
-            used = 0.0
-            while command.poll(FOLLOWED_EVERY_SECONDS) is None:
-                used = max(used, command.cpu_seconds())
-            assert command.code == 0, f"{stage.name}: {command.err}"
-            made.append(contents(work))
-    assert made[0] == made[1], f"{stage.name} makes other files the second time: {differing(made[0], made[1])}"
-    return Undisturbed(made[0], used, recorded(nursery, ground, stage) if with_calls else [])
+def undisturbed(nursery: Nursery, ground: Ground, stage: Stage, strace: bool) -> Undisturbed:
+    """Runs a stage twice, the second time under strace where that is there; both must make the same."""
+    whole, again = _run(nursery, ground, stage, False), _run(nursery, ground, stage, strace)
+    other = differing(whole.files, again.files)
+    assert not other, f"{stage.name} makes other files the second time: {other}"
+    return Undisturbed(whole.files, whole.seconds, again.calls)
 
 
-def recorded(nursery: Nursery, ground: Ground, stage: Stage) -> list:
-    """The stage's system calls on its work folder."""
+def _run(nursery: Nursery, ground: Ground, stage: Stage, strace: bool) -> Undisturbed:
     with copy_of(stage.base, ground.folder / "trials") as work:
-        log = work.parent / "strace.log"
-        command, tracer = traced(nursery, work.parent / "said", log, stage.command(work), ())
-        command.wait()
-        ended(tracer)
-        assert command.code == 0, f"{stage.name} under strace: {command.err}"
-        return calls_on(log, command.pid, work)
+        log, said, words = work.parent / "strace.log", work.parent / "said", stage.command(work)
+        command, tracer = traced(nursery, said, log, words, ()) if strace else (nursery.start(said, *words), None)
+        used = 0.0
+        while command.poll(FOLLOWED_EVERY_SECONDS) is None:
+            used = max(used, command.cpu_seconds())
+        if tracer is not None:
+            ended(tracer)
+        assert command.code == 0, f"{stage.name}: {command.err}"
+        return Undisturbed(contents(work), used, calls_on(log, command.pid, work) if strace else [])
 
 
 def differing(one: dict, other: dict) -> list[str]:

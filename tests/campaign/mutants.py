@@ -248,7 +248,7 @@ def _chunk(name: bytes, body: bytes) -> bytes:
 
 
 def damaged_png(data: bytes) -> bool:
-    """Whether its own check sums tell that a PNG is damaged: a chunk that pixels need does not fit its sum, or is cut."""
+    """Whether its own check sums tell that a PNG is damaged: a chunk before its last pixel does not fit, or is cut."""
     at, pixels = 8, zlib.decompressobj()
     if data[:8] != b"\x89PNG\r\n\x1a\n":
         return True

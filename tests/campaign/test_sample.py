@@ -61,11 +61,13 @@ def test_two_processes_on_one_work_folder(ground, nursery):
 
 
 def test_damaged_files_are_read_or_refused_in_one_line(ground, nursery):
-    root = readers.prepare(ground, nursery, None, QUICK)
+    root = readers.prepare(ground, nursery, QUICK)
     worker = pool.Worker(root, 0)
     try:
+        sound = [worker.run(case, readers.SOUND, 0) for case in QUICK]
         outcomes = [worker.run(case, number, 0) for case, number in readers.numbers(250, QUICK)]
     finally:
         worker.close()
+    assert {one["outcome"] for one in sound} == {"read"}, sound
     assert pool.told_in_sum(outcomes)["faults"] == []
     assert {one["outcome"] for one in outcomes} == {"read", "refused"}
