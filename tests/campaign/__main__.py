@@ -218,10 +218,10 @@ def damaged(asked: argparse.Namespace, ground: Ground, lanes: Lanes) -> dict[str
     root = readers.prepare(ground, lanes.nurseries[0], asked.cases or ())
     workers = [pool.Worker(root, lane) for lane in range(LANES)]
     try:
-        for case in readers.CASES:
-            if not asked.cases or case.name in asked.cases:
-                sound = workers[0].run(case.name, readers.SOUND, asked.seed)
-                assert sound["outcome"] == "read", f"what is not damaged is not read: {sound}"
+        names = [case.name for case in readers.CASES if not asked.cases or case.name in asked.cases]
+        sound = lanes.each(names, lambda lane, name: workers[lane].run(name, readers.SOUND, asked.seed), "sound files")
+        refused = [one for one in sound if one["outcome"] != "read" and not readers.BY_NAME[one["case"]].refuses]
+        assert not refused, f"what is not damaged is not read: {refused}"
         jobs = readers.numbers(asked.mutants, asked.cases or ())
         outcomes = lanes.each(jobs, lambda lane, job: workers[lane].run(job[0], job[1], asked.seed), "mutants")
     finally:

@@ -84,6 +84,7 @@ def prepared(folder: Path, nursery: Nursery, names: Sequence[str] = (), plain: b
     for stage in _stages(ground, (*style, *OFTEN)):
         if not names or stage.name in names:
             ground.stages[stage.name] = stage
+    (folder / "edit.toml").write_text('[finetune]\nbudget = "10"\nrays = 512\n')
     for name in ("trials", "bare"):
         (folder / name).mkdir()
     return ground
@@ -148,8 +149,8 @@ def _stages(ground: Ground, style: tuple) -> list[Stage]:
                                      "--name", "x"),
                 "distill": ("distill", WORK, "--edit", "grey", "--name", "x"),
                 "finetune": ("finetune", WORK, *finetune, "--name", "x"),
-                "edit": ("edit", WORK, *fit, *WHOLE, "--recolor", "--palette", "0=#80ff80", *FEW, "--budget", "10",
-                         "--rays", "512", "--name", "x"),
+                "edit": ("edit", WORK, *fit, *WHOLE, "--recolor", "--palette", "0=#80ff80", *FEW, "--config",
+                         ground.folder / "edit.toml", "--name", "x"),
                 "render": ("render", WORK, *fit, "--path", "orbit", "--count", "6", "--name", "x"),
                 "film": ("render", WORK, *fit, "--path", "orbit", "--count", "6", "--video", "--name", "x"),
                 "eval": ("eval", WORK, "--of", "painted", "--perceptual", "none"),

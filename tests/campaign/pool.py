@@ -34,7 +34,7 @@ class Worker:
     """One process, begun again where it dies. root: the bases of all cases. lane: of its own folder."""
 
     def __init__(self, root: Path, lane: int) -> None:
-        self.root, self.lane = root, lane
+        self.root, self._lane = root, root.parent / f"lane{lane}"
         self._process: subprocess.Popen | None = None
         self._read = b""
 
@@ -56,7 +56,8 @@ class Worker:
         if line == b"":
             code = self._process.wait()
             self._process = None
-            return order | {"outcome": "crash", "line": f"the process ended with {code}", "bytes": peak}
+            last = (self._lane / "stderr").read_text(errors="replace").strip().splitlines()[-1:]
+            return order | {"outcome": "crash", "line": f"the process ended with {code}: {last}", "bytes": peak}
         return order | json.loads(line)
 
     def close(self) -> None:
@@ -72,7 +73,7 @@ class Worker:
             "-m",
             "tests.campaign.pool",
             str(self.root),
-            str(self.root.parent / f"lane{self.lane}"),
+            str(self._lane),
         ]
         self._process = subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, cwd=REPOSITORY, bufsize=0,
@@ -191,7 +192,6 @@ def serve(root: Path, lane: Path) -> None:
     """Reads orders from stdin, answers each with a line."""
     answers = os.fdopen(os.dup(1), "w")
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
-    os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
     import stages.nerf_fit
     import stages.pose_import
     import stages.render  # noqa: F401
@@ -201,6 +201,7 @@ def serve(root: Path, lane: Path) -> None:
     tempfile.tempdir = str(lane / "tmp")  # where reports of crashes go
     shutil.rmtree(lane, ignore_errors=True)
     (lane / "tmp").mkdir(parents=True)
+    os.dup2(os.open(lane / "stderr", os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644), 2)
     wholes: dict[str, Any] = {}
     print("ready", file=answers, flush=True)
     for line in sys.stdin:

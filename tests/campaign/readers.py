@@ -21,8 +21,8 @@ from tests.stylerf_cli.nursery import Nursery
 
 SOUND = -1  # number of the mutant that is none
 BOUNDED = ("--quiet", "--threads", "1", "--memory", "1G")
-TINY_FIT = ("--budget", "2", "--no-buffers", "--capacity", "fixed:16x4x4", "--samples", "300")
-RESUMED = ("fit", "work", "--budget", "40", "--no-buffers", "--capacity", "fixed:24x4x4", "--samples", "1500",
+TINY_FIT = ("--budget", "2", "--no-buffers", "--capacity", "fixed:16x8x8", "--samples", "300")
+RESUMED = ("fit", "work", "--budget", "40", "--no-buffers", "--capacity", "fixed:24x8x8", "--samples", "1500",
            "--checkpoint-every-seconds", "0.01", "--name", "resumed")  # fmt: skip
 
 
@@ -33,6 +33,7 @@ class Case:
     commands: one of them is run in the copy; `{name}` stands for the damaged artefact's name. sealed: the digests of a
     manifest cover the file, so that it must be refused. resealed: the digests are made to fit the damage. alone: the
     reader is called with the file, rather than a command. same: the artefact that must come out as undisturbed.
+    refuses: what is not damaged is refused too, for another reason.
     """
 
     name: str
@@ -45,6 +46,7 @@ class Case:
     alone: str = ""
     same: str = ""
     leave_out: str = "(?!)"
+    refuses: bool = False
 
     def files(self, root: Path) -> list[Path]:
         """Relative to the base, in order."""
@@ -64,7 +66,7 @@ CASES = (
     Case("photo, JPEG", 500, "captures/photo jpg", "source/images/p01.jpg", IMPORT),
     Case("photo, TIFF", 400, "captures/photo tif", "source/images/p01.tif", IMPORT),
     Case("photo, EXR", 400, "captures/photo exr", "source/images/p01.exr", IMPORT),
-    Case("photo without poses", 60, "captures/alone", "source/images/p01.png", IMPORT),
+    Case("photo without poses", 60, "captures/alone", "source/images/p01.png", IMPORT, refuses=True),
     Case("mask", 250, "captures/beside", "source/masks/*", IMPORT),
     Case("true depth, EXR", 250, "captures/beside", "source/truth/*", IMPORT),
     Case("transforms.json of instant-ngp", 600, "captures/instant-ngp", "source/transforms.json", IMPORT),
@@ -77,7 +79,7 @@ CASES = (
          (("import", "source", "work", "--config", "source/options.toml"),)),
     Case("camera path", 250, "fields", "path.json", (("render", "work", "--of", "fit", "--path", "path.json"),)),
     Case("camera path of nerfstudio", 150, "fields", "studio.json",
-         (("render", "work", "--of", "fit", "--path", "studio.json"),)),
+         (("render", "work", "--of", "fit", "--path", "studio.json"),), refuses=True),
     Case("painting", 250, "loose", "painting.*", alone="painting"),
     Case("flow", 250, "loose", "flow.*", alone="flow"),
     Case("weights", 200, "loose", "weights.*", alone="weights"),
@@ -162,7 +164,7 @@ def _interrupt(root: Path, nursery: Nursery) -> None:
             pass
         running.poll(0.05)
         running.send(signal.SIGKILL)
-        running.wait()
+        assert running.wait() in (0, -signal.SIGKILL), running.err
         if checkpoint.is_dir() and any(not path.name.startswith(".") for path in checkpoint.iterdir()):
             return
         shutil.rmtree(work / "field", ignore_errors=True)
