@@ -218,12 +218,15 @@ def damaged(asked: argparse.Namespace, ground: Ground, lanes: Lanes) -> dict[str
     root = readers.prepare(ground, lanes.nurseries[0], asked.cases or ())
     workers = [pool.Worker(root, lane) for lane in range(LANES)]
     try:
-        names = [case.name for case in readers.CASES if not asked.cases or case.name in asked.cases]
-        sound = lanes.each(names, lambda lane, name: workers[lane].run(name, readers.SOUND, asked.seed), "sound files")
-        refused = [one for one in sound if one["outcome"] != "read" and not readers.BY_NAME[one["case"]].refuses]
+
+        def read(lane: int, job: tuple[str, int]) -> dict[str, Any]:
+            return workers[lane].run(job[0], job[1], asked.seed)
+
+        sound = lanes.each(readers.sound(asked.cases or ()), read, "sound files")
+        refused = [one for one in sound if one["outcome"] != "read"]
         assert not refused, f"what is not damaged is not read: {refused}"
         jobs = readers.numbers(asked.mutants, asked.cases or ())
-        outcomes = lanes.each(jobs, lambda lane, job: workers[lane].run(job[0], job[1], asked.seed), "mutants")
+        outcomes = lanes.each(jobs, read, "mutants")
     finally:
         for one in workers:
             one.close()

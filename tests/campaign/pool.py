@@ -220,6 +220,7 @@ def undisturbed(root: Path, case: Case, folder: Path) -> dict[str, str]:
     """What the case's command makes of its base as it is; made in this process, as rounding may be another's."""
     from tests.campaign.readers import BOUNDED
 
+    shutil.rmtree(folder, ignore_errors=True)
     shutil.copytree(root / case.base, folder)
     shutil.rmtree(folder / "work" / "field")
     words = (str(folder / one) if one == "work" else str(one) for one in case.commands[0])

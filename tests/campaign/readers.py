@@ -19,10 +19,9 @@ from tests.campaign.ground import FEW, Ground, done
 from tests.campaign.mutants import damaged_png, mutant
 from tests.stylerf_cli.nursery import Nursery
 
-SOUND = -1  # number of the mutant that is none
 BOUNDED = ("--quiet", "--threads", "1", "--memory", "1G")
-TINY_FIT = ("--budget", "2", "--no-buffers", "--capacity", "fixed:16x8x8", "--samples", "300")
-RESUMED = ("fit", "work", "--budget", "40", "--no-buffers", "--capacity", "fixed:24x8x8", "--samples", "1500",
+TINY_FIT = ("--budget", "2", "--no-buffers", "--capacity", "fixed:16x8x8", "--samples", "1000")
+RESUMED = ("fit", "work", "--budget", "25", "--no-buffers", "--capacity", "fixed:24x8x8", "--samples", "1000",
            "--checkpoint-every-seconds", "0.01", "--name", "resumed")  # fmt: skip
 
 
@@ -185,21 +184,22 @@ class Placed:
 
 
 def place(root: Path, case: Case, number: int, seed: int, folder: Path) -> Placed:
-    """Makes the mutant `number` of a case in `folder`, which must not be there; the undamaged file of SOUND."""
+    """Makes the mutant `number` of a case in `folder`, which must not be there. Those of negative numbers are not damaged:
+    there is one for each command."""
     chance = Random(f"{seed}/{case.name}/{number}")
     files = case.files(root)
     relative = chance.choice(files)
     base = root / case.base
     data = (base / relative).read_bytes()
     others = [(base / one).read_bytes() for one in files if one.suffix == relative.suffix][:8]
-    damaged, operators = (data, "") if number == SOUND else mutant(data, relative.suffix, chance, others)
+    damaged, operators = (data, "") if number < 0 else mutant(data, relative.suffix, chance, others)
     shutil.copytree(base, folder, copy_function=os.link)
     (folder / relative).unlink()
     (folder / relative).write_bytes(damaged)
     if case.resealed:
         reseal(folder / Path(*relative.parts[:3]), relative)
     name = relative.parts[2] if len(relative.parts) > 3 else ""
-    chosen = chance.choice(case.commands) if case.commands else ()
+    chosen = (case.commands[number] if number < 0 else chance.choice(case.commands)) if case.commands else ()
     words = (str(word).replace("{name}", name) for word in chosen)
     command = tuple(str(folder / one) if one == "work" or (base / one).exists() else one for one in words)
     command += BOUNDED if chosen else ()
@@ -269,6 +269,12 @@ def alone(name: str) -> Callable[[Path], object]:
     from stages.weights import resolve
 
     return lambda path: resolve(str(path))
+
+
+def sound(names: Sequence[str] = ()) -> list[tuple[str, int]]:
+    """Case and number of every mutant that is none and must be read."""
+    cases = [case for case in CASES if (not names or case.name in names) and not case.refuses]
+    return [(case.name, -1 - at) for case in cases for at in range(len(case.commands) or 1)]
 
 
 def numbers(total: int, names: Sequence[str] = ()) -> Iterator[tuple[str, int]]:

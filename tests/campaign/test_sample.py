@@ -64,7 +64,7 @@ def test_damaged_files_are_read_or_refused_in_one_line(ground, nursery):
     root = readers.prepare(ground, nursery, QUICK)
     worker = pool.Worker(root, 0)
     try:
-        sound = [worker.run(case, readers.SOUND, 0) for case in QUICK]
+        sound = [worker.run(case, number, 0) for case, number in readers.sound(QUICK)]
         outcomes = [worker.run(case, number, 0) for case, number in readers.numbers(250, QUICK)]
     finally:
         worker.close()
