@@ -199,7 +199,9 @@ def place(root: Path, case: Case, number: int, seed: int, folder: Path) -> Place
     if case.resealed:
         reseal(folder / Path(*relative.parts[:3]), relative)
     name = relative.parts[2] if len(relative.parts) > 3 else ""
-    chosen = (case.commands[number] if number < 0 else chance.choice(case.commands)) if case.commands else ()
+    chosen = ()
+    if case.commands:
+        chosen = case.commands[-1 - number] if number < 0 else chance.choice(case.commands)
     words = (str(word).replace("{name}", name) for word in chosen)
     command = tuple(str(folder / one) if one == "work" or (base / one).exists() else one for one in words)
     command += BOUNDED if chosen else ()
