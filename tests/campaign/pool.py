@@ -113,26 +113,30 @@ def attempt(root: Path, case: Case, number: int, seed: int, folder: Path, wholes
     told: dict[str, Any] = {"file": placed.file.relative_to(folder).as_posix(), "operators": placed.operators}
     _reset_peak()
     begun = time.monotonic()
-    code, err = call(alone(case.alone), placed.file) if case.alone else command(placed.command)
+    code, out, err = call(alone(case.alone), placed.file) if case.alone else command(placed.command)
     told |= {"seconds": round(time.monotonic() - begun, 3), "bytes": _peak(), "code": code}
     told["line"] = (err.splitlines() or [""])[-1][:400].replace(str(folder), "")
     fault = judged(case, placed, code, err, told, wholes)
+    if fault == "silent" and "NOT READABLE" in out:  # as `show` has it of one artefact of many
+        return told | {"outcome": "refused"}
+    if fault == "words":
+        told["line"] = repr(err[:800])
     return told | {"outcome": fault or ("read" if code == 0 else "refused")}
 
 
-def command(words: tuple[str, ...]) -> tuple[int | None, str]:
-    """Exit code and stderr of a command; None where it let an exception through."""
+def command(words: tuple[str, ...]) -> tuple[int | None, str, str]:
+    """Exit code, stdout and stderr of a command; no code where it let an exception through."""
     from stylerf_cli.main import main
 
-    err = io.StringIO()
+    out, err = io.StringIO(), io.StringIO()
     try:
-        with redirect_stderr(err), redirect_stdout(io.StringIO()):
-            return main(list(words)), err.getvalue()
+        with redirect_stderr(err), redirect_stdout(out):
+            return main(list(words)), out.getvalue(), err.getvalue()
     except BaseException as error:
-        return None, f"{type(error).__name__}: {error}"
+        return None, "", f"{type(error).__name__}: {error}"
 
 
-def call(reader, path: Path) -> tuple[int | None, str]:
+def call(reader, path: Path) -> tuple[int | None, str, str]:
     """The same of a reader that is called."""
     from stylerf_cli.faults import told
 
@@ -140,8 +144,8 @@ def call(reader, path: Path) -> tuple[int | None, str]:
         reader(path)
     except Exception as error:
         code, line = told(error, [], None)
-        return code, f"stylerf: error: {line}\n"
-    return 0, ""
+        return code, "", f"stylerf: error: {line}\n"
+    return 0, "", ""
 
 
 def judged(case: Case, placed: Placed, code: int | None, err: str, told: dict[str, Any], wholes: dict) -> str:
@@ -224,7 +228,7 @@ def undisturbed(root: Path, case: Case, folder: Path) -> dict[str, str]:
     shutil.copytree(root / case.base, folder)
     shutil.rmtree(folder / "work" / "field")
     words = (str(folder / one) if one == "work" else str(one) for one in case.commands[0])
-    code, err = command((*words, *BOUNDED))
+    code, _, err = command((*words, *BOUNDED))
     assert code == 0, err
     return _files(folder / "work", case.same)
 
