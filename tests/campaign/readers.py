@@ -232,6 +232,7 @@ def reseal(artefact: Path, relative: Path) -> None:
         head, tail = text[: seals[-1].start()], text[seals[-1].end() :]
         blank = head + b'"self_sha256": "' + b"0" * 64 + b'"' + tail
         seal = hashlib.sha256(blank).hexdigest().encode()
+        path.unlink()  # other names of the file keep what it is
         path.write_bytes(head + b'"self_sha256": "' + seal + b'"' + tail)
 
 
