@@ -5,6 +5,7 @@ rayDistance.Z float32 (along the ray), mask.<name> half. One scanline part, ZIP:
 silent with it.
 """
 
+import errno
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -94,7 +95,8 @@ def write_exr(path: Path | str, view: ExrView) -> None:
                 OpenEXR.File(header, dict(channels)).write(str(temporary))  # it replaces the dict's values
         except RuntimeError as error:
             size = sum(array.nbytes for array in channels.values())
-            raise refusal_of_disk(path, size) or OSError(f"{path}: the EXR writer failed ({error})") from error
+            told = f"the EXR writer failed ({_one_line(error)})"
+            raise refusal_of_disk(path, size) or OSError(errno.EIO, told, str(path)) from error
 
 
 def _channels(view: ExrView) -> dict[str, np.ndarray]:

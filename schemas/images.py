@@ -1,5 +1,6 @@
 """Photos and pictures: read whole or refused, colours as stored or in sRGB; PNG written as one step."""
 
+import errno
 import os
 import re
 from collections.abc import Iterator
@@ -291,7 +292,7 @@ def write_png(path: Path | str, array: np.ndarray) -> None:
         done = target.open(str(temporary), spec) and target.write_image(pixels)
         done = target.close() and done and not target.geterror()
         if not done:
-            raise refusal_of_disk(path, pixels.nbytes) or OSError(f"{path}: the PNG writer failed")
+            raise refusal_of_disk(path, pixels.nbytes) or OSError(errno.EIO, "the PNG writer failed", str(path))
 
 
 def to_uint8(values: np.ndarray) -> np.ndarray:

@@ -4,6 +4,7 @@ COLMAP itself reads a truncated JPEG without a word, drops a broken one, and han
 copies keep all of that away from it.
 """
 
+import errno
 import json
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
@@ -102,7 +103,7 @@ def _write_jpeg(path: Path, pixels: np.ndarray) -> None:
     bitmap.set_jpeg_quality(JPEG_QUALITY)
     with replacing(path) as temporary:
         if not bitmap.write(str(temporary)):
-            raise OSError(f"{path}: the JPEG writer failed")
+            raise OSError(errno.EIO, "the JPEG writer failed", str(path))
 
 
 def _without_doubles(copies: list[Copy]) -> list[Copy]:

@@ -11,6 +11,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -21,17 +22,21 @@ WITHOUT_GPUS = {"CUDA_VISIBLE_DEVICES": ""}
 class Nursery:
     """Starts commands one after the other. Close it when done."""
 
-    def __init__(self) -> None:
+    def __init__(self, prefix: Sequence[str] = ()) -> None:
+        """prefix: a command that runs another one, such as with fewer rights."""
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "tests.stylerf_cli.nursery"], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+            [*prefix, sys.executable, "-m", "tests.stylerf_cli.nursery"], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
             cwd=REPOSITORY, bufsize=0, env=os.environ | WITHOUT_GPUS,
         )  # fmt: skip
         self._read = b""
 
-    def start(self, folder: Path, *arguments: object, limits: dict[str, int] | None = None) -> "Command":
-        """`stylerf ARGUMENTS`, its output kept in `folder`. limits: of resource.setrlimit, by the limit's name."""
+    def start(
+        self, folder: Path, *arguments: object, limits: dict[str, int] | None = None, held: bool = False
+    ) -> "Command":
+        """`stylerf ARGUMENTS`, its output kept in `folder`. limits: of resource.setrlimit, by the limit's name. held:
+        it stops at once, until SIGCONT."""
         folder.mkdir(parents=True, exist_ok=True)
-        order = {"argv": [str(one) for one in arguments], "folder": str(folder), "limits": limits or {}}
+        order = {"argv": [str(one) for one in arguments], "folder": str(folder), "limits": limits or {}, "held": held}
         self._process.stdin.write(json.dumps(order).encode() + b"\n")
         return Command(self, int(self.line(LONGEST_SECONDS)), folder)
 
@@ -140,6 +145,8 @@ def _obey(order: dict) -> int:
     os.open(os.devnull, os.O_RDONLY)
     for name, value in order["limits"].items():
         resource.setrlimit(getattr(resource, name), (value, value))
+    if order["held"]:
+        os.kill(os.getpid(), signal.SIGSTOP)
     return main(order["argv"])
 
 

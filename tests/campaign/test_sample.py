@@ -1,0 +1,73 @@
+"""A small sample of the campaign: some kills, failing calls, mutants and a crowd, on three stages."""
+
+import os
+import tempfile
+from pathlib import Path
+
+import pytest
+
+from tests.campaign import crowds, faults, kills, pool, readers
+from tests.campaign.ground import machine_of_strace, prepared
+from tests.stylerf_cli.nursery import Nursery
+
+STAGES = ("import", "fit", "render")
+SLOW = ("photo without poses", "report, resealed", "frames, resealed", "frames.json, resealed")
+BASES = ("captures", "loose", "made", "scene")
+QUICK = [one.name for one in readers.CASES if one.base.partition("/")[0] in BASES and one.name not in SLOW]
+
+
+@pytest.fixture(scope="module")
+def nursery():
+    made = Nursery()
+    yield made
+    made.close()
+
+
+@pytest.fixture(scope="module")
+def ground(nursery):
+    place = "/dev/shm" if os.access("/dev/shm", os.W_OK) else None
+    with tempfile.TemporaryDirectory(dir=place) as folder:
+        yield prepared(Path(folder), nursery, STAGES, plain=True)
+
+
+@pytest.fixture(scope="module")
+def wholes(ground, nursery):
+    strace = machine_of_strace()
+    return {name: kills.undisturbed(nursery, ground, ground.stages[name], strace) for name in STAGES}
+
+
+@pytest.mark.parametrize("name", STAGES)
+@pytest.mark.parametrize("by_call", [False, True])
+def test_a_killed_command_leaves_nothing_broken_and_ends_the_same(ground, nursery, wholes, name, by_call):
+    if by_call and not wholes[name].calls:
+        pytest.skip("strace is missing or may not inject")
+    told = kills.trial(nursery, ground, ground.stages[name], wholes[name], f"sample/{name}", by_call)
+    assert told["fault"] == "" and (told["kills"] or not by_call), told
+
+
+@pytest.mark.parametrize("kind", ["full disk", "input/output error", "read error", faults.MOUNTED])
+def test_a_disk_that_fails_is_told_and_then_gone_on_with(ground, nursery, wholes, kind):
+    told = faults.trial(nursery, ground, ground.stages["fit"], wholes["fit"], kind, f"sample/{kind}")
+    assert told["fault"] == "", told
+
+
+def test_two_processes_on_one_work_folder(ground, nursery):
+    other = Nursery()
+    try:
+        told = crowds.trial([nursery, other], ground, "sample", alike=True, plain=True)
+    finally:
+        other.close()
+    assert told["fault"] == "", told
+
+
+def test_damaged_files_are_read_or_refused_in_one_line(ground, nursery):
+    root = readers.prepare(ground, nursery, QUICK)
+    worker = pool.Worker(root, 0)
+    try:
+        sound = [worker.run(case, number, 0) for case, number in readers.sound(QUICK)]
+        outcomes = [worker.run(case, number, 0) for case, number in readers.numbers(250, QUICK)]
+    finally:
+        worker.close()
+    assert {one["outcome"] for one in sound} == {"read"}, sound
+    assert pool.told_in_sum(outcomes)["faults"] == []
+    assert {one["outcome"] for one in outcomes} == {"read", "refused"}

@@ -1,0 +1,102 @@
+"""strace: which system calls a command makes on its work folder, and the same command with one of them failing."""
+
+import os
+import re
+import select
+import signal
+import subprocess
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from tests.stylerf_cli.nursery import Command, Nursery
+
+# Newer names first: where one is not known to the machine, strace refuses all of them.
+CALLS = ("openat", "write", "pwrite64", "fsync", "fdatasync", "rename", "renameat2", "unlink", "unlinkat", "mkdir",
+         "ftruncate", "fallocate", "read", "lseek", "flock")  # fmt: skip
+_LINE = re.compile(r"^(\d+) +(\w+)\((.*)$")
+ATTACH_SECONDS = 60.0
+
+
+@dataclass(frozen=True)
+class Call:
+    """The `number`-th call (from 1) of that name by the command's main thread. text: its arguments and what it gave."""
+
+    name: str
+    number: int
+    text: str
+
+    @property
+    def writes(self) -> bool:
+        """Whether it changes the disk, not merely looks at it."""
+        if self.name == "openat":
+            return "O_CREAT" in self.text
+        return self.name not in ("read", "lseek", "flock")
+
+
+def traced(
+    nursery: Nursery,
+    said: Path,
+    log: Path,
+    command: Sequence[object],
+    asked: Sequence[str],
+    calls: Sequence[str] = CALLS,
+) -> tuple[Command, subprocess.Popen]:
+    """Starts a command under strace. asked: its `-e inject=` expressions."""
+    started = nursery.start(said, *command, held=True)
+    while started.poll(0.001) is None and "T" != _state(started.pid):
+        pass
+    tracer = subprocess.Popen(
+        ["strace", "-f", "-y", "-s", "0", "-o", str(log), "-e", f"trace={','.join(calls)}", "-e", "signal=none",
+         *(word for one in asked for word in ("-e", f"inject={one}")), "-p", str(started.pid)],
+        stderr=subprocess.PIPE, env=os.environ | {"LC_ALL": "C"},
+    )  # fmt: skip
+    told = b""
+    while b"attached" not in told:
+        ready = select.select([tracer.stderr], [], [], ATTACH_SECONDS)[0]
+        more = os.read(tracer.stderr.fileno(), 4096) if ready else b""
+        if not more:
+            started.send(signal.SIGKILL)
+            raise RuntimeError(f"strace did not attach: {told.decode(errors='replace')}")
+        told += more
+    started.send(signal.SIGCONT)
+    return started, tracer
+
+
+def _state(pid: int) -> str:
+    """One letter (proc(5)); T where it is stopped."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+    except (OSError, IndexError):
+        return ""
+
+
+def ended(tracer: subprocess.Popen) -> None:
+    """Waits for strace, which ends with what it traces."""
+    try:
+        tracer.communicate(timeout=30)
+    except subprocess.TimeoutExpired:  # a child of the command lives on
+        tracer.send_signal(signal.SIGTERM)
+        tracer.communicate()
+
+
+def calls_on(log: Path, pid: int, work: Path) -> list[Call]:
+    """The calls of the main thread that name a place in the folder of `work`."""
+    counts: dict[str, int] = {}
+    found = []
+    place = str(work)
+    for line in log.read_text(errors="replace").splitlines():
+        told = _LINE.match(line)
+        if told is None or int(told[1]) != pid:
+            continue
+        counts[told[2]] = counts.get(told[2], 0) + 1
+        if place in told[3]:
+            found.append(Call(told[2], counts[told[2]], told[3].replace(place, "")))
+    return found
+
+
+def injected(log: Path, work: Path) -> list[str]:
+    """Calls that were made to fail, with their places in the folder of `work`."""
+    place = str(work)
+    lines = log.read_text(errors="replace").splitlines() if log.exists() else []
+    return [line.replace(place, "") for line in lines if "(INJECTED)" in line]

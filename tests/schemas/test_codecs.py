@@ -1,0 +1,40 @@
+"""A codec that cannot write although the disk takes the bytes once more is a disk that fails: the run can go on."""
+
+import errno
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+
+from schemas import exr, images
+from schemas.errors import OutOfResources
+from schemas.exr import ExrView, write_exr
+from schemas.images import write_png
+from stages.runner import refusal_of_machine
+from stages.structure import copies
+
+
+def view() -> ExrView:
+    flat = np.ones((4, 6), np.float32)
+    return ExrView(np.ones((4, 6, 3), np.float32), flat, flat, flat, np.eye(4), (5, 5, 3, 2), 0.1, 9.0)
+
+
+@pytest.mark.parametrize(
+    ("module", "write"),
+    [
+        (images, lambda path: write_png(path, np.zeros((4, 6, 3), np.uint8))),
+        (exr, lambda path: write_exr(path, view())),
+        (copies, lambda path: copies._write_jpeg(path, np.zeros((4, 6, 3), np.uint8))),
+    ],
+)
+def test_a_writer_that_fails_for_a_moment_leaves_a_run_that_can_go_on(module, write, tmp_path, monkeypatch):
+    @contextmanager
+    def nowhere(path):
+        yield tmp_path / "gone" / path.name
+
+    monkeypatch.setattr(module, "replacing", nowhere)
+    monkeypatch.setattr(module, "refusal_of_disk", lambda path, size: None, raising=False)
+    with pytest.raises(OSError, match="writer failed") as met:
+        write(tmp_path / "x.png")
+    assert met.value.errno == errno.EIO and met.value.filename == str(tmp_path / "x.png")
+    assert isinstance(refusal_of_machine(met.value, tmp_path), OutOfResources)
