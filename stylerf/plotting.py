@@ -22,6 +22,6 @@ with current_folder(Path(find_spec("matplotlib").origin).parent / "mpl-data"):  
     from matplotlib.ticker import LogFormatter, MaxNLocator
 
 __all__ = [
-    "Axes", "Figure", "FigureCanvasAgg", "Line2D", "LogFormatter", "MaxNLocator", "QuadMesh", "colormaps", "imsave", "matplotlib",
-    "rc_context", "to_hex", "to_rgb",
+    "Axes", "Figure", "FigureCanvasAgg", "Line2D", "LogFormatter", "MaxNLocator", "QuadMesh", "colormaps", "imsave",
+    "matplotlib", "rc_context", "to_hex", "to_rgb",
 ]  # fmt: skip
