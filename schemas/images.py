@@ -296,8 +296,15 @@ def write_png(path: Path | str, array: np.ndarray) -> None:
 
 
 def to_uint8(values: np.ndarray) -> np.ndarray:
-    """Values 0..1 (clipped) to the nearest of 0..255."""
-    return np.round(np.clip(values, 0.0, 1.0) * 255.0).astype(np.uint8)
+    """Values 0..1 (clipped) to the nearest of 0..255; by bands of rows, as a picture may be large."""
+    values = np.asarray(values)
+    if values.ndim < 2:
+        return np.round(np.clip(values, 0.0, 1.0) * 255.0).astype(np.uint8)
+    found = np.empty(values.shape, np.uint8)
+    rows = max(1, BAND_BYTES // max(1, values[:1].nbytes))
+    for top in range(0, len(values), rows):
+        found[top : top + rows] = np.round(np.clip(values[top : top + rows], 0.0, 1.0) * 255.0)
+    return found
 
 
 def linear_from_srgb(encoded: np.ndarray) -> np.ndarray:

@@ -183,6 +183,7 @@ def _develop(photos: list[Sized], cameras: list[Camera], config: ImportConfig, p
     for index, (one, camera) in enumerate(zip(photos, cameras, strict=True)):
         pixels = backdrop.seen(developer.picture(one, (camera.width, camera.height)))
         write_png(partial.path / _image(index), to_uint8(pixels))
+        del pixels  # else two photos would be held while the next is read
         context.progress.update(index + 1)
     context.progress.finish()
     backdrop.decide()

@@ -50,7 +50,8 @@ class Run:
     """One field that was made, with what making it from the fitted field cost, or fitting it.
 
     group: name of what its figures may be compared within: the scene, and the painting or the edited regions. costs: of
-    COSTS, None where unknown; seconds are summed, memory is the greatest, over `stages`. figures: by key.
+    COSTS, None where unknown; seconds are summed, memory is the greatest, over `stages`. figures: by key. threads: that
+    these stages ran on, as far as their manifests tell.
     """
 
     family: str
@@ -63,6 +64,7 @@ class Run:
     stages: tuple[str, ...]
     costs: dict[str, float | None]
     figures: dict[str, Measure] = field(default_factory=dict)
+    threads: tuple[int, ...] = ()
 
     @property
     def title(self) -> str:
@@ -103,6 +105,19 @@ def runs_of(works: Sequence[Work]) -> tuple[list[Run], list[Gap]]:
             groups.append(group)
             gaps += _gaps(run, work)
     return [replace(run, group=name) for run, name in zip(runs, _named(groups), strict=True)], gaps
+
+
+def on_other_threads(runs: Sequence[Run]) -> list[Gap]:
+    """A remark for each group whose runs were made with different numbers of threads."""
+    found = []
+    for group in dict.fromkeys(run.group for run in runs):
+        counts = sorted({count for run in runs if run.group == group for count in run.threads})
+        if len(counts) > 1:
+            told = " and ".join(map(str, counts))
+            found.append(
+                Gap(group, f"Made on {told} threads: seconds do not compare, and results differ in their last digits.")
+            )
+    return found
 
 
 def family_of(artefact: Artefact) -> str | None:
@@ -154,6 +169,7 @@ def _run(artefact: Artefact, family: str, work: Work, called: str, scenes: dict[
             "parameters": counted(manifest.figures.get("parameters")),
         },
         figures=dict(sorted(measured.items(), key=lambda one: ORDER.get(one[0], len(ORDER)))),
+        threads=tuple(sorted({one.manifest.threads for one in made} - {None})),
     )
     return run, group
 

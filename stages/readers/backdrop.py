@@ -36,7 +36,7 @@ class Backdrop:
 
     def seen(self, pixels: np.ndarray) -> np.ndarray:
         """Takes note of a picture, [h, w, 3 or 4] with straight alpha, and returns it as the scene holds it."""
-        alpha = pixels[..., 3] if pixels.shape[2] == 4 else np.ones(pixels.shape[:2], np.float32)
+        alpha = pixels[..., 3] if pixels.shape[2] == 4 else np.broadcast_to(np.float32(1), pixels.shape[:2])
         self._with_alpha += pixels.shape[2] == 4
         self._cut.append((float((_border(alpha) < 0.5).mean()), float((alpha < 0.5).mean())))
         colour = pixels[..., :3]

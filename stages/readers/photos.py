@@ -112,7 +112,7 @@ class Developer:
         """[height, width, 3 or 4] float32, straight alpha, of size (width, height); 4 channels where any pixel is not
         opaque. BadInput for a black, damaged or wrongly masked photo."""
         pixels = _with_mask(one, _rgb(read_srgb(one.camera.image, one.upright).pixels))
-        if (pixels[..., :3] * pixels[..., 3:] if pixels.shape[2] == 4 else pixels).max() < DARKEST_WHITE:
+        if _brightest(pixels) < DARKEST_WHITE:
             if pixels.shape[2] == 3 or pixels[..., 3].max() > 0.5:
                 raise BadInput(f"{one.camera.image} is black; remove it from the capture")
         cut = pixels.shape[2] == 4 and pixels[..., 3].min() < 1
@@ -126,9 +126,8 @@ class Developer:
             pixels = remapped(pixels, self._map(one))
         pixels = shrunk(pixels, size)
         if cut:
-            pixels[..., :3] = np.where(
-                pixels[..., 3:] > 0, pixels[..., :3] / np.maximum(pixels[..., 3:], 1e-6), 0
-            ).clip(0, 1)
+            pixels[..., :3] /= np.maximum(pixels[..., 3:], 1e-6)
+            pixels[..., :3].clip(0, 1, out=pixels[..., :3])
         return pixels
 
     def _map(self, one: Sized) -> np.ndarray:
@@ -136,6 +135,13 @@ class Developer:
         if key != self._key:
             self._key, self._positions = key, source_positions(*key)
         return self._positions
+
+
+def _brightest(pixels: np.ndarray) -> float:
+    """Largest value of a colour times its alpha; row by row, as photos can be large."""
+    if pixels.shape[2] == 3:
+        return float(pixels.max())
+    return max(float((row[..., :3] * row[..., 3:]).max()) for row in pixels)
 
 
 def _rgb(pixels: np.ndarray) -> np.ndarray:

@@ -32,7 +32,7 @@ def run(args, session) -> dict:
     from stages.comparison.charts import comparison_charts
     from stages.comparison.fronts import disagreements, on_fronts
     from stages.comparison.page import FAMILIES, build_page, rows_of
-    from stages.comparison.runs import CHARTED, runs_of
+    from stages.comparison.runs import CHARTED, on_other_threads, runs_of
     from stages.evaluation.figures import write_csv
 
     paths: dict[Path, Path] = {}
@@ -46,6 +46,7 @@ def run(args, session) -> dict:
     fronts: dict[str, list[str]] = {}
     for family in FAMILIES:
         some = [one for one in runs if one.family == family]
+        gaps += on_other_threads(some)
         gaps += disagreements(some, list(CHARTED[family]))
         fronts |= on_fronts(some, list(CHARTED[family]))
     charts = comparison_charts(runs)

@@ -10,7 +10,7 @@ from schemas.store import Work
 from stages.comparison.charts import comparison_charts, look_of
 from stages.comparison.fronts import disagreements, on_fronts, panel_of
 from stages.comparison.page import build_page, rows_of
-from stages.comparison.runs import EDITS, FITS, STYLISATIONS, runs_of
+from stages.comparison.runs import EDITS, FITS, STYLISATIONS, on_other_threads, runs_of
 from tests.stages import comparison_fixture as runs
 from tests.stages import evaluation_fixture as made
 
@@ -235,6 +235,18 @@ def test_groups_are_known_by_content_and_called_by_names(work):
     assert group["f"] != group["i"] and group["i"].startswith("room, masks masks (")
     assert group["g"] == group["h"] != group["i"]
     assert group["fit-10s"] == "room" and len({*group.values()}) == 10
+
+
+def test_runs_on_other_numbers_of_threads_are_told(tmp_path):
+    work = Work(tmp_path)
+    scene = made.make_scene(work, [0.0])
+    for name, threads in (("one", 2), ("two", 2), ("old", None)):
+        made.make_field(work, name, "nerf_fit", {"scene": scene}, threads=threads)
+    compared, _ = runs_of([work])
+    assert on_other_threads(compared) == []
+    made.make_field(work, "three", "nerf_fit", {"scene": scene}, threads=8)
+    told = on_other_threads(runs_of([work])[0])
+    assert len(told) == 1 and told[0].why.startswith("Made on 2 and 8 threads")
 
 
 def test_what_is_missing_is_named_with_its_command(work):
