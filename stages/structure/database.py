@@ -130,6 +130,11 @@ def matched_pairs(path: Path) -> list[tuple[str, str, pycolmap.TwoViewGeometry]]
         return found
 
 
+def compared_pairs(copies: list[Copy], matching: str) -> set[tuple[str, str]]:
+    """Names of the copies of every pair that was searched for matches."""
+    return {(copies[i].file, copies[j].file) for i, j in pairs(len(copies), matching)}
+
+
 def keypoints(path: Path) -> dict[str, np.ndarray]:
     """Feature positions [n, 2] in pixels of the copies, by file name."""
     with pycolmap.Database.open(path) as database:
