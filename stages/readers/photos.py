@@ -111,7 +111,7 @@ class Developer:
     def picture(self, one: Sized, size: tuple[int, int]) -> np.ndarray:
         """[height, width, 3 or 4] float32, straight alpha, of size (width, height); 4 channels where any pixel is not
         opaque. BadInput for a black, damaged or wrongly masked photo."""
-        pixels = _rgb(read_srgb(one.camera.image, one.upright).pixels)
+        pixels = read_srgb(one.camera.image, one.upright).pixels
         pixels = masked(pixels, one.camera.mask, one.camera.hides, one.upright)
         if (pixels[..., :3] * pixels[..., 3:] if pixels.shape[2] == 4 else pixels).max() < DARKEST_WHITE:
             if pixels.shape[2] == 3 or pixels[..., 3].max() > 0.5:
@@ -144,10 +144,11 @@ def _rgb(pixels: np.ndarray) -> np.ndarray:
 
 
 def masked(pixels: np.ndarray, mask: Path | None, hides: Path | None, upright: bool) -> np.ndarray:
-    """The photo [h, w, 3 or 4] with what the mask does not keep, or `hides` hides, transparent; as it is without both.
+    """The photo [h, w, 1, 3 or 4] as [h, w, 3 or 4]: what the mask does not keep, or `hides` hides, is transparent.
 
     BadInput for a mask of another shape.
     """
+    pixels = _rgb(pixels)
     kept = [pixels[..., 3]] if pixels.shape[2] == 4 else []
     if mask:
         kept.append(_fitted(coverage(read_image(mask, upright).pixels), mask, pixels))

@@ -11,8 +11,8 @@ from schemas.atomic import write_json
 
 @dataclass(frozen=True)
 class Job:
-    """folder: where steps are kept. photos: files, in the order that they were taken in as far as names tell. masks:
-    of each photo the one that keeps and the one that hides, empty where it has none; none at all where no photo has any.
+    """folder: where steps are kept. photos: files, in the order that they were taken in as far as names tell. masks: of
+    each photo the one that keeps and the one that hides, empty where it has none; () where no photo has any.
 
     side: longest side in pixels of the copies that are searched for features; features: at most so many per photo.
     matching: exhaustive or sequential. shared: one camera for photos of one size and zoom, else one each. seed: of

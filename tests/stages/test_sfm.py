@@ -304,12 +304,16 @@ def test_photos_side_by_side_without_matches_are_found_out(finished):
 
 def test_features_under_masks_are_dropped_and_photos_without_masks_keep_theirs(room, tmp_path):
     photos = sorted(room.glob("*.png"))[:4]
+    grey = read_image(photos[2]).pixels.mean(axis=2)
+    photos[2] = tmp_path / "grey.png"
+    write_png(photos[2], to_uint8(grey))
     mask = np.full((180, 240), 255, np.uint8)
     mask[:, :120] = 0
     write_png(tmp_path / "half.png", mask)
     write_png(tmp_path / "none.png", np.zeros((180, 240), np.uint8))
-    half = str(tmp_path / "half.png")
-    job = Job(str(tmp_path), tuple(map(str, photos)), (half, "", half, str(tmp_path / "none.png")))
+    half, none = str(tmp_path / "half.png"), str(tmp_path / "none.png")
+    masks = ((half, ""), ("", ""), (half, ""), (none, ""))
+    job = Job(str(tmp_path), tuple(map(str, photos)), masks)
     tell = Teller(io.StringIO())
     every = copies.make_copies(job, tell)
     assert [one.unusable for one in every] == ["", "", "", "all of it is cut out"]
@@ -324,8 +328,8 @@ def test_features_under_masks_are_dropped_and_photos_without_masks_keep_theirs(r
 
 def test_a_mask_of_another_size(room, tmp_path):
     shutil.copytree(room, tmp_path / "images")
-    write_png(tmp_path / "masks" / "p03.png", np.full((90, 120), 255, np.uint8))
-    assert "p03.png is 120x90 where its photo is 240x180; make it of the same size" in refused(tmp_path, tmp_path / "o")
+    write_png(tmp_path / "masks" / "p03.png", np.full((90, 90), 255, np.uint8))
+    assert "p03.png is 90x90 where its photo is 240x180; make it of the same size" in refused(tmp_path, tmp_path / "o")
 
 
 def lego(data_dir, count: int) -> list[np.ndarray]:
