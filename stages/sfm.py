@@ -15,6 +15,8 @@ from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from schemas.atomic import refusal_of_disk
 from schemas.errors import BadInput, OutOfResources
 from stages.progress import Context
@@ -44,12 +46,22 @@ def reconstructed(
     folder = checkpoint / "sfm"
     folder.mkdir(parents=True, exist_ok=True)
     paths = tuple(str(photo) for photo in photos)
-    job = Job(str(folder), paths, side, features, method, shared, context.seed, context.threads)
+    masks = _masks(photos, root, context)
+    job = Job(str(folder), paths, masks, side, features, method, shared, context.seed, context.threads)
     job.write(folder / "job.json")
     result = folder / "result.json"
     if not result.is_file():
         run_child(folder / "job.json", context)
     return _scene(json.loads(result.read_text()), photos, folder / "model", root, context)
+
+
+def _masks(photos: list[Path], root: Path, context: Context) -> tuple[tuple[str, str], ...]:
+    """What keeps and what hides of each photo, empty where it has none; none at all where no photo has any."""
+    cameras = [SourceCamera(photo.stem, told(photo, root), photo, np.eye(4)) for photo in photos]
+    masks = tuple((str(one.mask or ""), str(one.hides or "")) for one in with_masks(cameras, root))
+    if found := sum(map(any, masks)):
+        context.progress.say(f"{found} of {len(photos)} photos have masks: what these cut out is not matched")
+    return masks if found else ()
 
 
 def _scene(result: dict, photos: list[Path], model: Path, root: Path, context: Context) -> SourceScene:

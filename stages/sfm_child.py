@@ -8,6 +8,7 @@ stdin closes, that is when the parent dies.
 import os
 import sys
 import threading
+from dataclasses import replace
 from pathlib import Path
 
 from schemas.atomic import write_json
@@ -41,7 +42,7 @@ def run(job: Job, tell: Teller) -> None:
     """All steps, but those an interrupted run has finished. Writes model/ and result.json into the job's folder."""
     import pycolmap
 
-    from stages.structure import copies, database, judging, mapping
+    from stages.structure import copies, database, folding, judging, mapping
 
     pycolmap.logging.minloglevel = 1
     pycolmap.set_random_seed(job.seed)
@@ -55,7 +56,11 @@ def run(job: Job, tell: Teller) -> None:
     refined = False
     if models:
         models[0], refined = mapping.refined(models[0], folder)
-    found = judging.quality(models, len(used), database.matched_pairs(path), database.keypoints(path), refined)
+    pairs = database.matched_pairs(path)
+    found = judging.quality(models, len(used), pairs, database.keypoints(path), refined)
+    if models:
+        must = folding.expected(models[0], pairs, database.compared_pairs(used, job.matching))
+        found = replace(found, silent_share=must.silent_share, pairs_expected=must.count)
     refusal, warnings = judging.verdict(found)
     if refusal:
         raise BadInput(refusal)

@@ -111,7 +111,8 @@ class Developer:
     def picture(self, one: Sized, size: tuple[int, int]) -> np.ndarray:
         """[height, width, 3 or 4] float32, straight alpha, of size (width, height); 4 channels where any pixel is not
         opaque. BadInput for a black, damaged or wrongly masked photo."""
-        pixels = _with_mask(one, _rgb(read_srgb(one.camera.image, one.upright).pixels))
+        pixels = read_srgb(one.camera.image, one.upright).pixels
+        pixels = masked(pixels, one.camera.mask, one.camera.hides, one.upright)
         if _brightest(pixels) < DARKEST_WHITE:
             if pixels.shape[2] == 3 or pixels[..., 3].max() > 0.5:
                 raise BadInput(f"{one.camera.image} is black; remove it from the capture")
@@ -148,18 +149,19 @@ def _rgb(pixels: np.ndarray) -> np.ndarray:
     return pixels if pixels.shape[2] >= 3 else np.repeat(pixels, 3, axis=2)
 
 
-def _with_mask(one: Sized, pixels: np.ndarray) -> np.ndarray:
+def masked(pixels: np.ndarray, mask: Path | None, hides: Path | None, upright: bool) -> np.ndarray:
+    """The photo [h, w, 1, 3 or 4] as [h, w, 3 or 4]: what the mask does not keep, or `hides` hides, is transparent.
+
+    BadInput for a mask of another shape.
+    """
+    pixels = _rgb(pixels)
     kept = [pixels[..., 3]] if pixels.shape[2] == 4 else []
-    if one.camera.mask:
-        kept.append(_fitted(coverage(_mask(one, one.camera.mask)), one.camera.mask, pixels))
-    if one.camera.hides:
-        shown = (_mask(one, one.camera.hides)[..., :3] == 0).all(axis=2).astype(np.float32)
-        kept.append(_fitted(shown, one.camera.hides, pixels) == 1)
+    if mask:
+        kept.append(_fitted(coverage(read_image(mask, upright).pixels), mask, pixels))
+    if hides:
+        shown = (read_image(hides, upright).pixels[..., :3] == 0).all(axis=2).astype(np.float32)
+        kept.append(_fitted(shown, hides, pixels) == 1)
     return np.dstack([pixels[..., :3], np.prod(kept, axis=0, dtype=np.float32)]) if kept else pixels
-
-
-def _mask(one: Sized, path: Path) -> np.ndarray:
-    return read_image(path, one.upright).pixels
 
 
 def _fitted(mask: np.ndarray, path: Path, photo: np.ndarray) -> np.ndarray:

@@ -1,5 +1,9 @@
 """Working copies of the photos: upright, strictly read, of bounded size, with what their EXIF data tell of the lens.
 
+What a mask or transparency cuts out of a photo may stand still behind a turning object or walk through a room. The copy
+is black there, since features near an outline are described by what surrounds it, and has a mask of its own, by which
+COLMAP drops the features inside. Of 14 lego photos before a still background the mask alone places 7, both place 14.
+
 COLMAP itself reads a truncated JPEG without a word, drops a broken one, and handles orientation in its own way; the
 copies keep all of that away from it.
 """
@@ -8,6 +12,7 @@ import errno
 import json
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
+from itertools import count
 from pathlib import Path
 
 import numpy as np
@@ -16,12 +21,14 @@ import pycolmap
 from schemas.atomic import replacing, write_json
 from schemas.canonical import file_sha256
 from schemas.errors import BadInput
-from schemas.images import read_srgb, to_uint8
-from stages.readers.photos import DARKEST_WHITE
+from schemas.images import read_srgb, to_uint8, write_png
+from stages.readers.photos import DARKEST_WHITE, masked
 from stages.structure.job import Job, Teller
 from stylerf.geometry.resampling import shrunk
 
+COPIES, MASKS = "copies", "masks"
 JPEG_QUALITY = 95
+KEPT = 0.5  # coverage from which a pixel counts as kept
 
 
 @dataclass(frozen=True)
@@ -30,7 +37,7 @@ class Copy:
     size: (width, height) of the copy.
 
     lens: photos with equal lens share a camera. focal: in pixels of the copy by EXIF, 0 where EXIF tells none.
-    unusable: in words why the photo takes no part; empty when it does.
+    cut_out: in masks/ lies a mask of the copy. unusable: in words why the photo takes no part; empty when it does.
     """
 
     photo: str
@@ -40,17 +47,20 @@ class Copy:
     lens: str
     focal: float
     sha256: str
+    cut_out: bool = False
     unusable: str = ""
 
 
 def make_copies(job: Job, tell: Teller) -> list[Copy]:
     """Copies of all photos, those of an earlier, interrupted run included; BadInput at the first damaged photo."""
-    folder = Path(job.folder) / "copies"
+    folder = Path(job.folder) / COPIES
     folder.mkdir(exist_ok=True)
+    (folder.parent / MASKS).mkdir(exist_ok=True)
     tell.step("reading photos", len(job.photos), "photo")
     made: list[Copy] = []
     with ThreadPoolExecutor(max(1, job.threads)) as pool:
-        for copy in pool.map(lambda pair: _copy(folder, job.side, *pair), enumerate(job.photos)):
+        masks = job.masks or [("", "")] * len(job.photos)
+        for copy in pool.map(lambda one: _copy(folder, job.side, *one), zip(count(), job.photos, masks)):
             made.append(copy)
             tell.done(len(made))
     return _without_doubles(made)
@@ -61,15 +71,14 @@ def restored(content: dict) -> Copy:
     return Copy(**{**content, "full_size": tuple(content["full_size"]), "size": tuple(content["size"])})
 
 
-def _copy(folder: Path, side: int, index: int, photo: str) -> Copy:
+def _copy(folder: Path, side: int, index: int, photo: str, masks: tuple[str, str]) -> Copy:
     facts = folder / f"{index:05d}.json"
     if facts.is_file():  # written after its picture, so that is whole
         return restored(json.loads(facts.read_text()))
     image = read_srgb(photo)
-    pixels = image.pixels
-    if image.channels == 4:
-        pixels = pixels[..., :3] * pixels[..., 3:]
-    width, height = image.size
+    pixels, (width, height) = masked(image.pixels, *(Path(one) if one else None for one in masks), True), image.size
+    kept = pixels[..., 3] if pixels.shape[2] == 4 else np.ones((height, width), np.float32)
+    pixels, cut_out = pixels[..., :3] * kept[..., None], bool(kept.min() < KEPT)
     factor = min(1.0, side / max(width, height))
     size = (max(1, round(width * factor)), max(1, round(height * factor)))
     lens, focal = _lens(photo, (width, height))
@@ -81,8 +90,12 @@ def _copy(folder: Path, side: int, index: int, photo: str) -> Copy:
         lens=f"{lens} {size[0]}x{size[1]}",
         focal=focal * size[0] / width,
         sha256=file_sha256(photo),
-        unusable="it is black" if pixels.max() < DARKEST_WHITE else "",
+        cut_out=cut_out,
+        unusable="all of it is cut out" if kept.max() < KEPT else "it is black" if pixels.max() < DARKEST_WHITE else "",
     )
+    if cut_out:
+        small = shrunk(np.ascontiguousarray(kept[..., None]), size)
+        write_png(folder.parent / MASKS / f"{copy.file}.png", to_uint8(small >= KEPT))
     _write_jpeg(folder / copy.file, to_uint8(shrunk(np.ascontiguousarray(pixels), size)))
     write_json(facts, asdict(copy))
     return copy

@@ -1,5 +1,7 @@
 """COLMAP's database: photos and cameras, features, matches. Each step skips what an interrupted run has finished."""
 
+from collections.abc import Iterator
+from itertools import groupby
 from pathlib import Path
 
 import numpy as np
@@ -7,7 +9,7 @@ import pycolmap
 
 from schemas.atomic import write_bytes
 from schemas.errors import BadInput
-from stages.structure.copies import Copy
+from stages.structure.copies import COPIES, MASKS, Copy
 from stages.structure.job import Job, Teller
 from stages.structure.pairs import pairs
 
@@ -36,7 +38,7 @@ def register(job: Job, copies: list[Copy], tell: Teller) -> Path:
         if first.focal:
             options.camera_params = f"{first.focal},{first.size[0] / 2},{first.size[1] / 2},0"
         mode = pycolmap.CameraMode.SINGLE
-        pycolmap.import_images(path, folder / "copies", mode, [copy.file for copy in group], options)
+        pycolmap.import_images(path, folder / COPIES, mode, [copy.file for copy in group], options)
     with pycolmap.Database.open(path) as database:
         found = database.num_images()
     if found != len(copies):
@@ -60,14 +62,27 @@ def extract(job: Job, path: Path, copies: list[Copy], tell: Teller) -> None:
     options.num_threads, options.use_gpu = job.threads, False
     options.sift.max_num_features = job.features
     options.sift.first_octave = -1 if max(max(copy.size) for copy in copies) <= SMALL_PHOTO else 0
-    reader = pycolmap.ImageReaderOptions()
     tell.step("finding features", len(copies), "photo")
     missing = _without_features(path, copies)
-    for start in range(0, len(missing), PHOTOS_AT_ONCE):
-        names = [copy.file for copy in missing[start : start + PHOTOS_AT_ONCE]]
+    done = len(copies) - len(missing)
+    for part in _in_parts(missing):
+        reader = pycolmap.ImageReaderOptions()
+        if part[0].cut_out:
+            reader.mask_path = Path(job.folder) / MASKS
         mode = pycolmap.CameraMode.AUTO  # cameras are there already
-        pycolmap.extract_features(path, Path(job.folder) / "copies", names, mode, reader, options)
-        tell.done(len(copies) - len(missing) + start + len(names))
+        names = [copy.file for copy in part]
+        pycolmap.extract_features(path, Path(job.folder) / COPIES, names, mode, reader, options)
+        done += len(part)
+        tell.done(done)
+
+
+def _in_parts(copies: list[Copy]) -> Iterator[list[Copy]]:
+    """A few at a time, those with masks apart: where COLMAP knows a folder of masks it finds nothing in photos that
+    have none there."""
+    for _, alike in groupby(copies, lambda copy: copy.cut_out):
+        alike = list(alike)
+        for start in range(0, len(alike), PHOTOS_AT_ONCE):
+            yield alike[start : start + PHOTOS_AT_ONCE]
 
 
 def _without_features(path: Path, copies: list[Copy]) -> list[Copy]:
@@ -113,6 +128,11 @@ def matched_pairs(path: Path) -> list[tuple[str, str, pycolmap.TwoViewGeometry]]
                 first, second = pycolmap.pair_id_to_image_pair(number)
                 found.append((names[first], names[second], geometry))
         return found
+
+
+def compared_pairs(copies: list[Copy], matching: str) -> set[tuple[str, str]]:
+    """Names of the copies of every pair that was searched for matches."""
+    return {(copies[i].file, copies[j].file) for i, j in pairs(len(copies), matching)}
 
 
 def keypoints(path: Path) -> dict[str, np.ndarray]:

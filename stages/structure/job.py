@@ -11,7 +11,8 @@ from schemas.atomic import write_json
 
 @dataclass(frozen=True)
 class Job:
-    """folder: where steps are kept. photos: files, in the order that they were taken in as far as names tell.
+    """folder: where steps are kept. photos: files, in the order that they were taken in as far as names tell. masks: of
+    each photo the one that keeps and the one that hides, empty where it has none; () where no photo has any.
 
     side: longest side in pixels of the copies that are searched for features; features: at most so many per photo.
     matching: exhaustive or sequential. shared: one camera for photos of one size and zoom, else one each. seed: of
@@ -20,6 +21,7 @@ class Job:
 
     folder: str
     photos: tuple[str, ...]
+    masks: tuple[tuple[str, str], ...] = ()
     side: int = 1600
     features: int = 4096
     matching: str = "exhaustive"
@@ -35,7 +37,7 @@ class Job:
     def read(path: Path) -> "Job":
         """What `write` wrote."""
         content = json.loads(path.read_text("utf-8", "surrogatepass"))  # names of files may be of any bytes
-        return Job(**{**content, "photos": tuple(content["photos"])})
+        return Job(**{**content, "photos": tuple(content["photos"]), "masks": tuple(map(tuple, content["masks"]))})
 
 
 class Teller:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pycolmap
 
+from stages.structure.copies import COPIES
 from stages.structure.job import Job, Teller
 
 MODELS, REFINED = "models", "model"
@@ -39,7 +40,7 @@ def reconstruct(job: Job, database: Path, photos: int, tell: Teller) -> list[pyc
         count = 2 if of_first_pair == 2 else count + 1
         tell.done(min(count, photos))
 
-    images = Path(job.folder) / "copies"
+    images = Path(job.folder) / COPIES
     models = pycolmap.incremental_mapping(
         database, images, folder, options,
         initial_image_pair_callback=lambda: registered(2), next_image_callback=registered,

@@ -1,5 +1,6 @@
 """Structure from motion on procedural photos whose cameras are known: poses, refusals, interruption, repetition."""
 
+import io
 import json
 import os
 import shutil
@@ -19,9 +20,9 @@ from schemas.images import read_image, to_uint8, write_png
 from stages import sfm
 from stages.progress import Context, Silent
 from stages.scenes import load_scene
-from stages.structure import judging
+from stages.structure import copies, database, folding, judging
 from stages.structure.database import keypoints, matched_pairs
-from stages.structure.job import Job
+from stages.structure.job import Job, Teller
 from tests.conftest import REPOSITORY
 from tests.stages.importing import Said, imported, psnr, scene_of
 from tests.stages.photo_room import aligned, look_at, walk, write_photos, write_tagged
@@ -279,6 +280,87 @@ def test_poses_that_contradict_the_photos_are_found_out(finished):
     for names, agrees in agreeing.items():
         touched = {"00001.jpg", "00005.jpg"} & set(names)
         assert agrees == (not touched) or len(touched) == 2, names
+
+
+def test_photos_side_by_side_without_matches_are_found_out(finished):
+    """As in a fold, the two halves of the walk see one corner and share no matches."""
+    model = pycolmap.Reconstruction(finished / "model")
+    pairs = matched_pairs(finished / "database.db")
+    names = [f"{number:05d}.jpg" for number in range(8)]
+    compared = {(a, b) for a in names for b in names if a < b}
+    sound = folding.expected(model, pairs, compared)
+    assert sound.silent == () and sound.count >= 8
+    halves = [pair for pair in pairs if (pair[0] < "00004.jpg") == (pair[1] < "00004.jpg")]
+    folded = folding.expected(model, halves, compared)
+    assert set(folded.silent) == {(a, b) for a, b in sound.matched if a < "00004.jpg" <= b}
+    # Pairs that nobody compared tell nothing.
+    assert folding.expected(model, halves, {pair[:2] for pair in halves}).silent == ()
+    told = {"photos": 8, "registered": 8, "points": 900, "error_px": 0.4, "track_length": 4.0, "parallax_deg": 20.0}
+    told |= {"agreement": 1.0, "pairs_checked": 28, "flat_share": 0.0, "turned_share": 0.0, "models": (8,)}
+    for must in (sound, folded):
+        found = judging.Quality(**told, refined=False, silent_share=must.silent_share, pairs_expected=must.count)
+        assert ("fold the scene" in judging.verdict(found)[0]) == (must is folded)
+
+
+def test_features_under_masks_are_dropped_and_photos_without_masks_keep_theirs(room, tmp_path):
+    photos = sorted(room.glob("*.png"))[:4]
+    grey = read_image(photos[2]).pixels.mean(axis=2)
+    photos[2] = tmp_path / "grey.png"
+    write_png(photos[2], to_uint8(grey))
+    mask = np.full((180, 240), 255, np.uint8)
+    mask[:, :120] = 0
+    write_png(tmp_path / "half.png", mask)
+    write_png(tmp_path / "none.png", np.zeros((180, 240), np.uint8))
+    half, none = str(tmp_path / "half.png"), str(tmp_path / "none.png")
+    masks = ((half, ""), ("", ""), (half, ""), (none, ""))
+    job = Job(str(tmp_path), tuple(map(str, photos)), masks)
+    tell = Teller(io.StringIO())
+    every = copies.make_copies(job, tell)
+    assert [one.unusable for one in every] == ["", "", "", "all of it is cut out"]
+    used = copies.usable(every, 3)
+    path = database.register(job, used, tell)
+    database.extract(job, path, used, tell)
+    found = keypoints(path)
+    for name in ("00000.jpg", "00002.jpg"):
+        assert len(found[name]) > 20 and (found[name][:, 0] >= 119).all()
+    assert (found["00001.jpg"][:, 0] < 119).sum() > 20
+
+
+def test_a_mask_of_another_size(room, tmp_path):
+    shutil.copytree(room, tmp_path / "images")
+    write_png(tmp_path / "masks" / "p03.png", np.full((90, 90), 255, np.uint8))
+    assert "p03.png is 90x90 where its photo is 240x180; make it of the same size" in refused(tmp_path, tmp_path / "o")
+
+
+def lego(data_dir, count: int) -> list[np.ndarray]:
+    """RGBA of 400 pixels of photos from the side, in order around the object."""
+    content = json.loads((data_dir / "lego" / "transforms_train.json").read_text())
+    frames = [one for one in content["frames"] if 0.8 < one["transform_matrix"][2][3] < 3.2]
+    frames.sort(key=lambda one: np.arctan2(one["transform_matrix"][1][3], one["transform_matrix"][0][3]))
+    paths = [data_dir / "lego" / f"{one['file_path']}.png" for one in frames[:count]]
+    return [read_image(path).pixels.reshape(400, 2, 400, 2, 4).mean(axis=(1, 3)) for path in paths]
+
+
+@pytest.mark.realdata
+@pytest.mark.slow
+def test_a_folded_lego_is_refused(data_dir, tmp_path):
+    """Its sides look alike: a third of the cameras stand 180 degrees off, and every matched pair agrees."""
+    for index, pixels in enumerate(lego(data_dir, 60)):
+        write_png(tmp_path / "images" / f"{index:03d}.png", to_uint8(pixels))
+    assert "the poses fold the scene onto itself" in refused(tmp_path, tmp_path / "o")
+
+
+@pytest.mark.realdata
+@pytest.mark.slow
+def test_an_object_before_a_still_background_by_its_masks(data_dir, tmp_path):
+    random = np.random.default_rng(0)
+    still = sum(np.kron(random.uniform(0, 1, (400 // n, 400 // n, 3)), np.ones((n, n, 1))) for n in (4, 8, 20, 50)) / 4
+    for index, pixels in enumerate(lego(data_dir, 14)):
+        alpha = pixels[..., 3:]
+        write_png(tmp_path / "images" / f"{index:03d}.png", to_uint8(pixels[..., :3] * alpha + still * (1 - alpha)))
+        write_png(tmp_path / "masks" / f"{index:03d}.png", to_uint8(alpha[..., 0]))
+    scene = scene_of(imported(tmp_path, tmp_path / "o"))
+    assert scene.sfm["registered"] == 14 and scene.background == "alpha"
 
 
 @pytest.mark.realdata
