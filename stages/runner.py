@@ -191,9 +191,7 @@ def _refuse_changed(spec: Spec, recipe: Recipe, inputs: dict[str, Artefact], con
     for option, digest in (spec.outside(config) if spec.outside else {}).items():
         if getattr(config, option) not in ("", digest):
             what = option.removesuffix("_digest")
-            raise BadInput(
-                f"--{what}: the file changed while `stylerf {spec.verb}` read it; run the same command again"
-            )
+            raise BadInput(f"--{what} changed while `stylerf {spec.verb}` read it; run the same command again")
 
 
 def versions() -> dict[str, str]:

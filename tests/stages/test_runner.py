@@ -552,3 +552,89 @@ def test_without_paths_a_recipe_is_the_same_and_tells_names_alone():
     named = runner.without_folders(recipe)
     assert named.config == {"style": "a=b.png", "reference": ["0012=p.png", "7=q.png"], "pause": 0.5, "of": "/x/y"}
     assert named.digest == recipe.digest
+
+
+def _during(act, outcome=run):
+    """A stage in whose course `act` happens."""
+
+    def stage(*arguments):
+        figures = outcome(*arguments)
+        act()
+        return figures
+
+    return stage
+
+
+def source_of(work: Work, seed: int = 0) -> Artefact:
+    return execute(Spec("src", "import", 1, "scene"), run, work, "fox", {}, ToyConfig(steps=3), Context(seed=seed))[0]
+
+
+def test_an_input_altered_while_a_stage_read_it_gives_no_result(tmp_path):
+    work = Work(tmp_path)
+    source = source_of(work)
+
+    def flip():
+        data = bytearray(source.file("field.safetensors").read_bytes())
+        data[-1] ^= 1
+        source.file("field.safetensors").write_bytes(data)
+
+    with pytest.raises(ArtefactDamaged, match=r"field\.safetensors was altered"):
+        toy(work, inputs={"scene": source}, function=_during(flip))
+    assert os.listdir(tmp_path / "field") == [".fox.lock"]
+
+
+def test_an_input_made_again_while_a_stage_read_it_gives_no_result(tmp_path):
+    work = Work(tmp_path)
+    source = source_of(work)
+    with pytest.raises(ArtefactStale, match="scene fox was made again while `stylerf toy` read it"):
+        toy(work, inputs={"scene": source}, function=_during(lambda: source_of(work, seed=1)))
+    assert not (tmp_path / "field" / "fox").exists()
+
+
+@dataclass(frozen=True)
+class PaintedConfig(ToyConfig):
+    style_digest: str = ""
+
+
+@pytest.mark.parametrize("pinned", [True, False])
+def test_a_file_from_outside_that_changed_meanwhile_gives_no_result(tmp_path, pinned):
+    painting = tmp_path / "painting"
+    painting.write_text("blue")
+    spec = replace(SPEC, outside=lambda config: {"style_digest": painting.read_text()})
+    config = PaintedConfig(style_digest="blue" if pinned else "")
+    stage = _during(lambda: painting.write_text("red"))
+    if not pinned:  # a program of one's own that did not ask for it
+        assert execute(spec, stage, Work(tmp_path), "fox", {}, config, Context())[0].name == "fox"
+        return
+    with pytest.raises(BadInput, match="--style changed while"):
+        execute(spec, stage, Work(tmp_path), "fox", {}, config, Context())
+    assert not (tmp_path / "field" / "fox").exists()
+
+
+@pytest.mark.parametrize("kind", [BadInput, ArtefactDamaged])
+def test_what_could_not_be_read_keeps_the_run_whatever_the_fault_is_called(tmp_path, kind):
+    def failing(inputs, config, partial, context):
+        (partial.checkpoint / "kept").write_text("")
+        try:
+            raise OSError(errno.ESTALE, "Stale file handle")
+        except OSError as error:
+            raise kind("photo 7 cannot be read") from error
+
+    with pytest.raises(kind):
+        toy(Work(tmp_path), function=failing)
+    assert (tmp_path / "field" / ".fox.partial" / "checkpoint" / "kept").exists()
+
+
+def test_a_partial_run_that_cannot_be_opened_is_told_and_kept(tmp_path, monkeypatch):
+    begun = Work(tmp_path).begin("field", "fox", recipe_of(SPEC, {}, ToyConfig(), 0))
+    begun.release()
+    with monkeypatch.context() as failing:
+        failing.setattr(partial, "_stored", lambda path: (_ for _ in ()).throw(OSError(errno.EIO, "I/O", str(path))))
+        with pytest.raises(OutOfResources, match="what is done is kept"):
+            toy(Work(tmp_path))
+    assert Work(tmp_path).unfinished() == [("field", "fox")]
+
+
+def test_threads_stand_in_the_manifest(tmp_path):
+    context = Context(threads=3)
+    assert execute(SPEC, run, Work(tmp_path), "fox", {}, ToyConfig(), context)[0].manifest.threads == 3

@@ -99,6 +99,26 @@ def test_a_film_that_fails_keeps_the_frames(work, capsys, monkeypatch):
     assert main(command) == 0
 
 
+@pytest.mark.parametrize("damaged", ["exr/0003.exr", "png/0003.png"])
+def test_a_frame_that_was_damaged_between_two_runs_is_rendered_again(work, capsys, monkeypatch, damaged):
+    kept, _ = rendered(work, capsys, *ORBIT, name="kept")
+    monkeypatch.setattr(stage, "write_video", refuse)
+    command = ["render", str(work), *ORBIT, "--video", "--name", "new", "--quiet"]
+    assert main(command) == 3
+    monkeypatch.undo()
+    file = work / "frames" / ".new.partial" / "files" / damaged
+    data = bytearray(file.read_bytes())
+    data[len(data) // 2] ^= 1
+    file.write_bytes(data)
+    real, seen = stage.render_view, []
+    monkeypatch.setattr(
+        stage, "render_view", lambda field, camera, **more: seen.append(camera.name) or real(field, camera, **more)
+    )
+    assert main(command) == 0
+    assert seen == ["0003"]
+    assert (work / "frames" / "new" / damaged).read_bytes() == (kept / damaged).read_bytes()
+
+
 def test_the_frames_of_a_render_are_a_path_of_cameras(work, capsys):
     orbit, _ = rendered(work, capsys, *ORBIT, name="orbit")
     again, _ = rendered(work, capsys, "--of", "fit", "--path", orbit / "frames.json")
