@@ -7,7 +7,7 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 
-from schemas import exr, images
+from schemas import atomic, exr, images
 from schemas.errors import OutOfResources
 from schemas.exr import ExrView, write_exr
 from schemas.images import write_png
@@ -59,3 +59,13 @@ def test_a_png_that_lacks_what_the_disk_refused_is_no_png(lost, tmp_path, monkey
     with pytest.raises(OSError, match="writer failed"):
         write_png(tmp_path / "x.png", pixels)
     assert not (tmp_path / "x.png").exists()
+
+
+@pytest.mark.parametrize("number", [errno.EIO, errno.ENOSPC, errno.ESTALE])
+def test_a_disk_that_takes_no_zeros_either_is_what_the_codec_failed_of(number, tmp_path, monkeypatch):
+    def failing(handle):
+        raise OSError(number, errno.errorcode[number])
+
+    monkeypatch.setattr(atomic.os, "fsync", failing)
+    told = atomic.refusal_of_disk(tmp_path / "x.exr", 5000)
+    assert isinstance(told, OutOfResources) and str(tmp_path) in str(told)
