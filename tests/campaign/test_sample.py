@@ -1,5 +1,6 @@
 """A small sample of the campaign: some kills, failing calls, mutants and a crowd, on two stages."""
 
+import json
 import os
 import tempfile
 from pathlib import Path
@@ -8,7 +9,7 @@ import pytest
 
 from tests.campaign import crowds, faults, kills, pool, readers
 from tests.campaign.ground import machine_of_strace, prepared
-from tests.stylerf_cli.nursery import Nursery
+from tests.stylerf_cli.nursery import REPOSITORY, Nursery
 
 STAGES = ("import", "fit")
 SLOW = ("photo without poses", "report, resealed", "frames, resealed", "frames.json, resealed")
@@ -70,3 +71,14 @@ def test_damaged_files_are_read_or_refused_in_one_line(ground, nursery):
     assert {one["outcome"] for one in sound} == {"read"}, sound
     assert pool.told_in_sum(outcomes)["faults"] == []
     assert {one["outcome"] for one in outcomes} == {"read", "refused"}
+
+
+def test_the_result_file_is_of_a_whole_campaign_without_faults():
+    path = REPOSITORY / "benchmarks" / "results" / "campaign.json"
+    if not path.is_file():
+        pytest.skip("the campaign has not been run yet")
+    told = json.loads(path.read_text())
+    assert told["kills"]["kills"] >= 200 and told["mutants"]["mutants"] >= 10_000
+    assert {name: told[name]["faults"] for name in ("kills", "mutants", "faults", "crowds")} == {
+        name: [] for name in ("kills", "mutants", "faults", "crowds")
+    }
