@@ -143,7 +143,8 @@ def refusal_of_disk(path: Path, size: int) -> OutOfResources | None:
             stream.flush()
             os.fsync(stream.fileno())
     except OSError as error:
-        return out_of_resources(error, path)
+        told = f"{path} cannot be written ({error.strerror}); run the same command when the disk takes it"
+        return out_of_resources(error, path) or OutOfResources(told)
     finally:
         trial.unlink(missing_ok=True)
     return None

@@ -3,6 +3,7 @@
 import errno
 import os
 import re
+import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -291,8 +292,20 @@ def write_png(path: Path | str, array: np.ndarray) -> None:
         target = oiio.ImageOutput.create(str(temporary))
         done = target.open(str(temporary), spec) and target.write_image(pixels)
         done = target.close() and done and not target.geterror()
-        if not done:
+        if not (done and _whole(temporary)):
             raise refusal_of_disk(path, pixels.nbytes) or OSError(errno.EIO, "the PNG writer failed", str(path))
+
+
+def _whole(path: Path) -> bool:
+    """Whether a PNG's chunks fit their check sums, up to the last: the codec overlooks writes that the disk refused."""
+    data, at, name = memoryview(path.read_bytes()), 8, b""
+    while name != b"IEND" and at + 12 <= len(data):
+        end = at + 12 + int.from_bytes(data[at : at + 4], "big")
+        name = bytes(data[at + 4 : at + 8])
+        if zlib.crc32(data[at + 4 : end - 4]) != int.from_bytes(data[end - 4 : end], "big"):
+            return False
+        at = end
+    return name == b"IEND"
 
 
 def to_uint8(values: np.ndarray) -> np.ndarray:

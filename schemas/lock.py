@@ -101,8 +101,11 @@ def _opened(path: Path) -> int:
     with writing(path):
         try:
             handle = os.open(path, flags | os.O_RDWR | os.O_CREAT, 0o666)
-        except PermissionError:  # one that a member of the group left: reading is enough to lock it
-            handle = os.open(path, flags | os.O_RDONLY)
+        except PermissionError as denied:  # one that a member of the group left: reading is enough to lock it
+            try:
+                handle = os.open(path, flags | os.O_RDONLY)
+            except FileNotFoundError:
+                raise denied from None
         except OSError as error:
             if error.errno not in (errno.ELOOP, errno.EISDIR, errno.ENXIO):
                 raise

@@ -66,7 +66,7 @@ def write_captures(folder: Path) -> None:
         frame["colmap_im_id"] = number
     content["frames"][2]["mask_path"] = "masks/p02.png"
     more = {"camera_model": "OPENCV", "k1": 0.01, "k2": 0.0, "p1": 0.0, "p2": 0.0,
-            "train_filenames": ["images/p00.png"],
+            "train_filenames": [f"images/p0{number}.png" for number in range(3)], "val_filenames": ["images/p03.png"],
             "applied_transform": [[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0]], "applied_scale": 0.5}  # fmt: skip
     capture.write_transforms(studio, content | more)
 

@@ -35,7 +35,7 @@ def trial(nurseries: list[Nursery], ground: Ground, seed: str, alike: bool, plai
     folder holds a field, but no edit."""
     chance = Random(seed)
     count = min(chance.randint(FEWEST, MOST), len(nurseries))
-    known = COMMANDS[: 3 if plain else None]
+    known = COMMANDS[2:3] if plain else COMMANDS
     chosen = [chance.choice(known)] * count if alike else [chance.choice(known + READING) for _ in range(count)]
     told: dict[str, Any] = {
         "seed": seed,

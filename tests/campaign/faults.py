@@ -19,9 +19,15 @@ from tests.stylerf_cli.nursery import Command, Nursery
 
 # What the disk answers, to which calls.
 ERRORS = {
-    "full disk": ("ENOSPC", ("openat", "write", "pwrite64", "mkdir", "rename", "ftruncate", "fallocate", "fsync")),
-    "quota": ("EDQUOT", ("openat", "write", "pwrite64", "mkdir")),
-    "input/output error": ("EIO", ("write", "pwrite64", "fsync", "rename", "renameat2", "openat", "unlink", "mkdir")),
+    "full disk": (
+        "ENOSPC",
+        ("openat", "write", "writev", "pwrite64", "mkdir", "rename", "ftruncate", "fallocate", "fsync"),
+    ),
+    "quota": ("EDQUOT", ("openat", "write", "writev", "pwrite64", "mkdir")),
+    "input/output error": (
+        "EIO",
+        ("write", "writev", "pwrite64", "fsync", "rename", "renameat2", "openat", "unlink", "mkdir"),
+    ),
     "read-only disk": ("EROFS", ("openat", "mkdir", "rename", "renameat2", "unlink", "unlinkat")),
     "no permission": ("EACCES", ("openat", "mkdir", "rename", "unlink")),
     "no fsync of folders": ("EINVAL", ("fsync",)),

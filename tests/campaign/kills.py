@@ -16,7 +16,7 @@ from tests.campaign.ground import Ground, Stage, contents, copy_of, leftovers, v
 from tests.campaign.tracing import calls_on, ended, traced
 from tests.stylerf_cli.nursery import Command, Nursery
 
-KILLED_AT = ("openat", "write", "fsync", "rename", "renameat2", "unlink", "unlinkat", "mkdir")
+KILLED_AT = ("openat", "write", "writev", "fsync", "rename", "renameat2", "unlink", "unlinkat", "mkdir")
 MOST_IN_A_ROW = 3
 FOLLOWED_EVERY_SECONDS = 0.002
 

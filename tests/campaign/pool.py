@@ -138,13 +138,14 @@ def command(words: tuple[str, ...]) -> tuple[int | None, str, str]:
 
 def call(reader, path: Path) -> tuple[int | None, str, str]:
     """The same of a reader that is called."""
+    from schemas.names import printable
     from stylerf_cli.faults import told
 
     try:
         reader(path)
     except Exception as error:
         code, line = told(error, [], None)
-        return code, "", f"stylerf: error: {line}\n"
+        return code, "", f"stylerf: error: {printable(line)}\n"
     return 0, "", ""
 
 

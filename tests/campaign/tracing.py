@@ -12,8 +12,8 @@ from pathlib import Path
 from tests.stylerf_cli.nursery import Command, Nursery
 
 # Newer names first: where one is not known to the machine, strace refuses all of them.
-CALLS = ("openat", "write", "pwrite64", "fsync", "fdatasync", "rename", "renameat2", "unlink", "unlinkat", "mkdir",
-         "ftruncate", "fallocate", "read", "lseek", "flock")  # fmt: skip
+CALLS = ("openat", "write", "writev", "pwrite64", "fsync", "fdatasync", "rename", "renameat2", "unlink", "unlinkat",
+         "mkdir", "ftruncate", "fallocate", "read", "lseek", "flock")  # fmt: skip
 _LINE = re.compile(r"^(\d+) +(\w+)\((.*)$")
 ATTACH_SECONDS = 60.0
 

@@ -130,3 +130,17 @@ def test_a_disk_that_locks_no_folders_is_no_fault(tmp_path, monkeypatch):
 
     monkeypatch.setattr(lock.fcntl, "flock", files_alone)
     Work(tmp_path).begin("field", "fit", RECIPE).discard()
+
+
+def test_a_folder_that_may_not_be_written_to_is_told(tmp_path, monkeypatch):
+    """As the system answers whoever is not root: no permission to make the file, which is then not there to be read."""
+    real = os.open
+
+    def refusing(path, flags, *more, **named):
+        if flags & os.O_CREAT and str(path).endswith(".lock"):
+            raise PermissionError(13, "Permission denied", str(path))
+        return real(path, flags, *more, **named)
+
+    monkeypatch.setattr(lock.os, "open", refusing)
+    with pytest.raises(OutOfResources, match="no permission for"):
+        lock.Lock(tmp_path / ".x.lock")
