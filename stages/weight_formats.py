@@ -38,8 +38,10 @@ def read_file(path: Path) -> Mapping[str, Tensor]:
         found = torch.load(path, map_location="cpu", weights_only=True)
     except (OSError, SafetensorError, RuntimeError, ValueError, KeyError, EOFError) as error:
         raise BadInput(f"weights {path}: cannot be read ({_one_line(error)}); fetch the file again") from error
-    except Exception as error:  # the unpickler's own class refuses anything but tensors
-        raise BadInput(f"weights {path}: not a plain file of tensors ({_one_line(error)})") from error
+    except Exception as error:  # the unpickler's own class, whose words advise to trust the file
+        raise BadInput(
+            f"weights {path}: it holds more than tensors, which is never run; save its tensors alone, as .safetensors"
+        ) from error
     if not isinstance(found, Mapping) or not all(isinstance(value, Tensor) for value in found.values()):
         raise BadInput(f"weights {path}: expected a dictionary of tensors, found {type(found).__name__}")
     return found
