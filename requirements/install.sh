@@ -17,7 +17,8 @@ locked() {
 
 python3 -m venv "$venv"
 gpu=$(ls /dev/nvidiactl /dev/dxg 2> /dev/null || true)
-if [ -n "$gpu" ] || ! { locked torch-cpu.txt || locked torch-cpu.txt --index-url https://download.pytorch.org/whl/cpu; }; then
+# Quiet at first: PyPI has no such build, and says so at length.
+if [ -n "$gpu" ] || ! { locked torch-cpu.txt 2> /dev/null || locked torch-cpu.txt --index-url https://download.pytorch.org/whl/cpu; }; then
     locked torch.txt
 fi
 locked locked.txt
