@@ -14,6 +14,7 @@ from pathlib import Path
 
 from schemas.artefact import MADE_BY, Artefact
 from schemas.atomic import writing
+from schemas.canonical import file_sha256
 from schemas.errors import ArtefactDamaged, ArtefactStale, StylerfError, UsageError
 from schemas.manifest import MANIFEST, InputRef, Recipe
 from schemas.migrations import CURRENT
@@ -97,7 +98,9 @@ class Work:
                 target = partial.path / record.path
                 with writing(target):
                     target.parent.mkdir(parents=True, exist_ok=True)
-                    shutil.copyfile(artefact.path / record.path, target)
+                    shutil.copyfile(artefact.file(record.path), target)
+                if file_sha256(target) != record.sha256:
+                    raise ArtefactDamaged(f"{artefact.path / record.path} changed while it was copied; run it again")
             measured = {
                 "threads": made.threads,
                 "seconds": made.seconds,

@@ -185,6 +185,22 @@ def test_a_disk_that_cannot_flush_folders_is_used_all_the_same(tmp_path, monkeyp
         make(Work(tmp_path), "other")
 
 
+def test_a_file_that_changes_while_it_is_copied_gets_no_sound_seal(tmp_path, monkeypatch):
+    work = Work(tmp_path)
+    artefact = make(work)
+    copyfile = shutil.copyfile
+
+    def altering(source, target):
+        copyfile(source, target)
+        with open(target, "ab") as stream:
+            stream.write(b"!")
+
+    monkeypatch.setattr(shutil, "copyfile", altering)
+    with pytest.raises(ArtefactDamaged, match="changed while it was copied"):
+        work.copy(artefact, "other")
+    assert [one.name for one in work.artefacts()] == ["fox"]
+
+
 def test_threads_are_recorded(tmp_path):
     begun = Work(tmp_path).begin("field", "fox", Recipe("toy", 1, {}, []))
     assert begun.commit(threads=2).manifest.threads == 2
