@@ -110,8 +110,7 @@ def execute(
         work.sweep(spec.writes, name)
         return standing, True
     refuse_to_replace(work, spec.writes, name, inputs.values())
-    for artefact in inputs.values():
-        artefact.verify()
+    _verify(spec, recipe, inputs)
     try:
         partial = work.begin(spec.writes, name, recipe, careful and not force, anew=force)
     except UnlikeInterrupted as lost:
@@ -178,16 +177,21 @@ def _run(
     )  # fmt: skip
 
 
-def _refuse_changed(spec: Spec, recipe: Recipe, inputs: dict[str, Artefact], config: Any) -> None:
-    """ArtefactStale or BadInput where an input is no longer what it was verified to be when the run began."""
-    began = {ref.role: ref.digest for ref in recipe.inputs}
+def _verify(spec: Spec, recipe: Recipe, inputs: dict[str, Artefact]) -> None:
+    """ArtefactDamaged or ArtefactStale where an input is not what the recipe names."""
+    named = {ref.role: ref.digest for ref in recipe.inputs}
     for role, artefact in inputs.items():
         artefact.verify()
-        if artefact.digest != began[role]:
+        if artefact.digest != named[role]:
             raise ArtefactStale(
                 f"{artefact.kind} {artefact.name} was made again while `stylerf {spec.verb}` read it; run the same "
                 "command again"
             )
+
+
+def _refuse_changed(spec: Spec, recipe: Recipe, inputs: dict[str, Artefact], config: Any) -> None:
+    """As _verify, and BadInput where a file from outside is no longer what it was when the run began."""
+    _verify(spec, recipe, inputs)
     for option, digest in (spec.outside(config) if spec.outside else {}).items():
         if getattr(config, option) not in ("", digest):
             what = option.removesuffix("_digest")

@@ -15,7 +15,7 @@ STYLISED, EDITED = replace(EVERYTHING, stylised=True), replace(EVERYTHING, edite
 BLIND = {
     "Turned off by --perceptual none": {"perceptual_wanted": False},
     "smaller than 64 pixels": {"large_enough": False},
-    "`stylerf doctor` tells": {"lpips": False, "tolerant": False},
+    "get the latter with: pip install stlpips_pytorch": {"lpips": False, "tolerant": False},
 }
 
 
