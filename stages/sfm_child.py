@@ -6,16 +6,15 @@ stdin closes, that is when the parent dies.
 """
 
 import os
+import shutil
 import sys
 import threading
 from dataclasses import replace
 from pathlib import Path
 
-from schemas.atomic import write_json
+from schemas.atomic import sync_file, write_json
 from schemas.errors import BadInput, StylerfError
-from stages.structure.job import Job, Teller
-
-RESULT = "result.json"
+from stages.structure.job import MODEL, RESULT, Job, Teller, journal_of
 
 
 def main(path: str) -> int:
@@ -66,9 +65,14 @@ def run(job: Job, tell: Teller) -> None:
         raise BadInput(refusal)
     for warning in warnings:
         tell.say(warning)
-    (folder / mapping.REFINED).mkdir(exist_ok=True)
-    models[0].write(folder / mapping.REFINED)
-    write_json(folder / RESULT, {"copies": every, "figures": found.as_dict()})
+    shutil.rmtree(folder / MODEL, ignore_errors=True)  # of an earlier run
+    (folder / MODEL).mkdir()
+    models[0].write(folder / MODEL)
+    names = sorted(f"{MODEL}/{path.name}" for path in (folder / MODEL).iterdir())
+    for name in names:
+        sync_file(folder / name)
+    write_json(folder / RESULT, {"copies": every, "figures": found.as_dict(), "model": names})
+    journal_of(folder).add([RESULT, *names])
 
 
 def _end_with_parent() -> None:

@@ -12,7 +12,7 @@ import pycolmap
 from stages.structure.copies import COPIES
 from stages.structure.job import Job, Teller
 
-MODELS, REFINED = "models", "model"
+MODELS = "models"
 # A lens is refined beyond its focal length and first coefficient only where so many photos share it.
 PHOTOS_TO_REFINE = 20
 # Points are kept while their error is under this (pixels of the copies) and their parallax above this (degrees).
