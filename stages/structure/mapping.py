@@ -13,6 +13,10 @@ from stages.structure.copies import COPIES
 from stages.structure.job import Job, Teller
 
 MODELS = "models"
+# Parallax asked of the first pair, degrees: COLMAP's default, or half of it for few photos, which seldom hold so much;
+# narrow where no model comes out. COLMAP itself goes down to a quarter of what is asked, but photos that all face
+# forward may have less.
+WIDE, MODERATE, NARROW = 16.0, 8.0, 2.0
 # A lens is refined beyond its focal length and first coefficient only where so many photos share it.
 PHOTOS_TO_REFINE = 20
 # Points are kept while their error is under this (pixels of the copies) and their parallax above this (degrees).
@@ -23,6 +27,14 @@ FARTHEST_CENTRE = 0.08
 
 def reconstruct(job: Job, database: Path, photos: int, tell: Teller) -> list[pycolmap.Reconstruction]:
     """All models, that with the most photos first; none where no pair of photos has matches enough to begin with."""
+    for angle in (WIDE if photos > 20 else MODERATE, NARROW):
+        if models := _mapped(job, database, photos, angle, tell):
+            break
+    return sorted(models, key=lambda model: (-model.num_reg_images(), -model.num_points3D()))
+
+
+def _mapped(job: Job, database: Path, photos: int, angle: float, tell: Teller) -> list[pycolmap.Reconstruction]:
+    """All models that grow from pairs of photos with `angle` degrees of parallax, in COLMAP's order."""
     folder = Path(job.folder) / MODELS
     shutil.rmtree(folder, ignore_errors=True)  # of an interrupted mapping
     folder.mkdir()
@@ -30,8 +42,7 @@ def reconstruct(job: Job, database: Path, photos: int, tell: Teller) -> list[pyc
     options.num_threads = 1  # more threads add up residuals in another order every time
     options.random_seed = options.mapper.random_seed = options.triangulation.random_seed = job.seed
     options.min_model_size = 3
-    # Few photos seldom hold the wide parallax that the default asks of the first pair.
-    options.mapper.init_min_tri_angle = 16.0 if photos > 20 else 8.0
+    options.mapper.init_min_tri_angle = angle
     tell.step("reconstructing", photos, "photo")
     count = 0
 
@@ -45,7 +56,7 @@ def reconstruct(job: Job, database: Path, photos: int, tell: Teller) -> list[pyc
         database, images, folder, options,
         initial_image_pair_callback=lambda: registered(2), next_image_callback=registered,
     )  # fmt: skip
-    return sorted(models.values(), key=lambda model: (-model.num_reg_images(), -model.num_points3D()))
+    return list(models.values())
 
 
 def refined(model: pycolmap.Reconstruction, folder: Path) -> tuple[pycolmap.Reconstruction, bool]:

@@ -390,6 +390,20 @@ def test_the_fox_from_photos_alone_stands_as_its_file_tells(data_dir, tmp_path):
     assert angles.mean() < 0.3 and distances.mean() < 0.002
 
 
+@pytest.mark.realdata
+@pytest.mark.slow
+def test_photos_that_all_face_forward_stand_as_their_file_tells(data_dir, tmp_path):
+    photos = imported(data_dir / "flower" / "images_8", tmp_path / "p", downscale=4)
+    told = imported(data_dir / "flower", tmp_path / "t", format="llff", images="images_8", downscale=4)
+    one = {view.name: view.world_from_camera for view in scene_of(photos).views}
+    two = {view.name: view.world_from_camera for view in scene_of(told).views}
+    assert len(one) == 34
+    names = sorted(one)
+    angles, distances = aligned(np.array([one[name] for name in names]), np.array([two[name] for name in names]))
+    print(angles, distances)
+    assert angles.mean() < 0.3 and distances.mean() < 0.01
+
+
 def test_a_child_that_dies_is_told(tmp_path, room, monkeypatch):
     """An end without a word, as a crash inside COLMAP would be."""
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))

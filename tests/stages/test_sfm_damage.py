@@ -129,7 +129,7 @@ DAMAGES = {
     "matches": lambda path: flip_a_blob(path, "matches", "pair_id"),
     "geometries": lambda path: flip_a_blob(path, "two_view_geometries", "pair_id"),
     "a focal length": lambda path: changed(path, "UPDATE cameras SET params = ?", np.full(4, 50.0).tobytes()),
-    "a row is gone": lambda path: changed(path, "DELETE FROM matches WHERE pair_id = (SELECT min(pair_id) FROM matches)"),
+    "a row is gone": lambda path: changed(path, "DELETE FROM keypoints WHERE image_id = 3"),
     "a name": lambda path: changed(path, "UPDATE images SET name = 'x.jpg' WHERE image_id = 2"),
     "cut": cut,
     "zeros": lambda path: path.write_bytes(bytes(path.stat().st_size)),
