@@ -11,11 +11,12 @@ import pycolmap
 
 from stages.structure.copies import COPIES
 from stages.structure.job import Job, Teller
+from stages.structure.judging import REFUSED_SHARE
 
 MODELS = "models"
 # Parallax asked of the first pair, degrees: COLMAP's default, or half of it for few photos, which seldom hold so much;
-# narrow where no model comes out. COLMAP itself goes down to a quarter of what is asked, but photos that all face
-# forward may have less.
+# narrow where no model of enough photos comes out. COLMAP itself goes down to a quarter of what is asked, but photos that
+# all face forward may have less.
 WIDE, MODERATE, NARROW = 16.0, 8.0, 2.0
 # A lens is refined beyond its focal length and first coefficient only where so many photos share it.
 PHOTOS_TO_REFINE = 20
@@ -26,11 +27,18 @@ FARTHEST_CENTRE = 0.08
 
 
 def reconstruct(job: Job, database: Path, photos: int, tell: Teller) -> list[pycolmap.Reconstruction]:
-    """All models, that with the most photos first; none where no pair of photos has matches enough to begin with."""
+    """All models, that with the most photos first; none where no pair of photos has matches enough to begin with.
+
+    From a pair of wide parallax, or from one of narrow parallax where that places more photos and the first places too few.
+    """
+    best: list[pycolmap.Reconstruction] = []
     for angle in (WIDE if photos > 20 else MODERATE, NARROW):
-        if models := _mapped(job, database, photos, angle, tell):
+        models = _mapped(job, database, photos, angle, tell)
+        models.sort(key=lambda model: (-model.num_reg_images(), -model.num_points3D()))
+        best = max(best, models, key=lambda found: found[0].num_reg_images() if found else 0)  # the first of equals
+        if best and best[0].num_reg_images() >= REFUSED_SHARE * photos:
             break
-    return sorted(models, key=lambda model: (-model.num_reg_images(), -model.num_points3D()))
+    return best
 
 
 def _mapped(job: Job, database: Path, photos: int, angle: float, tell: Teller) -> list[pycolmap.Reconstruction]:
