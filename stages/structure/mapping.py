@@ -15,8 +15,8 @@ from stages.structure.judging import REFUSED_SHARE
 
 MODELS = "models"
 # Parallax asked of the first pair, degrees: COLMAP's default, or half of it for few photos, which seldom hold so much;
-# narrow where no model of enough photos comes out. COLMAP itself goes down to a quarter of what is asked, but photos that
-# all face forward may have less.
+# narrow where too few photos are placed so. COLMAP itself goes down to a quarter of what is asked, but photos that all
+# face forward may have less.
 WIDE, MODERATE, NARROW = 16.0, 8.0, 2.0
 # A lens is refined beyond its focal length and first coefficient only where so many photos share it.
 PHOTOS_TO_REFINE = 20
@@ -29,7 +29,7 @@ FARTHEST_CENTRE = 0.08
 def reconstruct(job: Job, database: Path, photos: int, tell: Teller) -> list[pycolmap.Reconstruction]:
     """All models, that with the most photos first; none where no pair of photos has matches enough to begin with.
 
-    From a pair of wide parallax, or from one of narrow parallax where that places more photos and the first places too few.
+    Begun with a pair of wide parallax, or where that places too few photos, with a narrow one if it places more.
     """
     best: list[pycolmap.Reconstruction] = []
     for angle in (WIDE if photos > 20 else MODERATE, NARROW):
