@@ -1,4 +1,4 @@
-"""Whether cameras of an object stand where its points lie within their silhouettes (decision 0044).
+"""Whether cameras of an object stand where its points lie within their silhouettes (decision 0046).
 
 What is cut out of every photo holds all of the object, so each of its points lies inside the silhouette of each camera
 that has it in view, hidden behind other parts or not. A camera that stands elsewhere sees many of them outside.

@@ -372,7 +372,6 @@ def test_wrong_cameras_that_nobody_stands_beside_are_left_out_by_their_silhouett
         small[..., :3] /= np.maximum(small[..., 3:], 1e-6)
         write_png(tmp_path / "images" / f"{index:03d}.png", to_uint8(small))
     scene = scene_of(imported(tmp_path, tmp_path / "o"))
-    print([one for one in scene.skipped if "silhouette" in one.reason])
     assert len(scene.views) >= 24
     known = np.array([frames[int(view.name)]["transform_matrix"] for view in scene.views]) @ np.diag([1, -1, -1, 1])
     angles, _ = aligned(np.array([view.world_from_camera for view in scene.views]), known)
@@ -429,7 +428,6 @@ def test_photos_that_all_face_forward_stand_as_their_file_tells(data_dir, tmp_pa
     assert len(one) == 34
     names = sorted(one)
     angles, distances = aligned(np.array([one[name] for name in names]), np.array([two[name] for name in names]))
-    print(angles, distances)
     assert angles.mean() < 0.3 and distances.mean() < 0.01
 
 
