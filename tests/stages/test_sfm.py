@@ -428,7 +428,7 @@ def test_photos_that_all_face_forward_stand_as_their_file_tells(data_dir, tmp_pa
     assert len(one) == 34
     names = sorted(one)
     angles, distances = aligned(np.array([one[name] for name in names]), np.array([two[name] for name in names]))
-    assert angles.mean() < 0.3 and distances.mean() < 0.01
+    assert angles.max() < 0.5 and distances.max() < 0.01
 
 
 def test_a_child_that_dies_is_told(tmp_path, room, monkeypatch):
