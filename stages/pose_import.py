@@ -30,7 +30,7 @@ from stylerf.geometry.hull import hull_box
 from stylerf.geometry.resampling import nearest
 
 SPEC = Spec(
-    stage="pose_import", verb="import", revision=5, writes="scene",
+    stage="pose_import", verb="import", revision=6, writes="scene",
     outside=lambda config: {"source_digest": digest_of_source(Path(config.source), config.format, config.images)},
 )  # fmt: skip
 FEWEST_PHOTOS = 2

@@ -23,7 +23,7 @@ from stages.progress import Context
 from stages.readers.colmap import scene_of
 from stages.readers.colmap_model import read_model
 from stages.readers.source import SourceCamera, SourceScene, natural, told, with_masks
-from stages.structure.job import Job
+from stages.structure.job import MODEL, RESULT, Job, journal_of
 from stages.structure.pairs import chosen_matching
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -49,10 +49,26 @@ def reconstructed(
     masks = _masks(photos, root, context)
     job = Job(str(folder), paths, masks, side, features, method, shared, context.seed, context.threads)
     job.write(folder / "job.json")
-    result = folder / "result.json"
-    if not result.is_file():
+    result = finished(folder)
+    if result is None:
+        if (folder / RESULT).is_file():
+            context.progress.say("warning: the poses of the interrupted run are damaged; finding them again")
         run_child(folder / "job.json", context)
-    return _scene(json.loads(result.read_text()), photos, folder / "model", root, context)
+        result = _result(folder)
+    return _scene(result, photos, folder / MODEL, root, context)
+
+
+def finished(folder: Path) -> dict | None:
+    """The result of a structure from motion that has ended in `folder`; None where there is none or it is damaged."""
+    journal = journal_of(folder)
+    if not journal.holds([RESULT]):
+        return None
+    result = _result(folder)
+    return result if journal.holds(result["model"]) else None
+
+
+def _result(folder: Path) -> dict:
+    return json.loads((folder / RESULT).read_text("utf-8", "surrogatepass"))  # names of files may be of any bytes
 
 
 def _masks(photos: list[Path], root: Path, context: Context) -> tuple[tuple[str, str], ...]:

@@ -6,16 +6,15 @@ stdin closes, that is when the parent dies.
 """
 
 import os
+import shutil
 import sys
 import threading
 from dataclasses import replace
 from pathlib import Path
 
-from schemas.atomic import write_json
+from schemas.atomic import sync_file, write_json
 from schemas.errors import BadInput, StylerfError
-from stages.structure.job import Job, Teller
-
-RESULT = "result.json"
+from stages.structure.job import MODEL, RESULT, Job, Teller, journal_of
 
 
 def main(path: str) -> int:
@@ -42,7 +41,7 @@ def run(job: Job, tell: Teller) -> None:
     """All steps, but those an interrupted run has finished. Writes model/ and result.json into the job's folder."""
     import pycolmap
 
-    from stages.structure import copies, database, folding, judging, mapping
+    from stages.structure import copies, database, folding, judging, mapping, silhouettes
 
     pycolmap.logging.minloglevel = 1
     pycolmap.set_random_seed(job.seed)
@@ -53,22 +52,34 @@ def run(job: Job, tell: Teller) -> None:
     database.extract(job, path, used, tell)
     database.match(job, path, used, tell)
     models = mapping.reconstruct(job, path, len(used), tell)
-    refined = False
+    refined, refuted, share = False, [], 0.0
     if models:
+        refuted = silhouettes.refuted(models[0], silhouettes.of_object(folder, used))
+        share = len(refuted) / models[0].num_reg_images()
+        if share <= judging.MOST_REFUTED:
+            silhouettes.without(models[0], refuted)
         models[0], refined = mapping.refined(models[0], folder)
     pairs = database.matched_pairs(path)
     found = judging.quality(models, len(used), pairs, database.keypoints(path), refined)
     if models:
         must = folding.expected(models[0], pairs, database.compared_pairs(used, job.matching))
-        found = replace(found, silent_share=must.silent_share, pairs_expected=must.count)
+        found = replace(found, silent_share=must.silent_share, pairs_expected=must.count, refuted_share=share)
     refusal, warnings = judging.verdict(found)
     if refusal:
         raise BadInput(refusal)
     for warning in warnings:
         tell.say(warning)
-    (folder / mapping.REFINED).mkdir(exist_ok=True)
-    models[0].write(folder / mapping.REFINED)
-    write_json(folder / RESULT, {"copies": every, "figures": found.as_dict()})
+    if refuted:
+        tell.say(f"warning: {len(refuted)} of the photos left out, since the silhouette contradicts the pose")
+    every = [replace(copy, unusable=silhouettes.REASON) if copy.file in refuted else copy for copy in every]
+    shutil.rmtree(folder / MODEL, ignore_errors=True)  # of an earlier run
+    (folder / MODEL).mkdir()
+    models[0].write(folder / MODEL)
+    names = sorted(f"{MODEL}/{path.name}" for path in (folder / MODEL).iterdir())
+    for name in names:
+        sync_file(folder / name)
+    write_json(folder / RESULT, {"copies": every, "figures": found.as_dict(), "model": names})
+    journal_of(folder).add([RESULT, *names])
 
 
 def _end_with_parent() -> None:

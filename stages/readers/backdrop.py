@@ -58,7 +58,7 @@ class Backdrop:
         if self._with_alpha:
             self.kind = "alpha" if self.wanted in ("auto", "alpha") else self.wanted
             border, share = np.median(self._cut, axis=0)
-            if border >= CUT_BORDER and share >= CUT_SHARE and not self._one_mask():
+            if border >= CUT_BORDER and share >= CUT_SHARE and not self._lens_hood():
                 self.cuts_out = "transparency"
             else:
                 self.remark = self._hidden()
@@ -70,12 +70,16 @@ class Backdrop:
                 self.cuts_out = f"a plain {kind} background" if plain else ""
                 return
 
-    def _one_mask(self) -> bool:
-        """Whether one mask that reaches the border hides the same of nearly every picture, as a lens hood does."""
+    def _lens_hood(self) -> bool:
+        """Whether one mask that reaches the border hides the same of nearly every picture."""
+        return self.one_mask() and bool(_border(self._masks["alpha"][0]).any())
+
+    def one_mask(self) -> bool:
+        """Whether transparency hides the same of nearly every picture."""
         masks = self._masks["alpha"]
         first = masks[0]
         alike = [mask.shape == first.shape and (mask != first).mean() < _ONE_MASK for mask in masks]
-        return len(masks) > 1 and np.mean(alike) > 0.9 and bool(_border(first).any())
+        return len(masks) > 1 and bool(np.mean(alike) > 0.9)
 
     def _hidden(self) -> str:
         border, share = np.mean(self._cut, axis=0)

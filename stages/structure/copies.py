@@ -6,6 +6,8 @@ COLMAP drops the features inside. Of 14 lego photos before a still background th
 
 COLMAP itself reads a truncated JPEG without a word, drops a broken one, and handles orientation in its own way; the
 copies keep all of that away from it.
+
+A copy whose bytes, or those of its mask or facts, are no longer what the journal says is made again.
 """
 
 import errno
@@ -22,8 +24,9 @@ from schemas.atomic import replacing, write_json
 from schemas.canonical import file_sha256
 from schemas.errors import BadInput
 from schemas.images import read_srgb, to_uint8, write_png
+from schemas.journal import Journal
 from stages.readers.photos import DARKEST_WHITE, masked
-from stages.structure.job import Job, Teller
+from stages.structure.job import Job, Teller, journal_of
 from stylerf.geometry.resampling import shrunk
 
 COPIES, MASKS = "copies", "masks"
@@ -58,9 +61,10 @@ def make_copies(job: Job, tell: Teller) -> list[Copy]:
     (folder.parent / MASKS).mkdir(exist_ok=True)
     tell.step("reading photos", len(job.photos), "photo")
     made: list[Copy] = []
+    journal = journal_of(folder.parent)
     with ThreadPoolExecutor(max(1, job.threads)) as pool:
         masks = job.masks or [("", "")] * len(job.photos)
-        for copy in pool.map(lambda one: _copy(folder, job.side, *one), zip(count(), job.photos, masks)):
+        for copy in pool.map(lambda one: _copy(folder, journal, job.side, *one), zip(count(), job.photos, masks)):
             made.append(copy)
             tell.done(len(made))
     return _without_doubles(made)
@@ -71,10 +75,12 @@ def restored(content: dict) -> Copy:
     return Copy(**{**content, "full_size": tuple(content["full_size"]), "size": tuple(content["size"])})
 
 
-def _copy(folder: Path, side: int, index: int, photo: str, masks: tuple[str, str]) -> Copy:
+def _copy(folder: Path, journal: Journal, side: int, index: int, photo: str, masks: tuple[str, str]) -> Copy:
     facts = folder / f"{index:05d}.json"
-    if facts.is_file():  # written after its picture, so that is whole
-        return restored(json.loads(facts.read_text()))
+    if journal.holds([f"{COPIES}/{facts.name}"]):
+        copy = restored(json.loads(facts.read_text("utf-8", "surrogatepass")))
+        if journal.holds(_pictures(copy)):
+            return copy
     image = read_srgb(photo)
     pixels, (width, height) = masked(image.pixels, *(Path(one) if one else None for one in masks), True), image.size
     kept = pixels[..., 3] if pixels.shape[2] == 4 else np.ones((height, width), np.float32)
@@ -98,7 +104,12 @@ def _copy(folder: Path, side: int, index: int, photo: str, masks: tuple[str, str
         write_png(folder.parent / MASKS / f"{copy.file}.png", to_uint8(small >= KEPT))
     _write_jpeg(folder / copy.file, to_uint8(shrunk(np.ascontiguousarray(pixels), size)))
     write_json(facts, asdict(copy))
+    journal.add([f"{COPIES}/{facts.name}", *_pictures(copy)])
     return copy
+
+
+def _pictures(copy: Copy) -> list[str]:
+    return [f"{COPIES}/{copy.file}"] + [f"{MASKS}/{copy.file}.png"] * copy.cut_out
 
 
 def _lens(photo: str, size: tuple[int, int]) -> tuple[str, float]:

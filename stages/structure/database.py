@@ -1,4 +1,7 @@
-"""COLMAP's database: photos and cameras, features, matches. Each step skips what an interrupted run has finished."""
+"""COLMAP's database: photos and cameras, features, matches. Each step skips what an interrupted run has finished.
+
+A database that is damaged (rows.py) is made anew.
+"""
 
 from collections.abc import Iterator
 from itertools import groupby
@@ -12,8 +15,9 @@ from schemas.errors import BadInput
 from stages.structure.copies import COPIES, MASKS, Copy
 from stages.structure.job import Job, Teller
 from stages.structure.pairs import pairs
+from stages.structure.rows import Rows
 
-DATABASE, REGISTERED = "database.db", "registered"
+DATABASE, REGISTERED, ROWS = "database.db", "registered", "rows.jsonl"
 # One radial coefficient: with few photos more of them are free to explain errors away; refinement adds the second.
 CAMERA_MODEL = "SIMPLE_RADIAL"
 PHOTOS_AT_ONCE, PAIRS_AT_ONCE = 4, 40
@@ -27,9 +31,11 @@ def register(job: Job, copies: list[Copy], tell: Teller) -> Path:
     folder = Path(job.folder)
     path, done = folder / DATABASE, folder / REGISTERED
     if done.is_file():
-        return path
-    for leftover in folder.glob(f"{DATABASE}*"):  # with its journal
-        leftover.unlink()
+        if _rows(path).sound():
+            return path
+        tell.say("warning: the features and matches of the interrupted run are damaged; finding them again")
+    for leftover in (done, folder / ROWS, *folder.glob(f"{DATABASE}*")):  # with its journal
+        leftover.unlink(missing_ok=True)
     pycolmap.Database.open(path).close()
     for group in _by_lens(copies, job.shared):
         options = pycolmap.ImageReaderOptions()
@@ -43,8 +49,13 @@ def register(job: Job, copies: list[Copy], tell: Teller) -> Path:
         found = database.num_images()
     if found != len(copies):
         raise BadInput(f"COLMAP took in {found} of {len(copies)} photos; remove unusual ones and run again")
+    _rows(path).record()
     write_bytes(done, b"")
     return path
+
+
+def _rows(path: Path) -> Rows:
+    return Rows(path, path.with_name(ROWS))
 
 
 def _by_lens(copies: list[Copy], shared: bool) -> list[list[Copy]]:
@@ -63,7 +74,7 @@ def extract(job: Job, path: Path, copies: list[Copy], tell: Teller) -> None:
     options.sift.max_num_features = job.features
     options.sift.first_octave = -1 if max(max(copy.size) for copy in copies) <= SMALL_PHOTO else 0
     tell.step("finding features", len(copies), "photo")
-    missing = _without_features(path, copies)
+    missing, rows = _without_features(path, copies), _rows(path)
     done = len(copies) - len(missing)
     for part in _in_parts(missing):
         reader = pycolmap.ImageReaderOptions()
@@ -72,6 +83,7 @@ def extract(job: Job, path: Path, copies: list[Copy], tell: Teller) -> None:
         mode = pycolmap.CameraMode.AUTO  # cameras are there already
         names = [copy.file for copy in part]
         pycolmap.extract_features(path, Path(job.folder) / COPIES, names, mode, reader, options)
+        rows.record()
         done += len(part)
         tell.done(done)
 
@@ -101,20 +113,31 @@ def match(job: Job, path: Path, copies: list[Copy], tell: Teller) -> None:
     matching.num_threads, matching.use_gpu = job.threads, False
     verification.ransac.random_seed = job.seed
     pairing = pycolmap.ImportedPairingOptions()
-    listing, journal = Path(job.folder) / "pairs.txt", Path(job.folder) / "pairs_done"
+    listing, rows = Path(job.folder) / "pairs.txt", _rows(path)
     pairing.match_list_path = str(listing)
-    wanted = pairs(len(copies), job.matching)
-    finished = int(journal.read_text()) if journal.is_file() else 0
+    wanted = [(copies[i].file, copies[j].file) for i, j in pairs(len(copies), job.matching)]
+    missing = _not_compared(path, wanted)
+    finished = len(wanted) - len(missing)
     tell.step("matching", len(wanted), "pair")
     tell.done(finished)
-    while finished < len(wanted):
-        part = wanted[finished : finished + PAIRS_AT_ONCE]
-        write_bytes(listing, "".join(f"{copies[i].file} {copies[j].file}\n" for i, j in part).encode())
-        # Pairs of a part that was cut short are in the database already and are skipped there.
+    for start in range(0, len(missing), PAIRS_AT_ONCE):
+        part = missing[start : start + PAIRS_AT_ONCE]
+        write_bytes(listing, "".join(f"{first} {second}\n" for first, second in part).encode())
         pycolmap.match_image_pairs(path, matching, pairing, verification)
+        rows.record()
         finished += len(part)
-        write_bytes(journal, str(finished).encode())
         tell.done(finished)
+
+
+def _not_compared(path: Path, wanted: list[tuple[str, str]]) -> list[tuple[str, str]]:
+    with pycolmap.Database.open(path) as database:
+        numbers = {image.name: image.image_id for image in database.read_all_images()}
+        both = [(numbers[first], numbers[second]) for first, second in wanted]
+        return [
+            pair
+            for pair, ids in zip(wanted, both, strict=True)
+            if not (database.exists_matches(*ids) and database.exists_two_view_geometry(*ids))
+        ]
 
 
 def matched_pairs(path: Path) -> list[tuple[str, str, pycolmap.TwoViewGeometry]]:

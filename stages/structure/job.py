@@ -7,6 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from schemas.atomic import write_json
+from schemas.journal import Journal
+
+# What the child leaves in the folder of the job: the poses as a COLMAP model, and all else.
+MODEL, RESULT = "model", "result.json"
 
 
 @dataclass(frozen=True)
@@ -38,6 +42,11 @@ class Job:
         """What `write` wrote."""
         content = json.loads(path.read_text("utf-8", "surrogatepass"))  # names of files may be of any bytes
         return Job(**{**content, "photos": tuple(content["photos"]), "masks": tuple(map(tuple, content["masks"]))})
+
+
+def journal_of(folder: Path) -> Journal:
+    """Which files in the job's folder are whole; what it does not hold is made again."""
+    return Journal(folder / "whole.jsonl", folder)
 
 
 class Teller:

@@ -5,6 +5,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 import pycolmap
 
+from stages.structure.silhouettes import OUTSIDE
 from stylerf.geometry.conventions import from_colmap
 from stylerf.geometry.epipolar import epipolar_distance, essential, largest_parallax
 
@@ -16,6 +17,8 @@ REFUSED_AGREEMENT, WORRYING_AGREEMENT = 0.5, 0.8
 AGREEING_DISTANCE = 4.0  # pixels, the tolerance that matches were verified with
 # Of the pairs that must match 29 % were silent on a folded lego, 1 of 1,167 on eight sound captures (decision 0044).
 FOLDED_SHARE, FOLDED_PAIRS = 0.1, 4
+# Up to this share of the cameras are left out where their silhouettes refute them; with more nothing can be believed.
+MOST_REFUTED = 0.2
 TURNED_SHARE, TURNED_DISTANCE = 0.9, 2.0  # share of pairs that a turn alone explains, to this median in pixels
 # A pair tells something where it has so many matches, and points where they lie on so many tracks.
 MATCHES_TO_TELL, POINTS_TO_TELL = 30, 2000
@@ -30,6 +33,7 @@ class Quality:
     flat_share: share of all matched pairs that a plane or a turn on the spot explains. turned_share: share of
     pairs_checked that a turn alone explains. models: photos of each model. silent_share: of pairs_expected, those of
     photos that must have matches by their poses and have next to none (folding.py).
+    refuted_share: of the placed cameras, those that their silhouettes refute (silhouettes.py).
     """
 
     photos: int
@@ -46,6 +50,7 @@ class Quality:
     refined: bool
     silent_share: float = 0.0
     pairs_expected: int = 0
+    refuted_share: float = 0.0
 
     @property
     def folded(self) -> bool:
@@ -171,6 +176,12 @@ def verdict(found: Quality) -> tuple[str, list[str]]:
             f"the poses fold the scene onto itself: {found.silent_share:.0%} of {found.pairs_expected} pairs of photos "
             "that would show the same thing from the same side have no matches; sides that look alike were taken for "
             "one: add photos between the sides, in small steps, or give poses made elsewhere"
+        ), []
+    if found.refuted_share > MOST_REFUTED:
+        return (
+            f"the poses contradict the silhouettes: for {found.refuted_share:.0%} of the placed photos more than "
+            f"{OUTSIDE:.0%} of the object's points lie outside what their mask or transparency keeps; check the masks, "
+            f"or {remedy}"
         ), []
     return "", _warnings(found, told, share)
 

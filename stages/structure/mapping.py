@@ -11,8 +11,13 @@ import pycolmap
 
 from stages.structure.copies import COPIES
 from stages.structure.job import Job, Teller
+from stages.structure.judging import REFUSED_SHARE
 
-MODELS, REFINED = "models", "model"
+MODELS = "models"
+# Parallax asked of the first pair, degrees: COLMAP's default, or half of it for few photos, which seldom hold so much;
+# narrow where too few photos are placed so. COLMAP itself goes down to a quarter of what is asked, but photos that all
+# face forward may have less.
+WIDE, MODERATE, NARROW = 16.0, 8.0, 2.0
 # A lens is refined beyond its focal length and first coefficient only where so many photos share it.
 PHOTOS_TO_REFINE = 20
 # Points are kept while their error is under this (pixels of the copies) and their parallax above this (degrees).
@@ -22,7 +27,22 @@ FARTHEST_CENTRE = 0.08
 
 
 def reconstruct(job: Job, database: Path, photos: int, tell: Teller) -> list[pycolmap.Reconstruction]:
-    """All models, that with the most photos first; none where no pair of photos has matches enough to begin with."""
+    """All models, that with the most photos first; none where no pair of photos has matches enough to begin with.
+
+    Begun with a pair of wide parallax, or where that places too few photos, with a narrow one if it places more.
+    """
+    best: list[pycolmap.Reconstruction] = []
+    for angle in (WIDE if photos > 20 else MODERATE, NARROW):
+        models = _mapped(job, database, photos, angle, tell)
+        models.sort(key=lambda model: (-model.num_reg_images(), -model.num_points3D()))
+        best = max(best, models, key=lambda found: found[0].num_reg_images() if found else 0)  # the first of equals
+        if best and best[0].num_reg_images() >= REFUSED_SHARE * photos:
+            break
+    return best
+
+
+def _mapped(job: Job, database: Path, photos: int, angle: float, tell: Teller) -> list[pycolmap.Reconstruction]:
+    """All models that grow from pairs of photos with `angle` degrees of parallax, in COLMAP's order."""
     folder = Path(job.folder) / MODELS
     shutil.rmtree(folder, ignore_errors=True)  # of an interrupted mapping
     folder.mkdir()
@@ -30,8 +50,7 @@ def reconstruct(job: Job, database: Path, photos: int, tell: Teller) -> list[pyc
     options.num_threads = 1  # more threads add up residuals in another order every time
     options.random_seed = options.mapper.random_seed = options.triangulation.random_seed = job.seed
     options.min_model_size = 3
-    # Few photos seldom hold the wide parallax that the default asks of the first pair.
-    options.mapper.init_min_tri_angle = 16.0 if photos > 20 else 8.0
+    options.mapper.init_min_tri_angle = angle
     tell.step("reconstructing", photos, "photo")
     count = 0
 
@@ -45,7 +64,7 @@ def reconstruct(job: Job, database: Path, photos: int, tell: Teller) -> list[pyc
         database, images, folder, options,
         initial_image_pair_callback=lambda: registered(2), next_image_callback=registered,
     )  # fmt: skip
-    return sorted(models.values(), key=lambda model: (-model.num_reg_images(), -model.num_points3D()))
+    return list(models.values())
 
 
 def refined(model: pycolmap.Reconstruction, folder: Path) -> tuple[pycolmap.Reconstruction, bool]:
