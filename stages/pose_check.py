@@ -18,7 +18,7 @@ LONGER_SIDE = 128  # pixels of the copies that are compared
 RAYS, LEAST_RAYS = 16_384, 64  # of all views and of each, by which the worst are found
 # Decision 0045. Shifts are shares of a photo's longer side.
 ALIKE = 0.5  # below, field and photo have too little in common to be compared
-APART = 0.003  # the median view of sound poses stays below
+APART, LEAST_PIXELS = 0.0025, 1.0  # the median view of right poses stays below: of the longer side, and pixels
 LOST = 0.015  # a view alone, where the others fit
 ADVICE = (
     "find new ones with `stylerf import PHOTOS WORK --format photos`, there with --matching exhaustive or more "
@@ -72,7 +72,7 @@ def told(shifts: list[ViewShift]) -> str | None:
     median, worst = _middle(shifts), shifts[-1]
     if _alike(shifts) < ALIKE:
         return None
-    if median.share > APART:
+    if median.share > APART and median.pixels > LEAST_PIXELS:
         return (
             f"poses: photos and renders are {median.pixels:.1f} px apart in the middle of {len(shifts)} views (worst: "
             f"{worst.name} by {worst.pixels:.0f} px); the poses do not explain the photos: {ADVICE}"
