@@ -19,10 +19,11 @@ RAYS, LEAST_RAYS = 16_384, 64  # of all views and of each, by which the worst ar
 # Decision 0045. Shifts are shares of a photo's longer side.
 ALIKE = 0.5  # below, field and photo have too little in common to be compared
 APART, LEAST_PIXELS = 0.0025, 1.0  # the median view of right poses stays below: of the longer side, and pixels
-LOST = 0.015  # a view alone, where the others fit
+ALIEN = 0.6  # a view less like its render than this does not go with the others, where those are as much as KNOWN
+KNOWN = 0.85
 ADVICE = (
-    "find new ones with `stylerf import PHOTOS WORK --format photos`, there with --matching exhaustive or more "
-    "--sfm-features, or leave the worst views out"
+    "find new poses with `stylerf import PHOTOS WORK --format photos`, also with --matching exhaustive or more "
+    "--sfm-features"
 )
 
 
@@ -56,31 +57,35 @@ def pose_shifts(fitter: Fitter) -> list[ViewShift]:
 
 
 def pose_figures(shifts: list[ViewShift]) -> dict:
-    """For the manifest: pixels of the median and of the worst view, its name, and those of all that were looked at."""
-    median, worst, alike = _middle(shifts), shifts[-1], _alike(shifts)
+    """For the manifest: pixels of the median and of the worst view, the median correlation, and both of each view."""
+    median, worst = _middle(shifts), shifts[-1]
     return {
         "median": round(median.pixels, 2),
         "worst": round(worst.pixels, 2),
         "worst_view": worst.name,
-        "alike": round(alike, 3),
-        "views": {one.name: round(one.pixels, 2) for one in shifts},
+        "correlation": round(_alike(shifts), 3),
+        "views": {one.name: [round(one.pixels, 2), round(one.alike, 3)] for one in shifts},
     }
 
 
 def told(shifts: list[ViewShift]) -> str | None:
     """The line for a user where poses do not explain the photos; None where they do, or where that cannot be told."""
     median, worst = _middle(shifts), shifts[-1]
+    count = sum(one.evenly for one in shifts)
     if _alike(shifts) < ALIKE:
         return None
     if median.share > APART and median.pixels > LEAST_PIXELS:
         return (
-            f"poses: photos and renders are {median.pixels:.1f} px apart in the middle of {len(shifts)} views (worst: "
-            f"{worst.name} by {worst.pixels:.0f} px); the poses do not explain the photos: {ADVICE}"
+            f"poses: photos and renders are {median.pixels:.1f} px apart in the middle of {count} views (worst: "
+            f"{worst.name} by {worst.pixels:.0f} px); the poses do not explain the photos: {ADVICE}, "
+            "or leave the worst views out"
         )
-    if worst.share > LOST:
+    lost = min(shifts, key=lambda one: one.alike)
+    if lost.alike < ALIEN and _alike(shifts) > KNOWN:
         return (
-            f"poses: {worst.name} and its render are {worst.pixels:.0f} px apart, {median.pixels:.1f} px in the middle "
-            f"of {len(shifts)} views; its pose does not explain the photo: {ADVICE}"
+            f"poses: {lost.name} and its render have little in common (correlation {lost.alike:.2f}, "
+            f"{_alike(shifts):.2f} in the middle of {count} views); its pose does not explain the photo, or the "
+            "photo shows something else: leave it out, or " + ADVICE
         )
     return None
 
