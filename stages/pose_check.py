@@ -18,7 +18,9 @@ LONGER_SIDE = 128  # pixels of the copies that are compared
 RAYS, LEAST_RAYS = 16_384, 64  # of all views and of each, by which the worst are found
 # Decision 0045. Shifts are shares of a photo's longer side.
 ALIKE = 0.5  # below, field and photo have too little in common to be compared
-APART, LEAST_PIXELS = 0.0025, 1.0  # the median view of right poses stays below: of the longer side, and pixels
+# The median view of right poses is off by less than APART + VAGUE (1 - its correlation) of the longer side: the less a
+# field shows yet, the vaguer the place of what it shows. LEAST_PIXELS of the photo are never told.
+APART, VAGUE, LEAST_PIXELS = 0.001, 0.03, 1.0
 ALIEN = 0.6  # a view less like its render than this does not go with the others, where those are as much as KNOWN
 KNOWN = 0.85
 ADVICE = (
@@ -70,21 +72,21 @@ def pose_figures(shifts: list[ViewShift]) -> dict:
 
 def told(shifts: list[ViewShift]) -> str | None:
     """The line for a user where poses do not explain the photos; None where they do, or where that cannot be told."""
-    median, worst = _middle(shifts), shifts[-1]
+    median, worst, alike = _middle(shifts), shifts[-1], _alike(shifts)
     count = sum(one.evenly for one in shifts)
-    if _alike(shifts) < ALIKE:
+    if alike < ALIKE:
         return None
-    if median.share > APART and median.pixels > LEAST_PIXELS:
+    if median.share > APART + VAGUE * (1 - alike) and median.pixels > LEAST_PIXELS:
         return (
             f"poses: photos and renders are {median.pixels:.1f} px apart in the middle of {count} views (worst: "
             f"{worst.name} by {worst.pixels:.0f} px); the poses do not explain the photos: {ADVICE}, "
             "or leave the worst views out"
         )
     lost = min(shifts, key=lambda one: one.alike)
-    if lost.alike < ALIEN and _alike(shifts) > KNOWN:
+    if lost.alike < ALIEN and alike > KNOWN:
         return (
             f"poses: {lost.name} and its render have little in common (correlation {lost.alike:.2f}, "
-            f"{_alike(shifts):.2f} in the middle of {count} views); its pose does not explain the photo, or the "
+            f"{alike:.2f} in the middle of {count} views); its pose does not explain the photo, or the "
             "photo shows something else: leave it out, or " + ADVICE
         )
     return None

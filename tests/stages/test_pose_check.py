@@ -103,7 +103,9 @@ def shifts(pixels: float, alike: float = 0.95, side: int = 1000) -> list[ViewShi
         (shifts(4.0), "poses: photos and renders are 4.0 px apart in the middle of 8 views"),
         (shifts(0.9, side=100), None),  # within a pixel
         ([*shifts(1.4), ViewShift("odd", 20.0, 0.02, 0.95, False)], None),  # one view, which looks as it should
-        (shifts(4.0, alike=0.4), None),  # nothing to tell by
+        (shifts(4.0, alike=0.8), None),  # a field that has just begun is no surer
+        (shifts(8.0, alike=0.8), "poses: photos and renders are 8.0 px apart in the middle of 8 views"),
+        (shifts(40.0, alike=0.4), None),  # nothing to tell by
     ],
 )
 def test_what_is_told_of_shifts(found, starts):
