@@ -17,12 +17,13 @@ def shift_between(one: np.ndarray, other: np.ndarray) -> tuple[np.ndarray, float
     # Less towards the borders, where one picture shows what the other does not.
     window = np.sqrt(np.outer(np.hanning(height + 2), np.hanning(width + 2)))[1:-1, 1:-1]
     one, other = (_detail(picture, window) for picture in (one, other))
-    size = 2 * height, 2 * width  # room for shifts to all sides: what leaves at one border does not return at another
+    most = max(1, int(min(height, width) * LARGEST_SHARE))
+    # Room for shifts to all sides: what leaves at one border does not return at another.
+    size = 2 * height + 4, 2 * width + 4
     energy = float(np.sqrt(np.square(one).sum() * np.square(other).sum()))
     if energy <= 1e-9:
         return np.zeros(2), 0.0
     products = np.fft.irfft2(np.fft.rfft2(one, size).conj() * np.fft.rfft2(other, size), size)
-    most = max(1, int(min(height, width) * LARGEST_SHARE))
     near = np.roll(products, (most + 1, most + 1), axis=(0, 1))[: 2 * most + 3, : 2 * most + 3]
     row, column = np.unravel_index(near[1:-1, 1:-1].argmax(), (2 * most + 1, 2 * most + 1))
     down = row - most + _vertex(near[row : row + 3, column + 1])

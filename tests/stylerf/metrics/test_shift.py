@@ -41,3 +41,10 @@ def test_pictures_of_different_things_are_not_alike():
 def test_a_plain_picture_has_no_shift(size):
     found, alike = shift_between(np.full(size, 0.5), waves(size=size))
     assert found.tolist() == [0, 0] and alike == 0
+
+
+@pytest.mark.parametrize("size", [(1, 1), (1, 9), (2, 3), (3, 200)])
+def test_a_picture_of_any_size_lies_on_itself(size):
+    picture = np.random.default_rng(0).random(size)
+    found, alike = shift_between(picture, picture)
+    assert np.abs(found).max() <= 0.5 and (alike == pytest.approx(1) or size == (1, 1))
