@@ -13,6 +13,7 @@ from stages.devices import gpu_figures, gpu_of
 from stages.fields import save_field
 from stages.memory import in_words
 from stages.photos import bank_of
+from stages.pose_check import pose_figures, pose_shifts, told
 from stages.progress import Context
 from stages.runner import Spec
 from stages.scenes import EXPOSURE_STOPS, SceneData, load_scene, spread
@@ -74,7 +75,10 @@ def run(inputs: dict[str, Artefact], config: FitConfig, partial: Partial, contex
     context.progress.say(fitter.climb.told(fitter.field.parameters))
     if ranks.first:
         save_field(partial.path, fitter.field, "none" if fitter.field.closed else _shown(settings.background))
-    return _figures(fitter, held_out, reason) | gpu_figures(device)
+    shifts = pose_shifts(fitter)
+    if line := told(shifts):
+        context.progress.say(line)
+    return _figures(fitter, held_out, reason) | {"pose_shift_px": pose_figures(shifts)} | gpu_figures(device)
 
 
 def _tell_idle(config: FitConfig, layout: str, space: str, cut_out: bool, context: Context) -> None:
