@@ -5,6 +5,7 @@ import json
 import shutil
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -34,7 +35,7 @@ def work(tmp_path):
 
 def cameras(path):
     places = POSITIONS if path == "test" else [0.05 * k for k in range(9)]
-    return [made.camera(x, f"{path}_{i}") for i, x in enumerate(places)]
+    return [made.camera(x, f"{Path(path).name}_{i}") for i, x in enumerate(places)]
 
 
 def render(work, field, path, /, shift=0.0, name="", revision=SPEC.revision, **config):
