@@ -64,7 +64,7 @@ def surface_distance_kernel(weights, t, starts, ends, out, rays, BLOCK: tl.const
     for i in range(0, longest):
         own = i < count
         there = tl.load(t + first + i, mask=own, other=0.0)
-        w = tl.load(weights + first + i, mask=own & (tl.abs(there - at) <= AROUND * at), other=0.0)
+        w = tl.load(weights + first + i, mask=own & (tl.abs(there - at) <= at * AROUND), other=0.0)
         near += w
         depth += w * there
     tl.store(out + r, tl.where(near > 0.0, depth / tl.where(near > 0.0, near, 1.0), 0.0), mask=live)
