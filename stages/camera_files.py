@@ -86,13 +86,12 @@ def _ours(entries: object, like: Camera, where: str) -> CameraFile:
 def _camera_of_entry(entry: dict, name: str, like: Camera) -> Camera:
     """What an entry does not tell is as `like` has it: its size, its view across, and its centre, at the entry's size.
 
-    One focal length alone holds for both sides: pixels are as square as those of `like`.
+    One focal length alone holds for both sides: pixels are square.
     """
     width, height = int(entry.get("width", like.width)), int(entry.get("height", like.height))
     kx, ky = width / like.width, height / like.height
-    aspect = like.fy / like.fx
-    fx = float(entry["fx"] if "fx" in entry else entry["fy"] / aspect if "fy" in entry else like.fx * kx)
-    fy = float(entry["fy"] if "fy" in entry else fx * aspect)
+    fx = float(entry.get("fx", entry.get("fy", like.fx * kx)))
+    fy = float(entry.get("fy", entry.get("fx", like.fy * kx)))
     cx, cy = float(entry.get("cx", like.cx * kx)), float(entry.get("cy", like.cy * ky))
     return Camera(name, width, height, fx, fy, cx, cy, np.array(entry["world_from_camera"], dtype=np.float64))
 

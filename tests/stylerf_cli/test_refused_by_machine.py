@@ -123,9 +123,9 @@ def test_a_place_that_cannot_be_written_to_is_told(photos, tmp_path, capsys, pla
 
 
 def test_too_little_memory_is_told(work, nursery, tmp_path):
-    """A camera of 24,000 x 24,000 pixels in an address space of four gigabytes."""
-    camera = {"world_from_camera": [[1, 0, 0, 0], [0, -1, 0, 0], [0, 0, -1, 4], [0, 0, 0, 1]], "width": 24_000,
-              "height": 24_000, "fx": 24e3, "fy": 24e3, "cx": 12e3, "cy": 12e3}  # fmt: skip
+    """A camera of 16,000 x 16,000 pixels in an address space of four gigabytes."""
+    camera = {"world_from_camera": [[1, 0, 0, 0], [0, -1, 0, 0], [0, 0, -1, 4], [0, 0, 0, 1]], "width": 16_000,
+              "height": 16_000, "fx": 16e3, "fy": 16e3, "cx": 8e3, "cy": 8e3}  # fmt: skip
     (tmp_path / "large.json").write_text(json.dumps([camera]))
     command = ("render", work, "--of", "fit", "--path", tmp_path / "large.json")
     line = assert_refused(

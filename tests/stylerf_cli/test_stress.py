@@ -121,8 +121,9 @@ def test_a_second_stress_of_a_work_folder_is_refused_until_the_first_ends(folder
     runs.during = second
     assert stress(folder) == 0 and len(runs.made) == 15
     assert codes == [(5, 4), (5, 0)]  # nothing stood at first
-    told = f"stress runs is being written by another process ({os.getpid()}); wait for it to end, or add --only"
-    assert told in capsys.readouterr().err
+    told = f"stress runs is being written by another process ({os.getpid()} on "
+    err = capsys.readouterr().err
+    assert told in err and "wait for it to end, or add --only" in err
     runs.during = lambda: None
     assert stress(folder, "--force") == 0
     runs.raising["fit", "seeds", 0] = OutOfResources("no space")
