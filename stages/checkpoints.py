@@ -32,7 +32,7 @@ def save_checkpoint(folder: Path, data: dict, arrays: dict[str, np.ndarray]) -> 
 
 
 def load_checkpoint(folder: Path, say: Callable[[str], None]) -> tuple[dict, dict[str, np.ndarray]] | None:
-    """What save_checkpoint wrote last and is undamaged; None where there is nothing such. say: is told of the others.
+    """The newest undamaged checkpoint, None if there is none. say: called with a line for each damaged one.
 
     OSError where one cannot be read: it may be sound.
     """
@@ -41,8 +41,8 @@ def load_checkpoint(folder: Path, say: Callable[[str], None]) -> tuple[dict, dic
         if file_sha256(path) == digest:
             arrays, metadata = load_tensors(path)
             return parsed(metadata["state"], str(path), ArtefactDamaged), arrays
-        rest = "the one before it is taken" if place + 1 < len(found) else "the run begins anew"
-        say(f"checkpoint {path.name[:12]} was damaged since it was written; {rest}")
+        rest = "using the one before it" if place + 1 < len(found) else "starting over"
+        say(f"checkpoint {path.name[:6]} is damaged; {rest}")
     return None
 
 

@@ -129,7 +129,11 @@ def test_a_disk_that_locks_no_folders_is_no_fault(tmp_path, monkeypatch):
         real(handle, how)
 
     monkeypatch.setattr(lock.fcntl, "flock", files_alone)
-    Work(tmp_path).begin("field", "fit", RECIPE).discard()
+    assert Work(tmp_path).begin("field", "fit", RECIPE).commit().name == "fit"
+    held = Work(tmp_path).begin("field", "b", RECIPE)
+    with pytest.raises(OutOfResources, match="another process"):  # the lock file alone still keeps others out
+        Work(tmp_path).begin("field", "b", RECIPE)
+    held.discard()
 
 
 def test_a_folder_that_may_not_be_written_to_is_told(tmp_path, monkeypatch):

@@ -312,9 +312,8 @@ def test_replacing_keeps_the_older_one_until_the_rename(tmp_path, monkeypatch, e
     assert sorted(os.listdir(tmp_path / "field")) == [".fox.lock", "fox"]
 
 
-def test_a_death_between_the_two_renames_is_mended(tmp_path, monkeypatch):
-    work = Work(tmp_path)
-    old = make(work).digest
+def die_between_renames(work: Work, monkeypatch) -> None:
+    """Replaces field fox by another, without a way to swap the two, up to a death after the first of two renames."""
     begun = work.begin("field", "fox", recipe(seed=1))
     monkeypatch.setattr(partial, "_exchange", lambda one, other: False)
     rename = os.rename
@@ -329,6 +328,12 @@ def test_a_death_between_the_two_renames_is_mended(tmp_path, monkeypatch):
         begun.commit()
     monkeypatch.undo()
     begun.release()
+
+
+def test_a_death_between_the_two_renames_is_mended(tmp_path, monkeypatch):
+    work = Work(tmp_path)
+    old = make(work).digest
+    die_between_renames(work, monkeypatch)
     again = work.begin("field", "fox", recipe(seed=1))
     assert again.resumed and work.get("field", "fox").digest == old
     assert again.commit().digest == work.get("field", "fox").digest != old

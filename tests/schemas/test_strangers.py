@@ -11,7 +11,7 @@ from schemas import partial
 from schemas.errors import ArtefactDamaged, StylerfError, WouldBeLost
 from schemas.manifest import MANIFEST
 from schemas.store import Artefact, Recipe, Work, newest
-from tests.schemas.test_store import make, recipe, reseal
+from tests.schemas.test_store import die_between_renames, make, recipe, reseal
 
 DIGEST = "0" * 63 + "1"
 LEAVES = (None, True, -1, 5, 1.5, 2**70, "", "x", "../x", [], {}, [5], {"a": 5})
@@ -131,20 +131,7 @@ def test_a_run_that_cannot_be_read_is_not_given_up(tmp_path, monkeypatch):
 def test_readers_see_the_older_one_where_a_kill_came_between_two_renames(tmp_path, monkeypatch):
     work = Work(tmp_path)
     old = make(work).digest
-    begun = work.begin("field", "fox", recipe(seed=1))
-    monkeypatch.setattr(partial, "_exchange", lambda one, other: False)
-    rename = os.rename
-
-    def die(source, target):
-        if os.fspath(source).endswith("ready"):
-            raise KeyboardInterrupt
-        rename(source, target)
-
-    monkeypatch.setattr(partial.os, "rename", die)
-    with pytest.raises(KeyboardInterrupt):
-        begun.commit()
-    monkeypatch.undo()
-    begun.release()
+    die_between_renames(work, monkeypatch)
     assert not (tmp_path / "field" / "fox").exists()
     found = work.get("field", "fox")
     found.verify()

@@ -40,7 +40,7 @@ def test_a_flipped_bit_gives_way_to_the_one_before(tmp_path, at):
     flip(files(tmp_path)[0], at)
     said = []
     assert load_checkpoint(tmp_path, said.append)[0] == {"step": 1}
-    assert len(said) == 1 and "000002" in said[0] and "the one before it is taken" in said[0]
+    assert len(said) == 1 and "000002" in said[0] and "using the one before it" in said[0]
 
 
 def test_with_both_damaged_a_run_begins_anew_and_says_so(tmp_path):
@@ -50,7 +50,7 @@ def test_with_both_damaged_a_run_begins_anew_and_says_so(tmp_path):
         path.write_bytes(path.read_bytes()[:-1])
     said = []
     assert load_checkpoint(tmp_path, said.append) is None
-    assert len(said) == 2 and said[0].endswith("the one before it is taken") and said[1].endswith("the run begins anew")
+    assert len(said) == 2 and said[0].endswith("using the one before it") and said[1].endswith("starting over")
     save(tmp_path, 3)
     assert load_checkpoint(tmp_path, pytest.fail)[0] == {"step": 3}
 
