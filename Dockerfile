@@ -41,11 +41,11 @@ COPY . /opt/stylerf/source
 RUN python -m pip install --no-deps --no-build-isolation /opt/stylerf/source
 
 # The temporary files that weights are written through are private; what they become is for everyone to read.
-RUN python -c "from stages.weights import resolve, resolve_metric; resolve('hed-vgg16'); resolve('st-vgg16'); resolve_metric('st-lpips-alex')" && chmod -R a+rX "$STYLERF_CACHE"
+RUN python -c "from stages.weights.resolve import resolve, resolve_metric; resolve('hed-vgg16'); resolve('st-vgg16'); resolve_metric('st-lpips-alex')" && chmod -R a+rX "$STYLERF_CACHE"
 
 # Kernels are compiled on the machine that runs them, for its processor: at the first run, half a minute.
 # Mount a volume on $NUMBA_CACHE_DIR to keep them, and a GPU's beside them, from one container to the next. Each user has a
-# folder of their own in it: what others could have written is not executed (stylerf/ownership.py). Nor is what lies in
+# folder of their own in it: what others could have written is not executed (stylerf/environment/trusted_paths.py). Nor is what lies in
 # the home folder that all share, hence PYTHONNOUSERSITE.
 RUN mkdir -p "$NUMBA_CACHE_DIR" "$MPLCONFIGDIR" && chmod -R 1777 "$NUMBA_CACHE_DIR" "$HOME"
 

@@ -29,8 +29,8 @@ def imported(data: Path, name: str, work: Path) -> None:
         stylerf("import", str(data / folder), str(work), *flags)
         return
     from stages.configs.demo import DemoConfig
-    from stages.demo_data import write_demo
-    from stages.progress import Silent
+    from stages.pipeline.demo_scene import write_demo
+    from stages.run.progress import Silent
 
     config, photos = DemoConfig(), work.parent / "still-life-photos"
     if not photos.exists():

@@ -44,9 +44,9 @@ def near_share(depths: list[np.ndarray]) -> float:
 
 def depths_of(work: Path, name: str) -> list[np.ndarray]:
     """[h, w] of every test view of a field."""
-    from schemas.store import Work
-    from stages.fields import load_field
-    from stages.scenes import load_scene
+    from schemas.work_folder import Work
+    from stages.artifacts.field import load_field
+    from stages.artifacts.scene import load_scene
     from stylerf.kernels.cpu.compiling import set_threads
     from stylerf.rendering.view import render_view
 
@@ -57,8 +57,8 @@ def depths_of(work: Path, name: str) -> list[np.ndarray]:
 
 def layout_of(work: Path) -> str:
     """object, forward or unbounded."""
-    from schemas.store import Work
-    from stages.scenes import load_scene
+    from schemas.work_folder import Work
+    from stages.artifacts.scene import load_scene
 
     return load_scene(Work(work).find("scene", "main")).layout
 

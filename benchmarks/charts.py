@@ -7,7 +7,7 @@ def drawn(size: tuple[float, float], draw) -> str:
     """SVG text of what `draw(figure)` makes of an empty figure: the same for the same figures."""
     import io
 
-    from stylerf.plotting import Figure, rc_context
+    from stylerf.environment.matplotlib_defaults import Figure, rc_context
 
     with rc_context({"svg.hashsalt": "stylerf"}):
         figure = Figure(figsize=size, layout="tight")
@@ -104,8 +104,8 @@ def _heat_maps(panels: dict[str, list[dict]], across: int) -> str:
     """Cells as rows of a report, by the panel's title."""
     from types import SimpleNamespace
 
+    from stages.report.heat_map import draw_cells
     from stages.stress.faults import FAULTS
-    from stages.stress.heat_map import draw_cells
 
     order = list(FAULTS)
     columns = min(across, len(panels))

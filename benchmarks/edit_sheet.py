@@ -13,8 +13,8 @@ from skimage.transform import resize
 from schemas.exr import read_channels
 from schemas.frames import read_frames
 from schemas.images import read_image, to_uint8, write_png
-from schemas.store import Artefact, Work
-from stages.scenes import load_scene
+from schemas.work_folder import Artefact, Work
+from stages.artifacts.scene import load_scene
 
 SIDE = 300  # pixels of a picture's longer side
 GAP = 6

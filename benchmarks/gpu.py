@@ -103,11 +103,11 @@ def random_field(vertices: int, kind: str = "vm"):
     kind: of density and colour (hash-mlp: of the colour behind a vm density); stylised: a vm density and the hash
     colour of a stylisation. A voxel grid keeps all of its blocks.
     """
-    from stylerf.fields.field import RadianceField
-    from stylerf.fields.hash import HashColour
-    from stylerf.fields.occupancy import Occupancy
-    from stylerf.geometry.space import Space
-    from stylerf.training.ladders import Capacity, Kinds, first_parts
+    from stylerf.fields.hash_color import HashColour
+    from stylerf.fields.occupancy_grid import Occupancy
+    from stylerf.fields.radiance_field import RadianceField
+    from stylerf.geometry.space_warp import Space
+    from stylerf.training.fit.capacity_levels import Capacity, Kinds, first_parts
 
     generator, capacity = np.random.default_rng(0), Capacity(np.full(3, vertices), vertices, finest=max(32, vertices))
     of_colour, _, head = kind.partition("-")
@@ -123,7 +123,7 @@ def random_field(vertices: int, kind: str = "vm"):
 
 def random_rays(count: int, device: torch.device):
     """Rays towards the middle of the box from around it."""
-    from stylerf.fields.device import DeviceRays
+    from stylerf.fields.gpu.field import DeviceRays
 
     generator = np.random.default_rng(1)
     origins = generator.normal(size=(count, 3))
@@ -153,7 +153,7 @@ def kernels(device: torch.device, bandwidth: float, rays: int = 1 << 15, vertice
 def launches(device: torch.device, rays: int, vertices: int, kind: str) -> tuple[dict, int]:
     """({kernel: (a launch of it, fewest bytes it moves)}, samples) on random rays through a random field."""
     from benchmarks import gpu_edit
-    from stylerf.fields.device import DeviceField
+    from stylerf.fields.gpu.field import DeviceField
     from stylerf.kernels.gpu import launch
 
     field, going = DeviceField(random_field(vertices, kind), device), random_rays(rays, device)
@@ -257,7 +257,7 @@ def edited(work: Path) -> dict:
 
 def frames(field, cameras: list, device: torch.device, repeats: int = 30) -> dict:
     """Whole views a second, the pictures left on the device."""
-    from stylerf.rendering.device_view import DeviceRenderer
+    from stylerf.rendering.view_gpu import DeviceRenderer
 
     made = DeviceRenderer(field, device)
     turn = iter(range(1 << 30))
@@ -272,9 +272,9 @@ def frames(field, cameras: list, device: torch.device, repeats: int = 30) -> dic
 
 def frames_of(work: Path, device: torch.device) -> dict:
     """frames() of the longest lego fit, at the test views."""
-    from schemas.store import Work
-    from stages.fields import load_field
-    from stages.scenes import load_scene
+    from schemas.work_folder import Work
+    from stages.artifacts.field import load_field
+    from stages.artifacts.scene import load_scene
 
     store = Work(work)
     scene = load_scene(store.get("scene", "scene"))

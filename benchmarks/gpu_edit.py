@@ -3,9 +3,9 @@
 import numpy as np
 import torch
 
-from stylerf.fields.device import DevicePatchColour
-from stylerf.fields.hash import HashColour
-from stylerf.fields.patch import PatchColour
+from stylerf.fields.gpu.field import DevicePatchColour
+from stylerf.fields.hash_color import HashColour
+from stylerf.fields.region_color import PatchColour
 from stylerf.kernels.gpu import launch_edit
 
 

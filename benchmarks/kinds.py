@@ -32,9 +32,9 @@ BUDGET, SCENES = "60s", ("lego 200x200", "fern 504x378")
 
 def rays_a_second(work: Path, name: str) -> float:
     """Of the test views of a field."""
-    from schemas.store import Work
-    from stages.fields import load_field
-    from stages.scenes import load_scene
+    from schemas.work_folder import Work
+    from stages.artifacts.field import load_field
+    from stages.artifacts.scene import load_scene
     from stylerf.kernels.cpu.compiling import set_threads
     from stylerf.rendering.view import render_view
 

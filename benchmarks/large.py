@@ -21,8 +21,8 @@ from benchmarks.conditions import here_and_now
 from benchmarks.fits import stylerf
 from schemas.images import to_uint8, write_png
 from schemas.scene import Bounds, Scene, View, as_matrix, write_scene
-from schemas.store import Recipe, Work
-from stages.demo_data import ANGLE_X
+from schemas.work_folder import Recipe, Work
+from stages.pipeline.demo_scene import ANGLE_X
 from stylerf.procedural.still_life import StillLife, dome_cameras
 
 VIEWS, SMALL, SCALE, STEPS = 300, 100, 16, "200"

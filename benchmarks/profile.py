@@ -25,14 +25,14 @@ from numba import prange
 
 from benchmarks.conditions import here_and_now
 from stylerf.kernels.cpu.compiling import parallel_kernel, set_threads
-from stylerf.kernels.cpu.vector import axpy_row, vm_prefetch
+from stylerf.kernels.cpu.simd_vm import axpy_row, vm_prefetch
 from stylerf.kernels.cpu.vm import place, places
 
 CAPACITIES = ("64x16x24", "128x16x24", "192x16x24", "256x16x24")
 LEARNING, STEPS, REPEATS = 150, 30, 25
 # Kernels by the name they have here: where the fit calls them.
 KERNELS = {
-    "draw rays": ("stylerf.training.rays", "gather"),
+    "draw rays": ("stylerf.training.common.ray_dataset", "gather"),
     "march": ("stylerf.kernels.cpu.vm", "march_density"),
     "significant": ("stylerf.rendering.rays", "significant"),
     "colour": ("stylerf.kernels.cpu.vm", "colour"),
@@ -41,7 +41,7 @@ KERNELS = {
     "colour backward": ("stylerf.kernels.cpu.vm", "colour_backward"),
     "density backward": ("stylerf.kernels.cpu.vm", "density_backward"),
     "smoothness": ("stylerf.kernels.cpu.vm", "smoothness_backward"),
-    "adam": ("stylerf.training.optimiser", "adam"),
+    "adam": ("stylerf.training.common.adam", "adam"),
     "occupancy": ("stylerf.kernels.cpu.vm", "density"),
 }
 
@@ -145,15 +145,15 @@ class Watch:
 
 def fitter_of(work: Path, capacity: str, threads: int, scratch: Path):
     """A fit of one capacity that climbs nowhere, as `stylerf fit` sets it up."""
-    from schemas.store import Work
+    from schemas.work_folder import Work
+    from stages.artifacts.photos import bank_of
+    from stages.artifacts.scene import load_scene
+    from stages.artifacts.scene_space import space_of
     from stages.configs.fit import FitConfig
     from stages.nerf_fit import _settings
-    from stages.photos import bank_of
-    from stages.progress import Context, Silent
-    from stages.scenes import load_scene
-    from stages.spaces import space_of
-    from stylerf.training.fit import Fitter
-    from stylerf.training.ladders import Rung
+    from stages.run.progress import Context, Silent
+    from stylerf.training.fit.capacity_levels import Rung
+    from stylerf.training.fit.fitter import Fitter
 
     scene = load_scene(Work(work).find("scene", "main"))
     space = space_of(scene, "auto")[0]

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from benchmarks import charts
 from benchmarks.results_page import page
-from schemas.canonical import digest_of
+from schemas.canonical_json import digest_of
 
 ROOT = Path(__file__).resolve().parent.parent
 RESULTS = ROOT / "benchmarks" / "results"

@@ -52,18 +52,18 @@ def stylizer_for(work: str, style: str, method: str, case: str):
     """The stylizer of a case, the scene, and its held-out views with their photos."""
     import numpy as np
 
-    from schemas.store import Work
+    from schemas.work_folder import Work
+    from stages.artifacts.field import load_field
+    from stages.artifacts.photos import level_of, photo_over
+    from stages.artifacts.scene import load_scene
+    from stages.artifacts.style_images import read_painting
     from stages.configs.stylize import StylizeConfig
-    from stages.fields import load_field
-    from stages.paintings import read_painting
-    from stages.photos import level_of, photo_over
-    from stages.scenes import load_scene
-    from stages.styling import new_colour, painting_taps, settings_of
-    from stages.weights import resolve
+    from stages.stylization.settings import new_colour, painting_taps, settings_of
+    from stages.weights.resolve import resolve
     from stylerf.fields.deformation import Deformation
     from stylerf.kernels.cpu.compiling import set_threads
-    from stylerf.style.trunks import Trunk
-    from stylerf.training.stylize import Stylizer
+    from stylerf.style.feature_extractor import Trunk
+    from stylerf.training.stylize.arf import Stylizer
 
     threads, store = set_threads(os.cpu_count() or 1), Work(Path(work))
     scene = load_scene(store.artefacts("scene")[0])
@@ -97,7 +97,7 @@ def distances(made, held_out, level) -> dict[str, float]:
     import torch
 
     from stylerf.rendering.view import render_view
-    from stylerf.style.objective import StyleObjective
+    from stylerf.style.style_objective import StyleObjective
 
     s, size = made.settings, (made.cameras[0].height, made.cameras[0].width)
     exact = StyleObjective(made.trunk, made.painting, size, s.weights, s.feature_scale, 100000, 0, s.style_scale)

@@ -12,12 +12,12 @@ from pathlib import Path
 import numpy as np
 import OpenEXR
 
-from schemas.allowance import check_allowance
-from schemas.atomic import refusal_of_disk, replacing
+from schemas.atomic_write import refusal_of_disk, replacing
 from schemas.errors import BadInput
-from schemas.numbers import LARGEST_SIDE
-from schemas.reading import opened
-from schemas.silence import native_output_silenced
+from schemas.json_numbers import LARGEST_SIDE
+from schemas.native_output import native_output_silenced
+from schemas.read_limit import check_allowance
+from schemas.safe_reading import opened
 
 # Depth where nothing was hit (alpha 0): compositors sort by Z, and a 0 there would put the void in front of all.
 FAR_Z = 1e10

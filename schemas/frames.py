@@ -4,11 +4,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from schemas.atomic import write_json
+from schemas.atomic_write import write_json
 from schemas.errors import ArtefactDamaged
-from schemas.names import relative_path
-from schemas.numbers import FOCAL_LENGTHS, LARGEST_SIDE, matrix, number, whole
-from schemas.reading import read_json
+from schemas.json_numbers import FOCAL_LENGTHS, LARGEST_SIDE, matrix, number, whole
+from schemas.safe_names import relative_path
+from schemas.safe_reading import read_json
 from schemas.scene import Matrix
 
 FRAMES_FILE = "frames.json"

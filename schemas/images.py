@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 import OpenImageIO as oiio
 
-from schemas.allowance import allowance, check_allowance
-from schemas.atomic import refusal_of_disk, replacing
+from schemas.atomic_write import refusal_of_disk, replacing
 from schemas.errors import BadInput
-from schemas.reading import opened
-from schemas.silence import native_output_silenced
+from schemas.native_output import native_output_silenced
+from schemas.read_limit import allowance, check_allowance
+from schemas.safe_reading import opened
 
 # A header may claim any size: above this (uncompressed) the file is taken for damaged or hostile.
 LARGEST_IMAGE_MB = 2048

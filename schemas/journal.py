@@ -5,8 +5,8 @@ import os
 from collections.abc import Iterable
 from pathlib import Path
 
-from schemas.atomic import make_folder
-from schemas.canonical import file_sha256
+from schemas.atomic_write import make_folder
+from schemas.canonical_json import file_sha256
 
 
 class Journal:

@@ -13,7 +13,7 @@ import stat
 from contextlib import suppress
 from pathlib import Path
 
-from schemas.atomic import make_folder, writing
+from schemas.atomic_write import make_folder, writing
 from schemas.errors import OutOfResources, WouldBeLost
 
 _HELD = {errno.EWOULDBLOCK, errno.EAGAIN, errno.EACCES}

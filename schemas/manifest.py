@@ -11,12 +11,12 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from schemas.canonical import digest_of, plain
+from schemas.canonical_json import digest_of, plain
 from schemas.errors import ArtefactDamaged
-from schemas.flags import flags
+from schemas.flag_text import flags
 from schemas.migrations import CURRENT, migrated
-from schemas.names import file_name, relative_path
-from schemas.reading import parsed, read_bytes
+from schemas.safe_names import file_name, relative_path
+from schemas.safe_reading import parsed, read_bytes
 
 MANIFEST = "manifest.json"
 MOST_BYTES = 64 << 20  # of a manifest; one of 10,000 files takes 2 MB

@@ -12,11 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from schemas.atomic import write_json
+from schemas.atomic_write import write_json
 from schemas.errors import ArtefactDamaged, BadInput
-from schemas.names import relative_path
-from schemas.numbers import FOCAL_LENGTHS, LARGEST, LARGEST_PICTURE, LARGEST_SIDE, matrix, number, numbers, whole
-from schemas.reading import read_json
+from schemas.json_numbers import FOCAL_LENGTHS, LARGEST, LARGEST_PICTURE, LARGEST_SIDE, matrix, number, numbers, whole
+from schemas.safe_names import relative_path
+from schemas.safe_reading import read_json
 
 SCENE_FILE = "scene.json"
 POINTS_FILE = "points.safetensors"

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 from safetensors import SafetensorError, safe_open
 
-from schemas.atomic import replacing
+from schemas.atomic_write import replacing
 from schemas.errors import ArtefactDamaged
-from schemas.names import printable
+from schemas.safe_names import printable
 
 # By numpy's name, in the format's order from the last in a file to the first.
 TYPES = {

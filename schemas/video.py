@@ -9,7 +9,7 @@ from typing import BinaryIO
 
 import numpy as np
 
-from schemas.atomic import replacing
+from schemas.atomic_write import replacing
 from schemas.errors import BadInput
 from schemas.images import read_image, to_uint8
 

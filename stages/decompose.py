@@ -4,26 +4,26 @@ import numpy as np
 import torch
 
 from schemas.errors import BadInput
-from schemas.store import Artefact, Partial
-from stages.checkpoints import load_checkpoint
+from schemas.work_folder import Artefact, Partial
+from stages.artifacts.edit import save_palette
+from stages.artifacts.field import load_field, save_field
+from stages.artifacts.photos import level_of, photo_for
+from stages.artifacts.scene import load_scene
+from stages.artifacts.validity import sound
 from stages.configs.decompose import DecomposeConfig
 from stages.configs.fit import budget_of
-from stages.edits import save_palette
-from stages.fields import load_field, save_field
-from stages.memory import room
-from stages.photos import level_of, photo_for
-from stages.progress import Context
-from stages.runner import Spec
-from stages.scenes import load_scene
-from stages.soundness import sound
-from stages.styling import finest_cells
-from stages.training import run_training
+from stages.run.checkpoints import load_checkpoint
+from stages.run.memory import room
+from stages.run.progress import Context
+from stages.run.runner import Spec
+from stages.run.training_loop import run_training
+from stages.stylization.settings import finest_cells
 from stylerf.errors import InvalidValue
-from stylerf.fields.palette import PaletteColour
+from stylerf.fields.palette_color import PaletteColour
 from stylerf.kernels.cpu.compiling import compiling_note, set_threads
-from stylerf.training.decompose import Decomposing, DecompositionWeights
-from stylerf.training.kept import Kept
-from stylerf.training.style_settings import StyleSettings
+from stylerf.training.common.bounded_cache import Kept
+from stylerf.training.stylize.palettenerf import Decomposing, DecompositionWeights
+from stylerf.training.stylize.settings import StyleSettings
 
 SPEC = Spec(stage="decompose", verb="stylize", revision=3, writes="field")
 FINAL_RATE = 0.1  # of the learning rate, at the end

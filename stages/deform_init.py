@@ -4,21 +4,21 @@ import numpy as np
 import torch
 
 from schemas.errors import BadInput
-from schemas.store import Artefact, Partial
-from stages.checkpoints import load_checkpoint
+from schemas.work_folder import Artefact, Partial
+from stages.artifacts.field import load_field, save_deformation, save_field
+from stages.artifacts.photos import bank_of, level_of
+from stages.artifacts.scene import load_scene, spread
+from stages.artifacts.validity import sound
 from stages.configs.deform import DeformConfig
-from stages.devices import gpu_figures, gpu_of
-from stages.fields import load_field, save_deformation, save_field
-from stages.photos import bank_of, level_of
-from stages.progress import Context
-from stages.runner import Spec
-from stages.scenes import load_scene, spread
-from stages.soundness import sound
-from stages.training import run_training
+from stages.run.checkpoints import load_checkpoint
+from stages.run.devices import gpu_figures, gpu_of
+from stages.run.progress import Context
+from stages.run.runner import Spec
+from stages.run.training_loop import run_training
 from stylerf.errors import InvalidValue
 from stylerf.fields.deformation import Deformation
 from stylerf.kernels.cpu.compiling import compiling_note, set_threads
-from stylerf.training.deform import DeformationFitter, DeformSettings
+from stylerf.training.deform.fitter import DeformationFitter, DeformSettings
 
 SPEC = Spec(stage="deform_init", verb="deform", revision=3, writes="field")
 

@@ -8,19 +8,19 @@ import numpy as np
 
 from schemas.errors import ArtefactDamaged, BadInput
 from schemas.images import to_uint8, write_png
-from schemas.store import Artefact, Partial
 from schemas.tensors import save_tensors
+from schemas.work_folder import Artefact, Partial
+from stages.artifacts.edit import load_edit
+from stages.artifacts.edit_views import load_edit_views
+from stages.artifacts.scene import EARLIER, EDIT_TARGETS, SceneData, edit_targets
+from stages.artifacts.view_images import load_pictures
 from stages.configs.distill import DistillConfig
-from stages.devices import gpu_figures, gpu_of
-from stages.edit_views import load_edit_views
-from stages.edits import load_edit
-from stages.pictures import load_pictures
-from stages.progress import Context
-from stages.runner import Spec
-from stages.scenes import EARLIER, EDIT_TARGETS, SceneData, edit_targets
-from stylerf.editing.edits import PaletteEdits
-from stylerf.editing.palette import PaletteModule
-from stylerf.editing.views import EditView
+from stages.run.devices import gpu_figures, gpu_of
+from stages.run.progress import Context
+from stages.run.runner import Spec
+from stylerf.editing.edit_views import EditView
+from stylerf.editing.palette_edits import PaletteEdits
+from stylerf.editing.palette_module import PaletteModule
 from stylerf.kernels.cpu.compiling import compiling_note, set_threads
 
 SPEC = Spec(stage="distill", verb="distill", revision=3, writes="scene")
@@ -66,7 +66,7 @@ def run(inputs: dict[str, Artefact], config: DistillConfig, partial: Partial, co
 
 
 def _on_device(module: PaletteModule, device: str):
-    from stylerf.editing.device_palette import DevicePalette
+    from stylerf.editing.palette_module_gpu import DevicePalette
 
     return DevicePalette(module, device)
 

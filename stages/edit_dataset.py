@@ -8,20 +8,20 @@ import numpy as np
 from schemas.errors import BadInput
 from schemas.exr import ExrView, write_exr
 from schemas.images import linear_from_srgb
-from schemas.store import Artefact, Partial
+from schemas.work_folder import Artefact, Partial
+from stages.artifacts.edit_views import save_edit_views
+from stages.artifacts.field import load_field
+from stages.artifacts.region import load_region
+from stages.artifacts.view_images import load_pictures
 from stages.configs.extract import ExtractConfig
-from stages.devices import gpu_figures, gpu_of
-from stages.edit_views import save_edit_views
-from stages.fields import load_field
-from stages.pictures import load_pictures
-from stages.progress import Context
-from stages.regions import load_region
-from stages.runner import Spec
+from stages.run.devices import gpu_figures, gpu_of
+from stages.run.progress import Context
+from stages.run.runner import Spec
+from stylerf.editing.edit_grid import Region
 from stylerf.editing.extraction import Extraction, Seen, seen_of_view
-from stylerf.editing.regions import Region
-from stylerf.fields.field import RadianceField
+from stylerf.fields.radiance_field import RadianceField
 from stylerf.geometry.cameras import Camera
-from stylerf.geometry.space import Space
+from stylerf.geometry.space_warp import Space
 from stylerf.kernels.cpu.compiling import compiling_note, set_threads
 
 SPEC = Spec(stage="edit_dataset", verb="extract", revision=3, writes="edit-dataset")
@@ -71,7 +71,7 @@ def run(inputs: dict[str, Artefact], config: ExtractConfig, partial: Partial, co
 
 
 def _on_device(field: RadianceField, device: str) -> Callable[[Camera, list[np.ndarray]], list[np.ndarray]]:
-    from stylerf.editing.device_extraction import DeviceEnds
+    from stylerf.editing.extraction_gpu import DeviceEnds
 
     return DeviceEnds(field, device)
 

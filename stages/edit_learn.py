@@ -10,28 +10,28 @@ import torch
 
 from schemas.errors import BadInput
 from schemas.images import to_uint8, write_png
-from schemas.store import Artefact, Partial
-from stages.checkpoints import load_checkpoint
+from schemas.work_folder import Artefact, Partial
+from stages.artifacts.edit import Edit, save_edit
+from stages.artifacts.edit_views import load_edit_views
+from stages.artifacts.style_images import read_painting
+from stages.artifacts.validity import sound
 from stages.configs.edit import EditConfig
 from stages.configs.fit import budget_of
-from stages.devices import gpu_figures, gpu_of
-from stages.edit_views import load_edit_views
-from stages.edits import Edit, save_edit
-from stages.paintings import read_painting
-from stages.progress import Context
-from stages.runner import Spec
-from stages.soundness import sound
-from stages.training import run_training
-from stages.weights import digests_of_files, resolve
-from stylerf.editing.edits import PaletteEdits
-from stylerf.editing.losses import EditWeights
-from stylerf.editing.painting import crop_of
-from stylerf.editing.views import EditView
+from stages.run.checkpoints import load_checkpoint
+from stages.run.devices import gpu_figures, gpu_of
+from stages.run.progress import Context
+from stages.run.runner import Spec
+from stages.run.training_loop import run_training
+from stages.weights.resolve import digests_of_files, resolve
+from stylerf.editing.edit_views import EditView
+from stylerf.editing.palette_edits import PaletteEdits
+from stylerf.editing.palette_losses import EditWeights
+from stylerf.editing.region_style import crop_of
 from stylerf.errors import InvalidValue
 from stylerf.kernels.cpu.compiling import compiling_note, set_threads
-from stylerf.style.colour import match_colours
-from stylerf.style.trunks import Trunk
-from stylerf.training.edit import EditSettings, EditTrainer, sampled_colours, start_module
+from stylerf.style.color_matching import match_colours
+from stylerf.style.feature_extractor import Trunk
+from stylerf.training.edit.trainer import EditSettings, EditTrainer, sampled_colours, start_module
 
 SPEC = Spec(stage="edit_learn", verb="stylize", revision=4, writes="edit", outside=digests_of_files)
 

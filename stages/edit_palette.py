@@ -5,11 +5,20 @@ import shutil
 import numpy as np
 
 from schemas.errors import BadInput
-from schemas.store import Artefact, Partial
+from schemas.work_folder import Artefact, Partial
+from stages.artifacts.edit import (
+    PALETTE,
+    Edit,
+    by_column,
+    changes_of,
+    columns_and_shares,
+    load_edit,
+    save_edit,
+    told_after,
+)
 from stages.configs.edit import PaletteConfig
-from stages.edits import PALETTE, Edit, by_column, changes_of, columns_and_shares, load_edit, save_edit, told_after
-from stages.progress import Context
-from stages.runner import Spec
+from stages.run.progress import Context
+from stages.run.runner import Spec
 from stylerf.errors import InvalidValue
 
 SPEC = Spec(stage="edit_palette", verb="stylize", revision=2, writes="edit")

@@ -12,17 +12,19 @@ from dataclasses import replace
 
 import numpy as np
 
-from schemas.atomic import write_bytes, write_json
-from schemas.store import Artefact, Partial
+from schemas.atomic_write import write_bytes, write_json
+from schemas.work_folder import Artefact, Partial
+from stages.artifacts.edit import OF_WEIGHTS
+from stages.artifacts.provenance import is_stylised, upstream
 from stages.configs.evaluate import EvaluateConfig
-from stages.edits import OF_WEIGHTS
-from stages.evaluation.asked import digests_of_files
-from stages.evaluation.edited import LocalEdit, palette_facts, palette_rows
-from stages.evaluation.figures import Figure, Row, summarise, write_csv
-from stages.evaluation.film import Film
-from stages.evaluation.lenses import Lenses
-from stages.evaluation.lineage import is_stylised, upstream
-from stages.evaluation.measuring import (
+from stages.evaluation.local_edit import LocalEdit, palette_facts, palette_rows
+from stages.evaluation.metrics import Figure, Row, summarise, write_csv
+from stages.evaluation.path_consistency import Film
+from stages.evaluation.perceptual_metrics import Lenses
+from stages.evaluation.pinned_inputs import digests_of_files
+from stages.evaluation.reference_metrics import NEAREST, References, measure_robustness
+from stages.evaluation.test_views import FrameViews, Photo, Render, SceneViews
+from stages.evaluation.view_metrics import (
     ViewRow,
     measure_content,
     measure_fit,
@@ -32,14 +34,12 @@ from stages.evaluation.measuring import (
     measure_style,
     spoiled_words,
 )
-from stages.evaluation.page import build_page
-from stages.evaluation.pictures import Picture
-from stages.evaluation.references import NEAREST, References, measure_robustness
-from stages.evaluation.sheet import Sheet, chosen_views
-from stages.evaluation.telling import Presence, curve_of, draw_charts, not_measured, warnings_of
-from stages.evaluation.views import FrameViews, Photo, Render, SceneViews
-from stages.progress import Context
-from stages.runner import Spec, versions
+from stages.report.contact_sheet import Sheet, chosen_views
+from stages.report.evaluation_page import build_page
+from stages.report.notes import Presence, curve_of, draw_charts, not_measured, warnings_of
+from stages.report.thumbnails import Picture
+from stages.run.progress import Context
+from stages.run.runner import Spec, versions
 
 SPEC = Spec(stage="evaluate", verb="eval", revision=5, writes="report", outside=digests_of_files)
 STYLE_KEYS = ("nnfm", "gram", "sifid", "palette", "palette_mean", "palette_covariance", "content_ssim")

@@ -7,25 +7,25 @@ import numpy as np
 from scipy.ndimage import binary_dilation
 
 from schemas.errors import BadInput
-from schemas.store import Artefact, Partial
-from stages.checkpoints import load_checkpoint
+from schemas.work_folder import Artefact, Partial
+from stages.artifacts.field import load_field, save_field
+from stages.artifacts.photos import bank_of, level_of
+from stages.artifacts.region import region_of_field
+from stages.artifacts.scene import EARLIER, SceneData, edit_targets, load_scene
+from stages.artifacts.validity import sound
 from stages.configs.finetune import FinetuneConfig
 from stages.configs.fit import EVEN_FROM, SMOOTHNESS, budget_of
-from stages.devices import gpu_figures, gpu_of
-from stages.fields import load_field, save_field
-from stages.photos import bank_of, level_of
-from stages.progress import Context
-from stages.regions import region_of_field
-from stages.runner import Spec
-from stages.scenes import EARLIER, SceneData, edit_targets, load_scene
-from stages.soundness import sound
-from stages.training import run_training
-from stylerf.fields.field import RadianceField
-from stylerf.fields.patch import PatchColour
-from stylerf.fields.surface import Surface, pixel_cells, surface_of
+from stages.run.checkpoints import load_checkpoint
+from stages.run.devices import gpu_figures, gpu_of
+from stages.run.progress import Context
+from stages.run.runner import Spec
+from stages.run.training_loop import run_training
+from stylerf.fields.packed_surface import Surface, pixel_cells, surface_of
+from stylerf.fields.radiance_field import RadianceField
+from stylerf.fields.region_color import PatchColour
 from stylerf.geometry.cameras import Camera
 from stylerf.kernels.cpu.compiling import compiling_note, set_threads
-from stylerf.training.finetune import EditedPixels, FineTuner, FineTuneSettings
+from stylerf.training.finetune.trainer import EditedPixels, FineTuner, FineTuneSettings
 
 SPEC = Spec(stage="finetune", verb="finetune", revision=4, writes="field", parallel=True)
 SEEN = 2e-2  # part of a ray's largest weight from which a sample tells what a pixel sees
@@ -102,7 +102,7 @@ def _surfaces(field: RadianceField, cameras: list[Camera], chunks: int, device: 
     """Of each view, marched on the device."""
     if device is None:
         return (surface_of(field, camera, SEEN, chunks) for camera in cameras)
-    from stylerf.training.device_geometry import DeviceFixedGeometry
+    from stylerf.training.stylize.geometry_gpu import DeviceFixedGeometry
 
     shapes = DeviceFixedGeometry(field, cameras, SEEN, device)
     return (shapes.surface(view) for view in range(len(cameras)))

@@ -6,26 +6,26 @@ from contextlib import nullcontext
 import numpy as np
 
 from schemas.errors import BadInput
-from schemas.store import Artefact, Partial
-from stages.checkpoints import load_checkpoint
+from schemas.work_folder import Artefact, Partial
+from stages.artifacts.field import save_field
+from stages.artifacts.photos import bank_of
+from stages.artifacts.scene import EXPOSURE_STOPS, SceneData, load_scene, spread
+from stages.artifacts.scene_space import space_of
+from stages.artifacts.validity import sound
 from stages.configs.fit import EVEN_FROM, SMOOTHNESS, FitConfig, budget_of, capacity_of, kinds_of
-from stages.devices import gpu_figures, gpu_of
-from stages.fields import save_field
-from stages.memory import in_words
-from stages.photos import bank_of
-from stages.pose_check import pose_figures, pose_shifts, told
-from stages.progress import Context
-from stages.runner import Spec
-from stages.scenes import EXPOSURE_STOPS, SceneData, load_scene, spread
-from stages.soundness import sound
-from stages.spaces import space_of
-from stages.training import run_training
-from stylerf.geometry.space import Space
+from stages.evaluation.pose_check import pose_figures, pose_shifts, told
+from stages.run.checkpoints import load_checkpoint
+from stages.run.devices import gpu_figures, gpu_of
+from stages.run.memory import in_words
+from stages.run.progress import Context
+from stages.run.runner import Spec
+from stages.run.training_loop import run_training
+from stylerf.geometry.space_warp import Space
 from stylerf.kernels.cpu.compiling import compiling_note, set_threads
-from stylerf.training.engine import CpuEngine
-from stylerf.training.fit import Fitter
-from stylerf.training.fit_state import FitSettings
-from stylerf.training.ladders import LADDER, Kinds, Rung, capacity_at, first_parts, ladder_of
+from stylerf.training.fit.capacity_levels import LADDER, Kinds, Rung, capacity_at, first_parts, ladder_of
+from stylerf.training.fit.engine import CpuEngine
+from stylerf.training.fit.fitter import Fitter
+from stylerf.training.fit.settings import FitSettings
 
 SPEC = Spec(stage="nerf_fit", verb="fit", revision=15, writes="field", parallel=True)
 GPU_SAMPLES = 262_144  # of a step: smaller ones would leave a GPU waiting for launches
@@ -104,7 +104,7 @@ def _engine(device: str | None, settings: FitSettings, clip: float):
     """What the fit computes with."""
     if device is None:
         return functools.partial(CpuEngine, clip=clip)
-    from stylerf.training.device_engine import DeviceEngine
+    from stylerf.training.fit.engine_gpu import DeviceEngine
 
     return functools.partial(DeviceEngine, device=device, samples=settings.samples, clip=clip)
 

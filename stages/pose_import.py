@@ -9,25 +9,25 @@ import numpy as np
 from schemas.errors import BadInput
 from schemas.exr import FAR_Z, ExrView, read_depth, write_exr
 from schemas.images import to_uint8, write_png
-from schemas.names import printable
+from schemas.safe_names import printable
 from schemas.scene import POINTS_FILE, Bounds, Scene, Skipped, Truth, View, as_matrix, write_scene
-from schemas.store import Artefact, Partial
 from schemas.tensors import save_tensors
+from schemas.work_folder import Artefact, Partial
 from stages.configs.pose_import import ImportConfig
-from stages.progress import Context
 from stages.readers import found_in, read_source
-from stages.readers.backdrop import Backdrop
+from stages.readers.background import Backdrop
 from stages.readers.digest import digest_of_source
 from stages.readers.photo_folder import conversion, photos_of, unreadable_beside
 from stages.readers.photos import Developer, Sized, present, scale_of, scene_camera, sized
 from stages.readers.source import SourceCamera, SourceScene, natural, told, unused_masks
-from stages.runner import Spec
-from stages.sfm import reconstructed
+from stages.run.progress import Context
+from stages.run.runner import Spec
+from stages.sfm.reconstruction import reconstructed
 from stylerf.errors import InvalidValue
-from stylerf.geometry import normalise
+from stylerf.geometry import scene_normalization
 from stylerf.geometry.cameras import Camera
-from stylerf.geometry.hull import hull_box
 from stylerf.geometry.resampling import nearest
+from stylerf.geometry.silhouette_bounds import hull_box
 
 SPEC = Spec(
     stage="pose_import", verb="import", revision=6, writes="scene",
@@ -40,7 +40,7 @@ FEWEST_PHOTOS = 2
 class Frame:
     """The chosen layout with what follows from it: the similarity to scene units and the cameras in them."""
 
-    layout: normalise.Layout
+    layout: scene_normalization.Layout
     scene_from_source: np.ndarray
     cameras: list[Camera]
     splits: list[str]
@@ -196,20 +196,20 @@ def _framed(source: SourceScene, photos: list[Sized], plain: list[Camera], backd
     poses = np.array([one.pose for one in photos])
     told = np.array([one.camera.near_far for one in photos]) if photos[0].camera.near_far else None
     points = None if source.points is None else source.points.xyz
-    normalise.check_baseline(poses, told, points)
-    layout = normalise.decided_layout(poses, backdrop.cuts_out)
+    scene_normalization.check_baseline(poses, told, points)
+    layout = scene_normalization.decided_layout(poses, backdrop.cuts_out)
     if config.layout != "auto":
-        layout = normalise.Layout(config.layout, "asked for")
+        layout = scene_normalization.Layout(config.layout, "asked for")
     if layout.name == "object" and source.keeps_frame and backdrop.kind == "alpha":
         similarity = np.eye(4)
     elif layout.name == "forward":
-        near, known = normalise.nearest_depth(poses, told, points)
+        near, known = scene_normalization.nearest_depth(poses, told, points)
         layout = replace(layout, reason=f"{layout.reason}; nearest depth from {known}")
-        similarity = normalise.facing(poses, near)
+        similarity = scene_normalization.facing(poses, near)
     else:
-        similarity = normalise.centred(poses)
+        similarity = scene_normalization.centred(poses)
     cameras = [
-        replace(camera, world_from_camera=normalise.moved(one.pose, similarity))
+        replace(camera, world_from_camera=scene_normalization.moved(one.pose, similarity))
         for one, camera in zip(photos, plain, strict=True)
     ]
     return Frame(layout, similarity, cameras, [one.camera.split for one in photos])
@@ -219,21 +219,21 @@ def _bounds(source: SourceScene, frame: Frame, backdrop: Backdrop) -> Bounds:
     scale = float(np.cbrt(np.linalg.det(frame.scene_from_source[:3, :3])))
     if frame.layout.name == "unbounded":
         box = np.array([[-1.0] * 3, [1.0] * 3])
-        near, far = normalise.UNBOUNDED_NEAR, normalise.UNBOUNDED_FAR
+        near, far = scene_normalization.UNBOUNDED_NEAR, scene_normalization.UNBOUNDED_FAR
     elif frame.layout.name == "forward":
         told = [one.near_far[1] for one in source.cameras if one.near_far]
-        near, far = 1.0, max(told) * scale if told else normalise.UNBOUNDED_FAR
-        box = normalise.frustum_box(frame.cameras, near, max(far, 2 * near))
+        near, far = 1.0, max(told) * scale if told else scene_normalization.UNBOUNDED_FAR
+        box = scene_normalization.frustum_box(frame.cameras, near, max(far, 2 * near))
         far = max(far, 2 * near)
     else:
         box = _object_box(frame, backdrop)
-        near, far = normalise.depths_of_box(frame.cameras, box)
+        near, far = scene_normalization.depths_of_box(frame.cameras, box)
     return Bounds(tuple(tuple(float(value) for value in corner) for corner in box), float(near), float(far))
 
 
 def _object_box(frame: Frame, backdrop: Backdrop) -> np.ndarray:
     poses = np.array([camera.world_from_camera for camera in frame.cameras])
-    focus = normalise.focus_of(poses)
+    focus = scene_normalization.focus_of(poses)
     distance = float(np.median(np.linalg.norm(poses[:, :3, 3] - focus, axis=1)))
     if not backdrop.cuts_out:
         return np.stack([focus - distance / 2, focus + distance / 2])

@@ -8,21 +8,20 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import cKDTree
 
-from schemas.canonical import digest_of, file_sha256
+from schemas.canonical_json import digest_of, file_sha256
 from schemas.errors import BadInput
 from schemas.images import coverage, read_image, to_uint8, write_png
-from schemas.store import Artefact, Partial
+from schemas.work_folder import Artefact, Partial
+from stages.artifacts.field import load_field
+from stages.artifacts.photos import level_of, photo_for, photo_over
+from stages.artifacts.region import load_region, save_region
+from stages.artifacts.scene import SceneData, view_index
+from stages.artifacts.view_images import load_pictures
 from stages.configs.select import SelectConfig
 from stages.configs.views import depth_of, file_of, pixel_of
-from stages.fields import load_field
-from stages.photos import level_of, photo_for, photo_over
-from stages.pictures import load_pictures
-from stages.progress import Context
-from stages.regions import load_region, save_region
-from stages.runner import Spec
-from stages.scenes import SceneData, view_index
-from stylerf.editing.extraction import ends_of_view
-from stylerf.editing.regions import (
+from stages.run.progress import Context
+from stages.run.runner import Spec
+from stylerf.editing.edit_grid import (
     FEWEST_CELLS,
     MOST_CELLS,
     Region,
@@ -33,6 +32,7 @@ from stylerf.editing.regions import (
     marked_at,
     solid_cells,
 )
+from stylerf.editing.extraction import ends_of_view
 from stylerf.editing.selection import (
     Look,
     SeenCells,
@@ -47,8 +47,8 @@ from stylerf.editing.selection import (
     shell,
     shown_by_masks,
 )
-from stylerf.fields.field import RadianceField
-from stylerf.fields.surface import cells_of
+from stylerf.fields.packed_surface import cells_of
+from stylerf.fields.radiance_field import RadianceField
 from stylerf.kernels.cpu.compiling import compiling_note, set_threads
 
 SPEC = Spec(

@@ -17,23 +17,23 @@ from schemas.frames import Frame, FrameCamera, Frames, write_frames
 from schemas.images import linear_from_srgb, to_uint8, write_png
 from schemas.journal import Journal
 from schemas.scene import Bounds, as_matrix
-from schemas.store import Artefact, Partial
 from schemas.video import try_video, write_video
-from stages.camera_files import digest_of_cameras, read_cameras
+from schemas.work_folder import Artefact, Partial
+from stages.artifacts.camera_files import digest_of_cameras, read_cameras
+from stages.artifacts.field import load_field
+from stages.artifacts.region_masks import CHANNEL, channels_of, regions_among
+from stages.artifacts.scene import SceneData, load_scene
+from stages.artifacts.shards import take_frames
 from stages.configs.render import OWN_VIEWS, RenderConfig, frames_of
-from stages.devices import gpu_figures, gpu_of
-from stages.fields import load_field
-from stages.masks import CHANNEL, channels_of, regions_among
-from stages.progress import Context
-from stages.runner import Spec
-from stages.scenes import SceneData, load_scene
-from stages.shards import take_frames
-from stylerf.fields.field import RadianceField
+from stages.run.devices import gpu_figures, gpu_of
+from stages.run.progress import Context
+from stages.run.runner import Spec
+from stylerf.fields.radiance_field import RadianceField
+from stylerf.geometry.camera_paths import PATHS, path_camera
 from stylerf.geometry.cameras import Camera
-from stylerf.geometry.paths import PATHS, path_camera
 from stylerf.kernels.cpu.compiling import compiling_note, set_threads
-from stylerf.rendering.pictures import depth_picture, displacement_picture
 from stylerf.rendering.view import RenderedView, render_view
+from stylerf.rendering.visualization import depth_picture, displacement_picture
 
 SPEC = Spec(
     stage="render", verb="render", revision=2, writes="frames",
@@ -99,7 +99,7 @@ def run(inputs: dict[str, Artefact], config: RenderConfig, partial: Partial, con
 
 
 def _on_device(field: RadianceField, device: str, camera: Camera) -> Callable[..., RenderedView]:
-    from stylerf.rendering.device_view import DeviceRenderer
+    from stylerf.rendering.view_gpu import DeviceRenderer
 
     renderer = DeviceRenderer(field, device)
     renderer.choose(camera)  # one for all: shards, and runs that go on, must not decide by frames of their own

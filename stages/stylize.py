@@ -7,43 +7,38 @@ import torch
 
 from schemas.errors import BadInput
 from schemas.images import to_uint8, write_png
-from schemas.store import Artefact, Partial
-from stages.checkpoints import load_checkpoint
+from schemas.work_folder import Artefact, Partial
+from stages.artifacts.field import load_deformation, load_field, save_deformation, save_field
+from stages.artifacts.photos import level_of, photo_for
+from stages.artifacts.references import chosen_view, decoded_reference, digest_of, read_references
+from stages.artifacts.region import region_of_field
+from stages.artifacts.scene import SceneData, load_scene
+from stages.artifacts.style_images import read_painting
+from stages.artifacts.validity import sound
 from stages.configs.fit import budget_of
 from stages.configs.stylize import StylizeConfig
 from stages.configs.views import file_of
-from stages.devices import gpu_figures, gpu_of, rays_on
-from stages.fields import (
-    load_deformation,
-    load_field,
-    save_deformation,
-    save_field,
-)
-from stages.memory import in_words, room
-from stages.paintings import read_painting
-from stages.photos import level_of, photo_for
-from stages.progress import Context
-from stages.references import chosen_view, decoded_reference, digest_of, read_references
-from stages.regions import region_of_field
-from stages.runner import Spec
-from stages.scenes import SceneData, load_scene
-from stages.soundness import sound
-from stages.styling import coarse_taps, new_colour, own_colour, painting_taps, settings_of, template_taps
-from stages.training import run_training
-from stages.weights import ResolvedTrunk, digests_of_files, resolve
-from stylerf.editing.regions import Region
+from stages.run.checkpoints import load_checkpoint
+from stages.run.devices import gpu_figures, gpu_of, rays_on
+from stages.run.memory import in_words, room
+from stages.run.progress import Context
+from stages.run.runner import Spec
+from stages.run.training_loop import run_training
+from stages.stylization.settings import coarse_taps, new_colour, own_colour, painting_taps, settings_of, template_taps
+from stages.weights.resolve import ResolvedTrunk, digests_of_files, resolve
+from stylerf.editing.edit_grid import Region
 from stylerf.errors import InvalidValue
 from stylerf.fields.deformation import Deformation
-from stylerf.fields.field import RadianceField
-from stylerf.fields.hash import HashColour
-from stylerf.fields.patch import PatchColour
+from stylerf.fields.hash_color import HashColour
+from stylerf.fields.radiance_field import RadianceField
+from stylerf.fields.region_color import PatchColour
 from stylerf.kernels.cpu.compiling import compiling_note, set_threads
-from stylerf.style.trunks import Trunk
-from stylerf.training.alternating import Alternating
-from stylerf.training.kept import Kept
-from stylerf.training.referenced import Referenced
-from stylerf.training.repainting import Repainting
-from stylerf.training.stylize import Stylizer
+from stylerf.style.feature_extractor import Trunk
+from stylerf.training.common.bounded_cache import Kept
+from stylerf.training.stylize.arf import Stylizer
+from stylerf.training.stylize.refnpr import Referenced
+from stylerf.training.stylize.snerf import Alternating
+from stylerf.training.stylize.trainer import Repainting
 
 
 def _outside(config: StylizeConfig) -> dict[str, str]:

@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from schemas.errors import UsageError
-from schemas.flags import flags
-from schemas.reading import read_text
-from stages.memory import bytes_of
+from schemas.flag_text import flags
+from schemas.safe_reading import read_text
+from stages.run.memory import bytes_of
 
 LARGEST_CONFIG, MOST_DOTS = 64 << 10, 1000  # bytes; of a line
 

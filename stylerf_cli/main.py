@@ -11,10 +11,10 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from schemas.errors import UsageError
-from schemas.silence import heard_in_the_end
+from schemas.native_output import heard_in_the_end
+from stages.pipeline.distributed import leave_fault, speaks
 from stylerf_cli.arguments import Parser, add_common, add_config, nearest
-from stylerf_cli.faults import told
-from stylerf_cli.joining import leave_fault, speaks
+from stylerf_cli.exit_codes import told
 from stylerf_cli.output import OutputClosed, open_standard_streams, print_json, stdout_kept_free, write_fault, write_out
 from stylerf_cli.verbs import VERBS
 

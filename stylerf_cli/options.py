@@ -18,8 +18,8 @@ from pathlib import Path
 from typing import Any
 
 from schemas.errors import UsageError
-from stages import cgroups
-from stages.memory import bytes_of
+from stages.run import cgroups
+from stages.run.memory import bytes_of
 from stylerf_cli.arguments import build_config, nearest, read_toml
 
 COMMON_KEYS: dict[str, type] = {"seed": int, "device": str, "threads": int, "memory": str}

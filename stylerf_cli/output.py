@@ -7,8 +7,8 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from typing import Any
 
-from schemas.canonical import plain
-from schemas.names import printable
+from schemas.canonical_json import plain
+from schemas.safe_names import printable
 
 
 def open_standard_streams() -> None:

@@ -6,7 +6,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import TextIO
 
-from schemas.names import printable
+from schemas.safe_names import printable
 
 SHOWN_AFTER_SECONDS = 2.0
 REDRAW_SECONDS = 0.1
@@ -18,7 +18,7 @@ BAR_WIDTH = 24
 
 
 class Bars:
-    """Shows `stages.progress.Progress` on a stream. `--quiet` uses stages.progress.Silent instead.
+    """Shows `stages.run.progress.Progress` on a stream. `--quiet` uses stages.progress.Silent instead.
 
     clock: seconds, only for tests.
     """

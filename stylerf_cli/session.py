@@ -9,13 +9,13 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from schemas.allowance import set_allowance
 from schemas.errors import ArtefactStale, UsageError
-from schemas.store import Artefact, Work, sound_name
-from stages.memory import room
-from stages.progress import Context, Silent
+from schemas.read_limit import set_allowance
+from schemas.work_folder import Artefact, Work, sound_name
+from stages.pipeline.distributed import follow, joined, launched, led, release, speaks
+from stages.run.memory import room
+from stages.run.progress import Context, Silent
 from stylerf_cli.arguments import flags_of
-from stylerf_cli.joining import follow, joined, launched, led, release, speaks
 from stylerf_cli.options import Options
 from stylerf_cli.output import write_lines
 from stylerf_cli.progress import Bars
@@ -100,7 +100,7 @@ class Session:
         own: bool | None,
         by: Sequence[str],
     ) -> Artefact:
-        from stages.runner import execute, recipe_of
+        from stages.run.runner import execute, recipe_of
 
         own = spec.verb in self.own_verbs if own is None else own
         name = self.name or name if own else name

@@ -15,7 +15,7 @@ from importlib.metadata import PackageNotFoundError, version
 
 import pytest
 
-from stages import weights
+from stages.weights import resolve
 from tests.conftest import REPOSITORY
 
 INSTRUCTIONS = ("ARG", "FROM", "ENV", "RUN", "COPY", "USER", "VOLUME", "WORKDIR", "ENTRYPOINT", "CMD")
@@ -132,14 +132,14 @@ def test_weights_are_cached_for_everyone_to_read(tmp_path, monkeypatch):
         except PackageNotFoundError:
             pytest.skip(f"{package} is not installed, so there are no weights to convert")
     cache = tmp_path / "cache"
-    plainly(run_line("stages.weights"), {**in_folder(tmp_path), "TMPDIR": str(tmp_path)})
+    plainly(run_line("stages.weights.resolve"), {**in_folder(tmp_path), "TMPDIR": str(tmp_path)})
     modes = {path.name: stat.S_IMODE(path.stat().st_mode) for path in cache.rglob("*.safetensors")}
     assert {"hed-vgg16.safetensors", "st-vgg16.safetensors", "st-lpips-alex.safetensors"} == set(modes)
     assert all(mode & 0o444 == 0o444 for mode in modes.values())
     assert stat.S_IMODE((cache / "features").stat().st_mode) & 0o055 == 0o055
     # What stands there is enough by itself: the packages of origin are not looked at again.
     monkeypatch.setenv("STYLERF_CACHE", str(cache))
-    found = weights.resolve("hed-vgg16")
+    found = resolve.resolve("hed-vgg16")
     assert found.path.parent == cache / "features" and found.digest.startswith("0a9d89625aa3")
 
 

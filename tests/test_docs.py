@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from stages.configs.stylize import COLOUR_CELLS
-from stylerf.training.ladders import LADDER
+from stylerf.training.fit.capacity_levels import LADDER
 from stylerf_cli.verbs import VERBS
 from tests.conftest import REPOSITORY
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from benchmarks import profile, regression
-from stages.demo_data import write_demo
-from stages.progress import Silent
+from stages.pipeline.demo_scene import write_demo
+from stages.run.progress import Silent
 from tests.stages.importing import imported
 
 

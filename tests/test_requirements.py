@@ -11,7 +11,7 @@ from packaging.markers import default_environment
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
-from stages.weight_sources import OBTAIN_HED, OBTAIN_ST
+from stages.weights.sources import OBTAIN_HED, OBTAIN_ST
 from tests.conftest import REPOSITORY
 
 FOLDER = REPOSITORY / "requirements"

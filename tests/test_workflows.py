@@ -11,7 +11,7 @@ import sys
 import pytest
 
 from schemas.errors import ArtefactStale
-from schemas.store import Work
+from schemas.work_folder import Work
 from stages.configs.render import RenderConfig
 from stylerf_cli.arguments import Parser, add_common, add_config, build_config, read_toml
 from stylerf_cli.verbs import VERBS

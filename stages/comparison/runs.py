@@ -7,13 +7,13 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from schemas.canonical import digest_of
+from schemas.canonical_json import digest_of
 from schemas.errors import StylerfError
-from schemas.store import Artefact, Work, newest
-from stages.evaluation.figures import is_number
-from stages.evaluation.kinds import BY_KEY
-from stages.evaluation.lineage import counted, is_stylised, original_scene
-from stages.reports import read_report
+from schemas.work_folder import Artefact, Work, newest
+from stages.artifacts.provenance import counted, is_stylised, original_scene
+from stages.artifacts.report import read_report
+from stages.evaluation.metric_definitions import BY_KEY
+from stages.evaluation.metrics import is_number
 
 FITS, STYLISATIONS, EDITS = "fits", "stylisations", "edits"
 COSTS = ("seconds", "peak_memory_mb", "parameters")

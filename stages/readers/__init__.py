@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from schemas.errors import BadInput
-from schemas.names import printable
+from schemas.safe_names import printable
 from stages.configs.pose_import import FORMATS
 from stages.readers.source import SourceScene
 
@@ -30,7 +30,7 @@ def found_in(source: Path, format: str = "auto") -> Found:
         raise BadInput(f"{source} does not exist; give a folder of photos")
     if format != "auto":
         return Found(format)
-    from stages.readers.foreign import foreign_poses
+    from stages.readers.unsupported import foreign_poses
 
     kinds, foreign = detected(source), foreign_poses(source)
     if not kinds and foreign:
@@ -101,7 +101,7 @@ def whole_model(folder: Path) -> bool:
 
 def metashape_file(source: Path) -> Path | None:
     """The cameras that Metashape exported: cameras.xml, or the first XML that looks like such."""
-    from stages.readers.foreign import MOST_FILES, head_of
+    from stages.readers.unsupported import MOST_FILES, head_of
 
     if source.is_file() or (source / "cameras.xml").is_file():
         return source if source.is_file() else source / "cameras.xml"

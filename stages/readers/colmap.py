@@ -4,10 +4,10 @@ from dataclasses import replace
 from pathlib import Path
 
 from schemas.errors import BadInput
-from schemas.names import printable
+from schemas.safe_names import printable
 from stages.readers import model_folders
 from stages.readers.colmap_model import Model, files_of, read_model
-from stages.readers.listed import Folder
+from stages.readers.listed_photos import Folder
 from stages.readers.source import (
     SourceCamera,
     SourcePoints,
@@ -19,7 +19,7 @@ from stages.readers.source import (
 from stages.readers.split_lists import lists_of, with_splits
 from stylerf.errors import InvalidValue
 from stylerf.geometry import distortion
-from stylerf.geometry.conventions import from_colmap
+from stylerf.geometry.camera_conventions import from_colmap
 
 PHOTOS = ("images", "input")
 

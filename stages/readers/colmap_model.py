@@ -15,8 +15,8 @@ from pathlib import Path
 import numpy as np
 
 from schemas.errors import BadInput
-from schemas.names import printable
-from schemas.reading import read_bytes, read_text
+from schemas.safe_names import printable
+from schemas.safe_reading import read_bytes, read_text
 
 # In the order of their numbers in binary files: the name in text files, and the count of parameters.
 MODELS = (

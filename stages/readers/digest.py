@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from schemas.canonical import digest_of, file_sha256
+from schemas.canonical_json import digest_of, file_sha256
 from schemas.errors import BadInput
 from stages.readers import found_in, read_source
 from stages.readers.photo_folder import photos_of, unreadable_beside

@@ -8,10 +8,10 @@ from tokenize import TokenError
 import numpy as np
 
 from schemas.errors import BadInput
-from schemas.names import printable
-from schemas.reading import read_bytes
+from schemas.safe_names import printable
+from schemas.safe_reading import read_bytes
 from stages.readers.source import SourceCamera, SourceScene, image_folder, images_in, told, with_masks
-from stylerf.geometry.conventions import from_llff
+from stylerf.geometry.camera_conventions import from_llff
 
 MOST_BYTES = 64 << 20  # of poses of 400,000 photos
 FOLDERS = ("images", "images_2", "images_4", "images_8")

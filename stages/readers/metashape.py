@@ -18,14 +18,14 @@ from xml.etree import ElementTree
 import numpy as np
 
 from schemas.errors import BadInput
-from schemas.names import printable
-from schemas.reading import read_bytes
+from schemas.safe_names import printable
+from schemas.safe_reading import read_bytes
 from stages.readers import metashape_file
-from stages.readers.listed import Folder
+from stages.readers.checked_values import row
+from stages.readers.listed_photos import Folder
 from stages.readers.photo_folder import folder_of
 from stages.readers.source import SourceCamera, SourceScene, bare, images_in, natural, with_masks
-from stages.readers.values import row
-from stylerf.geometry.conventions import with_last_row
+from stylerf.geometry.camera_conventions import with_last_row
 from stylerf.geometry.distortion import Distortion
 
 MOST_BYTES = 256 << 20  # cameras with their covariances take some 2 kB each

@@ -11,14 +11,14 @@ from pathlib import Path
 import numpy as np
 
 from schemas.errors import BadInput
-from schemas.names import printable
-from schemas.reading import read_json
+from schemas.safe_names import printable
+from schemas.safe_reading import read_json
 from stages.readers import opensfm_file
-from stages.readers.listed import Folder
+from stages.readers.checked_values import entry_of, number, object_of, row, size
+from stages.readers.listed_photos import Folder
 from stages.readers.photo_folder import folder_of
 from stages.readers.source import SourceCamera, SourcePoints, SourceScene, natural, with_masks
-from stages.readers.values import entry_of, number, object_of, row, size
-from stylerf.geometry.conventions import from_colmap
+from stylerf.geometry.camera_conventions import from_colmap
 from stylerf.geometry.distortion import Distortion
 
 # By projection_type: the kind of distortion, its radial coefficients, whether it has two focal lengths and a centre.

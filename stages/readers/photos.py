@@ -9,8 +9,8 @@ from schemas.errors import BadInput
 from schemas.images import coverage, image_size, read_image, read_srgb
 from stages.readers.source import SourceCamera, SourceScene
 from stylerf.errors import InvalidValue
+from stylerf.geometry.camera_conventions import checked_pose
 from stylerf.geometry.cameras import Camera
-from stylerf.geometry.conventions import checked_pose
 from stylerf.geometry.distortion import pinhole_of, source_positions
 from stylerf.geometry.resampling import nearest, shrunk
 
@@ -122,7 +122,7 @@ class Developer:
             pixels[..., :3] *= pixels[..., 3:]
         if not one.camera.distortion.none:
             # Late: the kernel takes a second to load, which pinhole sources need not wait for.
-            from stylerf.kernels.cpu.remap import remapped
+            from stylerf.kernels.cpu.image_remap import remapped
 
             pixels = remapped(pixels, self._map(one))
         pixels = shrunk(pixels, size)

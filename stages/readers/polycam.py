@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 
 from schemas.errors import BadInput
-from schemas.names import printable
-from schemas.reading import read_json
+from schemas.safe_names import printable
+from schemas.safe_reading import read_json
 from stages.readers import POLYCAM, polycam_folder
-from stages.readers.listed import Folder
+from stages.readers.checked_values import number, size
+from stages.readers.listed_photos import Folder
 from stages.readers.source import SourceCamera, SourceScene, image_folder, natural, with_masks
-from stages.readers.values import number, size
-from stylerf.geometry.conventions import from_opengl, with_last_row
+from stylerf.geometry.camera_conventions import from_opengl, with_last_row
 
 MOST_BYTES = 1 << 20
 

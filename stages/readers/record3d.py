@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 
 from schemas.errors import BadInput
-from schemas.reading import read_json
+from schemas.safe_reading import read_json
 from stages.readers import record3d_file
+from stages.readers.checked_values import entry_of, row, size
 from stages.readers.colmap_model import ROUNDING, rotation_of
 from stages.readers.source import SourceCamera, SourceScene, image_folder, images_in, told, with_masks
-from stages.readers.values import entry_of, row, size
-from stylerf.geometry.conventions import from_opengl, with_last_row
+from stylerf.geometry.camera_conventions import from_opengl, with_last_row
 
 
 def read(source: Path, images: str) -> SourceScene:

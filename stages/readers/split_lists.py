@@ -3,8 +3,8 @@
 from dataclasses import replace
 from pathlib import Path
 
-from schemas.names import printable
-from schemas.reading import read_text
+from schemas.safe_names import printable
+from schemas.safe_reading import read_text
 from stages.readers.source import SourceCamera
 
 MOST_BYTES = 64 << 20

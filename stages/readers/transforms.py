@@ -10,8 +10,8 @@ import numpy as np
 
 from schemas.errors import BadInput
 from schemas.images import image_size
-from schemas.names import LONGEST_NAME, LONGEST_PATH, printable
-from schemas.reading import MOST_JSON, parsed, read_text
+from schemas.safe_names import LONGEST_NAME, LONGEST_PATH, printable
+from schemas.safe_reading import MOST_JSON, parsed, read_text
 from stages.readers import transforms_lens, transforms_splits
 from stages.readers.source import (
     SourceCamera,
@@ -25,7 +25,7 @@ from stages.readers.source import (
 )
 from stages.readers.transforms_lens import Numbers
 from stages.readers.transforms_splits import Splits
-from stylerf.geometry.conventions import ROTATION_TOLERANCE, from_mitsuba, from_opengl, with_last_row
+from stylerf.geometry.camera_conventions import ROTATION_TOLERANCE, from_mitsuba, from_opengl, with_last_row
 
 _OF_FRAMES = {"file_path", "transform_matrix", "mask_path", *transforms_lens.KEYS}
 _OF_FILES = {

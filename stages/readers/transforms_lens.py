@@ -4,7 +4,7 @@ import math
 from collections.abc import Iterable
 
 from schemas.errors import BadInput
-from schemas.names import printable
+from schemas.safe_names import printable
 from stylerf.geometry.distortion import Distortion
 
 _PINHOLES = ("PINHOLE", "SIMPLE_PINHOLE", "PERSPECTIVE", "OPENCV", "SIMPLE_RADIAL", "RADIAL")

@@ -4,7 +4,7 @@ import unicodedata
 from pathlib import PurePosixPath
 
 from schemas.errors import BadInput
-from schemas.names import printable
+from schemas.safe_names import printable
 
 KEYS = {"train_filenames": "train", "val_filenames": "test", "test_filenames": "test"}
 

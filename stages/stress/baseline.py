@@ -5,12 +5,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from schemas.atomic import write_json
+from schemas.atomic_write import write_json
 from schemas.errors import BadInput, UsageError
-from schemas.reading import read_json
-from stages.evaluation.figures import is_number
-from stages.stress.cells import REMEDIED, Cell
+from schemas.safe_reading import read_json
+from stages.evaluation.metrics import is_number
 from stages.stress.faults import METHODS
+from stages.stress.success_rates import REMEDIED, Cell
 
 SCHEMA = 1
 # dB; shares: what runs on another machine may differ by.

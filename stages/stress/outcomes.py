@@ -3,13 +3,13 @@
 from dataclasses import asdict, fields
 from pathlib import Path
 
-from schemas.atomic import write_json
+from schemas.atomic_write import write_json
 from schemas.errors import BadInput
-from schemas.names import file_name
-from schemas.reading import read_json
-from stages.evaluation.figures import is_number
-from stages.stress.cells import Outcome
+from schemas.safe_names import file_name
+from schemas.safe_reading import read_json
+from stages.evaluation.metrics import is_number
 from stages.stress.faults import FAULTS, METHODS
+from stages.stress.success_rates import Outcome
 
 FOLDER = "runs"
 NOT_FINITE = ("inf", "-inf", "nan")  # as schemas.canonical writes them

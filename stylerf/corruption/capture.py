@@ -6,7 +6,7 @@ Poses are [n, 4, 4] world_from_camera, OpenCV axes, scene units; results are new
 import numpy as np
 
 from stylerf.errors import InvalidValue
-from stylerf.geometry.normalise import focus_of
+from stylerf.geometry.scene_normalization import focus_of
 
 
 def noisy_poses(poses: np.ndarray, degrees: float, share: float, generator: np.random.Generator) -> np.ndarray:

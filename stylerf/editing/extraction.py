@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from stylerf.editing.regions import Region, march_view
-from stylerf.editing.views import EditView
-from stylerf.fields.field import RadianceField
+from stylerf.editing.edit_grid import Region, march_view
+from stylerf.editing.edit_views import EditView
+from stylerf.fields.radiance_field import RadianceField
 from stylerf.geometry.cameras import Camera
 from stylerf.kernels.cpu.regions import ends_inside
 

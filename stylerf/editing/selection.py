@@ -8,12 +8,12 @@ import numpy as np
 from scipy.ndimage import binary_dilation, binary_erosion, distance_transform_edt
 from skimage.color import rgb2lab
 
-from stylerf.editing.regions import march_view
-from stylerf.fields.field import RadianceField
-from stylerf.fields.samples import Rays
-from stylerf.fields.surface import Surface, surface_of
+from stylerf.editing.edit_grid import march_view
+from stylerf.fields.packed_surface import Surface, surface_of
+from stylerf.fields.radiance_field import RadianceField
+from stylerf.fields.ray_samples import Rays
 from stylerf.geometry.cameras import Camera
-from stylerf.geometry.space import Space
+from stylerf.geometry.space_warp import Space
 from stylerf.kernels.cpu.regions import add_to_cells, ends_inside, weights_inside
 
 LIGHT = 0.5  # of a difference in lightness counts: one thing lies in light and in shadow

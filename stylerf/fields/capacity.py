@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stylerf.fields.occupancy import Occupancy
+from stylerf.fields.occupancy_grid import Occupancy
 
 
 @dataclass(frozen=True)

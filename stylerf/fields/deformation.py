@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from stylerf import checks
+from stylerf import validation
 from stylerf.errors import InvalidValue
 
 # A step of Adam moves every weight by its rate, and a sum over 256 of them by as much as 256 times that: without this a
@@ -66,8 +66,8 @@ class Deformation:
 
     @classmethod
     def restore(cls, data: dict, values: np.ndarray) -> "Deformation":
-        frequencies, width = checks.integer(data, "frequencies", 0, 16), checks.integer(data, "width", 1, 1024)
-        checks.one_of(data, "kind", ("mlp",))
+        frequencies, width = validation.integer(data, "frequencies", 0, 16), validation.integer(data, "width", 1, 1024)
+        validation.one_of(data, "kind", ("mlp",))
         return cls(frequencies, width, values)
 
 

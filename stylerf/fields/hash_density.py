@@ -4,9 +4,9 @@ import numpy as np
 
 from stylerf.errors import InvalidValue
 from stylerf.fields.capacity import Capacity
-from stylerf.fields.levels import Levels
-from stylerf.fields.samples import Samples
-from stylerf.fields.walking import walk
+from stylerf.fields.hash_levels import Levels
+from stylerf.fields.marching import walk
+from stylerf.fields.ray_samples import Samples
 from stylerf.kernels.cpu import hash_density as kernels
 
 FASTER = 5.0  # of the learning rate (docs/decisions/0018)

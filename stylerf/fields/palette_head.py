@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import linear, softplus
 
-from stylerf.geometry.harmonics import BANDS
+from stylerf.geometry.spherical_harmonics import BANDS
 
 DEGREE = 2
 VIEW_UNITS, UNITS, CODE = 32, 64, 15  # PaletteNeRF: 64 and 15

@@ -6,7 +6,7 @@ unit cube, as the field is asked (displaced). Samples of ray r are starts[r]:end
 ray and is neither read nor written. Every result is the same to the bit for the same number of chunks.
 
 A part holds no other state that decides its answers than `values` and what `describe` tells: `restore` of the two is
-the same part, to the bit. Parts that stand over others (fields/patch.py) name their further arrays to the field.
+the same part, to the bit. Parts that stand over others (fields/region_color.py) name their further arrays to the field.
 """
 
 from typing import Protocol, runtime_checkable
@@ -14,7 +14,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 
 from stylerf.fields.capacity import Capacity
-from stylerf.fields.samples import Rays, Samples
+from stylerf.fields.ray_samples import Rays, Samples
 
 
 class Part(Protocol):
@@ -39,7 +39,7 @@ class Part(Protocol):
 
 @runtime_checkable
 class Growing(Protocol):
-    """What a part needs beside to be fitted by a ladder of capacities (training/ladders.py)."""
+    """What a part needs beside to be fitted by a ladder of capacities (training/fit/capacity_levels.py)."""
 
     def grown(self, capacity: Capacity, generator: np.random.Generator) -> "Growing":
         """The same part at a larger capacity: as near to the same answers as that can say, to be taught further."""

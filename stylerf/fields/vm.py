@@ -6,18 +6,18 @@ gradients are flat buffers [chunks, len(values)] of the same layout and one opti
 
 import numpy as np
 
-from stylerf import checks
+from stylerf import validation
 from stylerf.errors import InvalidValue
 from stylerf.fields.capacity import Capacity
-from stylerf.fields.narrowing import best_ranks, best_seen_ranks, texel_weights
-from stylerf.fields.occupancy import Occupancy
-from stylerf.fields.room import room
-from stylerf.fields.samples import Samples
+from stylerf.fields.marching import walk
+from stylerf.fields.occupancy_grid import Occupancy
+from stylerf.fields.rank_truncation import best_ranks, best_seen_ranks, texel_weights
+from stylerf.fields.ray_samples import Samples
+from stylerf.fields.scratch_arena import room
 from stylerf.fields.vm_tables import grid_of, initial_table, resized_table, split_table, table_length, widened_table
-from stylerf.fields.walking import walk
-from stylerf.geometry.harmonics import BANDS, C0
+from stylerf.geometry.spherical_harmonics import BANDS, C0
 from stylerf.kernels.cpu import vm as kernels
-from stylerf.kernels.cpu.deform import colour_position_gradient, density_position_gradient
+from stylerf.kernels.cpu.deformation import colour_position_gradient, density_position_gradient
 
 
 class VmDensity:
@@ -272,4 +272,4 @@ class VmColour:
 
     @classmethod
     def restore(cls, data: dict, values: np.ndarray) -> "VmColour":
-        return cls(*grid_of(data), checks.integer(data, "degree", 0, max(BANDS)), values)
+        return cls(*grid_of(data), validation.integer(data, "degree", 0, max(BANDS)), values)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from stylerf import checks
+from stylerf import validation
 
 MOST_VERTICES, MOST_RANK = 1 << 16, 64  # along an axis; a kernel is compiled for each rank
 _AXES = ((1, 2), (2, 0), (0, 1))
@@ -10,8 +10,8 @@ _AXES = ((1, 2), (2, 0), (0, 1))
 
 def grid_of(data: dict) -> tuple[np.ndarray, int]:
     """size [3] and rank of the JSON form of a part, each within its bounds."""
-    size = checks.integers(data, "size", 3, 2, MOST_VERTICES)
-    return np.array(size, np.int64), checks.integer(data, "rank", 1, MOST_RANK)
+    size = validation.integers(data, "size", 3, 2, MOST_VERTICES)
+    return np.array(size, np.int64), validation.integer(data, "rank", 1, MOST_RANK)
 
 
 def table_length(size: np.ndarray, rank: int) -> int:

@@ -6,13 +6,13 @@ from math import prod
 
 import numpy as np
 
-from stylerf import checks
+from stylerf import validation
 from stylerf.errors import InvalidValue
 from stylerf.fields.capacity import Capacity
-from stylerf.fields.occupancy import Occupancy
-from stylerf.fields.samples import Samples
-from stylerf.fields.walking import walk
-from stylerf.geometry.harmonics import BANDS
+from stylerf.fields.marching import walk
+from stylerf.fields.occupancy_grid import Occupancy
+from stylerf.fields.ray_samples import Samples
+from stylerf.geometry.spherical_harmonics import BANDS
 from stylerf.kernels.cpu import voxel as kernels
 
 BLOCK = 4  # vertices a side; as many as a cell of a 64^3 occupancy grid is wide at 256^3
@@ -66,14 +66,14 @@ class Grid:
 
     @classmethod
     def restore(cls, data: dict) -> "Grid":
-        size = checks.integers(data, "size", 3, 2, BLOCK * MOST_BLOCKS)
+        size = validation.integers(data, "size", 3, 2, BLOCK * MOST_BLOCKS)
         blocks = [-(-side // BLOCK) for side in size]
         count = prod(blocks)
         if count > MOST_BLOCKS:
             raise InvalidValue(f"voxel grid {size}: {count} blocks, at most {MOST_BLOCKS} can be")
         expected = -(-count // 8)
         try:
-            packed = base64.b64decode(checks.entry(data, "kept", str), validate=True)
+            packed = base64.b64decode(validation.entry(data, "kept", str), validate=True)
             bits = zlib.decompressobj().decompress(packed, expected + 1)  # no more of what would fill the memory
         except (zlib.error, ValueError) as error:
             raise InvalidValue(f"voxel grid: the list of its blocks is damaged ({error})") from error
@@ -245,7 +245,7 @@ class VoxelFeatures:
 
     @classmethod
     def restore(cls, data: dict) -> "VoxelFeatures":
-        return cls(Grid.restore(data), checks.integer(data, "width", 1, 3 * max(BANDS.values())))
+        return cls(Grid.restore(data), validation.integer(data, "width", 1, 3 * max(BANDS.values())))
 
 
 def sampled(old: Grid, table: np.ndarray, widths: tuple, new: Grid) -> np.ndarray:

@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from stylerf.checks import LARGEST
 from stylerf.errors import InvalidValue
+from stylerf.validation import LARGEST
 
 LEAST_FOCAL = 1e-3  # pixels
 

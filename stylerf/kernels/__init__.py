@@ -15,8 +15,8 @@ from pathlib import Path
 
 from llvmlite import binding
 
-from stylerf.current_folder import current_folder
-from stylerf.ownership import not_ours
+from stylerf.environment.current_folder import current_folder
+from stylerf.environment.trusted_paths import not_ours
 
 _NAME = re.compile(r"[0-9a-f]{12}-[^/]+-[0-9a-f]{8}-[0-9]+")
 

@@ -14,7 +14,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from stylerf.errors import InvalidValue
-from stylerf.style.trunks import BLUR_TAPS, Trunk, blur_pool
+from stylerf.style.feature_extractor import BLUR_TAPS, Trunk, blur_pool
 
 LENGTH_FLOOR = 1e-10  # added to each length, as in LPIPS
 VGG_TAPS = ("conv1_2", "conv2_2", "conv3_3", "conv4_3", "conv5_3")

@@ -8,7 +8,7 @@ with b the bilinear weight max(0, 1 - |dx|) max(0, 1 - |dy|) and Z the importanc
 import numpy as np
 
 from stylerf.errors import InvalidValue
-from stylerf.metrics.flow import check_flow, sampled
+from stylerf.metrics.optical_flow import check_flow, sampled
 
 IMPORTANCE = -20.0  # times |I_source - I_target read along the flow|, mean over RGB: the authors' own example
 

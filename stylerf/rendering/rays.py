@@ -5,12 +5,12 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from stylerf.fields.displacement import displacement_gradient, position_gradients
-from stylerf.fields.field import RadianceField
-from stylerf.fields.room import room
-from stylerf.fields.samples import Rays, Samples
-from stylerf.geometry.harmonics import harmonics
-from stylerf.kernels.cpu.composite import composite, composite_backward, scale_near, significant, surface_distance
+from stylerf.fields.displacement_grid import displacement_gradient, position_gradients
+from stylerf.fields.radiance_field import RadianceField
+from stylerf.fields.ray_samples import Rays, Samples
+from stylerf.fields.scratch_arena import room
+from stylerf.geometry.spherical_harmonics import harmonics
+from stylerf.kernels.cpu.compositing import composite, composite_backward, scale_near, significant, surface_distance
 from stylerf.kernels.cpu.regions import keep_inside
 
 SAMPLE_LIMIT = 512
@@ -51,7 +51,7 @@ def render_rays(field: RadianceField, rays: Rays, *, chunks: int, opaque=1e-3, s
 
 
 def seen(rendered: Rendered, chunks: int) -> np.ndarray:
-    """[rays, 5]: premultiplied rgb, alpha, and the distance of what the ray shows (composite.py's surface_distance)."""
+    """[rays, 5]: premultiplied rgb, alpha, and the distance of what the ray shows (compositing.py's surface_distance)."""
     s, out = rendered.samples, rendered.out.copy()
     surface_distance(s.weights, s.t, s.starts, s.ends, chunks, out)
     return out

@@ -5,10 +5,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from stylerf.editing.regions import alpha_inside
-from stylerf.fields.field import RadianceField
-from stylerf.fields.room import Memory
-from stylerf.fields.samples import Rays
+from stylerf.editing.edit_grid import alpha_inside
+from stylerf.fields.radiance_field import RadianceField
+from stylerf.fields.ray_samples import Rays
+from stylerf.fields.scratch_arena import Memory
 from stylerf.geometry.cameras import Camera
 from stylerf.rendering.rays import render_rays, seen
 

@@ -9,7 +9,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from stylerf.errors import InvalidValue
-from stylerf.style.matching import StyleRows, rows_of, unit_rows
+from stylerf.style.feature_matching import StyleRows, rows_of, unit_rows
 
 
 def by_block(taps: tuple[str, ...], features: list[Tensor]) -> dict[str, Tensor]:

@@ -5,8 +5,8 @@ from dataclasses import asdict
 from pathlib import Path
 
 from schemas.errors import ArtefactStale, UsageError
-from schemas.store import Artefact, Work
-from stylerf_cli.locating import work_or_artefact
+from schemas.work_folder import Artefact, Work
+from stylerf_cli.path_arguments import work_or_artefact
 
 NAME = "compare"
 HELP = "set fits, stylisations and edits side by side: figures against time, memory, parameters"
@@ -28,12 +28,12 @@ def run(args, session) -> dict:
 
     A verb without a stage: it reads any number of work folders, and an artefact is made from artefacts of one.
     """
-    from schemas.atomic import write_bytes, write_json
-    from stages.comparison.charts import comparison_charts
-    from stages.comparison.fronts import disagreements, on_fronts
-    from stages.comparison.page import FAMILIES, build_page, rows_of
+    from schemas.atomic_write import write_bytes, write_json
+    from stages.comparison.cost_charts import comparison_charts
+    from stages.comparison.pareto_fronts import disagreements, on_fronts
     from stages.comparison.runs import CHARTED, on_other_threads, runs_of
-    from stages.evaluation.figures import write_csv
+    from stages.evaluation.metrics import write_csv
+    from stages.report.comparison_page import FAMILIES, build_page, rows_of
 
     paths: dict[Path, Path] = {}
     for path in args.works:

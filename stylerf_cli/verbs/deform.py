@@ -15,7 +15,7 @@ def add_arguments(parser) -> None:
 
 def run(args, session) -> dict:
     """The deformed field's place and figures."""
-    from stylerf_cli.chains import deform, ensure_field, scene_of_work, teaching_pictures
+    from stages.pipeline.prerequisites import deform, ensure_field, scene_of_work, teaching_pictures
 
     field = ensure_field(session, scene_of_work(session), args.of)
     made = deform(session, teaching_pictures(session, field), field, session.config)

@@ -4,7 +4,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from schemas.errors import BadInput, UsageError
-from schemas.store import Work
+from schemas.work_folder import Work
 from stages.configs.demo import DemoConfig
 
 NAME = "demo"
@@ -23,14 +23,15 @@ def add_arguments(parser) -> None:
 
 def run(args, session) -> dict:
     """Places of the contact sheet, the report and the film."""
-    from schemas.canonical import file_sha256
-    from stages import deform_init, demo_data, evaluate, nerf_fit, pose_import, render, stylize
+    from schemas.canonical_json import file_sha256
+    from stages import deform_init, evaluate, nerf_fit, pose_import, render, stylize
     from stages.configs.deform import DeformConfig
     from stages.configs.evaluate import EvaluateConfig
     from stages.configs.fit import FitConfig
     from stages.configs.render import RenderConfig
     from stages.configs.stylize import StylizeConfig
-    from stages.weights import chosen
+    from stages.pipeline import demo_scene
+    from stages.weights.resolve import chosen
     from stylerf_cli.verbs.import_ import config_for
 
     session.own_verbs = {"import", "fit", "deform", "stylize", "render", "eval"}
@@ -38,14 +39,14 @@ def run(args, session) -> dict:
     photos = work.root / "photos"
     refuse_others(work, photos)
     context, features = session.context, chosen("")
-    demo_data.write_demo(
+    demo_scene.write_demo(
         photos, config.size, config.train_views, config.test_views, context.seed, context.threads, session.progress
     )
     scene = session.run(pose_import.SPEC, pose_import.run, {}, config_for(photos), "main")
     fit = session.run(
         nerf_fit.SPEC, nerf_fit.run, {"scene": scene}, FitConfig(budget=config.fit_budget, buffers=False), "fit"
     )
-    painting = photos / demo_data.PAINTING
+    painting = photos / demo_scene.PAINTING
     style = StylizeConfig(
         style=str(painting.resolve()),
         style_digest=file_sha256(painting),
@@ -101,7 +102,7 @@ def run(args, session) -> dict:
 
 def refuse_others(work: Work, photos: Path) -> None:
     """UsageError where there are photos or a scene that the demo would replace and has not made."""
-    from stages.demo_data import STAMP
+    from stages.pipeline.demo_scene import STAMP
     from stages.readers.digest import digest_of_source
 
     sources = {"source": str(photos.resolve())}
@@ -125,8 +126,8 @@ def write_sheet(path: Path, photos: Path, fit, stylised) -> Path:
 
     from schemas.frames import read_frames
     from schemas.images import read_image, to_uint8, write_png
-    from stages.demo_data import PAINTING
-    from stylerf.rendering.pictures import sheet_of
+    from stages.pipeline.demo_scene import PAINTING
+    from stylerf.rendering.visualization import sheet_of
 
     shown = read_frames(fit.path).views[:4]
     taken = [read_image(photos / "test" / f"{view.name}.png").pixels for view in shown]

@@ -15,7 +15,7 @@ def add_arguments(parser) -> None:
 
 def run(args, session) -> dict:
     """The edited scene's place and figures."""
-    from stylerf_cli.edit_chain import edit_of, ensure_distilled
+    from stages.pipeline.local_edit import edit_of, ensure_distilled
 
     made = ensure_distilled(session, edit_of(session, args.edit), session.config)
     figures = made.manifest.figures

@@ -121,7 +121,7 @@ def _gpu_kernels() -> dict:
 
     why = unavailable()
     if why is None:
-        from stylerf.fields.device import COLOUR_KINDS, DENSITY_KINDS
+        from stylerf.fields.gpu.field import COLOUR_KINDS, DENSITY_KINDS
 
         parts = f"densities {', '.join(DENSITY_KINDS)}; colours {', '.join(COLOUR_KINDS)}"
         return _check("kernels", "gpu", True, f"Triton {version('triton')}: {parts}", needed=False)
@@ -141,7 +141,7 @@ def _writable(folder: Path) -> bool:
 
 def _weights() -> list[dict]:
     try:
-        weights = importlib.import_module("stages.weights")
+        weights = importlib.import_module("stages.weights.resolve")
         rows = weights.describe()
     except (ImportError, OSError) as error:
         return [_check("weights", "features", False, f"cannot be looked for ({error})", "pip install stylerf again")]

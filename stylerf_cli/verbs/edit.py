@@ -16,10 +16,10 @@ def add_arguments(parser) -> None:
 
 def run(args, session) -> dict:
     """The edited field's place, what came between, and the seconds of each stage."""
+    from stages.pipeline.local_edit import edit_dataset_of, ensure_distilled, finetuned, learnt_edit
+    from stages.pipeline.prerequisites import chosen_field, ensure_field, scene_of_work
     from stages.region_select import masks_of
-    from stages.runner import refuse_to_replace
-    from stylerf_cli.chains import chosen_field, ensure_field, scene_of_work
-    from stylerf_cli.edit_chain import edit_dataset_of, ensure_distilled, finetuned, learnt_edit
+    from stages.run.runner import refuse_to_replace
     from stylerf_cli.verbs.select import selected
     from stylerf_cli.verbs.stylize import pinned, told_palette
 

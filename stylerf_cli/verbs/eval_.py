@@ -2,10 +2,10 @@
 
 from typing import Any
 
-from schemas.canonical import plain
+from schemas.canonical_json import plain
 from schemas.errors import StylerfError, UsageError
 from schemas.frames import FRAMES_FILE, read_frames
-from schemas.store import Artefact, Work, newest
+from schemas.work_folder import Artefact, Work, newest
 from stages.configs.evaluate import EvaluateConfig
 from stages.configs.render import OWN_VIEWS, label_of
 
@@ -47,11 +47,11 @@ def add_arguments(parser) -> None:
 def run(args, session) -> dict:
     """The report's place, its figures, its warnings and what was not measured."""
     from stages import evaluate
-    from stages.evaluation.asked import pinned
-    from stages.evaluation.lineage import field_unstylised, is_stylised
-    from stages.evaluation.references import checked
-    from stages.evaluation.views import SceneViews
-    from stylerf_cli.chains import chosen_field, scene_of
+    from stages.artifacts.provenance import field_unstylised, is_stylised
+    from stages.evaluation.pinned_inputs import pinned
+    from stages.evaluation.reference_metrics import checked
+    from stages.evaluation.test_views import SceneViews
+    from stages.pipeline.prerequisites import chosen_field, scene_of
 
     if args.path in OWN_VIEWS:
         raise UsageError(
@@ -94,8 +94,8 @@ def edit_asked(session: Any, field: Artefact, args: Any) -> tuple[Artefact | Non
 
     UsageError where the field before it is not known.
     """
-    from stages.evaluation.lineage import field_before
-    from stylerf_cli.chains import chosen_field
+    from stages.artifacts.provenance import field_before
+    from stages.pipeline.prerequisites import chosen_field
 
     config = session.config
     if not (args.region or config.masks):
@@ -111,7 +111,7 @@ def edit_asked(session: Any, field: Artefact, args: Any) -> tuple[Artefact | Non
 
 def edit_inputs(session: Any, field: Artefact, base: Artefact, regions: list[Artefact]) -> dict[str, Artefact]:
     """What the evaluation of a local edit needs, by role: the field before it, frames of both, its regions."""
-    from stages.masks import ROLE
+    from stages.artifacts.region_masks import ROLE
 
     session.say(f"comparing with field {base.name}")
     inputs = {"base_field": base, "unedited_frames": frames_of(session, base, "test")}
@@ -127,8 +127,8 @@ def frames_of(session: Any, field: Artefact, path: str) -> Artefact:
     Frames of the field that are of no use here, but were asked for once, are not replaced; what lies in the place of
     new ones and cannot be read stops it.
     """
-    from stylerf.geometry.paths import PATHS
-    from stylerf_cli.chains import ensure_frames, frames_config
+    from stages.pipeline.prerequisites import ensure_frames, frames_config
+    from stylerf.geometry.camera_paths import PATHS
 
     wanted = frames_config(session, path)
     there = [
@@ -206,7 +206,7 @@ def shows(frames: Artefact, field: Artefact) -> bool:
 
 def told(report: Artefact, session: Any) -> dict:
     """The result for --json, printed in words too."""
-    from stages.reports import read_report
+    from stages.artifacts.report import read_report
 
     content = read_report(report)
     page = report.file("report.html")

@@ -16,8 +16,8 @@ def add_arguments(parser) -> None:
 
 def run(args, session) -> dict:
     """The edit dataset's place and figures."""
-    from stylerf_cli.chains import chosen_field
-    from stylerf_cli.edit_chain import ensure_edit_dataset, region_of
+    from stages.pipeline.local_edit import ensure_edit_dataset, region_of
+    from stages.pipeline.prerequisites import chosen_field
 
     region = region_of(session, args.region)
     field = chosen_field(session, args.of) if args.of else None

@@ -16,8 +16,8 @@ def add_arguments(parser) -> None:
 
 def run(args, session) -> dict:
     """The edited field's place and figures."""
-    from stylerf_cli.chains import chosen_field
-    from stylerf_cli.edit_chain import edit_of, finetuned
+    from stages.pipeline.local_edit import edit_of, finetuned
+    from stages.pipeline.prerequisites import chosen_field
 
     edit = edit_of(session, args.edit)
     field = chosen_field(session, args.of) if args.of else None

@@ -20,7 +20,7 @@ def add_arguments(parser) -> None:
 def run(args, session) -> dict:
     """The field's place and figures."""
     from stages import nerf_fit
-    from stylerf_cli.chains import FIT_NAME, ensure_frames, scene_of_work
+    from stages.pipeline.prerequisites import FIT_NAME, ensure_frames, scene_of_work
 
     scene = scene_of_work(session)
     field = session.run(nerf_fit.SPEC, nerf_fit.run, {"scene": scene}, session.config, FIT_NAME)
@@ -36,7 +36,7 @@ def run(args, session) -> dict:
 def tell_buffers(session, scene, field, name: str) -> None:
     """Says how much is about to be rendered, where it does not stand."""
     from schemas.scene import read_scene
-    from stages.memory import in_words
+    from stages.run.memory import in_words
 
     with suppress(ArtefactDamaged, ArtefactStale):  # what is not there, or cannot be read, is rendered
         if field.digest in [ref.digest for ref in session.work.get("frames", name).manifest.inputs]:

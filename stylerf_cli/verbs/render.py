@@ -16,7 +16,7 @@ def add_arguments(parser) -> None:
 def run(args, session) -> dict:
     """The frames' place."""
     from stages import render
-    from stylerf_cli.chains import chosen_field, regions_shown, scene_of
+    from stages.pipeline.prerequisites import chosen_field, regions_shown, scene_of
 
     field = chosen_field(session, args.of)
     config = render.pinned(session.config)

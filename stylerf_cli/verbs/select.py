@@ -17,7 +17,7 @@ def add_arguments(parser) -> None:
 
 def run(args, session) -> dict:
     """The region's place, figures and previews."""
-    from stylerf_cli.chains import chosen_field
+    from stages.pipeline.prerequisites import chosen_field
 
     made = selected(session, session.config, chosen_field(session, args.of) if args.of else None)
     figures = made.manifest.figures
@@ -33,7 +33,7 @@ def run(args, session) -> dict:
 def selected(session, config: SelectConfig, field, name: str = "region"):
     """The region artefact. field: the one to select in, None for the fitted one."""
     from stages import region_select
-    from stylerf_cli.chains import ensure_field, pictures_of, scene_of_work
+    from stages.pipeline.prerequisites import ensure_field, pictures_of, scene_of_work
 
     config = replace(config, files_digest=region_select.digest_of_masks(config))
     if field:

@@ -3,11 +3,11 @@
 from pathlib import Path
 from typing import Any
 
-from schemas.canonical import plain
+from schemas.canonical_json import plain
 from schemas.errors import ArtefactDamaged, ArtefactStale
 from schemas.scene import SCENE_FILE, read_scene
-from schemas.store import Artefact, Work
-from stylerf_cli.locating import work_around, work_or_artefact
+from schemas.work_folder import Artefact, Work
+from stylerf_cli.path_arguments import work_around, work_or_artefact
 from stylerf_cli.progress import duration
 
 NAME = "show"

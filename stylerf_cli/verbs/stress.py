@@ -43,11 +43,11 @@ def run(args, session) -> dict:
 
     A verb without an artefact of its own: what it runs lies in work folders below WORK/stress/works.
     """
-    from schemas.canonical import digest_of
+    from schemas.canonical_json import digest_of
     from schemas.lock import Lock
+    from stages.pipeline.prerequisites import scene_of_work
     from stages.stress.baseline import read_baseline
-    from stylerf_cli.chains import scene_of_work
-    from stylerf_cli.stress_chain import Stress
+    from stages.stress.trials import Stress
 
     scene = scene_of_work(session)
     root = session.work.root / FOLDER
@@ -84,13 +84,13 @@ def _results(stress, conditions: dict, before: list[dict] | None, kept: Path | N
     """The runs, and all that is written of them. before: cells of the file `baseline`. kept: where to write another."""
     from dataclasses import asdict
 
-    from schemas.atomic import write_bytes, write_json
-    from stages.evaluation.figures import write_csv
+    from schemas.atomic_write import write_bytes, write_json
+    from stages.evaluation.metrics import write_csv
+    from stages.report.heat_map import heat_map
+    from stages.report.stress_page import build_page, cell_rows, run_rows
     from stages.stress.baseline import compared, write_baseline
-    from stages.stress.cells import cells_of
-    from stages.stress.heat_map import heat_map
-    from stages.stress.page import build_page, cell_rows, run_rows
-    from stylerf_cli.stress_chain import WORST
+    from stages.stress.success_rates import cells_of
+    from stages.stress.trials import WORST
 
     session, root = stress.session, stress.root
     outcomes = stress.run(session.only, session.force)

@@ -63,10 +63,11 @@ def run(args, session) -> dict:
 
 
 def _whole(args, session) -> dict:
-    from stages import references, stylize
-    from stages.scenes import load_scene
-    from stylerf_cli.chains import ensure_deformed, ensure_field, scene_of_work, teaching_pictures
-    from stylerf_cli.edit_chain import region_of
+    from stages import stylize
+    from stages.artifacts import references
+    from stages.artifacts.scene import load_scene
+    from stages.pipeline.local_edit import region_of
+    from stages.pipeline.prerequisites import ensure_deformed, ensure_field, scene_of_work, teaching_pictures
 
     # Refused before hours of upstream work, not after them.
     config, name = _pinned_whole(session.config)
@@ -98,10 +99,10 @@ def _whole(args, session) -> dict:
 
 def _pinned_whole(config: StylizeConfig) -> tuple[StylizeConfig, str]:
     """The options with the digests of the files that they name, which can be read; and the name of the painting."""
-    from schemas.canonical import file_sha256
-    from stages.paintings import read_painting
-    from stages.references import digest_of
-    from stages.weights import chosen
+    from schemas.canonical_json import file_sha256
+    from stages.artifacts.references import digest_of
+    from stages.artifacts.style_images import read_painting
+    from stages.weights.resolve import chosen
 
     pairs = [file_of(text) for text in config.reference]
     config = replace(config, references_digest=digest_of(config.reference), **chosen(config.features),
@@ -114,7 +115,7 @@ def _pinned_whole(config: StylizeConfig) -> tuple[StylizeConfig, str]:
 
 
 def _palette(args, session) -> dict:
-    from stylerf_cli.chains import (
+    from stages.pipeline.prerequisites import (
         ensure_field,
         palette_changed,
         palette_learnt,
@@ -141,7 +142,7 @@ def _palette(args, session) -> dict:
 
 def _field_of(region, args, session):
     """The field that a region was selected in; UsageError where --of names another."""
-    from stylerf_cli.chains import input_of
+    from stages.pipeline.prerequisites import input_of
 
     own = input_of(session, region, "field", "field")
     if args.of and (field := session.work.find("field", args.of)).digest != own.digest:
@@ -153,7 +154,7 @@ def _field_of(region, args, session):
 
 
 def _region(args, session) -> dict:
-    from stylerf_cli.edit_chain import learnt_edit, region_of
+    from stages.pipeline.local_edit import learnt_edit, region_of
 
     region = region_of(session, args.region)
     if args.of:
@@ -168,9 +169,9 @@ def _region(args, session) -> dict:
 
 def pinned(config: RegionConfig, region: str) -> tuple[RegionConfig, str]:
     """The options with the painting's digest, checked before any work is done, and the name of the edit."""
-    from schemas.canonical import file_sha256
+    from schemas.canonical_json import file_sha256
     from stages import edit_learn
-    from stages.weights import chosen
+    from stages.weights.resolve import chosen
 
     if not config.style:
         return config, f"{region}-recolor"
@@ -183,7 +184,7 @@ def pinned(config: RegionConfig, region: str) -> tuple[RegionConfig, str]:
 
 def told_palette(made, kind: str = "edit") -> list[str]:
     """An edit, or a field with a palette, in words: its palette, colour by colour."""
-    from stages.edits import told_colours
+    from stages.artifacts.edit import told_colours
 
     colours = told_colours(made)
     lines = [
@@ -206,7 +207,7 @@ def painting_of(text: str) -> Path:
 def name_of(style: Path) -> str:
     """The painting's file name as an artefact's name may be written, cut short where it is long; by its content where
     nothing is left of that."""
-    from schemas.canonical import file_sha256
+    from schemas.canonical_json import file_sha256
 
     name = re.sub(r"[^A-Za-z0-9._+-]+", "_", style.stem).strip("._+-")
     if 0 < len(name) <= LONGEST_NAME:

@@ -3,8 +3,8 @@
 from pathlib import Path
 
 from schemas.errors import ArtefactDamaged, ArtefactStale
-from schemas.store import Artefact
-from stylerf_cli.locating import work_or_artefact
+from schemas.work_folder import Artefact
+from stylerf_cli.path_arguments import work_or_artefact
 
 NAME = "verify"
 HELP = "check every file of an artefact or a work folder against its digest"

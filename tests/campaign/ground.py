@@ -11,9 +11,9 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from schemas.store import Work
-from stages.demo_data import PAINTING, write_demo
-from stages.progress import Silent
+from schemas.work_folder import Work
+from stages.pipeline.demo_scene import PAINTING, write_demo
+from stages.run.progress import Silent
 from tests.stages.photo_room import walk, write_photos
 from tests.stylerf_cli.nursery import Command, Nursery
 

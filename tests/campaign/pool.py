@@ -138,8 +138,8 @@ def command(words: tuple[str, ...]) -> tuple[int | None, str, str]:
 
 def call(reader, path: Path) -> tuple[int | None, str, str]:
     """The same of a reader that is called."""
-    from schemas.names import printable
-    from stylerf_cli.faults import told
+    from schemas.safe_names import printable
+    from stylerf_cli.exit_codes import told
 
     try:
         reader(path)
@@ -173,7 +173,7 @@ def judged(case: Case, placed: Placed, code: int | None, err: str, told: dict[st
 
 def _files(work: Path, artefact: str) -> dict[str, str]:
     """Digests of an artefact's files."""
-    from schemas.store import Artefact
+    from schemas.work_folder import Artefact
 
     return {record.path: record.sha256 for record in Artefact(work / artefact).manifest.files}
 

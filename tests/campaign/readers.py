@@ -268,14 +268,14 @@ def _not_finite(data: bytes) -> bool:
 def alone(name: str) -> Callable[[Path], object]:
     """Readers without a command that would read little else."""
     if name == "painting":
-        from stages.paintings import read_painting
+        from stages.artifacts.style_images import read_painting
 
         return read_painting
     if name == "flow":
-        from schemas.flow import read_flow
+        from schemas.flow_files import read_flow
 
         return read_flow
-    from stages.weights import resolve
+    from stages.weights.resolve import resolve
 
     return lambda path: resolve(str(path))
 

@@ -7,12 +7,12 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 
-from schemas import atomic, exr, images
+from schemas import atomic_write, exr, images
 from schemas.errors import OutOfResources
 from schemas.exr import ExrView, write_exr
 from schemas.images import write_png
-from stages.runner import refusal_of_machine
-from stages.structure import copies
+from stages.run.runner import refusal_of_machine
+from stages.sfm import photo_copies
 
 
 def view() -> ExrView:
@@ -25,7 +25,7 @@ def view() -> ExrView:
     [
         (images, lambda path: write_png(path, np.zeros((4, 6, 3), np.uint8))),
         (exr, lambda path: write_exr(path, view())),
-        (copies, lambda path: copies._write_jpeg(path, np.zeros((4, 6, 3), np.uint8))),
+        (photo_copies, lambda path: photo_copies._write_jpeg(path, np.zeros((4, 6, 3), np.uint8))),
     ],
 )
 def test_a_writer_that_fails_for_a_moment_leaves_a_run_that_can_go_on(module, write, tmp_path, monkeypatch):
@@ -66,6 +66,6 @@ def test_a_disk_that_takes_no_zeros_either_is_what_the_codec_failed_of(number, t
     def failing(handle):
         raise OSError(number, errno.errorcode[number])
 
-    monkeypatch.setattr(atomic.os, "fsync", failing)
-    told = atomic.refusal_of_disk(tmp_path / "x.exr", 5000)
+    monkeypatch.setattr(atomic_write.os, "fsync", failing)
+    told = atomic_write.refusal_of_disk(tmp_path / "x.exr", 5000)
     assert isinstance(told, OutOfResources) and str(tmp_path) in str(told)

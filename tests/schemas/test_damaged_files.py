@@ -13,7 +13,7 @@ import pytest
 
 from schemas.errors import StylerfError
 from schemas.exr import ExrView, read_depth, read_exr, write_exr
-from schemas.flow import read_flow
+from schemas.flow_files import read_flow
 from schemas.images import image_channels, image_size, read_srgb
 from stylerf_cli.arguments import read_toml
 

@@ -12,7 +12,7 @@ import pytest
 from schemas import lock
 from schemas.errors import OutOfResources, WouldBeLost
 from schemas.lock import Lock
-from schemas.store import Recipe, Work
+from schemas.work_folder import Recipe, Work
 
 RECIPE = Recipe("toy", 1, {}, [])
 

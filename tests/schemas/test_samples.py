@@ -8,9 +8,9 @@ import pytest
 from schemas.exr import FAR_Z, read_exr
 from schemas.migrations import CURRENT
 from schemas.scene import read_scene
-from schemas.store import Artefact
 from schemas.tensors import load_tensors
-from stages.scenes import load_scene
+from schemas.work_folder import Artefact
+from stages.artifacts.scene import load_scene
 
 SAMPLES = Path(__file__).parent / "samples"
 DIGESTS = {

@@ -2,7 +2,7 @@
 
 import json
 
-from schemas.store import Artefact, Work
+from schemas.work_folder import Artefact, Work
 from tests.stages import evaluation_fixture as made
 
 LABELS = {"psnr": ("PSNR", "dB", "higher"), "nnfm": ("NNFM distance to the painting", "", "lower"),

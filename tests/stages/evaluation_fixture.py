@@ -9,7 +9,7 @@ from schemas.exr import FAR_Z, ExrView, write_exr
 from schemas.frames import Frame, FrameCamera, Frames, write_frames
 from schemas.images import linear_from_srgb, write_png
 from schemas.scene import Bounds, Scene, Truth, View, as_matrix, write_scene
-from schemas.store import Artefact, Recipe, Work
+from schemas.work_folder import Artefact, Recipe, Work
 from stages import render
 from stylerf.geometry.cameras import Camera
 

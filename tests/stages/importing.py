@@ -3,11 +3,11 @@
 import numpy as np
 
 from schemas.scene import Scene, read_scene
-from schemas.store import Artefact, Work
+from schemas.work_folder import Artefact, Work
 from stages import pose_import
 from stages.configs.pose_import import ImportOptions
-from stages.progress import Context, Silent
-from stages.runner import execute
+from stages.run.progress import Context, Silent
+from stages.run.runner import execute
 from stylerf_cli.verbs.import_ import config_for
 
 

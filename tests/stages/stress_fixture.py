@@ -4,8 +4,8 @@ import numpy as np
 
 from schemas.images import write_png
 from schemas.scene import Bounds, Scene, View, as_matrix, write_scene
-from schemas.store import Artefact, Work
-from stages.stress.cells import Outcome
+from schemas.work_folder import Artefact, Work
+from stages.stress.success_rates import Outcome
 from stylerf.procedural.still_life import dome_cameras
 from tests.stages.evaluation_fixture import camera_entry, commit
 

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from schemas.store import Artefact, Work
 from schemas.tensors import save_tensors
+from schemas.work_folder import Artefact, Work
 from stages import distill, finetune
+from stages.artifacts.scene import EDIT_TARGETS, load_scene
 from stages.configs.distill import DistillConfig
-from stages.scenes import EDIT_TARGETS, load_scene
-from stylerf.editing.edits import PaletteEdits
-from stylerf.editing.views import EditView
+from stylerf.editing.edit_views import EditView
+from stylerf.editing.palette_edits import PaletteEdits
 from tests.resealing import reseal
 from tests.stages.stress_fixture import SIZE, make_capture
 

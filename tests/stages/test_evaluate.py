@@ -9,16 +9,17 @@ import pytest
 
 from schemas.errors import UsageError
 from schemas.images import write_png
-from schemas.store import Work
-from stages import evaluate, weights
+from schemas.work_folder import Work
+from stages import evaluate
 from stages.configs.evaluate import EvaluateConfig
-from stages.evaluation.asked import pinned
-from stages.evaluation.film import Film, pairs_of
-from stages.evaluation.lenses import Lenses
-from stages.evaluation.measuring import measure_content
-from stages.evaluation.views import SceneViews
-from stages.progress import Context
-from stages.runner import execute, recipe_of
+from stages.evaluation.path_consistency import Film, pairs_of
+from stages.evaluation.perceptual_metrics import Lenses
+from stages.evaluation.pinned_inputs import pinned
+from stages.evaluation.test_views import SceneViews
+from stages.evaluation.view_metrics import measure_content
+from stages.run.progress import Context
+from stages.run.runner import execute, recipe_of
+from stages.weights import resolve
 from tests.stages import evaluation_fixture as made
 
 POSITIONS = [-0.3, 0.0, 0.3]
@@ -128,14 +129,14 @@ def test_a_report_of_before_a_network_was_installed_does_not_stand(tmp_path, mon
     def resolved(name=None):
         if (name or "trunk") not in here:
             raise UsageError("not here")
-        return weights.ResolvedTrunk(name or "trunk", here[name or "trunk"], tmp_path, "", {}, "")
+        return resolve.ResolvedTrunk(name or "trunk", here[name or "trunk"], tmp_path, "", {}, "")
 
     def recipe(field=None, **options):
         return recipe_of(evaluate.SPEC, {}, pinned(EvaluateConfig(**options), field), 0).digest
 
-    monkeypatch.setattr(weights, "available_metrics", lambda: [one for one in here if "lpips" in one])
-    monkeypatch.setattr(weights, "resolve_metric", resolved)
-    monkeypatch.setattr(weights, "resolve", resolved)
+    monkeypatch.setattr(resolve, "available_metrics", lambda: [one for one in here if "lpips" in one])
+    monkeypatch.setattr(resolve, "resolve_metric", resolved)
+    monkeypatch.setattr(resolve, "resolve", resolved)
     without, silent = recipe(), recipe(perceptual="none")
     here["st-lpips-vgg"] = "1" * 64
     tolerant = recipe()
@@ -185,7 +186,7 @@ def test_a_frame_with_nan_in_its_file_is_counted_not_refused(fitted, tmp_path, m
     views = evaluate.FrameViews(inputs["frames"], 0.0)
     channels = {name: np.ones((72, 96), np.float32) for name in "RGBAZ"}
     channels["G"][3, 4], channels["Z"][0, 0] = np.nan, np.inf
-    monkeypatch.setattr("stages.evaluation.views.read_channels", lambda path, required: (channels, {}))
+    monkeypatch.setattr("stages.evaluation.test_views.read_channels", lambda path, required: (channels, {}))
     render = views.render(0)
     assert render.spoiled == 2
     assert np.isnan(render.image).all(axis=-1).sum() == 2
@@ -259,7 +260,7 @@ def test_equal_images_are_a_hundred_decibels(tmp_path):
 
 
 def test_exr_colours_come_back_as_they_were_composited():
-    from stages.evaluation.views import composite
+    from stages.evaluation.test_views import composite
 
     random = np.random.default_rng(0)
     rgb, alpha = random.random((6, 7, 3)).astype(np.float32), random.random((6, 7)).astype(np.float32)

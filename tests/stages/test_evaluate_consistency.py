@@ -8,17 +8,17 @@ import numpy as np
 import pytest
 
 from schemas.errors import BadInput
-from schemas.store import Work
+from schemas.work_folder import Work
 from stages import evaluate
 from stages.configs.evaluate import CONSISTENCY, EvaluateConfig
-from stages.evaluation.asked import pinned
-from stages.evaluation.film import PARTS, Film
-from stages.evaluation.kinds import BY_KEY
-from stages.evaluation.lenses import Lenses
-from stages.evaluation.views import FrameViews
-from stages.progress import Context
-from stages.runner import execute
-from stylerf.metrics.flow import field_flow
+from stages.evaluation.metric_definitions import BY_KEY
+from stages.evaluation.path_consistency import PARTS, Film
+from stages.evaluation.perceptual_metrics import Lenses
+from stages.evaluation.pinned_inputs import pinned
+from stages.evaluation.test_views import FrameViews
+from stages.run.progress import Context
+from stages.run.runner import execute
+from stylerf.metrics.optical_flow import field_flow
 from tests.stages import evaluation_fixture as made
 
 PLACES = [0.05 * k for k in range(5)]  # the wall moves by 90 * 0.05 / 5 = 0.9 pixels a frame

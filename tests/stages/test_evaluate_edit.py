@@ -11,17 +11,17 @@ from schemas.errors import BadInput
 from schemas.exr import write_exr
 from schemas.frames import Frame, FrameCamera, Frames, write_frames
 from schemas.images import write_png
-from schemas.store import Work
+from schemas.work_folder import Work
 from stages import evaluate
+from stages.artifacts.field import save_field
+from stages.artifacts.region import save_region
 from stages.configs.evaluate import EvaluateConfig
-from stages.evaluation import masks as mask_module
-from stages.evaluation.asked import pinned
-from stages.fields import save_field
-from stages.progress import Context
-from stages.regions import save_region
-from stages.runner import execute
-from stylerf.editing.regions import Region
-from stylerf.geometry.space import Space
+from stages.evaluation import region_masks as mask_module
+from stages.evaluation.pinned_inputs import pinned
+from stages.run.progress import Context
+from stages.run.runner import execute
+from stylerf.editing.edit_grid import Region
+from stylerf.geometry.space_warp import Space
 from tests.stages import evaluation_fixture as made
 from tests.stylerf.small import density, field_of, hash_colour
 

@@ -8,17 +8,17 @@ import pytest
 
 from schemas.errors import BadInput
 from schemas.images import write_png
-from schemas.store import Work
+from schemas.work_folder import Work
 from stages import evaluate
+from stages.artifacts.provenance import edit_behind
 from stages.configs.evaluate import EvaluateConfig
-from stages.evaluation import references
-from stages.evaluation.asked import pinned
-from stages.evaluation.lineage import edit_behind
-from stages.evaluation.measuring import ViewRow
-from stages.evaluation.references import References, measure_robustness
-from stages.evaluation.views import FrameViews, SceneViews
-from stages.progress import Context
-from stages.runner import execute
+from stages.evaluation import reference_metrics
+from stages.evaluation.pinned_inputs import pinned
+from stages.evaluation.reference_metrics import References, measure_robustness
+from stages.evaluation.test_views import FrameViews, SceneViews
+from stages.evaluation.view_metrics import ViewRow
+from stages.run.progress import Context
+from stages.run.runner import execute
 from tests.stages import evaluation_fixture as made
 
 POSITIONS = [0.0, 0.1, 0.2, 0.3]
@@ -47,7 +47,7 @@ def mean_difference(a, b):
 @pytest.mark.parametrize("view", ["photo_03", "#3"])
 def test_a_reference_is_compared_with_the_views_nearest_to_its_camera(stylised, tmp_path, monkeypatch, view):
     _, scene, frames = stylised
-    monkeypatch.setattr(references, "NEAREST", 2)
+    monkeypatch.setattr(reference_metrics, "NEAREST", 2)
     views = FrameViews(frames["first"], 0.0)
     picture = views.render(3).image + np.float32(0.2)
     write_png(tmp_path / "reference.png", np.round(np.clip(picture, 0, 1) * 255).astype(np.uint8))

@@ -8,13 +8,14 @@ import pytest
 
 from schemas.errors import BadInput
 from schemas.images import write_png
-from schemas.store import Work
-from stages import evaluate, weights
+from schemas.work_folder import Work
+from stages import evaluate
 from stages.configs.evaluate import EvaluateConfig
-from stages.evaluation.lenses import painting_file
-from stages.evaluation.nets import Painting, perceptual_distances
-from stages.progress import Context
-from stages.runner import execute
+from stages.evaluation.perceptual_metrics import painting_file
+from stages.evaluation.perceptual_networks import Painting, perceptual_distances
+from stages.run.progress import Context
+from stages.run.runner import execute
+from stages.weights import resolve
 from tests.stages import evaluation_fixture as made
 
 POSITIONS = [-0.2, 0.2]
@@ -26,7 +27,7 @@ def cache(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("STYLERF_CACHE", str(tmp_path_factory.mktemp("cache")))
         patch.delenv("STYLERF_WEIGHTS", raising=False)
-        if not any(row["name"] == FEATURES and row["found"] for row in weights.describe()):
+        if not any(row["name"] == FEATURES and row["found"] for row in resolve.describe()):
             pytest.skip(f"{FEATURES} is not installed")
         yield
 

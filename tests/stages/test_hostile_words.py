@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 from schemas.images import write_png
-from stages.comparison.charts import comparison_charts
+from stages.comparison.cost_charts import comparison_charts
 from stages.comparison.runs import Measure, Run
-from stages.evaluation.charts import bar_chart, pairs_chart
-from stages.evaluation.figures import write_csv
-from stages.evaluation.wording import escape
-from stages.stress.cells import Outcome, cells_of
+from stages.evaluation.metrics import write_csv
+from stages.report.charts import bar_chart, pairs_chart
+from stages.report.formatting import escape
+from stages.report.stress_page import _pictures
 from stages.stress.outcomes import FOLDER, keep_outcome, kept_outcome
-from stages.stress.page import _pictures
+from stages.stress.success_rates import Outcome, cells_of
 
 HOSTILE = "m$\\frac$q <b>&\"'\x1b[31m\u202e"
 

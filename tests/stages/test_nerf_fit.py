@@ -6,17 +6,17 @@ from types import SimpleNamespace
 
 import pytest
 
-from schemas.store import Work
+from schemas.work_folder import Work
 from stages import nerf_fit
+from stages.artifacts.field import load_field
+from stages.artifacts.photos import level_of
 from stages.configs.fit import FitConfig
-from stages.fields import load_field
 from stages.nerf_fit import _settings, _shown, _tell_idle, _tell_memory
-from stages.photos import level_of
-from stages.progress import Context
-from stages.runner import execute
-from stylerf.geometry.space import Space
-from stylerf.training.engine import background_of
-from stylerf.training.ladders import FULL, LADDER
+from stages.run.progress import Context
+from stages.run.runner import execute
+from stylerf.geometry.space_warp import Space
+from stylerf.training.fit.capacity_levels import FULL, LADDER
+from stylerf.training.fit.engine import background_of
 from tests.stages.importing import Said
 from tests.stages.stress_fixture import make_capture
 from tests.stylerf.small import SPACES

@@ -16,10 +16,10 @@ import pytest
 
 from schemas.errors import StylerfError
 from schemas.migrations import CURRENT
-from schemas.store import Artefact, Work
 from schemas.tensors import TYPES, load_tensors
+from schemas.work_folder import Artefact, Work
 from tests.resealing import reseal
-from tests.stages.every_artefact import Made, every_artefact
+from tests.stages.every_artifact import Made, every_artefact
 
 MISSING = object()
 EVERYTHING = (0, -1, 1, 2**31, 2**63, 1e308, -1e308, float("nan"), float("inf"), "12", "", None, [], [1], {}, True,

@@ -8,9 +8,9 @@ import pytest
 from schemas.errors import BadInput
 from stages import region_select
 from stages.configs.select import SelectConfig
-from stylerf.editing.regions import Region
+from stylerf.editing.edit_grid import Region
 from stylerf.editing.selection import halved_light
-from stylerf.geometry.space import Space
+from stylerf.geometry.space_warp import Space
 
 CELLS = 16
 BOX = Space.box([0, 0, 0], [1, 1, 1])

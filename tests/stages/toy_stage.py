@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from schemas.atomic import write_json
+from schemas.atomic_write import write_json
 from schemas.images import write_png
 from schemas.tensors import load_tensors, save_tensors
 from stages.configs import option
-from stages.runner import Spec
+from stages.run.runner import Spec
 
 SPEC = Spec(stage="toy", verb="toy", revision=1, writes="field")
 

@@ -9,17 +9,17 @@ import numpy as np
 import torch
 
 from stylerf.fields.capacity import Capacity
-from stylerf.fields.field import RadianceField
-from stylerf.fields.hash import HashColour
+from stylerf.fields.encoded_color import HeadedColour
+from stylerf.fields.hash_color import HashColour
 from stylerf.fields.hash_density import HashDensity
-from stylerf.fields.headed import HeadedColour
-from stylerf.fields.levels import Levels
-from stylerf.fields.occupancy import Occupancy
-from stylerf.fields.samples import Rays, Samples
+from stylerf.fields.hash_levels import Levels
+from stylerf.fields.occupancy_grid import Occupancy
+from stylerf.fields.radiance_field import RadianceField
+from stylerf.fields.ray_samples import Rays, Samples
 from stylerf.fields.vm import VmColour, VmDensity
 from stylerf.fields.voxel import Grid, VoxelDensity
-from stylerf.geometry.space import Space
-from stylerf.kernels import oracle
+from stylerf.geometry.space_warp import Space
+from stylerf.kernels import torch_reference
 from stylerf.kernels.cpu.march import OPTICAL_SCALE
 
 DENSITY_RANK, COLOUR_RANK = 16, 24
@@ -181,26 +181,26 @@ def points_on(rays: Rays, packed: Packed) -> tuple[torch.Tensor, torch.Tensor]:
 
 def oracle_colour(colour, values: torch.Tensor, basis: torch.Tensor, x: torch.Tensor) -> torch.Tensor:
     if colour.kind == "hash":
-        return oracle.hash_colour(values, colour.levels, colour.base, colour.finest, colour.table, x)
+        return torch_reference.hash_colour(values, colour.levels, colour.base, colour.finest, colour.table, x)
     if colour.kind == "headed":
         length = colour.features.length
         phi = oracle_features(colour.features, values[:length], x)
-        return getattr(oracle, f"{colour.head.kind}_head")(values[length:], phi, basis)
-    return oracle.vm_colour(values, colour.size.tolist(), colour.rank, basis, x)
+        return getattr(torch_reference, f"{colour.head.kind}_head")(values[length:], phi, basis)
+    return torch_reference.vm_colour(values, colour.size.tolist(), colour.rank, basis, x)
 
 
 def oracle_levels(levels: Levels, table: torch.Tensor, x: torch.Tensor) -> torch.Tensor:
     shape = levels.count, levels.base, levels.finest, levels.table
-    return oracle.hash_levels(table, *shape, x, levels.width, levels.active)
+    return torch_reference.hash_levels(table, *shape, x, levels.width, levels.active)
 
 
 def oracle_grid(grid: Grid, table: torch.Tensor, width: int, x: torch.Tensor) -> torch.Tensor:
-    return oracle.voxel_rows(table, torch.from_numpy(grid.kept), grid.size.tolist(), width, x)
+    return torch_reference.voxel_rows(table, torch.from_numpy(grid.kept), grid.size.tolist(), width, x)
 
 
 def oracle_features(features, table: torch.Tensor, x: torch.Tensor) -> torch.Tensor:
     if features.kind == "vm":
-        return oracle.vm_features(table, features.size.tolist(), features.rank, x)
+        return torch_reference.vm_features(table, features.size.tolist(), features.rank, x)
     if features.kind == "voxel":
         return oracle_grid(features.grid, table, features.width, x)
     return oracle_levels(features.levels, table, x).flatten(1)
@@ -208,10 +208,10 @@ def oracle_features(features, table: torch.Tensor, x: torch.Tensor) -> torch.Ten
 
 def oracle_density(density, values: torch.Tensor, x: torch.Tensor) -> torch.Tensor:
     if density.kind == "hash":
-        return oracle.raw_density(values[-1] + oracle_levels(density.levels, values[:-1], x).sum((1, 2)))
+        return torch_reference.raw_density(values[-1] + oracle_levels(density.levels, values[:-1], x).sum((1, 2)))
     if density.kind == "voxel":
-        return oracle.raw_density(values[-1] + oracle_grid(density.grid, values[:-1], 1, x)[:, 0])
-    return oracle.vm_density(values, density.size.tolist(), density.rank, x)
+        return torch_reference.raw_density(values[-1] + oracle_grid(density.grid, values[:-1], 1, x)[:, 0])
+    return torch_reference.vm_density(values, density.size.tolist(), density.rank, x)
 
 
 def oracle_pixels(field, rays, rendered, density_values, colour_values, grid=None) -> tuple[torch.Tensor, torch.Tensor]:
@@ -220,13 +220,13 @@ def oracle_pixels(field, rays, rendered, density_values, colour_values, grid=Non
     The kernels decide where samples lie and which take their ray's mean; all else is worked out anew.
     """
     packed = Packed.of(rendered.samples)
-    x = oracle.warp(field.space, points_on(rays, packed)[0])
+    x = torch_reference.warp(field.space, points_on(rays, packed)[0])
     if grid is not None:
-        x = torch.where(packed.backdrop[:, None], x, oracle.displaced(grid, x))
+        x = torch.where(packed.backdrop[:, None], x, torch_reference.displaced(grid, x))
     sigma = oracle_density(field.density, density_values, x)
-    weights, _ = oracle.weights(sigma, packed.optical, packed.rays, packed.backdrop)
+    weights, _ = torch_reference.weights(sigma, packed.optical, packed.rays, packed.backdrop)
     basis = float64(rendered.basis)[packed.rays]
     colours = oracle_colour(field.colour, colour_values, basis, x)
     coloured = torch.from_numpy(rendered.colours[packed.at, 0] >= 0)
     t = torch.where(packed.backdrop, 0, packed.t)
-    return oracle.composite(weights, colours, coloured, t, packed.rays, len(rays.origins)), x
+    return torch_reference.composite(weights, colours, coloured, t, packed.rays, len(rays.origins)), x

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from stages.demo_data import PAINTING, write_demo
-from stages.progress import Silent
+from stages.pipeline.demo_scene import PAINTING, write_demo
+from stages.run.progress import Silent
 from stylerf_cli import session
 from tests.stages.photo_room import walk, write_photos
 from tests.stylerf_cli.long_stages import LongStage, arguments_of, before, undisturbed

@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from schemas.store import Artefact, Work
+from schemas.work_folder import Artefact, Work
 from tests.stylerf_cli.nursery import Command, Nursery
 
 FOLLOWED_EVERY_SECONDS = 0.002

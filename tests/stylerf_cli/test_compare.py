@@ -5,7 +5,7 @@ import json
 
 import pytest
 
-from schemas.store import Work
+from schemas.work_folder import Work
 from stylerf_cli.main import main
 from tests.stages import comparison_fixture as runs
 from tests.stages import evaluation_fixture as made

@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from schemas.canonical import plain
+from schemas.canonical_json import plain
 from schemas.images import write_png
-from schemas.store import Work
+from schemas.work_folder import Work
 from stages.configs.render import RenderConfig
+from stages.pipeline import prerequisites
 from stages.render import SPEC, pinned
-from stylerf_cli import chains
 from stylerf_cli.main import main
 from tests.conftest import REPOSITORY
 from tests.stages import evaluation_fixture as made
@@ -57,7 +57,7 @@ def renderer(monkeypatch):
         digest = pinned(RenderConfig(path=path)).path_digest
         return render(session.work, field, path, name=name, path_digest=digest)
 
-    monkeypatch.setattr(chains, "ensure_frames", ensure_frames)
+    monkeypatch.setattr(prerequisites, "ensure_frames", ensure_frames)
     return asked
 
 
@@ -78,7 +78,7 @@ def test_frames_that_stand_are_measured_and_told(work, renderer, capsys):
 def test_other_networks_measure_anew(work, renderer, capsys, monkeypatch):
     asked = []
     monkeypatch.setattr(
-        "stages.evaluation.asked.networks_found", lambda *given: asked.append(given) or f"n{len(asked)}"
+        "stages.evaluation.pinned_inputs.networks_found", lambda *given: asked.append(given) or f"n{len(asked)}"
     )
     for number in (1, 2):
         result(capsys, work.root)

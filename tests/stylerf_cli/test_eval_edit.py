@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from schemas.images import write_png
-from stages.evaluation.lineage import original_scene
+from stages.artifacts.provenance import original_scene
 from stylerf_cli.main import main
 from tests.stages import evaluation_fixture as made
 from tests.stylerf_cli import test_eval

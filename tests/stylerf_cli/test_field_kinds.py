@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from schemas.images import read_image
-from schemas.store import Work
-from stages.demo_data import PAINTING
-from stages.fields import load_field
-from stages.scenes import load_scene
+from schemas.work_folder import Work
+from stages.artifacts.field import load_field
+from stages.artifacts.scene import load_scene
+from stages.pipeline.demo_scene import PAINTING
 from stylerf_cli.main import main
 from tests.stylerf_cli.conftest import STYLIZE
 

@@ -10,8 +10,8 @@ import time
 
 import pytest
 
-from schemas.store import Work
-from stylerf.training.stylize import Stylizer
+from schemas.work_folder import Work
+from stylerf.training.stylize.arf import Stylizer
 from stylerf_cli.main import main
 from tests.stylerf_cli.long_stages import FOLLOWED_EVERY_SECONDS, IN_THE_GATE, assert_same, digests, stopped
 

@@ -12,13 +12,13 @@ from scipy.ndimage import binary_dilation, binary_erosion
 
 from schemas.exr import read_exr
 from schemas.images import read_image, write_png
-from schemas.store import Recipe, Work
 from schemas.tensors import load_tensors
+from schemas.work_folder import Recipe, Work
 from stages import edit_learn
-from stages.fields import load_field
-from stages.regions import load_region, save_region
-from stages.scenes import EDIT_TARGETS, load_scene
-from stylerf.fields.field import layers_of
+from stages.artifacts.field import load_field
+from stages.artifacts.region import load_region, save_region
+from stages.artifacts.scene import EDIT_TARGETS, load_scene
+from stylerf.fields.radiance_field import layers_of
 from stylerf.rendering.view import render_view
 from stylerf_cli.main import main
 

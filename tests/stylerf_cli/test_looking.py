@@ -6,7 +6,7 @@ import types
 
 import pytest
 
-from schemas.store import InputRef, Recipe, Work
+from schemas.work_folder import InputRef, Recipe, Work
 from stylerf_cli.main import main
 
 
@@ -121,7 +121,7 @@ ROWS = [
 
 
 def test_doctor_tells_what_is_here_and_how_to_get_the_rest(capsys, monkeypatch, tmp_path):
-    monkeypatch.setitem(sys.modules, "stages.weights", types.SimpleNamespace(describe=lambda: ROWS))
+    monkeypatch.setitem(sys.modules, "stages.weights.resolve", types.SimpleNamespace(describe=lambda: ROWS))
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "kernels"))
     monkeypatch.setattr("stylerf_cli.verbs.doctor.PACKAGES", {"numpy": ("numbers", True), "nosuchthing": ("x", True)})
     assert main(["doctor"]) == 0
@@ -138,7 +138,7 @@ def test_doctor_tells_what_is_here_and_how_to_get_the_rest(capsys, monkeypatch, 
 
 
 def test_doctor_tells_a_cache_that_cannot_be_written(capsys, monkeypatch):
-    monkeypatch.setitem(sys.modules, "stages.weights", types.SimpleNamespace(describe=list))
+    monkeypatch.setitem(sys.modules, "stages.weights.resolve", types.SimpleNamespace(describe=list))
     monkeypatch.setenv("NUMBA_CACHE_DIR", "/proc/kernels")
     assert main(["doctor", "--json"]) == 0
     checks = {check["name"]: check for check in json.loads(capsys.readouterr().out)["checks"]}

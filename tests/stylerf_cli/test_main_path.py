@@ -10,7 +10,7 @@ import pytest
 
 from schemas.errors import UsageError
 from schemas.images import read_image, write_png
-from schemas.store import Work
+from schemas.work_folder import Work
 from stylerf.procedural.still_life import StillLife
 from stylerf_cli.main import main
 from stylerf_cli.verbs.demo import refuse_others
@@ -77,7 +77,7 @@ def test_all_stages_of_a_demo_are_its_own(demo, capsys, monkeypatch, tmp_path):
         asked.append((spec.verb, force))
         return work.get(spec.writes, name), True
 
-    monkeypatch.setattr("stages.runner.execute", execute)
+    monkeypatch.setattr("stages.run.runner.execute", execute)
     said(capsys, "demo", str(demo), *DEMO, "--force")
     assert {verb for verb, _ in asked} == {"import", "fit", "deform", "stylize", "render", "eval"}
     assert all(force for _, force in asked)

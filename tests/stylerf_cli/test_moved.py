@@ -5,8 +5,8 @@ import shutil
 import numpy as np
 
 from schemas.images import read_image, to_uint8, write_png
-from schemas.store import Work
-from stages.demo_data import PAINTING
+from schemas.work_folder import Work
+from stages.pipeline.demo_scene import PAINTING
 from stylerf_cli.main import main
 from tests.stylerf_cli.conftest import STYLIZE
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from schemas.exr import read_exr
-from schemas.store import Work
-from stages.fields import load_field
+from schemas.work_folder import Work
+from stages.artifacts.field import load_field
 from stylerf_cli.main import main
 
 LEARN = ("--method", "palettenerf", "--budget", "120", "--refit-steps", "60", "--pixels", "512", "--levels", "4",

@@ -6,8 +6,8 @@ import time
 
 import pytest
 
-from schemas.store import Work
-from tests.ranks import ended, start
+from schemas.work_folder import Work
+from tests.processes import ended, start
 from tests.stylerf_cli.long_stages import timeless
 
 FIT = ("--capacity", "fixed:32x8x8", "--samples", "3000", "--no-buffers", "--held-out", "2")

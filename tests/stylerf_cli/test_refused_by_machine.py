@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from schemas.atomic import is_temporary
-from schemas.store import Work
-from stylerf.training import engine as fitting
+from schemas.atomic_write import is_temporary
+from schemas.work_folder import Work
+from stylerf.training.fit import engine as fitting
 from stylerf_cli.main import main
 from tests.stylerf_cli.conftest import FIT
 from tests.stylerf_cli.long_stages import IN_THE_GATE, assert_same

@@ -13,10 +13,10 @@ from schemas import video
 from schemas.exr import read_exr
 from schemas.frames import read_frames
 from schemas.images import read_image
-from schemas.store import Artefact, Work
+from schemas.work_folder import Artefact, Work
 from stages import render as stage
+from stages.artifacts.scene import load_scene
 from stages.configs.render import RenderConfig
-from stages.scenes import load_scene
 from stylerf_cli.main import main
 from tests.conftest import REPOSITORY
 

@@ -9,16 +9,16 @@ import numpy as np
 import OpenImageIO as oiio
 import pytest
 
-from schemas import partial
+from schemas import partial_artifact as partial
 from schemas.frames import read_frames
 from schemas.images import read_image
-from schemas.store import Artefact, Recipe, Work
+from schemas.work_folder import Artefact, Recipe, Work
 from stages import render as stage
-from stages.fields import load_field
-from stages.masks import channels_of
-from stages.regions import save_region
-from stylerf.editing.regions import Region
-from stylerf.fields.samples import Rays
+from stages.artifacts.field import load_field
+from stages.artifacts.region import save_region
+from stages.artifacts.region_masks import channels_of
+from stylerf.editing.edit_grid import Region
+from stylerf.fields.ray_samples import Rays
 from stylerf.geometry.cameras import Camera
 from stylerf_cli.main import main
 

@@ -9,13 +9,13 @@ from types import SimpleNamespace
 
 import pytest
 
-from schemas.allowance import LEAST, allowance
 from schemas.errors import ArtefactStale, UsageError
-from stages.memory import free
-from stages.runner import Spec
+from schemas.read_limit import LEAST, allowance
+from stages.pipeline.distributed import agreed
+from stages.run.memory import free
+from stages.run.runner import Spec
 from stylerf_cli import session as sessions
 from stylerf_cli.arguments import Parser, add_common
-from stylerf_cli.joining import agreed
 from stylerf_cli.options import Options
 from stylerf_cli.session import Session
 from tests.conftest import REPOSITORY

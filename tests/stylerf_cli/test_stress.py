@@ -9,14 +9,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from schemas.canonical import file_sha256
+from schemas.canonical_json import file_sha256
 from schemas.errors import ArtefactDamaged, ArtefactStale, BadInput, OutOfResources, UsageError
-from schemas.store import Work
+from schemas.work_folder import Work
 from stages.configs.stress import StressConfig
+from stages.stress import edit_trials, trials
 from stages.stress.criteria import Seen, Verdict
 from stages.stress.faults import FAULTS, METHODS
 from stylerf.errors import Diverged
-from stylerf_cli import stress_chain, stress_edits
 from stylerf_cli.main import main
 from tests.stages.stress_fixture import make_capture
 
@@ -49,9 +49,9 @@ class Runs:
 @pytest.fixture
 def runs(monkeypatch):
     stand_in = Runs()
-    monkeypatch.setattr(stress_chain.Stress, "_scene", stand_in.scene)
-    monkeypatch.setattr(stress_chain.Stress, "_verdict", stand_in.verdict)
-    monkeypatch.setattr(stress_chain, "painted", lambda fault, side, seed: np.full((16, 16, 3), 0.1 * seed))
+    monkeypatch.setattr(trials.Stress, "_scene", stand_in.scene)
+    monkeypatch.setattr(trials.Stress, "_verdict", stand_in.verdict)
+    monkeypatch.setattr(trials, "painted", lambda fault, side, seed: np.full((16, 16, 3), 0.1 * seed))
     return stand_in
 
 
@@ -171,19 +171,19 @@ def test_another_trunk_or_device_is_another_run_and_no_baseline(folder, runs, ca
     baseline = str(tmp_path / "baseline.json")
     assert stress(folder, "--write-baseline", baseline) == 0 and len(runs.made) == 15
     other = {"features": "another-trunk", "features_digest": ""}
-    monkeypatch.setattr(stress_chain.weights, "chosen", lambda features: other)
+    monkeypatch.setattr(trials.weights, "chosen", lambda features: other)
     assert stress(folder, "--baseline", baseline) == 2 and "now 'another-trunk'" in capsys.readouterr().err
     assert stress(folder) == 0 and len(runs.made) == 15 + 9  # a fit sees no painting
-    monkeypatch.setattr(stress_chain.weights, "chosen", lambda features: (_ for _ in ()).throw(UsageError("none")))
+    monkeypatch.setattr(trials.weights, "chosen", lambda features: (_ for _ in ()).throw(UsageError("none")))
     fits = ("--methods", "fit", "--faults", "seeds", "blur", "--seeds", "3", "--budget", "10")
     assert stress(folder) == 2 and main(["stress", str(folder), *fits]) == 0
     kept = str(tmp_path / "fits.json")  # of fits: whatever weights there are, they compare
     assert main(["stress", str(folder), *fits, "--write-baseline", kept]) == 0
     assert "features" not in (folder / "stress" / "stress.html").read_text()
-    monkeypatch.setattr(stress_chain.weights, "found_trunk", lambda: "yet-another")
+    monkeypatch.setattr(trials.weights, "found_trunk", lambda: "yet-another")
     assert main(["stress", str(folder), *fits, "--baseline", kept]) == 0
     assert main(["stress", str(folder), *fits, "--baseline", baseline]) == 0
-    monkeypatch.setattr(stress_chain.weights, "chosen", lambda features: other)
+    monkeypatch.setattr(trials.weights, "chosen", lambda features: other)
     capsys.readouterr()
     assert stress(folder, "--baseline", kept) == 0 and "no cell of 2 compared" in capsys.readouterr().out
     monkeypatch.undo()
@@ -191,9 +191,9 @@ def test_another_trunk_or_device_is_another_run_and_no_baseline(folder, runs, ca
     keys = []
     for device in ("cpu", "cuda"):
         session = SimpleNamespace(context=SimpleNamespace(device=device), common=SimpleNamespace(seed=0))
-        one = stress_chain.Stress(session, config, Work(folder).get("scene", "main"), folder / "stress")
+        one = trials.Stress(session, config, Work(folder).get("scene", "main"), folder / "stress")
         keys.append(one.key_of(next(one.trials())))
-        assert one.conditions["device"] == device and one.conditions["criteria"] == stress_chain.criteria.REVISION
+        assert one.conditions["device"] == device and one.conditions["criteria"] == trials.criteria.REVISION
     assert keys[0] != keys[1]
 
 
@@ -213,14 +213,14 @@ def test_paintings_are_made_anew_by_force_and_of_another_revision(folder, runs, 
 
     assert stress(folder, "--write-baseline", baseline) == 0
     before = {path.name: path.read_bytes() for path in (folder / "stress" / "styles").iterdir()}
-    monkeypatch.setattr(stress_chain, "painted", other)
+    monkeypatch.setattr(trials, "painted", other)
     assert stress(folder) == 0 and painted == [] and len(runs.made) == 15
     assert stress(folder, "--force", "--only") == 4 and painted == []
     assert stress(folder, "--force") == 0
     assert sorted(painted) == [("", 0), ("", 1), ("", 2), *(("style-white", seed) for seed in range(3))]
     assert all((folder / "stress" / "styles" / name).read_bytes() != content for name, content in before.items())
     assert stress(folder, "--baseline", baseline) == 0  # who changes a painting tells by its revision
-    monkeypatch.setattr(stress_chain.paintings, "REVISION", 2)
+    monkeypatch.setattr(trials.paintings, "REVISION", 2)
     capsys.readouterr()
     assert stress(folder, "--baseline", baseline) == 2 and "paintings 1, now 2" in capsys.readouterr().err
     assert stress(folder) == 0 and len(painted) == 12
@@ -243,7 +243,7 @@ def test_what_a_killed_run_left_goes_once_all_of_it_stands(folder, runs, capsys)
     def leave() -> None:
         for place in (left, kept):
             (place / "field").mkdir(parents=True, exist_ok=True)
-        (kept / stress_chain.KEPT).touch()
+        (kept / trials.KEPT).touch()
 
     leave()
     runs.raising["arf", "seeds", 0] = KeyboardInterrupt()
@@ -274,10 +274,10 @@ class Stages:
 @pytest.fixture
 def stages(monkeypatch):
     stand_in, view = Stages(), Seen("v", np.zeros((4, 4, 3)), np.ones((4, 4, 3)))
-    monkeypatch.setattr(stress_chain, "execute", stand_in.execute)
-    monkeypatch.setattr(stress_chain, "seen_from_tests", lambda *_: [view])
-    monkeypatch.setattr(stress_chain.criteria, "judged_style", lambda *_: Verdict(True, "", 0.5, 0))
-    monkeypatch.setattr(stress_chain, "painted", lambda *_: np.zeros((16, 16, 3)))
+    monkeypatch.setattr(trials, "execute", stand_in.execute)
+    monkeypatch.setattr(trials, "seen_from_tests", lambda *_: [view])
+    monkeypatch.setattr(trials.criteria, "judged_style", lambda *_: Verdict(True, "", 0.5, 0))
+    monkeypatch.setattr(trials, "painted", lambda *_: np.zeros((16, 16, 3)))
     return stand_in
 
 
@@ -389,7 +389,7 @@ def test_remedies_are_options_of_their_stages():
     from stages.configs.stylize import StylizeConfig
 
     plain = FitConfig(), StylizeConfig(style="a.png"), DeformConfig()
-    asked = stress_chain.REMEDIES_OF_FIT, stress_chain.REMEDIES_OF_STYLE, stress_chain.REMEDIES_OF_DEFORM
+    asked = trials.REMEDIES_OF_FIT, trials.REMEDIES_OF_STYLE, trials.REMEDIES_OF_DEFORM
     for config, remedies in zip(plain, asked, strict=True):
         assert all(getattr(config, name) == 0 < value for name, value in remedies.items())
 
@@ -410,9 +410,9 @@ def test_an_edits_options_follow_its_fault(folder, runs, capsys):
         conditions = {"quick": quick, "style_budget": budget}
         painting = None
         if METHODS[method].sees_painting:
-            file = folder / "stress" / "styles" / f"ordinary-256-0-r{stress_chain.paintings.REVISION}.png"
+            file = folder / "stress" / "styles" / f"ordinary-256-0-r{trials.paintings.REVISION}.png"
             painting = {"style": str(file), "style_digest": file_sha256(file)}
-        return stress_edits.options_of(METHODS[method], FAULTS[fault], remedies, conditions, painting)
+        return edit_trials.options_of(METHODS[method], FAULTS[fault], remedies, conditions, painting)
 
     plain, begun = options("laenerf-recolour", "seeds"), options("laenerf-recolour", "palette-random")
     assert (plain.learning.start, begun.learning.start) == ("clusters", "random")
@@ -438,10 +438,10 @@ def test_a_run_takes_as_long_as_all_that_it_is_made_of(folder, monkeypatch, caps
         return SimpleNamespace(manifest=SimpleNamespace(seconds=seconds[spec.stage])), False
 
     view = Seen("v", np.zeros((4, 4, 3)), np.ones((4, 4, 3)))
-    monkeypatch.setattr(stress_chain, "execute", execute)
-    monkeypatch.setattr(stress_chain, "seen_from_tests", lambda *_: [view])
-    monkeypatch.setattr(stress_chain.criteria, "judged_style", lambda *_: Verdict(True, "", 0.5, 0))
-    monkeypatch.setattr(stress_chain, "painted", lambda *_: np.zeros((16, 16, 3)))
+    monkeypatch.setattr(trials, "execute", execute)
+    monkeypatch.setattr(trials, "seen_from_tests", lambda *_: [view])
+    monkeypatch.setattr(trials.criteria, "judged_style", lambda *_: Verdict(True, "", 0.5, 0))
+    monkeypatch.setattr(trials, "painted", lambda *_: np.zeros((16, 16, 3)))
     few = ("--methods", "fit", "arf", "--faults", "seeds", "--seeds", "2", "--budget", "10")
     assert main(["stress", str(folder), *few, "--json"]) == 0
     capsys.readouterr()

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from schemas.images import write_png
-from schemas.store import Work
+from schemas.work_folder import Work
 from stages import stylize
 from stylerf_cli.main import main
 from tests.stages import evaluation_fixture as made
@@ -64,9 +64,9 @@ def test_other_weights_make_the_field_anew(work, tmp_path, capsys, monkeypatch):
     style = painting(tmp_path / "night.png", 0)
     stylised(work, capsys, style, "--features", "st-vgg16")
     assert "up to date" in stylised(work, capsys, style, "--features", "st-vgg16")
-    monkeypatch.setattr("stages.weights.describe", lambda: [{"name": "st-vgg16", "chosen": True}])
+    monkeypatch.setattr("stages.weights.resolve.describe", lambda: [{"name": "st-vgg16", "chosen": True}])
     assert "up to date" in stylised(work, capsys, style)
-    monkeypatch.setattr("stages.weights.describe", lambda: [{"name": "hed-vgg16", "chosen": True}])
+    monkeypatch.setattr("stages.weights.resolve.describe", lambda: [{"name": "hed-vgg16", "chosen": True}])
     assert "up to date" not in stylised(work, capsys, style)
 
 

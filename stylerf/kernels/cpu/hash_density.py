@@ -1,6 +1,6 @@
 """encode, hash: a multi-resolution hash grid (Mueller et al. 2022) as a density.
 
-The grid is that of hash.py with one float a vertex. Raw density is exp(shift + sum of all levels' trilinear mixes), the
+The grid is that of hash_color.py with one float a vertex. Raw density is exp(shift + sum of all levels' trilinear mixes), the
 exponent clamped to [-15, 12].
 """
 
@@ -11,7 +11,7 @@ from numba import prange
 
 from stylerf.kernels.cpu.compiling import inline, parallel_kernel
 from stylerf.kernels.cpu.march import EXPONENT_MAX, EXPONENT_MIN, fetch_nothing, walk_chunk
-from stylerf.kernels.cpu.vector_hash_density import hash_sum, hash_sum_backward, hash_sum_slopes
+from stylerf.kernels.cpu.simd_hash_density import hash_sum, hash_sum_backward, hash_sum_slopes
 
 _ZERO = np.float32(0)
 

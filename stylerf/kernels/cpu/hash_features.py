@@ -4,7 +4,7 @@ import numpy as np
 from numba import prange
 
 from stylerf.kernels.cpu.compiling import parallel_kernel
-from stylerf.kernels.cpu.vector_hash import hash_rows, hash_rows_backward, hash_rows_slopes
+from stylerf.kernels.cpu.simd_hash import hash_rows, hash_rows_backward, hash_rows_slopes
 
 
 @parallel_kernel

@@ -1,4 +1,4 @@
-"""A colour head of one hidden layer: sigmoid(W2 relu(W1 (phi, Y) + b1) + b2), packed samples as in heads.py.
+"""A colour head of one hidden layer: sigmoid(W2 relu(W1 (phi, Y) + b1) + b2), packed samples as in color_heads.py.
 
 numbers, flat: W1 of the features [f, h], W1 of the harmonics [bands, h], b1 [h], W2 [3, h], b2 [3]. h is a compile-time
 constant, the length of the tuple `hidden`: a row of h floats is one vector. What the direction adds to the hidden layer
@@ -8,9 +8,9 @@ is worked out once a ray.
 import numpy as np
 from numba import prange
 
+from stylerf.kernels.cpu.color_heads import sigmoid
 from stylerf.kernels.cpu.compiling import inline, parallel_kernel
-from stylerf.kernels.cpu.heads import sigmoid
-from stylerf.kernels.cpu.vector import axpy_row, dot_rows
+from stylerf.kernels.cpu.simd_vm import axpy_row, dot_rows
 
 _ONE, _ZERO = np.float32(1), np.float32(0)
 

@@ -12,7 +12,7 @@ from numba import prange
 
 from stylerf.kernels.cpu.compiling import inline, parallel_kernel
 from stylerf.kernels.cpu.march import EXPONENT_MAX, EXPONENT_MIN, cell, end_of_chunk, walk_chunk
-from stylerf.kernels.cpu.vector import (
+from stylerf.kernels.cpu.simd_vm import (
     add_roughness,
     axpy_row,
     vm_dot_backward,

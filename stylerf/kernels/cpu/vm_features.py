@@ -4,7 +4,7 @@ import numpy as np
 from numba import prange
 
 from stylerf.kernels.cpu.compiling import parallel_kernel
-from stylerf.kernels.cpu.vector import vm_features, vm_features_backward, vm_features_slopes
+from stylerf.kernels.cpu.simd_vm import vm_features, vm_features_backward, vm_features_slopes
 from stylerf.kernels.cpu.vm import place
 
 

@@ -12,7 +12,7 @@ from numba import prange
 
 from stylerf.kernels.cpu.compiling import inline, parallel_kernel
 from stylerf.kernels.cpu.march import EXPONENT_MAX, EXPONENT_MIN, cell, fetch_nothing, walk_chunk
-from stylerf.kernels.cpu.vector_voxel import voxel_row, voxel_row_backward, voxel_row_slopes
+from stylerf.kernels.cpu.simd_voxel import voxel_row, voxel_row_backward, voxel_row_slopes
 
 _ZERO = np.float32(0)
 

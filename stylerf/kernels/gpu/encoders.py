@@ -1,4 +1,4 @@
-"""Encoders of places as tiles of features, of any kind: what the colour heads read (fields/features.py), and back.
+"""Encoders of places as tiles of features, of any kind: what the colour heads read (fields/encoders.py), and back.
 
 A place's features are PIECES tiles of RANK columns: three of vm, one for each plane, and one of a hash or voxel grid.
 layout: the levels' (hash), links (voxel), not read (vm). s0, s1, s2: vertices per axis of vm's and voxels' grids.
@@ -8,8 +8,8 @@ import triton
 import triton.language as tl
 
 from stylerf.kernels.gpu.density import HASH, VM
+from stylerf.kernels.gpu.hash_levels import level_tile, level_tile_scatter
 from stylerf.kernels.gpu.indexing import offset, vector
-from stylerf.kernels.gpu.levels import level_tile, level_tile_scatter
 from stylerf.kernels.gpu.vm import place, product, scatter
 from stylerf.kernels.gpu.voxel import row_tile, row_tile_scatter
 

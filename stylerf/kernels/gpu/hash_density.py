@@ -6,8 +6,8 @@ WIDTH: the number of levels rounded up to a power of two.
 import triton
 import triton.language as tl
 
+from stylerf.kernels.gpu.hash_levels import level_tile, level_tile_scatter
 from stylerf.kernels.gpu.indexing import vector
-from stylerf.kernels.gpu.levels import level_tile, level_tile_scatter
 from stylerf.kernels.gpu.vm import EXPONENT_MAX, EXPONENT_MIN
 
 

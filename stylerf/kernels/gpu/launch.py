@@ -6,9 +6,10 @@ import torch
 import triton
 from torch import Tensor
 
-from stylerf.kernels.gpu import composite as composite_kernels
-from stylerf.kernels.gpu import hash as hash_kernels
-from stylerf.kernels.gpu import interpreted, march, optimiser, pixels, vm
+from stylerf.kernels.gpu import adam as optimiser
+from stylerf.kernels.gpu import compositing as composite_kernels
+from stylerf.kernels.gpu import hash_color as hash_kernels
+from stylerf.kernels.gpu import interpreted, march, pixel_rays, vm
 
 # Rays or samples to a program. A walk diverges, so that few rays share one; the interpreter pays by the program.
 RAYS, SAMPLES, POINTS, RUNS = (256, 512, 1024, 4096) if interpreted() else (32, 64, 128, 128)
@@ -19,7 +20,7 @@ PROGRAMS_PER_PROCESSOR = 8  # of kernels that walk a list whose length only the 
 
 @dataclass
 class DeviceSamples:
-    """As fields/samples.py's Samples, packed without gaps. ray_of [room]; largest [rays]: weights; total [1] int64.
+    """As fields/ray_samples.py's Samples, packed without gaps. ray_of [room]; largest [rays]: weights; total [1] int64.
 
     counts [rays]: samples that each ray wanted; starts:ends is empty where they found no room.
     """
@@ -250,7 +251,7 @@ def draw_rays(
 ) -> None:
     """Random rays of a DeviceBank; see pixels.draw_kernel. level None: random background."""
     n = len(origins)
-    pixels.draw_kernel[(triton.cdiv(n, POINTS),)](
+    pixel_rays.draw_kernel[(triton.cdiv(n, POINTS),)](
         seed, first, n, total, bank.lit, lit_total, lit_rays, bank.view_ends, bank.view_sizes, bank.views, bank.widths,
         bank.intrinsics, bank.poses, bank.bytes, bank.codes, float(level or 0), origins, directions, wanted, jitter,
         background,

@@ -4,7 +4,7 @@ import torch
 import triton
 from torch import Tensor
 
-from stylerf.kernels.gpu import deform, interpreted
+from stylerf.kernels.gpu import deformation, interpreted
 from stylerf.kernels.gpu.launch import (
     SAMPLES,
     STAGES,
@@ -19,7 +19,7 @@ CELLS = 1024 if interpreted() else 32  # to a program, each of 32 lanes
 
 def add_density_slopes(density, samples: DeviceSamples, sigma_gradients: Tensor, out: Tensor) -> None:
     """Add dL/dx of a vm density to out [room, 3]."""
-    deform.density_position_kernel[persistent_grid(out.device, samples.room, SAMPLES)](
+    deformation.density_position_kernel[persistent_grid(out.device, samples.room, SAMPLES)](
         density.table, samples.x, samples.sigma, sigma_gradients, samples.total, out, *density.size,
         RANK=density.rank, WIDTH=width_of(density.rank), BLOCK=SAMPLES, num_stages=STAGES,
     )  # fmt: skip
@@ -27,7 +27,7 @@ def add_density_slopes(density, samples: DeviceSamples, sigma_gradients: Tensor,
 
 def add_vm_colour_slopes(colour, samples: DeviceSamples, directions, colours, colour_gradients, out: Tensor) -> None:
     """Add dL/dx of vm colours to out [room, 3]."""
-    deform.vm_colour_position_kernel[persistent_grid(out.device, samples.room, SAMPLES)](
+    deformation.vm_colour_position_kernel[persistent_grid(out.device, samples.room, SAMPLES)](
         colour.table, colour.head, samples.x, directions, samples.ray_of, colours, colour_gradients, samples.total, out,
         *colour.size,
         RANK=colour.rank, WIDTH=width_of(colour.rank), BANDS=colour.bands, OUTPUTS=outputs_of(colour.bands),
@@ -37,7 +37,7 @@ def add_vm_colour_slopes(colour, samples: DeviceSamples, directions, colours, co
 
 def add_hash_colour_slopes(colour, samples: DeviceSamples, colours, colour_gradients, out: Tensor) -> None:
     """Add dL/dx of a hash grid's colours to out [room, 3]."""
-    deform.hash_colour_position_kernel[persistent_grid(out.device, samples.room, SAMPLES)](
+    deformation.hash_colour_position_kernel[persistent_grid(out.device, samples.room, SAMPLES)](
         colour.table, colour.layout, samples.x, colours, colour_gradients, samples.total, out,
         LEVELS=colour.levels, BLOCK=SAMPLES, num_stages=STAGES,
     )  # fmt: skip
@@ -47,7 +47,7 @@ def displacement_backward(
     code: int, space: Tensor, origins, directions, samples: DeviceSamples, position_gradients, vertices: int, to: Tensor
 ) -> None:
     """Add dL/dD to `to`, flat [vertices^3, 3], from dL/dx' [room, 3]; code, space: as Walk's."""
-    deform.displacement_backward_kernel[persistent_grid(to.device, samples.room, SAMPLES)](
+    deformation.displacement_backward_kernel[persistent_grid(to.device, samples.room, SAMPLES)](
         space, origins, directions, samples.ray_of, samples.t, samples.optical, samples.x, position_gradients,
         samples.total, to, vertices, KIND=code, BLOCK=SAMPLES, num_stages=STAGES,
     )  # fmt: skip
@@ -59,7 +59,7 @@ def displaced_cells(distances: Tensor, cells: int, reach: int, displacement: Ten
     reach: cells that D moves anything by at most, and one more.
     """
     occupied = torch.empty(cells**3, dtype=torch.uint8, device=distances.device)
-    deform.displaced_cells_kernel[(triton.cdiv(cells**3, CELLS),)](
+    deformation.displaced_cells_kernel[(triton.cdiv(cells**3, CELLS),)](
         distances, cells, reach, displacement, vertices, occupied, BLOCK=CELLS
     )
     return occupied.view(cells, cells, cells) > 0

@@ -4,15 +4,15 @@ import torch
 import triton
 from torch import Tensor
 
-from stylerf.kernels.gpu import composite, patch, pixels, regions
-from stylerf.kernels.gpu import hash as hash_kernels
+from stylerf.kernels.gpu import compositing, pixel_rays, region_color, regions
+from stylerf.kernels.gpu import hash_color as hash_kernels
 from stylerf.kernels.gpu.launch import POINTS, SAMPLES, STAGES, DeviceSamples, persistent_grid
 
 
 def patch_colours(part, samples: DeviceSamples, colours: Tensor) -> None:
     """Colours [room, 3] of the base become those of the patch, in place. part: has table, layout, levels, marked,
     cells, box."""
-    patch.colour_kernel[persistent_grid(colours.device, samples.room, SAMPLES)](
+    region_color.colour_kernel[persistent_grid(colours.device, samples.room, SAMPLES)](
         part.table, part.layout, part.marked, part.cells, part.box, samples.x, samples.total, colours,
         LEVELS=part.levels, BLOCK=SAMPLES, num_stages=STAGES,
     )  # fmt: skip
@@ -20,7 +20,7 @@ def patch_colours(part, samples: DeviceSamples, colours: Tensor) -> None:
 
 def patch_colours_backward(part, samples: DeviceSamples, colours: Tensor, colour_gradients, to: Tensor) -> None:
     """Add dL/d(values) to `to` [len(values)]."""
-    patch.colour_backward_kernel[persistent_grid(to.device, samples.room, SAMPLES)](
+    region_color.colour_backward_kernel[persistent_grid(to.device, samples.room, SAMPLES)](
         part.layout, part.marked, part.cells, part.box, samples.x, colours, colour_gradients, samples.total, to,
         LEVELS=part.levels, BLOCK=SAMPLES, num_stages=STAGES,
     )  # fmt: skip
@@ -50,7 +50,7 @@ def rays_of_pixels(bank, chosen: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     origins, directions = (torch.empty((n, 3), device=chosen.device) for _ in range(2))
     wanted = torch.empty((n, 4), device=chosen.device)
     if n:
-        pixels.rays_kernel[(triton.cdiv(n, POINTS),)](
+        pixel_rays.rays_kernel[(triton.cdiv(n, POINTS),)](
             chosen, n, bank.view_ends, bank.view_sizes, bank.views, bank.widths, bank.intrinsics, bank.poses,
             bank.bytes, bank.codes, origins, directions, wanted,
             CHANNELS=bank.channels, STEPS=max(1, (bank.views - 1).bit_length()), BLOCK=POINTS,
@@ -65,7 +65,7 @@ def tuning_loss(
     """dL/d(out) [rays, 5], see composite.tuning_loss_kernel; adds to sums [5]. depth [m]: of the first m rays."""
     gradients, edited = torch.empty_like(out), len(depth)
     if len(out):
-        composite.tuning_loss_kernel[(triton.cdiv(len(out), POINTS),)](
+        compositing.tuning_loss_kernel[(triton.cdiv(len(out), POINTS),)](
             out, wanted, depth if edited else out, samples.counts, samples.starts, samples.ends, float(level),
             float(scale), float(depth_scale), edited, gradients, sums, len(out), BLOCK=POINTS,
         )  # fmt: skip

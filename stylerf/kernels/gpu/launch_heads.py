@@ -3,15 +3,15 @@
 import torch
 from torch import Tensor
 
-from stylerf.kernels.gpu import heads, mlp_head
+from stylerf.kernels.gpu import color_heads, mlp_head
 from stylerf.kernels.gpu.launch import SAMPLES, STAGES, DeviceSamples, outputs_of, persistent_grid, width_of
 
 # With four, the network's backward on hash features keeps 4.6 KB a thread in local memory, with eight 0.2 KB (compiled
 # for capability 9.0).
 WARPS = 8
 KERNELS = {
-    "linear": (heads.linear_kernel, heads.linear_backward_kernel),
-    "harmonic": (heads.harmonic_kernel, heads.harmonic_backward_kernel),
+    "linear": (color_heads.linear_kernel, color_heads.linear_backward_kernel),
+    "harmonic": (color_heads.harmonic_kernel, color_heads.harmonic_backward_kernel),
     "mlp": (mlp_head.mlp_kernel, mlp_head.mlp_backward_kernel),
 }
 

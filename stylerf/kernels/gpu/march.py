@@ -10,7 +10,7 @@ import triton.language as tl
 
 from stylerf.kernels.gpu.density import raw_density
 from stylerf.kernels.gpu.indexing import cell, offset, store_vector, trilinear_corner, vector
-from stylerf.kernels.gpu.space import cell_number, leap, ray_span, warp_at
+from stylerf.kernels.gpu.space_warp import cell_number, leap, ray_span, warp_at
 from stylerf.kernels.gpu.vm import SIZES
 
 OPTICAL_SCALE = tl.constexpr(100.0)

@@ -1,16 +1,16 @@
 """A colour head of one hidden layer, behind any encoder: kernels/cpu/mlp_head.py, features and head in one kernel.
 
-The arguments are those of heads.py; UNITS: of the hidden layer, a power of two. numbers, flat: W1 of the features
+The arguments are those of color_heads.py; UNITS: of the hidden layer, a power of two. numbers, flat: W1 of the features
 [PIECES RANK, UNITS], W1 of the harmonics [BANDS, UNITS], b1 [UNITS], W2 [3, UNITS], b2 [3].
 """
 
 import triton
 import triton.language as tl
 
+from stylerf.kernels.gpu.color_heads import UNALIGNED
 from stylerf.kernels.gpu.encoders import piece, piece_scatter, to_colour, to_learn
-from stylerf.kernels.gpu.harmonics import bands_of
-from stylerf.kernels.gpu.heads import UNALIGNED
 from stylerf.kernels.gpu.indexing import offset, store_vector, vector
+from stylerf.kernels.gpu.spherical_harmonics import bands_of
 from stylerf.kernels.gpu.vm import SIZES, _sigmoid
 
 MOST_BANDS = tl.constexpr(16)  # columns of the tile of harmonics: products of tiles need as many

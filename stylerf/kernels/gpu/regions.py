@@ -4,7 +4,7 @@ import triton
 import triton.language as tl
 
 from stylerf.kernels.gpu.indexing import offset, vector
-from stylerf.kernels.gpu.space import cell_number
+from stylerf.kernels.gpu.space_warp import cell_number
 
 
 @triton.jit

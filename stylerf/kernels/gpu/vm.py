@@ -7,8 +7,8 @@ samples need not be known where the kernel is launched. WIDTH: the rank rounded 
 import triton
 import triton.language as tl
 
-from stylerf.kernels.gpu.harmonics import bands_of
 from stylerf.kernels.gpu.indexing import cell, offset, vector
+from stylerf.kernels.gpu.spherical_harmonics import bands_of
 
 EXPONENT_MIN, EXPONENT_MAX = tl.constexpr(-15.0), tl.constexpr(12.0)
 # A kernel compiled for every size that is a multiple of sixteen, and again for the others, gains nothing by it.

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
+from stylerf.editing.edit_grid import Region, alpha_inside, march_view
+from stylerf.editing.edit_views import EditView
 from stylerf.editing.extraction import Extraction, seen_of_view
-from stylerf.editing.regions import Region, alpha_inside, march_view
-from stylerf.editing.views import EditView
-from stylerf.fields.field import RadianceField
-from stylerf.fields.occupancy import Occupancy
-from stylerf.fields.samples import Rays
-from stylerf.geometry.space import Space
+from stylerf.fields.occupancy_grid import Occupancy
+from stylerf.fields.radiance_field import RadianceField
+from stylerf.fields.ray_samples import Rays
+from stylerf.geometry.space_warp import Space
 from stylerf.rendering.rays import render_rays
 from tests.stylerf.small import density, vm_colour
 from tests.stylerf.training.scenes import SIDE, box_photo, dome

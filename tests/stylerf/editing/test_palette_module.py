@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 import torch
 
-from stylerf.editing.edits import PaletteEdits
-from stylerf.editing.palette import Mixture, PaletteModule, box_around, clustered_palette, random_palette
+from stylerf.editing.palette_edits import PaletteEdits
+from stylerf.editing.palette_module import Mixture, PaletteModule, box_around, clustered_palette, random_palette
 from stylerf.errors import InvalidValue
-from stylerf.fields.encoding import HashEncoding
-from stylerf.geometry.harmonics import harmonics
-from stylerf.kernels import oracle
+from stylerf.fields.hash_encoding import HashEncoding
+from stylerf.geometry.spherical_harmonics import harmonics
+from stylerf.kernels import torch_reference
 from tests.stylerf.editing.region_pictures import PLAIN
 from tests.stylerf.small import close, float64
 
@@ -39,7 +39,7 @@ def slow(made: PaletteModule, x, directions) -> Mixture:
     e, count = made.encoding, len(made.active)
     values, at = float64(made.values), 3 * count
     local = ((float64(x) - float64(made.box[0])) / float64(made.box[1] - made.box[0])).clamp(0, 1)
-    phi = oracle.hash_levels(float64(e.values), e.levels, e.base, e.finest, e.table, local).flatten(1)
+    phi = torch_reference.hash_levels(float64(e.values), e.levels, e.base, e.finest, e.table, local).flatten(1)
     found = []
     for hidden, last in ((phi, count), (torch.cat([phi, float64(harmonics(directions, 2))], 1), 3)):
         for number, wide in enumerate((64, 64, last)):

@@ -16,8 +16,8 @@ from stylerf.editing.selection import (
     shell,
     shown_by_masks,
 )
-from stylerf.fields.field import RadianceField
-from stylerf.fields.surface import Surface
+from stylerf.fields.packed_surface import Surface
+from stylerf.fields.radiance_field import RadianceField
 from stylerf.geometry.cameras import Camera
 from tests.stylerf.small import SPACES, occupied, vm_colour
 

@@ -8,8 +8,8 @@ import torch
 
 from stylerf.errors import InvalidValue
 from stylerf.fields.deformation import FARTHEST, SCALE, Deformation
-from stylerf.fields.displacement import displaced_occupancy, nearest_of
-from stylerf.fields.occupancy import Occupancy
+from stylerf.fields.displacement_grid import displaced_occupancy, nearest_of
+from stylerf.fields.occupancy_grid import Occupancy
 
 
 def test_it_starts_as_the_identity_and_every_other_weight_is_alive():

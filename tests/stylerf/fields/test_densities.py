@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from stylerf.fields.field import DENSITY_KINDS
-from tests.stylerf.kernels.test_march import march
-from tests.stylerf.kernels.test_vm import added, buffers, owned, samples
+from stylerf.fields.radiance_field import DENSITY_KINDS
+from tests.stylerf.kernels.cpu.test_march import march
+from tests.stylerf.kernels.cpu.test_vm import added, buffers, owned, samples
 from tests.stylerf.small import (
     SMALL,
     SPACES,

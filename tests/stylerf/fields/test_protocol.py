@@ -4,10 +4,10 @@ import inspect
 
 import pytest
 
-from stylerf.fields.field import COLOUR_KINDS, DENSITY_KINDS
-from stylerf.fields.hash import HashColour
-from stylerf.fields.palette import PaletteColour
+from stylerf.fields.hash_color import HashColour
+from stylerf.fields.palette_color import PaletteColour
 from stylerf.fields.protocol import ColourPart, DensityPart, Growing, Part
+from stylerf.fields.radiance_field import COLOUR_KINDS, DENSITY_KINDS
 
 KINDS = [(kind, DensityPart) for kind in DENSITY_KINDS.values()] + [
     (kind, ColourPart) for kind in COLOUR_KINDS.values()

@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 import torch
 
-from stylerf import checks
+from stylerf import validation
 from stylerf.errors import InvalidValue
-from stylerf.fields.field import RadianceField
-from stylerf.fields.occupancy import Occupancy
+from stylerf.fields.occupancy_grid import Occupancy
+from stylerf.fields.radiance_field import RadianceField
 from stylerf.geometry.cameras import Camera
-from stylerf.geometry.space import Space
+from stylerf.geometry.space_warp import Space
 from stylerf.rendering.view import render_view
-from stylerf.style.colour import ColourMap
+from stylerf.style.color_matching import ColourMap
 from tests.stylerf import small
 
 BOX = small.SPACES["box"]
@@ -122,11 +122,11 @@ def test_cameras_at_the_ends_of_what_is_allowed_see_finite_pixels(kind, far, foc
 @pytest.mark.parametrize("value", [True, 1.0, "1", None, [], -1, 9, 2**200])
 def test_whole_numbers_are_those_of_python_within_their_bounds(value):
     with pytest.raises(InvalidValue, match=r"n is .*expected a whole number from 0 to 8"):
-        checks.integer({"n": value}, "n", 0, 8)
-    assert checks.integer({"n": 8}, "n", 0, 8) == 8
+        validation.integer({"n": value}, "n", 0, 8)
+    assert validation.integer({"n": 8}, "n", 0, 8) == 8
 
 
 def test_what_is_missing_is_told_by_its_name():
     for given in ({}, [], None, 5):
         with pytest.raises(InvalidValue, match="rank"):
-            checks.integer(given, "rank", 0, 8)
+            validation.integer(given, "rank", 0, 8)

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import torch
 
-from stylerf.fields.levels import Levels
+from stylerf.fields.hash_levels import Levels
 from stylerf.fields.voxel import Grid
-from tests.stylerf.kernels.test_vm import buffers
+from tests.stylerf.kernels.cpu.test_vm import buffers
 from tests.stylerf.small import SMALL, SPARSE, close, float64, hash_density, headed, voxel_density
 
 

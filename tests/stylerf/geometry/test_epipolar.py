@@ -3,7 +3,7 @@
 import numpy as np
 
 from stylerf.geometry.epipolar import epipolar_distance, essential, largest_parallax
-from tests.stylerf.geometry.test_conventions import random_rotation
+from tests.stylerf.geometry.test_camera_conventions import random_rotation
 
 
 def pose(seed: int, centre) -> np.ndarray:

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from stylerf.fields.samples import Rays
-from stylerf.geometry.space import Space
+from stylerf.fields.ray_samples import Rays
+from stylerf.geometry.space_warp import Space
 from stylerf.rendering import view as module
 from stylerf.rendering.rays import SAMPLE_LIMIT
 from stylerf.rendering.view import render_view

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 import torch
 
-from stylerf.fields.displacement import position_gradients
-from stylerf.fields.field import RadianceField
+from stylerf.fields.displacement_grid import position_gradients
+from stylerf.fields.radiance_field import RadianceField
 from stylerf.rendering.rays import backward, render_rays
-from stylerf.style.colour import ColourMap
+from stylerf.style.color_matching import ColourMap
 from tests.stylerf.small import (
     SPACES,
     Packed,

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from stylerf.geometry.camera_paths import look_at
 from stylerf.geometry.cameras import Camera
-from stylerf.geometry.paths import look_at
-from stylerf.geometry.space import Space
+from stylerf.geometry.space_warp import Space
 from stylerf.rendering.view import render_view
 from tests.stylerf.small import density, field_of, hash_colour, vm_colour, wall_in_front
 

@@ -2,7 +2,7 @@
 
 import torch
 
-from stylerf.style.trunks import Trunk
+from stylerf.style.feature_extractor import Trunk
 
 CHANNELS = {"conv1_1": 5, "conv1_2": 6, "conv2_1": 7, "conv2_2": 8}
 

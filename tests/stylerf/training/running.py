@@ -5,8 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from stylerf.training.fit import Fitter
-from stylerf.training.stylize import Stylizer
+from stylerf.training.fit.fitter import Fitter
+from stylerf.training.stylize.arf import Stylizer
 
 Loop = Fitter | Stylizer
 

@@ -2,13 +2,13 @@
 
 import numpy as np
 
+from stylerf.geometry.camera_paths import look_at
 from stylerf.geometry.cameras import Camera
-from stylerf.geometry.paths import look_at
-from stylerf.geometry.space import Space
-from stylerf.training.fit import Fitter
-from stylerf.training.fit_state import FitSettings
-from stylerf.training.ladders import Rung
-from stylerf.training.rays import RayBank
+from stylerf.geometry.space_warp import Space
+from stylerf.training.common.ray_dataset import RayBank
+from stylerf.training.fit.capacity_levels import Rung
+from stylerf.training.fit.fitter import Fitter
+from stylerf.training.fit.settings import FitSettings
 
 SIDE = 0.6
 LADDER = (Rung(8, 16, 24, 8), Rung(12, 16, 24, 8), Rung(16, 16, 24, 16))

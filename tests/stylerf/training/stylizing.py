@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from stylerf.fields.patch import PatchColour
+from stylerf.fields.region_color import PatchColour
+from stylerf.geometry.camera_paths import look_at
 from stylerf.geometry.cameras import Camera
-from stylerf.geometry.paths import look_at
-from stylerf.geometry.space import Space
-from stylerf.style.objective import StyleWeights
-from stylerf.training.style_settings import StyleSettings
+from stylerf.geometry.space_warp import Space
+from stylerf.style.style_objective import StyleWeights
+from stylerf.training.stylize.settings import StyleSettings
 from tests.stylerf.small import field_of, hash_colour, vm_colour
 from tests.stylerf.style.small_trunk import picture, small_trunk
 

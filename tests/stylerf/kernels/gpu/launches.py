@@ -2,13 +2,13 @@
 
 import torch
 
-from stylerf.editing.device_palette import DevicePalette
-from stylerf.fields.device import DeviceField, unsupported
+from stylerf.editing.palette_module_gpu import DevicePalette
+from stylerf.fields.gpu.field import DeviceField, unsupported
 from stylerf.kernels.gpu import launch, launch_deform, launch_edit
-from stylerf.training.edit import EditSettings, start_module
+from stylerf.training.edit.trainer import EditSettings, start_module
 from tests.stylerf.editing.region_pictures import view_of
-from tests.stylerf.fields.test_patch import CELLS, patch
-from tests.stylerf.kernels.gpu.on_device import device_rays
+from tests.stylerf.fields.test_region_color import CELLS, patch
+from tests.stylerf.kernels.gpu.on_gpu import device_rays
 from tests.stylerf.small import (
     SPACES,
     SPARSE,
@@ -63,7 +63,7 @@ def everything() -> None:
         launch.adam(made.density.values, to[0], *moments, 0.1, (0.9, 0.99), 1e-15, (0.1, 0.01), 0, len(to[0]))
     launch.shade_backward(rendered.samples, torch.zeros(8, 3))
     launch_deform.displaced_cells(made.distances, made.cells, 2, torch.zeros(3 * 5**3), 5)
-    from stylerf.training.device_rays import DeviceBank
+    from stylerf.training.common.ray_dataset_gpu import DeviceBank
     from tests.stylerf.training.scenes import box_bank
 
     bank = DeviceBank(box_bank(3, 8), torch.device("cpu"))

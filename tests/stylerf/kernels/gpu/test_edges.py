@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 import torch
 
-from stylerf.fields.field import RadianceField
-from stylerf.fields.occupancy import Occupancy
-from stylerf.fields.samples import Rays
+from stylerf.fields.occupancy_grid import Occupancy
+from stylerf.fields.radiance_field import RadianceField
+from stylerf.fields.ray_samples import Rays
 from stylerf.fields.vm import VmDensity
-from stylerf.geometry.space import Space
-from stylerf.kernels import oracle
-from tests.stylerf.kernels.gpu.on_device import device_rays, on_host
+from stylerf.geometry.space_warp import Space
+from stylerf.kernels import torch_reference
+from tests.stylerf.kernels.gpu.on_gpu import device_rays, on_host
 from tests.stylerf.small import SPACES, close, density, float64, hash_colour, occupied, rays_into
 
 UNIT_BOX = Space.box([0, 0, 0], [1, 1, 1])
@@ -30,7 +30,7 @@ def along_x(*origins: tuple[float, float, float], jitter: float = 0.5) -> Rays:
 
 
 def device_field(made, device, space=UNIT_BOX, step=1 / 8, occupancy=None):
-    from stylerf.fields.device import DeviceField
+    from stylerf.fields.gpu.field import DeviceField
 
     return DeviceField(RadianceField(space, made, hash_colour(1), occupancy or occupied(), step), device)
 
@@ -62,7 +62,7 @@ def test_corners_and_sides_are_asked_at_zero_and_one(device):
     made = density(8)
     corners = np.array(list(np.ndindex(2, 2, 2)) + [(0.5, 1, 0)], np.float32)
     found = device_field(made, device).density.sigma(torch.from_numpy(corners).to(device))
-    expected = oracle.vm_density(float64(made.values), made.size.tolist(), made.rank, float64(corners))
+    expected = torch_reference.vm_density(float64(made.values), made.size.tolist(), made.rank, float64(corners))
     close(found.cpu(), expected, 5e-6)
     along = device_field(made, device).march(device_rays(along_x((-1, 1, 1), jitter=0.0), device), 512, 0.0, None)
     assert along.x[0].tolist() == [0, 1, 1] and bool((along.x[:, 1:] == 1).all())

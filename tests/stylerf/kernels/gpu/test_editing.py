@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 import torch
 
-from stylerf.editing.edits import PaletteEdits
-from stylerf.training.edit import EditTrainer, start_module
+from stylerf.editing.palette_edits import PaletteEdits
+from stylerf.training.edit.trainer import EditTrainer, start_module
 from tests.stylerf.editing.region_pictures import view_of
 from tests.stylerf.editing.test_palette_module import module, places
 from tests.stylerf.small import close
 from tests.stylerf.style.small_trunk import picture, small_trunk
+from tests.stylerf.training.edit.test_trainer import SMALL
 from tests.stylerf.training.running import saved
-from tests.stylerf.training.test_edit import SMALL
 
 FEW = {"palette_steps": 2, "style_steps": 1, "pruned_steps": 1, "pruned_style_steps": 1, "pixels": 300, "colours": 4,
        "most_colours": 3}  # fmt: skip
@@ -31,7 +31,7 @@ def trainer(device=None, style: bool = False, **more) -> EditTrainer:
 
 @pytest.mark.parametrize("removed", [(), (0, 1, 3)])
 def test_a_module_answers_as_on_the_cpu(removed, device):
-    from stylerf.editing.device_palette import DevicePalette
+    from stylerf.editing.palette_module_gpu import DevicePalette
 
     made = module()
     there, (x, directions) = DevicePalette(made, device), places(70)
@@ -49,7 +49,7 @@ def test_a_module_answers_as_on_the_cpu(removed, device):
 
 
 def test_points_beyond_the_box_count_to_its_sides_and_the_table_learns_there_too(device):
-    from stylerf.editing.device_palette import DevicePalette
+    from stylerf.editing.palette_module_gpu import DevicePalette
 
     made, x = module(), np.array([[0.0, 0.0, 0.0], [1.0, 1.0, 1.0], [0.4, 0.45, 0.45]], np.float32)
     there = DevicePalette(made, device)

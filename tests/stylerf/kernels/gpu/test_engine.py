@@ -6,19 +6,19 @@ import numpy as np
 import pytest
 import torch
 
-from stylerf.fields.field import RadianceField
-from stylerf.fields.occupancy import Occupancy
-from stylerf.fields.patch import PatchColour
-from stylerf.fields.samples import Rays
+from stylerf.fields.occupancy_grid import Occupancy
+from stylerf.fields.radiance_field import RadianceField
+from stylerf.fields.ray_samples import Rays
+from stylerf.fields.region_color import PatchColour
 from stylerf.fields.vm_tables import split_table
 from stylerf.geometry.cameras import Camera
 from stylerf.rendering.rays import backward, render_rays
 from stylerf.rendering.view import render_view
-from stylerf.training.device_traffic import BEHIND
-from stylerf.training.engine import Batch, CpuEngine, coverage_gradient, opacity_gradient
-from stylerf.training.fit import Fitter
-from stylerf.training.optimiser import UNKNOWN
-from stylerf.training.ranks import Alone
+from stylerf.training.common.adam import UNKNOWN
+from stylerf.training.common.async_readback import BEHIND
+from stylerf.training.common.process_group import Alone
+from stylerf.training.fit.engine import Batch, CpuEngine, coverage_gradient, opacity_gradient
+from stylerf.training.fit.fitter import Fitter
 from tests.stylerf.fields.test_densities import LARGER
 from tests.stylerf.small import (
     SPARSE,
@@ -52,7 +52,7 @@ def batch(**more) -> Batch:
 
 
 def engine_on(device, bank, field, clip: float = 0.0):
-    from stylerf.training.device_engine import DeviceEngine
+    from stylerf.training.fit.engine_gpu import DeviceEngine
 
     return DeviceEngine(bank, 0, 1, field, device=device, samples=400, clip=clip)
 
@@ -263,7 +263,7 @@ def test_processes_agree_about_what_is_occupied(bank, device):
 
 
 def small_fitter(bank, device, steps=3):
-    from stylerf.training.device_engine import DeviceEngine
+    from stylerf.training.fit.engine_gpu import DeviceEngine
 
     given = settings(steps, samples=300, ladder=(Rung(8, 16, 24, 8),), shares=(), background="random")
     made = Fitter(AROUND, bank, 0, given, 0, 1, engine=functools.partial(DeviceEngine, device=device, samples=300))
@@ -299,7 +299,7 @@ def test_a_reduction_goes_to_the_device_and_comes_back_refused(bank, device):
 
 
 def test_a_view_is_the_cpus_picture(device):
-    from stylerf.rendering.device_view import DeviceRenderer
+    from stylerf.rendering.view_gpu import DeviceRenderer
 
     field, camera = thin_field(step=1 / 6, colour=hash_colour(5)), dome(1, 2, 7)[0]
     cells = np.zeros((4, 4, 4), bool)
@@ -314,7 +314,7 @@ def test_a_view_is_the_cpus_picture(device):
 
 @pytest.mark.parametrize(("through", "backs", "z"), [(0.02, False, 3), (0.6, True, 6)])
 def test_depth_is_that_of_a_surface_whatever_light_passes_it(through, backs, z, device):
-    from stylerf.rendering.device_view import DeviceRenderer
+    from stylerf.rendering.view_gpu import DeviceRenderer
 
     field, camera = wall_in_front(through, backs), Camera("view", 5, 4, 40.0, 40.0, 2.5, 2.0, np.eye(4))
     expected = render_view(field, camera, chunks=1)
@@ -325,7 +325,7 @@ def test_depth_is_that_of_a_surface_whatever_light_passes_it(through, backs, z, 
 
 @pytest.mark.slow
 def test_halves_are_taken_where_pixels_allow_it_and_refused_elsewhere(device):
-    from stylerf.rendering.device_view import TOLERANCE, DeviceRenderer
+    from stylerf.rendering.view_gpu import TOLERANCE, DeviceRenderer
 
     field, camera = thin_field(step=1 / 6, colour=hash_colour(5)), dome(1, 2, 4)[0]
     made = DeviceRenderer(field, device)
@@ -345,8 +345,8 @@ def test_halves_are_taken_where_pixels_allow_it_and_refused_elsewhere(device):
 @pytest.mark.slow
 @pytest.mark.parametrize("over", [False, True], ids=["alone", "over the field's own in a part"])
 def test_fixed_surfaces_paint_and_learn_as_on_the_cpu(device, over):
-    from stylerf.training.device_geometry import DeviceFixedGeometry
-    from stylerf.training.geometry import FixedGeometry
+    from stylerf.training.stylize.geometry import FixedGeometry
+    from stylerf.training.stylize.geometry_gpu import DeviceFixedGeometry
 
     field, cameras = thin_field(step=1 / 6), dome(2, 3, 6)
     field.density.values[-1] = -2.0

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import torch
 
+from stylerf.editing.edit_grid import Region
 from stylerf.editing.extraction import Extraction, ends_of_view, seen_of_view
-from stylerf.editing.regions import Region
 from tests.stylerf.small import field_of, hash_colour
 from tests.stylerf.training.scenes import AROUND, box_photo, dome
 
@@ -25,7 +25,7 @@ GRIDS = [*halves(), np.ones((5,) * 3, bool), np.zeros((5,) * 3, bool)]
 @pytest.fixture(scope="module")
 def walked(device):
     """(field, camera, ends by grid): walked once."""
-    from stylerf.editing.device_extraction import DeviceEnds
+    from stylerf.editing.extraction_gpu import DeviceEnds
 
     field, camera = field_of(AROUND, 3, hash_colour(5), 1 / 8), dome(3, 2, 6)[1]
     field.density.values[-1] = -1.0

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 import torch
 
-from stylerf.fields.patch import PatchColour
-from stylerf.style.colour import ColourMap
-from stylerf.training.finetune import EditedPixels, FineTuner
-from stylerf.training.finetune_engine import FineTuneSettings
+from stylerf.fields.region_color import PatchColour
+from stylerf.style.color_matching import ColourMap
+from stylerf.training.finetune.engine import FineTuneSettings
+from stylerf.training.finetune.trainer import EditedPixels, FineTuner
 from tests.stylerf.small import close, field_of, vm_colour
 from tests.stylerf.training.running import saved
 from tests.stylerf.training.scenes import AROUND, box_bank
@@ -69,7 +69,7 @@ def gradients_taken(made) -> list[np.ndarray]:
 
 
 def test_chosen_pixels_become_the_cpus_rays(bank, device):
-    from stylerf.training.device_rays import DeviceBank
+    from stylerf.training.common.ray_dataset_gpu import DeviceBank
 
     made, generator = DeviceBank(bank, device), np.random.default_rng(0)
     views, pixels = generator.integers(0, 4, 30), generator.integers(0, 100, 30)

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import torch
 
-from stylerf.geometry.harmonics import harmonics
-from tests.stylerf.fields.test_headed_colours import PAIRS
-from tests.stylerf.kernels.gpu.on_device import packed_samples
+from stylerf.geometry.spherical_harmonics import harmonics
+from tests.stylerf.fields.test_encoded_color import PAIRS
+from tests.stylerf.kernels.gpu.on_gpu import packed_samples
 from tests.stylerf.small import (
     SMALL,
     SPARSE,
@@ -44,7 +44,7 @@ def walked(device, count: int = 60):
 
 
 def on_device(part, device, half=False):
-    from stylerf.fields.device import COLOUR_KINDS, DENSITY_KINDS
+    from stylerf.fields.gpu.field import COLOUR_KINDS, DENSITY_KINDS
 
     return (DENSITY_KINDS if part.kind in DENSITIES else COLOUR_KINDS)[part.kind](part, device, half)
 
@@ -158,7 +158,7 @@ def _shape(part) -> tuple:
 
 
 def test_kinds_without_kernels_are_told_in_one_line():
-    from stylerf.fields.device import unsupported
+    from stylerf.fields.gpu.field import unsupported
     from tests.stylerf.small import SPACES, field_of
 
     field = field_of(SPACES["box"], 1, headed(1, "voxel", "mlp", capacity=SPARSE))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from stylerf.fields import device_memory
+from stylerf.fields.gpu import memory
 from tests.stylerf.small import field_of, hash_colour
 from tests.stylerf.training.scenes import AROUND, dome
 
@@ -14,7 +14,7 @@ FIT = 20  # rays
 @pytest.fixture
 def scarce(monkeypatch):
     """Switches on: marches of more rays than FIT find no memory. Gives the numbers of rays that were marched."""
-    from stylerf.fields.device import DeviceField
+    from stylerf.fields.gpu.field import DeviceField
 
     march, tried = DeviceField.march, []
 
@@ -26,16 +26,16 @@ def scarce(monkeypatch):
 
     def switched_on() -> list[int]:
         monkeypatch.setattr(DeviceField, "march", marched)
-        monkeypatch.setattr(device_memory, "FEWEST", 4)
+        monkeypatch.setattr(memory, "FEWEST", 4)
         return tried
 
     return switched_on
 
 
 def test_pictures_surfaces_and_ends_of_rays_come_out_alike(scarce, device):
-    from stylerf.editing.device_extraction import DeviceEnds
-    from stylerf.rendering.device_view import DeviceRenderer
-    from stylerf.training.device_geometry import DeviceFixedGeometry
+    from stylerf.editing.extraction_gpu import DeviceEnds
+    from stylerf.rendering.view_gpu import DeviceRenderer
+    from stylerf.training.stylize.geometry_gpu import DeviceFixedGeometry
 
     field, camera = field_of(AROUND, 3, hash_colour(5), 1 / 6), dome(1, 2, 6)[0]
     field.density.values[-1] = -3.0

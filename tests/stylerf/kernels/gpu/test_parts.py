@@ -4,16 +4,16 @@ import numpy as np
 import pytest
 import torch
 
-from stylerf.fields.occupancy import Occupancy
-from stylerf.kernels import oracle
-from stylerf.training.optimiser import Adam
-from stylerf.training.rays import RayBank
+from stylerf.fields.occupancy_grid import Occupancy
+from stylerf.kernels import torch_reference
+from stylerf.training.common.adam import Adam
+from stylerf.training.common.ray_dataset import RayBank
 from tests.stylerf.small import close, density, float64, hash_colour, vm_colour
 from tests.stylerf.training.scenes import box_bank
 
 
 def test_adam_steps_as_the_cpus_does_and_leaves_runs_without_gradient_alone(device):
-    from stylerf.training.device_engine import DeviceAdam
+    from stylerf.training.fit.engine_gpu import DeviceAdam
 
     generator, n = np.random.default_rng(0), 1003
     values = generator.normal(size=n).astype(np.float32)
@@ -36,7 +36,7 @@ def test_adam_steps_as_the_cpus_does_and_leaves_runs_without_gradient_alone(devi
 
 
 def test_processes_that_train_together_are_told_of_the_same_step(device):
-    from stylerf.training.device_traffic import BEHIND, Reports
+    from stylerf.training.common.async_readback import BEHIND, Reports
 
     told = Reports(device, 1, lambda sums, note: (sums[0], note), None, in_step=True)
     for step in range(BEHIND + 4):
@@ -46,7 +46,7 @@ def test_processes_that_train_together_are_told_of_the_same_step(device):
 
 
 def test_a_gradient_of_nan_is_no_zero(device):
-    from stylerf.training.device_engine import DeviceAdam
+    from stylerf.training.fit.engine_gpu import DeviceAdam
 
     made = DeviceAdam(torch.ones(16, device=device), [(0, 16, 1.0)])
     made.gradients[3] = float("nan")
@@ -55,7 +55,7 @@ def test_a_gradient_of_nan_is_no_zero(device):
 
 
 def test_a_leap_is_shortened_as_on_the_cpu_and_a_gradient_of_nan_is_no_step(device):
-    from stylerf.training.device_engine import DeviceAdam
+    from stylerf.training.fit.engine_gpu import DeviceAdam
 
     generator, n = np.random.default_rng(1), 300
     cpu = Adam(np.zeros(n, np.float32), [(0, n, 1.0)], 1, 2.0)
@@ -73,7 +73,7 @@ def test_a_leap_is_shortened_as_on_the_cpu_and_a_gradient_of_nan_is_no_step(devi
 
 
 def test_hash_rows_and_their_gradient_equal_the_oracle(device):
-    from stylerf.kernels.gpu import hash as kernels
+    from stylerf.kernels.gpu import hash_color as kernels
 
     made, x = hash_colour(3), np.random.default_rng(1).random((40, 3), dtype=np.float32)
     x[0], x[1] = 0, 1
@@ -82,7 +82,7 @@ def test_hash_rows_and_their_gradient_equal_the_oracle(device):
     out = torch.empty((40, 32), device=device)
     kernels.rows_kernel[(1,)](values, layout, points, out, 40, LEVELS=8, BLOCK=64)
     exact = float64(made.values).requires_grad_()
-    expected = oracle.hash_levels(exact, 8, made.base, made.finest, made.table, float64(x)).flatten(1)
+    expected = torch_reference.hash_levels(exact, 8, made.base, made.finest, made.table, float64(x)).flatten(1)
     np.testing.assert_allclose(out.cpu(), expected.detach(), atol=2e-6)
     towards = torch.from_numpy(np.random.default_rng(2).normal(size=(40, 32)))
     (expected * towards).sum().backward()
@@ -93,7 +93,7 @@ def test_hash_rows_and_their_gradient_equal_the_oracle(device):
 
 @pytest.mark.parametrize("make", [lambda: density(1), lambda: vm_colour(2), lambda: hash_colour(3)])
 def test_smoothing_equals_the_cpus(make, device):
-    from stylerf.fields import device as parts
+    from stylerf.fields.gpu import field as parts
 
     part = make()
     kinds = parts.DENSITY_KINDS if part.values.size == density(1).values.size else parts.COLOUR_KINDS
@@ -105,7 +105,7 @@ def test_smoothing_equals_the_cpus(make, device):
 
 
 def test_drawn_rays_are_those_of_pixels_of_the_photos(device):
-    from stylerf.training.device_rays import DeviceBank
+    from stylerf.training.common.ray_dataset_gpu import DeviceBank
 
     bank = box_bank(5, 12)
     made = DeviceBank(bank, device)
@@ -126,14 +126,14 @@ def test_drawn_rays_are_those_of_pixels_of_the_photos(device):
 
 
 def test_photos_are_brought_over_little_by_little_and_let_go_of_between(device, monkeypatch):
-    from stylerf.training import device_rays
-    from stylerf.training.pixels import STRETCH, Pixels
+    from stylerf.training.common import ray_dataset_gpu
+    from stylerf.training.common.pixels import STRETCH, Pixels
 
     plain, told = box_bank(5, 12), []
     bank = RayBank(plain.cameras, Pixels(plain.bytes, plain.channels, told.append))
     told.clear()  # of the look at the alphas
-    monkeypatch.setattr(device_rays, "AT_ONCE", 100)
-    made = device_rays.DeviceBank(bank, device)
+    monkeypatch.setattr(ray_dataset_gpu, "AT_ONCE", 100)
+    made = ray_dataset_gpu.DeviceBank(bank, device)
     assert len(told) == -(-len(plain.bytes) // 100) and set(told) == {-(-100 // STRETCH)}
     assert np.array_equal(made.bytes.cpu(), plain.bytes)
     lit = plain.lit[np.arange(plain.lit.below(len(plain)))]
@@ -141,7 +141,7 @@ def test_photos_are_brought_over_little_by_little_and_let_go_of_between(device, 
 
 
 def test_a_batch_is_the_same_however_it_is_cut_and_another_for_another_seed(device):
-    from stylerf.training.device_rays import DeviceBank
+    from stylerf.training.common.ray_dataset_gpu import DeviceBank
 
     made = DeviceBank(box_bank(4, 8), device)
     whole = made.draw(7, 0, 90, 90, 4, 0.5, None)
@@ -153,7 +153,7 @@ def test_a_batch_is_the_same_however_it_is_cut_and_another_for_another_seed(devi
 
 
 def test_distances_are_scipys_and_never_beyond(device):
-    from stylerf.fields.device_occupancy import distances_to
+    from stylerf.fields.gpu.occupancy_grid import distances_to
 
     full, exact = np.random.default_rng(0).random((12, 12, 12)) < 0.004, Occupancy(12)
     assert full.any()
@@ -164,8 +164,8 @@ def test_distances_are_scipys_and_never_beyond(device):
 
 
 def test_the_occupancy_looks_where_it_should_and_decides_as_the_cpus_does(device):
-    from stylerf.fields.device import DeviceField
-    from stylerf.fields.device_occupancy import refresh
+    from stylerf.fields.gpu.field import DeviceField
+    from stylerf.fields.gpu.occupancy_grid import refresh
     from tests.stylerf.small import SPACES, field_of
 
     field = field_of(SPACES["box"], 3)
@@ -192,8 +192,8 @@ def test_the_occupancy_looks_where_it_should_and_decides_as_the_cpus_does(device
 
 
 def test_the_occupancy_forgets_no_density_at_once_however_high(device):
-    from stylerf.fields.device import DeviceField
-    from stylerf.fields.device_occupancy import refresh
+    from stylerf.fields.gpu.field import DeviceField
+    from stylerf.fields.gpu.occupancy_grid import refresh
     from tests.stylerf.small import SPACES, field_of
 
     made = DeviceField(field_of(SPACES["box"], 3), device)

@@ -43,8 +43,8 @@ PARTS = {
 @pytest.mark.parametrize("parts", PARTS)
 @pytest.mark.parametrize("kind", SPACES)
 def test_thousands_of_rays_agree_with_the_cpu(kind, parts, gpu):
-    from stylerf.fields.device import DeviceField
-    from tests.stylerf.kernels.gpu.on_device import device_rays, gradients_of
+    from stylerf.fields.gpu.field import DeviceField
+    from tests.stylerf.kernels.gpu.on_gpu import device_rays, gradients_of
 
     field = field_of(SPACES[kind], 3, None, 1 / 64)
     field.density, field.colour = PARTS[parts]()
@@ -66,7 +66,7 @@ def test_thousands_of_rays_agree_with_the_cpu(kind, parts, gpu):
 
 @pytest.mark.parametrize("kinds", ["vm", "hash", "voxel", "vm+hash-mlp"])
 def test_a_step_never_waits_for_the_device(kinds, gpu):
-    from stylerf.training.device_engine import DeviceEngine
+    from stylerf.training.fit.engine_gpu import DeviceEngine
     from tests.stylerf.kernels.gpu.test_engine import FIELDS, batch
     from tests.stylerf.training.scenes import box_bank
 
@@ -85,8 +85,8 @@ def test_a_step_never_waits_for_the_device(kinds, gpu):
 
 @pytest.mark.parametrize("kind", SPACES)
 def test_thousands_of_rays_teach_a_deformation_what_they_do_on_the_cpu(kind, gpu):
-    from stylerf.fields.device import DeviceField
-    from tests.stylerf.kernels.gpu.on_device import device_rays
+    from stylerf.fields.gpu.field import DeviceField
+    from tests.stylerf.kernels.gpu.on_gpu import device_rays
 
     field = field_of(SPACES[kind], 3, hash_colour(5), 1 / 64, displacement_grid(6, 9, 0.02))
     rays, towards = rays_into(SPACES[kind], 5000, 4), np.random.default_rng(7).normal(size=(5000, 5))
@@ -102,7 +102,7 @@ def test_thousands_of_rays_teach_a_deformation_what_they_do_on_the_cpu(kind, gpu
 
 
 def test_a_step_of_a_deformation_never_waits_for_the_device(gpu):
-    from tests.stylerf.kernels.gpu.test_moving import fitter_on
+    from tests.stylerf.kernels.gpu.test_moving_geometry import fitter_on
 
     fitter = fitter_on(gpu, steps=100)
     fitter.step()

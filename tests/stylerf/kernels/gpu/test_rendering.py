@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import torch
 
-from stylerf.geometry.harmonics import harmonics
-from stylerf.kernels import oracle
-from tests.stylerf.kernels.gpu.on_device import by_oracle, device_rays, gradients_of, on_host
+from stylerf.geometry.spherical_harmonics import harmonics
+from stylerf.kernels import torch_reference
+from tests.stylerf.kernels.gpu.on_gpu import by_oracle, device_rays, gradients_of, on_host
 from tests.stylerf.small import (
     SPACES,
     SPARSE,
@@ -45,7 +45,7 @@ CASES = {
 @cache
 def walked(case: str, device, rays: int = 14):
     """(field, rays, device field, what it rendered, dL/d(pixels), device gradients): computed once a case."""
-    from stylerf.fields.device import DeviceField
+    from stylerf.fields.gpu.field import DeviceField
 
     kind, density_of, colour, displaced = CASES[case]
     field = field_of(SPACES[kind], 3, colour(), STEP, displacement_grid(6) if displaced else None)
@@ -64,16 +64,16 @@ def test_every_sample_equals_the_oracle_at_its_distance(case, device):
     assert len(packed.rays) == int(rendered.samples.total) == rendered.samples.room > 20
     assert torch.equal(rendered.samples.ray_of.cpu().long(), packed.rays)
     where, ways = points_on(rays, packed)
-    x, end = oracle.warp(space, where), packed.backdrop
+    x, end = torch_reference.warp(space, where), packed.backdrop
     assert bool(end.any()) == (space.kind != "box")
-    length = STEP / oracle.speed(space, where, ways) * oracle.density_jacobian(space, where) * oracle.OPTICAL_SCALE
+    length = STEP / torch_reference.speed(space, where, ways) * torch_reference.density_jacobian(space, where) * torch_reference.OPTICAL_SCALE
     close(packed.optical[~end], length[~end], 1e-3 if space.kind == "contraction" else 2e-5)
     if field.displacement is not None:
-        x = torch.where(end[:, None], x, oracle.displaced(float64(field.displacement), x))
+        x = torch.where(end[:, None], x, torch_reference.displaced(float64(field.displacement), x))
     np.testing.assert_allclose(packed.x, x, atol=3e-6)
     sigma = oracle_density(field.density, float64(field.density.values), packed.x)
     close(packed.sigma[~end], sigma[~end], 5e-6)
-    weights, _ = oracle.weights(packed.sigma, packed.optical, packed.rays, end)
+    weights, _ = torch_reference.weights(packed.sigma, packed.optical, packed.rays, end)
     np.testing.assert_allclose(packed.weights, weights, atol=3e-6)
     largest = torch.zeros(len(rays.origins), dtype=torch.float64).index_reduce(0, packed.rays, packed.weights, "amax")
     assert torch.equal(rendered.samples.largest.cpu().double(), largest)
@@ -124,7 +124,7 @@ def test_near_samples_learn_by_the_square_of_their_distance(device):
     found = gradients_of(made, rendered, towards, even_from=2.0)
     far = gradients_of(made, rendered, towards, even_from=0.5)  # nearer than the near plane: all alike
     close(far[0], plain[0], 1e-6)
-    from stylerf.kernels.cpu.composite import composite_backward, scale_near
+    from stylerf.kernels.cpu.compositing import composite_backward, scale_near
 
     s, n = on_host(rendered.samples), rendered.samples.room
     sigma, colour = np.zeros(n, np.float32), np.zeros((n, 3), np.float32)

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import torch
 
-from stylerf.training import deformer
-from tests.stylerf.training import test_stylize as on_cpu
+from stylerf.training.deform import deformer
 from tests.stylerf.training.running import saved
+from tests.stylerf.training.stylize import test_arf as on_cpu
 
 ASKED = {"steps": 1, "refit_steps": 1, "refit_pixels": 12, "match": "both"}
 

@@ -1,0 +1,303 @@
+"""An artefact in the making: a locked folder that an interrupted run leaves behind and the next one goes on with.
+
+    WORK/<kind>/.<name>.partial/recipe.json    what is being made
+                                files/         the files of the artefact to be
+                                checkpoint/    what the stage needs to go on, gone once it is finished
+                                clock.json     seconds and peak memory of the runs so far
+                                ready/         the finished artefact, on its way to its place
+                                replaced/      the one that it takes the place of
+    WORK/<kind>/.<name>.lock                   held while a process writes here; see schemas.lock
+
+Finishing hashes and flushes the files, writes the manifest last, and swaps `files` with the artefact of that name in
+one rename. No run leaves links here, so none is followed.
+"""
+
+import ctypes
+import json
+import os
+import shutil
+import stat
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import asdict
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from schemas.artifact import Artefact, added_files, of_a_desktop
+from schemas.atomic_write import is_temporary, make_folder, sync_file, sync_folder, write_bytes, write_json, writing
+from schemas.canonical_json import file_sha256, plain
+from schemas.errors import ArtefactStale, OutOfResources, WouldBeLost
+from schemas.lock import Lock
+from schemas.manifest import MANIFEST, FileRecord, InputRef, Manifest, Recipe
+from schemas.migrations import CURRENT
+
+DEAR_SECONDS = 60.0  # so much work goes without a word, no more
+_AT_FDCWD = -100
+_RENAME_EXCHANGE = 2
+
+
+class UnlikeInterrupted(ArtefactStale):
+    """An interrupted run with other options would be lost. seconds: its work so far; options: in words."""
+
+    def __init__(self, kind: str, name: str, seconds: float, options: str) -> None:
+        super().__init__(f"an interrupted run of {kind} {name} with {options} would be lost")
+        self.seconds, self.options = seconds, options
+
+
+class Partial:
+    """A run in progress. The stage writes its files below `path` and its checkpoints below `checkpoint`.
+
+    `resumed` tells that an earlier run of the same recipe left something here; with `anew` one that was begun so,
+    too. What a run with other options left is deleted; with `careful`, where that is a minute's work or more, it is
+    kept and UnlikeInterrupted raised, or, where no option goes on with it, `lost` tells what was deleted. Where files
+    lie at the artefact's place that no run wrote, no run begins or finishes (WouldBeLost).
+    """
+
+    def __init__(
+        self, root: Path, kind: str, name: str, recipe: Recipe, careful: bool = False, anew: bool = False
+    ) -> None:
+        self.anew = anew
+        self.kind, self.name, self.recipe = kind, name, recipe
+        self.target = root / kind / name
+        self.folder = root / kind / f".{name}.partial"
+        self.path = self.folder / "files"
+        self.checkpoint = self.folder / "checkpoint"
+        self.lost = ""
+        self._lock = Lock(root / kind / f".{name}.lock")
+        try:
+            self._refuse_links()
+            if self.folder.exists():
+                self._lock.hold_folder(self.folder)
+            self._restore_replaced()
+            self._restore_ready()
+            self._refuse_to_bury()
+            self.resumed = self._holds_same_recipe()
+            if not self.resumed:
+                if careful:
+                    self._refuse_to_lose()
+                self._start_afresh()
+            make_folder(self.checkpoint)
+            for leftover in [item for item in self.folder.rglob(".*") if is_temporary(item)]:
+                leftover.unlink(missing_ok=True)
+        except BaseException:
+            self._lock.release()
+            raise
+
+    def _holds_same_recipe(self) -> bool:
+        # `files` is gone from the moment a run is finished, so what a kill after that left behind is not resumed.
+        if not self.path.is_dir():
+            return False
+        left = _stored(self.folder / "recipe.json")
+        return left.get("digest") == self.recipe.digest and (not self.anew or left.get("anew") is True)
+
+    def _refuse_to_lose(self) -> None:
+        left = _stored(self.folder / "recipe.json")
+        try:
+            seconds = float(_stored(self.folder / "clock.json")["seconds"])
+            del left["digest"]
+            left.pop("anew", None)
+            before = Recipe(**{**left, "inputs": [InputRef(**one) for one in left["inputs"]]})
+        except (ValueError, KeyError, TypeError):
+            return  # nothing that could go on
+        if seconds < DEAR_SECONDS or not self.path.is_dir():
+            return
+        if sources := self.recipe.other_sources(before):
+            self.lost = f"{seconds / 60:.0f} min of work with {sources}"
+        elif options := self.recipe.other_options(before):
+            raise UnlikeInterrupted(self.kind, self.name, seconds, options)
+
+    def _refuse_links(self) -> None:
+        """WouldBeLost where a link, a pipe or a device lies among the run's own files: through it, a run that goes on
+        would write elsewhere."""
+        if strange := next(_strange_in(self.folder), None):
+            raise WouldBeLost(f"{strange} is a link or no file, which no run leaves there; delete it")
+
+    def _refuse_to_bury(self) -> None:
+        """WouldBeLost where something stands in the artefact's place that no manifest there lists."""
+        if os.path.islink(self.target) and not self.target.exists():
+            raise WouldBeLost(f"{self.target} is a link to nothing; delete it, or mend what it leads to")
+        if not self.target.exists():
+            return
+        listed = _listed_in(self.target)
+        if listed is None:
+            return
+        added = added_files(self.target, listed) if self.target.is_dir() else [self.target]
+        if added:
+            raise WouldBeLost(
+                f"{added[0]} would be deleted with what stands as {self.kind} {self.name}, whose manifest does not "
+                "list it; move it elsewhere"
+            )
+
+    def _start_afresh(self) -> None:
+        with writing(self.folder):
+            self._delete()
+        make_folder(self.path)
+        self._lock.hold_folder(self.folder)
+        told = {**asdict(self.recipe), "digest": self.recipe.digest, "anew": self.anew}
+        write_json(self.folder / "recipe.json", told)
+
+    def _restore_replaced(self) -> None:
+        replaced = replaced_by(self.target.parent.parent, self.kind, self.name)
+        if replaced.is_dir() and not os.path.lexists(self.target):
+            os.rename(replaced, self.target)
+
+    def _restore_ready(self) -> None:
+        """A run that was killed after its last file and before its artefact stood goes on from there."""
+        ready = self.folder / "ready"
+        made = [_recipe_in(folder) == self.recipe.digest for folder in (ready, self.target)]
+        if made == [True, False] and not self.path.exists():
+            os.rename(ready, self.path)
+
+    def commit(
+        self,
+        *,
+        device: str = "cpu",
+        threads: int | None = None,
+        versions: dict[str, str] | None = None,
+        seconds: float = 0.0,
+        peak_memory_mb: float = 0.0,
+        figures: dict[str, Any] | None = None,
+    ) -> Artefact:
+        """Finishes the artefact and returns it; checkpoints and the artefact it replaces are deleted after.
+
+        A kill at any moment leaves either the older artefact (or none) with this run resumable, or the new one.
+        """
+        self._refuse_links()
+        with writing(self.path):
+            records = [self._record(item) for item in self._files()]
+            manifest = Manifest(
+                kind=self.kind,
+                schema=CURRENT[self.kind],
+                name=self.name,
+                stage=self.recipe.stage,
+                revision=self.recipe.revision,
+                recipe=self.recipe.digest,
+                config=plain(self.recipe.config),
+                inputs=list(self.recipe.inputs),
+                files=records,
+                seed=self.recipe.seed,
+                device=device,
+                versions=dict(versions or {}),
+                seconds=round(float(seconds), 3),
+                peak_memory_mb=round(float(peak_memory_mb), 1),
+                created=datetime.now(UTC).isoformat(timespec="milliseconds"),
+                figures=plain(figures or {}),
+                threads=threads,
+            )
+            self._refuse_to_bury()
+            write_bytes(self.path / MANIFEST, manifest.to_bytes())
+            self._swap()
+            shutil.rmtree(self.folder, ignore_errors=True)
+        self.release()
+        return Artefact(self.target)
+
+    def _files(self) -> list[Path]:
+        """All files to keep, in the order of their names; an interrupted run's manifest is written anew."""
+        (self.path / MANIFEST).unlink(missing_ok=True)
+        items = (item for item in self.path.rglob("*") if item.is_file())
+        items = [item for item in items if not is_temporary(item) and not of_a_desktop(item)]
+        return sorted(items, key=lambda item: item.relative_to(self.path).as_posix())
+
+    def _record(self, item: Path) -> FileRecord:
+        sync_file(item)
+        return FileRecord(item.relative_to(self.path).as_posix(), item.stat().st_size, file_sha256(item))
+
+    def _swap(self) -> None:
+        for folder in [*(item for item in self.path.rglob("*") if item.is_dir()), self.path]:
+            sync_folder(folder)
+        ready = self.folder / "ready"
+        os.rename(self.path, ready)
+        if not os.path.lexists(self.target):
+            os.rename(ready, self.target)
+        elif not _exchange(ready, self.target):
+            os.rename(self.target, replaced_by(self.target.parent.parent, self.kind, self.name))
+            os.rename(ready, self.target)
+        sync_folder(self.target.parent)
+
+    def discard(self) -> None:
+        """Deletes the run with its checkpoints."""
+        with suppress(OSError):
+            self._delete()
+        self.release()
+
+    def _delete(self) -> None:
+        """The recipe goes first: what a kill leaves of the rest is never taken up again."""
+        (self.folder / "recipe.json").unlink(missing_ok=True)
+        if self.folder.exists():
+            shutil.rmtree(self.folder)
+
+    def release(self) -> None:
+        """Lets others write here; the folder stays and can be resumed."""
+        self._lock.release()
+
+
+def replaced_by(root: Path, kind: str, name: str) -> Path:
+    """Where an artefact lies while a newer one takes its place, where the disk cannot swap the two in one step."""
+    return root / kind / f".{name}.partial" / "replaced"
+
+
+def _stored(path: Path) -> dict:
+    """A JSON object that a run keeps for itself; empty where it is absent or damaged.
+
+    OSError where it cannot be read: what a disk that is away holds is not given up.
+    """
+    try:
+        found = json.loads(path.read_bytes())
+    except (FileNotFoundError, NotADirectoryError, ValueError, RecursionError):
+        return {}
+    return found if isinstance(found, dict) else {}
+
+
+def _recipe_in(folder: Path) -> str | None:
+    return _stored(folder / MANIFEST).get("recipe")
+
+
+def _strange_in(folder: Path) -> Iterator[Path]:
+    """What is neither a file nor a folder: `folder` itself, or anything below it."""
+    if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
+        yield folder
+        return
+    for parent, folders, files in os.walk(folder):
+        for name in (*folders, *files):
+            with suppress(FileNotFoundError):
+                mode = os.lstat(os.path.join(parent, name)).st_mode
+                if not (stat.S_ISDIR(mode) or stat.S_ISREG(mode)):
+                    yield Path(parent, name)
+
+
+def _listed_in(folder: Path) -> set[str] | None:
+    """Paths that a manifest lists, also one of another version or with an altered byte; none where there is none.
+
+    None where there is one that cannot be read: an artefact that is to be made again, as whoever asks for it is told.
+    """
+    if not (folder / MANIFEST).is_file():
+        return set()
+    try:
+        return {record["path"] for record in json.loads((folder / MANIFEST).read_text())["files"]}
+    except (OSError, ValueError, RecursionError, KeyError, TypeError):
+        return None
+
+
+def sweep_finished(root: Path, kind: str, name: str) -> None:
+    """Deletes what a run left that was killed between its last rename and its own tidying up; never a resumable run."""
+    folder = root / kind / f".{name}.partial"
+    if not folder.is_dir() or (folder / "files").is_dir():
+        return
+    with suppress(OutOfResources, WouldBeLost):  # another process is at work here, or we may not write: no harm done
+        lock = Lock(root / kind / f".{name}.lock")
+        try:
+            lock.hold_folder(folder)
+            if not (folder / "files").is_dir() and (root / kind / name).exists():
+                shutil.rmtree(folder, ignore_errors=True)
+        finally:
+            lock.release()
+
+
+def _exchange(one: Path, other: Path) -> bool:
+    """Swaps two folders in one step where the system can (Linux), so that there is no moment without an artefact."""
+    try:
+        renameat2 = ctypes.CDLL(None, use_errno=True).renameat2
+    except (OSError, AttributeError):
+        return False
+    return renameat2(_AT_FDCWD, os.fsencode(one), _AT_FDCWD, os.fsencode(other), _RENAME_EXCHANGE) == 0

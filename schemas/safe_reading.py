@@ -1,0 +1,86 @@
+"""Reading a whole file that somebody else may have written: only a regular file, and only so much of it."""
+
+import json
+import os
+import stat
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, BinaryIO
+
+from schemas.atomic_write import out_of_resources
+from schemas.errors import BadInput, StylerfError
+from schemas.safe_names import printable
+
+MOST_JSON = 256 << 20  # bytes; a scene of 10,000 views takes 8 MB
+
+
+@contextmanager
+def opened(path: Path | str, fault: type[StylerfError] = BadInput) -> Iterator[BinaryIO]:
+    """The regular file at `path`, open for reading; links to such files are followed.
+
+    Raises `fault` where it is a named pipe, device or folder, or unreadable, also while it is read; FileNotFoundError
+    where nothing is there; OutOfResources where permission, handles or memory are lacking.
+    """
+    shown = printable(str(path))
+    try:
+        # Without O_NONBLOCK, opening a named pipe waits for a writer.
+        stream = open(path, "rb", opener=lambda name, flags: os.open(name, flags | os.O_NONBLOCK))
+    except IsADirectoryError:
+        raise fault(f"{shown} is a folder, not a file") from None
+    except FileNotFoundError:
+        raise
+    except ValueError as error:  # a null byte or a lone surrogate in the path
+        raise fault(f"{shown} cannot be read: {error}") from error
+    except OSError as error:
+        raise out_of_resources(error, path) or fault(f"{shown} cannot be read: {error.strerror}") from error
+    with stream:
+        mode = os.fstat(stream.fileno()).st_mode
+        if not stat.S_ISREG(mode):
+            raise fault(f"{shown} is {_kind(mode)}, not a file")
+        try:
+            yield stream
+        except OSError as error:
+            if isinstance(error, FileNotFoundError):
+                raise
+            raise out_of_resources(error, path) or fault(f"{shown} cannot be read: {error.strerror}") from error
+
+
+def read_bytes(path: Path | str, limit: int, fault: type[StylerfError] = BadInput) -> bytes:
+    """All bytes of the regular file at `path`; `fault` where it has more than `limit`, else as opened."""
+    shown = printable(str(path))
+    with opened(path, fault) as stream:
+        if (size := os.fstat(stream.fileno()).st_size) > limit:
+            raise fault(f"{shown} has {size / 1e6:.0f} MB; at most {limit / 1e6:.0f} MB can be read")
+        data = stream.read(limit + 1)
+    if len(data) > limit:
+        raise fault(f"{shown} grew beyond {limit / 1e6:.0f} MB while it was read")
+    return data
+
+
+def read_text(path: Path | str, limit: int, fault: type[StylerfError] = BadInput) -> str:
+    """As read_bytes, as UTF-8 without a byte order mark; `fault` where it is not UTF-8."""
+    try:
+        return read_bytes(path, limit, fault).decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise fault(f"{printable(str(path))} is no UTF-8 text (byte {error.start})") from error
+
+
+def read_json(path: Path | str, fault: type[StylerfError] = BadInput, limit: int = MOST_JSON) -> Any:
+    """The JSON document at `path`; `fault` where it is not JSON, nested too deeply, or not readable (read_bytes)."""
+    return parsed(read_text(path, limit, fault), printable(str(path)), fault)
+
+
+def parsed(text: str, where: str, fault: type[StylerfError] = BadInput) -> Any:
+    """`text` as JSON; `fault` naming `where` it came from and the line where it is not."""
+    try:
+        return json.loads(text)
+    except RecursionError:
+        raise fault(f"{where} is nested too deeply to be read") from None
+    except ValueError as error:  # of JSON, and of integers with thousands of digits
+        raise fault(f"{where} is not valid JSON ({error})") from error
+
+
+def _kind(mode: int) -> str:
+    kinds = {stat.S_IFIFO: "a named pipe", stat.S_IFDIR: "a folder", stat.S_IFSOCK: "a socket"}
+    return kinds.get(stat.S_IFMT(mode), "a device")

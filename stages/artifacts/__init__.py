@@ -1,0 +1,1 @@
+"""Reading and writing what each kind of artifact holds."""

@@ -1,0 +1,176 @@
+"""Files of cameras for `stylerf render --path`: a list of ours, frames.json, nerfstudio's camera_path.json, and any
+transforms.json."""
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from schemas.canonical_json import digest_of, file_sha256
+from schemas.errors import BadInput
+from schemas.json_numbers import LARGEST_PICTURE, LARGEST_SIDE
+from schemas.safe_names import printable
+from schemas.safe_reading import read_json
+from stages.artifacts.scene import SceneData
+from stages.readers import transforms
+from stages.readers.checked_values import entry_of, number, row, size
+from stages.readers.photos import lens_without_photo
+from stylerf.errors import InvalidValue
+from stylerf.geometry.camera_conventions import checked_pose, from_opengl, with_last_row
+from stylerf.geometry.cameras import Camera
+from stylerf.geometry.scene_normalization import moved
+
+# Beside a camera_path.json: how nerfstudio turned, moved and scaled the frame of its source.
+OF_NERFSTUDIO = "dataparser_transforms.json"
+
+
+@dataclass(frozen=True, eq=False)
+class CameraFile:
+    """Cameras in scene units, in the order of the frames, and what to say of how they were read, a line each."""
+
+    cameras: list[Camera]
+    remarks: tuple[str, ...] = ()
+
+
+def digest_of_cameras(path: Path) -> str:
+    """Of the file and, where it is there, of the one that tells nerfstudio's frame."""
+    beside = path.parent / OF_NERFSTUDIO
+    return digest_of([file_sha256(path), file_sha256(beside)]) if beside.is_file() else file_sha256(path)
+
+
+def read_cameras(path: Path, scene: SceneData) -> CameraFile:
+    """The cameras of a file, in scene units; BadInput where it is of no known form, or a camera is not sound."""
+    where = f"--path {printable(str(path))}"
+    try:
+        content = read_json(path)
+    except FileNotFoundError as error:
+        raise BadInput(f"{where}: neither a known path nor a file") from error
+    except BadInput as error:
+        raise BadInput(f"{where}: {error}") from error
+    keys = content.keys() if isinstance(content, dict) else set()
+    if "camera_path" in keys:
+        found = _nerfstudio(content, path, scene, where)
+    elif "frames" in keys:
+        found = _transforms(path, scene, where)
+    elif isinstance(content, list) or "views" in keys:
+        found = _ours(content if isinstance(content, list) else content["views"], scene.cameras[0], where)
+    else:
+        told = f"an object of {', '.join(map(printable, sorted(keys)[:6]))}" if keys else f"{content!r:.20}"
+        raise BadInput(
+            f"{where} is {told}; a list of cameras was expected, each with world_from_camera, or an object with "
+            "`views` (frames.json), `camera_path` (nerfstudio) or `frames` (transforms.json)"
+        )
+    if not found.cameras:
+        raise BadInput(f"{where}: a list of cameras was expected, it is empty")
+    for index, camera in enumerate(found.cameras):
+        if max(camera.width, camera.height) > LARGEST_SIDE or camera.width * camera.height > LARGEST_PICTURE:
+            raise BadInput(
+                f"{where}: camera {index} has {camera.width}x{camera.height} pixels; at most {LARGEST_SIDE} a side and "
+                f"{LARGEST_PICTURE / 1e6:.0f} million in all can be"
+            )
+    return found
+
+
+def _ours(entries: object, like: Camera, where: str) -> CameraFile:
+    """{world_from_camera, and optionally width, height, fx, fy, cx, cy} each, in scene units, maybe as `camera`."""
+    cameras = []
+    for index, entry in enumerate(entries if isinstance(entries, list) else []):
+        try:
+            cameras.append(_camera_of_entry(entry.get("camera", entry), f"{index:04d}", like))
+        except (AttributeError, KeyError, TypeError, ValueError, OverflowError, InvalidValue) as error:
+            raise BadInput(f"{where}: camera {index} is not sound ({error})") from error
+    return CameraFile(cameras)
+
+
+def _camera_of_entry(entry: dict, name: str, like: Camera) -> Camera:
+    """What an entry does not tell is as `like` has it: its size, its view across, and its centre, at the entry's size.
+
+    One focal length alone holds for both sides: pixels are square.
+    """
+    width, height = int(entry.get("width", like.width)), int(entry.get("height", like.height))
+    kx, ky = width / like.width, height / like.height
+    fx = float(entry.get("fx", entry.get("fy", like.fx * kx)))
+    fy = float(entry.get("fy", entry.get("fx", like.fy * kx)))
+    cx, cy = float(entry.get("cx", like.cx * kx)), float(entry.get("cy", like.cy * ky))
+    return Camera(name, width, height, fx, fy, cx, cy, np.array(entry["world_from_camera"], dtype=np.float64))
+
+
+def _transforms(path: Path, scene: SceneData, where: str) -> CameraFile:
+    """Cameras in the frame of the scene's source, as import would read them; photos need not be there."""
+    try:
+        source = transforms.read(path, "")
+        like = scene.cameras[0]
+        cameras = []
+        for index, one in enumerate(source.cameras):
+            width, height = one.size or (like.width, like.height)
+            lens = lens_without_photo(one, (width, height))
+            pose = _in_scene(one.world_from_camera, scene, f"frame {index}")
+            cameras.append(Camera(f"{index:04d}", width, height, *lens, pose))
+    except BadInput as error:
+        raise BadInput(f"{where}: {error}") from error
+    bent = sum(not one.distortion.none for one in source.cameras)
+    remarks = (f"{bent} cameras of {path.name} have a lens distortion, which renders leave out",) if bent else ()
+    return CameraFile(cameras, remarks)
+
+
+def _nerfstudio(content: dict, path: Path, scene: SceneData, where: str) -> CameraFile:
+    """The cameras that nerfstudio's viewer exports: camera_to_world with OpenGL axes, in nerfstudio's own frame.
+
+    That frame is known where dataparser_transforms.json lies beside the file; else it is taken to be the source's.
+    `fov` is vertical, in degrees.
+    """
+    kind = content.get("camera_type", "perspective")
+    if kind != "perspective":
+        raise BadInput(f"{where}: its camera_type is {printable(str(kind))[:40]}, expected perspective")
+    entries = content["camera_path"]
+    if not isinstance(entries, list):
+        raise BadInput(f"{where}: camera_path is no list; export the path again from nerfstudio's viewer")
+    width, height = size(content, where, ("render_width", "render_height"))
+    undo, remarks = _source_from_nerfstudio(path)
+    cameras = []
+    for index, entry in enumerate(entries):
+        name = f"{where}: camera {index}"
+        values = entry_of(entry, "camera_to_world", name)
+        if isinstance(values, list) and all(isinstance(one, list) for one in values):
+            values = [value for one in values for value in one]
+        pose = from_opengl(with_last_row(row(values, 16, f"{name}: camera_to_world").reshape(4, 4)))
+        angle = number(entry, "fov", name)
+        if not 0 < angle < 180:
+            raise BadInput(f"{name}: fov is {angle:g} degrees, expected 0 to 180")
+        focal = height / 2 / math.tan(math.radians(angle) / 2)
+        pose = _in_scene(moved(_checked(pose, name), undo), scene, name)
+        cameras.append(Camera(f"{index:04d}", width, height, focal, focal, width / 2, height / 2, pose))
+    return CameraFile(cameras, remarks)
+
+
+def _source_from_nerfstudio(path: Path) -> tuple[np.ndarray, tuple[str, ...]]:
+    """[4, 4] from nerfstudio's frame, x' = scale * transform x, back to that of its source."""
+    beside = path.parent / OF_NERFSTUDIO
+    if not beside.is_file():
+        return np.eye(4), (
+            f"{path.name} is taken to be in the frame of the scene's source; where nerfstudio has turned or scaled it, "
+            f"lay the {OF_NERFSTUDIO} of that training beside it",
+        )
+    content, where = read_json(beside), printable(str(beside))
+    rows = entry_of(content, "transform", where)
+    values = [value for one in rows for value in one] if isinstance(rows, list) and all(
+        isinstance(one, list) for one in rows
+    ) else rows  # fmt: skip
+    turn = _checked(with_last_row(row(values, 12, f"{where}: transform").reshape(3, 4)), where)
+    scale = number(content, "scale", where)
+    if not scale > 0:
+        raise BadInput(f"{where}: scale is {scale:g}, expected more than 0")
+    return np.linalg.inv(np.diag([scale, scale, scale, 1]) @ turn), ()
+
+
+def _in_scene(pose: np.ndarray, scene: SceneData, where: str) -> np.ndarray:
+    """A pose of the scene's source in scene units."""
+    return moved(_checked(pose, where), np.array(scene.scene.scene_from_source))
+
+
+def _checked(pose: np.ndarray, where: str) -> np.ndarray:
+    try:
+        return checked_pose(pose)
+    except InvalidValue as error:
+        raise BadInput(f"{where}: {error}") from error

@@ -1,0 +1,49 @@
+"""Reads and writes field artefacts: field.json says what it is, field.safetensors holds its numbers."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+
+from schemas.atomic_write import write_json
+from schemas.errors import ArtefactDamaged
+from schemas.safe_reading import read_json
+from schemas.tensors import load_tensors, save_tensors
+from schemas.work_folder import Artefact
+from stages.artifacts.validity import sound
+from stylerf import validation
+from stylerf.fields.deformation import Deformation
+from stylerf.fields.radiance_field import RadianceField
+
+DESCRIPTION, NUMBERS, DEFORMATION = "field.json", "field.safetensors", "deformation.safetensors"
+BACKGROUNDS = ("white", "black", "none")
+
+
+def save_field(folder: Path, field: RadianceField, background: str) -> None:
+    """background: white, black or none: what stands behind the field in pictures."""
+    save_tensors(folder / NUMBERS, field.arrays())
+    write_json(folder / DESCRIPTION, {**field.describe(), "background": background})
+
+
+def load_field(artefact: Artefact) -> tuple[RadianceField, str]:
+    """The field and its background; ArtefactDamaged where the two files do not make one."""
+    artefact.check_sizes()
+    arrays, _ = load_tensors(artefact.file(NUMBERS))
+    data = read_json(artefact.file(DESCRIPTION), ArtefactDamaged)
+    with sound(artefact.path, "a sound field"):
+        return RadianceField.restore(data, arrays), validation.one_of(data, "background", BACKGROUNDS)
+
+
+def save_deformation(folder: Path, deformation: Deformation) -> None:
+    """The network behind a field's displacement grid, for whoever moves it further."""
+    save_tensors(folder / DEFORMATION, {"values": deformation.values}, {"kind": json.dumps(deformation.describe())})
+
+
+def load_deformation(artefact: Artefact) -> Deformation | None:
+    """The network behind a field's displacement grid; None for a field without one."""
+    if not artefact.has(DEFORMATION):
+        return None
+    arrays, metadata = load_tensors(artefact.file(DEFORMATION))
+    with sound(artefact.path / DEFORMATION, "a sound deformation"):
+        values = validation.array(arrays, "values", np.float32, (None,), validation.LEARNT)
+        return Deformation.restore(json.loads(validation.entry(metadata, "kind", str)), values.copy())

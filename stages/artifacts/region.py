@@ -1,0 +1,50 @@
+"""Reads and writes region artefacts: region.json tells what was asked for, region.safetensors holds the cells."""
+
+from pathlib import Path
+
+import numpy as np
+
+from schemas.atomic_write import write_json
+from schemas.errors import ArtefactDamaged, BadInput
+from schemas.safe_reading import read_json
+from schemas.tensors import load_tensors, save_tensors
+from schemas.work_folder import Artefact
+from stages.artifacts.validity import sound
+from stylerf import validation
+from stylerf.editing.edit_grid import Region
+from stylerf.fields.radiance_field import RadianceField
+from stylerf.geometry.space_warp import Space
+
+DESCRIPTION, NUMBERS = "region.json", "region.safetensors"
+
+
+def save_region(folder: Path, region: Region, space: Space, told: dict) -> None:
+    """space: the warp whose cube the cells divide. told: figures for whoever reads the file."""
+    packed = {name: np.packbits(grid.reshape(-1)) for name, grid in (("edit", region.edit), ("grow", region.grow))}
+    save_tensors(folder / NUMBERS, packed)
+    write_json(folder / DESCRIPTION, {**told, "cells": region.cells, "space": space.describe()})
+
+
+def region_of_field(region: Artefact, of: Artefact, field: RadianceField, otherwise: str = "") -> Region:
+    """The region's cells; BadInput where they divide the space of another field than `of`, which holds `field`.
+
+    otherwise: what else could be done, for the message.
+    """
+    found, space = load_region(region)
+    if space != field.space:
+        raise BadInput(
+            f"region {region.name} divides the space of another field than {of.name}; select it anew with "
+            f"`stylerf select --of {of.name}`{otherwise}"
+        )
+    return found
+
+
+def load_region(artefact: Artefact) -> tuple[Region, Space]:
+    """The region and the space whose cube it divides; ArtefactDamaged where the two files do not make one."""
+    artefact.check_sizes()
+    arrays, _ = load_tensors(artefact.file(NUMBERS))
+    data = read_json(artefact.file(DESCRIPTION), ArtefactDamaged)
+    with sound(artefact.path, "a sound region"):
+        cells = validation.integer(data, "cells", 1, 1024)
+        region = Region(*(validation.bits(arrays, name, cells) for name in ("edit", "grow")))
+        return region, Space.restore(validation.entry(data, "space"))

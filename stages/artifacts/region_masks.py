@@ -1,0 +1,73 @@
+"""Regions that a field's frames show as masks: which of them fit the field, and what their EXR channels are called."""
+
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from schemas.errors import ArtefactDamaged, BadInput
+from schemas.safe_reading import read_json
+from schemas.work_folder import Artefact, Work
+from stages.artifacts.field import DESCRIPTION as FIELD_DESCRIPTION
+from stages.artifacts.region import DESCRIPTION, load_region
+from stages.artifacts.validity import sound
+from stylerf import validation
+from stylerf.geometry.space_warp import Space
+
+ROLE = "region."
+CHANNEL = "mask."
+
+
+@dataclass(frozen=True, eq=False)
+class Marked:
+    """The edited cells E [s, s, s] of a region artefact, and that artefact's digest."""
+
+    cells: np.ndarray
+    digest: str
+
+
+def regions_fitting(work: Work, field: Artefact) -> tuple[dict[str, Artefact], list[str]]:
+    """The regions of a work folder that divide the field's own space, by role; the names of all others."""
+    regions = work.artefacts("region")
+    if not regions:
+        return {}, []
+    space = _space(field, FIELD_DESCRIPTION)
+    fitting = {ROLE + one.name: one for one in regions if _space(one, DESCRIPTION) == space}
+    return fitting, [one.name for one in regions if ROLE + one.name not in fitting]
+
+
+def regions_among(inputs: Mapping[str, Artefact], space: Space) -> dict[str, Marked]:
+    """The regions among a stage's inputs, by name; BadInput where one divides another space than the field's."""
+    found = {}
+    for artefact in (one for role, one in inputs.items() if role.startswith(ROLE)):
+        region, own = load_region(artefact)
+        if own != space:
+            raise BadInput(
+                f"region {artefact.name} was selected in the space of another field; select it anew: stylerf select "
+                f"{artefact.path.parent.parent}"
+            )
+        found[artefact.name] = Marked(region.edit, artefact.digest)
+    return found
+
+
+def channels_of(names: Iterable[str]) -> dict[str, str]:
+    """What follows `mask.` in the channel of each region: its name in letters, digits and `_`, not begun by a digit.
+
+    A dot in it would be a layer below the layer, and `+` and `-` are sums in a compositor's expressions. Regions that
+    would share a channel are numbered; one whose name is a channel's already keeps it.
+    """
+    channels: dict[str, str] = {}
+    written = {name: re.sub(r"^(?=\d)|[^A-Za-z0-9_]", "_", name) for name in names}
+    for name in sorted(written, key=lambda one: (one != written[one], one)):
+        channel, number = written[name], 2
+        while channel in channels.values():
+            channel, number = f"{written[name]}_{number}", number + 1
+        channels[name] = channel
+    return channels
+
+
+def _space(artefact: Artefact, description: str) -> Space:
+    data = read_json(artefact.file(description), ArtefactDamaged)
+    with sound(artefact.path / description, "a sound space"):
+        return Space.restore(validation.entry(data, "space"))

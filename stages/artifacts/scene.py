@@ -1,0 +1,229 @@
+"""Reads a scene artefact into cameras and images for the mathematics."""
+
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from schemas.errors import ArtefactDamaged, BadInput
+from schemas.exr import read_depth
+from schemas.images import image_channels, read_image
+from schemas.manifest import MANIFEST
+from schemas.scene import POINTS_FILE, SCENE_FILE, Bounds, Scene, View, read_scene
+from schemas.tensors import load_tensors
+from schemas.work_folder import Artefact, sources_of
+from stages.artifacts.validity import sound
+from stylerf import validation
+from stylerf.editing.edit_views import check_pixels
+from stylerf.errors import InvalidValue
+from stylerf.geometry.cameras import Camera
+from stylerf.srgb import exposed
+
+EXPOSURE_STOPS = "exposure_stops"  # among the figures of a fit: by view
+MOST_STOPS = 64
+EDIT_TARGETS = "edit/targets.safetensors"  # of a scene whose photos carry an edit: which pixels, and their depths
+EARLIER = "earlier_"  # before the names of what edits before that one left there
+_TARGET = re.compile(rf"([0-9]{{1,9}})\.({EARLIER})?(pixels|depth)")
+
+
+@dataclass(frozen=True, eq=False)
+class Points:
+    """Sparse points of the capture. xyz: [n, 3] float32 scene units, rgb: [n, 3] uint8, error: [n] float32 pixels."""
+
+    xyz: np.ndarray
+    rgb: np.ndarray
+    error: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class SceneData:
+    """A scene ready for use; images and depths are read when asked for. stops: by which views' photos are darkened.
+
+    retaken: the image of a view, by its index, where that is not its photo.
+    """
+
+    artefact: Artefact
+    scene: Scene
+    cameras: list[Camera]
+    points: Points | None
+    stops: Mapping[str, float] = field(default_factory=dict)
+    retaken: Callable[[int], np.ndarray] | None = None
+
+    @property
+    def folder(self) -> Path:
+        """Of the artefact."""
+        return self.artefact.path
+
+    @property
+    def views(self) -> tuple[View, ...]:
+        """The views in the order of `cameras`."""
+        return self.scene.views
+
+    @property
+    def splits(self) -> dict[str, list[int]]:
+        """Indices of the views by split: `train` and `test`."""
+        return {name: self.scene.split(name) for name in ("train", "test")}
+
+    @property
+    def layout(self) -> str:
+        """object, forward or unbounded."""
+        return self.scene.layout
+
+    @property
+    def bounds(self) -> Bounds:
+        """Box, near and far in scene units."""
+        return self.scene.bounds
+
+    @property
+    def background(self) -> str:
+        """alpha (images are RGBA, to be composited by the reader), white, black or none."""
+        return self.scene.background
+
+    def images(self, index: int) -> np.ndarray:
+        """Image of view `index`, [height, width, 3 or 4] float32, sRGB 0..1, straight alpha; grey becomes RGB.
+
+        ArtefactDamaged when it is missing, damaged or not of its camera's size.
+        """
+        if self.retaken:
+            return self.retaken(index)
+        view = self.views[index]
+        try:
+            pixels = read_image(self.artefact.file(view.image)).pixels
+        except BadInput as error:
+            raise ArtefactDamaged(f"{error}; run `stylerf import` again") from error
+        if pixels.shape[:2] != (view.height, view.width):
+            raise ArtefactDamaged(
+                f"{self.folder / view.image} is {pixels.shape[1]}x{pixels.shape[0]} where its camera says "
+                f"{view.width}x{view.height}; run `stylerf import` again"
+            )
+        pixels = pixels if pixels.shape[2] >= 3 else np.repeat(pixels, 3, axis=2)
+        return exposed(pixels, -self.stops[view.name]) if view.name in self.stops else pixels
+
+    def as_stored(self, index: int) -> bool:
+        """Whether images(index) is what its file holds."""
+        return self.retaken is None and self.views[index].name not in self.stops
+
+    @property
+    def exposure_figures(self) -> dict[str, dict[str, float]]:
+        """For the manifest of what is taught these photos: how they were taken, whatever becomes of the fit.
+
+        Photos that carry an edit are at one exposure themselves, and say nothing of the others.
+        """
+        return {} if self.artefact.has(EDIT_TARGETS) else {EXPOSURE_STOPS: dict(self.stops)}
+
+    def channels(self, index: int) -> int:
+        """3 or 4: those that images(index) has, by the file's header."""
+        try:
+            return max(3, image_channels(self.artefact.file(self.views[index].image)))
+        except BadInput as error:
+            raise ArtefactDamaged(f"{error}; run `stylerf import` again") from error
+
+    def truth_depth(self, index: int) -> np.ndarray | None:
+        """Known planar depth of view `index`, [height, width] float32 scene units; None where there is no truth."""
+        relative = self.scene.truth.depth_file(index)
+        if relative is None or not self.artefact.has(relative):
+            return None
+        try:
+            depth = read_depth(self.artefact.file(relative))
+        except BadInput as error:
+            raise ArtefactDamaged(f"{error}; run `stylerf import` again") from error
+        view = self.views[index]
+        if depth.shape != (view.height, view.width):
+            raise ArtefactDamaged(f"{self.folder / relative} is not of its camera's size; run `stylerf import` again")
+        return depth
+
+
+def load_scene(artefact: Artefact, seen_by: Artefact | None = None) -> SceneData:
+    """The scene of an artefact, checked: ArtefactDamaged when a file is missing or a camera cannot be.
+
+    seen_by: what was made of a field; photos are then brought to the one exposure that its fit found for them.
+    """
+    artefact.check_sizes()
+    scene = read_scene(artefact.file(SCENE_FILE).parent)
+    for view in scene.views:
+        artefact.file(view.image)
+    try:
+        cameras = [_camera(view) for view in scene.views]
+    except InvalidValue as error:
+        raise ArtefactDamaged(f"{artefact.path}: {error}; run `stylerf import` again") from error
+    # Photos that carry an edit were brought to it when that was distilled.
+    stops = _stops(seen_by) if seen_by and not artefact.has(EDIT_TARGETS) else {}
+    points = _points(artefact.file(POINTS_FILE)) if artefact.has(POINTS_FILE) else None
+    return SceneData(artefact, scene, cameras, points, stops)
+
+
+def view_index(scene: SceneData, name: str, asked_by: str) -> int:
+    """Index of a view by its name, or by its number in the scene written #12; BadInput naming some of those there are.
+
+    A bare number is a name: that of a photo which is missing must not mean the photo at that place.
+    """
+    names = [view.name for view in scene.views]
+    if name in names:
+        return names.index(name)
+    number = name.removeprefix("#")
+    if number != name and number.isdecimal() and int(number) < len(names):
+        return int(number)
+    ordered = sorted({*names, name})
+    at = ordered.index(name)
+    some = [*ordered[max(0, at - 3) : at], *ordered[at + 1 : at + 4]] if len(names) > 6 else names
+    told = f"{'the nearest of ' if len(names) > 6 else ''}the scene's {len(names)} views are {', '.join(some)}"
+    raise BadInput(f"{asked_by}: there is no view {name!r}; {told}; `stylerf show WORK/scene/main` lists all")
+
+
+def spread(views: list[int], count: int) -> list[int]:
+    """`count` of the views, evenly: those in the middle of as many equal parts."""
+    return [views[int((k + 0.5) * len(views) / count)] for k in range(count)]
+
+
+def _stops(seen_by: Artefact) -> dict[str, float]:
+    """By which the photos of views are overexposed, by the fit that `seen_by` goes back to; empty: all alike."""
+    for made in [seen_by, *sources_of(seen_by, ("field",))]:
+        if (stops := made.manifest.figures.get(EXPOSURE_STOPS)) is not None:
+            with sound(made.path / MANIFEST, f"sound {EXPOSURE_STOPS}"):
+                return {name: validation.number(stops, name, -MOST_STOPS, MOST_STOPS) for name in stops}
+    return {}
+
+
+def _camera(view: View) -> Camera:
+    pose = np.array(view.world_from_camera)
+    return Camera(view.name, view.width, view.height, view.fx, view.fy, view.cx, view.cy, pose)
+
+
+def _points(path: Path) -> Points:
+    tensors, _ = load_tensors(path)
+    with sound(path, "a sound list of points"):
+        xyz = validation.array(tensors, "xyz", np.float32, (None, 3))
+        rgb = validation.array(tensors, "rgb", np.uint8, (len(xyz), 3))
+        return Points(xyz, rgb, validation.array(tensors, "error", np.float32, (len(xyz),), most=None))
+
+
+@dataclass(frozen=True, eq=False)
+class EditTarget:
+    """What an edit left of one view in EDIT_TARGETS: pixels [n] int64, row-major; depth [n] float32: sum(w t)."""
+
+    pixels: np.ndarray
+    depth: np.ndarray
+
+
+def edit_targets(scene: SceneData) -> dict[tuple[int, str], EditTarget]:
+    """By index of the view, and "" for the last edit or EARLIER, what EDIT_TARGETS holds; ArtefactDamaged where it
+    holds anything else. Empty where the scene carries no edit."""
+    if not scene.artefact.has(EDIT_TARGETS):
+        return {}
+    path = scene.artefact.file(EDIT_TARGETS)
+    arrays, _ = load_tensors(path)
+    found = {}
+    with sound(path, "sound targets of an edit"):
+        for name in arrays:
+            if not (match := _TARGET.fullmatch(name)) or int(match[1]) >= len(scene.cameras):
+                raise InvalidValue(f"the array {name} is of no view of the scene")
+            index, part, what = int(match[1]), match[2] or "", match[3]
+            if what == "pixels":
+                pixels = validation.array(arrays, name, np.int64, (None,))
+                camera = scene.cameras[index]
+                check_pixels(pixels, name, camera.width, camera.height)
+                depth = validation.array(arrays, f"{index}.{part}depth", np.float32, (len(pixels),))
+                found[index, part] = EditTarget(pixels, depth)
+    return found

@@ -1,0 +1,78 @@
+"""Shards of a job: frames of the same recipe but for their span, put together without being rendered again."""
+
+import os
+import shutil
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from pathlib import Path, PurePosixPath
+
+from schemas.atomic_write import make_folder, replacing
+from schemas.canonical_json import file_sha256
+from schemas.errors import StylerfError
+from schemas.frames import Frame
+from schemas.journal import Journal
+from schemas.manifest import FileRecord, Manifest
+from schemas.work_folder import Artefact, Partial, Recipe, Work
+
+NO_SAY = ("frames", "video", "fps")  # options that no picture depends on
+
+
+def take_frames(partial: Partial, frames: Sequence[Frame], journal: Journal) -> dict[str, list[str]]:
+    """Puts what shards hold of `frames` below `partial.path`, and records it; the names of those taken, by shard.
+
+    Files are linked where the disk can, else copied. One that was altered since it was written is not taken.
+    """
+    taken: dict[str, list[str]] = {}
+    for shard in _shards(partial):
+        files = _files_by_frame(shard.manifest)
+        for frame in frames:
+            records = files.get(frame.name, [])
+            if records and not (partial.path / frame.png).exists() and all(_sound(shard, one) for one in records):
+                for record in records:
+                    _place(shard.path / record.path, partial.path / record.path)
+                journal.add(record.path for record in records)
+                taken.setdefault(shard.name, []).append(frame.name)
+    return taken
+
+
+def _shards(partial: Partial) -> Iterator[Artefact]:
+    wanted = _pictured(partial.recipe)
+    for one in Work(partial.target.parent.parent).artefacts(partial.kind):
+        with suppress(StylerfError):  # one that cannot be read is no help
+            made = one.manifest
+            recipe = Recipe(made.stage, made.revision, made.config, made.inputs, made.seed)
+            if made.config.get("frames") and _pictured(recipe) == wanted:
+                yield one
+
+
+def _pictured(recipe: Recipe) -> str:
+    # A file of cameras is known by its content.
+    idle = (*NO_SAY, "path") if recipe.config.get("path_digest") else NO_SAY
+    config = {name: value for name, value in recipe.config.items() if name not in idle}
+    return Recipe(recipe.stage, recipe.revision, config, recipe.inputs, recipe.seed).digest
+
+
+def _files_by_frame(made: Manifest) -> dict[str, list[FileRecord]]:
+    found = defaultdict(list)
+    for record in made.files:
+        kind, *name = PurePosixPath(record.path).with_suffix("").parts
+        if name:  # of a mask its region comes first; a frame's own name may have folders
+            found["/".join(name[1:] if kind == "masks" else name)].append(record)
+    return found
+
+
+def _sound(shard: Artefact, record: FileRecord) -> bool:
+    with suppress(OSError):
+        return file_sha256(shard.path / record.path) == record.sha256
+    return False
+
+
+def _place(source: Path, target: Path) -> None:
+    make_folder(target.parent)
+    target.unlink(missing_ok=True)
+    try:
+        os.link(source, target)
+    except OSError:
+        with replacing(target) as temporary:
+            shutil.copyfile(source, temporary)

@@ -1,0 +1,222 @@
+"""A scene with one fault, made from a scene without: its training views are spoilt, its test views stay as they were.
+
+The scene that it is made from stands in another work folder: it is told by its path and digest in the options, as an
+import tells its photos.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from skimage.transform import resize
+
+from schemas.errors import ArtefactStale, BadInput
+from schemas.images import to_uint8, write_png
+from schemas.scene import Bounds, Scene, View, as_matrix, write_scene
+from schemas.work_folder import Artefact, Partial
+from stages.artifacts.scene import SceneData, load_scene
+from stages.configs.corrupt_scene import FaultConfig
+from stages.run.progress import Context
+from stages.run.runner import Spec
+from stages.stress.faults import FAULTS, MADE
+from stylerf.corruption import capture, photos
+from stylerf.geometry.cameras import Camera
+from stylerf.geometry.scene_normalization import depths_of_box
+from stylerf.procedural.still_life import dome_cameras
+from stylerf.procedural.variants import HardStillLife
+from stylerf.srgb import exposed
+
+
+def _outside(config: FaultConfig) -> dict[str, str]:
+    if not config.source:
+        return {}
+    scene = Artefact(Path(config.source))
+    scene.verify()
+    return {"source_digest": scene.digest}
+
+
+SPEC = Spec(stage="fault_scene", verb="stress", revision=1, writes="scene", outside=_outside)
+STILL_LIFE_BOX = ((-1.25,) * 3, (1.25,) * 3)
+Photo = Callable[[], np.ndarray]
+
+
+@dataclass(frozen=True, eq=False)
+class Shot:
+    """A view with its photo still to be made, [h, w, 3 or 4] float32, and what the fault adds to it."""
+
+    camera: Camera
+    split: str
+    photo: Photo
+    source: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Capture:
+    """Views and what is known of where they are; figures: what the fault did, in numbers."""
+
+    shots: list[Shot]
+    layout: str
+    reason: str
+    bounds: Bounds
+    background: str
+    scene_from_source: np.ndarray
+    figures: dict
+
+
+def run(inputs: dict[str, Artefact], config: FaultConfig, partial: Partial, context: Context) -> dict:
+    """Writes scene.json and images/; returns the figures, among them what the fault did."""
+    generator = np.random.default_rng([context.seed, 20])
+    made = FAULTS[config.fault].of == MADE
+    found = _still_life(config, context.seed) if made else _spoilt(config, generator)
+    views = []
+    context.progress.start(f"fault {config.fault}", len(found.shots), "photo")
+    for index, shot in enumerate(found.shots):
+        image = f"images/{index:03d}.png"
+        write_png(partial.path / image, to_uint8(shot.photo()))
+        views.append(_view(shot, image))
+        context.progress.update(index + 1)
+    context.progress.finish()
+    write_scene(
+        partial.path,
+        Scene(
+            views=tuple(views),
+            layout=found.layout,
+            layout_reason=found.reason,
+            bounds=found.bounds,
+            background=found.background,
+            scene_from_source=as_matrix(found.scene_from_source),
+        ),
+    )
+    splits = [view.split for view in views]
+    return {"fault": config.fault, "train": splits.count("train"), "test": splits.count("test"), **found.figures}
+
+
+def _view(shot: Shot, image: str) -> View:
+    camera = shot.camera
+    return View(
+        name=camera.name, image=image, split=shot.split, width=camera.width, height=camera.height,
+        fx=camera.fx, fy=camera.fy, cx=camera.cx, cy=camera.cy,
+        world_from_camera=as_matrix(camera.world_from_camera), source=shot.source,
+    )  # fmt: skip
+
+
+def _still_life(config: FaultConfig, seed: int) -> Capture:
+    life = HardStillLife(config.fault, seed)
+    shots = [
+        Shot(camera, split, lambda camera=camera: life.render(camera).rgba, f"still life: {config.fault}")
+        for split, count, turn in (("train", config.views, seed), ("test", config.tests, seed + 1000))
+        for camera in dome_cameras(count, config.side, split, turn)
+    ]
+    near, far = depths_of_box([shot.camera for shot in shots], np.array(STILL_LIFE_BOX))
+    bounds = Bounds(STILL_LIFE_BOX, float(near), float(far))
+    return Capture(shots, "object", "made so", bounds, "alpha", np.eye(4), {})
+
+
+def _spoilt(config: FaultConfig, generator: np.random.Generator) -> Capture:
+    data = _source(config)
+    train, tests = data.splits["train"], _few(data.splits["test"], config.tests)
+    if not tests:
+        raise BadInput(f"{data.folder}: the scene has no test views to measure with; import it with --test-every 8")
+    poses = np.array([data.cameras[i].world_from_camera for i in train])
+    train, figures = _chosen(config, train, poses, generator)
+    poses = np.array([data.cameras[i].world_from_camera for i in train])
+    if config.fault == "pose-noise":
+        noisy = capture.noisy_poses(poses, config.amount, config.amount / 100, generator)
+        moved = np.linalg.norm(noisy[:, :3, 3] - poses[:, :3, 3], axis=1)
+        poses, figures = noisy, figures | {"moved_rms": float(np.sqrt(np.square(moved).mean()))}
+    change = _change_of(config, len(train), generator, figures)
+    shots = [
+        Shot(_camera(data, i, config.side, pose), "train", _photo(data, i, config.side, change, place), f"view {i}")
+        for place, (i, pose) in enumerate(zip(train, poses, strict=True))
+    ]
+    shots += [
+        Shot(_camera(data, i, config.side), "test", _photo(data, i, config.side), f"view {i}") for i in tests
+    ]  # fmt: skip
+    return Capture(
+        shots, data.layout, data.scene.layout_reason, _bounds(data, config), data.background,
+        np.array(data.scene.scene_from_source), figures,
+    )  # fmt: skip
+
+
+def _source(config: FaultConfig) -> SceneData:
+    artefact = Artefact(Path(config.source))
+    if artefact.digest != config.source_digest:
+        raise ArtefactStale(f"{config.source} was made again meanwhile; run the same `stylerf stress` again")
+    return load_scene(artefact)
+
+
+def _few(tests: list[int], count: int) -> list[int]:
+    """`count` of the test views at most, evenly."""
+    places = np.unique(np.linspace(0, len(tests) - 1, min(count, len(tests))).round().astype(int)) if tests else []
+    return [tests[i] for i in places]
+
+
+def _chosen(
+    config: FaultConfig, train: list[int], poses: np.ndarray, generator: np.random.Generator
+) -> tuple[list[int], dict]:
+    """The training views that the fault leaves."""
+    if config.fault.startswith("views-"):
+        count = int(config.amount)
+        if len(train) <= count:
+            raise BadInput(f"{config.source} has {len(train)} training views: {count} are no fewer")
+        kept = capture.spread_views(poses[:, :3, 3], count, generator)
+    elif config.fault == "hidden":
+        kept = capture.one_sided(poses, config.amount, generator)
+    else:
+        return train, {}
+    return [train[i] for i in kept], {"left_out": len(train) - len(kept)}
+
+
+def _change_of(
+    config: FaultConfig, count: int, generator: np.random.Generator, figures: dict
+) -> Callable[[np.ndarray, int], np.ndarray]:
+    """From a photo and its place among the training views to the photo with the fault."""
+    if config.fault == "exposure":
+        stops = photos.exposure_stops(count, config.amount, generator)
+        figures["stops"] = [round(float(one), 4) for one in stops]
+        return lambda photo, place: exposed(photo, float(stops[place]))
+    if config.fault == "blur":
+        return lambda photo, place: photos.blurred(photo, config.amount * max(photo.shape[:2]))
+    if config.fault == "jpeg":
+        return lambda photo, place: photos.through_jpeg(photo, int(config.amount))
+    return lambda photo, place: photo
+
+
+def _camera(data: SceneData, index: int, side: int, pose: np.ndarray | None = None) -> Camera:
+    camera = data.cameras[index]
+    camera = camera.scaled(min(1.0, side / max(camera.width, camera.height)))
+    return camera if pose is None else replace(camera, world_from_camera=pose)
+
+
+def _photo(data: SceneData, index: int, side: int, change=lambda photo, place: photo, place: int = 0) -> Photo:
+    camera = _camera(data, index, side)
+
+    def made() -> np.ndarray:
+        return change(averaged(data.images(index), camera.height, camera.width), place)
+
+    return made
+
+
+def averaged(photo: np.ndarray, height: int, width: int) -> np.ndarray:
+    """The photo [h, w, 3 or 4], straight alpha, at another size; colours count by their alpha."""
+    if photo.shape[:2] == (height, width):
+        return photo
+    if photo.shape[2] == 3:
+        return np.clip(resize(photo, (height, width, 3), anti_aliasing=True), 0, 1).astype(np.float32)
+    mixed = np.concatenate([photo[..., :3] * photo[..., 3:], photo[..., 3:]], -1)
+    mixed = resize(mixed, (height, width, 4), anti_aliasing=True)
+    rgb = mixed[..., :3] / np.maximum(mixed[..., 3:], 1e-6)
+    return np.clip(np.concatenate([rgb, mixed[..., 3:]], -1), 0, 1).astype(np.float32)
+
+
+def _bounds(data: SceneData, config: FaultConfig) -> Bounds:
+    """As they were, but for the fault that is theirs: a near plane beyond things, a box that lacks a part of one."""
+    bounds = data.bounds
+    if config.fault != "near-plane":
+        return bounds
+    if data.layout == "object":  # its rays are cut by the box alone
+        return replace(bounds, aabb=capture.cut_box(bounds.aabb, config.amount))
+    poses = np.array([camera.world_from_camera for camera in data.cameras])
+    near = capture.late_near(bounds.near, bounds.far, config.amount, capture.median_distance(poses))
+    return replace(bounds, near=near)

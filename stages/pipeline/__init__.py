@@ -1,0 +1,1 @@
+"""The pipeline: work folder, prerequisites of each stage, local edits as one job, several processes."""

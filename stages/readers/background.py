@@ -1,0 +1,99 @@
+"""What stands behind the subject in a set of pictures: transparency, plain white or black, or simply the world."""
+
+import numpy as np
+
+from schemas.errors import BadInput
+from stylerf.geometry.silhouette_bounds import silhouette
+
+# Of the pixels on a picture's border, the share that must be plain, in at least the median picture.
+PLAIN_SHARE = 0.97
+_PLAIN = 0.02
+_FOREGROUND = 0.06
+# An object is cut out where in the median picture so much of the border is transparent, and so much of the whole. A
+# tripod, a car's bonnet or passers-by take little of either, the blank rim of an undistorted photo little of the whole,
+# the sky no more than the border's upper half or so.
+CUT_BORDER = 2 / 3
+CUT_SHARE = 0.2
+# Masks that differ by less than this share of their pixels are one mask: it belongs to the camera, not to a subject.
+_ONE_MASK = 0.002
+
+
+class Backdrop:
+    """Gathers evidence picture by picture (`seen`), then `decide`s.
+
+    kind: alpha, white, black or none. cuts_out: in words, by what the object is told from the background, else empty.
+    remark: what is transparent without cutting an object out, in words, else empty.
+    """
+
+    def __init__(self, wanted: str) -> None:
+        self.wanted, self.kind, self.cuts_out = wanted, "none", ""
+        self.remark = ""
+        self._with_alpha = 0
+        self._cut: list[tuple[float, float]] = []
+        self._white: list[float] = []
+        self._black: list[float] = []
+        self._masks: dict[str, list[np.ndarray]] = {"alpha": [], "white": [], "black": []}
+
+    def seen(self, pixels: np.ndarray) -> np.ndarray:
+        """Takes note of a picture, [h, w, 3 or 4] with straight alpha, and returns it as the scene holds it."""
+        alpha = pixels[..., 3] if pixels.shape[2] == 4 else np.broadcast_to(np.float32(1), pixels.shape[:2])
+        self._with_alpha += pixels.shape[2] == 4
+        self._cut.append((float((_border(alpha) < 0.5).mean()), float((alpha < 0.5).mean())))
+        colour = pixels[..., :3]
+        border = _border(colour)
+        self._white.append(float((border > 1 - _PLAIN).all(-1).mean()))
+        self._black.append(float((border < _PLAIN).all(-1).mean()))
+        self._masks["alpha"].append(silhouette(alpha))
+        self._masks["white"].append(silhouette(1 - colour.min(-1), _FOREGROUND))
+        self._masks["black"].append(silhouette(colour.max(-1), _FOREGROUND))
+        if pixels.shape[2] == 4 and self.wanted in ("white", "black", "none"):
+            behind = 1.0 if self.wanted == "white" else 0.0
+            return colour * alpha[..., None] + behind * (1 - alpha[..., None])
+        return pixels
+
+    def decide(self) -> None:
+        """Sets kind and cuts_out; BadInput where alpha was asked for and no picture has any."""
+        if self.wanted == "alpha" and not self._with_alpha:
+            raise BadInput("--background alpha: no photo has transparency or a mask; add masks/NAME.png, or drop it")
+        if self._with_alpha:
+            self.kind = "alpha" if self.wanted in ("auto", "alpha") else self.wanted
+            border, share = np.median(self._cut, axis=0)
+            if border >= CUT_BORDER and share >= CUT_SHARE and not self._lens_hood():
+                self.cuts_out = "transparency"
+            else:
+                self.remark = self._hidden()
+            return
+        for kind, shares in (("white", self._white), ("black", self._black)):
+            plain = float(np.median(shares)) >= PLAIN_SHARE
+            if self.wanted == kind or (self.wanted == "auto" and plain):
+                self.kind = kind
+                self.cuts_out = f"a plain {kind} background" if plain else ""
+                return
+
+    def _lens_hood(self) -> bool:
+        """Whether one mask that reaches the border hides the same of nearly every picture."""
+        return self.one_mask() and bool(_border(self._masks["alpha"][0]).any())
+
+    def one_mask(self) -> bool:
+        """Whether transparency hides the same of nearly every picture."""
+        masks = self._masks["alpha"]
+        first = masks[0]
+        alike = [mask.shape == first.shape and (mask != first).mean() < _ONE_MASK for mask in masks]
+        return len(masks) > 1 and bool(np.mean(alike) > 0.9)
+
+    def _hidden(self) -> str:
+        border, share = np.mean(self._cut, axis=0)
+        return (
+            f"masks or transparency in {self._with_alpha} of {len(self._cut)} photos ({share:.2%} of all pixels, "
+            f"{border:.2%} of the borders) hide parts of a room or landscape and cut no object out; if they do, give "
+            "--layout object"
+        )
+
+    def silhouettes(self) -> list[np.ndarray]:
+        """Of every picture, at most 256 pixels a side."""
+        return self._masks["alpha" if self._with_alpha else self.kind]
+
+
+def _border(pixels: np.ndarray) -> np.ndarray:
+    """The outermost pixels of [h, w, ...], in no particular order."""
+    return np.concatenate([pixels[0], pixels[-1], pixels[:, 0], pixels[:, -1]])

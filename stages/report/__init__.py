@@ -1,0 +1,1 @@
+"""The HTML pages, charts and tables of eval, compare and stress."""

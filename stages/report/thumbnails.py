@@ -1,0 +1,109 @@
+"""Small pictures for a page: photos and renders, error and depth in colours, as JPEG data URIs."""
+
+import base64
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from skimage.transform import resize
+
+from stylerf.environment.matplotlib_defaults import colormaps, imsave
+
+ERROR_FULL = 0.25  # mean absolute difference over RGB that shows as the brightest colour
+ERROR_COLOURS, DEPTH_COLOURS = "inferno", "viridis_r"  # perceptually uniform; near is bright in viridis_r
+NOT_FINITE = (1.0, 0.0, 1.0)  # magenta: no photo, colour map or painting is likely to hold it
+EMPTY = (0.5, 0.5, 0.5)
+LADDER = ((480, 85), (360, 80), (280, 70), (200, 60))  # width in pixels and JPEG quality, best first
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A picture on the sheet: its image [h, w, 3] in 0..1, the line under it, and what it shows in words."""
+
+    image: np.ndarray
+    caption: str
+    alt: str
+
+    def small(self) -> "Picture":
+        """As large as a page shows it at the best, so that many can wait whatever the photos' size."""
+        return Picture(shrunk(self.image, LADDER[0][0]).astype(np.float32), self.caption, self.alt)
+
+
+@dataclass(frozen=True)
+class Encoded:
+    """A picture ready for a page, with its size in pixels."""
+
+    uri: str
+    width: int
+    height: int
+    caption: str
+    alt: str
+
+
+def shown(image: np.ndarray) -> np.ndarray:
+    """The image clipped to 0..1, pixels that hold a value that is not finite painted magenta."""
+    bad = ~np.isfinite(image).all(axis=-1)
+    return np.where(bad[..., None], NOT_FINITE, np.clip(np.nan_to_num(image), 0, 1))
+
+
+def error_picture(render: np.ndarray, photo: np.ndarray) -> np.ndarray:
+    """Mean absolute difference over RGB of two images [h, w, 3], 0 .. 0.25 in the colours of inferno."""
+    error = np.abs(np.nan_to_num(render) - photo).mean(axis=-1)
+    coloured = colormaps[ERROR_COLOURS](np.clip(error / ERROR_FULL, 0, 1))[..., :3]
+    return np.where(np.isfinite(render).all(axis=-1)[..., None], coloured, NOT_FINITE)
+
+
+def depth_picture(z: np.ndarray, alpha: np.ndarray, near: float, far: float) -> np.ndarray:
+    """Planar depth [h, w] from near (bright) to far (dark), evenly in 1/z; grey where alpha <= 0.5."""
+    opaque = alpha > 0.5
+    finite = np.isfinite(z) & (z > 0)
+    inverse = 1 / np.where(finite, z, near)
+    place = (1 / near - inverse) / max(1 / near - 1 / far, 1e-12)
+    coloured = colormaps[DEPTH_COLOURS](np.clip(place, 0, 1))[..., :3]
+    coloured = np.where(opaque[..., None], coloured, EMPTY)
+    return np.where((opaque & ~finite)[..., None], NOT_FINITE, coloured)
+
+
+def depth_range(depths: Sequence[np.ndarray], alphas: Sequence[np.ndarray]) -> tuple[float, float]:
+    """Depths at the 2nd and 98th percentile of the opaque pixels of all views; (1, 2) where there is none."""
+    kept = [z[(alpha > 0.5) & np.isfinite(z) & (z > 0)] for z, alpha in zip(depths, alphas, strict=True)]
+    joined = np.concatenate(kept) if kept else np.zeros(0)
+    if joined.size == 0:
+        return 1.0, 2.0
+    near, far = np.percentile(joined, [2, 98])
+    return float(near), float(max(far, near * 1.001))
+
+
+def colour_bar(name: str, steps: int = 9) -> str:
+    """A CSS gradient of a colour map, from its low to its high end."""
+    stops = colormaps[name](np.linspace(0, 1, steps))[:, :3]
+    colours = ",".join("#" + "".join(f"{round(float(part) * 255):02x}" for part in stop) for stop in stops)
+    return f"linear-gradient(to right,{colours})"
+
+
+def encode(pictures: Sequence[Picture], budget_bytes: int) -> list[Encoded]:
+    """All pictures as JPEG data URIs, at the best width and quality that fit the budget, else at the least."""
+    encoded: list[Encoded] = []
+    for width, quality in LADDER:
+        encoded = [_encoded(picture, width, quality) for picture in pictures]
+        if sum(len(item.uri) for item in encoded) <= budget_bytes:
+            break
+    return encoded
+
+
+def shrunk(image: np.ndarray, width: int) -> np.ndarray:
+    """An image [h, w, 3] averaged down to `width` pixels, where it is wider."""
+    if image.shape[1] <= width:
+        return image
+    height = max(1, round(image.shape[0] * width / image.shape[1]))
+    return resize(image, (height, width), anti_aliasing=True)
+
+
+def _encoded(picture: Picture, width: int, quality: int) -> Encoded:
+    image = shrunk(picture.image, width)
+    pixels = np.round(np.clip(image, 0, 1) * 255).astype(np.uint8)
+    buffer = io.BytesIO()
+    imsave(buffer, pixels, format="jpeg", pil_kwargs={"quality": quality, "optimize": True})
+    uri = "data:image/jpeg;base64," + base64.b64encode(buffer.getvalue()).decode("ascii")
+    return Encoded(uri, pixels.shape[1], pixels.shape[0], picture.caption, picture.alt)

@@ -1,0 +1,1 @@
+"""Running a stage: the runner, its clock, memory, devices, checkpoints and progress."""

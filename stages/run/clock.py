@@ -1,0 +1,90 @@
+"""Time and memory of a run, summed over interruptions, so that a resumed artefact tells what it really took."""
+
+import json
+import resource
+import sys
+import threading
+import time
+from contextlib import suppress
+from pathlib import Path
+
+from schemas.atomic_write import write_json
+from schemas.errors import OutOfResources
+
+SAVED_EVERY_SECONDS = 2.0
+
+
+def _reset_peak() -> None:
+    """Starts the process's memory peak anew (Linux), so that one stage does not inherit the peak of the one before."""
+    with suppress(OSError):
+        Path("/proc/self/clear_refs").write_text("5")
+
+
+def peak_memory_mb() -> float:
+    """Largest resident memory of this process since the last reset, in MB = 1e6 bytes."""
+    with suppress(OSError, ValueError, StopIteration):
+        lines = Path("/proc/self/status").read_text().splitlines()
+        return int(next(line for line in lines if line.startswith("VmHWM:")).split()[1]) * 1024 / 1e6
+    unit = 1 if sys.platform == "darwin" else 1024
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit / 1e6
+
+
+def _children_peak_mb() -> float:
+    unit = 1 if sys.platform == "darwin" else 1024
+    return resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss * unit / 1e6
+
+
+class Clock:
+    """Measures while open as a context, and keeps `clock.json` up to date so that a kill loses two seconds at most."""
+
+    def __init__(self, folder: Path, resumed: bool) -> None:
+        self._file = folder / "clock.json"
+        self._before = self._earlier() if resumed else {"seconds": 0.0, "peak_memory_mb": 0.0, "runs": 0}
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._save_often, name="clock", daemon=True)
+
+    def _earlier(self) -> dict:
+        try:
+            stored = json.loads(self._file.read_text())
+            return {"runs": int(stored["runs"])} | {k: float(stored[k]) for k in ("seconds", "peak_memory_mb")}
+        except (OSError, ValueError, KeyError, TypeError):
+            return {"seconds": 0.0, "peak_memory_mb": 0.0, "runs": 1}
+
+    def __enter__(self) -> "Clock":
+        _reset_peak()
+        self._children_before = _children_peak_mb()
+        self._start = time.perf_counter()
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stop.set()
+        self._thread.join()
+        self._save()
+
+    @property
+    def seconds(self) -> float:
+        """Wall seconds of this run and the interrupted ones before it."""
+        return self._before["seconds"] + time.perf_counter() - self._start
+
+    @property
+    def peak_mb(self) -> float:
+        """Largest memory of this process, of a child process that grew beyond, and of the interrupted runs."""
+        children = _children_peak_mb()
+        grown = children if children > self._children_before else 0.0
+        return max(self._before["peak_memory_mb"], peak_memory_mb(), grown)
+
+    @property
+    def runs(self) -> int:
+        """Number of runs including this one."""
+        return self._before["runs"] + 1
+
+    def _save_often(self) -> None:
+        while not self._stop.wait(SAVED_EVERY_SECONDS):
+            self._save()
+
+    def _save(self) -> None:
+        # A full disk is the stage's to report; a figure is not worth ending a run.
+        with suppress(OutOfResources, OSError):
+            if self._file.parent.is_dir():
+                write_json(self._file, {"seconds": self.seconds, "peak_memory_mb": self.peak_mb, "runs": self.runs})

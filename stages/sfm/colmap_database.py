@@ -1,0 +1,164 @@
+"""COLMAP's database: photos and cameras, features, matches. Each step skips what an interrupted run has finished.
+
+A database that is damaged (row_digests.py) is made anew.
+"""
+
+from collections.abc import Iterator
+from itertools import groupby
+from pathlib import Path
+
+import numpy as np
+import pycolmap
+
+from schemas.atomic_write import write_bytes
+from schemas.errors import BadInput
+from stages.sfm.image_pairs import pairs
+from stages.sfm.job import Job, Teller
+from stages.sfm.photo_copies import COPIES, MASKS, Copy
+from stages.sfm.row_digests import Rows
+
+DATABASE, REGISTERED, ROWS = "database.db", "registered", "rows.jsonl"
+# One radial coefficient: with few photos more of them are free to explain errors away; refinement adds the second.
+CAMERA_MODEL = "SIMPLE_RADIAL"
+PHOTOS_AT_ONCE, PAIRS_AT_ONCE = 4, 40
+# The octave of twice the photo's size costs four times all others and holds the least repeatable features: it is
+# searched only in photos so small (longest side) that they would have few without.
+SMALL_PHOTO = 800
+
+
+def register(job: Job, copies: list[Copy], tell: Teller) -> Path:
+    """The database with its cameras and photos, in this order whatever happens later: numbers are repeatable."""
+    folder = Path(job.folder)
+    path, done = folder / DATABASE, folder / REGISTERED
+    if done.is_file():
+        if _rows(path).sound():
+            return path
+        tell.say("warning: the features and matches of the interrupted run are damaged; finding them again")
+    for leftover in (done, folder / ROWS, *folder.glob(f"{DATABASE}*")):  # with its journal
+        leftover.unlink(missing_ok=True)
+    pycolmap.Database.open(path).close()
+    for group in _by_lens(copies, job.shared):
+        options = pycolmap.ImageReaderOptions()
+        options.camera_model = CAMERA_MODEL
+        first = group[0]
+        if first.focal:
+            options.camera_params = f"{first.focal},{first.size[0] / 2},{first.size[1] / 2},0"
+        mode = pycolmap.CameraMode.SINGLE
+        pycolmap.import_images(path, folder / COPIES, mode, [copy.file for copy in group], options)
+    with pycolmap.Database.open(path) as database:
+        found = database.num_images()
+    if found != len(copies):
+        raise BadInput(f"COLMAP took in {found} of {len(copies)} photos; remove unusual ones and run again")
+    _rows(path).record()
+    write_bytes(done, b"")
+    return path
+
+
+def _rows(path: Path) -> Rows:
+    return Rows(path, path.with_name(ROWS))
+
+
+def _by_lens(copies: list[Copy], shared: bool) -> list[list[Copy]]:
+    if not shared:
+        return [[copy] for copy in copies]
+    groups: dict[str, list[Copy]] = {}
+    for copy in copies:
+        groups.setdefault(copy.lens, []).append(copy)
+    return list(groups.values())
+
+
+def extract(job: Job, path: Path, copies: list[Copy], tell: Teller) -> None:
+    """SIFT features of every photo; BadInput where hardly any has some."""
+    options = pycolmap.FeatureExtractionOptions()
+    options.num_threads, options.use_gpu = job.threads, False
+    options.sift.max_num_features = job.features
+    options.sift.first_octave = -1 if max(max(copy.size) for copy in copies) <= SMALL_PHOTO else 0
+    tell.step("finding features", len(copies), "photo")
+    missing, rows = _without_features(path, copies), _rows(path)
+    done = len(copies) - len(missing)
+    for part in _in_parts(missing):
+        reader = pycolmap.ImageReaderOptions()
+        if part[0].cut_out:
+            reader.mask_path = Path(job.folder) / MASKS
+        mode = pycolmap.CameraMode.AUTO  # cameras are there already
+        names = [copy.file for copy in part]
+        pycolmap.extract_features(path, Path(job.folder) / COPIES, names, mode, reader, options)
+        rows.record()
+        done += len(part)
+        tell.done(done)
+
+
+def _in_parts(copies: list[Copy]) -> Iterator[list[Copy]]:
+    """A few at a time, those with masks apart: where COLMAP knows a folder of masks it finds nothing in photos that
+    have none there."""
+    for _, alike in groupby(copies, lambda copy: copy.cut_out):
+        alike = list(alike)
+        for start in range(0, len(alike), PHOTOS_AT_ONCE):
+            yield alike[start : start + PHOTOS_AT_ONCE]
+
+
+def _without_features(path: Path, copies: list[Copy]) -> list[Copy]:
+    with pycolmap.Database.open(path) as database:
+        numbers = {image.name: image.image_id for image in database.read_all_images()}
+        return [
+            copy
+            for copy in copies
+            if not (database.exists_keypoints(numbers[copy.file]) and database.exists_descriptors(numbers[copy.file]))
+        ]
+
+
+def match(job: Job, path: Path, copies: list[Copy], tell: Teller) -> None:
+    """Matches of the chosen pairs and their two-view geometry, each pair's RANSAC with the same seed."""
+    matching, verification = pycolmap.FeatureMatchingOptions(), pycolmap.TwoViewGeometryOptions()
+    matching.num_threads, matching.use_gpu = job.threads, False
+    verification.ransac.random_seed = job.seed
+    pairing = pycolmap.ImportedPairingOptions()
+    listing, rows = Path(job.folder) / "pairs.txt", _rows(path)
+    pairing.match_list_path = str(listing)
+    wanted = [(copies[i].file, copies[j].file) for i, j in pairs(len(copies), job.matching)]
+    missing = _not_compared(path, wanted)
+    finished = len(wanted) - len(missing)
+    tell.step("matching", len(wanted), "pair")
+    tell.done(finished)
+    for start in range(0, len(missing), PAIRS_AT_ONCE):
+        part = missing[start : start + PAIRS_AT_ONCE]
+        write_bytes(listing, "".join(f"{first} {second}\n" for first, second in part).encode())
+        pycolmap.match_image_pairs(path, matching, pairing, verification)
+        rows.record()
+        finished += len(part)
+        tell.done(finished)
+
+
+def _not_compared(path: Path, wanted: list[tuple[str, str]]) -> list[tuple[str, str]]:
+    with pycolmap.Database.open(path) as database:
+        numbers = {image.name: image.image_id for image in database.read_all_images()}
+        both = [(numbers[first], numbers[second]) for first, second in wanted]
+        return [
+            pair
+            for pair, ids in zip(wanted, both, strict=True)
+            if not (database.exists_matches(*ids) and database.exists_two_view_geometry(*ids))
+        ]
+
+
+def matched_pairs(path: Path) -> list[tuple[str, str, pycolmap.TwoViewGeometry]]:
+    """Names of the two copies and the verified geometry of every pair with inliers."""
+    with pycolmap.Database.open(path) as database:
+        names = {image.image_id: image.name for image in database.read_all_images()}
+        numbers, geometries = database.read_two_view_geometries()
+        found = []
+        for number, geometry in zip(numbers, geometries, strict=True):
+            if len(geometry.inlier_matches):
+                first, second = pycolmap.pair_id_to_image_pair(number)
+                found.append((names[first], names[second], geometry))
+        return found
+
+
+def compared_pairs(copies: list[Copy], matching: str) -> set[tuple[str, str]]:
+    """Names of the copies of every pair that was searched for matches."""
+    return {(copies[i].file, copies[j].file) for i, j in pairs(len(copies), matching)}
+
+
+def keypoints(path: Path) -> dict[str, np.ndarray]:
+    """Feature positions [n, 2] in pixels of the copies, by file name."""
+    with pycolmap.Database.open(path) as database:
+        return {image.name: database.read_keypoints(image.image_id)[:, :2] for image in database.read_all_images()}

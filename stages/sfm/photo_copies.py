@@ -1,0 +1,155 @@
+"""Working copies of the photos: upright, strictly read, of bounded size, with what their EXIF data tell of the lens.
+
+What a mask or transparency cuts out of a photo may stand still behind a turning object or walk through a room. The copy
+is black there, since features near an outline are described by what surrounds it, and has a mask of its own, by which
+COLMAP drops the features inside. Of 14 lego photos before a still background the mask alone places 7, both place 14.
+
+COLMAP itself reads a truncated JPEG without a word, drops a broken one, and handles orientation in its own way; the
+copies keep all of that away from it.
+
+A copy whose bytes, or those of its mask or facts, are no longer what the journal says is made again.
+"""
+
+import errno
+import json
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict, dataclass
+from itertools import count
+from pathlib import Path
+
+import numpy as np
+import pycolmap
+
+from schemas.atomic_write import replacing, write_json
+from schemas.canonical_json import file_sha256
+from schemas.errors import BadInput
+from schemas.images import read_srgb, to_uint8, write_png
+from schemas.journal import Journal
+from stages.readers.photos import DARKEST_WHITE, masked
+from stages.sfm.job import Job, Teller, journal_of
+from stylerf.geometry.resampling import shrunk
+
+COPIES, MASKS = "copies", "masks"
+JPEG_QUALITY = 95
+KEPT = 0.5  # coverage from which a pixel counts as kept
+
+
+@dataclass(frozen=True)
+class Copy:
+    """One photo's copy. photo: the original's path; full_size: its upright (width, height); file: name of the copy;
+    size: (width, height) of the copy.
+
+    lens: photos with equal lens share a camera. focal: in pixels of the copy by EXIF, 0 where EXIF tells none.
+    cut_out: in masks/ lies a mask of the copy. unusable: in words why the photo takes no part; empty when it does.
+    """
+
+    photo: str
+    full_size: tuple[int, int]
+    file: str
+    size: tuple[int, int]
+    lens: str
+    focal: float
+    sha256: str
+    cut_out: bool = False
+    unusable: str = ""
+
+
+def make_copies(job: Job, tell: Teller) -> list[Copy]:
+    """Copies of all photos, those of an earlier, interrupted run included; BadInput at the first damaged photo."""
+    folder = Path(job.folder) / COPIES
+    folder.mkdir(exist_ok=True)
+    (folder.parent / MASKS).mkdir(exist_ok=True)
+    tell.step("reading photos", len(job.photos), "photo")
+    made: list[Copy] = []
+    journal = journal_of(folder.parent)
+    with ThreadPoolExecutor(max(1, job.threads)) as pool:
+        masks = job.masks or [("", "")] * len(job.photos)
+        for copy in pool.map(lambda one: _copy(folder, journal, job.side, *one), zip(count(), job.photos, masks)):
+            made.append(copy)
+            tell.done(len(made))
+    return _without_doubles(made)
+
+
+def restored(content: dict) -> Copy:
+    """A Copy from its JSON form."""
+    return Copy(**{**content, "full_size": tuple(content["full_size"]), "size": tuple(content["size"])})
+
+
+def _copy(folder: Path, journal: Journal, side: int, index: int, photo: str, masks: tuple[str, str]) -> Copy:
+    facts = folder / f"{index:05d}.json"
+    if journal.holds([f"{COPIES}/{facts.name}"]):
+        copy = restored(json.loads(facts.read_text("utf-8", "surrogatepass")))
+        if journal.holds(_pictures(copy)):
+            return copy
+    image = read_srgb(photo)
+    pixels, (width, height) = masked(image.pixels, *(Path(one) if one else None for one in masks), True), image.size
+    kept = pixels[..., 3] if pixels.shape[2] == 4 else np.ones((height, width), np.float32)
+    pixels, cut_out = pixels[..., :3] * kept[..., None], bool(kept.min() < KEPT)
+    factor = min(1.0, side / max(width, height))
+    size = (max(1, round(width * factor)), max(1, round(height * factor)))
+    lens, focal = _lens(photo, (width, height))
+    copy = Copy(
+        photo=photo,
+        full_size=(width, height),
+        file=f"{index:05d}.jpg",
+        size=size,
+        lens=f"{lens} {size[0]}x{size[1]}",
+        focal=focal * size[0] / width,
+        sha256=file_sha256(photo),
+        cut_out=cut_out,
+        unusable="all of it is cut out" if kept.max() < KEPT else "it is black" if pixels.max() < DARKEST_WHITE else "",
+    )
+    if cut_out:
+        small = shrunk(np.ascontiguousarray(kept[..., None]), size)
+        write_png(folder.parent / MASKS / f"{copy.file}.png", to_uint8(small >= KEPT))
+    _write_jpeg(folder / copy.file, to_uint8(shrunk(np.ascontiguousarray(pixels), size)))
+    write_json(facts, asdict(copy))
+    journal.add([f"{COPIES}/{facts.name}", *_pictures(copy)])
+    return copy
+
+
+def _pictures(copy: Copy) -> list[str]:
+    return [f"{COPIES}/{copy.file}"] + [f"{MASKS}/{copy.file}.png"] * copy.cut_out
+
+
+def _lens(photo: str, size: tuple[int, int]) -> tuple[str, float]:
+    """What distinguishes lens and zoom, and the focal length in pixels of the photo where EXIF tells it (else 0)."""
+    camera = pycolmap.infer_camera_from_image(photo)
+    if not camera.has_prior_focal_length:
+        return "unknown", 0.0
+    focal = float(camera.mean_focal_length())
+    plausible = 0.2 < focal / max(size) < 20
+    return (f"{focal / max(size):.4f}", focal) if plausible else ("unknown", 0.0)
+
+
+def _write_jpeg(path: Path, pixels: np.ndarray) -> None:
+    bitmap = pycolmap.Bitmap.from_array(np.ascontiguousarray(np.broadcast_to(pixels, (*pixels.shape[:2], 3))))
+    bitmap.set_jpeg_quality(JPEG_QUALITY)
+    with replacing(path) as temporary:
+        if not bitmap.write(str(temporary)):
+            raise OSError(errno.EIO, "the JPEG writer failed", str(path))
+
+
+def _without_doubles(copies: list[Copy]) -> list[Copy]:
+    """Marks photos whose bytes equal an earlier one's: a pair without a baseline only misleads."""
+    first: dict[str, Copy] = {}
+    marked = []
+    for copy in copies:
+        earlier = first.setdefault(copy.sha256, copy)
+        if earlier is not copy and not copy.unusable:
+            copy = Copy(**{**asdict(copy), "unusable": f"it is the same file as {Path(earlier.photo).name}"})
+        marked.append(copy)
+    return marked
+
+
+def usable(copies: list[Copy], fewest: int) -> list[Copy]:
+    """Those that take part; BadInput where they are fewer than `fewest`."""
+    kept = [copy for copy in copies if not copy.unusable]
+    if len(kept) < fewest:
+        first = next((copy for copy in copies if copy.unusable), None)
+        why = f" ({Path(first.photo).name}: {first.unusable})" if first else ""
+        raise BadInput(
+            f"{len(kept)} of {len(copies)} photos can be used{why}; structure from motion needs at least {fewest} "
+            "different ones, 20 or more are better"
+        )
+    return kept

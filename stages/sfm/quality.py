@@ -1,0 +1,202 @@
+"""Whether a reconstruction can be believed. COLMAP ends quietly whatever comes out, so all of it is judged here."""
+
+from dataclasses import asdict, dataclass
+
+import numpy as np
+import pycolmap
+
+from stages.sfm.silhouettes import OUTSIDE
+from stylerf.geometry.camera_conventions import from_colmap
+from stylerf.geometry.epipolar import epipolar_distance, essential, largest_parallax
+
+FEWEST_PHOTOS = 3
+REFUSED_SHARE, WORRYING_SHARE = 0.5, 0.8
+LARGEST_ERROR = 2.0  # pixels of the copies, mean over all points
+LEAST_PARALLAX, LITTLE_PARALLAX = 1.0, 3.0  # degrees, median over points
+REFUSED_AGREEMENT, WORRYING_AGREEMENT = 0.5, 0.8
+AGREEING_DISTANCE = 4.0  # pixels, the tolerance that matches were verified with
+# Of the pairs that must match 29 % were silent on a folded lego, 1 of 1,167 on eight sound captures (decision 0044).
+FOLDED_SHARE, FOLDED_PAIRS = 0.1, 4
+# Up to this share of the cameras are left out where their silhouettes refute them; with more nothing can be believed.
+MOST_REFUTED = 0.2
+TURNED_SHARE, TURNED_DISTANCE = 0.9, 2.0  # share of pairs that a turn alone explains, to this median in pixels
+# A pair tells something where it has so many matches, and points where they lie on so many tracks.
+MATCHES_TO_TELL, POINTS_TO_TELL = 30, 2000
+
+
+@dataclass(frozen=True)
+class Quality:
+    """Figures of a reconstruction.
+
+    error_px: mean reprojection error in pixels of the copies. parallax_deg: median over points of the widest angle
+    between their rays. agreement: share of matched pairs whose own two-view matches fit the poses, of pairs_checked.
+    flat_share: share of all matched pairs that a plane or a turn on the spot explains. turned_share: share of
+    pairs_checked that a turn alone explains. models: photos of each model. silent_share: of pairs_expected, those of
+    photos that must have matches by their poses and have next to none (folding.py).
+    refuted_share: of the placed cameras, those that their silhouettes refute (silhouettes.py).
+    """
+
+    photos: int
+    registered: int
+    points: int
+    error_px: float
+    track_length: float
+    parallax_deg: float
+    agreement: float
+    pairs_checked: int
+    flat_share: float
+    turned_share: float
+    models: tuple[int, ...]
+    refined: bool
+    silent_share: float = 0.0
+    pairs_expected: int = 0
+    refuted_share: float = 0.0
+
+    @property
+    def folded(self) -> bool:
+        """Whether photos that have nothing in common were placed at one another's side."""
+        return self.silent_share > FOLDED_SHARE and self.silent_share * self.pairs_expected > FOLDED_PAIRS - 0.5
+
+    def as_dict(self) -> dict:
+        """For JSON."""
+        return asdict(self)
+
+
+def quality(models: list, photos: int, pairs: list, keypoints: dict[str, np.ndarray], refined: bool) -> Quality:
+    """Figures of models[0] (others only counted); all zero where there is no model. pairs: see matched_pairs."""
+    flat = (pycolmap.TwoViewGeometryConfiguration.PLANAR, pycolmap.TwoViewGeometryConfiguration.PANORAMIC,
+            pycolmap.TwoViewGeometryConfiguration.PLANAR_OR_PANORAMIC)  # fmt: skip
+    flat_share = float(np.mean([geometry.config in [int(one) for one in flat] for *_, geometry in pairs] or [0.0]))
+    if not models:
+        return Quality(photos, 0, 0, 0.0, 0.0, 0.0, 0.0, 0, flat_share, 0.0, (), False)
+    model = models[0]
+    agreements = pair_agreements(model, pairs, keypoints)
+    turned = [
+        _turn_distance(*rays) * focal < TURNED_DISTANCE for *_, rays, focal in _told_pairs(model, pairs, keypoints)
+    ]
+    return Quality(
+        photos=photos,
+        registered=model.num_reg_images(),
+        points=model.num_points3D(),
+        error_px=float(model.compute_mean_reprojection_error()),
+        track_length=float(model.compute_mean_track_length()),
+        parallax_deg=_median_parallax(model),
+        agreement=float(np.mean(agreements)) if agreements else 0.0,
+        pairs_checked=len(agreements),
+        flat_share=flat_share,
+        turned_share=float(np.mean(turned)) if turned else 0.0,
+        models=tuple(one.num_reg_images() for one in models),
+        refined=refined,
+    )
+
+
+def pair_agreements(model, pairs: list, keypoints: dict[str, np.ndarray]) -> list[bool]:
+    """For each pair of registered photos with matches enough: whether their median distance from the epipolar lines
+    of the poses is within tolerance. Poses that contradict the photos fail here whatever their reprojection error."""
+    agreeing = []
+    for first, second, rays, focal in _told_pairs(model, pairs, keypoints):
+        poses = [from_colmap(np.asarray(image.cam_from_world().matrix())) for image in (first, second)]
+        distances = focal * epipolar_distance(essential(*poses), *rays)
+        agreeing.append(bool(np.median(distances) < AGREEING_DISTANCE))
+    return agreeing
+
+
+def _told_pairs(model, pairs: list, keypoints: dict[str, np.ndarray]):
+    """(image, image, rays [n, 2] of the matches in each, larger focal length) of pairs with matches enough."""
+    images = {model.images[number].name: model.images[number] for number in model.reg_image_ids()}
+    for first, second, geometry in pairs:
+        matches = geometry.inlier_matches
+        if first not in images or second not in images or len(matches) < MATCHES_TO_TELL:
+            continue
+        rays, focal = [], 0.0
+        for name, column in ((first, 0), (second, 1)):
+            camera = model.cameras[images[name].camera_id]
+            rays.append(camera.cam_from_img(keypoints[name][matches[:, column]].astype(np.float64)))
+            focal = max(focal, float(camera.mean_focal_length()))
+        yield images[first], images[second], rays, focal
+
+
+def _turn_distance(first: np.ndarray, second: np.ndarray) -> float:
+    """Median angle, radians, that the best single rotation of rays [n, 2] (at depth 1) leaves to their matches."""
+    units = [np.append(rays, np.ones((len(rays), 1)), 1) for rays in (first, second)]
+    units = [rays / np.linalg.norm(rays, axis=1, keepdims=True) for rays in units]
+    left, _, right = np.linalg.svd(units[1].T @ units[0])
+    turn = left @ np.diag([1, 1, np.linalg.det(left @ right)]) @ right
+    return float(np.median(np.linalg.norm(units[0] @ turn.T - units[1], axis=1)))
+
+
+def _median_parallax(model) -> float:
+    points = [model.points3D[number] for number in sorted(model.points3D)]
+    if not points:
+        return 0.0
+    centres = {number: model.images[number].projection_center() for number in model.reg_image_ids()}
+    told = points[:: max(1, len(points) // POINTS_TO_TELL)]
+    angles = [
+        largest_parallax(point.xyz, np.array([centres[element.image_id] for element in point.track.elements]))
+        for point in told
+    ]
+    return float(np.median(angles))
+
+
+def verdict(found: Quality) -> tuple[str, list[str]]:
+    """Why the reconstruction is refused (empty: it is not), and warnings."""
+    remedy = "photograph in small steps (each thing in three photos or more), move between photos, keep them sharp"
+    still = "; an object that turns before a still background needs masks (masks/NAME.png)"
+    if not found.registered:
+        cause = "too few matches between any two photos"
+        if found.flat_share > 0.5:
+            cause = f"{found.flat_share:.0%} of the matched pairs show a turn on the spot or a flat surface alone"
+        return f"structure from motion found no poses: {cause}; {remedy}{still}", []
+    share = found.registered / found.photos
+    told = f"{found.registered} of {found.photos} photos"
+    if found.registered < FEWEST_PHOTOS or share < REFUSED_SHARE:
+        return f"structure from motion placed only {told}; {remedy}, or remove photos of other things{still}", []
+    if found.error_px > LARGEST_ERROR:
+        return (
+            f"the reconstruction is off by {found.error_px:.2f} px on average (limit {LARGEST_ERROR:g}); {remedy}",
+            [],
+        )
+    if found.parallax_deg < LEAST_PARALLAX:
+        return (
+            f"the camera hardly moved: points are seen under {found.parallax_deg:.2f} degrees of parallax (at least "
+            f"{LEAST_PARALLAX:g} is needed); step sideways between photos in place of turning"
+        ), []
+    if found.turned_share >= TURNED_SHARE:
+        return (
+            f"the photos turn on the spot: a rotation alone explains {found.turned_share:.0%} of the matched pairs, so "
+            "nothing tells how far anything is; step sideways between photos in place of turning"
+        ), []
+    if found.pairs_checked and found.agreement < REFUSED_AGREEMENT:
+        return (
+            f"the poses contradict the photos: only {found.agreement:.0%} of {found.pairs_checked} matched pairs fit "
+            f"them; things that look alike may have been taken for one: {remedy}"
+        ), []
+    if found.folded:
+        return (
+            f"the poses fold the scene onto itself: {found.silent_share:.0%} of {found.pairs_expected} pairs of photos "
+            "that would show the same thing from the same side have no matches; sides that look alike were taken for "
+            "one: add photos between the sides, in small steps, or give poses made elsewhere"
+        ), []
+    if found.refuted_share > MOST_REFUTED:
+        return (
+            f"the poses contradict the silhouettes: for {found.refuted_share:.0%} of the placed photos more than "
+            f"{OUTSIDE:.0%} of the object's points lie outside what their mask or transparency keeps; check the masks, "
+            f"or {remedy}"
+        ), []
+    return "", _warnings(found, told, share)
+
+
+def _warnings(found: Quality, told: str, share: float) -> list[str]:
+    warnings = []
+    if share < WORRYING_SHARE:
+        warnings.append(f"warning: only {told} were placed; parts of the scene may be missing")
+    if found.parallax_deg < LITTLE_PARALLAX:
+        warnings.append(f"warning: the camera moved little ({found.parallax_deg:.1f} degrees of parallax)")
+    if found.agreement < WORRYING_AGREEMENT:
+        warnings.append(f"warning: {found.agreement:.0%} of the matched pairs fit the poses; look at the result")
+    if len(found.models) > 1:
+        sizes = ", ".join(map(str, found.models))
+        warnings.append(
+            f"warning: the photos fell apart into {len(found.models)} groups ({sizes} photos); the largest is used"
+        )
+    return warnings

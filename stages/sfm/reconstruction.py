@@ -1,0 +1,206 @@
+"""Structure from motion: photos without poses into posed ones, by COLMAP in a child process that can be stopped.
+
+Ctrl-C ends the child at once; finished photos, features and matches stay in the checkpoint, and the next run goes
+on from there.
+"""
+
+import json
+import os
+import queue
+import signal
+import subprocess
+import sys
+import threading
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from schemas.atomic_write import refusal_of_disk
+from schemas.errors import BadInput, OutOfResources
+from stages.readers.colmap import scene_of
+from stages.readers.colmap_model import read_model
+from stages.readers.source import SourceCamera, SourceScene, natural, told, with_masks
+from stages.run.progress import Context
+from stages.sfm.image_pairs import chosen_matching
+from stages.sfm.job import MODEL, RESULT, Job, journal_of
+
+ROOT = Path(__file__).resolve().parents[2]
+POLL_SECONDS = 0.2
+PROBED_BYTES = 4_000_000  # what a disk that is not full must be able to take
+
+
+def reconstructed(
+    photos: list[Path], root: Path, checkpoint: Path, context: Context, *, matching: str, side: int, features: int,
+    shared: bool,
+) -> SourceScene:  # fmt: skip
+    """The posed photos of a folder. root: what their names are told relative to; checkpoint: where steps are kept.
+
+    matching: auto, exhaustive or sequential; side, features and shared: see Job. BadInput where photos are damaged, too
+    few, or the result cannot be believed; KeyboardInterrupt passes within a second.
+    """
+    photos = sorted(photos, key=lambda photo: natural(str(photo)))
+    method, reason = chosen_matching(matching, [photo.name for photo in photos])
+    context.progress.say(f"no poses found: structure from motion of {len(photos)} photos, {method} matching ({reason})")
+    folder = checkpoint / "sfm"
+    folder.mkdir(parents=True, exist_ok=True)
+    paths = tuple(str(photo) for photo in photos)
+    masks = _masks(photos, root, context)
+    job = Job(str(folder), paths, masks, side, features, method, shared, context.seed, context.threads)
+    job.write(folder / "job.json")
+    result = finished(folder)
+    if result is None:
+        if (folder / RESULT).is_file():
+            context.progress.say("warning: the poses of the interrupted run are damaged; finding them again")
+        run_child(folder / "job.json", context)
+        result = _result(folder)
+    return _scene(result, photos, folder / MODEL, root, context)
+
+
+def finished(folder: Path) -> dict | None:
+    """The result of a structure from motion that has ended in `folder`; None where there is none or it is damaged."""
+    journal = journal_of(folder)
+    if not journal.holds([RESULT]):
+        return None
+    result = _result(folder)
+    return result if journal.holds(result["model"]) else None
+
+
+def _result(folder: Path) -> dict:
+    return json.loads((folder / RESULT).read_text("utf-8", "surrogatepass"))  # names of files may be of any bytes
+
+
+def _masks(photos: list[Path], root: Path, context: Context) -> tuple[tuple[str, str], ...]:
+    """What keeps and what hides of each photo, empty where it has none; none at all where no photo has any."""
+    cameras = [SourceCamera(photo.stem, told(photo, root), photo, np.eye(4)) for photo in photos]
+    masks = tuple((str(one.mask or ""), str(one.hides or "")) for one in with_masks(cameras, root))
+    if found := sum(map(any, masks)):
+        context.progress.say(f"{found} of {len(photos)} photos have masks: what these cut out is not matched")
+    return masks if found else ()
+
+
+def _scene(result: dict, photos: list[Path], model: Path, root: Path, context: Context) -> SourceScene:
+    figures = result["figures"]
+    context.progress.say(
+        f"structure from motion: {figures['registered']} of {figures['photos']} photos placed, {figures['points']} "
+        f"points, {figures['error_px']:.2f} px"
+    )
+    # The photos may have been moved since an interrupted run looked at them; their order is the same.
+    every = [{**copy, "photo": str(photo)} for copy, photo in zip(result["copies"], photos, strict=True)]
+    copies = {copy["file"]: copy for copy in every}
+    scene = scene_of(read_model(model), model, root, "photos, by structure from motion")
+    cameras = with_masks([_of_photo(camera, copies[camera.source], root) for camera in scene.cameras], root)
+    placed = {camera.image for camera in cameras}
+    skipped = [
+        (told(Path(copy["photo"]), root), copy["unusable"] or "structure from motion could not place it")
+        for copy in every
+        if Path(copy["photo"]) not in placed
+    ]
+    return replace(scene, cameras=cameras, upright=True, sfm=figures, skipped=tuple(skipped))
+
+
+def _of_photo(camera: SourceCamera, copy: dict, root: Path) -> SourceCamera:
+    """The camera of a working copy as that of the photo itself."""
+    photo, size = Path(copy["photo"]), tuple(copy["full_size"])
+    kx, ky = size[0] / copy["size"][0], size[1] / copy["size"][1]
+    fx, fy, cx, cy = camera.intrinsics
+    return replace(
+        camera, name=photo.stem, source=told(photo, root), image=photo, size=size,
+        intrinsics=(fx * kx, fy * ky, cx * kx, cy * ky),
+    )  # fmt: skip
+
+
+def run_child(job: Path, context: Context) -> None:
+    """Runs `stages.sfm.child` to its end, showing its progress; raises the fault that it tells.
+
+    The child leads a process group of its own, so the terminal's Ctrl-C reaches this process alone, which then ends the
+    group whatever it is doing.
+    """
+    log = job.with_suffix(".log")
+    # -P: without it `-m` imports from the current folder first, and what lies there may be a stranger's.
+    with open(log, "wb") as errors:
+        child = subprocess.Popen(
+            [sys.executable, "-P", "-m", "stages.sfm.child", str(job)], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+            stderr=errors, start_new_session=True, env={**os.environ, "PYTHONPATH": _search_path()},
+        )  # fmt: skip
+    try:
+        fault = _follow(child, context)
+        code = child.wait()
+    finally:
+        _end(child)
+    if fault or code:
+        # On a full disk COLMAP and the libraries below it end in many ways, few of which say so.
+        full = refusal_of_disk(job, PROBED_BYTES) if code != -signal.SIGTERM else None
+        raise full or (_fault(fault["kind"], fault["text"]) if fault else _death(code, log))
+
+
+def _search_path() -> str:
+    """PYTHONPATH of the child: the entries of ours that name a folder in full. An empty one is the current folder."""
+    given = os.environ.get("PYTHONPATH", "").split(os.pathsep)
+    return os.pathsep.join([str(ROOT), *(entry for entry in given if os.path.isabs(entry))])
+
+
+def _end(child: subprocess.Popen) -> None:
+    if child.poll() is None:
+        with suppress(ProcessLookupError):
+            os.killpg(child.pid, signal.SIGKILL)
+        child.wait()
+    for stream in (child.stdin, child.stdout):
+        stream.close()
+
+
+def _follow(child: subprocess.Popen, context: Context) -> dict | None:
+    """Passes the child's events on until it closes its channel; the fault it told, if any."""
+    events: queue.Queue[dict | None] = queue.Queue()
+    threading.Thread(target=_read, args=(child.stdout, events), daemon=True).start()
+    fault = None
+    while True:
+        try:
+            # A wait without end would not be left by a signal on every system.
+            event = events.get(timeout=POLL_SECONDS)
+        except queue.Empty:
+            continue
+        if event is None:
+            context.progress.finish()
+            return fault
+        if event["event"] == "step":
+            context.progress.start(event["label"], event["total"], event["unit"])
+        elif event["event"] == "done":
+            context.progress.update(event["count"], event["note"])
+        elif event["event"] == "say":
+            context.progress.say(event["text"])
+        else:
+            fault = event
+
+
+def _read(stream, events: "queue.Queue[dict | None]") -> None:
+    with suppress(ValueError, OSError):  # closed by _end while we were reading
+        for line in stream:
+            with suppress(ValueError):
+                events.put(json.loads(line))
+    events.put(None)
+
+
+def _fault(kind: str, text: str) -> BaseException:
+    if kind == "MemoryError":
+        return MemoryError(text)
+    if kind == "OSError":
+        number, _, words = text.partition(" ")
+        return OSError(int(number), words)
+    return {"OutOfResources": OutOfResources}.get(kind, BadInput)(text)
+
+
+def _death(code: int, log: Path) -> BaseException:
+    """What to tell when the child died without a word."""
+    if code == -signal.SIGKILL:
+        return OutOfResources(
+            "structure from motion was killed by the system, most likely for its memory; give a smaller --sfm-side or "
+            "--sfm-features and run the same command"
+        )
+    if code == -signal.SIGTERM:
+        return KeyboardInterrupt()
+    lines = [line for line in log.read_text(errors="replace").splitlines() if line.strip()]
+    last = next((line for line in reversed(lines) if line[:1] in "EF" or "Error" in line), lines[-1] if lines else "")
+    how = f"signal {-code}" if code < 0 else f"exit code {code}"
+    return BadInput(f"structure from motion ended by itself ({how}: {last.strip()[:200]}); check the photos")

@@ -1,0 +1,71 @@
+"""Whether cameras of an object stand where its points lie within their silhouettes (decision 0046).
+
+What is cut out of every photo holds all of the object, so each of its points lies inside the silhouette of each camera
+that has it in view, hidden behind other parts or not. A camera that stands elsewhere sees many of them outside.
+"""
+
+from pathlib import Path
+
+import numpy as np
+from scipy.ndimage import maximum_filter
+
+from schemas.images import read_image
+from stages.readers.background import Backdrop
+from stages.sfm.photo_copies import KEPT, MASKS, Copy
+
+# A point outside lies further from the silhouette than this share of the photo's longest side: 4 pixels of 400.
+NEAR = 0.01
+# A camera is refuted with more than this share of the points outside. Right ones of lego had 0.02 at most (one that is
+# off by 5 degrees 0.04), single wrong ones 0.16 and more, those of a folded lego 0.10 and more.
+OUTSIDE = 0.1
+MOST_POINTS = 5000
+REASON = "its silhouette contradicts the pose that structure from motion found"
+
+
+def of_object(folder: Path, copies: list[Copy]) -> dict[str, np.ndarray]:
+    """Silhouettes by name of the copy, [h, w] bool; none where the photos' masks do not cut an object out, or are one
+    mask, which belongs to the lens."""
+    backdrop, found = Backdrop("auto"), {}
+    if not any(copy.cut_out for copy in copies):
+        return {}
+    for copy in copies:
+        width, height = copy.size
+        kept = np.ones((height, width), np.float32)
+        if copy.cut_out:
+            kept = read_image(folder / MASKS / f"{copy.file}.png").pixels.reshape(height, width, -1)[..., 0]
+        found[copy.file] = kept >= KEPT
+        backdrop.seen(np.dstack([np.zeros((height, width, 3), np.float32), kept]))
+    backdrop.decide()
+    return found if backdrop.cuts_out and not backdrop.one_mask() else {}
+
+
+def outside(model, silhouettes: dict[str, np.ndarray]) -> dict[str, float]:
+    """Of each placed photo with a silhouette, by name: the share of the points in its picture that lie outside."""
+    points = [model.points3D[number].xyz for number in sorted(model.points3D)]
+    xyz = np.array(points[:: max(1, len(points) // MOST_POINTS)]).reshape(-1, 3)
+    found = {}
+    for number in model.reg_image_ids():
+        image = model.images[number]
+        if image.name not in silhouettes:
+            continue
+        inside = silhouettes[image.name]
+        height, width = inside.shape
+        inside = maximum_filter(inside, 2 * round(NEAR * max(width, height)) + 1)
+        camera_from_world = np.asarray(image.cam_from_world().matrix())
+        local = xyz @ camera_from_world[:, :3].T + camera_from_world[:, 3]
+        x, y = np.floor(model.cameras[image.camera_id].img_from_cam(local[local[:, 2] > 0])).astype(np.int64).T
+        seen = (x >= 0) & (x < width) & (y >= 0) & (y < height)
+        found[image.name] = 1 - float(inside[y[seen], x[seen]].mean()) if seen.any() else 0.0
+    return found
+
+
+def refuted(model, silhouettes: dict[str, np.ndarray]) -> list[str]:
+    """Names of the copies whose cameras stand elsewhere by their silhouettes."""
+    return sorted(name for name, share in outside(model, silhouettes).items() if share > OUTSIDE)
+
+
+def without(model, names: list[str]) -> None:
+    """Takes the cameras out of the model, and points that no two others see."""
+    for number in list(model.reg_image_ids()):
+        if model.images[number].name in names:
+            model.deregister_frame(model.images[number].frame_id)

@@ -1,0 +1,95 @@
+"""Local edits under stress: a part chosen by a pixel, its look learnt and changed, and taught to the field.
+
+The part is what grows from the opaque pixel in the middle of the first training view, within reach of it: nobody
+chooses for a fault.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+from schemas.canonical_json import digest_of
+from schemas.work_folder import Artefact
+from stages import decompose, distill, edit_dataset, edit_learn, edit_palette, finetune, recolor, region_select
+from stages.configs.decompose import DecomposeConfig, RecolourConfig
+from stages.configs.distill import DistillConfig
+from stages.configs.edit import EditConfig, PaletteConfig
+from stages.configs.extract import ExtractConfig
+from stages.configs.finetune import FinetuneConfig
+from stages.configs.fit import budget_of
+from stages.configs.select import SelectConfig
+from stages.stress.faults import Fault, Method
+from stages.stress.test_views import middle_of
+
+SPECS = (region_select.SPEC, edit_dataset.SPEC, edit_learn.SPEC, edit_palette.SPEC, distill.SPEC, finetune.SPEC,
+         decompose.SPEC, recolor.SPEC)  # fmt: skip
+REACH = 0.12  # of the way from that camera: photos this small tell colours too badly to end a growth by them alone
+ORDINARY = "all=#2050d0"
+PALETTES = {"palette-full": "all=#00ff00", "palette-black": "all=#000000"}
+QUICK_RECOLOUR = {"palette_steps": 80, "pruned_steps": 10}
+QUICK_PAINT = {"palette_steps": 80, "style_steps": 15, "style_side": 64}
+QUICK_FINETUNE, QUICK_RAYS, QUICK_REFIT, QUICK_PIXELS = "60", 2048, 60, 512
+UNTIMED = "1h"  # where steps decide
+REMEDIES_OF_LEARNING = {"start": "clusters"}  # against a palette whose colours collapse into a few
+Execute = Callable[[Any, dict[str, Artefact], Any, str], Artefact]
+
+
+@dataclass(frozen=True)
+class EditOptions:
+    """All that decides an edit but its fit. changes: of the palette, empty for a painting."""
+
+    method: Method
+    learning: EditConfig | DecomposeConfig
+    changes: tuple[str, ...]
+    finetune: FinetuneConfig
+
+    def described(self) -> dict:
+        """For a digest: a painting counts by its content, wherever it lies."""
+        learning = self.learning
+        if isinstance(learning, EditConfig) and learning.style:
+            learning = replace(learning, style="-")
+        return {"learning": learning, "changes": self.changes, "finetune": self.finetune, "reach": REACH}
+
+
+def options_of(
+    method: Method, fault: Fault, remedies: bool, conditions: dict, painting: dict[str, str] | None
+) -> EditOptions:
+    """Of one run. painting: the options of learning that name it and its features, where the method sees one."""
+    quick, budget = conditions["quick"], conditions["style_budget"]
+    timed = budget_of(budget)[0] > 0
+    budget = QUICK_FINETUNE if quick and not timed else budget
+    teaching = FinetuneConfig(budget=budget, **({"rays": QUICK_RAYS} if quick else {}))
+    changes = () if method.edit == "paint" else (PALETTES.get(fault.name, ORDINARY),)
+    if method.edit == "palette":
+        learning = DecomposeConfig(budget=budget)
+        learning = replace(learning, refit_steps=QUICK_REFIT, pixels=QUICK_PIXELS) if quick else learning
+        return EditOptions(method, learning, changes, teaching)
+    look = {"recolor": True} if painting is None else dict(painting)
+    look |= {"start": "random"} if fault.name == "palette-random" else {}
+    look |= (QUICK_PAINT if painting else QUICK_RECOLOUR) if quick else {}
+    look |= REMEDIES_OF_LEARNING if remedies else {}
+    return EditOptions(method, EditConfig(budget=budget if timed else UNTIMED, **look), changes, teaching)
+
+
+def edited(
+    execute: Execute, scene: Artefact, field: Artefact, options: EditOptions, threads: int
+) -> tuple[Artefact, Artefact]:
+    """The edited field and the region that was edited."""
+    place, away = middle_of(scene, field, threads)
+    inputs = {"scene": scene, "field": field}
+    asked = SelectConfig(at=(place,), reach=round(REACH * away, 4))
+    region = execute(region_select, inputs, asked, f"{field.name}-part")
+    name = f"{field.name}-{options.method.name}-{digest_of(options.described()['learning'])[:8]}"
+    changed = f"{name}-{digest_of(options.changes)[:8]}"
+    if options.method.edit == "palette":
+        learnt = execute(decompose, inputs, options.learning, name)
+        changes = RecolourConfig(palette=options.changes, at=(place,), reach=asked.reach)
+        return execute(recolor, {"scene": scene, "field": learnt}, changes, changed), region
+    inputs |= {"region": region}
+    dataset = execute(edit_dataset, inputs, ExtractConfig(exr=False), region.name)
+    edit = execute(edit_learn, {"edit-dataset": dataset}, options.learning, name)
+    if options.changes:
+        edit = execute(edit_palette, {"edit": edit}, PaletteConfig(palette=options.changes), changed)
+    given = {"scene": scene, "field": field, "edit-dataset": dataset, "edit": edit}
+    photos = execute(distill, given, DistillConfig(), edit.name)
+    return execute(finetune, inputs | {"scene": photos}, options.finetune, edit.name), region

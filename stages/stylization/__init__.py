@@ -1,0 +1,1 @@
+"""From the options of a stylization to the settings of its trainer."""

@@ -1,0 +1,245 @@
+"""Trained weights, resolved to tensors: feature trunks for stylising, networks of perceptual metrics.
+
+Nothing is fetched over the network. What is found (stages.weight_sources) is brought to one canonical
+form (stages.weight_formats), kept as safetensors in a cache folder, and identified by the digest of its tensors, so
+that two files with the same numbers are the same weights.
+
+Environment: STYLERF_CACHE (cache folder; else $XDG_CACHE_HOME/stylerf, else ~/.cache/stylerf), STYLERF_WEIGHTS (a
+folder with weights of the user's own, see stages.weight_sources).
+"""
+
+import hashlib
+import os
+import tempfile
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save
+from torch import Tensor
+
+from schemas.canonical_json import file_sha256
+from schemas.errors import BadInput, UsageError
+from stages.weights import formats
+from stages.weights.sources import (
+    DECODERS,
+    DEFAULT_METRICS,
+    DEFAULT_TRUNKS,
+    HUB_SHA256,
+    HUB_URLS,
+    METRICS,
+    TRUNKS,
+    Source,
+    hub_folder,
+)
+from stylerf.environment.trusted_paths import not_ours
+
+
+@dataclass(frozen=True)
+class ResolvedTrunk:
+    """Weights ready for use. digest: sha256 of the tensors; path: where they were read from; kind: the architecture."""
+
+    name: str
+    digest: str
+    path: Path
+    source: str
+    state: dict[str, Tensor]
+    kind: str
+
+    def manifest(self) -> dict[str, str]:
+        """What a manifest says of them."""
+        return {"name": self.name, "digest": self.digest, "source": self.source, "kind": self.kind}
+
+
+def resolve(name_or_path: str | os.PathLike | None = None) -> ResolvedTrunk:
+    """The feature trunk to use: the one named, the one in a file, or (None) the first of the default order found.
+
+    Raises UsageError for an unknown name or one that is not there (with the command that gets it), BadInput for a
+    damaged file.
+    """
+    if name_or_path is None:
+        for name in DEFAULT_TRUNKS:
+            found = _read(TRUNKS[name])
+            if found is not None:
+                return found
+        raise UsageError(f"no feature trunk is installed; get one with: {TRUNKS['hed-vgg16'].obtain}")
+    if str(name_or_path) in TRUNKS:
+        return _named(TRUNKS[str(name_or_path)])
+    path = Path(name_or_path).expanduser()
+    if not path.is_file():
+        raise UsageError(
+            f"--features expects one of {', '.join(TRUNKS)} or a file of VGG weights; {str(name_or_path)!r} is neither"
+        )
+    kind, state = formats.recognised(path)
+    return ResolvedTrunk(path.stem, state_digest(state), path, f"VGG weights of {path}", state, kind)
+
+
+def chosen(features: str) -> dict[str, str]:
+    """The options `features` and `features_digest` of a recipe: by name what None would find, of a file its digest too.
+
+    Reads no weights. Errors as for `resolve`, but for what is wrong inside a file.
+    """
+    features = features or found_trunk()
+    if features in TRUNKS:
+        return {"features": features, "features_digest": ""}
+    path = Path(features).expanduser()
+    if not path.is_file():
+        resolve(features or None)  # which tells why
+    return {"features": str(path.resolve()), "features_digest": file_sha256(path)}
+
+
+def digests_of_files(config: Any) -> dict[str, str]:
+    """SHA-256, as they are now, of the painting and the file of weights that the options of a stylisation name."""
+    found = {"style_digest": config.style and file_sha256(config.style)}
+    return found | ({"features_digest": file_sha256(config.features)} if config.features_digest else {})
+
+
+def found_trunk() -> str:
+    """Name of the trunk that None finds, empty without any; reads no weights."""
+    return next((row["name"] for row in describe() if row["chosen"]), "")
+
+
+def resolve_metric(name: str) -> ResolvedTrunk:
+    """The network and heads of a perceptual metric by name; errors as for `resolve`."""
+    if name not in METRICS:
+        raise UsageError(f"expected a perceptual metric among {', '.join(METRICS)}, found {name!r}")
+    return _named(METRICS[name])
+
+
+def resolve_decoder(name: str = "vgg19-wct-decoder") -> ResolvedTrunk:
+    """The decoder of a trunk's features; UsageError with the command that gets it where it is not here."""
+    return _named(DECODERS[name])
+
+
+def available_metrics() -> list[str]:
+    """Names of the perceptual metrics whose weights are here, in the order in which they are reported."""
+    return [name for name in DEFAULT_METRICS if METRICS[name].locate() or _cached(METRICS[name])]
+
+
+def describe() -> list[dict[str, Any]]:
+    """Every known source of weights, for `doctor`: use, name, words, found, path, cached, chosen, and how to obtain it.
+
+    Only looks whether the files are there; reads none.
+    """
+    rows, chosen = [], None
+    for use, sources in (("features", TRUNKS), ("metric", METRICS), ("decoder", DECODERS)):
+        for source in sources.values():
+            files, cache = source.locate(), _cached(source)
+            found = bool(files or cache)
+            if use == "features" and found and chosen is None and source.name in DEFAULT_TRUNKS:
+                chosen = source.name
+            rows.append(
+                {
+                    "use": use,
+                    "name": source.name,
+                    "what": source.words,
+                    "found": found,
+                    "path": str(files[0] if files else cache) if found else None,
+                    "cached": cache is not None,
+                    "chosen": use == "features" and chosen == source.name,
+                    "obtain": source.obtain,
+                }
+            )
+    return rows
+
+
+def cache_folder() -> Path:
+    """The folder of converted weights; made when something is first kept there."""
+    own = os.environ.get("STYLERF_CACHE")
+    if own:
+        return Path(own).expanduser() / "features"
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache").expanduser() / "stylerf" / "features"
+
+
+def state_digest(state: dict[str, Tensor]) -> str:
+    """sha256 over names, shapes and little-endian float32 values, in the order of the names."""
+    total = hashlib.sha256()
+    for name in sorted(state):
+        values = np.ascontiguousarray(state[name].cpu().numpy().astype("<f4", copy=False))
+        total.update(f"{name} {list(values.shape)}\n".encode())
+        total.update(values.data)
+    return total.hexdigest()
+
+
+def _named(source: Source) -> ResolvedTrunk:
+    found = _read(source)
+    if found is None:
+        raise UsageError(f"{source.name} ({source.words}) is not here; get it with: {source.obtain}")
+    return found
+
+
+def _read(source: Source) -> ResolvedTrunk | None:
+    """From the cache when its numbers are what they should be, else converted from the files of origin and cached."""
+    cached = _from_cache(source)
+    if cached is not None:
+        return cached
+    files = source.locate()
+    if files is None:
+        return None
+    for file in files:
+        _check_hub_file(file)
+    state = formats.converted(source.convert, files[0], *(formats.read_file(file) for file in files))
+    digest = state_digest(state)
+    if source.digest not in (None, digest):
+        raise BadInput(
+            f"weights {files[0]}: the numbers are not those of {source.name} (digest {digest[:12]}, expected "
+            f"{source.digest[:12]}); install it again with: {source.obtain}"
+        )
+    _keep(source, state, digest)
+    return ResolvedTrunk(source.name, digest, files[0], source.words, state, source.kind)
+
+
+def _cached_file(source: Source) -> Path:
+    return cache_folder() / f"{source.name}.safetensors"
+
+
+def _cached(source: Source) -> Path | None:
+    """The cached file, if it is there. Without a digest to hold it to it must be of this user's own making."""
+    path = _cached_file(source)
+    return path if path.is_file() and (source.digest or not_ours(path) is None) else None
+
+
+def _from_cache(source: Source) -> ResolvedTrunk | None:
+    """None when nothing is cached or what is there is damaged (it is then made again)."""
+    path = _cached(source)
+    if path is None:
+        return None
+    try:
+        with safe_open(path, framework="pt") as file:
+            expected = source.digest or (file.metadata() or {}).get("digest")
+            state = {name: file.get_tensor(name) for name in file.keys()}
+    except (OSError, SafetensorError):
+        return None
+    digest = state_digest(state)
+    if digest != expected:
+        return None
+    return ResolvedTrunk(source.name, digest, path, source.words, state, source.kind)
+
+
+def _keep(source: Source, state: dict[str, Tensor], digest: str) -> None:
+    """Writes the cache file whole or not at all; a folder that cannot be written to only costs the next conversion."""
+    path = _cached_file(source)
+    data = save(state, metadata={"name": source.name, "kind": source.kind, "digest": digest})
+    with suppress(OSError):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+        try:
+            with os.fdopen(handle, "wb") as stream:
+                stream.write(data)
+                stream.flush()
+                os.fsync(stream.fileno())
+            os.replace(temporary, path)
+        except OSError:
+            Path(temporary).unlink(missing_ok=True)
+
+
+def _check_hub_file(path: Path) -> None:
+    """BadInput where a file in torch's hub is not, to the last byte, the one that its name stands for."""
+    expected = {url.rsplit("/", 1)[1]: HUB_SHA256[model] for model, url in HUB_URLS.items()}
+    if path.name in expected and path.parent == hub_folder() and (found := file_sha256(path)) != expected[path.name]:
+        raise BadInput(
+            f"weights {path}: sha256 is {found}, expected {expected[path.name]}; delete the file and download it again"
+        )

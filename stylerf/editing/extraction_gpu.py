@@ -1,0 +1,53 @@
+"""Where rays of whole views end in a region, found on a GPU: the march and the sums of extraction.ends_of_view."""
+
+from dataclasses import replace
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from stylerf.editing.extraction import EVERYWHERE
+from stylerf.fields.gpu.field import DeviceField, marked_cells
+from stylerf.fields.gpu.memory import in_parts
+from stylerf.fields.radiance_field import RadianceField
+from stylerf.geometry.cameras import Camera
+from stylerf.kernels.gpu import launch_edit
+from stylerf.rendering.rays import SAMPLE_LIMIT
+from stylerf.rendering.view_gpu import rays_of
+
+RAYS_AT_ONCE = 1 << 17
+
+
+class DeviceEnds:
+    """ends_of_view of one field on `device`, to rounding; the grids that were asked for stay there."""
+
+    def __init__(
+        self, field: RadianceField, device: torch.device | str, rays_at_once: int = RAYS_AT_ONCE
+    ) -> None:  # fmt: skip
+        self._field, self.rays_at_once = DeviceField(field, torch.device(device)), rays_at_once
+        self._there: list[tuple[np.ndarray, Tensor]] = []
+
+    def _marked(self, grid: np.ndarray) -> Tensor:
+        for here, there in self._there:
+            if here is grid:
+                return there
+        self._there.append((grid, marked_cells(grid, self._field.device)))
+        return self._there[-1][1]
+
+    def __call__(self, camera: Camera, grids: list[np.ndarray]) -> list[np.ndarray]:
+        """By grid of marked cells [s, s, s]: [pixels, 6] alpha, alpha inside, depth and x there, as ends_of_view."""
+        count = camera.height * camera.width
+        marked = [self._marked(grid) for grid in grids]
+
+        def part(begin: int, end: int) -> list[Tensor]:
+            rays, found = rays_of(camera, torch.arange(begin, end, device=self._field.device)), []
+            samples = self._field.march(rays, SAMPLE_LIMIT, 1e-3, None)
+            of_things = replace(samples, weights=torch.where(samples.optical > 0, samples.weights, 0.0))
+            for grid, own in zip(grids, marked):
+                ends = launch_edit.ends_inside(own, grid.shape[0], of_things if grid is EVERYWHERE else samples)
+                ends[:, 2:] /= ends[:, 1:2].clamp(min=1e-8)
+                found.append(ends)
+            return found
+
+        parts = in_parts(count, self.rays_at_once, part)
+        return [torch.cat(found).cpu().numpy() for found in zip(*parts)]

@@ -1,0 +1,231 @@
+"""Colours of a region as mixes of a few palette colours plus a small offset (LAENeRF, section 3.4).
+
+    c = clamp(w P + o, 0, 1),  w = softmax of W(phi(x)) over the active colours,  o = tanh O(phi(x), SH(d))
+
+x a point of the region, d the view direction, phi a hash encoding, W and O small networks. The released code leaves the
+tanh out of its preview; here o is the same everywhere.
+
+P: palette [colours, 3], sRGB, not bound to 0..1. A: colours still active. n: points.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from stylerf import validation
+from stylerf.editing.palette_edits import PaletteEdits
+from stylerf.errors import InvalidValue
+from stylerf.fields.hash_encoding import HashEncoding
+from stylerf.geometry.spherical_harmonics import BANDS, harmonics
+
+WIDTH = 64  # of the hidden layers
+DEGREE = 2  # nine harmonics: "degree 3" in LAENeRF, which counts from one
+MOST_COLOURS = 32
+POINTS_AT_ONCE = 1 << 16
+MARGIN = 0.05  # of the region's size: what jitter and other views add to the box that is encoded
+
+
+@dataclass(frozen=True)
+class Mixture:
+    """weights: [n, A], each row adds up to 1. offsets: [n, 3] in -1..1. colours: [n, 3] in 0..1."""
+
+    weights: Tensor
+    offsets: Tensor
+    colours: Tensor
+
+
+class PaletteModule:
+    """Palette, encoding and both networks. Edits count colours 0 to A - 1: those that are active, in their order.
+
+    box: [2, 3] float32, the part of the cube that is encoded; points outside count to its sides. values: palette, then
+    weights and biases of W's three layers, then of O's, one float32 array, so that one optimiser takes it.
+    """
+
+    kind = "palette"
+
+    def __init__(self, encoding: HashEncoding, box: np.ndarray, active: np.ndarray, values: np.ndarray) -> None:
+        count = len(active)
+        if not 1 <= count <= MOST_COLOURS or active.dtype != bool or not active.any():
+            raise InvalidValue(f"palette: 1 to {MOST_COLOURS} colours, one of them active, were expected")
+        if box.shape != (2, 3) or not (box[0] < box[1]).all():
+            raise InvalidValue(f"palette: expected a box of lower and upper corner, found {box.tolist()}")
+        expected = count * 3 + sum((i + 1) * o for net in self._nets(encoding.width, count) for i, o in net)
+        if values.shape != (expected,) or values.dtype != np.float32 or not np.isfinite(values).all():
+            raise InvalidValue(f"palette: {len(values)} values where {expected} finite ones were expected")
+        self.encoding, self.box, self.active, self.values = encoding, box.astype(np.float32), active, values
+
+    @classmethod
+    def create(
+        cls, generator: np.random.Generator, palette: np.ndarray, box: np.ndarray, encoding: HashEncoding | None = None
+    ) -> "PaletteModule":
+        """palette [colours, 3]: where it begins. All weights begin nearly even, all offsets nearly zero."""
+        encoding = encoding or HashEncoding.create(generator)
+        parts = [np.asarray(palette, np.float32).ravel()]
+        for net in cls._nets(encoding.width, len(palette)):
+            for number, (inside, outside) in enumerate(net):
+                # He et al. 2015, for ReLU; the last layers a tenth of it.
+                bound = math.sqrt(6 / inside) * (0.1 if number + 1 == len(net) else 1.0)
+                parts += [generator.uniform(-bound, bound, inside * outside), np.zeros(outside)]
+        values = np.concatenate(parts).astype(np.float32)
+        return cls(encoding, np.asarray(box, np.float32), np.ones(len(palette), bool), values)
+
+    @staticmethod
+    def _nets(features: int, count: int) -> list[list[tuple[int, int]]]:
+        """(inputs, outputs) of every layer of W and of O."""
+        return [[(i, WIDTH), (WIDTH, WIDTH), (WIDTH, o)] for i, o in ((features, count), (features + BANDS[DEGREE], 3))]
+
+    # -- what is learnt ---------------------------------------------------------------------------------------------
+
+    def leaf(self) -> Tensor:
+        """A copy of `values` that gradients are asked of."""
+        return torch.from_numpy(self.values.copy()).requires_grad_()
+
+    def mix(self, values: Tensor, phi: Tensor, basis: Tensor, kept: Tensor | None = None) -> Mixture:
+        """From `values` as a tensor, features phi [n, features] and harmonics of the directions [n, 9].
+
+        kept: numbers of the active colours, where they lie beside the others already.
+        """
+        count = len(self.active)
+        nets = self._nets(phi.shape[1], count)
+        sizes = [size for net in nets for inside, outside in net for size in (inside * outside, outside)]
+        # clone: a slice may begin at any address, and a product's last bit may depend on that.
+        parts = iter([part.clone() for part in values[3 * count :].split(sizes)])
+        found = []
+        for net, hidden in zip(nets, (phi, torch.cat([phi, basis], 1))):
+            for number, (inside, outside) in enumerate(net):
+                hidden = torch.nn.functional.linear(hidden, next(parts).view(outside, inside), next(parts))
+                hidden = hidden.relu() if number + 1 < len(net) else hidden
+            found.append(hidden)
+        logits, offsets = found
+        kept = torch.from_numpy(np.flatnonzero(self.active)) if kept is None else kept
+        weights = torch.softmax(logits if len(kept) == count else logits[:, kept], 1)
+        offsets = torch.tanh(offsets)
+        palette = self.palette_of(values)[kept]
+        return Mixture(weights, offsets, (weights @ palette + offsets).clamp(0, 1))
+
+    def palette_of(self, values: Tensor) -> Tensor:
+        """[colours, 3], removed ones too."""
+        return values[: 3 * len(self.active)].view(-1, 3)
+
+    def local(self, x: np.ndarray) -> np.ndarray:
+        """Cube points [n, 3] as places in the box, 0..1."""
+        return np.clip((x - self.box[0]) / (self.box[1] - self.box[0]), 0, 1).astype(np.float32)
+
+    # -- what is asked ----------------------------------------------------------------------------------------------
+
+    @property
+    def palette(self) -> np.ndarray:
+        """[A, 3] the active colours, sRGB 0..1."""
+        return np.clip(self.values[: 3 * len(self.active)].reshape(-1, 3)[self.active], 0, 1)
+
+    @torch.no_grad()
+    def mixture(self, x: np.ndarray, directions: np.ndarray, chunks: int = 1) -> Mixture:
+        """Of cube points and unit directions [n, 3], in parts of bounded memory."""
+        values, parts = torch.from_numpy(self.values), []
+        for at in range(0, len(x), POINTS_AT_ONCE):
+            part = slice(at, at + POINTS_AT_ONCE)
+            basis = torch.from_numpy(harmonics(directions[part], DEGREE))
+            parts.append(self.mix(values, self.encoding.forward(self.local(x[part]), chunks), basis))
+        if not parts:
+            return Mixture(torch.zeros(0, len(self.palette)), torch.zeros(0, 3), torch.zeros(0, 3))
+        return Mixture(*(torch.cat([getattr(p, n) for p in parts]) for n in ("weights", "offsets", "colours")))
+
+    def weights(self, x: np.ndarray, chunks: int = 1) -> np.ndarray:
+        """[n, A] float32."""
+        return self.mixture(x, np.tile(np.float32([0, 0, 1]), (len(x), 1)), chunks).weights.numpy()
+
+    def colours(
+        self,
+        x: np.ndarray,
+        directions: np.ndarray,
+        edits: PaletteEdits | None = None,
+        transition: np.ndarray | None = None,
+        chunks: int = 1,
+    ) -> np.ndarray:
+        """[n, 3] float32 in 0..1; with edits, as they make them.
+
+        transition: lambda [n] in 0..1. There palette and weights, not colours, are drawn back to what they were:
+        P' = lambda P + (1 - lambda) P_edited, w' = lambda w + (1 - lambda) w_edited.
+        """
+        return self.edited(self.mixture(x, directions, chunks), edits, transition)
+
+    def edited(
+        self, found: Mixture, edits: PaletteEdits | None = None, transition: np.ndarray | None = None
+    ) -> np.ndarray:
+        """As colours(), of a mixture (on the CPU) that stands already."""
+        if edits is None or not edits:
+            return found.colours.numpy()
+        # The learnt colours, unclamped: w P + o was fitted with these.
+        palette = self.values[: 3 * len(self.active)].reshape(-1, 3)[self.active]
+        weights, offsets = found.weights.numpy(), found.offsets.numpy()
+        new_palette, new_weights = edits.palette(palette), edits.weights(weights)
+        own = (
+            np.zeros((len(weights), 1), np.float32)
+            if transition is None
+            else np.asarray(transition, np.float32)[:, None]
+        )
+        mixed = own * weights + (1 - own) * new_weights
+        out = own * (mixed @ palette) + (1 - own) * (mixed @ new_palette) + offsets
+        return np.clip(out, 0, 1).astype(np.float32)
+
+    # -- what is kept -----------------------------------------------------------------------------------------------
+
+    def describe(self) -> dict:
+        return {
+            "kind": self.kind,
+            "active": self.active.tolist(),
+            "box": self.box.tolist(),
+            "encoding": self.encoding.describe(),
+        }
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        return {"networks": self.values, "table": self.encoding.values}
+
+    @classmethod
+    def restore(cls, data: dict, arrays: dict[str, np.ndarray]) -> "PaletteModule":
+        table, networks = (
+            validation.array(arrays, name, np.float32, (None,), validation.LEARNT) for name in ("table", "networks")
+        )
+        encoding = HashEncoding.restore(validation.entry(data, "encoding"), table.copy())
+        active = validation.entry(data, "active", list)
+        if not all(isinstance(one, bool) for one in active):
+            raise InvalidValue("palette: active holds other values than true and false")
+        return cls(
+            encoding, np.array(validation.rows(data, "box", 2, 3), np.float32), np.array(active, bool), networks.copy()
+        )
+
+
+def box_around(points: np.ndarray) -> np.ndarray:
+    """[2, 3]: corners of what cube points [n, 3] fill, with a margin; no side is thinner than a tenth of another."""
+    low, high = points.min(0), points.max(0)
+    size = np.maximum(high - low, max(0.1 * float((high - low).max()), 1e-3))
+    middle = (low + high) / 2
+    return np.stack([middle - size * (0.5 + MARGIN), middle + size * (0.5 + MARGIN)]).astype(np.float32)
+
+
+def random_palette(generator: np.random.Generator, count: int) -> np.ndarray:
+    """[count, 3] even in 0..1: how LAENeRF begins."""
+    return generator.random((count, 3)).astype(np.float32)
+
+
+def clustered_palette(generator: np.random.Generator, colours: np.ndarray, count: int, rounds: int = 12) -> np.ndarray:
+    """[count, 3] centres of k-means over colours [n, 3], begun by k-means++ (Arthur and Vassilvitskii 2007).
+
+    A cluster left empty keeps its centre. Ordered by size, the largest first.
+    """
+    colours = np.asarray(colours, np.float64)
+    centres = colours[generator.integers(len(colours))][None]
+    while len(centres) < count:
+        apart = np.square(colours[:, None] - centres).sum(-1).min(1)
+        total = apart.sum()
+        chosen = generator.choice(len(colours), p=apart / total) if total > 0 else generator.integers(len(colours))
+        centres = np.concatenate([centres, colours[chosen][None]])
+    for _ in range(rounds):
+        nearest = np.square(colours[:, None] - centres).sum(-1).argmin(1)
+        sizes = np.bincount(nearest, minlength=count)
+        sums = np.stack([np.bincount(nearest, colours[:, k], count) for k in range(3)], 1)
+        centres = np.where(sizes[:, None] > 0, sums / np.maximum(sizes, 1)[:, None], centres)
+    return centres[np.argsort(-sizes, kind="stable")].astype(np.float32)

@@ -1,0 +1,102 @@
+"""A palette module on a GPU: its hash table by the hash kernels, its networks by torch."""
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from stylerf.editing.palette_edits import PaletteEdits
+from stylerf.editing.palette_module import DEGREE, POINTS_AT_ONCE, Mixture, PaletteModule
+from stylerf.geometry.spherical_harmonics import harmonics
+from stylerf.kernels.gpu import launch_edit
+
+
+class DevicePalette:
+    """The module's numbers copied to `device`. What is asked is answered as PaletteModule does, to rounding.
+
+    table, networks: the encoding's values and the module's, as tensors that may be taught. module: where they are from.
+    """
+
+    def __init__(self, module: PaletteModule, device: torch.device | str) -> None:
+        self.module, self.device, self.levels = module, torch.device(device), module.encoding.levels
+        self.layout = torch.from_numpy(module.encoding.layout).to(self.device)
+        self._low, self._size = (
+            torch.from_numpy(a).to(self.device) for a in (module.box[0].copy(), module.box[1] - module.box[0])
+        )
+        self._known: tuple[bytes, Tensor] = b"", torch.empty(0)
+        self.take_up()
+
+    def take_up(self) -> None:
+        """The module's numbers as they stand on the host."""
+        self.table = torch.from_numpy(self.module.encoding.values).to(self.device, copy=True)
+        self.networks = torch.from_numpy(self.module.values).to(self.device, copy=True)
+
+    def collect(self) -> None:
+        """Bring what was learnt into the module's own arrays."""
+        self.module.encoding.values[:] = self.table.cpu().numpy()
+        self.module.values[:] = self.networks.cpu().numpy()
+
+    @property
+    def kept(self) -> Tensor:
+        """Numbers of the active colours."""
+        active = self.module.active.tobytes()
+        if self._known[0] != active:
+            self._known = active, torch.from_numpy(np.flatnonzero(self.module.active)).to(self.device)
+        return self._known[1]
+
+    def local(self, x: Tensor) -> Tensor:
+        """As PaletteModule.local."""
+        return ((x - self._low) / self._size).clamp(0, 1)
+
+    def features(self, x: Tensor, to: Tensor) -> Tensor:
+        """phi [n, 4 levels] of places in the box [n, 3] as part of a graph: its backward adds dL/d(table) to `to`."""
+        return _Encode.apply(torch.zeros((), requires_grad=True, device=self.device), self, x.contiguous(), to)
+
+    # -- what is asked ----------------------------------------------------------------------------------------------
+
+    @property
+    def active(self) -> np.ndarray:
+        """Which colours are."""
+        return self.module.active
+
+    @property
+    def palette(self) -> np.ndarray:
+        """As PaletteModule.palette."""
+        return self.networks[: 3 * len(self.active)].view(-1, 3)[self.kept].clamp(0, 1).cpu().numpy()
+
+    @torch.no_grad()
+    def mixture(self, x: np.ndarray, directions: np.ndarray, chunks: int = 1) -> Mixture:
+        """As PaletteModule.mixture, on the host; chunks are not used."""
+        parts = []
+        for at in range(0, max(1, len(x)), POINTS_AT_ONCE):
+            part = slice(at, at + POINTS_AT_ONCE)
+            points = torch.from_numpy(np.ascontiguousarray(x[part], np.float32)).to(self.device)
+            basis = torch.from_numpy(harmonics(directions[part], DEGREE)).to(self.device)
+            phi = launch_edit.rows(self.table, self.layout, self.levels, self.local(points))
+            parts.append(self.module.mix(self.networks, phi, basis, self.kept))
+        return Mixture(*(torch.cat([getattr(p, n) for p in parts]).cpu() for n in ("weights", "offsets", "colours")))
+
+    def weights(self, x: np.ndarray, chunks: int = 1) -> np.ndarray:
+        """As PaletteModule.weights."""
+        return self.mixture(x, np.tile(np.float32([0, 0, 1]), (len(x), 1))).weights.numpy()
+
+    def colours(
+        self, x: np.ndarray, directions: np.ndarray, edits: PaletteEdits | None = None,
+        transition: np.ndarray | None = None, chunks: int = 1,
+    ) -> np.ndarray:  # fmt: skip
+        """As PaletteModule.colours; edits are those of the numbers on the host."""
+        return self.module.edited(self.mixture(x, directions), edits, transition)
+
+
+class _Encode(torch.autograd.Function):
+    """The table's gradient goes to the buffer that its optimiser clears, as in fields/hash_encoding.py."""
+
+    @staticmethod
+    def forward(context, hook: Tensor, palette: DevicePalette, x: Tensor, to: Tensor) -> Tensor:
+        context.palette, context.x, context.to = palette, x, to
+        return launch_edit.rows(palette.table, palette.layout, palette.levels, x)
+
+    @staticmethod
+    def backward(context, gradients: Tensor) -> tuple[None, None, None, None]:
+        palette = context.palette
+        launch_edit.rows_backward(palette.layout, palette.levels, context.x, gradients.contiguous(), context.to)
+        return None, None, None, None

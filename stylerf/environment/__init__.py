@@ -1,0 +1,1 @@
+"""What the process takes from its surroundings, and what it refuses to take."""

@@ -1,0 +1,150 @@
+"""Colour heads: what turns a place's features and a direction into a colour. Its numbers are handed in."""
+
+import numpy as np
+
+from stylerf.errors import InvalidValue
+from stylerf.fields.scratch_arena import room
+from stylerf.geometry.spherical_harmonics import BANDS, C0
+from stylerf.kernels.cpu import color_heads as kernels
+from stylerf.kernels.cpu import mlp_head
+from stylerf.kernels.cpu.color_heads import count_marked, hide, pack_marked
+
+HIDDEN = 32  # units; a row of them is one vector
+
+
+class Packed:
+    """Samples to be coloured: index[i], of ray ray[i], ascending; their colours go to `out` [n, 3]."""
+
+    def __init__(self, marks: np.ndarray, bound: float, starts: np.ndarray, ends: np.ndarray, chunks: int) -> None:
+        counts, bound = np.empty(len(ends), np.int64), np.float32(bound)
+        count_marked(marks, bound, starts, ends, chunks, counts)
+        offsets = np.concatenate([[0], np.cumsum(counts)])
+        self.index, self.ray = np.empty(offsets[-1], np.int64), np.empty(offsets[-1], np.int64)
+        pack_marked(marks, bound, starts, ends, offsets, chunks, self.index, self.ray)
+
+
+class LinearHead:
+    """sigmoid(bias + sum_b Y_b(d) head_b . phi): features to spherical-harmonic coefficients.
+
+    numbers: head [3, bands, features], bias [3].
+    """
+
+    kind = "linear"
+    rate = 1.0  # factor of the learning rate
+
+    def __init__(self, features: int, degree: int) -> None:
+        self.features, self.degree = features, degree
+        self._widths = (np.int8(0),) * features
+
+    @property
+    def length(self) -> int:
+        """How many numbers it has."""
+        return 3 * BANDS[self.degree] * self.features + 3
+
+    def initial(self, generator: np.random.Generator) -> np.ndarray:
+        """Random, little dependent on the direction, around an even grey."""
+        head = generator.uniform(-1, 1, (3, BANDS[self.degree], self.features)) / np.sqrt(self.features) / C0
+        head[:, 1:] *= 0.1
+        return np.append(head.ravel(), np.zeros(3)).astype(np.float32)
+
+    def colours(self, phi, numbers, basis, packed: Packed, chunks: int, out: np.ndarray) -> None:
+        """Colours of packed samples of features phi [m, features], into out [n, 3]."""
+        kernels.linear(phi, self._widths, numbers, basis, packed.index, packed.ray, chunks, out)
+
+    def backward(self, phi, numbers, basis, packed, colours, colour_gradients, at: int, to: np.ndarray) -> np.ndarray:
+        """dL/d(phi) [m, features]; dL/d(numbers) is added to the chunks' buffers to[:, at:]."""
+        out = np.empty_like(phi)
+        kernels.linear_backward(
+            phi,
+            self._widths,
+            numbers,
+            basis,
+            packed.index,
+            packed.ray,
+            colours,
+            colour_gradients,
+            len(to),
+            out,
+            at,
+            to,
+        )
+        return out
+
+    def describe(self) -> dict:
+        return {"kind": self.kind, "degree": self.degree}
+
+
+class HarmonicHead:
+    """sigmoid(sum_b Y_b(d) phi_b): features that are spherical-harmonic coefficients, [3, bands]: ARF's voxels."""
+
+    kind = "harmonic"
+    rate = 1.0
+    length = 0
+
+    def __init__(self, features: int, degree: int) -> None:
+        if features != 3 * BANDS[degree]:
+            raise InvalidValue(f"{features} features are no coefficients of degree {degree}")
+        self.features, self.degree = features, degree
+
+    def initial(self, generator: np.random.Generator) -> np.ndarray:
+        return np.empty(0, np.float32)
+
+    def colours(self, phi, numbers, basis, packed: Packed, chunks: int, out: np.ndarray) -> None:
+        """Colours of packed samples of features phi [m, features], into out [n, 3]."""
+        kernels.harmonic(phi, basis, packed.index, packed.ray, chunks, out)
+
+    def backward(self, phi, numbers, basis, packed, colours, colour_gradients, at: int, to: np.ndarray) -> np.ndarray:
+        """dL/d(phi) [m, features]."""
+        out = np.empty_like(phi)
+        kernels.harmonic_backward(basis, packed.index, packed.ray, colours, colour_gradients, len(to), out)
+        return out
+
+    def describe(self) -> dict:
+        return {"kind": self.kind, "degree": self.degree}
+
+
+class MlpHead:
+    """sigmoid(W2 relu(W1 (phi, Y(d)) + b1) + b2), HIDDEN units; numbers: see kernels/cpu/mlp_head.py."""
+
+    kind = "mlp"
+    rate = 0.25
+
+    def __init__(self, features: int, degree: int) -> None:
+        self.features, self.degree = features, degree
+        self._hidden = (np.int8(0),) * HIDDEN
+
+    @property
+    def length(self) -> int:
+        """How many numbers it has."""
+        return (self.features + BANDS[self.degree] + 1 + 3) * HIDDEN + 3
+
+    def initial(self, generator: np.random.Generator) -> np.ndarray:
+        """He et al. 2015, uniform; what the direction adds is small at first."""
+        first = generator.uniform(-1, 1, (self.features, HIDDEN)) * np.sqrt(6 / self.features)
+        seen = generator.uniform(-0.1, 0.1, (BANDS[self.degree], HIDDEN))
+        second = generator.uniform(-1, 1, (3, HIDDEN)) * np.sqrt(6 / HIDDEN)
+        parts = [first, seen, np.zeros(HIDDEN), second, np.zeros(3)]
+        return np.concatenate([part.ravel() for part in parts]).astype(np.float32)
+
+    def colours(self, phi, numbers, basis, packed: Packed, chunks: int, out: np.ndarray) -> None:
+        """Colours of packed samples of features phi [m, features], into out [n, 3]."""
+        mlp_head.mlp(phi, self._hidden, numbers, basis, packed.index, packed.ray, chunks, out)
+
+    def backward(self, phi, numbers, basis, packed, colours, colour_gradients, at: int, to: np.ndarray) -> np.ndarray:
+        """dL/d(phi) [m, features]; dL/d(numbers) is added to the chunks' buffers to[:, at:]."""
+        out, where = np.empty_like(phi), (basis, packed.index, packed.ray)
+        mlp_head.mlp_backward(phi, self._hidden, numbers, *where, colours, colour_gradients, len(to), out, at, to)
+        return out
+
+    def describe(self) -> dict:
+        return {"kind": self.kind, "degree": self.degree}
+
+
+HEADS = {head.kind: head for head in (LinearHead, HarmonicHead, MlpHead)}
+
+
+def hidden_from_view(starts: np.ndarray, ends: np.ndarray, rows: int, chunks: int) -> np.ndarray:
+    """[rows, 3] for colours, none of the samples having one yet."""
+    out = room((rows, 3))
+    hide(starts, ends, chunks, out)
+    return out

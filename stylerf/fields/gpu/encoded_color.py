@@ -1,0 +1,63 @@
+"""Colours that are an encoder of places and a head behind it (fields/encoded_color.py), on a device."""
+
+from types import SimpleNamespace
+
+import torch
+from torch import Tensor
+
+from stylerf.fields.color_heads import HIDDEN
+from stylerf.fields.gpu.grids import DeviceGrid, DeviceLevels
+from stylerf.geometry.spherical_harmonics import BANDS
+from stylerf.kernels.gpu import launch, launch_heads
+from stylerf.kernels.gpu.density import VM
+from stylerf.kernels.gpu.launch import DeviceSamples
+
+
+class DevicePlanes:
+    """fields/encoders.py's VmFeatures, laid out as the kernels read them."""
+
+    code, pieces, layout = VM.value, 3, None
+
+    def __init__(self, features, device: torch.device) -> None:
+        self.size, self.rank, self.length = [int(s) for s in features.size], features.rank, features.length
+
+    def smooth(self, values: Tensor, strength: float, to: Tensor) -> None:
+        """As VmFeatures.smooth; to [length or more]."""
+        planes = SimpleNamespace(values=values, size=self.size, rank=self.rank)
+        launch.smoothness(planes, strength / self.length, to)
+
+
+ENCODERS = {
+    "vm": DevicePlanes,
+    "hash": lambda features, device: DeviceLevels(features.levels, device),
+    "voxel": lambda features, device: DeviceGrid(features.grid, features.width, device),
+}
+
+
+class DeviceHeadedColour:
+    """fields/encoded_color.py's HeadedColour. half: the table is read as halves, which cannot be taught."""
+
+    def __init__(self, part, device: torch.device, half: bool = False) -> None:
+        self.values = torch.from_numpy(part.values).to(device, copy=True)
+        self.groups = [group for group in part.groups() if group[0] < group[1]]
+        encoder = ENCODERS[part.features.kind](part.features, device)
+        self.encoder, self.code, self.pieces = encoder, encoder.code, encoder.pieces
+        self.size, self.rank, self.layout = encoder.size, encoder.rank, encoder.layout
+        self.head, self.bands = part.head.kind, BANDS[part.degree]
+        self.hidden = HIDDEN if self.head == "mlp" else 0
+        table = self.values[: part.features.length]
+        self.table = table.half() if half else table
+        # The harmonics head has no numbers, and a kernel's argument must be something.
+        self.numbers = self.values[part.features.length :] if part.head.length else self.values
+
+    def colours(self, samples: DeviceSamples, directions: Tensor, share: float) -> Tensor:
+        """[room, 3] in 0..1; -1 in the first channel of samples under `share` of their ray's largest weight."""
+        return launch_heads.headed_colours(self, samples, directions, share)
+
+    def backward(self, samples: DeviceSamples, directions, colours, colour_gradients, to: Tensor) -> None:
+        """Add dL/d(values) to `to` [len(values)]."""
+        launch_heads.headed_colours_backward(self, samples, directions, colours, colour_gradients, to)
+
+    def smooth(self, strength: float, to: Tensor) -> None:
+        """As HeadedColour.smooth."""
+        self.encoder.smooth(self.values, strength, to)

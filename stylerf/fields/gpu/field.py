@@ -1,0 +1,273 @@
+"""A radiance field on a device: the parts' values as torch tensors, the GPU kernels behind the same names."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from stylerf.errors import InvalidValue
+from stylerf.fields.gpu.encoded_color import DeviceHeadedColour
+from stylerf.fields.gpu.grids import DeviceHashDensity, DeviceVoxelDensity
+from stylerf.fields.radiance_field import RadianceField, layers_of
+from stylerf.geometry.space_warp import Space
+from stylerf.geometry.spherical_harmonics import BANDS
+from stylerf.kernels.gpu import launch, launch_deform, launch_edit
+from stylerf.kernels.gpu.density import VM
+from stylerf.kernels.gpu.launch import DeviceSamples, Walk
+
+
+def _table(values: Tensor, length: int, half: bool) -> Tensor:
+    """The table's own memory, or a copy in halves to be read alone."""
+    return values[:length].half() if half else values[:length]
+
+
+class DeviceVmDensity:
+    """fields/vm.py's VmDensity. half: the table is read as halves, which cannot be taught."""
+
+    code, layout = VM.value, None
+
+    def __init__(self, part, device: torch.device, half: bool = False) -> None:
+        self.values = torch.from_numpy(part.values).to(device, copy=True)
+        self.size, self.rank, self.groups = [int(s) for s in part.size], part.rank, part.groups()
+        self.width = launch.width_of(self.rank)
+        self.table, self.shift = _table(self.values, len(self.values) - 1, half), self.values[-1:]
+
+    def sigma(self, points: Tensor) -> Tensor:
+        """Raw density [n] of cube points [n, 3]."""
+        return launch.vm_density(self, points)
+
+    def backward(self, samples: DeviceSamples, sigma_gradients: Tensor, to: Tensor) -> None:
+        """Add dL/d(values) to `to` [len(values)]."""
+        launch.vm_density_backward(self, samples, sigma_gradients, to)
+
+    def add_position_gradients(self, samples: DeviceSamples, sigma_gradients: Tensor, out: Tensor) -> None:
+        """Add dL/dx to out [room, 3], x the samples' positions in the cube."""
+        launch_deform.add_density_slopes(self, samples, sigma_gradients, out)
+
+    def smooth(self, strength: float, to: Tensor) -> None:
+        """As VmDensity.smooth."""
+        launch.smoothness(self, strength / len(self.values), to)
+
+
+class DeviceVmColour:
+    """fields/vm.py's VmColour."""
+
+    def __init__(self, part, device: torch.device, half: bool = False) -> None:
+        self.values = torch.from_numpy(part.values).to(device, copy=True)
+        self.size, self.rank, self.groups = [int(s) for s in part.size], part.rank, part.groups()
+        self.bands = BANDS[part.degree]
+        self.table = _table(self.values, len(part.table), half)
+        self.head, self.bias = self.values[len(part.table) : -3], self.values[-3:]
+
+    def colours(self, samples: DeviceSamples, directions: Tensor, share: float) -> Tensor:
+        """[room, 3] in 0..1; -1 in the first channel of samples under `share` of their ray's largest weight."""
+        return launch.vm_colours(self, samples, directions, share)
+
+    def backward(self, samples: DeviceSamples, directions, colours, colour_gradients, to: Tensor) -> None:
+        """Add dL/d(values) to `to` [len(values)]."""
+        launch.vm_colours_backward(self, samples, directions, colours, colour_gradients, to)
+
+    def add_position_gradients(self, samples: DeviceSamples, directions, colours, colour_gradients, out) -> None:
+        """Add dL/dx to out [room, 3]."""
+        launch_deform.add_vm_colour_slopes(self, samples, directions, colours, colour_gradients, out)
+
+    def smooth(self, strength: float, to: Tensor) -> None:
+        """As VmColour.smooth."""
+        launch.smoothness(self, strength / len(self.table), to)
+
+
+class DeviceHashColour:
+    """fields/hash_color.py's HashColour."""
+
+    def __init__(self, part, device: torch.device, half: bool = False) -> None:
+        self.values = torch.from_numpy(part.values).to(device, copy=True)
+        self.levels, self.groups = part.levels, part.groups()
+        self.layout = torch.from_numpy(part.layout).to(device)
+        self.table = _table(self.values, len(self.values), half)
+
+    def colours(self, samples: DeviceSamples, directions: Tensor | None, share: float) -> Tensor:
+        """As DeviceVmColour.colours; the same from everywhere."""
+        return launch.hash_colours(self, samples, share)
+
+    def backward(self, samples: DeviceSamples, directions, colours, colour_gradients, to: Tensor) -> None:
+        """Add dL/d(values) to `to` [len(values)]."""
+        launch.hash_colours_backward(self, samples, colours, colour_gradients, to)
+
+    def add_position_gradients(self, samples: DeviceSamples, directions, colours, colour_gradients, out) -> None:
+        """Add dL/dx to out [room, 3]."""
+        launch_deform.add_hash_colour_slopes(self, samples, colours, colour_gradients, out)
+
+    def smooth(self, strength: float, to: Tensor) -> None:
+        """As HashColour.smooth."""
+        to.add_(self.values, alpha=strength / len(self.values))
+
+
+class DevicePatchColour:
+    """fields/region_color.py's PatchColour, over a base of any kind that the device knows. values: the patch's own."""
+
+    def __init__(self, part, device: torch.device, half: bool = False) -> None:
+        self.base = COLOUR_KINDS[part.base.kind](part.base, device, half)
+        self._own = DeviceHashColour(part.own, device, half)
+        self.values, self.table, self.groups = self._own.values, self._own.table, self._own.groups
+        self.layout, self.levels = self._own.layout, self._own.levels
+        self.marked, self.cells = marked_cells(part.marked, device), part.cells
+        box = np.array([*part.low, 1 / part.side], np.float32)
+        self.box = torch.from_numpy(box).to(device)
+
+    def colours(self, samples: DeviceSamples, directions: Tensor, share: float) -> Tensor:
+        """As DeviceVmColour.colours: the base's, and in marked cells sigmoid(logit(base) + logits)."""
+        out = self.base.colours(samples, directions, share)
+        launch_edit.patch_colours(self, samples, out)
+        return out
+
+    def backward(self, samples: DeviceSamples, directions, colours, colour_gradients, to: Tensor) -> None:
+        """Add dL/d(values) to `to` [len(values)]."""
+        launch_edit.patch_colours_backward(self, samples, colours, colour_gradients, to)
+
+    def smooth(self, strength: float, to: Tensor) -> None:
+        """As PatchColour.smooth."""
+        self._own.smooth(strength, to)
+
+
+DENSITY_KINDS = {"vm": DeviceVmDensity, "hash": DeviceHashDensity, "voxel": DeviceVoxelDensity}
+COLOUR_KINDS = {
+    "vm": DeviceVmColour,
+    "hash": DeviceHashColour,
+    "headed": DeviceHeadedColour,
+    "patch": DevicePatchColour,
+}
+
+
+def marked_cells(marked: np.ndarray, device: torch.device) -> Tensor:
+    """Cells [s, s, s] of bool as the kernels look them up: uint8 [s^3]."""
+    return torch.from_numpy(np.ascontiguousarray(marked).reshape(-1).astype(np.uint8)).to(device)
+
+
+def unsupported(field: RadianceField, moving: bool = False) -> str | None:
+    """Why a field cannot be used on a GPU, in one line; None where it can. moving: its shapes are to learn to move."""
+    colours = [(part, COLOUR_KINDS) for part in layers_of(field.colour)]
+    for part, kinds in ((field.density, DENSITY_KINDS), *colours):
+        known = [name for name, kind in kinds.items() if not moving or hasattr(kind, "add_position_gradients")]
+        if part.kind not in known:
+            what = "kernel that moves it" if moving and part.kind in kinds else "kernel"
+            return f"a field part of kind {part.kind} has no GPU {what} (there are {', '.join(sorted(known))})"
+    return None
+
+
+@dataclass
+class DeviceRays:
+    """origins, directions (unit) [n, 3]; jitter [n] in 0..1 of a step: float32 on the device."""
+
+    origins: Tensor
+    directions: Tensor
+    jitter: Tensor
+
+    @staticmethod
+    def of(origins: np.ndarray, directions: np.ndarray, device: torch.device) -> "DeviceRays":
+        """Rays marched from the middle of their first step."""
+        moved = [torch.from_numpy(np.ascontiguousarray(a, np.float32)).to(device) for a in (origins, directions)]
+        return DeviceRays(*moved, torch.full((len(origins),), 0.5, device=device))
+
+
+@dataclass
+class DeviceRendered:
+    """As rendering/rays.py's Rendered."""
+
+    out: Tensor
+    unmapped: Tensor
+    rays: DeviceRays
+    samples: DeviceSamples
+    colours: Tensor
+
+    def seen(self) -> Tensor:
+        """As rendering/rays.py's seen."""
+        return torch.cat([self.out[:, :4], launch.surface_distance(self.samples)[:, None]], 1)
+
+
+class DeviceField:
+    """field: what is copied to the device; its shapes, space and step stay as they are there.
+
+    half: tables are read in half precision (rendering only).
+    """
+
+    def __init__(self, field: RadianceField, device: torch.device | str, half: bool = False) -> None:
+        if (why := unsupported(field)) is not None:
+            raise InvalidValue(why)
+        self.device = torch.device(device)
+        self.space: Space = field.space
+        self.density = DENSITY_KINDS[field.density.kind](field.density, self.device, half)
+        self.colour = COLOUR_KINDS[field.colour.kind](field.colour, self.device, half)
+        self.cells, self.step, self.share, self.closed = field.occupancy.cells, field.step, field.share, field.closed
+        self.distances = torch.from_numpy(field.occupancy.distances).to(self.device, copy=True)
+        clear = field.occupancy.clear
+        self.clear = None if clear is None else torch.from_numpy(clear).to(self.device, copy=True)
+        self.highest = torch.from_numpy(field.occupancy.highest).to(self.device, copy=True)
+        self.displacement, self.vertices = None, 0
+        if field.displacement is not None:
+            self.displacement = torch.from_numpy(field.displacement.reshape(-1).copy()).to(self.device)
+            self.vertices = field.displacement.shape[0]
+        self.colour_map = None
+        if field.colour_map is not None:
+            matrix, offset = field.colour_map.matrix, field.colour_map.offset
+            self.colour_map = matrix.to(self.device, torch.float32), offset.to(self.device, torch.float32)
+        self._space = torch.from_numpy(field.space.packed()).to(self.device)
+
+    def walk(self, limit: int, opaque: float) -> Walk:
+        """What a march through the field is asked."""
+        return Walk(
+            self.space.code, self._space, self.space.near, self.space.far, self.step, self.distances, self.cells,
+            self.closed, self.displacement, self.vertices, limit, opaque,
+        )  # fmt: skip
+
+    def march(self, rays: DeviceRays, limit: int, opaque: float, room: int | None) -> DeviceSamples:
+        """Samples of rays with density and weights; room: most samples, None: as many as there are (waits)."""
+        walk = self.walk(limit, opaque)
+        return launch.march_density(walk, self.density, rays.origins, rays.directions, rays.jitter, room)
+
+    def render_rays(
+        self, rays: DeviceRays, *, room: int | None = None, opaque=1e-3, share=2e-2, limit: int = 512
+    ) -> DeviceRendered:
+        """As rendering/rays.py's render_rays."""
+        samples = self.march(rays, limit, opaque, room)
+        colours = self.colour.colours(samples, rays.directions, share)
+        unmapped = launch.composite(samples, colours)
+        out = unmapped
+        if self.colour_map is not None:
+            matrix, offset = self.colour_map
+            rgb = out[:, :3] @ matrix.T + out[:, 3:4] * offset
+            out = torch.cat([torch.minimum(rgb.clamp(min=0), out[:, 3:4]), out[:, 3:]], 1)
+        return DeviceRendered(out, unmapped, rays, samples, colours)
+
+    def backward(
+        self, rendered: DeviceRendered, gradients: Tensor, density_to: Tensor | None, colour_to: Tensor | None,
+        displacement_to: Tensor | None = None,
+        *, even_from: float = 0.0, density_within: tuple[Tensor, int] | None = None,
+    ) -> None:  # fmt: skip
+        """From dL/d(unmapped) [rays, 5] to flat gradient buffers of the parts; None leaves a part out.
+
+        displacement_to: for the displacement grid, flat [3 vertices^3]. density_within: marked cells (uint8 [s^3], s)
+        outside of which no density learns.
+        """
+        r = rendered
+        of_sigma, of_colours = launch.composite_backward(r.samples, r.colours, r.unmapped, gradients, even_from)
+        if colour_to is not None:
+            self.colour.backward(r.samples, r.rays.directions, r.colours, of_colours, colour_to)
+        if density_to is not None:
+            if density_within is not None:
+                launch_edit.keep_inside(*density_within, r.samples, of_sigma)
+            self.density.backward(r.samples, of_sigma, density_to)
+        if displacement_to is not None:
+            moved, s, rays = torch.zeros_like(r.samples.x), r.samples, r.rays
+            self.density.add_position_gradients(s, of_sigma, moved)
+            self.colour.add_position_gradients(s, rays.directions, r.colours, of_colours, moved)
+            launch_deform.displacement_backward(
+                self.space.code, self._space, rays.origins, rays.directions, s, moved, self.vertices, displacement_to
+            )
+
+    def write_to(self, field: RadianceField) -> None:
+        """Copy what was learnt into the field's own arrays; occupancy is decided anew there, all distances exact."""
+        field.density.values[:] = self.density.values.cpu().numpy()
+        field.colour.values[:] = self.colour.values.cpu().numpy()
+        field.occupancy.highest[:] = self.highest.cpu().numpy()
+        field.occupancy.set_occupied(self.distances.cpu().numpy() == 0)

@@ -1,0 +1,55 @@
+"""fields/occupancy_grid.py's grid kept up to date on a device, without waiting for it."""
+
+import math
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from stylerf.fields.occupancy_grid import DENSEST, MARK, OPAQUE_STEP, UNSEEN
+from stylerf.kernels.torch_reference import OPTICAL_SCALE
+
+FARTHEST = 32  # cells; distances beyond are told as this one: leaps come out shorter, never wrong
+
+
+def refresh(field, seed: int, share: int, decay: float) -> None:
+    """Look at one cell in `share` of a DeviceField at a random point, then decide anew what is occupied."""
+    device, cells = field.device, field.cells
+    generator = torch.Generator(device).manual_seed(seed)
+    start = int(np.random.default_rng(seed).integers(share))  # as on the CPU: seeds may all leave one remainder
+    index = torch.arange(start, cells**3, share, device=device)
+    corner = torch.stack([index // cells**2, index // cells % cells, index % cells], 1)
+    points = (corner + torch.rand(corner.shape, generator=generator, device=device)) / cells
+    seen = field.density.sigma(points.contiguous()).clamp(max=DENSEST)
+    old = field.highest[index]
+    field.highest[index] = torch.maximum(torch.where(old == UNSEEN, 0.0, old * decay), seen)
+    if field.clear is not None:
+        field.highest.masked_fill_(field.clear, 0.0)
+    decide(field)
+
+
+def decide(field) -> None:
+    """Recompute the distances of a DeviceField from what was seen in its cells."""
+    cells = field.cells
+    least = -math.log1p(-OPAQUE_STEP) / (OPTICAL_SCALE * field.step)
+    occupied = field.highest > field.highest.clamp(max=MARK).mean().clamp(max=least)
+    if field.clear is not None:
+        occupied &= ~field.clear
+    field.distances = distances_to(occupied.view(cells, cells, cells)).flatten()
+
+
+def distances_to(occupied: Tensor, farthest: int = FARTHEST) -> Tensor:
+    """Chebyshev distance, in cells, of each cell of [m, m, m] bool to the nearest True, at most `farthest`; uint8.
+
+    Axis by axis, in a dozen launches: the nearest of all is the least, over the cells of a line, of the greater of the
+    way to them and of what is nearest to them.
+    """
+    farthest = min(farthest, len(occupied))
+    distance = torch.full_like(occupied, farthest, dtype=torch.uint8).masked_fill_(occupied, 0)
+    ways = torch.arange(1 - farthest, farthest, device=occupied.device).abs().to(torch.uint8)
+    for axis in range(3):
+        margins = [farthest - 1 if a == axis else 0 for a in (2, 1, 0) for _ in range(2)]
+        lines = F.pad(distance, margins, value=farthest).unfold(axis, len(ways), 1)
+        distance = torch.maximum(lines, ways).amin(-1)
+    return distance

@@ -1,0 +1,101 @@
+"""Positions as features for a network: a multi-resolution hash grid with its levels side by side."""
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from stylerf.errors import InvalidValue
+from stylerf.fields.hash_color import level_layout
+from stylerf.fields.hash_levels import grid_of
+from stylerf.kernels.cpu import hash_encoding as kernels
+from stylerf.kernels.cpu.simd_hash import ROW
+
+
+class HashEncoding:
+    """phi(x) [n, 4 levels]: every level's trilinear mix of the four floats at the vertices around x.
+
+    levels of `base` to `finest` cells a side; table: most vertices a level keeps, a power of two. values: the levels'
+    tables, one by one, float32. Eight levels make the 32 features of LAENeRF (16 levels of two).
+    """
+
+    kind = "hash-encoding"
+
+    def __init__(self, levels: int, base: int, finest: int, table: int, values: np.ndarray) -> None:
+        if not 1 <= levels <= 32 or not 1 <= base <= finest <= 4096 or table < 8 or table & (table - 1):
+            raise InvalidValue(
+                f"hash encoding: {levels} levels (1..32) of {base}..{finest} cells (1..4096), tables of {table} "
+                "vertices (a power of two)"
+            )
+        self.levels, self.base, self.finest, self.table = int(levels), int(base), int(finest), int(table)
+        self.layout, expected = level_layout(self.levels, self.base, self.finest, self.table)
+        if expected >= 2**31 or values.shape != (expected,) or values.dtype != np.float32:
+            raise InvalidValue(f"hash encoding: {expected} float32 values expected, found {values.dtype}{values.shape}")
+        self.values = values
+        self._levels = (np.int8(0),) * self.levels
+
+    @classmethod
+    def create(
+        cls,
+        generator: np.random.Generator,
+        levels: int = 8,
+        base: int = 16,
+        finest: int = 256,
+        table: int = 1 << 16,
+        spread: float = 1e-2,
+    ) -> "HashEncoding":
+        """Features even in -spread..spread. Mueller et al. begin at 1e-4, which takes hundreds of steps to grow."""
+        count = level_layout(levels, base, finest, table)[1]
+        return cls(levels, base, finest, table, generator.uniform(-spread, spread, count).astype(np.float32))
+
+    @property
+    def width(self) -> int:
+        """Features of a point."""
+        return self.levels * ROW
+
+    def forward(self, x: np.ndarray, chunks: int) -> Tensor:
+        """phi [n, 4 levels] of cube points x [n, 3] float32 in 0..1, without a graph."""
+        out = torch.empty(len(x), self.width)
+        kernels.encode(self.values, self.layout, self._levels, np.ascontiguousarray(x, np.float32), chunks, out.numpy())
+        return out
+
+    def backward(self, x: np.ndarray, gradients: np.ndarray, to: np.ndarray) -> None:
+        """Add dL/d(values) to the chunks' buffers `to` [chunks, len(values)]; gradients [n, 4 levels] = dL/d(phi)."""
+        x, gradients = (np.ascontiguousarray(array, np.float32) for array in (x, gradients))
+        kernels.encode_backward(self.layout, self._levels, x, gradients, len(to), to)
+
+    def __call__(self, x: np.ndarray, to: np.ndarray) -> Tensor:
+        """phi as part of a graph: its backward adds dL/d(values) to the buffers `to` [chunks, len(values)].
+
+        Nothing is differentiable by x.
+        """
+        # The hook: autograd calls backward only where some input of the function wants a gradient.
+        return _Encode.apply(torch.zeros((), requires_grad=True), self, x, to)
+
+    def describe(self) -> dict:
+        return {
+            "kind": self.kind,
+            "levels": self.levels,
+            "base": self.base,
+            "finest": self.finest,
+            "table": self.table,
+        }
+
+    @classmethod
+    def restore(cls, data: dict, values: np.ndarray) -> "HashEncoding":
+        return cls(*grid_of(data), values)
+
+
+class _Encode(torch.autograd.Function):
+    """The table's gradient goes to buffers of its own, where the sparse optimiser wants it: as a tensor it would be
+    summed, copied and cleared whole in every step, though a batch touches a hundredth of it.
+    """
+
+    @staticmethod
+    def forward(context, hook: Tensor, encoding: HashEncoding, x: np.ndarray, to: np.ndarray) -> Tensor:
+        context.encoding, context.x, context.to = encoding, x, to
+        return encoding.forward(x, len(to))
+
+    @staticmethod
+    def backward(context, gradients: Tensor) -> tuple[None, None, None, None]:
+        context.encoding.backward(context.x, gradients.contiguous().numpy(), context.to)
+        return None, None, None, None

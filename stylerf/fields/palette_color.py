@@ -1,0 +1,164 @@
+"""A colour as a palette of the whole scene, mixed at every place (PaletteNeRF): its palette can be changed at once."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from stylerf import validation
+from stylerf.editing.recoloring import Recolouring, recoloured
+from stylerf.errors import InvalidValue
+from stylerf.fields.color_heads import Packed, hidden_from_view
+from stylerf.fields.encoders import HashFeatures
+from stylerf.fields.hash_levels import Levels
+from stylerf.fields.palette_head import DEGREE, PaletteHead, Parts
+from stylerf.fields.ray_samples import Samples
+from stylerf.kernels.cpu.simd_hash import ROW
+
+POINTS_AT_ONCE = 1 << 16
+MOST_BASES = 16
+
+
+class PaletteColour:
+    """Colour clamp(sum_i w_i I (P_i + delta_i) + s, 0, 1) of fields/palette_head.py, after `edits`.
+
+    values: the features' table, the palette [bases, 3], the head's numbers. edits: in their order; they are part of
+    what describe() tells, and teach nothing.
+    """
+
+    kind = "palette"
+    degree = DEGREE
+
+    def __init__(
+        self, features: HashFeatures, bases: int, values: np.ndarray, edits: Sequence[Recolouring] = ()
+    ) -> None:
+        if not 1 <= bases <= MOST_BASES:
+            raise InvalidValue(f"palette colour: 1 to {MOST_BASES} bases were expected, not {bases}")
+        self.features, self.head = features, PaletteHead(features.width, bases)
+        expected = features.length + 3 * bases + self.head.length
+        if values.shape != (expected,) or values.dtype != np.float32:
+            raise InvalidValue(f"palette colour: {values.shape} values where {expected} float32 ones were expected")
+        self.bases, self.values, self.edits = bases, values, tuple(edits)
+        for edit in self.edits:
+            edit.changes.check(bases)
+
+    @classmethod
+    def create(
+        cls, generator: np.random.Generator, palette: np.ndarray, levels: int, finest: int, table: int, base: int = 16
+    ) -> "PaletteColour":
+        """palette [bases, 3] sRGB: where it begins. table: most vertices a level keeps, a power of two."""
+        features = HashFeatures(Levels(levels, min(base, finest), finest, table, ROW, levels))
+        head = PaletteHead(features.width, len(palette))
+        parts = [features.initial(generator), np.asarray(palette, np.float32).ravel(), head.initial(generator)]
+        return cls(features, len(palette), np.concatenate(parts))
+
+    def edited(self, edit: Recolouring) -> "PaletteColour":
+        """The same colour with one edit more; `values` are shared."""
+        return PaletteColour(self.features, self.bases, self.values, (*self.edits, edit))
+
+    # -- its values -------------------------------------------------------------------------------------------------
+
+    @property
+    def finest(self) -> int:
+        """Cells a side of the finest level."""
+        return self.features.levels.finest
+
+    @property
+    def table(self) -> np.ndarray:
+        return self.values[: self.features.length]
+
+    @property
+    def rest(self) -> np.ndarray:
+        """Palette and head, [3 bases + head]."""
+        return self.values[self.features.length :]
+
+    @property
+    def palette(self) -> np.ndarray:
+        """[bases, 3] as learnt, sRGB; not bound to 0..1."""
+        return self.rest[: 3 * self.bases].reshape(-1, 3)
+
+    @property
+    def present_palette(self) -> np.ndarray:
+        """[bases, 3] with the colours that edits gave, wherever they apply."""
+        palette = self.palette
+        for edit in self.edits:
+            palette = edit.changes.palette(palette)
+        return palette
+
+    def groups(self) -> list[tuple[int, int, float]]:
+        """(begin, end, learning-rate factor) of parts of `values`: table, palette, head."""
+        begin, end = self.features.length, self.features.length + 3 * self.bases
+        return [(0, begin, 3.0), (begin, end, 0.1), (end, len(self.values), 0.5)]
+
+    # -- colours ----------------------------------------------------------------------------------------------------
+
+    def parts(self, rest: Tensor, phi: Tensor, basis: Tensor, apart: bool = False) -> tuple[Parts, Tensor]:
+        """(Parts, palette [bases, 3]) from palette and head as one tensor; see PaletteHead.parts."""
+        palette, numbers = rest[: 3 * self.bases], rest[3 * self.bases :]
+        return self.head.parts(numbers, phi, basis, apart), palette.clone().view(-1, 3)
+
+    def _shown(self, rest: Tensor, phi: Tensor, basis: Tensor, x: np.ndarray) -> Tensor:
+        """[n, 3] in 0..1."""
+        parts, palette = self.parts(rest, phi, basis)
+        if not self.edits:
+            return (parts.mixed(palette) + parts.specular).clamp(0, 1)
+        given = parts.weights, parts.offsets, parts.intensity, parts.specular
+        return recoloured(*given, palette, self.edits, x).clamp(0, 1)
+
+    @torch.no_grad()
+    def colours(self, x, basis, starts, ends, weights, least, chunks) -> np.ndarray:
+        """[n, 3] colours in 0..1 of samples with weight > least; others have -1 in the first channel."""
+        out, rest = hidden_from_view(starts, ends, len(x), chunks), torch.from_numpy(self.rest)
+        packed = Packed(weights.reshape(-1, 1), least, starts, ends, chunks)
+        for at in range(0, len(packed.index), POINTS_AT_ONCE):
+            index, rays = packed.index[at : at + POINTS_AT_ONCE], packed.ray[at : at + POINTS_AT_ONCE]
+            phi = torch.from_numpy(self.features.encode(self.table, x, index, chunks))
+            out[index] = self._shown(rest, phi, torch.from_numpy(basis[rays]), x[index]).numpy()
+        return out
+
+    def backward(self, x, basis, starts, ends, colours, colour_gradients, to: np.ndarray) -> None:
+        """Add dL/d(values) to the chunks' buffers `to` [chunks, len(values)]."""
+        packed, gradients, own = self._feature_gradients(x, basis, starts, ends, colours, colour_gradients, len(to))
+        self.features.backward(self.table, x, packed.index, gradients, to)
+        to[0, self.features.length :] += own
+
+    def add_position_gradients(
+        self, samples: Samples, basis, colours: np.ndarray, colour_gradients: np.ndarray, out, chunks: int
+    ) -> None:
+        """Add dL/dx to out [n, 3], x the samples' positions in the cube; the slope of edits' filters is left out."""
+        where = samples.x, basis, samples.starts, samples.ends
+        packed, gradients, _ = self._feature_gradients(*where, colours, colour_gradients, chunks)
+        self.features.add_position_gradients(self.table, samples.x, packed.index, gradients, out, chunks)
+
+    def _feature_gradients(self, x, basis, starts, ends, colours, colour_gradients, chunks):
+        """(packed samples, dL/d(phi) of theirs, dL/d(palette and head))."""
+        packed = Packed(colours, -0.5, starts, ends, chunks)
+        gradients = np.empty((len(packed.index), self.features.width), np.float32)
+        own = np.zeros(len(self.rest), np.float32)
+        for at in range(0, len(packed.index), POINTS_AT_ONCE):
+            part = slice(at, at + POINTS_AT_ONCE)
+            index, rays = packed.index[part], packed.ray[part]
+            rest = torch.from_numpy(self.rest.copy()).requires_grad_()
+            phi = torch.from_numpy(self.features.encode(self.table, x, index, chunks)).requires_grad_()
+            shown = self._shown(rest, phi, torch.from_numpy(basis[rays]), x[index])
+            shown.backward(torch.from_numpy(colour_gradients[index]))
+            gradients[part] = phi.grad.numpy()
+            own += rest.grad.numpy()
+        return packed, gradients, own
+
+    def smooth(self, strength: float, to: np.ndarray) -> None:
+        """Add the gradient of the features' total variation to buffer `to` [len(values)]."""
+        self.features.smooth(self.table, strength, to)
+
+    # -- what is kept -----------------------------------------------------------------------------------------------
+
+    def describe(self) -> dict:
+        edits = [edit.describe() for edit in self.edits]
+        return {"kind": self.kind, "features": self.features.describe(), "bases": self.bases, "edits": edits}
+
+    @classmethod
+    def restore(cls, data: dict, values: np.ndarray) -> "PaletteColour":
+        edits = [Recolouring.restore(edit) for edit in validation.entry(data, "edits", list)]
+        features = HashFeatures.restore(validation.entry(data, "features"))
+        return cls(features, validation.integer(data, "bases", 1, MOST_BASES), values, edits)

@@ -1,0 +1,160 @@
+"""Colour heads: features of packed samples to colours, seen from their rays' directions, and back.
+
+Packed: sample index[i] of ray ray[i], ascending; features phi [m, f]. basis [rays, bands]: spherical harmonics Y of the
+rays' directions. `widths`, `hidden`: tuples whose lengths are compile-time constants (see vector).
+"""
+
+import math
+
+import numpy as np
+from numba import prange
+
+from stylerf.kernels.cpu.compiling import inline, parallel_kernel
+from stylerf.kernels.cpu.simd_vm import axpy_row, dot_rows
+
+_ONE, _ZERO = np.float32(1), np.float32(0)
+
+
+@parallel_kernel
+def count_marked(marks, bound, starts, ends, chunks, counts):
+    """counts[r] = samples of ray r whose marks[k, 0] > bound."""
+    n = len(ends)
+    for c in prange(chunks):
+        for r in range(c * n // chunks, (c + 1) * n // chunks):
+            found = 0
+            for k in range(starts[r], ends[r]):
+                if marks[k, 0] > bound:
+                    found += 1
+            counts[r] = found
+
+
+@parallel_kernel
+def pack_marked(marks, bound, starts, ends, offsets, chunks, index, ray):
+    """The samples that count_marked counts, ray after ray from offsets[r] on."""
+    n = len(ends)
+    for c in prange(chunks):
+        for r in range(c * n // chunks, (c + 1) * n // chunks):
+            at = offsets[r]
+            for k in range(starts[r], ends[r]):
+                if marks[k, 0] > bound:
+                    index[at], ray[at] = k, r
+                    at += 1
+
+
+@parallel_kernel
+def hide(starts, ends, chunks, out):
+    """out[k, 0] = -1 for every sample: the sign of having no colour."""
+    n = len(ends)
+    for c in prange(chunks):
+        for r in range(c * n // chunks, (c + 1) * n // chunks):
+            for k in range(starts[r], ends[r]):
+                out[k, 0] = -_ONE
+
+
+@inline
+def sigmoid(z):
+    return _ONE / (_ONE + np.float32(math.exp(-z)))
+
+
+# -- linear: features to spherical-harmonic coefficients --------------------------------------------------------------
+
+
+@inline
+def head_of(head, basis, r, width, out):
+    """out[j, f] = sum_b head[j, b, f] Y_b: the head seen from one ray's direction."""
+    bands = basis.shape[1]
+    for j in range(3):
+        for f in range(width):
+            out[j * width + f] = _ZERO
+        for b in range(bands):
+            w = basis[r, b]
+            for f in range(width):
+                out[j * width + f] += head[(j * bands + b) * width + f] * w
+
+
+@parallel_kernel
+def linear(phi, widths, head, basis, index, ray, chunks, out):
+    """out[index[i]] = sigmoid(bias + sum_b Y_b head_b . phi_i); head: flat [3, bands, f], then bias [3]."""
+    m, width = phi.shape
+    flat = phi.reshape(-1)
+    bias = len(head) - 3
+    for c in prange(chunks):
+        seen = np.empty(3 * width, np.float32)
+        last = np.int64(-1)
+        for i in range(c * m // chunks, (c + 1) * m // chunks):
+            if ray[i] != last:
+                last = ray[i]
+                head_of(head, basis, last, width, seen)
+            for j in range(3):
+                z = head[bias + j] + dot_rows(seen, np.int64(j * width), flat, np.int64(i * width), widths)
+                out[index[i], j] = sigmoid(z)
+
+
+@inline
+def _spread_head(seen_gradient, basis, r, width, flat, at, widths):
+    """Add what one ray's head learnt to the buffer's [3, bands, f] at `at`."""
+    bands = basis.shape[1]
+    for j in range(3):
+        for b in range(bands):
+            place = np.int64(at + (j * bands + b) * width)
+            axpy_row(basis[r, b], seen_gradient, np.int64(j * width), flat, place, widths)
+
+
+@parallel_kernel
+def linear_backward(phi, widths, head, basis, index, ray, colours, colour_gradients, chunks, phi_gradients, at, to):
+    """phi_gradients [m, f] = dL/d(phi), and dL/d(head, bias) added to to[chunk, at:]."""
+    m, width = phi.shape
+    flat, phi_flat, stride = phi.reshape(-1), phi_gradients.reshape(-1), to.shape[1]
+    buffers = to.reshape(-1)
+    for c in prange(chunks):
+        base = np.int64(c * stride + at)
+        bias = base + len(head) - 3
+        seen, seen_gradient = np.empty(3 * width, np.float32), np.zeros(3 * width, np.float32)
+        last = np.int64(-1)
+        for i in range(c * m // chunks, (c + 1) * m // chunks):
+            if ray[i] != last:
+                if last >= 0:
+                    _spread_head(seen_gradient, basis, last, width, buffers, base, widths)
+                    seen_gradient[:] = _ZERO
+                last = ray[i]
+                head_of(head, basis, last, width, seen)
+            k = index[i]
+            here = np.int64(i * width)
+            for f in range(width):
+                phi_flat[here + f] = _ZERO
+            for j in range(3):
+                g = colour_gradients[k, j] * colours[k, j] * (_ONE - colours[k, j])
+                buffers[bias + j] += g
+                axpy_row(g, seen, np.int64(j * width), phi_flat, here, widths)
+                axpy_row(g, flat, here, seen_gradient, np.int64(j * width), widths)
+        if last >= 0:
+            _spread_head(seen_gradient, basis, last, width, buffers, base, widths)
+
+
+# -- harmonics: features that are spherical-harmonic coefficients themselves ------------------------------------------
+
+
+@parallel_kernel
+def harmonic(phi, basis, index, ray, chunks, out):
+    """out[index[i], j] = sigmoid(sum_b Y_b phi_i[j, b]); phi [m, 3 bands]."""
+    m, bands = len(phi), basis.shape[1]
+    for c in prange(chunks):
+        for i in range(c * m // chunks, (c + 1) * m // chunks):
+            for j in range(3):
+                z = _ZERO
+                for b in range(bands):
+                    z += basis[ray[i], b] * phi[i, j * bands + b]
+                out[index[i], j] = sigmoid(z)
+
+
+@parallel_kernel
+def harmonic_backward(basis, index, ray, colours, colour_gradients, chunks, phi_gradients):
+    """phi_gradients [m, 3 bands] = dL/d(phi)."""
+    m, bands = len(phi_gradients), basis.shape[1]
+    for c in prange(chunks):
+        for i in range(c * m // chunks, (c + 1) * m // chunks):
+            k = index[i]
+            for j in range(3):
+                g = colour_gradients[k, j] * colours[k, j] * (_ONE - colours[k, j])
+                for b in range(bands):
+                    phi_gradients[i, j * bands + b] = g * basis[ray[i], b]

@@ -1,0 +1,208 @@
+"""composite: kernels/cpu/compositing.py, a lane to a ray; and the photometric loss: no pixel leaves the device."""
+
+import triton
+import triton.language as tl
+
+from stylerf.kernels.gpu.indexing import offset, store_vector, vector
+
+AROUND = tl.constexpr(0.05)  # as on the CPU
+
+
+@triton.jit(do_not_specialize=["rays"])
+def composite_kernel(weights, optical, colours, t, starts, ends, out, rays, BLOCK: tl.constexpr):
+    """out[r] = (sum w c (3), sum w, sum w t); samples without a colour (colours[k, 0] < 0) take the others' mean.
+
+    A backdrop (optical[k] 0) has no part in sum w t.
+    """
+    r = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
+    live = r < rays
+    first = tl.load(starts + r, mask=live, other=0)
+    count = tl.load(ends + r, mask=live, other=0) - first
+    zero = first.to(tl.float32) * 0.0
+    red, green, blue, depth, total, coloured = zero, zero, zero, zero, zero, zero
+    for i in range(0, tl.max(count, axis=0)):
+        own = i < count
+        k = first + i
+        w = tl.load(weights + k, mask=own, other=0.0)
+        c0 = tl.load(colours + offset(k, 3, 0), mask=own, other=-1.0)
+        _c0, c1, c2 = vector(colours, k, own & (c0 >= 0.0))
+        total += w
+        held = own & (tl.load(optical + k, mask=own, other=0.0) > 0.0)
+        depth += w * tl.load(t + k, mask=held, other=0.0)
+        shown = tl.where(c0 >= 0.0, w, 0.0)
+        coloured += shown
+        red += shown * c0
+        green += shown * c1
+        blue += shown * c2
+    scale = tl.where(coloured > 0.0, total / tl.where(coloured > 0.0, coloured, 1.0), 0.0)
+    at = offset(r, 5, 0)
+    tl.store(out + at, red * scale, mask=live)
+    tl.store(out + at + 1, green * scale, mask=live)
+    tl.store(out + at + 2, blue * scale, mask=live)
+    tl.store(out + at + 3, total, mask=live)
+    tl.store(out + at + 4, depth, mask=live)
+
+
+@triton.jit(do_not_specialize=["rays"])
+def surface_distance_kernel(weights, t, starts, ends, out, rays, BLOCK: tl.constexpr):
+    """out[r] = distance of what ray r shows; see the CPU's surface_distance."""
+    r = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
+    live = r < rays
+    first = tl.load(starts + r, mask=live, other=0)
+    count = tl.load(ends + r, mask=live, other=0) - first
+    zero = first.to(tl.float32) * 0.0
+    longest = tl.max(count, axis=0)
+    total, passed, at, near, depth = zero, zero, zero, zero, zero
+    for i in range(0, longest):
+        total += tl.load(weights + first + i, mask=i < count, other=0.0)
+    for i in range(0, longest):
+        own = i < count
+        w = tl.load(weights + first + i, mask=own, other=0.0)
+        here = own & (passed < total * 0.5) & (passed + w >= total * 0.5)
+        at = tl.where(here, tl.load(t + first + i, mask=own, other=0.0), at)
+        passed += w
+    for i in range(0, longest):
+        own = i < count
+        there = tl.load(t + first + i, mask=own, other=0.0)
+        w = tl.load(weights + first + i, mask=own & (tl.abs(there - at) <= at * AROUND), other=0.0)
+        near += w
+        depth += w * there
+    tl.store(out + r, tl.where(near > 0.0, depth / tl.where(near > 0.0, near, 1.0), 0.0), mask=live)
+
+
+@triton.jit(do_not_specialize=["rays"])
+def composite_backward_kernel(
+    weights, optical, colours, t, starts, ends, out, gradients, even_from, sigma_gradients, colour_gradients, rays,
+    BLOCK: tl.constexpr,
+):  # fmt: skip
+    """From dL/d(out) [rays, 5] to dL/d(sigma) [n] and dL/d(colour) [n, 3]; see the CPU's composite_backward.
+
+    even_from: samples nearer than that learn by (t / even_from)^2 (scale_near); 0: all alike.
+    """
+    r = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
+    live = r < rays
+    first = tl.load(starts + r, mask=live, other=0)
+    count = tl.load(ends + r, mask=live, other=0) - first
+    at = offset(r, 5, 0)
+    g0 = tl.load(gradients + at, mask=live, other=0.0)
+    g1 = tl.load(gradients + at + 1, mask=live, other=0.0)
+    g2 = tl.load(gradients + at + 2, mask=live, other=0.0)
+    ga = tl.load(gradients + at + 3, mask=live, other=0.0)
+    gd = tl.load(gradients + at + 4, mask=live, other=0.0)
+    total = tl.load(out + at + 3, mask=live, other=0.0)
+    mean = g0 * tl.load(out + at, mask=live, other=0.0)
+    mean += g1 * tl.load(out + at + 1, mask=live, other=0.0)
+    mean += g2 * tl.load(out + at + 2, mask=live, other=0.0)
+    mean = tl.where(total > 0.0, mean / tl.where(total > 0.0, total, 1.0), 0.0)
+    behind = 0.0 * total
+    longest = tl.max(count, axis=0)
+    for i in range(0, longest):
+        own = i < count
+        k = first + i
+        w = tl.load(weights + k, mask=own, other=0.0)
+        c0 = tl.load(colours + offset(k, 3, 0), mask=own, other=-1.0)
+        shown = own & (c0 >= 0.0)
+        c0, c1, c2 = vector(colours, k, shown)
+        held = own & (tl.load(optical + k, mask=own, other=0.0) > 0.0)
+        d = ga + gd * tl.load(t + k, mask=held, other=0.0)
+        d += tl.where(shown, g0 * c0 + g1 * c1 + g2 * c2, mean)
+        behind += tl.where(own, w * d, 0.0)
+    through = 1.0 + 0.0 * total
+    for i in range(0, longest):
+        own = i < count
+        k = first + i
+        w = tl.load(weights + k, mask=own, other=0.0)
+        c0 = tl.load(colours + offset(k, 3, 0), mask=own, other=-1.0)
+        shown = own & (c0 >= 0.0)
+        c0, c1, c2 = vector(colours, k, shown)
+        far = tl.load(t + k, mask=own, other=0.0)
+        length = tl.load(optical + k, mask=own, other=0.0)
+        d = ga + tl.where(length > 0.0, gd * far, 0.0)
+        d += tl.where(shown, g0 * c0 + g1 * c1 + g2 * c2, mean)
+        behind -= tl.where(own, w * d, 0.0)
+        through -= w
+        near = far / tl.maximum(even_from, 1e-9)
+        even = tl.where(far < even_from, near * near, 1.0)
+        s = length * (through * d - behind)
+        tl.store(sigma_gradients + k, s * even, mask=own)
+        store_vector(colour_gradients, k, w * g0 * even, w * g1 * even, w * g2 * even, shown)
+
+
+@triton.jit(do_not_specialize=["rays"])
+def loss_kernel(out, wanted, background, counts, starts, ends, scale, gradients, sums, rays, BLOCK: tl.constexpr):
+    """dL/d(out) [rays, 5] of the squared error against straight rgba [rays, 4], both over a background [rays, 3].
+
+    scale: 2 / (3 rays of the whole batch). sums += squared error, samples, rays that found no room (they teach nothing
+    and count for nothing).
+    """
+    r = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
+    live = r < rays
+    held = tl.load(ends + r, mask=live, other=0) - tl.load(starts + r, mask=live, other=0)
+    lost = live & (tl.load(counts + r, mask=live, other=0) != held)
+    own = live & (lost == 0)
+    alpha = tl.load(out + offset(r, 5, 3), mask=own, other=0.0)
+    cover = tl.load(wanted + offset(r, 4, 3), mask=own, other=0.0)
+    error = 0.0 * alpha
+    of_alpha = 0.0 * alpha
+    for a in tl.static_range(3):
+        back = tl.load(background + offset(r, 3, a), mask=own, other=0.0)
+        found = tl.load(out + offset(r, 5, a), mask=own, other=0.0) + (1.0 - alpha) * back
+        difference = found - tl.load(wanted + offset(r, 4, a), mask=own, other=0.0) * cover - (1.0 - cover) * back
+        error += tl.where(own, difference * difference, 0.0)
+        g = difference * scale
+        of_alpha -= g * back
+        tl.store(gradients + offset(r, 5, a), tl.where(own, g, 0.0), mask=live)
+    tl.store(gradients + offset(r, 5, 3), tl.where(own, of_alpha, 0.0), mask=live)
+    tl.store(gradients + offset(r, 5, 4), 0.0, mask=live)
+    tl.atomic_add(sums, tl.sum(error, axis=0), sem="relaxed")
+    tl.atomic_add(sums + 1, tl.sum(held.to(tl.float32), axis=0), sem="relaxed")
+    tl.atomic_add(sums + 2, tl.sum(lost.to(tl.float32), axis=0), sem="relaxed")
+
+
+@triton.jit(do_not_specialize=["rays", "edited"])
+def tuning_loss_kernel(
+    out, wanted, depth, counts, starts, ends, level, scale, depth_scale, edited, gradients, sums, rays,
+    BLOCK: tl.constexpr,
+):  # fmt: skip
+    """dL/d(out) [rays, 5] of a fine-tuning: squared error against straight rgba [rays, 4] over grey `level`, times
+    scale / 2, and at the first `edited` rays (sum w t / depth - 1)^2, times depth_scale / 2.
+
+    sums += squared error at the other rays, at the edited ones, of depths; rays of either kind that found no room.
+    """
+    r = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
+    live = r < rays
+    held = tl.load(ends + r, mask=live, other=0) - tl.load(starts + r, mask=live, other=0)
+    lost = live & (tl.load(counts + r, mask=live, other=0) != held)
+    own = live & (lost == 0)
+    inside = r < edited
+    alpha = tl.load(out + offset(r, 5, 3), mask=own, other=0.0)
+    cover = tl.load(wanted + offset(r, 4, 3), mask=own, other=0.0)
+    error = 0.0 * alpha
+    of_alpha = 0.0 * alpha
+    for a in tl.static_range(3):
+        found = tl.load(out + offset(r, 5, a), mask=own, other=0.0) + (1.0 - alpha) * level
+        asked = tl.load(wanted + offset(r, 4, a), mask=own, other=0.0) * cover + (1.0 - cover) * level
+        difference = tl.where(own, found - asked, 0.0)
+        error += difference * difference
+        of_alpha -= difference * scale * level
+        tl.store(gradients + offset(r, 5, a), difference * scale, mask=live)
+    tl.store(gradients + offset(r, 5, 3), of_alpha, mask=live)
+    known = tl.maximum(tl.load(depth + r, mask=own & inside, other=1.0), 1e-6)
+    off = tl.load(out + offset(r, 5, 4), mask=own & inside, other=0.0) / known - 1.0
+    off = tl.where(own & inside & (depth_scale > 0.0), off, 0.0)
+    tl.store(gradients + offset(r, 5, 4), depth_scale * off / known, mask=live)
+    tl.atomic_add(sums, tl.sum(tl.where(inside, 0.0, error), axis=0), sem="relaxed")
+    tl.atomic_add(sums + 1, tl.sum(tl.where(inside, error, 0.0), axis=0), sem="relaxed")
+    tl.atomic_add(sums + 2, tl.sum(off * off, axis=0), sem="relaxed")
+    tl.atomic_add(sums + 3, tl.sum((lost & (inside == 0)).to(tl.float32), axis=0), sem="relaxed")
+    tl.atomic_add(sums + 4, tl.sum((lost & inside).to(tl.float32), axis=0), sem="relaxed")
+
+
+@triton.jit(do_not_specialize=["count"])
+def shade_backward_kernel(weights, gradients, ray_of, colour_gradients, count, BLOCK: tl.constexpr):
+    """dL/dc_k = w_k dL/d(out_r) of `count` samples; gradients [rays, 3]."""
+    k = tl.program_id(0).to(tl.int64) * BLOCK + tl.arange(0, BLOCK)
+    live = k < count
+    a, b, c = vector(gradients, tl.load(ray_of + k, mask=live, other=0), live)
+    w = tl.load(weights + k, mask=live, other=0.0)
+    store_vector(colour_gradients, k, w * a, w * b, w * c, live)

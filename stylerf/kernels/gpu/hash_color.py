@@ -1,0 +1,135 @@
+"""encode, hash: kernels/cpu/hash_color.py, a lane to a sample and four lanes to a vertex's floats, forward and backward.
+
+layout: int32 [6, LEVELS] as fields/hash_color.py's level_layout makes it: cells a side, multipliers of x and y, mask, first
+float, -1 where hashed. Products of hashed levels wrap in 32 bits, as on the CPU.
+"""
+
+import triton
+import triton.language as tl
+
+from stylerf.kernels.gpu.hash_levels import vertex_number
+from stylerf.kernels.gpu.indexing import cell, offset, trilinear_corner, vector
+from stylerf.kernels.gpu.vm import _sigmoid
+
+
+@triton.jit
+def vertex_row(layout, level: tl.constexpr, LEVELS: tl.constexpr, i, j, k):
+    """First float (int64) of the vertex i, j, k (int32) of a level."""
+    times_x, times_y = tl.load(layout + LEVELS + level), tl.load(layout + 2 * LEVELS + level)
+    mask, first = tl.load(layout + 3 * LEVELS + level), tl.load(layout + 4 * LEVELS + level)
+    hashed = tl.load(layout + 5 * LEVELS + level)
+    return vertex_number(times_x, times_y, mask, hashed, i, j, k) * 4 + first
+
+
+@triton.jit
+def level_sum(table, layout, level: tl.constexpr, LEVELS: tl.constexpr, x, y, z, mask):
+    """[samples, 4]: the trilinear mix of one level."""
+    size = tl.load(layout + level) + 1
+    i, fx = cell(x, size)
+    j, fy = cell(y, size)
+    k, fz = cell(z, size)
+    lane = tl.arange(0, 4)
+    total = x[:, None] * 0.0 + lane[None, :] * 0.0
+    for corner in tl.static_range(8):
+        row = vertex_row(layout, level, LEVELS, i + corner // 4, j + (corner // 2) % 2, k + corner % 2)
+        values = tl.load(table + row[:, None] + lane[None, :], mask=mask[:, None], other=0.0).to(tl.float32)
+        total += trilinear_corner(corner, fx, fy, fz)[:, None] * values
+    return total
+
+
+@triton.jit
+def level_scatter(to, layout, level: tl.constexpr, LEVELS: tl.constexpr, x, y, z, gradient, mask):
+    """Add gradient [samples, 4] times each vertex's weight to the level's rows of `to`, laid out as the table."""
+    size = tl.load(layout + level) + 1
+    i, fx = cell(x, size)
+    j, fy = cell(y, size)
+    k, fz = cell(z, size)
+    lane = tl.arange(0, 4)
+    for corner in tl.static_range(8):
+        row = vertex_row(layout, level, LEVELS, i + corner // 4, j + (corner // 2) % 2, k + corner % 2)
+        share = trilinear_corner(corner, fx, fy, fz)[:, None] * gradient
+        tl.atomic_add(to + row[:, None] + lane[None, :], share, mask=mask[:, None], sem="relaxed")
+
+
+@triton.jit
+def logit(values, lane, j: tl.constexpr):
+    """f[j] + f[3] of [samples, 4]."""
+    own = (lane == j) | (lane == 3)
+    return tl.sum(tl.where(own[None, :], values, 0.0), axis=1)
+
+
+@triton.jit
+def lane_gradients(colours, colour_gradients, k, lane, live):
+    """dL/df [samples, 4] from dL/d(colour): the fourth float is part of every channel's logit."""
+    c0, c1, c2 = vector(colours, k, live)
+    g0, g1, g2 = vector(colour_gradients, k, live)
+    g0, g1, g2 = g0 * c0 * (1.0 - c0), g1 * c1 * (1.0 - c1), g2 * c2 * (1.0 - c2)
+    three = tl.where(lane[None, :] == 2, g2[:, None], (g0 + g1 + g2)[:, None])
+    return tl.where(lane[None, :] == 0, g0[:, None], tl.where(lane[None, :] == 1, g1[:, None], three))
+
+
+@triton.jit
+def colour_kernel(
+    table, layout, points, ray_of, weights, largest, share, total, out, LEVELS: tl.constexpr, BLOCK: tl.constexpr
+):
+    """out [n, 3]: sigmoid(f[0:3] + f[3]); samples with less than `share` of their ray's largest weight get -1."""
+    count = tl.load(total)
+    lane = tl.arange(0, 4)
+    for block in range(tl.program_id(0).to(tl.int64), tl.cdiv(count, BLOCK), tl.num_programs(0)):
+        k = block * BLOCK + tl.arange(0, BLOCK)
+        inside = k < count
+        ray = tl.load(ray_of + k, mask=inside, other=0)
+        w = tl.load(weights + k, mask=inside, other=0.0)
+        live = inside & (w > 0.0) & (w >= share * tl.load(largest + ray, mask=inside, other=0.0))
+        if tl.max(live.to(tl.int32), axis=0) > 0:
+            x, y, z = vector(points, k, live)
+            f = x[:, None] * 0.0 + lane[None, :] * 0.0
+            for level in tl.static_range(LEVELS):
+                f += level_sum(table, layout, level, LEVELS, x, y, z, live)
+            at = offset(k, 3, 0)
+            tl.store(out + at, _sigmoid(logit(f, lane, 0)), mask=live)
+            tl.store(out + at + 1, _sigmoid(logit(f, lane, 1)), mask=live)
+            tl.store(out + at + 2, _sigmoid(logit(f, lane, 2)), mask=live)
+        tl.store(out + offset(k, 3, 0), -1.0, mask=inside & (live == 0))
+
+
+@triton.jit
+def colour_backward_kernel(
+    layout, points, colours, colour_gradients, total, to, LEVELS: tl.constexpr, BLOCK: tl.constexpr
+):
+    """Add dL/d(table); samples with colours[k, 0] < 0 are skipped."""
+    count = tl.load(total)
+    lane = tl.arange(0, 4)
+    for block in range(tl.program_id(0).to(tl.int64), tl.cdiv(count, BLOCK), tl.num_programs(0)):
+        k = block * BLOCK + tl.arange(0, BLOCK)
+        live = tl.load(colours + offset(k, 3, 0), mask=k < count, other=-1.0) >= 0.0
+        g = lane_gradients(colours, colour_gradients, k, lane, live)
+        x, y, z = vector(points, k, live)
+        for level in tl.static_range(LEVELS):
+            level_scatter(to, layout, level, LEVELS, x, y, z, g, live)
+
+
+@triton.jit(do_not_specialize=["count"])
+def rows_kernel(table, layout, points, out, count, LEVELS: tl.constexpr, BLOCK: tl.constexpr):
+    """out [count, 4 LEVELS]: the levels' mixes side by side (kernels/cpu/hash_encoding.py)."""
+    k = tl.program_id(0).to(tl.int64) * BLOCK + tl.arange(0, BLOCK)
+    live = k < count
+    lane = tl.arange(0, 4)
+    x, y, z = vector(points, k, live)
+    for level in tl.static_range(LEVELS):
+        f = level_sum(table, layout, level, LEVELS, x, y, z, live)
+        at = offset(k[:, None], 4 * LEVELS, 4 * level + lane[None, :])
+        tl.store(out + at, f, mask=live[:, None])
+
+
+@triton.jit(do_not_specialize=["count"])
+def rows_backward_kernel(layout, points, gradients, to, count, LEVELS: tl.constexpr, BLOCK: tl.constexpr):
+    """Add dL/d(table), from gradients [count, 4 LEVELS] of rows_kernel's out."""
+    k = tl.program_id(0).to(tl.int64) * BLOCK + tl.arange(0, BLOCK)
+    live = k < count
+    lane = tl.arange(0, 4)
+    x, y, z = vector(points, k, live)
+    for level in tl.static_range(LEVELS):
+        at = offset(k[:, None], 4 * LEVELS, 4 * level + lane[None, :])
+        g = tl.load(gradients + at, mask=live[:, None], other=0.0)
+        level_scatter(to, layout, level, LEVELS, x, y, z, g, live)

@@ -1,0 +1,70 @@
+"""A multi-resolution hash grid on tiles of samples by columns, all levels at once: kernels/cpu/simd_hash.py.
+
+A column is one float of one level: level column // ROW, float column % ROW, of ROW floats at a vertex. A tile has
+WIDTH columns, a power of two; those from ROW LEVELS on are masked out. layout: int32 [6, LEVELS], see hash_color.py. Every
+vertex of a level that waits (fields/hash_levels.py; hashed, with a mask of 0) is its one row.
+"""
+
+import triton
+import triton.language as tl
+
+from stylerf.kernels.gpu.indexing import cell, trilinear_corner
+
+
+@triton.jit
+def vertex_number(times_x, times_y, mask, hashed, i, j, k):
+    """Number (int64) within its level of the vertex i, j, k (int32)."""
+    # Unsigned, because that may wrap.
+    x = i.to(tl.uint32) * times_x.to(tl.uint32)
+    y = j.to(tl.uint32) * times_y.to(tl.uint32)
+    scrambled = (x ^ y ^ k.to(tl.uint32)) & mask.to(tl.uint32)
+    direct = x + y + k.to(tl.uint32)
+    return tl.where(hashed != 0, scrambled, direct).to(tl.int64)
+
+
+@triton.jit
+def _levels_of(layout, columns, LEVELS: tl.constexpr, ROW: tl.constexpr):
+    """(vertices a side, multipliers of x and y, mask, first float of the column, hashed), [1, WIDTH] each."""
+    level = tl.minimum(columns // ROW, LEVELS - 1)[None, :]
+    first = tl.load(layout + 4 * LEVELS + level) + (columns % ROW)[None, :]
+    return (
+        tl.load(layout + level) + 1,
+        tl.load(layout + LEVELS + level),
+        tl.load(layout + 2 * LEVELS + level),
+        tl.load(layout + 3 * LEVELS + level),
+        first,
+        tl.load(layout + 5 * LEVELS + level),
+    )
+
+
+@triton.jit
+def level_tile(table, layout, x, y, z, columns, LEVELS: tl.constexpr, ROW: tl.constexpr, mask):
+    """[samples, WIDTH]: the trilinear mixes of the levels side by side, float32; the table may hold halves."""
+    size, times_x, times_y, of_hash, first, hashed = _levels_of(layout, columns, LEVELS, ROW)
+    i, fx = cell(x[:, None], size)
+    j, fy = cell(y[:, None], size)
+    k, fz = cell(z[:, None], size)
+    total = fx * 0.0
+    for corner in tl.static_range(8):
+        at = vertex_number(times_x, times_y, of_hash, hashed, i + corner // 4, j + (corner // 2) % 2, k + corner % 2)
+        values = tl.load(table + at * ROW + first, mask=mask, other=0.0).to(tl.float32)
+        total += trilinear_corner(corner, fx, fy, fz) * values
+    return total
+
+
+@triton.jit
+def level_tile_scatter(to, layout, x, y, z, gradient, columns, LEVELS: tl.constexpr, ROW: tl.constexpr, mask):
+    """Add gradient [samples, WIDTH] times each vertex's weight to the levels' rows of `to`, laid out as the table."""
+    size, times_x, times_y, of_hash, first, hashed = _levels_of(layout, columns, LEVELS, ROW)
+    waits = (hashed != 0) & (of_hash == 0)
+    own = mask & (waits == 0)
+    i, fx = cell(x[:, None], size)
+    j, fy = cell(y[:, None], size)
+    k, fz = cell(z[:, None], size)
+    for corner in tl.static_range(8):
+        at = vertex_number(times_x, times_y, of_hash, hashed, i + corner // 4, j + (corner // 2) % 2, k + corner % 2)
+        share = trilinear_corner(corner, fx, fy, fz) * gradient
+        tl.atomic_add(to + at * ROW + first, share, mask=own, sem="relaxed")
+    # Every sample speaks to a waiting level's row: summed in the program first, or all atomics would meet there.
+    alone = tl.sum(tl.where(mask & waits, gradient, 0.0), axis=0)[None, :]
+    tl.atomic_add(to + first, alone, mask=waits & (columns[None, :] < ROW * LEVELS), sem="relaxed")

@@ -1,0 +1,122 @@
+"""Which pixels of a view see what a reference view sees, and where in it: rays registered by the scene's own surface.
+
+Ref-NPR (Zhang et al. 2023, section 3.2) writes the reference's points into a grid of 512^3 voxels over their box and
+lets every other view's points look theirs up. Here a point is projected into the reference view and set against the
+point that this one sees at that pixel: the same test without a grid, so that the place in the picture is exact.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from stylerf.fields.packed_surface import Surface, surface_of
+from stylerf.fields.radiance_field import RadianceField
+from stylerf.geometry.cameras import Camera
+from stylerf.geometry.space_warp import Space
+
+TOLERANCE = 1 / 128  # of the cube that the field lives in: further apart, it is another surface (or another side)
+LEAST_COSINE = 0.3  # between the two rays (Ref-NPR)
+SOLID = 0.5  # alpha from which a pixel sees a surface
+FEW_PIXELS = 2000  # of a view, where it is only asked how much of it another one sees
+
+
+@dataclass(frozen=True)
+class SeenPoints:
+    """What a view's pixels see, row by row: world points [n, 3], their places in the cube [n, 3], whether any [n]."""
+
+    camera: Camera
+    points: np.ndarray
+    places: np.ndarray
+    there: np.ndarray
+
+
+def points_of(surface: Surface, camera: Camera, space: Space) -> SeenPoints:
+    """Where half of each pixel's weight lies: the mean place, by weight, of the samples within TOLERANCE of there.
+
+    As of its depth (decision 0032). Of a field whose shapes are not displaced.
+    """
+    count = camera.height * camera.width
+    starts, ends, x, weights = surface.samples(np.arange(count))
+    sums = np.zeros((len(x) + 1, 4))
+    np.cumsum(weights, dtype=np.float64, out=sums[1:, 3])
+    middle = np.searchsorted(sums[1:, 3], (sums[starts, 3] + sums[ends, 3]) / 2)
+    away = x - np.repeat(x[np.minimum(middle, max(len(x) - 1, 0))], ends - starts, 0) if len(x) else x
+    weights = weights * (np.linalg.norm(away, axis=1) <= TOLERANCE)
+    np.cumsum(np.concatenate([x * weights[:, None], weights[:, None]], 1), axis=0, dtype=np.float64, out=sums[1:])
+    of_pixel = sums[ends] - sums[starts]
+    places = of_pixel[:, :3] / np.maximum(of_pixel[:, 3:], 1e-9)
+    there = surface.alpha.ravel() > SOLID
+    return SeenPoints(camera, space.unwarp(places), places, there)
+
+
+def registered(view: SeenPoints, reference: SeenPoints, tolerance: float = TOLERANCE) -> tuple[np.ndarray, ...]:
+    """(pixels [n] of the view, positions [n, 2] in the reference's picture, cosines [n] between the two rays).
+
+    A pixel is registered where its point falls into the reference's picture, the pixel there sees a point within
+    `tolerance` of it (in the cube), and both are seen from the same side, cosine >= LEAST_COSINE.
+    """
+    camera = reference.camera
+    pixels = np.flatnonzero(view.there)
+    points = view.points[pixels]
+    positions, depth = camera.project(points)
+    columns, rows = np.floor(np.clip(positions, -1, 1e7)).astype(np.int64).T
+    inside = (depth > 0) & (columns >= 0) & (rows >= 0) & (columns < camera.width) & (rows < camera.height)
+    at = np.where(inside, rows * camera.width + columns, 0)
+    # Between the reference's pixels, or, where one of those around sees something else, at the nearest.
+    seen = sampled_at(reference.places.reshape(camera.height, camera.width, 3), positions)
+    apart = np.minimum(*(np.linalg.norm(view.places[pixels] - there, axis=1) for there in (seen, reference.places[at])))
+    cosines = (_ways(points, view.camera) * _ways(points, camera)).sum(1)
+    chosen = inside & reference.there[at] & (apart <= tolerance) & (cosines >= LEAST_COSINE)
+    return pixels[chosen], positions[chosen], cosines[chosen]
+
+
+def _ways(points: np.ndarray, camera: Camera) -> np.ndarray:
+    """Unit directions [n, 3] from the camera to the points."""
+    way = points - camera.centre
+    return way / np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-12)
+
+
+def few_points(field: RadianceField, cameras: Sequence[Camera], share: float, chunks: int) -> list[SeenPoints]:
+    """What each view sees, at about FEW_PIXELS of its pixels."""
+    found = []
+    for camera in cameras:
+        stride = max(1, round((camera.width * camera.height / FEW_PIXELS) ** 0.5))
+        surface = surface_of(field, camera, share, chunks, stride=stride)
+        found.append(points_of(surface, every(camera, stride), field.space))
+    return found
+
+
+def every(camera: Camera, stride: int) -> Camera:
+    """The camera whose pixel (i, j) is pixel (stride i, stride j) of `camera`."""
+    return replace(
+        camera,
+        width=-(-camera.width // stride),
+        height=-(-camera.height // stride),
+        fx=camera.fx / stride,
+        fy=camera.fy / stride,
+        cx=(camera.cx - 0.5) / stride + 0.5,
+        cy=(camera.cy - 0.5) / stride + 0.5,
+    )
+
+
+def best_reference(views: Sequence[SeenPoints]) -> int:
+    """The view that sees most of what the others see: the mean share of their pixels that are registered in it."""
+    shares = []
+    for candidate in views:
+        found = [len(registered(other, candidate)[0]) / max(1, other.there.sum()) for other in views]
+        shares.append(np.mean(found))
+    return int(np.argmax(shares))
+
+
+def sampled_at(picture: np.ndarray, positions: np.ndarray) -> np.ndarray:
+    """A picture [h, w, c] at positions [n, 2] (x, y; pixel centres at halves), bilinear, level outside: [n, c]."""
+    height, width = picture.shape[:2]
+    x = np.clip(positions[:, 0] - 0.5, 0, width - 1)
+    y = np.clip(positions[:, 1] - 0.5, 0, height - 1)
+    left, top = np.minimum(x.astype(np.int64), max(0, width - 2)), np.minimum(y.astype(np.int64), max(0, height - 2))
+    right, below = np.minimum(left + 1, width - 1), np.minimum(top + 1, height - 1)
+    across, down = (x - left)[:, None].astype(np.float32), (y - top)[:, None].astype(np.float32)
+    upper = picture[top, left] * (1 - across) + picture[top, right] * across
+    lower = picture[below, left] * (1 - across) + picture[below, right] * across
+    return upper * (1 - down) + lower * down

@@ -1,0 +1,120 @@
+"""Whole views of a field on a GPU."""
+
+from collections.abc import Callable, Mapping
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from stylerf.fields.gpu.field import DeviceField, DeviceRays, DeviceRendered
+from stylerf.fields.gpu.memory import in_parts
+from stylerf.fields.radiance_field import RadianceField
+from stylerf.geometry.cameras import Camera
+from stylerf.rendering.view import RenderedView
+
+RAYS_AT_ONCE = 1 << 18
+PRECISIONS = ("auto", "float32", "float16")
+# Half of a step of an eight-bit picture: what halves may change of a pixel before they are refused.
+TOLERANCE = 0.5 / 255
+TRIED_RAYS = 4096
+
+
+def rays_of(camera: Camera, number: Tensor) -> DeviceRays:
+    """Rays of the centres of pixels [n] of an int type, counted row by row, made on their device."""
+    count, device = len(number), number.device
+    x = ((number % camera.width).float() + 0.5 - camera.cx) / camera.fx
+    y = ((number // camera.width).float() + 0.5 - camera.cy) / camera.fy
+    local = torch.stack([x, y, torch.ones_like(x)], 1)
+    pose = torch.from_numpy(camera.world_from_camera[:3].astype(np.float32)).to(device)
+    ways = local[:, :1] * pose[:, 0] + local[:, 1:2] * pose[:, 1] + local[:, 2:] * pose[:, 2]
+    ways = ways / torch.linalg.vector_norm(ways, dim=1, keepdim=True)
+    origins = pose[:, 3].expand(count, 3).contiguous()
+    return DeviceRays(origins, ways.contiguous(), torch.full((count,), 0.5, device=device))
+
+
+class DeviceRenderer:
+    """Renders `field` on `device`. precision: of the tables as they are read; auto: halves where pixels allow it.
+
+    What pixels allow is tried on rays of the first view; `half` tells what was chosen.
+    """
+
+    def __init__(
+        self,
+        field: RadianceField,
+        device: torch.device | str,
+        precision: str = "auto",
+        rays_at_once: int = RAYS_AT_ONCE,
+    ) -> None:
+        self.device, self.rays_at_once = torch.device(device), rays_at_once
+        self._exact = DeviceField(field, self.device) if precision != "float16" else None
+        self._halves = DeviceField(field, self.device, half=True) if precision != "float32" else None
+        self.half = None if precision == "auto" else precision == "float16"
+
+    @property
+    def field(self) -> DeviceField:
+        """The field that pictures are made of."""
+        return self._halves if self.half else self._exact
+
+    def choose(self, camera: Camera) -> None:
+        """Halves or not, by what they change of this view; else by the first that is seen."""
+        if self.half is not None:
+            return
+        count = camera.width * camera.height
+        pixels = np.linspace(0, count - 1, min(count, TRIED_RAYS)).astype(np.int64)
+        rays = DeviceRays.of(*camera.rays(pixels), self.device)
+        exact, rounded = (f.render_rays(rays, share=f.share).out[:, :4] for f in (self._exact, self._halves))
+        self.half = bool((exact - rounded).abs().max() <= TOLERANCE)
+        if self.half:
+            self._exact = None
+        else:
+            self._halves = None
+
+    def pixels(
+        self,
+        camera: Camera,
+        *,
+        opaque: float = 1e-3,
+        regions: Mapping[str, Tensor] | None = None,
+        on_rays: Callable[[int], None] = lambda done: None,
+    ) -> tuple[Tensor, dict[str, Tensor]]:
+        """([pixels, 5]: premultiplied rgb, alpha, ray distance; by region [pixels]: alpha in it), on the device."""
+        self.choose(camera)
+        marked = regions or {}
+
+        def part(begin: int, end: int) -> list[Tensor]:
+            rays = rays_of(camera, torch.arange(begin, end, device=self.device))
+            rendered = self.field.render_rays(rays, opaque=opaque, share=self.field.share)
+            found = [rendered.seen(), *(alpha_inside(cells, rendered) for cells in marked.values())]
+            on_rays(end)
+            return found
+
+        parts = in_parts(camera.width * camera.height, self.rays_at_once, part)
+        seen, *inside = (torch.cat(found) for found in zip(*parts))
+        return seen, dict(zip(marked, inside))
+
+    def view(
+        self,
+        camera: Camera,
+        *,
+        opaque: float = 1e-3,
+        regions: Mapping[str, np.ndarray] | None = None,
+        on_rays: Callable[[int], None] = lambda done: None,
+    ) -> RenderedView:
+        """As rendering/view.py's render_view."""
+        given = {name: np.ascontiguousarray(cells) for name, cells in (regions or {}).items()}
+        marked = {name: torch.from_numpy(cells).to(self.device) for name, cells in given.items()}
+        out, inside = self.pixels(camera, opaque=opaque, regions=marked, on_rays=on_rays)
+        out = out.cpu().numpy().reshape(camera.height, camera.width, 5)
+        alpha = np.clip(out[..., 3], 0, 1)
+        distance = np.where(alpha > 0, out[..., 4], 0)
+        masks = {name: np.minimum(m.cpu().numpy().reshape(alpha.shape), alpha) for name, m in inside.items()}
+        return RenderedView(out[..., :3], alpha, distance, distance * camera.ray_cosines(), masks)
+
+
+def alpha_inside(marked: Tensor, rendered: DeviceRendered) -> Tensor:
+    """[rays]: sum of each ray's weights over samples in marked cells [s, s, s] bool."""
+    s, cells = rendered.samples, marked.shape[0]
+    place = (s.x * cells).long().clamp(0, cells - 1)
+    own = marked[place[:, 0], place[:, 1], place[:, 2]]
+    out = torch.zeros(len(s.starts), device=s.weights.device)
+    return out.index_add_(0, s.ray_of.long(), torch.where(own, s.weights, 0.0))

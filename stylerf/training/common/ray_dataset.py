@@ -1,0 +1,130 @@
+"""The training set as the loop sees it: random rays with their target colours."""
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from stylerf.errors import InvalidValue
+from stylerf.geometry.cameras import Camera
+from stylerf.kernels.cpu.pixel_rays import gather
+from stylerf.srgb import codes_at
+from stylerf.training.common.pixels import STRETCH, LitPixels, Pixels
+
+HIDDEN = 0.5  # alpha up to which a photo of a closed space hides what lies there
+
+
+def unhidden(colours: np.ndarray, found: np.ndarray) -> np.ndarray:
+    """Straight rgba [n, 4] that rays of a closed space are to learn, opaque, of what its photos have there.
+
+    Nothing of such a space is transparent: a mask hides a passer-by. There it is what was found [n, 3], which teaches
+    nothing.
+    """
+    rgb = np.where(colours[:, 3:] > HIDDEN, colours[:, :3], found)
+    return np.concatenate([rgb, np.ones_like(colours[:, 3:])], 1)
+
+
+def shown_rays(origins: np.ndarray, directions: np.ndarray, colours: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Those of a closed space's rays [n] that photos show, opaque; all, where they show none."""
+    shown = colours[:, 3] > HIDDEN
+    shown = shown if shown.any() else np.ones_like(shown)
+    return origins[shown], directions[shown], unhidden(colours[shown], np.zeros((int(shown.sum()), 3), np.float32))
+
+
+class RayBank:
+    """8-bit photos and their cameras; rays are made when asked for, and none is ever stored.
+
+    photos: uint8 [h, w, 3 or 4] (straight alpha) of every camera, of any sizes, all with as many channels; or the same
+    as Pixels, whose bytes need not be in memory. What is drawn does not depend on where they are.
+    """
+
+    def __init__(self, cameras: list[Camera], photos: list[np.ndarray] | Pixels) -> None:
+        self.cameras = cameras
+        self.widths = np.array([c.width for c in cameras], np.int64)
+        self.sizes = np.array([c.width * c.height for c in cameras], np.int64)
+        self._ends = np.cumsum(self.sizes)
+        if not isinstance(photos, Pixels):
+            for camera, image in zip(cameras, photos, strict=True):
+                if image.shape[:2] != (camera.height, camera.width) or image.dtype != np.uint8:
+                    raise InvalidValue(f"view {camera.name}: image {image.shape} does not fit its camera")
+            photos = Pixels.of(photos)
+        self.channels, self.bytes, self.read = photos.channels, photos.values, photos.read
+        if self.bytes.dtype != np.uint8 or len(self.bytes) != self._ends[-1] * self.channels:
+            raise InvalidValue(f"{len(self.bytes)} bytes do not make {self._ends[-1]} pixels of {self.channels}")
+        self.starts = (self._ends - self.sizes) * self.channels
+        self.intrinsics = np.array([[c.fx, c.fy, c.cx, c.cy] for c in cameras], np.float32)
+        self.poses = np.array([c.world_from_camera[:3] for c in cameras], np.float32)
+        self.codes = codes_at(np.zeros(len(cameras)))
+        # Fully transparent pixels away from any object teach little: they are drawn less often.
+        self.lit = LitPixels(self.alphas()) if self.channels == 4 else None
+
+    def alphas(self) -> Iterator[np.ndarray]:
+        """Straight alpha [h, w] uint8 of every view in turn, where there are four channels."""
+        for camera, start, size in zip(self.cameras, self.starts, self.sizes):
+            rgba = self.bytes[start : start + 4 * size].reshape(camera.height, camera.width, 4)
+            yield rgba[..., 3].copy()
+            self.read(math.ceil(4 * size / STRETCH))
+
+    def __len__(self) -> int:
+        return int(self._ends[-1])
+
+    def expose(self, stops: np.ndarray) -> None:
+        """Bring photos that are overexposed by stops [views] to one exposure."""
+        self.codes = codes_at(stops)
+
+    def draw(
+        self,
+        count: int,
+        generator: np.random.Generator,
+        among: int | None = None,
+        lit_share: float = 0.9,
+        part: slice = slice(None),
+    ):
+        """`count` random rays of the first `among` views, of them those of `part`: the rest is drawn, but not made.
+
+        Gives origins, directions [n, 3], colours [n, 4], views [n].
+        """
+        views, pixels = self.choose(count, generator, among, lit_share, part)
+        return *self.at(views, pixels), views
+
+    def choose(
+        self,
+        count: int,
+        generator: np.random.Generator,
+        among: int | None = None,
+        lit_share: float = 0.9,
+        part: slice = slice(None),
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """(views, row-major pixels) [n] of the rays that draw() makes."""
+        total = len(self) if among is None else int(self._ends[among - 1])
+        index = generator.integers(0, total, count)
+        if self.lit is not None and lit_share > 0:
+            most = self.lit.below(total)
+            if most:
+                chosen = int(count * lit_share)
+                index[:chosen] = self.lit[generator.integers(0, most, chosen)]
+        index = index[part]
+        views = np.searchsorted(self._ends, index, side="right")
+        return views, index - (self._ends[views] - self.sizes[views])
+
+    def at(self, views: np.ndarray, pixels: np.ndarray):
+        """Rays and colours of given pixels: (origins, directions [n, 3], colours [n, 4])."""
+        n = len(views)
+        origins, directions = np.empty((n, 3), np.float32), np.empty((n, 3), np.float32)
+        colours = np.empty((n, 4), np.float32)
+        gather(
+            views,
+            pixels,
+            self.widths,
+            self.intrinsics,
+            self.poses,
+            self.starts,
+            self.bytes,
+            self.channels,
+            self.codes,
+            origins,
+            directions,
+            colours,
+        )
+        self.read(n)
+        return origins, directions, colours

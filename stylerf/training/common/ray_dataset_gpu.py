@@ -1,0 +1,101 @@
+"""The training photos on a device: random rays with their colours, drawn there."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from stylerf.errors import InvalidValue
+from stylerf.fields.gpu.field import DeviceRays
+from stylerf.kernels.gpu import launch, launch_edit
+from stylerf.training.common.pixels import STRETCH
+from stylerf.training.common.ray_dataset import HIDDEN, RayBank
+
+AT_ONCE = 1 << 22  # bytes of photos, or numbers of pixels, on their way to the device
+
+
+def unhidden(wanted: Tensor, out: Tensor, background: Tensor | float) -> Tensor:
+    """As training/common/ray_dataset.py's unhidden; out [n, 5]: what the rays came back with, over a background."""
+    found = out[:, :3] + (1 - out[:, 3:4]) * background
+    rgb = torch.where(wanted[:, 3:] > HIDDEN, wanted[:, :3], found)
+    return torch.cat([rgb, torch.ones_like(wanted[:, 3:])], 1)
+
+
+@dataclass
+class Drawn:
+    """rays; wanted [n, 4]: straight rgba 0..1; background [n, 3]."""
+
+    rays: DeviceRays
+    wanted: Tensor
+    background: Tensor
+
+
+class DeviceBank:
+    """bank: photos and cameras, copied to the device once, a byte a channel."""
+
+    def __init__(self, bank: RayBank, device: torch.device) -> None:
+        if len(bank) >= 2**31:
+            raise InvalidValue(f"{len(bank)} pixels of photos; at most {2**31 - 1} can be drawn from on a GPU")
+        self.device, self.channels, self.views = device, bank.channels, len(bank.cameras)
+        self.ends = np.cumsum(bank.sizes)
+        self.bytes, self.lit = self._photos(bank), self._near_objects(bank)
+        self.widths, self.view_ends = self._copy(bank.widths), self._copy(self.ends)
+        self.view_sizes = self._copy(bank.sizes)
+        self.intrinsics, self.poses = self._copy(bank.intrinsics), self._copy(bank.poses)
+        self.codes = self._copy(bank.codes)
+        self._host = bank
+
+    def _copy(self, array: np.ndarray) -> Tensor:
+        return torch.from_numpy(np.ascontiguousarray(array)).to(self.device)
+
+    def _photos(self, bank: RayBank) -> Tensor:
+        """The bank's bytes, brought over little by little: where they are mapped from a file, never all in memory."""
+        there = torch.empty(len(bank.bytes), dtype=torch.uint8, device=self.device)
+        for at in range(0, len(there), AT_ONCE):
+            part = bank.bytes[at : at + AT_ONCE].copy()
+            bank.read(math.ceil(len(part) / STRETCH))
+            there[at : at + len(part)] = torch.from_numpy(part)
+        return there
+
+    def _near_objects(self, bank: RayBank) -> Tensor:
+        """The pixels worth more, int32, one by one: the device draws from them; the bank keeps them as runs."""
+        count = 0 if bank.lit is None else bank.lit.below(len(bank))
+        there = torch.zeros(max(1, count), dtype=torch.int32, device=self.device)
+        for at in range(0, count, AT_ONCE):
+            part = bank.lit[np.arange(at, min(at + AT_ONCE, count))].astype(np.int32)
+            there[at : at + len(part)] = torch.from_numpy(part)
+        return there
+
+    def follow_exposure(self) -> None:
+        """Take the codes that the bank on the host has now."""
+        self.codes = self._copy(self._host.codes)
+
+    def draw(
+        self, seed: int, first: int, count: int, batch: int, among: int, lit_share: float, level: float | None
+    ) -> Drawn:
+        """Rays `first` to `first + count` of the batch of `batch` random rays that `seed` names, of `among` views.
+
+        lit_share: part of the batch that goes through pixels near something opaque. level: grey of the background;
+        None: random colours.
+        """
+        total = int(self.ends[among - 1])
+        most_lit = 0 if self._host.lit is None else self._host.lit.below(total)
+        lit_rays = int(batch * lit_share) if most_lit else 0
+        origins, directions, background = (torch.empty((count, 3), device=self.device) for _ in range(3))
+        wanted, jitter = torch.empty((count, 4), device=self.device), torch.empty(count, device=self.device)
+        launch.draw_rays(
+            self, seed, first, total, most_lit, lit_rays, level, origins, directions, wanted, jitter, background
+        )
+        return Drawn(DeviceRays(origins, directions, jitter), wanted, background)
+
+    def at(self, chosen: Tensor, jitter: Tensor) -> tuple[DeviceRays, Tensor]:
+        """(rays, straight rgba [n, 4]) of pixels `chosen` [n] int64, numbered as number_of tells; jitter [n]."""
+        origins, directions, wanted = launch_edit.rays_of_pixels(self, chosen)
+        return DeviceRays(origins, directions, jitter), wanted
+
+    def number_of(self, views: np.ndarray, pixels: np.ndarray) -> np.ndarray:
+        """[n] int64: the numbers of row-major pixels of views, all views laid end to end."""
+        begins = np.concatenate([[0], self.ends[:-1]])
+        return begins[views] + pixels

@@ -1,0 +1,1 @@
+"""Fitting a deformation to the photos (DeSRF, section 3.2)."""

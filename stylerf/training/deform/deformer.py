@@ -1,0 +1,199 @@
+"""Learns a deformation through the grid that it is baked to (DeSRF, section 3.2).
+
+Rays read a grid of displacements; gradients come back to the grid's vertices, and from there through the network. Only
+vertices near something are asked: the network is evaluated some tens of thousands of times a step, not once a sample.
+"""
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from stylerf.errors import InvalidValue
+from stylerf.fields.deformation import Deformation
+from stylerf.fields.displacement_grid import (
+    at_rest,
+    displaced_occupancy,
+    nearest_of,
+    occupancy_of_seen,
+    seen_cells,
+    vertices_of,
+)
+from stylerf.fields.occupancy_grid import Occupancy
+from stylerf.fields.radiance_field import RadianceField
+from stylerf.fields.ray_samples import Rays
+from stylerf.geometry.cameras import Camera
+from stylerf.training.common.adam import Adam
+
+REFRESH_EVERY = 16  # steps between looks at what the deformation has moved where
+SIGHT_RAYS = 1 << 17  # rays that find out which vertices are seen
+
+
+class Deformer:
+    """Brings `field` to rest, gives it a displacement grid of `vertices`^3 that follows `deformation`, and teaches it.
+
+    The network is asked at the vertices around what the cameras see of the field at rest; every other vertex moves as
+    the nearest of these. clip: of the network's gradients, see Adam. gradients [chunks, 3 vertices^3]: where backward()
+    adds dL/dD.
+    """
+
+    def __init__(
+        self,
+        field: RadianceField,
+        deformation: Deformation,
+        cameras: list[Camera],
+        vertices: int,
+        seed: int,
+        chunks: int,
+        clip: float = 0.0,
+    ) -> None:
+        self.field, self.deformation, self.vertices = field, deformation, vertices
+        self.clip = clip
+        self.taken = 0
+        at_rest(field)
+        rays = random_rays(cameras, SIGHT_RAYS, field.space.near, np.random.default_rng([seed, 7]))
+        self.rest = occupancy_of_seen(field, rays, chunks)  # of the field at rest
+        active = vertices_of(seen_cells(field, rays, vertices - 1, 0.1, chunks))
+        if not len(active):
+            raise InvalidValue("no camera sees anything of the field: there is nothing to deform")
+        places = np.stack(np.unravel_index(active, (vertices,) * 3), -1) / (vertices - 1)
+        self._encoded = self._there(deformation.encode(torch.from_numpy(places.astype(np.float32))))
+        self._nearest = self._there(torch.from_numpy(nearest_of(active, vertices)))
+        self._pairs = [self._there(pairs) for pairs in _pairs(active, vertices)]
+        field.displacement = np.zeros((vertices,) * 3 + (3,), np.float32)
+        self._prepare(chunks)
+        self.bake()
+        self.look()
+
+    # -- where it is worked out: here by the CPU's kernels; elsewhere see training/deform/deformer_gpu.py ---------------
+
+    def _there(self, tensor: Tensor) -> Tensor:
+        """A tensor of the host's where the network works."""
+        return tensor
+
+    def _prepare(self, chunks: int) -> None:
+        """Buffers and the optimiser; the field has its grid."""
+        self.gradients = np.zeros((chunks, 3 * self.vertices**3), np.float32)
+        self.adam = Adam(self.deformation.values, [(0, len(self.deformation.values), 1.0)], 1, self.clip)
+
+    def _gathered(self) -> Tensor:
+        """dL/dD [vertices^3, 3], from `gradients`."""
+        return torch.from_numpy(self.gradients.sum(0)).view(-1, 3)
+
+    def _write(self, moved: Tensor) -> None:
+        """D [vertices^3, 3] to the grid that rays read."""
+        self.field.displacement.reshape(-1, 3)[:] = moved.numpy()
+
+    def look(self) -> None:
+        """Find anew where the deformed field is occupied."""
+        # What has left the numbers the next loss tells.
+        if not np.isfinite(self.field.displacement).all():
+            return
+        self.field.occupancy = displaced_occupancy(self.rest, self.field.displacement)
+
+    def _place(self, distances: np.ndarray) -> None:
+        """The deformed field's occupancy as a checkpoint has it."""
+        self.field.occupancy = Occupancy(self.rest.cells, self.rest.highest)
+        self.field.occupancy.distances = distances.copy()
+
+    def _told(self, size: Tensor) -> float:
+        """A number of this step."""
+        return float(size)
+
+    def collect(self) -> None:
+        """Bring what was learnt into `deformation` and `field`."""
+
+    # -- what is worked out -----------------------------------------------------------------------------------------
+
+    def bake(self) -> None:
+        """Write the present deformation into the grid that rays read."""
+        self._values = torch.as_tensor(self.adam.values).detach().requires_grad_()
+        self._live = self.deformation.network(self._encoded, self._values)
+        self._write(self._live.detach()[self._nearest])
+
+    def step(self, rate: float, weight: float, smoothness: float = 0.0) -> float:
+        """One step down dL/dD plus weight |D| plus smoothness TV(D); the root mean square of D, in the network's units.
+
+        |D|: root of the mean squared displacement of the vertices that matter, the cube two units wide (L_dx of eq. 7).
+        TV: mean squared difference of neighbouring vertices, in the same units.
+        """
+        gradient = torch.zeros_like(self._live).index_add_(0, self._nearest, self._gathered())
+        self.gradients[:] = 0
+        size = (2 * self._live).square().sum(1).mean().add(1e-12).sqrt()
+        loss = (self._live * gradient).sum() + weight * size
+        if smoothness > 0:
+            loss = loss + smoothness * self._variation()
+        (found,) = torch.autograd.grad(loss, self._values)
+        torch.as_tensor(self.adam.gradients).view(-1).add_(found)
+        self.adam.step(rate)
+        self.taken += 1
+        self.bake()
+        if self.taken % REFRESH_EVERY == 0:
+            self.look()
+        return self._told(size.detach())
+
+    def _variation(self) -> Tensor:
+        m, live = self.vertices, 2 * self._live
+        grid, total = live[self._nearest].view(m, m, m, 3), live.new_zeros(())
+        for axis, both in enumerate(self._pairs):
+            total = total + (grid.diff(dim=axis).square().sum(-1) * both).sum()
+        return total / len(live)
+
+    def values(self) -> np.ndarray:
+        """A copy of the network's weights as they stand."""
+        self.collect()
+        return self.deformation.values.copy()
+
+    def take(self, values: np.ndarray) -> None:
+        """The deformation of the weights `values` from now on; the optimiser's past stays."""
+        self._set(values)
+        self.look()
+        self.collect()
+
+    def _set(self, values: np.ndarray) -> None:
+        torch.as_tensor(self.adam.values).copy_(torch.from_numpy(np.array(values, np.float32)))
+        self.bake()
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """For a checkpoint."""
+        moments = {f"adam.{name}": array for name, array in self.adam.arrays().items()}
+        return {
+            "values": self.values(),
+            "taken": np.asarray([self.taken]),
+            "distances": self.field.occupancy.distances,
+            **moments,
+        }
+
+    def restore(self, arrays: dict[str, np.ndarray]) -> None:
+        """From arrays()."""
+        self.adam.restore({name: arrays[f"adam.{name}"] for name in ("first", "second", "steps")})
+        self.taken = int(arrays["taken"][0])
+        self._set(arrays["values"])
+        self._place(arrays["distances"])
+
+
+def deformer_on(device: str | torch.device | None, *given) -> Deformer:
+    """A Deformer of what it is given, that works on `device`; None: by the CPU's kernels."""
+    if device is None:
+        return Deformer(*given)
+    from stylerf.training.deform.deformer_gpu import DeviceDeformer
+
+    return DeviceDeformer(torch.device(device), *given)
+
+
+def _pairs(active: np.ndarray, vertices: int) -> list[Tensor]:
+    """For each axis, which neighbours along it are both among the vertices that the network is asked at."""
+    own = torch.zeros(vertices**3, dtype=torch.bool)
+    own[torch.from_numpy(active)] = True
+    own = own.view((vertices,) * 3)
+    return [own.narrow(axis, 1, vertices - 1) & own.narrow(axis, 0, vertices - 1) for axis in range(3)]
+
+
+def random_rays(cameras: list[Camera], count: int, near: float, generator: np.random.Generator) -> Rays:
+    """About `count` rays through random pixels, as many of each camera."""
+    origins, directions = [], []
+    for camera in cameras:
+        pixels = generator.integers(0, camera.width * camera.height, max(1, count // len(cameras)))
+        of_camera = camera.rays(pixels)
+        origins.append(of_camera[0])
+        directions.append(of_camera[1])
+    return Rays.of(np.concatenate(origins), np.concatenate(directions), near)

@@ -1,0 +1,137 @@
+"""A deformation learnt on a GPU: network, grid, gradients, moments and occupancy stay there."""
+
+import math
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from stylerf.fields.deformation import FARTHEST, Deformation
+from stylerf.fields.gpu.field import DeviceField, DeviceRays
+from stylerf.fields.gpu.occupancy_grid import FARTHEST as FARTHEST_CELL
+from stylerf.fields.gpu.occupancy_grid import distances_to
+from stylerf.fields.occupancy_grid import Occupancy
+from stylerf.fields.radiance_field import RadianceField
+from stylerf.geometry.cameras import Camera
+from stylerf.kernels.gpu import launch
+from stylerf.kernels.gpu.launch_deform import displaced_cells
+from stylerf.training.common.async_readback import Reports, sent
+from stylerf.training.common.ray_dataset_gpu import unhidden
+from stylerf.training.deform.deformer import Deformer
+from stylerf.training.fit.engine_gpu import DeviceAdam
+
+RAYS_AT_ONCE = 1 << 16
+MOST_SAMPLES = 1 << 24  # of a step's rays, 1.3 GB; rays beyond that are left out of it
+LIMIT = 512  # samples on a ray
+
+
+class DeviceDeformer(Deformer):
+    """training/deform/deformer.py's Deformer. live: the deforming field on the device, which rays are walked through.
+
+    What the cameras see is found once, by the CPU's kernels. `field` and `deformation` are brought up to date by
+    collect() alone. gradients: flat [3 vertices^3].
+    """
+
+    def __init__(
+        self,
+        device: torch.device,
+        field: RadianceField,
+        deformation: Deformation,
+        cameras: list[Camera],
+        vertices: int,
+        seed: int,
+        chunks: int,
+        clip: float = 0.0,
+    ) -> None:
+        self.device = device
+        super().__init__(field, deformation, cameras, vertices, seed, chunks, clip)
+        self.collect()
+
+    def _there(self, tensor: Tensor) -> Tensor:
+        return tensor.to(self.device)
+
+    def _prepare(self, chunks: int) -> None:
+        self.live = DeviceField(self.field, self.device)
+        self._at_rest = self._there(torch.from_numpy(self.rest.distances))
+        self.gradients = torch.zeros(3 * self.vertices**3, device=self.device)
+        values = torch.from_numpy(self.deformation.values).to(self.device, copy=True)
+        self.adam = DeviceAdam(values, [(0, len(values), 1.0)], self.clip)
+        self._sizes, self._brought = self._no_sizes(), None
+
+    def _no_sizes(self) -> Reports:
+        return Reports(self.device, 1, lambda sums, _: sums[0], 0.0)
+
+    def restore(self, arrays: dict[str, np.ndarray]) -> None:
+        super().restore(arrays)
+        self._sizes = self._no_sizes()  # what is still on its way is of the state that was left
+
+    def _gathered(self) -> Tensor:
+        return self.gradients.view(-1, 3)
+
+    def _write(self, moved: Tensor) -> None:
+        self.live.displacement.view(-1, 3).copy_(moved)
+
+    def look(self) -> None:
+        cells, live = self.rest.cells, self.live
+        reach = math.ceil(FARTHEST * cells) + 1  # no coordinate moves farther
+        live.distances = distances_to(
+            displaced_cells(self._at_rest, cells, reach, live.displacement, live.vertices)
+        ).flatten()
+
+    def _place(self, distances: np.ndarray) -> None:
+        # As look() tells them: a device and the CPU write checkpoints for each other.
+        self.live.distances = self._there(torch.from_numpy(np.minimum(distances, FARTHEST_CELL)))
+        self.collect()
+
+    def _told(self, size: Tensor) -> float:
+        self._sizes.begin().copy_(size)
+        return self._sizes.send(None)
+
+    def collect(self) -> None:
+        self.deformation.values[:] = self.adam.values.cpu().numpy()
+        self.field.displacement.reshape(-1)[:] = self.live.displacement.cpu().numpy()
+        if self._brought is not self.live.distances:  # the distances of a fine grid take a while
+            self.field.occupancy = Occupancy(self.rest.cells, self.rest.highest)
+            self.field.occupancy.set_occupied(self.live.distances.cpu().numpy() == 0)
+            self._brought = self.live.distances
+
+
+class DevicePhotoError:
+    """training/deform/fitter.py's PhotoError of a DeviceDeformer. Its error is told a few steps late."""
+
+    def __init__(self, deformer: DeviceDeformer, background: float, share: float) -> None:
+        self.deformer, self.background, self.share = deformer, background, share
+        self._reports = Reports(deformer.device, 3, _mean_error, 0.0)
+
+    def of(self, origins: np.ndarray, directions: np.ndarray, colours: np.ndarray) -> float:
+        """Mean squared difference of rays, marched from the middle of their first step, from straight rgba [n, 4]."""
+        device, total = self.deformer.device, 0.0
+        for at in range(0, len(origins), RAYS_AT_ONCE):
+            part = slice(at, at + RAYS_AT_ONCE)
+            rays = DeviceRays.of(origins[part], directions[part], device)
+            out = self.deformer.live.render_rays(rays, share=self.share, limit=LIMIT).out
+            wanted = torch.from_numpy(colours[part]).to(device)
+            cover = wanted[:, 3:]
+            found = out[:, :3] + (1 - out[:, 3:4]) * self.background
+            difference = found - wanted[:, :3] * cover - (1 - cover) * self.background
+            total += float(difference.square().sum(dtype=torch.float64))
+        return total / (3 * len(origins))
+
+    def learn(self, origins: np.ndarray, directions: np.ndarray, colours: np.ndarray, jitter: np.ndarray) -> float:
+        """Add dL/dD of their mean squared difference to the deformer's gradients; the difference itself."""
+        device, live, n = self.deformer.device, self.deformer.live, len(origins)
+        rays = DeviceRays(*(sent(array, device) for array in (origins, directions, jitter)))
+        rendered = live.render_rays(rays, room=min(n * LIMIT, MOST_SAMPLES), share=self.share, limit=LIMIT)
+        background = torch.full((n, 3), float(self.background), device=device)
+        sums, wanted = self._reports.begin(), sent(colours, device)
+        if live.closed:
+            wanted = unhidden(wanted, rendered.out, background)
+        gradients = launch.photometric_loss(rendered.out, wanted, background, rendered.samples, 2 / (3 * n), sums)
+        live.backward(rendered, gradients, None, None, self.deformer.gradients)
+        return self._reports.send(n)
+
+
+def _mean_error(sums: list[float], rays: int) -> float:
+    """Of (squared error, samples, rays left out) of a step."""
+    error, _, left_out = sums
+    return error / (3 * max(1.0, rays - left_out))

@@ -1,0 +1,1 @@
+"""Training the palette module of a local edit (LAENeRF)."""

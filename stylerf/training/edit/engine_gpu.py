@@ -1,0 +1,80 @@
+"""Learning an edit on a GPU: views, table, networks and moments stay there, pixels are named to it; no step waits."""
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from stylerf.editing.edit_views import EditView
+from stylerf.editing.palette_module import DEGREE, PaletteModule
+from stylerf.editing.palette_module_gpu import DevicePalette
+from stylerf.fields.gpu.memory import free_on
+from stylerf.geometry.spherical_harmonics import harmonics
+from stylerf.training.common.async_readback import Reports, sent
+from stylerf.training.common.bounded_cache import Kept
+from stylerf.training.edit.engine import groups_of
+from stylerf.training.fit.engine_gpu import DeviceAdam
+
+MEMORY = 8e9  # bytes that views may take on the device, or a third of what is free; those beyond are sent each time
+MOST_PARTS = 16  # of a loss
+
+
+class DeviceEdit:
+    """stylerf/training/edit/engine.py's CpuEdit on `device`: from the same pixels the same, to rounding."""
+
+    def __init__(
+        self, views: list[EditView], module: PaletteModule, device: torch.device | str, memory: float | None = None
+    ) -> None:
+        self.device, self.views = torch.device(device), views
+        self.asked = DevicePalette(module, self.device)
+        memory = min(MEMORY, free_on(self.device, 3 * MEMORY) / 3) if memory is None else memory
+        self._there = Kept(self._moved, lambda parts: sum(part.nbytes for part in parts), len(views), memory)
+        self._reports = Reports(self.device, MOST_PARTS, lambda told, names: dict(zip(names, told)), {})
+        self._new_adams()
+
+    def _new_adams(self) -> None:
+        self.table = DeviceAdam(self.asked.table, [(0, len(self.asked.table), 1.0)])
+        self.networks = DeviceAdam(self.asked.networks, groups_of(self.asked.module))
+
+    @property
+    def kept(self) -> Tensor:
+        return self.asked.kept
+
+    def _moved(self, at: int) -> tuple[Tensor, ...]:
+        view = self.views[at]
+        basis = harmonics(view.directions, DEGREE)
+        return tuple(sent(array, self.device) for array in (view.x, view.along, basis, view.target))
+
+    def shown(self, at: int, rows: np.ndarray, jitter: np.ndarray) -> tuple[Tensor, Tensor, Tensor]:
+        x, along, basis, target = self._there[at]
+        chosen, moved = sent(rows, self.device), sent(jitter, self.device)
+        local = self.asked.local(x[chosen] + along[chosen] * moved)
+        return self.asked.features(local, self.table.gradients), basis[chosen], target[chosen]
+
+    def leaf(self) -> Tensor:
+        return self.asked.networks.detach().clone().requires_grad_()
+
+    def step(self, values: Tensor, rate: float, table_rate: float) -> None:
+        self.networks.gradients += values.grad
+        self.networks.step(rate)
+        self.table.step(table_rate)
+
+    def tell(self, parts: dict[str, Tensor]) -> dict[str, float]:
+        told = self._reports.begin()
+        told[: len(parts)] = torch.stack([part.detach() for part in parts.values()])
+        return self._reports.send(tuple(parts))
+
+    def settle(self) -> dict[str, float]:
+        return self._reports.settle()
+
+    def collect(self) -> None:
+        self.asked.collect()
+
+    def moments(self) -> dict[str, np.ndarray]:
+        both = ("table", self.table), ("networks", self.networks)
+        return {f"{name}.{k}": v for name, adam in both for k, v in adam.arrays().items()}
+
+    def resume(self, moments: dict[str, np.ndarray]) -> None:
+        self.asked.take_up()
+        self._new_adams()
+        for name, adam in (("table", self.table), ("networks", self.networks)):
+            adam.restore({k: moments[f"{name}.{k}"] for k in ("first", "second", "steps")})

@@ -1,0 +1,301 @@
+"""Learns a palette module from what the views show of a region, towards a painting where there is one (LAENeRF).
+
+Phases: palette (colours and their mixture, by the photos), style (with a painting: the same and the picture losses),
+pruned (colours that hardly anything is made of are gone), done.
+"""
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from stylerf import validation
+from stylerf.editing import palette_losses
+from stylerf.editing.edit_views import EditView
+from stylerf.editing.palette_losses import EditWeights, Neighbours
+from stylerf.editing.palette_module import (
+    MOST_COLOURS,
+    Mixture,
+    PaletteModule,
+    box_around,
+    clustered_palette,
+    random_palette,
+)
+from stylerf.editing.palette_shares import figures_of, kept_colours, shares_of
+from stylerf.editing.region_style import Canvas, RegionStyle, in_colours_of
+from stylerf.errors import Diverged, InvalidValue
+from stylerf.style.feature_extractor import Trunk
+from stylerf.training.edit.engine import CpuEdit, EditEngine
+
+SAMPLED_COLOURS = 20_000  # pixels of the region that a first palette and the painting's colours are taken from
+# Shares of `seconds` that the phases may take.
+TIME = {"recolour": {"palette": 0.75, "pruned": 0.25}, "style": {"palette": 0.2, "style": 0.55, "pruned": 0.25}}
+
+
+@dataclass(frozen=True)
+class EditSettings:
+    """How an edit is learnt.
+
+    colours: of the palette at first; palette: where they begin, "clusters" or "random" (LAENeRF); of four
+    shaded colours clusters leave these four with L_sp 0.1, random ones six with 0.5. most_colours: kept by
+    pruning at most. *_steps: of each phase. seconds: a bound for all of them, 0 for none; what is learnt depends on
+    the clock only where that is reached first. pixels: of a view that a step without a painting learns from. rates: per
+    step, of networks and palette (twice it) and of the table, falling to `final_rate` of themselves. style_side: see
+    RegionStyle. preserve_colour: the painting is first given the region's mean colour and covariance.
+    """
+
+    colours: int = 8
+    palette: str = "clusters"
+    most_colours: int = 8
+    palette_steps: int = 300
+    style_steps: int = 100
+    pruned_steps: int = 100
+    pruned_style_steps: int = 40
+    seconds: float = 0.0
+    pixels: int = 8192
+    rate: float = 5e-3
+    table_rate: float = 1e-2
+    final_rate: float = 0.1
+    weights: EditWeights = field(default_factory=EditWeights)
+    style_side: int = 128
+    preserve_colour: bool = False
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.most_colours <= self.colours <= MOST_COLOURS:
+            raise InvalidValue(
+                f"palette: {self.colours} colours (1..{MOST_COLOURS}) of which {self.most_colours} may stay"
+            )
+        if self.palette not in ("clusters", "random"):
+            raise InvalidValue(f"palette: begins as clusters or random, not {self.palette!r}")
+
+
+@dataclass
+class EditState:
+    """Where the training stands. seconds: of the present phase; spent: of those before."""
+
+    phase: str = "palette"
+    step: int = 0
+    seconds: float = 0.0
+    spent: dict[str, float] = field(default_factory=dict)
+    curve: list[dict] = field(default_factory=list)
+
+
+def start_module(views: list[EditView], settings: EditSettings, seed: int) -> PaletteModule:
+    """A module for the region that the views show, its palette as the settings ask."""
+    generator = np.random.default_rng([seed, 1])
+    box = box_around(np.concatenate([view.x for view in views]))
+    if settings.palette == "random":
+        palette = random_palette(generator, settings.colours)
+    else:
+        palette = clustered_palette(generator, sampled_colours(views, generator), settings.colours)
+    return PaletteModule.create(generator, palette, box)
+
+
+def sampled_colours(views: list[EditView], generator: np.random.Generator) -> np.ndarray:
+    """[up to SAMPLED_COLOURS, 3] what the photos show of the region."""
+    colours = np.concatenate([view.target for view in views])
+    if len(colours) <= SAMPLED_COLOURS:
+        return colours
+    return colours[generator.integers(0, len(colours), SAMPLED_COLOURS)]
+
+
+class EditTrainer:
+    """module: from start_module, taught in place. style: painting [3, h, w], or a crop of it, sRGB 0..1, with a trunk;
+    None recolours. device: of the GPU kernels, where the trunk lies too; None: the CPU's. Both see the same pixels."""
+
+    def __init__(
+        self,
+        views: list[EditView],
+        module: PaletteModule,
+        settings: EditSettings,
+        style: Tensor | None,
+        trunk: Trunk | None,
+        seed: int,
+        chunks: int,
+        device: str | None = None,
+    ) -> None:
+        self.views = [view for view in views if len(view)]
+        if not self.views:
+            raise InvalidValue("no view shows anything of the region: there is nothing to learn from")
+        if (style is None) != (trunk is None):
+            raise InvalidValue("a painting needs a feature trunk, and a trunk a painting")
+        self._module, self.settings, self.seed, self.chunks = module, settings, seed, chunks
+        self.style: RegionStyle | None = None
+        if style is not None:
+            if settings.preserve_colour:
+                style = in_colours_of(style, sampled_colours(self.views, np.random.default_rng([seed, 6])))
+            self.style = RegionStyle(trunk, style, settings.style_side)
+        self.engine: EditEngine
+        if device is None:
+            self.engine = CpuEdit(self.views, module, chunks)
+        else:
+            from stylerf.training.edit.engine_gpu import DeviceEdit
+
+            self.engine = DeviceEdit(self.views, module, device)
+        self.state = EditState()
+        self._pictured: dict[int, tuple[Neighbours, Canvas, Tensor]] = {}
+        self.between_steps = True
+
+    @property
+    def module(self) -> PaletteModule:
+        """As it now stands."""
+        self.engine.collect()
+        return self._module
+
+    @property
+    def asked(self):
+        """What answers as `module` does, wherever that is learnt."""
+        return self.engine.asked
+
+    # -- steps ------------------------------------------------------------------------------------------------------
+
+    def _steps(self) -> dict[str, int]:
+        """Of each phase, in order."""
+        s = self.settings
+        if self.style is None:
+            return {"palette": s.palette_steps, "pruned": s.pruned_steps}
+        return {"palette": s.palette_steps, "style": s.style_steps, "pruned": s.pruned_style_steps}
+
+    @property
+    def progress(self) -> float:
+        """Done share of the present phase, 0..1."""
+        phase, seconds = self.state.phase, self.settings.seconds
+        if phase == "done":
+            return 1.0
+        steps = self._steps()[phase]
+        done = self.state.step / steps if steps else 1.0
+        if seconds > 0:
+            share = TIME["recolour" if self.style is None else "style"][phase]
+            done = max(done, self.state.seconds / (seconds * share))
+        return min(1.0, done)
+
+    @property
+    def whole_progress(self) -> float:
+        """Done share of all steps, 0..1."""
+        steps, done = self._steps(), 0.0
+        for phase, count in steps.items():
+            if phase == self.state.phase:
+                return (done + self.progress * count) / max(1, sum(steps.values()))
+            done += count
+        return 1.0
+
+    def step(self) -> dict[str, float]:
+        """One view; the parts of the loss."""
+        number = list(self._steps()).index(self.state.phase)
+        generator = np.random.default_rng([self.seed, 3, number, self.state.step])
+        at = self._view_of_step(number)
+        view, pictured = self.views[at], self.style is not None and self.state.phase != "palette"
+        rows = np.arange(len(view))
+        if not pictured and len(view) > self.settings.pixels:
+            rows = generator.integers(0, len(view), self.settings.pixels)
+        # The ray ends somewhere within what it sees: LAENeRF's jitter.
+        jitter = (generator.random((len(rows), 1)) - 0.5).astype(np.float32)
+        phi, basis, target = self.engine.shown(at, rows, jitter)
+        values = self.engine.leaf()
+        mixture = self._module.mix(values, phi, basis, self.engine.kept)
+        parts = self._of_pixels(mixture, target, self._module.palette_of(values))
+        if pictured:
+            parts |= self._of_picture(at, mixture.colours, target)
+        # A part of weight 0 is not even asked for its gradient.
+        weights = {name: getattr(self.settings.weights, name) for name in parts}
+        parts = {name: part for name, part in parts.items() if weights[name]}
+        sum(weights[name] * part for name, part in parts.items()).backward()
+        falling = self.settings.final_rate**self.whole_progress
+        self.engine.step(values, self.settings.rate * falling, self.settings.table_rate * falling)
+        return self.engine.tell(parts)
+
+    def _view_of_step(self, number: int) -> int:
+        """Every view once an epoch, in an order drawn anew for each."""
+        epoch, at = divmod(self.state.step, len(self.views))
+        return int(np.random.default_rng([self.seed, 2, number, epoch]).permutation(len(self.views))[at])
+
+    def _of_pixels(self, mixture: Mixture, target: Tensor, palette: Tensor) -> dict[str, Tensor]:
+        parts = {
+            "reconstruction": palette_losses.reconstruction(mixture.colours, target).mean(),
+            "certainty": palette_losses.uncertainty(mixture.weights).mean(),
+            "offset": palette_losses.offset_size(mixture.offsets).mean(),
+            "valid": palette_losses.outside_gamut(palette),
+        }
+        if self.settings.weights.uniform:
+            parts["uniform"] = palette_losses.largest_share(mixture.weights)
+        if self.settings.weights.distinct:
+            kept = self.engine.kept
+            active = torch.from_numpy(np.flatnonzero(self._module.active)) if kept is None else kept
+            parts["distinct"] = palette_losses.likeness(palette[active])
+        return parts
+
+    def _of_picture(self, at: int, colours: Tensor, target: Tensor) -> dict[str, Tensor]:
+        if at not in self._pictured:
+            view, device = self.views[at], self.engine.device
+            transition = torch.from_numpy(view.transition).to(device)
+            self._pictured[at] = Neighbours.of(view, device), self.style.canvas(view), transition
+        neighbours, canvas, transition = self._pictured[at]
+        differences = neighbours.differences(colours)
+        return {
+            "style": self.style.distance(colours, canvas),
+            "variation": palette_losses.variation(differences, neighbours),
+            "edges": palette_losses.edge_contrast(differences, neighbours),
+            "smooth": palette_losses.transition_error(colours, target, transition).mean(),
+        }
+
+    # -- the loop ---------------------------------------------------------------------------------------------------
+
+    def run(self, on_step: Callable[["EditTrainer"], None] = lambda trainer: None) -> None:
+        """All phases; on_step is told after every step."""
+        state = self.state
+        while state.phase != "done":
+            # A process's first step of a phase compiles: its time would lower the rates of all that follow.
+            timed = False
+            while self.progress < 1.0:
+                begun, self.between_steps = time.perf_counter(), False
+                parts = self.step()
+                self._refuse_nan(parts)
+                state.seconds += (time.perf_counter() - begun) * timed
+                state.step, timed = state.step + 1, True
+                if state.step % 10 == 0:
+                    rounded = {k: round(v, 6) for k, v in parts.items()}
+                    seconds = round(state.seconds, 2)
+                    state.curve.append({"phase": state.phase, "step": state.step, "seconds": seconds, **rounded})
+                self.between_steps = True
+                on_step(self)
+            self._refuse_nan(self.engine.settle())
+            self._next_phase()
+
+    def _refuse_nan(self, parts: dict[str, float]) -> None:
+        if not all(math.isfinite(value) for value in parts.values()):
+            state = self.state
+            raise Diverged(f"{state.phase} step {state.step}: the loss left the finite numbers ({parts})")
+
+    def _next_phase(self) -> None:
+        state, phases = self.state, [*self._steps(), "done"]
+        following = phases[phases.index(state.phase) + 1]
+        self.between_steps = False  # half of this change would make a checkpoint of neither phase
+        if following == "pruned":
+            shares = shares_of(self.asked, self.views, self.chunks)
+            self._module.active = kept_colours(self._module.active, shares, self.settings.most_colours)
+        state.spent[state.phase] = round(state.seconds, 3)
+        state.phase, state.step, state.seconds = following, 0, 0.0
+        self.between_steps = True
+
+    def figures(self) -> dict:
+        """As figures_of, and the seconds of each phase that is over."""
+        seconds = {phase: round(seconds, 2) for phase, seconds in self.state.spent.items()}
+        return {**figures_of(self.asked, self.views, self.chunks), "seconds": seconds}
+
+    def checkpoint(self) -> tuple[dict, dict[str, np.ndarray]]:
+        """(JSON, arrays) to go on from."""
+        arrays = {f"module.{k}": v.copy() for k, v in self.module.arrays().items()}
+        arrays["active"] = self._module.active.copy()
+        return {"state": vars(self.state)}, arrays | self.engine.moments()
+
+    def resume(self, data: dict, arrays: dict[str, np.ndarray]) -> None:
+        """From checkpoint(), of whichever device."""
+        self.state = EditState(**data["state"])
+        self._module.active = validation.array(arrays, "active", bool, self._module.active.shape).copy()
+        for name, values in self._module.arrays().items():
+            values[:] = arrays[f"module.{name}"]
+        self.engine.resume(arrays)

@@ -1,0 +1,163 @@
+"""What the fine-tuning loop asks of whatever holds its field: to learn from chosen pixels.
+
+The loop (stylerf/training/finetune/trainer.py) decides which pixels and how fast; an engine does the work, on the CPU (here) or
+on a GPU (stylerf/training/finetune/engine_gpu.py). Both are given the same pixels.
+"""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from stylerf.fields.radiance_field import RadianceField
+from stylerf.fields.ray_samples import Rays
+from stylerf.fields.region_color import PatchColour
+from stylerf.fields.scratch_arena import Memory
+from stylerf.rendering.rays import backward, render_rays
+from stylerf.training.common.adam import Adam
+from stylerf.training.common.process_group import ALONE, Ranks
+from stylerf.training.common.ray_dataset import RayBank, unhidden
+
+
+@dataclass(frozen=True)
+class FineTuneSettings:
+    """seconds: budget, or steps if > 0. rays: of a step. inside: share of them through edited pixels.
+
+    rate: per step, of the colours and (times density_factor) of the density, falling to final_rate of itself;
+    density_factor 0 keeps the shapes. depth_weight: of the squared difference of sum(w t) from the depth before the
+    edit, in units of that depth, at edited pixels. background: level of grey behind the field. smoothness, even_from:
+    as in FitSettings.
+    """
+
+    seconds: float = 60.0
+    steps: int = 0
+    rays: int = 6144
+    inside: float = 0.4
+    beside: float = 0.3
+    rate: float = 5e-3
+    density_factor: float = 0.3
+    final_rate: float = 0.05
+    depth_weight: float = 1e-3
+    background: float = 1.0
+    smoothness: float = 0.0
+    even_from: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class TuningBatch:
+    """This process's pixels of one step, edited ones first: views, row-major pixels, jitter of their rays [n].
+
+    depth [m]: known of the first m, the edited ones. inside: edited ones of all processes. smoothness: its strength,
+    0: none.
+    """
+
+    views: np.ndarray
+    pixels: np.ndarray
+    jitter: np.ndarray
+    depth: np.ndarray
+    inside: int
+    rate: float
+    smoothness: float
+
+
+class TuningEngine(Protocol):
+    """field: as it now stands, its arrays up to date."""
+
+    field: RadianceField
+
+    def learn(self, batch: TuningBatch) -> dict[str, float]:
+        """One step of the optimisers; mean squared errors of colours outside and inside the edit, and of depths.
+
+        A GPU's are those of the newest step that it has finished; nothing before the first.
+        """
+
+    def settle(self) -> dict[str, float]:
+        """Those of the last step, waiting for it where need be."""
+
+    def moments(self) -> dict[str, np.ndarray]:
+        """What the optimisers remember, by name."""
+
+    def resume(self, moments: dict[str, np.ndarray]) -> None:
+        """Go on from the field's arrays as somebody has set them, and from moments()."""
+
+
+def parts_of(sums: np.ndarray, of: np.ndarray) -> dict[str, float]:
+    """Means by name, of sums over rays outside the edit, inside it, and of depths inside it."""
+    return dict(zip(("outside", "inside", "depth"), (sums / np.maximum(of, 1)).tolist(), strict=True))
+
+
+class CpuTuning:
+    """numba kernels on `chunks` threads; the same seed gives the same bits."""
+
+    def __init__(
+        self, field: RadianceField, bank: RayBank, settings: FineTuneSettings, chunks: int, ranks: Ranks = ALONE
+    ) -> None:
+        self.field, self.bank, self.settings, self.chunks, self.ranks = field, bank, settings, chunks, ranks
+        self.colour_adam = Adam(field.colour.values, field.colour.groups(), chunks)
+        self.density_adam = Adam(field.density.values, field.density.groups(), chunks)
+        self._last: dict[str, float] = {}
+        self._memory = Memory()
+
+    def learn(self, batch: TuningBatch) -> dict[str, float]:
+        with self._memory.round():
+            return self._learn(batch)
+
+    def _learn(self, batch: TuningBatch) -> dict[str, float]:
+        s, field, edited = self.settings, self.field, len(batch.depth)
+        moving = s.density_factor > 0
+        origins, directions, colours = self.bank.at(batch.views, batch.pixels)
+        rays = Rays.of(origins, directions, field.space.near, batch.jitter)
+        rendered = render_rays(field, rays, chunks=self.chunks)
+        out, level = rendered.out, np.float32(s.background)
+        found = out[:, :3] + (1 - out[:, 3:4]) * level
+        if field.closed and self.bank.channels == 4:
+            colours = unhidden(colours, found)
+        difference = found - (colours[:, :3] * colours[:, 3:] + (1 - colours[:, 3:]) * level)
+        gradients = np.zeros_like(out)
+        gradients[:, :3] = difference * np.float32(2 / (3 * s.rays))
+        gradients[:, 3] = -level * gradients[:, :3].sum(1)
+        if field.colour_map is not None:
+            # The map comes after compositing: rgb' = A rgb + alpha b.
+            matrix, offset = field.colour_map.matrix.numpy(), field.colour_map.offset.numpy()
+            gradients[:, 3] += gradients[:, :3] @ offset.astype(np.float32)
+            gradients[:, :3] = gradients[:, :3] @ matrix.astype(np.float32)
+        depth_error = 0.0
+        if edited and moving and s.depth_weight > 0:
+            known = np.maximum(batch.depth, np.float32(1e-6))
+            off = out[:edited, 4] / known - 1
+            gradients[:edited, 4] = (2 * s.depth_weight / batch.inside) * off / known
+            depth_error = float(np.square(off).sum())
+        density_to = self.density_adam.gradients if moving else None
+        within = field.colour.marked if isinstance(field.colour, PatchColour) else None
+        to = density_to, self.colour_adam.gradients
+        backward(field, rendered, gradients, *to, even_from=s.even_from, density_within=within)
+        self._step(batch, moving)
+        squares = np.square(difference).mean(1)
+        sums = np.array([squares[edited:].sum(), squares[:edited].sum(), depth_error], np.float64)
+        self.ranks.add(sums)
+        self._last = parts_of(sums, np.array([s.rays - batch.inside, batch.inside, batch.inside]))
+        return self._last
+
+    def _step(self, batch: TuningBatch, moving: bool) -> None:
+        """Both optimisers, where the density moves, on gradients of all processes."""
+        if batch.smoothness > 0 and self.ranks.first:
+            self.field.colour.smooth(batch.smoothness, self.colour_adam.gradients[0])
+            if moving:
+                self.field.density.smooth(batch.smoothness, self.density_adam.gradients[0])
+        self.ranks.add_gradients(self.colour_adam.gradients)
+        if moving:
+            self.ranks.add_gradients(self.density_adam.gradients)
+        self.colour_adam.step(batch.rate)
+        if moving:
+            self.density_adam.step(batch.rate * self.settings.density_factor)
+
+    def settle(self) -> dict[str, float]:
+        return self._last
+
+    def moments(self) -> dict[str, np.ndarray]:
+        both = ("density", self.density_adam), ("colour", self.colour_adam)
+        return {f"{name}.{k}": v.copy() for name, adam in both for k, v in adam.arrays().items()}
+
+    def resume(self, moments: dict[str, np.ndarray]) -> None:
+        for name, adam in (("density", self.density_adam), ("colour", self.colour_adam)):
+            adam.restore({k: moments[f"{name}.{k}"] for k in ("first", "second", "steps")})

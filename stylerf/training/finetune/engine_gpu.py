@@ -1,0 +1,110 @@
+"""The fine-tuning loop's engine on a GPU: field, photos, gradients and moments stay there, pixels are named to it.
+
+A step sends a number and a jitter for each ray, about seventy kilobytes, and waits for nothing.
+"""
+
+import numpy as np
+import torch
+
+from stylerf.fields.gpu.field import DeviceField, marked_cells
+from stylerf.fields.radiance_field import RadianceField
+from stylerf.fields.region_color import PatchColour
+from stylerf.kernels.gpu import launch_edit
+from stylerf.rendering.rays import SAMPLE_LIMIT
+from stylerf.training.common.async_readback import Reports, sent
+from stylerf.training.common.process_group import ALONE, Ranks
+from stylerf.training.common.ray_dataset import RayBank
+from stylerf.training.common.ray_dataset_gpu import DeviceBank, unhidden
+from stylerf.training.finetune.engine import FineTuneSettings, TuningBatch, parts_of
+from stylerf.training.fit.engine_gpu import DeviceAdam
+
+# Samples there is room for: all that the rays could have, up to a gigabyte. Rays beyond take no part in their step.
+MOST_ROOM = 1 << 24
+
+
+class DeviceTuning:
+    """stylerf/training/finetune/engine.py's CpuTuning on `device`: from the same pixels the same, to rounding."""
+
+    def __init__(
+        self, field: RadianceField, bank: RayBank, settings: FineTuneSettings, device: torch.device | str,
+        ranks: Ranks = ALONE,
+    ) -> None:  # fmt: skip
+        self.device, self.settings, self.ranks = torch.device(device), settings, ranks
+        self.bank = DeviceBank(bank, self.device)
+        self._host = field
+        self._within = None
+        if isinstance(field.colour, PatchColour):
+            self._within = marked_cells(field.colour.marked, self.device), field.colour.cells
+        self._reports = Reports(self.device, 5, self._told, {}, in_step=ranks.count > 1)
+        self._take_up()
+
+    def _take_up(self) -> None:
+        """The host's arrays, moments at zero."""
+        self._stale = False
+        self.live = DeviceField(self._host, self.device)
+        self.colour_adam = DeviceAdam(self.live.colour.values, self.live.colour.groups)
+        self.density_adam = DeviceAdam(self.live.density.values, self.live.density.groups)
+
+    @property
+    def field(self) -> RadianceField:
+        if self._stale:
+            # The occupancy stays as it is: see the loop.
+            for own, learnt in ((self._host.colour, self.live.colour), (self._host.density, self.live.density)):
+                own.values[:] = learnt.values.cpu().numpy()
+            self._stale = False
+        return self._host
+
+    def learn(self, batch: TuningBatch) -> dict[str, float]:
+        s, field, sums = self.settings, self.live, self._reports.begin()
+        moving = s.density_factor > 0
+        numbers = self.bank.number_of(batch.views, batch.pixels)
+        chosen, jitter, depth = (
+            sent(array, self.device) for array in (numbers, batch.jitter, batch.depth.astype(np.float32))
+        )
+        rays, wanted = self.bank.at(chosen, jitter)
+        rendered = field.render_rays(rays, room=min(len(chosen) * SAMPLE_LIMIT, MOST_ROOM), limit=SAMPLE_LIMIT)
+        if field.closed and self.bank.channels == 4:
+            wanted = unhidden(wanted, rendered.out, s.background)
+        pulling = 2 * s.depth_weight / batch.inside if moving and batch.inside else 0.0
+        scale = 2 / (3 * s.rays)
+        gradients = launch_edit.tuning_loss(
+            rendered.out, wanted, depth, rendered.samples, s.background, scale, pulling, sums
+        )
+        if field.colour_map is not None:
+            # The map comes after compositing: rgb' = A rgb + alpha b.
+            matrix, offset = field.colour_map
+            gradients[:, 3] += gradients[:, :3] @ offset
+            gradients[:, :3] = gradients[:, :3] @ matrix
+        to = self.density_adam.gradients if moving else None, self.colour_adam.gradients
+        field.backward(rendered, gradients, *to, even_from=s.even_from, density_within=self._within)
+        for part, adam, factor in self._taught():
+            if batch.smoothness > 0 and self.ranks.first:
+                part.smooth(batch.smoothness, adam.gradients)
+            self.ranks.add(adam.gradients)
+            adam.step(batch.rate * factor)
+        self.ranks.add(sums)
+        self._stale = True
+        return self._reports.send(batch.inside)
+
+    def _taught(self) -> list[tuple]:
+        """(part, its optimiser, its rate over that of the colours) of what learns."""
+        colour = self.live.colour, self.colour_adam, 1.0
+        density = self.live.density, self.density_adam, self.settings.density_factor
+        return [colour, density] if density[2] > 0 else [colour]
+
+    def _told(self, sums: list[float], inside: int) -> dict[str, float]:
+        outside, within, depth, lost_outside, lost_inside = sums
+        of = np.array([self.settings.rays - inside - lost_outside, inside - lost_inside, inside - lost_inside])
+        return parts_of(np.array([outside / 3, within / 3, depth]), of)
+
+    def settle(self) -> dict[str, float]:
+        return self._reports.settle()
+
+    def moments(self) -> dict[str, np.ndarray]:
+        both = ("density", self.density_adam), ("colour", self.colour_adam)
+        return {f"{name}.{k}": v for name, adam in both for k, v in adam.arrays().items()}
+
+    def resume(self, moments: dict[str, np.ndarray]) -> None:
+        self._take_up()
+        for name, adam in (("density", self.density_adam), ("colour", self.colour_adam)):
+            adam.restore({k: moments[f"{name}.{k}"] for k in ("first", "second", "steps")})

@@ -1,0 +1,263 @@
+"""What the fitting loop asks of whatever holds its field: to learn from a batch, to judge, to look where density is.
+
+The loop (stylerf/training/fit/fitter.py) decides: when to grow, to go back, how fast to learn. An engine does the work, on the
+CPU (here) or on a GPU (stylerf/training/fit/engine_gpu.py).
+"""
+
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Protocol
+
+import numpy as np
+
+from stylerf.fields.radiance_field import RadianceField
+from stylerf.fields.ray_samples import Rays
+from stylerf.fields.scratch_arena import Memory
+from stylerf.rendering.rays import backward, render_rays, seen
+from stylerf.training.common.adam import Adam
+from stylerf.training.common.process_group import ALONE, Ranks
+from stylerf.training.common.ray_dataset import RayBank, unhidden
+
+
+@dataclass(frozen=True)
+class Batch:
+    """One step: `rays` random rays of the first `among` views, worked off in `parts`; `step` and seed decide which.
+
+    lit_share: part of the rays near something opaque. background: white, black, random or none. smoothness: strengths
+    (density, colour) of the planes' total variation, 0: none. even_from, opacity, coverage: see FitSettings.
+    """
+
+    step: int
+    rays: int
+    parts: int
+    among: int
+    lit_share: float
+    background: str
+    rate: float
+    smoothness: tuple[float, float]
+    even_from: float
+    opacity: float = 0.0
+    coverage: float = 0.0
+
+
+@dataclass(frozen=True)
+class Learnt:
+    """Mean squared error of a batch and samples a ray. A GPU's are those of the newest step that it has finished."""
+
+    error: float
+    live: float
+
+
+class Engine(Protocol):
+    """field: as it now stands, its arrays up to date. most_rays: of a batch.
+
+    Several processes that train together (Ranks) each do their part of a batch: sums are those of all of them.
+    """
+
+    field: RadianceField
+    parameters: int
+    most_rays: int
+
+    def adopt(self, field: RadianceField) -> None:
+        """Go on with this field, moments of the optimiser at zero but of a part that is the very one before."""
+
+    def refresh(self, seed: int, share: int) -> None:
+        """Look anew where the field has density, at one cell in `share`."""
+
+    def learn(self, batch: Batch) -> Learnt:
+        """One step of the optimiser. MemoryError where the batch does not fit; then discard() what was begun."""
+
+    def discard(self) -> None:
+        """Drop gradients that no step has taken."""
+
+    def rendered(self, origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
+        """[rays, 5] float32: premultiplied colour, alpha and distance of what they show, of rays without jitter."""
+
+    def follow_exposure(self) -> None:
+        """Take photos for what the codes of the loop's bank say now."""
+
+    def settle(self) -> None:
+        """Wait for the steps under way: what asks for their result takes them for its own time."""
+
+    def agree(self) -> None:
+        """Take the first process's values: what unlike processors round otherwise must not add up."""
+
+    def moments(self) -> dict[str, np.ndarray]:
+        """What the optimisers remember, by name."""
+
+    def restore_moments(self, arrays: dict[str, np.ndarray]) -> None:
+        """From moments(), for the field adopted last."""
+
+    def warm_up(self, scratch: list[RadianceField], smoothness: tuple[float, float], even_from: float) -> None:
+        """Compile every kernel that a step uses on fields like these, which may be spoiled, without learning."""
+
+
+def background_of(kind: str, count: int, generator: np.random.Generator | None) -> np.ndarray:
+    """[count, 3] float32; `random` is white where there is no generator: where a field is judged."""
+    if kind == "random" and generator is not None:
+        return generator.random((count, 3), dtype=np.float32)
+    level = 0.0 if kind in ("black", "none") else 1.0
+    return np.full((count, 3), level, np.float32)
+
+
+def over(rgb: np.ndarray, alpha: np.ndarray, background: np.ndarray) -> np.ndarray:
+    """Premultiplied rgb over a background."""
+    return rgb + (1 - alpha) * background
+
+
+def target(colours: np.ndarray, background: np.ndarray) -> np.ndarray:
+    """Straight rgba over a background."""
+    return colours[:, :3] * colours[:, 3:] + (1 - colours[:, 3:]) * background
+
+
+def opacity_gradient(alpha: np.ndarray, weight: float, rays: int) -> np.ndarray:
+    """d/d(alpha) of weight * mean(4 alpha (1 - alpha)) over `rays`: rays [n] are asked to be clear or opaque.
+
+    A haze that few views would let stand for a surface costs most at alpha = 1/2; clear air and solids cost nothing.
+    """
+    return (np.float32(4 * weight / rays) * (1 - 2 * np.clip(alpha, 0, 1))).astype(np.float32)
+
+
+def coverage_gradient(alpha: np.ndarray, wanted: np.ndarray, weight: float, rays: int) -> np.ndarray:
+    """d/d(alpha) of weight * mean((alpha - wanted)^2) over `rays`: how much of each pixel [n] is covered.
+
+    On a background of one colour, matter of that colour costs nothing. Random backgrounds tell it by noise: the mean of
+    their squared error is that on mid-grey plus a twelfth of the alphas'.
+    """
+    return (np.float32(2 * weight / rays) * (alpha - wanted)).astype(np.float32)
+
+
+def parts_of(start: int, stop: int, parts: int) -> list[slice]:
+    """start..stop cut into `parts` of about one size; those that would be empty are left out."""
+    edges = [start + (stop - start) * i // parts for i in range(parts + 1)]
+    return [slice(first, end) for first, end in pairwise(edges) if first < end]
+
+
+class CpuEngine:
+    """numba kernels on `chunks` threads; the same seed gives the same bits."""
+
+    most_rays = 16384
+
+    def __init__(
+        self,
+        bank: RayBank,
+        seed: int,
+        chunks: int,
+        field: RadianceField,
+        ranks: Ranks = ALONE,
+        clip: float = 0.0,
+    ) -> None:
+        self.bank, self.seed, self.chunks, self.ranks, self.clip = bank, seed, chunks, ranks, clip
+        self.density_adam = self.colour_adam = None
+        self._memory = Memory()
+        self.adopt(field)
+
+    def adopt(self, field: RadianceField) -> None:
+        self.field = field
+        self.density_adam = self._adam_of(field.density, self.density_adam)
+        self.colour_adam = self._adam_of(field.colour, self.colour_adam)
+
+    def _adam_of(self, part, before: Adam | None) -> Adam:
+        if before is not None and before.values is part.values:
+            return before
+        return Adam(part.values, part.groups(), self.chunks, self.clip)
+
+    @property
+    def parameters(self) -> int:
+        return self.field.parameters
+
+    def refresh(self, seed: int, share: int) -> None:
+        field = self.field
+        field.occupancy.refresh(lambda x: field.density.sigma(x, self.chunks), field.step, seed, share, 0.9)
+
+    def learn(self, batch: Batch) -> Learnt:
+        generator = np.random.default_rng([self.seed, 4, batch.step])
+        count, near, own = batch.rays, self.field.space.near, self.ranks.own(batch.rays)
+        origins, directions, colours, _ = self.bank.draw(count, generator, batch.among, batch.lit_share, own)
+        jitter = generator.random(count, dtype=np.float32)[own]
+        background = background_of(batch.background, count, generator)[own]
+        error, live = 0.0, 0
+        for part in parts_of(0, len(origins), batch.parts):
+            rays = Rays.of(origins[part], directions[part], near, jitter[part])
+            with self._memory.round():
+                squares, samples = self._learn_part(batch, rays, colours[part], background[part])
+            error += squares
+            live += samples
+        both = (self.field.density, self.density_adam), (self.field.colour, self.colour_adam)
+        for strength, (part, adam) in zip(batch.smoothness, both):
+            if strength > 0 and self.ranks.first:
+                part.smooth(strength, adam.gradients[0])
+        totals = np.array([error, live], np.float64)
+        self.ranks.add(totals)
+        for adam in (self.density_adam, self.colour_adam):
+            self.ranks.add_gradients(adam.gradients)
+        self.density_adam.step(batch.rate)
+        self.colour_adam.step(batch.rate)
+        error, live = totals.tolist()
+        return Learnt(error / (3 * count), live / count)
+
+    def _learn_part(self, batch: Batch, rays: Rays, colours, back) -> tuple[float, int]:
+        """Add the gradients of some rays of a batch; the sum of their squared errors, and their samples."""
+        count = batch.rays
+        rendered = render_rays(self.field, rays, chunks=self.chunks)
+        out = rendered.out
+        found = over(out[:, :3], out[:, 3:4], back)
+        if self.field.closed and self.bank.channels == 4:
+            colours = unhidden(colours, found)
+        difference = found - target(colours, back)
+        gradients = np.zeros_like(out)
+        gradients[:, :3] = difference * np.float32(2 / (3 * count))
+        gradients[:, 3] = -(gradients[:, :3] * back).sum(1)
+        if batch.opacity > 0:
+            gradients[:, 3] += opacity_gradient(out[:, 3], batch.opacity, count)
+        if batch.coverage > 0:
+            gradients[:, 3] += coverage_gradient(out[:, 3], colours[:, 3], batch.coverage, count)
+        to = self.density_adam.gradients, self.colour_adam.gradients
+        backward(self.field, rendered, gradients, *to, even_from=batch.even_from)
+        return float(np.square(difference).sum()), rendered.samples.count
+
+    def discard(self) -> None:
+        self._memory = Memory()  # what was kept for batches of this size is needed for smaller ones
+        self.density_adam.gradients[:] = 0
+        self.colour_adam.gradients[:] = 0
+
+    def rendered(self, origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
+        found = np.zeros((len(origins), 5), np.float32)
+        for begin in range(4096 * self.ranks.place, len(origins), 4096 * self.ranks.count):
+            part = slice(begin, begin + 4096)
+            rays = Rays.of(origins[part], directions[part], self.field.space.near)
+            with self._memory.round():
+                found[part] = seen(render_rays(self.field, rays, chunks=self.chunks), self.chunks)
+        self.ranks.add(found)
+        return found
+
+    def follow_exposure(self) -> None: ...  # the bank is the loop's own
+
+    def settle(self) -> None: ...
+
+    def agree(self) -> None:
+        for part in (self.field.density, self.field.colour):
+            self.ranks.take_first(part.values)
+
+    def moments(self) -> dict[str, np.ndarray]:
+        both = ("density", self.density_adam), ("colour", self.colour_adam)
+        return {f"{name}.{k}": v for name, adam in both for k, v in adam.arrays().items()}
+
+    def restore_moments(self, arrays: dict[str, np.ndarray]) -> None:
+        for name, adam in (("density", self.density_adam), ("colour", self.colour_adam)):
+            adam.restore({k: arrays[f"{name}.{k}"] for k in ("first", "second", "steps")})
+
+    def warm_up(self, scratch: list[RadianceField], smoothness: tuple[float, float], even_from: float) -> None:
+        origins, directions, _, _ = self.bank.draw(16, np.random.default_rng(0))
+        rays = Rays.of(origins, directions, self.field.space.near)
+        for field in scratch:
+            field.occupancy.refresh(lambda x, d=field.density: d.sigma(x, self.chunks), field.step, 0, 1, 0.9)
+            rendered = render_rays(field, rays, chunks=self.chunks)
+            parts = field.density, field.colour
+            adams = [Adam(part.values, part.groups(), self.chunks) for part in parts]
+            to = adams[0].gradients, adams[1].gradients
+            backward(field, rendered, np.ones_like(rendered.out), *to, even_from=even_from)
+            for part, adam, weight in zip(parts, adams, smoothness):
+                if weight > 0:
+                    part.smooth(weight, adam.gradients[0])
+                adam.step(1e-3)

@@ -1,0 +1,273 @@
+"""The fitting loop's engine on a GPU: field, photos, rays, gradients and moments stay on the device.
+
+A step is about fifteen launches, none of which waits. What the loop wants to know of a step, its error and its number
+of samples, comes back by itself a few steps later (async_readback.py).
+"""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from stylerf.fields.gpu.field import DeviceField, DeviceRays, DeviceRendered
+from stylerf.fields.gpu.occupancy_grid import decide, refresh
+from stylerf.fields.radiance_field import RadianceField
+from stylerf.kernels.gpu import launch
+from stylerf.training.common.adam import BETA1, BETA2, EPSILON, UNKNOWN
+from stylerf.training.common.async_readback import Reports
+from stylerf.training.common.process_group import ALONE, Ranks
+from stylerf.training.common.ray_dataset import RayBank
+from stylerf.training.common.ray_dataset_gpu import DeviceBank, unhidden
+from stylerf.training.fit.engine import Batch, Learnt, parts_of
+
+ROOM = 4  # times the samples that a batch is meant to have; rays beyond that are left out of the step
+LEAST_ROOM = 1 << 18
+
+
+class DeviceAdam:
+    """stylerf/training/common/adam.py's Adam, on tensors: one gradient buffer, added to by atomics."""
+
+    def __init__(self, values: Tensor, groups: list[tuple[int, int, float]], clip: float = 0.0) -> None:
+        self.values, self.groups, self.clip = values, groups, clip
+        self.gradients, self.first, self.second = (torch.zeros_like(values) for _ in range(3))
+        self.usual = torch.zeros((), dtype=torch.float64, device=values.device)
+        self.steps = 0
+
+    def step(self, rate: float) -> None:
+        """One update with learning rate `rate` times each group's factor; clears the gradients."""
+        if self.clip > 0:
+            self.usual = clipped(self.gradients, self.clip, self.usual, self.steps)
+        self.steps += 1
+        corrections = 1 - BETA1**self.steps, 1 - BETA2**self.steps
+        for begin, end, factor in _joined(self.groups):
+            launch.adam(
+                self.values, self.gradients, self.first, self.second, rate * factor, (BETA1, BETA2), EPSILON,
+                corrections, begin, end,
+            )  # fmt: skip
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """What a checkpoint needs beside the values."""
+        moments = {"first": self.first.cpu().numpy(), "second": self.second.cpu().numpy()}
+        return moments | {"steps": np.asarray([self.steps, float(self.usual)])}
+
+    def restore(self, arrays: dict[str, np.ndarray]) -> None:
+        """From arrays()."""
+        self.first.copy_(torch.from_numpy(arrays["first"]))
+        self.second.copy_(torch.from_numpy(arrays["second"]))
+        self.steps = int(arrays["steps"][0])
+        self.usual.fill_(float(arrays["steps"][1]) if len(arrays["steps"]) > 1 else 0.0)
+
+
+def clipped(gradients: Tensor, clip: float, usual: Tensor, steps: int) -> Tensor:
+    """As adam.py's, of gradients [n]; nothing of it is asked of the host."""
+    length = torch.linalg.vector_norm(gradients, dtype=torch.float64)
+    tells, known = torch.isfinite(length) & (length > 0), usual > 0
+    shortened = torch.minimum(length, clip * usual) if steps >= UNKNOWN else length
+    shortened = torch.where(known, shortened, length)
+    share = torch.where(length > 0, shortened / length, 1.0)
+    gradients.mul_(torch.where(torch.isfinite(length), share, 0.0).to(gradients.dtype)).nan_to_num_(0.0, 0.0, 0.0)
+    newest = 0.1 if steps >= UNKNOWN else 1 / (steps + 1)
+    return torch.where(tells, torch.where(known, usual + newest * (shortened - usual), shortened), usual)
+
+
+def opacity_gradient(rendered: DeviceRendered, weight: float, rays: int) -> Tensor:
+    """As engine.py's, of a part of `rays` rays; those that found no room teach nothing."""
+    return torch.where(_whole(rendered), (4 * weight / rays) * (1 - 2 * rendered.out[:, 3].clamp(0, 1)), 0.0)
+
+
+def coverage_gradient(rendered: DeviceRendered, wanted: Tensor, weight: float, rays: int) -> Tensor:
+    """As engine.py's, likewise."""
+    return torch.where(_whole(rendered), (2 * weight / rays) * (rendered.out[:, 3] - wanted), 0.0)
+
+
+def _whole(rendered: DeviceRendered) -> Tensor:
+    """Rays whose samples have all found room."""
+    s = rendered.samples
+    return s.counts == s.ends - s.starts
+
+
+@contextmanager
+def out_of_memory() -> Iterator[None]:
+    """A device's lack of memory as the loop knows it: MemoryError."""
+    try:
+        yield
+    except torch.OutOfMemoryError as error:
+        torch.cuda.empty_cache()
+        raise MemoryError(str(error)) from error
+
+
+def _joined(groups: list[tuple[int, int, float]]) -> list[tuple[int, int, float]]:
+    """Neighbouring groups of one factor as one: a launch less. A run of eight may then span both."""
+    joined: list[tuple[int, int, float]] = []
+    for begin, end, factor in groups:
+        if joined and joined[-1][1] == begin and joined[-1][2] == factor:
+            joined[-1] = joined[-1][0], end, factor
+        else:
+            joined.append((begin, end, factor))
+    return joined
+
+
+def _learnt(sums: list[float], rays: int) -> Learnt:
+    """Of (squared error, samples, rays left out) of a step."""
+    error, samples, left_out = sums
+    # Rays that found no room show that there were more samples than were counted.
+    rays = max(1.0, rays - left_out)
+    return Learnt(error / (3 * rays), samples / rays)
+
+
+class DeviceEngine:
+    """stylerf/training/fit/engine.py's Engine on `device`. samples: what the loop aims at in a batch (FitSettings).
+
+    Of several processes each has a device of its own; gradients are summed there.
+    """
+
+    most_rays = 1 << 17
+
+    def __init__(
+        self,
+        bank: RayBank,
+        seed: int,
+        chunks: int,
+        field: RadianceField,
+        ranks: Ranks = ALONE,
+        *,
+        device: torch.device | str,
+        samples: int,
+        clip: float = 0.0,
+    ) -> None:
+        self.device, self.ranks, self.clip = torch.device(device), ranks, clip
+        self.bank, self.seed = DeviceBank(bank, self.device), seed
+        self._parts, self.density_adam, self.colour_adam = (None, None), None, None
+        self.room = max(LEAST_ROOM if self.device.type == "cuda" else 0, ROOM * samples)
+        self.adopt(field)
+
+    def adopt(self, field: RadianceField) -> None:
+        self._host, self._stale = field, False
+        self.live = DeviceField(field, self.device)
+        parts = field.density, field.colour
+        kept = [old is part for old, part in zip(self._parts, parts)]
+        self.density_adam = self._adam_of(self.live.density, self.density_adam if kept[0] else None)
+        self.colour_adam = self._adam_of(self.live.colour, self.colour_adam if kept[1] else None)
+        self._parts = parts
+        self._reports = Reports(self.device, 3, _learnt, Learnt(0.0, 0.0), in_step=True)
+
+    def _adam_of(self, part, before: DeviceAdam | None) -> DeviceAdam:
+        """Of a part's new tensors; `before` is that of the same part."""
+        adam = DeviceAdam(part.values, part.groups, self.clip)
+        if before is not None:
+            adam.first, adam.second, adam.usual, adam.steps = before.first, before.second, before.usual, before.steps
+        return adam
+
+    @property
+    def field(self) -> RadianceField:
+        if self._stale:
+            self.live.write_to(self._host)
+            self._stale = False
+        return self._host
+
+    @property
+    def parameters(self) -> int:
+        return self._host.parameters
+
+    def refresh(self, seed: int, share: int) -> None:
+        with out_of_memory():
+            refresh(self.live, seed, share, 0.9)
+        self._stale = True
+
+    def learn(self, batch: Batch) -> Learnt:
+        sums = self._reports.begin()
+        with out_of_memory():
+            self._add_gradients(batch, sums)
+        # From here on lack of memory ends the run: a step begun anew would ask the other processes for its sums again.
+        for summed in (sums, self.density_adam.gradients, self.colour_adam.gradients):
+            self.ranks.add(summed)
+        self.density_adam.step(batch.rate)
+        self.colour_adam.step(batch.rate)
+        self._stale = True
+        return self._reports.send(batch.rays)
+
+    def _add_gradients(self, batch: Batch, sums: Tensor) -> None:
+        """Those of this process's part of the rays, and of the smoothness, to the optimisers'; the rest to sums [3]."""
+        field = self.live
+        seed = (self.seed * 1_000_003 + batch.step) & 0x7FFFFFFF
+        level = None if batch.background == "random" else 0.0 if batch.background in ("black", "none") else 1.0
+        own = self.ranks.own(batch.rays)
+        for part in parts_of(own.start, own.stop, batch.parts):
+            drawn = self.bank.draw(
+                seed, part.start, part.stop - part.start, batch.rays, batch.among, batch.lit_share, level
+            )
+            rendered = field.render_rays(drawn.rays, room=-(-self.room // batch.parts))
+            if field.closed and self.bank.channels == 4:
+                drawn.wanted = unhidden(drawn.wanted, rendered.out, drawn.background)
+            scale = 2 / (3 * batch.rays)
+            gradients = launch.photometric_loss(
+                rendered.out, drawn.wanted, drawn.background, rendered.samples, scale, sums
+            )
+            if batch.opacity > 0:
+                gradients[:, 3] += opacity_gradient(rendered, batch.opacity, batch.rays)
+            if batch.coverage > 0:
+                gradients[:, 3] += coverage_gradient(rendered, drawn.wanted[:, 3], batch.coverage, batch.rays)
+            to = self.density_adam.gradients, self.colour_adam.gradients
+            field.backward(rendered, gradients, *to, even_from=batch.even_from)
+        both = (field.density, self.density_adam), (field.colour, self.colour_adam)
+        for strength, (part, adam) in zip(batch.smoothness, both):
+            if strength > 0 and self.ranks.first:
+                part.smooth(strength, adam.gradients)
+
+    def discard(self) -> None:
+        self.density_adam.gradients.zero_()
+        self.colour_adam.gradients.zero_()
+
+    def rendered(self, origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
+        found = np.empty((len(origins), 5), np.float32)
+        for at in range(0, len(origins), 1 << 16):
+            part = slice(at, at + (1 << 16))
+            rays = DeviceRays.of(origins[part], directions[part], self.device)
+            found[part] = self.live.render_rays(rays).seen().cpu().numpy()
+        return found
+
+    def follow_exposure(self) -> None:
+        self.bank.follow_exposure()
+
+    def settle(self) -> None:
+        self._reports.settle()
+
+    def agree(self) -> None:
+        for part in (self.live.density, self.live.colour):
+            self.ranks.take_first(part.values)
+        if self.ranks.count > 1:  # unlike GPUs draw unlike points to look at
+            self.ranks.take_first(self.live.highest)
+            decide(self.live)
+            self._stale = True
+
+    def moments(self) -> dict[str, np.ndarray]:
+        both = ("density", self.density_adam), ("colour", self.colour_adam)
+        return {f"{name}.{k}": v for name, adam in both for k, v in adam.arrays().items()}
+
+    def restore_moments(self, arrays: dict[str, np.ndarray]) -> None:
+        for name, adam in (("density", self.density_adam), ("colour", self.colour_adam)):
+            adam.restore({k: arrays[f"{name}.{k}"] for k in ("first", "second", "steps")})
+
+    def warm_up(self, scratch: list[RadianceField], smoothness: tuple[float, float], even_from: float) -> None:
+        levels = [None, 1.0]
+        for field in scratch:
+            scratch = DeviceField(field, self.device)
+            adams = [DeviceAdam(part.values, part.groups) for part in (scratch.density, scratch.colour)]
+            refresh(scratch, 0, 1, 0.9)
+            for level in levels:
+                drawn = self.bank.draw(0, 0, 16, 16, self.bank.views, 0.5, level)
+                rendered = scratch.render_rays(drawn.rays, room=16 * 64)
+                sums = torch.zeros(3, device=self.device)
+                gradients = launch.photometric_loss(
+                    rendered.out, drawn.wanted, drawn.background, rendered.samples, 1.0, sums
+                )
+                scratch.backward(rendered, gradients, *(adam.gradients for adam in adams), even_from=even_from)
+            for part, adam, weight in zip((scratch.density, scratch.colour), adams, smoothness):
+                if weight > 0:
+                    part.smooth(weight, adam.gradients)
+                adam.step(1e-3)
+        self.ranks.add(torch.zeros(1, device=self.device))  # the first sum connects the processes' GPUs
+        if self.device.type == "cuda":
+            torch.cuda.synchronize(self.device)

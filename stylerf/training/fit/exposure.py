@@ -1,0 +1,98 @@
+"""Photos whose exposure differs: by how many stops, as surfaces show that several of them see.
+
+A camera that sets its exposure by itself shows one wall bright here and dark there, and a field can but mix them, or
+give each side of the wall a colour of its own. Others learn an appearance a photo beside the field (Martin-Brualla et
+al. 2021); here it is a number a photo, and photos are compared with one another, never with the field, which has learnt
+their differences by then: its depth alone tells where a surface is seen again.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from stylerf.srgb import LUMA, decoded
+from stylerf.training.common.ray_dataset import RayBank
+
+POINTS = 16384  # surface points in all, at least LEAST of them a photo
+LEAST = 64
+OTHERS, TRIED = 3, 12  # photos that each point is looked for in, among so many drawn at random
+DARKEST, BRIGHTEST = 0.03, 0.97  # code values between which light tells of exposure
+CLIPPED = 250  # the byte from which a sensor may have been full
+SOLID = 0.9  # alpha of a surface
+APART = 0.03  # of its distance: by so much a point may lie off the surface that another photo sees there
+ROUNDS = 20
+FEWEST_PHOTOS = 12  # with fewer, depth is no ground to judge by: nothing is done unless asked for
+PLAINLY = 0.27  # stops, standard deviation, from which photos are not as one camera setting gives them
+
+
+class Exposures:
+    """Judges the exposure of a bank's photos at pixels chosen once."""
+
+    def __init__(self, bank: RayBank, seed: int) -> None:
+        self.bank = bank
+        count = len(bank.cameras)
+        generator = np.random.default_rng([seed, 5])
+        self.views = np.repeat(np.arange(count), max(LEAST, POINTS // count))
+        self.pixels = (generator.random(len(self.views)) * bank.sizes[self.views]).astype(np.int64)
+        # Any view but the point's own.
+        self.others = (self.views[:, None] + generator.integers(1, max(count, 2), (len(self.views), TRIED))) % count
+
+    def judged(self, rendered: Callable[[np.ndarray, np.ndarray], np.ndarray], stops: np.ndarray) -> np.ndarray:
+        """[views] stops by which photos are overexposed, their mean 0. stops: what the bank takes them for now.
+
+        rendered: from origins and directions [n, 3] to premultiplied colour, alpha and distance [n, 5].
+        """
+        points, light = self._surfaces(rendered, self.views, self.pixels)[:2]
+        at, others, pixels = self._seen_again(points, np.isfinite(light))
+        found, light_there, distance = self._surfaces(rendered, others, pixels)
+        apart = np.linalg.norm(found - points[at], axis=1)
+        same = np.isfinite(light_there) & (apart < APART * distance)
+        beyond = np.log2(light[at[same]] / light_there[same])
+        return balanced(len(stops), self.views[at[same]], others[same], beyond, stops)
+
+    def _surfaces(self, rendered, views: np.ndarray, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Of pixels [n]: points in the world [n, 3], light that the photos show there, NaN where it tells nothing [n],
+        and the distance [n]."""
+        origins, directions, colours = self.bank.at(views, pixels)
+        out = rendered(origins, directions)
+        distance = out[:, 4]
+        rgb = colours[:, :3]
+        telling = (rgb > DARKEST) & (rgb < np.minimum(self.bank.codes[views, CLIPPED], BRIGHTEST)[:, None])
+        telling = telling.all(1) & (colours[:, 3] > SOLID) & (out[:, 3] > SOLID)
+        light = np.where(telling, decoded(rgb.astype(np.float64)) @ LUMA, np.nan)
+        return origins + directions * distance[:, None], light, distance
+
+    def _seen_again(self, points: np.ndarray, known: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """(point, view, pixel) [m] of the first OTHERS photos that each known point falls into."""
+        pixels = np.full(self.others.shape, -1)
+        by_view = np.argsort(self.others, axis=None, kind="stable")
+        edges = np.searchsorted(self.others.reshape(-1)[by_view], np.arange(len(self.bank.cameras) + 1))
+        for camera, first, end in zip(self.bank.cameras, edges[:-1], edges[1:], strict=True):
+            at, place = np.divmod(by_view[first:end], TRIED)
+            at, place = at[known[at]], place[known[at]]
+            position, depth = camera.project(points[at])
+            column, row = np.floor(np.clip(position, -1, 1e6)).astype(np.int64).T
+            inside = (depth > 0) & (column >= 0) & (column < camera.width) & (row >= 0) & (row < camera.height)
+            pixels[at[inside], place[inside]] = (row * camera.width + column)[inside]
+        seen = pixels >= 0
+        at, place = np.nonzero(seen & (np.cumsum(seen, 1) <= OTHERS))
+        return at, self.others[at, place], pixels[at, place]
+
+
+def balanced(count: int, first: np.ndarray, second: np.ndarray, beyond: np.ndarray, now: np.ndarray) -> np.ndarray:
+    """[count] stops, their mean 0: `now` and what differences `beyond` [n] of photos `first` to photos `second` add.
+
+    Least absolute deviations, by weighted least squares repeated; a photo that nothing tells of stays as it is.
+    """
+    change = np.zeros(count)
+    for _ in range(ROUNDS):
+        weight = 1 / np.maximum(np.abs(change[first] - change[second] - beyond), 0.02)
+        matrix, sums = 1e-3 * np.eye(count), np.zeros(count)
+        np.add.at(matrix, (first, first), weight)
+        np.add.at(matrix, (second, second), weight)
+        np.add.at(matrix, (first, second), -weight)
+        np.add.at(matrix, (second, first), -weight)
+        np.add.at(sums, first, weight * beyond)
+        np.add.at(sums, second, -weight * beyond)
+        change = np.linalg.solve(matrix, sums)
+    return now + change - (now + change).mean()

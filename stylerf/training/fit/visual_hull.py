@@ -1,0 +1,32 @@
+"""What cut-out photos show to be clear: all that lies outside of the object's visual hull (Laurentini 1994)."""
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from stylerf.geometry.cameras import Camera
+from stylerf.geometry.space_warp import Space
+from stylerf.kernels.cpu.visual_hull import count_clear
+
+NOTHING = 8  # alpha, of 255, up to which a pixel shows nothing: what compressed masks leave there
+
+
+def clear_cells(
+    cameras: list[Camera], alphas: Iterable[np.ndarray], space: Space, cells: int, share: float, chunks: int
+) -> np.ndarray:
+    """Cells [cells^3] bool of a box that at least `share` (0..1) of the views that see them, and two, show as clear.
+
+    A view sees a cell if all of it lies in the picture, and shows it as clear if its alpha (uint8 [h, w]) is nothing
+    all over the cell's ball and a pixel around it. One mask that is wrong, or cut off, clears nothing.
+    """
+    corners = space.unwarp(np.array([[0.0, 0, 0], [1, 1, 1]]))
+    low, width = corners[0].astype(np.float32), ((corners[1] - corners[0]) / cells).astype(np.float32)
+    radius = np.float32(np.linalg.norm(width) / 2)
+    seen, clear = np.zeros(cells**3, np.int32), np.zeros(cells**3, np.int32)
+    for camera, alpha in zip(cameras, alphas):
+        sums = np.zeros((camera.height + 1, camera.width + 1), np.int32)
+        np.cumsum(np.cumsum(alpha > NOTHING, 0, dtype=np.int32), 1, out=sums[1:, 1:])
+        pose = np.ascontiguousarray(camera.world_from_camera[:3], np.float32)
+        lens = (np.float32(v) for v in (camera.fx, camera.fy, camera.cx, camera.cy))
+        count_clear(sums, pose, *lens, low, width, cells, radius, chunks, seen, clear)
+    return clear >= np.maximum(2, np.ceil(share * seen))

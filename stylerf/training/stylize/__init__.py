@@ -1,0 +1,1 @@
+"""Stylizing a fitted field: ARF, DeSRF, SNeRF, Ref-NPR and PaletteNeRF."""

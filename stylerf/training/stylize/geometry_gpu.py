@@ -1,0 +1,148 @@
+"""How a stylisation sees its scene on a GPU: fixed surfaces, marched once and kept there, or rays walked anew."""
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from stylerf.fields.gpu.field import COLOUR_KINDS, DeviceField, DeviceRendered
+from stylerf.fields.gpu.memory import free_on, in_parts
+from stylerf.fields.hash_color import HashColour
+from stylerf.fields.packed_surface import Surface
+from stylerf.fields.radiance_field import RadianceField
+from stylerf.geometry.cameras import Camera
+from stylerf.kernels.gpu import launch
+from stylerf.kernels.gpu.launch import DeviceSamples
+from stylerf.rendering.view_gpu import rays_of
+from stylerf.training.common.async_readback import sent
+from stylerf.training.fit.engine_gpu import DeviceAdam
+from stylerf.training.stylize.geometry import OPAQUE, MovingGeometry
+
+RAYS_AT_ONCE = 1 << 17
+MEMORY_BYTES = 8e9  # of kept surfaces, where no GPU says what it has
+
+
+class DeviceFixedGeometry:
+    """stylerf/training/stylize/geometry.py's FixedGeometry: numpy in and out, all between on `device`.
+
+    field.colour is what is taught, from new_adam() on; collect() brings it back. share: part of a ray's largest weight
+    that a sample needs to take part. Surfaces are kept in up to half of the memory that the device has free.
+    """
+
+    def __init__(self, field: RadianceField, cameras: list[Camera], share: float, device: str | torch.device) -> None:
+        self.field, self.cameras, self.share, self.device = field, cameras, share, torch.device(device)
+        self._marched = DeviceField(field, self.device)
+        self.memory_bytes = free_on(self.device, 2 * MEMORY_BYTES) / 2
+        self._kept: dict[int, tuple[Tensor, Tensor, Tensor]] = {}
+        self._last: tuple[int, tuple[Tensor, Tensor, Tensor]] | None = None
+        self._alphas: dict[int, np.ndarray] = {}
+        self._colour = None
+
+    def new_adam(self, clip: float = 0.0) -> DeviceAdam:
+        """An optimiser of field.colour as it now stands, copied to the device. clip: see DeviceAdam."""
+        self._colour = COLOUR_KINDS[self.field.colour.kind](self.field.colour, self.device)
+        return DeviceAdam(self._colour.values, self._colour.groups, clip)
+
+    @property
+    def colour(self):
+        """What is taught, on the device; None before new_adam()."""
+        return self._colour
+
+    def collect(self) -> None:
+        """Bring what was learnt into field.colour."""
+        if self._colour is not None:
+            self.field.colour.values[:] = self._colour.values.cpu().numpy()
+
+    def _samples(self, view: int) -> tuple[Tensor, Tensor, Tensor]:
+        """(offsets [pixels + 1], x [n, 3], weights [n]) of a view, weights scaled so that each ray keeps its alpha."""
+        found = self._kept.get(view)
+        if found is None and self._last is not None and self._last[0] == view:
+            return self._last[1]
+        if found is None:
+            self._last = None
+            found = self._march(self.cameras[view])
+            self._last = view, found
+            held = sum(sum(t.nbytes for t in kept) for kept in self._kept.values())
+            if held + sum(t.nbytes for t in found) <= self.memory_bytes:
+                self._kept[view] = found
+        return found
+
+    def _march(self, camera: Camera) -> tuple[Tensor, Tensor, Tensor]:
+        def part(begin: int, end: int) -> tuple[Tensor, Tensor, Tensor]:
+            rays = rays_of(camera, torch.arange(begin, end, device=self.device))
+            s = self._marched.march(rays, 512, 1e-3, None)
+            ray, n = s.ray_of.long(), len(rays.origins)
+            shown = (s.weights > 0) & (s.weights >= self.share * s.largest[ray])
+            sums = torch.zeros((2, n), device=self.device)
+            sums[0].index_add_(0, ray, s.weights)
+            sums[1].index_add_(0, ray[shown], s.weights[shown])
+            scale = torch.where(sums[1] > 0, sums[0] / sums[1].clamp(min=1e-30), 0.0)
+            counts = torch.zeros(n, dtype=torch.int64, device=self.device).index_add_(0, ray, shown.long())
+            return counts, s.x[shown], s.weights[shown] * scale[ray[shown]]
+
+        pixels = camera.width * camera.height
+        counts, xs, weights = zip(*in_parts(pixels, RAYS_AT_ONCE, part))
+        offsets = torch.zeros(pixels + 1, dtype=torch.int64, device=self.device)
+        torch.cumsum(torch.cat(counts), 0, out=offsets[1:])
+        return offsets, torch.cat(xs), torch.cat(weights)
+
+    def surface(self, view: int) -> Surface:
+        """The samples of a view, on the host."""
+        offsets, x, weights = (t.cpu().numpy() for t in self._samples(view))
+        return Surface(offsets, (x * 65535 + 0.5).astype(np.uint16), weights, self.alpha(view))
+
+    def alpha(self, view: int) -> np.ndarray:
+        """[h, w]."""
+        if view not in self._alphas:
+            camera, (offsets, _, weights) = self.cameras[view], self._samples(view)
+            sums = torch.zeros(len(weights) + 1, dtype=torch.float64, device=self.device)
+            torch.cumsum(weights.double(), 0, out=sums[1:])
+            alpha = (sums[offsets[1:]] - sums[offsets[:-1]]).clamp(0, 1).float()
+            self._alphas[view] = alpha.view(camera.height, camera.width).cpu().numpy()
+        return self._alphas[view]
+
+    def paint(self, view: int, pixels: np.ndarray) -> tuple[np.ndarray, tuple[DeviceSamples, Tensor]]:
+        """Premultiplied rgb [n, 3] of pixels, and what learn() needs."""
+        offsets, x, weights = self._samples(view)
+        chosen = torch.from_numpy(np.ascontiguousarray(pixels)).to(self.device)
+        counts = offsets[chosen + 1] - offsets[chosen]
+        ends = torch.cumsum(counts, 0)
+        starts, n = ends - counts, int(ends[-1]) if len(pixels) else 0
+        ray = torch.repeat_interleave(counts, output_size=n)
+        place = torch.arange(n, device=self.device) + (offsets[chosen] - starts)[ray]
+        zero = torch.zeros(max(n, len(pixels)), device=self.device)
+        own = weights[place].contiguous()
+        samples = DeviceSamples(
+            starts, ends, counts.int(), zero[: len(pixels)], torch.full((1,), n, dtype=torch.int64, device=self.device),
+            zero[:n], zero[:n], x[place].contiguous(), zero[:n], own, ray.int(),
+        )  # fmt: skip
+        plain = isinstance(self.field.colour, HashColour)
+        directions = None if plain else rays_of(self.cameras[view], chosen).directions
+        colours = self._colour.colours(samples, directions, 0.0)
+        return launch.composite(samples, colours)[:, :3].cpu().numpy(), (samples, colours)
+
+    def learn(self, kept: tuple[DeviceSamples, Tensor], gradients: np.ndarray, colour_to: Tensor) -> None:
+        """Add dL/d(colour values), from dL/d(rgb) [n, 3], to the flat buffer."""
+        samples, colours = kept
+        given = torch.from_numpy(np.ascontiguousarray(gradients, np.float32)).to(self.device)
+        to_colours = launch.shade_backward(samples, given)
+        self._colour.backward(samples, None, colours, to_colours, colour_to)
+
+
+class DeviceMovingGeometry(MovingGeometry):
+    """Pixels and their gradients are numpy, all between stays on the device of `deformer`, a DeviceDeformer.
+
+    What is taught are the colours of `still`, a DeviceFixedGeometry, and the deformation.
+    """
+
+    rays_at_once = RAYS_AT_ONCE
+
+    def _rendered(self, camera: Camera, pixels: np.ndarray) -> tuple[np.ndarray, DeviceRendered]:
+        live = self.deformer.live
+        live.colour = self.still.colour  # each phase teaches a copy of its own
+        rays = rays_of(camera, sent(pixels, live.device))
+        rendered = live.render_rays(rays, opaque=OPAQUE, share=self.share)
+        return rendered.out.cpu().numpy(), rendered
+
+    def _backward(self, rendered: DeviceRendered, gradients: np.ndarray, colour_to: Tensor) -> None:
+        live = self.deformer.live
+        live.backward(rendered, sent(gradients, live.device), None, colour_to, self.deformer.gradients)

@@ -1,0 +1,67 @@
+"""Colours of photos and of rendered views brought to a painting's, weighted by what of them is object."""
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from stylerf.rendering.ray_registration import SOLID
+from stylerf.style.color_matching import ColourMap, match_colours, pixels_of
+
+
+@dataclass(frozen=True, eq=False)
+class ObjectPhotos:
+    """Photos without their background. photos: [h, w, 3] over it; alpha: of a view [h, w], before anything moves.
+
+    background: its level of grey; None: of a part of what the photos show, beside which they stay as they are.
+    """
+
+    photos: Sequence[np.ndarray]
+    alpha: Callable[[int], np.ndarray]
+    background: np.float32 | None
+
+    def __call__(self, view: int) -> tuple[np.ndarray, np.ndarray]:
+        """Premultiplied rgb [h, w, 3] of what is not background, and its coverage [h, w]."""
+        coverage = self.alpha(view)
+        behind = (1 - coverage[..., None]) * self._beside(view)
+        return np.clip(self.photos[view] - behind, 0, coverage[..., None]), coverage
+
+    def _beside(self, view: int) -> np.ndarray | np.float32:
+        return self.photos[view] if self.background is None else self.background
+
+    def colours(self, seed: int, count: int) -> tuple[torch.Tensor, torch.Tensor]:
+        """A sample of their colours [n, 3] and its weights [n]. count: pixels of all photos."""
+        straight = (straight_rgba(*self(view)) for view in range(len(self.photos)))
+        return pixels_of(straight, seed=seed, count=count)
+
+    def mapped(self, view: int, colour_map: ColourMap) -> np.ndarray:
+        """[h, w, 3]: a photo whose object has other colours; the background stays as it is."""
+        rgb, coverage = self(view)
+        mapped = colour_map.premultiplied(torch.from_numpy(rgb), torch.from_numpy(coverage)).numpy()
+        level = coverage[..., None]
+        return (np.clip(mapped, 0, level) + (1 - level) * self._beside(view)).astype(np.float32)
+
+
+def straight_rgba(rgb: np.ndarray, coverage: np.ndarray, least: float = 0.0) -> torch.Tensor:
+    """[4, h, w] float32 of premultiplied rgb [h, w, 3]; alpha 0 where the coverage is `least` or less."""
+    alpha = coverage[..., None]
+    rgba = np.concatenate([rgb / np.maximum(alpha, 1e-3), np.where(alpha > least, alpha, 0)], -1)
+    return torch.from_numpy(rgba.astype(np.float32)).permute(2, 0, 1)
+
+
+def rendered_match(
+    pictures: Iterable[tuple[np.ndarray, np.ndarray]],  # premultiplied rgb [h, w, 3], alpha [h, w]
+    painting: torch.Tensor,
+    seed: int,
+) -> ColourMap:
+    """The map from rendered views' colours to the painting's (ARF's last step).
+
+    Half-covered pixels do not count, unless there are no others: of haze, or of rods thinner than a pixel.
+    """
+    seen = [straight_rgba(*picture) for picture in pictures]
+    if any(bool((rgba[3] > SOLID).any()) for rgba in seen):
+        for rgba in seen:
+            rgba[3][rgba[3] <= SOLID] = 0
+    colours, weights = pixels_of(seen, seed=seed)
+    return match_colours(colours.clamp(0, 1), painting.flatten(1).T, weights)

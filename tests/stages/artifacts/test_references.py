@@ -1,0 +1,125 @@
+"""Stylised views: which view, which size, which digest; what a method asks of the options."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import torch
+
+from schemas.errors import BadInput
+from schemas.images import write_png
+from stages.artifacts.references import digest_of, read_references, training_view
+from stages.configs.stylize import StylizeConfig
+from stages.stylization.settings import coarse_taps, match_of, painting_loss, painting_taps, settings_of, template_taps
+from stylerf.style.feature_extractor import LAYERS, taps_of
+
+WEIGHTS = {f"{layer}.weight": torch.zeros(1) for layer in LAYERS}
+
+
+def scene(width: int = 40, height: int = 30) -> SimpleNamespace:
+    """Four views, the second held out."""
+    views = [SimpleNamespace(name=name) for name in ("a", "b", "7", "d")]
+    cameras = [SimpleNamespace(width=width, height=height)] * 4
+    return SimpleNamespace(views=views, cameras=cameras, splits={"train": [0, 2, 3], "test": [1]})
+
+
+def test_views_go_by_name_and_else_by_number():
+    assert [training_view(scene(), name, "--x") for name in ("a", "7", "d", "#0", "#3")] == [0, 1, 2, 0, 2]
+    unknown = [(name, f"--x: there is no view '{name}'") for name in ("0", "#4", "#-1", "#", "#\N{SUPERSCRIPT TWO}")]
+    for name, words in (("b", "held out"), ("#1", "held out"), *unknown):
+        with pytest.raises(BadInput, match=words):
+            training_view(scene(), name, "--x")
+
+
+def test_a_reference_of_another_size_is_scaled_and_of_another_shape_refused(tmp_path):
+    pixels = np.zeros((60, 80, 3), np.uint8)
+    pixels[:, 40:] = 255
+    write_png(tmp_path / "large.png", pixels)
+    ((place, found),) = read_references(scene(), [f"d={tmp_path}/large.png"]).items()
+    assert place == 2 and found.shape == (30, 40, 3) and found.dtype == np.float32
+    assert (found[:, :19] == 0).all() and (found[:, 21:] == 1).all()
+    write_png(tmp_path / "wide.png", pixels[:50])
+    with pytest.raises(BadInput, match="80x50 where view a is 40x30"):
+        read_references(scene(), [f"a={tmp_path}/wide.png"])
+    with pytest.raises(BadInput, match="has a reference already"):
+        read_references(scene(), [f"a={tmp_path}/large.png", f"#0={tmp_path}/large.png"])
+
+
+@pytest.mark.parametrize(("options", "matched"), [({}, "before"), ({"reference": ("a=x.png",)}, "none")])
+def test_colours_over_the_fields_own_look_as_the_photos_do_from_the_start(options, matched):
+    config = StylizeConfig(style="" if options else "x", method="refnpr", refit_steps=70, **options)
+    assert match_of(config) == matched
+    assert settings_of(config, 300, True).refit_steps == 70
+    assert settings_of(config, 300, True, region=True).refit_steps == (1 if matched == "none" else 70)
+
+
+def test_the_digest_is_of_views_and_content(tmp_path):
+    for name, level in (("one.png", 10), ("other.png", 20)):
+        write_png(tmp_path / name, np.full((20, 20, 3), level, np.uint8))
+    one, other = (f"a={tmp_path}/{name}" for name in ("one.png", "other.png"))
+    assert digest_of([]) == "" and len({digest_of(d) for d in ([one], [other], [one, other], [other, one])}) == 4
+    before = digest_of([one])
+    assert digest_of([one.replace("a=", "b=")]) != before
+    write_png(tmp_path / "copy.png", np.full((20, 20, 3), 10, np.uint8))
+    assert digest_of([f"a={tmp_path}/copy.png"]) == before
+    write_png(tmp_path / "one.png", np.full((20, 20, 3), 11, np.uint8))
+    assert digest_of([one]) != before
+
+
+@pytest.mark.parametrize(
+    ("options", "loss", "taps", "match"),
+    [
+        ({}, "nnfm", "conv3", "both"),
+        ({"method": "desrf", "taps": "conv2"}, "nnfm", "conv2", "both"),
+        ({"method": "snerf"}, "gram", "conv2,conv3,conv4", "both"),
+        ({"method": "snerf", "image_by": "nnfm", "match": "none"}, "nnfm", "conv3", "none"),
+        ({"method": "refnpr"}, "nnfm", "conv3", "before"),
+        ({"method": "refnpr", "reference_by": "gram", "taps": "conv2"}, "gram", "conv2,conv3,conv4", "before"),
+        ({"method": "refnpr", "reference_by": "adain"}, "nnfm", "conv3", "none"),
+        ({"method": "refnpr", "reference": ("0=x.png",)}, "nnfm", "conv3", "none"),
+        ({"method": "refnpr", "reference": ("0=x.png",), "match": "before"}, "nnfm", "conv3", "before"),
+    ],
+)
+def test_loss_layers_and_matching_follow_from_the_method(options, loss, taps, match):
+    config = StylizeConfig(**{"style": "" if "reference" in options else "x"} | options)
+    found = painting_loss(config), painting_taps(config, WEIGHTS), match_of(config)
+    wanted = ",".join(taps_of(taps)) if taps != config.taps or config.method == "refnpr" else taps
+    assert found == (loss, wanted, match)
+
+
+def test_a_painting_beside_references_must_have_a_say():
+    with pytest.raises(ValueError, match="has no say"):
+        StylizeConfig(style="x", method="refnpr", reference=("0=x.png",))
+    for match in ("before", "after", "both"):
+        StylizeConfig(style="x", method="refnpr", reference=("0=x.png",), match=match)
+
+
+def test_a_reference_is_painted_as_arf_paints_and_followed_by_other_weights():
+    found = settings_of(StylizeConfig(style="x", method="refnpr", style_weight=3.0), 200, True)
+    assert (found.weights.style, found.weights.content, found.weights.colour) == (1.0, 0.02, 10.0)
+    weights = found.template_weights
+    assert (weights.style, weights.content, weights.colour) == (3.0, 0.1, 5.0)
+
+
+def test_blocks_are_those_that_ref_npr_counts_from_zero():
+    """By torchvision's places of ReLUs: 11, 13, 15 are its block 2; 18, 20, 22 its block 3; 25, 27, 29 its block 4."""
+    places = dict(zip(LAYERS, (1, 3, 6, 8, 11, 13, 15, 18, 20, 22, 25, 27, 29), strict=True))
+    config = StylizeConfig(style="x", method="refnpr")
+    assert [places[layer] for layer in taps_of(template_taps(config, WEIGHTS))] == [11, 13, 15, 18, 20, 22]
+    assert [places[layer] for layer in taps_of(coarse_taps(WEIGHTS))] == [25, 27, 29]
+    gram = painting_taps(StylizeConfig(style="x", method="snerf"), WEIGHTS)
+    assert [places[layer] for layer in taps_of(gram)] == [6, 8, 11, 13, 15, 18, 20, 22]
+
+
+def test_coarse_matches_are_found_by_the_last_block_or_the_deepest_layer():
+    assert coarse_taps(WEIGHTS) == "conv5"
+    assert coarse_taps({name: v for name, v in WEIGHTS.items() if "conv5" not in name}) == "conv4_3"
+    assert coarse_taps({"conv1_1.weight": torch.zeros(1), "conv3_1.weight": torch.zeros(1)}) == "conv3_1"
+
+
+def test_layers_that_weights_do_not_have_are_left_out_of_defaults_and_not_of_what_is_asked_for():
+    short = {f"{layer}.weight": torch.zeros(1) for layer in LAYERS[:5]}  # to conv3_1
+    config = StylizeConfig(style="x", method="refnpr")
+    assert painting_taps(config, short) == "conv3_1" and template_taps(config, short) == "conv3_1"
+    assert template_taps(replace(config, taps="conv3"), short) == "conv3"

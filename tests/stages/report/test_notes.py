@@ -1,0 +1,59 @@
+"""Every figure that an evaluation knows and did not measure is named, with the reason."""
+
+from dataclasses import replace
+
+import pytest
+
+from stages.report.notes import Presence, not_measured
+
+EVERYTHING = Presence(
+    stylised=False, painting=True, tolerant=True, lpips=True, perceptual_wanted=True, large_enough=True,
+    true_depth=True, depth_sizes_differ=False, base=True, path="orbit", path_length=30, gap=7, field=True,
+    consistency="all", reference=True, twin=True,
+)  # fmt: skip
+STYLISED, EDITED = replace(EVERYTHING, stylised=True), replace(EVERYTHING, edited=True)
+BLIND = {
+    "Turned off by --perceptual none": {"perceptual_wanted": False},
+    "smaller than 64 pixels": {"large_enough": False},
+    "get the latter with: pip install stlpips_pytorch": {"lpips": False, "tolerant": False},
+}
+
+
+def notes(have: Presence) -> dict[str, str]:
+    return {note["what"]: note["why"] for note in not_measured(have)}
+
+
+def test_nothing_is_missing_where_everything_is_there():
+    assert notes(EVERYTHING) == {}
+    assert not {"Ref-LPIPS", "Robustness", "Consistency by a perceptual distance"} & {*notes(STYLISED)}
+    assert "Consistency within the region" not in notes(EDITED)
+
+
+@pytest.mark.parametrize("why", BLIND)
+@pytest.mark.parametrize(
+    ("have", "what"),
+    [
+        (STYLISED, "Ref-LPIPS"),
+        (STYLISED, "Consistency by a perceptual distance"),
+        (EVERYTHING, "LPIPS and ST-LPIPS"),
+    ],
+)
+def test_why_no_network_looked_is_said(have, what, why):
+    assert why in notes(replace(have, **BLIND[why]))[what]
+
+
+@pytest.mark.parametrize(
+    ("given", "why"),
+    [
+        ({"masks": True}, "by --region alone"),
+        ({"consistency": "laenerf-script"}, "--consistency correct"),
+        ({"consistency": "stylerf-family"}, "--consistency correct"),
+    ],
+)
+def test_why_the_region_is_not_followed_along_the_film_is_said(given, why):
+    assert why in notes(replace(EDITED, **given))["Consistency within the region"]
+    assert "Consistency within the region" not in notes(replace(EVERYTHING, **given))
+
+
+def test_changed_weights_of_a_palette_are_said():
+    assert "after they were learnt" in notes(replace(EDITED, weights_changed=True))["Palette sparsity and TV"]

@@ -1,0 +1,151 @@
+"""Stages whose rays go through shapes that move hand them to the device that they are told of, and say where not."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import torch
+
+from schemas.errors import OutOfResources
+from schemas.images import write_png
+from schemas.scene import Bounds, Scene, View, as_matrix, write_scene
+from schemas.work_folder import Artefact, Recipe, Work
+from stages import deform_init, stylize
+from stages.artifacts.field import load_deformation, load_field, save_field
+from stages.artifacts.scene import load_scene
+from stages.configs.deform import DeformConfig
+from stages.configs.stylize import StylizeConfig
+from stages.run import devices
+from stages.run.devices import rays_on
+from stages.run.progress import Context
+from stylerf.fields.deformation import Deformation
+from stylerf.kernels.gpu import interpreted
+from stylerf.training.common.process_group import Alone
+from stylerf.training.deform import deformer, fitter
+from stylerf.training.deform.deformer_gpu import DeviceDeformer
+from tests.stages.evaluation_fixture import camera_entry, commit
+from tests.stylerf.small import field_of, hash_density, vm_colour
+from tests.stylerf.style.small_trunk import picture, small_trunk
+from tests.stylerf.training.scenes import AROUND, box_photo, dome
+
+CONFIG = DeformConfig(steps=1, rays=16, vertices=6, width=16, frequencies=2)
+
+
+class Said:
+    """Keeps what a stage says."""
+
+    def __init__(self) -> None:
+        self.lines: list[str] = []
+
+    def say(self, text: str) -> None:
+        self.lines.append(text)
+
+    def start(self, *told) -> None: ...
+
+    def update(self, *told) -> None: ...
+
+    def finish(self) -> None: ...
+
+
+def inputs_in(work: Work) -> dict[str, Artefact]:
+    """Three photos of a box, and a fog that was never fitted to them."""
+    cameras = dome(3, 1, 8)
+
+    def write(folder) -> None:
+        for camera in cameras:
+            write_png(folder / f"images/{camera.name}.png", box_photo(camera))
+        views = [View(c.name, f"images/{c.name}.png", "train", **camera_entry(c)) for c in cameras]
+        bounds = Bounds(((-1, -1, -1), (1, 1, 1)), 0.5, 5.0)
+        write_scene(folder, Scene(tuple(views), "object", "made up", bounds, "alpha", as_matrix(np.eye(4))))
+
+    scene = commit(work, "scene", "box", "import", {}, write)
+    field = field_of(AROUND, 3, vm_colour(4), 1 / 4)
+    field.density.values[-1] = -4.0
+    fog = commit(work, "field", "fog", "fit", {"scene": scene}, lambda folder: save_field(folder, field, "white"))
+    return {"scene": scene, "field": fog}
+
+
+@pytest.fixture
+def few_rays(monkeypatch):
+    monkeypatch.setattr(deformer, "SIGHT_RAYS", 2048)
+    monkeypatch.setattr(fitter, "FIXED_RAYS", 40)
+
+
+def test_a_deformation_is_learnt_on_the_device_and_kept_as_on_the_cpu(few_rays, monkeypatch, tmp_path):
+    """Where there is no GPU Triton's interpreter stands in: `cpu` is then a device as any other."""
+    pytest.importorskip("triton", reason="Triton is not installed")
+    monkeypatch.setattr(deform_init, "gpu_of", lambda context, field, moving: context.device)
+    work, seen = Work(tmp_path / "work"), []
+    inputs = inputs_in(work)
+
+    def bent(name: str, device: str | None) -> tuple[dict, Artefact]:
+        partial, said = work.begin("field", name, Recipe("deform_init", 2, {"name": name}, [], 0)), Said()
+        made_by = DeviceDeformer.collect
+        with monkeypatch.context() as watched:
+            watched.setattr(DeviceDeformer, "collect", lambda made: seen.append(name) or made_by(made))
+            figures = deform_init.run(inputs, CONFIG, partial, Context(0, device, 1, progress=said))
+        assert not [line for line in said.lines if "CPU" in line]
+        return figures, partial.commit()
+
+    plain, on_cpu = bent("plain", None)
+    told, on_device = bent("told", "cpu" if interpreted() else "cuda")
+    assert set(seen) == {"told"} and told["steps"] == plain["steps"] == 1
+    assert "gpu_memory_mb" in told and "gpu_memory_mb" not in plain
+    for figure in ("psnr_before", "psnr_after"):
+        assert told[figure] == pytest.approx(plain[figure], abs=2e-3)
+    fields = [load_field(made)[0] for made in (on_cpu, on_device)]
+    values = [load_deformation(made).values for made in (on_cpu, on_device)]
+    np.testing.assert_allclose(*(field.displacement for field in fields), atol=1e-5)
+    np.testing.assert_allclose(*values, atol=1e-4)
+    assert np.array_equal(*(field.occupancy.distances for field in fields))
+
+
+@pytest.mark.parametrize("kind", ["vm", "hash"])
+def test_a_stylisation_that_bends_is_handed_the_device_where_its_kernels_know_the_field(kind, monkeypatch, tmp_path):
+    inputs = inputs_in(Work(tmp_path / "work"))
+    scene, (field, _) = load_scene(inputs["scene"]), load_field(inputs["field"])
+    if kind == "hash":
+        field.density = hash_density(1)
+    given, said = {}, Said()
+    for name, stand_in in (
+        ("Trunk", lambda *a: SimpleNamespace(to=lambda device: given.update(trunk=device) or small_trunk())),
+        ("painting_taps", lambda config, state: "conv1"),
+        ("Stylizer", lambda *a, **more: given.update(more, deformation=a[-1])),
+    ):
+        monkeypatch.setattr(stylize, name, stand_in)
+    config, bends = StylizeConfig(method="desrf", style="painting.png"), Deformation.create(np.random.default_rng(0))
+    resolved = SimpleNamespace(state={}, kind="vgg16")
+    context = Context(device="cuda", progress=said)
+    stylize._stylizer(config, scene, field, 1.0, picture(8, 8, 1), resolved, bends, None, context, "cuda")
+    assert given["deformation"] is bends and given["trunk"] == "cuda"
+    assert given["device"] == ("cuda" if kind == "vm" else None)
+    expected = [] if kind == "vm" else ["features and matching run on the GPU, rays on the CPU"]
+    assert [line.split(":")[0] for line in said.lines] == expected
+
+
+class OneLacks(Alone):
+    """Three processes, one of the others without what a GPU needs."""
+
+    count = 3
+
+    def add(self, values: np.ndarray) -> None:
+        values += 1
+
+
+def test_processes_that_train_together_all_take_their_gpu_or_none(monkeypatch):
+    begun = []
+    monkeypatch.setattr(devices, "unavailable", lambda: None)
+    monkeypatch.setattr(torch.cuda, "reset_peak_memory_stats", lambda: begun.append(1))
+    assert devices.gpu_of(Context(device="cuda")) == "cuda" and begun == [1]
+    with pytest.raises(OutOfResources, match=r"1 of 3 processes .* .process 0 can.; "):
+        devices.gpu_of(Context(device="cuda", ranks=OneLacks()))
+    monkeypatch.setattr(devices, "unavailable", lambda: "Triton is not installed")
+    with pytest.raises(OutOfResources, match=r"2 of 3 .*process 0 cannot: Triton is not installed"):
+        devices.gpu_of(Context(device="cuda", ranks=OneLacks()))
+    said = Said()
+    assert devices.gpu_of(Context(device="cuda", progress=said)) is None and len(said.lines) == 1
+
+
+def test_where_there_is_no_device_nothing_is_said():
+    said = Said()
+    assert rays_on(None, field_of(AROUND, 3), Context(progress=said)) is None and not said.lines

@@ -1,0 +1,155 @@
+"""vm density and colour, their gradients and the planes' smoothness, against the oracle."""
+
+import numpy as np
+import pytest
+import torch
+
+from stylerf.fields.ray_samples import Samples
+from stylerf.fields.vm import VmDensity
+from stylerf.fields.vm_tables import split_table
+from stylerf.geometry.spherical_harmonics import harmonics
+from stylerf.kernels import torch_reference
+from tests.stylerf.small import SIZE, close, density, float64, oracle_colour, oracle_density, vm_colour
+
+RAYS = 9
+
+
+def samples(seed=0, count=57) -> Samples:
+    """Points anywhere in the cube, on its sides and corners, on uneven rays (one empty), with a gap between."""
+    generator = np.random.default_rng(seed)
+    x = generator.random((count, 3)).astype(np.float32)
+    x[:8] = [[a, b, c] for a in (0, 1) for b in (0, 1) for c in (0, 1)]
+    x[8, 0], x[9, 1], x[10, 2] = 0, 1, 1
+    cuts = np.sort(generator.integers(0, count - 3, RAYS - 1))
+    cuts[3] = cuts[2]
+    starts = np.concatenate([[0], cuts]).astype(np.int64)
+    ends = np.concatenate([cuts, [count]]).astype(np.int64)
+    starts[5] = min(starts[5] + 2, ends[5])  # two samples that no ray owns
+    ones = np.ones(count, np.float32)
+    return Samples(starts, ends, ones, ones, x, ones.copy(), ones.copy())
+
+
+def owned(s: Samples) -> np.ndarray:
+    return np.concatenate([np.arange(a, b) for a, b in zip(s.starts, s.ends)])
+
+
+def basis_of(s: Samples, degree: int) -> np.ndarray:
+    way = np.random.default_rng(1).normal(size=(len(s.ends), 3))
+    return harmonics(way / np.linalg.norm(way, axis=1, keepdims=True), degree)
+
+
+def buffers(chunks: int, length: int) -> np.ndarray:
+    """Not empty: kernels add to what is there."""
+    return np.tile(np.linspace(-1, 1, length, dtype=np.float32), (chunks, 1))
+
+
+def added(to: np.ndarray) -> np.ndarray:
+    return (to.astype(np.float64) - np.linspace(-1, 1, to.shape[1], dtype=np.float32)).sum(0)
+
+
+@pytest.mark.parametrize("rank", [16, 3])
+def test_density_and_its_gradient_equal_the_oracle(rank):
+    made, s = density(3, rank=rank), samples()
+    values = float64(made.values).requires_grad_()
+    expected = oracle_density(made, values, float64(s.x))
+    for chunks in (1, 4):
+        close(made.sigma(s.x, chunks), expected, 2e-6)
+    gradients = np.random.default_rng(2).normal(size=len(s.x)).astype(np.float32)
+    gradients[3] = 0
+    s.sigma[:] = expected.detach()
+    at = owned(s)
+    assert len(at) < len(s.x)
+    (expected[at] * float64(gradients[at])).sum().backward()
+    for chunks in (1, 2):
+        to = buffers(chunks, len(made.values))
+        made.backward(s.x, s.starts, s.ends, s.sigma, gradients, to)
+        close(added(to), values.grad, 5e-6)
+        assert chunks == 1 or np.abs(to[0] - to[1]).max() > 1e-3  # each chunk has its own
+
+
+@pytest.mark.parametrize(("shift", "limit"), [(-40.0, np.exp(-15.0)), (40.0, np.exp(12.0))])
+def test_the_exponent_is_clamped_and_lets_gradients_pass(shift, limit):
+    made, s = density(3, shift=shift), samples()
+    s.sigma = made.sigma(s.x, 1)
+    np.testing.assert_allclose(s.sigma, limit, rtol=1e-6)
+    gradients = np.full(len(s.x), 1 / limit, np.float32)
+    to = np.zeros((1, len(made.values)), np.float32)
+    made.backward(s.x, s.starts, s.ends, s.sigma, gradients, to)
+    assert to[0, -1] == pytest.approx(len(owned(s)), rel=1e-5)  # a field stuck at the clamp can still come back
+
+
+@pytest.mark.parametrize("degree", [0, 1, 2])
+def test_colour_and_its_gradients_equal_the_oracle(degree):
+    made, s = vm_colour(4, degree=degree), samples(5)
+    basis = basis_of(s, degree)
+    s.weights[[4, 11, 30]] = 0
+    at, rays = owned(s), np.repeat(np.arange(RAYS), s.ends - s.starts)
+    values = float64(made.values).requires_grad_()
+    expected = oracle_colour(made, values, float64(basis[rays]), float64(s.x[at]))
+    shown = s.weights[at] > 0
+    gradients = np.random.default_rng(6).normal(size=(len(s.x), 3)).astype(np.float32)
+    (expected * float64(gradients[at]))[shown].sum().backward()
+    for chunks in (1, 2):
+        found = made.colours(s.x, basis, s.starts, s.ends, s.weights, 0.0, chunks)
+        close(found[at][shown], expected[shown], 2e-6)
+        assert (found[at][~shown, 0] == -1).all() and (~shown).sum() == 3
+        to = buffers(chunks, len(made.values))
+        made.backward(s.x, basis, s.starts, s.ends, found, gradients, to)
+        close(added(to), values.grad, 1e-5)
+
+
+def test_least_is_a_bound_that_must_be_passed():
+    made, s = vm_colour(4), samples()
+    s.weights[:] = np.linspace(0, 1, len(s.x))
+    found = made.colours(s.x, basis_of(s, 1), s.starts, s.ends, s.weights, float(s.weights[20]), 1)
+    at = owned(s)
+    assert np.array_equal(found[at, 0] >= 0, at > 20)
+
+
+def test_a_sample_at_the_far_side_reads_the_last_vertex():
+    made = density(3)
+    made.values[:] = 0
+    planes, lines = split_table(made.table, made.size, made.rank)
+    for m in range(3):
+        planes[m][-1, -1, 0], lines[m][-1, 0] = 1 + m, 2
+    found = made.sigma(np.ones((1, 3), np.float32), 1)
+    assert found[0] == pytest.approx(np.exp(2 * (1 + 2 + 3)), rel=1e-6)
+
+
+def smoothness_energy(values: torch.Tensor, size, rank: int) -> torch.Tensor:
+    """Half the summed squared differences between neighbouring texels of the three planes."""
+    total, at = values.new_zeros(()), 0
+    for m in range(3):
+        shape = (size[(m + 1) % 3], size[(m + 2) % 3], rank)
+        plane, at = values[at : at + int(np.prod(shape))].reshape(shape), at + int(np.prod(shape))
+        total = total + ((plane[1:] - plane[:-1]) ** 2).sum() / 2 + ((plane[:, 1:] - plane[:, :-1]) ** 2).sum() / 2
+    return total
+
+
+@pytest.mark.parametrize("made", [density(7), vm_colour(8)], ids=["density", "colour"])
+def test_smoothness_is_the_gradient_of_the_planes_squared_differences(made):
+    values = float64(made.values).requires_grad_()
+    smoothness_energy(values, SIZE, made.rank).backward()
+    to = buffers(1, len(made.values))[0]
+    before, length = to.copy(), len(made.values) if isinstance(made, VmDensity) else len(made.table)
+    made.smooth(3.0, to)
+    close(to.astype(np.float64) - before, 3.0 / length * values.grad, 1e-4)  # small beside what it was added to
+    assert np.array_equal(to[-4:], before[-4:])
+    lines = float64(made.values)
+    assert smoothness_energy(lines * 0 + 5, SIZE, made.rank) == 0
+
+
+def test_a_finer_grid_and_more_ranks_hold_the_same_field():
+    made, s = density(3), samples()
+    finer = np.array([2 * (n - 1) + 1 for n in SIZE])  # every old vertex is one of the new
+    close(made.resized(finer).sigma(s.x, 1), made.sigma(s.x, 1), 5e-6)
+    wider = made.with_rank(24, np.random.default_rng(0))
+    expected = torch_reference.vm_density(float64(wider.values), list(SIZE), 24, float64(s.x))
+    close(made.sigma(s.x, 1), expected, 5e-6)
+    colour, basis = vm_colour(4, rank=16), basis_of(s, 1)
+    rays = np.repeat(np.arange(RAYS), s.ends - s.starts)
+    at = owned(s)
+    before = oracle_colour(colour, float64(colour.values), float64(basis[rays]), float64(s.x[at]))
+    for other in (colour.with_rank(24, np.random.default_rng(0)), colour.resized(finer), colour.with_degree(2)):
+        turned = basis_of(s, other.degree)[rays]
+        close(oracle_colour(other, float64(other.values), float64(turned), float64(s.x[at])), before, 1e-6)

@@ -1,0 +1,222 @@
+"""The style objective against slow loops over positions and features, its alpha weights, its gradient."""
+
+import numpy as np
+import pytest
+import torch
+
+from stylerf.style.image_sizes import resized, style_picture
+from stylerf.style.style_objective import CELLS, EVERYTHING, GramObjective, StyleObjective, StyleWeights, window_of
+from tests.stylerf.style.small_trunk import picture, small_trunk
+
+HEIGHT, WIDTH = 20, 44
+WEIGHTS = StyleWeights(0.7, 0.05, 0.3, 2.0)
+
+
+def objective(weights=WEIGHTS, double=False, **more) -> StyleObjective:
+    trunk, painting = small_trunk(), picture(30, 40, 1)
+    if double:
+        trunk, painting = trunk.double(), painting.double()
+    return StyleObjective(trunk, painting, (HEIGHT, WIDTH), weights, **{"basis": 0, **more})
+
+
+def blocks_of(trunk, image) -> list[np.ndarray]:
+    """[c, h, w] of conv1 and of conv2 (its two layers joined), float64."""
+    first, second, third = (f[0].detach().double().numpy() for f in trunk(image[None]))
+    return [first, np.concatenate([second, third])]
+
+
+def slow_parts(made: StyleObjective, image, photo, alpha=None) -> tuple[float, float, float]:
+    """(style, content, variation): loops over positions and over all features of the painting."""
+    small = [resized(i, HEIGHT // 2, WIDTH // 2) for i in (image, photo)]
+    painted = blocks_of(made.trunk, style_picture(picture(30, 40, 1).to(image), HEIGHT, WIDTH, 0.5))
+    style_loss, content_loss = 0.0, 0.0
+    for found, wanted, style in zip(*(blocks_of(made.trunk, i) for i in small), painted):
+        h, w = found.shape[1:]
+        rows, a, b = style.reshape(len(style), -1), HEIGHT // h, WIDTH // w
+        style_sum, content_sum, total = 0.0, 0.0, 0.0
+        for i, j in np.ndindex(h, w):
+            share = 1.0 if alpha is None else float(alpha[i * a : (i + 1) * a, j * b : (j + 1) * b].mean())
+            f = found[:, i, j]
+            cosines = (f @ rows) / (np.linalg.norm(f) * np.linalg.norm(rows, axis=0) + 1e-12)
+            style_sum += share * (1 - cosines.max())
+            content_sum += share * ((f - wanted[:, i, j]) ** 2).mean()
+            total += share
+        style_loss = style_loss + style_sum / total
+        content_loss = content_loss + content_sum / total / (style**2).mean()  # in the painting's own unit
+    x = image.detach().double().numpy()
+    across, down = np.diff(x, axis=2) ** 2, np.diff(x, axis=1) ** 2
+    return style_loss, content_loss, (across.mean() + down.mean()) / 2
+
+
+def object_alpha() -> torch.Tensor:
+    """An object in the left half with a soft rim; nothing at the right."""
+    alpha = torch.zeros(HEIGHT, WIDTH)
+    alpha[2:18, 3:12] = 1
+    alpha[2:18, 12:14] = 0.5
+    return alpha
+
+
+@pytest.mark.parametrize("masked", [False, True])
+@pytest.mark.parametrize("double", [False, True])
+def test_loss_and_its_parts_equal_a_slow_loop(masked, double):
+    made = objective(double=double)
+    image, photo = (p.double() if double else p for p in (picture(HEIGHT, WIDTH, 2), picture(HEIGHT, WIDTH, 3)))
+    alpha = object_alpha() if masked else None
+    expected = slow_parts(made, image, photo, alpha)
+    loss, parts = made(image, made.content_of(photo), alpha)
+    # The content's reference is kept in half precision: eleven bits.
+    assert parts["style"] == pytest.approx(expected[0], rel=1e-5)
+    assert parts["content"] == pytest.approx(expected[1], rel=2e-3)
+    assert parts["variation"] == pytest.approx(expected[2], rel=1e-5)
+    together = 0.7 * parts["style"] + 0.05 * parts["content"] + 0.3 * parts["variation"] + 2 * parts["colour"]
+    assert float(loss) == pytest.approx(together, rel=1e-5)
+    assert min(expected) > 1e-3
+
+
+@pytest.mark.parametrize("masked", [False, True])
+def test_the_colour_distance_is_that_of_cells(masked):
+    """A picture as wide as two cells' pixels: cells of two by two, those of the object alone."""
+    generator = torch.Generator().manual_seed(1)
+    image, photo = (torch.rand(3, 2 * 20, 2 * CELLS, generator=generator) for _ in range(2))
+    alpha = torch.zeros(40, 2 * CELLS)
+    alpha[4:20, 6:30] = 1.0
+    made = objective(StyleWeights(0, 0, 0, 3.0))
+    loss, parts = made(image, made.content_of(photo), alpha if masked else None)
+    apart = (image - photo).double().reshape(3, 20, 2, CELLS, 2).mean((2, 4)).square()
+    expected = apart[:, 2:10, 3:15].mean() if masked else apart.mean()
+    assert parts["colour"] == pytest.approx(float(expected), rel=1e-5) and float(loss) == pytest.approx(
+        3 * float(expected), rel=1e-5
+    )
+
+
+def test_colours_finer_than_a_cell_are_free():
+    made, photo = objective(StyleWeights(0, 0, 0, 1.0)), torch.full((3, 2 * CELLS, 2 * CELLS), 0.5)
+    checks = (torch.arange(2 * CELLS)[:, None] + torch.arange(2 * CELLS)) % 2 * 0.8 - 0.4
+    assert made(photo + checks, made.content_of(photo))[1]["colour"] < 1e-12
+
+
+def test_the_diagonal_variation_is_the_mean_of_its_pixels():
+    image = picture(HEIGHT, WIDTH, 2)
+    x, total = image.double().numpy(), 0.0
+    for i, j in np.ndindex(HEIGHT, WIDTH):
+        right = x[:, i, j + 1] - x[:, i, j] if j + 1 < WIDTH else 0
+        down = x[:, i + 1, j] - x[:, i, j] if i + 1 < HEIGHT else 0
+        total += np.linalg.norm(np.zeros(3) + right + down)
+    parts = objective(variation="diagonal")(image, objective().content_of(image))[1]
+    assert parts["variation"] == pytest.approx(total / (HEIGHT * WIDTH), rel=1e-5)
+
+
+@pytest.mark.parametrize("masked", [False, True])
+def test_the_gram_distance_is_that_of_feature_products_relative_to_the_paintings(masked):
+    image, alpha = picture(HEIGHT, WIDTH, 2), object_alpha() if masked else None
+    made = GramObjective(small_trunk(), picture(30, 40, 1), (HEIGHT, WIDTH), WEIGHTS)
+    painted = blocks_of(made.trunk, style_picture(picture(30, 40, 1), HEIGHT, WIDTH, 0.5))
+    found, expected = blocks_of(made.trunk, resized(image, HEIGHT // 2, WIDTH // 2)), 0.0
+    for seen, style in zip(found, painted):
+        h, w = seen.shape[1:]
+        a, b = HEIGHT // h, WIDTH // w
+        total, gram = 0.0, 0.0
+        for i, j in np.ndindex(h, w):
+            share = 1.0 if alpha is None else float(alpha[i * a : (i + 1) * a, j * b : (j + 1) * b].mean())
+            gram, total = gram + share * np.outer(seen[:, i, j], seen[:, i, j]), total + share
+        wanted = np.einsum("chw,dhw->cd", style, style) / style[0].size
+        expected += ((gram / total - wanted) ** 2).sum() / (wanted**2).sum() / 2
+    parts = made(image, made.content_of(image), alpha)[1]
+    assert parts["style"] == pytest.approx(expected, rel=1e-4) and expected > 1e-3
+    assert made(image, made.content_of(image), torch.zeros(HEIGHT, WIDTH))[1]["style"] == 0
+
+
+def test_what_lies_outside_the_object_is_neither_matched_nor_kept():
+    made, image, alpha = objective(StyleWeights(1, 1, 0, 1)), picture(HEIGHT, WIDTH, 2), object_alpha()
+    content = made.content_of(picture(HEIGHT, WIDTH, 3))
+    other = image.clone()
+    other[:, :, 32:] = 0.9  # beyond the reach of the second block's filters from the last column that counts, 13
+    losses, gradients = [], []
+    for candidate in (image, other):
+        leaf = candidate.clone().requires_grad_()
+        loss, _ = made(leaf, content, alpha)
+        loss.backward()
+        losses.append(float(loss.detach()))
+        gradients.append(leaf.grad)
+    assert losses[0] == pytest.approx(losses[1], rel=1e-6)
+    torch.testing.assert_close(gradients[0][:, :, :14], gradients[1][:, :, :14])
+    assert not gradients[0][:, :, 32:].any() and gradients[0][:, 2:18, 3:12].abs().min() > 0
+
+
+def test_an_object_that_is_nowhere_costs_nothing():
+    made, image = objective(), picture(HEIGHT, WIDTH, 2).requires_grad_()
+    loss, parts = made(image, made.content_of(image.detach()), torch.zeros(HEIGHT, WIDTH))
+    loss.backward()
+    assert parts["style"] == parts["content"] == parts["colour"] == 0 and torch.isfinite(image.grad).all()
+
+
+def test_a_weight_of_zero_needs_no_content_and_drops_its_part():
+    made, image = objective(StyleWeights(2.0, 0.0, 0.0, 0.0)), picture(HEIGHT, WIDTH, 2)
+    loss, parts = made(image, None)
+    assert parts["content"] == parts["colour"] == 0 and float(loss) == pytest.approx(2 * parts["style"], rel=1e-6)
+
+
+@pytest.mark.parametrize("masked", [False, True])
+def test_gradient_equals_finite_differences_in_float64(masked):
+    made, alpha = objective(double=True), object_alpha() if masked else None
+    image, content = picture(HEIGHT, WIDTH, 2).double(), made.content_of(picture(HEIGHT, WIDTH, 3).double())
+    leaf = image.clone().requires_grad_()
+    made(leaf, content, alpha)[0].backward()
+    generator = torch.Generator().manual_seed(5)
+    for _ in range(6):
+        # Small enough that no neighbour changes and no ReLU turns: the loss is smooth between such events.
+        way = torch.randn(image.shape, generator=generator, dtype=torch.float64)
+        up, down = (float(made(image + sign * 1e-6 * way, content, alpha)[0]) for sign in (1, -1))
+        assert (up - down) / 2e-6 == pytest.approx(float((leaf.grad * way).sum()), rel=1e-5, abs=1e-8)
+
+
+def test_fewer_rows_and_a_basis_choose_worse_or_equal_neighbours():
+    image = picture(HEIGHT, WIDTH, 2)
+    style = StyleWeights(1, 0, 0, 0)
+    exact, few, short = (
+        objective(style, **more)(image, None)[1]["style"] for more in ({}, {"most_rows": 20}, {"basis": 3})
+    )
+    assert exact < few < 1 and exact < short < 1
+
+
+def test_the_painting_itself_is_at_no_distance_but_where_all_features_are_silent():
+    painting = picture(30, 40, 1)
+    made = StyleObjective(small_trunk(), painting, (30, 40), StyleWeights(1, 0, 0, 0), scale=1.0, basis=0)
+    silent = sum((f == 0).all(0).mean() for f in blocks_of(made.trunk, painting))
+    assert made(painting, None)[1]["style"] == pytest.approx(silent, abs=1e-5) and silent < 0.01
+
+
+# -- windows --------------------------------------------------------------------------------------------------------
+
+
+def test_a_window_holds_the_object_and_a_margin_on_sides_of_eight():
+    alpha = np.zeros((100, 160), np.float32)
+    alpha[40:50, 60:70] = 0.5
+    rows, columns = window_of(alpha)
+    assert (rows, columns) == (slice(16, 72), slice(40, 88))  # 10 + 8 pixels around 40..50 and 60..70
+    alpha[0, 159] = 1.0
+    assert window_of(alpha) == (slice(0, 72), slice(40, 160))
+    assert window_of(np.zeros((9, 9), np.float32)) == EVERYTHING
+
+
+@pytest.mark.parametrize("at", [0, 20, 59])
+def test_a_window_is_as_wide_as_a_trunk_needs(at):
+    alpha = np.zeros((60, 40), np.float32)
+    alpha[at, 5] = 1.0
+    rows, columns = window_of(alpha, 50)
+    assert rows.stop - rows.start >= 50 and 0 <= rows.start <= at < rows.stop <= 60
+    assert columns == slice(0, 40)  # no more than the view has
+
+
+def test_the_loss_in_a_window_is_that_of_the_whole_where_the_window_is_wide_enough():
+    """Beyond the object lies an even background, which the small trunk's filters do not see across the margin."""
+    generator = torch.Generator().manual_seed(3)
+    alpha = torch.zeros(64, 96)
+    alpha[24:40, 40:64] = 1.0
+    image, photo = (torch.where(alpha > 0, torch.rand(3, 64, 96, generator=generator), 0.8) for _ in range(2))
+    made, window = objective(scale=1.0), window_of(alpha.numpy())
+    assert window == (slice(8, 56), slice(24, 80))
+    whole = made(image, made.content_of(photo), alpha)[1]
+    part = made(image, made.content_of(photo, window), alpha, window)[1]
+    for name in whole:
+        assert part[name] == pytest.approx(whole[name], rel=1e-4), name

@@ -1,0 +1,164 @@
+"""A stylisation that meets NaN: back to the last good state, on at half the rate, as often as it is allowed to."""
+
+import numpy as np
+import pytest
+
+from stylerf.errors import Diverged
+from stylerf.fields.deformation import Deformation
+from stylerf.training.stylize.arf import Stylizer
+from stylerf.training.stylize.divergence_guard import KEEP_EVERY
+from tests.stylerf.training.running import assert_same_bits, result_of, resumed
+from tests.stylerf.training.stylizing import made
+
+
+def poisoned(at: set[int], **given) -> Stylizer:
+    """Its style step spoils the colours at these steps, each time once, as an overflowing gradient does."""
+    one = made(Stylizer, match="none", **{"steps": 12, "refit_steps": 4, **given})
+    left, plain = set(at), one._step
+
+    def step() -> dict[str, float]:
+        parts = plain()
+        if one.state.step in left:
+            left.remove(one.state.step)
+            one.field.colour.values[:] = np.nan
+            return parts | {"style": float("nan")}
+        return parts
+
+    one._step = step
+    return one
+
+
+def test_without_leave_it_ends_at_the_first():
+    with pytest.raises(Diverged, match="style step 3"):
+        poisoned({3}).run()
+
+
+def test_it_goes_back_and_ends_with_sound_colours_at_half_the_rate():
+    one = poisoned({3, 7}, rollbacks=2)
+    seen = []
+    one.run(lambda now: seen.append((now.state.phase, now.state.step)))
+    assert np.isfinite(one.field.colour.values).all() and one.state.counts["rollbacks"] == 2
+    assert one.settings.rate == pytest.approx(0.25 * one._guard.asked.rate) and one.state.phase == "done"
+    # What is kept is of step 1 of the phase: each return begins there again.
+    style = [step for phase, step in seen if phase != "refit"]
+    assert style == [1, 2, 3, *range(2, 8), *range(2, 13)]
+    assert KEEP_EVERY > 12
+
+
+def test_what_it_goes_back_to_is_the_kept_state_to_the_bit():
+    """Compared with a run that is stopped at that state and goes on at half the rate by itself."""
+    one = poisoned({3}, rollbacks=1)
+    one.run()
+    other = made(Stylizer, match="none", steps=12, refit_steps=4, rollbacks=1)
+    stop = other.state
+
+    class Enough(Exception):
+        pass
+
+    def halt(now) -> None:
+        if now.state.phase == "style" and now.state.step == 1:
+            raise Enough
+
+    with pytest.raises(Enough):
+        other.run(halt)
+    other.state.counts["rollbacks"] = 1
+    other = resumed(made(Stylizer, match="none", steps=12, refit_steps=4, rollbacks=1), other)
+    assert other.settings.rate == pytest.approx(0.5 * other._guard.asked.rate) and stop is not other.state
+    other.run()
+    assert_same_bits(result_of(one)[1], result_of(other)[1])
+
+
+def test_what_was_counted_and_told_since_is_forgotten():
+    one = poisoned({11}, rollbacks=1, steps=14)
+    plain = one._step
+
+    def counted() -> dict[str, float]:
+        one.state.counts["steps"] = one.state.counts.get("steps", 0) + 1
+        return plain()
+
+    one._step = counted
+    one.run()
+    assert one.state.counts == {"steps": 14, "rollbacks": 1}
+    assert [told["step"] for told in one.state.curve if told["phase"] == "style"] == [10]
+
+
+@pytest.mark.parametrize("rollbacks", [0, 1])
+def test_the_last_step_is_looked_at_too(rollbacks):
+    """What it leaves no loss tells of."""
+    one = made(Stylizer, match="none", steps=12, refit_steps=4, rollbacks=rollbacks)
+    plain, left = one._step, [11]
+
+    def step() -> dict[str, float]:
+        parts = plain()
+        if left and one.state.step == left[0]:
+            left.pop()
+            one.field.colour.values[:] = np.nan
+        return parts
+
+    one._step = step
+    if not rollbacks:
+        with pytest.raises(Diverged):
+            one.run()
+        return
+    one.run()
+    assert np.isfinite(one.field.colour.values).all() and one.state.phase == "done"
+
+
+def test_too_often_is_the_end():
+    with pytest.raises(Diverged):
+        poisoned({2, 3, 5}, rollbacks=2).run()
+
+
+def test_a_sound_run_is_the_same_with_and_without():
+    plain, guarded = (made(Stylizer, match="none", steps=12, refit_steps=4, rollbacks=n) for n in (0, 3))
+    plain.run()
+    guarded.run()
+    assert_same_bits(result_of(plain)[1], result_of(guarded)[1])
+
+
+@pytest.mark.parametrize("spoilt", ["colour", "adam.second", "deform.values", "deform.adam.first"])
+def test_what_is_not_finite_and_only_the_device_has_yet_is_not_kept(spoilt):
+    one = with_shapes(rollbacks=1)
+    one.state.phase = "style"
+    one._phase_begins()
+    checkpoint = one.checkpoint
+
+    def collected():
+        data, arrays = checkpoint()
+        return data, arrays | {spoilt: np.full_like(arrays[spoilt], np.nan)}
+
+    one.checkpoint = collected
+    one._guard.look(one)
+    assert one._guard._kept is None and np.isfinite(one.field.colour.values).all()
+    one.checkpoint = checkpoint
+    one._guard.look(one)
+    assert np.isfinite(one._guard._kept[1][spoilt]).all()
+
+
+def test_what_is_kept_has_shapes_that_can_be_seen():
+    """A displacement of NaN is told of a step late, when the state that holds it might have been kept."""
+    one = with_shapes(rollbacks=1)
+    plain, left = one._step, [KEEP_EVERY]
+
+    def step() -> dict[str, float]:
+        parts = plain()
+        if left and one.state.phase == "style" and one.state.step + 1 == left[0]:
+            left.pop()
+            one.deformer.deformation.values[:] = np.nan
+            one.deformer.bake()
+        return parts
+
+    one._step = step
+    one.run()
+    assert one.state.counts["rollbacks"] == 1 and np.isfinite(one.field.displacement).all()
+
+
+def test_a_clip_holds_the_network_of_the_shapes_too():
+    assert with_shapes(clip=3.0).deformer.adam.clip == 3.0 and with_shapes().deformer.adam.clip == 0.0
+
+
+def with_shapes(**given) -> Stylizer:
+    """A short stylisation whose shapes move."""
+    moved = Deformation.create(np.random.default_rng(0), frequencies=2, width=16)
+    options = {"match": "none", "steps": KEEP_EVERY + 3, "refit_steps": 4, "displacement_vertices": 6, **given}
+    return made(Stylizer, more={"deformation": moved}, **options)
