@@ -2,7 +2,7 @@
 
 With $STYLERF_BENCH_WORK the work folders are kept there.
 
-Protocol: every scene is fitted at each fixed capacity (vertices x density rank x colour rank, climbed to as the product
+Protocol: every scene is fitted at each fixed capacity (vertices x density rank x color rank, climbed to as the product
 does) and with `--capacity grow`, all for BUDGET (seconds of training, or steps) on the same rays, one seed; mean PSNR
 of the test views by `stylerf eval`.
 """

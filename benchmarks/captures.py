@@ -28,7 +28,7 @@ MEASURES = {
     "not smoothed": {"unbounded": ("--smoothness", "0"), "forward": ("--smoothness", "0")},
     "space: box": {"unbounded": ("--space", "box"), "forward": ("--space", "box")},
     "space: contraction": {"forward": ("--space", "contraction")},
-    "colours alike from all sides": {"unbounded": ("--degree", "0"), "forward": ("--degree", "0")},
+    "colors alike from all sides": {"unbounded": ("--degree", "0"), "forward": ("--degree", "0")},
 }
 
 

@@ -1,6 +1,6 @@
 """Charts of README and docs from results: SVG text, the same for the same figures."""
 
-PARETO = {"fits": ("psnr", "held-out PSNR, dB", True), "stylisations": ("nnfm", "distance to the painting", False)}
+PARETO = {"fits": ("psnr", "held-out PSNR, dB", True), "stylizations": ("nnfm", "distance to the painting", False)}
 
 
 def drawn(size: tuple[float, float], draw) -> str:
@@ -58,7 +58,7 @@ def capacity_chart(report: dict) -> str:
 
 
 def pareto_chart(report: dict) -> str:
-    """A column a scene; above fits, below stylisations: the figure against seconds, fronts filled and joined."""
+    """A column a scene; above fits, below stylizations: the figure against seconds, fronts filled and joined."""
     scenes = list(dict.fromkeys(row["work"] for row in report["rows"]))
 
     def draw(figure) -> None:
@@ -130,9 +130,9 @@ def tensorf_chart(report: dict) -> str:
 
     def draw(figure) -> None:
         axes = figure.add_subplot()
-        for row, colour in zip(report["rows"], ("#d55e00", "#0072b2", "#56b4e9")):
+        for row, color in zip(report["rows"], ("#d55e00", "#0072b2", "#56b4e9")):
             curve = [(entry["seconds"], entry["psnr"]) for entry in row["curve"]]
-            axes.plot(*zip(*curve), "o-", markersize=3, color=colour, label=f"{row['code']}, {row['schedule']}")
+            axes.plot(*zip(*curve), "o-", markersize=3, color=color, label=f"{row['code']}, {row['schedule']}")
         axes.set_xscale("log")
         axes.set(xlabel="seconds of training", ylabel="PSNR of test views, dB")
         axes.legend()
@@ -152,8 +152,8 @@ def unlike(names: list[str]) -> list[str]:
 
 def _mark(axes, row: dict, key: str, label: str) -> None:
     place = (row["costs"]["seconds"], row["figures"][key])
-    colour = "#0072b2" if row["family"] == "fits" else "#d55e00"
+    color = "#0072b2" if row["family"] == "fits" else "#d55e00"
     filled = f"{key}/seconds" in row["fronts"]
     area = 15 + row["costs"]["parameters"] / 1e5
-    axes.scatter(*place, s=area, facecolors=colour if filled else "none", edgecolors=colour, alpha=0.8)
+    axes.scatter(*place, s=area, facecolors=color if filled else "none", edgecolors=color, alpha=0.8)
     axes.annotate(label, place, xytext=(5, 3), textcoords="offset points", fontsize=6)

@@ -13,7 +13,7 @@ from skimage.transform import resize
 from schemas.exr import read_channels
 from schemas.frames import read_frames
 from schemas.images import read_image, to_uint8, write_png
-from schemas.work_folder import Artefact, Work
+from schemas.work_folder import Artifact, Work
 from stages.artifacts.scene import load_scene
 
 SIDE = 300  # pixels of a picture's longer side
@@ -22,13 +22,13 @@ MARGIN = 8  # rows of a white background that are left above and below
 TINT = np.array([1.0, 0.1, 0.8])
 
 
-def picture(frames: Artefact, name: str) -> np.ndarray:
+def picture(frames: Artifact, name: str) -> np.ndarray:
     """[h, w, 3] a frame over the scene's background."""
     frame = next(one for one in read_frames(frames.path).views if one.name == name)
     return read_image(frames.file(frame.png)).pixels[..., :3]
 
 
-def region_over(frames: Artefact, name: str, region: str, photo: np.ndarray) -> np.ndarray:
+def region_over(frames: Artifact, name: str, region: str, photo: np.ndarray) -> np.ndarray:
     """The photo, tinted where a frame's EXR has the region."""
     found = read_frames(frames.path)
     frame = next(one for one in found.views if one.name == name)
@@ -46,7 +46,7 @@ def small(image: np.ndarray) -> np.ndarray:
 def main() -> None:
     root, out, region, views, *edits = sys.argv[1:]
     work = Work(Path(root))
-    scene = load_scene(next(one for one in work.artefacts("scene") if one.manifest.stage == "pose_import"))
+    scene = load_scene(next(one for one in work.artifacts("scene") if one.manifest.stage == "pose_import"))
     field = next(ref.name for ref in work.get("region", region).manifest.inputs if ref.kind == "field")
     rows = []
     for name in views.split(","):

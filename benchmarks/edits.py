@@ -27,12 +27,12 @@ PLANT = ["--at", "image005:231,200", "--at", "image005:180,110", "--tolerance", 
 PLANT += ["--avoid", "image005:450,300", "--avoid", "image005:230,325", "--avoid", "image005:80,80"]
 # name: (work folder, flags of the selection, what becomes of it)
 CASES = {
-    "lego shovel, recoloured": ("lego-400x400", SHOVEL, ["--recolor", "--palette", "all=#2050d0"]),
+    "lego shovel, recolored": ("lego-400x400", SHOVEL, ["--recolor", "--palette", "all=#2050d0"]),
     "lego shovel, starry_night": ("lego-400x400", SHOVEL, ["--style", "starry_night.jpg"]),
-    "fox head, recoloured": ("fox-270x480", HEAD, ["--recolor", "--palette", "all=#2050d0"]),
+    "fox head, recolored": ("fox-270x480", HEAD, ["--recolor", "--palette", "all=#2050d0"]),
     "fox head, starry_night": ("fox-270x480", HEAD, ["--style", "starry_night.jpg"]),
-    "cup, recoloured": ("cup-400x300", CUP, ["--recolor", "--palette", "all=#d03040"]),
-    "fern plant, recoloured": ("fern-504x378", PLANT, ["--recolor", "--palette", "all=#d06020"]),
+    "cup, recolored": ("cup-400x300", CUP, ["--recolor", "--palette", "all=#d03040"]),
+    "fern plant, recolored": ("fern-504x378", PLANT, ["--recolor", "--palette", "all=#d06020"]),
 }
 PUBLISHED = {"edit-dataset": 16, "edit": 133, "scene": 32, "field": 129}  # LAENeRF, supplement, table 3, on a GPU
 
@@ -54,19 +54,19 @@ def measure(fitted: Path, styles: Path, case: str, kept: Path) -> dict:
     name = case.replace(", ", "-").replace(" ", "-")
     load = round(os.getloadavg()[0], 2)
     made = stylerf("edit", str(work), *selection, *look, "--name", name)
-    # A changed palette was learnt by the edit before it.
-    trained = f"{name}-learnt" if "--palette" in look else name
-    learnt = json.loads((work / "edit" / trained / "manifest.json").read_text())
+    # A changed palette was learned by the edit before it.
+    trained = f"{name}-learned" if "--palette" in look else name
+    learned = json.loads((work / "edit" / trained / "manifest.json").read_text())
     seconds = dict(made["seconds"])
     if "--palette" in look:
-        seconds["edit"] = round(seconds["edit"] + learnt["seconds"], 1)
+        seconds["edit"] = round(seconds["edit"] + learned["seconds"], 1)
     figures = stylerf("eval", str(work), "--of", name, "--region", name)["figures"]
     wanted = ("background_mse", "background_ratio", "change_inside", "change_lab", "bleeding", "region_share")
     return {
         "case": case, "selection_seconds": seconds.pop("region"), "seconds": seconds,
         "seconds_after_selection": round(sum(seconds.values()), 1),
-        "colours": learnt["figures"]["colours"], "sparsity": learnt["figures"]["sparsity"],
-        "palette_variation": learnt["figures"]["palette_variation"], "region_psnr": learnt["figures"]["psnr"],
+        "colors": learned["figures"]["colors"], "sparsity": learned["figures"]["sparsity"],
+        "palette_variation": learned["figures"]["palette_variation"], "region_psnr": learned["figures"]["psnr"],
         **{key: round(figures[key], 6) for key in wanted if key in figures},
         "load_before": load,
     }  # fmt: skip

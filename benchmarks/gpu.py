@@ -3,7 +3,7 @@
 DATA holds lego, fern and styles (see benchmarks/fits.py). PARTS: ceilings, kernels, lego, fern, arf, desrf, edit,
 render; all if none is named. Writes no figure where there is no GPU: it stops.
 
-Protocol: fits, stylisations and edits are the stylerf commands below with --device cuda, one process each; seconds are
+Protocol: fits, stylizations and edits are the stylerf commands below with --device cuda, one process each; seconds are
 the manifests' (training alone where it says so). Lego is fitted anew for each budget; its time to a quality is the
 smallest budget whose fit reaches it on the test views, white background. Frames are whole views of the longest fit,
 kept on the device. Kernels: median of 30 launches after 5, timed by events while the host is ahead, on an empty cache,
@@ -94,31 +94,31 @@ def ceilings(device: torch.device, megabytes: int = 2048, side: int = 8192, repe
     return found
 
 
-KINDS = ("vm", "stylised", "hash", "voxel", "hash-mlp")
+KINDS = ("vm", "stylized", "hash", "voxel", "hash-mlp")
 
 
 def random_field(vertices: int, kind: str = "vm"):
     """A box of thin fog at the ladder's ranks, with half of its cells occupied.
 
-    kind: of density and colour (hash-mlp: of the colour behind a vm density); stylised: a vm density and the hash
-    colour of a stylisation. A voxel grid keeps all of its blocks.
+    kind: of density and color (hash-mlp: of the color behind a vm density); stylized: a vm density and the hash
+    color of a stylization. A voxel grid keeps all of its blocks.
     """
-    from stylerf.fields.hash_color import HashColour
+    from stylerf.fields.hash_color import HashColor
     from stylerf.fields.occupancy_grid import Occupancy
     from stylerf.fields.radiance_field import RadianceField
     from stylerf.geometry.space_warp import Space
     from stylerf.training.fit.capacity_levels import Capacity, Kinds, first_parts
 
     generator, capacity = np.random.default_rng(0), Capacity(np.full(3, vertices), vertices, finest=max(32, vertices))
-    of_colour, _, head = kind.partition("-")
-    names = {"stylised": ("vm", "vm"), "hash-mlp": ("vm", "hash")}.get(kind, (kind, of_colour))
-    density, colour = first_parts(Kinds(*names, head or "linear"), capacity, generator)
+    of_color, _, head = kind.partition("-")
+    names = {"stylized": ("vm", "vm"), "hash-mlp": ("vm", "hash")}.get(kind, (kind, of_color))
+    density, color = first_parts(Kinds(*names, head or "linear"), capacity, generator)
     density.values[-1] = -2.0
-    if kind == "stylised":
-        colour = HashColour.create(generator)
+    if kind == "stylized":
+        color = HashColor.create(generator)
     occupancy = Occupancy(min(64, vertices))
     occupancy.set_occupied(generator.random(occupancy.cells**3) < 0.5)
-    return RadianceField(Space.box([-1] * 3, [1] * 3), density, colour, occupancy, 1 / vertices)
+    return RadianceField(Space.box([-1] * 3, [1] * 3), density, color, occupancy, 1 / vertices)
 
 
 def random_rays(count: int, device: torch.device):
@@ -158,26 +158,26 @@ def launches(device: torch.device, rays: int, vertices: int, kind: str) -> tuple
 
     field, going = DeviceField(random_field(vertices, kind), device), random_rays(rays, device)
     rendered = field.render_rays(going, share=0.0)
-    s, n, colours = rendered.samples, rendered.samples.room, rendered.colours
+    s, n, colors = rendered.samples, rendered.samples.room, rendered.colors
     gradients, sums = torch.randn_like(rendered.out), torch.zeros(3, device=device)
-    of_sigma, of_colours = launch.composite_backward(s, colours, rendered.out, gradients, 0.0)
-    to_density, to_colour, *moments = (
-        torch.zeros_like(part.values) for part in (field.density, field.colour, field.colour, field.colour)
+    of_sigma, of_colors = launch.composite_backward(s, colors, rendered.out, gradients, 0.0)
+    to_density, to_color, *moments = (
+        torch.zeros_like(part.values) for part in (field.density, field.color, field.color, field.color)
     )
     wanted, background = torch.rand((rays, 4), device=device), torch.rand((rays, 3), device=device)
-    density, colour, ways = 4 * len(to_density), 4 * len(to_colour), going.directions
-    named = {"stylised": "hash sum"}.get(kind, kind)  # its levels are added up, no head stands behind them
+    density, color, ways = 4 * len(to_density), 4 * len(to_color), going.directions
+    named = {"stylized": "hash sum"}.get(kind, kind)  # its levels are added up, no head stands behind them
 
     def adam() -> None:
-        to_colour.fill_(1e-9)  # else every run would be skipped
-        launch.adam(field.colour.values, to_colour, *moments, 1e-9, (0.9, 0.99), 1e-15, (0.1, 0.01), 0, len(to_colour))
+        to_color.fill_(1e-9)  # else every run would be skipped
+        launch.adam(field.color.values, to_color, *moments, 1e-9, (0.9, 0.99), 1e-15, (0.1, 0.01), 0, len(to_color))
 
     calls = {
-        f"{named} colour": (lambda: field.colour.colours(s, ways, 0.0), n * 32 + colour),
-        f"{named} colour backward": (
-            lambda: field.colour.backward(s, ways, colours, of_colours, to_colour), n * 40 + 3 * colour,
+        f"{named} color": (lambda: field.color.colors(s, ways, 0.0), n * 32 + color),
+        f"{named} color backward": (
+            lambda: field.color.backward(s, ways, colors, of_colors, to_color), n * 40 + 3 * color,
         ),
-        f"adam, {named} colour": (adam, 9 * colour),
+        f"adam, {named} color": (adam, 9 * color),
     }  # fmt: skip
     if kind in ("vm", "hash", "voxel"):
         calls |= {
@@ -187,18 +187,18 @@ def launches(device: torch.device, rays: int, vertices: int, kind: str) -> tuple
             ),
             f"{kind} density smoothness": (lambda: field.density.smooth(1e-9, to_density), 3 * density),
         }  # fmt: skip
-    if kind in ("vm", "stylised"):
-        calls |= gpu_deform.launches(kind, field, going, rendered, of_sigma, of_colours)
+    if kind in ("vm", "stylized"):
+        calls |= gpu_deform.launches(kind, field, going, rendered, of_sigma, of_colors)
     if kind == "vm":
         calls |= {
-            "composite": (lambda: launch.composite(s, colours), n * 20 + rays * 36),
+            "composite": (lambda: launch.composite(s, colors), n * 20 + rays * 36),
             "composite backward": (
-                lambda: launch.composite_backward(s, colours, rendered.out, gradients, 0.0), n * 40 + rays * 56,
+                lambda: launch.composite_backward(s, colors, rendered.out, gradients, 0.0), n * 40 + rays * 56,
             ),
             "loss": (lambda: launch.photometric_loss(rendered.out, wanted, background, s, 1.0, sums), rays * 88),
         }  # fmt: skip
-    if kind == "stylised":
-        calls |= gpu_edit.launches(rendered, of_colours, wanted)
+    if kind == "stylized":
+        calls |= gpu_edit.launches(rendered, of_colors, wanted)
     return calls, n
 
 
@@ -231,8 +231,8 @@ def time_to(rows: list[dict]) -> dict:
     return {f"seconds_to_{goal:g}_db": min(found) if found else None for goal, found in reached.items()}
 
 
-def stylised(data: Path, work: Path, method: str, budget: str = "30s") -> dict:
-    """A stylisation of the fern that stands in the work folder, by the starry night."""
+def stylized(data: Path, work: Path, method: str, budget: str = "30s") -> dict:
+    """A stylization of the fern that stands in the work folder, by the starry night."""
     source = ["--of", f"fit-{BUDGETS[2]}"]
     if method == "desrf":
         stylerf("deform", str(work), *source, "--device", "cuda", "--name", "bent")
@@ -299,7 +299,7 @@ def measure(part: str, data: Path, kept: Path, report: dict, device: torch.devic
     elif part == "fern":
         report[part] = fitted(data, fern, "fern", ["--images", "images_4"], BUDGETS[2])
     elif part in ("arf", "desrf"):
-        report[part] = stylised(data, fern, part)
+        report[part] = stylized(data, fern, part)
     elif part == "edit":
         report[part] = edited(lego)
     else:

@@ -6,21 +6,21 @@ VERTICES = 32  # a side of the displacement grid
 REACH = 4  # cells that it moves anything by
 
 
-def launches(kind: str, field, rays, rendered, of_sigma: torch.Tensor, of_colours: torch.Tensor) -> dict:
+def launches(kind: str, field, rays, rendered, of_sigma: torch.Tensor, of_colors: torch.Tensor) -> dict:
     """{kernel: (a launch of it, fewest bytes it moves)} on a DeviceField's rays and what composite_backward gave.
 
-    kind: vm, or stylised: then its colour's kernel alone, as the others are those of a vm field.
+    kind: vm, or stylized: then its color's kernel alone, as the others are those of a vm field.
     """
     from stylerf.kernels.gpu import launch_deform
 
-    s, colours, named = rendered.samples, rendered.colours, "vm" if kind == "vm" else "hash sum"
+    s, colors, named = rendered.samples, rendered.colors, "vm" if kind == "vm" else "hash sum"
     n, slopes, ways = s.room, torch.zeros_like(s.x), rays.directions
     grid = torch.zeros(3 * VERTICES**3, device=field.device)
     space = torch.from_numpy(field.space.packed()).to(field.device)
     calls = {
-        f"{named} colour slopes": (
-            lambda: field.colour.add_position_gradients(s, ways, colours, of_colours, slopes),
-            n * 60 + field.colour.values.nbytes,
+        f"{named} color slopes": (
+            lambda: field.color.add_position_gradients(s, ways, colors, of_colors, slopes),
+            n * 60 + field.color.values.nbytes,
         )
     }
     if kind != "vm":

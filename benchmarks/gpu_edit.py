@@ -3,28 +3,28 @@
 import numpy as np
 import torch
 
-from stylerf.fields.gpu.field import DevicePatchColour
-from stylerf.fields.hash_color import HashColour
-from stylerf.fields.region_color import PatchColour
+from stylerf.fields.gpu.field import DevicePatchColor
+from stylerf.fields.hash_color import HashColor
+from stylerf.fields.region_color import PatchColor
 from stylerf.kernels.gpu import launch_edit
 
 
-def launches(rendered, of_colours: torch.Tensor, wanted: torch.Tensor) -> dict:
+def launches(rendered, of_colors: torch.Tensor, wanted: torch.Tensor) -> dict:
     """{kernel: (a launch of it, fewest bytes it moves)} on rendered random rays; half of the cells are the edit's."""
     generator, cells = np.random.default_rng(2), 128
-    base = HashColour.create(generator)
-    part = DevicePatchColour(
-        PatchColour.create(base, generator.random((cells,) * 3) < 0.5, 256.0, table=1 << 15), wanted.device
+    base = HashColor.create(generator)
+    part = DevicePatchColor(
+        PatchColor.create(base, generator.random((cells,) * 3) < 0.5, 256.0, table=1 << 15), wanted.device
     )
     s, n, rays, ways = rendered.samples, rendered.samples.room, len(rendered.out), rendered.rays.directions
-    colours, marked, table = part.colours(s, ways, 0.0), part.marked, 4 * len(part.values)
+    colors, marked, table = part.colors(s, ways, 0.0), part.marked, 4 * len(part.values)
     to, depth, sums = torch.zeros_like(part.values), torch.ones(rays // 2, device=wanted.device), wanted.new_zeros(5)
     of_sigma = torch.randn_like(s.sigma)
     rows = launch_edit.rows(part.table, part.layout, part.levels, s.x)
     return {
-        "patch colour": (lambda: launch_edit.patch_colours(part, s, colours), n * 36 + cells**3 + table),
-        "patch colour backward": (
-            lambda: part.backward(s, ways, colours, of_colours, to), n * 36 + cells**3 + 3 * table,
+        "patch color": (lambda: launch_edit.patch_colors(part, s, colors), n * 36 + cells**3 + table),
+        "patch color backward": (
+            lambda: part.backward(s, ways, colors, of_colors, to), n * 36 + cells**3 + 3 * table,
         ),
         "keep inside": (lambda: launch_edit.keep_inside(marked, cells, s, of_sigma), n * 16 + cells**3),
         "ends of rays": (lambda: launch_edit.ends_inside(marked, cells, s), n * 20 + rays * 40 + cells**3),

@@ -49,7 +49,7 @@ def photos(folder: Path, work: Path) -> dict:
 
 
 def taken(work: Path, kind: str, name: str) -> dict:
-    """What an artefact took to make."""
+    """What an artifact took to make."""
     manifest = json.loads((work / kind / name / "manifest.json").read_text())
     return {"wall_seconds": round(manifest["seconds"], 1), "peak_memory_mb": round(manifest["peak_memory_mb"])}
 

@@ -1,9 +1,9 @@
-"""Recolouring a part by LAENeRF and by PaletteNeRF: `python -m benchmarks.palettes FITTED OUT.json [CASES]`.
+"""Recoloring a part by LAENeRF and by PaletteNeRF: `python -m benchmarks.palettes FITTED OUT.json [CASES]`.
 
 FITTED holds a work folder for each scene, fitted for 60 s, as for benchmarks.edits; each is copied.
 
-Protocol: a region is selected and recoloured by `stylerf edit` (LAENeRF). `stylerf stylize --method palettenerf` with
-60 s decomposes the same field once, then the same colour is given to its whole palette, everywhere and within a reach
+Protocol: a region is selected and recolored by `stylerf edit` (LAENeRF). `stylerf stylize --method palettenerf` with
+60 s decomposes the same field once, then the same color is given to its whole palette, everywhere and within a reach
 around the region's first pixel. All three are evaluated by `stylerf eval --region` on the held-out views: background
 MSE against the photos, over that of the field before (ratio), change inside the region, bleeding beside it. The
 sparsity L_sp is LAENeRF's over the region's pixels, PaletteNeRF's over all pixels that show the scene. Seconds are
@@ -28,13 +28,13 @@ CASES = {
 WANTED = ("background_mse", "background_ratio", "change_inside", "change_lab", "bleeding")
 
 
-def seconds_of(work: Path, *artefacts: str) -> float:
+def seconds_of(work: Path, *artifacts: str) -> float:
     """Of the stages that made them, kind/name."""
-    return sum(json.loads((work / one / "manifest.json").read_text())["seconds"] for one in artefacts)
+    return sum(json.loads((work / one / "manifest.json").read_text())["seconds"] for one in artifacts)
 
 
 def row(case: str, method: str, seconds: float, figures: dict, more: dict) -> dict:
-    """Of one recoloured field."""
+    """Of one recolored field."""
     found = {key: round(figures[key], 6) for key in WANTED if key in figures}
     return {"case": case, "method": method, "seconds": round(seconds, 1), **found, **more}
 
@@ -47,15 +47,15 @@ def measure(fitted: Path, case: str, kept: Path) -> list[dict]:
         shutil.copytree(fitted / folder / "scene", work / "scene")
         shutil.copytree(fitted / folder / "field" / "fit-60s", work / "field" / "fit-60s")
     made = stylerf("edit", str(work), *selection, "--recolor", "--palette", palette, "--name", region)
-    learnt = json.loads((work / "edit" / f"{region}-learnt" / "manifest.json").read_text())
-    seconds = sum(made["seconds"].values()) - made["seconds"]["region"] + learnt["seconds"]
-    told = {key: learnt["figures"][key] for key in ("colours", "sparsity", "palette_variation")}
+    learned = json.loads((work / "edit" / f"{region}-learned" / "manifest.json").read_text())
+    seconds = sum(made["seconds"].values()) - made["seconds"]["region"] + learned["seconds"]
+    told = {key: learned["figures"][key] for key in ("colors", "sparsity", "palette_variation")}
     figures = stylerf("eval", str(work), "--of", region, "--region", region)["figures"]
     rows = [row(case, "laenerf", seconds, figures, told)]
     method = ("stylize", str(work), "--method", "palettenerf")
     stylerf(*method, "--of", "fit-60s", "--budget", "60s", "--name", "palette")
-    learnt = json.loads((work / "field" / "palette" / "manifest.json").read_text())
-    told = {key: learnt["figures"][key] for key in ("colours", "sparsity", "palette_variation")}
+    learned = json.loads((work / "field" / "palette" / "manifest.json").read_text())
+    told = {key: learned["figures"][key] for key in ("colors", "sparsity", "palette_variation")}
     for words, flags in (("everywhere", ()), ("within reach", (*selection[:2], "--reach", reach))):
         name = f"palette-{words.split()[0]}"
         stylerf(*method, "--of", "palette", "--palette", palette, *flags, "--name", name)

@@ -2,13 +2,13 @@
 
 DATA holds the scenes, STYLES the paintings. With $STYLERF_BENCH_WORK the work folders are kept there, and what stands
 in them is not made again. Options, each a list with commas: --scenes fern,fox,lego --capacities grow,fixed:128x8x16
---budgets 60s,300s --stylised grow --methods arf,desrf --rays auto,dilated --style-budgets 60s; --painting FILE; and
+--budgets 60s,300s --stylized grow --methods arf,desrf --rays auto,dilated --style-budgets 60s; --painting FILE; and
 --flags METHOD=FLAGS for what else a method needs. A run that fails is kept as a row that says why.
 
-Protocol: every scene is fitted at each capacity and budget; the fit of each capacity (or of --stylised) that had the
-longest budget is stylised by each method with each choice of rays (arf and desrf) and each style budget; all are
-evaluated on the held-out views, the stylised ones also along a path of 30 frames, in all three consistency protocols.
-`stylerf compare` then reads what stands: costs from the manifests, seconds since the fitted field for stylisations. One
+Protocol: every scene is fitted at each capacity and budget; the fit of each capacity (or of --stylized) that had the
+longest budget is stylized by each method with each choice of rays (arf and desrf) and each style budget; all are
+evaluated on the held-out views, the stylized ones also along a path of 30 frames, in all three consistency protocols.
+`stylerf compare` then reads what stands: costs from the manifests, seconds since the fitted field for stylizations. One
 seed, one run at a time.
 """
 
@@ -58,17 +58,17 @@ def options_of(argv: list[str]) -> argparse.Namespace:
         ("methods", "arf,desrf"), ("rays", "auto,full,dilated"), ("style-budgets", "60s"),
     ):  # fmt: skip
         parser.add_argument(f"--{name}", type=lambda text: text.split(","), default=default.split(","))
-    parser.add_argument("--stylised", type=lambda text: text.split(","))
+    parser.add_argument("--stylized", type=lambda text: text.split(","))
     parser.add_argument("--painting", default="starry_night.jpg")
     parser.add_argument("--flags", metavar="METHOD=FLAGS", action="append", default=[])
     asked = parser.parse_args(argv)
-    asked.stylised = asked.stylised or asked.capacities
+    asked.stylized = asked.stylized or asked.capacities
     asked.flags = {name: shlex.split(flags) for name, _, flags in (one.partition("=") for one in asked.flags)}
     return asked
 
 
 def label(*parts: str) -> str:
-    """A name that an artefact can have."""
+    """A name that an artifact can have."""
     return "-".join(parts).replace(":", "").replace(",", "-")
 
 
@@ -94,7 +94,7 @@ def measure(asked: argparse.Namespace, scene: str, work: str) -> list[dict]:
         made(name, fit, ("eval", work, "--of", name))
     painting = str(asked.styles / asked.painting)
     wanted = [(method, rays) for method in asked.methods for rays in (asked.rays if method in BY_RAYS else ["auto"])]
-    for capacity, (method, rays), budget in product(asked.stylised, wanted, asked.style_budgets):
+    for capacity, (method, rays), budget in product(asked.stylized, wanted, asked.style_budgets):
         base, name = label("fit", capacity, asked.budgets[-1]), label(method, rays, budget, "of", capacity)
         style = ("stylize", work, "--of", base, "--style", painting, "--method", method, "--rays", rays)
         style += ("--budget", budget, "--name", name, *asked.flags.get(method, ()))

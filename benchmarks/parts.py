@@ -1,9 +1,9 @@
-"""Stylising a part by LAENeRF and by Ref-NPR: `python -m benchmarks.parts FITTED OUT.json STYLE [CASES]`.
+"""Stylizing a part by LAENeRF and by Ref-NPR: `python -m benchmarks.parts FITTED OUT.json STYLE [CASES]`.
 
 FITTED holds a work folder for each scene, fitted for 60 s, as for benchmarks.edits; each is copied. STYLE: a painting.
 
-Protocol: a region is selected and stylised by `stylerf edit --style` (LAENeRF). `stylerf stylize --region --method
-refnpr` with 40 s paints a view of the region and stylises the region after it. The picture that it painted (the photo
+Protocol: a region is selected and stylized by `stylerf edit --style` (LAENeRF). `stylerf stylize --region --method
+refnpr` with 40 s paints a view of the region and stylizes the region after it. The picture that it painted (the photo
 beside the region) is given to `stylerf stylize --method refnpr` with 40 s, whose whole field learns, as Ref-NPR's does
 in LAENeRF's comparison. All three are evaluated by `stylerf eval --region` on the held-out views: background MSE
 against the photos, over that of the field before (ratio), change inside the region, bleeding beside it. Seconds are

@@ -5,7 +5,7 @@ WORK holds an imported scene.
 Protocol: for each capacity a fit of that one capacity takes LEARNING steps, so that its occupancy is a real fit's;
 the next STEPS steps are timed kernel by kernel, on one thread and on all. A kernel's bound is the time that this
 machine needs, in a kernel of its own and on as many threads, for the memory that the kernel cannot avoid: `march` and
-`colour` read 18 rows a sample from the table, at the very places of the last batch, each sample's asked for while the
+`color` read 18 rows a sample from the table, at the very places of the last batch, each sample's asked for while the
 one before is read; the backward passes read them and add to 18 rows of a buffer as large; `adam` reads all gradients,
 and reads and writes five arrays where they are not zero, at the bandwidth of a triad over arrays as long as the
 table. Arithmetic is no part of a bound. Least of REPEATS. `psnr`: of training rays after LEARNING steps.
@@ -35,10 +35,10 @@ KERNELS = {
     "draw rays": ("stylerf.training.common.ray_dataset", "gather"),
     "march": ("stylerf.kernels.cpu.vm", "march_density"),
     "significant": ("stylerf.rendering.rays", "significant"),
-    "colour": ("stylerf.kernels.cpu.vm", "colour"),
+    "color": ("stylerf.kernels.cpu.vm", "color"),
     "composite": ("stylerf.rendering.rays", "composite"),
     "composite backward": ("stylerf.rendering.rays", "composite_backward"),
-    "colour backward": ("stylerf.kernels.cpu.vm", "colour_backward"),
+    "color backward": ("stylerf.kernels.cpu.vm", "color_backward"),
     "density backward": ("stylerf.kernels.cpu.vm", "density_backward"),
     "smoothness": ("stylerf.kernels.cpu.vm", "smoothness_backward"),
     "adam": ("stylerf.training.common.adam", "adam"),
@@ -158,25 +158,25 @@ def fitter_of(work: Path, capacity: str, threads: int, scratch: Path):
     scene = load_scene(Work(work).find("scene", "main"))
     space = space_of(scene, "auto")[0]
     settings = _settings(FitConfig(budget="1000000"), scene, space)
-    resolution, density, colour = map(int, capacity.split("x"))
-    settings = dataclasses.replace(settings, ladder=(Rung(resolution, density, colour),), shares=(), reductions=())
+    resolution, density, color = map(int, capacity.split("x"))
+    settings = dataclasses.replace(settings, ladder=(Rung(resolution, density, color),), shares=(), reductions=())
     bank = bank_of(scene, scene.splits["train"], scratch, Context(progress=Silent(), threads=threads))
     return Fitter(space, bank, 0, settings, 0, threads)
 
 
 def bounds(watch: Watch, threads: int) -> tuple[dict[str, float], dict[str, int]]:
     """Seconds of one step's unavoidable reads and additions by kernel, for the last batch, and what it held."""
-    density, colour = watch.last["density backward"], watch.last["colour backward"]
+    density, color = watch.last["density backward"], watch.last["color backward"]
     starts, ends = density[5], density[6]
     every = np.concatenate([np.arange(a, b) for a, b in zip(starts, ends)])
     x = np.ascontiguousarray(density[4][every])
-    learning, shown = density[8][every] * density[7][every] != 0, colour[8][every, 0] >= 0
+    learning, shown = density[8][every] * density[7][every] != 0, color[8][every, 0] >= 0
     table, size, ranks = *density[:2], density[3]
     found = {"march": _rows(table, size, ranks, x, threads)[0]}
     found["density backward"] = sum(_rows(table, size, ranks, x[learning], threads))
-    reads, adds = _rows(*colour[:3], x[shown], threads)
-    found |= {"colour": reads, "colour backward": reads + adds}
-    counts = {"rays": len(ends), "samples": len(x), "learning": int(learning.sum()), "coloured": int(shown.sum())}
+    reads, adds = _rows(*color[:3], x[shown], threads)
+    found |= {"color": reads, "color backward": reads + adds}
+    counts = {"rays": len(ends), "samples": len(x), "learning": int(learning.sum()), "colored": int(shown.sum())}
     return found, counts
 
 

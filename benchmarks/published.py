@@ -30,7 +30,7 @@ def _edit(case: str, key: str) -> tuple[str, dict, str]:
 
 
 def _seconds(stage: str) -> tuple[str, dict, str]:
-    return _edit("lego shovel, recoloured", f"seconds.{stage}")
+    return _edit("lego shovel, recolored", f"seconds.{stage}")
 
 
 def _fit(scene: str, budget: str) -> tuple[str, dict, str]:
@@ -53,45 +53,45 @@ PUBLISHED = (
     Published("LAENeRF", "fine-tuning", 129, "lower", f"{SUPPLEMENT}, table 3",
               _seconds("field"), SET.format("30 s"), "s", judged=False),
     Published("LAENeRF", "extraction to fine-tuning", 310, "lower", f"{SUPPLEMENT}, table 3",
-              _edit("lego shovel, recoloured", "seconds_after_selection"), SET.format("400 steps and 30 s"), "s",
+              _edit("lego shovel, recolored", "seconds_after_selection"), SET.format("400 steps and 30 s"), "s",
               judged=False),
     Published("PaletteNeRF", "palette and decomposition of a scene", 582, "lower", f"{SUPPLEMENT}, table 3",
               ("palettes.json", {"case": "lego shovel", "method": "palettenerf, everywhere"}, "seconds"),
               SET.format("60 s"), "s", judged=False),
-    Published("LAENeRF", "lego shovel recoloured: palette colours", 5, "lower", f"{SUPPLEMENT}, table 1",
-              _edit("lego shovel, recoloured", "colours"), SAME_SCENE),
-    Published("LAENeRF", "lego shovel recoloured: sparsity L_sp", 0.859, "lower", f"{SUPPLEMENT}, table 1",
-              _edit("lego shovel, recoloured", "sparsity"), SAME_SCENE),
-    Published("LAENeRF", "lego shovel recoloured: palette TV", 0.107, "lower", f"{SUPPLEMENT}, table 1",
-              _edit("lego shovel, recoloured", "palette_variation"), SAME_SCENE),
-    Published("LAENeRF", "lego shovel stylised: palette colours", 6, "lower", f"{SUPPLEMENT}, table 1",
-              _edit("lego shovel, starry_night", "colours"), SAME_SCENE),
-    Published("LAENeRF", "lego shovel stylised: sparsity L_sp", 2.129, "lower", f"{SUPPLEMENT}, table 1",
+    Published("LAENeRF", "lego shovel recolored: palette colors", 5, "lower", f"{SUPPLEMENT}, table 1",
+              _edit("lego shovel, recolored", "colors"), SAME_SCENE),
+    Published("LAENeRF", "lego shovel recolored: sparsity L_sp", 0.859, "lower", f"{SUPPLEMENT}, table 1",
+              _edit("lego shovel, recolored", "sparsity"), SAME_SCENE),
+    Published("LAENeRF", "lego shovel recolored: palette TV", 0.107, "lower", f"{SUPPLEMENT}, table 1",
+              _edit("lego shovel, recolored", "palette_variation"), SAME_SCENE),
+    Published("LAENeRF", "lego shovel stylized: palette colors", 6, "lower", f"{SUPPLEMENT}, table 1",
+              _edit("lego shovel, starry_night", "colors"), SAME_SCENE),
+    Published("LAENeRF", "lego shovel stylized: sparsity L_sp", 2.129, "lower", f"{SUPPLEMENT}, table 1",
               _edit("lego shovel, starry_night", "sparsity"), SAME_SCENE),
-    Published("LAENeRF", "lego shovel stylised: palette TV", 0.029, "lower", f"{SUPPLEMENT}, table 1",
+    Published("LAENeRF", "lego shovel stylized: palette TV", 0.029, "lower", f"{SUPPLEMENT}, table 1",
               _edit("lego shovel, starry_night", "palette_variation"), SAME_SCENE),
-    Published("LAENeRF", "lego stylised: background MSE", 0.0021, "lower", f"{SUPPLEMENT}, table 4",
+    Published("LAENeRF", "lego stylized: background MSE", 0.0021, "lower", f"{SUPPLEMENT}, table 4",
               _edit("lego shovel, starry_night", "background_mse"), SAME_SCENE),
-    Published("Ref-NPR", "lego stylised: background MSE", 0.0233, "lower", f"{SUPPLEMENT}, table 4",
+    Published("Ref-NPR", "lego stylized: background MSE", 0.0233, "lower", f"{SUPPLEMENT}, table 4",
               ("parts.json", {"case": "lego shovel", "method": "refnpr, of the whole field"}, "background_mse"),
               SAME_SCENE),
     *(
         Published(method, f"{scene} {edit}: background MSE", value, "lower", f"{SUPPLEMENT}, table {table}", None,
                   NO_SCENE)
         for edit, table, rows in (
-            ("stylised", 4, (
+            ("stylized", 4, (
                 ("chair", (("Ref-NPR", 0.0357), ("LAENeRF", 0.0037))),
                 ("drums", (("Ref-NPR", 0.0808), ("LAENeRF", 0.0154))),
                 ("horns", (("Ref-NPR", 0.0075), ("LAENeRF", 0.0024))),
                 ("flower", (("Ref-NPR", 0.0079), ("LAENeRF", 0.0026))),
                 ("trex", (("Ref-NPR", 0.0064), ("LAENeRF", 0.0025))),
             )),
-            ("recoloured", 5, (
+            ("recolored", 5, (
                 ("horns", (("PaletteNeRF", 0.0195), ("PaletteNeRF, semantic", 0.0028), ("LAENeRF", 0.0010))),
                 ("fortress", (("PaletteNeRF", 0.0011), ("PaletteNeRF, semantic", 0.0002), ("LAENeRF", 0.0002))),
                 ("flower", (("PaletteNeRF", 0.0076), ("PaletteNeRF, semantic", 0.0022), ("LAENeRF", 0.0007))),
             )),
-            ("recoloured", 6, (
+            ("recolored", 6, (
                 ("room", (("PaletteNeRF", 0.0216), ("PaletteNeRF, semantic", 0.0056), ("LAENeRF", 0.0015))),
                 ("bonsai", (("PaletteNeRF", 0.0036), ("PaletteNeRF, semantic", 0.0016), ("LAENeRF", 0.0011))),
                 ("kitchen", (("PaletteNeRF", 0.0125), ("PaletteNeRF, semantic", 0.0027), ("LAENeRF", 0.0022))),
@@ -103,8 +103,8 @@ PUBLISHED = (
     *(
         Published(method, f"consistency of {edit}, {reach}", value, "lower", f"{SUPPLEMENT}, table 2", None, NO_FILM)
         for edit, rows in (
-            ("stylisations", (("LAENeRF", 0.0252, 0.1932), ("Ref-NPR", 0.0264, 0.1973))),
-            ("recolourings", (("LAENeRF", 0.0167, 0.0934), ("PaletteNeRF, semantic", 0.0164, 0.0925))),
+            ("stylizations", (("LAENeRF", 0.0252, 0.1932), ("Ref-NPR", 0.0264, 0.1973))),
+            ("recolorings", (("LAENeRF", 0.0167, 0.0934), ("PaletteNeRF, semantic", 0.0164, 0.0925))),
         )
         for method, short, long in rows
         for reach, value in (("short", short), ("long", long))

@@ -111,7 +111,7 @@ def edits() -> str:
     report = result("edits.json")
     lines = [
         "| edit | extract | learn | distill | finetune | in all | background MSE (before) | change inside "
-        "| colours, L_sp |",
+        "| colors, L_sp |",
         "|---|---|---|---|---|---|---|---|---|",
     ]
     for row in report["rows"]:
@@ -123,7 +123,7 @@ def edits() -> str:
             f"{row['seconds_after_selection']:.0f} s",
             f"{row['background_mse']:.5f} ({before:.5f})",
             f"{row['change_lab']:.0f} dE",
-            f"{row['colours']}, {row['sparsity']:.2f}",
+            f"{row['colors']}, {row['sparsity']:.2f}",
         ]
         lines.append(f"| {' | '.join(cells)} |")
     p = report["published_seconds"]
@@ -135,23 +135,23 @@ def edits() -> str:
 
 
 def palettes() -> str:
-    """Markdown of a part recoloured by two methods; nothing where it has not been measured."""
+    """Markdown of a part recolored by two methods; nothing where it has not been measured."""
     if not (RESULTS / "palettes.json").is_file():
         return ""
     report = result("palettes.json")
-    lines = ["| part, blue | method | time | background MSE (before) | change inside | bleeding | colours, L_sp |",
+    lines = ["| part, blue | method | time | background MSE (before) | change inside | bleeding | colors, L_sp |",
              "|---|---|---|---|---|---|---|"]  # fmt: skip
-    lines += [f"{_of_part(row)} {row['colours']}, {row['sparsity']:.2f} |" for row in report["rows"]]
+    lines += [f"{_of_part(row)} {row['colors']}, {row['sparsity']:.2f} |" for row in report["rows"]]
     over = "L_sp: of LAENeRF over the region's pixels, of PaletteNeRF over all pixels that show the scene. "
     return "\n".join([*lines, "", over + where(report)])
 
 
 def parts() -> str:
-    """Markdown of a part stylised by two methods; nothing where it has not been measured."""
+    """Markdown of a part stylized by two methods; nothing where it has not been measured."""
     if not (RESULTS / "parts.json").is_file():
         return ""
     report = result("parts.json")
-    lines = ["| part, stylised | method | time | background MSE (before) | change inside | bleeding |",
+    lines = ["| part, stylized | method | time | background MSE (before) | change inside | bleeding |",
              "|---|---|---|---|---|---|"]  # fmt: skip
     return "\n".join([*lines, *map(_of_part, report["rows"]), "", where(report)])
 
@@ -256,7 +256,7 @@ def profile() -> str:
     gain = alone[rows[-1]["capacity"]]["step_ms"] / rows[-1]["step_ms"]
     steps = " | ".join(f"**{row['step_ms']:.1f}**" for row in rows)
     lines.append(f"| **a step** | {steps} | **{gain:.2f}x** |")
-    held = [f"{row['rays']} rays, {row['samples']} samples, {row['coloured']} of them coloured" for row in rows]
+    held = [f"{row['rays']} rays, {row['samples']} samples, {row['colored']} of them colored" for row in rows]
     bandwidths = ", ".join(f"{row['bandwidth_gb_s']:.1f}" for row in rows)
     return "\n".join(
         [*lines, "", f"{report['scene']}; the last batches held {'; '.join(held)}. Triads as long: {bandwidths} GB/s. "
@@ -279,7 +279,7 @@ def stress() -> str:
         "![Runs that succeed, of methods under faults, all scenes together](docs/images/stress.svg)",
         "",
         f"{', '.join(scenes)} together: {successes(report['rows'])}; photos of {asked['side']} pixels, "
-        f"{told(asked['budget'])} a fit, {told(asked['style_budget'])} a stylisation. Made scenes once. "
+        f"{told(asked['budget'])} a fit, {told(asked['style_budget'])} a stylization. Made scenes once. "
         + where(report),
     ]
     return "\n".join(lines)

@@ -1,13 +1,13 @@
 """Ray strategies compared on one scene: `python -m benchmarks.strategies WORK STYLE OUT.json [STEPS [METHOD]]`.
 
-Protocol: the field of WORK is stylised by each strategy in a process of its own, one after another, from the same
+Protocol: the field of WORK is stylized by each strategy in a process of its own, one after another, from the same
 seed, refit and settings (METHOD arf or desrf, dilation 2, no blur; dilated also with the paper's 3x3 blur, and without
 the memory of the last render).
 `full` runs STEPS steps, which take it T seconds; every other runs until it has done STEPS steps and used T seconds.
-Style distance (exact nearest neighbours, conv3) and content distance are means over the held-out views and over LOOKS
+Style distance (exact nearest neighbors, conv3) and content distance are means over the held-out views and over LOOKS
 looks two steps apart, the first at equal steps or at equal time: at a steady rate they swing by a tenth between steps.
 Field seconds: painting the picture and learning from its gradient; the rest of a step is the feature trunk, the
-matching and the optimisers. Field memory: what is resident at the end of painting and of learning, at most, above what
+matching and the optimizers. Field memory: what is resident at the end of painting and of learning, at most, above what
 was before the step; the trunk is left out; in a process of its own that gives freed memory back at once.
 """
 
@@ -58,7 +58,7 @@ def stylizer_for(work: str, style: str, method: str, case: str):
     from stages.artifacts.scene import load_scene
     from stages.artifacts.style_images import read_painting
     from stages.configs.stylize import StylizeConfig
-    from stages.stylization.settings import new_colour, painting_taps, settings_of
+    from stages.stylization.settings import new_color, painting_taps, settings_of
     from stages.weights.resolve import resolve
     from stylerf.fields.deformation import Deformation
     from stylerf.kernels.cpu.compiling import set_threads
@@ -66,8 +66,8 @@ def stylizer_for(work: str, style: str, method: str, case: str):
     from stylerf.training.stylize.arf import Stylizer
 
     threads, store = set_threads(os.cpu_count() or 1), Work(Path(work))
-    scene = load_scene(store.artefacts("scene")[0])
-    field, background = load_field(next(f for f in store.artefacts("field") if f.manifest.stage == "nerf_fit"))
+    scene = load_scene(store.artifacts("scene")[0])
+    field, background = load_field(next(f for f in store.artifacts("field") if f.manifest.stage == "nerf_fit"))
     options = {"rays" if k == "strategy" else k: v for k, v in CASES[case].items()}
     config = StylizeConfig(style=style, method=method, budget="100000", **options)
     level, found = level_of(background), resolve(None)
@@ -84,7 +84,7 @@ def stylizer_for(work: str, style: str, method: str, case: str):
         settings_of(config, long_side, field.closed),
         0,
         threads,
-        partial(new_colour, config),
+        partial(new_color, config),
         Deformation.create(np.random.default_rng([0, 8])) if method == "desrf" else None,
     )
     held_out = [(scene.cameras[i], photo_over(scene, i, level)) for i in scene.splits["test"]]

@@ -5,12 +5,12 @@ known here goes to `stylerf stress` as it is: --methods, --faults, --quick, --bu
 
 Protocol: `stylerf stress` in one work folder after another, remedies as the command says; faults of made scenes,
 which are the same for every WORK, in the first alone. Training views carry the fault, test views never do. A fit
-succeeds where it is finite and 3 dB nearer to the test photos than one flat colour (of an object: than its outlines in
-one colour); a stylisation where it is finite, keeps a third of the photos' structure (of the local variance of luma
+succeeds where it is finite and 3 dB nearer to the test photos than one flat color (of an object: than its outlines in
+one color); a stylization where it is finite, keeps a third of the photos' structure (of the local variance of luma
 what a straight line from the render's luma explains, of an object beyond its outlines) and is at most 0.7 times as far
-from the painting's colours; a local edit where it is finite, changes its part by 10 dE and what is around it by at most
+from the painting's colors; a local edit where it is finite, changes its part by 10 dE and what is around it by at most
 a fifth of that, and keeps an SSIM of luma of 0.2 with the field before. Figures: PSNR (dB) of fits, structure kept of
-stylisations, of edits the share of the change that stays inside, medians over the seeds.
+stylizations, of edits the share of the change that stays inside, medians over the seeds.
 """
 
 import argparse

@@ -1,1 +1,1 @@
-"""What is on disk: artefact kinds, manifests, codecs, migrations and the store."""
+"""What is on disk: artifact kinds, manifests, codecs, migrations and the store."""

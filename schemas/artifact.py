@@ -1,14 +1,14 @@
-"""A finished artefact: a folder that holds a manifest and the files that it lists."""
+"""A finished artifact: a folder that holds a manifest and the files that it lists."""
 
 import shlex
 from functools import cached_property
 from pathlib import Path
 
 from schemas.canonical_json import file_sha256
-from schemas.errors import ArtefactDamaged, ArtefactStale
+from schemas.errors import ArtifactDamaged, ArtifactStale
 from schemas.manifest import MANIFEST, InputRef, Manifest, read_manifest
 
-# What a user types to get an artefact of each kind; WORK stands for the work folder.
+# What a user types to get an artifact of each kind; WORK stands for the work folder.
 MADE_BY: dict[str, str] = {
     "scene": "stylerf import PHOTOS WORK",
     "field": "stylerf fit WORK",
@@ -26,7 +26,7 @@ VERB_OF: dict[str, str] = {
     "deform_init": "deform",
     "stylize": "stylize",
     "decompose": "stylize",
-    "recolour": "stylize",
+    "recolor": "stylize",
     "region_select": "select",
     "edit_dataset": "extract",
     "edit_learn": "stylize",
@@ -38,8 +38,8 @@ VERB_OF: dict[str, str] = {
 }
 
 
-class Artefact:
-    """A finished artefact on disk. Its manifest is read, and its seal checked, when first asked for.
+class Artifact:
+    """A finished artifact on disk. Its manifest is read, and its seal checked, when first asked for.
 
     Its files are those that the manifest lists, and nothing on the way to them is a link. name: by which it can be
     found, the folder's own unless the folder is on its way to its place.
@@ -50,7 +50,7 @@ class Artefact:
         self._name = name
 
     def __repr__(self) -> str:
-        return f"Artefact({str(self.path)!r})"
+        return f"Artifact({str(self.path)!r})"
 
     @cached_property
     def _read(self) -> tuple[Manifest, str]:
@@ -68,7 +68,7 @@ class Artefact:
 
     @property
     def name(self) -> str:
-        """Name of the folder, so that a renamed or copied artefact goes by the name it can be found under."""
+        """Name of the folder, so that a renamed or copied artifact goes by the name it can be found under."""
         return self._name or self.path.name
 
     @property
@@ -77,7 +77,7 @@ class Artefact:
         return self._read[1]
 
     def reference(self, role: str) -> InputRef:
-        """This artefact as an input that plays `role`."""
+        """This artifact as an input that plays `role`."""
         return InputRef(role, self.kind, self.name, self.digest)
 
     @cached_property
@@ -89,48 +89,48 @@ class Artefact:
         return relative in self._listed
 
     def file(self, relative: str) -> Path:
-        """Path of one of its files; ArtefactDamaged where the manifest does not list it, or it is not there as a
+        """Path of one of its files; ArtifactDamaged where the manifest does not list it, or it is not there as a
         regular file."""
         if not self.has(relative):
-            raise ArtefactDamaged(f"{self.path} lists no file {relative!r}; make it again: {self.remade_by()}")
+            raise ArtifactDamaged(f"{self.path} lists no file {relative!r}; make it again: {self.remade_by()}")
         path = self.path / relative
         steps = [path, *path.parents[: relative.count("/")]]
         if link := next((step for step in reversed(steps) if step.is_symlink()), None):
-            raise ArtefactDamaged(f"{link} is a link, which no artefact holds; make it again: {self.remade_by()}")
+            raise ArtifactDamaged(f"{link} is a link, which no artifact holds; make it again: {self.remade_by()}")
         if not path.is_file():
-            raise ArtefactDamaged(f"{self.path} lacks {relative}; make it again: {self.remade_by()}")
+            raise ArtifactDamaged(f"{self.path} lacks {relative}; make it again: {self.remade_by()}")
         return path
 
     def check_sizes(self) -> None:
-        """Quick check that every listed file is there with its length; ArtefactDamaged naming the first that is not."""
+        """Quick check that every listed file is there with its length; ArtifactDamaged naming the first that is not."""
         for record in self.manifest.files:
             size = self.file(record.path).stat().st_size
             if size != record.bytes:
-                raise ArtefactDamaged(
+                raise ArtifactDamaged(
                     f"{self.path / record.path} has {size} bytes where {record.bytes} were written; make it again: "
                     f"{self.remade_by()}"
                 )
 
     def verify(self) -> None:
-        """Full check: seal of the manifest, digest of every file, nothing added (see of_a_desktop). ArtefactDamaged
+        """Full check: seal of the manifest, digest of every file, nothing added (see of_a_desktop). ArtifactDamaged
         names what differs."""
         for earlier in ("_read", "_listed"):  # what is on disk now, not what was read before
             self.__dict__.pop(earlier, None)
         self.check_sizes()
         for record in self.manifest.files:
             if file_sha256(self.path / record.path) != record.sha256:
-                raise ArtefactDamaged(
+                raise ArtifactDamaged(
                     f"{self.path / record.path} was altered since it was written (its SHA-256 differs); make it "
                     f"again: {self.remade_by()}"
                 )
         if added := added_files(self.path, {record.path for record in self.manifest.files}):
-            raise ArtefactDamaged(f"{added[0]} is no part of this artefact; move it elsewhere")
+            raise ArtifactDamaged(f"{added[0]} is no part of this artifact; move it elsewhere")
 
     def remade_by(self) -> str:
         """What a user types to have it made again."""
         try:
             verb, config = VERB_OF[self.manifest.stage], self.manifest.config
-        except (ArtefactDamaged, ArtefactStale, KeyError):
+        except (ArtifactDamaged, ArtifactStale, KeyError):
             return "run the command that made it with --force"
         source = [str(config.get("source", "PHOTOS"))] if verb == "import" else []
         work = str(self.path.parent.parent)

@@ -18,7 +18,7 @@ def plain(value: Any) -> Any:
     Dataclasses and mappings become objects with string keys, tuples, sets (sorted) and arrays become lists, numpy
     scalars become numbers, paths become strings. JSON has no infinity and no NaN: they become the strings "inf",
     "-inf" and "nan", which stay apart from one another and which every reader accepts.
-    Raises TypeError for anything else, so that an artefact never holds the `repr` of an object.
+    Raises TypeError for anything else, so that an artifact never holds the `repr` of an object.
     """
     if value is None or isinstance(value, bool | str):
         return value

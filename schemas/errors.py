@@ -35,20 +35,20 @@ class NoFilm(BadInput):
     keeps_run = True
 
 
-class ArtefactDamaged(StylerfError):
-    """A file of an artefact is missing, cut short or altered since it was written."""
+class ArtifactDamaged(StylerfError):
+    """A file of an artifact is missing, cut short or altered since it was written."""
 
     exit_code = 4
 
 
-class WouldBeLost(ArtefactDamaged):
-    """Files that no run wrote lie where an artefact is to stand."""
+class WouldBeLost(ArtifactDamaged):
+    """Files that no run wrote lie where an artifact is to stand."""
 
     keeps_run = True
 
 
-class ArtefactStale(StylerfError):
-    """An artefact is missing, out of date, or of a schema this version cannot read."""
+class ArtifactStale(StylerfError):
+    """An artifact is missing, out of date, or of a schema this version cannot read."""
 
     exit_code = 4
 

@@ -1,4 +1,4 @@
-"""Rendered views as OpenEXR: colour, planar depth, ray distance, masks, and the camera that saw them.
+"""Rendered views as OpenEXR: color, planar depth, ray distance, masks, and the camera that saw them.
 
 Channels: R G B A half (linear Rec.709, premultiplied), Z float32 (along the camera's axis, not along the ray),
 rayDistance.Z float32 (along the ray), mask.<name> half. One scanline part, ZIP: of 1,100 flipped bytes none was

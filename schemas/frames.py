@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from schemas.atomic_write import write_json
-from schemas.errors import ArtefactDamaged
+from schemas.errors import ArtifactDamaged
 from schemas.json_numbers import FOCAL_LENGTHS, LARGEST_SIDE, matrix, number, whole
 from schemas.safe_names import relative_path
 from schemas.safe_reading import read_json
@@ -29,7 +29,7 @@ class FrameCamera:
 
 @dataclass(frozen=True)
 class Frame:
-    """One rendered view. exr, png: paths inside the artefact. scene_view: index of the scene's view it repeats."""
+    """One rendered view. exr, png: paths inside the artifact. scene_view: index of the scene's view it repeats."""
 
     name: str
     exr: str
@@ -58,23 +58,23 @@ def write_frames(folder: Path, frames: Frames) -> None:
 
 
 def read_frames(folder: Path) -> Frames:
-    """The list of frames in `folder`; ArtefactDamaged where it is missing or not what write_frames writes.
+    """The list of frames in `folder`; ArtifactDamaged where it is missing or not what write_frames writes.
 
     Entries that this version does not know are passed over.
     """
     path = Path(folder) / FRAMES_FILE
     try:
-        content = read_json(path, ArtefactDamaged)
+        content = read_json(path, ArtifactDamaged)
         views = tuple(_frame(entry) for entry in content["views"])
         fps = content.get("fps")
         masks = {str(name): str(channel) for name, channel in content.get("masks", {}).items()}
         fps = None if fps is None else number(fps, "fps", 1e-3, 1e4)
         return Frames(str(content["field"]), str(content["path"]), views, fps, masks)
     except FileNotFoundError:
-        raise ArtefactDamaged(f"{path} is missing; run `stylerf render` again") from None
+        raise ArtifactDamaged(f"{path} is missing; run `stylerf render` again") from None
     except (ValueError, TypeError, KeyError, AttributeError, OverflowError) as error:
         told = f"it lacks {error}" if isinstance(error, KeyError) else str(error)
-        raise ArtefactDamaged(f"{path} is damaged ({told}); run `stylerf render` again") from error
+        raise ArtifactDamaged(f"{path} is damaged ({told}); run `stylerf render` again") from error
 
 
 def _frame(entry: dict[str, Any]) -> Frame:

@@ -1,4 +1,4 @@
-"""Photos and pictures: read whole or refused, colours as stored or in sRGB; PNG written as one step."""
+"""Photos and pictures: read whole or refused, colors as stored or in sRGB; PNG written as one step."""
 
 import errno
 import os
@@ -35,7 +35,7 @@ _CLAIMED = re.compile(r"image size ([\d.]+) MB exceeds.*?claimed to be (\d+)x(\d
 class Image:
     """One image. pixels: [height, width, 1, 3 or 4] float32, 0..1 for integer files, as stored for float ones.
 
-    bits: of a stored channel value (8, 16 or 32). light: colours are linear light multiplied by alpha, as in EXR; else
+    bits: of a stored channel value (8, 16 or 32). light: colors are linear light multiplied by alpha, as in EXR; else
     they are code values and alpha is straight, as in PNG.
     """
 
@@ -50,7 +50,7 @@ class Image:
 
     @property
     def channels(self) -> int:
-        """1 grey, 3 RGB, 4 RGB and alpha."""
+        """1 gray, 3 RGB, 4 RGB and alpha."""
         return self.pixels.shape[2]
 
 
@@ -76,7 +76,7 @@ def _open(path: Path) -> "oiio.ImageInput":
         raise BadInput(f"{name}: its name is not UTF-8; rename it")
     oiio.attribute("limits:imagesize_MB", _most_to_open(head) >> 20)
     settings = oiio.ImageSpec()
-    settings.attribute("oiio:UnassociatedAlpha", 1)  # else colours come multiplied by alpha, rounded to 8 bit
+    settings.attribute("oiio:UnassociatedAlpha", 1)  # else colors come multiplied by alpha, rounded to 8 bit
     _error_of(oiio)  # clears what an earlier file left
     source = oiio.ImageInput.open(str(path), settings)
     if source is None:
@@ -114,7 +114,7 @@ def _first_line(message: str, path: Path) -> str:
 def read_image(path: Path | str, upright: bool = True) -> Image:
     """The image at `path`, turned by its EXIF orientation if `upright`, else with its rows as they are stored.
 
-    8 and 16 bit values are divided by 255 and 65535. Grey with alpha becomes RGBA; of many channels those named
+    8 and 16 bit values are divided by 255 and 65535. Gray with alpha becomes RGBA; of many channels those named
     R, G, B, A are taken. An EXR is what its display window shows: zeros where it has no data. BadInput with the file
     and the reason when it is missing, of an unknown format, cut short, damaged, larger than LARGEST_IMAGE_MB, or holds
     NaN or infinity; OutOfResources where it would take more memory than is allowed (schemas.allowance).
@@ -136,7 +136,7 @@ def _decoded(source: "oiio.ImageInput", path: Path) -> np.ndarray:
     scale = _SCALES.get(str(spec.format))
     if scale is None:
         raise BadInput(f"{path} stores its pixels as {spec.format}; expected 8 or 16 bits, or floating point")
-    chosen = _colour_channels(source, path)
+    chosen = _color_channels(source, path)
     check_allowance(path, spec.width, spec.height, 4 * spec.width * spec.height * len(chosen))
     pixels = np.empty((spec.height, spec.width, len(chosen)), np.float32)
     rows = _rows_of_a_band(spec)
@@ -196,8 +196,8 @@ def coverage(pixels: np.ndarray) -> np.ndarray:
     return (kept / max(float(kept.max()), 1e-12)).clip(0, 1)
 
 
-def _colour_channels(source: "oiio.ImageInput", path: Path) -> list[int]:
-    """Which stored channels are grey, RGB or RGBA, in this order; BadInput where they are something else."""
+def _color_channels(source: "oiio.ImageInput", path: Path) -> list[int]:
+    """Which stored channels are gray, RGB or RGBA, in this order; BadInput where they are something else."""
     spec, exr = source.spec(), source.format_name() == "openexr"
     names, count = spec.channelnames, spec.nchannels
     if source.format_name() == "null":
@@ -206,14 +206,14 @@ def _colour_channels(source: "oiio.ImageInput", path: Path) -> list[int]:
         raise BadInput(f"{path} is {why}; expected one flat part of R, G, B and perhaps A: save it so")
     if {"R", "G", "B"} <= set(names):
         return [names.index(name) for name in "RGBA" if name in names]
-    # Three of an EXR may be a position, or brightness beside halved colour; one may be a depth.
+    # Three of an EXR may be a position, or brightness beside halved color; one may be a depth.
     if count == 1 and not (exr and names[0].upper().rpartition(".")[2] == "Z"):
         return [0]
     if not exr and count in (2, 3):
         return [0, 0, 0, 1] if count == 2 else [0, 1, 2]
     if exr and set(names) == {"Y", "A"}:
         return [names.index(name) for name in "YYYA"]
-    raise BadInput(f"{path} has channels {', '.join(names[:12])}; expected grey, RGB or RGBA")
+    raise BadInput(f"{path} has channels {', '.join(names[:12])}; expected gray, RGB or RGBA")
 
 
 def _unusual(source: "oiio.ImageInput", spec: "oiio.ImageSpec") -> str:
@@ -262,7 +262,7 @@ def image_channels(path: Path | str) -> int:
     """Channels that read_image gives (1, 3 or 4), from the header alone; BadInput as read_image."""
     path = Path(path)
     with _opened(path) as source:
-        return len(_colour_channels(source, path))
+        return len(_color_channels(source, path))
 
 
 def image_size(path: Path | str, upright: bool = True) -> tuple[int, int]:
@@ -270,7 +270,7 @@ def image_size(path: Path | str, upright: bool = True) -> tuple[int, int]:
     path = Path(path)
     with _opened(path) as source:
         spec, form = source.spec(), source.format_name()
-        _colour_channels(source, path)
+        _color_channels(source, path)
     size = (spec.full_width, spec.full_height) if form == "openexr" else (spec.width, spec.height)
     turned = upright and 5 <= spec.get_int_attribute("Orientation", 1) <= 8  # the four that swap rows and columns
     return size[::-1] if turned else size

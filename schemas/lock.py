@@ -1,4 +1,4 @@
-"""The right of one process to write one artefact, by a lock that the system frees when the process ends.
+"""The right of one process to write one artifact, by a lock that the system frees when the process ends.
 
 The lock is on two things: a small file, `.NAME.lock`, that names the process which holds it, and the folder that is
 written to, so that a second writer is kept out even where somebody has deleted that file.

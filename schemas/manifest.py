@@ -1,4 +1,4 @@
-"""The manifest of an artefact: what it is, what it was made from and how, and which bytes it consists of."""
+"""The manifest of an artifact: what it is, what it was made from and how, and which bytes it consists of."""
 
 import hashlib
 import json
@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from schemas.canonical_json import digest_of, plain
-from schemas.errors import ArtefactDamaged
+from schemas.errors import ArtifactDamaged
 from schemas.flag_text import flags
 from schemas.migrations import CURRENT, migrated
 from schemas.safe_names import file_name, relative_path
@@ -36,7 +36,7 @@ _BLANK = b'"self_sha256": "' + b"0" * 64 + b'"'
 
 @dataclass(frozen=True)
 class InputRef:
-    """An artefact that another was made from: the part it played, and the digest that it had."""
+    """An artifact that another was made from: the part it played, and the digest that it had."""
 
     role: str
     kind: str
@@ -46,7 +46,7 @@ class InputRef:
 
 @dataclass(frozen=True)
 class Recipe:
-    """All that decides what a stage makes. Two equal recipes make the same artefact, so the older one is reused.
+    """All that decides what a stage makes. Two equal recipes make the same artifact, so the older one is reused.
 
     aside: options of the config that are told in the manifest and decide nothing, such as where a file lies. known: the
     digest of one that was read from a manifest, which does not tell what is aside.
@@ -102,7 +102,7 @@ class Recipe:
 
 @dataclass(frozen=True)
 class FileRecord:
-    """One file of an artefact: its path inside the folder with forward slashes, its length, its SHA-256."""
+    """One file of an artifact: its path inside the folder with forward slashes, its length, its SHA-256."""
 
     path: str
     bytes: int
@@ -113,7 +113,7 @@ class FileRecord:
 class Manifest:
     """manifest.json. `schema` counts the versions of this kind, `created` is UTC in ISO 8601, sizes are in MB = 1e6.
 
-    `seconds` and `peak_memory_mb` cover all runs that an interrupted artefact took. `figures` is free to each stage.
+    `seconds` and `peak_memory_mb` cover all runs that an interrupted artifact took. `figures` is free to each stage.
     `threads`: of the run that finished it, None where an earlier version did not tell; sums over another number of
     threads round otherwise, so that the same recipe gives the same bytes only with as many.
     """
@@ -138,7 +138,7 @@ class Manifest:
 
     @property
     def digest(self) -> str:
-        """SHA-256 over kind, schema, recipe and files: the identity of the artefact, whatever its name."""
+        """SHA-256 over kind, schema, recipe and files: the identity of the artifact, whatever its name."""
         return digest_of([self.kind, self.schema, self.recipe, [asdict(record) for record in self.files]])
 
     def to_bytes(self) -> bytes:
@@ -164,21 +164,21 @@ def _seal_holds(text: bytes) -> bool:
 
 
 def read_manifest(folder: Path) -> tuple[Manifest, str]:
-    """The manifest of the artefact in `folder`, brought to the present schema, and the digest it was stored with.
+    """The manifest of the artifact in `folder`, brought to the present schema, and the digest it was stored with.
 
     The digest is that of the stored version, so that what was made from it stays up to date after a migration.
-    Raises ArtefactDamaged when the manifest is missing or altered, ArtefactStale when a newer stylerf wrote it.
+    Raises ArtifactDamaged when the manifest is missing or altered, ArtifactStale when a newer stylerf wrote it.
     """
     path = folder / MANIFEST
     try:
-        text = read_bytes(path, MOST_BYTES, ArtefactDamaged)
+        text = read_bytes(path, MOST_BYTES, ArtifactDamaged)
     except FileNotFoundError:
-        raise ArtefactDamaged(f"{folder} has no {MANIFEST}, so it is no finished artefact; make it again") from None
+        raise ArtifactDamaged(f"{folder} has no {MANIFEST}, so it is no finished artifact; make it again") from None
     if not _seal_holds(text):
-        raise ArtefactDamaged(f"{path} was altered since it was written (its own digest differs); make it again")
-    content = parsed(text.decode("utf-8", "replace"), str(path), ArtefactDamaged)
+        raise ArtifactDamaged(f"{path} was altered since it was written (its own digest differs); make it again")
+    content = parsed(text.decode("utf-8", "replace"), str(path), ArtifactDamaged)
     if not isinstance(content, dict):
-        raise ArtefactDamaged(f"{path} is no JSON object; make the artefact again")
+        raise ArtifactDamaged(f"{path} is no JSON object; make the artifact again")
     content.pop("self_sha256", None)
     stored = _digest_as_stored(content)
     return _from_dict(migrated(content, folder), path), stored
@@ -191,13 +191,13 @@ def _digest_as_stored(content: dict) -> str:
 def _from_dict(content: dict, path: Path) -> Manifest:
     known = {item.name for item in fields(Manifest)}
     if missing := sorted(known - {"figures"} - content.keys()):
-        raise ArtefactDamaged(f"{path} lacks {', '.join(missing)}; make the artefact again")
+        raise ArtifactDamaged(f"{path} lacks {', '.join(missing)}; make the artifact again")
     if more := sorted(content.keys() - known):
-        raise ArtefactDamaged(f"{path} holds unknown fields {', '.join(more)}; make the artefact again")
+        raise ArtifactDamaged(f"{path} holds unknown fields {', '.join(more)}; make the artifact again")
     try:
         return _checked(content)
-    except (TypeError, ValueError, OverflowError, ArtefactDamaged) as error:
-        raise ArtefactDamaged(f"{path} is not as a manifest is written ({error}); make the artefact again") from error
+    except (TypeError, ValueError, OverflowError, ArtifactDamaged) as error:
+        raise ArtifactDamaged(f"{path} is not as a manifest is written ({error}); make the artifact again") from error
 
 
 def _checked(content: dict) -> Manifest:

@@ -1,4 +1,4 @@
-"""The present schema of each kind of artefact, and how older ones are brought to it when read.
+"""The present schema of each kind of artifact, and how older ones are brought to it when read.
 
 A new schema of a kind raises its number in CURRENT, adds one function to MIGRATIONS and one stored sample of the old
 version to tests/schemas/samples/.
@@ -7,7 +7,7 @@ version to tests/schemas/samples/.
 from collections.abc import Callable
 from pathlib import Path
 
-from schemas.errors import ArtefactDamaged, ArtefactStale
+from schemas.errors import ArtifactDamaged, ArtifactStale
 
 CURRENT: dict[str, int] = {
     "scene": 2,
@@ -29,25 +29,25 @@ MIGRATIONS: dict[tuple[str, int], Migration] = {
 
 
 def migrated(content: dict, folder: Path) -> dict:
-    """The manifest `content` of the artefact in `folder` brought to the present schema of its kind, step by step.
+    """The manifest `content` of the artifact in `folder` brought to the present schema of its kind, step by step.
 
-    Raises ArtefactStale for a schema newer than this version knows or too old to migrate, ArtefactDamaged for a
+    Raises ArtifactStale for a schema newer than this version knows or too old to migrate, ArtifactDamaged for a
     manifest without a usable kind and schema.
     """
     kind, schema = content.get("kind"), content.get("schema")
     if not isinstance(schema, int) or isinstance(schema, bool) or schema < 1 or not isinstance(kind, str):
-        raise ArtefactDamaged(f"{folder}: manifest.json names no kind and schema; make the artefact again")
+        raise ArtifactDamaged(f"{folder}: manifest.json names no kind and schema; make the artifact again")
     if kind not in CURRENT:
-        raise ArtefactStale(f"{folder} is of kind {kind!r}, which was written by a newer stylerf; update stylerf")
+        raise ArtifactStale(f"{folder} is of kind {kind!r}, which was written by a newer stylerf; update stylerf")
     if schema > CURRENT[kind]:
-        raise ArtefactStale(
+        raise ArtifactStale(
             f"{folder} was written by a newer stylerf: its {kind} schema is {schema}, this version reads up to "
             f"{CURRENT[kind]}; update stylerf"
         )
     while schema < CURRENT[kind]:
         step = MIGRATIONS.get((kind, schema))
         if step is None:
-            raise ArtefactStale(f"{folder}: {kind} schema {schema} is too old to read; make the artefact again")
+            raise ArtifactStale(f"{folder}: {kind} schema {schema} is too old to read; make the artifact again")
         schema += 1
         content = {**step(dict(content), folder), "schema": schema}
     return content

@@ -1,14 +1,14 @@
-"""An artefact in the making: a locked folder that an interrupted run leaves behind and the next one goes on with.
+"""An artifact in the making: a locked folder that an interrupted run leaves behind and the next one goes on with.
 
     WORK/<kind>/.<name>.partial/recipe.json    what is being made
-                                files/         the files of the artefact to be
+                                files/         the files of the artifact to be
                                 checkpoint/    what the stage needs to go on, gone once it is finished
                                 clock.json     seconds and peak memory of the runs so far
-                                ready/         the finished artefact, on its way to its place
+                                ready/         the finished artifact, on its way to its place
                                 replaced/      the one that it takes the place of
     WORK/<kind>/.<name>.lock                   held while a process writes here; see schemas.lock
 
-Finishing hashes and flushes the files, writes the manifest last, and swaps `files` with the artefact of that name in
+Finishing hashes and flushes the files, writes the manifest last, and swaps `files` with the artifact of that name in
 one rename. No run leaves links here, so none is followed.
 """
 
@@ -24,10 +24,10 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from schemas.artifact import Artefact, added_files, of_a_desktop
+from schemas.artifact import Artifact, added_files, of_a_desktop
 from schemas.atomic_write import is_temporary, make_folder, sync_file, sync_folder, write_bytes, write_json, writing
 from schemas.canonical_json import file_sha256, plain
-from schemas.errors import ArtefactStale, OutOfResources, WouldBeLost
+from schemas.errors import ArtifactStale, OutOfResources, WouldBeLost
 from schemas.lock import Lock
 from schemas.manifest import MANIFEST, FileRecord, InputRef, Manifest, Recipe
 from schemas.migrations import CURRENT
@@ -37,7 +37,7 @@ _AT_FDCWD = -100
 _RENAME_EXCHANGE = 2
 
 
-class UnlikeInterrupted(ArtefactStale):
+class UnlikeInterrupted(ArtifactStale):
     """An interrupted run with other options would be lost. seconds: its work so far; options: in words."""
 
     def __init__(self, kind: str, name: str, seconds: float, options: str) -> None:
@@ -51,7 +51,7 @@ class Partial:
     `resumed` tells that an earlier run of the same recipe left something here; with `anew` one that was begun so,
     too. What a run with other options left is deleted; with `careful`, where that is a minute's work or more, it is
     kept and UnlikeInterrupted raised, or, where no option goes on with it, `lost` tells what was deleted. Where files
-    lie at the artefact's place that no run wrote, no run begins or finishes (WouldBeLost).
+    lie at the artifact's place that no run wrote, no run begins or finishes (WouldBeLost).
     """
 
     def __init__(
@@ -114,7 +114,7 @@ class Partial:
             raise WouldBeLost(f"{strange} is a link or no file, which no run leaves there; delete it")
 
     def _refuse_to_bury(self) -> None:
-        """WouldBeLost where something stands in the artefact's place that no manifest there lists."""
+        """WouldBeLost where something stands in the artifact's place that no manifest there lists."""
         if os.path.islink(self.target) and not self.target.exists():
             raise WouldBeLost(f"{self.target} is a link to nothing; delete it, or mend what it leads to")
         if not self.target.exists():
@@ -143,7 +143,7 @@ class Partial:
             os.rename(replaced, self.target)
 
     def _restore_ready(self) -> None:
-        """A run that was killed after its last file and before its artefact stood goes on from there."""
+        """A run that was killed after its last file and before its artifact stood goes on from there."""
         ready = self.folder / "ready"
         made = [_recipe_in(folder) == self.recipe.digest for folder in (ready, self.target)]
         if made == [True, False] and not self.path.exists():
@@ -158,10 +158,10 @@ class Partial:
         seconds: float = 0.0,
         peak_memory_mb: float = 0.0,
         figures: dict[str, Any] | None = None,
-    ) -> Artefact:
-        """Finishes the artefact and returns it; checkpoints and the artefact it replaces are deleted after.
+    ) -> Artifact:
+        """Finishes the artifact and returns it; checkpoints and the artifact it replaces are deleted after.
 
-        A kill at any moment leaves either the older artefact (or none) with this run resumable, or the new one.
+        A kill at any moment leaves either the older artifact (or none) with this run resumable, or the new one.
         """
         self._refuse_links()
         with writing(self.path):
@@ -190,7 +190,7 @@ class Partial:
             self._swap()
             shutil.rmtree(self.folder, ignore_errors=True)
         self.release()
-        return Artefact(self.target)
+        return Artifact(self.target)
 
     def _files(self) -> list[Path]:
         """All files to keep, in the order of their names; an interrupted run's manifest is written anew."""
@@ -233,7 +233,7 @@ class Partial:
 
 
 def replaced_by(root: Path, kind: str, name: str) -> Path:
-    """Where an artefact lies while a newer one takes its place, where the disk cannot swap the two in one step."""
+    """Where an artifact lies while a newer one takes its place, where the disk cannot swap the two in one step."""
     return root / kind / f".{name}.partial" / "replaced"
 
 
@@ -269,7 +269,7 @@ def _strange_in(folder: Path) -> Iterator[Path]:
 def _listed_in(folder: Path) -> set[str] | None:
     """Paths that a manifest lists, also one of another version or with an altered byte; none where there is none.
 
-    None where there is one that cannot be read: an artefact that is to be made again, as whoever asks for it is told.
+    None where there is one that cannot be read: an artifact that is to be made again, as whoever asks for it is told.
     """
     if not (folder / MANIFEST).is_file():
         return set()
@@ -295,7 +295,7 @@ def sweep_finished(root: Path, kind: str, name: str) -> None:
 
 
 def _exchange(one: Path, other: Path) -> bool:
-    """Swaps two folders in one step where the system can (Linux), so that there is no moment without an artefact."""
+    """Swaps two folders in one step where the system can (Linux), so that there is no moment without an artifact."""
     try:
         renameat2 = ctypes.CDLL(None, use_errno=True).renameat2
     except (OSError, AttributeError):

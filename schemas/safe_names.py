@@ -2,7 +2,7 @@
 
 import unicodedata
 
-from schemas.errors import ArtefactDamaged, StylerfError
+from schemas.errors import ArtifactDamaged, StylerfError
 
 LONGEST_NAME = 255  # bytes, what common file systems take
 LONGEST_PATH = 1024  # bytes
@@ -10,11 +10,11 @@ _HIDDEN = {"Cc", "Cs", "Zl", "Zp"}  # control characters, surrogates, separators
 _BIDI = set("\u061c\u200e\u200f\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069\ufeff")
 
 
-def relative_path(text: object, what: str, fault: type[StylerfError] = ArtefactDamaged) -> str:
+def relative_path(text: object, what: str, fault: type[StylerfError] = ArtifactDamaged) -> str:
     """`text` if it is a path, with forward slashes, that stays inside the folder it is relative to; else `fault`.
 
     Refuses absolute paths, `.` and `..`, empty parts, control and bidi characters, lone surrogates, and what no file
-    system takes for its length. what: names the path in the message. Links are not looked for: see schemas.artefact.
+    system takes for its length. what: names the path in the message. Links are not looked for: see schemas.artifact.
     """
     if not isinstance(text, str):
         raise fault(f"{what} is {printable(repr(text))[:60]}, expected a path as text")
@@ -28,7 +28,7 @@ def relative_path(text: object, what: str, fault: type[StylerfError] = ArtefactD
     return text
 
 
-def file_name(text: object, what: str, fault: type[StylerfError] = ArtefactDamaged) -> str:
+def file_name(text: object, what: str, fault: type[StylerfError] = ArtifactDamaged) -> str:
     """As relative_path, of a single part: what a file is to be called."""
     name = relative_path(text, what, fault)
     if "/" in name:

@@ -1,6 +1,6 @@
 """scene.json: the views of a scene, their cameras, and what was learned about the capture.
 
-Camera axes are OpenCV's (x right, y down, z forward); pixel (i, j) has its centre at (i + 0.5, j + 0.5).
+Camera axes are OpenCV's (x right, y down, z forward); pixel (i, j) has its center at (i + 0.5, j + 0.5).
 """
 
 import math
@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from schemas.atomic_write import write_json
-from schemas.errors import ArtefactDamaged, BadInput
+from schemas.errors import ArtifactDamaged, BadInput
 from schemas.json_numbers import FOCAL_LENGTHS, LARGEST, LARGEST_PICTURE, LARGEST_SIDE, matrix, number, numbers, whole
 from schemas.safe_names import relative_path
 from schemas.safe_reading import read_json
@@ -40,7 +40,7 @@ def as_matrix(values: Any) -> Matrix:
 class View:
     """One image and its camera. fx, fy, cx, cy in pixels; world_from_camera 4x4 in scene units.
 
-    image: path inside the artefact. source: the path as the user knows it.
+    image: path inside the artifact. source: the path as the user knows it.
     """
 
     name: str
@@ -183,15 +183,15 @@ def write_scene(folder: Path, scene: Scene) -> None:
 
 
 def read_scene(folder: Path) -> Scene:
-    """The scene described in `folder`; ArtefactDamaged when scene.json is missing or not what write_scene writes."""
+    """The scene described in `folder`; ArtifactDamaged when scene.json is missing or not what write_scene writes."""
     path = Path(folder) / SCENE_FILE
     try:
-        scene = _from_dict(read_json(path, ArtefactDamaged))
+        scene = _from_dict(read_json(path, ArtifactDamaged))
         validate_scene(scene)
     except FileNotFoundError:
-        raise ArtefactDamaged(f"{path} is missing; run `stylerf import` again") from None
+        raise ArtifactDamaged(f"{path} is missing; run `stylerf import` again") from None
     except (ValueError, TypeError, KeyError, AttributeError, OverflowError, BadInput) as error:
-        raise ArtefactDamaged(f"{path} is damaged ({error}); run `stylerf import` again") from error
+        raise ArtifactDamaged(f"{path} is damaged ({error}); run `stylerf import` again") from error
     return scene
 
 

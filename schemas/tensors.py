@@ -9,7 +9,7 @@ import numpy as np
 from safetensors import SafetensorError, safe_open
 
 from schemas.atomic_write import replacing
-from schemas.errors import ArtefactDamaged
+from schemas.errors import ArtifactDamaged
 from schemas.safe_names import printable
 
 # By numpy's name, in the format's order from the last in a file to the first.
@@ -64,17 +64,17 @@ def _write(path: Path, parts: list[bytes | memoryview]) -> None:
 def load_tensors(path: Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:
     """The arrays by name and the metadata of a safetensors file.
 
-    ArtefactDamaged where it is missing, cut short or of another format. A flipped data byte is not seen here: that is
+    ArtifactDamaged where it is missing, cut short or of another format. A flipped data byte is not seen here: that is
     what the digests of the manifest are for.
     """
     path = Path(path)
     if not path.is_file():
-        raise ArtefactDamaged(f"{path} is missing; make the artefact it belongs to again")
+        raise ArtifactDamaged(f"{path} is missing; make the artifact it belongs to again")
     try:
         with safe_open(path, framework="numpy") as stream:
             for name in stream.keys():
                 if (kind := str(stream.get_slice(name).get_dtype())) not in TYPES.values():
-                    raise ValueError(f"its array {printable(name)} is of type {kind}, which no artefact has")
+                    raise ValueError(f"its array {printable(name)} is of type {kind}, which no artifact has")
             return {name: stream.get_tensor(name) for name in stream.keys()}, dict(stream.metadata() or {})
     except (SafetensorError, OSError, ValueError, OverflowError) as error:
-        raise ArtefactDamaged(f"{path} is no readable safetensors file ({error}); make its artefact again") from error
+        raise ArtifactDamaged(f"{path} is no readable safetensors file ({error}); make its artifact again") from error

@@ -66,7 +66,7 @@ def _encode(target: str | BinaryIO, frames: Iterable[np.ndarray], fps: float) ->
         told.color_primaries = told.color_trc = BT709
         for number, pixels in enumerate(frames):
             if number == 0:
-                # H.264 with halved colour takes even sides only.
+                # H.264 with halved color takes even sides only.
                 stream.height, stream.width = height, width = pixels.shape[0] // 2 * 2, pixels.shape[1] // 2 * 2
             frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(pixels[:height, :width]), format="rgb24")
             for packet in stream.encode(frame.reformat(format="yuv420p", dst_colorspace=Colorspace.ITU709)):

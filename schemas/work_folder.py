@@ -1,4 +1,4 @@
-"""The work folder: artefacts by kind and name, found, checked, and begun.
+"""The work folder: artifacts by kind and name, found, checked, and begun.
 
 WORK/<kind>/<name>/manifest.json and the files that it lists
 """
@@ -12,95 +12,95 @@ from contextlib import suppress
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
-from schemas.artifact import MADE_BY, Artefact
+from schemas.artifact import MADE_BY, Artifact
 from schemas.atomic_write import writing
 from schemas.canonical_json import file_sha256
-from schemas.errors import ArtefactDamaged, ArtefactStale, StylerfError, UsageError
+from schemas.errors import ArtifactDamaged, ArtifactStale, StylerfError, UsageError
 from schemas.manifest import MANIFEST, InputRef, Recipe
 from schemas.migrations import CURRENT
 from schemas.partial_artifact import Partial, replaced_by, sweep_finished
 
-__all__ = ["MADE_BY", "Artefact", "InputRef", "Partial", "Recipe", "Work", "newest", "sound_name", "sources_of"]
+__all__ = ["MADE_BY", "Artifact", "InputRef", "Partial", "Recipe", "Work", "newest", "sound_name", "sources_of"]
 
 CLOCK_SLACK = timedelta(minutes=5)  # by which the clocks of two machines may differ
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._+-]{0,99}")
 
 
 class Work:
-    """A work folder. Reading never writes; the folder is created when the first artefact is begun."""
+    """A work folder. Reading never writes; the folder is created when the first artifact is begun."""
 
     def __init__(self, root: Path | str) -> None:
         self.root = Path(root)
         if self.root.exists() and not self.root.is_dir():
             raise UsageError(f"{self.root} is a file where a work folder was expected")
 
-    def artefacts(self, kind: str | None = None) -> list[Artefact]:
-        """All finished artefacts (of one kind), by kind and name; folders without a manifest are not among them."""
+    def artifacts(self, kind: str | None = None) -> list[Artifact]:
+        """All finished artifacts (of one kind), by kind and name; folders without a manifest are not among them."""
         kinds = [_known(kind)] if kind else list(CURRENT)
         return [self._standing(one, name) for one in kinds for name in self._names(one)]
 
-    def get(self, kind: str, name: str) -> Artefact:
-        """The artefact of that kind and name; ArtefactStale with the command that makes it where there is none."""
-        artefact = self._standing(_known(kind), sound_name(name))
-        if not artefact.path.is_dir():
-            raise ArtefactStale(f"no {kind} {name} in {self.root}; make it with: {self._maker(kind)}")
-        if artefact.kind != kind:
-            raise ArtefactDamaged(
-                f"{artefact.path} is a {artefact.kind} by its manifest, not a {kind}; move it to its place"
+    def get(self, kind: str, name: str) -> Artifact:
+        """The artifact of that kind and name; ArtifactStale with the command that makes it where there is none."""
+        artifact = self._standing(_known(kind), sound_name(name))
+        if not artifact.path.is_dir():
+            raise ArtifactStale(f"no {kind} {name} in {self.root}; make it with: {self._maker(kind)}")
+        if artifact.kind != kind:
+            raise ArtifactDamaged(
+                f"{artifact.path} is a {artifact.kind} by its manifest, not a {kind}; move it to its place"
             )
-        return artefact
+        return artifact
 
-    def find(self, kind: str, name: str) -> Artefact:
-        """The artefact called `name`, or the only one whose name begins so.
+    def find(self, kind: str, name: str) -> Artifact:
+        """The artifact called `name`, or the only one whose name begins so.
 
-        UsageError when several do or none does but others exist, ArtefactStale when there is none of that kind.
+        UsageError when several do or none does but others exist, ArtifactStale when there is none of that kind.
         """
-        names = [item.name for item in self.artefacts(kind)]
+        names = [item.name for item in self.artifacts(kind)]
         if name in names:
             return self.get(kind, name)
         if not names:
-            raise ArtefactStale(f"no {kind} in {self.root}; make one with: {self._maker(kind)}")
+            raise ArtifactStale(f"no {kind} in {self.root}; make one with: {self._maker(kind)}")
         matches = [item for item in names if item.startswith(name)]
         if len(matches) != 1:
             told = "several" if matches else "none"
             raise UsageError(f"one {kind} called {name!r} expected, {told} found; there are {', '.join(names)}")
         return self.get(kind, matches[0])
 
-    def standing(self, kind: str, name: str, recipe: Recipe) -> Artefact | None:
-        """The artefact of that name if it was made by this very recipe and all its files have their lengths."""
-        artefact = self._standing(_known(kind), sound_name(name))
-        if not (artefact.path / MANIFEST).is_file():
+    def standing(self, kind: str, name: str, recipe: Recipe) -> Artifact | None:
+        """The artifact of that name if it was made by this very recipe and all its files have their lengths."""
+        artifact = self._standing(_known(kind), sound_name(name))
+        if not (artifact.path / MANIFEST).is_file():
             return None
         try:
-            if artefact.manifest.recipe != recipe.digest:
+            if artifact.manifest.recipe != recipe.digest:
                 return None
-            artefact.check_sizes()
-        except (ArtefactDamaged, ArtefactStale):
+            artifact.check_sizes()
+        except (ArtifactDamaged, ArtifactStale):
             return None  # a damaged or unreadable one is made again
-        return artefact
+        return artifact
 
     def sweep(self, kind: str, name: str) -> None:
-        """Deletes what is left of the run that made the artefact of that name, where a kill kept it from doing so."""
+        """Deletes what is left of the run that made the artifact of that name, where a kill kept it from doing so."""
         sweep_finished(self.root, _known(kind), sound_name(name))
 
     def begin(self, kind: str, name: str, recipe: Recipe, careful: bool = False, anew: bool = False) -> Partial:
         """Goes on with an interrupted run of this recipe, or starts afresh; see Partial."""
         return Partial(self.root, _known(kind), sound_name(name), recipe, careful, anew)
 
-    def copy(self, artefact: Artefact, name: str) -> Artefact:
-        """The artefact under another name too, in place of what is called so; its digest knows no name and stays."""
-        artefact.verify()  # else a damaged file would get a sound seal
-        made = artefact.manifest
+    def copy(self, artifact: Artifact, name: str) -> Artifact:
+        """The artifact under another name too, in place of what is called so; its digest knows no name and stays."""
+        artifact.verify()  # else a damaged file would get a sound seal
+        made = artifact.manifest
         recipe = Recipe(made.stage, made.revision, made.config, made.inputs, made.seed, known=made.recipe)
-        partial = self.begin(artefact.kind, name, recipe, careful=True)
+        partial = self.begin(artifact.kind, name, recipe, careful=True)
         try:
             for record in made.files:
                 target = partial.path / record.path
                 with writing(target):
                     target.parent.mkdir(parents=True, exist_ok=True)
-                    shutil.copyfile(artefact.file(record.path), target)
+                    shutil.copyfile(artifact.file(record.path), target)
                 if file_sha256(target) != record.sha256:
-                    raise ArtefactDamaged(f"{artefact.path / record.path} changed while it was copied; run it again")
+                    raise ArtifactDamaged(f"{artifact.path / record.path} changed while it was copied; run it again")
             measured = {
                 "threads": made.threads,
                 "seconds": made.seconds,
@@ -116,12 +116,12 @@ class Work:
         found = [(kind, item) for kind in CURRENT for item in sorted((self.root / kind).glob(".*.partial"))]
         return [(kind, item.name[1 : -len(".partial")]) for kind, item in found]
 
-    def outdated(self, artefact: Artefact) -> list[str]:
-        """Why the artefact no longer matches what it was made from, one line each; empty when it does.
+    def outdated(self, artifact: Artifact) -> list[str]:
+        """Why the artifact no longer matches what it was made from, one line each; empty when it does.
 
         Looks through its inputs up to the scene, the nearest first.
         """
-        reasons, waiting, seen = [], [artefact], {artefact.path.resolve()}
+        reasons, waiting, seen = [], [artifact], {artifact.path.resolve()}
         while waiting:
             made = waiting.pop(0)
             for ref in made.manifest.inputs:
@@ -132,7 +132,7 @@ class Work:
                 try:
                     if source.digest != ref.digest:
                         reasons.append(f"{ref.kind} {ref.name} was made again after {made.kind} {made.name}")
-                except (ArtefactDamaged, ArtefactStale) as error:
+                except (ArtifactDamaged, ArtifactStale) as error:
                     reasons.append(f"{ref.kind} {ref.name}, from which {made.name} was made, is not readable: {error}")
                     continue
                 if source.path.resolve() not in seen:
@@ -140,12 +140,12 @@ class Work:
                     waiting.append(source)
         return reasons
 
-    def _standing(self, kind: str, name: str) -> Artefact:
-        """The artefact in its place, or where a kill has left it: without a way to swap two folders in one step, there
+    def _standing(self, kind: str, name: str) -> Artifact:
+        """The artifact in its place, or where a kill has left it: without a way to swap two folders in one step, there
         is a moment between two renames in which nothing stands in its place."""
         place, aside = self.root / kind / name, replaced_by(self.root, kind, name)
         lost = not os.path.lexists(place) and (aside / MANIFEST).is_file()
-        return Artefact(aside, name) if lost else Artefact(place)
+        return Artifact(aside, name) if lost else Artifact(place)
 
     def _names(self, kind: str) -> list[str]:
         """Of all that stands, sorted."""
@@ -158,12 +158,12 @@ class Work:
         return MADE_BY[kind].replace("WORK", shlex.quote(str(self.root)))
 
 
-def sources_of(artefact: Artefact, kinds: Collection[str] = tuple(CURRENT)) -> list[Artefact]:
-    """What an artefact was made from, directly or through others of these kinds, the nearest first, each once.
+def sources_of(artifact: Artifact, kinds: Collection[str] = tuple(CURRENT)) -> list[Artifact]:
+    """What an artifact was made from, directly or through others of these kinds, the nearest first, each once.
 
     What is gone or cannot be read is passed over.
     """
-    work, found = Work(artefact.path.parent.parent), [artefact]
+    work, found = Work(artifact.path.parent.parent), [artifact]
     for made in found:  # which grows meanwhile
         for ref in made.manifest.inputs:
             if ref.kind in kinds and (ref.kind, ref.name) not in [(one.kind, one.name) for one in found]:
@@ -172,32 +172,32 @@ def sources_of(artefact: Artefact, kinds: Collection[str] = tuple(CURRENT)) -> l
     return found[1:]
 
 
-def newest(artefacts: Iterable[Artefact]) -> list[Artefact]:
-    """The artefacts, that made last first.
+def newest(artifacts: Iterable[Artifact]) -> list[Artifact]:
+    """The artifacts, that made last first.
 
     One dated in the future comes last, as the clock that dated it was wrong. Of two of one moment, that made of the
     other is the later.
     """
     now = datetime.now(UTC) + CLOCK_SLACK
 
-    def made(artefact: Artefact) -> tuple[bool, datetime, int]:
-        date = datetime.fromisoformat(artefact.manifest.created)
-        return date <= now, date, len(sources_of(artefact))
+    def made(artifact: Artifact) -> tuple[bool, datetime, int]:
+        date = datetime.fromisoformat(artifact.manifest.created)
+        return date <= now, date, len(sources_of(artifact))
 
-    return sorted(artefacts, key=made, reverse=True)
+    return sorted(artifacts, key=made, reverse=True)
 
 
 def _known(kind: str) -> str:
     if kind not in CURRENT:
-        raise UsageError(f"there is no kind of artefact called {kind!r}; kinds are {', '.join(CURRENT)}")
+        raise UsageError(f"there is no kind of artifact called {kind!r}; kinds are {', '.join(CURRENT)}")
     return kind
 
 
 def sound_name(name: str) -> str:
-    """The name, if an artefact may be called so, else UsageError."""
+    """The name, if an artifact may be called so, else UsageError."""
     if not _NAME.fullmatch(name):
         raise UsageError(
-            f"{name!r} cannot name an artefact: expected up to 100 letters, digits, '.', '_', '+' or '-', beginning "
+            f"{name!r} cannot name an artifact: expected up to 100 letters, digits, '.', '_', '+' or '-', beginning "
             "with a letter or digit"
         )
     return name

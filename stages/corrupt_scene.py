@@ -1,4 +1,4 @@
-"""A scene with one fault, made from a scene without: its training views are spoilt, its test views stay as they were.
+"""A scene with one fault, made from a scene without: its training views are spoiled, its test views stay as they were.
 
 The scene that it is made from stands in another work folder: it is told by its path and digest in the options, as an
 import tells its photos.
@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 from skimage.transform import resize
 
-from schemas.errors import ArtefactStale, BadInput
+from schemas.errors import ArtifactStale, BadInput
 from schemas.images import to_uint8, write_png
 from schemas.scene import Bounds, Scene, View, as_matrix, write_scene
-from schemas.work_folder import Artefact, Partial
+from schemas.work_folder import Artifact, Partial
 from stages.artifacts.scene import SceneData, load_scene
 from stages.configs.corrupt_scene import FaultConfig
 from stages.run.progress import Context
@@ -31,7 +31,7 @@ from stylerf.srgb import exposed
 def _outside(config: FaultConfig) -> dict[str, str]:
     if not config.source:
         return {}
-    scene = Artefact(Path(config.source))
+    scene = Artifact(Path(config.source))
     scene.verify()
     return {"source_digest": scene.digest}
 
@@ -64,11 +64,11 @@ class Capture:
     figures: dict
 
 
-def run(inputs: dict[str, Artefact], config: FaultConfig, partial: Partial, context: Context) -> dict:
+def run(inputs: dict[str, Artifact], config: FaultConfig, partial: Partial, context: Context) -> dict:
     """Writes scene.json and images/; returns the figures, among them what the fault did."""
     generator = np.random.default_rng([context.seed, 20])
     made = FAULTS[config.fault].of == MADE
-    found = _still_life(config, context.seed) if made else _spoilt(config, generator)
+    found = _still_life(config, context.seed) if made else _spoiled(config, generator)
     views = []
     context.progress.start(f"fault {config.fault}", len(found.shots), "photo")
     for index, shot in enumerate(found.shots):
@@ -113,7 +113,7 @@ def _still_life(config: FaultConfig, seed: int) -> Capture:
     return Capture(shots, "object", "made so", bounds, "alpha", np.eye(4), {})
 
 
-def _spoilt(config: FaultConfig, generator: np.random.Generator) -> Capture:
+def _spoiled(config: FaultConfig, generator: np.random.Generator) -> Capture:
     data = _source(config)
     train, tests = data.splits["train"], _few(data.splits["test"], config.tests)
     if not tests:
@@ -140,10 +140,10 @@ def _spoilt(config: FaultConfig, generator: np.random.Generator) -> Capture:
 
 
 def _source(config: FaultConfig) -> SceneData:
-    artefact = Artefact(Path(config.source))
-    if artefact.digest != config.source_digest:
-        raise ArtefactStale(f"{config.source} was made again meanwhile; run the same `stylerf stress` again")
-    return load_scene(artefact)
+    artifact = Artifact(Path(config.source))
+    if artifact.digest != config.source_digest:
+        raise ArtifactStale(f"{config.source} was made again meanwhile; run the same `stylerf stress` again")
+    return load_scene(artifact)
 
 
 def _few(tests: list[int], count: int) -> list[int]:
@@ -199,7 +199,7 @@ def _photo(data: SceneData, index: int, side: int, change=lambda photo, place: p
 
 
 def averaged(photo: np.ndarray, height: int, width: int) -> np.ndarray:
-    """The photo [h, w, 3 or 4], straight alpha, at another size; colours count by their alpha."""
+    """The photo [h, w, 3 or 4], straight alpha, at another size; colors count by their alpha."""
     if photo.shape[:2] == (height, width):
         return photo
     if photo.shape[2] == 3:

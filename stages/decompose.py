@@ -1,10 +1,10 @@
-"""Decompose: a field of the same shapes whose colours are mixes of a palette, learnt from the photos (PaletteNeRF)."""
+"""Decompose: a field of the same shapes whose colors are mixes of a palette, learned from the photos (PaletteNeRF)."""
 
 import numpy as np
 import torch
 
 from schemas.errors import BadInput
-from schemas.work_folder import Artefact, Partial
+from schemas.work_folder import Artifact, Partial
 from stages.artifacts.edit import save_palette
 from stages.artifacts.field import load_field, save_field
 from stages.artifacts.photos import level_of, photo_for
@@ -19,7 +19,7 @@ from stages.run.runner import Spec
 from stages.run.training_loop import run_training
 from stages.stylization.settings import finest_cells
 from stylerf.errors import InvalidValue
-from stylerf.fields.palette_color import PaletteColour
+from stylerf.fields.palette_color import PaletteColor
 from stylerf.kernels.cpu.compiling import compiling_note, set_threads
 from stylerf.training.common.bounded_cache import Kept
 from stylerf.training.stylize.palettenerf import Decomposing, DecompositionWeights
@@ -30,7 +30,7 @@ FINAL_RATE = 0.1  # of the learning rate, at the end
 WORKING_BYTES = 1e9  # what a step takes beside what is kept of the views
 
 
-def run(inputs: dict[str, Artefact], config: DecomposeConfig, partial: Partial, context: Context) -> dict:
+def run(inputs: dict[str, Artifact], config: DecomposeConfig, partial: Partial, context: Context) -> dict:
     """Writes the decomposed field and its palette; returns the figures."""
     scene = load_scene(inputs["scene"], inputs["field"])
     field, background = load_field(inputs["field"])
@@ -40,15 +40,15 @@ def run(inputs: dict[str, Artefact], config: DecomposeConfig, partial: Partial, 
     cameras = [scene.cameras[i] for i in views]
     photos = Kept(lambda place: photo_for(field, scene, views[place], level, threads), len, len(views), 0)
     if context.device == "cuda":
-        context.progress.say("a palette is learnt on the CPU: its colours have no GPU kernel")
+        context.progress.say("a palette is learned on the CPU: its colors have no GPU kernel")
 
-    def new_colour(generator: np.random.Generator, pixel_cells: float, palette: np.ndarray) -> PaletteColour:
+    def new_color(generator: np.random.Generator, pixel_cells: float, palette: np.ndarray) -> PaletteColor:
         finest = finest_cells(config.finest, pixel_cells)
-        return PaletteColour.create(generator, palette, config.levels, finest, 1 << config.table_bits)
+        return PaletteColor.create(generator, palette, config.levels, finest, 1 << config.table_bits)
 
     memory = max(room(context.memory) - WORKING_BYTES, 0)
     try:
-        settled = settings_of(config), weights_of(config), config.bases, context.seed, threads, new_colour, memory
+        settled = settings_of(config), weights_of(config), config.bases, context.seed, threads, new_color, memory
         learner = Decomposing(field, cameras, photos, level, *settled)
     except InvalidValue as error:
         raise BadInput(f"{inputs['field'].path}: {error}") from error
@@ -60,15 +60,15 @@ def run(inputs: dict[str, Artefact], config: DecomposeConfig, partial: Partial, 
         _train(learner, config, partial, context)
         figures = learner.figures()
     save_field(partial.path, learner.field, background)
-    colour, told = learner.field.colour, {key: figures[key] for key in ("sparsity", "palette_variation")}
-    save_palette(partial.path, colour.palette, colour.palette, figures["shares"], told)
+    color, told = learner.field.color, {key: figures[key] for key in ("sparsity", "palette_variation")}
+    save_palette(partial.path, color.palette, color.palette, figures["shares"], told)
     return {
         **figures,
         "method": config.method,
         "steps": learner.state.step,
         "train_seconds": round(learner.state.seconds, 2),
         "curve_style": learner.state.curve,
-        "finest": colour.finest,
+        "finest": color.finest,
         "parameters": learner.field.parameters,
         "views": len(cameras),
         **scene.exposure_figures,
@@ -76,7 +76,7 @@ def run(inputs: dict[str, Artefact], config: DecomposeConfig, partial: Partial, 
 
 
 def settings_of(config: DecomposeConfig) -> StyleSettings:
-    """What the config asks for, in the terms of all methods; photos keep their colours."""
+    """What the config asks for, in the terms of all methods; photos keep their colors."""
     seconds, steps = budget_of(config.budget)
     return StyleSettings(
         steps=steps,
@@ -112,7 +112,7 @@ def _train(learner: Decomposing, config: DecomposeConfig, partial: Partial, cont
         if state.phase != shown:
             shown = state.phase
             total = config.refit_steps if shown == "refit" else steps or seconds
-            words = {"refit": "new colours", "style": "palette"}[shown]
+            words = {"refit": "new colors", "style": "palette"}[shown]
             context.progress.start(words, total, "step" if counted else "s")
         note = f"squared error {state.curve[-1]['mse']:.4f}" if state.curve else ""
         context.progress.update(state.step if counted else min(state.seconds, now.settings.seconds), note)

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
-from schemas.errors import ArtefactDamaged, BadInput
+from schemas.errors import ArtifactDamaged, BadInput
 from schemas.images import to_uint8, write_png
 from schemas.tensors import save_tensors
-from schemas.work_folder import Artefact, Partial
+from schemas.work_folder import Artifact, Partial
 from stages.artifacts.edit import load_edit
 from stages.artifacts.edit_views import load_edit_views
 from stages.artifacts.scene import EARLIER, EDIT_TARGETS, SceneData, edit_targets
@@ -26,7 +26,7 @@ from stylerf.kernels.cpu.compiling import compiling_note, set_threads
 SPEC = Spec(stage="distill", verb="distill", revision=3, writes="scene")
 
 
-def run(inputs: dict[str, Artefact], config: DistillConfig, partial: Partial, context: Context) -> dict:
+def run(inputs: dict[str, Artifact], config: DistillConfig, partial: Partial, context: Context) -> dict:
     """Writes a scene like the one before, but for the photos that show the edit; returns the figures."""
     chunks = set_threads(context.threads)
     scene = load_pictures(inputs["scene"], inputs["field"], chunks)
@@ -38,7 +38,7 @@ def run(inputs: dict[str, Artefact], config: DistillConfig, partial: Partial, co
     for view in views:
         camera = scene.cameras[view.view] if view.view < len(scene.cameras) else None
         if camera is None or (view.width, view.height) != (camera.width, camera.height):
-            raise ArtefactDamaged(
+            raise ArtifactDamaged(
                 f"{inputs['edit-dataset'].path}: its view {view.view}, {view.width}x{view.height}, is none of the "
                 f"scene's; make it anew"
             )
@@ -76,12 +76,12 @@ def _edited(
 ) -> tuple[np.ndarray, np.ndarray]:
     """The photo with the edit [h, w, 3 or 4] uint8, and which of the view's pixels carry it.
 
-    LAENeRF paints such pixels whole, by the alpha of the field: what shows beside the region would learn its colours.
+    LAENeRF paints such pixels whole, by the alpha of the field: what shows beside the region would learn its colors.
     Only rims are blended: a pixel further in, alpha_E is over 0.96 of alpha (98 % of pixels, still life, 48x48).
     """
     photo = scene.images(view.view)
     fading = view.transition if config.fade else None
-    found = module.colours(view.x, view.directions, changes, fading, chunks)
+    found = module.colors(view.x, view.directions, changes, fading, chunks)
     chosen = np.flatnonzero(view.weight > config.least)
     pixels = view.pixels[chosen]
     out = photo.reshape(-1, photo.shape[2]).copy()
@@ -92,7 +92,7 @@ def _edited(
 
 
 def _write_others(scene: SceneData, shown: set[int], folder: Path) -> None:
-    """Photos in which the edit is not seen, as the others were seen: at one exposure, in the field's own colours."""
+    """Photos in which the edit is not seen, as the others were seen: at one exposure, in the field's own colors."""
     for index, view in enumerate(scene.views):
         if not scene.as_stored(index) and index not in shown:
             write_png(folder / view.image, to_uint8(scene.images(index)))

@@ -8,7 +8,7 @@ import numpy as np
 from schemas.errors import BadInput
 from schemas.exr import ExrView, write_exr
 from schemas.images import linear_from_srgb
-from schemas.work_folder import Artefact, Partial
+from schemas.work_folder import Artifact, Partial
 from stages.artifacts.edit_views import save_edit_views
 from stages.artifacts.field import load_field
 from stages.artifacts.region import load_region
@@ -28,7 +28,7 @@ SPEC = Spec(stage="edit_dataset", verb="extract", revision=3, writes="edit-datas
 FADING = 1 / 40  # of the region's size
 
 
-def run(inputs: dict[str, Artefact], config: ExtractConfig, partial: Partial, context: Context) -> dict:
+def run(inputs: dict[str, Artifact], config: ExtractConfig, partial: Partial, context: Context) -> dict:
     """Writes the views' pixels, and what they are as EXR; returns the figures."""
     chunks = set_threads(context.threads)
     scene = load_pictures(inputs["scene"], inputs["field"], chunks)

@@ -1,4 +1,4 @@
-"""Stylize, a region: a palette and where its colours go, by the photos and a painting (LAENeRF, 3.4)."""
+"""Stylize, a region: a palette and where its colors go, by the photos and a painting (LAENeRF, 3.4)."""
 
 import time
 from contextlib import nullcontext
@@ -10,7 +10,7 @@ import torch
 
 from schemas.errors import BadInput
 from schemas.images import to_uint8, write_png
-from schemas.work_folder import Artefact, Partial
+from schemas.work_folder import Artifact, Partial
 from stages.artifacts.edit import Edit, save_edit
 from stages.artifacts.edit_views import load_edit_views
 from stages.artifacts.style_images import read_painting
@@ -29,14 +29,14 @@ from stylerf.editing.palette_losses import EditWeights
 from stylerf.editing.region_style import crop_of
 from stylerf.errors import InvalidValue
 from stylerf.kernels.cpu.compiling import compiling_note, set_threads
-from stylerf.style.color_matching import match_colours
+from stylerf.style.color_matching import match_colors
 from stylerf.style.feature_extractor import Trunk
-from stylerf.training.edit.trainer import EditSettings, EditTrainer, sampled_colours, start_module
+from stylerf.training.edit.trainer import EditSettings, EditTrainer, sampled_colors, start_module
 
 SPEC = Spec(stage="edit_learn", verb="stylize", revision=4, writes="edit", outside=digests_of_files)
 
 
-def run(inputs: dict[str, Artefact], config: EditConfig, partial: Partial, context: Context) -> dict:
+def run(inputs: dict[str, Artifact], config: EditConfig, partial: Partial, context: Context) -> dict:
     """Writes the palette module, its palette and a preview; returns the figures."""
     views, _ = load_edit_views(inputs["edit-dataset"])
     shown = max(views, key=len)
@@ -48,8 +48,8 @@ def run(inputs: dict[str, Artefact], config: EditConfig, partial: Partial, conte
         context.progress.say(f"features: {resolved.name}, from {resolved.source}")
         painting, trunk = cropped(config), Trunk(resolved.state, config.taps, resolved.kind).to(device or "cpu")
         features = resolved.manifest()
-        if config.match and not config.preserve_colour:
-            views = in_colours_of_painting(views, painting, context.seed)
+        if config.match and not config.preserve_color:
+            views = in_colors_of_painting(views, painting, context.seed)
     try:
         settings = settings_of(config)
         module = start_module(views, settings, context.seed)
@@ -76,9 +76,9 @@ def settings_of(config: EditConfig) -> EditSettings:
     """What the config asks for, in the trainer's terms."""
     pruned = dict.fromkeys(("pruned_steps", "pruned_style_steps"), config.pruned_steps)
     return EditSettings(
-        colours=config.colours,
+        colors=config.colors,
         palette=config.start,
-        most_colours=config.most_colours,
+        most_colors=config.most_colors,
         palette_steps=config.palette_steps,
         style_steps=config.style_steps,
         seconds=budget_of(config.budget)[0],
@@ -91,19 +91,19 @@ def settings_of(config: EditConfig) -> EditSettings:
             smooth=config.smooth_weight,
         ),
         style_side=config.style_side,
-        preserve_colour=config.preserve_colour,
+        preserve_color=config.preserve_color,
         **({} if config.pruned_steps < 0 else pruned),
     )
 
 
-def in_colours_of_painting(views: list[EditView], painting: torch.Tensor, seed: int) -> list[EditView]:
-    """The views with the painting's mean colour and covariance where the edit does not fade into its surroundings.
+def in_colors_of_painting(views: list[EditView], painting: torch.Tensor, seed: int) -> list[EditView]:
+    """The views with the painting's mean color and covariance where the edit does not fade into its surroundings.
 
-    A palette that begins with the region's colours moves to the painting's only as far as its Gram matrices pull it,
+    A palette that begins with the region's colors moves to the painting's only as far as its Gram matrices pull it,
     which are nearly blind to hue: a yellow shovel came out in yellow strokes.
     """
-    colours = sampled_colours(views, np.random.default_rng([seed, 6]))
-    matching = match_colours(torch.from_numpy(colours), painting.flatten(1).T)
+    colors = sampled_colors(views, np.random.default_rng([seed, 6]))
+    matching = match_colors(torch.from_numpy(colors), painting.flatten(1).T)
     matched = []
     for view in views:
         new = matching(torch.from_numpy(view.target)).clamp(0, 1).numpy().astype(np.float32)
@@ -122,12 +122,12 @@ def cropped(config: EditConfig) -> torch.Tensor:
 
 
 def drawn(trainer: EditTrainer, view: EditView, chunks: int) -> np.ndarray:
-    """[h, 2 w, 3] uint8: the region in one view as the photo has it, and as the module paints it now; grey around."""
-    found = trainer.asked.colours(view.x, view.directions, chunks=chunks)
+    """[h, 2 w, 3] uint8: the region in one view as the photo has it, and as the module paints it now; gray around."""
+    found = trainer.asked.colors(view.x, view.directions, chunks=chunks)
     pictures = []
-    for colours in (view.target, found):
+    for colors in (view.target, found):
         picture = np.full((view.height * view.width, 3), 0.5, np.float32)
-        picture[view.pixels] = colours
+        picture[view.pixels] = colors
         pictures.append(picture.reshape(view.height, view.width, 3))
     return to_uint8(np.concatenate(pictures, 1))
 

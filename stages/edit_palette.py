@@ -1,11 +1,11 @@
-"""Change a learnt palette: other colours, more or less of them, nothing trained (LAENeRF, 3.5)."""
+"""Change a learned palette: other colors, more or less of them, nothing trained (LAENeRF, 3.5)."""
 
 import shutil
 
 import numpy as np
 
 from schemas.errors import BadInput
-from schemas.work_folder import Artefact, Partial
+from schemas.work_folder import Artifact, Partial
 from stages.artifacts.edit import (
     PALETTE,
     Edit,
@@ -24,18 +24,18 @@ from stylerf.errors import InvalidValue
 SPEC = Spec(stage="edit_palette", verb="stylize", revision=2, writes="edit")
 
 
-def run(inputs: dict[str, Artefact], config: PaletteConfig, partial: Partial, context: Context) -> dict:
+def run(inputs: dict[str, Artifact], config: PaletteConfig, partial: Partial, context: Context) -> dict:
     """Writes the same module with the changes; returns the figures."""
-    learnt = inputs["edit"]
-    edit = load_edit(learnt)
-    columns, shares = columns_and_shares(learnt, len(edit.module.palette))
+    learned = inputs["edit"]
+    edit = load_edit(learned)
+    columns, shares = columns_and_shares(learned, len(edit.module.palette))
     changes = changes_of(config, edit.module.palette[columns], np.array(shares)[columns])
     try:
         changes.check(len(columns))
     except InvalidValue as error:
-        raise BadInput(f"{learnt.path}: {error}; see {learnt.path / PALETTE}") from error
-    told = told_after(learnt, changes)
+        raise BadInput(f"{learned.path}: {error}; see {learned.path / PALETTE}") from error
+    told = told_after(learned, changes)
     save_edit(partial.path, Edit(edit.module, by_column(changes, columns)), shares, told)
-    if learnt.has("style.png"):
-        shutil.copyfile(learnt.file("style.png"), partial.path / "style.png")
-    return {"learnt": learnt.name, "changes": changes.describe(), **told}
+    if learned.has("style.png"):
+        shutil.copyfile(learned.file("style.png"), partial.path / "style.png")
+    return {"learned": learned.name, "changes": changes.describe(), **told}

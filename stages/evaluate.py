@@ -1,7 +1,7 @@
 """Evaluate: how good a field is by held-out views, along a path, and by its cost; as JSON, CSV, charts and HTML.
 
 Roles of the inputs: `scene`, `frames` (test views); where at hand `path_frames` (a camera path, for consistency),
-`base_frames` (the unstylised field at the same test views), `twin_frames` (a field whose renders were the references of
+`base_frames` (the unstylized field at the same test views), `twin_frames` (a field whose renders were the references of
 this one, at the same test views) and `field`. Of a local edit also `unedited_frames` and
 `base_field` (the field before it), `region.<name>` for each region that counts as edited, and where training views are
 wanted `train_frames` and `unedited_train_frames`.
@@ -13,12 +13,12 @@ from dataclasses import replace
 import numpy as np
 
 from schemas.atomic_write import write_bytes, write_json
-from schemas.work_folder import Artefact, Partial
+from schemas.work_folder import Artifact, Partial
 from stages.artifacts.edit import OF_WEIGHTS
-from stages.artifacts.provenance import is_stylised, upstream
+from stages.artifacts.provenance import is_stylized, upstream
 from stages.configs.evaluate import EvaluateConfig
 from stages.evaluation.local_edit import LocalEdit, palette_facts, palette_rows
-from stages.evaluation.metrics import Figure, Row, summarise, write_csv
+from stages.evaluation.metrics import Figure, Row, summarize, write_csv
 from stages.evaluation.path_consistency import Film
 from stages.evaluation.perceptual_metrics import Lenses
 from stages.evaluation.pinned_inputs import digests_of_files
@@ -45,13 +45,13 @@ SPEC = Spec(stage="evaluate", verb="eval", revision=5, writes="report", outside=
 STYLE_KEYS = ("nnfm", "gram", "sifid", "palette", "palette_mean", "palette_covariance", "content_ssim")
 
 
-def run(inputs: dict[str, Artefact], config: EvaluateConfig, partial: Partial, context: Context) -> dict:
+def run(inputs: dict[str, Artifact], config: EvaluateConfig, partial: Partial, context: Context) -> dict:
     """Writes report.json, views.csv, pairs.csv, training.csv, charts/ and report.html; returns the means by key."""
     task = Evaluation(inputs, config, context)
     task.measure_views()
     task.measure_path()
     report, figures = task.report()
-    charts = draw_charts(task.stylised, task.rows, task.pairs, report["curve"], config.gap, task.lenses.style_words)
+    charts = draw_charts(task.stylized, task.rows, task.pairs, report["curve"], config.gap, task.lenses.style_words)
     for chart in charts:
         write_bytes(partial.path / "charts" / f"{chart.name}.svg", chart.svg.encode())
         write_bytes(partial.path / "charts" / f"{chart.name}.png", chart.png)
@@ -71,7 +71,7 @@ def run(inputs: dict[str, Artefact], config: EvaluateConfig, partial: Partial, c
 class Evaluation:
     """One evaluation in progress: what it looks at, and the rows measured so far."""
 
-    def __init__(self, inputs: Mapping[str, Artefact], config: EvaluateConfig, context: Context) -> None:
+    def __init__(self, inputs: Mapping[str, Artifact], config: EvaluateConfig, context: Context) -> None:
         self.inputs, self.config, self.context = dict(inputs), config, context
         self.scene = SceneViews(inputs["scene"])
         self.frames = FrameViews(inputs["frames"], self.scene.background)
@@ -84,8 +84,8 @@ class Evaluation:
         inside = self.edit.inside_film() if self.edit and path else None
         self.film = Film(path, config, self.lenses, inside) if path else None
         self.references = References(config.reference, self.scene, self.frames) if config.reference else None
-        made_by_style = self.field is not None and is_stylised(self.field)
-        self.stylised = made_by_style or self.base is not None or bool(config.style)
+        made_by_style = self.field is not None and is_stylized(self.field)
+        self.stylized = made_by_style or self.base is not None or bool(config.style)
         self.rows: list[Row] = []
         self.reference_rows: list[Row] = []
         self.unmatched: list[str] = []
@@ -107,7 +107,7 @@ class Evaluation:
         return self.film.rows if self.film else []
 
     def measure_views(self) -> None:
-        """Fills `rows` (and `reference_rows` for a stylised field), view by view."""
+        """Fills `rows` (and `reference_rows` for a stylized field), view by view."""
         progress = self.context.progress
         progress.start("measuring views", len(self.frames), "view")
         before: Render | None = None
@@ -115,8 +115,8 @@ class Evaluation:
             row = ViewRow(render.name)
             self._sizes.add((render.camera.width, render.camera.height))
             photo = self._photo(render)
-            if self.stylised:
-                self._measure_stylised(row, render, photo)
+            if self.stylized:
+                self._measure_stylized(row, render, photo)
                 self._measure_by_reference(row, done - 1, render)
             else:
                 self._measure_fitted(row, render, photo)
@@ -126,8 +126,8 @@ class Evaluation:
                 measure_see_through(row, render, before)
             before = render
             self.rows.append(row.row())
-            leading = self.rows[-1].get("nnfm" if self.stylised else "psnr")
-            progress.update(done, "" if leading is None else f"{leading:.3f}" if self.stylised else f"{leading:.2f} dB")
+            leading = self.rows[-1].get("nnfm" if self.stylized else "psnr")
+            progress.update(done, "" if leading is None else f"{leading:.3f}" if self.stylized else f"{leading:.2f} dB")
         progress.finish()
         if self.edit is not None:
             self.edit.measure_training()
@@ -145,7 +145,7 @@ class Evaluation:
         if photo is not None:
             measure_fit(row, render, photo, self.lenses.scores(render.alpha.shape))
 
-    def _measure_stylised(self, row: ViewRow, render: Render, photo: Photo | None) -> None:
+    def _measure_stylized(self, row: ViewRow, render: Render, photo: Photo | None) -> None:
         base = self._base_of(render)
         if render.spoiled:
             row.spoil(STYLE_KEYS if self.lenses.painting else STYLE_KEYS[-1:], spoiled_words(render))
@@ -179,7 +179,7 @@ class Evaluation:
             measure_palette(row, image, alpha, painting.image)
 
     def _base_of(self, render: Render) -> Render | None:
-        """The unstylised render of the same view of the scene."""
+        """The unstylized render of the same view of the scene."""
         found = self.base.showing(render.scene_view) if self.base is not None else None
         return None if found is None else self.base.render(found)
 
@@ -211,10 +211,10 @@ class Evaluation:
     def report(self) -> tuple[dict, list[Figure]]:
         """report.json as a dictionary, and its figures."""
         facts = self.facts()
-        name = "the unstylised renders" if self.base is not None else "the photos"
-        reference = {figure.key: {name: figure.mean} for figure in summarise(self.reference_rows, facts)}
+        name = "the unstylized renders" if self.base is not None else "the photos"
+        reference = {figure.key: {name: figure.mean} for figure in summarize(self.reference_rows, facts)}
         palette = palette_rows(self.field, self.edit is not None)
-        figures = summarise([*self.rows, *self.pairs, *self.training_rows, *palette], facts, reference)
+        figures = summarize([*self.rows, *self.pairs, *self.training_rows, *palette], facts, reference)
         if self.edit is not None:
             figures = self.edit.told(figures, self.rows)
         first = ("base_field", "field", "frames", "path_frames", "base_frames")
@@ -223,7 +223,7 @@ class Evaluation:
         report = {
             "field": self.frames.frames.field,
             "scene": self.inputs["scene"].name,
-            "stylised": self.stylised,
+            "stylized": self.stylized,
             "painting": self.lenses.painting_name,
             "view_count": len(self.rows),
             "resolution": " and ".join(f"{width}x{height}" for width, height in sorted(self._sizes)),
@@ -247,7 +247,7 @@ class Evaluation:
 
     def _presence(self) -> Presence:
         return Presence(
-            stylised=self.stylised,
+            stylized=self.stylized,
             painting=self.lenses.painting is not None,
             tolerant=self.lenses.tolerant is not None,
             lpips=self.lenses.lpips is not None,
@@ -270,18 +270,18 @@ class Evaluation:
 
     def sheet(self) -> Sheet:
         """The contact sheet of the views worth seeing."""
-        key = "content_ssim" if self.stylised else "psnr"
+        key = "content_ssim" if self.stylized else "psnr"
         lenses, painting = self.lenses, None
         if lenses.painting:
             words = f"{lenses.style_words[:1].upper()}{lenses.style_words[1:]} {lenses.painting_name}"
             painting = Picture(lenses.painting.image, lenses.style_words, words)
-        sheet = Sheet(painting, self.stylised, edited=self.edit is not None)
+        sheet = Sheet(painting, self.stylized, edited=self.edit is not None)
         for index, word in chosen_views(self.rows, key, self.config.sheet):
             render = self.frames.render(index)
             known = render.name not in self.unmatched
             size = (render.camera.width, render.camera.height)
             photo = self.scene.photo(render.scene_view, *size) if known else None
             heading = f"{render.name} ({word})" if word else render.name
-            base = self.edit.unedited_twin(render) if self.edit else self._base_of(render) if self.stylised else None
+            base = self.edit.unedited_twin(render) if self.edit else self._base_of(render) if self.stylized else None
             sheet.add(heading, self.rows[index], render, photo, base)
         return sheet

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.ndimage import binary_dilation
 
 from schemas.errors import BadInput
-from schemas.work_folder import Artefact, Partial
+from schemas.work_folder import Artifact, Partial
 from stages.artifacts.field import load_field, save_field
 from stages.artifacts.photos import bank_of, level_of
 from stages.artifacts.region import region_of_field
@@ -22,32 +22,32 @@ from stages.run.runner import Spec
 from stages.run.training_loop import run_training
 from stylerf.fields.packed_surface import Surface, pixel_cells, surface_of
 from stylerf.fields.radiance_field import RadianceField
-from stylerf.fields.region_color import PatchColour
+from stylerf.fields.region_color import PatchColor
 from stylerf.geometry.cameras import Camera
 from stylerf.kernels.cpu.compiling import compiling_note, set_threads
 from stylerf.training.finetune.trainer import EditedPixels, FineTuner, FineTuneSettings
 
 SPEC = Spec(stage="finetune", verb="finetune", revision=4, writes="field", parallel=True)
 SEEN = 2e-2  # part of a ray's largest weight from which a sample tells what a pixel sees
-MARGIN = 2  # cells: samples in front of a surface, which is where its colour is looked for too
+MARGIN = 2  # cells: samples in front of a surface, which is where its color is looked for too
 
 
-def run(inputs: dict[str, Artefact], config: FinetuneConfig, partial: Partial, context: Context) -> dict:
+def run(inputs: dict[str, Artifact], config: FinetuneConfig, partial: Partial, context: Context) -> dict:
     """Writes the field that shows the edit; returns the figures."""
     scene = load_scene(inputs["scene"])
     field, background = load_field(inputs["field"])
     threads = set_threads(context.threads)
     train = scene.splits["train"]
-    whole = config.colours == "field"
-    if whole and isinstance(field.colour, PatchColour):
+    whole = config.colors == "field"
+    if whole and isinstance(field.color, PatchColor):
         raise BadInput(
-            f"{inputs['field'].path} holds a local edit over its colours, which the whole field's cannot learn under: "
-            "leave out --colours field, or teach the earlier edits by it too"
+            f"{inputs['field'].path} holds a local edit over its colors, which the whole field's cannot learn under: "
+            "leave out --colors field, or teach the earlier edits by it too"
         )
     edited, device = edited_pixels(scene, train, earlier=whole), gpu_of(context, field)
     if not whole:
         cameras = [scene.cameras[train[view]] for view in np.unique(edited.views)]
-        field.colour = _patch(inputs, field, cameras, threads, device)
+        field.color = _patch(inputs, field, cameras, threads, device)
     seconds, steps = budget_of(config.budget)
     rate, density_factor = config.rates
     settings = FineTuneSettings(
@@ -88,14 +88,14 @@ def run(inputs: dict[str, Artefact], config: FinetuneConfig, partial: Partial, c
 
 
 def _patch(
-    inputs: dict[str, Artefact], field: RadianceField, cameras: list[Camera], chunks: int, device: str | None
-) -> PatchColour:
-    """Colours for the region and MARGIN cells around it, over the field's. cameras: that see it."""
-    otherwise = ", or teach the whole field with --colours field"
+    inputs: dict[str, Artifact], field: RadianceField, cameras: list[Camera], chunks: int, device: str | None
+) -> PatchColor:
+    """Colors for the region and MARGIN cells around it, over the field's. cameras: that see it."""
+    otherwise = ", or teach the whole field with --colors field"
     region = region_of_field(inputs["region"], inputs["field"], field, otherwise)
     some = [cameras[i] for i in np.unique(np.linspace(0, len(cameras) - 1, 4).round().astype(int))]
     seen = pixel_cells(_surfaces(field, some, chunks, device))
-    return PatchColour.create(field.colour, binary_dilation(region.edit, iterations=MARGIN), seen)
+    return PatchColor.create(field.color, binary_dilation(region.edit, iterations=MARGIN), seen)
 
 
 def _surfaces(field: RadianceField, cameras: list[Camera], chunks: int, device: str | None) -> Iterator[Surface]:
@@ -111,7 +111,7 @@ def _surfaces(field: RadianceField, cameras: list[Camera], chunks: int, device: 
 def edited_pixels(scene: SceneData, train: list[int], earlier: bool) -> EditedPixels:
     """The edited pixels of an edited scene's training views, by their place in `train`.
 
-    earlier: with those of the edits before the last; colours of the last region's own cannot learn from them.
+    earlier: with those of the edits before the last; colors of the last region's own cannot learn from them.
     """
     targets = edit_targets(scene)
     if not targets:

@@ -6,7 +6,7 @@ from contextlib import nullcontext
 import numpy as np
 
 from schemas.errors import BadInput
-from schemas.work_folder import Artefact, Partial
+from schemas.work_folder import Artifact, Partial
 from stages.artifacts.field import save_field
 from stages.artifacts.photos import bank_of
 from stages.artifacts.scene import EXPOSURE_STOPS, SceneData, load_scene, spread
@@ -38,7 +38,7 @@ LONGEST = (350, 850, 1350, 1900, 2600)
 RATE = {"object": 2e-2, "forward": 4e-2, "unbounded": 4e-2}
 
 
-def run(inputs: dict[str, Artefact], config: FitConfig, partial: Partial, context: Context) -> dict:
+def run(inputs: dict[str, Artifact], config: FitConfig, partial: Partial, context: Context) -> dict:
     """Writes field.json and field.safetensors; returns the figures, among them the curve of quality over time."""
     scene = load_scene(inputs["scene"])
     threads = set_threads(context.threads)
@@ -114,11 +114,11 @@ def _tell_memory(settings: FitSettings, space: Space, context: Context) -> None:
     are kept is not known before."""
     kinds, finest = settings.kinds, settings.ladder[-1].resolution
     # A lean last rung may have fewer numbers than the one before.
-    rungs = settings.ladder[:1] if "voxel" in (kinds.density, kinds.colour) else settings.ladder[-2:]
+    rungs = settings.ladder[:1] if "voxel" in (kinds.density, kinds.color) else settings.ladder[-2:]
 
     def parameters(rung: Rung) -> int:
         found = 0
-        for part, of in enumerate((rung, rung.colour)):
+        for part, of in enumerate((rung, rung.color)):
             capacity = capacity_at(of, finest, kinds.levels, space, degree=settings.degree)
             found += len(first_parts(kinds, capacity, np.random.default_rng(0))[part].values)
         return found
@@ -197,24 +197,24 @@ def _climb(fixed: tuple[int, int, int] | None, kinds: Kinds, space: Space, pixel
     # What a coarse field is taught for longer is wrong in a contraction; elsewhere it is overfit the less.
     longest = LONGEST if contraction else ()
     if fixed is not None:
-        ladder = _fixed_ladder(*fixed, first_colour=16 if kinds.head == "linear" else fixed[2])
+        ladder = _fixed_ladder(*fixed, first_color=16 if kinds.head == "linear" else fixed[2])
         return {"ladder": ladder, "shares": four[: len(ladder) - 1], "longest": longest}
     ladder = ladder_of(kinds, space.kind, pixels)
     return {"ladder": ladder, "shares": four if len(ladder) == len(four) else FIVE_SHARES, "longest": longest}
 
 
-def _fixed_ladder(resolution: int, density: int, colour: int, first_colour: int) -> tuple[Rung, ...]:
+def _fixed_ladder(resolution: int, density: int, color: int, first_color: int) -> tuple[Rung, ...]:
     """Coarse to fine towards one capacity: the same end, reached sooner than by starting there."""
     coarser = [n for n in (64, 128, 192) if n < resolution]
     return tuple(
         Rung(
             n,
             min(density, 8) if n == 64 else density,
-            min(colour, first_colour) if n == 64 else colour,
+            min(color, first_color) if n == 64 else color,
             table_bits=_table_bits(n),
         )
         for n in coarser
-    ) + (Rung(resolution, density, colour, table_bits=_table_bits(resolution)),)
+    ) + (Rung(resolution, density, color, table_bits=_table_bits(resolution)),)
 
 
 def _table_bits(resolution: int) -> int:
@@ -236,7 +236,7 @@ def _shown(background: str) -> str:
 def _figures(fitter: Fitter, held_out: list[int], reason: str) -> dict:
     state = fitter.state
     rung, kinds = fitter.climb.rung, fitter.settings.kinds
-    density, colour = fitter.field.density, fitter.field.colour
+    density, color = fitter.field.density, fitter.field.color
     return {
         "steps": state.step,
         "train_seconds": round(state.seconds, 2),
@@ -247,12 +247,12 @@ def _figures(fitter: Fitter, held_out: list[int], reason: str) -> dict:
         "decisions": state.decisions,
         "capacity": fitter.climb.told(fitter.field.parameters),
         "sizes": state.sizes,
-        "kinds": [kinds.density, kinds.colour, kinds.head],
+        "kinds": [kinds.density, kinds.color, kinds.head],
         "resolution": rung.resolution,
         "density_rank": getattr(density, "rank", None),
-        "colour_rank": getattr(getattr(colour, "features", colour), "rank", None),
-        "degree": getattr(colour, "degree", None),
-        "table_bits": rung.table_bits if "hash" in (kinds.density, kinds.colour) else None,
+        "color_rank": getattr(getattr(color, "features", color), "rank", None),
+        "degree": getattr(color, "degree", None),
+        "table_bits": rung.table_bits if "hash" in (kinds.density, kinds.color) else None,
         "occupied_share": round(fitter.field.occupancy.share, 4),
         "rollbacks": state.rollbacks,
         "ended_at": state.ended_at,

@@ -12,7 +12,7 @@ from schemas.images import to_uint8, write_png
 from schemas.safe_names import printable
 from schemas.scene import POINTS_FILE, Bounds, Scene, Skipped, Truth, View, as_matrix, write_scene
 from schemas.tensors import save_tensors
-from schemas.work_folder import Artefact, Partial
+from schemas.work_folder import Artifact, Partial
 from stages.configs.pose_import import ImportConfig
 from stages.readers import found_in, read_source
 from stages.readers.background import Backdrop
@@ -46,7 +46,7 @@ class Frame:
     splits: list[str]
 
 
-def run(inputs: dict[str, Artefact], config: ImportConfig, partial: Partial, context: Context) -> dict:
+def run(inputs: dict[str, Artifact], config: ImportConfig, partial: Partial, context: Context) -> dict:
     """Writes scene.json, images/, points.safetensors and truth/ where there are any; returns the figures."""
     return import_scene(_source(config, partial, context), config, partial, context)
 
@@ -207,7 +207,7 @@ def _framed(source: SourceScene, photos: list[Sized], plain: list[Camera], backd
         layout = replace(layout, reason=f"{layout.reason}; nearest depth from {known}")
         similarity = scene_normalization.facing(poses, near)
     else:
-        similarity = scene_normalization.centred(poses)
+        similarity = scene_normalization.centerd(poses)
     cameras = [
         replace(camera, world_from_camera=scene_normalization.moved(one.pose, similarity))
         for one, camera in zip(photos, plain, strict=True)

@@ -1,37 +1,37 @@
-"""Recolour: a decomposed field with another palette, everywhere or around a place; nothing is trained (PaletteNeRF)."""
+"""Recolor: a decomposed field with another palette, everywhere or around a place; nothing is trained (PaletteNeRF)."""
 
 import numpy as np
 
 from schemas.errors import BadInput
-from schemas.work_folder import Artefact, Partial
+from schemas.work_folder import Artifact, Partial
 from stages.artifacts.edit import PALETTE, by_column, changes_of, columns_and_shares, save_palette, told_after
 from stages.artifacts.field import load_field, save_field
 from stages.artifacts.scene import SceneData, load_scene, view_index
-from stages.configs.decompose import RecolourConfig
+from stages.configs.decompose import RecolorConfig
 from stages.configs.views import pixel_of
 from stages.run.progress import Context
 from stages.run.runner import Spec
-from stylerf.editing.recoloring import Recolouring, SpaceFilter
+from stylerf.editing.recoloring import Recoloring, SpaceFilter
 from stylerf.editing.selection import ends_of_rays
 from stylerf.errors import InvalidValue
-from stylerf.fields.palette_color import PaletteColour
+from stylerf.fields.palette_color import PaletteColor
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.kernels.cpu.compiling import set_threads
 
-SPEC = Spec(stage="recolour", verb="stylize", revision=2, writes="field")
+SPEC = Spec(stage="recolor", verb="stylize", revision=2, writes="field")
 REACH = 0.1  # of the distance between camera and place
 SEEN = 0.5  # alpha from which a pixel shows a place
 
 
-def run(inputs: dict[str, Artefact], config: RecolourConfig, partial: Partial, context: Context) -> dict:
+def run(inputs: dict[str, Artifact], config: RecolorConfig, partial: Partial, context: Context) -> dict:
     """Writes the same field with the changes; returns the figures."""
     source = inputs["field"]
     field, background = load_field(source)
-    colour = field.colour
-    if not isinstance(colour, PaletteColour):
+    color = field.color
+    if not isinstance(color, PaletteColor):
         raise BadInput(f"{source.path} has no palette; make one by `stylerf stylize --method palettenerf`")
-    columns, shares = columns_and_shares(source, colour.bases)
-    changes = changes_of(config, colour.present_palette[columns], np.array(shares)[columns])
+    columns, shares = columns_and_shares(source, color.bases)
+    changes = changes_of(config, color.present_palette[columns], np.array(shares)[columns])
     try:
         changes.check(len(columns))
     except InvalidValue as error:
@@ -40,23 +40,23 @@ def run(inputs: dict[str, Artefact], config: RecolourConfig, partial: Partial, c
     if config.local:
         within = _filter(load_scene(inputs["scene"]), field, config, set_threads(context.threads))
     changes = by_column(changes, columns)
-    edit = Recolouring(changes, config.offset_scale, config.view_scale, within)
-    field.colour = colour.edited(edit)
+    edit = Recoloring(changes, config.offset_scale, config.view_scale, within)
+    field.color = color.edited(edit)
     told = told_after(source, changes)
     save_field(partial.path, field, background)
-    save_palette(partial.path, colour.palette, field.colour.present_palette, shares, told)
+    save_palette(partial.path, color.palette, field.color.present_palette, shares, told)
     return {
         **told,
-        "learnt": source.name,
+        "learned": source.name,
         "edit": edit.describe(),
-        "edits": len(field.colour.edits),
+        "edits": len(field.color.edits),
         "parameters": field.parameters,
     }
 
 
-def _filter(scene: SceneData, field: RadianceField, config: RecolourConfig, chunks: int) -> SpaceFilter:
+def _filter(scene: SceneData, field: RadianceField, config: RecolorConfig, chunks: int) -> SpaceFilter:
     """Around the surface points that the pixels of --at show."""
-    centres, reaches = [], []
+    centers, reaches = [], []
     for text in config.at:
         name, column, row = pixel_of(text)
         camera = scene.cameras[view_index(scene, name, f"--at {text}")]
@@ -66,6 +66,6 @@ def _filter(scene: SceneData, field: RadianceField, config: RecolourConfig, chun
         x, alpha = ends_of_rays(field, camera, pixel, chunks)
         if alpha[0] < SEEN:
             raise BadInput(f"--at {text}: nothing of the field is seen there; give a pixel of a thing")
-        centres.append(tuple(float(v) for v in field.space.unwarp(x)[0]))
-        reaches.append(REACH * float(np.linalg.norm(np.array(centres[-1]) - camera.centre)))
-    return SpaceFilter(field.space, tuple(centres), config.reach or float(np.mean(reaches)))
+        centers.append(tuple(float(v) for v in field.space.unwarp(x)[0]))
+        reaches.append(REACH * float(np.linalg.norm(np.array(centers[-1]) - camera.center)))
+    return SpaceFilter(field.space, tuple(centers), config.reach or float(np.mean(reaches)))

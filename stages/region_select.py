@@ -1,4 +1,4 @@
-"""Select: a part of the scene in 3D, from pixels, masks, boxes or colours, grown over the density (LAENeRF, 3.2)."""
+"""Select: a part of the scene in 3D, from pixels, masks, boxes or colors, grown over the density (LAENeRF, 3.2)."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 from schemas.canonical_json import digest_of, file_sha256
 from schemas.errors import BadInput
 from schemas.images import coverage, read_image, to_uint8, write_png
-from schemas.work_folder import Artefact, Partial
+from schemas.work_folder import Artifact, Partial
 from stages.artifacts.field import load_field
 from stages.artifacts.photos import level_of, photo_for, photo_over
 from stages.artifacts.region import load_region, save_region
@@ -55,7 +55,7 @@ SPEC = Spec(
     stage="region_select", verb="select", revision=3, writes="region",
     outside=lambda config: {"files_digest": digest_of_masks(config)},
 )  # fmt: skip
-LOOKING_VIEWS = 24  # views whose photos give the cells their colours
+LOOKING_VIEWS = 24  # views whose photos give the cells their colors
 PIXELS_A_CELL = 1.5
 CLAIMS = 2  # rounds in which views claim what is as much the region as what has grown
 TINT = np.array([1.0, 0.1, 0.8], np.float32)  # of the region, in previews
@@ -123,12 +123,12 @@ def digest_of_masks(config: SelectConfig) -> str:
     return digest_of([[*one, file_sha256(path)] for *one, path in files]) if files else ""
 
 
-def run(inputs: dict[str, Artefact], config: SelectConfig, partial: Partial, context: Context) -> dict:
+def run(inputs: dict[str, Artifact], config: SelectConfig, partial: Partial, context: Context) -> dict:
     """Writes the region and previews of it over the photos; returns the figures."""
     chunks = set_threads(context.threads)
     scene = load_pictures(inputs["scene"], inputs["field"], chunks)
     field, background = load_field(inputs["field"])
-    others = {role: load_region(artefact) for role, artefact in inputs.items() if role.partition(".")[2]}
+    others = {role: load_region(artifact) for role, artifact in inputs.items() if role.partition(".")[2]}
     with compiling_note(context.progress.say):
         cells = _asked_cells(config, others)
         looking = Looking(scene, field, level_of(background), cells, chunks, context.progress.say)
@@ -147,7 +147,7 @@ def run(inputs: dict[str, Artefact], config: SelectConfig, partial: Partial, con
 
 
 def _around(looking: Looking, edit: np.ndarray, solid: np.ndarray, config: SelectConfig) -> np.ndarray:
-    """G: what views see of the scene beside the region; what lies behind its surface is no neighbour of its look."""
+    """G: what views see of the scene beside the region; what lies behind its surface is no neighbor of its look."""
     near = shell(edit, config.transition, solid)
     return near & looking.seen.seen if near.any() else near
 
@@ -180,10 +180,10 @@ def _marked(looking: Looking, solid: np.ndarray, config: SelectConfig) -> np.nda
     if config.depth:
         edit |= _between_depths(looking, config.depth)
     seeds = _seeds(looking, config.at, config.scribble)
-    if config.colour or len(seeds.points):
+    if config.color or len(seeds.points):
         seen = looking.seen
-        if config.colour:
-            wanted = np.array([[int(config.colour[i : i + 2], 16) / 255 for i in (1, 3, 5)]])
+        if config.color:
+            wanted = np.array([[int(config.color[i : i + 2], 16) / 255 for i in (1, 3, 5)]])
             alike = seen.like(halved_light(wanted), config.tolerance)
             edit |= padded(alike & solid, seen.seen & ~alike)
         if len(seeds.points):
@@ -204,7 +204,7 @@ class Seeds:
         return marked_at(self.points, cells)
 
     def lab(self, looking: Looking) -> np.ndarray:
-        """[m, 3] colours of their cells, as SeenCells has them; where no look has seen a cell, those of the pixels."""
+        """[m, 3] colors of their cells, as SeenCells has them; where no look has seen a cell, those of the pixels."""
         seen = looking.seen
         unknown = ~seen.known[tuple(cells_of_points(self.points, looking.cells).T)]
         found = [seen.lab[self.marked(looking.cells) & seen.known]]
@@ -247,15 +247,15 @@ def _seeds(looking: Looking, at: tuple[str, ...], scribbles: tuple[str, ...]) ->
 
 
 def _grown(looking: Looking, solid, seen: SeenCells, seeds: Seeds, config: SelectConfig) -> np.ndarray:
-    """Grown from seeds over solid cells of the seeds' colours, with a margin of one cell."""
+    """Grown from seeds over solid cells of the seeds' colors, with a margin of one cell."""
     start, allowed = seeds.marked(looking.cells), solid
     refused = np.zeros_like(solid)
     if config.tolerance > 0:
-        colours = modes(seeds.lab(looking), config.tolerance / 2)
-        alike = seen.like(colours, config.tolerance)
+        colors = modes(seeds.lab(looking), config.tolerance / 2)
+        alike = seen.like(colors, config.tolerance)
         if config.avoid:
             avoided = _seeds(looking, config.avoid, ())
-            alike &= ~seen.nearer(modes(avoided.lab(looking), 1.0), colours)
+            alike &= ~seen.nearer(modes(avoided.lab(looking), 1.0), colors)
         allowed, refused = solid & alike, seen.seen & ~alike
     if config.reach > 0:
         allowed = allowed & _within(looking, seeds.points, config.reach, allowed)
@@ -267,7 +267,7 @@ def _grown(looking: Looking, solid, seen: SeenCells, seeds: Seeds, config: Selec
 
 
 def _within(looking: Looking, points: np.ndarray, reach: float, among: np.ndarray) -> np.ndarray:
-    """The cells of `among` whose centres lie within `reach`, scene units, of any of the cube points [n, 3]."""
+    """The cells of `among` whose centers lie within `reach`, scene units, of any of the cube points [n, 3]."""
     where = np.argwhere(among)
     unwarp, out = looking.field.space.unwarp, np.zeros_like(among)
     ends = unwarp(np.clip(points, 1e-6, 1 - 1e-6))
@@ -292,7 +292,7 @@ def _between_depths(looking: Looking, text: str) -> np.ndarray:
     return padded(found, np.zeros_like(found))
 
 
-def _combined(edit: np.ndarray, others: dict, field: RadianceField, inputs: dict[str, Artefact]) -> np.ndarray:
+def _combined(edit: np.ndarray, others: dict, field: RadianceField, inputs: dict[str, Artifact]) -> np.ndarray:
     """Joined with, cut to and without other regions, in this order."""
     for role, (_, space) in others.items():
         if space != field.space:

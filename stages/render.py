@@ -11,14 +11,14 @@ from pathlib import Path
 
 import numpy as np
 
-from schemas.errors import ArtefactDamaged, BadInput, NoFilm, StylerfError
+from schemas.errors import ArtifactDamaged, BadInput, NoFilm, StylerfError
 from schemas.exr import ExrView, write_exr
 from schemas.frames import Frame, FrameCamera, Frames, write_frames
 from schemas.images import linear_from_srgb, to_uint8, write_png
 from schemas.journal import Journal
 from schemas.scene import Bounds, as_matrix
 from schemas.video import try_video, write_video
-from schemas.work_folder import Artefact, Partial
+from schemas.work_folder import Artifact, Partial
 from stages.artifacts.camera_files import digest_of_cameras, read_cameras
 from stages.artifacts.field import load_field
 from stages.artifacts.region_masks import CHANNEL, channels_of, regions_among
@@ -42,7 +42,7 @@ SPEC = Spec(
 Shot = tuple[Camera, int | None]
 
 
-def run(inputs: dict[str, Artefact], config: RenderConfig, partial: Partial, context: Context) -> dict:
+def run(inputs: dict[str, Artifact], config: RenderConfig, partial: Partial, context: Context) -> dict:
     """Writes frames.json, png/, and exr/, depth/ and a video where asked for. A frame on disk, here or in a shard
     of the work folder, is not rendered again."""
     scene = load_scene(inputs["scene"])
@@ -164,7 +164,7 @@ def _render(frame: Frame, field, background, bounds, camera, config, folder: Pat
     name = frame.name
     rendered = seen(camera, regions=regions)
     if not all(np.isfinite(plane).all() for plane in (rendered.rgb, rendered.alpha, rendered.z)):
-        raise ArtefactDamaged(
+        raise ArtifactDamaged(
             f"the field {attributes['field']} shows what is not finite in frame {name}: its numbers are sound one by "
             "one, but not together; make it anew"
         )
@@ -183,7 +183,7 @@ def _render(frame: Frame, field, background, bounds, camera, config, folder: Pat
 
 
 def exr_view(rendered: RenderedView, camera: Camera, bounds: Bounds, attributes: Mapping[str, str]) -> ExrView:
-    """Linear and premultiplied: the encoded colour is divided by alpha, made linear, and multiplied again."""
+    """Linear and premultiplied: the encoded color is divided by alpha, made linear, and multiplied again."""
     channels = channels_of(rendered.masks)
     alpha = rendered.alpha[..., None]
     straight = np.clip(rendered.rgb / np.maximum(alpha, 1e-6), 0, 1)

@@ -1,4 +1,4 @@
-"""Stylise: a field of the same shapes in the colours and strokes of a painting."""
+"""Stylize: a field of the same shapes in the colors and strokes of a painting."""
 
 import functools
 from pathlib import Path
@@ -7,7 +7,7 @@ import torch
 
 from schemas.errors import BadInput
 from schemas.images import to_uint8, write_png
-from schemas.work_folder import Artefact, Partial
+from schemas.work_folder import Artifact, Partial
 from stages.artifacts.field import load_deformation, load_field, save_deformation, save_field
 from stages.artifacts.photos import level_of, photo_for
 from stages.artifacts.references import chosen_view, decoded_reference, digest_of, read_references
@@ -24,14 +24,14 @@ from stages.run.memory import in_words, room
 from stages.run.progress import Context
 from stages.run.runner import Spec
 from stages.run.training_loop import run_training
-from stages.stylization.settings import coarse_taps, new_colour, own_colour, painting_taps, settings_of, template_taps
+from stages.stylization.settings import coarse_taps, new_color, own_color, painting_taps, settings_of, template_taps
 from stages.weights.resolve import ResolvedTrunk, digests_of_files, resolve
 from stylerf.editing.edit_grid import Region
 from stylerf.errors import InvalidValue
 from stylerf.fields.deformation import Deformation
-from stylerf.fields.hash_color import HashColour
+from stylerf.fields.hash_color import HashColor
 from stylerf.fields.radiance_field import RadianceField
-from stylerf.fields.region_color import PatchColour
+from stylerf.fields.region_color import PatchColor
 from stylerf.kernels.cpu.compiling import compiling_note, set_threads
 from stylerf.style.feature_extractor import Trunk
 from stylerf.training.common.bounded_cache import Kept
@@ -48,11 +48,11 @@ def _outside(config: StylizeConfig) -> dict[str, str]:
 SPEC = Spec(stage="stylize", verb="stylize", revision=8, writes="field", outside=_outside)
 WORKING_BYTES = 1.5e9  # what a step takes beside what is kept of the views: pictures at full size, the trunk's graph
 KEPT_BYTES = 60  # about, for each pixel of a view: its photo, samples on its surfaces, features at half its size
-WORDS = {"refit": "new colours"}  # of phases that are not told by their own name
+WORDS = {"refit": "new colors"}  # of phases that are not told by their own name
 
 
-def run(inputs: dict[str, Artefact], config: StylizeConfig, partial: Partial, context: Context) -> dict:
-    """Writes the stylised field; returns the figures, among them the curve of the loss."""
+def run(inputs: dict[str, Artifact], config: StylizeConfig, partial: Partial, context: Context) -> dict:
+    """Writes the stylized field; returns the figures, among them the curve of the loss."""
     scene = load_scene(inputs["scene"], inputs["field"])
     field, background = load_field(inputs["field"])
     region = region_of_field(inputs["region"], inputs["field"], field) if "region" in inputs else None
@@ -90,7 +90,7 @@ def run(inputs: dict[str, Artefact], config: StylizeConfig, partial: Partial, co
         "steps": state.step,
         "train_seconds": round(state.seconds, 2),
         "curve_style": state.curve,
-        "finest": _learnt(stylizer.field).finest,
+        "finest": _learned(stylizer.field).finest,
         "parameters": stylizer.field.parameters,
         "features": resolved.manifest(),
         "views": len(stylizer.cameras),
@@ -101,9 +101,9 @@ def run(inputs: dict[str, Artefact], config: StylizeConfig, partial: Partial, co
     }
 
 
-def _learnt(field: RadianceField) -> HashColour:
-    """The colours that were taught."""
-    return field.colour.own if isinstance(field.colour, PatchColour) else field.colour
+def _learned(field: RadianceField) -> HashColor:
+    """The colors that were taught."""
+    return field.color.own if isinstance(field.color, PatchColor) else field.color
 
 
 def _stylizer(
@@ -118,7 +118,7 @@ def _stylizer(
     context: Context,
     device: str | None,
 ) -> Repainting:
-    """What `config.method` stylises with, before its first step."""
+    """What `config.method` stylizes with, before its first step."""
     views, moving = scene.splits["train"], deformation is not None
 
     def trunk(taps: str) -> Trunk:
@@ -129,10 +129,10 @@ def _stylizer(
     photos = Kept(lambda place: photo_for(field, scene, views[place], level, threads), len, len(views), 0)
     long_side = max(max(c.width, c.height) for c in scene.cameras)
     settings = settings_of(config, long_side, field.closed, region is not None)
-    colour = functools.partial(new_colour, config)
+    color = functools.partial(new_color, config)
     if region is not None:
         # In no cell around it: nothing there is asked to stay as it is.
-        colour = functools.partial(own_colour, config, field.colour, region.edit)
+        color = functools.partial(own_color, config, field.color, region.edit)
     given = (
         field,
         cameras,
@@ -143,7 +143,7 @@ def _stylizer(
         settings,
         context.seed,
         threads,
-        colour,
+        color,
     )
     more = {"memory": _room_for(scene, views, context), "device": rays_on(device, field, context, moving)}
     more["within"] = None if region is None else region.edit
@@ -212,4 +212,4 @@ def _train(stylizer: Repainting, config: StylizeConfig, partial: Partial, contex
             note = f"style distance {last['style']:.3f}" if "style" in last else f"squared error {last['mse']:.4f}"
         context.progress.update(state.step if now.steps_of_phase else min(state.seconds, now.settings.seconds), note)
 
-    run_training(stylizer, "the stylisation", config.checkpoint_every_seconds, partial, context, tell)
+    run_training(stylizer, "the stylization", config.checkpoint_every_seconds, partial, context, tell)

@@ -6,7 +6,7 @@ class InvalidValue(ValueError):
 
 
 class Diverged(RuntimeError):
-    """An optimisation left the finite numbers and could not be brought back."""
+    """An optimization left the finite numbers and could not be brought back."""
 
 
 class ProcessLost(RuntimeError):

@@ -12,7 +12,7 @@ import numpy as np
 from stylerf.errors import InvalidValue
 
 LARGEST = 1e9  # of lengths in scene units, pixels and factors: float32 can still multiply a few of them
-LEARNT = 1e6  # of what is learnt: products over the layers of a network stay finite; none trained was over 1e4
+LEARNED = 1e6  # of what is learned: products over the layers of a network stay finite; none trained was over 1e4
 _AT_ONCE = 1 << 20  # floats that are looked at together: they stay in the processor's cache
 
 

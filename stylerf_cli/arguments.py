@@ -43,7 +43,7 @@ def add_common(parser: Parser) -> None:
     common.add_argument(
         "--memory", type=_memory, metavar="SIZE", help="most memory to take, 512M or 8G (default: most of what is free)"
     )
-    common.add_argument("--name", help="name of the artefact to write (default: told by the verb)")
+    common.add_argument("--name", help="name of the artifact to write (default: told by the verb)")
     common.add_argument("--config", type=Path, metavar="FILE.toml", help="options from a file; flags win over it")
     common.add_argument("--only", action="store_true", help="do not bring earlier stages up to date; stop instead")
     common.add_argument(

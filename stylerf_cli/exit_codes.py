@@ -1,7 +1,7 @@
 """Which exit code and which one line a fault ends the command with.
 
-0 done, 1 a fault of stylerf itself or a check that does not hold, 2 usage, 3 bad input (also where an optimisation
-diverges on it), 4 artefact damaged or stale, 5 out of resources, 130 interrupted.
+0 done, 1 a fault of stylerf itself or a check that does not hold, 2 usage, 3 bad input (also where an optimization
+diverges on it), 4 artifact damaged or stale, 5 out of resources, 130 interrupted.
 """
 
 import errno

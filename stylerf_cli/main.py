@@ -18,9 +18,9 @@ from stylerf_cli.exit_codes import told
 from stylerf_cli.output import OutputClosed, open_standard_streams, print_json, stdout_kept_free, write_fault, write_out
 from stylerf_cli.verbs import VERBS
 
-ABOUT = "From photos and a painting to a stylised, editable 3D scene."
+ABOUT = "From photos and a painting to a stylized, editable 3D scene."
 EXIT_CODES = (
-    "exit codes: 0 done, 1 failed, 2 usage, 3 bad input, 4 artefact damaged or stale, 5 out of resources, "
+    "exit codes: 0 done, 1 failed, 2 usage, 3 bad input, 4 artifact damaged or stale, 5 out of resources, "
     "130 interrupted"
 )
 

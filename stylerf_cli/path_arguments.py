@@ -1,4 +1,4 @@
-"""What a PATH on the command line is: a work folder, or one artefact in it."""
+"""What a PATH on the command line is: a work folder, or one artifact in it."""
 
 import shlex
 from pathlib import Path
@@ -6,24 +6,24 @@ from pathlib import Path
 from schemas.errors import BadInput
 from schemas.manifest import MANIFEST
 from schemas.migrations import CURRENT
-from schemas.work_folder import Artefact, Work
+from schemas.work_folder import Artifact, Work
 
 
-def work_or_artefact(path: Path) -> Work | Artefact:
-    """The artefact whose folder or manifest `path` is, else the work folder there; BadInput where it is neither."""
+def work_or_artifact(path: Path) -> Work | Artifact:
+    """The artifact whose folder or manifest `path` is, else the work folder there; BadInput where it is neither."""
     if path.name == MANIFEST:
         path = path.parent
     if not path.is_dir():
-        raise BadInput(f"{path} is no folder; expected a work folder or an artefact such as WORK/scene/NAME")
+        raise BadInput(f"{path} is no folder; expected a work folder or an artifact such as WORK/scene/NAME")
     within = any((path / kind).is_dir() for kind in CURRENT)  # a work folder may itself lie in one called scene or edit
     if (path / MANIFEST).is_file() or (path.resolve().parent.name in CURRENT and not within):
-        return Artefact(path.resolve())
+        return Artifact(path.resolve())
     work = Work(path)
-    if not work.artefacts() and not work.unfinished():
-        raise BadInput(f"{path} holds no artefact; begin with: stylerf import PHOTOS {shlex.quote(str(path))}")
+    if not work.artifacts() and not work.unfinished():
+        raise BadInput(f"{path} holds no artifact; begin with: stylerf import PHOTOS {shlex.quote(str(path))}")
     return work
 
 
-def work_around(artefact: Artefact) -> Work:
-    """The work folder that an artefact stands in."""
-    return Work(artefact.path.parent.parent)
+def work_around(artifact: Artifact) -> Work:
+    """The work folder that an artifact stands in."""
+    return Work(artifact.path.parent.parent)

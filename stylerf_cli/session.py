@@ -9,9 +9,9 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from schemas.errors import ArtefactStale, UsageError
+from schemas.errors import ArtifactStale, UsageError
 from schemas.read_limit import set_allowance
-from schemas.work_folder import Artefact, Work, sound_name
+from schemas.work_folder import Artifact, Work, sound_name
 from stages.pipeline.distributed import follow, joined, launched, led, release, speaks
 from stages.run.memory import room
 from stages.run.progress import Context, Silent
@@ -68,17 +68,17 @@ class Session:
         self,
         spec: Any,
         run: Any,
-        inputs: dict[str, Artefact],
+        inputs: dict[str, Artifact],
         config: Any,
         name: str,
         own: bool | None = None,
         by: Sequence[str] = (),
-    ) -> Artefact:
+    ) -> Artifact:
         """Runs a stage, or reuses what stands.
 
         The stage of this very verb writes under --name where given and obeys --force. Any other stage is an earlier
         one that is missing or out of date: it is announced and brought up to date, or, with --only, refused with the
-        command that does it (ArtefactStale). own: says which of the two it is, for a verb of several stages. by: what
+        command that does it (ArtifactStale). own: says which of the two it is, for a verb of several stages. by: what
         that command needs beside the work folder, the name and the options of the config.
         """
         if not self.ranks.first:
@@ -94,12 +94,12 @@ class Session:
         self,
         spec: Any,
         run: Any,
-        inputs: dict[str, Artefact],
+        inputs: dict[str, Artifact],
         config: Any,
         name: str,
         own: bool | None,
         by: Sequence[str],
-    ) -> Artefact:
+    ) -> Artifact:
         from stages.run.runner import execute, recipe_of
 
         own = spec.verb in self.own_verbs if own is None else own
@@ -112,15 +112,15 @@ class Session:
             if self.only:
                 seed = ["--seed", str(self.common.seed)] if self.common.seed else []
                 command = ["stylerf", spec.verb, str(self.work.root), "--name", name, *by, *flags_of(config), *seed]
-                raise ArtefactStale(
+                raise ArtifactStale(
                     f"{spec.writes} {name} is missing or out of date and --only was given; run: {shlex.join(command)}"
                 )
             self.say(f"{spec.writes} {name} is missing or out of date: running `stylerf {spec.verb}` first")
         again = own and self.force
-        artefact, reused = execute(spec, run, self.work, name, inputs, config, self.context, again, careful=True)
+        artifact, reused = execute(spec, run, self.work, name, inputs, config, self.context, again, careful=True)
         if reused:
             self.say(f"{spec.writes} {name} stands up to date (--force makes it anew)")
-        return artefact
+        return artifact
 
     def say(self, text: str) -> None:
         """One line on stderr, unless --quiet."""

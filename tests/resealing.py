@@ -1,4 +1,4 @@
-"""Artefacts altered by somebody who knows how they are sealed: every checksum is right, what they say is not."""
+"""Artifacts altered by somebody who knows how they are sealed: every checksum is right, what they say is not."""
 
 import hashlib
 import json
@@ -9,7 +9,7 @@ SEAL = '"self_sha256": "%s"'
 
 
 def reseal(folder: Path, change: Callable[[dict], None] = lambda content: None) -> None:
-    """Writes a manifest that holds for the files as they lie in `folder` now, by docs/artefacts.md alone.
+    """Writes a manifest that holds for the files as they lie in `folder` now, by docs/artifacts.md alone.
 
     change: alters the manifest's content first. Files that are gone are listed no more, new ones are.
     """

@@ -1,4 +1,4 @@
-"""docs/artefacts.md tells every field, kind, channel, attribute and exit code that the code has."""
+"""docs/artifacts.md tells every field, kind, channel, attribute and exit code that the code has."""
 
 import re
 from dataclasses import fields
@@ -14,7 +14,7 @@ from schemas.scene import BACKGROUNDS, LAYOUTS, Bounds, Scene, Skipped, Truth, V
 from stylerf_cli import exit_codes
 from tests.conftest import REPOSITORY
 
-TEXT = (REPOSITORY / "docs" / "artefacts.md").read_text()
+TEXT = (REPOSITORY / "docs" / "artifacts.md").read_text()
 
 
 def section(title: str) -> str:

@@ -26,7 +26,7 @@ def ran(monkeypatch):
 
 def manifest(folder) -> None:
     folder.mkdir(parents=True)
-    figures = {"colours": 4, "sparsity": 0.5, "palette_variation": 0.1, "psnr": 30.0}
+    figures = {"colors": 4, "sparsity": 0.5, "palette_variation": 0.1, "psnr": 30.0}
     told = {"seconds": 1.0, "peak_memory_mb": 1.0, "figures": figures}
     (folder / "manifest.json").write_text(json.dumps(told))
 
@@ -35,6 +35,6 @@ def test_load_is_that_of_before_the_run(ran, tmp_path):
     manifest(tmp_path / "field" / "fit-60s")
     assert fits.measure(tmp_path, "lego 200x200", "60s", tmp_path)["load_before"] == ran.index("fit") == 1
     ran.clear()
-    manifest(tmp_path / "lego-400x400" / "edit" / "lego-shovel-recoloured-learnt")
-    row = edits.measure(tmp_path, tmp_path, "lego shovel, recoloured", tmp_path)
+    manifest(tmp_path / "lego-400x400" / "edit" / "lego-shovel-recolored-learned")
+    row = edits.measure(tmp_path, tmp_path, "lego shovel, recolored", tmp_path)
     assert row["load_before"] == ran.index("edit") == 0

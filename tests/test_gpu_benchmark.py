@@ -90,12 +90,12 @@ def test_kernels_and_frames_are_measured(monkeypatch):
     rows = gpu.kernels(device, 100.0, rays=6, vertices=8, repeats=1)
     names = [row["kernel"] for row in rows]
     assert len(names) == len(set(names)) == 39
-    assert {"march and hash density", "voxel density smoothness", "hash-mlp colour backward", "loss"} < set(names)
-    assert {"vm colour slopes", "hash sum colour slopes", "displacement backward"} < set(names)
-    assert {"patch colour", "ends of rays"} < set(names)
+    assert {"march and hash density", "voxel density smoothness", "hash-mlp color backward", "loss"} < set(names)
+    assert {"vm color slopes", "hash sum color slopes", "displacement backward"} < set(names)
+    assert {"patch color", "ends of rays"} < set(names)
     for row in rows:
         assert row["gb_per_s"] == round(row["bound_bytes"] / 2e-3 / 1e9, 1) and row["samples"] > 0
-    told = gpu.frames(gpu.random_field(8, "stylised"), dome(1, 0, 4), device, repeats=1)
+    told = gpu.frames(gpu.random_field(8, "stylized"), dome(1, 0, 4), device, repeats=1)
     assert told["frames_per_s"] == 500 and told["width"] == 4 and told["half_precision"] in (True, False)
 
 

@@ -7,7 +7,7 @@ import pytest
 from benchmarks import palettes, readme
 from tests.test_gpu_benchmark import understood
 
-SECONDS = {"edit/lego-shovel-learnt": 7.0, "field/palette": 60.0, "field/palette-everywhere": 1.5,
+SECONDS = {"edit/lego-shovel-learned": 7.0, "field/palette": 60.0, "field/palette-everywhere": 1.5,
            "field/palette-within": 2.5}  # fmt: skip
 
 
@@ -33,7 +33,7 @@ def test_a_row_a_method(commands, monkeypatch, tmp_path):
     kept = tmp_path / "kept" / "lego-400x400"
     for name, seconds in SECONDS.items():
         (kept / name).mkdir(parents=True)
-        figures = {"colours": 4, "sparsity": 0.5, "palette_variation": 0.1}
+        figures = {"colors": 4, "sparsity": 0.5, "palette_variation": 0.1}
         (kept / name / "manifest.json").write_text(json.dumps({"seconds": seconds, "figures": figures}))
     monkeypatch.setenv("STYLERF_BENCH_WORK", str(tmp_path / "kept"))
     out = tmp_path / "palettes.json"

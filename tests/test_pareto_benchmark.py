@@ -17,11 +17,11 @@ def commands(monkeypatch):
         understood([*arguments, "--json"])
         seen.append(arguments)
         if "desrf" in arguments:
-            raise pareto.Failed("the stylisation does not converge")
+            raise pareto.Failed("the stylization does not converge")
         if arguments[0] != "compare":
             return {}
         runs = []
-        told = (("fits", "fit-grow-10s", "psnr", 10.0), ("stylisations", "arf", "nnfm", 5.0))
+        told = (("fits", "fit-grow-10s", "psnr", 10.0), ("stylizations", "arf", "nnfm", 5.0))
         for family, name, key, seconds in told:
             costs = {"seconds": seconds, "peak_memory_mb": 100.0, "parameters": 5e5}
             more = {"group": "lego", "work": "lego", "method": "vm", "settings": "", "stages": ["fit"]}
@@ -37,7 +37,7 @@ def commands(monkeypatch):
 def test_every_combination_is_run_and_what_failed_is_kept(commands, tmp_path):
     out = tmp_path / "pareto.json"
     flags = ["--scenes", "lego,fern", "--capacities", "grow,fixed:64", "--budgets", "5s,10s", "--rays", "auto,dilated"]
-    flags += ["--methods", "arf,desrf", "--style-budgets", "5s", "--flags", "arf=--taps conv2", "--stylised", "grow"]
+    flags += ["--methods", "arf,desrf", "--style-budgets", "5s", "--flags", "arf=--taps conv2", "--stylized", "grow"]
     pareto.main([str(tmp_path), str(tmp_path), str(out), *flags])
     verbs = [arguments[0] for arguments in commands]
     assert verbs.count("fit") == 2 * 2 * 2 and verbs.count("stylize") == 2 * 2 * 2

@@ -10,7 +10,7 @@ from tests.test_gpu_benchmark import understood
 
 @pytest.fixture
 def commands(monkeypatch, tmp_path):
-    """Instead of running stylerf: its arguments, checked by its own parser, and artefacts as it would leave them."""
+    """Instead of running stylerf: its arguments, checked by its own parser, and artifacts as it would leave them."""
     seen, field = [], tmp_path / "kept" / "lego-400x400" / "field" / "within"
     figures = {"background_mse": 0.002, "background_ratio": 2.0, "change_lab": 50.0, "bleeding": 0.01}
 

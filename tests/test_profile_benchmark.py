@@ -27,11 +27,11 @@ def report(tmp_path_factory):
 def test_every_kernel_of_a_step_is_timed_and_the_bounds_are_below_them(report):
     (row,) = report["rows"]
     json.dumps(report)
-    assert row["kernels_ms"].keys() >= {"march", "colour", "colour backward", "density backward", "adam", "all else"}
+    assert row["kernels_ms"].keys() >= {"march", "color", "color backward", "density backward", "adam", "all else"}
     assert sum(row["kernels_ms"].values()) == pytest.approx(row["step_ms"], abs=0.05)
     assert min(row["kernels_ms"].values()) >= 0 and row["psnr"] > 5
-    assert 0 < row["coloured"] <= row["samples"] and 0 < row["learning"] <= row["samples"]
-    for kernel in ("march", "colour backward", "density backward"):  # they do what the bound does, and more
+    assert 0 < row["colored"] <= row["samples"] and 0 < row["learning"] <= row["samples"]
+    for kernel in ("march", "color backward", "density backward"):  # they do what the bound does, and more
         assert 0 < row["bounds_ms"][kernel] < 3 * row["kernels_ms"][kernel], kernel
     assert row["bandwidth_gb_s"] > 0
 

@@ -10,7 +10,7 @@ import sys
 
 import pytest
 
-from schemas.errors import ArtefactStale
+from schemas.errors import ArtifactStale
 from schemas.work_folder import Work
 from stages.configs.render import RenderConfig
 from stylerf_cli.arguments import Parser, add_common, add_config, build_config, read_toml
@@ -68,13 +68,13 @@ def test_every_command_is_one_that_its_verb_takes(tmp_path):
 @pytest.mark.parametrize(
     ("file", "name"), [("my night.jpg", "my_night-arf"), ("été/Übung 3.PNG", "bung_3-arf"), ("星.jpg", r"\d+-arf")]
 )
-def test_the_field_gets_a_name_that_an_artefact_can_have(tmp_path, file, name):
+def test_the_field_gets_a_name_that_an_artifact_can_have(tmp_path, file, name):
     (tmp_path / file).parent.mkdir(exist_ok=True)
     (tmp_path / file).write_text("a painting")
     code, calls = scripted(tmp_path, "photos", file, "work")
     asked = [call[call.index(flag) + 1] for call, flag in zip(calls[3:6], ("--name", "--of", "--of"), strict=True)]
     assert code == 0 and len(set(asked)) == 1 and re.fullmatch(name, asked[0])
-    with pytest.raises(ArtefactStale):  # not that it cannot be a name
+    with pytest.raises(ArtifactStale):  # not that it cannot be a name
         Work(tmp_path).get("field", asked[0])
 
 

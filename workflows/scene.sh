@@ -30,7 +30,7 @@ settings=$(dirname "$0")/../examples/render.toml
 run() { "${STYLERF:-stylerf}" "$@" ${OPTIONS:-}; }
 
 # The field that a painting called night.jpg makes is named night-arf: its file's name, with _ for whatever cannot stand
-# in the name of an artefact (its checksum where nothing else is left), and the method (METHOD: arf, desrf, snerf or refnpr).
+# in the name of an artifact (its checksum where nothing else is left), and the method (METHOD: arf, desrf, snerf or refnpr).
 field=$(basename "$painting")
 field=$(printf %s "${field%.*}" | LC_ALL=C sed 's/[^A-Za-z0-9._+-]\{1,\}/_/g; s/^[._+-]*//; s/[._+-]*$//')
 method=${METHOD:-arf}

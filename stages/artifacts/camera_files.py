@@ -84,7 +84,7 @@ def _ours(entries: object, like: Camera, where: str) -> CameraFile:
 
 
 def _camera_of_entry(entry: dict, name: str, like: Camera) -> Camera:
-    """What an entry does not tell is as `like` has it: its size, its view across, and its centre, at the entry's size.
+    """What an entry does not tell is as `like` has it: its size, its view across, and its center, at the entry's size.
 
     One focal length alone holds for both sides: pixels are square.
     """

@@ -1,4 +1,4 @@
-"""Reads and writes edit artefacts: edit.json, edit.safetensors for the module, palette.json, palette.png to be read."""
+"""Reads and writes edit artifacts: edit.json, edit.safetensors for the module, palette.json, palette.png to be read."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -6,13 +6,13 @@ from pathlib import Path
 import numpy as np
 
 from schemas.atomic_write import write_json
-from schemas.errors import ArtefactDamaged
+from schemas.errors import ArtifactDamaged
 from schemas.images import to_uint8, write_png
 from schemas.safe_reading import read_json
 from schemas.tensors import load_tensors, save_tensors
-from schemas.work_folder import Artefact
+from schemas.work_folder import Artifact
 from stages.artifacts.validity import sound
-from stages.configs.edit import PaletteConfig, colour_of, number_of
+from stages.configs.edit import PaletteConfig, color_of, number_of
 from stylerf import validation
 from stylerf.editing.palette_edits import PaletteEdits, tinted
 from stylerf.editing.palette_module import PaletteModule
@@ -32,125 +32,125 @@ class Edit:
 
 
 def save_edit(folder: Path, edit: Edit, shares: list[float], told: dict) -> None:
-    """shares: of the palette's colours in the region. told: what else palette.json says, such as sparsity.
+    """shares: of the palette's colors in the region. told: what else palette.json says, such as sparsity.
 
-    Whoever reads the palette counts its colours by their shares, the largest first; `column` is the module's own count.
+    Whoever reads the palette counts its colors by their shares, the largest first; `column` is the module's own count.
     """
     save_tensors(folder / NUMBERS, edit.module.arrays())
     write_json(folder / DESCRIPTION, {"module": edit.module.describe(), "changes": edit.changes.describe()})
-    learnt = edit.module.palette
-    save_palette(folder, learnt, edit.changes.palette(learnt), shares, told)
+    learned = edit.module.palette
+    save_palette(folder, learned, edit.changes.palette(learned), shares, told)
 
 
-def save_palette(folder: Path, learnt: np.ndarray, now: np.ndarray, shares: list[float], told: dict) -> None:
-    """palette.json and palette.png of palettes [A, 3] as learnt and as they are now."""
+def save_palette(folder: Path, learned: np.ndarray, now: np.ndarray, shares: list[float], told: dict) -> None:
+    """palette.json and palette.png of palettes [A, 3] as learned and as they are now."""
     order = [int(column) for column in np.argsort(-np.asarray(shares), kind="stable")]
     entries = [
         {
             "index": index,
-            "name": _name(learnt[column]),
-            "learnt": _hex(learnt[column]),
+            "name": _name(learned[column]),
+            "learned": _hex(learned[column]),
             "now": _hex(now[column]),
             "share": round(shares[column], 4),
             "column": column,
         }
         for index, column in enumerate(order)
     ]
-    write_json(folder / PALETTE, {"colours": entries, **told})
-    write_png(folder / SWATCH, swatch(learnt[order], now[order], [shares[column] for column in order]))
+    write_json(folder / PALETTE, {"colors": entries, **told})
+    write_png(folder / SWATCH, swatch(learned[order], now[order], [shares[column] for column in order]))
 
 
-def load_edit(artefact: Artefact) -> Edit:
-    """The edit; ArtefactDamaged where its files do not make one."""
-    artefact.check_sizes()
-    arrays, _ = load_tensors(artefact.file(NUMBERS))
-    data = read_json(artefact.file(DESCRIPTION), ArtefactDamaged)
-    with sound(artefact.path, "a sound edit"):
+def load_edit(artifact: Artifact) -> Edit:
+    """The edit; ArtifactDamaged where its files do not make one."""
+    artifact.check_sizes()
+    arrays, _ = load_tensors(artifact.file(NUMBERS))
+    data = read_json(artifact.file(DESCRIPTION), ArtifactDamaged)
+    with sound(artifact.path, "a sound edit"):
         module = PaletteModule.restore(validation.entry(data, "module"), arrays)
         changes = PaletteEdits.restore(validation.entry(data, "changes"))
         changes.check(len(module.palette))
         return Edit(module, changes)
 
 
-def told_colours(artefact: Artefact) -> list[dict]:
-    """The colours of palette.json: index, name, learnt and now as text, share, and column, the module's number."""
-    data = read_json(artefact.file(PALETTE), ArtefactDamaged)
-    with sound(artefact.path / PALETTE, "a sound palette"):
-        entries = validation.entry(data, "colours", list)
+def told_colors(artifact: Artifact) -> list[dict]:
+    """The colors of palette.json: index, name, learned and now as text, share, and column, the module's number."""
+    data = read_json(artifact.file(PALETTE), ArtifactDamaged)
+    with sound(artifact.path / PALETTE, "a sound palette"):
+        entries = validation.entry(data, "colors", list)
         for number, one in enumerate(entries):
             validation.integer(one, "index", number, number)
             validation.number(one, "share", 0, 1)
-            for key in ("name", "learnt", "now"):
+            for key in ("name", "learned", "now"):
                 validation.entry(one, key, str)
         if sorted(validation.integer(one, "column", 0, len(entries)) for one in entries) != [*range(len(entries))]:
             raise InvalidValue(f"its columns are not 0 to {len(entries) - 1}, each once")
         return entries
 
 
-def columns_and_shares(artefact: Artefact, colours: int) -> tuple[list[int], list[float]]:
-    """(the module's number of each colour as palette.json counts them, shares by the module's numbers).
+def columns_and_shares(artifact: Artifact, colors: int) -> tuple[list[int], list[float]]:
+    """(the module's number of each color as palette.json counts them, shares by the module's numbers).
 
-    colours: that the module has.
+    colors: that the module has.
     """
-    entries = told_colours(artefact)
-    if len(entries) != colours:
-        raise ArtefactDamaged(
-            f"{artefact.path / PALETTE} tells {len(entries)} colours where {colours} were learnt; make it anew"
+    entries = told_colors(artifact)
+    if len(entries) != colors:
+        raise ArtifactDamaged(
+            f"{artifact.path / PALETTE} tells {len(entries)} colors where {colors} were learned; make it anew"
         )
     columns = [entry["column"] for entry in entries]
     shares = {entry["column"]: entry["share"] for entry in entries}
     return columns, [shares[column] for column in range(len(columns))]
 
 
-def told_after(artefact: Artefact, changes: PaletteEdits) -> dict:
-    """What palette.json tells beside colours, as far as it holds of the changed palette: not of other weights."""
-    told = read_json(artefact.file(PALETTE), ArtefactDamaged)
+def told_after(artifact: Artifact, changes: PaletteEdits) -> dict:
+    """What palette.json tells beside colors, as far as it holds of the changed palette: not of other weights."""
+    told = read_json(artifact.file(PALETTE), ArtifactDamaged)
     kept = () if changes.scales or changes.biases else OF_WEIGHTS
-    with sound(artefact.path / PALETTE, "a sound palette"):
+    with sound(artifact.path / PALETTE, "a sound palette"):
         return {key: validation.number(told, key) for key in kept if told.get(key, "nan") != "nan"}  # of no pixel
 
 
 def by_column(changes: PaletteEdits, columns: list[int]) -> PaletteEdits:
-    """Changes counted as palette.json counts colours, as the module counts them."""
-    named = (changes.colours, changes.scales, changes.biases)
+    """Changes counted as palette.json counts colors, as the module counts them."""
+    named = (changes.colors, changes.scales, changes.biases)
     return PaletteEdits(*({columns[index]: value for index, value in one.items()} for one in named))
 
 
 def changes_of(config: PaletteConfig, palette: np.ndarray, shares: np.ndarray) -> PaletteEdits:
     """The changes that a config asks for; palette [A, 3] and shares [A], counted as palette.json counts."""
-    asked = dict(map(colour_of, config.palette))
-    colours = {index: colour for index, colour in asked.items() if index is not None}
+    asked = dict(map(color_of, config.palette))
+    colors = {index: color for index, color in asked.items() if index is not None}
     if None in asked:
         every = enumerate(tinted(palette, shares, asked[None]).tolist())
-        colours = {index: tuple(colour) for index, colour in every} | colours
+        colors = {index: tuple(color) for index, color in every} | colors
     return PaletteEdits(
-        colours,
+        colors,
         dict(map(number_of, config.palette_weight)),
         dict(map(number_of, config.palette_bias)),
     )
 
 
-def swatch(learnt: np.ndarray, now: np.ndarray, shares: list[float]) -> np.ndarray:
-    """[h, w, 3] uint8: a column for each colour, as wide as its share; what was learnt above, what it is now below."""
+def swatch(learned: np.ndarray, now: np.ndarray, shares: list[float]) -> np.ndarray:
+    """[h, w, 3] uint8: a column for each color, as wide as its share; what was learned above, what it is now below."""
     widths = np.maximum(np.round(np.array(shares) / max(sum(shares), 1e-9) * 8 * SWATCH_SIDE).astype(int), 12)
-    rows = [np.concatenate([np.tile(c, (SWATCH_SIDE, w, 1)) for c, w in zip(p, widths)], 1) for p in (learnt, now)]
+    rows = [np.concatenate([np.tile(c, (SWATCH_SIDE, w, 1)) for c, w in zip(p, widths)], 1) for p in (learned, now)]
     return to_uint8(np.clip(np.concatenate(rows), 0, 1))
 
 
-def _hex(colour: np.ndarray) -> str:
-    return "#" + "".join(f"{value:02x}" for value in to_uint8(np.clip(colour, 0, 1)))
+def _hex(color: np.ndarray) -> str:
+    return "#" + "".join(f"{value:02x}" for value in to_uint8(np.clip(color, 0, 1)))
 
 
-def _name(colour: np.ndarray) -> str:
-    """A word for a colour, of lightness and hue, for whoever reads a list of them."""
+def _name(color: np.ndarray) -> str:
+    """A word for a color, of lightness and hue, for whoever reads a list of them."""
     from skimage.color import rgb2lab
 
-    light, a, b = rgb2lab(np.clip(colour, 0, 1).reshape(1, 1, 3))[0, 0]
+    light, a, b = rgb2lab(np.clip(color, 0, 1).reshape(1, 1, 3))[0, 0]
     chroma = float(np.hypot(a, b))
     if light < 12:
         return "black"
     if chroma < 8:
-        return "white" if light > 92 else "light grey" if light > 65 else "grey" if light > 35 else "dark grey"
+        return "white" if light > 92 else "light gray" if light > 65 else "gray" if light > 35 else "dark gray"
     hues = ("pink", "red", "orange", "yellow", "green", "cyan", "blue", "violet", "pink")
     begins = (0, 15, 48, 78, 108, 170, 230, 290, 325)  # degrees of CIELAB hue
     hue = float(np.degrees(np.arctan2(b, a))) % 360

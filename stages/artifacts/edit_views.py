@@ -5,11 +5,11 @@ from pathlib import Path
 import numpy as np
 
 from schemas.atomic_write import write_json
-from schemas.errors import ArtefactDamaged
+from schemas.errors import ArtifactDamaged
 from schemas.json_numbers import LARGEST_PICTURE, LARGEST_SIDE
 from schemas.safe_reading import read_json
 from schemas.tensors import load_tensors, save_tensors
-from schemas.work_folder import Artefact
+from schemas.work_folder import Artifact
 from stages.artifacts.validity import sound
 from stylerf import validation
 from stylerf.editing.edit_views import EditView, check_pixels
@@ -29,12 +29,12 @@ def save_edit_views(folder: Path, views: list[EditView], told: dict) -> None:
     write_json(folder / DESCRIPTION, {**told, "views": listed})
 
 
-def load_edit_views(artefact: Artefact) -> tuple[list[EditView], dict]:
-    """The views and what dataset.json says; ArtefactDamaged where the two files do not belong together."""
-    artefact.check_sizes()
-    arrays, _ = load_tensors(artefact.file(NUMBERS))
-    data = read_json(artefact.file(DESCRIPTION), ArtefactDamaged)
-    with sound(artefact.path, "a sound edit dataset"):
+def load_edit_views(artifact: Artifact) -> tuple[list[EditView], dict]:
+    """The views and what dataset.json says; ArtifactDamaged where the two files do not belong together."""
+    artifact.check_sizes()
+    arrays, _ = load_tensors(artifact.file(NUMBERS))
+    data = read_json(artifact.file(DESCRIPTION), ArtifactDamaged)
+    with sound(artifact.path, "a sound edit dataset"):
         views = [_view(item, arrays) for item in validation.entry(data, "views", list)]
         if not views or len({one.view for one in views}) < len(views):
             raise InvalidValue("there are no views, or one stands twice")

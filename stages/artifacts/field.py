@@ -1,4 +1,4 @@
-"""Reads and writes field artefacts: field.json says what it is, field.safetensors holds its numbers."""
+"""Reads and writes field artifacts: field.json says what it is, field.safetensors holds its numbers."""
 
 import json
 from pathlib import Path
@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 
 from schemas.atomic_write import write_json
-from schemas.errors import ArtefactDamaged
+from schemas.errors import ArtifactDamaged
 from schemas.safe_reading import read_json
 from schemas.tensors import load_tensors, save_tensors
-from schemas.work_folder import Artefact
+from schemas.work_folder import Artifact
 from stages.artifacts.validity import sound
 from stylerf import validation
 from stylerf.fields.deformation import Deformation
@@ -25,12 +25,12 @@ def save_field(folder: Path, field: RadianceField, background: str) -> None:
     write_json(folder / DESCRIPTION, {**field.describe(), "background": background})
 
 
-def load_field(artefact: Artefact) -> tuple[RadianceField, str]:
-    """The field and its background; ArtefactDamaged where the two files do not make one."""
-    artefact.check_sizes()
-    arrays, _ = load_tensors(artefact.file(NUMBERS))
-    data = read_json(artefact.file(DESCRIPTION), ArtefactDamaged)
-    with sound(artefact.path, "a sound field"):
+def load_field(artifact: Artifact) -> tuple[RadianceField, str]:
+    """The field and its background; ArtifactDamaged where the two files do not make one."""
+    artifact.check_sizes()
+    arrays, _ = load_tensors(artifact.file(NUMBERS))
+    data = read_json(artifact.file(DESCRIPTION), ArtifactDamaged)
+    with sound(artifact.path, "a sound field"):
         return RadianceField.restore(data, arrays), validation.one_of(data, "background", BACKGROUNDS)
 
 
@@ -39,11 +39,11 @@ def save_deformation(folder: Path, deformation: Deformation) -> None:
     save_tensors(folder / DEFORMATION, {"values": deformation.values}, {"kind": json.dumps(deformation.describe())})
 
 
-def load_deformation(artefact: Artefact) -> Deformation | None:
+def load_deformation(artifact: Artifact) -> Deformation | None:
     """The network behind a field's displacement grid; None for a field without one."""
-    if not artefact.has(DEFORMATION):
+    if not artifact.has(DEFORMATION):
         return None
-    arrays, metadata = load_tensors(artefact.file(DEFORMATION))
-    with sound(artefact.path / DEFORMATION, "a sound deformation"):
-        values = validation.array(arrays, "values", np.float32, (None,), validation.LEARNT)
+    arrays, metadata = load_tensors(artifact.file(DEFORMATION))
+    with sound(artifact.path / DEFORMATION, "a sound deformation"):
+        values = validation.array(arrays, "values", np.float32, (None,), validation.LEARNED)
         return Deformation.restore(json.loads(validation.entry(metadata, "kind", str)), values.copy())

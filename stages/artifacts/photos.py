@@ -80,7 +80,7 @@ def _on_disk(scene: SceneData, views: list[int], channels: int, size: int, most:
 
 
 def photo_over(scene: SceneData, index: int, level: float) -> np.ndarray:
-    """[h, w, 3] float32, sRGB 0..1, over a background of one grey level."""
+    """[h, w, 3] float32, sRGB 0..1, over a background of one gray level."""
     pixels = scene.images(index)
     if pixels.shape[2] == 4:
         pixels = pixels[..., :3] * pixels[..., 3:] + (1 - pixels[..., 3:]) * np.float32(level)
@@ -88,7 +88,7 @@ def photo_over(scene: SceneData, index: int, level: float) -> np.ndarray:
 
 
 def photo_for(field: RadianceField, scene: SceneData, index: int, level: float, chunks: int) -> np.ndarray:
-    """As photo_over, for what teaches colours to a field's shapes.
+    """As photo_over, for what teaches colors to a field's shapes.
 
     Nothing of a closed space is transparent: what a mask hides there is what the field shows already.
     """
@@ -101,5 +101,5 @@ def photo_for(field: RadianceField, scene: SceneData, index: int, level: float, 
 
 
 def level_of(background: str) -> float:
-    """Grey level of what stands behind a field in pictures."""
+    """Gray level of what stands behind a field in pictures."""
     return 1.0 if background == "white" else 0.0

@@ -1,15 +1,15 @@
-"""What an artefact cost: every stage upstream of it with its seconds, memory, size and parameters."""
+"""What an artifact cost: every stage upstream of it with its seconds, memory, size and parameters."""
 
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 
-from schemas.errors import ArtefactStale, StylerfError
-from schemas.work_folder import Artefact, Work, sources_of
+from schemas.errors import ArtifactStale, StylerfError
+from schemas.work_folder import Artifact, Work, sources_of
 
 
 @dataclass(frozen=True)
 class Made:
-    """One artefact upstream. The numbers are None where it is gone or cannot be read; `remark` then says so."""
+    """One artifact upstream. The numbers are None where it is gone or cannot be read; `remark` then says so."""
 
     kind: str
     name: str
@@ -27,94 +27,94 @@ class Made:
         return asdict(self)
 
 
-def fields_behind(field: Artefact) -> list[Artefact]:
+def fields_behind(field: Artifact) -> list[Artifact]:
     """The fields that a field was made from, the nearest first; those that are gone are passed over."""
     return sources_of(field, ["field"])
 
 
-def field_before(field: Artefact) -> Artefact | None:
+def field_before(field: Artifact) -> Artifact | None:
     """The field that a local edit began with: the nearest behind it that shows the scene by itself; None without one.
 
-    A decomposition into a palette only prepares; changes of a palette are all changes of what it was learnt of.
+    A decomposition into a palette only prepares; changes of a palette are all changes of what it was learned of.
     """
-    passed = ("decompose", "recolour") if field.manifest.stage == "recolour" else ("decompose",)
+    passed = ("decompose", "recolor") if field.manifest.stage == "recolor" else ("decompose",)
     return next((one for one in fields_behind(field) if one.manifest.stage not in passed), None)
 
 
-def field_unstylised(field: Artefact) -> Artefact | None:
-    """The nearest field behind a stylised one that is neither stylised nor bent for it; None without one."""
+def field_unstylized(field: Artifact) -> Artifact | None:
+    """The nearest field behind a stylized one that is neither stylized nor bent for it; None without one."""
     behind = (one for one in fields_behind(field) if one.manifest.stage != "deform_init")
-    return next((one for one in behind if not is_stylised(one)), None)
+    return next((one for one in behind if not is_stylized(one)), None)
 
 
-def shows_its_pictures(field: Artefact) -> bool:
-    """Whether a field looks as the pictures do that it was taught last; a stylised or recoloured one does not."""
-    return field.manifest.stage not in ("stylize", "recolour")
+def shows_its_pictures(field: Artifact) -> bool:
+    """Whether a field looks as the pictures do that it was taught last; a stylized or recolored one does not."""
+    return field.manifest.stage not in ("stylize", "recolor")
 
 
-def original_scene(scene: Artefact) -> Artefact:
-    """The scene of photos that a scene of edited ones (stage `distill`) was made from, through all artefacts between.
+def original_scene(scene: Artifact) -> Artifact:
+    """The scene of photos that a scene of edited ones (stage `distill`) was made from, through all artifacts between.
 
-    The scene itself where it is no such scene; ArtefactStale where an artefact on the way is gone.
+    The scene itself where it is no such scene; ArtifactStale where an artifact on the way is gone.
     """
     waiting, seen = [scene], set()
     while waiting:
-        artefact = waiting.pop(0)
-        if artefact.manifest.kind == "scene" and artefact.manifest.stage != "distill":
-            return artefact
-        work = Work(artefact.path.parent.parent)
-        for ref in sorted(artefact.manifest.inputs, key=lambda one: one.kind != "scene"):
+        artifact = waiting.pop(0)
+        if artifact.manifest.kind == "scene" and artifact.manifest.stage != "distill":
+            return artifact
+        work = Work(artifact.path.parent.parent)
+        for ref in sorted(artifact.manifest.inputs, key=lambda one: one.kind != "scene"):
             if (ref.kind, ref.name) not in seen:
                 seen.add((ref.kind, ref.name))
                 waiting.append(work.get(ref.kind, ref.name))
-    raise ArtefactStale(f"scene {scene.name} holds edited pictures and names no scene of photos they were made from")
+    raise ArtifactStale(f"scene {scene.name} holds edited pictures and names no scene of photos they were made from")
 
 
-def edit_behind(field: Artefact) -> Artefact | None:
-    """The palette edit that a field has learnt last, through the scene of edited pictures; None where there is none."""
+def edit_behind(field: Artifact) -> Artifact | None:
+    """The palette edit that a field has learned last, through the scene of edited pictures; None where there is none."""
     return next((one for one in [field, *sources_of(field, ["scene", "edit"])] if one.kind == "edit"), None)
 
 
-def palette_behind(field: Artefact) -> Artefact | None:
-    """What tells of the palette that a field's colours are mixed of: the field itself, one that it was made from, or
-    the local edit that it has learnt; None where there is none."""
-    own = (one for one in [field, *fields_behind(field)] if one.manifest.stage in ("decompose", "recolour"))
+def palette_behind(field: Artifact) -> Artifact | None:
+    """What tells of the palette that a field's colors are mixed of: the field itself, one that it was made from, or
+    the local edit that it has learned; None where there is none."""
+    own = (one for one in [field, *fields_behind(field)] if one.manifest.stage in ("decompose", "recolor"))
     return edit_behind(field) or next(own, None)
 
 
-def is_stylised(field: Artefact) -> bool:
+def is_stylized(field: Artifact) -> bool:
     """Whether a field, or one that it was made from, came out of the stylize stage."""
     return any(one.manifest.stage == "stylize" for one in [field, *fields_behind(field)])
 
 
-def upstream(artefacts: Iterable[Artefact]) -> list[Made]:
-    """These artefacts and all they were made from, sources first, each once."""
+def upstream(artifacts: Iterable[Artifact]) -> list[Made]:
+    """These artifacts and all they were made from, sources first, each once."""
     found: dict[tuple[str, str], Made] = {}
     seen: set[tuple[str, str]] = set()
-    for artefact in artefacts:
-        _walk(artefact, "", found, seen)
+    for artifact in artifacts:
+        _walk(artifact, "", found, seen)
     return list(found.values())
 
 
-def _walk(artefact: Artefact, remark: str, found: dict[tuple[str, str], Made], seen: set[tuple[str, str]]) -> None:
-    manifest = artefact.manifest
-    key = (manifest.kind, artefact.name)
+def _walk(artifact: Artifact, remark: str, found: dict[tuple[str, str], Made], seen: set[tuple[str, str]]) -> None:
+    manifest = artifact.manifest
+    key = (manifest.kind, artifact.name)
     if key in seen:
         return
     seen.add(key)
-    work = Work(artefact.path.parent.parent)
+    work = Work(artifact.path.parent.parent)
     for ref in manifest.inputs:
         if (ref.kind, ref.name) in seen:
             continue
         try:
             source = work.get(ref.kind, ref.name)
-            changed = "" if source.digest == ref.digest else f"made again after {manifest.kind} {artefact.name}"
+            changed = "" if source.digest == ref.digest else f"made again after {manifest.kind} {artifact.name}"
             _walk(source, changed, found, seen)
         except StylerfError as error:
             found[ref.kind, ref.name] = _absent(ref.kind, ref.name, str(error))
     found[key] = Made(
         kind=manifest.kind,
-        name=artefact.name,
+        name=artifact.name,
         stage=manifest.stage,
         seconds=manifest.seconds,
         peak_memory_mb=manifest.peak_memory_mb,

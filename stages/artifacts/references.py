@@ -1,4 +1,4 @@
-"""Stylised views that a scene is stylised after (Ref-NPR): read from files, or made of a photo at once."""
+"""Stylized views that a scene is stylized after (Ref-NPR): read from files, or made of a photo at once."""
 
 import hashlib
 from collections.abc import Sequence
@@ -46,7 +46,7 @@ def training_view(scene: SceneData, name: str, flag: str) -> int:
 
 
 def read_references(scene: SceneData, references: Sequence[str]) -> dict[int, np.ndarray]:
-    """By place among the training views: its stylised picture, [h, w, 3] sRGB 0..1, of the view's size."""
+    """By place among the training views: its stylized picture, [h, w, 3] sRGB 0..1, of the view's size."""
     found = {}
     for text in references:
         name, file = file_of(text)
@@ -97,7 +97,7 @@ def checked(scene: SceneData, config: StylizeConfig) -> None:
 
 
 def decoded_reference(photo: np.ndarray, painting: torch.Tensor, scale: float, device: str) -> np.ndarray:
-    """A photo [h, w, 3] stylised at once by AdaIN at conv3_1; UsageError where its weights are not here."""
+    """A photo [h, w, 3] stylized at once by AdaIN at conv3_1; UsageError where its weights are not here."""
     decoder, found = resolve_decoder(), resolve("vgg19-wct")
     trunk = Trunk(found.state, "conv3_1", found.kind).to(device)
     there = torch.from_numpy(photo).permute(2, 0, 1).contiguous().to(device)

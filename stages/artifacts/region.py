@@ -1,14 +1,14 @@
-"""Reads and writes region artefacts: region.json tells what was asked for, region.safetensors holds the cells."""
+"""Reads and writes region artifacts: region.json tells what was asked for, region.safetensors holds the cells."""
 
 from pathlib import Path
 
 import numpy as np
 
 from schemas.atomic_write import write_json
-from schemas.errors import ArtefactDamaged, BadInput
+from schemas.errors import ArtifactDamaged, BadInput
 from schemas.safe_reading import read_json
 from schemas.tensors import load_tensors, save_tensors
-from schemas.work_folder import Artefact
+from schemas.work_folder import Artifact
 from stages.artifacts.validity import sound
 from stylerf import validation
 from stylerf.editing.edit_grid import Region
@@ -25,7 +25,7 @@ def save_region(folder: Path, region: Region, space: Space, told: dict) -> None:
     write_json(folder / DESCRIPTION, {**told, "cells": region.cells, "space": space.describe()})
 
 
-def region_of_field(region: Artefact, of: Artefact, field: RadianceField, otherwise: str = "") -> Region:
+def region_of_field(region: Artifact, of: Artifact, field: RadianceField, otherwise: str = "") -> Region:
     """The region's cells; BadInput where they divide the space of another field than `of`, which holds `field`.
 
     otherwise: what else could be done, for the message.
@@ -39,12 +39,12 @@ def region_of_field(region: Artefact, of: Artefact, field: RadianceField, otherw
     return found
 
 
-def load_region(artefact: Artefact) -> tuple[Region, Space]:
-    """The region and the space whose cube it divides; ArtefactDamaged where the two files do not make one."""
-    artefact.check_sizes()
-    arrays, _ = load_tensors(artefact.file(NUMBERS))
-    data = read_json(artefact.file(DESCRIPTION), ArtefactDamaged)
-    with sound(artefact.path, "a sound region"):
+def load_region(artifact: Artifact) -> tuple[Region, Space]:
+    """The region and the space whose cube it divides; ArtifactDamaged where the two files do not make one."""
+    artifact.check_sizes()
+    arrays, _ = load_tensors(artifact.file(NUMBERS))
+    data = read_json(artifact.file(DESCRIPTION), ArtifactDamaged)
+    with sound(artifact.path, "a sound region"):
         cells = validation.integer(data, "cells", 1, 1024)
         region = Region(*(validation.bits(arrays, name, cells) for name in ("edit", "grow")))
         return region, Space.restore(validation.entry(data, "space"))

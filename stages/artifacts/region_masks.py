@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from schemas.errors import ArtefactDamaged, BadInput
+from schemas.errors import ArtifactDamaged, BadInput
 from schemas.safe_reading import read_json
-from schemas.work_folder import Artefact, Work
+from schemas.work_folder import Artifact, Work
 from stages.artifacts.field import DESCRIPTION as FIELD_DESCRIPTION
 from stages.artifacts.region import DESCRIPTION, load_region
 from stages.artifacts.validity import sound
@@ -21,15 +21,15 @@ CHANNEL = "mask."
 
 @dataclass(frozen=True, eq=False)
 class Marked:
-    """The edited cells E [s, s, s] of a region artefact, and that artefact's digest."""
+    """The edited cells E [s, s, s] of a region artifact, and that artifact's digest."""
 
     cells: np.ndarray
     digest: str
 
 
-def regions_fitting(work: Work, field: Artefact) -> tuple[dict[str, Artefact], list[str]]:
+def regions_fitting(work: Work, field: Artifact) -> tuple[dict[str, Artifact], list[str]]:
     """The regions of a work folder that divide the field's own space, by role; the names of all others."""
-    regions = work.artefacts("region")
+    regions = work.artifacts("region")
     if not regions:
         return {}, []
     space = _space(field, FIELD_DESCRIPTION)
@@ -37,17 +37,17 @@ def regions_fitting(work: Work, field: Artefact) -> tuple[dict[str, Artefact], l
     return fitting, [one.name for one in regions if ROLE + one.name not in fitting]
 
 
-def regions_among(inputs: Mapping[str, Artefact], space: Space) -> dict[str, Marked]:
+def regions_among(inputs: Mapping[str, Artifact], space: Space) -> dict[str, Marked]:
     """The regions among a stage's inputs, by name; BadInput where one divides another space than the field's."""
     found = {}
-    for artefact in (one for role, one in inputs.items() if role.startswith(ROLE)):
-        region, own = load_region(artefact)
+    for artifact in (one for role, one in inputs.items() if role.startswith(ROLE)):
+        region, own = load_region(artifact)
         if own != space:
             raise BadInput(
-                f"region {artefact.name} was selected in the space of another field; select it anew: stylerf select "
-                f"{artefact.path.parent.parent}"
+                f"region {artifact.name} was selected in the space of another field; select it anew: stylerf select "
+                f"{artifact.path.parent.parent}"
             )
-        found[artefact.name] = Marked(region.edit, artefact.digest)
+        found[artifact.name] = Marked(region.edit, artifact.digest)
     return found
 
 
@@ -67,7 +67,7 @@ def channels_of(names: Iterable[str]) -> dict[str, str]:
     return channels
 
 
-def _space(artefact: Artefact, description: str) -> Space:
-    data = read_json(artefact.file(description), ArtefactDamaged)
-    with sound(artefact.path / description, "a sound space"):
+def _space(artifact: Artifact, description: str) -> Space:
+    data = read_json(artifact.file(description), ArtifactDamaged)
+    with sound(artifact.path / description, "a sound space"):
         return Space.restore(validation.entry(data, "space"))

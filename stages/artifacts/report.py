@@ -1,8 +1,8 @@
-"""Reads report artefacts: what report.json tells of a field, as far as anybody else reads it."""
+"""Reads report artifacts: what report.json tells of a field, as far as anybody else reads it."""
 
-from schemas.errors import ArtefactDamaged
+from schemas.errors import ArtifactDamaged
 from schemas.safe_reading import read_json
-from schemas.work_folder import Artefact
+from schemas.work_folder import Artifact
 from stages.artifacts.validity import sound
 from stylerf import validation
 
@@ -10,14 +10,14 @@ DESCRIPTION = "report.json"
 MOST = 1e300  # of a figure, which may be of any unit
 
 
-def read_report(artefact: Artefact) -> dict:
-    """report.json; ArtefactDamaged where what it tells is not of the types, or in the ranges, of figures.
+def read_report(artifact: Artifact) -> dict:
+    """report.json; ArtifactDamaged where what it tells is not of the types, or in the ranges, of figures.
 
     A report of before figures were told has none.
     """
-    artefact.check_sizes()
-    data = read_json(artefact.file(DESCRIPTION), ArtefactDamaged)
-    with sound(artefact.path, "a sound report"):
+    artifact.check_sizes()
+    data = read_json(artifact.file(DESCRIPTION), ArtifactDamaged)
+    with sound(artifact.path, "a sound report"):
         told = {"figures": [], "warnings": [], "not_measured": [], "edit": None} | validation.table(data, DESCRIPTION)
         for figure in validation.entry(told, "figures", list):
             _check_figure(figure)

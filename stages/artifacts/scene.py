@@ -1,4 +1,4 @@
-"""Reads a scene artefact into cameras and images for the mathematics."""
+"""Reads a scene artifact into cameras and images for the mathematics."""
 
 import re
 from collections.abc import Callable, Mapping
@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
-from schemas.errors import ArtefactDamaged, BadInput
+from schemas.errors import ArtifactDamaged, BadInput
 from schemas.exr import read_depth
 from schemas.images import image_channels, read_image
 from schemas.manifest import MANIFEST
 from schemas.scene import POINTS_FILE, SCENE_FILE, Bounds, Scene, View, read_scene
 from schemas.tensors import load_tensors
-from schemas.work_folder import Artefact, sources_of
+from schemas.work_folder import Artifact, sources_of
 from stages.artifacts.validity import sound
 from stylerf import validation
 from stylerf.editing.edit_views import check_pixels
@@ -44,7 +44,7 @@ class SceneData:
     retaken: the image of a view, by its index, where that is not its photo.
     """
 
-    artefact: Artefact
+    artifact: Artifact
     scene: Scene
     cameras: list[Camera]
     points: Points | None
@@ -53,8 +53,8 @@ class SceneData:
 
     @property
     def folder(self) -> Path:
-        """Of the artefact."""
-        return self.artefact.path
+        """Of the artifact."""
+        return self.artifact.path
 
     @property
     def views(self) -> tuple[View, ...]:
@@ -82,19 +82,19 @@ class SceneData:
         return self.scene.background
 
     def images(self, index: int) -> np.ndarray:
-        """Image of view `index`, [height, width, 3 or 4] float32, sRGB 0..1, straight alpha; grey becomes RGB.
+        """Image of view `index`, [height, width, 3 or 4] float32, sRGB 0..1, straight alpha; gray becomes RGB.
 
-        ArtefactDamaged when it is missing, damaged or not of its camera's size.
+        ArtifactDamaged when it is missing, damaged or not of its camera's size.
         """
         if self.retaken:
             return self.retaken(index)
         view = self.views[index]
         try:
-            pixels = read_image(self.artefact.file(view.image)).pixels
+            pixels = read_image(self.artifact.file(view.image)).pixels
         except BadInput as error:
-            raise ArtefactDamaged(f"{error}; run `stylerf import` again") from error
+            raise ArtifactDamaged(f"{error}; run `stylerf import` again") from error
         if pixels.shape[:2] != (view.height, view.width):
-            raise ArtefactDamaged(
+            raise ArtifactDamaged(
                 f"{self.folder / view.image} is {pixels.shape[1]}x{pixels.shape[0]} where its camera says "
                 f"{view.width}x{view.height}; run `stylerf import` again"
             )
@@ -111,47 +111,47 @@ class SceneData:
 
         Photos that carry an edit are at one exposure themselves, and say nothing of the others.
         """
-        return {} if self.artefact.has(EDIT_TARGETS) else {EXPOSURE_STOPS: dict(self.stops)}
+        return {} if self.artifact.has(EDIT_TARGETS) else {EXPOSURE_STOPS: dict(self.stops)}
 
     def channels(self, index: int) -> int:
         """3 or 4: those that images(index) has, by the file's header."""
         try:
-            return max(3, image_channels(self.artefact.file(self.views[index].image)))
+            return max(3, image_channels(self.artifact.file(self.views[index].image)))
         except BadInput as error:
-            raise ArtefactDamaged(f"{error}; run `stylerf import` again") from error
+            raise ArtifactDamaged(f"{error}; run `stylerf import` again") from error
 
     def truth_depth(self, index: int) -> np.ndarray | None:
         """Known planar depth of view `index`, [height, width] float32 scene units; None where there is no truth."""
         relative = self.scene.truth.depth_file(index)
-        if relative is None or not self.artefact.has(relative):
+        if relative is None or not self.artifact.has(relative):
             return None
         try:
-            depth = read_depth(self.artefact.file(relative))
+            depth = read_depth(self.artifact.file(relative))
         except BadInput as error:
-            raise ArtefactDamaged(f"{error}; run `stylerf import` again") from error
+            raise ArtifactDamaged(f"{error}; run `stylerf import` again") from error
         view = self.views[index]
         if depth.shape != (view.height, view.width):
-            raise ArtefactDamaged(f"{self.folder / relative} is not of its camera's size; run `stylerf import` again")
+            raise ArtifactDamaged(f"{self.folder / relative} is not of its camera's size; run `stylerf import` again")
         return depth
 
 
-def load_scene(artefact: Artefact, seen_by: Artefact | None = None) -> SceneData:
-    """The scene of an artefact, checked: ArtefactDamaged when a file is missing or a camera cannot be.
+def load_scene(artifact: Artifact, seen_by: Artifact | None = None) -> SceneData:
+    """The scene of an artifact, checked: ArtifactDamaged when a file is missing or a camera cannot be.
 
     seen_by: what was made of a field; photos are then brought to the one exposure that its fit found for them.
     """
-    artefact.check_sizes()
-    scene = read_scene(artefact.file(SCENE_FILE).parent)
+    artifact.check_sizes()
+    scene = read_scene(artifact.file(SCENE_FILE).parent)
     for view in scene.views:
-        artefact.file(view.image)
+        artifact.file(view.image)
     try:
         cameras = [_camera(view) for view in scene.views]
     except InvalidValue as error:
-        raise ArtefactDamaged(f"{artefact.path}: {error}; run `stylerf import` again") from error
+        raise ArtifactDamaged(f"{artifact.path}: {error}; run `stylerf import` again") from error
     # Photos that carry an edit were brought to it when that was distilled.
-    stops = _stops(seen_by) if seen_by and not artefact.has(EDIT_TARGETS) else {}
-    points = _points(artefact.file(POINTS_FILE)) if artefact.has(POINTS_FILE) else None
-    return SceneData(artefact, scene, cameras, points, stops)
+    stops = _stops(seen_by) if seen_by and not artifact.has(EDIT_TARGETS) else {}
+    points = _points(artifact.file(POINTS_FILE)) if artifact.has(POINTS_FILE) else None
+    return SceneData(artifact, scene, cameras, points, stops)
 
 
 def view_index(scene: SceneData, name: str, asked_by: str) -> int:
@@ -177,7 +177,7 @@ def spread(views: list[int], count: int) -> list[int]:
     return [views[int((k + 0.5) * len(views) / count)] for k in range(count)]
 
 
-def _stops(seen_by: Artefact) -> dict[str, float]:
+def _stops(seen_by: Artifact) -> dict[str, float]:
     """By which the photos of views are overexposed, by the fit that `seen_by` goes back to; empty: all alike."""
     for made in [seen_by, *sources_of(seen_by, ("field",))]:
         if (stops := made.manifest.figures.get(EXPOSURE_STOPS)) is not None:
@@ -208,11 +208,11 @@ class EditTarget:
 
 
 def edit_targets(scene: SceneData) -> dict[tuple[int, str], EditTarget]:
-    """By index of the view, and "" for the last edit or EARLIER, what EDIT_TARGETS holds; ArtefactDamaged where it
+    """By index of the view, and "" for the last edit or EARLIER, what EDIT_TARGETS holds; ArtifactDamaged where it
     holds anything else. Empty where the scene carries no edit."""
-    if not scene.artefact.has(EDIT_TARGETS):
+    if not scene.artifact.has(EDIT_TARGETS):
         return {}
-    path = scene.artefact.file(EDIT_TARGETS)
+    path = scene.artifact.file(EDIT_TARGETS)
     arrays, _ = load_tensors(path)
     found = {}
     with sound(path, "sound targets of an edit"):

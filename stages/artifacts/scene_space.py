@@ -40,8 +40,8 @@ def _space_of(scene: SceneData, wanted: str) -> tuple[Space, str]:
         far = max(bounds.far, 1e3)
         return Space.box(middle - half, middle + half, near=bounds.near, far=far, kind="contraction"), reason
     half_width, half_height = _frustum_sides(scene, bounds.near)
-    centres = np.array([camera.world_from_camera[:3, 3] for camera in scene.cameras])
-    parallax = np.ptp(centres, axis=0)[:2].max() / bounds.near
+    centers = np.array([camera.world_from_camera[:3, 3] for camera in scene.cameras])
+    parallax = np.ptp(centers, axis=0)[:2].max() / bounds.near
     return Space.frustum(half_width, half_height, bounds.near, max(bounds.far, 1e4), parallax), reason
 
 

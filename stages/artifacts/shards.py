@@ -13,7 +13,7 @@ from schemas.errors import StylerfError
 from schemas.frames import Frame
 from schemas.journal import Journal
 from schemas.manifest import FileRecord, Manifest
-from schemas.work_folder import Artefact, Partial, Recipe, Work
+from schemas.work_folder import Artifact, Partial, Recipe, Work
 
 NO_SAY = ("frames", "video", "fps")  # options that no picture depends on
 
@@ -36,9 +36,9 @@ def take_frames(partial: Partial, frames: Sequence[Frame], journal: Journal) -> 
     return taken
 
 
-def _shards(partial: Partial) -> Iterator[Artefact]:
+def _shards(partial: Partial) -> Iterator[Artifact]:
     wanted = _pictured(partial.recipe)
-    for one in Work(partial.target.parent.parent).artefacts(partial.kind):
+    for one in Work(partial.target.parent.parent).artifacts(partial.kind):
         with suppress(StylerfError):  # one that cannot be read is no help
             made = one.manifest
             recipe = Recipe(made.stage, made.revision, made.config, made.inputs, made.seed)
@@ -62,7 +62,7 @@ def _files_by_frame(made: Manifest) -> dict[str, list[FileRecord]]:
     return found
 
 
-def _sound(shard: Artefact, record: FileRecord) -> bool:
+def _sound(shard: Artifact, record: FileRecord) -> bool:
     with suppress(OSError):
         return file_sha256(shard.path / record.path) == record.sha256
     return False

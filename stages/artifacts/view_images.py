@@ -1,10 +1,10 @@
-"""What a local edit sees of a scene: its photos, or what the field shows where its colours are in no photo."""
+"""What a local edit sees of a scene: its photos, or what the field shows where its colors are in no photo."""
 
 from dataclasses import replace
 
 import numpy as np
 
-from schemas.work_folder import Artefact
+from schemas.work_folder import Artifact
 from stages.artifacts.field import load_field
 from stages.artifacts.photos import level_of
 from stages.artifacts.provenance import shows_its_pictures
@@ -12,9 +12,9 @@ from stages.artifacts.scene import SceneData, load_scene
 from stylerf.rendering.view import render_view
 
 
-def load_pictures(artefact: Artefact, of: Artefact, chunks: int) -> SceneData:
-    """The scene as an edit of field `of` sees it: the looks of a stylised or recoloured one are in no photo."""
-    scene = load_scene(artefact, of)
+def load_pictures(artifact: Artifact, of: Artifact, chunks: int) -> SceneData:
+    """The scene as an edit of field `of` sees it: the looks of a stylized or recolored one are in no photo."""
+    scene = load_scene(artifact, of)
     if shows_its_pictures(of):
         return scene
     field, background = load_field(of)

@@ -1,17 +1,17 @@
-"""Figures against costs, one chart for each family and cost: a panel a figure, a colour a group, fronts as steps."""
+"""Figures against costs, one chart for each family and cost: a panel a figure, a color a group, fronts as steps."""
 
 from collections.abc import Sequence
 
 from stages.comparison.pareto_fronts import Panel, panel_of
-from stages.comparison.runs import CHARTED, COSTS, EDITS, FITS, STYLISATIONS, Run
+from stages.comparison.runs import CHARTED, COSTS, EDITS, FITS, STYLIZATIONS, Run
 from stages.report.charts import INK, SETTINGS, Chart, finished
 from stages.report.formatting import count
 from stylerf.environment.matplotlib_defaults import Axes, Line2D, LogFormatter, rc_context, to_hex, to_rgb
 from stylerf.environment.matplotlib_defaults import Figure as Drawing
 
 # Okabe and Ito's, which most eyes tell apart, without the yellow that fails on white.
-COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#888888")
-LINES = ("-", "--", ":", "-.")  # of groups that take a colour once more, each time darker
+COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#888888")
+LINES = ("-", "--", ":", "-.")  # of groups that take a color once more, each time darker
 DARKER = 0.6
 MARKERS = "osD^vPX*"
 AXES = {
@@ -19,7 +19,7 @@ AXES = {
     "peak_memory_mb": ("peak memory, MB", "Peak memory"),
     "parameters": ("parameters", "Parameters"),
 }
-TITLES = {FITS: "Fits", STYLISATIONS: "Stylisations", EDITS: "Local edits"}
+TITLES = {FITS: "Fits", STYLIZATIONS: "Stylizations", EDITS: "Local edits"}
 NAMED = 14  # most points of a panel that are named beside it
 WIDE_RANGE = 8.0  # largest cost over the smallest from which the axis is logarithmic
 
@@ -27,7 +27,7 @@ WIDE_RANGE = 8.0  # largest cost over the smallest from which the axis is logari
 def comparison_charts(runs: Sequence[Run]) -> list[Chart]:
     """For each family with measured runs, and each cost: `fits_seconds`, `edits_parameters` ..."""
     charts = []
-    for family in (FITS, STYLISATIONS, EDITS):
+    for family in (FITS, STYLIZATIONS, EDITS):
         some = [run for run in runs if run.family == family]
         for cost in COSTS:
             panels = [panel for key in CHARTED[family] if (panel := panel_of(some, key, cost))]
@@ -54,21 +54,21 @@ def _chart(family: str, cost: str, panels: list[Panel]) -> Chart:
 
 
 def look_of(place: int) -> tuple[str, str]:
-    """Colour and line of the group at this place; no two of the first 28 are alike."""
-    again, colour = divmod(place, len(COLOURS))
-    return to_hex([part * DARKER**again for part in to_rgb(COLOURS[colour])]), LINES[again % len(LINES)]
+    """Color and line of the group at this place; no two of the first 28 are alike."""
+    again, color = divmod(place, len(COLORS))
+    return to_hex([part * DARKER**again for part in to_rgb(COLORS[color])]), LINES[again % len(LINES)]
 
 
 def _draw(axes: Axes, panel: Panel, groups: dict[str, tuple[str, str]], methods: dict[str, str]) -> None:
     leading = {run.title for front in panel.fronts for run in front}
     for run in panel.runs:
-        colour, _ = groups[run.group]
-        fill = colour if run.title in leading else "none"
-        axes.plot(*panel.at(run), methods[run.method], color=colour, markerfacecolor=fill, markersize=7, zorder=3)
+        color, _ = groups[run.group]
+        fill = color if run.title in leading else "none"
+        axes.plot(*panel.at(run), methods[run.method], color=color, markerfacecolor=fill, markersize=7, zorder=3)
     for front in panel.fronts:
         points = [panel.at(run) for run in front]
-        colour, line = groups[front[0].group]
-        axes.step(*zip(*points), line, where="post", color=colour, linewidth=1.3, alpha=0.8, zorder=2)
+        color, line = groups[front[0].group]
+        axes.step(*zip(*points), line, where="post", color=color, linewidth=1.3, alpha=0.8, zorder=2)
     if len(panel.runs) <= NAMED:
         for run in panel.runs:
             axes.annotate(run.name, panel.at(run), xytext=(5, 4), textcoords="offset points", fontsize=7.5, color=INK)
@@ -90,8 +90,8 @@ def _draw(axes: Axes, panel: Panel, groups: dict[str, tuple[str, str]], methods:
 
 def _legend(drawing: Drawing, groups: dict[str, tuple[str, str]], methods: dict[str, str]) -> None:
     handles = [
-        Line2D([], [], color=colour, linestyle=line, linewidth=3, label=group)
-        for group, (colour, line) in groups.items()
+        Line2D([], [], color=color, linestyle=line, linewidth=3, label=group)
+        for group, (color, line) in groups.items()
     ]
     handles += [
         Line2D([], [], color=INK, marker=marker, linestyle="", markerfacecolor="none", label=method)

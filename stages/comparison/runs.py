@@ -9,22 +9,22 @@ from pathlib import Path
 
 from schemas.canonical_json import digest_of
 from schemas.errors import StylerfError
-from schemas.work_folder import Artefact, Work, newest
-from stages.artifacts.provenance import counted, is_stylised, original_scene
+from schemas.work_folder import Artifact, Work, newest
+from stages.artifacts.provenance import counted, is_stylized, original_scene
 from stages.artifacts.report import read_report
 from stages.evaluation.metric_definitions import BY_KEY
 from stages.evaluation.metrics import is_number
 
-FITS, STYLISATIONS, EDITS = "fits", "stylisations", "edits"
+FITS, STYLIZATIONS, EDITS = "fits", "stylizations", "edits"
 COSTS = ("seconds", "peak_memory_mb", "parameters")
 # What each family is drawn by, and the option of `stylerf eval` that a missing one needs.
 CHARTED = {
     FITS: {"psnr": "", "ssim": "", "lpips": ""},
-    STYLISATIONS: {"nnfm": "", "content_ssim": "", "short_rmse": "--path", "long_rmse": "--path"},
+    STYLIZATIONS: {"nnfm": "", "content_ssim": "", "short_rmse": "--path", "long_rmse": "--path"},
     EDITS: {"background_mse": "--region", "bleeding": "--region", "sparsity": "--region", "edit_short_rmse": "--path"},
 }
 ORDER = {key: place for place, key in enumerate(BY_KEY)}
-NEEDED = {FITS: ("psnr",), STYLISATIONS: tuple(CHARTED[STYLISATIONS]), EDITS: ("background_mse", "bleeding")}
+NEEDED = {FITS: ("psnr",), STYLIZATIONS: tuple(CHARTED[STYLIZATIONS]), EDITS: ("background_mse", "bleeding")}
 
 
 @dataclass(frozen=True)
@@ -89,17 +89,17 @@ class Gap:
 
 
 def runs_of(works: Sequence[Work]) -> tuple[list[Run], list[Gap]]:
-    """Every fit, stylisation and edit of these work folders, in the order given; and what is missing."""
+    """Every fit, stylization and edit of these work folders, in the order given; and what is missing."""
     runs, groups, gaps, scenes = [], [], [], {}
     for work, called in zip(works, _called(works)):
-        for artefact in work.artefacts("field"):
+        for artifact in work.artifacts("field"):
             try:
-                family = family_of(artefact)
+                family = family_of(artifact)
                 if family is None:
                     continue
-                run, group = _run(artefact, family, work, called, scenes)
+                run, group = _run(artifact, family, work, called, scenes)
             except StylerfError as error:
-                gaps.append(Gap(f"{called}/{artefact.name}", f"It cannot be read: {error}"))
+                gaps.append(Gap(f"{called}/{artifact.name}", f"It cannot be read: {error}"))
                 continue
             runs.append(run)
             groups.append(group)
@@ -120,15 +120,15 @@ def on_other_threads(runs: Sequence[Run]) -> list[Gap]:
     return found
 
 
-def family_of(artefact: Artefact) -> str | None:
+def family_of(artifact: Artifact) -> str | None:
     """Which family a field belongs to; None for one that only prepares another (a deformation or a palette
     fitted to the photos)."""
-    stage = artefact.manifest.stage
-    if stage in ("finetune", "recolour"):
+    stage = artifact.manifest.stage
+    if stage in ("finetune", "recolor"):
         return EDITS
     if stage in ("deform_init", "decompose"):
         return None
-    return STYLISATIONS if is_stylised(artefact) else FITS
+    return STYLIZATIONS if is_stylized(artifact) else FITS
 
 
 def _called(works: Sequence[Work]) -> list[str]:
@@ -141,25 +141,25 @@ def _called(works: Sequence[Work]) -> list[str]:
     return [str(path) for path in paths]
 
 
-def _run(artefact: Artefact, family: str, work: Work, called: str, scenes: dict[str, str]) -> tuple[Run, Group]:
+def _run(artifact: Artifact, family: str, work: Work, called: str, scenes: dict[str, str]) -> tuple[Run, Group]:
     """The group's name is given when all runs are known."""
-    manifest = artefact.manifest
-    made = [*(_made_for(artefact) if family != FITS else ()), artefact]
-    reports = _reports(artefact, work)
-    own = [_own(artefact, family, *one) for one in reports] or [_own(artefact, family)]
+    manifest = artifact.manifest
+    made = [*(_made_for(artifact) if family != FITS else ()), artifact]
+    reports = _reports(artifact, work)
+    own = [_own(artifact, family, *one) for one in reports] or [_own(artifact, family)]
     # The newest that tells what it is of; what tells nothing of it fits any.
     leading = next((one for one in own if one[0]), own[0])
     measured: dict[str, Measure] = {}
     for (what, _), (_, told) in zip(own, reports):
         if what in ((), leading[0]):
             measured = _measures(told) | measured
-    group = _group(artefact, family, called, scenes, leading)
+    group = _group(artifact, family, called, scenes, leading)
     run = Run(
         family=family,
         work=called,
-        name=artefact.name,
+        name=artifact.name,
         group="",
-        method=_method(artefact, family),
+        method=_method(artifact, family),
         settings=_settings(manifest.config),
         device=manifest.device,
         stages=tuple(dict.fromkeys(one.manifest.stage for one in made)),
@@ -185,13 +185,13 @@ def _measures(told: dict) -> dict[str, Measure]:
     }
 
 
-def _made_for(artefact: Artefact, seen: set[Path] | None = None) -> list[Artefact]:
+def _made_for(artifact: Artifact, seen: set[Path] | None = None) -> list[Artifact]:
     """What was made on the way from the fitted field to this one, sources first, each once; `seen`: none of these.
 
     No import, fit, selection or rendering.
     """
-    work, found, seen = Work(artefact.path.parent.parent), [], {artefact.path} if seen is None else seen
-    for ref in artefact.manifest.inputs:
+    work, found, seen = Work(artifact.path.parent.parent), [], {artifact.path} if seen is None else seen
+    for ref in artifact.manifest.inputs:
         if ref.kind not in ("field", "scene", "edit", "edit-dataset"):
             continue
         source = work.get(ref.kind, ref.name)
@@ -202,33 +202,33 @@ def _made_for(artefact: Artefact, seen: set[Path] | None = None) -> list[Artefac
     return found
 
 
-def _reports(artefact: Artefact, work: Work) -> list[tuple[Artefact, dict]]:
+def _reports(artifact: Artifact, work: Work) -> list[tuple[Artifact, dict]]:
     """The evaluations of this very field with what they tell, the newest first."""
     found, told = [], {}
-    for report in work.artefacts("report"):
+    for report in work.artifacts("report"):
         with suppress(StylerfError):  # a damaged report counts as none
             refs = report.manifest.inputs
-            if any(ref.role == "field" and ref.digest == artefact.digest for ref in refs):
+            if any(ref.role == "field" and ref.digest == artifact.digest for ref in refs):
                 told[report.path] = read_report(report)
                 found.append(report)
     return [(report, told[report.path]) for report in newest(found)]
 
 
 def _own(
-    artefact: Artefact, family: str, report: Artefact | None = None, told: dict | None = None
+    artifact: Artifact, family: str, report: Artifact | None = None, told: dict | None = None
 ) -> tuple[tuple[str, ...], str]:
     """Digests and names of what a report measures a run by, beside its scene: the painting, or the edited part."""
     if family == FITS:
         return (), ""
-    return _look(artefact, report) if family == STYLISATIONS else _edited(report, told or {})
+    return _look(artifact, report) if family == STYLIZATIONS else _edited(report, told or {})
 
 
 def _group(
-    artefact: Artefact, family: str, called: str, scenes: dict[str, str], leading: tuple[tuple[str, ...], str]
+    artifact: Artifact, family: str, called: str, scenes: dict[str, str], leading: tuple[tuple[str, ...], str]
 ) -> Group:
     """scenes: names by digest, of scenes met so far, so that two folders with one scene make one group. leading: what
     its figures are measured by."""
-    waiting, scene = [artefact], None
+    waiting, scene = [artifact], None
     while waiting and scene is None:
         one = waiting.pop(0)
         inside = Work(one.path.parent.parent)
@@ -244,20 +244,20 @@ def _group(
     return Group((*what, *own), f"{name}, {shown}" if shown else name)
 
 
-def _look(artefact: Artefact, report: Artefact | None) -> tuple[tuple[str, ...], str]:
+def _look(artifact: Artifact, report: Artifact | None) -> tuple[tuple[str, ...], str]:
     """Digest and file name of the painting that an evaluation was told to measure against, else that a field was made
     with, else of the references."""
-    for config in [one.manifest.config for one in (report, artefact) if one is not None]:
+    for config in [one.manifest.config for one in (report, artifact) if one is not None]:
         if style := config.get("style"):
             return (config.get("style_digest") or style,), _file_name(style)
-    config = artefact.manifest.config
+    config = artifact.manifest.config
     if references := config.get("reference"):
         names = " + ".join(_file_name(text.partition("=")[2]) for text in references)
         return (config.get("references_digest") or names,), f"after {names}"
     return (), "unknown painting"
 
 
-def _edited(report: Artefact | None, told: dict) -> tuple[tuple[str, ...], str]:
+def _edited(report: Artifact | None, told: dict) -> tuple[tuple[str, ...], str]:
     """Digests and names of what an evaluation took for the edited part: masks where they were given, else regions."""
     config = report.manifest.config if report else {}
     if masks := config.get("masks"):
@@ -281,16 +281,16 @@ def _named(groups: Sequence[Group]) -> list[str]:
     return [names[group.what] for group in groups]
 
 
-def _method(artefact: Artefact, family: str) -> str:
-    config = artefact.manifest.config
+def _method(artifact: Artifact, family: str) -> str:
+    config = artifact.manifest.config
     if family == FITS:
         kinds, head = config.get("field", "vm"), config.get("head", "linear")
         return kinds if head == "linear" else f"{kinds}, {head}"
-    if artefact.manifest.stage == "recolour":
+    if artifact.manifest.stage == "recolor":
         return "palettenerf"
     if family == EDITS:
-        return f"colours: {config['colours']}" if "colours" in config else artefact.manifest.stage
-    return str(config.get("method") or artefact.manifest.stage)
+        return f"colors: {config['colors']}" if "colors" in config else artifact.manifest.stage
+    return str(config.get("method") or artifact.manifest.stage)
 
 
 def _settings(config: dict) -> str:

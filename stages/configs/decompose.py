@@ -1,4 +1,4 @@
-"""Options of `stylerf stylize --method palettenerf`: how a palette is learnt, and what is changed of one."""
+"""Options of `stylerf stylize --method palettenerf`: how a palette is learned, and what is changed of one."""
 
 from dataclasses import dataclass, fields
 
@@ -12,20 +12,20 @@ METHOD = "palettenerf"
 
 @dataclass(frozen=True)
 class DecomposeConfig:
-    """How the colours of a whole scene are decomposed into a palette (PaletteNeRF)."""
+    """How the colors of a whole scene are decomposed into a palette (PaletteNeRF)."""
 
     method: str = option(METHOD, choices=(METHOD,), help="palettenerf: a palette of the whole scene, to be changed")
     bases: int = option(
-        4, help="palette colours, 4 to 16 (0: as few as leave an error of 5/255 of the photos' colours)"
+        4, help="palette colors, 4 to 16 (0: as few as leave an error of 5/255 of the photos' colors)"
     )
     budget: str = option("2m", help="time of the palette's steps (60s, 2m) or their number")
-    refit_steps: int = option(300, help="steps that fit the direct colour to the photos first")
+    refit_steps: int = option(300, help="steps that fit the direct color to the photos first")
     pixels: int = option(2048, help="pixels of a view that a step learns from")
     rate: float = option(1e-2, help="learning rate, falling to a tenth; of the table three times it")
-    sparsity_weight: float = option(2e-3, help="weight of places having several palette colours (PaletteNeRF: 2e-4)")
-    offset_weight: float = option(0.03, help="weight of the squared offsets from palette colours")
+    sparsity_weight: float = option(2e-3, help="weight of places having several palette colors (PaletteNeRF: 2e-4)")
+    offset_weight: float = option(0.03, help="weight of the squared offsets from palette colors")
     view_weight: float = option(0.1, help="weight of the square of what depends on the view")
-    smooth_weight: float = option(4e-3, help="weight of differences between mixes of near places of like colour")
+    smooth_weight: float = option(4e-3, help="weight of differences between mixes of near places of like color")
     guide_weight: float = option(0.05, help="weight of the mixes that the palette's hull tells, at the beginning")
     drift_weight: float = option(1e-3, help="weight of the palette's way from what was extracted")
     levels: int = option(8, help="levels of the hash grid")
@@ -36,7 +36,7 @@ class DecomposeConfig:
     def __post_init__(self) -> None:
         budget_of(self.budget)
         if self.bases and not 4 <= self.bases <= 16:
-            raise ValueError("bases must be 4 to 16, or 0: fewer corners hold no volume of colours")
+            raise ValueError("bases must be 4 to 16, or 0: fewer corners hold no volume of colors")
         if self.refit_steps < 0 or self.pixels < 1 or self.rate <= 0:
             raise ValueError("refit_steps must be at least 0, pixels at least 1, rate over 0")
         for name in ("sparsity", "offset", "view", "smooth", "guide", "drift"):
@@ -44,14 +44,14 @@ class DecomposeConfig:
                 raise ValueError(f"{name}_weight must be at least 0")
         finest = self.finest == 0 or 16 <= self.finest <= 4096
         if not (1 <= self.levels <= 16 and finest and 10 <= self.table_bits <= 24):
-            raise ValueError("the colour field takes 1 to 16 levels, 16 to 4096 cells (or 0), 10 to 24 table bits")
+            raise ValueError("the color field takes 1 to 16 levels, 16 to 4096 cells (or 0), 10 to 24 table bits")
 
 
 @dataclass(frozen=True)
-class RecolourConfig(PaletteConfig):
+class RecolorConfig(PaletteConfig):
     """What is changed of a decomposed field's palette, everywhere or around places; nothing is trained for it."""
 
-    offset_scale: float = option(1.0, help="factor of the offsets from palette colours (0: flat colours)")
+    offset_scale: float = option(1.0, help="factor of the offsets from palette colors (0: flat colors)")
     view_scale: float = option(1.0, help="factor of what depends on the view (0: no gloss)")
     at: tuple[str, ...] = option((), metavar="VIEW:X,Y", help="a pixel of what is changed, as of `select`")
     reach: float = option(
@@ -86,19 +86,19 @@ class RecolourConfig(PaletteConfig):
 
 
 @dataclass(frozen=True)
-class PaletteFieldConfig(RecolourConfig, DecomposeConfig):
+class PaletteFieldConfig(RecolorConfig, DecomposeConfig):
     """Both in one command; two stages, so that a changed palette needs no training."""
 
     def __post_init__(self) -> None:
         DecomposeConfig.__post_init__(self)
-        RecolourConfig.__post_init__(self)
+        RecolorConfig.__post_init__(self)
 
     @property
     def learning(self) -> DecomposeConfig:
-        """How the palette is learnt."""
+        """How the palette is learned."""
         return DecomposeConfig(**{item.name: getattr(self, item.name) for item in fields(DecomposeConfig)})
 
     @property
-    def changes(self) -> RecolourConfig:
+    def changes(self) -> RecolorConfig:
         """What is changed of it."""
-        return RecolourConfig(**{item.name: getattr(self, item.name) for item in fields(RecolourConfig)})
+        return RecolorConfig(**{item.name: getattr(self, item.name) for item in fields(RecolorConfig)})

@@ -7,7 +7,7 @@ from stages.configs import option
 
 @dataclass(frozen=True)
 class DeformConfig:
-    """How the deformation of a fitted field is initialised (DeSRF)."""
+    """How the deformation of a fitted field is initialized (DeSRF)."""
 
     steps: int = option(2000, help="most steps; fewer where the photos gain nothing any more")
     rays: int = option(1024, help="random rays a step")

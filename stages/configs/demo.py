@@ -14,9 +14,9 @@ class DemoConfig:
     train_views: int = option(60, help="photos to fit to")
     test_views: int = option(8, help="photos to measure with")
     fit_budget: str = option("60s", help="time of the fit, or steps")
-    style_budget: str = option("75s", help="time of the stylisation, or steps")
+    style_budget: str = option("75s", help="time of the stylization, or steps")
     frames: int = option(36, help="frames of the film")
-    method: str = option("desrf", choices=("arf", "desrf"), help="how the scene is stylised")
+    method: str = option("desrf", choices=("arf", "desrf"), help="how the scene is stylized")
 
     def __post_init__(self) -> None:
         budget_of(self.fit_budget)

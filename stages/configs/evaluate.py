@@ -15,7 +15,7 @@ class EvaluateConfig:
 
     style: str = option(
         "",
-        help="painting to measure a stylised field against (default: the one it was made with)",
+        help="painting to measure a stylized field against (default: the one it was made with)",
         digest="style_digest",
     )
     style_digest: str = option("", help="sha256 of that painting (filled in; guards against a changed file)")
@@ -41,7 +41,7 @@ class EvaluateConfig:
     reference: tuple[str, ...] = option(
         (),
         metavar="VIEW=FILE",
-        help="stylised picture of a view of the scene, for Ref-LPIPS against the test views nearest to it",
+        help="stylized picture of a view of the scene, for Ref-LPIPS against the test views nearest to it",
         digest="reference_digest",
     )
     reference_digest: str = option("", help="sha256 of those pictures (filled in; guards against changed ones)")

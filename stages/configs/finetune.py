@@ -14,14 +14,14 @@ class FinetuneConfig:
     rays: int = option(6144, help="rays a step")
     inside: float = option(0.4, help="share of them that goes through edited pixels")
     beside: float = option(0.3, help="share of them that goes through pixels around those")
-    rate: float = option(0.0, help="learning rate of the colours (0: 0.02 for a region's own, 0.005 for the field's)")
+    rate: float = option(0.0, help="learning rate of the colors (0: 0.02 for a region's own, 0.005 for the field's)")
     density_factor: float = option(
-        -1.0, help="learning rate of the density, relative to that (-1: 0 beside a region's own colours, else 0.3)"
+        -1.0, help="learning rate of the density, relative to that (-1: 0 beside a region's own colors, else 0.3)"
     )
-    colours: str = option(
+    colors: str = option(
         "region",
         choices=("region", "field"),
-        help="what learns the colours: a part of the region's own, so that nothing beyond it is tinted, or the whole "
+        help="what learns the colors: a part of the region's own, so that nothing beyond it is tinted, or the whole "
         "field's",
     )
     freeze_density: bool = option(False, help="keep the shapes as they are")
@@ -30,8 +30,8 @@ class FinetuneConfig:
 
     @property
     def rates(self) -> tuple[float, float]:
-        """(learning rate of the colours, that of the density relative to it): as asked for, or as was measured best."""
-        rate, factor = (2e-2, 0.0) if self.colours == "region" else (5e-3, 0.3)
+        """(learning rate of the colors, that of the density relative to it): as asked for, or as was measured best."""
+        rate, factor = (2e-2, 0.0) if self.colors == "region" else (5e-3, 0.3)
         factor = factor if self.density_factor < 0 else self.density_factor
         return self.rate or rate, 0.0 if self.freeze_density else factor
 
@@ -41,10 +41,10 @@ class FinetuneConfig:
             raise ValueError("rays must be at least 64, inside in (0, 1], rate at least 0")
         if not 0 <= self.beside <= 1 - self.inside:
             raise ValueError("beside must be at least 0, inside and beside together at most 1")
-        if self.colours == "region" and self.rates[1] == 0:
+        if self.colors == "region" and self.rates[1] == 0:
             for name in ("beside", "depth_weight"):
                 if getattr(self, name) != getattr(type(self), name):
                     flag = "--" + name.replace("_", "-")
-                    raise ValueError(f"{flag} has no effect while a region's own colours learn alone: no shape moves")
+                    raise ValueError(f"{flag} has no effect while a region's own colors learn alone: no shape moves")
         if (self.density_factor < 0 and self.density_factor != -1) or self.depth_weight < 0:
             raise ValueError("density_factor must be at least 0, or -1, and depth_weight at least 0")

@@ -18,18 +18,18 @@ class FitConfig:
     budget: str = option("5m", help="training time (60s, 5m, 1h) or a number of steps; the quality of longer is higher")
     field: str = option(
         "vm",
-        metavar="KIND|DENSITY+COLOUR",
-        help="what density and colour are kept in: vm (planes and lines), hash (a hash grid), voxel (a sparse grid); "
+        metavar="KIND|DENSITY+COLOR",
+        help="what density and color are kept in: vm (planes and lines), hash (a hash grid), voxel (a sparse grid); "
         "or two kinds, as vm+hash",
     )
     head: str = option(
-        "linear", choices=("linear", "mlp"), help="from features to colours: spherical harmonics, or a small network"
+        "linear", choices=("linear", "mlp"), help="from features to colors: spherical harmonics, or a small network"
     )
     capacity: str = option(
         "grow",
         metavar="grow|fixed:N[xD[xC]]",
         help="grow while held-out views gain, or N vertices an axis (hash: cells at most), of vm with density rank D "
-        "and colour rank C",
+        "and color rank C",
     )
     min_gain: float = option(0.1, help="dB that held-out views must gain for a larger field to be kept")
     space: str = option(
@@ -40,7 +40,7 @@ class FitConfig:
         choices=("auto", "white", "black", "random"),
         help="what transparent pixels are trained on (auto: white)",
     )
-    degree: int = option(1, choices=(0, 1, 2), help="degree of the spherical harmonics of the colour")
+    degree: int = option(1, choices=(0, 1, 2), help="degree of the spherical harmonics of the color")
     samples: int = option(
         0,
         help="density samples a step; the number of rays follows (0: on the CPU 500 for each second of the budget, "
@@ -62,7 +62,7 @@ class FitConfig:
         "looked for there (0: it is looked for everywhere)",
     )
     coverage_weight: float = option(
-        0.1, help="weight of the error of an object's outline, its alpha, beside that of its colours (0: none)"
+        0.1, help="weight of the error of an object's outline, its alpha, beside that of its colors (0: none)"
     )
     exposure: str = option(
         "auto",
@@ -109,10 +109,10 @@ def capacity_of(text: str) -> tuple[int, int, int] | None:
     match = re.fullmatch(r"fixed:(\d+)(?:x(\d+))?(?:x(\d+))?", text)
     if not match:
         raise ValueError(f"capacity {text!r} is neither grow nor fixed:N, fixed:NxD or fixed:NxDxC")
-    resolution, density, colour = int(match[1]), int(match[2] or 16), int(match[3] or 24)
-    if not (16 <= resolution <= 1024 and all(0 < rank <= 64 and rank % 8 == 0 for rank in (density, colour))):
+    resolution, density, color = int(match[1]), int(match[2] or 16), int(match[3] or 24)
+    if not (16 <= resolution <= 1024 and all(0 < rank <= 64 and rank % 8 == 0 for rank in (density, color))):
         raise ValueError(f"capacity {text!r}: 16 to 1024 vertices and ranks of 8, 16, ... 64 are possible")
-    return resolution, density, colour
+    return resolution, density, color
 
 
 def kinds_of(text: str) -> tuple[str, str]:

@@ -44,7 +44,7 @@ class ImportOptions:
         "auto",
         choices=("auto", "exhaustive", "sequential"),
         help="structure from motion compares "
-        "all pairs of photos, or neighbours in a video (auto: all pairs up to 80 photos)",
+        "all pairs of photos, or neighbors in a video (auto: all pairs up to 80 photos)",
     )
     sfm_side: int = option(
         1600, help="structure from motion looks at copies whose longer side has at most so many pixels"

@@ -1,4 +1,4 @@
-"""Options of `stylerf stylize --region`: how a look is learnt, and what is changed of its palette."""
+"""Options of `stylerf stylize --region`: how a look is learned, and what is changed of its palette."""
 
 from dataclasses import dataclass, fields
 
@@ -15,7 +15,7 @@ class RegionConfig(PaletteConfig, EditConfig):
 
     @property
     def learning(self) -> EditConfig:
-        """How the look is learnt."""
+        """How the look is learned."""
         return EditConfig(**{item.name: getattr(self, item.name) for item in fields(EditConfig)})
 
     @property

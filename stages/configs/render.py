@@ -18,7 +18,7 @@ class RenderConfig:
         "orbit",
         metavar="test|train|views|orbit|spiral|interpolate|FILE",
         help="cameras: the scene's own views, a path around, in front of or through them, or a JSON file of cameras "
-        "(docs/artefacts.md tells its forms): the frames.json of a render, nerfstudio's camera_path.json, a "
+        "(docs/artifacts.md tells its forms): the frames.json of a render, nerfstudio's camera_path.json, a "
         "transforms.json",
         digest="path_digest",
     )
@@ -29,8 +29,8 @@ class RenderConfig:
     exr: bool = option(True, help="write OpenEXR: R G B A, Z, rayDistance.Z")
     regions: bool = option(True, help="write the work folder's regions as EXR channels mask.<name>")
     masks: bool = option(False, help="also write the regions as pictures, masks/<name>/NNNN.png")
-    depth: bool = option(False, help="also write depth in a perceptual colour map")
-    displacement: bool = option(False, help="also write how far a deformed field's surfaces moved, in a colour map")
+    depth: bool = option(False, help="also write depth in a perceptual color map")
+    displacement: bool = option(False, help="also write how far a deformed field's surfaces moved, in a color map")
     video: bool = option(False, help="also write MP4 (extra `video`), else GIF")
     fps: float = option(24.0, help="frames a second of the video")
 
@@ -48,7 +48,7 @@ class RenderConfig:
 
 
 def label_of(path: str) -> str:
-    """What frames along a path are named after: the path, or the name of its file as an artefact's may be written."""
+    """What frames along a path are named after: the path, or the name of its file as an artifact's may be written."""
     return re.sub(r"[^A-Za-z0-9._+-]+", "_", Path(path).stem)
 
 

@@ -28,8 +28,8 @@ class SelectConfig:
         digest="files_digest",
     )
     box: tuple[float, ...] = option((), metavar="S", help="two corners x y z x y z, scene units; not grown")
-    sphere: tuple[float, ...] = option((), metavar="S", help="centre and radius x y z r, scene units; not grown")
-    colour: str = option("", metavar="#RRGGBB", help="all that has this colour within --tolerance; not grown")
+    sphere: tuple[float, ...] = option((), metavar="S", help="center and radius x y z r, scene units; not grown")
+    color: str = option("", metavar="#RRGGBB", help="all that has this color within --tolerance; not grown")
     depth: str = option("", metavar="VIEW:NEAR,FAR", help="what a view sees between two depths, scene units; not grown")
     steps: int = option(5, help="rounds of growing")
     iterations: int = option(200000, help="cells looked at in a round")
@@ -37,7 +37,7 @@ class SelectConfig:
         0.3, help="grow no further than where the object narrows to this share of its widest so far (0: go on)"
     )
     tolerance: float = option(
-        18.0, help="greatest difference of colour from the seeds, CIELAB, light counted half (0: grow through anything)"
+        18.0, help="greatest difference of color from the seeds, CIELAB, light counted half (0: grow through anything)"
     )
     fill: int = option(2, help="gaps in what has grown are filled up to twice so many cells (0: never)")
     reach: float = option(0.0, help="greatest distance from the seeds, scene units (0: any)")
@@ -58,20 +58,20 @@ class SelectConfig:
             file_of(text)
         if self.depth:
             depth_of(self.depth)
-        if self.colour and not re.fullmatch(r"#[0-9a-fA-F]{6}", self.colour):
-            raise ValueError(f"colour {self.colour!r} is not written as #rrggbb")
-        if self.colour and not self.tolerance:
-            raise ValueError("a colour is selected by --tolerance; it must be over 0")
+        if self.color and not re.fullmatch(r"#[0-9a-fA-F]{6}", self.color):
+            raise ValueError(f"color {self.color!r} is not written as #rrggbb")
+        if self.color and not self.tolerance:
+            raise ValueError("a color is selected by --tolerance; it must be over 0")
         if len(self.box) not in (0, 6) or len(self.sphere) not in (0, 4):
-            raise ValueError("a box takes six numbers (two corners), a sphere four (centre and radius)")
+            raise ValueError("a box takes six numbers (two corners), a sphere four (center and radius)")
         if self.sphere and self.sphere[3] <= 0:
             raise ValueError("the radius of a sphere must be over 0")
-        seeds = self.at or self.scribble or self.mask or self.box or self.sphere or self.colour or self.depth
+        seeds = self.at or self.scribble or self.mask or self.box or self.sphere or self.color or self.depth
         if not (seeds or self.union):
-            raise ValueError("nothing is selected; give --at, --scribble, --mask, --box, --sphere, --colour, --depth")
+            raise ValueError("nothing is selected; give --at, --scribble, --mask, --box, --sphere, --color, --depth")
         if self.avoid and not ((self.at or self.scribble) and self.tolerance):
             raise ValueError(
-                "--avoid bounds what grows from --at or --scribble by its colour; tolerance must be over 0"
+                "--avoid bounds what grows from --at or --scribble by its color; tolerance must be over 0"
             )
         if self.steps < 0 or self.iterations < 1 or self.tolerance < 0 or self.reach < 0 or self.transition < 0:
             raise ValueError("steps, tolerance, reach and transition must be at least 0, iterations at least 1")

@@ -17,7 +17,7 @@ class StressConfig:
     budget: str = option("", help="of each fit, time or steps (default: 20s; --quick: 150 steps)")
     style_budget: str = option(
         "",
-        help="of each stylisation and palettenerf; of LAENeRF's edits a time is that of learning and again that of "
+        help="of each stylization and palettenerf; of LAENeRF's edits a time is that of learning and again that of "
         "fine-tuning, steps are those of fine-tuning (default: that of the fits; --quick: 15 steps, of edits 60)",
     )
     side: int = option(0, help="longer side of the photos, pixels; larger ones are averaged down (0: 160; --quick: 64)")

@@ -6,7 +6,7 @@ from stages.configs import option
 from stages.configs.fit import budget_of
 from stages.configs.views import file_of
 
-COLOUR_CELLS = (64, 1024)  # fewest and most cells a side that the colour field takes by itself
+COLOR_CELLS = (64, 1024)  # fewest and most cells a side that the color field takes by itself
 METHODS = ("arf", "desrf", "snerf", "refnpr", "palettenerf")
 # Options that mean nothing with another method, by their beginning.
 OWN = {"desrf": ("deform_", "displacement_"), "snerf": ("rounds", "image_"), "refnpr": ("reference",)}
@@ -15,15 +15,15 @@ OF_RAYS = ("rays", "dilation", "blur", "remember")  # which snerf, whose field l
 
 @dataclass(frozen=True)
 class StylizeConfig:
-    """How a fitted field is stylised with a painting."""
+    """How a fitted field is stylized with a painting."""
 
     style: str = option("", help="the painting: an image file (needed, but with --reference)", digest="style_digest")
     style_digest: str = option("", help="sha256 of the painting (filled in; guards against a changed file)")
     method: str = option(
         "arf",
         choices=METHODS,
-        help="arf: colours alone, shapes held fast; desrf: colours and shapes; snerf: pictures painted in 2D and the "
-        "field taught them, by turns; refnpr: after views that are given, or made, stylised; palettenerf: no painting, "
+        help="arf: colors alone, shapes held fast; desrf: colors and shapes; snerf: pictures painted in 2D and the "
+        "field taught them, by turns; refnpr: after views that are given, or made, stylized; palettenerf: no painting, "
         "a palette of the whole scene that can be changed (its options: --method palettenerf --help)",
     )
     budget: str = option("2m", help="time of the style steps (60s, 2m) or their number")
@@ -46,15 +46,15 @@ class StylizeConfig:
         help="layers of the trunk that are matched: conv2, conv3, conv3_1 ... (default: conv3; of Gram matrices conv2 "
         "to conv4; with a reference conv3,conv4)",
     )
-    style_weight: float = option(1.0, help="weight of the nearest-neighbour feature distance")
+    style_weight: float = option(1.0, help="weight of the nearest-neighbor feature distance")
     content_weight: float = option(
         -1.0,
         help="weight of the content distance, in the painting's mean squared feature (-1: 0.02, for refnpr 0.1)",
     )
-    colour_weight: float = option(
+    color_weight: float = option(
         -1.0,
-        help="weight of the squared difference from the photo's matched colours, in cells a 32nd of the view wide "
-        "(-1: 10, but 1 where desrf bends an object; refnpr: 5, from the colours of the reference's like cells)",
+        help="weight of the squared difference from the photo's matched colors, in cells a 32nd of the view wide "
+        "(-1: 10, but 1 where desrf bends an object; refnpr: 5, from the colors of the reference's like cells)",
     )
     variation_weight: float = option(
         -1.0, help="weight of the picture's total variation (-1: as in the papers, 0.1 for desrf, else 1)"
@@ -67,10 +67,10 @@ class StylizeConfig:
     match: str = option(
         "auto",
         choices=("auto", "both", "before", "after", "none"),
-        help="exact colour matching (auto: both; refnpr: before, where it paints the reference, else none)",
+        help="exact color matching (auto: both; refnpr: before, where it paints the reference, else none)",
     )
-    refit_steps: int = option(300, help="steps that fit the new colours to the matched photos")
-    rate: float = option(3e-2, help="learning rate of the colours")
+    refit_steps: int = option(300, help="steps that fit the new colors to the matched photos")
+    rate: float = option(3e-2, help="learning rate of the colors")
     feature_scale: float = option(
         0.0,
         help="size, relative to the view, of the picture that features are taken from (0: half, as ARF, but no less "
@@ -84,11 +84,11 @@ class StylizeConfig:
     style_scale: float = option(1.5, help="size of the painting relative to the view: larger gives larger strokes")
     style_rows: int = option(4096, help="most features of the painting that are matched against")
     style_basis: int = option(96, help="directions of feature space in which the nearest are sought (0: all, exact)")
-    levels: int = option(8, help="levels of the colour field's hash grid")
+    levels: int = option(8, help="levels of the color field's hash grid")
     finest: int = option(
         0,
         help="cells a side of its finest level (0: a little finer than a pixel of the photos, "
-        f"{COLOUR_CELLS[0]} to {COLOUR_CELLS[1]} of them)",
+        f"{COLOR_CELLS[0]} to {COLOR_CELLS[1]} of them)",
     )
     table_bits: int = option(17, help="its table entries a level, as a power of two")
     rounds: int = option(3, help="rounds of pictures, then field, that share the budget (snerf)")
@@ -103,14 +103,14 @@ class StylizeConfig:
     reference: tuple[str, ...] = option(
         (),
         metavar="VIEW=FILE",
-        help="a training view, and that view stylised; repeatable (refnpr)",
+        help="a training view, and that view stylized; repeatable (refnpr)",
         digest="references_digest",
     )
     reference_by: str = option(
         "",
         choices=("", "gram", "nnfm", "adain"),
         metavar="gram|nnfm|adain",
-        help="how a reference is made where none is given: its pixels optimised, or decoded at once (refnpr; default: "
+        help="how a reference is made where none is given: its pixels optimized, or decoded at once (refnpr; default: "
         "nnfm)",
     )
     reference_view: str = option(
@@ -118,7 +118,7 @@ class StylizeConfig:
     )
     reference_steps: int = option(60, help="steps of its pixels, at most a third of the budget (refnpr)")
     reference_weight: float = option(
-        1.0, help="weight of the squared error of colours on the reference's and on registered rays (refnpr)"
+        1.0, help="weight of the squared error of colors on the reference's and on registered rays (refnpr)"
     )
     rollbacks: int = option(
         0, help="times that a loss which left the finite numbers leads back to the last good state, at half the rate"
@@ -126,13 +126,13 @@ class StylizeConfig:
     clip: float = option(0.0, help="a gradient counts as no longer than so many times the usual (0: as long as it is)")
     least_spread: float = option(
         0.0,
-        help="standard deviation of luma, 0 to 0.25, that colour matching gives at least; a painting with less spread "
+        help="standard deviation of luma, 0 to 0.25, that color matching gives at least; a painting with less spread "
         "than that counts as less of a style (remedy for blank paintings)",
     )
     most_gain: float = option(
         4.0,
-        help="how many times as far apart colour matching sets the scene's colours at most, along any of their "
-        "principal axes (0: as far as the painting's, as ARF does, which turns the noise of a grey scene into colours)",
+        help="how many times as far apart color matching sets the scene's colors at most, along any of their "
+        "principal axes (0: as far as the painting's, as ARF does, which turns the noise of a gray scene into colors)",
     )
     references_digest: str = option("", help="sha256 of the references (filled in; guards against changed files)")
     checkpoint_every_seconds: float = option(20.0, help="time between checkpoints", incidental=True)
@@ -154,12 +154,12 @@ class StylizeConfig:
             raise ValueError("most_gain must not be negative (0: no bound)")
         if not (0 <= self.coarse <= 1 or self.coarse == -1):
             raise ValueError("coarse must be in 0..1 (or -1: by method and scene)")
-        for name in ("variation_weight", "content_weight", "colour_weight", "displacement_weight"):
+        for name in ("variation_weight", "content_weight", "color_weight", "displacement_weight"):
             if getattr(self, name) < 0 and getattr(self, name) != -1:
                 raise ValueError(f"{name} must be at least 0 (or -1: by method and scene)")
         finest = self.finest == 0 or 16 <= self.finest <= 4096
         if not (1 <= self.levels <= 16 and finest and 10 <= self.table_bits <= 24):
-            raise ValueError("the colour field takes 1 to 16 levels, 16 to 4096 cells (or 0), 10 to 24 table bits")
+            raise ValueError("the color field takes 1 to 16 levels, 16 to 4096 cells (or 0), 10 to 24 table bits")
 
     def _check_method(self) -> None:
         if self.method == "palettenerf":
@@ -177,13 +177,13 @@ class StylizeConfig:
                 raise ValueError(f"{flag} is an option of --method {owner}; this is --method {self.method}")
             unmatched = self.match == "none" or (self.match == "auto" and bool(self.reference))
             if unmatched and (item.name == "most_gain" or (item.name == "least_spread" and self.reference)):
-                raise ValueError(f"{flag} bounds the matching of colours, and none are matched here; leave it out")
+                raise ValueError(f"{flag} bounds the matching of colors, and none are matched here; leave it out")
         if not self.style and not self.reference:
             raise ValueError("--style is required: the painting, an image file")
         if self.reference and self.style and self.match in ("auto", "none"):
-            raise ValueError("with --reference the --style has no say, unless --match before asks for its colours")
+            raise ValueError("with --reference the --style has no say, unless --match before asks for its colors")
         if self.reference and (self.reference_by or self.reference_view):
-            raise ValueError("--reference gives the stylised views; --reference-by and --reference-view make one")
+            raise ValueError("--reference gives the stylized views; --reference-by and --reference-view make one")
         views = [file_of(text)[0] for text in self.reference]
         if len(set(views)) < len(views):
             raise ValueError(f"a view is given two references: {', '.join(views)}")

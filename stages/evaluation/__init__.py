@@ -1,1 +1,1 @@
-"""What the evaluate stage is made of: views brought together, measured, summarised, drawn and told."""
+"""What the evaluate stage is made of: views brought together, measured, summarized, drawn and told."""

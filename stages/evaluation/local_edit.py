@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from schemas.work_folder import Artefact
+from schemas.work_folder import Artifact
 from stages.artifacts.edit import OF_WEIGHTS
 from stages.artifacts.provenance import palette_behind
 from stages.artifacts.region_masks import ROLE
@@ -26,7 +26,7 @@ REFERENCE = "the unedited renders"
 class LocalEdit:
     """A local edit under evaluation: the frames before it, and the masks of its region."""
 
-    def __init__(self, inputs: Mapping[str, Artefact], config: EvaluateConfig, scene: SceneViews, context: Context):
+    def __init__(self, inputs: Mapping[str, Artifact], config: EvaluateConfig, scene: SceneViews, context: Context):
         self._inputs, self._config, self._scene, self._context = inputs, config, scene, context
         self.regions = {role: one for role, one in inputs.items() if role.startswith(ROLE)}
         self.unedited = self._frames("unedited_frames")
@@ -34,7 +34,7 @@ class LocalEdit:
         self.training_rows: list[Row] = []
 
     @classmethod
-    def found(cls, inputs: Mapping[str, Artefact], config: EvaluateConfig, scene: SceneViews, context: Context):
+    def found(cls, inputs: Mapping[str, Artifact], config: EvaluateConfig, scene: SceneViews, context: Context):
         """None where the evaluation is of no edit."""
         return cls(inputs, config, scene, context) if "unedited_frames" in inputs else None
 
@@ -150,8 +150,8 @@ class LocalEdit:
         return told
 
 
-def palette_rows(field: Artefact | None, edited: bool) -> list[Row]:
-    """Sparsity and TV of the weights of the palette that the field's colours are mixed of, as told when it was made.
+def palette_rows(field: Artifact | None, edited: bool) -> list[Row]:
+    """Sparsity and TV of the weights of the palette that the field's colors are mixed of, as told when it was made.
 
     edited: whether a local edit is measured; the palette of one is not that of a whole field.
     """
@@ -162,12 +162,12 @@ def palette_rows(field: Artefact | None, edited: bool) -> list[Row]:
     return [{"name": made.name, **{key: told[key] for key in OF_WEIGHTS if is_number(told.get(key))}}]
 
 
-def palette_facts(field: Artefact | None) -> dict:
+def palette_facts(field: Artifact | None) -> dict:
     """What the protocols of these figures are filled in with."""
     made = None if field is None else palette_behind(field)
     if made is None or made.kind == "edit":
-        return {"palette_pixels": "the region's pixels", "palette_teller": "the edit that the field learnt"}
-    return {"palette_pixels": "the pixels that show the scene", "palette_teller": "the field that learnt the palette"}
+        return {"palette_pixels": "the region's pixels", "palette_teller": "the edit that the field learned"}
+    return {"palette_pixels": "the pixels that show the scene", "palette_teller": "the field that learned the palette"}
 
 
 def _both(change) -> tuple[float, float]:

@@ -36,7 +36,7 @@ EDITED = (
     ),
     Kind(
         "change_lab", "Change in the region, CIELAB", "", "", 2,
-        "Mean CIE76 colour difference (D65; about 2.3 is just seen) to field {unedited} over the same pixels.",
+        "Mean CIE76 color difference (D65; about 2.3 is just seen) to field {unedited} over the same pixels.",
     ),
     Kind(
         "bleeding", "Change beside the region", "", "lower", 4,
@@ -50,8 +50,8 @@ EDITED = (
     ),
     Kind(
         "palette_variation", "Palette TV", "", "lower", 5,
-        "Differences of the weights of neighbours among {palette_pixels}, times the alpha of both, squared and summed "
-        "over pairs and colours, over the number of pixels (as LAENeRF's released code); same views.",
+        "Differences of the weights of neighbors among {palette_pixels}, times the alpha of both, squared and summed "
+        "over pairs and colors, over the number of pixels (as LAENeRF's released code); same views.",
     ),
     Kind("region_share", "Region in view", "share", "", 4, "Pixels {inside}, over all pixels of the view."),
 )  # fmt: skip
@@ -105,7 +105,7 @@ FITTED = (
     ),
 )  # fmt: skip
 
-STYLISED = (
+STYLIZED = (
     Kind(
         "nnfm", "NNFM distance to {style_words}", "", "lower", 4,
         "Mean of 1 - cosine between each feature of the render and its nearest in {style_words}; {style_protocol}.",
@@ -123,20 +123,20 @@ STYLISED = (
     ),
     Kind(
         "palette", "Palette distance to {style_words}", "", "lower", 4,
-        "2-Wasserstein distance between the Gaussians that have the mean and covariance of the sRGB colours of the "
+        "2-Wasserstein distance between the Gaussians that have the mean and covariance of the sRGB colors of the "
         "render and {style_words}; pixels with alpha under 0.5 are left out.",
     ),
     Kind(
-        "palette_mean", "Difference of mean colour", "", "lower", 4,
-        "Euclidean distance between the mean sRGB colours of the render and {style_words}, same pixels.",
+        "palette_mean", "Difference of mean color", "", "lower", 4,
+        "Euclidean distance between the mean sRGB colors of the render and {style_words}, same pixels.",
     ),
     Kind(
-        "palette_covariance", "Difference of colour covariance", "", "lower", 4,
-        "Frobenius norm of the difference between the covariances of sRGB colours, same pixels.",
+        "palette_covariance", "Difference of color covariance", "", "lower", 4,
+        "Frobenius norm of the difference between the covariances of sRGB colors, same pixels.",
     ),
     Kind(
         "content_ssim", "Content SSIM", "", "higher", 4,
-        "SSIM (11x11, sigma 1.5) of Rec.709 luma between the stylised render and the photo {background}.",
+        "SSIM (11x11, sigma 1.5) of Rec.709 luma between the stylized render and the photo {background}.",
     ),
     Kind(
         "ref_lpips", "Ref-{perceptual_net}", "", "lower", 4,
@@ -150,7 +150,7 @@ STYLISED = (
     ),
     Kind(
         "shape_change", "Change of depth", "share", "", 4,
-        "Mean of |z - z0| / z0 against the depth z0 of field {plain}, from before stylisation and deformation, where "
+        "Mean of |z - z0| / z0 against the depth z0 of field {plain}, from before stylization and deformation, where "
         "both are opaque: zero where the shape was kept.",
     ),
 )  # fmt: skip
@@ -203,7 +203,7 @@ def _script(label: str, words: str) -> tuple[Kind, ...]:
             f"As LAENeRF's released script, faults included: frame k of {{path}} read along the flow of frame {words}; "
             f"squared difference summed over RGB, mean over the pixels that its check flags; {mean}, those that have "
             "any. The check adds the forward flow to itself. {flow}; where there is none, it is taken as 0. The "
-            "script takes RAFT's flow of the unstylised film, and all pairs of it.",
+            "script takes RAFT's flow of the unstylized film, and all pairs of it.",
         ),
         Kind(
             f"{label}_laenerf_script_perceptual", f"{name}, {{perceptual_net}}", "", "lower", 4,
@@ -224,7 +224,7 @@ def _family(label: str, words: str) -> tuple[Kind, ...]:
         Kind(
             f"{label}_stylerf_family_rmse", f"{name}, RMSE", "", "lower", 4,
             f"Frame k of {{path}} moved onto frame {words} by softmax splatting (importance -20 times the difference "
-            f"of colours); root mean square over RGB and the pixels that anything lands on; {mean}. {{flow}}. Papers "
+            f"of colors); root mean square over RGB and the pixels that anything lands on; {mean}. {{flow}}. Papers "
             "take RAFT's flow, and pairs of their own.",
         ),
         Kind(
@@ -242,5 +242,5 @@ def _family(label: str, words: str) -> tuple[Kind, ...]:
 _RANGES = {"short": "k+1", "long": "k+{gap}"}
 FILMED = tuple(kind for maker in (_correct, _script, _family) for some in _RANGES.items() for kind in maker(*some))
 
-KINDS: tuple[Kind, ...] = (*EDITED, *EDITED_TRAINING, *FITTED, *STYLISED, *SHARED, *FILMED)
+KINDS: tuple[Kind, ...] = (*EDITED, *EDITED_TRAINING, *FITTED, *STYLIZED, *SHARED, *FILMED)
 BY_KEY: dict[str, Kind] = {kind.key: kind for kind in KINDS}

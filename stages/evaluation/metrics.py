@@ -30,7 +30,7 @@ class Figure:
     max: float
     count: int
     left_out: int
-    reference: dict[str, float]  # the same figure of something to compare with, such as the unstylised render
+    reference: dict[str, float]  # the same figure of something to compare with, such as the unstylized render
 
     def as_json(self) -> dict:
         """Plain numbers and text."""
@@ -42,7 +42,7 @@ class _Facts(dict):
         return f"({key} not recorded)"
 
 
-def summarise(
+def summarize(
     rows: Sequence[Row], facts: Mapping[str, object], references: Mapping[str, Mapping[str, float]] | None = None
 ) -> list[Figure]:
     """One Figure per kind that any row holds a finite value of, in the order of KINDS.

@@ -95,7 +95,7 @@ class Film:
 
     def _path(self) -> str:
         """A file of cameras goes by its content: another of that name is another path."""
-        path, digest = self.frames.frames.path, self.frames.artefact.manifest.config.get("path_digest")
+        path, digest = self.frames.frames.path, self.frames.artifact.manifest.config.get("path_digest")
         return f"{Path(path).name} ({digest[:8]})" if digest else path
 
     def _pair(self, label: str, views: tuple[Render, Render], places: tuple[int, int], looked_at: bool) -> ViewRow:

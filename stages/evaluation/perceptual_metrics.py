@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from schemas.errors import BadInput
-from schemas.work_folder import Artefact
-from stages.artifacts.style_images import read_colours
+from schemas.work_folder import Artifact
+from stages.artifacts.style_images import read_colors
 from stages.configs.evaluate import SMALLEST_SIDE, EvaluateConfig
 from stages.evaluation.perceptual_networks import Painting, Perceptual, perceptual_distances
 from stages.evaluation.view_metrics import Score
@@ -26,13 +26,13 @@ class Lenses:
     style_words: str = "the painting"  # what that picture is
 
     @classmethod
-    def found(cls, config: EvaluateConfig, field: Artefact | None, context: Context) -> "Lenses":
+    def found(cls, config: EvaluateConfig, field: Artifact | None, context: Context) -> "Lenses":
         """Loads what the configuration wants and this machine has; says which features the style is judged by."""
         tolerant, lpips = perceptual_distances(context.device) if config.perceptual != "none" else (None, None)
         path = painting_file(config, field)
         if path is None:
             return cls(tolerant, lpips, None, "")
-        painting = Painting(read_colours(path), config.features, config.style_side, context.device)
+        painting = Painting(read_colors(path), config.features, config.style_side, context.device)
         context.progress.say(f"style distances to {path.name} by features of {painting.trunk_name}")
         return cls(tolerant, lpips, painting, path.name, style_words(config, field))
 
@@ -63,13 +63,13 @@ class Lenses:
         return net.distance if net is not None and self.large_enough(shape) else None
 
 
-def style_words(config: EvaluateConfig, field: Artefact | None) -> str:
+def style_words(config: EvaluateConfig, field: Artifact | None) -> str:
     """What the picture is that style is measured by: a field made after references alone keeps the first of them."""
     made_with = {} if config.style or field is None else field.manifest.config
     return "the reference" if made_with.get("reference") and not made_with.get("style") else "the painting"
 
 
-def painting_file(config: EvaluateConfig, field: Artefact | None) -> Path | None:
+def painting_file(config: EvaluateConfig, field: Artifact | None) -> Path | None:
     """The painting given, else the one kept in the field's folder as `style.<extension>`, else the one it names.
 
     BadInput when one was given and is not there.

@@ -14,9 +14,9 @@ from stylerf.metrics.perceptual import PerceptualDistance
 from stylerf.style.feature_extractor import Trunk
 from stylerf.style.feature_matching import StyleRows, style_rows
 from stylerf.style.image_sizes import fitted
-from stylerf.style.losses import by_block, gram_matrix, nearest_neighbour_distance, position_weights
+from stylerf.style.losses import by_block, gram_matrix, nearest_neighbor_distance, position_weights
 
-# conv3_1, conv3_2, conv3_3 joined along channels, as ARF stylises by; conv2_2, just before the second halving, as SIFID
+# conv3_1, conv3_2, conv3_3 joined along channels, as ARF stylizes by; conv2_2, just before the second halving, as SIFID
 # takes from its own network.
 TAPS = ("conv2_2", "conv3")
 
@@ -124,7 +124,7 @@ class Painting:
         coverage, seen = (self._coverage(alpha, features) for features in (found, fine))
         if float(coverage.sum()) <= 0 or float(seen.sum()) <= 0:
             return (float("nan"),) * 3
-        nearest, _ = nearest_neighbour_distance(found, painting.rows, coverage)
+        nearest, _ = nearest_neighbor_distance(found, painting.rows, coverage)
         gram = painting.gram
         difference = torch.linalg.norm(gram_matrix(found, coverage) - gram) / torch.linalg.norm(gram)
         sifid = frechet_squared(_moments(fine, seen > 0), painting.moments)

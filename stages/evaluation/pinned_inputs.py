@@ -1,11 +1,11 @@
-"""What an evaluation looks at beside artefacts, files and networks: read before any work, known by digests."""
+"""What an evaluation looks at beside artifacts, files and networks: read before any work, known by digests."""
 
 from dataclasses import replace
 from pathlib import Path
 
 from schemas.canonical_json import file_sha256
 from schemas.images import read_image
-from schemas.work_folder import Artefact
+from schemas.work_folder import Artifact
 from stages.configs.evaluate import EvaluateConfig
 from stages.evaluation.optical_flow import flows_digest
 from stages.evaluation.perceptual_metrics import painting_file
@@ -14,7 +14,7 @@ from stages.evaluation.reference_metrics import references_digest
 from stages.evaluation.region_masks import masks_digest
 
 
-def pinned(config: EvaluateConfig, field: Artefact | None = None) -> EvaluateConfig:
+def pinned(config: EvaluateConfig, field: Artifact | None = None) -> EvaluateConfig:
     """The config with the digests of the files it names and of the networks that are here, so that others measure anew.
 
     BadInput where there are none, or the painting or a reference cannot be read. field: may tell of a painting too.

@@ -108,17 +108,17 @@ def _worst(fitter: Fitter) -> list[int]:
     views = np.repeat(np.arange(count), each)
     generator = np.random.default_rng([fitter.seed, 5])
     pixels = (generator.random(len(views)) * bank.sizes[views]).astype(np.int64)
-    origins, directions, colours = bank.at(views, pixels)
+    origins, directions, colors = bank.at(views, pixels)
     out = fitter.engine.rendered(origins, directions)
     background = background_of(fitter.settings.background, len(out), None)
-    error = np.square(over(out[:, :3], out[:, 3:4], background) - target(colours, background)).mean(1)
+    error = np.square(over(out[:, :3], out[:, 3:4], background) - target(colors, background)).mean(1)
     if fitter.field.closed and bank.channels == 4:
-        error[colours[:, 3] <= HIDDEN] = 0
+        error[colors[:, 3] <= HIDDEN] = 0
     return np.argsort(-error.reshape(count, each).mean(1), kind="stable")[:SUSPECTS].tolist()
 
 
 def _both(fitter: Fitter, view: int, camera) -> tuple[np.ndarray, np.ndarray]:
-    """Grey photo and render [h, w] of a view at the size of `camera`, over the background of the fit."""
+    """Gray photo and render [h, w] of a view at the size of `camera`, over the background of the fit."""
     bank, own = fitter.bank, fitter.bank.cameras[view]
     count = bank.sizes[view] * bank.channels
     photo = bank.bytes[bank.starts[view] : bank.starts[view] + count].reshape(own.height, own.width, bank.channels)

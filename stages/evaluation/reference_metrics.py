@@ -1,7 +1,7 @@
-"""Measures of stylisation by a reference picture (Ref-NPR): Ref-LPIPS, and Robustness.
+"""Measures of stylization by a reference picture (Ref-NPR): Ref-LPIPS, and Robustness.
 
-Ref-LPIPS: LPIPS between a stylised picture of one view and the renders of the test views nearest to it. Robustness: the
-renders of a stylised field serve as references for a second one; PSNR between the two fields' renders.
+Ref-LPIPS: LPIPS between a stylized picture of one view and the renders of the test views nearest to it. Robustness: the
+renders of a stylized field serve as references for a second one; PSNR between the two fields' renders.
 """
 
 from collections.abc import Sequence
@@ -12,7 +12,7 @@ from skimage.transform import resize
 
 from schemas.canonical_json import digest_of, file_sha256
 from schemas.errors import BadInput
-from stages.artifacts.style_images import read_colours
+from stages.artifacts.style_images import read_colors
 from stages.configs.views import file_of
 from stages.evaluation.region_masks import SIDES_DIFFER
 from stages.evaluation.test_views import FrameViews, Render, SceneViews
@@ -24,14 +24,14 @@ NEAREST = 10  # test views that a reference is compared with
 
 
 class References:
-    """Reference pictures, and which test views each is compared with: the nearest by distance of camera centres."""
+    """Reference pictures, and which test views each is compared with: the nearest by distance of camera centers."""
 
     def __init__(self, asked: Sequence[str], scene: SceneViews, frames: FrameViews) -> None:
         places = np.array([view.camera.world_from_camera for view in frames.frames.views])[:, :3, 3]
         self._pictures: list[np.ndarray] = []
         self._near: list[set[int]] = []
         for name, path in map(file_of, asked):
-            away = np.linalg.norm(places - scene.centre_of(name), axis=1)
+            away = np.linalg.norm(places - scene.center_of(name), axis=1)
             self._near.append(set(np.argsort(away, kind="stable")[:NEAREST].tolist()))
             self._pictures.append(picture_of(path))
 
@@ -50,14 +50,14 @@ class References:
 def checked(asked: Sequence[str], scene: SceneViews) -> None:
     """BadInput where a reference is of no view of the scene, before frames are rendered to compare it with."""
     for name, _ in map(file_of, asked):
-        scene.centre_of(name)
+        scene.center_of(name)
 
 
 def picture_of(path: Path) -> np.ndarray:
     """[h, w, 3] sRGB 0..1; transparent parts are white. BadInput where there is no such file."""
     if not path.is_file():
         raise BadInput(f"--reference: no file {path}")
-    return read_colours(path)
+    return read_colors(path)
 
 
 def sized_as(picture: np.ndarray, render: Render) -> np.ndarray:

@@ -10,7 +10,7 @@ from skimage.transform import resize
 from schemas.canonical_json import digest_of, file_sha256
 from schemas.errors import BadInput
 from schemas.images import coverage, read_image
-from schemas.work_folder import Artefact
+from schemas.work_folder import Artifact
 from stages.artifacts.field import load_field
 from stages.artifacts.region_masks import regions_among
 from stages.evaluation.test_views import FrameViews, Render
@@ -31,7 +31,7 @@ class RegionMasks:
         "{margin} pixels of them,"
     )
 
-    def __init__(self, regions: Mapping[str, Artefact], base: Artefact, context: Context) -> None:
+    def __init__(self, regions: Mapping[str, Artifact], base: Artifact, context: Context) -> None:
         self._field, _ = load_field(base)
         self._regions = regions_among(regions, self._field.space)
         self._context = context
@@ -119,10 +119,10 @@ def mask_of(pixels: np.ndarray, size: tuple[int, int], path: Path) -> np.ndarray
             f"{path} is {pixels.shape[1]}x{pixels.shape[0]} where the view is {width}x{height}: a mask has to show the "
             "whole view, at any size"
         )
-    grey = coverage(pixels)
-    if grey.shape != size:
-        grey = resize(grey, size, order=1, anti_aliasing=True)
-    return grey > SHOWN
+    gray = coverage(pixels)
+    if gray.shape != size:
+        gray = resize(gray, size, order=1, anti_aliasing=True)
+    return gray > SHOWN
 
 
 def _stem(name: str) -> str:

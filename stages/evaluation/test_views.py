@@ -6,11 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 from skimage.transform import resize
 
-from schemas.errors import ArtefactDamaged, BadInput
+from schemas.errors import ArtifactDamaged, BadInput
 from schemas.exr import read_channels
 from schemas.frames import FRAMES_FILE, Frame, Frames, read_frames
 from schemas.images import srgb_from_linear
-from schemas.work_folder import Artefact
+from schemas.work_folder import Artifact
 from stages.artifacts.scene import load_scene, view_index
 from stylerf.errors import InvalidValue
 from stylerf.geometry.cameras import Camera
@@ -24,7 +24,7 @@ BACKGROUNDS = {"alpha": 1.0, "white": 1.0, "black": 0.0, "none": 0.0}
 class Render:
     """One frame of a field: image [h, w, 3] sRGB over the background, clipped to 0..1; alpha, z [h, w].
 
-    spoiled: pixels with a colour, alpha or (where opaque) depth that is not finite; they stay so in the arrays.
+    spoiled: pixels with a color, alpha or (where opaque) depth that is not finite; they stay so in the arrays.
     """
 
     name: str
@@ -63,8 +63,8 @@ class Photo:
 class SceneViews:
     """The photos of a scene, read one at a time."""
 
-    def __init__(self, artefact: Artefact) -> None:
-        self._data = load_scene(artefact)
+    def __init__(self, artifact: Artifact) -> None:
+        self._data = load_scene(artifact)
         self.background = BACKGROUNDS[self._data.background]
 
     def __len__(self) -> int:
@@ -92,23 +92,23 @@ class SceneViews:
         premultiplied = _premultiplied(pixels)
         if other_size:
             premultiplied = resize(premultiplied, (height, width, pixels.shape[2]), anti_aliasing=True)
-        colour, mask, shown = premultiplied[..., :3], None, None
+        color, mask, shown = premultiplied[..., :3], None, None
         if premultiplied.shape[2] == 4:
             alpha = premultiplied[..., 3:]
             if self._data.layout == "object":
                 mask = alpha[..., 0] > 0.5
-                colour = colour + (1 - alpha) * self.background
+                color = color + (1 - alpha) * self.background
             else:  # nothing of a capture is transparent: masks hide passers-by
                 shown = alpha[..., 0] > HIDDEN
-                colour = np.where(shown[..., None], colour / np.maximum(alpha, HIDDEN), self.background)
+                color = np.where(shown[..., None], color / np.maximum(alpha, HIDDEN), self.background)
         depth = self._data.truth_depth(index)
         unfit = depth is not None and depth.shape != (height, width)
-        image = np.clip(colour, 0, 1).astype(np.float32)
+        image = np.clip(color, 0, 1).astype(np.float32)
         return Photo(image, mask, None if unfit else depth, other_size, unfit, shown)
 
-    def centre_of(self, name: str) -> np.ndarray:
-        """Camera centre [3] of a view by its name, or else by its number; BadInput where there is none."""
-        return self._data.cameras[view_index(self._data, name, "--reference")].centre
+    def center_of(self, name: str) -> np.ndarray:
+        """Camera center [3] of a view by its name, or else by its number; BadInput where there is none."""
+        return self._data.cameras[view_index(self._data, name, "--reference")].center
 
     @property
     def has_depth(self) -> bool:
@@ -117,13 +117,13 @@ class SceneViews:
 
 
 class FrameViews:
-    """The frames of a `frames` artefact over one background, read one at a time."""
+    """The frames of a `frames` artifact over one background, read one at a time."""
 
-    def __init__(self, artefact: Artefact, background: float) -> None:
-        self.artefact, self.background = artefact, background
-        self.frames: Frames = read_frames(artefact.file(FRAMES_FILE).parent)
+    def __init__(self, artifact: Artifact, background: float) -> None:
+        self.artifact, self.background = artifact, background
+        self.frames: Frames = read_frames(artifact.file(FRAMES_FILE).parent)
         if not self.frames.views:
-            raise BadInput(f"frames {artefact.name} hold no view; render them again")
+            raise BadInput(f"frames {artifact.name} hold no view; render them again")
 
     def __len__(self) -> int:
         return len(self.frames.views)
@@ -139,32 +139,32 @@ class FrameViews:
 
     def mask(self, index: int, region: str, digest: str) -> np.ndarray | None:
         """Coverage [h, w] that frame `index` holds of this very region, None where it holds none."""
-        own = {ref.name: ref.digest for ref in self.artefact.manifest.inputs if ref.kind == "region"}
+        own = {ref.name: ref.digest for ref in self.artifact.manifest.inputs if ref.kind == "region"}
         if own.get(region) != digest or region not in self.frames.masks:
             return None
         channel = f"mask.{self.frames.masks[region]}"
-        path = self.artefact.file(self.frames.views[index].exr)
+        path = self.artifact.file(self.frames.views[index].exr)
         try:
             return read_channels(path, (channel,))[0][channel].astype(np.float32)
         except BadInput as error:
-            raise ArtefactDamaged(f"frames {self.artefact.name}: {error}") from error
+            raise ArtifactDamaged(f"frames {self.artifact.name}: {error}") from error
 
     def render(self, index: int) -> Render:
         """Frame `index`. Values that are not finite are kept and counted, not refused: an evaluation has to tell them.
 
-        ArtefactDamaged where the file is missing, cannot be read, or has another size than its camera.
+        ArtifactDamaged where the file is missing, cannot be read, or has another size than its camera.
         """
         frame = self.frames.views[index]
-        path = self.artefact.file(frame.exr)
+        path = self.artifact.file(frame.exr)
         try:
             channels, _ = read_channels(path, ("R", "G", "B", "A", "Z"))
         except BadInput as error:
-            raise ArtefactDamaged(f"frame {frame.name} of {self.artefact.name}: {error}") from error
-        camera = _camera(frame, self.artefact)
+            raise ArtifactDamaged(f"frame {frame.name} of {self.artifact.name}: {error}") from error
+        camera = _camera(frame, self.artifact)
         planes = {name: channels[name].astype(np.float32) for name in ("R", "G", "B", "A", "Z")}
         if planes["A"].shape != (camera.height, camera.width):
             height, width = planes["A"].shape
-            raise ArtefactDamaged(f"{path} is {width}x{height} where its camera has {camera.width}x{camera.height}")
+            raise ArtifactDamaged(f"{path} is {width}x{height} where its camera has {camera.width}x{camera.height}")
         linear = np.stack([planes["R"], planes["G"], planes["B"]], axis=-1)
         alpha, z = planes["A"], planes["Z"]
         bad = ~np.isfinite(linear).all(axis=-1) | ~np.isfinite(alpha) | ((alpha > 0.5) & ~np.isfinite(z))
@@ -173,9 +173,9 @@ class FrameViews:
 
 
 def composite(linear: np.ndarray, alpha: np.ndarray, background: float) -> np.ndarray:
-    """Premultiplied linear colours [h, w, 3] over a grey `background` -> sRGB-encoded [h, w, 3], clipped to 0..1.
+    """Premultiplied linear colors [h, w, 3] over a gray `background` -> sRGB-encoded [h, w, 3], clipped to 0..1.
 
-    Fields blend sRGB-encoded colours, so the blend with the background is of encoded values too: the straight colour
+    Fields blend sRGB-encoded colors, so the blend with the background is of encoded values too: the straight color
     linear / alpha is encoded, then mixed by alpha.
     """
     with np.errstate(invalid="ignore"):
@@ -191,10 +191,10 @@ def _premultiplied(pixels: np.ndarray) -> np.ndarray:
     return np.concatenate([pixels[..., :3] * pixels[..., 3:], pixels[..., 3:]], axis=-1)
 
 
-def _camera(frame: Frame, artefact: Artefact) -> Camera:
+def _camera(frame: Frame, artifact: Artifact) -> Camera:
     given = frame.camera
     try:
         return Camera(frame.name, given.width, given.height, given.fx, given.fy, given.cx, given.cy,
                       np.array(given.world_from_camera))  # fmt: skip
     except InvalidValue as error:
-        raise ArtefactDamaged(f"frames {artefact.name}: {error}; render them again") from error
+        raise ArtifactDamaged(f"frames {artifact.name}: {error}; render them again") from error

@@ -81,7 +81,7 @@ def _depth_values(render: Render, truth: np.ndarray) -> tuple:
 
 
 def measure_palette(row: ViewRow, image: np.ndarray, alpha: np.ndarray, painting: np.ndarray) -> None:
-    """Distance of an image's colours, where alpha > 0.5, from the painting's [h, w, 3]."""
+    """Distance of an image's colors, where alpha > 0.5, from the painting's [h, w, 3]."""
     keys = ("palette", "palette_mean", "palette_covariance")
 
     def distances() -> tuple:
@@ -97,21 +97,21 @@ def measure_style(row: ViewRow, image: np.ndarray, alpha: np.ndarray, distances:
 
 
 def measure_content(row: ViewRow, image: np.ndarray, photo: Photo) -> None:
-    """Structure of the photo that a stylised image kept."""
+    """Structure of the photo that a stylized image kept."""
     row.measure(("content_ssim",), lambda: image_quality.content_ssim(image, photo.beside(image), photo.shown))
 
 
 def measure_shape(row: ViewRow, render: Render, base: Render) -> None:
-    """Depth of a stylised render against that of its unstylised twin."""
+    """Depth of a stylized render against that of its unstylized twin."""
     if render.spoiled or base.spoiled:
-        words = spoiled_words(render) if render.spoiled else f"unstylised: {spoiled_words(base)}"
+        words = spoiled_words(render) if render.spoiled else f"unstylized: {spoiled_words(base)}"
         row.spoil(("shape_change",), words)
     elif base.z.shape == render.z.shape:
         row.measure(("shape_change",), lambda: shape_change(render.z, render.alpha, base.z, base.alpha))
 
 
 def measure_see_through(row: ViewRow, render: Render, other: Render) -> None:
-    """Signs of floaters from a view and its neighbour."""
+    """Signs of floaters from a view and its neighbor."""
     if render.spoiled or other.spoiled:
         words = spoiled_words(render) if render.spoiled else f"the view before it: {spoiled_words(other)}"
         row.spoil(("see_through",), words)

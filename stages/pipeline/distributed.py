@@ -2,7 +2,7 @@
 
     torchrun --nproc-per-node 2 --no-python stylerf fit WORK
 
-Before a stage the first process says whether it runs; after it, under which name its artefact stands. The others run
+Before a stage the first process says whether it runs; after it, under which name its artifact stands. The others run
 what it runs, on their part of the rays, and write nothing.
 """
 
@@ -15,7 +15,7 @@ from schemas.errors import OutOfResources, UsageError
 from stylerf.errors import InvalidValue, ProcessLost
 
 VERBS = ("fit", "finetune")
-RUN = "\n"  # no artefact is named so
+RUN = "\n"  # no artifact is named so
 
 
 def launched() -> int:
@@ -67,12 +67,12 @@ def led(ranks: Any, run: Any, parallel: bool) -> Any:
 
 
 def release(ranks: Any, name: str) -> None:
-    """Lets the other processes go on, with the stage's artefact."""
+    """Lets the other processes go on, with the stage's artifact."""
     _told(ranks.tell, name)
 
 
 def follow(ranks: Any, session: Any, spec: Any, run: Any, inputs: dict[str, Any], config: Any) -> Any:
-    """The part of a process that does not lead: joins the stage if it is run, and gives the artefact that it made."""
+    """The part of a process that does not lead: joins the stage if it is run, and gives the artifact that it made."""
     # What a stage may keep for its own run only, beside the work folder: nothing with a name.
     partial = SimpleNamespace(folder=session.work.root, path=None, checkpoint=None)
     while (word := ranks.tell()) == RUN:
@@ -81,7 +81,7 @@ def follow(ranks: Any, session: Any, spec: Any, run: Any, inputs: dict[str, Any]
 
 
 def agreed(session: Any, kind: str, find: Callable[[], Any]) -> Any:
-    """The artefact of that kind that `find` gives, or None: as the first of several processes finds it.
+    """The artifact of that kind that `find` gives, or None: as the first of several processes finds it.
 
     By the time that another looks, the first may have made the next one already.
     """

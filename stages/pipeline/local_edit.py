@@ -4,24 +4,24 @@ import shlex
 from typing import Any
 
 from schemas.errors import UsageError
-from schemas.work_folder import Artefact
+from schemas.work_folder import Artifact
 from stages.configs.distill import DistillConfig
 from stages.configs.extract import ExtractConfig
 from stages.pipeline.distributed import agreed
 from stages.pipeline.prerequisites import input_of, made_from, pictures_of
 
 
-def region_of(session: Any, name: str) -> Artefact:
+def region_of(session: Any, name: str) -> Artifact:
     """The region of that name, or the only one there is."""
     if name:
         return session.work.find("region", name)
-    regions = session.work.artefacts("region")
+    regions = session.work.artifacts("region")
     if len(regions) > 1:
         raise UsageError(f"there are several regions: {', '.join(one.name for one in regions)}; give --region NAME")
     return regions[0] if regions else session.work.get("region", "region")
 
 
-def standing(session: Any, spec: Any, source: Artefact) -> Artefact | None:
+def standing(session: Any, spec: Any, source: Artifact) -> Artifact | None:
     """What an earlier command made of `source` by options of its own, which stay unless a table of --config says other.
 
     None where this command does that stage itself, and where what was made is gone or out of date.
@@ -29,14 +29,14 @@ def standing(session: Any, spec: Any, source: Artefact) -> Artefact | None:
     if spec.verb in session.own_verbs or session.options.table(spec.verb):
         return None
 
-    def in_date() -> Artefact | None:
+    def in_date() -> Artifact | None:
         made = made_from(session, spec.writes, spec.stage, source)
         return None if made is None or session.work.outdated(made) else made
 
     return agreed(session, spec.writes, in_date)
 
 
-def ensure_edit_dataset(session: Any, region: Artefact, field: Artefact | None, config: Any = None) -> Artefact:
+def ensure_edit_dataset(session: Any, region: Artifact, field: Artifact | None, config: Any = None) -> Artifact:
     """What the views show of a region, named as the region is; `field`: other than the one it was selected in."""
     from stages import edit_dataset
 
@@ -52,7 +52,7 @@ def ensure_edit_dataset(session: Any, region: Artefact, field: Artefact | None, 
     return session.run(edit_dataset.SPEC, edit_dataset.run, inputs, config, region.name, by=by)
 
 
-def ensure_distilled(session: Any, edit: Artefact, config: Any = None) -> Artefact:
+def ensure_distilled(session: Any, edit: Artifact, config: Any = None) -> Artifact:
     """The photos with an edit painted into them, a scene named as the edit is."""
     from stages import distill
 
@@ -65,25 +65,25 @@ def ensure_distilled(session: Any, edit: Artefact, config: Any = None) -> Artefa
     return session.run(distill.SPEC, distill.run, inputs, config, edit.name, by=("--edit", edit.name))
 
 
-def edit_dataset_of(session: Any, edit: Artefact) -> Artefact:
-    """The edit dataset that an edit was learnt from, through changes of its palette."""
+def edit_dataset_of(session: Any, edit: Artifact) -> Artifact:
+    """The edit dataset that an edit was learned from, through changes of its palette."""
     while any(ref.kind == "edit" for ref in edit.manifest.inputs):
         edit = input_of(session, edit, "edit")
     return input_of(session, edit, "edit-dataset")
 
 
-def edit_of(session: Any, name: str) -> Artefact:
+def edit_of(session: Any, name: str) -> Artifact:
     """The edit of that name, or the only one there is."""
     if name:
         return session.work.find("edit", name)
-    edits = session.work.artefacts("edit")
+    edits = session.work.artifacts("edit")
     if len(edits) > 1:
         raise UsageError(f"there are several edits: {', '.join(one.name for one in edits)}; give --edit NAME")
     return edits[0] if edits else session.work.get("edit", "edit")
 
 
-def finetuned(session: Any, edit: Artefact, field: Artefact | None, config: Any) -> Artefact:
-    """The field that has learnt an edit, named as the edit is. field: another than the one that was looked at."""
+def finetuned(session: Any, edit: Artifact, field: Artifact | None, config: Any) -> Artifact:
+    """The field that has learned an edit, named as the edit is. field: another than the one that was looked at."""
     from stages import finetune
 
     dataset = edit_dataset_of(session, edit)
@@ -95,7 +95,7 @@ def finetuned(session: Any, edit: Artefact, field: Artefact | None, config: Any)
     return session.run(finetune.SPEC, finetune.run, inputs, config, edit.name)
 
 
-def _refuse_other_pictures(session: Any, field: Artefact, looked_at: Artefact, dataset: Artefact) -> None:
+def _refuse_other_pictures(session: Any, field: Artifact, looked_at: Artifact, dataset: Artifact) -> None:
     """UsageError where a field does not look as the pictures do that the edit was painted into: it would be lost."""
     from stages.artifacts.provenance import shows_its_pictures
 
@@ -108,11 +108,11 @@ def _refuse_other_pictures(session: Any, field: Artefact, looked_at: Artefact, d
         )
 
 
-def learnt_edit(session: Any, region: Artefact, config: Any, changes: Any, name: str, changed: str) -> Artefact:
-    """An edit of a region: learnt, and with changes of its palette, then called `changed`, where any are asked for.
+def learned_edit(session: Any, region: Artifact, config: Any, changes: Any, name: str, changed: str) -> Artifact:
+    """An edit of a region: learned, and with changes of its palette, then called `changed`, where any are asked for.
 
-    Nothing is learnt again where any edit stands that was learnt just so: without changes it is copied, unless --force
-    is given; with changes, one that `changed` takes the place of stays beside as <name>-learnt. Else it is learnt,
+    Nothing is learned again where any edit stands that was learned just so: without changes it is copied, unless --force
+    is given; with changes, one that `changed` takes the place of stays beside as <name>-learned. Else it is learned,
     with changes called so.
     """
     from stages import edit_learn, edit_palette
@@ -123,25 +123,25 @@ def learnt_edit(session: Any, region: Artefact, config: Any, changes: Any, name:
     spec, name, changed = edit_learn.SPEC, session.name or name, session.name or changed
     recipe = recipe_of(spec, inputs, config, session.context.seed)
 
-    def standing_beside(own: str) -> Artefact | None:
-        others = [one.name for one in session.work.artefacts("edit") if one.name != own]
+    def standing_beside(own: str) -> Artifact | None:
+        others = [one.name for one in session.work.artifacts("edit") if one.name != own]
         return next(filter(None, (session.work.standing("edit", other, recipe) for other in others)), None)
 
-    def copied(source: Artefact, name: str) -> Artefact:
+    def copied(source: Artifact, name: str) -> Artifact:
         tell_replaced(session.work, spec, name, recipe, session.context)
         return session.work.copy(source, name)
 
     if not changes:
         known = session.force or session.work.standing("edit", name, recipe)
-        learnt = None if known else standing_beside(name)
-        if learnt:
-            session.say(f"edit {name}: as {learnt.name}, learnt just so before (--force learns it anew)")
-            return copied(learnt, name)
+        learned = None if known else standing_beside(name)
+        if learned:
+            session.say(f"edit {name}: as {learned.name}, learned just so before (--force learns it anew)")
+            return copied(learned, name)
         return session.run(spec, edit_learn.run, inputs, config, name)
-    learnt = standing_beside(changed)
-    if learnt is None and (own := session.work.standing("edit", changed, recipe)):
-        learnt = copied(own, f"{name}-learnt")
-    if learnt is None:
+    learned = standing_beside(changed)
+    if learned is None and (own := session.work.standing("edit", changed, recipe)):
+        learned = copied(own, f"{name}-learned")
+    if learned is None:
         by = ("--region", region.name)
-        learnt = session.run(spec, edit_learn.run, inputs, config, f"{name}-learnt", own=False, by=by)
-    return session.run(edit_palette.SPEC, edit_palette.run, {"edit": learnt}, changes, changed)
+        learned = session.run(spec, edit_learn.run, inputs, config, f"{name}-learned", own=False, by=by)
+    return session.run(edit_palette.SPEC, edit_palette.run, {"edit": learned}, changes, changed)

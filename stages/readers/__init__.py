@@ -116,7 +116,7 @@ def opensfm_file(source: Path) -> Path | None:
 
 
 def polycam_folder(source: Path) -> Path | None:
-    """The folder with Polycam's cameras and images, as optimised where it has been, else as recorded."""
+    """The folder with Polycam's cameras and images, as optimized where it has been, else as recorded."""
     for folder in (source / "keyframes", source):
         for cameras, images in POLYCAM:
             if (folder / images).is_dir() and any((folder / cameras).glob("*.json")):

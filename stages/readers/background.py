@@ -39,16 +39,16 @@ class Backdrop:
         alpha = pixels[..., 3] if pixels.shape[2] == 4 else np.broadcast_to(np.float32(1), pixels.shape[:2])
         self._with_alpha += pixels.shape[2] == 4
         self._cut.append((float((_border(alpha) < 0.5).mean()), float((alpha < 0.5).mean())))
-        colour = pixels[..., :3]
-        border = _border(colour)
+        color = pixels[..., :3]
+        border = _border(color)
         self._white.append(float((border > 1 - _PLAIN).all(-1).mean()))
         self._black.append(float((border < _PLAIN).all(-1).mean()))
         self._masks["alpha"].append(silhouette(alpha))
-        self._masks["white"].append(silhouette(1 - colour.min(-1), _FOREGROUND))
-        self._masks["black"].append(silhouette(colour.max(-1), _FOREGROUND))
+        self._masks["white"].append(silhouette(1 - color.min(-1), _FOREGROUND))
+        self._masks["black"].append(silhouette(color.max(-1), _FOREGROUND))
         if pixels.shape[2] == 4 and self.wanted in ("white", "black", "none"):
             behind = 1.0 if self.wanted == "white" else 0.0
-            return colour * alpha[..., None] + behind * (1 - alpha[..., None])
+            return color * alpha[..., None] + behind * (1 - alpha[..., None])
         return pixels
 
     def decide(self) -> None:

@@ -53,7 +53,7 @@ class ModelImage:
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """Cameras by number; photos; points [n, 3] float64 with colours [n, 3] uint8 and errors [n] float32 pixels.
+    """Cameras by number; photos; points [n, 3] float64 with colors [n, 3] uint8 and errors [n] float32 pixels.
 
     remarks: what is odd about the files, a line each.
     """
@@ -288,7 +288,7 @@ def _points(numbers: array, values: array) -> tuple[np.ndarray, np.ndarray, np.n
     table = np.array(values, dtype=np.float64).reshape(-1, 7)[np.argsort(np.array(numbers), kind="stable")]
     table = table[np.isfinite(table).all(axis=1)]
     if ((table[:, 3:6] < 0) | (table[:, 3:6] > 255)).any():
-        raise _Damaged("a colour is not within 0..255")
+        raise _Damaged("a color is not within 0..255")
     return table[:, :3], table[:, 3:6].astype(np.uint8), table[:, 6].astype(np.float32)
 
 

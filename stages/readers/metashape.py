@@ -1,7 +1,7 @@
 """Cameras of Agisoft Metashape: the XML of File > Export > Export Cameras.
 
 Frame: that of the chunk, not georeferenced. A camera's transform is camera-to-chunk with OpenCV axes. Lens (Metashape's
-manual, appendix on camera models): pixels have their centres at (i + 0.5, j + 0.5),
+manual, appendix on camera models): pixels have their centers at (i + 0.5, j + 0.5),
 
     u = w/2 + cx + x' (f + b1) + y' b2        x' = x N(r^2) + p1 (r^2 + 2 x^2) + 2 p2 x y
     v = h/2 + cy + y' f                       y' = y N(r^2) + p2 (r^2 + 2 y^2) + 2 p1 x y
@@ -203,7 +203,7 @@ class _Photos(Folder):
         if found is None and self._below is None:
             self._below = {}
             for parent, below, files in os.walk(self.folder):
-                # Hidden folders and artefacts of a work folder that lies here are no photos.
+                # Hidden folders and artifacts of a work folder that lies here are no photos.
                 below[:] = [name for name in below if name[0] != "." and "manifest.json" not in files]
                 for photo in images_in(Path(parent)) if "manifest.json" not in files else ():
                     self._below.setdefault(photo.stem, []).append(photo)

@@ -1,8 +1,8 @@
 """OpenSfM's reconstruction.json, as OpenSfM and OpenDroneMap write it.
 
 Shots are world-to-camera, rotation as angle times axis, with OpenCV axes. Focal lengths and principal points are in
-units of the longer side, from the picture's centre (OpenSfM, doc/source/geometry.rst), and its centre is ours: with
-pixel centres at whole numbers it lies at ((w - 1)/2, (h - 1)/2).
+units of the longer side, from the picture's center (OpenSfM, doc/source/geometry.rst), and its center is ours: with
+pixel centers at whole numbers it lies at ((w - 1)/2, (h - 1)/2).
 """
 
 import math
@@ -21,7 +21,7 @@ from stages.readers.source import SourceCamera, SourcePoints, SourceScene, natur
 from stylerf.geometry.camera_conventions import from_colmap
 from stylerf.geometry.distortion import Distortion
 
-# By projection_type: the kind of distortion, its radial coefficients, whether it has two focal lengths and a centre.
+# By projection_type: the kind of distortion, its radial coefficients, whether it has two focal lengths and a center.
 MODELS = {
     "perspective": ("brown", ("k1", "k2"), False),
     "simple_radial": ("brown", ("k1",), True),
@@ -113,7 +113,7 @@ def _points(part: dict, where: str) -> SourcePoints | None:
         xyz = np.array([one["coordinates"] for one in entries], dtype=np.float64).reshape(-1, 3)
         rgb = np.array([one.get("color", (128,) * 3) for one in entries], dtype=np.float64).reshape(-1, 3)
     except (TypeError, ValueError, KeyError, AttributeError, OverflowError) as error:
-        raise BadInput(f"{where}: a point has no coordinates or no colour of three numbers") from error
+        raise BadInput(f"{where}: a point has no coordinates or no color of three numbers") from error
     kept = np.isfinite(np.hstack([xyz, rgb])).all(axis=1)
     if not kept.any():
         return None

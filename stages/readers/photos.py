@@ -139,7 +139,7 @@ class Developer:
 
 
 def _brightest(pixels: np.ndarray) -> float:
-    """Largest value of a colour times its alpha; row by row, as photos can be large."""
+    """Largest value of a color times its alpha; row by row, as photos can be large."""
     if pixels.shape[2] == 3:
         return float(pixels.max())
     return max(float((row[..., :3] * row[..., 3:]).max()) for row in pixels)

@@ -1,7 +1,7 @@
 """Polycam's raw data (developer mode): one JSON a keyframe.
 
 t_00 to t_23 are the rows of camera-to-world with ARKit's axes, x right, y up, z backward; fx, fy, cx, cy are pixels.
-The cameras that Polycam has optimised (corrected_cameras) go with pictures of their own (corrected_images).
+The cameras that Polycam has optimized (corrected_cameras) go with pictures of their own (corrected_images).
 """
 
 from pathlib import Path
@@ -21,7 +21,7 @@ MOST_BYTES = 1 << 20
 
 
 def read(source: Path, images: str) -> SourceScene:
-    """All keyframes, the optimised ones where there are such."""
+    """All keyframes, the optimized ones where there are such."""
     folder = polycam_folder(source)
     if folder is None:
         raise BadInput(f"{source} holds no keyframes of Polycam; export its raw data")

@@ -59,8 +59,8 @@ def _intrinsics(content: object, count: int, where: str) -> np.ndarray:
 
 
 def _pose(values: object, where: str) -> np.ndarray:
-    x, y, z, w, *centre = row(values, 7, where)
+    x, y, z, w, *center = row(values, 7, where)
     length = math.hypot(w, x, y, z)
     if abs(length - 1) > ROUNDING:
         raise BadInput(f"{where}: its quaternion has length {length:.3g}, expected 1")
-    return with_last_row(np.column_stack([rotation_of(np.array([w, x, y, z]) / length), centre]))
+    return with_last_row(np.column_stack([rotation_of(np.array([w, x, y, z]) / length), center]))

@@ -19,7 +19,7 @@ class SourceCamera:
 
     image: the file, or None where the source names none that exists; `source` is then the path that was looked for.
     size: (width, height) that the intrinsics are of; None: that of the photo. intrinsics: fx, fy, cx, cy in pixels; a
-    focal length of NaN follows from its angle or else from the other one, a principal point of NaN is the centre.
+    focal length of NaN follows from its angle or else from the other one, a principal point of NaN is the center.
     angles: horizontal and vertical field of view in radians, NaN where not told.
     mask: keeps what is white; hides: another picture, that hides what is not black.
     world_from_camera: [4, 4], OpenCV axes, source units. split: train, test or None (not told).
@@ -85,11 +85,11 @@ def bare(path: Path) -> Path:
 def find_image(path: Path) -> Path | None:
     """The file at `path`, or, where the source leaves the suffix out, has another case or spells accents as one or two
     characters, the image of that name."""
-    spelt = dict.fromkeys([path, *(Path(unicodedata.normalize(form, str(path))) for form in ("NFC", "NFD"))])
-    return next(filter(None, map(_spelt_so, spelt)), None)
+    spelled = dict.fromkeys([path, *(Path(unicodedata.normalize(form, str(path))) for form in ("NFC", "NFD"))])
+    return next(filter(None, map(_spelled_so, spelled)), None)
 
 
-def _spelt_so(path: Path) -> Path | None:
+def _spelled_so(path: Path) -> Path | None:
     if path.suffix.lower() in IMAGE_SUFFIXES:
         for suffix in (path.suffix, path.suffix.lower(), path.suffix.upper()):
             if (candidate := path.with_suffix(suffix)).is_file():

@@ -302,7 +302,7 @@ class _Frames:
 
 def _undone(content: dict, path: str) -> tuple[np.ndarray, float]:
     """[4, 4] back from nerfstudio's applied_transform to the frame that the cameras were found in, and applied_scale,
-    by which their centres were multiplied afterwards."""
+    by which their centers were multiplied afterwards."""
     scale = Numbers(content, {}, path).get("applied_scale", 1.0)
     if not (np.isfinite(scale) and scale > 0):
         raise BadInput(f"{path}: applied_scale is {scale:g}, expected a positive number; export it again")

@@ -1,4 +1,4 @@
-"""Lenses of a transforms.json: focal lengths, centres, sizes and distortion, a frame's own before those of the file."""
+"""Lenses of a transforms.json: focal lengths, centers, sizes and distortion, a frame's own before those of the file."""
 
 import math
 from collections.abc import Iterable
@@ -78,10 +78,10 @@ def intrinsics(numbers: Numbers) -> tuple[tuple[float, float, float, float], tup
             f"{numbers.where} tells no focal length: neither fl_x nor camera_angle_x nor x_fov, nor fl_y, "
             "camera_angle_y, y_fov; export it with one of them"
         )
-    return (*focals, *(_centre(numbers, key) for key in ("cx", "cy"))), tuple(angles)
+    return (*focals, *(_center(numbers, key) for key in ("cx", "cy"))), tuple(angles)
 
 
-def _centre(numbers: Numbers, key: str) -> float:
+def _center(numbers: Numbers, key: str) -> float:
     value = numbers.get(key)
     if numbers.told(key) and not math.isfinite(value):
         raise BadInput(f"{numbers.where}: {key} is {value:g}, expected a position in pixels; export it again")

@@ -24,31 +24,31 @@ class Splits:
         if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
             shown = printable(f"{names!r:.40}")
             raise BadInput(f"{where}: {key} is {shown}, expected a list of photos; export it again")
-        return {_spelt(name): name for name in names}
+        return {_spelled(name): name for name in names}
 
     def of(self, file_path: str) -> str | None:
         """The split of a frame. Frames outside of lists of tests train, where no list says what trains."""
-        return self._told.get(_spelt(file_path), "train") if self._lists else None
+        return self._told.get(_spelled(file_path), "train") if self._lists else None
 
     def left_out(self, file_path: str) -> bool:
         """Whether the frame stands in none of the lists, one of which tells what trains."""
-        return "train_filenames" in self._lists and _spelt(file_path) not in self._told
+        return "train_filenames" in self._lists and _spelled(file_path) not in self._told
 
     def remarks(self, file_paths: list[str]) -> list[str]:
         """What is odd about the lists, a line each."""
-        frames, lines = {_spelt(path) for path in file_paths}, []
+        frames, lines = {_spelled(path) for path in file_paths}, []
         for key, names in self._lists.items():
-            if lost := [name for spelt, name in names.items() if spelt not in frames]:
+            if lost := [name for spelled, name in names.items() if spelled not in frames]:
                 lines.append(f"{self._where}: {key} names {_few(lost)}, of which there is no frame")
         tests = {name for key, names in self._lists.items() if KEYS[key] == "test" for name in names}
-        if both := [name for spelt, name in self._lists.get("train_filenames", {}).items() if spelt in tests]:
+        if both := [name for spelled, name in self._lists.get("train_filenames", {}).items() if spelled in tests]:
             lines.append(f"{self._where}: {_few(both)} to train on and to test: trained on alone")
         if self._lists and "train_filenames" not in self._lists:
             lines.append(f"{self._where} has no train_filenames: all frames that are not kept for tests are trained on")
         return lines
 
 
-def _spelt(path: str) -> str:
+def _spelled(path: str) -> str:
     """One spelling of each path: forward slashes, no ./, accents as one character."""
     return str(PurePosixPath(unicodedata.normalize("NFC", path.replace("\\", "/"))))
 

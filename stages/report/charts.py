@@ -1,4 +1,4 @@
-"""Charts of an evaluation, each as SVG and PNG; the SVG inlined in a page takes the page's text colour."""
+"""Charts of an evaluation, each as SVG and PNG; the SVG inlined in a page takes the page's text color."""
 
 import io
 import re
@@ -10,7 +10,7 @@ from stages.report.formatting import escape
 from stylerf.environment.matplotlib_defaults import Figure as Drawing
 from stylerf.environment.matplotlib_defaults import FigureCanvasAgg, MaxNLocator, rc_context
 
-INK = "#24292f"  # text and axes; becomes the page's own colour when inlined
+INK = "#24292f"  # text and axes; becomes the page's own color when inlined
 BLUE, ORANGE = "#3d85c6", "#d9822b"  # both read on white and on near-black
 LINES = {"held out": "-", "trained on": "--"}  # a fit's views kept aside, until they are trained on too, and from then
 SETTINGS = {
@@ -45,7 +45,7 @@ class Chart:
     png: bytes
 
     def inline(self) -> str:
-        """The SVG for an HTML page: no XML head, no metadata, ids of its own, text in the colour around it."""
+        """The SVG for an HTML page: no XML head, no metadata, ids of its own, text in the color around it."""
         svg = self.svg[self.svg.index("<svg") :]
         svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.S)
         svg = re.sub(r' xmlns(:\w+)?="[^"]*"', "", svg).replace("xlink:href", "href").replace(INK, "currentColor")
@@ -139,8 +139,8 @@ def pairs_chart(name: str, title: str, series: dict[str, Sequence[tuple[float, f
         drawing = Drawing(figsize=(8, 3), layout="constrained")
         axes = drawing.add_subplot()
         told = []
-        for (label, points), colour, marker in zip(series.items(), (BLUE, ORANGE), "os"):
-            axes.plot(*zip(*points), "-" + marker, color=colour, markersize=3.5, label=label)
+        for (label, points), color, marker in zip(series.items(), (BLUE, ORANGE), "os"):
+            axes.plot(*zip(*points), "-" + marker, color=color, markersize=3.5, label=label)
             told.append(f"{label}: up to {max(value for _, value in points):.3g}")
         axes.set_xlabel("frame")
         axes.xaxis.set_major_locator(MaxNLocator(integer=True))

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 
 from stages.comparison.cost_charts import TITLES
 from stages.comparison.pareto_fronts import ways_of
-from stages.comparison.runs import CHARTED, EDITS, FITS, STYLISATIONS, Gap, Measure, Run
+from stages.comparison.runs import CHARTED, EDITS, FITS, STYLIZATIONS, Gap, Measure, Run
 from stages.evaluation.metric_definitions import BY_KEY
 from stages.evaluation.metrics import Row
 from stages.report.charts import Chart
@@ -12,7 +12,7 @@ from stages.report.formatting import count, duration, escape, megabytes, number
 from stages.report.stylesheet import CSS
 from stages.report.tables import table
 
-FAMILIES = (FITS, STYLISATIONS, EDITS)
+FAMILIES = (FITS, STYLIZATIONS, EDITS)
 LETTERS = "abcdefghijklmnopqrstuvwxyz"
 
 
@@ -65,9 +65,9 @@ def build_page(
 
 _HOW = (
     "<p>A run is on a Pareto front where no other run of the same group, measured by the same protocol over as many "
-    "views or pairs, none left out, is as good for less or better for as much. A group is a scene, for stylisations "
+    "views or pairs, none left out, is as good for less or better for as much. A group is a scene, for stylizations "
     "with one painting, for edits with one set of regions or masks, known by their content. Time is wall time of all "
-    "attempts: of a fit its own; of a stylisation or an edit that of every stage since the fitted field, selection and "
+    "attempts: of a fit its own; of a stylization or an edit that of every stage since the fitted field, selection and "
     "rendering left out. Memory is the greatest of these stages’ processes. A figure is that of the newest evaluation "
     "of the field that holds it.</p>"
 )

@@ -37,13 +37,13 @@ def chosen_views(rows: Sequence[Row], key: str, most: int) -> list[tuple[int, st
 class Sheet:
     """Gathers views, each as small as the page shows it, and encodes all at once, so that the whole fits its budget."""
 
-    def __init__(self, painting: Picture | None, stylised: bool, edited: bool = False) -> None:
-        self._make = _edited_pictures if edited else _stylised_pictures if stylised else _fit_pictures
+    def __init__(self, painting: Picture | None, stylized: bool, edited: bool = False) -> None:
+        self._make = _edited_pictures if edited else _stylized_pictures if stylized else _fit_pictures
         self._painting = painting
         self._views: list[_View] = []
 
     def add(self, heading: str, row: Row, render: Render, photo: Photo | None, base: Render | None = None) -> None:
-        """One view; `base` is the unstylised (of a local edit the unedited) render of the same view."""
+        """One view; `base` is the unstylized (of a local edit the unedited) render of the same view."""
         pictures = [picture.small() for picture in self._make(row, render, photo, base)]
         # Depths cannot be averaged: of every so many pixels one is taken.
         height, width = render.z.shape
@@ -53,7 +53,7 @@ class Sheet:
         self._views.append(_View(heading, render.name, pictures, render.z[taken], render.alpha[taken]))
 
     def encoded(self) -> Pictures:
-        """Rows ready for the page: photo, render, error, depth; or photo, unstylised render, stylised render, depth.
+        """Rows ready for the page: photo, render, error, depth; or photo, unstylized render, stylized render, depth.
 
         Of a local edit: photo, unedited render, edited render, what differs between the two, depth.
         """
@@ -73,7 +73,7 @@ class Sheet:
 
 @dataclass(frozen=True, eq=False)
 class _View:
-    """What is kept of a view: pictures, and depth and alpha for one whose colours all views settle."""
+    """What is kept of a view: pictures, and depth and alpha for one whose colors all views settle."""
 
     heading: str
     name: str
@@ -92,13 +92,13 @@ def _fit_pictures(row: Row, render: Render, photo: Photo | None, _: Render | Non
     return [_photo(render, photo), *pictures, Picture(error, "error", where)]
 
 
-def _stylised_pictures(row: Row, render: Render, photo: Photo | None, base: Render | None) -> list[Picture]:
+def _stylized_pictures(row: Row, render: Render, photo: Photo | None, base: Render | None) -> list[Picture]:
     pictures = [] if photo is None else [_photo(render, photo)]
     if base is not None:
-        pictures.append(Picture(shown(base.image), "fit", f"Unstylised render of view {base.name}"))
+        pictures.append(Picture(shown(base.image), "fit", f"Unstylized render of view {base.name}"))
     ssim = row.get("content_ssim")
     told = f", content SSIM {number(ssim, 3)}" if is_number(ssim) else ""
-    return [*pictures, Picture(shown(render.image), f"stylised{told}", f"Stylised render of view {render.name}{told}")]
+    return [*pictures, Picture(shown(render.image), f"stylized{told}", f"Stylized render of view {render.name}{told}")]
 
 
 def _edited_pictures(row: Row, render: Render, photo: Photo | None, base: Render | None) -> list[Picture]:
@@ -117,5 +117,5 @@ def _photo(render: Render, photo: Photo) -> Picture:
 
 
 def _depth(view: _View, near: float, far: float) -> Picture:
-    what = f"Depth of view {view.name}; near is bright, far is dark, grey is nothing"
+    what = f"Depth of view {view.name}; near is bright, far is dark, gray is nothing"
     return Picture(depth_picture(view.z, view.alpha, near, far), "depth", what)

@@ -7,7 +7,7 @@ from stages.report.charts import Chart
 from stages.report.formatting import clock, count, escape, number
 from stages.report.stylesheet import CSS
 from stages.report.tables import TRAINING, figures_table, stages_table, views_table
-from stages.report.thumbnails import DEPTH_COLOURS, ERROR_COLOURS, ERROR_FULL, Encoded, colour_bar
+from stages.report.thumbnails import DEPTH_COLORS, ERROR_COLORS, ERROR_FULL, Encoded, color_bar
 
 
 @dataclass(frozen=True)
@@ -20,7 +20,7 @@ class SheetRow:
 
 @dataclass(frozen=True)
 class Pictures:
-    """All pictures of a page. `depth_range`: the depths at the ends of the depth colours, scene units."""
+    """All pictures of a page. `depth_range`: the depths at the ends of the depth colors, scene units."""
 
     sheet: Sequence[SheetRow]
     painting: Encoded | None = None
@@ -66,7 +66,7 @@ def build_page(report: dict, pictures: Pictures) -> str:
 
 
 def _header(report: dict, painting: Encoded | None, links: str) -> str:
-    kind = "edited field" if report.get("edit") else "stylised field" if report["stylised"] else "radiance field"
+    kind = "edited field" if report.get("edit") else "stylized field" if report["stylized"] else "radiance field"
     told = (
         f"{report['view_count']} held-out view{'s' if report['view_count'] != 1 else ''} of "
         f"{report['resolution']} pixels of the scene “{report['scene']}”, rendered from the {kind} “{report['field']}”."
@@ -85,7 +85,7 @@ def _header(report: dict, painting: Encoded | None, links: str) -> str:
 def _tiles(report: dict) -> str:
     by_key = {figure["key"]: figure for figure in report["figures"]}
     tiles = []
-    for key in EDIT_TILES if report.get("edit") else TILES[report["stylised"]]:
+    for key in EDIT_TILES if report.get("edit") else TILES[report["stylized"]]:
         if figure := by_key.get(key):
             notes = [f"{name} {number(value, figure['digits'])}" for name, value in figure["reference"].items()]
             better = {"higher": "higher is better", "lower": "lower is better"}.get(figure["better"], "")
@@ -139,14 +139,14 @@ def _legends(pictures: Pictures, remarked: bool) -> str:
     captions = {picture.caption for row in pictures.sheet for picture in row.pictures}
     legends = []
     if any(caption.startswith("error") for caption in captions):
-        legends.append(("Error: 0", f"{ERROR_FULL:g} or more, mean over RGB", colour_bar(ERROR_COLOURS)))
+        legends.append(("Error: 0", f"{ERROR_FULL:g} or more, mean over RGB", color_bar(ERROR_COLORS)))
     if "change" in captions:
-        legends.append(("Change: 0", f"{ERROR_FULL:g} or more, mean over RGB", colour_bar(ERROR_COLOURS)))
+        legends.append(("Change: 0", f"{ERROR_FULL:g} or more, mean over RGB", color_bar(ERROR_COLORS)))
     if pictures.depth_range and any("depth" in caption for caption in captions):
         near, far = pictures.depth_range
-        legends.append((f"Depth: {near:.3g}", f"{far:.3g} scene units; grey: nothing", colour_bar(DEPTH_COLOURS)))
+        legends.append((f"Depth: {near:.3g}", f"{far:.3g} scene units; gray: nothing", color_bar(DEPTH_COLORS)))
     items = "".join(
-        f'<li>{escape(low)}<span class="bar" style="background:{bar}" role="img" aria-label="colours from low to high">'
+        f'<li>{escape(low)}<span class="bar" style="background:{bar}" role="img" aria-label="colors from low to high">'
         f"</span>{escape(high)}</li>"
         for low, high, bar in legends
     )

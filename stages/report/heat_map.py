@@ -1,4 +1,4 @@
-"""The heat map: faults down, methods across, the share of runs that succeeded as colour and number."""
+"""The heat map: faults down, methods across, the share of runs that succeeded as color and number."""
 
 from collections.abc import Sequence
 
@@ -10,7 +10,7 @@ from stages.stress.success_rates import REMEDIED, Cell
 from stylerf.environment.matplotlib_defaults import Axes, QuadMesh, colormaps, rc_context
 from stylerf.environment.matplotlib_defaults import Figure as Drawing
 
-COLOURS = "cividis"  # even to the eye, and read alike by those who do not tell red from green
+COLORS = "cividis"  # even to the eye, and read alike by those who do not tell red from green
 STEPS = 11  # few enough that the bar beside the map stays lines in an SVG
 DARK = 0.55  # share up to which text on it is white
 
@@ -43,7 +43,7 @@ def heat_map(cells: Sequence[Cell]) -> Chart:
 
 
 def draw_cells(axes: Axes, cells: Sequence[Cell]) -> QuadMesh:
-    """The map alone, on axes of any drawing; the coloured mesh for a bar beside it."""
+    """The map alone, on axes of any drawing; the colored mesh for a bar beside it."""
     faults, methods, table = rates(cells)
     found = {(cell.fault, cell.method): cell for cell in cells}
     edges = np.arange(len(methods) + 1) - 0.5, np.arange(len(faults) + 1) - 0.5
@@ -54,7 +54,7 @@ def draw_cells(axes: Axes, cells: Sequence[Cell]) -> QuadMesh:
         vmax=1,
         edgecolors="white",
         linewidth=1.5,
-        cmap=colormaps[COLOURS].resampled(STEPS),
+        cmap=colormaps[COLORS].resampled(STEPS),
     )
     for row, fault in enumerate(faults):
         for column, method in enumerate(methods):

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from schemas.work_folder import Artefact
+from schemas.work_folder import Artifact
 from stages.artifacts.provenance import Made, fields_behind
 from stages.evaluation.metrics import Row, is_number
 from stages.report.charts import Chart, bar_chart, curve_chart, pairs_chart
@@ -17,7 +17,7 @@ BAR_FIGURES = {False: ("psnr", "PSNR", "dB"), True: ("nnfm", "NNFM distance to {
 class Presence:
     """What an evaluation had at hand, and what it met on the way."""
 
-    stylised: bool
+    stylized: bool
     painting: bool
     tolerant: bool  # ST-LPIPS
     lpips: bool
@@ -34,18 +34,18 @@ class Presence:
     masks: bool = False  # the edit's region is told by pictures of its views
     weights_changed: bool = False  # of the edit's palette, since its sparsity and TV were told
     consistency: str = "correct"
-    reference: bool = False  # Ref-NPR's: a stylised picture of a view
+    reference: bool = False  # Ref-NPR's: a stylized picture of a view
     twin: bool = False  # a field whose renders were references
 
 
 def not_measured(have: Presence) -> list[dict]:
     """What and why, for every figure that this evaluation knows and could not or did not measure."""
-    notes = _style_notes(have) if have.stylised else _fit_notes(have)
-    if have.edited and not have.stylised:
+    notes = _style_notes(have) if have.stylized else _fit_notes(have)
+    if have.edited and not have.stylized:
         why = "They are of whole views, where the edit counts as an error; background MSE leaves it out."
         notes.append(_note("PSNR, SSIM and LPIPS without the edit", why))
     if have.weights_changed:
-        why = "The palette's weights were changed after they were learnt; what was learnt tells of its own."
+        why = "The palette's weights were changed after they were learned; what was learned tells of its own."
         notes.append(_note("Palette sparsity and TV", why))
     notes += _consistency_notes(have)
     if not have.field:
@@ -73,16 +73,16 @@ def _style_notes(have: Presence) -> list[dict]:
     notes = [
         _note(
             "PSNR, SSIM and LPIPS against the photos",
-            "A stylised render is meant to differ from the photo. Content SSIM tells how much structure it kept.",
+            "A stylized render is meant to differ from the photo. Content SSIM tells how much structure it kept.",
         )
     ]
     if not have.painting:
         notes.append(_note("Distances to the painting", "No painting was found; give it with --style."))
     if not have.base:
-        why = "The unstylised field's frames of the same views were not given, so the photos stand in as reference."
-        notes.append(_note("Change of depth, and figures of the unstylised render", why))
+        why = "The unstylized field's frames of the same views were not given, so the photos stand in as reference."
+        notes.append(_note("Change of depth, and figures of the unstylized render", why))
     if not have.reference:
-        notes.append(_note("Ref-LPIPS", "No stylised picture of a view was given; give it with --reference VIEW=FILE."))
+        notes.append(_note("Ref-LPIPS", "No stylized picture of a view was given; give it with --reference VIEW=FILE."))
     elif why := _blind(have):
         notes.append(_note("Ref-LPIPS", why))
     if not have.twin:
@@ -176,17 +176,17 @@ def warnings_of(
     return found
 
 
-def curve_of(field: Artefact | None) -> dict | None:
+def curve_of(field: Artifact | None) -> dict | None:
     """{"of": name, "points": [{seconds, psnr, held_out, ...}]} of this field, or of the nearest one it was made from.
 
     held_out: false where those views are trained on by then, or it is not known.
     """
-    for artefact in [field, *fields_behind(field)] if field is not None else []:
-        points = artefact.manifest.figures.get("curve")
+    for artifact in [field, *fields_behind(field)] if field is not None else []:
+        points = artifact.manifest.figures.get("curve")
         usable = points if isinstance(points, list) else []
         usable = [{**point, "held_out": point.get("held_out") is True} for point in usable if _is_point(point)]
         if len(usable) > 1:
-            return {"of": artefact.name, "points": sorted(usable, key=lambda point: point["seconds"])}
+            return {"of": artifact.name, "points": sorted(usable, key=lambda point: point["seconds"])}
     return None
 
 
@@ -195,11 +195,11 @@ def _is_point(point: object) -> bool:
 
 
 def draw_charts(
-    stylised: bool, rows: Sequence[Row], pairs: Sequence[Row], curve: dict | None, gap: int, style_words: str
+    stylized: bool, rows: Sequence[Row], pairs: Sequence[Row], curve: dict | None, gap: int, style_words: str
 ) -> list[Chart]:
     """Bars of the leading figure, quality against seconds, consistency along the path: what there is data for."""
     charts = []
-    key, title, unit = BAR_FIGURES[stylised]
+    key, title, unit = BAR_FIGURES[stylized]
     title = title.format(style_words=style_words)
     if any(is_number(row.get(key)) for row in rows):
         labels = [str(row["name"]) for row in rows]

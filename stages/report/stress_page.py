@@ -13,8 +13,8 @@ from stages.report.stylesheet import CSS
 from stages.report.tables import table
 from stages.stress.baseline import Compared
 from stages.stress.criteria import (
-    COLOUR_NEAR,
-    COLOUR_SHARE,
+    COLOR_NEAR,
+    COLOR_SHARE,
     LEAST_CHANGE,
     LEAST_CONTENT,
     LEAST_GAIN,
@@ -150,12 +150,12 @@ def _how(conditions: dict, missing: Sequence[tuple[str, str]]) -> str:
     told = ", ".join(f"{key} {value}" for key, value in conditions.items() if value != "")
     return (
         f"<p>A fit succeeds where every value is finite and its test views are {LEAST_GAIN:g} dB nearer to their "
-        "photos than the best picture of one colour (of an object: than its own outlines in one colour). A stylisation "
+        "photos than the best picture of one color (of an object: than its own outlines in one color). A stylization "
         f"succeeds where every value is finite, its test views keep at least {LEAST_STRUCTURE:.2f} of the photos’ "
         "structure (of the variance of luma around each pixel of the photo, the share that a straight line from the "
-        "render’s luma explains, rising or falling; of an object, of what its outlines in one colour leave), and their "
-        f"colours are at most {COLOUR_SHARE:g} times as far from the painting’s as the photos’ are, or at most "
-        f"{COLOUR_NEAR:g}. A local edit succeeds where every value is finite, the part changes by {LEAST_CHANGE:g} dE "
+        "render’s luma explains, rising or falling; of an object, of what its outlines in one color leave), and their "
+        f"colors are at most {COLOR_SHARE:g} times as far from the painting’s as the photos’ are, or at most "
+        f"{COLOR_NEAR:g}. A local edit succeeds where every value is finite, the part changes by {LEAST_CHANGE:g} dE "
         f"or more and keeps {LEAST_CONTENT:g} of SSIM with the field before, and what is around it changes by at most "
         f"{MOST_SPILL:g} of that. Faults are "
         f'in training views, never in test views.</p><p>{escape(told)}</p><dl class="notes">{faults}</dl>'

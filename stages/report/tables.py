@@ -52,10 +52,10 @@ def views_table(views: Sequence[dict], figures: Sequence[dict], caption: str = H
 
 
 def stages_table(stages: Sequence[dict]) -> str:
-    """One row an artefact upstream: seconds, peak memory, parameters, bytes."""
+    """One row an artifact upstream: seconds, peak memory, parameters, bytes."""
     if not stages:
         return ""
-    heads = ["Artefact", "Made by", "Time", "Peak memory", "Parameters", "On disk", "Device", "Remark"]
+    heads = ["Artifact", "Made by", "Time", "Peak memory", "Parameters", "On disk", "Device", "Remark"]
     rows = []
     for made in stages:
         cells = (

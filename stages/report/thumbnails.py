@@ -1,4 +1,4 @@
-"""Small pictures for a page: photos and renders, error and depth in colours, as JPEG data URIs."""
+"""Small pictures for a page: photos and renders, error and depth in colors, as JPEG data URIs."""
 
 import base64
 import io
@@ -10,9 +10,9 @@ from skimage.transform import resize
 
 from stylerf.environment.matplotlib_defaults import colormaps, imsave
 
-ERROR_FULL = 0.25  # mean absolute difference over RGB that shows as the brightest colour
-ERROR_COLOURS, DEPTH_COLOURS = "inferno", "viridis_r"  # perceptually uniform; near is bright in viridis_r
-NOT_FINITE = (1.0, 0.0, 1.0)  # magenta: no photo, colour map or painting is likely to hold it
+ERROR_FULL = 0.25  # mean absolute difference over RGB that shows as the brightest color
+ERROR_COLORS, DEPTH_COLORS = "inferno", "viridis_r"  # perceptually uniform; near is bright in viridis_r
+NOT_FINITE = (1.0, 0.0, 1.0)  # magenta: no photo, color map or painting is likely to hold it
 EMPTY = (0.5, 0.5, 0.5)
 LADDER = ((480, 85), (360, 80), (280, 70), (200, 60))  # width in pixels and JPEG quality, best first
 
@@ -48,21 +48,21 @@ def shown(image: np.ndarray) -> np.ndarray:
 
 
 def error_picture(render: np.ndarray, photo: np.ndarray) -> np.ndarray:
-    """Mean absolute difference over RGB of two images [h, w, 3], 0 .. 0.25 in the colours of inferno."""
+    """Mean absolute difference over RGB of two images [h, w, 3], 0 .. 0.25 in the colors of inferno."""
     error = np.abs(np.nan_to_num(render) - photo).mean(axis=-1)
-    coloured = colormaps[ERROR_COLOURS](np.clip(error / ERROR_FULL, 0, 1))[..., :3]
-    return np.where(np.isfinite(render).all(axis=-1)[..., None], coloured, NOT_FINITE)
+    colored = colormaps[ERROR_COLORS](np.clip(error / ERROR_FULL, 0, 1))[..., :3]
+    return np.where(np.isfinite(render).all(axis=-1)[..., None], colored, NOT_FINITE)
 
 
 def depth_picture(z: np.ndarray, alpha: np.ndarray, near: float, far: float) -> np.ndarray:
-    """Planar depth [h, w] from near (bright) to far (dark), evenly in 1/z; grey where alpha <= 0.5."""
+    """Planar depth [h, w] from near (bright) to far (dark), evenly in 1/z; gray where alpha <= 0.5."""
     opaque = alpha > 0.5
     finite = np.isfinite(z) & (z > 0)
     inverse = 1 / np.where(finite, z, near)
     place = (1 / near - inverse) / max(1 / near - 1 / far, 1e-12)
-    coloured = colormaps[DEPTH_COLOURS](np.clip(place, 0, 1))[..., :3]
-    coloured = np.where(opaque[..., None], coloured, EMPTY)
-    return np.where((opaque & ~finite)[..., None], NOT_FINITE, coloured)
+    colored = colormaps[DEPTH_COLORS](np.clip(place, 0, 1))[..., :3]
+    colored = np.where(opaque[..., None], colored, EMPTY)
+    return np.where((opaque & ~finite)[..., None], NOT_FINITE, colored)
 
 
 def depth_range(depths: Sequence[np.ndarray], alphas: Sequence[np.ndarray]) -> tuple[float, float]:
@@ -75,11 +75,11 @@ def depth_range(depths: Sequence[np.ndarray], alphas: Sequence[np.ndarray]) -> t
     return float(near), float(max(far, near * 1.001))
 
 
-def colour_bar(name: str, steps: int = 9) -> str:
-    """A CSS gradient of a colour map, from its low to its high end."""
+def color_bar(name: str, steps: int = 9) -> str:
+    """A CSS gradient of a color map, from its low to its high end."""
     stops = colormaps[name](np.linspace(0, 1, steps))[:, :3]
-    colours = ",".join("#" + "".join(f"{round(float(part) * 255):02x}" for part in stop) for stop in stops)
-    return f"linear-gradient(to right,{colours})"
+    colors = ",".join("#" + "".join(f"{round(float(part) * 255):02x}" for part in stop) for stop in stops)
+    return f"linear-gradient(to right,{colors})"
 
 
 def encode(pictures: Sequence[Picture], budget_bytes: int) -> list[Encoded]:

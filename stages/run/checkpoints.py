@@ -10,7 +10,7 @@ import numpy as np
 
 from schemas.atomic_write import sync_folder
 from schemas.canonical_json import file_sha256
-from schemas.errors import ArtefactDamaged
+from schemas.errors import ArtifactDamaged
 from schemas.safe_reading import parsed
 from schemas.tensors import load_tensors, save_tensors_with_digest
 
@@ -40,7 +40,7 @@ def load_checkpoint(folder: Path, say: Callable[[str], None]) -> tuple[dict, dic
     for place, (_, digest, path) in enumerate(found):
         if file_sha256(path) == digest:
             arrays, metadata = load_tensors(path)
-            return parsed(metadata["state"], str(path), ArtefactDamaged), arrays
+            return parsed(metadata["state"], str(path), ArtifactDamaged), arrays
         rest = "using the one before it" if place + 1 < len(found) else "starting over"
         say(f"checkpoint {path.name[:6]} is damaged; {rest}")
     return None

@@ -1,4 +1,4 @@
-"""Time and memory of a run, summed over interruptions, so that a resumed artefact tells what it really took."""
+"""Time and memory of a run, summed over interruptions, so that a resumed artifact tells what it really took."""
 
 import json
 import resource

@@ -11,14 +11,14 @@ from typing import Any
 
 from schemas.atomic_write import out_of_resources
 from schemas.canonical_json import plain
-from schemas.errors import ArtefactStale, BadInput, OutOfResources, StylerfError, UsageError
+from schemas.errors import ArtifactStale, BadInput, OutOfResources, StylerfError, UsageError
 from schemas.partial_artifact import DEAR_SECONDS, UnlikeInterrupted
-from schemas.work_folder import Artefact, Partial, Recipe, Work, sources_of
+from schemas.work_folder import Artifact, Partial, Recipe, Work, sources_of
 from stages.configs import incidental
 from stages.run.clock import Clock, peak_memory_mb
 from stages.run.progress import Context
 
-Run = Callable[[dict[str, Artefact], Any, Partial, Context], dict]
+Run = Callable[[dict[str, Artifact], Any, Partial, Context], dict]
 
 # Packages whose version can change a result; those that the run has imported are recorded.
 RECORDED_PACKAGES = {
@@ -37,10 +37,10 @@ RECORDED_PACKAGES = {
 
 @dataclass(frozen=True)
 class Spec:
-    """What a stage is: its name, the verb that runs it, its code revision, and the kind of artefact that it writes.
+    """What a stage is: its name, the verb that runs it, its code revision, and the kind of artifact that it writes.
 
     Raise `revision` when the same inputs and options give another result than before. parallel: several processes can
-    run it together (Context.ranks). outside: for a stage that reads files which are no artefacts, their digests as they
+    run it together (Context.ranks). outside: for a stage that reads files which are no artifacts, their digests as they
     are now, by the option that has the digest they were asked for with.
     """
 
@@ -52,9 +52,9 @@ class Spec:
     outside: Callable[[Any], dict[str, str]] | None = None
 
 
-def recipe_of(spec: Spec, inputs: dict[str, Artefact], config: Any, seed: int) -> Recipe:
-    """The recipe by which `spec` would make its artefact from these inputs (by role) and options."""
-    references = [artefact.reference(role) for role, artefact in sorted(inputs.items())]
+def recipe_of(spec: Spec, inputs: dict[str, Artifact], config: Any, seed: int) -> Recipe:
+    """The recipe by which `spec` would make its artifact from these inputs (by role) and options."""
+    references = [artifact.reference(role) for role, artifact in sorted(inputs.items())]
     return Recipe(spec.stage, spec.revision, plain(config), references, seed, sorted(incidental(config)))
 
 
@@ -74,8 +74,8 @@ def _name_of(value: Any) -> Any:
     return f"{view}={Path(path).name}" if mark and "/" not in view else Path(value).name
 
 
-def refuse_to_replace(work: Work, kind: str, name: str, sources: Iterable[Artefact]) -> None:
-    """UsageError where the artefact `name` would take the place of what it is made from, directly or through others."""
+def refuse_to_replace(work: Work, kind: str, name: str, sources: Iterable[Artifact]) -> None:
+    """UsageError where the artifact `name` would take the place of what it is made from, directly or through others."""
     target = (work.root / kind / name).resolve()
     if any(one.path.resolve() == target for source in sources for one in [source, *sources_of(source)]):
         raise UsageError(f"{kind} {name} would replace what it is made from; give another --name")
@@ -86,22 +86,22 @@ def execute(
     run: Run,
     work: Work,
     name: str,
-    inputs: dict[str, Artefact],
+    inputs: dict[str, Artifact],
     config: Any,
     context: Context,
     force: bool = False,
     careful: bool = False,
-) -> tuple[Artefact, bool]:
-    """The artefact `name` of `spec`, and whether it stood already.
+) -> tuple[Artifact, bool]:
+    """The artifact `name` of `spec`, and whether it stood already.
 
-    Unless `force`, an artefact of the same recipe (stage, revision, options, seed, digests of the inputs) is returned
+    Unless `force`, an artifact of the same recipe (stage, revision, options, seed, digests of the inputs) is returned
     as it stands. Otherwise every input is verified, an interrupted run of the same recipe is taken up where it
-    stopped, and the result replaces the older artefact of that name by one rename; it must be none of its sources.
+    stopped, and the result replaces the older artifact of that name by one rename; it must be none of its sources.
     What an interruption, the machine (memory, space, permission, a disk that fails) or a fault that keeps the run
     leaves behind is kept for the next run; after any other fault it is deleted: the same state would fail again.
     What was read is verified once more before the result is finished: it may have changed while the stage ran.
     careful: a minute's work or more that was done with other options is not lost without a word: an interrupted run is
-    kept (ArtefactStale), what stands or cannot be gone on with is told of.
+    kept (ArtifactStale), what stands or cannot be gone on with is told of.
     """
     recipe = recipe_of(spec, inputs, config, context.seed)
     recipe = without_folders(recipe) if context.no_paths else recipe
@@ -114,7 +114,7 @@ def execute(
     try:
         partial = work.begin(spec.writes, name, recipe, careful and not force, anew=force)
     except UnlikeInterrupted as lost:
-        raise ArtefactStale(
+        raise ArtifactStale(
             f"an interrupted `stylerf {spec.verb}` of {spec.writes} {name}, {lost.seconds / 60:.0f} min of work with "
             f"{lost.options}, would be lost; run `stylerf {spec.verb}` with these to go on with it, with "
             "another --name to keep both, or with --force to begin anew"
@@ -151,7 +151,7 @@ def execute(
 def tell_replaced(work: Work, spec: Spec, name: str, recipe: Recipe, context: Context) -> None:
     """Says what takes a minute or more to make and is about to be replaced by what another recipe makes."""
     with suppress(StylerfError):  # what is not there, or cannot be read, is no loss
-        made = Artefact(work.root / spec.writes / name).manifest
+        made = Artifact(work.root / spec.writes / name).manifest
         before = Recipe(made.stage, made.revision, made.config, made.inputs, made.seed)
         if made.recipe != recipe.digest and made.seconds >= DEAR_SECONDS:
             other = [recipe.other_options(before), recipe.other_sources(before)]
@@ -163,8 +163,8 @@ def tell_replaced(work: Work, spec: Spec, name: str, recipe: Recipe, context: Co
 
 
 def _run(
-    spec: Spec, run: Run, partial: Partial, inputs: dict[str, Artefact], config: Any, context: Context
-) -> Artefact:
+    spec: Spec, run: Run, partial: Partial, inputs: dict[str, Artifact], config: Any, context: Context
+) -> Artifact:
     with Clock(partial.folder, partial.resumed) as clock:
         figures = run(inputs, config, partial, context) or {}
         if clock.runs > 1:
@@ -177,19 +177,19 @@ def _run(
     )  # fmt: skip
 
 
-def _verify(spec: Spec, recipe: Recipe, inputs: dict[str, Artefact]) -> None:
-    """ArtefactDamaged or ArtefactStale where an input is not what the recipe names."""
+def _verify(spec: Spec, recipe: Recipe, inputs: dict[str, Artifact]) -> None:
+    """ArtifactDamaged or ArtifactStale where an input is not what the recipe names."""
     named = {ref.role: ref.digest for ref in recipe.inputs}
-    for role, artefact in inputs.items():
-        artefact.verify()
-        if artefact.digest != named[role]:
-            raise ArtefactStale(
-                f"{artefact.kind} {artefact.name} was made again while `stylerf {spec.verb}` read it; run the same "
+    for role, artifact in inputs.items():
+        artifact.verify()
+        if artifact.digest != named[role]:
+            raise ArtifactStale(
+                f"{artifact.kind} {artifact.name} was made again while `stylerf {spec.verb}` read it; run the same "
                 "command again"
             )
 
 
-def _refuse_changed(spec: Spec, recipe: Recipe, inputs: dict[str, Artefact], config: Any) -> None:
+def _refuse_changed(spec: Spec, recipe: Recipe, inputs: dict[str, Artifact], config: Any) -> None:
     """As _verify, and BadInput where a file from outside is no longer what it was when the run began."""
     _verify(spec, recipe, inputs)
     for option, digest in (spec.outside(config) if spec.outside else {}).items():

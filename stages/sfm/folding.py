@@ -66,7 +66,7 @@ class _Seen:
         self.xyz = np.array([model.points3D[one.point3D_id].xyz for one in kept]).reshape(-1, 3)
         self.camera = model.cameras[image.camera_id]
         self.camera_from_world = np.asarray(image.cam_from_world().matrix())
-        self.centre = image.projection_center()
+        self.center = image.projection_center()
         self.diagonal = np.hypot(self.camera.width, self.camera.height)
         self.depths = self._local(self.xyz)[:, 2]
         self.tree = cKDTree(np.array([one.xy for one in kept]).reshape(-1, 2)) if kept else None
@@ -78,7 +78,7 @@ class _Seen:
         """Share of this photo's points that lie among the other's, seen from nearly the same side and distance."""
         if self.tree is None or other.tree is None:
             return 0.0
-        mine, theirs = self.xyz - self.centre, self.xyz - other.centre
+        mine, theirs = self.xyz - self.center, self.xyz - other.center
         far, near = np.linalg.norm(mine, axis=1), np.linalg.norm(theirs, axis=1)
         local = other._local(self.xyz)
         alike = (mine * theirs).sum(1) > np.cos(np.radians(ANGLE)) * far * near

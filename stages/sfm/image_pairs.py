@@ -3,9 +3,9 @@
 import re
 from itertools import pairwise
 
-# Above this many photos `auto` takes neighbours only, if the names count frames: all pairs grow with the square.
+# Above this many photos `auto` takes neighbors only, if the names count frames: all pairs grow with the square.
 MOST_FOR_ALL_PAIRS = 80
-# Neighbours of a frame that it is compared with, and every how many-th frame is a key frame.
+# Neighbors of a frame that it is compared with, and every how many-th frame is a key frame.
 OVERLAP, KEY_FRAME_EVERY = 10, 8
 _NUMBER = re.compile(r"(\d+)(?=\D*$)")
 

@@ -22,8 +22,8 @@ WIDE, MODERATE, NARROW = 16.0, 8.0, 2.0
 PHOTOS_TO_REFINE = 20
 # Points are kept while their error is under this (pixels of the copies) and their parallax above this (degrees).
 LARGEST_ERROR, LEAST_PARALLAX = 4.0, 1.5
-# A refined principal point further from the centre than this share of the side is an error absorbed, no lens.
-FARTHEST_CENTRE = 0.08
+# A refined principal point further from the center than this share of the side is an error absorbed, no lens.
+FARTHEST_CENTER = 0.08
 
 
 def reconstruct(job: Job, database: Path, photos: int, tell: Teller) -> list[pycolmap.Reconstruction]:
@@ -99,5 +99,5 @@ def refined(model: pycolmap.Reconstruction, folder: Path) -> tuple[pycolmap.Reco
 
 def _is_lens(camera: pycolmap.Camera) -> bool:
     f, cx, cy, k1, k2 = camera.params
-    off_centre = max(abs(cx / camera.width - 0.5), abs(cy / camera.height - 0.5))
-    return 0.2 < f / max(camera.width, camera.height) < 10 and off_centre < FARTHEST_CENTRE and abs(k1) + abs(k2) < 1
+    off_center = max(abs(cx / camera.width - 0.5), abs(cy / camera.height - 0.5))
+    return 0.2 < f / max(camera.width, camera.height) < 10 and off_center < FARTHEST_CENTER and abs(k1) + abs(k2) < 1

@@ -129,10 +129,10 @@ def _median_parallax(model) -> float:
     points = [model.points3D[number] for number in sorted(model.points3D)]
     if not points:
         return 0.0
-    centres = {number: model.images[number].projection_center() for number in model.reg_image_ids()}
+    centers = {number: model.images[number].projection_center() for number in model.reg_image_ids()}
     told = points[:: max(1, len(points) // POINTS_TO_TELL)]
     angles = [
-        largest_parallax(point.xyz, np.array([centres[element.image_id] for element in point.track.elements]))
+        largest_parallax(point.xyz, np.array([centers[element.image_id] for element in point.track.elements]))
         for point in told
     ]
     return float(np.median(angles))

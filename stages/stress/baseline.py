@@ -14,7 +14,7 @@ from stages.stress.success_rates import REMEDIED, Cell
 
 SCHEMA = 1
 # dB; shares: what runs on another machine may differ by.
-TOLERANCE = {"fits": 0.5, "stylisations": 0.03, "edits": 0.03}
+TOLERANCE = {"fits": 0.5, "stylizations": 0.03, "edits": 0.03}
 SPREADS = 2.0  # a median that falls by so many standard errors of the two is no chance
 # Conditions of methods that see a painting: empty without any, and then no cell that both have depends on them.
 OF_PAINTINGS = ("features", "paintings")

@@ -1,12 +1,12 @@
-"""What counts as success, by numbers stated beforehand: one criterion for fits, for stylisations, for local edits.
+"""What counts as success, by numbers stated beforehand: one criterion for fits, for stylizations, for local edits.
 
     fit           every value is finite, and the test views are at least LEAST_GAIN dB nearer to their photos than the
-                  best picture of one colour is; of an object, than its own outlines filled with one colour are
-    stylisation   every value is finite; of the local variance of the photos' luma the test views' luma explains at
-                  least LEAST_STRUCTURE, of an object of what its outlines in one colour leave; and their colours are at
-                  most COLOUR_SHARE as far from the painting's as the photos' are, or at most COLOUR_NEAR from them
-                  (2-Wasserstein distance of colours as Gaussians)
-    edit          every value is finite; some test view shows the part; its colours change by at least LEAST_CHANGE in
+                  best picture of one color is; of an object, than its own outlines filled with one color are
+    stylization   every value is finite; of the local variance of the photos' luma the test views' luma explains at
+                  least LEAST_STRUCTURE, of an object of what its outlines in one color leave; and their colors are at
+                  most COLOR_SHARE as far from the painting's as the photos' are, or at most COLOR_NEAR from them
+                  (2-Wasserstein distance of colors as Gaussians)
+    edit          every value is finite; some test view shows the part; its colors change by at least LEAST_CHANGE in
                   the mean (CIE76); what is around it, MARGIN pixels apart, by at most MOST_SPILL of that; and its luma
                   keeps at least LEAST_CONTENT of SSIM with the field before
 
@@ -25,12 +25,12 @@ from stylerf.metrics.palette_distance import palette_distance
 LEAST_GAIN = 3.0  # dB
 LEAST_CONTENT = 0.2
 LEAST_STRUCTURE = 1 / 3  # a flat picture has 0, the photo 1; chosen by looking, docs/decisions/0037
-# Sound stylisations of 15 steps were seen at shares of 0.38 to 0.52, by painting; what is not stylised is at 1.
-COLOUR_SHARE, COLOUR_NEAR = 0.7, 0.1
+# Sound stylizations of 15 steps were seen at shares of 0.38 to 0.52, by painting; what is not stylized is at 1.
+COLOR_SHARE, COLOR_NEAR = 0.7, 0.1
 LEAST_CHANGE, MOST_SPILL, MARGIN = 10.0, 0.2, 3
 SCORES = {
     "fits": ("PSNR", "dB", 2),
-    "stylisations": ("structure kept", "", 3),
+    "stylizations": ("structure kept", "", 3),
     "edits": ("change that stays inside", "", 3),
 }
 REVISION = 4  # of these criteria: a run that was judged by others is run again
@@ -66,24 +66,24 @@ class Verdict:
 def judged_fit(views: Sequence[Seen]) -> Verdict:
     """By PSNR, mean over the views, beside that of flat pictures: see the module's text.
 
-    On a plain ground any blob beats a picture of the ground's colour; an object's outlines must be beaten instead.
+    On a plain ground any blob beats a picture of the ground's color; an object's outlines must be beaten instead.
     """
     if (broken := _not_finite(views)) is not None:
         return broken
     each = [min(psnr(view.render, view.photo), 100.0) for view in views]
-    flat = _colours(views, "photo").mean(0)
+    flat = _colors(views, "photo").mean(0)
     least = float(np.mean([min(psnr(_filled(view, flat), view.photo), 100.0) for view in views]))
     score = float(np.mean(each))
     gain = score - least
-    told = "its outlines in one colour" if any(view.mask is not None for view in views) else "one flat colour"
+    told = "its outlines in one color" if any(view.mask is not None for view in views) else "one flat color"
     why = "" if gain >= LEAST_GAIN else f"{gain:.1f} dB over {told}, {LEAST_GAIN:g} are asked for"
     return Verdict(not why, why, score, int(np.argmin(each)), {"psnr": score, "gain_over_flat": gain})
 
 
-def _filled(view: Seen, colour: np.ndarray) -> np.ndarray:
-    """`colour`, one or [h, w, 3]; of an object, in what its mask shows alone: the rest is the photo's."""
+def _filled(view: Seen, color: np.ndarray) -> np.ndarray:
+    """`color`, one or [h, w, 3]; of an object, in what its mask shows alone: the rest is the photo's."""
     inside = np.ones(view.photo.shape[:2], bool) if view.mask is None else view.mask
-    return np.where(inside[..., None], colour, view.photo)
+    return np.where(inside[..., None], color, view.photo)
 
 
 def judged_style(views: Sequence[Seen], painting: np.ndarray) -> Verdict:
@@ -95,25 +95,25 @@ def judged_style(views: Sequence[Seen], painting: np.ndarray) -> Verdict:
         return broken
     content, each = (np.array(found) for found in zip(*map(_content_and_structure, views), strict=True))
     wanted = painting.reshape(-1, 3)
-    before = palette_distance(_colours(views, "photo"), wanted).frechet
-    after = palette_distance(_colours(views, "render"), wanted).frechet
+    before = palette_distance(_colors(views, "photo"), wanted).frechet
+    after = palette_distance(_colors(views, "render"), wanted).frechet
     score = float(np.mean(each))
     whys = []
     if score < LEAST_STRUCTURE:
         whys.append(f"structure kept {score:.2f}, {LEAST_STRUCTURE:g} is asked for")
-    if after > max(COLOUR_SHARE * before, COLOUR_NEAR):
-        whys.append(f"colours {after:.2f} from the painting's, the photos {before:.2f}")
+    if after > max(COLOR_SHARE * before, COLOR_NEAR):
+        whys.append(f"colors {after:.2f} from the painting's, the photos {before:.2f}")
     figures = {"structure": score, "content_ssim": float(content.mean())}
-    figures |= {"colour_distance": after, "colour_distance_of_photos": before}
+    figures |= {"color_distance": after, "color_distance_of_photos": before}
     return Verdict(not whys, "; ".join(whys), score, int(np.argmin(each)), figures)
 
 
 def _content_and_structure(view: Seen) -> tuple[float, float]:
     """SSIM of luma with the photo; and the structure that it shares with it, 0 of a flat picture, 1 of the photo.
 
-    Flat: of an object its outlines, filled with its own mean colour, for they are the photo's here.
+    Flat: of an object its outlines, filled with its own mean color, for they are the photo's here.
     """
-    filled, flat = _filled(view, view.render), _filled(view, _colours([view], "render").mean(0))
+    filled, flat = _filled(view, view.render), _filled(view, _colors([view], "render").mean(0))
     kept, least = (explained_structure(picture, view.photo, _weights(view)) for picture in (filled, flat))
     return content_ssim(filled, view.photo, _weights(view)), (kept - least) / max(1 - least, 1e-6)
 
@@ -163,7 +163,7 @@ def _weights(view: Seen) -> np.ndarray | None:
     return view.mask if view.mask is not None and view.mask[5:-5, 5:-5].any() else None
 
 
-def _colours(views: Sequence[Seen], what: str) -> np.ndarray:
+def _colors(views: Sequence[Seen], what: str) -> np.ndarray:
     parts = []
     for view in views:
         picture = getattr(view, what)

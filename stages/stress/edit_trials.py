@@ -1,4 +1,4 @@
-"""Local edits under stress: a part chosen by a pixel, its look learnt and changed, and taught to the field.
+"""Local edits under stress: a part chosen by a pixel, its look learned and changed, and taught to the field.
 
 The part is what grows from the opaque pixel in the middle of the first training view, within reach of it: nobody
 chooses for a fault.
@@ -9,9 +9,9 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from schemas.canonical_json import digest_of
-from schemas.work_folder import Artefact
+from schemas.work_folder import Artifact
 from stages import decompose, distill, edit_dataset, edit_learn, edit_palette, finetune, recolor, region_select
-from stages.configs.decompose import DecomposeConfig, RecolourConfig
+from stages.configs.decompose import DecomposeConfig, RecolorConfig
 from stages.configs.distill import DistillConfig
 from stages.configs.edit import EditConfig, PaletteConfig
 from stages.configs.extract import ExtractConfig
@@ -23,15 +23,15 @@ from stages.stress.test_views import middle_of
 
 SPECS = (region_select.SPEC, edit_dataset.SPEC, edit_learn.SPEC, edit_palette.SPEC, distill.SPEC, finetune.SPEC,
          decompose.SPEC, recolor.SPEC)  # fmt: skip
-REACH = 0.12  # of the way from that camera: photos this small tell colours too badly to end a growth by them alone
+REACH = 0.12  # of the way from that camera: photos this small tell colors too badly to end a growth by them alone
 ORDINARY = "all=#2050d0"
 PALETTES = {"palette-full": "all=#00ff00", "palette-black": "all=#000000"}
-QUICK_RECOLOUR = {"palette_steps": 80, "pruned_steps": 10}
+QUICK_RECOLOR = {"palette_steps": 80, "pruned_steps": 10}
 QUICK_PAINT = {"palette_steps": 80, "style_steps": 15, "style_side": 64}
 QUICK_FINETUNE, QUICK_RAYS, QUICK_REFIT, QUICK_PIXELS = "60", 2048, 60, 512
 UNTIMED = "1h"  # where steps decide
-REMEDIES_OF_LEARNING = {"start": "clusters"}  # against a palette whose colours collapse into a few
-Execute = Callable[[Any, dict[str, Artefact], Any, str], Artefact]
+REMEDIES_OF_LEARNING = {"start": "clusters"}  # against a palette whose colors collapse into a few
+Execute = Callable[[Any, dict[str, Artifact], Any, str], Artifact]
 
 
 @dataclass(frozen=True)
@@ -66,14 +66,14 @@ def options_of(
         return EditOptions(method, learning, changes, teaching)
     look = {"recolor": True} if painting is None else dict(painting)
     look |= {"start": "random"} if fault.name == "palette-random" else {}
-    look |= (QUICK_PAINT if painting else QUICK_RECOLOUR) if quick else {}
+    look |= (QUICK_PAINT if painting else QUICK_RECOLOR) if quick else {}
     look |= REMEDIES_OF_LEARNING if remedies else {}
     return EditOptions(method, EditConfig(budget=budget if timed else UNTIMED, **look), changes, teaching)
 
 
 def edited(
-    execute: Execute, scene: Artefact, field: Artefact, options: EditOptions, threads: int
-) -> tuple[Artefact, Artefact]:
+    execute: Execute, scene: Artifact, field: Artifact, options: EditOptions, threads: int
+) -> tuple[Artifact, Artifact]:
     """The edited field and the region that was edited."""
     place, away = middle_of(scene, field, threads)
     inputs = {"scene": scene, "field": field}
@@ -82,9 +82,9 @@ def edited(
     name = f"{field.name}-{options.method.name}-{digest_of(options.described()['learning'])[:8]}"
     changed = f"{name}-{digest_of(options.changes)[:8]}"
     if options.method.edit == "palette":
-        learnt = execute(decompose, inputs, options.learning, name)
-        changes = RecolourConfig(palette=options.changes, at=(place,), reach=asked.reach)
-        return execute(recolor, {"scene": scene, "field": learnt}, changes, changed), region
+        learned = execute(decompose, inputs, options.learning, name)
+        changes = RecolorConfig(palette=options.changes, at=(place,), reach=asked.reach)
+        return execute(recolor, {"scene": scene, "field": learned}, changes, changed), region
     inputs |= {"region": region}
     dataset = execute(edit_dataset, inputs, ExtractConfig(exr=False), region.name)
     edit = execute(edit_learn, {"edit-dataset": dataset}, options.learning, name)

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 SCENE, MADE, STYLE, PALETTE = "scene", "made", "style", "palette"
-FITS, STYLISATIONS, EDITS = "fits", "stylisations", "edits"
+FITS, STYLIZATIONS, EDITS = "fits", "stylizations", "edits"
 
 
 @dataclass(frozen=True)
@@ -50,9 +50,9 @@ ALL_FAULTS = (
     Fault("style-huge", STYLE, 4096, "a painting of {0} x {0} pixels"),
     Fault("style-wash", STYLE, 512, "a painting without an edge"),
     Fault("style-extreme", STYLE, 512, "a painting of full red and full blue"),
-    Fault("palette-random", PALETTE, 0, "a palette that begins with colours drawn at random"),
-    Fault("palette-full", PALETTE, 0, "every palette colour made full green"),
-    Fault("palette-black", PALETTE, 0, "every palette colour made black"),
+    Fault("palette-random", PALETTE, 0, "a palette that begins with colors drawn at random"),
+    Fault("palette-full", PALETTE, 0, "every palette color made full green"),
+    Fault("palette-black", PALETTE, 0, "every palette color made black"),
 )
 FAULTS = {fault.name: fault for fault in ALL_FAULTS}
 CLEAN = "seeds"  # the scene that paintings and palettes with faults are put on
@@ -62,7 +62,7 @@ ORDINARY_STYLE = 256  # pixels a side of the painting for scenes with faults: vi
 @dataclass(frozen=True)
 class Method:
     """field: the kind that is fitted first. style: what `stylerf stylize --method` calls it. edit: of a part of the
-    scene, `recolour`, `paint` (both LAENeRF's) or `palette` (PaletteNeRF's). Neither: a fit alone."""
+    scene, `recolor`, `paint` (both LAENeRF's) or `palette` (PaletteNeRF's). Neither: a fit alone."""
 
     name: str
     field: str = "vm"
@@ -72,7 +72,7 @@ class Method:
     @property
     def family(self) -> str:
         """By which criterion it is judged."""
-        return EDITS if self.edit else STYLISATIONS if self.style else FITS
+        return EDITS if self.edit else STYLIZATIONS if self.style else FITS
 
     @property
     def sees_painting(self) -> bool:
@@ -82,7 +82,7 @@ class Method:
     def faces(self, fault: Fault) -> bool:
         """A fit never sees a painting, nor a palette; that of PaletteNeRF begins with its hull's corners alone."""
         if fault.of == PALETTE:
-            return self.edit == "recolour" or (self.edit == "palette" and fault.name != "palette-random")
+            return self.edit == "recolor" or (self.edit == "palette" and fault.name != "palette-random")
         return self.sees_painting or fault.of != STYLE
 
 
@@ -91,7 +91,7 @@ ALL_METHODS = (
     Method("fit-hash", field="hash"),
     Method("fit-voxel", field="voxel"),
     *(Method(name, style=name) for name in ("arf", "desrf", "snerf", "refnpr")),
-    Method("laenerf-recolour", edit="recolour"),
+    Method("laenerf-recolor", edit="recolor"),
     Method("laenerf-paint", edit="paint"),
     Method("palettenerf", edit="palette"),
 )

@@ -3,7 +3,7 @@
 import numpy as np
 
 from schemas.errors import BadInput
-from schemas.work_folder import Artefact
+from schemas.work_folder import Artifact
 from stages.artifacts.field import load_field
 from stages.artifacts.photos import level_of, photo_for
 from stages.artifacts.region import load_region
@@ -16,7 +16,7 @@ from stylerf.rendering.view import RenderedView, render_view
 OPAQUE = 0.9
 
 
-def seen_from_tests(scene: Artefact, field: Artefact, threads: int) -> list[Seen]:
+def seen_from_tests(scene: Artifact, field: Artifact, threads: int) -> list[Seen]:
     """Every test view of the scene, rendered over the background that the field was fitted on.
 
     What a mask hides in a capture is as the field shows it: no method is judged by that.
@@ -33,7 +33,7 @@ def seen_from_tests(scene: Artefact, field: Artefact, threads: int) -> list[Seen
     return views
 
 
-def seen_of_edit(scene: Artefact, before: Artefact, after: Artefact, region: Artefact, threads: int) -> list[Seen]:
+def seen_of_edit(scene: Artifact, before: Artifact, after: Artifact, region: Artifact, threads: int) -> list[Seen]:
     """Every test view of an edited field beside the field before, with what it shows of the region."""
     data = load_scene(scene)
     (plain, background), (edited, _), (cells, _) = load_field(before), load_field(after), load_region(region)
@@ -46,7 +46,7 @@ def seen_of_edit(scene: Artefact, before: Artefact, after: Artefact, region: Art
     return views
 
 
-def middle_of(scene: Artefact, field: Artefact, threads: int) -> tuple[str, float]:
+def middle_of(scene: Artifact, field: Artifact, threads: int) -> tuple[str, float]:
     """VIEW:X,Y of the pixel nearest to the middle of the first training view that shows something opaque.
 
     And how far from the camera that is, scene units. BadInput where there is none.

@@ -1,4 +1,4 @@
-"""One run of a stress after another: a scene with its fault, a fit, a stylisation, a verdict; each kept on disk.
+"""One run of a stress after another: a scene with its fault, a fit, a stylization, a verdict; each kept on disk.
 
 Everything lies in work folders below WORK/stress/works, one a scene and seed, apart from WORK: a scene with a fault
 must never be taken for the scene.
@@ -17,9 +17,9 @@ import numpy as np
 
 from schemas.atomic_write import make_folder
 from schemas.canonical_json import digest_of, file_sha256
-from schemas.errors import ArtefactDamaged, ArtefactStale, BadInput, OutOfResources, UsageError
+from schemas.errors import ArtifactDamaged, ArtifactStale, BadInput, OutOfResources, UsageError
 from schemas.images import to_uint8, write_png
-from schemas.work_folder import Artefact, Work
+from schemas.work_folder import Artifact, Work
 from stages import corrupt_scene, deform_init, nerf_fit, stylize
 from stages.artifacts.style_images import read_painting
 from stages.configs.corrupt_scene import FaultConfig
@@ -40,7 +40,7 @@ from stylerf.corruption import style_images
 WORST = "worst"
 KEPT = "kept"  # the file that marks a work folder as one of --keep
 # What is wrong with the command, the work folder or the machine says nothing about a method.
-NOT_OF_A_METHOD = (UsageError, ArtefactDamaged, ArtefactStale, OutOfResources, MemoryError, OSError)
+NOT_OF_A_METHOD = (UsageError, ArtifactDamaged, ArtifactStale, OutOfResources, MemoryError, OSError)
 QUICK_CAPACITY, QUICK_SAMPLES = "fixed:64x8x16", 20_000
 QUICK_REFIT, QUICK_DEFORM, DEFORM_STEPS = 60, 40, 400
 # What --remedies on runs with.
@@ -79,13 +79,13 @@ class FitFailed(Exception):
 
 
 class Stress:
-    """Makes the runs of a config that do not stand yet. root: WORK/stress. source: the scene to be spoilt.
+    """Makes the runs of a config that do not stand yet. root: WORK/stress. source: the scene to be spoiled.
 
     conditions: what all runs share and a baseline must share with them, here with trunk, device, criteria and
     paintings; trunk and paintings are empty where no method sees one.
     """
 
-    def __init__(self, session: Any, config: StressConfig, source: Artefact, root: Path) -> None:
+    def __init__(self, session: Any, config: StressConfig, source: Artifact, root: Path) -> None:
         self.session, self.config, self.source, self.root = session, config, source, root
         # UsageError without any trunk, where a method needs one.
         needed = any(METHODS[name].sees_painting for name in config.chosen_methods)
@@ -183,7 +183,7 @@ class Stress:
         return replace(config, **REMEDIES_OF_DEFORM) if trial.remedies else config
 
     def style_config(self, trial: Trial) -> StylizeConfig:
-        """Of its stylisation, with the digest of its painting."""
+        """Of its stylization, with the digest of its painting."""
         painting, digest = self.painting(trial)
         config = StylizeConfig(
             style=str(painting.resolve()),
@@ -267,7 +267,7 @@ class Stress:
     def _place(self, trial: Trial) -> Work:
         return Work(self.root / "works" / f"{trial.origin}-{trial.seed}")
 
-    def _execute(self, trial: Trial, stage: Any, inputs: dict, config: Any, name: str) -> Artefact:
+    def _execute(self, trial: Trial, stage: Any, inputs: dict, config: Any, name: str) -> Artifact:
         context = replace(self.session.context, seed=trial.seed, progress=Silent())
         place = self._place(trial)
         if self._afresh and place.root not in self._worked_in:
@@ -284,10 +284,10 @@ class Stress:
             # What runs share counts with each of them, whichever came first; a stage that failed left no manifest.
             self._seconds += made.manifest.seconds if made else time.monotonic() - begun
 
-    def _scene(self, trial: Trial) -> Artefact:
+    def _scene(self, trial: Trial) -> Artifact:
         return self._execute(trial, corrupt_scene, {}, self.fault_config(trial), "main")
 
-    def _fitted(self, trial: Trial, scene: Artefact, name: str) -> Artefact:
+    def _fitted(self, trial: Trial, scene: Artifact, name: str) -> Artifact:
         """Its fit. One that has failed fails at once for all that would be made of it: it would fail again."""
         config = self.fit_config(trial)
         recipe = self._place(trial).root, config
@@ -304,7 +304,7 @@ class Stress:
             self._failed[recipe] = why_of(error), self._seconds - before
             raise
 
-    def _verdict(self, trial: Trial, scene: Artefact) -> tuple[criteria.Verdict, np.ndarray]:
+    def _verdict(self, trial: Trial, scene: Artifact) -> tuple[criteria.Verdict, np.ndarray]:
         """And the picture of the worst view."""
         method, threads = trial.method, self.session.context.threads
         fit_name = f"fit-{method.field}{REMEDIED_FILE if trial.remedies else ''}"

@@ -1,4 +1,4 @@
-"""What the options of a stylisation decide: the grain of its colours, rays, layers, weights, by method and scene."""
+"""What the options of a stylization decide: the grain of its colors, rays, layers, weights, by method and scene."""
 
 from collections.abc import Mapping
 
@@ -6,10 +6,10 @@ import numpy as np
 import torch
 
 from stages.configs.fit import budget_of
-from stages.configs.stylize import COLOUR_CELLS, StylizeConfig
-from stylerf.fields.hash_color import HashColour
-from stylerf.fields.protocol import ColourPart
-from stylerf.fields.region_color import PatchColour
+from stages.configs.stylize import COLOR_CELLS, StylizeConfig
+from stylerf.fields.hash_color import HashColor
+from stylerf.fields.protocol import ColorPart
+from stylerf.fields.region_color import PatchColor
 from stylerf.style.feature_extractor import LAYERS, taps_of
 from stylerf.style.style_objective import StyleWeights
 from stylerf.training.stylize.settings import StyleSettings
@@ -18,10 +18,10 @@ SMALL_VIEW = 256  # pixels of its longer side
 FINER = 1.25  # cells for each pixel's width
 # What holds shapes in a capture holds the silhouettes of an object alone so fast that nothing is seen to bend; its
 # shapes have nothing around them to tear (docs/decisions/0015).
-ELSE = {"content_weight": 0.02, "colour_weight": 10.0, "displacement_weight": 0.003, "coarse": 0.0}
-BENT_OBJECT = ELSE | {"colour_weight": 1.0, "displacement_weight": 0.0, "coarse": 0.6}
-# Ref-NPR: 5e-3 where ARF has 1e-3 for content, 5 for coarse colours.
-BY_REFERENCE = ELSE | {"content_weight": 0.1, "colour_weight": 5.0}
+ELSE = {"content_weight": 0.02, "color_weight": 10.0, "displacement_weight": 0.003, "coarse": 0.0}
+BENT_OBJECT = ELSE | {"color_weight": 1.0, "displacement_weight": 0.0, "coarse": 0.6}
+# Ref-NPR: 5e-3 where ARF has 1e-3 for content, 5 for coarse colors.
+BY_REFERENCE = ELSE | {"content_weight": 0.1, "color_weight": 5.0}
 VARIATION = {"desrf": ("diagonal", 0.1)}  # DeSRF: 0.5 beside a style weight of 5
 # Blocks 1 to 3 (Gram), 2 and 3 (templates) and 4 (coarse matches) of programs that count them from 0.
 TAPS = {"nnfm": "conv3", "gram": "conv2,conv3,conv4"}
@@ -29,26 +29,26 @@ TEMPLATE_TAPS = "conv3,conv4"
 COARSE_BLOCK = "conv5"
 
 
-def new_colour(config: StylizeConfig, generator: np.random.Generator, pixel_cells: float) -> HashColour:
-    """The colour field to learn. pixel_cells: cells a side as wide as what a pixel sees, nan if nothing is seen.
+def new_color(config: StylizeConfig, generator: np.random.Generator, pixel_cells: float) -> HashColor:
+    """The color field to learn. pixel_cells: cells a side as wide as what a pixel sees, nan if nothing is seen.
 
     Finer ones are taught by single views, each its own cell, and what they learn shows as grain from between them.
     """
     finest = finest_cells(config.finest, pixel_cells)
-    return HashColour.create(generator, levels=config.levels, finest=finest, table=1 << config.table_bits)
+    return HashColor.create(generator, levels=config.levels, finest=finest, table=1 << config.table_bits)
 
 
-def own_colour(
-    config: StylizeConfig, base: ColourPart, cells: np.ndarray, generator: np.random.Generator, pixel_cells: float
-) -> PatchColour:
-    """As new_colour, over `base` in marked cells [s, s, s] of the cube alone; at first it is the base."""
+def own_color(
+    config: StylizeConfig, base: ColorPart, cells: np.ndarray, generator: np.random.Generator, pixel_cells: float
+) -> PatchColor:
+    """As new_color, over `base` in marked cells [s, s, s] of the cube alone; at first it is the base."""
     finest = float(finest_cells(config.finest, pixel_cells))
-    return PatchColour.create(base, cells, finest, 1 << config.table_bits, config.levels)
+    return PatchColor.create(base, cells, finest, 1 << config.table_bits, config.levels)
 
 
 def finest_cells(asked: int, pixel_cells: float) -> int:
-    """Cells a side of a new colour's finest level: as asked for, or FINER than a pixel, within COLOUR_CELLS."""
-    least, most = COLOUR_CELLS
+    """Cells a side of a new color's finest level: as asked for, or FINER than a pixel, within COLOR_CELLS."""
+    least, most = COLOR_CELLS
     if asked:
         return asked
     return int(np.clip(round(FINER * pixel_cells / 16) * 16, least, most)) if np.isfinite(pixel_cells) else least
@@ -57,7 +57,7 @@ def finest_cells(asked: int, pixel_cells: float) -> int:
 def rays_of(config: StylizeConfig, long_side: int) -> str:
     """Shapes held fast cost little to paint, and so do small views; walked anew, a large one costs more than the trunk.
 
-    Dilated rays leave grain in small views, where a cell of the colour is hardly wider than the gaps: decision 0013.
+    Dilated rays leave grain in small views, where a cell of the color is hardly wider than the gaps: decision 0013.
     """
     if config.rays != "auto":
         return config.rays
@@ -95,7 +95,7 @@ def coarse_taps(state: Mapping[str, torch.Tensor]) -> str:
 
 
 def match_of(config: StylizeConfig) -> str:
-    """Ref-NPR matches no colours. A reference that is painted from a matched photo asks for matched photos, too."""
+    """Ref-NPR matches no colors. A reference that is painted from a matched photo asks for matched photos, too."""
     if config.match != "auto":
         return config.match
     if config.method != "refnpr":
@@ -104,9 +104,9 @@ def match_of(config: StylizeConfig) -> str:
 
 
 def settings_of(config: StylizeConfig, long_side: int, closed: bool, region: bool = False) -> StyleSettings:
-    """closed: whether the field is a capture, rather than an object alone. region: whether a part of it is stylised.
+    """closed: whether the field is a capture, rather than an object alone. region: whether a part of it is stylized.
 
-    Colours over the field's own look as the photos do from the start, unless other colours are asked for.
+    Colors over the field's own look as the photos do from the start, unless other colors are asked for.
     """
     own = BENT_OBJECT if config.method == "desrf" and not closed else ELSE
     own = BY_REFERENCE if config.method == "refnpr" else own
@@ -115,10 +115,10 @@ def settings_of(config: StylizeConfig, long_side: int, closed: bool, region: boo
     variation, variation_weight = VARIATION.get(config.method, ("squared", 1.0))
     if config.variation_weight >= 0:
         variation_weight = config.variation_weight
-    weights = StyleWeights(config.style_weight, held["content_weight"], variation_weight, held["colour_weight"])
+    weights = StyleWeights(config.style_weight, held["content_weight"], variation_weight, held["color_weight"])
     painting_weights = weights
     if config.method == "refnpr":
-        painting_weights = StyleWeights(1.0, ELSE["content_weight"], variation_weight, ELSE["colour_weight"])
+        painting_weights = StyleWeights(1.0, ELSE["content_weight"], variation_weight, ELSE["color_weight"])
     return StyleSettings(
         steps=steps,
         seconds=seconds or 1.0,

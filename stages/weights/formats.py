@@ -123,7 +123,7 @@ def vgg19_wct(found: Mapping[str, Tensor]) -> State:
     rest = mix.clone()
     rest[torch.arange(3), order] = 0
     if rest.abs().max() > 1e-4 or sorted(order.tolist()) != [0, 1, 2]:
-        raise BadInput("weights: the first convolution of this VGG-19 mixes channels; expected AdaIN's normalised one")
+        raise BadInput("weights: the first convolution of this VGG-19 mixes channels; expected AdaIN's normalized one")
     back = order.argsort()  # network channel that holds R, G, B
     state = _pick(found, {layer: str(place) for layer, place in WCT_VGG19.items()})
     state["conv1_1.weight"] = state["conv1_1.weight"][:, back].contiguous()
@@ -175,7 +175,7 @@ def canonical(found: Mapping[str, Tensor]) -> State:
     return state
 
 
-# How a file of unknown origin is recognised: a tensor only it has -> (architecture of the trunk, converter).
+# How a file of unknown origin is recognized: a tensor only it has -> (architecture of the trunk, converter).
 TRUNK_MARKS: dict[str, tuple[str, Callable[[Mapping[str, Tensor]], State]]] = {
     "conv1_1.weight": ("vgg16", canonical),
     "features.28.weight": ("vgg16", torchvision_vgg16),
@@ -185,7 +185,7 @@ TRUNK_MARKS: dict[str, tuple[str, Callable[[Mapping[str, Tensor]], State]]] = {
 }
 
 
-def recognised(path: Path) -> tuple[str, State]:
+def recognized(path: Path) -> tuple[str, State]:
     """Architecture and canonical weights of a trunk in a file of any of the known layouts; BadInput when unknown.
 
     A safetensors file may name its architecture under "kind" in its metadata, as this program's cache does.

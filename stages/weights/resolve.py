@@ -1,4 +1,4 @@
-"""Trained weights, resolved to tensors: feature trunks for stylising, networks of perceptual metrics.
+"""Trained weights, resolved to tensors: feature trunks for stylizing, networks of perceptual metrics.
 
 Nothing is fetched over the network. What is found (stages.weight_sources) is brought to one canonical
 form (stages.weight_formats), kept as safetensors in a cache folder, and identified by the digest of its tensors, so
@@ -73,7 +73,7 @@ def resolve(name_or_path: str | os.PathLike | None = None) -> ResolvedTrunk:
         raise UsageError(
             f"--features expects one of {', '.join(TRUNKS)} or a file of VGG weights; {str(name_or_path)!r} is neither"
         )
-    kind, state = formats.recognised(path)
+    kind, state = formats.recognized(path)
     return ResolvedTrunk(path.stem, state_digest(state), path, f"VGG weights of {path}", state, kind)
 
 
@@ -92,7 +92,7 @@ def chosen(features: str) -> dict[str, str]:
 
 
 def digests_of_files(config: Any) -> dict[str, str]:
-    """SHA-256, as they are now, of the painting and the file of weights that the options of a stylisation name."""
+    """SHA-256, as they are now, of the painting and the file of weights that the options of a stylization name."""
     found = {"style_digest": config.style and file_sha256(config.style)}
     return found | ({"features_digest": file_sha256(config.features)} if config.features_digest else {})
 

@@ -12,7 +12,7 @@ from stylerf.geometry.scene_normalization import focus_of
 def noisy_poses(poses: np.ndarray, degrees: float, share: float, generator: np.random.Generator) -> np.ndarray:
     """Every camera turned and moved by chance, each by itself.
 
-    Turned about its own centre by a rotation vector whose three components are normal with standard deviation
+    Turned about its own center by a rotation vector whose three components are normal with standard deviation
     `degrees`; moved by a vector whose three components are normal with standard deviation `share` times the median
     distance of the cameras from their focus.
     """
@@ -41,19 +41,19 @@ def rotations(vectors: np.ndarray) -> np.ndarray:
     return np.eye(3) + sine * cross + (1 - cosine) * cross @ cross
 
 
-def spread_views(centres: np.ndarray, count: int, generator: np.random.Generator) -> list[int]:
-    """Indices of `count` of the camera centres [n, 3], spread out, in rising order.
+def spread_views(centers: np.ndarray, count: int, generator: np.random.Generator) -> list[int]:
+    """Indices of `count` of the camera centers [n, 3], spread out, in rising order.
 
     Begins with one by chance; each next one is the farthest from those chosen (Gonzalez 1985: the least distance
     between two of them is at least half the best possible).
     """
-    if not 0 < count <= len(centres):
-        raise InvalidValue(f"{count} of {len(centres)} views cannot be chosen")
-    chosen = [int(generator.integers(len(centres)))]
-    least = np.linalg.norm(centres - centres[chosen[0]], axis=1)
+    if not 0 < count <= len(centers):
+        raise InvalidValue(f"{count} of {len(centers)} views cannot be chosen")
+    chosen = [int(generator.integers(len(centers)))]
+    least = np.linalg.norm(centers - centers[chosen[0]], axis=1)
     while len(chosen) < count:
         chosen.append(int(np.argmax(least)))
-        least = np.minimum(least, np.linalg.norm(centres - centres[chosen[-1]], axis=1))
+        least = np.minimum(least, np.linalg.norm(centers - centers[chosen[-1]], axis=1))
     return sorted(chosen)
 
 

@@ -19,7 +19,7 @@ def exposure_stops(count: int, stops: float, generator: np.random.Generator) -> 
 
 
 def blurred(photo: np.ndarray, sigma: float) -> np.ndarray:
-    """The photo out of focus: a Gaussian of `sigma` pixels over premultiplied colours and alpha, edges mirrored."""
+    """The photo out of focus: a Gaussian of `sigma` pixels over premultiplied colors and alpha, edges mirrored."""
     sigmas = (sigma, sigma, 0)
     if photo.shape[2] == 3:
         return np.clip(gaussian_filter(photo, sigmas, mode="reflect"), 0, 1)
@@ -30,7 +30,7 @@ def blurred(photo: np.ndarray, sigma: float) -> np.ndarray:
 
 
 def through_jpeg(photo: np.ndarray, quality: int) -> np.ndarray:
-    """The colours as a JPEG file of that quality (1..95, chroma halved) gives them back."""
+    """The colors as a JPEG file of that quality (1..95, chroma halved) gives them back."""
     stored = io.BytesIO()
     pixels = np.round(np.clip(photo[..., :3], 0, 1) * 255).astype(np.uint8)
     Image.fromarray(pixels).save(stored, format="JPEG", quality=quality, subsampling=2)

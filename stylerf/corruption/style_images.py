@@ -1,4 +1,4 @@
-"""Paintings that stylisations fail on: without content, tiny, huge, without geometry, of extreme colours.
+"""Paintings that stylizations fail on: without content, tiny, huge, without geometry, of extreme colors.
 
 Each is [h, w, 3] float32, sRGB 0..1, the same bits for the same seed.
 """
@@ -19,7 +19,7 @@ def ordinary(side: int, seed: int) -> np.ndarray:
 
 
 def white(side: int) -> np.ndarray:
-    """A sheet of paper: colours without spread, features without direction."""
+    """A sheet of paper: colors without spread, features without direction."""
     return np.full((side, side, 3), WHITE, np.float32)
 
 
@@ -40,7 +40,7 @@ def huge(side: int, seed: int) -> np.ndarray:
 
 
 def weak_geometry(side: int, seed: int) -> np.ndarray:
-    """A wash: colours that flow into one another over half the picture, and no edge anywhere (DeSRF's stated limit)."""
+    """A wash: colors that flow into one another over half the picture, and no edge anywhere (DeSRF's stated limit)."""
     noise = np.random.default_rng([seed, 8]).standard_normal((side, side, 3))
     smooth = gaussian_filter(noise, (side / 6, side / 6, 0), mode="wrap")
     low, high = smooth.min((0, 1)), smooth.max((0, 1))
@@ -48,6 +48,6 @@ def weak_geometry(side: int, seed: int) -> np.ndarray:
 
 
 def extreme_palette(side: int, seed: int) -> np.ndarray:
-    """Blots of full red and full blue with hard edges: every colour lies on a corner of the cube."""
+    """Blots of full red and full blue with hard edges: every color lies on a corner of the cube."""
     noise = gaussian_filter(np.random.default_rng([seed, 9]).standard_normal((side, side)), side / 24, mode="wrap")
     return np.where((noise > np.median(noise))[..., None], RED, BLUE).astype(np.float32)

@@ -1,7 +1,7 @@
 """A part of a scene as marked cells of the cube: the edit grid E, and the growing grid G around it (LAENeRF, 3.2).
 
 LAENeRF keeps cascades of grids, one for each doubling of the scene; here the field's own warp draws all of space into
-one cube, so that a neighbour is a neighbour everywhere and growth has no levels to cross.
+one cube, so that a neighbor is a neighbor everywhere and growth has no levels to cross.
 
 s: cells a side. A set of cells is a bool array [s, s, s], in the order of the cube's axes.
 """
@@ -74,7 +74,7 @@ def solid_cells(field: RadianceField, cells: int, chunks: int, opacity: float = 
     """[cells, cells, cells] bool: where a walk across one cell would be at least `opacity` opaque.
 
     LAENeRF asks for a raw density of 10 instead, which means nothing where densities are counted per cell or cube.
-    The density of a cell is that of its centre, or the largest of eight points where there are fewer than FINE cells a
+    The density of a cell is that of its center, or the largest of eight points where there are fewer than FINE cells a
     side; only cells that hold something of the field's occupied ones are asked.
     """
     least = -np.log1p(-opacity) / (float(OPTICAL_SCALE) / cells)
@@ -125,7 +125,7 @@ def grow(start: np.ndarray, allowed: np.ndarray, most: int, neck: float = 0.0) -
     shells: list[np.ndarray] = []
     frontier, seen, looked = np.flatnonzero(marked), marked.copy(), 0
     while len(frontier) and looked < most:
-        around = neighbours(frontier, s)
+        around = neighbors(frontier, s)
         around = around[~seen[around]][: most - looked]
         seen[around] = True
         looked += len(around)
@@ -157,8 +157,8 @@ def narrowest(sizes: list[int], neck: float) -> int:
     return len(sizes)
 
 
-def neighbours(cells: np.ndarray, s: int) -> np.ndarray:
-    """Flat numbers, ascending and each once, of the face neighbours of flat cell numbers [n] in a grid of s^3."""
+def neighbors(cells: np.ndarray, s: int) -> np.ndarray:
+    """Flat numbers, ascending and each once, of the face neighbors of flat cell numbers [n] in a grid of s^3."""
     x, y, z = np.unravel_index(cells, (s, s, s))
     found = []
     for axis, stride in ((x, s * s), (y, s), (z, 1)):
@@ -167,7 +167,7 @@ def neighbours(cells: np.ndarray, s: int) -> np.ndarray:
 
 
 def march_view(field: RadianceField, camera, chunks: int, rays_at_once: int = 8192):
-    """(slice of pixels, Samples) of every pixel centre of a view, part by part."""
+    """(slice of pixels, Samples) of every pixel center of a view, part by part."""
     origins, directions = camera.rays()
     for at in range(0, len(origins), rays_at_once):
         part = slice(at, min(at + rays_at_once, len(origins)))

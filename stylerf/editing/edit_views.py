@@ -44,7 +44,7 @@ class EditView:
         return slice(rows.min(), rows.max() + 1), slice(columns.min(), columns.max() + 1)
 
     def pairs(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """(upper, lower, left, right): places in `pixels` of all pairs of neighbours that both show the region."""
+        """(upper, lower, left, right): places in `pixels` of all pairs of neighbors that both show the region."""
         place = np.full(self.width * (self.height + 1) + 1, -1, np.int64)
         place[self.pixels] = np.arange(len(self.pixels))
         below = place[self.pixels + self.width]

@@ -72,7 +72,7 @@ def seen_of_view(
     """What view number `view` shows of the region; edit is None where it shows nothing.
 
     photo: [h, w, 3 or 4] sRGB 0..1. A pixel counts where at most `tolerance` of its opacity lies outside the region,
-    which leaves out what floats before it or hides it. Colours are the photo's own, not times its alpha as in LAENeRF:
+    which leaves out what floats before it or hides it. Colors are the photo's own, not times its alpha as in LAENeRF:
     silhouettes would teach the palette a black that is not there. ends_of: ends_of_view on another device; None: here.
     """
     fading = settings.reach > 0 and bool(region.grow.any())
@@ -88,7 +88,7 @@ def seen_of_view(
     pixels = np.flatnonzero(shown)
     if not len(pixels):
         return whole
-    colours = photo[..., :3]
+    colors = photo[..., :3]
     weight = np.where(shown, alpha, 0).reshape(shape).astype(np.float32)
     origins, directions = camera.rays(pixels)
     x = np.ascontiguousarray(np.clip(ends[pixels, 3:], 0, 1))
@@ -100,13 +100,13 @@ def seen_of_view(
         x=x,
         along=_along(field, origins, directions, depth[pixels]),
         directions=np.ascontiguousarray(directions, np.float32),
-        target=np.ascontiguousarray(colours.reshape(-1, 3)[pixels], np.float32),
+        target=np.ascontiguousarray(colors.reshape(-1, 3)[pixels], np.float32),
         weight=weight.ravel()[pixels],
         inside=inside[pixels].astype(np.float32),
         depth=depth[pixels],
         through=(rays[pixels, 1] * rays[pixels, 2]).astype(np.float32),
         transition=_transition(field, x, around[0], settings.reach) if fading else np.zeros(len(x), np.float32),
-        edges=_edges(depth.reshape(shape), weight, colours)[pixels],
+        edges=_edges(depth.reshape(shape), weight, colors)[pixels],
     )
     return Seen(edit, whole.alpha, whole.alpha_edit, whole.depth)
 
@@ -135,11 +135,11 @@ def _transition(field: RadianceField, x: np.ndarray, ends: np.ndarray, reach: fl
     return (1 - np.minimum(away, reach) / reach).astype(np.float32)
 
 
-def _edges(depth: np.ndarray, weight: np.ndarray, colours: np.ndarray) -> np.ndarray:
+def _edges(depth: np.ndarray, weight: np.ndarray, colors: np.ndarray) -> np.ndarray:
     """zeta [h*w, 2] in 0..1: geometry edges between a pixel and the one below it, and the one right of it.
 
     |D_i - D_{i+1}| (in shares of the view's depths) times the weights of four pixels in a row, times the difference of
-    the photo's colours (supplementary eq. 1 has no colours, the released code does). The share makes it free of the
+    the photo's colors (supplementary eq. 1 has no colors, the released code does). The share makes it free of the
     scene's unit.
     """
     sure = np.where(weight < SURE, 0, weight)
@@ -156,6 +156,6 @@ def _edges(depth: np.ndarray, weight: np.ndarray, colours: np.ndarray) -> np.nda
         else:
             before[:, 0], after[:, -1] = 0, 0
         run = before[a] * sure[a] * sure[b] * after[b]
-        step = np.abs(depth[a] - depth[b]) / spread * np.abs(colours[a] - colours[b]).sum(-1)
+        step = np.abs(depth[a] - depth[b]) / spread * np.abs(colors[a] - colors[b]).sum(-1)
         zeta[a][..., axis] = np.clip(run * step, 0, 1)
     return zeta.reshape(-1, 2)

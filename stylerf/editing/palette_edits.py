@@ -1,4 +1,4 @@
-"""What a user changes of a learnt palette; nothing is trained again (LAENeRF, 3.5 and eq. 4 of its supplement)."""
+"""What a user changes of a learned palette; nothing is trained again (LAENeRF, 3.5 and eq. 4 of its supplement)."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -12,41 +12,41 @@ from stylerf.srgb import LUMA
 
 @dataclass(frozen=True)
 class PaletteEdits:
-    """Changes of palette colours, by their index.
+    """Changes of palette colors, by their index.
 
-    colours: new sRGB. scales, biases: w~ = max(s w + b, 0), divided by the row's sum (the supplement prints min, the
+    colors: new sRGB. scales, biases: w~ = max(s w + b, 0), divided by the row's sum (the supplement prints min, the
     code takes max); a row of zeros falls back to w.
     """
 
-    colours: Mapping[int, tuple[float, float, float]] = field(default_factory=dict)
+    colors: Mapping[int, tuple[float, float, float]] = field(default_factory=dict)
     scales: Mapping[int, float] = field(default_factory=dict)
     biases: Mapping[int, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        for named in (self.colours, self.scales, self.biases):
+        for named in (self.colors, self.scales, self.biases):
             for index, value in named.items():
                 if not np.isfinite(value).all():
-                    raise InvalidValue(f"palette colour {index}: {value} is not finite")
-        for index, colour in self.colours.items():
-            if len(colour) != 3:
-                raise InvalidValue(f"palette colour {index}: expected red, green and blue, found {colour}")
+                    raise InvalidValue(f"palette color {index}: {value} is not finite")
+        for index, color in self.colors.items():
+            if len(color) != 3:
+                raise InvalidValue(f"palette color {index}: expected red, green and blue, found {color}")
 
     def __bool__(self) -> bool:
-        return bool(self.colours or self.scales or self.biases)
+        return bool(self.colors or self.scales or self.biases)
 
     def check(self, count: int) -> None:
-        """Raises InvalidValue, naming the colours that exist, where one of another index is changed."""
-        missing = sorted({i for named in (self.colours, self.scales, self.biases) for i in named} - set(range(count)))
+        """Raises InvalidValue, naming the colors that exist, where one of another index is changed."""
+        missing = sorted({i for named in (self.colors, self.scales, self.biases) for i in named} - set(range(count)))
         if missing:
             exist = f"0 to {count - 1}" if count > 1 else "0 alone"
-            raise InvalidValue(f"palette colour {missing[0]} does not exist; there are {exist}")
+            raise InvalidValue(f"palette color {missing[0]} does not exist; there are {exist}")
 
     def palette(self, palette: np.ndarray) -> np.ndarray:
-        """[A, 3] with the changed colours in place."""
+        """[A, 3] with the changed colors in place."""
         self.check(len(palette))
         out = palette.copy()
-        for index, colour in self.colours.items():
-            out[index] = colour
+        for index, color in self.colors.items():
+            out[index] = color
         return out
 
     def weights(self, weights: np.ndarray) -> np.ndarray:
@@ -67,31 +67,31 @@ class PaletteEdits:
     def describe(self) -> dict:
         """As JSON keeps it."""
         return {
-            "colours": {str(i): [float(v) for v in colour] for i, colour in self.colours.items()},
+            "colors": {str(i): [float(v) for v in color] for i, color in self.colors.items()},
             "scales": {str(i): float(v) for i, v in self.scales.items()},
             "biases": {str(i): float(v) for i, v in self.biases.items()},
         }
 
     @classmethod
     def restore(cls, data: dict) -> "PaletteEdits":
-        colours, *weights = (validation.entry(data, name, dict) for name in ("colours", "scales", "biases"))
+        colors, *weights = (validation.entry(data, name, dict) for name in ("colors", "scales", "biases"))
         return cls(
-            {_index(i): tuple(validation.numbers(colours, i, 3)) for i in colours},
+            {_index(i): tuple(validation.numbers(colors, i, 3)) for i in colors},
             *({_index(i): validation.number(named, i) for i in named} for named in weights),
         )
 
 
 def _index(text: str) -> int:
-    """A colour's number, as JSON has it for a key."""
+    """A color's number, as JSON has it for a key."""
     if not (text.isascii() and text.isdecimal() and len(text) <= 4):
-        raise InvalidValue(f"palette colour {text[:20]!r} is no number")
+        raise InvalidValue(f"palette color {text[:20]!r} is no number")
     return int(text)
 
 
 def tinted(palette: np.ndarray, shares: np.ndarray, target: tuple[float, float, float]) -> np.ndarray:
-    """[A, 3]: `target` in the palette's own lights and darks: each colour is target times luma / mean luma, in 0..1.
+    """[A, 3]: `target` in the palette's own lights and darks: each color is target times luma / mean luma, in 0..1.
 
-    shares: of the colours in the region, which weigh the mean. All in sRGB; an encoded ratio is a power of that of
+    shares: of the colors in the region, which weigh the mean. All in sRGB; an encoded ratio is a power of that of
     light, so that shading keeps its contrast.
     """
     lumas = palette @ np.asarray(LUMA, palette.dtype)

@@ -4,8 +4,8 @@ The released code adds most of them up over the pixels of a view, so that its we
 is a mean over pixels, or is counted so that the same picture at another size gives the same: a published weight of a
 sum becomes that of a mean by REFERENCE_PIXELS.
 
-c: colours [n, 3]; t: what the photo shows; w: weights [n, A]; o: offsets [n, 3]; P: palette [A, 3]; C: the picture of
-one view, whose pairs are neighbouring pixels (below each other, beside each other); zeta: geometry edges; lambda:
+c: colors [n, 3]; t: what the photo shows; w: weights [n, A]; o: offsets [n, 3]; P: palette [A, 3]; C: the picture of
+one view, whose pairs are neighboring pixels (below each other, beside each other); zeta: geometry edges; lambda:
 transition, 1 where the region meets what surrounds it.
 """
 
@@ -25,10 +25,10 @@ class EditWeights:
     """Weights of the parts. Published, with sums turned to means: certainty 1e-2, offset 5, the last three as here.
 
     reconstruction: L_rec. certainty: L_weight. uniform: L_uniform. offset: L_offset. valid: L_valid. distinct:
-    L_distinct. style, variation, edges, smooth: L_style, L_TV, L_disc, L_smooth, while an image is learnt.
+    L_distinct. style, variation, edges, smooth: L_style, L_TV, L_disc, L_smooth, while an image is learned.
 
-    certainty and offset by measurement (front of the lego scene, 400 steps, 8 colours at first): the published ones
-    leave 3 colours and 27.3 dB of the region; 5e-3 and 0.5 leave 5 with L_sp 0.75 and 32.6 dB. Published L_sp of lego's
+    certainty and offset by measurement (front of the lego scene, 400 steps, 8 colors at first): the published ones
+    leave 3 colors and 27.3 dB of the region; 5e-3 and 0.5 leave 5 with L_sp 0.75 and 32.6 dB. Published L_sp of lego's
     shovel: 0.859 with 5. style is in units of its own (see RegionStyle), where LAENeRF's 130 says nothing.
     """
 
@@ -47,9 +47,9 @@ class EditWeights:
 # -- of pixels ------------------------------------------------------------------------------------------------------
 
 
-def reconstruction(colours: Tensor, target: Tensor) -> Tensor:
+def reconstruction(colors: Tensor, target: Tensor) -> Tensor:
     """L_rec per pixel, [n]: mean over channels of (c - t)^2."""
-    return (colours - target).square().mean(1)
+    return (colors - target).square().mean(1)
 
 
 def uncertainty(weights: Tensor) -> Tensor:
@@ -58,7 +58,7 @@ def uncertainty(weights: Tensor) -> Tensor:
 
 
 def largest_share(weights: Tensor) -> Tensor:
-    """L_uniform, scalar in 1/A..1: max_j of the mean of w_j; holds back a colour that takes everything."""
+    """L_uniform, scalar in 1/A..1: max_j of the mean of w_j; holds back a color that takes everything."""
     return weights.mean(0).max()
 
 
@@ -82,7 +82,7 @@ def likeness(palette: Tensor) -> Tensor:
 
 
 @dataclass(frozen=True, eq=False)
-class Neighbours:
+class Neighbors:
     """A view's pairs as tensors. first, second: [m] places of their pixels. edges: [m] zeta over the largest of the
     view's, 0..1. transition: [m] lambda of the second. pixels: n."""
 
@@ -93,7 +93,7 @@ class Neighbours:
     pixels: int
 
     @classmethod
-    def of(cls, view: EditView, device: torch.device | str = "cpu") -> "Neighbours":
+    def of(cls, view: EditView, device: torch.device | str = "cpu") -> "Neighbors":
         upper, lower, left, right = view.pairs()
         first, second = np.concatenate([upper, left]), np.concatenate([lower, right])
         # The code takes zeta itself in L_TV, which has no bound, and zeta over its largest in L_disc.
@@ -103,45 +103,45 @@ class Neighbours:
         parts = first, second, np.concatenate(edges).astype(np.float32), transition
         return cls(*(torch.from_numpy(part).to(device) for part in parts), len(view))
 
-    def differences(self, colours: Tensor) -> Tensor:
+    def differences(self, colors: Tensor) -> Tensor:
         """Sum over channels of (C_i - C_{i+1})^2 per pair, [m]."""
         # index_select: its gradient is added up in one order, that of indexing is not.
-        return (colours.index_select(0, self.first) - colours.index_select(0, self.second)).square().sum(1)
+        return (colors.index_select(0, self.first) - colors.index_select(0, self.second)).square().sum(1)
 
 
-def variation(differences: Tensor, neighbours: Neighbours) -> Tensor:
+def variation(differences: Tensor, neighbors: Neighbors) -> Tensor:
     """L_TV, scalar: sum over pairs of (C_i - C_{i+1})^2 (1 - zeta) (1 - lambda), over REFERENCE_PIXELS.
 
     Twice the resolution halves the differences and gives four times as many: the sum, not the mean, stays as it is.
     """
-    return (differences * (1 - neighbours.edges) * (1 - neighbours.transition)).sum() / REFERENCE_PIXELS
+    return (differences * (1 - neighbors.edges) * (1 - neighbors.transition)).sum() / REFERENCE_PIXELS
 
 
-def edge_contrast(differences: Tensor, neighbours: Neighbours) -> Tensor:
+def edge_contrast(differences: Tensor, neighbors: Neighbors) -> Tensor:
     """L_disc, scalar <= 0: minus the sum over pairs of (C_i - C_{i+1})^2 zeta, over sqrt(n REFERENCE_PIXELS).
 
     Steps at geometry edges stay as large at any resolution, and twice as many pairs cross an edge at twice it.
     """
-    return -(differences * neighbours.edges).sum() / (neighbours.pixels * REFERENCE_PIXELS) ** 0.5
+    return -(differences * neighbors.edges).sum() / (neighbors.pixels * REFERENCE_PIXELS) ** 0.5
 
 
-def transition_error(colours: Tensor, target: Tensor, transition: Tensor) -> Tensor:
+def transition_error(colors: Tensor, target: Tensor, transition: Tensor) -> Tensor:
     """L_smooth per pixel, [n]: lambda times the sum over channels of (C - t)^2."""
-    return transition * (colours - target).square().sum(1)
+    return transition * (colors - target).square().sum(1)
 
 
 # -- figures --------------------------------------------------------------------------------------------------------
 
 
 def sparsity(weights: np.ndarray) -> float:
-    """L_sp: mean over pixels of (sum w / sum w^2 - 1), weights [n, A]; 0 where one colour has all, A - 1 where all have
+    """L_sp: mean over pixels of (sum w / sum w^2 - 1), weights [n, A]; 0 where one color has all, A - 1 where all have
     the same (supplement, eq. 2). 0 for no pixel."""
     squares = np.square(weights, dtype=np.float64).sum(1)
     return float((weights.sum(1, dtype=np.float64) / squares - 1).mean()) if len(weights) else 0.0
 
 
 def weight_variation(weights: np.ndarray, view: EditView) -> float:
-    """Palette TV of a view: sum over pairs ij of neighbours and over weights [n, A] of ((w_i - w_j) a_i a_j)^2, over n.
+    """Palette TV of a view: sum over pairs ij of neighbors and over weights [n, A] of ((w_i - w_j) a_i a_j)^2, over n.
 
     a: alpha of the field. As LAENeRF's released code measures it where an edit is put into the photos.
     """

@@ -1,11 +1,11 @@
-"""Colours of a region as mixes of a few palette colours plus a small offset (LAENeRF, section 3.4).
+"""Colors of a region as mixes of a few palette colors plus a small offset (LAENeRF, section 3.4).
 
-    c = clamp(w P + o, 0, 1),  w = softmax of W(phi(x)) over the active colours,  o = tanh O(phi(x), SH(d))
+    c = clamp(w P + o, 0, 1),  w = softmax of W(phi(x)) over the active colors,  o = tanh O(phi(x), SH(d))
 
 x a point of the region, d the view direction, phi a hash encoding, W and O small networks. The released code leaves the
 tanh out of its preview; here o is the same everywhere.
 
-P: palette [colours, 3], sRGB, not bound to 0..1. A: colours still active. n: points.
+P: palette [colors, 3], sRGB, not bound to 0..1. A: colors still active. n: points.
 """
 
 import math
@@ -23,33 +23,33 @@ from stylerf.geometry.spherical_harmonics import BANDS, harmonics
 
 WIDTH = 64  # of the hidden layers
 DEGREE = 2  # nine harmonics: "degree 3" in LAENeRF, which counts from one
-MOST_COLOURS = 32
+MOST_COLORS = 32
 POINTS_AT_ONCE = 1 << 16
 MARGIN = 0.05  # of the region's size: what jitter and other views add to the box that is encoded
 
 
 @dataclass(frozen=True)
 class Mixture:
-    """weights: [n, A], each row adds up to 1. offsets: [n, 3] in -1..1. colours: [n, 3] in 0..1."""
+    """weights: [n, A], each row adds up to 1. offsets: [n, 3] in -1..1. colors: [n, 3] in 0..1."""
 
     weights: Tensor
     offsets: Tensor
-    colours: Tensor
+    colors: Tensor
 
 
 class PaletteModule:
-    """Palette, encoding and both networks. Edits count colours 0 to A - 1: those that are active, in their order.
+    """Palette, encoding and both networks. Edits count colors 0 to A - 1: those that are active, in their order.
 
     box: [2, 3] float32, the part of the cube that is encoded; points outside count to its sides. values: palette, then
-    weights and biases of W's three layers, then of O's, one float32 array, so that one optimiser takes it.
+    weights and biases of W's three layers, then of O's, one float32 array, so that one optimizer takes it.
     """
 
     kind = "palette"
 
     def __init__(self, encoding: HashEncoding, box: np.ndarray, active: np.ndarray, values: np.ndarray) -> None:
         count = len(active)
-        if not 1 <= count <= MOST_COLOURS or active.dtype != bool or not active.any():
-            raise InvalidValue(f"palette: 1 to {MOST_COLOURS} colours, one of them active, were expected")
+        if not 1 <= count <= MOST_COLORS or active.dtype != bool or not active.any():
+            raise InvalidValue(f"palette: 1 to {MOST_COLORS} colors, one of them active, were expected")
         if box.shape != (2, 3) or not (box[0] < box[1]).all():
             raise InvalidValue(f"palette: expected a box of lower and upper corner, found {box.tolist()}")
         expected = count * 3 + sum((i + 1) * o for net in self._nets(encoding.width, count) for i, o in net)
@@ -61,7 +61,7 @@ class PaletteModule:
     def create(
         cls, generator: np.random.Generator, palette: np.ndarray, box: np.ndarray, encoding: HashEncoding | None = None
     ) -> "PaletteModule":
-        """palette [colours, 3]: where it begins. All weights begin nearly even, all offsets nearly zero."""
+        """palette [colors, 3]: where it begins. All weights begin nearly even, all offsets nearly zero."""
         encoding = encoding or HashEncoding.create(generator)
         parts = [np.asarray(palette, np.float32).ravel()]
         for net in cls._nets(encoding.width, len(palette)):
@@ -77,7 +77,7 @@ class PaletteModule:
         """(inputs, outputs) of every layer of W and of O."""
         return [[(i, WIDTH), (WIDTH, WIDTH), (WIDTH, o)] for i, o in ((features, count), (features + BANDS[DEGREE], 3))]
 
-    # -- what is learnt ---------------------------------------------------------------------------------------------
+    # -- what is learned ---------------------------------------------------------------------------------------------
 
     def leaf(self) -> Tensor:
         """A copy of `values` that gradients are asked of."""
@@ -86,7 +86,7 @@ class PaletteModule:
     def mix(self, values: Tensor, phi: Tensor, basis: Tensor, kept: Tensor | None = None) -> Mixture:
         """From `values` as a tensor, features phi [n, features] and harmonics of the directions [n, 9].
 
-        kept: numbers of the active colours, where they lie beside the others already.
+        kept: numbers of the active colors, where they lie beside the others already.
         """
         count = len(self.active)
         nets = self._nets(phi.shape[1], count)
@@ -107,7 +107,7 @@ class PaletteModule:
         return Mixture(weights, offsets, (weights @ palette + offsets).clamp(0, 1))
 
     def palette_of(self, values: Tensor) -> Tensor:
-        """[colours, 3], removed ones too."""
+        """[colors, 3], removed ones too."""
         return values[: 3 * len(self.active)].view(-1, 3)
 
     def local(self, x: np.ndarray) -> np.ndarray:
@@ -118,7 +118,7 @@ class PaletteModule:
 
     @property
     def palette(self) -> np.ndarray:
-        """[A, 3] the active colours, sRGB 0..1."""
+        """[A, 3] the active colors, sRGB 0..1."""
         return np.clip(self.values[: 3 * len(self.active)].reshape(-1, 3)[self.active], 0, 1)
 
     @torch.no_grad()
@@ -131,13 +131,13 @@ class PaletteModule:
             parts.append(self.mix(values, self.encoding.forward(self.local(x[part]), chunks), basis))
         if not parts:
             return Mixture(torch.zeros(0, len(self.palette)), torch.zeros(0, 3), torch.zeros(0, 3))
-        return Mixture(*(torch.cat([getattr(p, n) for p in parts]) for n in ("weights", "offsets", "colours")))
+        return Mixture(*(torch.cat([getattr(p, n) for p in parts]) for n in ("weights", "offsets", "colors")))
 
     def weights(self, x: np.ndarray, chunks: int = 1) -> np.ndarray:
         """[n, A] float32."""
         return self.mixture(x, np.tile(np.float32([0, 0, 1]), (len(x), 1)), chunks).weights.numpy()
 
-    def colours(
+    def colors(
         self,
         x: np.ndarray,
         directions: np.ndarray,
@@ -147,7 +147,7 @@ class PaletteModule:
     ) -> np.ndarray:
         """[n, 3] float32 in 0..1; with edits, as they make them.
 
-        transition: lambda [n] in 0..1. There palette and weights, not colours, are drawn back to what they were:
+        transition: lambda [n] in 0..1. There palette and weights, not colors, are drawn back to what they were:
         P' = lambda P + (1 - lambda) P_edited, w' = lambda w + (1 - lambda) w_edited.
         """
         return self.edited(self.mixture(x, directions, chunks), edits, transition)
@@ -155,10 +155,10 @@ class PaletteModule:
     def edited(
         self, found: Mixture, edits: PaletteEdits | None = None, transition: np.ndarray | None = None
     ) -> np.ndarray:
-        """As colours(), of a mixture (on the CPU) that stands already."""
+        """As colors(), of a mixture (on the CPU) that stands already."""
         if edits is None or not edits:
-            return found.colours.numpy()
-        # The learnt colours, unclamped: w P + o was fitted with these.
+            return found.colors.numpy()
+        # The learned colors, unclamped: w P + o was fitted with these.
         palette = self.values[: 3 * len(self.active)].reshape(-1, 3)[self.active]
         weights, offsets = found.weights.numpy(), found.offsets.numpy()
         new_palette, new_weights = edits.palette(palette), edits.weights(weights)
@@ -187,7 +187,7 @@ class PaletteModule:
     @classmethod
     def restore(cls, data: dict, arrays: dict[str, np.ndarray]) -> "PaletteModule":
         table, networks = (
-            validation.array(arrays, name, np.float32, (None,), validation.LEARNT) for name in ("table", "networks")
+            validation.array(arrays, name, np.float32, (None,), validation.LEARNED) for name in ("table", "networks")
         )
         encoding = HashEncoding.restore(validation.entry(data, "encoding"), table.copy())
         active = validation.entry(data, "active", list)
@@ -211,21 +211,21 @@ def random_palette(generator: np.random.Generator, count: int) -> np.ndarray:
     return generator.random((count, 3)).astype(np.float32)
 
 
-def clustered_palette(generator: np.random.Generator, colours: np.ndarray, count: int, rounds: int = 12) -> np.ndarray:
-    """[count, 3] centres of k-means over colours [n, 3], begun by k-means++ (Arthur and Vassilvitskii 2007).
+def clustered_palette(generator: np.random.Generator, colors: np.ndarray, count: int, rounds: int = 12) -> np.ndarray:
+    """[count, 3] centers of k-means over colors [n, 3], begun by k-means++ (Arthur and Vassilvitskii 2007).
 
-    A cluster left empty keeps its centre. Ordered by size, the largest first.
+    A cluster left empty keeps its center. Ordered by size, the largest first.
     """
-    colours = np.asarray(colours, np.float64)
-    centres = colours[generator.integers(len(colours))][None]
-    while len(centres) < count:
-        apart = np.square(colours[:, None] - centres).sum(-1).min(1)
+    colors = np.asarray(colors, np.float64)
+    centers = colors[generator.integers(len(colors))][None]
+    while len(centers) < count:
+        apart = np.square(colors[:, None] - centers).sum(-1).min(1)
         total = apart.sum()
-        chosen = generator.choice(len(colours), p=apart / total) if total > 0 else generator.integers(len(colours))
-        centres = np.concatenate([centres, colours[chosen][None]])
+        chosen = generator.choice(len(colors), p=apart / total) if total > 0 else generator.integers(len(colors))
+        centers = np.concatenate([centers, colors[chosen][None]])
     for _ in range(rounds):
-        nearest = np.square(colours[:, None] - centres).sum(-1).argmin(1)
+        nearest = np.square(colors[:, None] - centers).sum(-1).argmin(1)
         sizes = np.bincount(nearest, minlength=count)
-        sums = np.stack([np.bincount(nearest, colours[:, k], count) for k in range(3)], 1)
-        centres = np.where(sizes[:, None] > 0, sums / np.maximum(sizes, 1)[:, None], centres)
-    return centres[np.argsort(-sizes, kind="stable")].astype(np.float32)
+        sums = np.stack([np.bincount(nearest, colors[:, k], count) for k in range(3)], 1)
+        centers = np.where(sizes[:, None] > 0, sums / np.maximum(sizes, 1)[:, None], centers)
+    return centers[np.argsort(-sizes, kind="stable")].astype(np.float32)

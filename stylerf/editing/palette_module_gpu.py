@@ -31,13 +31,13 @@ class DevicePalette:
         self.networks = torch.from_numpy(self.module.values).to(self.device, copy=True)
 
     def collect(self) -> None:
-        """Bring what was learnt into the module's own arrays."""
+        """Bring what was learned into the module's own arrays."""
         self.module.encoding.values[:] = self.table.cpu().numpy()
         self.module.values[:] = self.networks.cpu().numpy()
 
     @property
     def kept(self) -> Tensor:
-        """Numbers of the active colours."""
+        """Numbers of the active colors."""
         active = self.module.active.tobytes()
         if self._known[0] != active:
             self._known = active, torch.from_numpy(np.flatnonzero(self.module.active)).to(self.device)
@@ -55,7 +55,7 @@ class DevicePalette:
 
     @property
     def active(self) -> np.ndarray:
-        """Which colours are."""
+        """Which colors are."""
         return self.module.active
 
     @property
@@ -73,22 +73,22 @@ class DevicePalette:
             basis = torch.from_numpy(harmonics(directions[part], DEGREE)).to(self.device)
             phi = launch_edit.rows(self.table, self.layout, self.levels, self.local(points))
             parts.append(self.module.mix(self.networks, phi, basis, self.kept))
-        return Mixture(*(torch.cat([getattr(p, n) for p in parts]).cpu() for n in ("weights", "offsets", "colours")))
+        return Mixture(*(torch.cat([getattr(p, n) for p in parts]).cpu() for n in ("weights", "offsets", "colors")))
 
     def weights(self, x: np.ndarray, chunks: int = 1) -> np.ndarray:
         """As PaletteModule.weights."""
         return self.mixture(x, np.tile(np.float32([0, 0, 1]), (len(x), 1))).weights.numpy()
 
-    def colours(
+    def colors(
         self, x: np.ndarray, directions: np.ndarray, edits: PaletteEdits | None = None,
         transition: np.ndarray | None = None, chunks: int = 1,
     ) -> np.ndarray:  # fmt: skip
-        """As PaletteModule.colours; edits are those of the numbers on the host."""
+        """As PaletteModule.colors; edits are those of the numbers on the host."""
         return self.module.edited(self.mixture(x, directions), edits, transition)
 
 
 class _Encode(torch.autograd.Function):
-    """The table's gradient goes to the buffer that its optimiser clears, as in fields/hash_encoding.py."""
+    """The table's gradient goes to the buffer that its optimizer clears, as in fields/hash_encoding.py."""
 
     @staticmethod
     def forward(context, hook: Tensor, palette: DevicePalette, x: Tensor, to: Tensor) -> Tensor:

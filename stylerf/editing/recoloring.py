@@ -1,6 +1,6 @@
 """What a user changes of a decomposed field's palette, everywhere or around a place (PaletteNeRF, Kuang et al. 2023).
 
-A basis colour is I (P_i + delta_i), of every place its own. Another palette colour turns its hue and scales its
+A basis color is I (P_i + delta_i), of every place its own. Another palette color turns its hue and scales its
 saturation and value as it turns and scales P_i: shading and texture stay.
 """
 
@@ -16,44 +16,44 @@ from stylerf.editing.palette_edits import PaletteEdits
 from stylerf.errors import InvalidValue
 from stylerf.geometry.space_warp import Space
 
-GREYISH = 0.1  # saturation under which a palette colour has no hue to turn and no saturation to scale
-DARKEST = 1 / 32  # value that a darker palette colour counts as, where values are scaled
+GRAYISH = 0.1  # saturation under which a palette color has no hue to turn and no saturation to scale
+DARKEST = 1 / 32  # value that a darker palette color counts as, where values are scaled
 
 
 @dataclass(frozen=True)
 class SpaceFilter:
-    """exp(-|p - c|^2 / reach^2) of places p, in scene units; of several centres c the nearest counts."""
+    """exp(-|p - c|^2 / reach^2) of places p, in scene units; of several centers c the nearest counts."""
 
     space: Space
-    centres: tuple[tuple[float, float, float], ...]
+    centers: tuple[tuple[float, float, float], ...]
     reach: float
 
     def __post_init__(self) -> None:
-        if not self.centres or not np.isfinite(self.centres).all() or not (0 < self.reach < np.inf):
-            raise InvalidValue(f"an edit's filter needs places and a reach over 0, found {self.centres}, {self.reach}")
+        if not self.centers or not np.isfinite(self.centers).all() or not (0 < self.reach < np.inf):
+            raise InvalidValue(f"an edit's filter needs places and a reach over 0, found {self.centers}, {self.reach}")
 
     def __call__(self, x: np.ndarray) -> np.ndarray:
         """[n] float32 in 0..1 of cube points [n, 3]."""
         places = self.space.unwarp(x)
-        squares = np.min([np.square(places - np.asarray(centre)).sum(1) for centre in self.centres], axis=0)
+        squares = np.min([np.square(places - np.asarray(center)).sum(1) for center in self.centers], axis=0)
         return np.exp(-squares / self.reach**2).astype(np.float32)
 
     def describe(self) -> dict:
         """As JSON keeps it."""
-        centres = [[float(v) for v in centre] for centre in self.centres]
-        return {"space": self.space.describe(), "centres": centres, "reach": float(self.reach)}
+        centers = [[float(v) for v in center] for center in self.centers]
+        return {"space": self.space.describe(), "centers": centers, "reach": float(self.reach)}
 
     @classmethod
     def restore(cls, data: dict) -> "SpaceFilter":
-        centres = tuple(map(tuple, validation.rows(data, "centres", None, 3)))
+        centers = tuple(map(tuple, validation.rows(data, "centers", None, 3)))
         return cls(
-            Space.restore(validation.entry(data, "space")), centres, validation.number(data, "reach", 1 / validation.LARGEST)
+            Space.restore(validation.entry(data, "space")), centers, validation.number(data, "reach", 1 / validation.LARGEST)
         )
 
 
 @dataclass(frozen=True)
-class Recolouring:
-    """One edit. changes: of palette colours and weights. offset_scale, view_scale: factors of the offsets delta and of
+class Recoloring:
+    """One edit. changes: of palette colors and weights. offset_scale, view_scale: factors of the offsets delta and of
     what depends on the view. within: where it applies; None: everywhere."""
 
     changes: PaletteEdits = field(default_factory=PaletteEdits)
@@ -76,20 +76,20 @@ class Recolouring:
         }
 
     @classmethod
-    def restore(cls, data: dict) -> "Recolouring":
+    def restore(cls, data: dict) -> "Recoloring":
         within = validation.entry(data, "within")
         scales = (validation.number(data, f"{what}_scale", 0) for what in ("offset", "view"))
         changes = PaletteEdits.restore(validation.entry(data, "changes"))
         return cls(changes, *scales, None if within is None else SpaceFilter.restore(within))
 
 
-def recoloured(
+def recolored(
     weights: Tensor,  # [n, M], rows add up to 1
     offsets: Tensor,  # [n, M, 3]
     intensity: Tensor,  # [n, 1]
     specular: Tensor,  # [n, 3]
     palette: Tensor,  # [M, 3]
-    edits: Sequence[Recolouring],
+    edits: Sequence[Recoloring],
     x: np.ndarray,  # [n, 3] in the cube
 ) -> Tensor:
     """[n, 3], not clamped: sum_i w_i I (P_i + delta_i) + s after the edits, each upon those before it."""
@@ -98,13 +98,13 @@ def recoloured(
         offsets = offsets * (1 + share * (edit.offset_scale - 1))[..., None]
         specular = specular * (1 + share * (edit.view_scale - 1))
     bases = list((intensity[..., None] * (palette + offsets)).unbind(1))
-    # The palette as it stands at each place: a later edit elsewhere starts from what was learnt, here from this one.
+    # The palette as it stands at each place: a later edit elsewhere starts from what was learned, here from this one.
     present = list(palette.expand(len(weights), *palette.shape).unbind(1))
     for edit, share in zip(edits, shares):
         edit.changes.check(len(bases))
         weights = (1 - share) * weights + share * _weights(edit.changes, weights)
-        for index, colour in edit.changes.colours.items():
-            new = torch.as_tensor(colour, dtype=weights.dtype)
+        for index, color in edit.changes.colors.items():
+            new = torch.as_tensor(color, dtype=weights.dtype)
             bases[index] = (1 - share) * bases[index] + share * shifted(bases[index], present[index], new)
             present[index] = (1 - share) * present[index] + share * new
     return sum(weights[:, i : i + 1] * basis for i, basis in enumerate(bases)) + specular
@@ -123,28 +123,28 @@ def _weights(changes: PaletteEdits, weights: Tensor) -> Tensor:
     return torch.where(total > 1e-6, changed / total.clamp_min(1e-6), weights)
 
 
-def shifted(colours: Tensor, old: Tensor, new: Tensor) -> Tensor:
-    """Colours [n, 3] as a palette colour `old` [n, 3] or [3] becomes `new` [3]: hue turned by the difference of the two
+def shifted(colors: Tensor, old: Tensor, new: Tensor) -> Tensor:
+    """Colors [n, 3] as a palette color `old` [n, 3] or [3] becomes `new` [3]: hue turned by the difference of the two
     hues, saturation and value scaled by their ratios.
 
-    A colour between black and white has neither hue nor saturation: where `old` is nearly one, both are the new one's.
+    A color between black and white has neither hue nor saturation: where `old` is nearly one, both are the new one's.
     """
     (hue, saturation, value), (hue_old, saturation_old, value_old), (hue_new, saturation_new, value_new) = (
-        to_hsv(one) for one in (colours, old, new)
+        to_hsv(one) for one in (colors, old, new)
     )
-    grey = saturation_old < GREYISH
+    gray = saturation_old < GRAYISH
     turned = torch.remainder(hue + hue_new - hue_old, 1.0)
-    scaled = (saturation * saturation_new / saturation_old.clamp_min(GREYISH)).clamp(0, 1)
+    scaled = (saturation * saturation_new / saturation_old.clamp_min(GRAYISH)).clamp(0, 1)
     return from_hsv(
-        torch.where(grey, hue_new.expand_as(turned), turned),
-        torch.where(grey, saturation_new.expand_as(scaled), scaled),
+        torch.where(gray, hue_new.expand_as(turned), turned),
+        torch.where(gray, saturation_new.expand_as(scaled), scaled),
         value * value_new / value_old.clamp_min(DARKEST),
     )
 
 
-def to_hsv(colours: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Hue in 0..1, saturation in 0..1, value >= 0, each [...], of colours [..., 3]; what is negative counts as 0."""
-    red, green, blue = colours.clamp_min(0).unbind(-1)
+def to_hsv(colors: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Hue in 0..1, saturation in 0..1, value >= 0, each [...], of colors [..., 3]; what is negative counts as 0."""
+    red, green, blue = colors.clamp_min(0).unbind(-1)
     value = torch.maximum(torch.maximum(red, green), blue)
     chroma = value - torch.minimum(torch.minimum(red, green), blue)
     safe = chroma.clamp_min(1e-8)

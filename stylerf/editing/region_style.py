@@ -9,7 +9,7 @@ from torch import Tensor
 
 from stylerf.editing.edit_views import EditView
 from stylerf.errors import InvalidValue
-from stylerf.style.color_matching import match_colours
+from stylerf.style.color_matching import match_colors
 from stylerf.style.feature_extractor import Trunk
 from stylerf.style.image_sizes import fitted
 from stylerf.style.losses import gram_distance, gram_matrix, position_weights
@@ -23,9 +23,9 @@ def crop_of(painting: Tensor, x: int, y: int, size: int) -> Tensor:
     return painting[:, y : y + size, x : x + size].contiguous()
 
 
-def in_colours_of(painting: Tensor, colours: np.ndarray) -> Tensor:
-    """The painting [3, h, w] with the mean and covariance of colours [n, 3]: its strokes without its colours."""
-    return match_colours(painting.flatten(1).T, torch.from_numpy(colours)).image(painting).float()
+def in_colors_of(painting: Tensor, colors: np.ndarray) -> Tensor:
+    """The painting [3, h, w] with the mean and covariance of colors [n, 3]: its strokes without its colors."""
+    return match_colors(painting.flatten(1).T, torch.from_numpy(colors)).image(painting).float()
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +58,7 @@ class RegionStyle:
 
     @property
     def device(self) -> torch.device:
-        """The trunk's: colours must lie there."""
+        """The trunk's: colors must lie there."""
         return self.trunk.input_scale.device
 
     def _tall(self, picture: Tensor) -> Tensor:
@@ -80,14 +80,14 @@ class RegionStyle:
         coverage = [position_weights(small[0], feature[0]) for feature in features]
         return Canvas(places, height, width, coverage)
 
-    def picture(self, colours: Tensor, canvas: Canvas) -> Tensor:
-        """[3, h', w']: colours [n, 3] in the window, black around them, the longer side `side` pixels."""
-        whole = colours.new_zeros(canvas.height * canvas.width, 3).index_copy(0, canvas.places, colours)
+    def picture(self, colors: Tensor, canvas: Canvas) -> Tensor:
+        """[3, h', w']: colors [n, 3] in the window, black around them, the longer side `side` pixels."""
+        whole = colors.new_zeros(canvas.height * canvas.width, 3).index_copy(0, canvas.places, colors)
         return self._tall(fitted(whole.T.reshape(3, canvas.height, canvas.width), self.side))
 
-    def distance(self, colours: Tensor, canvas: Canvas) -> Tensor:
+    def distance(self, colors: Tensor, canvas: Canvas) -> Tensor:
         """L_style, scalar: mean squared difference of the Gram matrices, in the painting's units."""
-        features = self.trunk(self.picture(colours, canvas)[None])
+        features = self.trunk(self.picture(colors, canvas)[None])
         parts = [
             gram_distance(feature[0], gram, weights).mean() / unit
             for feature, gram, weights, unit in zip(features, self.grams, canvas.coverage, self.units)

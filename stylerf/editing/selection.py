@@ -1,4 +1,4 @@
-"""Selecting a region in 3D: seeds from pixels, boxes, masks and colours, and what they may grow through."""
+"""Selecting a region in 3D: seeds from pixels, boxes, masks and colors, and what they may grow through."""
 
 import math
 from collections.abc import Iterable
@@ -18,7 +18,7 @@ from stylerf.kernels.cpu.regions import add_to_cells, ends_inside, weights_insid
 
 LIGHT = 0.5  # of a difference in lightness counts: one thing lies in light and in shadow
 SEEN = 0.05  # summed weight from which a cell is known to be seen
-INHERIT = 2.0  # cells that a colour reaches beyond the cells that are seen, into what is solid
+INHERIT = 2.0  # cells that a color reaches beyond the cells that are seen, into what is solid
 MOST_RAYS = 1 << 16  # of a view that is looked at; cells are wider than a pixel, and many views see each
 SHARE = 0.02  # part of its ray's largest weight that a sample needs to be looked at
 CLAIM_REACH = 2  # cells
@@ -27,13 +27,13 @@ EVERYWHERE = np.ones((3, 3, 3), bool)
 
 @dataclass(frozen=True, eq=False)
 class Look:
-    """A view as a selection looks at it: what its rays end in, and the photo's sRGB colours there [rays, 3].
+    """A view as a selection looks at it: what its rays end in, and the photo's sRGB colors there [rays, 3].
 
     stride: every stride-th pixel of every stride-th row has a ray.
     """
 
     surface: Surface
-    colours: np.ndarray
+    colors: np.ndarray
     stride: int
 
     @staticmethod
@@ -41,8 +41,8 @@ class Look:
         """A view and its photo [h, w, 3], of which at most about MOST_RAYS pixels are looked at."""
         stride = math.ceil(math.sqrt(camera.height * camera.width / MOST_RAYS))
         surface = surface_of(field, camera, SHARE, chunks, stride=stride)
-        colours = np.ascontiguousarray(photo[::stride, ::stride].reshape(-1, 3), np.float32)
-        return Look(surface, colours, stride)
+        colors = np.ascontiguousarray(photo[::stride, ::stride].reshape(-1, 3), np.float32)
+        return Look(surface, colors, stride)
 
     def add(self, values: np.ndarray, cells: int, to: np.ndarray) -> None:
         """Add sum w (values, 1) of rays with values [rays, m] to the cells of their samples, to [cells^3, m + 1]."""
@@ -58,9 +58,9 @@ class Look:
 
 
 class SeenCells:
-    """What views see in the cells of a cube: how much, and in which mean colour.
+    """What views see in the cells of a cube: how much, and in which mean color.
 
-    weight: [s, s, s] summed weights of the samples in a cell. lab: [s, s, s, 3] CIELAB of the photos' mean colour
+    weight: [s, s, s] summed weights of the samples in a cell. lab: [s, s, s, 3] CIELAB of the photos' mean color
     there, its lightness halved; cells that are not seen have that of the nearest seen one up to INHERIT cells away,
     others nan. known: [s, s, s] which have one.
     """
@@ -68,7 +68,7 @@ class SeenCells:
     def __init__(self, looks: Iterable[Look], cells: int) -> None:
         sums = np.zeros((cells**3, 4), np.float32)
         for look in looks:
-            look.add(look.colours, cells, sums)
+            look.add(look.colors, cells, sums)
         shape = (cells,) * 3
         self.weight = sums[:, 3].reshape(shape)
         seen = self.weight > SEEN
@@ -80,37 +80,37 @@ class SeenCells:
         lab[near] = lab[tuple(axis[near] for axis in nearest)]
         self.lab, self.seen, self.known = lab, seen, seen | near
 
-    def like(self, colours: np.ndarray, tolerance: float) -> np.ndarray:
-        """[s, s, s] bool: cells whose colour is within `tolerance` of any of the Lab colours [n, 3]."""
+    def like(self, colors: np.ndarray, tolerance: float) -> np.ndarray:
+        """[s, s, s] bool: cells whose color is within `tolerance` of any of the Lab colors [n, 3]."""
         out = np.zeros(self.known.shape, bool)
-        out[self.known] = self._apart(colours) <= tolerance
+        out[self.known] = self._apart(colors) <= tolerance
         return out
 
     def nearer(self, these: np.ndarray, those: np.ndarray) -> np.ndarray:
-        """[s, s, s] bool: cells whose colour is nearer to one of `these` Lab colours [n, 3] than to any of `those`."""
+        """[s, s, s] bool: cells whose color is nearer to one of `these` Lab colors [n, 3] than to any of `those`."""
         out = np.zeros(self.known.shape, bool)
         out[self.known] = self._apart(these) < self._apart(those)
         return out
 
-    def _apart(self, colours: np.ndarray) -> np.ndarray:
-        """Of known cells, the distance to the nearest of colours [n, 3]; infinite for none."""
+    def _apart(self, colors: np.ndarray) -> np.ndarray:
+        """Of known cells, the distance to the nearest of colors [n, 3]; infinite for none."""
         own = self.lab[self.known]
         squares = np.full(len(own), np.inf, np.float32)
-        for colour in colours.astype(np.float32):
-            off = own - colour
+        for color in colors.astype(np.float32):
+            off = own - color
             squares = np.minimum(squares, np.einsum("ij,ij->i", off, off))
         return np.sqrt(squares)
 
 
 def halved_light(srgb: np.ndarray) -> np.ndarray:
-    """CIELAB (D65) of sRGB colours [n, 3] in 0..1, L times LIGHT: Euclidean distances count light the less."""
+    """CIELAB (D65) of sRGB colors [n, 3] in 0..1, L times LIGHT: Euclidean distances count light the less."""
     lab = rgb2lab(np.clip(srgb, 0, 1).reshape(-1, 1, 3)).reshape(-1, 3)
     lab[:, 0] *= LIGHT
     return lab.astype(np.float32)
 
 
 def modes(lab: np.ndarray, apart: float) -> np.ndarray:
-    """Few Lab colours [m, 3] such that each of [n, 3] is within `apart` of one: taken greedily, in order."""
+    """Few Lab colors [m, 3] such that each of [n, 3] is within `apart` of one: taken greedily, in order."""
     found: list[np.ndarray] = []
     left = lab[np.isfinite(lab).all(1)]
     while len(left) and len(found) < 64:
@@ -129,20 +129,20 @@ def ends_of_rays(field: RadianceField, camera: Camera, pixels: np.ndarray, chunk
 
 
 def inside_box(space: Space, cells: int, low, high) -> np.ndarray:
-    """[cells, cells, cells] bool: cells whose centre lies in a box of scene units."""
-    centres = space.unwarp(centres_of(cells))
-    inside = ((centres >= np.minimum(low, high)) & (centres <= np.maximum(low, high))).all(1)
+    """[cells, cells, cells] bool: cells whose center lies in a box of scene units."""
+    centers = space.unwarp(centers_of(cells))
+    inside = ((centers >= np.minimum(low, high)) & (centers <= np.maximum(low, high))).all(1)
     return inside.reshape((cells,) * 3)
 
 
-def inside_sphere(space: Space, cells: int, centre, radius: float) -> np.ndarray:
-    """[cells, cells, cells] bool: cells whose centre lies in a sphere of scene units."""
-    away = np.linalg.norm(space.unwarp(centres_of(cells)) - np.asarray(centre), axis=1)
+def inside_sphere(space: Space, cells: int, center, radius: float) -> np.ndarray:
+    """[cells, cells, cells] bool: cells whose center lies in a sphere of scene units."""
+    away = np.linalg.norm(space.unwarp(centers_of(cells)) - np.asarray(center), axis=1)
     return (away <= radius).reshape((cells,) * 3)
 
 
-def centres_of(cells: int) -> np.ndarray:
-    """[cells^3, 3]: centres of all cells, in the cube."""
+def centers_of(cells: int) -> np.ndarray:
+    """[cells^3, 3]: centers of all cells, in the cube."""
     return (np.stack(np.unravel_index(np.arange(cells**3), (cells,) * 3), -1) + 0.5) / cells
 
 

@@ -1,1 +1,1 @@
-"""Radiance fields: a density part, a colour part, a space warp, an optional deformation."""
+"""Radiance fields: a density part, a color part, a space warp, an optional deformation."""

@@ -1,4 +1,4 @@
-"""Colour heads: what turns a place's features and a direction into a colour. Its numbers are handed in."""
+"""Color heads: what turns a place's features and a direction into a color. Its numbers are handed in."""
 
 import numpy as np
 
@@ -13,7 +13,7 @@ HIDDEN = 32  # units; a row of them is one vector
 
 
 class Packed:
-    """Samples to be coloured: index[i], of ray ray[i], ascending; their colours go to `out` [n, 3]."""
+    """Samples to be colored: index[i], of ray ray[i], ascending; their colors go to `out` [n, 3]."""
 
     def __init__(self, marks: np.ndarray, bound: float, starts: np.ndarray, ends: np.ndarray, chunks: int) -> None:
         counts, bound = np.empty(len(ends), np.int64), np.float32(bound)
@@ -42,16 +42,16 @@ class LinearHead:
         return 3 * BANDS[self.degree] * self.features + 3
 
     def initial(self, generator: np.random.Generator) -> np.ndarray:
-        """Random, little dependent on the direction, around an even grey."""
+        """Random, little dependent on the direction, around an even gray."""
         head = generator.uniform(-1, 1, (3, BANDS[self.degree], self.features)) / np.sqrt(self.features) / C0
         head[:, 1:] *= 0.1
         return np.append(head.ravel(), np.zeros(3)).astype(np.float32)
 
-    def colours(self, phi, numbers, basis, packed: Packed, chunks: int, out: np.ndarray) -> None:
-        """Colours of packed samples of features phi [m, features], into out [n, 3]."""
+    def colors(self, phi, numbers, basis, packed: Packed, chunks: int, out: np.ndarray) -> None:
+        """Colors of packed samples of features phi [m, features], into out [n, 3]."""
         kernels.linear(phi, self._widths, numbers, basis, packed.index, packed.ray, chunks, out)
 
-    def backward(self, phi, numbers, basis, packed, colours, colour_gradients, at: int, to: np.ndarray) -> np.ndarray:
+    def backward(self, phi, numbers, basis, packed, colors, color_gradients, at: int, to: np.ndarray) -> np.ndarray:
         """dL/d(phi) [m, features]; dL/d(numbers) is added to the chunks' buffers to[:, at:]."""
         out = np.empty_like(phi)
         kernels.linear_backward(
@@ -61,8 +61,8 @@ class LinearHead:
             basis,
             packed.index,
             packed.ray,
-            colours,
-            colour_gradients,
+            colors,
+            color_gradients,
             len(to),
             out,
             at,
@@ -89,14 +89,14 @@ class HarmonicHead:
     def initial(self, generator: np.random.Generator) -> np.ndarray:
         return np.empty(0, np.float32)
 
-    def colours(self, phi, numbers, basis, packed: Packed, chunks: int, out: np.ndarray) -> None:
-        """Colours of packed samples of features phi [m, features], into out [n, 3]."""
+    def colors(self, phi, numbers, basis, packed: Packed, chunks: int, out: np.ndarray) -> None:
+        """Colors of packed samples of features phi [m, features], into out [n, 3]."""
         kernels.harmonic(phi, basis, packed.index, packed.ray, chunks, out)
 
-    def backward(self, phi, numbers, basis, packed, colours, colour_gradients, at: int, to: np.ndarray) -> np.ndarray:
+    def backward(self, phi, numbers, basis, packed, colors, color_gradients, at: int, to: np.ndarray) -> np.ndarray:
         """dL/d(phi) [m, features]."""
         out = np.empty_like(phi)
-        kernels.harmonic_backward(basis, packed.index, packed.ray, colours, colour_gradients, len(to), out)
+        kernels.harmonic_backward(basis, packed.index, packed.ray, colors, color_gradients, len(to), out)
         return out
 
     def describe(self) -> dict:
@@ -126,14 +126,14 @@ class MlpHead:
         parts = [first, seen, np.zeros(HIDDEN), second, np.zeros(3)]
         return np.concatenate([part.ravel() for part in parts]).astype(np.float32)
 
-    def colours(self, phi, numbers, basis, packed: Packed, chunks: int, out: np.ndarray) -> None:
-        """Colours of packed samples of features phi [m, features], into out [n, 3]."""
+    def colors(self, phi, numbers, basis, packed: Packed, chunks: int, out: np.ndarray) -> None:
+        """Colors of packed samples of features phi [m, features], into out [n, 3]."""
         mlp_head.mlp(phi, self._hidden, numbers, basis, packed.index, packed.ray, chunks, out)
 
-    def backward(self, phi, numbers, basis, packed, colours, colour_gradients, at: int, to: np.ndarray) -> np.ndarray:
+    def backward(self, phi, numbers, basis, packed, colors, color_gradients, at: int, to: np.ndarray) -> np.ndarray:
         """dL/d(phi) [m, features]; dL/d(numbers) is added to the chunks' buffers to[:, at:]."""
         out, where = np.empty_like(phi), (basis, packed.index, packed.ray)
-        mlp_head.mlp_backward(phi, self._hidden, numbers, *where, colours, colour_gradients, len(to), out, at, to)
+        mlp_head.mlp_backward(phi, self._hidden, numbers, *where, colors, color_gradients, len(to), out, at, to)
         return out
 
     def describe(self) -> dict:
@@ -144,7 +144,7 @@ HEADS = {head.kind: head for head in (LinearHead, HarmonicHead, MlpHead)}
 
 
 def hidden_from_view(starts: np.ndarray, ends: np.ndarray, rows: int, chunks: int) -> np.ndarray:
-    """[rows, 3] for colours, none of the samples having one yet."""
+    """[rows, 3] for colors, none of the samples having one yet."""
     out = room((rows, 3))
     hide(starts, ends, chunks, out)
     return out

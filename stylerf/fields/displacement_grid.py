@@ -1,4 +1,4 @@
-"""A field's displacement grid: gradients, from those of its densities and colours, and where it matters."""
+"""A field's displacement grid: gradients, from those of its densities and colors, and where it matters."""
 
 import numpy as np
 from scipy.ndimage import binary_dilation, distance_transform_edt
@@ -12,17 +12,17 @@ from stylerf.kernels.cpu.deformation import displaced_cells, displacement_backwa
 
 
 def position_gradients(
-    density, colour, samples: Samples, basis, sigma_gradients, colours, colour_gradients, chunks: int
+    density, color, samples: Samples, basis, sigma_gradients, colors, color_gradients, chunks: int
 ) -> np.ndarray:
-    """dL/dx' [n, 3] of displaced positions; density or colour may be None, to take its part as fixed in space.
+    """dL/dx' [n, 3] of displaced positions; density or color may be None, to take its part as fixed in space.
 
     Only what lies in samples.starts:ends is set.
     """
     out = np.zeros(samples.x.shape, np.float32)  # zeros_like would touch the room between chunks
     if density is not None:
         density.add_position_gradients(samples, sigma_gradients, out, chunks)
-    if colour is not None:
-        colour.add_position_gradients(samples, basis, colours, colour_gradients, out, chunks)
+    if color is not None:
+        color.add_position_gradients(samples, basis, colors, color_gradients, out, chunks)
     return out
 
 

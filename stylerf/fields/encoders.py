@@ -1,4 +1,4 @@
-"""Encoders: what a colour head reads of a place. Each is pure: its table is handed in."""
+"""Encoders: what a color head reads of a place. Each is pure: its table is handed in."""
 
 import numpy as np
 
@@ -24,7 +24,7 @@ class HashFeatures:
 
     @classmethod
     def of(cls, capacity: Capacity, degree: int) -> "HashFeatures":
-        """degree: of the colour's harmonics; more of it takes no more features."""
+        """degree: of the color's harmonics; more of it takes no more features."""
         return cls(levels_of(capacity, ROW))
 
     @property
@@ -84,8 +84,8 @@ class VmFeatures:
 
     @classmethod
     def of(cls, capacity: Capacity, degree: int) -> "VmFeatures":
-        """degree: of the colour's harmonics; more of it takes no more features."""
-        return cls(capacity.size, capacity.colour_rank)
+        """degree: of the color's harmonics; more of it takes no more features."""
+        return cls(capacity.size, capacity.color_rank)
 
     @property
     def width(self) -> int:
@@ -119,7 +119,7 @@ class VmFeatures:
         vm_features.features_position_gradient(table, self.size, self._ranks, x, index, gradients, chunks, out)
 
     def smooth(self, table: np.ndarray, strength: float, to: np.ndarray) -> None:
-        """As VmColour.smooth."""
+        """As VmColor.smooth."""
         vm.smoothness_backward(table, self.size, self._ranks, np.float32(strength / self.length), to)
 
     def describe(self) -> dict:

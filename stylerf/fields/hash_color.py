@@ -1,4 +1,4 @@
-"""A colour with local detail that does not depend on the view: a multi-resolution hash grid (Mueller et al. 2022)."""
+"""A color with local detail that does not depend on the view: a multi-resolution hash grid (Mueller et al. 2022)."""
 
 import numpy as np
 
@@ -29,8 +29,8 @@ def level_layout(levels: int, base: int, finest: int, table: int) -> tuple[np.nd
     return layout, at
 
 
-class HashColour:
-    """Colour sigmoid(f[0:3] + f[3]), f the sum of all levels' trilinear mixes. values: the levels' tables, one by one.
+class HashColor:
+    """Color sigmoid(f[0:3] + f[3]), f the sum of all levels' trilinear mixes. values: the levels' tables, one by one.
 
     levels of `base` to `finest` cells a side; table: most vertices a level keeps, a power of two.
     """
@@ -41,21 +41,21 @@ class HashColour:
     def __init__(self, levels: int, base: int, finest: int, table: int, values: np.ndarray) -> None:
         if not 1 <= levels <= 32 or not 1 <= base <= finest <= 4096 or table < 8 or table & (table - 1):
             raise InvalidValue(
-                f"hash colour: {levels} levels (1..32) of {base}..{finest} cells (1..4096), tables of {table} vertices "
+                f"hash color: {levels} levels (1..32) of {base}..{finest} cells (1..4096), tables of {table} vertices "
                 "(a power of two)"
             )
         self.levels, self.base, self.finest, self.table = int(levels), int(base), int(finest), int(table)
         self.layout, expected = level_layout(self.levels, self.base, self.finest, self.table)
         if expected >= 2**31 or len(values) != expected:
-            raise InvalidValue(f"hash colour: {len(values)} values where {expected} were expected")
+            raise InvalidValue(f"hash color: {len(values)} values where {expected} were expected")
         self.values = values
         self._levels = (np.int8(0),) * self.levels
 
     @classmethod
     def create(
         cls, generator: np.random.Generator, levels: int = 8, base: int = 16, finest: int = 512, table: int = 1 << 17
-    ) -> "HashColour":
-        """An even grey, but for a hundredth of noise."""
+    ) -> "HashColor":
+        """An even gray, but for a hundredth of noise."""
         count = level_layout(levels, base, finest, table)[1]
         values = generator.uniform(-1e-2, 1e-2, count).astype(np.float32)
         return cls(levels, base, finest, table, values)
@@ -64,32 +64,32 @@ class HashColour:
         """(begin, end, learning-rate factor) of parts of `values`."""
         return [(0, len(self.values), 1.0)]
 
-    def colours(self, x, basis, starts, ends, weights, least, chunks) -> np.ndarray:
-        """[n, 3] colours in 0..1 of samples with weight > least; others have -1 in the first channel.
+    def colors(self, x, basis, starts, ends, weights, least, chunks) -> np.ndarray:
+        """[n, 3] colors in 0..1 of samples with weight > least; others have -1 in the first channel.
 
-        basis: not used, the colour is the same from everywhere.
+        basis: not used, the color is the same from everywhere.
         """
         out = room((len(x), 3))
-        kernels.colour(self.values, self.layout, self._levels, x, starts, ends, weights, np.float32(least), chunks, out)
+        kernels.color(self.values, self.layout, self._levels, x, starts, ends, weights, np.float32(least), chunks, out)
         return out
 
-    def backward(self, x, basis, starts, ends, colours, colour_gradients, to: np.ndarray) -> None:
+    def backward(self, x, basis, starts, ends, colors, color_gradients, to: np.ndarray) -> None:
         """Add dL/d(values) to the chunks' buffers `to` [chunks, len(values)]."""
-        kernels.colour_backward(self.layout, self._levels, x, starts, ends, colours, colour_gradients, len(to), to)
+        kernels.color_backward(self.layout, self._levels, x, starts, ends, colors, color_gradients, len(to), to)
 
     def add_position_gradients(
-        self, samples: Samples, basis, colours: np.ndarray, colour_gradients: np.ndarray, out, chunks: int
+        self, samples: Samples, basis, colors: np.ndarray, color_gradients: np.ndarray, out, chunks: int
     ) -> None:
         """Add dL/dx to out [n, 3], x the samples' positions in the cube."""
-        kernels.colour_position_gradient(
+        kernels.color_position_gradient(
             self.values,
             self.layout,
             self._levels,
             samples.x,
             samples.starts,
             samples.ends,
-            colours,
-            colour_gradients,
+            colors,
+            color_gradients,
             chunks,
             out,
         )
@@ -97,8 +97,8 @@ class HashColour:
     def smooth(self, strength: float, to: np.ndarray) -> None:
         """Add the gradient of strength/2 times the mean squared value to buffer `to` [len(values)].
 
-        Neighbouring vertices of a hashed level may share their entry with any other place, so differences between
-        neighbours mean little; drawing the values to zero leaves the colour to as few levels as will do.
+        Neighboring vertices of a hashed level may share their entry with any other place, so differences between
+        neighbors mean little; drawing the values to zero leaves the color to as few levels as will do.
         """
         to += np.float32(strength / len(self.values)) * self.values
 
@@ -112,5 +112,5 @@ class HashColour:
         }
 
     @classmethod
-    def restore(cls, data: dict, values: np.ndarray) -> "HashColour":
+    def restore(cls, data: dict, values: np.ndarray) -> "HashColor":
         return cls(*grid_of(data), values)

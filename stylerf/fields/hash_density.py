@@ -23,8 +23,8 @@ def levels_of(capacity: Capacity, width: int) -> Levels:
 def add_smoothness(levels: Levels, table: np.ndarray, strength: float, to: np.ndarray) -> None:
     """Add the gradient of a hash grid's total variation to buffer `to` [len(table) or more].
 
-    Levels whose vertices have entries of their own: strength/2 times the mean squared difference of neighbours. Of a
-    hashed level neighbours may be places far apart; there the values are drawn to zero, which leaves what is seen to
+    Levels whose vertices have entries of their own: strength/2 times the mean squared difference of neighbors. Of a
+    hashed level neighbors may be places far apart; there the values are drawn to zero, which leaves what is seen to
     the coarser, smooth levels. Means are over all floats of the grid.
     """
     strength = np.float32(strength / levels.length)

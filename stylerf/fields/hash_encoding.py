@@ -86,7 +86,7 @@ class HashEncoding:
 
 
 class _Encode(torch.autograd.Function):
-    """The table's gradient goes to buffers of its own, where the sparse optimiser wants it: as a tensor it would be
+    """The table's gradient goes to buffers of its own, where the sparse optimizer wants it: as a tensor it would be
     summed, copied and cleared whole in every step, though a batch touches a hundredth of it.
     """
 

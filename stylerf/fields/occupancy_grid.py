@@ -100,9 +100,9 @@ class Occupancy:
 
 
 def _check_distances(distances: np.ndarray) -> None:
-    """InvalidValue where a cell [s, s, s] says that it is farther from what is occupied than its neighbours allow.
+    """InvalidValue where a cell [s, s, s] says that it is farther from what is occupied than its neighbors allow.
 
-    Chebyshev distances of neighbours, diagonal ones too, differ by 1 at most. One that is too large would have rays
+    Chebyshev distances of neighbors, diagonal ones too, differ by 1 at most. One that is too large would have rays
     leap over what is occupied; one that is too small (those of a GPU end at 32) costs steps, no more.
     """
     least = distances

@@ -1,7 +1,7 @@
-"""What a view sees of a fixed density: the few samples that carry each pixel, packed, so that colours alone can learn.
+"""What a view sees of a fixed density: the few samples that carry each pixel, packed, so that colors alone can learn.
 
-While the density does not move, where rays end does not either: a stylisation that visits a view thirty times need
-march it once. Positions are kept in 16 bits an axis (1/128 of the finest cell of a 512^3 colour grid).
+While the density does not move, where rays end does not either: a stylization that visits a view thirty times need
+march it once. Positions are kept in 16 bits an axis (1/128 of the finest cell of a 512^3 color grid).
 """
 
 from collections.abc import Iterable
@@ -45,8 +45,8 @@ class Surface:
 def cells_of(surface: Surface) -> float:
     """Cells a side of a grid over the cube whose cells are as wide as what one pixel of the view sees, nan if nothing.
 
-    Per pixel, the nearer of its right and its lower neighbour's point on the surface (so that slanted surfaces count by
-    their finer side); the median over pixels that are all but opaque. Points are means weighted as the colours are.
+    Per pixel, the nearer of its right and its lower neighbor's point on the surface (so that slanted surfaces count by
+    their finer side); the median over pixels that are all but opaque. Points are means weighted as the colors are.
     """
     height, width = surface.alpha.shape
     starts, ends, x, weights = surface.samples(np.arange(height * width))

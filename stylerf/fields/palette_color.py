@@ -1,4 +1,4 @@
-"""A colour as a palette of the whole scene, mixed at every place (PaletteNeRF): its palette can be changed at once."""
+"""A color as a palette of the whole scene, mixed at every place (PaletteNeRF): its palette can be changed at once."""
 
 from collections.abc import Sequence
 
@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from stylerf import validation
-from stylerf.editing.recoloring import Recolouring, recoloured
+from stylerf.editing.recoloring import Recoloring, recolored
 from stylerf.errors import InvalidValue
 from stylerf.fields.color_heads import Packed, hidden_from_view
 from stylerf.fields.encoders import HashFeatures
@@ -20,8 +20,8 @@ POINTS_AT_ONCE = 1 << 16
 MOST_BASES = 16
 
 
-class PaletteColour:
-    """Colour clamp(sum_i w_i I (P_i + delta_i) + s, 0, 1) of fields/palette_head.py, after `edits`.
+class PaletteColor:
+    """Color clamp(sum_i w_i I (P_i + delta_i) + s, 0, 1) of fields/palette_head.py, after `edits`.
 
     values: the features' table, the palette [bases, 3], the head's numbers. edits: in their order; they are part of
     what describe() tells, and teach nothing.
@@ -31,14 +31,14 @@ class PaletteColour:
     degree = DEGREE
 
     def __init__(
-        self, features: HashFeatures, bases: int, values: np.ndarray, edits: Sequence[Recolouring] = ()
+        self, features: HashFeatures, bases: int, values: np.ndarray, edits: Sequence[Recoloring] = ()
     ) -> None:
         if not 1 <= bases <= MOST_BASES:
-            raise InvalidValue(f"palette colour: 1 to {MOST_BASES} bases were expected, not {bases}")
+            raise InvalidValue(f"palette color: 1 to {MOST_BASES} bases were expected, not {bases}")
         self.features, self.head = features, PaletteHead(features.width, bases)
         expected = features.length + 3 * bases + self.head.length
         if values.shape != (expected,) or values.dtype != np.float32:
-            raise InvalidValue(f"palette colour: {values.shape} values where {expected} float32 ones were expected")
+            raise InvalidValue(f"palette color: {values.shape} values where {expected} float32 ones were expected")
         self.bases, self.values, self.edits = bases, values, tuple(edits)
         for edit in self.edits:
             edit.changes.check(bases)
@@ -46,16 +46,16 @@ class PaletteColour:
     @classmethod
     def create(
         cls, generator: np.random.Generator, palette: np.ndarray, levels: int, finest: int, table: int, base: int = 16
-    ) -> "PaletteColour":
+    ) -> "PaletteColor":
         """palette [bases, 3] sRGB: where it begins. table: most vertices a level keeps, a power of two."""
         features = HashFeatures(Levels(levels, min(base, finest), finest, table, ROW, levels))
         head = PaletteHead(features.width, len(palette))
         parts = [features.initial(generator), np.asarray(palette, np.float32).ravel(), head.initial(generator)]
         return cls(features, len(palette), np.concatenate(parts))
 
-    def edited(self, edit: Recolouring) -> "PaletteColour":
-        """The same colour with one edit more; `values` are shared."""
-        return PaletteColour(self.features, self.bases, self.values, (*self.edits, edit))
+    def edited(self, edit: Recoloring) -> "PaletteColor":
+        """The same color with one edit more; `values` are shared."""
+        return PaletteColor(self.features, self.bases, self.values, (*self.edits, edit))
 
     # -- its values -------------------------------------------------------------------------------------------------
 
@@ -75,12 +75,12 @@ class PaletteColour:
 
     @property
     def palette(self) -> np.ndarray:
-        """[bases, 3] as learnt, sRGB; not bound to 0..1."""
+        """[bases, 3] as learned, sRGB; not bound to 0..1."""
         return self.rest[: 3 * self.bases].reshape(-1, 3)
 
     @property
     def present_palette(self) -> np.ndarray:
-        """[bases, 3] with the colours that edits gave, wherever they apply."""
+        """[bases, 3] with the colors that edits gave, wherever they apply."""
         palette = self.palette
         for edit in self.edits:
             palette = edit.changes.palette(palette)
@@ -91,7 +91,7 @@ class PaletteColour:
         begin, end = self.features.length, self.features.length + 3 * self.bases
         return [(0, begin, 3.0), (begin, end, 0.1), (end, len(self.values), 0.5)]
 
-    # -- colours ----------------------------------------------------------------------------------------------------
+    # -- colors ----------------------------------------------------------------------------------------------------
 
     def parts(self, rest: Tensor, phi: Tensor, basis: Tensor, apart: bool = False) -> tuple[Parts, Tensor]:
         """(Parts, palette [bases, 3]) from palette and head as one tensor; see PaletteHead.parts."""
@@ -104,11 +104,11 @@ class PaletteColour:
         if not self.edits:
             return (parts.mixed(palette) + parts.specular).clamp(0, 1)
         given = parts.weights, parts.offsets, parts.intensity, parts.specular
-        return recoloured(*given, palette, self.edits, x).clamp(0, 1)
+        return recolored(*given, palette, self.edits, x).clamp(0, 1)
 
     @torch.no_grad()
-    def colours(self, x, basis, starts, ends, weights, least, chunks) -> np.ndarray:
-        """[n, 3] colours in 0..1 of samples with weight > least; others have -1 in the first channel."""
+    def colors(self, x, basis, starts, ends, weights, least, chunks) -> np.ndarray:
+        """[n, 3] colors in 0..1 of samples with weight > least; others have -1 in the first channel."""
         out, rest = hidden_from_view(starts, ends, len(x), chunks), torch.from_numpy(self.rest)
         packed = Packed(weights.reshape(-1, 1), least, starts, ends, chunks)
         for at in range(0, len(packed.index), POINTS_AT_ONCE):
@@ -117,23 +117,23 @@ class PaletteColour:
             out[index] = self._shown(rest, phi, torch.from_numpy(basis[rays]), x[index]).numpy()
         return out
 
-    def backward(self, x, basis, starts, ends, colours, colour_gradients, to: np.ndarray) -> None:
+    def backward(self, x, basis, starts, ends, colors, color_gradients, to: np.ndarray) -> None:
         """Add dL/d(values) to the chunks' buffers `to` [chunks, len(values)]."""
-        packed, gradients, own = self._feature_gradients(x, basis, starts, ends, colours, colour_gradients, len(to))
+        packed, gradients, own = self._feature_gradients(x, basis, starts, ends, colors, color_gradients, len(to))
         self.features.backward(self.table, x, packed.index, gradients, to)
         to[0, self.features.length :] += own
 
     def add_position_gradients(
-        self, samples: Samples, basis, colours: np.ndarray, colour_gradients: np.ndarray, out, chunks: int
+        self, samples: Samples, basis, colors: np.ndarray, color_gradients: np.ndarray, out, chunks: int
     ) -> None:
         """Add dL/dx to out [n, 3], x the samples' positions in the cube; the slope of edits' filters is left out."""
         where = samples.x, basis, samples.starts, samples.ends
-        packed, gradients, _ = self._feature_gradients(*where, colours, colour_gradients, chunks)
+        packed, gradients, _ = self._feature_gradients(*where, colors, color_gradients, chunks)
         self.features.add_position_gradients(self.table, samples.x, packed.index, gradients, out, chunks)
 
-    def _feature_gradients(self, x, basis, starts, ends, colours, colour_gradients, chunks):
+    def _feature_gradients(self, x, basis, starts, ends, colors, color_gradients, chunks):
         """(packed samples, dL/d(phi) of theirs, dL/d(palette and head))."""
-        packed = Packed(colours, -0.5, starts, ends, chunks)
+        packed = Packed(colors, -0.5, starts, ends, chunks)
         gradients = np.empty((len(packed.index), self.features.width), np.float32)
         own = np.zeros(len(self.rest), np.float32)
         for at in range(0, len(packed.index), POINTS_AT_ONCE):
@@ -142,7 +142,7 @@ class PaletteColour:
             rest = torch.from_numpy(self.rest.copy()).requires_grad_()
             phi = torch.from_numpy(self.features.encode(self.table, x, index, chunks)).requires_grad_()
             shown = self._shown(rest, phi, torch.from_numpy(basis[rays]), x[index])
-            shown.backward(torch.from_numpy(colour_gradients[index]))
+            shown.backward(torch.from_numpy(color_gradients[index]))
             gradients[part] = phi.grad.numpy()
             own += rest.grad.numpy()
         return packed, gradients, own
@@ -158,7 +158,7 @@ class PaletteColour:
         return {"kind": self.kind, "features": self.features.describe(), "bases": self.bases, "edits": edits}
 
     @classmethod
-    def restore(cls, data: dict, values: np.ndarray) -> "PaletteColour":
-        edits = [Recolouring.restore(edit) for edit in validation.entry(data, "edits", list)]
+    def restore(cls, data: dict, values: np.ndarray) -> "PaletteColor":
+        edits = [Recoloring.restore(edit) for edit in validation.entry(data, "edits", list)]
         features = HashFeatures.restore(validation.entry(data, "features"))
         return cls(features, validation.integer(data, "bases", 1, MOST_BASES), values, edits)

@@ -1,4 +1,4 @@
-"""What a palette decomposition reads of a place: mixing weights, offsets, intensity, and a colour of its own.
+"""What a palette decomposition reads of a place: mixing weights, offsets, intensity, and a color of its own.
 
 PaletteNeRF (Kuang et al. 2023, section 4). With phi the features of a place and Y the harmonics of a direction:
 
@@ -7,7 +7,7 @@ PaletteNeRF (Kuang et al. 2023, section 4). With phi the features of a place and
     palette   h = F2 relu(F1 (phi, f)),  15 numbers;  O h = z [M], delta [M, 3], I
               w_i = (softplus(z_i) + 0.05) / sum
 
-    direct colour f + s,  palette colour sum_i w_i softplus(I) (P_i + delta_i) + s
+    direct color f + s,  palette color sum_i w_i softplus(I) (P_i + delta_i) + s
 """
 
 import math
@@ -72,7 +72,7 @@ class PaletteHead:
     def parts(self, numbers: Tensor, phi: Tensor, basis: Tensor, apart: bool = False) -> Parts:
         """Of places with features phi [n, features], seen from directions with harmonics [n, 9].
 
-        apart: the palette's branch does not teach the diffuse colour that it reads.
+        apart: the palette's branch does not teach the diffuse color that it reads.
         """
         sizes = [size for inside, outside in self.layers for size in (inside * outside, outside)]
         # clone: a slice may begin at any address, and a product's last bit may depend on that.

@@ -1,7 +1,7 @@
-"""What every kind of density and colour offers, so that a field may be made of any two and every stage works with it.
+"""What every kind of density and color offers, so that a field may be made of any two and every stage works with it.
 
 All that a part can learn is one flat float32 array `values`: gradients are buffers [chunks, len(values)], one for each
-of the chunks that a kernel works in parallel, summed in order by the optimiser. Positions x are [n, 3] float32 in the
+of the chunks that a kernel works in parallel, summed in order by the optimizer. Positions x are [n, 3] float32 in the
 unit cube, as the field is asked (displaced). Samples of ray r are starts[r]:ends[r]; what lies between belongs to no
 ray and is neither read nor written. Every result is the same to the bit for the same number of chunks.
 
@@ -18,7 +18,7 @@ from stylerf.fields.ray_samples import Rays, Samples
 
 
 class Part(Protocol):
-    """Common to density and colour."""
+    """Common to density and color."""
 
     kind: str
     values: np.ndarray
@@ -74,21 +74,21 @@ class DensityPart(Part, Protocol):
 
 
 @runtime_checkable
-class ColourPart(Part, Protocol):
-    """Colours 0..1, sRGB-encoded, seen from a direction."""
+class ColorPart(Part, Protocol):
+    """Colors 0..1, sRGB-encoded, seen from a direction."""
 
-    degree: int  # of the spherical harmonics that it is handed; 0 where the colour is the same from everywhere
+    degree: int  # of the spherical harmonics that it is handed; 0 where the color is the same from everywhere
 
-    def colours(self, x, basis, starts, ends, weights, least: float, chunks: int) -> np.ndarray:
-        """[n, 3] colours of samples with weight > least; others have -1 in the first channel.
+    def colors(self, x, basis, starts, ends, weights, least: float, chunks: int) -> np.ndarray:
+        """[n, 3] colors of samples with weight > least; others have -1 in the first channel.
 
         basis [rays, bands]: spherical harmonics of the rays' directions (None: for parts that do not ask).
         """
 
-    def backward(self, x, basis, starts, ends, colours, colour_gradients, to: np.ndarray) -> None:
-        """Add dL/d(values) to the chunks' buffers `to`; colours as colours() gave them, colour_gradients [n, 3]."""
+    def backward(self, x, basis, starts, ends, colors, color_gradients, to: np.ndarray) -> None:
+        """Add dL/d(values) to the chunks' buffers `to`; colors as colors() gave them, color_gradients [n, 3]."""
 
     def add_position_gradients(
-        self, samples: Samples, basis, colours: np.ndarray, colour_gradients: np.ndarray, out: np.ndarray, chunks: int
+        self, samples: Samples, basis, colors: np.ndarray, color_gradients: np.ndarray, out: np.ndarray, chunks: int
     ) -> None:
         """Add dL/dx to out [n, 3]."""

@@ -1,4 +1,4 @@
-"""A radiance field: a density part and a colour part over a warped space, with the occupancy that guides rays."""
+"""A radiance field: a density part and a color part over a warped space, with the occupancy that guides rays."""
 
 from dataclasses import dataclass
 
@@ -7,21 +7,21 @@ import torch
 
 from stylerf import validation
 from stylerf.errors import InvalidValue
-from stylerf.fields.encoded_color import HeadedColour
-from stylerf.fields.hash_color import HashColour
+from stylerf.fields.encoded_color import HeadedColor
+from stylerf.fields.hash_color import HashColor
 from stylerf.fields.hash_density import HashDensity
 from stylerf.fields.occupancy_grid import MOST_CELLS, Occupancy
-from stylerf.fields.palette_color import PaletteColour
-from stylerf.fields.protocol import ColourPart, DensityPart
+from stylerf.fields.palette_color import PaletteColor
+from stylerf.fields.protocol import ColorPart, DensityPart
 from stylerf.fields.ray_samples import Rays, Samples
-from stylerf.fields.region_color import PatchColour
-from stylerf.fields.vm import VmColour, VmDensity
+from stylerf.fields.region_color import PatchColor
+from stylerf.fields.vm import VmColor, VmDensity
 from stylerf.fields.voxel import VoxelDensity
 from stylerf.geometry.space_warp import Space
-from stylerf.style.color_matching import ColourMap
+from stylerf.style.color_matching import ColorMap
 
 DENSITY_KINDS = {"vm": VmDensity, "hash": HashDensity, "voxel": VoxelDensity}
-COLOUR_KINDS = {"vm": VmColour, "hash": HashColour, "headed": HeadedColour, "palette": PaletteColour}
+COLOR_KINDS = {"vm": VmColor, "hash": HashColor, "headed": HeadedColor, "palette": PaletteColor}
 LEAST_STEP = 1e-5  # cube units: a ray takes no more than 10^5 steps
 MOST_PATCHES = 100  # over one another
 _NO_DISPLACEMENT = np.empty(0, np.float32)
@@ -29,21 +29,21 @@ _NO_DISPLACEMENT = np.empty(0, np.float32)
 
 @dataclass
 class RadianceField:
-    """density and colour may be of different kinds. step: marching step in cube units.
+    """density and color may be of different kinds. step: marching step in cube units.
 
-    displacement: [m, m, m, 3] float32 on vertices, cube units, added to every position before density and colour are
-    asked (DeSRF's deformation, as a grid), or None. colour_map: affine map of the rendered colours (exact colour
-    matching after a stylisation), or None. share: part of its ray's largest weight that a sample must have to be
-    coloured; what lies below takes the ray's mean.
+    displacement: [m, m, m, 3] float32 on vertices, cube units, added to every position before density and color are
+    asked (DeSRF's deformation, as a grid), or None. color_map: affine map of the rendered colors (exact color
+    matching after a stylization), or None. share: part of its ray's largest weight that a sample must have to be
+    colored; what lies below takes the ray's mean.
     """
 
     space: Space
     density: DensityPart
-    colour: ColourPart
+    color: ColorPart
     occupancy: Occupancy
     step: float
     displacement: np.ndarray | None = None
-    colour_map: ColourMap | None = None
+    color_map: ColorMap | None = None
     share: float = 1e-2
 
     @property
@@ -64,22 +64,22 @@ class RadianceField:
     @property
     def parameters(self) -> int:
         """Learnable numbers."""
-        return len(self.density.values) + sum(len(part.values) for part in layers_of(self.colour))
+        return len(self.density.values) + sum(len(part.values) for part in layers_of(self.color))
 
     def describe(self) -> dict:
         """JSON form of everything that is not an array."""
         return {
             "space": self.space.describe(),
             "density": self.density.describe(),
-            "colour": _described(self.colour),
+            "color": _described(self.color),
             "step": self.step,
             "cells": self.occupancy.cells,
             "share": self.share,
-            "colour_map": None
-            if self.colour_map is None
+            "color_map": None
+            if self.color_map is None
             else {
-                "matrix": self.colour_map.matrix.tolist(),
-                "offset": self.colour_map.offset.tolist(),
+                "matrix": self.color_map.matrix.tolist(),
+                "offset": self.color_map.offset.tolist(),
             },
         }
 
@@ -87,7 +87,7 @@ class RadianceField:
         """Named arrays that restore() takes."""
         arrays = {
             "density": self.density.values,
-            **_colour_arrays(self.colour, "colour"),
+            **_color_arrays(self.color, "color"),
             "occupancy.highest": self.occupancy.highest,
             "occupancy.distances": self.occupancy.distances,
         }
@@ -101,52 +101,52 @@ class RadianceField:
         return RadianceField(
             Space.restore(validation.entry(data, "space")),
             kind.restore(density, _values(arrays, "density")),
-            _colour(validation.entry(data, "colour"), arrays, "colour"),
+            _color(validation.entry(data, "color"), arrays, "color"),
             Occupancy.restore(validation.integer(data, "cells", 1, MOST_CELLS), arrays),
             validation.number(data, "step", LEAST_STEP, 1.0),
             _displacement(arrays),
-            _colour_map(data.get("colour_map")),
+            _color_map(data.get("color_map")),
             validation.number({"share": 1e-3} | data, "share", 0.0, 1.0),
         )
 
 
-def layers_of(colour) -> list:
-    """A colour part and what lies under it, where it is a patch over another."""
-    return [colour, *layers_of(colour.base)] if isinstance(colour, PatchColour) else [colour]
+def layers_of(color) -> list:
+    """A color part and what lies under it, where it is a patch over another."""
+    return [color, *layers_of(color.base)] if isinstance(color, PatchColor) else [color]
 
 
-def _described(colour) -> dict:
-    if not isinstance(colour, PatchColour):
-        return colour.describe()
+def _described(color) -> dict:
+    if not isinstance(color, PatchColor):
+        return color.describe()
     return {
-        "kind": colour.kind,
-        "cells": colour.cells,
-        "own": colour.own.describe(),
-        "base": _described(colour.base),
+        "kind": color.kind,
+        "cells": color.cells,
+        "own": color.own.describe(),
+        "base": _described(color.base),
     }
 
 
-def _colour_arrays(colour, name: str) -> dict[str, np.ndarray]:
-    arrays = {name: colour.values}
-    if isinstance(colour, PatchColour):
-        arrays |= {f"{name}.marked": np.packbits(colour.marked.reshape(-1))}
-        arrays |= _colour_arrays(colour.base, f"{name}.base")
+def _color_arrays(color, name: str) -> dict[str, np.ndarray]:
+    arrays = {name: color.values}
+    if isinstance(color, PatchColor):
+        arrays |= {f"{name}.marked": np.packbits(color.marked.reshape(-1))}
+        arrays |= _color_arrays(color.base, f"{name}.base")
     return arrays
 
 
 def _values(arrays: dict[str, np.ndarray], name: str) -> np.ndarray:
-    """What a part has learnt; how long it must be the part knows."""
-    return validation.array(arrays, name, np.float32, (None,), validation.LEARNT)
+    """What a part has learned; how long it must be the part knows."""
+    return validation.array(arrays, name, np.float32, (None,), validation.LEARNED)
 
 
-def _colour(data: dict, arrays: dict[str, np.ndarray], name: str, patches: int = MOST_PATCHES):
-    """What _described and _colour_arrays tell. patches: how many may lie over one another here."""
-    kind = validation.one_of(data, "kind", [*COLOUR_KINDS, *([PatchColour.kind] if patches else [])])
-    if kind != PatchColour.kind:
-        return COLOUR_KINDS[kind].restore(data, _values(arrays, name))
+def _color(data: dict, arrays: dict[str, np.ndarray], name: str, patches: int = MOST_PATCHES):
+    """What _described and _color_arrays tell. patches: how many may lie over one another here."""
+    kind = validation.one_of(data, "kind", [*COLOR_KINDS, *([PatchColor.kind] if patches else [])])
+    if kind != PatchColor.kind:
+        return COLOR_KINDS[kind].restore(data, _values(arrays, name))
     marked = validation.bits(arrays, f"{name}.marked", validation.integer(data, "cells", 1, MOST_CELLS))
-    own = HashColour.restore(validation.entry(data, "own"), _values(arrays, name))
-    return PatchColour(_colour(validation.entry(data, "base"), arrays, f"{name}.base", patches - 1), own, marked)
+    own = HashColor.restore(validation.entry(data, "own"), _values(arrays, name))
+    return PatchColor(_color(validation.entry(data, "base"), arrays, f"{name}.base", patches - 1), own, marked)
 
 
 def _displacement(arrays: dict[str, np.ndarray]) -> np.ndarray | None:
@@ -158,7 +158,7 @@ def _displacement(arrays: dict[str, np.ndarray]) -> np.ndarray | None:
     return validation.array(arrays, "displacement", np.float32, (side, side, side, 3), most=1.0)  # the whole cube
 
 
-def _colour_map(data: dict | None) -> ColourMap | None:
+def _color_map(data: dict | None) -> ColorMap | None:
     if data is None:
         return None
-    return ColourMap(torch.tensor(validation.rows(data, "matrix", 3, 3)), torch.tensor(validation.numbers(data, "offset", 3)))
+    return ColorMap(torch.tensor(validation.rows(data, "matrix", 3, 3)), torch.tensor(validation.numbers(data, "offset", 3)))

@@ -1,4 +1,4 @@
-"""Fewer ranks for what a vector-matrix field already holds: as near to it as so few can be; the rest is learnt anew.
+"""Fewer ranks for what a vector-matrix field already holds: as near to it as so few can be; the rest is learned anew.
 
 Only what lies where the occupancy grid sees density counts: elsewhere the factors are whatever the first noise was.
 """
@@ -55,7 +55,7 @@ def best_ranks(plane: np.ndarray, line: np.ndarray, weights: tuple, rank: int) -
 def best_seen_ranks(
     plane: np.ndarray, line: np.ndarray, weights: tuple, head: np.ndarray, rank: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """`rank` products that look nearest to all of them through a linear colour head, in weighted squares.
+    """`rank` products that look nearest to all of them through a linear color head, in weighted squares.
 
     plane [n, old], line [k, old], head [outputs, old]; weights ([n], [k]). Returns the three with `rank` columns, each
     about as large as before. The sum of plane x line x head is a tensor of `old` terms; the nearest of fewer is sought
@@ -88,7 +88,7 @@ def _orthogonal(factor: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np
 def _shared_out(factors: list[np.ndarray], like: Sequence[np.ndarray]) -> list[np.ndarray]:
     """The same products, the columns' lengths in the proportions that those of `like` have on the whole.
 
-    An optimiser whose steps are of one size moves what is small too fast and what is large too slowly.
+    An optimizer whose steps are of one size moves what is small too fast and what is large too slowly.
     """
     lengths = [np.linalg.norm(factor, axis=0) + 1e-30 for factor in factors]
     usual = [np.sqrt(np.square(core).sum(0).mean()) + 1e-30 for core in like]

@@ -1,7 +1,7 @@
-"""Vector-matrix density and colour (TensoRF, Chen et al. 2022), on the CPU kernels.
+"""Vector-matrix density and color (TensoRF, Chen et al. 2022), on the CPU kernels.
 
 Every part keeps all it can learn in one flat float32 array `values` (tables first, then what is beside them), so that
-gradients are flat buffers [chunks, len(values)] of the same layout and one optimiser serves every kind of part.
+gradients are flat buffers [chunks, len(values)] of the same layout and one optimizer serves every kind of part.
 """
 
 import numpy as np
@@ -17,7 +17,7 @@ from stylerf.fields.scratch_arena import room
 from stylerf.fields.vm_tables import grid_of, initial_table, resized_table, split_table, table_length, widened_table
 from stylerf.geometry.spherical_harmonics import BANDS, C0
 from stylerf.kernels.cpu import vm as kernels
-from stylerf.kernels.cpu.deformation import colour_position_gradient, density_position_gradient
+from stylerf.kernels.cpu.deformation import color_position_gradient, density_position_gradient
 
 
 class VmDensity:
@@ -132,8 +132,8 @@ class VmDensity:
         return cls(*grid_of(data), values)
 
 
-class VmColour:
-    """Colour sigmoid(bias + sum_b Y_b(d) head_b . features(x)). values: table, head [3, bands, 3 rank], bias [3]."""
+class VmColor:
+    """Color sigmoid(bias + sum_b Y_b(d) head_b . features(x)). values: table, head [3, bands, 3 rank], bias [3]."""
 
     kind = "vm"
 
@@ -142,10 +142,10 @@ class VmColour:
         self._ranks = (np.int8(0),) * self.rank
         self._head = 3 * BANDS[self.degree] * 3 * self.rank
         if len(values) != (expected := table_length(self.size, self.rank) + self._head + 3):
-            raise InvalidValue(f"vm colour: {len(values)} values where {expected} were expected")
+            raise InvalidValue(f"vm color: {len(values)} values where {expected} were expected")
 
     @classmethod
-    def create(cls, size: np.ndarray, rank: int, degree: int, generator: np.random.Generator) -> "VmColour":
+    def create(cls, size: np.ndarray, rank: int, degree: int, generator: np.random.Generator) -> "VmColor":
         table = initial_table(np.asarray(size), rank, generator, 0.1)
         head = generator.uniform(-1, 1, size=(3, BANDS[degree], 3 * rank)) / np.sqrt(3 * rank) / C0
         head[:, 1:] *= 0.1
@@ -163,22 +163,22 @@ class VmColour:
     def groups(self) -> list[tuple[int, int, float]]:
         return [(0, len(self.table), 1.0), (len(self.table), len(self.values), 1.0)]
 
-    def resized(self, size: np.ndarray) -> "VmColour":
+    def resized(self, size: np.ndarray) -> "VmColor":
         table = resized_table(self.table, self.size, np.asarray(size), self.rank)
-        return VmColour(size, self.rank, self.degree, np.concatenate([table, self.head, self.values[-3:]]))
+        return VmColor(size, self.rank, self.degree, np.concatenate([table, self.head, self.values[-3:]]))
 
-    def with_rank(self, rank: int, generator: np.random.Generator) -> "VmColour":
-        """The same colour with more ranks; the head of a new rank is random, its features zero."""
+    def with_rank(self, rank: int, generator: np.random.Generator) -> "VmColor":
+        """The same color with more ranks; the head of a new rank is random, its features zero."""
         if rank <= self.rank:
             return self
         table = widened_table(self.table, self.size, self.rank, rank, generator)
         bands = BANDS[self.degree]
-        head = VmColour.create(np.full(3, 8), rank, self.degree, generator).head.reshape(3, bands, 3, rank)
+        head = VmColor.create(np.full(3, 8), rank, self.degree, generator).head.reshape(3, bands, 3, rank)
         head[..., : self.rank] = self.head.reshape(3, bands, 3, self.rank)
-        return VmColour(self.size, rank, self.degree, np.concatenate([table, head.ravel(), self.values[-3:]]))
+        return VmColor(self.size, rank, self.degree, np.concatenate([table, head.ravel(), self.values[-3:]]))
 
-    def narrowed(self, rank: int, occupancy: Occupancy) -> "VmColour":
-        """Nearly the same colour with fewer ranks, as near as so few come where `occupancy` is occupied."""
+    def narrowed(self, rank: int, occupancy: Occupancy) -> "VmColor":
+        """Nearly the same color with fewer ranks, as near as so few come where `occupancy` is occupied."""
         table = np.empty(table_length(self.size, rank), np.float32)
         weights = texel_weights(occupancy, self.size)
         head = self.head.reshape(-1, 3, self.rank)
@@ -188,29 +188,29 @@ class VmColour:
             found = best_seen_ranks(plane.reshape(-1, self.rank), line, pair, head[:, m], rank)
             to_plane[:], to_line[:], kept_head[:, m] = found[0].reshape(to_plane.shape), *found[1:]
         values = np.concatenate([table, kept_head.ravel(), self.values[-3:]])
-        return VmColour(self.size, rank, self.degree, values)
+        return VmColor(self.size, rank, self.degree, values)
 
-    def grown(self, capacity: Capacity, generator: np.random.Generator) -> "VmColour":
-        """The same colour at another capacity."""
-        if capacity.colour_rank == self.rank and tuple(capacity.size) == tuple(self.size):
+    def grown(self, capacity: Capacity, generator: np.random.Generator) -> "VmColor":
+        """The same color at another capacity."""
+        if capacity.color_rank == self.rank and tuple(capacity.size) == tuple(self.size):
             return self.with_degree(capacity.degree) if capacity.degree != self.degree else self
-        made = self.with_rank(capacity.colour_rank, generator)
-        if capacity.colour_rank < self.rank:
-            made = self.narrowed(capacity.colour_rank, capacity.occupancy)
+        made = self.with_rank(capacity.color_rank, generator)
+        if capacity.color_rank < self.rank:
+            made = self.narrowed(capacity.color_rank, capacity.occupancy)
         return made.resized(capacity.size).with_degree(capacity.degree)
 
-    def with_degree(self, degree: int) -> "VmColour":
-        """The same colour with more (zero) or fewer spherical-harmonic bands."""
+    def with_degree(self, degree: int) -> "VmColor":
+        """The same color with more (zero) or fewer spherical-harmonic bands."""
         old = self.head.reshape(3, BANDS[self.degree], -1)
         head = np.zeros((3, BANDS[degree], old.shape[2]), np.float32)
         shared = min(old.shape[1], head.shape[1])
         head[:, :shared] = old[:, :shared]
-        return VmColour(self.size, self.rank, degree, np.concatenate([self.table, head.ravel(), self.values[-3:]]))
+        return VmColor(self.size, self.rank, degree, np.concatenate([self.table, head.ravel(), self.values[-3:]]))
 
-    def colours(self, x, basis, starts, ends, weights, least, chunks) -> np.ndarray:
-        """[n, 3] colours in 0..1 of samples with weight > least; others have -1 in the first channel."""
+    def colors(self, x, basis, starts, ends, weights, least, chunks) -> np.ndarray:
+        """[n, 3] colors in 0..1 of samples with weight > least; others have -1 in the first channel."""
         out = room((len(x), 3))
-        kernels.colour(
+        kernels.color(
             self.table,
             self.size,
             self._ranks,
@@ -227,9 +227,9 @@ class VmColour:
         )
         return out
 
-    def backward(self, x, basis, starts, ends, colours, colour_gradients, to: np.ndarray) -> None:
+    def backward(self, x, basis, starts, ends, colors, color_gradients, to: np.ndarray) -> None:
         """Add dL/d(values) to the chunks' buffers `to` [chunks, len(values)]."""
-        kernels.colour_backward(
+        kernels.color_backward(
             self.table,
             self.size,
             self._ranks,
@@ -238,17 +238,17 @@ class VmColour:
             x,
             starts,
             ends,
-            colours,
-            colour_gradients,
+            colors,
+            color_gradients,
             len(to),
             to,
         )
 
     def add_position_gradients(
-        self, samples: Samples, basis: np.ndarray, colours: np.ndarray, colour_gradients: np.ndarray, out, chunks: int
+        self, samples: Samples, basis: np.ndarray, colors: np.ndarray, color_gradients: np.ndarray, out, chunks: int
     ) -> None:
         """Add dL/dx to out [n, 3], x the samples' positions in the cube."""
-        colour_position_gradient(
+        color_position_gradient(
             self.table,
             self.size,
             self._ranks,
@@ -257,8 +257,8 @@ class VmColour:
             samples.x,
             samples.starts,
             samples.ends,
-            colours,
-            colour_gradients,
+            colors,
+            color_gradients,
             chunks,
             out,
         )
@@ -271,5 +271,5 @@ class VmColour:
         return {"kind": self.kind, "size": [int(s) for s in self.size], "rank": self.rank, "degree": self.degree}
 
     @classmethod
-    def restore(cls, data: dict, values: np.ndarray) -> "VmColour":
+    def restore(cls, data: dict, values: np.ndarray) -> "VmColor":
         return cls(*grid_of(data), validation.integer(data, "degree", 0, max(BANDS)), values)

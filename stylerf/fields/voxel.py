@@ -1,4 +1,4 @@
-"""A sparse voxel grid (ARF's; Fridovich-Keil et al. 2022) as a density and as features of a colour head."""
+"""A sparse voxel grid (ARF's; Fridovich-Keil et al. 2022) as a density and as features of a color head."""
 
 import base64
 import zlib
@@ -177,7 +177,7 @@ class VoxelDensity:
         )
 
     def smooth(self, strength: float, to: np.ndarray) -> None:
-        """Add the gradient of strength/2 times the mean squared difference of neighbours to buffer `to`."""
+        """Add the gradient of strength/2 times the mean squared difference of neighbors to buffer `to`."""
         strength = np.float32(strength / len(self.table))
         kernels.smoothness_backward(self.table, self.grid.links, 1, strength, to)
 

@@ -22,9 +22,9 @@ def from_mitsuba(world_from_camera: np.ndarray) -> np.ndarray:
 
 
 def from_llff(pose: np.ndarray) -> np.ndarray:
-    """LLFF: camera-to-world [3, 4+] whose columns are down, right, backward, centre -> [4, 4]."""
-    down, right, backward, centre = pose[:3, 0], pose[:3, 1], pose[:3, 2], pose[:3, 3]
-    return with_last_row(np.stack([right, down, -backward, centre], axis=1))
+    """LLFF: camera-to-world [3, 4+] whose columns are down, right, backward, center -> [4, 4]."""
+    down, right, backward, center = pose[:3, 0], pose[:3, 1], pose[:3, 2], pose[:3, 3]
+    return with_last_row(np.stack([right, down, -backward, center], axis=1))
 
 
 def from_colmap(camera_from_world: np.ndarray) -> np.ndarray:

@@ -28,22 +28,22 @@ def path_camera(kind: str, cameras: list[Camera], index: int, count: int, focus_
     return replace(cameras[0], name=f"{index:04d}", world_from_camera=pose)
 
 
-def look_at(centre: np.ndarray, target: np.ndarray, up: np.ndarray) -> np.ndarray:
-    """World-from-camera [4, 4] (x right, y down, z forward) at `centre` looking at `target`, `up` towards the top."""
-    forward = _unit(target - centre)
+def look_at(center: np.ndarray, target: np.ndarray, up: np.ndarray) -> np.ndarray:
+    """World-from-camera [4, 4] (x right, y down, z forward) at `center` looking at `target`, `up` towards the top."""
+    forward = _unit(target - center)
     right = _unit(np.cross(forward, up))
     pose = np.eye(4)
-    pose[:3, 0], pose[:3, 1], pose[:3, 2], pose[:3, 3] = right, np.cross(forward, right), forward, centre
+    pose[:3, 0], pose[:3, 1], pose[:3, 2], pose[:3, 3] = right, np.cross(forward, right), forward, center
     return pose
 
 
 def focus_point(cameras: list[Camera]) -> np.ndarray:
     """The point nearest to all viewing axes in least squares, [3]; with parallel axes, one ahead of the average."""
-    centres = np.array([c.centre for c in cameras])
+    centers = np.array([c.center for c in cameras])
     axes = np.array([c.forward for c in cameras])
     projectors = np.eye(3) - axes[:, :, None] * axes[:, None, :]
     matrix = projectors.sum(0) + 1e-6 * len(cameras) * np.eye(3)
-    right = (projectors @ centres[:, :, None]).sum(0)[:, 0] + 1e-6 * len(cameras) * centres.mean(0)
+    right = (projectors @ centers[:, :, None]).sum(0)[:, 0] + 1e-6 * len(cameras) * centers.mean(0)
     return np.linalg.solve(matrix, right)
 
 
@@ -58,7 +58,7 @@ def _orbit_pose(cameras: list[Camera], share: float) -> np.ndarray:
     Cameras all around give a full turn; cameras on an arc give a swing along it and back.
     """
     focus, up = focus_point(cameras), average_up(cameras)
-    offsets = np.array([c.centre for c in cameras]) - focus
+    offsets = np.array([c.center for c in cameras]) - focus
     heights = offsets @ up
     flat = offsets - heights[:, None] * up
     first = (
@@ -77,27 +77,27 @@ def _orbit_pose(cameras: list[Camera], share: float) -> np.ndarray:
         width = 2 * np.pi - gaps.max()
         angle = start + width * (0.5 - 0.45 * np.cos(2 * np.pi * share))
     radius, height = float(np.median(np.linalg.norm(flat, axis=1))), float(np.median(heights))
-    centre = focus + radius * (np.cos(angle) * first + np.sin(angle) * second) + height * up
-    return look_at(centre, focus, up)
+    center = focus + radius * (np.cos(angle) * first + np.sin(angle) * second) + height * up
+    return look_at(center, focus, up)
 
 
 def _spiral_pose(cameras: list[Camera], share: float, focus_depth: float) -> np.ndarray:
     """Two turns of an ellipse in the plane of the cameras, as wide as most, looking at a common point (LLFF)."""
     poses = np.array([c.world_from_camera for c in cameras])
-    centre, forward, up = poses[:, :3, 3].mean(0), _unit(poses[:, :3, 2].mean(0)), average_up(cameras)
-    base = look_at(centre, centre + forward, up)
-    local = (poses[:, :3, 3] - centre) @ base[:3, :3]
+    center, forward, up = poses[:, :3, 3].mean(0), _unit(poses[:, :3, 2].mean(0)), average_up(cameras)
+    base = look_at(center, center + forward, up)
+    local = (poses[:, :3, 3] - center) @ base[:3, :3]
     reach = np.percentile(np.abs(local), 80, axis=0)
     angle = 4 * np.pi * share
     offset = reach * np.array([np.cos(angle), -np.sin(angle), -np.sin(angle / 2)]) * np.array([1, 1, 0.5])
-    return look_at(centre + base[:3, :3] @ offset, centre + forward * focus_depth, up)
+    return look_at(center + base[:3, :3] @ offset, center + forward * focus_depth, up)
 
 
 def _between_pose(cameras: list[Camera], share: float) -> np.ndarray:
-    """Through the cameras by nearest neighbours: centres by Catmull-Rom, rotations by spherical interpolation."""
+    """Through the cameras by nearest neighbors: centers by Catmull-Rom, rotations by spherical interpolation."""
     from scipy.spatial.transform import Rotation, Slerp
 
-    order = _tour(np.array([c.centre for c in cameras]))
+    order = _tour(np.array([c.center for c in cameras]))
     poses = np.array([cameras[i].world_from_camera for i in order])
     if len(poses) == 1:
         return poses[0]
@@ -120,14 +120,14 @@ def _catmull_rom(p: np.ndarray, u: float) -> np.ndarray:
     )
 
 
-def _tour(centres: np.ndarray) -> list[int]:
+def _tour(centers: np.ndarray) -> list[int]:
     """Every camera once, each time the nearest not yet visited, from an outermost one."""
-    left = set(range(len(centres)))
-    here = int(np.argmax(np.linalg.norm(centres - centres.mean(0), axis=1)))
+    left = set(range(len(centers)))
+    here = int(np.argmax(np.linalg.norm(centers - centers.mean(0), axis=1)))
     order = [here]
     left.remove(here)
     while left:
-        here = min(left, key=lambda i: (float(np.linalg.norm(centres[i] - centres[here])), i))
+        here = min(left, key=lambda i: (float(np.linalg.norm(centers[i] - centers[here])), i))
         order.append(here)
         left.remove(here)
     return order

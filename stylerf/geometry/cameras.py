@@ -1,7 +1,7 @@
 """Pinhole cameras: the one convention every source is brought to.
 
 Axes are OpenCV's and COLMAP's: x right, y down, z forward. `world_from_camera` maps camera points to world points.
-Pixel (column i, row j) has its centre at (i + 0.5, j + 0.5); a camera point (x, y, z) falls on
+Pixel (column i, row j) has its center at (i + 0.5, j + 0.5); a camera point (x, y, z) falls on
 (fx x/z + cx, fy y/z + cy).
 """
 
@@ -47,7 +47,7 @@ class Camera:
         far = max(abs(self.cx), abs(self.cy), self.fx, self.fy, np.abs(pose[:3, 3]).max())
         if far > LARGEST or min(self.fx, self.fy) < LEAST_FOCAL:
             raise InvalidValue(
-                f"camera {self.name}: its place, focal length or centre is over {LARGEST:g}, or its focal length "
+                f"camera {self.name}: its place, focal length or center is over {LARGEST:g}, or its focal length "
                 f"under {LEAST_FOCAL:g} pixels"
             )
         if self.width < 1 or self.height < 1:
@@ -55,8 +55,8 @@ class Camera:
         object.__setattr__(self, "world_from_camera", pose)
 
     @property
-    def centre(self) -> np.ndarray:
-        """Camera centre in the world, [3], scene units."""
+    def center(self) -> np.ndarray:
+        """Camera center in the world, [3], scene units."""
         return self.world_from_camera[:3, 3]
 
     @property
@@ -78,7 +78,7 @@ class Camera:
         )
 
     def rays(self, pixels: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-        """Origins and unit directions of pixel centres, [n, 3] each, float32, world.
+        """Origins and unit directions of pixel centers, [n, 3] each, float32, world.
 
         pixels: row-major indices [n]; all of them, row by row, if None. A pixel's ray is the same either way.
         """
@@ -88,7 +88,7 @@ class Camera:
         directions = np.empty((len(x), 3), np.float32)
         for axis, (right, down, forward) in enumerate(self.world_from_camera[:3, :3]):
             directions[:, axis] = (right * x + down * y + forward) / length
-        return np.tile(self.centre.astype(np.float32), (len(x), 1)), directions
+        return np.tile(self.center.astype(np.float32), (len(x), 1)), directions
 
     def ray_cosines(self) -> np.ndarray:
         """Cosine between each pixel's ray and the viewing axis, [height, width] float32: Z = distance * cosine."""
@@ -98,7 +98,7 @@ class Camera:
 
     def project(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """World points [n, 3] -> pixel positions [n, 2] and planar depth [n] (not positive: behind the camera)."""
-        local = (points - self.centre) @ self.world_from_camera[:3, :3]
+        local = (points - self.center) @ self.world_from_camera[:3, :3]
         depth = local[:, 2]
         safe = np.where(np.abs(depth) < 1e-12, 1e-12, depth)
         pixels = np.stack([self.fx * local[:, 0] / safe + self.cx, self.fy * local[:, 1] / safe + self.cy], axis=-1)
@@ -109,4 +109,4 @@ class Camera:
         local = np.stack(
             [(pixels[:, 0] - self.cx) / self.fx * depth, (pixels[:, 1] - self.cy) / self.fy * depth, depth], axis=-1
         )
-        return local @ self.world_from_camera[:3, :3].T + self.centre
+        return local @ self.world_from_camera[:3, :3].T + self.center

@@ -1,6 +1,6 @@
 """Lens distortion: where a ray of the ideal pinhole falls on the real picture, and back.
 
-Points are (x, y) = (X/Z, Y/Z) before, and normalised image coordinates (u - cx)/fx, (v - cy)/fy after.
+Points are (x, y) = (X/Z, Y/Z) before, and normalized image coordinates (u - cx)/fx, (v - cy)/fy after.
 """
 
 from dataclasses import dataclass
@@ -160,8 +160,8 @@ def source_positions(
     intrinsics: tuple[float, float, float, float],
     distortion: Distortion,
 ) -> np.ndarray:
-    """For each pixel centre of the pinhole picture, its position on the distorted one: [height, width, 2] float32,
-    pixel (i, j) having its centre at (i + 0.5, j + 0.5)."""
+    """For each pixel center of the pinhole picture, its position on the distorted one: [height, width, 2] float32,
+    pixel (i, j) having its center at (i + 0.5, j + 0.5)."""
     width, height = size
     rows, columns = np.meshgrid(np.arange(height) + 0.5, np.arange(width) + 0.5, indexing="ij")
     ideal = np.stack([(columns - pinhole[2]) / pinhole[0], (rows - pinhole[3]) / pinhole[1]], axis=-1)

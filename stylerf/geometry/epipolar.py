@@ -30,8 +30,8 @@ def epipolar_distance(matrix: np.ndarray, first: np.ndarray, second: np.ndarray)
     return np.where(residual > 0, residual / np.maximum(lengths, 1e-12), 0.0)
 
 
-def largest_parallax(point: np.ndarray, centres: np.ndarray) -> float:
-    """Largest angle in degrees between any two of the rays from camera centres [n, 3] to a point [3]."""
-    rays = point - centres
+def largest_parallax(point: np.ndarray, centers: np.ndarray) -> float:
+    """Largest angle in degrees between any two of the rays from camera centers [n, 3] to a point [3]."""
+    rays = point - centers
     rays = rays / np.maximum(np.linalg.norm(rays, axis=1, keepdims=True), 1e-300)
     return float(np.degrees(np.arccos(np.clip((rays @ rays.T).min(), -1, 1))))

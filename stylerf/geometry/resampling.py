@@ -1,6 +1,6 @@
 """Pictures to a smaller size: area averages.
 
-Code values are averaged as they are (sRGB-encoded), as every benchmark of these scenes does. Colours must come
+Code values are averaged as they are (sRGB-encoded), as every benchmark of these scenes does. Colors must come
 multiplied by alpha, else what lies under transparent pixels bleeds into edges.
 """
 
@@ -41,7 +41,7 @@ def _averaged(pixels: np.ndarray, cells: np.ndarray, shares: np.ndarray, axis: i
 
 
 def nearest(values: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """[h, w, ...] sampled at the pixel that each centre of the picture of `size` (width, height) falls into."""
+    """[h, w, ...] sampled at the pixel that each center of the picture of `size` (width, height) falls into."""
     rows = ((np.arange(size[1]) + 0.5) * (values.shape[0] / size[1])).astype(int)
     columns = ((np.arange(size[0]) + 0.5) * (values.shape[1] / size[0])).astype(int)
     return values[rows][:, columns]

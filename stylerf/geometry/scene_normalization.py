@@ -16,7 +16,7 @@ FORWARD_SPREAD = 25.0
 # Near plane of a forward capture, as a share of the nearest depth told; 1 in scene units.
 FORWARD_NEAR = 0.75
 UNBOUNDED_NEAR, UNBOUNDED_FAR = 0.05, 1e3
-# Centres this near to one another, as a share of their largest coordinate, differ by rounding alone: two steps of
+# Centers this near to one another, as a share of their largest coordinate, differ by rounding alone: two steps of
 # single precision, in which many tools keep poses. About the origin: rounding of rotations in double precision.
 ONE_POINT, ONE_POINT_AT_ORIGIN = 2.4e-7, 1e-12
 # Least baseline as a share of the nearest depth: a hundredth of a pixel of parallax at a focal length of 1,000 pixels.
@@ -52,9 +52,9 @@ def decided_layout(poses: np.ndarray, cut_out: str) -> Layout:
 
 def baseline_of(poses: np.ndarray) -> float:
     """Largest distance of a camera from the middle of all; InvalidValue where all stand at one point."""
-    centres = poses[:, :3, 3]
-    baseline = float(np.linalg.norm(centres - centres.mean(0), axis=1).max())
-    largest = float(np.abs(centres).max())
+    centers = poses[:, :3, 3]
+    baseline = float(np.linalg.norm(centers - centers.mean(0), axis=1).max())
+    largest = float(np.abs(centers).max())
     if not baseline > max(ONE_POINT * largest, ONE_POINT_AT_ORIGIN):
         raise InvalidValue(
             f"all cameras stand at one point (within {baseline:.2g}, at coordinates up to {largest:.2g}): without a "
@@ -76,15 +76,15 @@ def check_baseline(poses: np.ndarray, near_far: np.ndarray | None, points: np.nd
 def focus_of(poses: np.ndarray) -> np.ndarray:
     """The point nearest (least squares) to all viewing axes, [3].
 
-    Where the axes are near parallel it lies along the mean axis, at four times the spread of the centres.
+    Where the axes are near parallel it lies along the mean axis, at four times the spread of the centers.
     """
-    centres, forward = poses[:, :3, 3], poses[:, :3, 2]
+    centers, forward = poses[:, :3, 3], poses[:, :3, 2]
     across = np.eye(3) - forward[:, :, None] * forward[:, None, :]  # [n, 3, 3]
     total = across.sum(0)
-    middle, spread = centres.mean(0), baseline_of(poses)
+    middle, spread = centers.mean(0), baseline_of(poses)
     if np.linalg.eigvalsh(total)[0] / len(poses) > 1e-4:
-        focus = np.linalg.solve(total, (across @ centres[:, :, None]).sum(0)[:, 0])
-        if ((focus - centres) * forward).sum(1).mean() > 0:
+        focus = np.linalg.solve(total, (across @ centers[:, :, None]).sum(0)[:, 0])
+        if ((focus - centers) * forward).sum(1).mean() > 0:
             return focus
     mean = forward.mean(0)
     return middle + 4 * spread * mean / max(np.linalg.norm(mean), 1e-12)
@@ -115,23 +115,23 @@ def rotation_between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.eye(3) + cross + cross @ cross / (1 + cosine)
 
 
-def similarity(scale: float, rotation: np.ndarray, centre: np.ndarray) -> np.ndarray:
-    """[4, 4] of x -> scale * rotation (x - centre)."""
+def similarity(scale: float, rotation: np.ndarray, center: np.ndarray) -> np.ndarray:
+    """[4, 4] of x -> scale * rotation (x - center)."""
     matrix = np.eye(4)
     matrix[:3, :3] = scale * rotation
-    matrix[:3, 3] = -scale * rotation @ centre
+    matrix[:3, 3] = -scale * rotation @ center
     return matrix
 
 
 def moved(pose: np.ndarray, scene_from_source: np.ndarray) -> np.ndarray:
-    """A pose [4, 4] brought through a similarity: its centre is moved and scaled, its rotation stays one."""
+    """A pose [4, 4] brought through a similarity: its center is moved and scaled, its rotation stays one."""
     scale = np.cbrt(np.linalg.det(scene_from_source[:3, :3]))
     out = scene_from_source @ pose
     out[:3, :3] /= scale
     return out
 
 
-def centred(poses: np.ndarray) -> np.ndarray:
+def centerd(poses: np.ndarray) -> np.ndarray:
     """For captures around something: focus at the origin, up = +z, median distance of the cameras to the focus 1."""
     focus = focus_of(poses)
     distance = float(np.median(np.linalg.norm(poses[:, :3, 3] - focus, axis=1)))

@@ -54,16 +54,16 @@ def hull_box(cameras: list[Camera], silhouettes: list[np.ndarray], box: np.ndarr
 def _kept(cameras: list[Camera], silhouettes: list[np.ndarray], box: np.ndarray, size: np.ndarray) -> np.ndarray:
     """[CELLS, CELLS, CELLS] bool by axes x, y, z."""
     axes = [box[0, a] + (np.arange(CELLS) + 0.5) * size[a] for a in range(3)]
-    centres = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    alive, allowed = np.arange(len(centres)), int(len(cameras) * _FAULTY_SHARE)
-    seen, against = np.zeros(len(centres), np.int32), np.zeros(len(centres), np.int32)
+    centers = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    alive, allowed = np.arange(len(centers)), int(len(cameras) * _FAULTY_SHARE)
+    seen, against = np.zeros(len(centers), np.int32), np.zeros(len(centers), np.int32)
     radius = float(np.linalg.norm(size)) / 2
     for camera, mask in zip(cameras, silhouettes, strict=True):
         table, factor = _summed(mask), _factor(camera.height, camera.width)
-        pixels, depth = camera.project(centres[alive])
+        pixels, depth = camera.project(centers[alive])
         pixels /= factor
         front = depth > 2 * radius
-        # A ball of this radius around the centre holds the cell; nearer parts of it look larger than its centre does.
+        # A ball of this radius around the center holds the cell; nearer parts of it look larger than its center does.
         slope = (pixels * factor - [camera.cx, camera.cy]) / [camera.fx, camera.fy]
         oblique = np.sqrt(1 + (slope * slope).sum(-1))
         reach = max(camera.fx, camera.fy) / factor * radius * oblique / np.where(front, depth - radius, 1.0)
@@ -77,7 +77,7 @@ def _kept(cameras: list[Camera], silhouettes: list[np.ndarray], box: np.ndarray,
         seen[alive[judged | empty]] += 1
         against[alive[empty]] += 1
         alive = alive[against[alive] <= allowed]
-    kept = np.zeros(len(centres), bool)
+    kept = np.zeros(len(centers), bool)
     enough = seen[alive] >= max(1, len(cameras) * _SHOWING_SHARE)
     kept[alive] = enough & (against[alive] <= seen[alive] * _FAULTY_SHARE)
     return kept.reshape(CELLS, CELLS, CELLS)

@@ -1,7 +1,7 @@
 """Warps of unbounded scene space to the unit cube that the fields live in.
 
 box: an axis-aligned box, for objects. contraction: identity inside a box, all else drawn into a shell around it
-(Barron et al. 2022, eq. 10, in the maximum norm so that the cube is filled). frustum: normalised device coordinates of
+(Barron et al. 2022, eq. 10, in the maximum norm so that the cube is filled). frustum: normalized device coordinates of
 the average camera (Mildenhall et al. 2020, appendix C), for forward-facing captures.
 """
 

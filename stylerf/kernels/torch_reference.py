@@ -114,8 +114,8 @@ def vm_density(values: Tensor, size: list[int], rank: int, x: Tensor) -> Tensor:
     return raw_density(values[-1] + vm_features(values[:-1], size, rank, x).sum(1))
 
 
-def vm_colour(values: Tensor, size: list[int], rank: int, basis: Tensor, x: Tensor) -> Tensor:
-    """Colour [n, 3]; basis [n, bands]: spherical harmonics of each sample's ray; values: table, head, bias."""
+def vm_color(values: Tensor, size: list[int], rank: int, basis: Tensor, x: Tensor) -> Tensor:
+    """Color [n, 3]; basis [n, bands]: spherical harmonics of each sample's ray; values: table, head, bias."""
     bands = basis.shape[1]
     head = values[len(values) - 3 - 9 * bands * rank : -3].reshape(3, bands, 3 * rank)
     features = vm_features(values[: len(values) - 3 - head.numel()], size, rank, x)
@@ -153,25 +153,25 @@ def hash_levels(
     return torch.stack(rows_of_levels, 1)
 
 
-def hash_colour(values: Tensor, levels: int, base: int, finest: int, table: int, x: Tensor) -> Tensor:
-    """Colour [n, 3] of a hash grid whose levels are added up."""
+def hash_color(values: Tensor, levels: int, base: int, finest: int, table: int, x: Tensor) -> Tensor:
+    """Color [n, 3] of a hash grid whose levels are added up."""
     total = hash_levels(values, levels, base, finest, table, x).sum(1)
     return torch.sigmoid(total[:, :3] + total[:, 3:])
 
 
 def linear_head(numbers: Tensor, phi: Tensor, basis: Tensor) -> Tensor:
-    """Colour [n, 3] of features phi [n, f] and spherical harmonics basis [n, bands]; numbers: head, bias."""
+    """Color [n, 3] of features phi [n, f] and spherical harmonics basis [n, bands]; numbers: head, bias."""
     head = numbers[:-3].reshape(3, basis.shape[1], phi.shape[1])
     return torch.sigmoid(numbers[-3:] + torch.einsum("nb,jbf,nf->nj", basis, head, phi))
 
 
 def harmonic_head(numbers: Tensor, phi: Tensor, basis: Tensor) -> Tensor:
-    """Colour [n, 3] of coefficients phi [n, 3 bands]; numbers: none."""
+    """Color [n, 3] of coefficients phi [n, 3 bands]; numbers: none."""
     return torch.sigmoid(torch.einsum("nb,njb->nj", basis, phi.reshape(len(phi), 3, -1)))
 
 
 def mlp_head(numbers: Tensor, phi: Tensor, basis: Tensor) -> Tensor:
-    """Colour [n, 3]; numbers: W1 [f + bands, h], b1 [h], W2 [3, h], b2 [3]."""
+    """Color [n, 3]; numbers: W1 [f + bands, h], b1 [h], W2 [3, h], b2 [3]."""
     inputs = torch.cat([phi, basis], 1)
     h = (len(numbers) - 3) // (inputs.shape[1] + 4)
     first, bias, second = numbers[:-3].split([inputs.shape[1] * h, h, 3 * h])
@@ -207,14 +207,14 @@ def weights(sigma: Tensor, optical: Tensor, rays: Tensor, backdrop: Tensor) -> t
     return through * torch.where(backdrop, torch.ones_like(depth), -torch.expm1(-depth)), through
 
 
-def composite(w: Tensor, colours: Tensor, coloured: Tensor, t: Tensor, rays: Tensor, count: int) -> Tensor:
-    """[count, 5]: sum w c, sum w, sum w t. Samples that are not `coloured` [n] take the others' mean, as a constant."""
-    kept = torch.where(coloured, w, torch.zeros_like(w))
+def composite(w: Tensor, colors: Tensor, colored: Tensor, t: Tensor, rays: Tensor, count: int) -> Tensor:
+    """[count, 5]: sum w c, sum w, sum w t. Samples that are not `colored` [n] take the others' mean, as a constant."""
+    kept = torch.where(colored, w, torch.zeros_like(w))
 
     def per_ray(values: Tensor) -> Tensor:
         return torch.zeros(count, *values.shape[1:], dtype=w.dtype).index_add(0, rays, values)
 
-    own, share = per_ray(kept[:, None] * torch.where(coloured[:, None], colours, 0)), per_ray(kept)
+    own, share = per_ray(kept[:, None] * torch.where(colored[:, None], colors, 0)), per_ray(kept)
     mean = torch.where(share[:, None] > 0, own / share[:, None].clamp(min=1e-30), 0).detach()
     rgb = own + mean * per_ray(w - kept)[:, None]
     return torch.cat([rgb, per_ray(w)[:, None], per_ray(w * t)[:, None]], 1)

@@ -1,7 +1,7 @@
 """Do two views of one field tell the same story? One is warped onto the other by the field's own depth and poses.
 
 For every pixel of the target view its surface point is found from the target's depth and projected into the source
-view, whose colour is read there (backward warp). No optical flow is estimated, so no flow error is counted.
+view, whose color is read there (backward warp). No optical flow is estimated, so no flow error is counted.
 """
 
 from collections.abc import Callable
@@ -53,12 +53,12 @@ class PairConsistency:
 def warp(
     source: PosedView, target: PosedView, tolerance: float = 0.02, erode: int = 1
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The source's colours on the target's pixels, [h, w, 3], and where they can be trusted, bool [h, w].
+    """The source's colors on the target's pixels, [h, w, 3], and where they can be trusted, bool [h, w].
 
     A target pixel is visible where its alpha is over 0.5, its point falls within the source's image, and at each of
     the four source pixels around that place the alpha is over 0.5 and the source's depth is that of the point to
     `tolerance` of it. Asking it of all four leaves out edges, where rendered depth blends two surfaces. The visible
-    area is then worn down by `erode` pixels. Colours are bilinear; where not visible they mean nothing.
+    area is then worn down by `erode` pixels. Colors are bilinear; where not visible they mean nothing.
     """
     camera = target.camera
     rows, columns = np.meshgrid(np.arange(camera.height) + 0.5, np.arange(camera.width) + 0.5, indexing="ij")
@@ -90,7 +90,7 @@ def pair_consistency(
 
     within: bool [h, w], the pixels of the target that are asked about (None: all of them), of visible and opaque alike.
 
-    For `perceptual` the target's own colours are laid where nothing is visible, so that these places are equal in
+    For `perceptual` the target's own colors are laid where nothing is visible, so that these places are equal in
     both and only what leaks across the border through the distance's receptive field is shared.
     """
     warped, visible = warp(source, target, tolerance, erode)
@@ -102,7 +102,7 @@ def pair_consistency(
         return PairConsistency(None, None, 0.0, 0)
     difference = (warped - target.image)[visible]
     if not np.isfinite(difference).all():
-        raise InvalidValue(f"views {source.camera.name} and {target.camera.name} hold colours that are not finite")
+        raise InvalidValue(f"views {source.camera.name} and {target.camera.name} hold colors that are not finite")
     distance = None
     if perceptual is not None:
         patched = np.where(visible[..., None], warped, target.image).astype(np.float32)
@@ -134,7 +134,7 @@ def seen_through(view: PosedView, other: PosedView, tolerance: float = 0.05) -> 
 def _bilinear(pixels: np.ndarray, width: int, height: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Flat indices [4, n] and weights [4, n] of the pixels around positions [n, 2], and which lie inside, [n].
 
-    Inside means between the centres of the outermost pixels: no colour is extrapolated.
+    Inside means between the centers of the outermost pixels: no color is extrapolated.
     """
     slack = 1e-6  # a pixel that maps onto the border itself must not fall out by rounding
     with np.errstate(invalid="ignore"):

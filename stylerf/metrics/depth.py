@@ -54,7 +54,7 @@ def depth_errors(z: np.ndarray, alpha: np.ndarray, truth: np.ndarray, far: float
 
 
 def shape_change(z: np.ndarray, alpha: np.ndarray, z_base: np.ndarray, alpha_base: np.ndarray) -> float | None:
-    """Mean |z - z_base| / z_base where both are opaque (alpha > 0.5): how far a stylised surface left its origin.
+    """Mean |z - z_base| / z_base where both are opaque (alpha > 0.5): how far a stylized surface left its origin.
 
     None where the two share no opaque pixel.
     """

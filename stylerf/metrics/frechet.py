@@ -26,8 +26,8 @@ def moments(vectors: np.ndarray) -> Moments:
     if values.ndim != 2 or len(values) == 0 or not np.isfinite(values).all():
         raise InvalidValue(f"expected finite vectors [n, c], got an array of shape {values.shape}")
     mean = values.mean(axis=0)
-    centred = values - mean
-    return Moments(mean, centred.T @ centred / len(values))
+    centerd = values - mean
+    return Moments(mean, centerd.T @ centerd / len(values))
 
 
 def frechet_squared(a: Moments, b: Moments) -> float:

@@ -56,7 +56,7 @@ def ssim_map(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 def ssim(a: np.ndarray, b: np.ndarray, mask: np.ndarray | None = None) -> float:
     """Mean of `ssim_map` without its 5-pixel border; with `mask` [h, w] the weighted mean over what is left.
 
-    Windows centred in the mask still see up to 5 pixels beyond it.
+    Windows centerd in the mask still see up to 5 pixels beyond it.
     """
     border = SSIM_WINDOW // 2
     inner = (slice(border, -border), slice(border, -border))
@@ -68,12 +68,12 @@ def luminance(image: np.ndarray) -> np.ndarray:
     return np.asarray(image, np.float64) @ LUMA
 
 
-def content_ssim(stylised: np.ndarray, photo: np.ndarray, mask: np.ndarray | None = None) -> float:
-    """SSIM between the luma of a stylised render and of the photo: how much of the structure survived, colour aside."""
-    return ssim(luminance(stylised), luminance(photo), mask)
+def content_ssim(stylized: np.ndarray, photo: np.ndarray, mask: np.ndarray | None = None) -> float:
+    """SSIM between the luma of a stylized render and of the photo: how much of the structure survived, color aside."""
+    return ssim(luminance(stylized), luminance(photo), mask)
 
 
-def explained_structure(stylised: np.ndarray, photo: np.ndarray, mask: np.ndarray | None = None) -> float:
+def explained_structure(stylized: np.ndarray, photo: np.ndarray, mask: np.ndarray | None = None) -> float:
     """0..1: share of the variance of the photo's luma around each pixel that the render's luma there explains.
 
     Around a pixel: a Gaussian of sigma STRUCTURE_SIGMA of the longer side. With variances v_p, v_r and covariance c of
@@ -81,13 +81,13 @@ def explained_structure(stylised: np.ndarray, photo: np.ndarray, mask: np.ndarra
     c^2 / v_r and of v_p over all pixels (weighted by `mask`) make the share. A line may fall: what was light and
     became dark is still to be seen. Where the photo is smooth nothing is asked for; strokes there cost nothing.
     """
-    _check_pair(stylised, photo)
+    _check_pair(stylized, photo)
     sigma = STRUCTURE_SIGMA * max(photo.shape[:2])
 
     def around(values: np.ndarray) -> np.ndarray:
         return gaussian_filter(values, sigma, truncate=3.5)
 
-    render, wanted = luminance(stylised), luminance(photo)
+    render, wanted = luminance(stylized), luminance(photo)
     mean_render, mean_wanted = around(render), around(wanted)
     covariance = around(render * wanted) - mean_render * mean_wanted
     of_render = np.maximum(around(render**2) - mean_render**2, 0)

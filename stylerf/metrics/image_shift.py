@@ -11,7 +11,7 @@ def shift_between(one: np.ndarray, other: np.ndarray) -> tuple[np.ndarray, float
     """Shift (right, down), pixels, from `one` to `other`, [h, w] each, and how alike they are then, -1..1.
 
     The peak of the cross-correlation of both pictures between two blurs, to a part of a pixel by a parabola. Blur is
-    even to all sides: it flattens the peak and does not move it. (0, 0) and 0 where a picture is of one colour.
+    even to all sides: it flattens the peak and does not move it. (0, 0) and 0 where a picture is of one color.
     """
     height, width = one.shape
     # Less towards the borders, where one picture shows what the other does not.

@@ -29,7 +29,7 @@ def split_view(inside: np.ndarray, margin: float, ring: float) -> EditMasks:
     """The region's pixels `inside`, and all that are farther from them than `margin` pixels.
 
     ring: width in pixels of what counts as next to the region, beyond the margin. Distances are those between pixel
-    centres (Euclidean).
+    centers (Euclidean).
     """
     if inside.ndim != 2 or inside.dtype != bool or margin < 0 or ring < 0:
         raise InvalidValue(f"a bool mask [h, w] was expected, got {inside.dtype} {inside.shape}, margin {margin:g}")
@@ -52,7 +52,7 @@ def background_mse(image: np.ndarray, reference: np.ndarray, mask: np.ndarray) -
 
 @dataclass(frozen=True)
 class Change:
-    """Means over pixels. absolute: of |a - b| over RGB. lab: of the CIE76 colour difference (D65), 2.3 just seen."""
+    """Means over pixels. absolute: of |a - b| over RGB. lab: of the CIE76 color difference (D65), 2.3 just seen."""
 
     absolute: float
     lab: float

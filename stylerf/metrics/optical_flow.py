@@ -28,20 +28,20 @@ def field_flow(view: PosedView, other: Camera) -> np.ndarray:
 
 
 def filled(flow: np.ndarray) -> np.ndarray:
-    """The flow with 0 where it is unknown: what stands behind an object is of one colour and seems to stay."""
+    """The flow with 0 where it is unknown: what stands behind an object is of one color and seems to stay."""
     return np.where(np.isfinite(flow).all(axis=-1, keepdims=True), flow, 0.0)
 
 
 def sampled(values: np.ndarray, flow: np.ndarray) -> np.ndarray:
     """values [h, w, c] read at each pixel's place moved by `flow` [h, w, 2]: bilinear, 0 beyond the outermost pixels.
 
-    Between the outermost pixel's centre and the next, missing one, the value fades to 0 (OpenCV's constant border).
+    Between the outermost pixel's center and the next, missing one, the value fades to 0 (OpenCV's constant border).
     """
     check_flow(flow, values.shape[:2])
     height, width = values.shape[:2]
     rows, columns = np.meshgrid(np.arange(height), np.arange(width), indexing="ij")
     moved = filled(flow)
-    padded = np.pad(np.asarray(values, np.float64), ((2, 2), (2, 2), (0, 0)))  # -1 and its left neighbour are zero
+    padded = np.pad(np.asarray(values, np.float64), ((2, 2), (2, 2), (0, 0)))  # -1 and its left neighbor are zero
     x = np.clip(columns + moved[..., 0], -1.5, width + 0.5) + 2
     y = np.clip(rows + moved[..., 1], -1.5, height + 0.5) + 2
     left, top = np.floor(x).astype(np.int64), np.floor(y).astype(np.int64)
@@ -52,7 +52,7 @@ def sampled(values: np.ndarray, flow: np.ndarray) -> np.ndarray:
 
 
 def inside(flow: np.ndarray) -> np.ndarray:
-    """bool [h, w]: the flow is known and ends between the centres of the outermost pixels."""
+    """bool [h, w]: the flow is known and ends between the centers of the outermost pixels."""
     height, width = flow.shape[:2]
     rows, columns = np.meshgrid(np.arange(height), np.arange(width), indexing="ij")
     with np.errstate(invalid="ignore"):

@@ -1,4 +1,4 @@
-"""Distance between the colours of two sets of pixels, whatever their places."""
+"""Distance between the colors of two sets of pixels, whatever their places."""
 
 from dataclasses import dataclass
 
@@ -21,7 +21,7 @@ class PaletteDistance:
 
 
 def palette_distance(a: np.ndarray, b: np.ndarray) -> PaletteDistance:
-    """Compare colours [n, 3] and [m, 3] by their first two moments, covariances by 1/n."""
+    """Compare colors [n, 3] and [m, 3] by their first two moments, covariances by 1/n."""
     first, second = _moments(a), _moments(b)
     return PaletteDistance(
         mean=float(np.linalg.norm(first.mean - second.mean)),
@@ -30,7 +30,7 @@ def palette_distance(a: np.ndarray, b: np.ndarray) -> PaletteDistance:
     )
 
 
-def _moments(colours: np.ndarray) -> Moments:
-    if np.ndim(colours) != 2 or np.shape(colours)[1] != 3:
-        raise InvalidValue(f"expected finite colours [n, 3], got an array of shape {np.shape(colours)}")
-    return moments(colours)
+def _moments(colors: np.ndarray) -> Moments:
+    if np.ndim(colors) != 2 or np.shape(colors)[1] != 3:
+        raise InvalidValue(f"expected finite colors [n, 3], got an array of shape {np.shape(colors)}")
+    return moments(colors)

@@ -28,7 +28,7 @@ def softmax_splat(image: np.ndarray, flow: np.ndarray, importance: np.ndarray) -
     move = flow.reshape(-1, 2)[known]
     x, y = np.clip(columns + move[:, 0], -2, width + 1), np.clip(rows + move[:, 1], -2, height + 1)
     left, top = np.floor(x).astype(np.int64), np.floor(y).astype(np.int64)
-    colours = np.asarray(image, np.float64).reshape(-1, channels)[known]
+    colors = np.asarray(image, np.float64).reshape(-1, channels)[known]
     strength = np.asarray(importance, np.float64).reshape(-1)[known]
     weight = np.exp(strength - strength.max(initial=-np.inf))  # the same for all: cancels in the quotient
     total, found = np.zeros(height * width), np.zeros((height * width, channels))
@@ -42,7 +42,7 @@ def softmax_splat(image: np.ndarray, flow: np.ndarray, importance: np.ndarray) -
             landed[place] = True
             total += np.bincount(place, part, height * width)
             for channel in range(channels):
-                found[:, channel] += np.bincount(place, part * colours[lands, channel], height * width)
+                found[:, channel] += np.bincount(place, part * colors[lands, channel], height * width)
     landed &= total > 0
     warped = found / np.where(landed, total, 1)[:, None]
     return warped.reshape(height, width, channels), landed.reshape(height, width)

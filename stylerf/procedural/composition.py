@@ -1,7 +1,7 @@
-"""The subject of the procedural painting: a swirling night over bent hills, as regions, flow and colours.
+"""The subject of the procedural painting: a swirling night over bent hills, as regions, flow and colors.
 
 Image coordinates: u to the right and v down, both 0..1. Each region has a stream function: strokes run along its
-level lines, and its colours change across them.
+level lines, and its colors change across them.
 """
 
 from dataclasses import dataclass
@@ -34,7 +34,7 @@ class Subject:
     outlines: list[np.ndarray]
 
 
-def colours(name: str) -> np.ndarray:
+def colors(name: str) -> np.ndarray:
     """Palette of a region, [k, 3] sRGB-encoded 0..1."""
     return hexadecimal(PALETTES[name])
 

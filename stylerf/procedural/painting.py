@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stylerf.errors import InvalidValue
-from stylerf.procedural.composition import CONTOUR, Subject, colours, compose, hexadecimal
+from stylerf.procedural.composition import CONTOUR, Subject, colors, compose, hexadecimal
 from stylerf.procedural.strokes import follow_flow, joined, lay_strokes, relief
 
 FINER = 2  # the canvas is painted this many times as large and averaged down
@@ -14,7 +14,7 @@ FINER = 2  # the canvas is painted this many times as large and averaged down
 @dataclass(frozen=True)
 class Layer:
     """Strokes of one brush. Widths and lengths in parts of the picture's side; cover: how often each point is
-    painted over on average; accent: share of strokes in a colour from elsewhere in the palette."""
+    painted over on average; accent: share of strokes in a color from elsewhere in the palette."""
 
     width: float
     length: float
@@ -71,7 +71,7 @@ def _paint_layer(canvas, height, subject: Subject, layer: Layer, random, seed: i
 
 
 def _paints(subject: Subject, rows, columns, accent: float, random) -> tuple[np.ndarray, np.ndarray]:
-    """The two paints of each stroke, [k, 3] each: neighbours in the palette of the region that it lies in."""
+    """The two paints of each stroke, [k, 3] each: neighbors in the palette of the region that it lies in."""
     count = len(rows)
     tones = np.clip(subject.tones[rows, columns] + random.normal(0, 0.07, count), 0, 1)
     odd = random.uniform(size=count) < accent
@@ -80,13 +80,13 @@ def _paints(subject: Subject, rows, columns, accent: float, random) -> tuple[np.
     first, second = np.empty((count, 3)), np.empty((count, 3))
     for index, name in enumerate(subject.names):
         here = subject.regions[rows, columns] == index
-        first[here], second[here] = _along(colours(name), tones[here]), _along(colours(name), drift[here])
+        first[here], second[here] = _along(colors(name), tones[here]), _along(colors(name), drift[here])
     shift = np.exp(random.normal(0, 0.07, (count, 1))) * np.exp(random.normal(0, 0.03, (count, 3)))
     return np.clip(first * shift, 0, 1), np.clip(second * shift, 0, 1)
 
 
 def _along(palette: np.ndarray, tones: np.ndarray) -> np.ndarray:
-    """Colours [k, 3] at places 0..1 along a palette, linear between its entries."""
+    """Colors [k, 3] at places 0..1 along a palette, linear between its entries."""
     places = np.linspace(0, 1, len(palette))
     return np.stack([np.interp(tones, places, palette[:, channel]) for channel in range(3)], axis=-1)
 

@@ -1,6 +1,6 @@
 """Light on the still life, compiled: a warm soft key light, a sky, bounced light, reflections, and the pixel loop.
 
-Colours are linear Rec.709 until `toned` (a filmic curve, still display-linear, 0..1); pixels are averaged over their
+Colors are linear Rec.709 until `toned` (a filmic curve, still display-linear, 0..1); pixels are averaged over their
 samples there and encoded to sRGB by the caller's last step.
 """
 
@@ -17,7 +17,7 @@ KEY_LIGHT = (3.5, 3.0, 2.3)
 KEY_SPREAD = 0.17  # radius over distance of the key light: width of its shadows' edges
 RIM = (0.7276, 0.5457, 0.4157)  # a cool window behind, to the right
 SKY, HORIZON, BOUNCE = (0.40, 0.52, 0.78), (0.34, 0.34, 0.38), (0.20, 0.11, 0.05)
-COLOUR_TOLERANCE = 2e-4  # scene units; a hundredth of a pixel at 200 x 200
+COLOR_TOLERANCE = 2e-4  # scene units; a hundredth of a pixel at 200 x 200
 
 
 @compiled
@@ -77,7 +77,7 @@ def reflected(scene, seed, x, y, z, nx, ny, nz, dx, dy, dz, roughness):
 
 @compiled
 def lit(scene, seed, k, x, y, z, dx, dy, dz):
-    """Linear colour of solid k at a world point seen along unit direction d."""
+    """Linear color of solid k at a world point seen along unit direction d."""
     kinds, poses, params, _ = scene
     lx, ly, lz = to_local(poses[k], x, y, z)
     red, green, blue, specular, roughness, metal, glow = surface(kinds[k], params[k], lx, ly, lz, seed)
@@ -114,7 +114,7 @@ def toned(value, exposure):
 
 @compiled
 def sampled(scene, seed, exposure, lens, pose, column, row):
-    """Toned colour and owner of the ray through image position (column, row), pixels; owner -1: background."""
+    """Toned color and owner of the ray through image position (column, row), pixels; owner -1: background."""
     cx, cy = (column - lens[2]) / lens[0], (row - lens[3]) / lens[1]
     dx = pose[0, 0] * cx + pose[0, 1] * cy + pose[0, 2]
     dy = pose[1, 0] * cx + pose[1, 1] * cy + pose[1, 2]
@@ -122,7 +122,7 @@ def sampled(scene, seed, exposure, lens, pose, column, row):
     scale = 1.0 / sqrt(dx * dx + dy * dy + dz * dz)
     dx, dy, dz = dx * scale, dy * scale, dz * scale
     ox, oy, oz = pose[0, 3], pose[1, 3], pose[2, 3]
-    t, k = nearest_hit(scene, ox, oy, oz, dx, dy, dz, 0.0, MISS, COLOUR_TOLERANCE)
+    t, k = nearest_hit(scene, ox, oy, oz, dx, dy, dz, 0.0, MISS, COLOR_TOLERANCE)
     if k < 0:
         return 0.0, 0.0, 0.0, -1
     r, g, b = lit(scene, seed, k, ox + t * dx, oy + t * dy, oz + t * dz, dx, dy, dz)
@@ -161,7 +161,7 @@ def encoded(value):
 
 @released
 def shade_rows(scene, seed, exposure, lens, pose, first_row, out, side, fine_side):
-    """Fill out [rows, width, 4] (straight sRGB-encoded colour, coverage) for the rows from first_row on.
+    """Fill out [rows, width, 4] (straight sRGB-encoded color, coverage) for the rows from first_row on.
 
     lens: (fx, fy, cx, cy) pixels; pose [4, 4] world_from_camera. Each pixel is the mean of side^2 samples, of
     fine_side^2 where those are uneven.
@@ -171,9 +171,9 @@ def shade_rows(scene, seed, exposure, lens, pose, first_row, out, side, fine_sid
             for grid in (side, max(side, fine_side)):
                 r, g, b, a, uneven = averaged(scene, seed, exposure, lens, pose, i, first_row + j, grid)
                 straight = 1.0 / max(a, 1e-9)
-                colour = (r * straight, g * straight, b * straight)
+                color = (r * straight, g * straight, b * straight)
                 for channel in range(3):
-                    out[j, i, channel] = encoded(colour[channel])
+                    out[j, i, channel] = encoded(color[channel])
                 out[j, i, 3] = a
                 if not uneven:
                     break

@@ -43,7 +43,7 @@ def cylinder(x, y, z, radius, low, high, rounding):
 
 @compiled
 def ring(x, y, z, major, minor):
-    """Torus about the z axis, centred at the origin."""
+    """Torus about the z axis, centerd at the origin."""
     return hypot(hypot(x, y) - major, z) - minor
 
 
@@ -76,7 +76,7 @@ def round_cone(x, y, z, low_radius, high_radius, height):
 @compiled
 def spindle(r, z, half_length, half_width):
     """Solid of revolution of a circle's arc about its chord: points at (0, +-half_length), waist `half_width`."""
-    d = 0.5 * (half_length * half_length - half_width * half_width) / half_width  # centre of the arc at r = -d
+    d = 0.5 * (half_length * half_length - half_width * half_width) / half_width  # center of the arc at r = -d
     z = abs(z)
     if half_length * r < d * (z - half_length):
         return hypot(r, z - half_length)

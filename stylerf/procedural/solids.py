@@ -54,7 +54,7 @@ def moved(x: float, y: float, z: float) -> np.ndarray:
 def leaning_cube(book: np.ndarray, depth: float, thickness: float, half: float, reach: float) -> np.ndarray:
     """Pose of a cube that stands on an edge `reach` before a lying book's long side and leans on its upper edge.
 
-    book: pose of the book's centre on the table (local y across its short side); depth, thickness: full sides.
+    book: pose of the book's center on the table (local y across its short side); depth, thickness: full sides.
     The tilt is atan(thickness / reach), so that the cube's lower face touches the book's edge.
     """
     tilt = np.degrees(atan2(thickness, reach))
@@ -66,7 +66,7 @@ def arrangement() -> list[Solid]:
     """The solids of the still life, within [-1.25, 1.25]^3, standing on the table top z = TABLE_TOP."""
     radius, thick = TABLE_RADIUS, 0.11
     ball, major, minor = 0.205, 0.185, 0.058
-    rest = sqrt((ball + minor) ** 2 - major**2) + minor  # height of a ball's centre that rests in a lying ring
+    rest = sqrt((ball + minor) ** 2 - major**2) + minor  # height of a ball's center that rests in a lying ring
     length, depth, height = 0.30, 0.21, 0.062  # half sides of the book
     book = standing(0.47, 0.28, 32.0, height)
     cube = leaning_cube(book, 2 * depth, 2 * height, 0.145, 0.2)

@@ -1,7 +1,7 @@
 """A still life with known ground truth: fruit, vase, book, cube, ring, ball and candle on a round wooden table.
 
 Rendered by sphere tracing of signed distance functions. Nothing in it is random from view to view: shadows and
-occlusion are closed-form estimates, so that the same point has the same diffuse colour from everywhere.
+occlusion are closed-form estimates, so that the same point has the same diffuse color from everywhere.
 """
 
 from concurrent.futures import ThreadPoolExecutor
@@ -23,8 +23,8 @@ EXPOSURE = 0.54
 class TrueView:
     """What a camera sees, with ground truth.
 
-    rgba: [h, w, 4] float32, straight alpha: sRGB-encoded colour 0..1 and coverage 0..1, box-filtered.
-    ray_distance, z: [h, w] float32, at pixel centres, not filtered, scene units; inf where the centre's ray misses.
+    rgba: [h, w, 4] float32, straight alpha: sRGB-encoded color 0..1 and coverage 0..1, box-filtered.
+    ray_distance, z: [h, w] float32, at pixel centers, not filtered, scene units; inf where the center's ray misses.
     """
 
     rgba: np.ndarray
@@ -77,15 +77,15 @@ class StillLife:
                 list(pool.map(shade, bands))
         else:
             shade(np.arange(camera.height))
-        distance = self.centre_distances(camera)
+        distance = self.center_distances(camera)
         return TrueView(out, distance.astype(np.float32), (distance * camera.ray_cosines()).astype(np.float32))
 
-    def centre_distances(self, camera: Camera) -> np.ndarray:
-        """Ray distance [h, w] float64 at pixel centres, from float64 rays; inf on a miss."""
+    def center_distances(self, camera: Camera) -> np.ndarray:
+        """Ray distance [h, w] float64 at pixel centers, from float64 rays; inf on a miss."""
         rows, columns = np.meshgrid(np.arange(camera.height) + 0.5, np.arange(camera.width) + 0.5, indexing="ij")
         pixels = np.stack([columns.ravel(), rows.ravel()], axis=-1)
-        directions = camera.unproject(pixels, np.ones(len(pixels))) - camera.centre
-        return self.trace(camera.centre[None], directions).reshape(camera.height, camera.width)
+        directions = camera.unproject(pixels, np.ones(len(pixels))) - camera.center
+        return self.trace(camera.center[None], directions).reshape(camera.height, camera.width)
 
 
 def looking_at(name: str, eye: np.ndarray, target: np.ndarray, width: int, height: int, focal: float) -> Camera:

@@ -99,8 +99,8 @@ def lay_strokes(paint, height, points, offsets, widths, first, second, dryness, 
                 light = 0.93 + 0.14 * fine
                 cover = 0.94 if edge < 0.9 else 0.7
                 for channel in range(3):
-                    colour = (first[k, channel] * (1.0 - t) + second[k, channel] * t) * light
-                    paint[row, column, channel] += cover * (colour - paint[row, column, channel])
+                    color = (first[k, channel] * (1.0 - t) + second[k, channel] * t) * light
+                    paint[row, column, channel] += cover * (color - paint[row, column, channel])
                 ridge = 0.75 * hair + 0.35 * fine + 0.35 * smoothstep(0.55, 0.9, edge)
                 lift = thickness * swell * ridge * (1.0 - 0.5 * smoothstep(0.9, 1.0, edge))
                 height[row, column] = 0.45 * height[row, column] + lift

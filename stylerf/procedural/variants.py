@@ -1,7 +1,7 @@
 """The still life made hard: without texture, with a texture that repeats, of thin rods and rings.
 
 The shapes and their exact distances are those of the still life; light is plain (one lamp and the sky, no shadows), so
-that a point has one colour from everywhere and nothing but the surface is in question.
+that a point has one color from everywhere and nothing but the surface is in question.
 """
 
 import numpy as np
@@ -73,17 +73,17 @@ class HardStillLife:
         fine = camera.scaled(FINER)
         rows, columns = np.meshgrid(np.arange(fine.height) + 0.5, np.arange(fine.width) + 0.5, indexing="ij")
         pixels = np.stack([columns.ravel(), rows.ravel()], -1)
-        directions = fine.unproject(pixels, np.ones(len(pixels))) - fine.centre
+        directions = fine.unproject(pixels, np.ones(len(pixels))) - fine.center
         directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-        distances, owners = self.life.trace_owners(fine.centre[None], directions)
+        distances, owners = self.life.trace_owners(fine.center[None], directions)
         hit = owners >= 0
-        points = fine.centre + distances[hit, None] * directions[hit]
+        points = fine.center + distances[hit, None] * directions[hit]
         light = 0.55 + 0.45 * np.clip(self.normals(points) @ LAMP, 0, 1)
-        colours = np.zeros((len(pixels), 4))
-        colours[hit, :3], colours[hit, 3] = self.albedo(points, owners[hit]) * light[:, None], 1.0
+        colors = np.zeros((len(pixels), 4))
+        colors[hit, :3], colors[hit, 3] = self.albedo(points, owners[hit]) * light[:, None], 1.0
         shape = (camera.height, FINER, camera.width, FINER, 4)
-        mean = colours.reshape(shape).mean((1, 3))
+        mean = colors.reshape(shape).mean((1, 3))
         alpha = mean[..., 3:]
         rgba = np.concatenate([mean[..., :3] / np.maximum(alpha, 1e-6), alpha], -1).astype(np.float32)
-        centre = self.life.centre_distances(camera)
-        return TrueView(rgba, centre.astype(np.float32), (centre * camera.ray_cosines()).astype(np.float32))
+        center = self.life.center_distances(camera)
+        return TrueView(rgba, center.astype(np.float32), (center * camera.ray_cosines()).astype(np.float32))

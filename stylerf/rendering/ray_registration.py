@@ -73,7 +73,7 @@ def registered(view: SeenPoints, reference: SeenPoints, tolerance: float = TOLER
 
 def _ways(points: np.ndarray, camera: Camera) -> np.ndarray:
     """Unit directions [n, 3] from the camera to the points."""
-    way = points - camera.centre
+    way = points - camera.center
     return way / np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-12)
 
 
@@ -110,7 +110,7 @@ def best_reference(views: Sequence[SeenPoints]) -> int:
 
 
 def sampled_at(picture: np.ndarray, positions: np.ndarray) -> np.ndarray:
-    """A picture [h, w, c] at positions [n, 2] (x, y; pixel centres at halves), bilinear, level outside: [n, c]."""
+    """A picture [h, w, c] at positions [n, 2] (x, y; pixel centers at halves), bilinear, level outside: [n, c]."""
     height, width = picture.shape[:2]
     x = np.clip(positions[:, 0] - 0.5, 0, width - 1)
     y = np.clip(positions[:, 1] - 0.5, 0, height - 1)

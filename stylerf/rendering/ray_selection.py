@@ -1,4 +1,4 @@
-"""Which rays of a view carry gradient in one stylisation step.
+"""Which rays of a view carry gradient in one stylization step.
 
 The style loss needs the whole picture, the field need not learn from every ray of it. `full` and `deferred` learn from
 all (deferred: rendered once without a graph, then again in chunks with the cached dL/d(picture); ARF); `dilated` from
@@ -40,7 +40,7 @@ def selected_gradient(gradient: np.ndarray, pixels: np.ndarray, blur: int) -> np
     """dL/d(picture) [h, w, 3] at the selected pixels [n, 3], scaled by all/selected: the full gradient in expectation.
 
     Not pixel by pixel for `patch`: its windows hold the middle of the picture more often than its sides.
-    blur: side of a box filter applied first, odd (0: none): selected rays then speak for their neighbours too
+    blur: side of a box filter applied first, odd (0: none): selected rays then speak for their neighbors too
     (DeSRF: 3), instead of dropping what these were asked for, at the price of the finest strokes.
     """
     height, width = gradient.shape[:2]
@@ -54,7 +54,7 @@ def selected_gradient(gradient: np.ndarray, pixels: np.ndarray, blur: int) -> np
 def spread_over_picture(changes: np.ndarray, pixels: np.ndarray, height: int, width: int, dilation: int) -> np.ndarray:
     """Changes [n, k] of a dilated selection's pixels, linear in between: what all pixels [h * w, k] changed by, about.
 
-    Rays that were not walked anew stay true to what the field has learnt since, all but its finest detail.
+    Rays that were not walked anew stay true to what the field has learned since, all but its finest detail.
     """
     top, left = divmod(int(pixels[0]), width)
     rows, columns = -(-(height - top) // dilation), -(-(width - left) // dilation)

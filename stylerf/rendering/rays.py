@@ -1,4 +1,4 @@
-"""Rays through a field to pixels, and gradients back: march, density, colour, composite."""
+"""Rays through a field to pixels, and gradients back: march, density, color, composite."""
 
 from dataclasses import dataclass
 
@@ -20,7 +20,7 @@ SAMPLE_LIMIT = 512
 class Rendered:
     """What rays came back with. out [rays, 5]: premultiplied rgb, alpha, sum of w t without a backdrop's.
 
-    The rest serves the backward. unmapped: out before the field's colour map.
+    The rest serves the backward. unmapped: out before the field's color map.
     """
 
     out: np.ndarray
@@ -28,26 +28,26 @@ class Rendered:
     rays: Rays
     samples: Samples
     basis: np.ndarray
-    colours: np.ndarray
+    colors: np.ndarray
 
 
 def render_rays(field: RadianceField, rays: Rays, *, chunks: int, opaque=1e-3, share=2e-2) -> Rendered:
     """Render rays. opaque: transmittance at which a ray ends.
 
-    share: part of its ray's largest weight under which a sample gets no colour of its own, but the ray's mean.
+    share: part of its ray's largest weight under which a sample gets no color of its own, but the ray's mean.
     """
     samples = field.march(rays, SAMPLE_LIMIT, opaque, chunks)
-    basis = harmonics(rays.directions, getattr(field.colour, "degree", 0))
+    basis = harmonics(rays.directions, getattr(field.color, "degree", 0))
     shown = room(samples.weights.shape)
     significant(samples.weights, samples.starts, samples.ends, np.float32(share), chunks, shown)
-    colours = field.colour.colours(samples.x, basis, samples.starts, samples.ends, shown, 0.0, chunks)
+    colors = field.color.colors(samples.x, basis, samples.starts, samples.ends, shown, 0.0, chunks)
     unmapped = np.empty((len(rays.origins), 5), np.float32)
-    composite(samples.weights, samples.optical, colours, samples.t, samples.starts, samples.ends, chunks, unmapped)
+    composite(samples.weights, samples.optical, colors, samples.t, samples.starts, samples.ends, chunks, unmapped)
     out = unmapped
-    if field.colour_map is not None:
-        mapped = field.colour_map.premultiplied(torch.from_numpy(out[:, :3]), torch.from_numpy(out[:, 3]))
+    if field.color_map is not None:
+        mapped = field.color_map.premultiplied(torch.from_numpy(out[:, :3]), torch.from_numpy(out[:, 3]))
         out = np.concatenate([np.clip(mapped.numpy(), 0, out[:, 3:4]), out[:, 3:]], 1)
-    return Rendered(out, unmapped, rays, samples, basis, colours)
+    return Rendered(out, unmapped, rays, samples, basis, colors)
 
 
 def seen(rendered: Rendered, chunks: int) -> np.ndarray:
@@ -62,7 +62,7 @@ def backward(
     rendered: Rendered,
     gradients: np.ndarray,
     density_to,
-    colour_to,
+    color_to,
     displacement_to=None,
     *,
     even_from: float = 0.0,
@@ -74,17 +74,17 @@ def backward(
     learn by the square of their distance (0: all alike). density_within: cells [s, s, s] of the cube outside of which
     no density learns.
 
-    A field's colour_map is for its pictures: the gradient is that of the colours before it.
+    A field's color_map is for its pictures: the gradient is that of the colors before it.
     """
     s = rendered.samples
     sigma_gradients = room(s.sigma.shape)
-    colour_gradients = room(rendered.colours.shape)
-    chunks = len(next(to for to in (colour_to, density_to, displacement_to) if to is not None))
+    color_gradients = room(rendered.colors.shape)
+    chunks = len(next(to for to in (color_to, density_to, displacement_to) if to is not None))
     composite_backward(
         s.sigma,
         s.weights,
         s.optical,
-        rendered.colours,
+        rendered.colors,
         s.t,
         s.starts,
         s.ends,
@@ -92,12 +92,12 @@ def backward(
         gradients,
         chunks,
         sigma_gradients,
-        colour_gradients,
+        color_gradients,
     )
     if even_from > 0:
-        scale_near(s.t, s.starts, s.ends, np.float32(even_from), chunks, sigma_gradients, colour_gradients)
-    if colour_to is not None:
-        field.colour.backward(s.x, rendered.basis, s.starts, s.ends, rendered.colours, colour_gradients, colour_to)
+        scale_near(s.t, s.starts, s.ends, np.float32(even_from), chunks, sigma_gradients, color_gradients)
+    if color_to is not None:
+        field.color.backward(s.x, rendered.basis, s.starts, s.ends, rendered.colors, color_gradients, color_to)
     if density_to is not None:
         if density_within is not None:
             flat, cells = density_within.reshape(-1), density_within.shape[0]
@@ -105,7 +105,7 @@ def backward(
         field.density.backward(s.x, s.starts, s.ends, s.sigma, sigma_gradients, density_to)
     if displacement_to is not None:
         at_positions = position_gradients(
-            field.density, field.colour, s, rendered.basis, sigma_gradients, rendered.colours, colour_gradients, chunks
+            field.density, field.color, s, rendered.basis, sigma_gradients, rendered.colors, color_gradients, chunks
         )
         cells = field.displacement.shape[0]
         displacement_gradient(field.space, rendered.rays, s, at_positions, cells, displacement_to)

@@ -40,7 +40,7 @@ def render_view(
     regions: Mapping[str, np.ndarray] | None = None,
     on_rays: Callable[[int], None] = lambda done: None,
 ) -> RenderedView:
-    """Render every pixel centre of a camera; memory is bounded by rays_at_once. on_rays: told after each part.
+    """Render every pixel center of a camera; memory is bounded by rays_at_once. on_rays: told after each part.
 
     regions: marked cells [s, s, s] by name, whose share of each ray comes from the very samples of the picture.
     """

@@ -20,7 +20,7 @@ TRIED_RAYS = 4096
 
 
 def rays_of(camera: Camera, number: Tensor) -> DeviceRays:
-    """Rays of the centres of pixels [n] of an int type, counted row by row, made on their device."""
+    """Rays of the centers of pixels [n] of an int type, counted row by row, made on their device."""
     count, device = len(number), number.device
     x = ((number % camera.width).float() + 0.5 - camera.cx) / camera.fx
     y = ((number // camera.width).float() + 0.5 - camera.cy) / camera.fy

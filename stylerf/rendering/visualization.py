@@ -9,15 +9,15 @@ from stylerf.rendering.view import RenderedView
 
 
 def depth_picture(z: np.ndarray, alpha: np.ndarray) -> np.ndarray:
-    """Planar depth [h, w] in a perceptual colour map, near bright, by inverse depth; [h, w, 3] uint8, void black."""
+    """Planar depth [h, w] in a perceptual color map, near bright, by inverse depth; [h, w, 3] uint8, void black."""
     from stylerf.environment.matplotlib_defaults import colormaps
 
     seen = (alpha > 0.5) & (z > 0)
     inverse = np.where(seen, 1 / np.maximum(z, 1e-6), 0)
     low, high = np.percentile(inverse[seen], [1, 99]) if seen.any() else (0.0, 1.0)
     level = np.clip((inverse - low) / max(high - low, 1e-9), 0, 1)
-    colours = colormaps["viridis"](level)[..., :3] * seen[..., None]
-    return (colours * 255 + 0.5).astype(np.uint8)
+    colors = colormaps["viridis"](level)[..., :3] * seen[..., None]
+    return (colors * 255 + 0.5).astype(np.uint8)
 
 
 def displacement_picture(field: RadianceField, camera: Camera, seen: RenderedView) -> np.ndarray:

@@ -1,1 +1,1 @@
-"""Feature trunks, style losses, colour matching."""
+"""Feature trunks, style losses, color matching."""

@@ -1,4 +1,4 @@
-"""One picture stylised at once: its features take a painting's statistics and are decoded (AdaIN, Huang 2017)."""
+"""One picture stylized at once: its features take a painting's statistics and are decoded (AdaIN, Huang 2017)."""
 
 from collections.abc import Mapping
 
@@ -14,7 +14,7 @@ SPREAD_FLOOR = 1e-5  # added to a channel's variance (AdaIN)
 
 
 class Decoder(nn.Module):
-    """From conv3_1 features of the AdaIN-normalised VGG-19 [n, 256, h, w] to sRGB pictures [n, 3, 4h, 4w]."""
+    """From conv3_1 features of the AdaIN-normalized VGG-19 [n, 256, h, w] to sRGB pictures [n, 3, 4h, 4w]."""
 
     def __init__(self, state: Mapping[str, Tensor]) -> None:
         super().__init__()

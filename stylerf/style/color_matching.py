@@ -1,9 +1,9 @@
-"""Exact colour matching: the affine map that gives one set of colours the mean and covariance of another.
+"""Exact color matching: the affine map that gives one set of colors the mean and covariance of another.
 
     A = V_s^(1/2) V_c^(-1/2),  b = mu_s - A mu_c,  x' = A x + b        (ARF; symmetric square roots)
 
-with mu, V the weighted mean and covariance (1/N) of the content colours c and the style colours s. It is a map of
-colours as they are seen (sRGB-encoded, [0, 1]); spherical-harmonic coefficients are not colours.
+with mu, V the weighted mean and covariance (1/N) of the content colors c and the style colors s. It is a map of
+colors as they are seen (sRGB-encoded, [0, 1]); spherical-harmonic coefficients are not colors.
 """
 
 from collections.abc import Iterable
@@ -16,45 +16,45 @@ from stylerf.errors import InvalidValue
 from stylerf.srgb import LUMA
 
 VARIANCE_FLOOR = 1e-8  # eigenvalues of a covariance below this are raised to it (ARF clamps its singular values so)
-NOISE = (2 / 255) ** 2  # variance of content below which it is no colour but the noise of a photo in eight bits
+NOISE = (2 / 255) ** 2  # variance of content below which it is no color but the noise of a photo in eight bits
 
 
 @dataclass(frozen=True)
-class ColourMap:
-    """x' = matrix x + offset on sRGB colours; matrix [3, 3], offset [3]."""
+class ColorMap:
+    """x' = matrix x + offset on sRGB colors; matrix [3, 3], offset [3]."""
 
     matrix: Tensor
     offset: Tensor
 
-    def __call__(self, colours: Tensor) -> Tensor:
-        """Colours [..., 3] mapped, not clamped."""
-        return colours @ self.matrix.T.to(colours) + self.offset.to(colours)
+    def __call__(self, colors: Tensor) -> Tensor:
+        """Colors [..., 3] mapped, not clamped."""
+        return colors @ self.matrix.T.to(colors) + self.offset.to(colors)
 
     def image(self, image: Tensor) -> Tensor:
         """The same on an image [3, h, w], clamped to [0, 1]."""
         return self(image.movedim(0, -1)).clamp(0, 1).movedim(-1, 0).contiguous()
 
-    def after(self, first: "ColourMap") -> "ColourMap":
+    def after(self, first: "ColorMap") -> "ColorMap":
         """The single map that does `first`, then this one."""
-        return ColourMap(self.matrix @ first.matrix, self.matrix @ first.offset + self.offset)
+        return ColorMap(self.matrix @ first.matrix, self.matrix @ first.offset + self.offset)
 
-    def premultiplied(self, colours: Tensor, alpha: Tensor) -> Tensor:
-        """Premultiplied colours [..., 3] of coverage alpha [...]: A (alpha x) + alpha b = alpha (A x + b)."""
-        return colours @ self.matrix.T.to(colours) + alpha[..., None] * self.offset.to(colours)
+    def premultiplied(self, colors: Tensor, alpha: Tensor) -> Tensor:
+        """Premultiplied colors [..., 3] of coverage alpha [...]: A (alpha x) + alpha b = alpha (A x + b)."""
+        return colors @ self.matrix.T.to(colors) + alpha[..., None] * self.offset.to(colors)
 
 
-def colour_statistics(colours: Tensor, weights: Tensor | None = None) -> tuple[Tensor, Tensor]:
-    """Weighted mean [3] and covariance [3, 3] (divided by the sum of weights) of colours [n, 3], in float64."""
-    if colours.dim() != 2 or colours.shape[1] != 3 or colours.shape[0] == 0:
-        raise InvalidValue(f"expected colours [n, 3] with n > 0, found {tuple(colours.shape)}")
-    colours = colours.double()
-    weights = torch.ones_like(colours[:, 0]) if weights is None else weights.double()
+def color_statistics(colors: Tensor, weights: Tensor | None = None) -> tuple[Tensor, Tensor]:
+    """Weighted mean [3] and covariance [3, 3] (divided by the sum of weights) of colors [n, 3], in float64."""
+    if colors.dim() != 2 or colors.shape[1] != 3 or colors.shape[0] == 0:
+        raise InvalidValue(f"expected colors [n, 3] with n > 0, found {tuple(colors.shape)}")
+    colors = colors.double()
+    weights = torch.ones_like(colors[:, 0]) if weights is None else weights.double()
     total = weights.sum()
-    if not (float(total) > 0 and torch.isfinite(colours).all()):
-        raise InvalidValue("colours to match must be finite and their weights must not all be 0")
-    mean = (weights[:, None] * colours).sum(dim=0) / total
-    centred = colours - mean
-    return mean, (weights[:, None] * centred).T @ centred / total
+    if not (float(total) > 0 and torch.isfinite(colors).all()):
+        raise InvalidValue("colors to match must be finite and their weights must not all be 0")
+    mean = (weights[:, None] * colors).sum(dim=0) / total
+    centerd = colors - mean
+    return mean, (weights[:, None] * centerd).T @ centerd / total
 
 
 def symmetric_power(covariance: Tensor, exponent: float, least: float = VARIANCE_FLOOR) -> Tensor:
@@ -63,29 +63,29 @@ def symmetric_power(covariance: Tensor, exponent: float, least: float = VARIANCE
     return (vectors * values.clamp_min(least).pow(exponent)) @ vectors.T
 
 
-def match_colours(
+def match_colors(
     content: Tensor,  # [n, 3] sRGB
     style: Tensor,  # [m, 3] sRGB
     content_weights: Tensor | None = None,  # [n], for example alpha
     style_weights: Tensor | None = None,  # [m]
-) -> ColourMap:
+) -> ColorMap:
     """The map after which the content's weighted mean and covariance are the style's (exactly, before clamping).
 
-    Float64 inside and out, on the CPU. A content with less spread in some direction than NOISE (a grey picture) gains
-    only in proportion there: exactly matched, its noise would become colours.
+    Float64 inside and out, on the CPU. A content with less spread in some direction than NOISE (a gray picture) gains
+    only in proportion there: exactly matched, its noise would become colors.
     """
-    mean_c, covariance_c = colour_statistics(content.cpu(), _on_cpu(content_weights))
-    mean_s, covariance_s = colour_statistics(style.cpu(), _on_cpu(style_weights))
+    mean_c, covariance_c = color_statistics(content.cpu(), _on_cpu(content_weights))
+    mean_s, covariance_s = color_statistics(style.cpu(), _on_cpu(style_weights))
     matrix = symmetric_power(covariance_s, 0.5) @ symmetric_power(covariance_c, -0.5, NOISE)
-    return ColourMap(matrix, mean_s - matrix @ mean_c)
+    return ColorMap(matrix, mean_s - matrix @ mean_c)
 
 
 def spread_at_least(painting: Tensor, least: float) -> Tensor:
-    """A painting [3, h, w] to take colours from, whose luma has a standard deviation of at least `least` (0..0.25).
+    """A painting [3, h, w] to take colors from, whose luma has a standard deviation of at least `least` (0..0.25).
 
-    Exact matching to a painting of one colour takes all light and shade from a scene. One with less spread than asked
-    for is given the rest in grey: d is added to every other pixel and taken from those between, which keeps its mean
-    and adds d^2 to every entry of its covariance. Where 0..1 leaves no room for that, colours move inwards first.
+    Exact matching to a painting of one color takes all light and shade from a scene. One with less spread than asked
+    for is given the rest in gray: d is added to every other pixel and taken from those between, which keeps its mean
+    and adds d^2 to every entry of its covariance. Where 0..1 leaves no room for that, colors move inwards first.
     """
     if least <= 0:
         return painting
@@ -107,28 +107,28 @@ def spread_at_most(
     most: float,
     content_weights: Tensor | None = None,  # [n]
 ) -> Tensor:
-    """A painting [3, h, w] to take colours from, for which no spread of the content grows more than `most` times.
+    """A painting [3, h, w] to take colors from, for which no spread of the content grows more than `most` times.
 
-    Exact matching to it then stretches no principal axis of the content's colours further; 0: any stretch. Along those
-    along which the painting spreads more, its colours are drawn in towards their mean, which they keep: with E the
+    Exact matching to it then stretches no principal axis of the content's colors further; 0: any stretch. Along those
+    along which the painting spreads more, its colors are drawn in towards their mean, which they keep: with E the
     content's axes, l_k its variances and V the painting's covariance, by E D E^T, D_k = min(1, most sqrt(l_k / (E^T V
     E)_kk)). It may lie a little beyond 0..1: it is for its mean and covariance, not to be looked at.
     """
     if most <= 0:
         return painting
-    spread, axes = torch.linalg.eigh(colour_statistics(content.cpu(), _on_cpu(content_weights))[1])
-    mean, covariance = colour_statistics(painting.cpu().flatten(1).T)
+    spread, axes = torch.linalg.eigh(color_statistics(content.cpu(), _on_cpu(content_weights))[1])
+    mean, covariance = color_statistics(painting.cpu().flatten(1).T)
     wanted = (axes.T @ covariance @ axes).diagonal().clamp_min(VARIANCE_FLOOR)
     drawn = (most * (spread.clamp_min(VARIANCE_FLOOR) / wanted).sqrt()).clamp_max(1.0)
     if bool((drawn == 1).all()):
         return painting
     matrix = (axes * drawn) @ axes.T
-    colours = (painting.cpu().double().flatten(1).T - mean) @ matrix.T + mean
-    return colours.T.reshape(painting.shape).to(painting)
+    colors = (painting.cpu().double().flatten(1).T - mean) @ matrix.T + mean
+    return colors.T.reshape(painting.shape).to(painting)
 
 
 def strokes_in(painting: Tensor, least: float) -> float:
-    """0..1: what there is of strokes in a painting [3, h, w], its colours' spread (rms over channels) over `least`.
+    """0..1: what there is of strokes in a painting [3, h, w], its colors' spread (rms over channels) over `least`.
 
     Features of a blank one are alike everywhere: a scene that is taught them loses its own and gains noise.
     """
@@ -147,22 +147,22 @@ def pixels_of(
     seed: int = 0,
     count: int | None = None,  # pixels of all; needed where images are made one at a time
 ) -> tuple[Tensor, Tensor]:
-    """Colours [n, 3] and weights [n] of a set of images, a seeded sample of at most about `most` pixels.
+    """Colors [n, 3] and weights [n] of a set of images, a seeded sample of at most about `most` pixels.
 
     Every image gives the same share of its pixels, so that large ones count for more, as in the whole set.
     """
     if count is None:
         count = sum(image.shape[1] * image.shape[2] for image in images)
     generator = torch.Generator().manual_seed(seed)
-    colours, weights = [], []
+    colors, weights = [], []
     for image in images:
         flat = image.flatten(1).T.cpu()
         if count > most:
             take = max(1, round(flat.shape[0] * most / count))
             flat = flat[torch.randint(flat.shape[0], (take,), generator=generator)]
-        colours.append(flat[:, :3])
+        colors.append(flat[:, :3])
         weights.append(flat[:, 3] if flat.shape[1] == 4 else torch.ones_like(flat[:, 0]))
-    return torch.cat(colours), torch.cat(weights)
+    return torch.cat(colors), torch.cat(weights)
 
 
 def _on_cpu(values: Tensor | None) -> Tensor | None:

@@ -97,7 +97,7 @@ class Trunk(nn.Module):
 
     @property
     def stride(self) -> int:
-        """Pixels between neighbouring positions of the deepest tap."""
+        """Pixels between neighboring positions of the deepest tap."""
         return 2 ** (int(self.taps[-1][4]) - 1)
 
     def forward(self, image: Tensor) -> list[Tensor]:

@@ -90,7 +90,7 @@ def style_rows(features: Tensor, most: int | None = 4096, method: str = "sample"
     """Unit rows of a painting's features [c, h, w], at most `most` of them (None: all).
 
     method "sample" keeps a seeded random subset; "cluster" runs k-means on the sphere and keeps the member nearest to
-    each centre (a real feature: centres are blends that no stroke has).
+    each center (a real feature: centers are blends that no stroke has).
     """
     rows = unit_rows(rows_of(features.detach()))
     if most is not None and rows.shape[0] > most:
@@ -112,21 +112,21 @@ def sample(rows: Tensor, count: int, seed: int) -> Tensor:
 
 
 def cluster(rows: Tensor, count: int, seed: int, rounds: int = 4) -> Tensor:
-    """`count` members of the unit rows [m, c], each the nearest to a centre of spherical k-means (`rounds` rounds).
+    """`count` members of the unit rows [m, c], each the nearest to a center of spherical k-means (`rounds` rounds).
 
     An emptied cluster takes the row worst served so far. Fewer than `count` rows come back only when members coincide.
     Runs on the CPU, where sums have one order; it is done once.
     """
     device, rows = rows.device, rows.cpu()
-    centres = sample(rows, count, seed)
+    centers = sample(rows, count, seed)
     for _ in range(rounds):
-        owner, similarity = nearest(rows, centres)
-        sums = torch.zeros_like(centres).index_add_(0, owner, rows)
+        owner, similarity = nearest(rows, centers)
+        sums = torch.zeros_like(centers).index_add_(0, owner, rows)
         empty = torch.bincount(owner, minlength=count) == 0
-        centres = unit_rows(sums)
+        centers = unit_rows(sums)
         if empty.any():
-            centres[empty] = rows[similarity.argsort()[: int(empty.sum())]]
-    members = nearest(centres, rows)[0]
+            centers[empty] = rows[similarity.argsort()[: int(empty.sum())]]
+    members = nearest(centers, rows)[0]
     return rows[members.unique()].to(device)
 
 

@@ -29,7 +29,7 @@ def position_weights(alpha: Tensor, features: Tensor, around: int = 0) -> Tensor
     return F.max_pool2d(covered, 2 * around + 1, 1, around)[0, 0]
 
 
-def nearest_neighbour_distance(
+def nearest_neighbor_distance(
     features: Tensor,  # [c, h, w] of the render
     style: StyleRows,
     weights: Tensor | None = None,  # [h, w] >= 0; positions of weight 0 are neither matched nor differentiated
@@ -78,7 +78,7 @@ def gram_distance(features: Tensor, style_gram: Tensor, weights: Tensor | None =
 
 
 def squared_variation(image: Tensor) -> tuple[Tensor, Tensor]:
-    """Squared differences of horizontal [c, h, w-1] and vertical [c, h-1, w] neighbours; see `image_variation`."""
+    """Squared differences of horizontal [c, h, w-1] and vertical [c, h-1, w] neighbors; see `image_variation`."""
     return (image[:, :, 1:] - image[:, :, :-1]).square(), (image[:, 1:] - image[:, :-1]).square()
 
 
@@ -89,7 +89,7 @@ def image_variation(image: Tensor) -> Tensor:
 
 
 def diagonal_variation(image: Tensor) -> Tensor:
-    """DeSRF eq. 6 per pixel, [h, w]: ||grad_u x + grad_v x|| over colour, forward differences, 0 past the last pixel.
+    """DeSRF eq. 6 per pixel, [h, w]: ||grad_u x + grad_v x|| over color, forward differences, 0 past the last pixel.
 
     As printed, the two differences are added before the norm, so a ramp along the rising diagonal is free. Its
     gradient at a flat pixel is 0.

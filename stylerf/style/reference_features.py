@@ -1,11 +1,11 @@
-"""What a view is asked to be where one or a few views are given stylised: the reference's look where its content is.
+"""What a view is asked to be where one or a few views are given stylized: the reference's look where its content is.
 
 Ref-NPR's template-based correspondence (Zhang et al. 2023, section 3.3). Of each reference there are two pictures of
-the same view: the template (its photo) and the stylised one. Symbols: F features of a block of the trunk.
+the same view: the template (its photo) and the stylized one. Symbols: F features of a block of the trunk.
 
     j(i) = argmin_j 1 - cos(F_photo,i , F_template,j)            content finds content
-    style = mean_i 1 - cos(F_render,i , F_stylised,j(i))         and takes over the look that it has there
-    colour: the same in coarse cells, of their mean colours; a match at a cosine distance over 0.6 says nothing
+    style = mean_i 1 - cos(F_render,i , F_stylized,j(i))         and takes over the look that it has there
+    color: the same in coarse cells, of their mean colors; a match at a cosine distance over 0.6 says nothing
 """
 
 from collections.abc import Sequence
@@ -18,7 +18,7 @@ from torch import Tensor
 from stylerf.style.feature_extractor import Trunk, features
 from stylerf.style.feature_matching import StyleRows, nearest, rows_of, sample, unit_rows
 from stylerf.style.image_sizes import feature_size, resized
-from stylerf.style.losses import by_block, content_distance, nearest_neighbour_distance, position_weights
+from stylerf.style.losses import by_block, content_distance, nearest_neighbor_distance, position_weights
 from stylerf.style.style_objective import EVERYTHING, VARIATIONS, StyleWeights, Window
 
 COARSE_PIXELS = 16  # of the picture, a coarse cell's side (Ref-NPR: 1/16 of its size)
@@ -30,32 +30,32 @@ Matches = dict[str, Tensor]  # by block: [n] int32, for the positions that count
 
 @dataclass(frozen=True)
 class Template:
-    """A reference view: its photo and its stylised picture, [3, h, w]; alpha [h, w] or None; the window that counts."""
+    """A reference view: its photo and its stylized picture, [3, h, w]; alpha [h, w] or None; the window that counts."""
 
     photo: Tensor
-    stylised: Tensor
+    stylized: Tensor
     alpha: Tensor | None = None
     window: Window = EVERYTHING
 
 
 @dataclass(frozen=True)
 class Wanted:
-    """What a view is asked to be: matches, the photo's features by block (half precision), colours of coarse cells.
+    """What a view is asked to be: matches, the photo's features by block (half precision), colors of coarse cells.
 
-    colours: [3, few, few]. trusted: [few, few], 1 where a cell's match says something, times its coverage. covered: the
+    colors: [3, few, few]. trusted: [few, few], 1 where a cell's match says something, times its coverage. covered: the
     coverage of all cells together.
     """
 
     matches: Matches
     content: dict[str, Tensor]
-    colours: Tensor
+    colors: Tensor
     trusted: Tensor
     covered: float
 
     @property
     def bytes(self) -> int:
         """Memory it takes."""
-        held = (*self.matches.values(), *self.content.values(), self.colours, self.trusted)
+        held = (*self.matches.values(), *self.content.values(), self.colors, self.trusted)
         return sum(t.numel() * t.element_size() for t in held)
 
 
@@ -64,7 +64,7 @@ class TemplateObjective:
 
     trunk: its taps' blocks are matched, each by itself (Ref-NPR: conv3 and conv4). coarse: a trunk whose deepest
     block finds coarse matches (Ref-NPR: conv5), in pictures of full size. weights: style, content in the mean square of
-    the stylised pictures' features (docs/decisions/0010), variation, coarse colour. scale: size of the picture that
+    the stylized pictures' features (docs/decisions/0010), variation, coarse color. scale: size of the picture that
     features are taken from.
     """
 
@@ -85,13 +85,13 @@ class TemplateObjective:
         self.device = trunk.input_scale.device
         self.half, self.memory_mb = (torch.bfloat16, 1024.0) if self.device.type == "cuda" else (None, 64.0)
         with torch.no_grad():
-            stylised = self._rows_of([t.stylised for t in self.templates])
-            self.stylised = {block: StyleRows(unit_rows(rows)) for block, rows in stylised.items()}
-            self.unit = {block: float(rows.square().mean().clamp_min(1e-12)) for block, rows in stylised.items()}
+            stylized = self._rows_of([t.stylized for t in self.templates])
+            self.stylized = {block: StyleRows(unit_rows(rows)) for block, rows in stylized.items()}
+            self.unit = {block: float(rows.square().mean().clamp_min(1e-12)) for block, rows in stylized.items()}
             self.keys = self.keys_of([t.photo for t in self.templates])
             cells = [self._cells(t) for t in self.templates]
             self.coarse_keys = torch.cat([keys for keys, _ in cells])
-            self.coarse_colours = torch.cat([colours for _, colours in cells])
+            self.coarse_colors = torch.cat([colors for _, colors in cells])
 
     def features_of(self, picture: Tensor, window: Window = EVERYTHING) -> dict[str, Tensor]:
         """Features by block of a window of a picture [3, h, w], at the feature scale."""
@@ -131,14 +131,14 @@ class TemplateObjective:
         return matches
 
     def _cells(self, one: Template) -> tuple[Tensor, Tensor]:
-        """(features [n, c], stylised colours [n, 3]) of a reference's coarse cells that see the object."""
+        """(features [n, c], stylized colors [n, 3]) of a reference's coarse cells that see the object."""
         keys, size = self._coarse_features(one.photo, one.window)
-        colours = rows_of(F.adaptive_avg_pool2d(one.stylised[:, *one.window], size))
+        colors = rows_of(F.adaptive_avg_pool2d(one.stylized[:, *one.window], size))
         if one.alpha is not None:
             seen = F.adaptive_avg_pool2d(one.alpha[one.window][None], size).flatten() > 0.5
             if seen.any():
-                keys, colours = keys[seen], colours[seen]
-        return unit_rows(keys), colours
+                keys, colors = keys[seen], colors[seen]
+        return unit_rows(keys), colors
 
     def _coarse_features(self, photo: Tensor, window: Window) -> tuple[Tensor, tuple[int, int]]:
         """([cells, c], (rows, columns)) of the coarse trunk's deepest block, a cell COARSE_PIXELS wide or wider."""
@@ -158,10 +158,10 @@ class TemplateObjective:
         covers = torch.ones_like(trusted)
         if alpha is not None:
             covers = F.adaptive_avg_pool2d(alpha[window][None], size)[0]
-        colours = self.coarse_colours[place].T.reshape(3, *size)
+        colors = self.coarse_colors[place].T.reshape(3, *size)
         matches = self.matches_of(found, self.keys, alpha, window)
         content = {b: f.half() for b, f in found.items()}
-        return Wanted(matches, content, colours, trusted * covers, float(covers.sum()))
+        return Wanted(matches, content, colors, trusted * covers, float(covers.sum()))
 
     def __call__(
         self, picture: Tensor, wanted: Wanted, alpha: Tensor | None = None, window: Window = EVERYTHING
@@ -174,21 +174,21 @@ class TemplateObjective:
             apart = content_distance(feature, wanted.content[block].float()) / self.unit[block]
             content = content + (apart * weights).sum() / weights.sum().clamp_min(1e-6)
         cells = F.adaptive_avg_pool2d(picture[:, *window], wanted.trusted.shape)
-        apart = (cells - wanted.colours).square().mean(0)
-        colour = (apart * wanted.trusted).sum() / max(wanted.covered, 1e-6)
-        parts = {"style": style, "content": content, "variation": self.variation(picture), "colour": colour}
+        apart = (cells - wanted.colors).square().mean(0)
+        color = (apart * wanted.trusted).sum() / max(wanted.covered, 1e-6)
+        parts = {"style": style, "content": content, "variation": self.variation(picture), "color": color}
         loss = sum(getattr(self.weights, name) * part for name, part in parts.items())
         return loss, {name: float(part.detach()) for name, part in parts.items()}
 
     def style_distance(
         self, found: dict[str, Tensor], matches: Matches, alpha: Tensor | None, window: Window
     ) -> Tensor:
-        """Mean over positions of 1 - cos(F_render,i , F_stylised,j(i)), summed over blocks."""
+        """Mean over positions of 1 - cos(F_render,i , F_stylized,j(i)), summed over blocks."""
         total = 0.0
         for block, feature in found.items():
             weights = None if alpha is None else self._weights(feature, alpha, window)
-            distances, _ = nearest_neighbour_distance(
-                feature, self.stylised[block], weights, matches=matches[block].long()
+            distances, _ = nearest_neighbor_distance(
+                feature, self.stylized[block], weights, matches=matches[block].long()
             )
             total = total + distances.sum() / (distances.numel() if weights is None else weights.sum().clamp_min(1e-6))
         return total

@@ -1,5 +1,5 @@
-"""What a stylised view is asked to be: the painting's features, the photo's content, and smooth (ARF eq. 4); and where
-the photo, in the painting's colours, is dark, bright or yellow, to stay so as a whole.
+"""What a stylized view is asked to be: the painting's features, the photo's content, and smooth (ARF eq. 4); and where
+the photo, in the painting's colors, is dark, bright or yellow, to stay so as a whole.
 """
 
 from dataclasses import dataclass
@@ -19,11 +19,11 @@ from stylerf.style.losses import (
     gram_distance,
     gram_matrix,
     image_variation,
-    nearest_neighbour_distance,
+    nearest_neighbor_distance,
     position_weights,
 )
 
-CELLS = 32  # of the longer side: the grain at which colours are kept
+CELLS = 32  # of the longer side: the grain at which colors are kept
 Window = tuple[slice, slice]  # rows and columns of a picture
 EVERYTHING: Window = (slice(None), slice(None))
 VARIATIONS = {"squared": image_variation, "diagonal": lambda picture: diagonal_variation(picture).mean()}
@@ -31,46 +31,46 @@ VARIATIONS = {"squared": image_variation, "diagonal": lambda picture: diagonal_v
 
 @dataclass(frozen=True)
 class StyleWeights:
-    """Weights of the mean nearest-neighbour distance, content distance, total variation and colour distance.
+    """Weights of the mean nearest-neighbor distance, content distance, total variation and color distance.
 
     The content distance is counted in units of the painting's own mean squared feature: trunks differ ten thousandfold
     in their features' squares, so that a weight in the features' own units (ARF: 1e-3) means nothing without the trunk.
-    The colour distance is the mean squared difference of the mean colours of cells a 32nd of the picture wide: features
-    hardly see colour, which drifts where nothing holds it (docs/decisions/0012).
+    The color distance is the mean squared difference of the mean colors of cells a 32nd of the picture wide: features
+    hardly see color, which drifts where nothing holds it (docs/decisions/0012).
     """
 
     style: float = 1.0
     content: float = 1e-2
     variation: float = 1.0
-    colour: float = 10.0
+    color: float = 10.0
 
     @property
     def need_photo(self) -> bool:
         """Whether anything of the photo is kept at all."""
-        return self.content > 0 or self.colour > 0
+        return self.content > 0 or self.color > 0
 
 
 @dataclass(frozen=True)
 class Content:
-    """What a view keeps of its photo: features by block, and the mean colours of its cells [3, few, few]."""
+    """What a view keeps of its photo: features by block, and the mean colors of its cells [3, few, few]."""
 
     features: dict[str, Tensor]
-    colours: Tensor
+    colors: Tensor
 
     @property
     def bytes(self) -> int:
         """Memory it takes."""
-        return sum(t.numel() * t.element_size() for t in (*self.features.values(), self.colours))
+        return sum(t.numel() * t.element_size() for t in (*self.features.values(), self.colors))
 
 
 class StyleObjective:
     """Loss of a picture [3, h, w] against a painting, with the painting's features computed once.
 
-    Pictures, photos and alphas lie where the trunk does. On a GPU the trunk runs in bfloat16 and neighbours are sought
+    Pictures, photos and alphas lie where the trunk does. On a GPU the trunk runs in bfloat16 and neighbors are sought
     among unit rows in float16; what is summed up is float32.
 
     scale: size of the picture that features are taken from (0.5: ARF). most_rows: style features kept for matching;
-    basis: leading directions in which neighbours are sought (0: all, exact). variation: squared (ARF) or diagonal
+    basis: leading directions in which neighbors are sought (0: all, exact). variation: squared (ARF) or diagonal
     (DeSRF eq. 6, its mean over pixels). around: feature positions beside the object that count too.
     """
 
@@ -108,7 +108,7 @@ class StyleObjective:
 
     def _style_distance(self, block: str, feature: Tensor, weights: Tensor | None) -> Tensor:
         """Of one block of a picture's features [c, h, w]; weights [h, w]: where it counts."""
-        distances, _ = nearest_neighbour_distance(
+        distances, _ = nearest_neighbor_distance(
             feature, self.style[block], weights, self.memory_mb, self.half is not None
         )
         return distances.sum() / (distances.numel() if weights is None else weights.sum().clamp_min(1e-6))
@@ -122,7 +122,7 @@ class StyleObjective:
     @torch.no_grad()
     def content_of(self, photo: Tensor, window: Window = EVERYTHING) -> Content:
         """What a view is to keep of a photo [3, h, w]; features in half precision (it is held for every view)."""
-        return Content({block: f.half() for block, f in self.features_of(photo, window).items()}, cell_colours(photo))
+        return Content({block: f.half() for block, f in self.features_of(photo, window).items()}, cell_colors(photo))
 
     def __call__(
         self, picture: Tensor, content: Content | None, alpha: Tensor | None = None, window: Window = EVERYTHING
@@ -142,18 +142,18 @@ class StyleObjective:
                 apart = content_distance(feature, content.features[block].float()) / self.unit[block]
                 content_loss = content_loss + (apart.mean() if weights is None else (apart * weights).sum() / total)
         variation = self.variation(picture)
-        colour_loss = picture.new_zeros(())
-        if content is not None and self.weights.colour > 0:
-            apart = (cell_colours(picture) - content.colours).square().mean(0)
-            weights = torch.ones_like(apart) if alpha is None else cell_colours(alpha[None])[0]
-            colour_loss = (apart * weights).sum() / weights.sum().clamp_min(1e-6)
-        parts = {"style": style_loss, "content": content_loss, "variation": variation, "colour": colour_loss}
+        color_loss = picture.new_zeros(())
+        if content is not None and self.weights.color > 0:
+            apart = (cell_colors(picture) - content.colors).square().mean(0)
+            weights = torch.ones_like(apart) if alpha is None else cell_colors(alpha[None])[0]
+            color_loss = (apart * weights).sum() / weights.sum().clamp_min(1e-6)
+        parts = {"style": style_loss, "content": content_loss, "variation": variation, "color": color_loss}
         loss = sum(getattr(self.weights, name) * part for name, part in parts.items())
         return loss, {name: float(part.detach()) for name, part in parts.items()}
 
 
 class GramObjective(StyleObjective):
-    """The same with the distance of Gram matrices (Gatys et al. 2016) in the place of nearest neighbours.
+    """The same with the distance of Gram matrices (Gatys et al. 2016) in the place of nearest neighbors.
 
     Per block, sum (G - S)^2 / sum S^2 with G, S the Gram matrices of the picture and the painting: 1 for a picture
     without features, 0 for the painting, whatever the trunk (docs/decisions/0010). What is summed up is their mean over
@@ -192,8 +192,8 @@ def window_of(alpha: np.ndarray, least: int = 0) -> Window:
     return sides[0], sides[1]
 
 
-def cell_colours(picture: Tensor) -> Tensor:
-    """Mean colours of a picture [c, h, w] in CELLS cells along its longer side, as many for their size on the other."""
+def cell_colors(picture: Tensor) -> Tensor:
+    """Mean colors of a picture [c, h, w] in CELLS cells along its longer side, as many for their size on the other."""
     height, width = picture.shape[1:]
     share = min(1.0, CELLS / max(height, width))
     return F.adaptive_avg_pool2d(picture, (max(1, round(height * share)), max(1, round(width * share))))

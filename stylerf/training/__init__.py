@@ -1,1 +1,1 @@
-"""The optimisation loop and what it needs."""
+"""The optimization loop and what it needs."""

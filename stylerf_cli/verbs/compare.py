@@ -4,14 +4,14 @@ import shlex
 from dataclasses import asdict
 from pathlib import Path
 
-from schemas.errors import ArtefactStale, UsageError
-from schemas.work_folder import Artefact, Work
-from stylerf_cli.path_arguments import work_or_artefact
+from schemas.errors import ArtifactStale, UsageError
+from schemas.work_folder import Artifact, Work
+from stylerf_cli.path_arguments import work_or_artifact
 
 NAME = "compare"
-HELP = "set fits, stylisations and edits side by side: figures against time, memory, parameters"
+HELP = "set fits, stylizations and edits side by side: figures against time, memory, parameters"
 CONFIG = None
-NAMELESS = "a comparison is no artefact"
+NAMELESS = "a comparison is no artifact"
 FOLDER = "comparison"
 
 
@@ -26,7 +26,7 @@ def add_arguments(parser) -> None:
 def run(args, session) -> dict:
     """Writes compare.json, runs.csv, compare.html, charts/; returns what compare.json holds, with their places.
 
-    A verb without a stage: it reads any number of work folders, and an artefact is made from artefacts of one.
+    A verb without a stage: it reads any number of work folders, and an artifact is made from artifacts of one.
     """
     from schemas.atomic_write import write_bytes, write_json
     from stages.comparison.cost_charts import comparison_charts
@@ -42,7 +42,7 @@ def run(args, session) -> dict:
     runs, gaps = runs_of(works)
     if not runs:
         maker = shlex.join(["stylerf", "fit", str(works[0].root)])
-        raise ArtefactStale(f"no field to compare in {works[0].root}; make one with: {maker}")
+        raise ArtifactStale(f"no field to compare in {works[0].root}; make one with: {maker}")
     fronts: dict[str, list[str]] = {}
     for family in FAMILIES:
         some = [one for one in runs if one.family == family]
@@ -69,10 +69,10 @@ def run(args, session) -> dict:
 
 
 def work_of(path: Path) -> Work:
-    """The work folder there; UsageError for the folder of one artefact."""
-    found = work_or_artefact(path)
-    if isinstance(found, Artefact):
-        raise UsageError(f"{path} is one artefact; give the work folder that it stands in")
+    """The work folder there; UsageError for the folder of one artifact."""
+    found = work_or_artifact(path)
+    if isinstance(found, Artifact):
+        raise UsageError(f"{path} is one artifact; give the work folder that it stands in")
     return found
 
 

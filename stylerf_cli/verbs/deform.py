@@ -3,7 +3,7 @@
 from stages.configs.deform import DeformConfig
 
 NAME = "deform"
-HELP = "give a fitted field a deformation, the start of a stylisation that bends shapes"
+HELP = "give a fitted field a deformation, the start of a stylization that bends shapes"
 CONFIG = DeformConfig
 
 

@@ -10,7 +10,7 @@ from stages.configs.demo import DemoConfig
 NAME = "demo"
 HELP = "the whole path on an embedded scene: photos, fit, painting, film, report"
 CONFIG = DemoConfig
-NAMELESS = "a demo's artefacts have names of their own"
+NAMELESS = "a demo's artifacts have names of their own"
 MARGIN = 4  # pixels around the object on the contact sheet
 
 
@@ -52,10 +52,10 @@ def run(args, session) -> dict:
         style_digest=file_sha256(painting),
         budget=config.style_budget,
         method=config.method,
-        # Plain shapes in small photos bear large strokes, and stay recognisable without being held hard.
+        # Plain shapes in small photos bear large strokes, and stay recognizable without being held hard.
         coarse=0.5,
         style_scale=2.0,
-        colour_weight=3.0,
+        color_weight=3.0,
         content_weight=5e-3,
         **features,
     )
@@ -64,23 +64,23 @@ def run(args, session) -> dict:
         options = {"scene": scene, "field": fit}
         shaped = session.run(deform_init.SPEC, deform_init.run, options, DeformConfig(steps=200), "fit-deformed")
     inputs = {"scene": scene, "field": shaped}
-    stylised = session.run(stylize.SPEC, stylize.run, inputs, style, f"painting-{config.method}")
+    stylized = session.run(stylize.SPEC, stylize.run, inputs, style, f"painting-{config.method}")
 
     def frames(field, path: str, **options):
         wanted = RenderConfig(path=path, **options)
         return session.run(render.SPEC, render.run, {"scene": scene, "field": field}, wanted, f"{field.name}-{path}")
 
-    fit_test, style_test = frames(fit, "test"), frames(stylised, "test")
-    film = frames(stylised, "orbit", count=config.frames, video=True, fps=12.0)
+    fit_test, style_test = frames(fit, "test"), frames(stylized, "test")
+    film = frames(stylized, "orbit", count=config.frames, video=True, fps=12.0)
     fit_report = session.run(
         evaluate.SPEC, evaluate.run, {"scene": scene, "field": fit, "frames": fit_test}, EvaluateConfig(), fit.name
     )
     report = session.run(
         evaluate.SPEC,
         evaluate.run,
-        {"scene": scene, "field": stylised, "frames": style_test, "base_frames": fit_test, "path_frames": film},
+        {"scene": scene, "field": stylized, "frames": style_test, "base_frames": fit_test, "path_frames": film},
         EvaluateConfig(),
-        stylised.name,
+        stylized.name,
     )
     sheet = write_sheet(work.root / "contact-sheet.png", photos, fit_test, style_test)
     result = {
@@ -111,14 +111,14 @@ def refuse_others(work: Work, photos: Path) -> None:
             sources["source_digest"] = digest_of_source(photos)  # they may have been moved
     elif photos.is_dir() and any(photos.iterdir()):
         raise UsageError(f"{photos} is not the demo's, which would write there; give the demo another work folder")
-    for scene in work.artefacts("scene"):
+    for scene in work.artifacts("scene"):
         made = scene.manifest
         if made.stage != "distill" and not any(made.config.get(key) == value for key, value in sources.items()):
             raise UsageError(f"{scene.path} is not the demo's, which would replace it; give the demo another folder")
 
 
-def write_sheet(path: Path, photos: Path, fit, stylised) -> Path:
-    """Held-out photos, their renders and the stylised renders one under another, the painting at the side.
+def write_sheet(path: Path, photos: Path, fit, stylized) -> Path:
+    """Held-out photos, their renders and the stylized renders one under another, the painting at the side.
 
     Pictures are cut to what the object fills in any of them.
     """
@@ -134,7 +134,7 @@ def write_sheet(path: Path, photos: Path, fit, stylised) -> Path:
     filled = np.max([photo[..., 3] for photo in taken], 0) > 0
     box = tuple(slice(max(0, at.min() - MARGIN), at.max() + 1 + MARGIN) for at in np.nonzero(filled))
     rows = [[(p[..., :3] * p[..., 3:] + 1 - p[..., 3:])[box] for p in taken]]
-    for frames in (fit, stylised):
+    for frames in (fit, stylized):
         rows.append([read_image(frames.file(view.png)).pixels[box] for view in read_frames(frames.path).views[:4]])
     write_png(path, to_uint8(sheet_of(rows, read_image(photos / PAINTING).pixels)))
     return path

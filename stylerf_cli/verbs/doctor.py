@@ -121,9 +121,9 @@ def _gpu_kernels() -> dict:
 
     why = unavailable()
     if why is None:
-        from stylerf.fields.gpu.field import COLOUR_KINDS, DENSITY_KINDS
+        from stylerf.fields.gpu.field import COLOR_KINDS, DENSITY_KINDS
 
-        parts = f"densities {', '.join(DENSITY_KINDS)}; colours {', '.join(COLOUR_KINDS)}"
+        parts = f"densities {', '.join(DENSITY_KINDS)}; colors {', '.join(COLOR_KINDS)}"
         return _check("kernels", "gpu", True, f"Triton {version('triton')}: {parts}", needed=False)
     how = "on a machine with an NVIDIA GPU: the CUDA build of torch; without it the CPU's kernels are used"
     return _check("kernels", "gpu", False, why, how, needed=False)

@@ -4,7 +4,7 @@ from stages.configs.finetune import FinetuneConfig
 from stages.configs.whole_edit import WholeEditConfig
 
 NAME = "edit"
-HELP = "select, recolour or stylise a part of the scene, and teach the field: all in one"
+HELP = "select, recolor or stylize a part of the scene, and teach the field: all in one"
 CONFIG = WholeEditConfig
 
 
@@ -16,7 +16,7 @@ def add_arguments(parser) -> None:
 
 def run(args, session) -> dict:
     """The edited field's place, what came between, and the seconds of each stage."""
-    from stages.pipeline.local_edit import edit_dataset_of, ensure_distilled, finetuned, learnt_edit
+    from stages.pipeline.local_edit import edit_dataset_of, ensure_distilled, finetuned, learned_edit
     from stages.pipeline.prerequisites import chosen_field, ensure_field, scene_of_work
     from stages.region_select import masks_of
     from stages.run.runner import refuse_to_replace
@@ -25,7 +25,7 @@ def run(args, session) -> dict:
 
     config = session.config
     name = args.name or "edit"
-    session.name = None  # each artefact of the chain has a name of its own
+    session.name = None  # each artifact of the chain has a name of its own
     session.own_verbs = {"select", "extract", "stylize", "distill", "finetune"}
     # Refused before the first stage, not after it.
     look, _ = pinned(config.look, name)
@@ -35,7 +35,7 @@ def run(args, session) -> dict:
     for kind in ("region", "edit-dataset", "edit", "scene", "field"):
         refuse_to_replace(session.work, kind, name, [start])
     region = selected(session, config.selection, given, name)
-    edit = learnt_edit(session, region, look.learning, look.changes, name, name)
+    edit = learned_edit(session, region, look.learning, look.changes, name, name)
     scene = ensure_distilled(session, edit)
     field = finetuned(session, edit, given, session.config_of("finetune", FinetuneConfig))
     made = {

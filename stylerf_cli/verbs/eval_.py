@@ -5,7 +5,7 @@ from typing import Any
 from schemas.canonical_json import plain
 from schemas.errors import StylerfError, UsageError
 from schemas.frames import FRAMES_FILE, read_frames
-from schemas.work_folder import Artefact, Work, newest
+from schemas.work_folder import Artifact, Work, newest
 from stages.configs.evaluate import EvaluateConfig
 from stages.configs.render import OWN_VIEWS, label_of
 
@@ -35,19 +35,19 @@ def add_arguments(parser) -> None:
         "--base",
         metavar="FIELD",
         help="unedited field to compare a local edit with (default: the one it started from, or that its palette was "
-        "learnt of)",
+        "learned of)",
     )
     parser.add_argument(
         "--robust-to",
         metavar="FIELD",
-        help="stylised field whose renders were the references of this one: Robustness, the PSNR between the two",
+        help="stylized field whose renders were the references of this one: Robustness, the PSNR between the two",
     )
 
 
 def run(args, session) -> dict:
     """The report's place, its figures, its warnings and what was not measured."""
     from stages import evaluate
-    from stages.artifacts.provenance import field_unstylised, is_stylised
+    from stages.artifacts.provenance import field_unstylized, is_stylized
     from stages.evaluation.pinned_inputs import pinned
     from stages.evaluation.reference_metrics import checked
     from stages.evaluation.test_views import SceneViews
@@ -60,15 +60,15 @@ def run(args, session) -> dict:
     field = chosen_field(session, args.of)
     # Whatever cannot be is refused here, before minutes of rendering.
     config = pinned(session.config, field)
-    if (args.robust_to or config.reference) and not is_stylised(field):
-        raise UsageError(f"--reference and --robust-to are for a stylised field; {field.name} is none")
+    if (args.robust_to or config.reference) and not is_stylized(field):
+        raise UsageError(f"--reference and --robust-to are for a stylized field; {field.name} is none")
     scene = scene_of(session.work, field)
     if config.reference:
         checked(config.reference, SceneViews(scene))
     twin = chosen_field(session, args.robust_to) if args.robust_to else None
     base, regions = edit_asked(session, field, args)
     session.say(f"measuring field {field.name}")
-    for one in session.work.artefacts("frames"):
+    for one in session.work.artifacts("frames"):
         if fault := fault_of(one):
             session.say(f"frames {one.name} are passed over: {fault}")
     film = frames_of(session, field, args.path) if args.path else film_there(session.work, field)
@@ -77,8 +77,8 @@ def run(args, session) -> dict:
     inputs = {"scene": scene, "field": field, "frames": frames_of(session, field, "test")}
     if film is not None:
         inputs["path_frames"] = film
-    if is_stylised(field):
-        plain = field_unstylised(field)
+    if is_stylized(field):
+        plain = field_unstylized(field)
         if plain is not None:
             inputs["base_frames"] = frames_of(session, plain, "test")
     if twin is not None:
@@ -89,7 +89,7 @@ def run(args, session) -> dict:
     return told(report, session)
 
 
-def edit_asked(session: Any, field: Artefact, args: Any) -> tuple[Artefact | None, list[Artefact]]:
+def edit_asked(session: Any, field: Artifact, args: Any) -> tuple[Artifact | None, list[Artifact]]:
     """The field before a local edit, and the regions of that edit; None and none where no edit is asked for.
 
     UsageError where the field before it is not known.
@@ -109,7 +109,7 @@ def edit_asked(session: Any, field: Artefact, args: Any) -> tuple[Artefact | Non
     return base, regions
 
 
-def edit_inputs(session: Any, field: Artefact, base: Artefact, regions: list[Artefact]) -> dict[str, Artefact]:
+def edit_inputs(session: Any, field: Artifact, base: Artifact, regions: list[Artifact]) -> dict[str, Artifact]:
     """What the evaluation of a local edit needs, by role: the field before it, frames of both, its regions."""
     from stages.artifacts.region_masks import ROLE
 
@@ -121,7 +121,7 @@ def edit_inputs(session: Any, field: Artefact, base: Artefact, regions: list[Art
     return inputs | {ROLE + one.name: one for one in regions}
 
 
-def frames_of(session: Any, field: Artefact, path: str) -> Artefact:
+def frames_of(session: Any, field: Artifact, path: str) -> Artifact:
     """Frames of the field along `path`: the last that can be measured and are as many as would be rendered, else those.
 
     Frames of the field that are of no use here, but were asked for once, are not replaced; what lies in the place of
@@ -141,7 +141,7 @@ def frames_of(session: Any, field: Artefact, path: str) -> Artefact:
     if there:
         return last(there)
     name = f"{field.name}-{label_of(path)}"
-    here = next((one for one in session.work.artefacts("frames") if one.name == name), None)
+    here = next((one for one in session.work.artifacts("frames") if one.name == name), None)
     if here is not None:
         check(here)  # what cannot be read, perhaps of a newer stylerf, is not replaced unasked
     # What an earlier stylerf made by these very options is made again in its place.
@@ -149,14 +149,14 @@ def frames_of(session: Any, field: Artefact, path: str) -> Artefact:
     return ensure_frames(session, field, path, f"{name}-eval" if taken else name)
 
 
-def film_there(work: Work, field: Artefact) -> Artefact | None:
+def film_there(work: Work, field: Artifact) -> Artifact | None:
     """The last rendered frames, two or more, of the field along a camera path that can be measured, None where there
     are none."""
     films = [frames for frames, path, count in measurable(work, field) if path not in OWN_VIEWS and count > 1]
     return last(films) if films else None
 
 
-def measurable(work: Work, field: Artefact) -> list[tuple[Artefact, str, int]]:
+def measurable(work: Work, field: Artifact) -> list[tuple[Artifact, str, int]]:
     """Frames of the field as it stands, their path and how many: whole ones, with EXR, of the views' own size, as this
     stylerf renders them."""
     from stages.render import SPEC
@@ -173,19 +173,19 @@ def measurable(work: Work, field: Artefact) -> list[tuple[Artefact, str, int]]:
     return found
 
 
-def readable(work: Work) -> list[Artefact]:
+def readable(work: Work) -> list[Artifact]:
     """Frames that are whole as far as manifests, lengths of files and lists of views tell."""
-    return [one for one in work.artefacts("frames") if not fault_of(one)]
+    return [one for one in work.artifacts("frames") if not fault_of(one)]
 
 
-def check(frames: Artefact) -> None:
+def check(frames: Artifact) -> None:
     """StylerfError where a manifest, a file's length or the list of views cannot be read."""
     frames.check_sizes()
     if frames.has(FRAMES_FILE):
         read_frames(frames.file(FRAMES_FILE).parent)
 
 
-def fault_of(frames: Artefact) -> str:
+def fault_of(frames: Artifact) -> str:
     """What keeps these frames from being read, in words; empty where nothing does."""
     try:
         check(frames)
@@ -194,17 +194,17 @@ def fault_of(frames: Artefact) -> str:
     return ""
 
 
-def last(artefacts: list[Artefact]) -> Artefact:
+def last(artifacts: list[Artifact]) -> Artifact:
     """That made last."""
-    return newest(artefacts)[0]
+    return newest(artifacts)[0]
 
 
-def shows(frames: Artefact, field: Artefact) -> bool:
+def shows(frames: Artifact, field: Artifact) -> bool:
     """Whether frames were rendered from this field as it stands."""
     return any(ref.kind == "field" and ref.digest == field.digest for ref in frames.manifest.inputs)
 
 
-def told(report: Artefact, session: Any) -> dict:
+def told(report: Artifact, session: Any) -> dict:
     """The result for --json, printed in words too."""
     from stages.artifacts.report import read_report
 
@@ -214,7 +214,7 @@ def told(report: Artefact, session: Any) -> dict:
         "report": report.path,
         "page": page,
         "field": content["field"],
-        "stylised": content["stylised"],
+        "stylized": content["stylized"],
         "figures": {figure["key"]: figure["mean"] for figure in content["figures"]},
         "protocols": {figure["key"]: figure["protocol"] for figure in content["figures"]},
         "warnings": content["warnings"],

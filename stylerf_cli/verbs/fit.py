@@ -2,7 +2,7 @@
 
 from contextlib import suppress
 
-from schemas.errors import ArtefactDamaged, ArtefactStale
+from schemas.errors import ArtifactDamaged, ArtifactStale
 from stages.configs.fit import FitConfig
 
 NAME = "fit"
@@ -38,7 +38,7 @@ def tell_buffers(session, scene, field, name: str) -> None:
     from schemas.scene import read_scene
     from stages.run.memory import in_words
 
-    with suppress(ArtefactDamaged, ArtefactStale):  # what is not there, or cannot be read, is rendered
+    with suppress(ArtifactDamaged, ArtifactStale):  # what is not there, or cannot be read, is rendered
         if field.digest in [ref.digest for ref in session.work.get("frames", name).manifest.inputs]:
             return
     found = read_scene(scene.path)
@@ -68,11 +68,11 @@ def _words(field, figures: dict) -> list[str]:
 
 def _size(figures: dict) -> str:
     """In words: what the field is made of, and how much of it."""
-    density, colour, head = figures["kinds"]
-    words = [f"{density if density == colour else f'{density}+{colour}'} {figures['resolution']}^3"]
-    ranks = [figures[f"{part}_rank"] for part in ("density", "colour")]
+    density, color, head = figures["kinds"]
+    words = [f"{density if density == color else f'{density}+{color}'} {figures['resolution']}^3"]
+    ranks = [figures[f"{part}_rank"] for part in ("density", "color")]
     if any(ranks):
         words.append(f"rank{'s' if all(ranks) else ''} {' and '.join(str(rank) for rank in ranks if rank)}")
     if figures["table_bits"]:
         words.append(f"tables of 2^{figures['table_bits']}")
-    return ", ".join(words if head == "linear" else [*words, "colours by a network"])
+    return ", ".join(words if head == "linear" else [*words, "colors by a network"])

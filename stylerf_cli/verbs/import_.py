@@ -26,18 +26,18 @@ def run(args, session) -> dict:
 
     _refuse_a_second(session.work, session.name or SCENE)
     config = config_for(args.source, session.config)
-    artefact = session.run(pose_import.SPEC, pose_import.run, {}, config, SCENE)
-    figures = artefact.manifest.figures
+    artifact = session.run(pose_import.SPEC, pose_import.run, {}, config, SCENE)
+    figures = artifact.manifest.figures
     result = {
-        "scene": artefact.name, "path": artefact.path, "digest": artefact.digest,
-        "seconds": artefact.manifest.seconds, **figures,
+        "scene": artifact.name, "path": artifact.path, "digest": artifact.digest,
+        "seconds": artifact.manifest.seconds, **figures,
     }  # fmt: skip
     return session.emit(result, _words(result))
 
 
 def _refuse_a_second(work, name: str) -> None:
     """UsageError where a scene of another name stands; those that `distill` made do not count."""
-    others = [one for one in work.artefacts("scene") if one.name != name and one.manifest.stage != "distill"]
+    others = [one for one in work.artifacts("scene") if one.name != name and one.manifest.stage != "distill"]
     if others:
         raise UsageError(
             f"{work.root} holds scene {others[0].name} already, and a work folder holds one scene: import into another "

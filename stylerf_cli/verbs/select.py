@@ -5,7 +5,7 @@ from dataclasses import replace
 from stages.configs.select import SelectConfig
 
 NAME = "select"
-HELP = "select a part of the scene in 3D, by pixels, masks, a box or a colour"
+HELP = "select a part of the scene in 3D, by pixels, masks, a box or a color"
 CONFIG = SelectConfig
 
 
@@ -31,7 +31,7 @@ def run(args, session) -> dict:
 
 
 def selected(session, config: SelectConfig, field, name: str = "region"):
-    """The region artefact. field: the one to select in, None for the fitted one."""
+    """The region artifact. field: the one to select in, None for the fitted one."""
     from stages import region_select
     from stages.pipeline.prerequisites import ensure_field, pictures_of, scene_of_work
 

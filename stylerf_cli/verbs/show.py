@@ -1,17 +1,17 @@
-"""`stylerf show PATH`: what a work folder or an artefact holds, in words."""
+"""`stylerf show PATH`: what a work folder or an artifact holds, in words."""
 
 from pathlib import Path
 from typing import Any
 
 from schemas.canonical_json import plain
-from schemas.errors import ArtefactDamaged, ArtefactStale
+from schemas.errors import ArtifactDamaged, ArtifactStale
 from schemas.scene import SCENE_FILE, read_scene
-from schemas.work_folder import Artefact, Work
-from stylerf_cli.path_arguments import work_around, work_or_artefact
+from schemas.work_folder import Artifact, Work
+from stylerf_cli.path_arguments import work_around, work_or_artifact
 from stylerf_cli.progress import duration
 
 NAME = "show"
-HELP = "tell what a work folder or an artefact holds"
+HELP = "tell what a work folder or an artifact holds"
 CONFIG = None
 NAMELESS = "nothing is written"
 SHOWN_FILES = 12
@@ -20,61 +20,61 @@ SHOWN_ITEMS = 6
 
 def add_arguments(parser) -> None:
     """PATH."""
-    parser.add_argument("path", type=Path, metavar="PATH", help="a work folder or the folder of an artefact")
+    parser.add_argument("path", type=Path, metavar="PATH", help="a work folder or the folder of an artifact")
 
 
 def run(args, session) -> dict:
-    """An artefact's manifest with its path, digest and what is out of date; or all artefacts of a work folder."""
-    found = work_or_artefact(args.path)
-    if isinstance(found, Artefact):
+    """An artifact's manifest with its path, digest and what is out of date; or all artifacts of a work folder."""
+    found = work_or_artifact(args.path)
+    if isinstance(found, Artifact):
         result = described(found)
-        return session.emit(result, _artefact_words(result))
+        return session.emit(result, _artifact_words(result))
     result = _work(found)
     return session.emit(result, _work_words(result))
 
 
-def described(artefact: Artefact) -> dict:
+def described(artifact: Artifact) -> dict:
     """The manifest as a dict, with `path`, `digest`, `bytes` and `outdated` (reasons, empty when up to date)."""
-    manifest = plain(artefact.manifest)
+    manifest = plain(artifact.manifest)
     return (
         manifest
         | {
-            "name": artefact.name,
-            "path": artefact.path,
-            "digest": artefact.digest,
+            "name": artifact.name,
+            "path": artifact.path,
+            "digest": artifact.digest,
             "bytes": sum(record["bytes"] for record in manifest["files"]),
-            "outdated": work_around(artefact).outdated(artefact),
+            "outdated": work_around(artifact).outdated(artifact),
         }
-        | _views(artefact)
+        | _views(artifact)
     )
 
 
-def _views(artefact: Artefact) -> dict:
+def _views(artifact: Artifact) -> dict:
     """Of a scene its `views`: name, picture, size and split."""
-    if artefact.kind != "scene" or not artefact.has(SCENE_FILE):
+    if artifact.kind != "scene" or not artifact.has(SCENE_FILE):
         return {}
     kept = ("name", "image", "width", "height", "split")
-    return {"views": [{key: getattr(view, key) for key in kept} for view in read_scene(artefact.path).views]}
+    return {"views": [{key: getattr(view, key) for key in kept} for view in read_scene(artifact.path).views]}
 
 
 def _work(work: Work) -> dict:
     rows = []
-    for artefact in work.artefacts():
-        row = {"kind": artefact.path.parent.name, "name": artefact.name}
+    for artifact in work.artifacts():
+        row = {"kind": artifact.path.parent.name, "name": artifact.name}
         try:
-            full = described(artefact)
+            full = described(artifact)
             kept = ("stage", "digest", "created", "seconds", "peak_memory_mb", "bytes", "outdated")
             rows.append(row | {key: full[key] for key in kept} | {"fault": None})
-        except (ArtefactDamaged, ArtefactStale) as error:
+        except (ArtifactDamaged, ArtifactStale) as error:
             rows.append(row | {"fault": str(error)})
     unfinished = [{"kind": kind, "name": name} for kind, name in work.unfinished()]
-    return {"path": work.root, "artefacts": rows, "unfinished": unfinished}
+    return {"path": work.root, "artifacts": rows, "unfinished": unfinished}
 
 
 def _work_words(result: dict) -> list[str]:
     lines = [f"work folder {result['path']}"]
-    width = max([len(f"{row['kind']} {row['name']}") for row in result["artefacts"]], default=0)
-    for row in result["artefacts"]:
+    width = max([len(f"{row['kind']} {row['name']}") for row in result["artifacts"]], default=0)
+    for row in result["artifacts"]:
         title = f"{row['kind']} {row['name']}".ljust(width)
         if row["fault"]:
             lines.append(f"  {title}  NOT READABLE: {row['fault']}")
@@ -89,7 +89,7 @@ def _work_words(result: dict) -> list[str]:
     return lines
 
 
-def _artefact_words(result: dict) -> list[str]:
+def _artifact_words(result: dict) -> list[str]:
     lines = [
         f"{result['kind']} {result['name']} ({result['path']})",
         f"  made by    {result['stage']} revision {result['revision']} on {result['created']}, "

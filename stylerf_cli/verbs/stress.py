@@ -2,13 +2,13 @@
 
 from pathlib import Path
 
-from schemas.errors import ArtefactStale, BadInput, CheckFailed, UsageError
+from schemas.errors import ArtifactStale, BadInput, CheckFailed, UsageError
 from stages.configs.stress import StressConfig
 
 NAME = "stress"
 HELP = "run methods under faults of photos, poses and paintings: how often each succeeds, a heat map, a baseline"
 CONFIG = StressConfig
-NAMELESS = "a stress writes no artefact in WORK"
+NAMELESS = "a stress writes no artifact in WORK"
 FOLDER = "stress"
 BASELINE = "baseline.json"
 LOCK = ".runs.lock"  # two commands at once would delete each other's work folders
@@ -41,7 +41,7 @@ def add_arguments(parser) -> None:
 def run(args, session) -> dict:
     """Writes stress.json, cells.csv, runs.csv, stress.html, charts/; Worse where a baseline fails, after all of it.
 
-    A verb without an artefact of its own: what it runs lies in work folders below WORK/stress/works.
+    A verb without an artifact of its own: what it runs lies in work folders below WORK/stress/works.
     """
     from schemas.canonical_json import digest_of
     from schemas.lock import Lock
@@ -97,7 +97,7 @@ def _results(stress, conditions: dict, before: list[dict] | None, kept: Path | N
     if not outcomes:
         if stress.missing:
             raise BadInput(next(iter(stress.missing.values())))
-        raise ArtefactStale(f"no run of this stress stands in {root}; leave --only out to make them")
+        raise ArtifactStale(f"no run of this stress stands in {root}; leave --only out to make them")
     cells = cells_of(outcomes)
     held = None if before is None else compared(before, cells)
     chart = heat_map(cells)

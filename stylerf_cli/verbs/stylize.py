@@ -1,5 +1,5 @@
 """`stylerf stylize WORK --style IMAGE`: the scene, or with --region a part of it, in a painting's strokes; or, with
---method palettenerf, the scene in other colours of its own palette."""
+--method palettenerf, the scene in other colors of its own palette."""
 
 import re
 import shlex
@@ -8,17 +8,17 @@ from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
-from schemas.errors import ArtefactDamaged, ArtefactStale, UsageError
+from schemas.errors import ArtifactDamaged, ArtifactStale, UsageError
 from stages.configs.decompose import METHOD, DecomposeConfig, PaletteFieldConfig
 from stages.configs.region import RegionConfig
 from stages.configs.stylize import StylizeConfig
 from stages.configs.views import file_of
 
 NAME = "stylize"
-HELP = "stylise the whole scene or a region of it, or change its palette"
+HELP = "stylize the whole scene or a region of it, or change its palette"
 CONFIG = StylizeConfig
 CONFIGS = (StylizeConfig, RegionConfig, PaletteFieldConfig)
-WITHIN = "refnpr"  # the method that stylises a region as it does a scene; else a region's look is LAENeRF's
+WITHIN = "refnpr"  # the method that stylizes a region as it does a scene; else a region's look is LAENeRF's
 LONGEST_NAME = 60  # of a painting: what is made with it adds to it
 
 
@@ -31,7 +31,7 @@ def options_for(argv: list[str]) -> type:
     if any(one.partition("=")[0] == "--region" for one in argv):
         if method not in ("", WITHIN):
             raise UsageError(
-                f"--method {method} is for the whole scene; a --region takes --method {WITHIN} (after a stylised view) "
+                f"--method {method} is for the whole scene; a --region takes --method {WITHIN} (after a stylized view) "
                 "or none (LAENeRF)"
             )
         return StylizeConfig if method else RegionConfig
@@ -44,19 +44,19 @@ def add_arguments(parser) -> None:
     parser.add_argument(
         "--of",
         metavar="FIELD",
-        help="field to stylise (default: the fitted one; of a region the one it was selected in)",
+        help="field to stylize (default: the fitted one; of a region the one it was selected in)",
     )
     parser.add_argument(
         "--region",
         metavar="REGION",
-        help="recolour (--recolor) or stylise a region alone (with --method refnpr: after stylised views of it); "
+        help="recolor (--recolor) or stylize a region alone (with --method refnpr: after stylized views of it); "
         "`stylerf stylize --region NAME --help` tells its options, `stylerf stylize --method palettenerf --help` those "
         "of a palette of the whole scene",
     )
 
 
 def run(args, session) -> dict:
-    """The stylised field's, or the edit's, place and figures."""
+    """The stylized field's, or the edit's, place and figures."""
     if isinstance(session.config, RegionConfig):
         return _region(args, session)
     return _palette(args, session) if isinstance(session.config, PaletteFieldConfig) else _whole(args, session)
@@ -81,7 +81,7 @@ def _whole(args, session) -> dict:
         field = _field_of(region, args, session)
         more, name = {"region": region}, f"{region.name}-{name}"
         if config.match in ("after", "both"):
-            raise UsageError(f"--match {config.match} maps every pixel; of a region colours are matched before, or not")
+            raise UsageError(f"--match {config.match} maps every pixel; of a region colors are matched before, or not")
     scene = teaching_pictures(session, field)
     if config.method == "desrf":
         field = ensure_deformed(session, scene, field)
@@ -118,7 +118,7 @@ def _palette(args, session) -> dict:
     from stages.pipeline.prerequisites import (
         ensure_field,
         palette_changed,
-        palette_learnt,
+        palette_learned,
         pictures_of,
         scene_of_work,
         teaching_pictures,
@@ -126,7 +126,7 @@ def _palette(args, session) -> dict:
 
     config = session.config
     field = ensure_field(session, scene_of_work(session), args.of)
-    if field.manifest.stage in ("decompose", "recolour"):
+    if field.manifest.stage in ("decompose", "recolor"):
         if config.learning != DecomposeConfig():
             raise UsageError(f"field {field.name} has its palette already; options of learning one mean nothing here")
         if not config.changes:
@@ -134,7 +134,7 @@ def _palette(args, session) -> dict:
         made = palette_changed(session, pictures_of(session, field), field, config.changes)
     else:
         scene = teaching_pictures(session, field)
-        made = palette_learnt(session, scene, field, config.learning, config.changes)
+        made = palette_learned(session, scene, field, config.learning, config.changes)
     figures, seconds = made.manifest.figures, made.manifest.seconds
     result = {"field": made.path, "name": made.name, "figures": figures, "seconds": seconds}
     return session.emit(result, told_palette(made, "field"))
@@ -154,7 +154,7 @@ def _field_of(region, args, session):
 
 
 def _region(args, session) -> dict:
-    from stages.pipeline.local_edit import learnt_edit, region_of
+    from stages.pipeline.local_edit import learned_edit, region_of
 
     region = region_of(session, args.region)
     if args.of:
@@ -162,7 +162,7 @@ def _region(args, session) -> dict:
     config, name = pinned(session.config, region.name)
     if not config.changes:
         tell_replaced(session, "edit", name, config)
-    made = learnt_edit(session, region, config.learning, config.changes, name, f"{name}-changed")
+    made = learned_edit(session, region, config.learning, config.changes, name, f"{name}-changed")
     result = {"edit": made.path, "name": made.name, "figures": made.manifest.figures, "seconds": made.manifest.seconds}
     return session.emit(result, told_palette(made))
 
@@ -183,16 +183,16 @@ def pinned(config: RegionConfig, region: str) -> tuple[RegionConfig, str]:
 
 
 def told_palette(made, kind: str = "edit") -> list[str]:
-    """An edit, or a field with a palette, in words: its palette, colour by colour."""
-    from stages.artifacts.edit import told_colours
+    """An edit, or a field with a palette, in words: its palette, color by color."""
+    from stages.artifacts.edit import told_colors
 
-    colours = told_colours(made)
+    colors = told_colors(made)
     lines = [
         f"  {one['index']}  {one['now']}  {one['share']:6.1%}  {one['name']}"
-        + (f" (was {one['learnt']})" if one["now"] != one["learnt"] else "")
-        for one in colours
+        + (f" (was {one['learned']})" if one["now"] != one["learned"] else "")
+        for one in colors
     ]
-    return [f"{kind} {made.name}: a palette of {len(colours)} colours", *lines, f"  {made.path}"]
+    return [f"{kind} {made.name}: a palette of {len(colors)} colors", *lines, f"  {made.path}"]
 
 
 def painting_of(text: str) -> Path:
@@ -205,7 +205,7 @@ def painting_of(text: str) -> Path:
 
 
 def name_of(style: Path) -> str:
-    """The painting's file name as an artefact's name may be written, cut short where it is long; by its content where
+    """The painting's file name as an artifact's name may be written, cut short where it is long; by its content where
     nothing is left of that."""
     from schemas.canonical_json import file_sha256
 
@@ -217,10 +217,10 @@ def name_of(style: Path) -> str:
 
 def tell_replaced(session, kind: str, name: str, config) -> None:
     """Says that what stands under the name to be written was made after another painting."""
-    standing = next((one for one in session.work.artefacts(kind) if one.name == (session.name or name)), None)
+    standing = next((one for one in session.work.artifacts(kind) if one.name == (session.name or name)), None)
     if standing is None:
         return
-    with suppress(ArtefactDamaged, ArtefactStale):  # an unreadable one is replaced without regret
+    with suppress(ArtifactDamaged, ArtifactStale):  # an unreadable one is replaced without regret
         before = standing.manifest.config
         pairs = [(before.get(key), getattr(config, key, "")) for key in ("style_digest", "references_digest")]
         if any(old and old != new for old, new in pairs):

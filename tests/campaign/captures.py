@@ -149,7 +149,7 @@ def write_loose(folder: Path, painting: Path) -> None:
 
 
 def camera_path(size: int = 12) -> list[dict]:
-    """One small picture, in the form of docs/artefacts.md."""
+    """One small picture, in the form of docs/artifacts.md."""
     pose = [[1, 0, 0, 0], [0, -1, 0, 0], [0, 0, -1, 3.5], [0, 0, 0, 1]]
     lens = {"fx": 1.4 * size, "fy": 1.4 * size, "cx": size / 2, "cy": size / 2}
     return [{"name": "one", "width": size, "height": size, **lens, "world_from_camera": pose}]

@@ -1,7 +1,7 @@
 """Several processes on one work folder at once: the same command, different ones, and readers among them.
 
-Each must end with 0, or with 5 where another one writes the same artefact. Then every command is run alone: the work
-folder must hold the very artefacts that commands one after the other make.
+Each must end with 0, or with 5 where another one writes the same artifact. Then every command is run alone: the work
+folder must hold the very artifacts that commands one after the other make.
 """
 
 from collections import Counter
@@ -24,8 +24,8 @@ COMMANDS: tuple[tuple[object, ...], ...] = (
     ("render", "--of", "painted", "--path", "orbit", "--count", "4", "--name", "y"),
     ("extract", "--region", "all", "--name", "x"),
     ("stylize", "--region", "all", "--recolor", "--palette", "0=#ff0000", *FEW, "--name", "x"),
-    ("distill", "--edit", "grey", "--name", "x"),
-    ("finetune", "--edit", "grey", "--budget", "20", "--rays", "512", "--name", "x"),
+    ("distill", "--edit", "gray", "--name", "x"),
+    ("finetune", "--edit", "gray", "--budget", "20", "--rays", "512", "--name", "x"),
 )
 READING = (("show",), ("verify",))
 

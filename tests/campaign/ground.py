@@ -1,4 +1,4 @@
-"""What the campaign works on: a tiny still life, a work folder that holds every kind of artefact, and every stage as a
+"""What the campaign works on: a tiny still life, a work folder that holds every kind of artifact, and every stage as a
 command on a copy of it that is limited by steps, so that two runs of it end in the same bytes."""
 
 import json
@@ -22,15 +22,15 @@ OFTEN = ("--checkpoint-every-seconds", "0.03")
 FIT = ("--budget", "60", "--no-buffers", "--capacity", "fixed:32x8x8", "--samples", "3000")
 GROWING = ("--budget", "200", "--no-buffers", "--samples", "1500", "--held-out", "2", "--min-gain", "0.13")
 DEFORM = ("--steps", "20", "--vertices", "12", "--width", "16", "--patience-db", "0")
-COLOURS = ("--levels", "4", "--finest", "64", "--table-bits", "12")
+COLORS = ("--levels", "4", "--finest", "64", "--table-bits", "12")
 WHOLE = ("--at", "#0:16,16", "--tolerance", "0", "--neck", "0", "--most", "1")
-FEW = ("--palette-steps", "10", "--pruned-steps", "4", "--colours", "3", "--most-colours", "3")
+FEW = ("--palette-steps", "10", "--pruned-steps", "4", "--colors", "3", "--most-colors", "3")
 STRESS = ("--methods", "fit", "--faults", "seeds", "--seeds", "1", "--budget", "20", "--side", "32", "--quick")
 
 
 @dataclass(frozen=True)
 class Stage:
-    """A command that makes artefacts in a copy of the folder `base`: bare, made, or none.
+    """A command that makes artifacts in a copy of the folder `base`: bare, made, or none.
 
     WORK stands in its arguments for that copy.
     """
@@ -53,7 +53,7 @@ WORK = _Mark()
 
 @dataclass
 class Ground:
-    """photos, room: posed photos with truth, and photos alone. made: a work folder with every kind of artefact."""
+    """photos, room: posed photos with truth, and photos alone. made: a work folder with every kind of artifact."""
 
     folder: Path
     photos: Path
@@ -63,7 +63,7 @@ class Ground:
 
     @property
     def painting(self) -> Path:
-        """A picture to stylise with."""
+        """A picture to stylize with."""
         return self.photos / PAINTING
 
 
@@ -73,7 +73,7 @@ def prepared(folder: Path, nursery: Nursery, names: Sequence[str] = (), plain: b
     ground = Ground(folder, folder / "photos", folder / "room", folder / "made")
     write_demo(ground.photos, 32, 10, 2, 0, 1, Silent())
     write_photos(ground.room, walk(6, (0.45, 1.0), width=240, height=180, focal=230.0))
-    style = ("--style", ground.painting, "--budget", "6", "--refit-steps", "30", *COLOURS)
+    style = ("--style", ground.painting, "--budget", "6", "--refit-steps", "30", *COLORS)
     for arguments in (
         ("import", ground.photos, WORK),
         ("fit", WORK, *FIT),
@@ -96,11 +96,11 @@ def _of_every_kind(style: tuple) -> list[tuple[object, ...]]:
         ("deform", WORK, "--of", "fit", *DEFORM),
         ("stylize", WORK, "--of", "fit", "--name", "painted", *style),
         ("stylize", WORK, "--of", "fit", "--name", "palette", "--method", "palettenerf", "--budget", "10",
-         "--refit-steps", "10", "--pixels", "256", *COLOURS),
+         "--refit-steps", "10", "--pixels", "256", *COLORS),
         ("select", WORK, "--of", "fit", *WHOLE, "--name", "all"),
         ("extract", WORK, "--region", "all"),
-        ("stylize", WORK, "--region", "all", "--recolor", "--palette", "0=#808080", "--name", "grey", *FEW),
-        ("distill", WORK, "--edit", "grey"),
+        ("stylize", WORK, "--region", "all", "--recolor", "--palette", "0=#808080", "--name", "gray", *FEW),
+        ("distill", WORK, "--edit", "gray"),
         ("render", WORK, "--of", "fit", "--path", "orbit", "--count", "4", "--scale", "0.5"),
         ("render", WORK, "--of", "painted", "--path", "test"),
         ("eval", WORK, "--of", "fit", "--perceptual", "none"),
@@ -118,11 +118,11 @@ def _stages(ground: Ground, style: tuple) -> list[Stage]:
         "15",
         "--pixels",
         "512",
-        *COLOURS,
+        *COLORS,
         *OFTEN,
     )
     learn = ("--palette-steps", "20", "--style-steps", "6", "--style-side", "64", "--budget", "1h")
-    finetune = ("--edit", "grey", "--budget", "30", "--rays", "1024", *OFTEN)
+    finetune = ("--edit", "gray", "--budget", "30", "--rays", "1024", *OFTEN)
     return [
         Stage("import", ("import", ground.photos, WORK), None),
         Stage("import of photos alone", ("import", ground.room, WORK, "--sfm-features", "512"), None),
@@ -139,7 +139,7 @@ def _stages(ground: Ground, style: tuple) -> list[Stage]:
                 "stylize refnpr": ("stylize", WORK, *fit, "--method", "refnpr", *style, "--reference-steps", "6",
                                    "--name", "x"),
                 "stylize palettenerf": ("stylize", WORK, *fit, *decompose, "--name", "x"),
-                "recolour": ("stylize", WORK, "--of", "palette", "--method", "palettenerf", "--palette", "0=#2040c0",
+                "recolor": ("stylize", WORK, "--of", "palette", "--method", "palettenerf", "--palette", "0=#2040c0",
                              "--name", "x"),
                 "select": ("select", WORK, *fit, *WHOLE, "--steps", "3", "--name", "x"),
                 "extract": ("extract", WORK, "--region", "all", "--name", "x"),
@@ -147,7 +147,7 @@ def _stages(ground: Ground, style: tuple) -> list[Stage]:
                                      "--name", "x"),
                 "change a palette": ("stylize", WORK, "--region", "all", "--recolor", "--palette", "0=#ff0000", *FEW,
                                      "--name", "x"),
-                "distill": ("distill", WORK, "--edit", "grey", "--name", "x"),
+                "distill": ("distill", WORK, "--edit", "gray", "--name", "x"),
                 "finetune": ("finetune", WORK, *finetune, "--name", "x"),
                 "edit": ("edit", WORK, *fit, *WHOLE, "--recolor", "--palette", "0=#80ff80", *FEW, "--config",
                          ground.folder / "edit.toml", "--name", "x"),
@@ -181,11 +181,11 @@ def copy_of(base: Path | None, parent: Path) -> Iterator[Path]:
 
 
 def contents(work: Path) -> dict[str, dict[str, str]]:
-    """Digest of every file of every artefact; of a stress test its outcomes but for the time they took."""
+    """Digest of every file of every artifact; of a stress test its outcomes but for the time they took."""
     store = Work(work)
     found = {
         f"{one.kind}/{one.name}": {record.path: record.sha256 for record in one.manifest.files}
-        for one in store.artefacts()
+        for one in store.artifacts()
     }
     for run in sorted(work.glob("stress/runs/*.json")):
         told = json.loads(run.read_text())
@@ -207,7 +207,7 @@ def verified(nursery: Nursery, work: Path) -> str:
     if not work.is_dir():
         return ""
     ended = nursery.run(work.parent / "verify", "verify", work, "--quiet")
-    nothing = ended.code == 3 and "holds no artefact" in ended.err
+    nothing = ended.code == 3 and "holds no artifact" in ended.err
     return "" if ended.code == 0 or nothing else f"verify ends with {ended.code}: {ended.err.strip()}"
 
 

@@ -52,7 +52,7 @@ def _run(nursery: Nursery, ground: Ground, stage: Stage, strace: bool) -> Undist
 
 
 def differing(one: dict, other: dict) -> list[str]:
-    """Files of artefacts that are not the same."""
+    """Files of artifacts that are not the same."""
     return sorted(
         f"{name}/{path}"
         for name in one.keys() | other.keys()

@@ -117,7 +117,7 @@ def attempt(root: Path, case: Case, number: int, seed: int, folder: Path, wholes
     told |= {"seconds": round(time.monotonic() - begun, 3), "bytes": _peak(), "code": code}
     told["line"] = (err.splitlines() or [""])[-1][:400].replace(str(folder), "")
     fault = judged(case, placed, code, err, told, wholes)
-    if fault == "silent" and "NOT READABLE" in out:  # as `show` has it of one artefact of many
+    if fault == "silent" and "NOT READABLE" in out:  # as `show` has it of one artifact of many
         return told | {"outcome": "refused"}
     if fault == "words":
         told["line"] = repr(err[:800])
@@ -171,11 +171,11 @@ def judged(case: Case, placed: Placed, code: int | None, err: str, told: dict[st
     return "words" if any(ord(one) < 32 or one in "\x7f\x9b" for one in err[:-1]) else ""
 
 
-def _files(work: Path, artefact: str) -> dict[str, str]:
-    """Digests of an artefact's files."""
-    from schemas.work_folder import Artefact
+def _files(work: Path, artifact: str) -> dict[str, str]:
+    """Digests of an artifact's files."""
+    from schemas.work_folder import Artifact
 
-    return {record.path: record.sha256 for record in Artefact(work / artefact).manifest.files}
+    return {record.path: record.sha256 for record in Artifact(work / artifact).manifest.files}
 
 
 def _reset_peak() -> None:

@@ -29,9 +29,9 @@ RESUMED = ("fit", "work", "--budget", "25", "--no-buffers", "--capacity", "fixed
 class Case:
     """share: of all mutants. base: a folder, copied for each mutant. pattern: its files of which one is damaged.
 
-    commands: one of them is run in the copy; `{name}` stands for the damaged artefact's name. sealed: the digests of a
+    commands: one of them is run in the copy; `{name}` stands for the damaged artifact's name. sealed: the digests of a
     manifest cover the file, so that it must be refused. resealed: the digests are made to fit the damage. alone: the
-    reader is called with the file, rather than a command. same: the artefact that must come out as undisturbed.
+    reader is called with the file, rather than a command. same: the artifact that must come out as undisturbed.
     refuses: what is not damaged is refused too, for another reason.
     """
 
@@ -82,8 +82,8 @@ CASES = (
     Case("painting", 250, "loose", "painting.*", alone="painting"),
     Case("flow", 250, "loose", "flow.*", alone="flow"),
     Case("weights", 200, "loose", "weights.*", alone="weights"),
-    Case("artefact", 900, "made", "work/*/*/**/*", (("verify", "work"),), sealed=True),
-    Case("artefact that a stage reads", 150, "fields", "work/field/fit/field.*", AS_FIELD, sealed=True),
+    Case("artifact", 900, "made", "work/*/*/**/*", (("verify", "work"),), sealed=True),
+    Case("artifact that a stage reads", 150, "fields", "work/field/fit/field.*", AS_FIELD, sealed=True),
     Case("scene that a stage reads", 100, "scene", "work/scene/main/**/*", (("fit", "work", *TINY_FIT),), sealed=True),
     Case("manifest", 250, "made", "work/*/*/manifest.json", (("show", "work"), ("verify", "work")), sealed=True),
     Case("manifest, resealed", 300, "fields", "work/*/*/manifest.json",
@@ -101,7 +101,7 @@ CASES = (
          (("extract", "work", "--region", "all", "--name", "again"),), resealed=True),
     Case("edit dataset, resealed", 150, "edit", "work/edit-dataset/*/*", (OF_A_REGION,), resealed=True),
     Case("edit, resealed", 250, "edit", "work/edit/*/*",
-         (AGAIN, ("distill", "work", "--edit", "grey", "--name", "again")), resealed=True,
+         (AGAIN, ("distill", "work", "--edit", "gray", "--name", "again")), resealed=True,
          leave_out="png$|manifest.json$"),
     Case("report, resealed", 120, "made", "work/report/*/*.json", (("compare", "work"), ("show", "work")),
          resealed=True),
@@ -145,8 +145,8 @@ def _make_fields(ground: Ground, nursery: Nursery, folder: Path) -> None:
     done(nursery, said, *quick, "--field", "hash", "--capacity", "fixed:1000", "--name", "hash", *BOUNDED)
     voxel = ("--field", "voxel", "--capacity", "fixed:16", "--head", "mlp", "--name", "voxel")
     done(nursery, said, *quick, *voxel, *BOUNDED)
-    learnt = ("finetune", work, "--edit", "grey", "--budget", "5", "--rays", "256", "--name", "edited")
-    done(nursery, said, *learnt, *BOUNDED)
+    learned = ("finetune", work, "--edit", "gray", "--budget", "5", "--rays", "256", "--name", "edited")
+    done(nursery, said, *learned, *BOUNDED)
     for kind in ("frames", "report", "edit", "edit-dataset"):
         shutil.rmtree(work / kind)
     write_paths(folder)
@@ -214,15 +214,15 @@ def _linked(source: str, target: str) -> None:
     (shutil.copyfile if source.endswith(".lock") else os.link)(source, target)
 
 
-def reseal(artefact: Path, relative: Path) -> None:
-    """Lets the manifest of the artefact tell the digests that its files have now, and its own."""
-    path = artefact / "manifest.json"
+def reseal(artifact: Path, relative: Path) -> None:
+    """Lets the manifest of the artifact tell the digests that its files have now, and its own."""
+    path = artifact / "manifest.json"
     try:
         text = path.read_bytes()
         if relative.name != "manifest.json":
             content = json.loads(text)
             for record in content["files"]:
-                there = (artefact / record["path"]).read_bytes()
+                there = (artifact / record["path"]).read_bytes()
                 record |= {"bytes": len(there), "sha256": hashlib.sha256(there).hexdigest()}
             text = (json.dumps(content, indent=1, ensure_ascii=False) + "\n").encode()
     except (OSError, ValueError, KeyError, TypeError, RecursionError):

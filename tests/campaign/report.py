@@ -9,10 +9,10 @@ from benchmarks.conditions import here_and_now
 PROTOCOL = """A still life of 32x32 pixels, 10 training views, one thread a command, budgets in steps.
 KILLS: kill -9 at a uniformly random share of a command's processor time, and, where strace can, as its main thread
 enters an openat, write, fsync, rename, unlink or mkdir on the work folder, up to three times in a row; then `stylerf
-verify`, then the same command to its end: the digests of every file of every artefact must be those of an undisturbed
+verify`, then the same command to its end: the digests of every file of every artifact must be those of an undisturbed
 run, and nothing may be left of the run.
 MUTANTS: real files (photos, masks, EXR, lists of poses, COLMAP, npy, TOML, camera paths, paintings, flows, weights,
-every file of every kind of artefact, checkpoints) damaged by a seeded hand, bytes and structure, and read by the
+every file of every kind of artifact, checkpoints) damaged by a seeded hand, bytes and structure, and read by the
 command that reads them, in a process that has imported stylerf once. A fault is: a traceback, or exit code 1 for a
 fault of our own; a process that dies; more than 20 s; more than 2 GB of resident memory (with --memory 1G); more or
 other than one line of error; a file written outside of the folders; and a silent success: exit code 0 for a file that
@@ -22,7 +22,7 @@ FAULTS: one system call on the work folder, or all of its kind from there on, an
 that is too small; a folder without permission. Exit code 5 and one line are asked for, or 0 and the undisturbed result;
 where a read fails 3 and 4 count too; then `verify`, and the same command without the fault as above.
 CROWDS: two to eight commands begun at once in one work folder. Each must end with 0, or 5 where another one writes the
-same artefact; then all are run alone: artefacts must be those of commands one after the other."""
+same artifact; then all are run alone: artifacts must be those of commands one after the other."""
 
 
 def write(out: Path, command: str, seed: int, parts: dict[str, Any], seconds: dict[str, float], strace: bool) -> None:

@@ -19,14 +19,14 @@ WIDTH, HEIGHT = 40, 30
 INTRINSICS = (55.0, 60.0, 18.5, 16.25)
 
 
-def looking_from(centre, towards) -> np.ndarray:
-    """Pose with OpenCV axes of a camera at `centre` that looks at `towards`, world up +z."""
-    forward = np.subtract(towards, centre) / np.linalg.norm(np.subtract(towards, centre))
+def looking_from(center, towards) -> np.ndarray:
+    """Pose with OpenCV axes of a camera at `center` that looks at `towards`, world up +z."""
+    forward = np.subtract(towards, center) / np.linalg.norm(np.subtract(towards, center))
     right = np.cross(forward, [0, 0, 1.0])
     right /= np.linalg.norm(right)
     pose = np.eye(4)
     pose[:3, :3] = np.stack([right, np.cross(forward, right), forward], axis=1)
-    pose[:3, 3] = centre
+    pose[:3, 3] = center
     return pose
 
 
@@ -34,7 +34,7 @@ POSE = looking_from([2.0, -3.0, 1.5], [0.2, 0.1, 0.0])
 
 
 def sphere_view(radius=0.8) -> ExrView:
-    """A sphere of that radius about the origin, hit analytically; x + y + z is its colour."""
+    """A sphere of that radius about the origin, hit analytically; x + y + z is its color."""
     fx, fy, cx, cy = INTRINSICS
     alpha, z, distance = np.zeros((3, HEIGHT, WIDTH))
     rgb = np.zeros((HEIGHT, WIDTH, 3))
@@ -110,26 +110,26 @@ def test_depth_unprojected_with_the_written_matrices_lies_on_the_sphere(stored, 
     y = (v * depth - depth * camera_to_ndc[2, 1]) / camera_to_ndc[1, 1]
     world = np.stack([x, y, depth, np.ones_like(x)], axis=-1) @ np.linalg.inv(to_camera)
     np.testing.assert_allclose(np.linalg.norm(world[:, :3], axis=1), 0.8, atol=3e-6)
-    # And the colour that each point was painted by its position.
+    # And the color that each point was painted by its position.
     painted = np.stack([planes[name][rows, columns] for name in "RGB"], axis=-1)
     np.testing.assert_allclose(painted, 0.5 + 0.5 * world[:, :3], atol=1e-3)
-    # rayDistance is the distance from the camera, whose centre maps to the origin.
+    # rayDistance is the distance from the camera, whose center maps to the origin.
     np.testing.assert_allclose(
         planes["rayDistance.Z"][rows, columns], np.linalg.norm(np.stack([x, y, depth], -1), axis=1), rtol=1e-5
     )
 
 
 def test_matrices_follow_the_standard_s_axes():
-    centre, right, down, forward = POSE[:3, 3], POSE[:3, 0], POSE[:3, 1], POSE[:3, 2]
+    center, right, down, forward = POSE[:3, 3], POSE[:3, 0], POSE[:3, 1], POSE[:3, 2]
     to_camera = world_to_camera(POSE)
 
     def camera(point):
         return (np.append(point, 1.0) @ to_camera)[:3]
 
-    np.testing.assert_allclose(camera(centre), 0, atol=1e-12)
-    np.testing.assert_allclose(camera(centre + 2 * forward), [0, 0, 2], atol=1e-12)  # ahead is positive z
-    np.testing.assert_allclose(camera(centre + right), [1, 0, 0], atol=1e-12)
-    np.testing.assert_allclose(camera(centre - down), [0, 1, 0], atol=1e-12)  # up is positive y
+    np.testing.assert_allclose(camera(center), 0, atol=1e-12)
+    np.testing.assert_allclose(camera(center + 2 * forward), [0, 0, 2], atol=1e-12)  # ahead is positive z
+    np.testing.assert_allclose(camera(center + right), [1, 0, 0], atol=1e-12)
+    np.testing.assert_allclose(camera(center - down), [0, 1, 0], atol=1e-12)  # up is positive y
     assert np.linalg.det(to_camera) == pytest.approx(-1)  # left-handed
 
     fx, fy, cx, cy = INTRINSICS
@@ -137,17 +137,17 @@ def test_matrices_follow_the_standard_s_axes():
     for (column, row), ndc in {(0, 0): (0, 0), (WIDTH, HEIGHT): (1, 1), (WIDTH, 0): (1, 0)}.items():
         for depth, stored_depth in ((0.5, 0), (20, 1)):
             local = np.array([(column - cx) / fx, (row - cy) / fy, 1]) * depth
-            result = np.append(POSE[:3, :3] @ local + centre, 1) @ to_ndc
+            result = np.append(POSE[:3, :3] @ local + center, 1) @ to_ndc
             np.testing.assert_allclose(result[:3] / result[3], [*ndc, stored_depth], atol=1e-12)
 
 
 def test_screen_window_is_the_plane_at_distance_one(stored):
     spec, _ = stored
     fx, fy, cx, cy = INTRINSICS
-    centre, width = spec.getattribute("screenWindowCenter"), spec.getattribute("screenWindowWidth")
-    assert (-cx / fx, (WIDTH - cx) / fx) == pytest.approx((centre[0] - width / 2, centre[0] + width / 2))
+    center, width = spec.getattribute("screenWindowCenter"), spec.getattribute("screenWindowWidth")
+    assert (-cx / fx, (WIDTH - cx) / fx) == pytest.approx((center[0] - width / 2, center[0] + width / 2))
     height = width * HEIGHT / WIDTH / spec.getattribute("PixelAspectRatio")
-    assert (cy / fy, (cy - HEIGHT) / fy) == pytest.approx((centre[1] + height / 2, centre[1] - height / 2))
+    assert (cy / fy, (cy - HEIGHT) / fy) == pytest.approx((center[1] + height / 2, center[1] - height / 2))
 
 
 def test_reading_back_is_exact(tmp_path, view):
@@ -273,7 +273,7 @@ def test_a_full_disk_is_told(tmp_path, view, monkeypatch):
         (unusual_exr.parts, "part"),
         (unusual_exr.mip_levels, "mip levels"),
         (unusual_exr.cropped, "display window"),
-        (unusual_exr.halved_colour, "subsampled"),
+        (unusual_exr.halved_color, "subsampled"),
         (unusual_exr.huge_windows, "30000x30000"),
     ],
 )

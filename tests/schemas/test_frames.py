@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from schemas.errors import ArtefactDamaged
+from schemas.errors import ArtifactDamaged
 from schemas.frames import Frame, FrameCamera, Frames, read_frames, write_frames
 
 EYE = tuple(tuple(float(i == j) for j in range(4)) for i in range(4))
@@ -30,5 +30,5 @@ def test_masks_of_another_form_are_damage(tmp_path):
     write_frames(tmp_path, FRAMES)
     old = json.loads((tmp_path / "frames.json").read_text())
     (tmp_path / "frames.json").write_text(json.dumps({**old, "masks": ["left"]}))
-    with pytest.raises(ArtefactDamaged, match="stylerf render"):
+    with pytest.raises(ArtifactDamaged, match="stylerf render"):
         read_frames(tmp_path)

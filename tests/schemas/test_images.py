@@ -57,9 +57,9 @@ def test_equal_pixels_give_equal_bytes_and_replace_as_one_step(tmp_path):
     assert sorted(os.listdir(tmp_path)) == ["a.png", "b.png"]
 
 
-def test_transparent_colours_survive(tmp_path):
+def test_transparent_colors_survive(tmp_path):
     array = np.zeros((2, 2, 4), np.uint8)
-    array[..., 0] = 201  # colour under alpha 0 is lost by readers that premultiply
+    array[..., 0] = 201  # color under alpha 0 is lost by readers that premultiply
     write_png(tmp_path / "a.png", array)
     np.testing.assert_array_equal(to_uint8(read_image(tmp_path / "a.png").pixels), array)
 
@@ -96,7 +96,7 @@ def test_exif_orientation_of_a_jpeg(tmp_path):
     assert image.pixels[8, 24].min() > 0.9 and image.pixels[8, 8].max() < 0.1
 
 
-def test_grey_with_alpha_and_named_channels(tmp_path):
+def test_gray_with_alpha_and_named_channels(tmp_path):
     array = noise(3, 4, 2)
     image = read_image(store(tmp_path / "a.tif", array))
     np.testing.assert_array_equal(to_uint8(image.pixels), array[..., [0, 0, 0, 1]])
@@ -114,9 +114,9 @@ def test_light_becomes_code_values_without_alpha_in_them(tmp_path):
     expected = np.float32([[[0.5] * 3 + [1], [0.5] * 3 + [0.5], [0, 0, 0, 0], [1, 1, 1, 1]]])
     np.testing.assert_allclose(read_srgb(path).pixels, expected, atol=1e-6)
     np.testing.assert_array_equal(read_image(path).pixels, light)
-    np.testing.assert_allclose(read_srgb(store(tmp_path / "grey.exr", light[..., :1])).pixels[0, 0], 0.5, atol=1e-6)
-    coloured = store(tmp_path / "a.hdr", np.full((4, 9, 3), 0.21404114, np.float32))
-    np.testing.assert_allclose(read_srgb(coloured).pixels, 0.5, atol=4e-3)  # eight bits a channel
+    np.testing.assert_allclose(read_srgb(store(tmp_path / "gray.exr", light[..., :1])).pixels[0, 0], 0.5, atol=1e-6)
+    colored = store(tmp_path / "a.hdr", np.full((4, 9, 3), 0.21404114, np.float32))
+    np.testing.assert_allclose(read_srgb(colored).pixels, 0.5, atol=4e-3)  # eight bits a channel
     write_png(tmp_path / "a.png", noise(3, 4, 4))
     np.testing.assert_array_equal(read_srgb(tmp_path / "a.png").pixels, read_image(tmp_path / "a.png").pixels)
 
@@ -200,7 +200,7 @@ def test_claimed_sizes_beyond_the_limit_are_refused(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    "make", [unusual_exr.deep, unusual_exr.parts, unusual_exr.mip_levels, unusual_exr.halved_colour]
+    "make", [unusual_exr.deep, unusual_exr.parts, unusual_exr.mip_levels, unusual_exr.halved_color]
 )
 def test_an_exr_that_is_no_flat_picture_is_refused(tmp_path, make):
     make(tmp_path / "a.exr")
@@ -210,7 +210,7 @@ def test_an_exr_that_is_no_flat_picture_is_refused(tmp_path, make):
 
 
 @pytest.mark.parametrize("names", [("X", "Y", "Z"), ("Y", "RY", "BY"), ("Z",), ("layer.R", "layer.G", "layer.B")])
-def test_channels_of_an_exr_that_are_no_colours_are_refused(tmp_path, names):
+def test_channels_of_an_exr_that_are_no_colors_are_refused(tmp_path, names):
     path = store_named(tmp_path / "a.exr", np.ones((4, 4, len(names)), np.float32), names)
     with pytest.raises(BadInput, match="channels"):
         read_image(path)

@@ -1,6 +1,6 @@
 import pytest
 
-from schemas.errors import ArtefactDamaged, BadInput
+from schemas.errors import ArtifactDamaged, BadInput
 from schemas.safe_names import file_name, printable, relative_path
 
 
@@ -17,7 +17,7 @@ def test_a_path_that_stays_inside_is_returned_as_it_is(text):
      "\ud800", "a\x9b", "x" * 256, "é" * 128, "x/" * 600 + "x", None, 5, ["a"], b"a"],
 )  # fmt: skip
 def test_anything_else_is_refused_in_one_printable_line(text):
-    with pytest.raises(ArtefactDamaged) as fault:
+    with pytest.raises(ArtifactDamaged) as fault:
         relative_path(text, "image of view 3")
     assert "image of view 3" in str(fault.value)
     assert str(fault.value).isprintable() and len(str(fault.value)) < 300
@@ -30,7 +30,7 @@ def test_the_fault_is_the_callers():
 
 def test_a_file_name_has_one_part():
     assert file_name("007.png", "view") == "007.png"
-    with pytest.raises(ArtefactDamaged, match="without '/'"):
+    with pytest.raises(ArtifactDamaged, match="without '/'"):
         file_name("a/b", "view")
 
 

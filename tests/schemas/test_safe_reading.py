@@ -3,7 +3,7 @@ import os
 
 import pytest
 
-from schemas.errors import ArtefactDamaged, BadInput
+from schemas.errors import ArtifactDamaged, BadInput
 from schemas.safe_reading import read_bytes, read_json, read_text
 
 
@@ -28,8 +28,8 @@ def test_devices_and_folders_are_refused(path):
 def test_no_more_than_the_limit_is_read(tmp_path):
     with open(tmp_path / "sparse", "wb") as stream:
         stream.truncate(1 << 40)
-    with pytest.raises(ArtefactDamaged, match="at most"):
-        read_bytes(tmp_path / "sparse", 1 << 20, ArtefactDamaged)
+    with pytest.raises(ArtifactDamaged, match="at most"):
+        read_bytes(tmp_path / "sparse", 1 << 20, ArtifactDamaged)
     (tmp_path / "small").write_bytes(bytes(100))
     assert len(read_bytes(tmp_path / "small", 100)) == 100
 

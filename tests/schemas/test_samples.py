@@ -9,7 +9,7 @@ from schemas.exr import FAR_Z, read_exr
 from schemas.migrations import CURRENT
 from schemas.scene import read_scene
 from schemas.tensors import load_tensors
-from schemas.work_folder import Artefact
+from schemas.work_folder import Artifact
 from stages.artifacts.scene import load_scene
 
 SAMPLES = Path(__file__).parent / "samples"
@@ -39,7 +39,7 @@ def test_every_schema_of_every_kind_has_a_sample():
 
 @pytest.mark.parametrize("name", DIGESTS)
 def test_a_sample_loads_verifies_and_keeps_its_digest(name):
-    sample = Artefact(SAMPLES / name)
+    sample = Artifact(SAMPLES / name)
     sample.verify()
     assert sample.digest == DIGESTS[name]
     assert sample.manifest.kind == name.rpartition("-")[0]
@@ -50,14 +50,14 @@ def test_a_sample_loads_verifies_and_keeps_its_digest(name):
 
 def test_inputs_of_the_samples_are_the_samples():
     for name in DIGESTS:
-        for ref in Artefact(SAMPLES / name).manifest.inputs:
+        for ref in Artifact(SAMPLES / name).manifest.inputs:
             assert ref.digest == DIGESTS[f"{ref.kind}-{name.rpartition('-')[2]}"]
 
 
 def test_the_scene_sample_reads_as_a_scene():
     scene = read_scene(SAMPLES / "scene-2")
     assert scene.layout == "object" and scene.skipped[0].reason == "cut short" and scene.sfm == {"registered": 1}
-    data = load_scene(Artefact(SAMPLES / "scene-2"))
+    data = load_scene(Artifact(SAMPLES / "scene-2"))
     assert data.images(0).shape == (3, 4, 4) and len(data.points.xyz) == 2
     np.testing.assert_array_equal(np.unique(data.truth_depth(0)), np.float32([2, FAR_Z]))
 

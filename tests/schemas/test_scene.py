@@ -6,7 +6,7 @@ import json
 import numpy as np
 import pytest
 
-from schemas.errors import ArtefactDamaged, BadInput
+from schemas.errors import ArtifactDamaged, BadInput
 from schemas.scene import Bounds, Scene, Skipped, Truth, View, as_matrix, read_scene, validate_scene, write_scene
 
 EYE = as_matrix(np.eye(4))
@@ -105,7 +105,7 @@ def test_unusable_scenes_are_refused(change, words):
 
 
 def test_damaged_scene_files_are_told(tmp_path):
-    with pytest.raises(ArtefactDamaged, match="missing"):
+    with pytest.raises(ArtifactDamaged, match="missing"):
         read_scene(tmp_path)
     write_scene(tmp_path, scene())
     whole = json.loads((tmp_path / "scene.json").read_text())
@@ -118,8 +118,8 @@ def test_damaged_scene_files_are_told(tmp_path):
         [],
     ):
         (tmp_path / "scene.json").write_text(json.dumps(damage))
-        with pytest.raises(ArtefactDamaged, match=r"scene\.json is damaged"):
+        with pytest.raises(ArtifactDamaged, match=r"scene\.json is damaged"):
             read_scene(tmp_path)
     (tmp_path / "scene.json").write_text("{")
-    with pytest.raises(ArtefactDamaged, match="damaged"):
+    with pytest.raises(ArtifactDamaged, match="damaged"):
         read_scene(tmp_path)

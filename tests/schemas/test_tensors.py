@@ -10,7 +10,7 @@ import torch
 from safetensors.numpy import save
 from safetensors.torch import save_file
 
-from schemas.errors import ArtefactDamaged
+from schemas.errors import ArtifactDamaged
 from schemas.tensors import load_tensors, save_tensors
 from tests.conftest import REPOSITORY
 
@@ -68,16 +68,16 @@ def test_bytes_do_not_depend_on_the_process(tmp_path):
 @pytest.mark.parametrize("keep", [0, 4, 40, -1])
 def test_truncated_and_missing_files_are_damage(tmp_path, keep):
     path = tmp_path / "a.safetensors"
-    with pytest.raises(ArtefactDamaged, match="missing"):
+    with pytest.raises(ArtifactDamaged, match="missing"):
         load_tensors(path)
     save_tensors(path, {"a": np.ones(100)})
     path.write_bytes(path.read_bytes()[:keep])
-    with pytest.raises(ArtefactDamaged, match=r"a.safetensors"):
+    with pytest.raises(ArtifactDamaged, match=r"a.safetensors"):
         load_tensors(path)
 
 
 @pytest.mark.parametrize(("kind", "told"), [(torch.bfloat16, "BF16"), (torch.float8_e4m3fn, "F8_E4M3")])
 def test_types_that_numpy_lacks_are_damage(tmp_path, kind, told):
     save_file({"density": torch.zeros(4).to(kind)}, tmp_path / "a.safetensors")
-    with pytest.raises(ArtefactDamaged, match=f"a.safetensors.*density is of type {told}"):
+    with pytest.raises(ArtifactDamaged, match=f"a.safetensors.*density is of type {told}"):
         load_tensors(tmp_path / "a.safetensors")

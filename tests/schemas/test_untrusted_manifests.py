@@ -8,9 +8,9 @@ import shutil
 import pytest
 
 from schemas import partial_artifact
-from schemas.errors import ArtefactDamaged, StylerfError, WouldBeLost
+from schemas.errors import ArtifactDamaged, StylerfError, WouldBeLost
 from schemas.manifest import MANIFEST
-from schemas.work_folder import Artefact, Recipe, Work, newest
+from schemas.work_folder import Artifact, Recipe, Work, newest
 from tests.schemas.test_work_folder import die_between_renames, make, recipe, reseal
 
 DIGEST = "0" * 63 + "1"
@@ -24,74 +24,74 @@ def record(path, **changes):
 @pytest.mark.parametrize(
     "path", ["../../out", "/etc/passwd", "sub/../../out", "a\n", "a\x1b[2J", "", ".", "sub//a.bin", "x" * 300, MANIFEST]
 )
-def test_a_listed_path_that_leaves_the_artefact_is_damage(tmp_path, path):
-    artefact = make(Work(tmp_path))
-    reseal(artefact, files=[record(path)])
-    for use in (Artefact(artefact.path).verify, lambda: Work(tmp_path).copy(Artefact(artefact.path), "other")):
-        with pytest.raises(ArtefactDamaged) as fault:
+def test_a_listed_path_that_leaves_the_artifact_is_damage(tmp_path, path):
+    artifact = make(Work(tmp_path))
+    reseal(artifact, files=[record(path)])
+    for use in (Artifact(artifact.path).verify, lambda: Work(tmp_path).copy(Artifact(artifact.path), "other")):
+        with pytest.raises(ArtifactDamaged) as fault:
             use()
         assert str(fault.value).isprintable()
     assert sorted(os.listdir(tmp_path)) == ["field"]
 
 
 def test_a_file_listed_twice_is_damage(tmp_path):
-    artefact = make(Work(tmp_path))
+    artifact = make(Work(tmp_path))
     for twice in ("b.json", "B.JSON"):
-        reseal(artefact, files=[record("b.json"), record(twice)])
-        with pytest.raises(ArtefactDamaged, match="twice"):
-            Artefact(artefact.path).verify()
+        reseal(artifact, files=[record("b.json"), record(twice)])
+        with pytest.raises(ArtifactDamaged, match="twice"):
+            Artifact(artifact.path).verify()
 
 
 @pytest.mark.parametrize("field", ["kind", "name", "stage", "revision", "recipe", "config", "inputs", "files", "seed",
                                    "device", "versions", "seconds", "peak_memory_mb", "created", "figures", "threads",
                                    "schema"])  # fmt: skip
 def test_any_field_of_another_type_is_damage_or_no_matter(tmp_path, field):
-    artefact = make(Work(tmp_path))
-    whole = json.loads((artefact.path / MANIFEST).read_text())
+    artifact = make(Work(tmp_path))
+    whole = json.loads((artifact.path / MANIFEST).read_text())
     for value in LEAVES:
-        reseal(artefact, **{**whole, field: value})
+        reseal(artifact, **{**whole, field: value})
         try:
-            again = Artefact(artefact.path)
+            again = Artifact(artifact.path)
             again.verify()
             made, as_written = again.manifest, value
             assert type(getattr(made, field)) is type(as_written) or field in ("seconds", "peak_memory_mb"), value
-            assert newest([again, again]) and Work(tmp_path).artefacts() and Work(tmp_path).outdated(again) is not None
+            assert newest([again, again]) and Work(tmp_path).artifacts() and Work(tmp_path).outdated(again) is not None
         except StylerfError as fault:
             assert "\n" not in str(fault)
 
 
 def test_a_nested_manifest_is_damage(tmp_path):
-    artefact = make(Work(tmp_path))
+    artifact = make(Work(tmp_path))
     text = b'{"a": ' * 50_000 + b'"self_sha256": "' + b"0" * 64 + b'"'
     from schemas.manifest import _sealed
 
-    (artefact.path / MANIFEST).write_bytes(_sealed(text))
-    with pytest.raises(ArtefactDamaged, match="nested"):
-        Artefact(artefact.path).verify()
+    (artifact.path / MANIFEST).write_bytes(_sealed(text))
+    with pytest.raises(ArtifactDamaged, match="nested"):
+        Artifact(artifact.path).verify()
 
 
-def test_what_a_link_leads_to_is_no_part_of_an_artefact(tmp_path):
-    artefact, elsewhere = make(Work(tmp_path)), tmp_path / "elsewhere"
-    shutil.move(artefact.path / "sub", elsewhere)
-    (artefact.path / "sub").symlink_to(elsewhere)
-    with pytest.raises(ArtefactDamaged, match="sub is a link"):
-        Artefact(artefact.path).verify()
-    with pytest.raises(ArtefactDamaged, match="sub is a link"):
-        artefact.file("sub/a.bin")
-    (artefact.path / "sub").unlink()
-    shutil.move(elsewhere, artefact.path / "sub")
-    artefact.verify()
-    (artefact.path / "more").symlink_to(tmp_path)  # a folder that nothing lists
-    with pytest.raises(ArtefactDamaged, match="more is no part"):
-        artefact.verify()
+def test_what_a_link_leads_to_is_no_part_of_an_artifact(tmp_path):
+    artifact, elsewhere = make(Work(tmp_path)), tmp_path / "elsewhere"
+    shutil.move(artifact.path / "sub", elsewhere)
+    (artifact.path / "sub").symlink_to(elsewhere)
+    with pytest.raises(ArtifactDamaged, match="sub is a link"):
+        Artifact(artifact.path).verify()
+    with pytest.raises(ArtifactDamaged, match="sub is a link"):
+        artifact.file("sub/a.bin")
+    (artifact.path / "sub").unlink()
+    shutil.move(elsewhere, artifact.path / "sub")
+    artifact.verify()
+    (artifact.path / "more").symlink_to(tmp_path)  # a folder that nothing lists
+    with pytest.raises(ArtifactDamaged, match="more is no part"):
+        artifact.verify()
 
 
 def test_only_listed_files_are_opened(tmp_path):
-    artefact = make(Work(tmp_path))
-    (artefact.path / "deformation.safetensors").write_bytes(b"unlisted")
-    assert artefact.has("b.json") and not artefact.has("deformation.safetensors")
-    with pytest.raises(ArtefactDamaged, match="lists no file"):
-        artefact.file("deformation.safetensors")
+    artifact = make(Work(tmp_path))
+    (artifact.path / "deformation.safetensors").write_bytes(b"unlisted")
+    assert artifact.has("b.json") and not artifact.has("deformation.safetensors")
+    with pytest.raises(ArtifactDamaged, match="lists no file"):
+        artifact.file("deformation.safetensors")
 
 
 @pytest.mark.parametrize("place", ["", "files", "checkpoint", "files/sub", "files/b.json"])
@@ -136,27 +136,27 @@ def test_readers_see_the_older_one_where_a_kill_came_between_two_renames(tmp_pat
     found = work.get("field", "fox")
     found.verify()
     assert (found.digest, found.name) == (old, "fox")
-    assert [one.name for one in work.artefacts()] == ["fox"] and work.find("field", "f").digest == old
+    assert [one.name for one in work.artifacts()] == ["fox"] and work.find("field", "f").digest == old
     assert work.standing("field", "fox", recipe()).digest == old
     assert make(work).digest == old  # the next run puts it back first
-    assert [one.path.name for one in work.artefacts()] == ["fox"]
+    assert [one.path.name for one in work.artifacts()] == ["fox"]
 
 
-def test_an_artefact_dated_in_the_future_is_not_the_newest(tmp_path):
+def test_an_artifact_dated_in_the_future_is_not_the_newest(tmp_path):
     work = Work(tmp_path)
     wrong, right = make(work, "wrong"), make(work, "right")
     reseal(wrong, created="9999-12-31T00:00:00.000+00:00")
-    assert [one.name for one in newest(work.artefacts())] == ["right", "wrong"]
+    assert [one.name for one in newest(work.artifacts())] == ["right", "wrong"]
     reseal(right, created="2020-01-01T02:00:00+02:00")
     reseal(wrong, created="2020-01-01T00:00:01+00:00")
-    assert [one.name for one in newest(Work(tmp_path).artefacts())] == ["wrong", "right"]
+    assert [one.name for one in newest(Work(tmp_path).artifacts())] == ["wrong", "right"]
 
 
 def test_a_name_of_an_input_that_leads_elsewhere_is_damage(tmp_path):
-    artefact = make(Work(tmp_path))
-    reseal(artefact, inputs=[{"role": "scene", "kind": "scene", "name": "../../x", "digest": DIGEST}])
-    with pytest.raises(ArtefactDamaged, match="name of an input"):
-        Work(tmp_path).outdated(Artefact(artefact.path))
+    artifact = make(Work(tmp_path))
+    reseal(artifact, inputs=[{"role": "scene", "kind": "scene", "name": "../../x", "digest": DIGEST}])
+    with pytest.raises(ArtifactDamaged, match="name of an input"):
+        Work(tmp_path).outdated(Artifact(artifact.path))
 
 
 def test_a_disk_that_cannot_flush_folders_is_used_all_the_same(tmp_path, monkeypatch):
@@ -174,7 +174,7 @@ def test_a_disk_that_cannot_flush_folders_is_used_all_the_same(tmp_path, monkeyp
 
 def test_a_file_that_changes_while_it_is_copied_gets_no_sound_seal(tmp_path, monkeypatch):
     work = Work(tmp_path)
-    artefact = make(work)
+    artifact = make(work)
     copyfile = shutil.copyfile
 
     def altering(source, target):
@@ -183,9 +183,9 @@ def test_a_file_that_changes_while_it_is_copied_gets_no_sound_seal(tmp_path, mon
             stream.write(b"!")
 
     monkeypatch.setattr(shutil, "copyfile", altering)
-    with pytest.raises(ArtefactDamaged, match="changed while it was copied"):
-        work.copy(artefact, "other")
-    assert [one.name for one in work.artefacts()] == ["fox"]
+    with pytest.raises(ArtifactDamaged, match="changed while it was copied"):
+        work.copy(artifact, "other")
+    assert [one.name for one in work.artifacts()] == ["fox"]
 
 
 def test_threads_are_recorded(tmp_path):

@@ -44,13 +44,13 @@ def test_without_the_extra_a_film_is_a_gif_and_says_how_to_get_mp4(pictures, tmp
             film.seek(number)
             assert film.info["duration"] == 40
             shown = np.asarray(film.convert("RGB"), np.float64)
-            assert np.abs(shown - read(picture)).mean() < 6  # 256 colours for all frames
+            assert np.abs(shown - read(picture)).mean() < 6  # 256 colors for all frames
             bar = slice(5 * number + 2, 5 * number + 6)
             assert np.abs(shown[:, bar] - [230, 200, 40]).mean() < 12
 
 
 def test_still_parts_of_a_gif_do_not_flicker(pictures, tmp_path, without_av):
-    """One palette: what does not move keeps its colour but for the dither."""
+    """One palette: what does not move keeps its color but for the dither."""
     path, _ = video.write_video(tmp_path / "film", pictures, 25.0)
     with Image.open(path) as film:
         shown = []
@@ -74,7 +74,7 @@ def test_mp4_holds_every_frame_at_its_time(pictures, tmp_path, fps):
     assert path == tmp_path / "film.mp4" and "H.264" in how
     with av.open(str(path)) as film:
         stream = film.streams.video[0]
-        assert (stream.width, stream.height) == (WIDTH - 1, HEIGHT - 1)  # halved colour takes even sides
+        assert (stream.width, stream.height) == (WIDTH - 1, HEIGHT - 1)  # halved color takes even sides
         told = stream.codec_context
         assert (told.colorspace, told.color_primaries, told.color_trc, told.color_range) == (1, 1, 1, 1)  # BT.709, MPEG
         assert float(stream.average_rate) == pytest.approx(fps, rel=1e-3)
@@ -85,7 +85,7 @@ def test_mp4_holds_every_frame_at_its_time(pictures, tmp_path, fps):
         assert moment == pytest.approx(number / fps, abs=1e-3)
         errors = [((pixels - original[: HEIGHT - 1, : WIDTH - 1]) ** 2).mean() for original in originals]
         assert np.argmin(errors) == number
-        # Colour is stored at half the size, which sharp edges between strong colours show.
+        # Color is stored at half the size, which sharp edges between strong colors show.
         assert -10 * np.log10(errors[number] / 255**2) > 21
 
 

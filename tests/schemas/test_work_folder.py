@@ -1,4 +1,4 @@
-"""The store: artefacts are finished or absent, altered bytes are found, one writer at a time, old recipes resume."""
+"""The store: artifacts are finished or absent, altered bytes are found, one writer at a time, old recipes resume."""
 
 import errno
 import json
@@ -10,16 +10,16 @@ import time
 import pytest
 
 from schemas import lock, migrations, partial_artifact
-from schemas.errors import ArtefactDamaged, ArtefactStale, OutOfResources, StylerfError, UsageError, WouldBeLost
+from schemas.errors import ArtifactDamaged, ArtifactStale, OutOfResources, StylerfError, UsageError, WouldBeLost
 from schemas.manifest import MANIFEST, InputRef
-from schemas.work_folder import Artefact, Recipe, Work, sources_of
+from schemas.work_folder import Artifact, Recipe, Work, sources_of
 
 
 def recipe(**changes) -> Recipe:
     return Recipe(**{"stage": "toy", "revision": 1, "config": {"steps": 3}, "inputs": [], "seed": 0, **changes})
 
 
-def make(work: Work, name="fox", kind="field", content=b"weights", made_of=None, **changes) -> Artefact:
+def make(work: Work, name="fox", kind="field", content=b"weights", made_of=None, **changes) -> Artifact:
     begun = work.begin(kind, name, made_of or recipe(**changes))
     (begun.path / "sub").mkdir(exist_ok=True)
     (begun.path / "sub" / "a.bin").write_bytes(content)
@@ -27,10 +27,10 @@ def make(work: Work, name="fox", kind="field", content=b"weights", made_of=None,
     return begun.commit(device="cpu", versions={"x": "1"}, seconds=1.5, peak_memory_mb=3, figures={"psnr": 27.1})
 
 
-def test_a_finished_artefact_reads_back(tmp_path):
-    artefact = make(Work(tmp_path))
+def test_a_finished_artifact_reads_back(tmp_path):
+    artifact = make(Work(tmp_path))
     again = Work(tmp_path).get("field", "fox")
-    assert again.digest == artefact.digest == again.manifest.digest
+    assert again.digest == artifact.digest == again.manifest.digest
     assert [record.path for record in again.manifest.files] == ["b.json", "sub/a.bin"]
     assert again.manifest.figures == {"psnr": 27.1}
     assert again.file("sub/a.bin").read_bytes() == b"weights"
@@ -58,7 +58,7 @@ def test_digest_tells_content_recipe_and_kind_but_not_name(tmp_path):
     assert make(work, "e", kind="edit").digest != base
 
 
-def test_a_copy_is_the_same_artefact_by_another_name_at_what_it_cost(tmp_path):
+def test_a_copy_is_the_same_artifact_by_another_name_at_what_it_cost(tmp_path):
     work = Work(tmp_path)
     first, other = make(work), make(work, "den", content=b"other").digest
     copy = work.copy(first, "den")
@@ -75,7 +75,7 @@ def test_a_copy_is_the_same_artefact_by_another_name_at_what_it_cost(tmp_path):
     assert sorted(os.listdir(tmp_path / "field")) == [".den.lock", ".fox.lock", ".moved.lock", "den", "fox", "moved"]
 
 
-def test_an_artefact_whose_manifest_nobody_can_read_may_be_made_again(tmp_path):
+def test_an_artifact_whose_manifest_nobody_can_read_may_be_made_again(tmp_path):
     work = Work(tmp_path)
     (make(work).path / MANIFEST).write_text("{")
     again = make(work, seed=1)
@@ -85,48 +85,48 @@ def test_an_artefact_whose_manifest_nobody_can_read_may_be_made_again(tmp_path):
 
 @pytest.mark.parametrize("which", ["b.json", "sub/a.bin", MANIFEST])
 def test_a_flipped_bit_anywhere_is_found(tmp_path, which):
-    artefact = make(Work(tmp_path))
-    path = artefact.path / which
+    artifact = make(Work(tmp_path))
+    path = artifact.path / which
     whole = path.read_bytes()
     for position in range(len(whole)):
         damaged = bytearray(whole)
         damaged[position] ^= 1 << position % 8
         path.write_bytes(damaged)
-        with pytest.raises(ArtefactDamaged, match=which.rpartition("/")[2]):
-            Artefact(artefact.path).verify()
+        with pytest.raises(ArtifactDamaged, match=which.rpartition("/")[2]):
+            Artifact(artifact.path).verify()
     path.write_bytes(whole)
-    artefact.verify()
+    artifact.verify()
 
 
 def test_missing_shortened_and_additional_files_are_found(tmp_path):
-    artefact = make(Work(tmp_path))
-    (artefact.path / "sub" / "new.bin").write_bytes(b"")
-    artefact.check_sizes()
-    with pytest.raises(ArtefactDamaged, match=r"new.bin"):
-        artefact.verify()
-    (artefact.path / "sub" / "new.bin").unlink()
-    (artefact.path / "sub" / "a.bin").write_bytes(b"weight")
-    with pytest.raises(ArtefactDamaged, match="6 bytes where 7"):
-        artefact.check_sizes()
-    (artefact.path / "sub" / "a.bin").unlink()
-    with pytest.raises(ArtefactDamaged, match=r"lacks sub/a.bin.*run the command that made it with --force"):
-        artefact.verify()
-    (artefact.path / MANIFEST).unlink()
-    with pytest.raises(ArtefactDamaged, match=r"no manifest.json"):
-        Artefact(artefact.path).verify()
+    artifact = make(Work(tmp_path))
+    (artifact.path / "sub" / "new.bin").write_bytes(b"")
+    artifact.check_sizes()
+    with pytest.raises(ArtifactDamaged, match=r"new.bin"):
+        artifact.verify()
+    (artifact.path / "sub" / "new.bin").unlink()
+    (artifact.path / "sub" / "a.bin").write_bytes(b"weight")
+    with pytest.raises(ArtifactDamaged, match="6 bytes where 7"):
+        artifact.check_sizes()
+    (artifact.path / "sub" / "a.bin").unlink()
+    with pytest.raises(ArtifactDamaged, match=r"lacks sub/a.bin.*run the command that made it with --force"):
+        artifact.verify()
+    (artifact.path / MANIFEST).unlink()
+    with pytest.raises(ArtifactDamaged, match=r"no manifest.json"):
+        Artifact(artifact.path).verify()
 
 
-def test_what_desktops_leave_in_folders_is_no_part_of_an_artefact(tmp_path):
+def test_what_desktops_leave_in_folders_is_no_part_of_an_artifact(tmp_path):
     begun = Work(tmp_path).begin("field", "fox", recipe())
     (begun.path / "sub").mkdir()
     for name in ("a.bin", ".DS_Store"):
         (begun.path / "sub" / name).write_bytes(b"x")
-    artefact = begun.commit()
-    (artefact.path / "sub" / ".DS_Store").unlink()
+    artifact = begun.commit()
+    (artifact.path / "sub" / ".DS_Store").unlink()
     for name in (".DS_Store", "._a.bin", "Thumbs.db", "desktop.ini", ".directory"):
-        (artefact.path / "sub" / name).write_bytes(b"x")
-    artefact.verify()
-    assert [record.path for record in artefact.manifest.files] == ["sub/a.bin"]
+        (artifact.path / "sub" / name).write_bytes(b"x")
+    artifact.verify()
+    assert [record.path for record in artifact.manifest.files] == ["sub/a.bin"]
 
 
 @pytest.mark.parametrize(
@@ -138,20 +138,20 @@ def test_what_desktops_leave_in_folders_is_no_part_of_an_artefact(tmp_path):
         ("pose_import", {"source": "my photos"}, "stylerf import 'my photos' {work} --name fox --force"),
     ],
 )
-def test_a_damaged_artefact_is_made_again_by_the_verb_that_made_it(tmp_path, stage, config, command):
-    artefact = make(Work(tmp_path / "a folder"), stage=stage, config=config)
-    (artefact.path / "b.json").write_text("[]")
+def test_a_damaged_artifact_is_made_again_by_the_verb_that_made_it(tmp_path, stage, config, command):
+    artifact = make(Work(tmp_path / "a folder"), stage=stage, config=config)
+    (artifact.path / "b.json").write_text("[]")
     work = f"'{tmp_path}/a folder'"
-    with pytest.raises(ArtefactDamaged) as caught:
-        artefact.verify()
+    with pytest.raises(ArtifactDamaged) as caught:
+        artifact.verify()
     assert command.format(work=work) in str(caught.value)
     assert f"stylerf show '{tmp_path}/a folder/field/fox'" in str(caught.value)
 
 
-def test_absent_artefacts_come_with_the_command_that_makes_them(tmp_path):
-    with pytest.raises(ArtefactStale, match="stylerf fit"):
+def test_absent_artifacts_come_with_the_command_that_makes_them(tmp_path):
+    with pytest.raises(ArtifactStale, match="stylerf fit"):
         Work(tmp_path).get("field", "fox")
-    with pytest.raises(ArtefactStale, match="stylerf import"):
+    with pytest.raises(ArtifactStale, match="stylerf import"):
         Work(tmp_path).find("scene", "fox")
     assert not list(tmp_path.iterdir())
 
@@ -194,9 +194,9 @@ def test_a_copy_of_what_is_damaged_is_refused(tmp_path):
     data = bytearray(file.read_bytes())
     data[0] ^= 1
     file.write_bytes(data)
-    with pytest.raises(ArtefactDamaged):
+    with pytest.raises(ArtifactDamaged):
         work.copy(made, "other")
-    assert [one.name for one in work.artefacts("field")] == [made.name]
+    assert [one.name for one in work.artifacts("field")] == [made.name]
 
 
 def test_interrupted_run_resumes_only_for_the_same_recipe(tmp_path):
@@ -206,7 +206,7 @@ def test_interrupted_run_resumes_only_for_the_same_recipe(tmp_path):
     (first.checkpoint / "step").write_text("7")
     (first.path / ".a.0123.tmp.png").write_bytes(b"half")
     first.release()
-    assert work.artefacts() == [] and work.unfinished() == [("field", "fox")]
+    assert work.artifacts() == [] and work.unfinished() == [("field", "fox")]
 
     second = work.begin("field", "fox", recipe())
     assert second.resumed and (second.checkpoint / "step").read_text() == "7"
@@ -264,7 +264,7 @@ def test_what_no_run_wrote_is_not_deleted_with_what_is_replaced(tmp_path, added)
     assert again.resumed and again.commit().manifest.seed == 1
 
 
-def test_a_folder_that_is_no_artefact_is_not_deleted_and_a_damaged_one_is_made_again(tmp_path):
+def test_a_folder_that_is_no_artifact_is_not_deleted_and_a_damaged_one_is_made_again(tmp_path):
     work, folder = Work(tmp_path), tmp_path / "field" / "fox"
     (folder / "scans").mkdir(parents=True)
     work.begin("field", "fox", recipe()).discard()  # nothing would be lost
@@ -279,8 +279,8 @@ def test_a_folder_that_is_no_artefact_is_not_deleted_and_a_damaged_one_is_made_a
     make(work)
     text = (folder / MANIFEST).read_text()
     (folder / MANIFEST).write_text(text.replace("27.1", "27.2"))
-    with pytest.raises(ArtefactDamaged, match="altered"):
-        Artefact(folder).verify()
+    with pytest.raises(ArtifactDamaged, match="altered"):
+        Artifact(folder).verify()
     make(work).verify()
 
 
@@ -373,11 +373,11 @@ def test_a_disk_that_cannot_lock_is_not_taken_for_another_process(tmp_path, monk
 
 def test_standing_needs_the_recipe_and_whole_files(tmp_path):
     work = Work(tmp_path)
-    artefact = make(work)
-    assert work.standing("field", "fox", recipe()).digest == artefact.digest
+    artifact = make(work)
+    assert work.standing("field", "fox", recipe()).digest == artifact.digest
     assert work.standing("field", "fox", recipe(config={"steps": 4})) is None
     assert work.standing("field", "other", recipe()) is None
-    (artefact.path / "b.json").write_text("")
+    (artifact.path / "b.json").write_text("")
     assert work.standing("field", "fox", recipe()) is None
 
 
@@ -401,7 +401,7 @@ def test_outdated_follows_inputs_to_the_scene(tmp_path):
     assert work.outdated(field) == ["scene fox, from which fox was made, is gone"]
 
 
-def test_artefacts_that_were_made_from_each_other_are_each_looked_at_once(tmp_path):
+def test_artifacts_that_were_made_from_each_other_are_each_looked_at_once(tmp_path):
     work = Work(tmp_path)
     make(work, "a")
     make(work, "b", inputs=[work.get("field", "a").reference("field")])
@@ -423,45 +423,45 @@ def test_sources_are_told_nearest_first_and_of_the_kinds_asked_for(tmp_path):
     assert [one.name for one in sources_of(red)] == ["fit"]
 
 
-def reseal(artefact, **changes):
+def reseal(artifact, **changes):
     """Writes the manifest again as an honest writer of another version would."""
     import hashlib
 
-    content = json.loads((artefact.path / MANIFEST).read_text()) | changes
+    content = json.loads((artifact.path / MANIFEST).read_text()) | changes
     content["self_sha256"] = "0" * 64
     text = json.dumps(content, indent=1) + "\n"
     seal = hashlib.sha256(text.encode()).hexdigest()
-    (artefact.path / MANIFEST).write_text(text.replace("0" * 64, seal))
+    (artifact.path / MANIFEST).write_text(text.replace("0" * 64, seal))
 
 
 def test_a_newer_schema_or_kind_is_refused(tmp_path):
-    artefact = make(Work(tmp_path))
-    reseal(artefact)
-    Artefact(artefact.path).verify()
-    reseal(artefact, schema=migrations.CURRENT["field"] + 1)
-    with pytest.raises(ArtefactStale, match="newer stylerf"):
-        Artefact(artefact.path).verify()
+    artifact = make(Work(tmp_path))
+    reseal(artifact)
+    Artifact(artifact.path).verify()
+    reseal(artifact, schema=migrations.CURRENT["field"] + 1)
+    with pytest.raises(ArtifactStale, match="newer stylerf"):
+        Artifact(artifact.path).verify()
     assert Work(tmp_path).standing("field", "fox", recipe()) is None
-    reseal(artefact, schema=1, kind="hologram")
-    with pytest.raises(ArtefactStale, match="newer stylerf"):
-        Artefact(artefact.path).verify()
+    reseal(artifact, schema=1, kind="hologram")
+    with pytest.raises(ArtifactStale, match="newer stylerf"):
+        Artifact(artifact.path).verify()
 
 
 @pytest.mark.parametrize("changes", [{"schema": "1"}, {"schema": 0}, {"files": [{"path": "x"}]}, {"surprise": 1}])
 def test_sealed_nonsense_is_damage_not_a_crash(tmp_path, changes):
-    artefact = make(Work(tmp_path))
-    reseal(artefact, **changes)
+    artifact = make(Work(tmp_path))
+    reseal(artifact, **changes)
     with pytest.raises(StylerfError):
-        Artefact(artefact.path).verify()
+        Artifact(artifact.path).verify()
 
 
 def test_old_schemas_migrate_step_by_step_and_keep_their_digest(tmp_path, monkeypatch):
     monkeypatch.setitem(migrations.CURRENT, "field", 1)
-    artefact = make(Work(tmp_path))
+    artifact = make(Work(tmp_path))
     monkeypatch.setitem(migrations.CURRENT, "field", 3)
     monkeypatch.delitem(migrations.MIGRATIONS, ("field", 1))
-    with pytest.raises(ArtefactStale, match="too old"):
-        Artefact(artefact.path).verify()
+    with pytest.raises(ArtifactStale, match="too old"):
+        Artifact(artifact.path).verify()
 
     def rename(content, folder):
         content["figures"] = {"psnr_db": content["figures"]["psnr"], "folder": folder.name}
@@ -469,8 +469,8 @@ def test_old_schemas_migrate_step_by_step_and_keep_their_digest(tmp_path, monkey
 
     monkeypatch.setitem(migrations.MIGRATIONS, ("field", 1), rename)
     monkeypatch.setitem(migrations.MIGRATIONS, ("field", 2), lambda content, folder: content)
-    old = Artefact(artefact.path)
+    old = Artifact(artifact.path)
     old.verify()
     assert old.manifest.schema == 3
     assert old.manifest.figures == {"psnr_db": 27.1, "folder": "fox"}
-    assert old.digest == artefact.digest
+    assert old.digest == artifact.digest

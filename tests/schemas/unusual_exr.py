@@ -36,8 +36,8 @@ def cropped(path):
     assert target.open(str(path), spec) and target.write_image(np.ones((3, 4, 4), np.float32)) and target.close()
 
 
-def halved_colour(path):
-    """Brightness for every pixel, colour differences for every other; the header alone tells so."""
+def halved_color(path):
+    """Brightness for every pixel, color differences for every other; the header alone tells so."""
     plane = np.ones((8, 8), np.float32)
     OpenEXR.File({"type": OpenEXR.scanlineimage}, {name: plane for name in ("BY", "RY", "Y", "Z")}).write(str(path))
     data = path.read_bytes()

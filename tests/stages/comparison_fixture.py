@@ -2,7 +2,7 @@
 
 import json
 
-from schemas.work_folder import Artefact, Work
+from schemas.work_folder import Artifact, Work
 from tests.stages import evaluation_fixture as made
 
 LABELS = {"psnr": ("PSNR", "dB", "higher"), "nnfm": ("NNFM distance to the painting", "", "lower"),
@@ -16,7 +16,7 @@ LABELS = {"psnr": ("PSNR", "dB", "higher"), "nnfm": ("NNFM distance to the paint
           "long_rmse": ("Consistency long (correct), RMSE", "", "lower")}  # fmt: skip
 
 
-def fit(work: Work, scene: Artefact, name: str, seconds: float, psnr: float | None, **more) -> Artefact:
+def fit(work: Work, scene: Artifact, name: str, seconds: float, psnr: float | None, **more) -> Artifact:
     """A fitted field, evaluated unless psnr is None."""
     figures, memory = {"parameters": more.pop("parameters", 1000)}, more.pop("memory", 500.0)
     config = {"budget": f"{seconds:g}s", "field": "vm", "capacity": "grow"} | more
@@ -29,10 +29,10 @@ def fit(work: Work, scene: Artefact, name: str, seconds: float, psnr: float | No
     return field
 
 
-def stylised(
-    work: Work, scene: Artefact, base: Artefact, name: str, seconds: float, figures: dict, **config
-) -> Artefact:
-    """A stylised field of 2,000 parameters, evaluated where there are figures."""
+def stylized(
+    work: Work, scene: Artifact, base: Artifact, name: str, seconds: float, figures: dict, **config
+) -> Artifact:
+    """A stylized field of 2,000 parameters, evaluated where there are figures."""
     field = made.make_field(
         work, name, "stylize", {"scene": scene, "field": base}, seconds=seconds, peak_memory_mb=900.0,
         figures={"parameters": 2000}, config={"style": "/somewhere/starry.jpg", "method": "arf"} | config,
@@ -43,9 +43,9 @@ def stylised(
 
 
 def edited(
-    work: Work, scene: Artefact, base: Artefact, name: str, seconds: tuple[float, ...], figures: dict
-) -> Artefact:
-    """A field that learnt an edit; seconds of extract, learn, distill and finetune."""
+    work: Work, scene: Artifact, base: Artifact, name: str, seconds: tuple[float, ...], figures: dict
+) -> Artifact:
+    """A field that learned an edit; seconds of extract, learn, distill and finetune."""
     region = made.commit(work, "region", name, "region_select", {"field": base}, _nothing, seconds=999.0)
     inputs = {"scene": scene, "field": base, "region": region}
     dataset = made.commit(work, "edit-dataset", name, "edit_dataset", inputs, _nothing, seconds=seconds[0])
@@ -71,9 +71,9 @@ def edited(
 
 
 def report(
-    work: Work, field: Artefact, figures: dict, edit: dict | None = None, protocol: str = "as ever", **more
-) -> Artefact:
-    """What `stylerf eval` leaves, as far as a comparison looks at it. more: of its manifest; `regions`, artefacts;
+    work: Work, field: Artifact, figures: dict, edit: dict | None = None, protocol: str = "as ever", **more
+) -> Artifact:
+    """What `stylerf eval` leaves, as far as a comparison looks at it. more: of its manifest; `regions`, artifacts;
     `name`, else the field's; `changed`, of each figure."""
     inputs = {"field": field} | {f"region.{one.name}": one for one in more.pop("regions", ())}
     name, changed = more.pop("name", field.name), more.pop("changed", {})

@@ -65,28 +65,28 @@ def write_photos(folder: Path, names: list[str], lens=None, project=None, size=(
 
 
 def _photo(places: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    grey = np.random.default_rng(0).uniform(0.05, 0.25, (size[1], size[0]))
+    gray = np.random.default_rng(0).uniform(0.05, 0.25, (size[1], size[0]))
     for x, y in places:
         across, down = (
             np.exp(-((np.arange(side) + 0.5 - at) ** 2) / 3.4) for side, at in zip(size, (x, y), strict=True)
         )
         spot = down[:, None] * across
-        grey = grey * (1 - spot) + spot
-    return np.repeat((grey * 255).astype(np.uint8)[..., None], 3, axis=2)
+        gray = gray * (1 - spot) + spot
+    return np.repeat((gray * 255).astype(np.uint8)[..., None], 3, axis=2)
 
 
-def error(artefact, points: np.ndarray = POINTS) -> float:
+def error(artifact, points: np.ndarray = POINTS) -> float:
     """Median distance in pixels of the dots in an imported picture from where its camera puts them: the worst view's.
 
     Infinite where a view shows fewer than four dots that stand apart.
     """
-    scene = scene_of(artefact)
+    scene = scene_of(artifact)
     moved = np.array(scene.scene_from_source)
     inside = points @ moved[:3, :3].T + moved[:3, 3]
     worst = 0.0
     for view in scene.views:
         places = seen(np.array(view.world_from_camera), (view.fx, view.fy, view.cx, view.cy), inside)
-        picture = read_image(artefact.path / view.image).pixels[..., :3].min(axis=2)
+        picture = read_image(artifact.path / view.image).pixels[..., :3].min(axis=2)
         errors = []
         for index, (x, y) in enumerate(places):
             apart = np.hypot(*(np.delete(places, index, axis=0) - places[index]).T).min()

@@ -9,7 +9,7 @@ from schemas.exr import FAR_Z, ExrView, write_exr
 from schemas.frames import Frame, FrameCamera, Frames, write_frames
 from schemas.images import linear_from_srgb, write_png
 from schemas.scene import Bounds, Scene, Truth, View, as_matrix, write_scene
-from schemas.work_folder import Artefact, Recipe, Work
+from schemas.work_folder import Artifact, Recipe, Work
 from stages import render
 from stylerf.geometry.cameras import Camera
 
@@ -34,9 +34,9 @@ def camera(x: float, name: str, size: tuple[int, int] = (96, 72)) -> Camera:
 def look(view: Camera, wall: bool = True) -> Seen:
     """A ball of radius 0.6 at (0, 0, 3) and, if asked, a wall at z = 5."""
     origins, directions = (array.astype(np.float64) for array in view.rays())
-    centre = np.array([0, 0, 3.0])
-    b = ((origins - centre) * directions).sum(axis=1)
-    under = b**2 - ((origins - centre) ** 2).sum(axis=1) + 0.36
+    center = np.array([0, 0, 3.0])
+    b = ((origins - center) * directions).sum(axis=1)
+    under = b**2 - ((origins - center) ** 2).sum(axis=1) + 0.36
     t_ball = np.where(under > 0, -b - np.sqrt(np.maximum(under, 0)), np.inf)
     t_wall = (5 - origins[:, 2]) / directions[:, 2] if wall else np.full(len(origins), np.inf)
     t = np.minimum(t_ball, t_wall)
@@ -55,7 +55,7 @@ def camera_entry(view: Camera) -> dict:
     return {**{key: getattr(view, key) for key in keys}, "world_from_camera": as_matrix(view.world_from_camera)}
 
 
-def commit(work: Work, kind: str, name: str, stage: str, inputs: dict[str, Artefact], write, **manifest) -> Artefact:
+def commit(work: Work, kind: str, name: str, stage: str, inputs: dict[str, Artifact], write, **manifest) -> Artifact:
     revision, config = manifest.pop("revision", 1), manifest.pop("config", {})
     recipe = Recipe(stage, revision, config, [a.reference(role) for role, a in inputs.items()], 0)
     partial = work.begin(kind, name, recipe)
@@ -70,7 +70,7 @@ def make_scene(
     depth: bool = True,
     size: tuple[int, int] = (96, 72),
     layout: str = "",
-) -> Artefact:
+) -> Artifact:
     """Every view is a test view: evaluation does not look at the others. layout: an object where photos have alpha."""
     layout = layout or ("object" if background == "alpha" else "forward")
     cameras = [camera(x, f"photo_{i:02d}", size) for i, x in enumerate(positions)]
@@ -106,11 +106,11 @@ def make_frames(
     path: str,
     cameras: list[Camera],
     pictures: list[Seen],
-    field: Artefact,
+    field: Artifact,
     matched: bool = True,
     config: dict | None = None,
     revision: int = render.SPEC.revision,
-) -> Artefact:
+) -> Artifact:
     """Frames as `render` writes them; `matched`: frame k repeats view k of the scene."""
 
     def write(folder: Path) -> None:
@@ -126,7 +126,7 @@ def make_frames(
     return commit(work, "frames", name, "render", {"field": field}, write, **told)
 
 
-def make_field(work: Work, name: str, stage: str, inputs: dict[str, Artefact], **manifest) -> Artefact:
+def make_field(work: Work, name: str, stage: str, inputs: dict[str, Artifact], **manifest) -> Artifact:
     """A stand-in: evaluation reads only the manifest of a field."""
 
     def write(folder: Path) -> None:

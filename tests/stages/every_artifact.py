@@ -1,4 +1,4 @@
-"""One tiny artefact of every kind, and of every kind of field, and what the next stage does with each."""
+"""One tiny artifact of every kind, and of every kind of field, and what the next stage does with each."""
 
 import shutil
 from collections.abc import Callable
@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 from schemas.tensors import save_tensors
-from schemas.work_folder import Artefact, Work
+from schemas.work_folder import Artifact, Work
 from stages.artifacts.edit import Edit, columns_and_shares, load_edit, save_edit, told_after
 from stages.artifacts.edit_views import load_edit_views, save_edit_views
 from stages.artifacts.field import load_deformation, load_field, save_deformation, save_field
@@ -27,15 +27,15 @@ from stylerf.editing.edit_grid import Region, solid_cells
 from stylerf.editing.edit_views import EditView
 from stylerf.editing.palette_edits import PaletteEdits
 from stylerf.editing.palette_module import PaletteModule
-from stylerf.editing.recoloring import Recolouring, SpaceFilter
+from stylerf.editing.recoloring import Recoloring, SpaceFilter
 from stylerf.fields.deformation import Deformation
 from stylerf.fields.hash_encoding import HashEncoding
-from stylerf.fields.palette_color import PaletteColour
+from stylerf.fields.palette_color import PaletteColor
 from stylerf.fields.radiance_field import RadianceField, layers_of
-from stylerf.fields.region_color import PatchColour
+from stylerf.fields.region_color import PatchColor
 from stylerf.geometry.cameras import Camera
 from stylerf.rendering.view import render_view
-from stylerf.style.color_matching import ColourMap
+from stylerf.style.color_matching import ColorMap
 from tests.stages.comparison_fixture import report
 from tests.stages.evaluation_fixture import Seen, commit, make_frames
 from tests.stages.stress_fixture import SIZE, make_capture
@@ -47,13 +47,13 @@ CELLS = 8
 
 @dataclass(frozen=True)
 class Made:
-    """An artefact, and what a stage that is given it does first; what comes out must be finite."""
+    """An artifact, and what a stage that is given it does first; what comes out must be finite."""
 
-    artefact: Artefact
-    use: Callable[[Artefact], None]
+    artifact: Artifact
+    use: Callable[[Artifact], None]
 
 
-def every_artefact(work: Work) -> dict[str, Made]:
+def every_artifact(work: Work) -> dict[str, Made]:
     """By kind, or kind and kind of field."""
     scene = make_capture(work, tests=1, train=3)
     rng = np.random.default_rng(0)
@@ -71,7 +71,7 @@ def every_artefact(work: Work) -> dict[str, Made]:
     made = {"scene": Made(commit(work, "scene", "edited", "distill", {"scene": scene}, edited_scene), _use_scene)}
     for name, field in _fields().items():
         made[f"field {name}"] = Made(_field(work, scene, name, field), _use_field)
-    plain = made["field vm"].artefact
+    plain = made["field vm"].artifact
     cells = np.zeros((CELLS,) * 3, bool)
     cells[2:5, 2:5, 2:5] = True
     region = Region(cells, np.roll(cells, 3, 0) & ~cells)
@@ -94,11 +94,11 @@ def every_artefact(work: Work) -> dict[str, Made]:
 
 
 def _fields() -> dict[str, RadianceField]:
-    """Of every kind of density, colour, head and space."""
+    """Of every kind of density, color, head and space."""
     box, contraction, frustum = (small.SPACES[kind] for kind in ("box", "contraction", "frustum"))
     made = {
         "vm": small.field_of(box, 1),
-        "hash": small.field_of(contraction, 2, small.hash_colour(3)),
+        "hash": small.field_of(contraction, 2, small.hash_color(3)),
         "voxel": small.field_of(frustum, 4, small.headed(5, "voxel", "linear", capacity=small.SPARSE)),
         "vm mlp": small.field_of(box, 6, small.headed(7, "vm", "mlp")),
         "hash linear": small.field_of(box, 8, small.headed(9, "hash", "linear")),
@@ -108,25 +108,25 @@ def _fields() -> dict[str, RadianceField]:
     }
     made["hash"].density, made["voxel"].density = small.hash_density(14), small.voxel_density(15)
     made["vm"].occupancy = small.half_empty()
-    made["deformed"].colour_map = ColourMap(torch.eye(3), torch.zeros(3))
+    made["deformed"].color_map = ColorMap(torch.eye(3), torch.zeros(3))
     return made
 
 
-def _palette(space) -> PaletteColour:
+def _palette(space) -> PaletteColor:
     rng = np.random.default_rng(16)
-    colour = PaletteColour.create(rng, rng.random((4, 3)), 4, 32, 512)
+    color = PaletteColor.create(rng, rng.random((4, 3)), 4, 32, 512)
     within = SpaceFilter(space, ((0.0, 0.1, 0.2),), 0.5)
     changes = PaletteEdits({0: (0.9, 0.1, 0.1)}, {1: 2.0}, {2: 0.1})
-    return colour.edited(Recolouring(changes, 0.5, 2.0, within)).edited(Recolouring(PaletteEdits({3: (0, 0, 1.0)})))
+    return color.edited(Recoloring(changes, 0.5, 2.0, within)).edited(Recoloring(PaletteEdits({3: (0, 0, 1.0)})))
 
 
-def _patch() -> PatchColour:
+def _patch() -> PatchColor:
     marked = np.zeros((CELLS,) * 3, bool)
     marked[2:6, 2:6, 2:6] = True
-    return PatchColour(small.vm_colour(17), small.hash_colour(18), marked)
+    return PatchColor(small.vm_color(17), small.hash_color(18), marked)
 
 
-def _field(work: Work, scene: Artefact, name: str, field: RadianceField) -> Artefact:
+def _field(work: Work, scene: Artifact, name: str, field: RadianceField) -> Artifact:
     def write(folder: Path) -> None:
         save_field(folder, field, "white" if field.space.kind == "box" else "none")
         if field.displacement is not None:
@@ -135,18 +135,18 @@ def _field(work: Work, scene: Artefact, name: str, field: RadianceField) -> Arte
     return commit(work, "field", name.replace(" ", "-"), "nerf_fit", {"scene": scene}, write, figures={"parameters": 9})
 
 
-def _use_field(artefact: Artefact) -> None:
-    field, _ = load_field(artefact)
+def _use_field(artifact: Artifact) -> None:
+    field, _ = load_field(artifact)
     middle = field.space.unwarp(np.full((1, 3), 0.5))[0]
     pose = np.eye(4)
     pose[:3, 3] = middle - [0, 0, 0 if field.space.kind == "frustum" else 2]
     seen = render_view(field, Camera("look", 8, 6, 8.0, 8.0, 4.0, 3.0, pose), chunks=2)
     _finite(seen.rgb, seen.alpha, seen.z)
-    for part in (field.density, *layers_of(field.colour)):
+    for part in (field.density, *layers_of(field.color)):
         to = np.zeros(len(part.values), np.float32)
         part.smooth(1.0, to)
     solid_cells(field, CELLS, 1)
-    if (deformation := load_deformation(artefact)) is not None:
+    if (deformation := load_deformation(artifact)) is not None:
         x = torch.rand(4, 3)
         _finite(deformation.network(deformation.encode(x), torch.from_numpy(deformation.values)).numpy())
 
@@ -154,8 +154,8 @@ def _use_field(artefact: Artefact) -> None:
 # -- all else ---------------------------------------------------------------------------------------------------------
 
 
-def _use_scene(artefact: Artefact) -> None:
-    scene = load_scene(artefact)
+def _use_scene(artifact: Artifact) -> None:
+    scene = load_scene(artifact)
     for camera in scene.cameras:
         origins, directions = camera.rays(np.array([0]))
         _finite(origins, directions)
@@ -165,9 +165,9 @@ def _use_scene(artefact: Artefact) -> None:
     scene.images(0)
 
 
-def _use_region(artefact: Artefact, field: Artefact) -> None:
-    load_region(artefact)
-    regions_among({"region.part": artefact}, load_field(field)[0].space)
+def _use_region(artifact: Artifact, field: Artifact) -> None:
+    load_region(artifact)
+    regions_among({"region.part": artifact}, load_field(field)[0].space)
 
 
 def _save_views(folder: Path) -> None:
@@ -180,8 +180,8 @@ def _save_views(folder: Path) -> None:
     save_edit_views(folder, views, {"hidden": [], "region": "part", "reach": 0.1})
 
 
-def _use_views(artefact: Artefact, scene: Artefact) -> None:
-    views, _ = load_edit_views(artefact)
+def _use_views(artifact: Artifact, scene: Artifact) -> None:
+    views, _ = load_edit_views(artifact)
     pictures, module = load_scene(scene), _module()
     for view in views:
         if view.view < len(pictures.cameras) and (view.width, view.height) == (SIZE, SIZE):
@@ -203,25 +203,25 @@ def _save_edit(folder: Path) -> None:
     save_edit(folder, edit, [0.5, 0.3, 0.2], {"sparsity": 0.1, "palette_variation": 0.2})
 
 
-def _use_edit(artefact: Artefact) -> None:
-    edit = load_edit(artefact)
-    columns_and_shares(artefact, len(edit.module.palette))
-    assert all(np.isfinite(value) for value in told_after(artefact, PaletteEdits()).values())
+def _use_edit(artifact: Artifact) -> None:
+    edit = load_edit(artifact)
+    columns_and_shares(artifact, len(edit.module.palette))
+    assert all(np.isfinite(value) for value in told_after(artifact, PaletteEdits()).values())
     x = np.random.default_rng(21).random((16, 3)).astype(np.float32)
-    _finite(edit.module.colours(x, np.tile(np.float32([0, 0, 1]), (16, 1)), edit.changes, np.full(16, 0.5, np.float32)))
+    _finite(edit.module.colors(x, np.tile(np.float32([0, 0, 1]), (16, 1)), edit.changes, np.full(16, 0.5, np.float32)))
 
 
-def _use_frames(artefact: Artefact) -> None:
-    views = FrameViews(artefact, 1.0)
+def _use_frames(artifact: Artifact) -> None:
+    views = FrameViews(artifact, 1.0)
     for index in range(len(views)):
         render = views.render(index)
         _finite(*render.camera.rays(np.array([0])))
         views.showing(0)
 
 
-def _use_report(artefact: Artefact) -> None:
-    read_report(artefact)
-    runs_of([Work(artefact.path.parent.parent)])
+def _use_report(artifact: Artifact) -> None:
+    read_report(artifact)
+    runs_of([Work(artifact.path.parent.parent)])
 
 
 def _finite(*arrays: np.ndarray) -> None:

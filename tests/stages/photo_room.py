@@ -9,14 +9,14 @@ from stylerf.geometry.cameras import Camera
 SIDE, TEXELS = 5.0, 1000
 
 
-def look_at(centre, target, name="camera", width=320, height=240, focal=300.0) -> Camera:
-    """A level camera, z up, at `centre` looking at `target`."""
-    centre, target = np.asarray(centre, float), np.asarray(target, float)
-    forward = (target - centre) / np.linalg.norm(target - centre)
+def look_at(center, target, name="camera", width=320, height=240, focal=300.0) -> Camera:
+    """A level camera, z up, at `center` looking at `target`."""
+    center, target = np.asarray(center, float), np.asarray(target, float)
+    forward = (target - center) / np.linalg.norm(target - center)
     right = np.cross(forward, [0, 0, 1.0])
     right /= np.linalg.norm(right)
     pose = np.eye(4)
-    pose[:3] = np.column_stack([right, np.cross(forward, right), forward, centre])
+    pose[:3] = np.column_stack([right, np.cross(forward, right), forward, center])
     return Camera(name, width, height, focal, focal, width / 2, height / 2, pose)
 
 

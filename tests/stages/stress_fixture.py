@@ -1,10 +1,10 @@
-"""A tiny capture to be spoilt, and outcomes of runs that were never made."""
+"""A tiny capture to be spoiled, and outcomes of runs that were never made."""
 
 import numpy as np
 
 from schemas.images import write_png
 from schemas.scene import Bounds, Scene, View, as_matrix, write_scene
-from schemas.work_folder import Artefact, Work
+from schemas.work_folder import Artifact, Work
 from stages.stress.success_rates import Outcome
 from stylerf.procedural.still_life import dome_cameras
 from tests.stages.evaluation_fixture import camera_entry, commit
@@ -22,7 +22,7 @@ def photo_of(index: int, alpha: bool = True) -> np.ndarray:
 
 def make_capture(
     work: Work, layout: str = "object", tests: int = TEST, train: int = TRAIN, background: str = "alpha"
-) -> Artefact:
+) -> Artifact:
     """Scene `main`: views train_000 ... and test_000 ... on a dome of radius 4.03."""
 
     def write(folder) -> None:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from schemas.tensors import save_tensors
-from schemas.work_folder import Artefact, Work
+from schemas.work_folder import Artifact, Work
 from stages import distill, finetune
 from stages.artifacts.scene import EDIT_TARGETS, load_scene
 from stages.configs.distill import DistillConfig
@@ -17,9 +17,9 @@ GREEN = np.float32([0.1, 0.9, 0.2])
 
 
 class Green:
-    """A palette module of one colour."""
+    """A palette module of one color."""
 
-    def colours(self, x, directions, changes, fading, chunks):
+    def colors(self, x, directions, changes, fading, chunks):
         return np.tile(GREEN, (len(x), 1))
 
 
@@ -46,19 +46,19 @@ def test_a_pixel_is_painted_as_far_as_the_region_covers_it(channels, weight, sha
     assert np.abs(found.reshape(-1, channels) / 255 - wanted).max() < 0.51 / 255
 
 
-def test_pixels_of_an_earlier_edit_are_learnt_from_by_the_whole_field_only(tmp_path):
+def test_pixels_of_an_earlier_edit_are_learned_from_by_the_whole_field_only(tmp_path):
     """Two edits beside each other, of which the second covers one pixel of the first."""
     scene = make_capture(Work(tmp_path))
     first = {"1.pixels": np.array([5, 6]), "1.depth": np.float32([1, 2]), "2.pixels": np.array([7]),
              "2.depth": np.float32([3])}  # fmt: skip
     save_tensors(scene.path / EDIT_TARGETS, first)
     reseal(scene.path)
-    scene = Artefact(scene.path)
+    scene = Artifact(scene.path)
     second = {"1.pixels": np.array([6, 300]), "1.depth": np.float32([4, 5])}
     distill._keep_earlier(load_scene(scene), second)
     save_tensors(scene.path / EDIT_TARGETS, second)
     reseal(scene.path)
-    scene = Artefact(scene.path)
+    scene = Artifact(scene.path)
     own, all_of_them = (finetune.edited_pixels(load_scene(scene), [1, 2], earlier) for earlier in (False, True))
     assert (own.views.tolist(), own.pixels.tolist(), own.depth.tolist()) == ([0, 0], [6, 300], [4, 5])
     assert all_of_them.views.tolist() == [0, 0, 0, 1] and all_of_them.pixels.tolist() == [6, 300, 5, 7]

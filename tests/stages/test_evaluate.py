@@ -85,26 +85,26 @@ def test_costs_are_those_of_the_manifests(fitted):
 
 
 def test_csv_holds_what_json_holds(fitted):
-    _, _, artefact, report = fitted
-    with open(artefact.file("views.csv"), newline="") as stream:
+    _, _, artifact, report = fitted
+    with open(artifact.file("views.csv"), newline="") as stream:
         rows = list(csv.DictReader(stream))
     assert [row["name"] for row in rows] == ["test_0", "test_1", "test_2"]
     for row, view in zip(rows, report["views"], strict=True):
         for key, value in view.items():
             assert row[key] == value if isinstance(value, str) else float(row[key]) == value, key
-    with open(artefact.file("pairs.csv"), newline="") as stream:
+    with open(artifact.file("pairs.csv"), newline="") as stream:
         assert len(list(csv.DictReader(stream))) == 9 + 3
 
 
 def test_all_files_stand_in_the_manifest(fitted):
-    _, _, artefact, report = fitted
-    artefact.verify()
-    names = {record.path for record in artefact.manifest.files}
+    _, _, artifact, report = fitted
+    artifact.verify()
+    names = {record.path for record in artifact.manifest.files}
     charts = {f"charts/{name}.{end}" for name in ("psnr_views", "quality_seconds", "consistency_pairs")
               for end in ("svg", "png")}  # fmt: skip
     assert names == charts | {"report.json", "report.html", "views.csv", "pairs.csv"}
-    assert artefact.manifest.figures["psnr"] == figure(report, "psnr")["mean"]
-    assert artefact.file("charts/psnr_views.png").read_bytes().startswith(b"\x89PNG")
+    assert artifact.manifest.figures["psnr"] == figure(report, "psnr")["mean"]
+    assert artifact.file("charts/psnr_views.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_what_was_not_measured_is_said(fitted):
@@ -118,9 +118,9 @@ def test_what_was_not_measured_is_said(fitted):
 
 
 def test_the_same_evaluation_gives_the_same_bytes(fitted):
-    work, inputs, artefact, _ = fitted
+    work, inputs, artifact, _ = fitted
     again, _ = evaluated(work, inputs, name="again")
-    assert [(r.path, r.sha256) for r in again.manifest.files] == [(r.path, r.sha256) for r in artefact.manifest.files]
+    assert [(r.path, r.sha256) for r in again.manifest.files] == [(r.path, r.sha256) for r in artifact.manifest.files]
 
 
 def test_a_report_of_before_a_network_was_installed_does_not_stand(tmp_path, monkeypatch):
@@ -168,13 +168,13 @@ def test_nan_in_a_render_is_told_and_left_out(fitted, tmp_path, monkeypatch):
         return replace(found, image=image, spoiled=3)
 
     monkeypatch.setattr(evaluate.FrameViews, "render", spoiled)
-    artefact, found = evaluated(Work(tmp_path), {key: inputs[key] for key in ("scene", "frames", "path_frames")})
+    artifact, found = evaluated(Work(tmp_path), {key: inputs[key] for key in ("scene", "frames", "path_frames")})
     assert found["views"][1]["psnr"] is None and "3 of 6912 pixels" in found["views"][1]["remark"]
     psnr = figure(found, "psnr")
     assert (psnr["count"], psnr["left_out"]) == (2, 1)
     assert psnr["mean"] == pytest.approx((report["views"][0]["psnr"] + report["views"][2]["psnr"]) / 2)
     assert any("test_1" in text and "not finite" in text for text in found["warnings"])
-    page = artefact.file("report.html").read_text()
+    page = artifact.file("report.html").read_text()
     assert "not finite" in page and "1 left out" in page
     assert sum("path_001: 3 of 6912 pixels" in row["remark"] for row in found["pairs"]) == 3
     assert figure(found, "short_rmse")["left_out"] == 2
@@ -251,15 +251,15 @@ def test_equal_images_are_a_hundred_decibels(tmp_path):
     scene = made.make_scene(work, [0.0], depth=False)
     field = made.make_field(work, "wall", "fit", {"scene": scene})
     view = made.camera(0.0, "test_0")
-    grey = replace(made.look(view), rgb=np.zeros((72, 96, 3), np.float32))
-    frames = made.make_frames(work, "wall-test", "test", [view], [grey], field)
+    gray = replace(made.look(view), rgb=np.zeros((72, 96, 3), np.float32))
+    frames = made.make_frames(work, "wall-test", "test", [view], [gray], field)
     black = evaluate.FrameViews(frames, 0.0).render(0)
     row = evaluate.ViewRow("black")
     evaluate.measure_fit(row, black, evaluate.Photo(np.zeros((72, 96, 3), np.float32), None, None, False, False), {})
     assert row.values["psnr"] == 100.0 and row.values["ssim"] == pytest.approx(1.0)
 
 
-def test_exr_colours_come_back_as_they_were_composited():
+def test_exr_colors_come_back_as_they_were_composited():
     from stages.evaluation.test_views import composite
 
     random = np.random.default_rng(0)

@@ -23,7 +23,7 @@ from stages.run.runner import execute
 from stylerf.editing.edit_grid import Region
 from stylerf.geometry.space_warp import Space
 from tests.stages import evaluation_fixture as made
-from tests.stylerf.small import density, field_of, hash_colour
+from tests.stylerf.small import density, field_of, hash_color
 
 POSITIONS = [0.0, 0.25]
 BOX = Space.box([-1, -1, 3], [1, 1, 5])
@@ -44,7 +44,7 @@ def seen_of_region(x: float) -> np.ndarray:
 
 
 def solid():
-    field = field_of(BOX, 1, hash_colour(2), step=1 / 100)
+    field = field_of(BOX, 1, hash_color(2), step=1 / 100)
     field.density = density(0, size=(2, 2, 2))
     field.density.values[:-1], field.density.values[-1] = 0, 12
     return field
@@ -153,16 +153,16 @@ def test_figures_of_a_known_edit_are_the_known_figures(made_up, measured):
     assert figure(report, "change_lab")["mean"] > 20
     assert "within 2 pixels" in mse["protocol"] and not any("{" in item["protocol"] for item in report["figures"])
     assert report["edit"] == {"regions": ["half.x"], "unedited": "fit", "masks": "", "margin": 2, "ring": 4}
-    assert not report["stylised"] and figure(report, "psnr")["mean"] < 25  # the edit is an error there
+    assert not report["stylized"] and figure(report, "psnr")["mean"] < 25  # the edit is an error there
     assert any("edit counts as an error" in note["why"] for note in report["not_measured"])
 
 
 def test_the_page_shows_what_changed(measured):
-    artefact, _ = measured
-    page = artefact.file("report.html").read_text()
+    artifact, _ = measured
+    page = artifact.file("report.html").read_text()
     assert page.count("<img") == 2 * 5 and "before the edit" in page and "Change: 0" in page
     assert "Background MSE" in page and "edited field" in page
-    with open(artefact.file("views.csv"), newline="") as stream:
+    with open(artifact.file("views.csv"), newline="") as stream:
         assert {"background_mse", "background_mse_unedited", "bleeding"} <= {*next(csv.reader(stream))}
 
 
@@ -247,7 +247,7 @@ def test_training_views_have_figures_of_their_own(made_up, measured):
             work, "fit-train", "train", cameras, trained[0], inputs["base_field"]
         ),
     }
-    artefact, report = evaluated(work, inputs | more, name="trained")
+    artifact, report = evaluated(work, inputs | more, name="trained")
     wanted = [expected((work, inputs, *trained, cameras), view, 2, 4) for view in range(2)]
     mse, before, change = (
         np.mean([values[key] for values in wanted])
@@ -260,8 +260,8 @@ def test_training_views_have_figures_of_their_own(made_up, measured):
     assert figure(report, "train_change_inside")["mean"] == pytest.approx(change, rel=0.01)
     assert abs(figure(report, "background_mse")["mean"] / mse - 1) > 0.05
     assert figure(report, "train_bleeding")["protocol"].startswith("On training views.")
-    assert len(report["training_views"]) == 2 and artefact.file("training.csv").is_file()
-    assert report["views"] == measured[1]["views"] and "Training views" in artefact.file("report.html").read_text()
+    assert len(report["training_views"]) == 2 and artifact.file("training.csv").is_file()
+    assert report["views"] == measured[1]["views"] and "Training views" in artifact.file("report.html").read_text()
 
 
 def test_a_view_that_does_not_show_the_region_is_all_background(made_up):
@@ -286,10 +286,10 @@ def test_a_region_of_another_space_is_refused(made_up):
 
 def test_without_an_edit_nothing_of_it_is_told(made_up):
     work, inputs, *_ = made_up
-    artefact, report = evaluated(work, {role: inputs[role] for role in ("scene", "frames", "field")}, name="plain")
+    artifact, report = evaluated(work, {role: inputs[role] for role in ("scene", "frames", "field")}, name="plain")
     assert report["edit"] is None and report["training_views"] == []
     assert not any("background" in item["key"] or "change" in item["key"] for item in report["figures"])
-    assert {record.path for record in artefact.manifest.files} == {
+    assert {record.path for record in artifact.manifest.files} == {
         "charts/psnr_views.png", "charts/psnr_views.svg", "report.html", "report.json", "views.csv",
     }  # fmt: skip
 
@@ -316,13 +316,13 @@ def test_consistency_of_the_edit_is_that_of_its_own_pixels(made_up):
     assert figure(report, "short_rmse")["mean"] < 0.08
 
 
-def test_the_palette_that_the_field_learnt_is_told_as_its_edit_told_it(made_up):
+def test_the_palette_that_the_field_learned_is_told_as_its_edit_told_it(made_up):
     work, inputs, *_ = made_up
     told = {"sparsity": 0.75, "palette_variation": 0.012, "psnr": 30.0}
     nothing = {"write": lambda at: (at / "a").write_text("a")}
     edit = made.commit(work, "edit", "blue", "edit_learn", {}, **nothing, figures=told)
     painted = made.commit(work, "scene", "painted", "distill", {"scene": inputs["scene"], "edit": edit}, **nothing)
-    field = made.make_field(work, "learnt", "finetune", {"scene": painted, "field": inputs["base_field"]})
+    field = made.make_field(work, "learned", "finetune", {"scene": painted, "field": inputs["base_field"]})
     _, report = evaluated(work, {**inputs, "field": field}, name="palette")
     assert figure(report, "sparsity")["mean"] == 0.75 and figure(report, "palette_variation")["mean"] == 0.012
     assert figure(report, "sparsity")["count"] == 1

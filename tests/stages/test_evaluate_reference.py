@@ -25,7 +25,7 @@ POSITIONS = [0.0, 0.1, 0.2, 0.3]
 
 
 @pytest.fixture(scope="module")
-def stylised(tmp_path_factory):
+def stylized(tmp_path_factory):
     """A field painted darker, and one made from its renders that is darker by another 0.1."""
     work = Work(tmp_path_factory.mktemp("references"))
     scene = made.make_scene(work, POSITIONS, depth=False)
@@ -45,8 +45,8 @@ def mean_difference(a, b):
 
 
 @pytest.mark.parametrize("view", ["photo_03", "#3"])
-def test_a_reference_is_compared_with_the_views_nearest_to_its_camera(stylised, tmp_path, monkeypatch, view):
-    _, scene, frames = stylised
+def test_a_reference_is_compared_with_the_views_nearest_to_its_camera(stylized, tmp_path, monkeypatch, view):
+    _, scene, frames = stylized
     monkeypatch.setattr(reference_metrics, "NEAREST", 2)
     views = FrameViews(frames["first"], 0.0)
     picture = views.render(3).image + np.float32(0.2)
@@ -60,20 +60,20 @@ def test_a_reference_is_compared_with_the_views_nearest_to_its_camera(stylised, 
     assert rows[2].values["ref_lpips"] == pytest.approx(mean_difference(views.render(2).image, picture), abs=3e-3)
 
 
-def test_two_references_are_averaged_and_a_large_one_is_scaled(stylised, tmp_path):
-    _, scene, frames = stylised
+def test_two_references_are_averaged_and_a_large_one_is_scaled(stylized, tmp_path):
+    _, scene, frames = stylized
     views = FrameViews(frames["first"], 0.0)
-    for name, grey, size in (("a", 100, (72, 96)), ("b", 200, (144, 192))):
-        write_png(tmp_path / f"{name}.png", np.full((*size, 3), grey, np.uint8))
+    for name, gray, size in (("a", 100, (72, 96)), ("b", 200, (144, 192))):
+        write_png(tmp_path / f"{name}.png", np.full((*size, 3), gray, np.uint8))
     asked = [f"photo_00={tmp_path / 'a.png'}", f"photo_03={tmp_path / 'b.png'}"]
     row, render = ViewRow("any"), views.render(1)
     References(asked, SceneViews(scene), views).measure(row, 1, render, mean_difference)
-    wanted = np.mean([mean_difference(render.image, grey / 255) for grey in (100, 200)])
+    wanted = np.mean([mean_difference(render.image, gray / 255) for gray in (100, 200)])
     assert row.values["ref_lpips"] == pytest.approx(wanted, rel=1e-4)
 
 
-def test_references_that_cannot_be_used_are_told(stylised, tmp_path):
-    _, scene, frames = stylised
+def test_references_that_cannot_be_used_are_told(stylized, tmp_path):
+    _, scene, frames = stylized
     views = FrameViews(frames["first"], 0.0)
     write_png(tmp_path / "square.png", np.zeros((64, 64, 3), np.uint8))
     with pytest.raises(ValueError, match="VIEW=FILE"):
@@ -87,16 +87,16 @@ def test_references_that_cannot_be_used_are_told(stylised, tmp_path):
         found.measure(ViewRow("any"), 0, views.render(0), mean_difference)
 
 
-def test_robustness_is_the_psnr_between_the_two_fields(stylised):
-    work, scene, frames = stylised
+def test_robustness_is_the_psnr_between_the_two_fields(stylized):
+    work, scene, frames = stylized
     row = ViewRow("any")
     measure_robustness(row, FrameViews(frames["second"], 0.0).render(0), FrameViews(frames["first"], 0.0))
     assert row.values["robustness"] == pytest.approx(20, abs=0.1)  # 0.1 apart everywhere
     inputs = {"scene": scene, "frames": frames["second"], "twin_frames": frames["first"]}
     inputs["field"] = work.get("field", "second")
     config = EvaluateConfig(perceptual="none", sheet=1)
-    artefact, _ = execute(evaluate.SPEC, evaluate.run, work, "second", inputs, config, Context())
-    report = json.loads(artefact.file("report.json").read_text())
+    artifact, _ = execute(evaluate.SPEC, evaluate.run, work, "second", inputs, config, Context())
+    report = json.loads(artifact.file("report.json").read_text())
     told = next(item for item in report["figures"] if item["key"] == "robustness")
     assert told["mean"] == pytest.approx(20, abs=0.1) and told["count"] == 4 and "field first" in told["protocol"]
     notes = {note["what"]: note["why"] for note in report["not_measured"]}
@@ -104,9 +104,9 @@ def test_robustness_is_the_psnr_between_the_two_fields(stylised):
 
 
 @pytest.mark.parametrize(("spoiled", "remark"), [("second", "of the render"), ("first", "of the other field")])
-def test_a_spoiled_render_is_left_out_and_counted(stylised, monkeypatch, tmp_path, spoiled, remark):
+def test_a_spoiled_render_is_left_out_and_counted(stylized, monkeypatch, tmp_path, spoiled, remark):
     """A pixel of view 1 is not finite: neither Robustness nor what floats is told of it, and both say so."""
-    work, scene, frames = stylised
+    work, scene, frames = stylized
     real = FrameViews.render
 
     def render(self, index):
@@ -117,16 +117,16 @@ def test_a_spoiled_render_is_left_out_and_counted(stylised, monkeypatch, tmp_pat
     inputs = {"scene": scene, "frames": frames["second"], "field": work.get("field", "second")}
     inputs |= dict.fromkeys(("twin_frames", "base_frames"), frames["first"])
     config = EvaluateConfig(perceptual="none", sheet=1)
-    artefact, _ = execute(evaluate.SPEC, evaluate.run, Work(tmp_path), "second", inputs, config, Context())
-    report = json.loads(artefact.file("report.json").read_text())
+    artifact, _ = execute(evaluate.SPEC, evaluate.run, Work(tmp_path), "second", inputs, config, Context())
+    report = json.loads(artifact.file("report.json").read_text())
     counts = {item["key"]: (item["count"], item["left_out"]) for item in report["figures"]}
     assert counts["robustness"] == counts["shape_change"] == (3, 1)
     assert counts["see_through"] == ((1, 2) if spoiled == "second" else (3, 0))  # of the view and of the one after it
     assert remark in report["views"][1]["remark"]
 
 
-def test_a_reference_is_not_compared_with_a_spoiled_view(stylised, tmp_path):
-    _, scene, frames = stylised
+def test_a_reference_is_not_compared_with_a_spoiled_view(stylized, tmp_path):
+    _, scene, frames = stylized
     views, row = FrameViews(frames["first"], 0.0), ViewRow("any")
     write_png(tmp_path / "reference.png", np.zeros((72, 96, 3), np.uint8))
     found = References([f"photo_00={tmp_path / 'reference.png'}"], SceneViews(scene), views)
@@ -143,13 +143,13 @@ def test_a_changed_reference_is_measured_anew(tmp_path):
     assert first and pinned(config).reference_digest != first
 
 
-def test_the_edit_that_a_field_learnt_is_found_through_the_scene_of_edited_pictures(tmp_path):
+def test_the_edit_that_a_field_learned_is_found_through_the_scene_of_edited_pictures(tmp_path):
     work = Work(tmp_path / "work")
     photos = made.make_scene(work, [0.0], depth=False)
     fit = made.make_field(work, "wall", "fit", {"scene": photos})
     nothing = {"write": lambda folder: (folder / "a").write_text("a")}
-    learnt = made.commit(work, "edit", "blue", "edit_learn", {}, **nothing, figures={"sparsity": 0.5})
-    painted = made.commit(work, "scene", "blue", "distill", {"scene": photos, "edit": learnt}, **nothing)
+    learned = made.commit(work, "edit", "blue", "edit_learn", {}, **nothing, figures={"sparsity": 0.5})
+    painted = made.commit(work, "scene", "blue", "distill", {"scene": photos, "edit": learned}, **nothing)
     field = made.make_field(work, "blue", "finetune", {"scene": painted, "field": fit})
     assert edit_behind(field).name == "blue" and edit_behind(field).manifest.figures == {"sparsity": 0.5}
     assert edit_behind(fit) is None

@@ -1,4 +1,4 @@
-"""Evaluation of a stylised field: distances to the painting, structure kept, shape changed."""
+"""Evaluation of a stylized field: distances to the painting, structure kept, shape changed."""
 
 import json
 from dataclasses import replace
@@ -78,9 +78,9 @@ def test_perceptual_map_agrees_with_its_network_and_grows_with_error(painted):
 
 
 @pytest.fixture(scope="module")
-def stylised(tmp_path_factory, painted):
-    """A "stylised" field whose renders are the fit's in the painting's mean colour, a fifth nearer."""
-    folder = tmp_path_factory.mktemp("stylised")
+def stylized(tmp_path_factory, painted):
+    """A "stylized" field whose renders are the fit's in the painting's mean color, a fifth nearer."""
+    folder = tmp_path_factory.mktemp("stylized")
     work = Work(folder / "work")
     scene = made.make_scene(work, POSITIONS)
     field = made.make_field(work, "wall", "fit", {"scene": scene}, seconds=10)
@@ -97,34 +97,34 @@ def stylised(tmp_path_factory, painted):
     frames = made.make_frames(work, "stripes-test", "test", cameras, new, painted_field)
     inputs = {"scene": scene, "frames": frames, "base_frames": base, "field": painted_field}
     config = EvaluateConfig(features=FEATURES, sheet=2)
-    artefact, _ = execute(evaluate.SPEC, evaluate.run, work, "stripes", inputs, config, Context())
-    return inputs, artefact, json.loads(artefact.file("report.json").read_text())
+    artifact, _ = execute(evaluate.SPEC, evaluate.run, work, "stripes", inputs, config, Context())
+    return inputs, artifact, json.loads(artifact.file("report.json").read_text())
 
 
 def figure(report, key):
     return next(item for item in report["figures"] if item["key"] == key)
 
 
-def test_figures_of_a_stylised_field(stylised, painted):
-    _, artefact, report = stylised
-    assert report["stylised"] and report["painting"] == "stripes.png"
+def test_figures_of_a_stylized_field(stylized, painted):
+    _, artifact, report = stylized
+    assert report["stylized"] and report["painting"] == "stripes.png"
     mean = figure(report, "palette_mean")
-    assert mean["mean"] < 0.03 < mean["reference"]["the unstylised renders"]  # clipping moves it a little
+    assert mean["mean"] < 0.03 < mean["reference"]["the unstylized renders"]  # clipping moves it a little
     assert figure(report, "shape_change")["mean"] == pytest.approx(0.2, abs=1e-4)
     kept = figure(report, "content_ssim")
-    assert 0.7 < kept["mean"] < kept["reference"]["the unstylised renders"] <= 1
+    assert 0.7 < kept["mean"] < kept["reference"]["the unstylized renders"] <= 1
     assert FEATURES in figure(report, "nnfm")["protocol"] and figure(report, "nnfm")["count"] == 2
     assert not {"psnr", "ssim", "lpips"} & {item["key"] for item in report["figures"]}
     assert any("PSNR" in note["what"] for note in report["not_measured"])
     assert {made_by["stage"] for made_by in report["stages"]} == {"import", "fit", "stylize", "render"}
-    page = artefact.file("report.html").read_text()
+    page = artifact.file("report.html").read_text()
     assert "the painting" in page and page.count("<img") == 2 * 4 + 1
-    assert {record.path for record in artefact.manifest.files} >= {"charts/nnfm_views.svg"}
+    assert {record.path for record in artifact.manifest.files} >= {"charts/nnfm_views.svg"}
 
 
-def test_a_field_made_after_references_alone_is_measured_against_the_first_and_says_so(stylised, tmp_path, painted):
+def test_a_field_made_after_references_alone_is_measured_against_the_first_and_says_so(stylized, tmp_path, painted):
     """Ref-NPR without --style: what stands in its folder as style.png is the reference picture, no painting."""
-    inputs, *_ = stylised
+    inputs, *_ = stylized
     write_png(tmp_path / "stripes.png", np.round(painted * 255).astype(np.uint8))
 
     def write(folder):
@@ -146,14 +146,14 @@ def test_a_field_made_after_references_alone_is_measured_against_the_first_and_s
     assert "painting" not in json.dumps(told["the reference"]["figures"])
 
 
-def test_a_painting_that_is_not_there_is_bad_input(stylised):
-    inputs, *_ = stylised
+def test_a_painting_that_is_not_there_is_bad_input(stylized):
+    inputs, *_ = stylized
     with pytest.raises(BadInput, match="no such file"):
         painting_file(EvaluateConfig(style="nowhere.png"), inputs["field"])
 
 
-def test_the_painting_kept_with_the_field_is_preferred(tmp_path, stylised):
-    inputs, *_ = stylised
+def test_the_painting_kept_with_the_field_is_preferred(tmp_path, stylized):
+    inputs, *_ = stylized
 
     def write(folder):
         write_png(folder / "style.png", np.zeros((4, 4, 3), np.uint8))

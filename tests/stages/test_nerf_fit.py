@@ -32,10 +32,10 @@ def ends_in_time(asked) -> bool:
     return sorted(asked.shares) == list(asked.shares) and asked.shares[-1] < asked.held_out_until
 
 
-def test_a_density_in_a_contraction_may_grow_finer_than_its_colour():
+def test_a_density_in_a_contraction_may_grow_finer_than_its_color():
     asked = settings(SPACES["contraction"])
     assert [rung.resolution for rung in asked.ladder] == [64, 128, 192, 256, 384]
-    assert asked.ladder[-1].colour.resolution == asked.ladder[-2].colour.resolution == 256
+    assert asked.ladder[-1].color.resolution == asked.ladder[-2].color.resolution == 256
     assert [rung.density_rank for rung in asked.ladder] == [8, 16, 16, 16, 8]
     assert len(asked.shares) == len(asked.longest) == len(asked.ladder) and ends_in_time(asked)
 
@@ -44,12 +44,12 @@ def test_a_density_in_a_contraction_may_grow_finer_than_its_colour():
     ("space", "pixels", "last"),
     [("box", 351, LADDER[-1]), ("box", 352, FULL), ("frustum", 351, LADDER[-1]), ("frustum", 352, LADDER[-1])],
 )
-def test_colours_of_an_object_are_finer_where_its_photos_are(space, pixels, last):
+def test_colors_of_an_object_are_finer_where_its_photos_are(space, pixels, last):
     scene = SimpleNamespace(**vars(SCENE) | {"cameras": [SimpleNamespace(width=20, height=pixels)]})
     asked = _settings(FitConfig(), scene, SPACES[space])
     assert asked.ladder == (*LADDER[:3], last) and not asked.longest
     assert len(asked.shares) == len(asked.ladder) and ends_in_time(asked)
-    assert LADDER[-1].resolution == FULL.resolution and LADDER[-1].colour.resolution < FULL.colour.resolution
+    assert LADDER[-1].resolution == FULL.resolution and LADDER[-1].color.resolution < FULL.color.resolution
 
 
 @pytest.mark.parametrize(("space", "longest"), [("contraction", True), ("box", False)])
@@ -60,17 +60,17 @@ def test_other_kinds_climb_four_rungs(space, longest, options):
     assert len(asked.shares) == 4 and ends_in_time(asked) and bool(asked.longest) is longest
 
 
-def test_a_colour_behind_a_network_has_one_width_on_every_rung():
+def test_a_color_behind_a_network_has_one_width_on_every_rung():
     asked = settings(SPACES["contraction"], head="mlp")
-    assert {rung.colour_rank for rung in asked.ladder} == {24}
+    assert {rung.color_rank for rung in asked.ladder} == {24}
     fixed = settings(SPACES["box"], head="mlp", capacity="fixed:128x8x16")
-    assert {rung.colour_rank for rung in fixed.ladder} == {16}
+    assert {rung.color_rank for rung in fixed.ladder} == {16}
 
 
 def test_a_capacity_given_by_hand_is_climbed_to_whatever_the_space():
     asked = settings(SPACES["contraction"], capacity="fixed:192x8x16")
     last = asked.ladder[-1]
-    assert (last.resolution, last.density_rank, last.colour_rank) == (192, 8, 16) and asked.always_climb
+    assert (last.resolution, last.density_rank, last.color_rank) == (192, 8, 16) and asked.always_climb
     assert len(asked.shares) == len(asked.ladder) - 1
 
 
@@ -92,7 +92,7 @@ def test_behind_a_field_stands_what_it_was_trained_over(kind):
 
 
 def test_a_scene_without_background_in_a_box_stands_on_what_taught_it_and_tells_its_own_ranks(tmp_path):
-    """What is made of the field later teaches with the background that is told here. Behind a small network the colour
+    """What is made of the field later teaches with the background that is told here. Behind a small network the color
     has one width from the first rung on; six steps are enough for two rungs."""
     work, said = Work(tmp_path / "work"), Said()
     scene = make_capture(work, background="none")
@@ -101,12 +101,12 @@ def test_a_scene_without_background_in_a_box_stands_on_what_taught_it_and_tells_
     field, background = load_field(made)
     assert (background, field.closed) == ("none", False)
     figures, told = made.manifest.figures, json.loads(made.file("field.json").read_text())
-    assert told["colour"]["features"]["rank"] == figures["colour_rank"] == 24
+    assert told["color"]["features"]["rank"] == figures["color_rank"] == 24
     assert told["density"]["rank"] == figures["density_rank"] == 8
     assert figures["resolution"] == 72 and max(told["density"]["size"]) == 72
     assert figures["training_psnr"] == figures["curve"][-1]["psnr"] and figures["held_out_psnr"] is None
     assert figures["ended_at"] is None and not any("not reached" in line for line in said.lines)
-    assert settings(SPACES["box"], capacity="fixed:72x8x24").ladder[0].colour_rank == 16  # as ever, without a network
+    assert settings(SPACES["box"], capacity="fixed:72x8x24").ladder[0].color_rank == 16  # as ever, without a network
 
 
 def test_what_cannot_be_reached_is_told(tmp_path):

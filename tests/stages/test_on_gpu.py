@@ -9,7 +9,7 @@ import torch
 from schemas.errors import OutOfResources
 from schemas.images import write_png
 from schemas.scene import Bounds, Scene, View, as_matrix, write_scene
-from schemas.work_folder import Artefact, Recipe, Work
+from schemas.work_folder import Artifact, Recipe, Work
 from stages import deform_init, stylize
 from stages.artifacts.field import load_deformation, load_field, save_field
 from stages.artifacts.scene import load_scene
@@ -24,7 +24,7 @@ from stylerf.training.common.process_group import Alone
 from stylerf.training.deform import deformer, fitter
 from stylerf.training.deform.deformer_gpu import DeviceDeformer
 from tests.stages.evaluation_fixture import camera_entry, commit
-from tests.stylerf.small import field_of, hash_density, vm_colour
+from tests.stylerf.small import field_of, hash_density, vm_color
 from tests.stylerf.style.small_trunk import picture, small_trunk
 from tests.stylerf.training.scenes import AROUND, box_photo, dome
 
@@ -47,7 +47,7 @@ class Said:
     def finish(self) -> None: ...
 
 
-def inputs_in(work: Work) -> dict[str, Artefact]:
+def inputs_in(work: Work) -> dict[str, Artifact]:
     """Three photos of a box, and a fog that was never fitted to them."""
     cameras = dome(3, 1, 8)
 
@@ -59,7 +59,7 @@ def inputs_in(work: Work) -> dict[str, Artefact]:
         write_scene(folder, Scene(tuple(views), "object", "made up", bounds, "alpha", as_matrix(np.eye(4))))
 
     scene = commit(work, "scene", "box", "import", {}, write)
-    field = field_of(AROUND, 3, vm_colour(4), 1 / 4)
+    field = field_of(AROUND, 3, vm_color(4), 1 / 4)
     field.density.values[-1] = -4.0
     fog = commit(work, "field", "fog", "fit", {"scene": scene}, lambda folder: save_field(folder, field, "white"))
     return {"scene": scene, "field": fog}
@@ -71,14 +71,14 @@ def few_rays(monkeypatch):
     monkeypatch.setattr(fitter, "FIXED_RAYS", 40)
 
 
-def test_a_deformation_is_learnt_on_the_device_and_kept_as_on_the_cpu(few_rays, monkeypatch, tmp_path):
+def test_a_deformation_is_learned_on_the_device_and_kept_as_on_the_cpu(few_rays, monkeypatch, tmp_path):
     """Where there is no GPU Triton's interpreter stands in: `cpu` is then a device as any other."""
     pytest.importorskip("triton", reason="Triton is not installed")
     monkeypatch.setattr(deform_init, "gpu_of", lambda context, field, moving: context.device)
     work, seen = Work(tmp_path / "work"), []
     inputs = inputs_in(work)
 
-    def bent(name: str, device: str | None) -> tuple[dict, Artefact]:
+    def bent(name: str, device: str | None) -> tuple[dict, Artifact]:
         partial, said = work.begin("field", name, Recipe("deform_init", 2, {"name": name}, [], 0)), Said()
         made_by = DeviceDeformer.collect
         with monkeypatch.context() as watched:
@@ -101,7 +101,7 @@ def test_a_deformation_is_learnt_on_the_device_and_kept_as_on_the_cpu(few_rays, 
 
 
 @pytest.mark.parametrize("kind", ["vm", "hash"])
-def test_a_stylisation_that_bends_is_handed_the_device_where_its_kernels_know_the_field(kind, monkeypatch, tmp_path):
+def test_a_stylization_that_bends_is_handed_the_device_where_its_kernels_know_the_field(kind, monkeypatch, tmp_path):
     inputs = inputs_in(Work(tmp_path / "work"))
     scene, (field, _) = load_scene(inputs["scene"]), load_field(inputs["field"])
     if kind == "hash":

@@ -1,4 +1,4 @@
-"""Every number of every artefact, made another one under a valid seal: a sound result, or one line that says why not.
+"""Every number of every artifact, made another one under a valid seal: a sound result, or one line that says why not.
 
 Never a traceback, a crash, or a read beyond an array: kernels of numba check no bounds.
 """
@@ -17,9 +17,9 @@ import pytest
 from schemas.errors import StylerfError
 from schemas.migrations import CURRENT
 from schemas.tensors import TYPES, load_tensors
-from schemas.work_folder import Artefact, Work
+from schemas.work_folder import Artifact, Work
 from tests.resealing import reseal
-from tests.stages.every_artifact import Made, every_artefact
+from tests.stages.every_artifact import Made, every_artifact
 
 MISSING = object()
 EVERYTHING = (0, -1, 1, 2**31, 2**63, 1e308, -1e308, float("nan"), float("inf"), "12", "", None, [], [1], {}, True,
@@ -38,7 +38,7 @@ class Case:
     change: Callable[[bytes], bytes]
 
     def __str__(self) -> str:
-        return f"{self.made.artefact.path.parent.name}/{self.made.artefact.name} {self.file} {self.label}"
+        return f"{self.made.artifact.path.parent.name}/{self.made.artifact.name} {self.file} {self.label}"
 
 
 # -- what is altered --------------------------------------------------------------------------------------------------
@@ -74,7 +74,7 @@ def values_for(value: Any) -> Iterator[Any]:
 
 
 def cases_of_json(made: Made, file: str) -> Iterator[Case]:
-    document = json.loads((made.artefact.path / file).read_text())
+    document = json.loads((made.artifact.path / file).read_text())
     yield Case(made, file, "[]", lambda _: b"[]")
     yield Case(made, file, "nested", lambda _: b"[" * 100_000)
     for path, value in leaves(document):
@@ -126,7 +126,7 @@ def others_of(array: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
 
 
 def cases_of_tensors(made: Made, file: str) -> Iterator[Case]:
-    arrays, metadata = load_tensors(made.artefact.path / file)
+    arrays, metadata = load_tensors(made.artifact.path / file)
 
     def written(altered: dict[str, np.ndarray], told: dict[str, str]) -> bytes:
         parts = {n: (TYPES[a.dtype.name], list(a.shape), np.ascontiguousarray(a).tobytes()) for n, a in altered.items()}
@@ -155,8 +155,8 @@ def cases_of_tensors(made: Made, file: str) -> Iterator[Case]:
 
 def all_cases(made: dict[str, Made]) -> Iterator[Case]:
     for one in made.values():
-        for path in sorted(one.artefact.path.rglob("*")):
-            file = path.relative_to(one.artefact.path).as_posix()
+        for path in sorted(one.artifact.path.rglob("*")):
+            file = path.relative_to(one.artifact.path).as_posix()
             if path.suffix == ".json":
                 yield from cases_of_json(one, file)
             elif path.suffix == ".safetensors":
@@ -167,8 +167,8 @@ def all_cases(made: dict[str, Made]) -> Iterator[Case]:
 
 
 def outcome(case: Case) -> str | None:
-    """None for a sound result or one clear line; else what went wrong. The artefact is left as it was."""
-    folder = case.made.artefact.path
+    """None for a sound result or one clear line; else what went wrong. The artifact is left as it was."""
+    folder = case.made.artifact.path
     before = {path: path.read_bytes() for path in (folder / case.file, folder / "manifest.json")}
     begun = time.monotonic()
     try:
@@ -186,7 +186,7 @@ def outcome(case: Case) -> str | None:
         else:
             (folder / case.file).write_bytes(altered)
             reseal(folder)
-        case.made.use(Artefact(folder))
+        case.made.use(Artifact(folder))
     except StylerfError as error:
         line = str(error)
         return None if line and "\n" not in line and len(line) < 2000 else f"{len(line)} characters: {line[:300]}"
@@ -211,20 +211,20 @@ def assert_sound(cases: list[Case]) -> None:
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory) -> dict[str, Made]:
-    return every_artefact(Work(tmp_path_factory.mktemp("perturbed") / "work"))
+    return every_artifact(Work(tmp_path_factory.mktemp("perturbed") / "work"))
 
 
 def test_untouched_all_are_used(made):
     assert len(made) > len(CURRENT)
     for one in made.values():
-        one.use(Artefact(one.artefact.path))  # raises where it does not
+        one.use(Artifact(one.artifact.path))  # raises where it does not
 
 
-def test_some_numbers_of_every_artefact(made):
+def test_some_numbers_of_every_artifact(made):
     assert_sound(list(all_cases(made))[::IN_THE_GATE])
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["scene", "field", "region", "edit", "frames", "report"])
-def test_every_number_of_every_artefact(made, kind):
+def test_every_number_of_every_artifact(made, kind):
     assert_sound(list(all_cases({name: one for name, one in made.items() if name.split()[0].split("-")[0] == kind})))

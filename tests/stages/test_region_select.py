@@ -27,13 +27,13 @@ def test_every_seed_counts_for_the_reach_however_many_there_are():
         among = np.ones((CELLS,) * 3, bool)
         among[0] = False
         found = region_select._within(looking(), order, 0.15, among)
-        centres = (np.argwhere(among) + 0.5) / CELLS
-        expected = (np.linalg.norm(centres[:, None] - points, axis=2) <= 0.15).any(1)
+        centers = (np.argwhere(among) + 0.5) / CELLS
+        expected = (np.linalg.norm(centers[:, None] - points, axis=2) <= 0.15).any(1)
         np.testing.assert_array_equal(found[among], expected)
         assert not found[0].any() and found[13, 13, 13]
 
 
-def test_a_seed_whose_cell_no_look_has_seen_has_the_colour_of_its_own_pixel():
+def test_a_seed_whose_cell_no_look_has_seen_has_the_color_of_its_own_pixel():
     red, blue = np.float32([0.9, 0.1, 0.1]), np.float32([0.1, 0.1, 0.8])
     known, lab = np.zeros((CELLS,) * 3, bool), np.full((CELLS, CELLS, CELLS, 3), np.nan, np.float32)
     known[2, 2, 2] = True

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from schemas.errors import ArtefactDamaged
+from schemas.errors import ArtifactDamaged
 from schemas.frames import Frame
 from schemas.scene import Bounds
 from stages import render
@@ -23,6 +23,6 @@ def test_what_is_not_finite_is_no_picture(tmp_path, plane):
     assert (tmp_path / "png/a.png").is_file()
     (tmp_path / "png/a.png").unlink()
     planes[plane].reshape(-1)[5] = np.nan
-    with pytest.raises(ArtefactDamaged, match=r"field fit .*not finite in frame a"):
+    with pytest.raises(ArtifactDamaged, match=r"field fit .*not finite in frame a"):
         render._render(frame, None, *given, lambda camera, regions: RenderedView(**planes), {"field": "fit"}, {})
     assert not (tmp_path / "png/a.png").exists()

@@ -9,20 +9,20 @@ import numpy as np
 import torch
 
 from stylerf.fields.capacity import Capacity
-from stylerf.fields.encoded_color import HeadedColour
-from stylerf.fields.hash_color import HashColour
+from stylerf.fields.encoded_color import HeadedColor
+from stylerf.fields.hash_color import HashColor
 from stylerf.fields.hash_density import HashDensity
 from stylerf.fields.hash_levels import Levels
 from stylerf.fields.occupancy_grid import Occupancy
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.fields.ray_samples import Rays, Samples
-from stylerf.fields.vm import VmColour, VmDensity
+from stylerf.fields.vm import VmColor, VmDensity
 from stylerf.fields.voxel import Grid, VoxelDensity
 from stylerf.geometry.space_warp import Space
 from stylerf.kernels import torch_reference
 from stylerf.kernels.cpu.march import OPTICAL_SCALE
 
-DENSITY_RANK, COLOUR_RANK = 16, 24
+DENSITY_RANK, COLOR_RANK = 16, 24
 SIZE = (7, 6, 8)
 
 SPACES = {
@@ -50,16 +50,16 @@ def density(seed: int, size=SIZE, rank: int = DENSITY_RANK, shift: float = -2.0)
     return made
 
 
-def vm_colour(seed: int, size=SIZE, rank: int = COLOUR_RANK, degree: int = 1) -> VmColour:
-    made = VmColour.create(np.array(size), rank, degree, np.random.default_rng(seed))
+def vm_color(seed: int, size=SIZE, rank: int = COLOR_RANK, degree: int = 1) -> VmColor:
+    made = VmColor.create(np.array(size), rank, degree, np.random.default_rng(seed))
     made.values[: len(made.table)] = np.random.default_rng(seed).normal(scale=0.6, size=len(made.table))
     made.values[-3:] = 0.3, -0.2, 0.1
     return made
 
 
-def hash_colour(seed: int, levels: int = 8, base: int = 3, finest: int = 40, table: int = 512) -> HashColour:
+def hash_color(seed: int, levels: int = 8, base: int = 3, finest: int = 40, table: int = 512) -> HashColor:
     """Coarse levels are indexed directly (4^3 and 6^3 vertices), fine ones are hashed."""
-    made = HashColour.create(np.random.default_rng(seed), levels, base, finest, table)
+    made = HashColor.create(np.random.default_rng(seed), levels, base, finest, table)
     made.values[:] = np.random.default_rng(seed).normal(scale=0.4, size=len(made.values))
     return made
 
@@ -73,9 +73,9 @@ def half_empty(cells: int = 8) -> Occupancy:
     return made
 
 
-SMALL = Capacity(np.array(SIZE), 40, DENSITY_RANK, COLOUR_RANK, table=512, levels=8, finest=64)
+SMALL = Capacity(np.array(SIZE), 40, DENSITY_RANK, COLOR_RANK, table=512, levels=8, finest=64)
 # As small, but with room for blocks that are not kept.
-SPARSE = Capacity(np.array([18, 14, 17]), 40, DENSITY_RANK, COLOUR_RANK, occupancy=half_empty())
+SPARSE = Capacity(np.array([18, 14, 17]), 40, DENSITY_RANK, COLOR_RANK, occupancy=half_empty())
 
 
 def hash_density(seed: int, capacity: Capacity = SMALL) -> HashDensity:
@@ -91,8 +91,8 @@ def voxel_density(seed: int, capacity: Capacity = SPARSE) -> VoxelDensity:
     return made
 
 
-def headed(seed: int, kind: str, head: str, degree: int = 1, capacity: Capacity = SMALL) -> HeadedColour:
-    made = HeadedColour.create(kind, head, capacity, degree, np.random.default_rng(seed))
+def headed(seed: int, kind: str, head: str, degree: int = 1, capacity: Capacity = SMALL) -> HeadedColor:
+    made = HeadedColor.create(kind, head, capacity, degree, np.random.default_rng(seed))
     made.table[:] = np.random.default_rng(seed).normal(scale=0.6, size=len(made.table))
     if made.head.length:
         made.numbers[-3:] = 0.3, -0.2, 0.1
@@ -119,8 +119,8 @@ def rays_into(space: Space, count: int, seed: int, jitter: bool = True) -> Rays:
     return Rays.of(origins.astype(np.float32), directions.astype(np.float32), space.near, where)
 
 
-def field_of(space: Space, seed: int, colour=None, step: float = 1 / 24, displacement=None) -> RadianceField:
-    made = vm_colour(seed + 1) if colour is None else colour
+def field_of(space: Space, seed: int, color=None, step: float = 1 / 24, displacement=None) -> RadianceField:
+    made = vm_color(seed + 1) if color is None else color
     return RadianceField(space, density(seed), made, occupied(), step, displacement)
 
 
@@ -130,7 +130,7 @@ def wall_in_front(through: float, backs: bool = False) -> RadianceField:
     The walls are one cell of the cube thick; a ray along the axis is asked four times in each.
     """
     space, cells = Space.frustum(0.7, 0.6, 1.0, 1e4), 96
-    made = field_of(space, 1, hash_colour(2), step=1 / (4 * cells))
+    made = field_of(space, 1, hash_color(2), step=1 / (4 * cells))
     made.density = density(0, size=(2, 2, 2))
     made.density.values[:-1] = 0
     made.density.values[-1] = np.log(-np.log(through) * cells / OPTICAL_SCALE)
@@ -179,14 +179,14 @@ def points_on(rays: Rays, packed: Packed) -> tuple[torch.Tensor, torch.Tensor]:
     return float64(rays.origins)[packed.rays] + packed.t[:, None] * directions, directions
 
 
-def oracle_colour(colour, values: torch.Tensor, basis: torch.Tensor, x: torch.Tensor) -> torch.Tensor:
-    if colour.kind == "hash":
-        return torch_reference.hash_colour(values, colour.levels, colour.base, colour.finest, colour.table, x)
-    if colour.kind == "headed":
-        length = colour.features.length
-        phi = oracle_features(colour.features, values[:length], x)
-        return getattr(torch_reference, f"{colour.head.kind}_head")(values[length:], phi, basis)
-    return torch_reference.vm_colour(values, colour.size.tolist(), colour.rank, basis, x)
+def oracle_color(color, values: torch.Tensor, basis: torch.Tensor, x: torch.Tensor) -> torch.Tensor:
+    if color.kind == "hash":
+        return torch_reference.hash_color(values, color.levels, color.base, color.finest, color.table, x)
+    if color.kind == "headed":
+        length = color.features.length
+        phi = oracle_features(color.features, values[:length], x)
+        return getattr(torch_reference, f"{color.head.kind}_head")(values[length:], phi, basis)
+    return torch_reference.vm_color(values, color.size.tolist(), color.rank, basis, x)
 
 
 def oracle_levels(levels: Levels, table: torch.Tensor, x: torch.Tensor) -> torch.Tensor:
@@ -214,7 +214,7 @@ def oracle_density(density, values: torch.Tensor, x: torch.Tensor) -> torch.Tens
     return torch_reference.vm_density(values, density.size.tolist(), density.rank, x)
 
 
-def oracle_pixels(field, rays, rendered, density_values, colour_values, grid=None) -> tuple[torch.Tensor, torch.Tensor]:
+def oracle_pixels(field, rays, rendered, density_values, color_values, grid=None) -> tuple[torch.Tensor, torch.Tensor]:
     """([rays, 5], warped positions [n, 3]) of the samples that the kernels chose, from values that may need gradients.
 
     The kernels decide where samples lie and which take their ray's mean; all else is worked out anew.
@@ -226,7 +226,7 @@ def oracle_pixels(field, rays, rendered, density_values, colour_values, grid=Non
     sigma = oracle_density(field.density, density_values, x)
     weights, _ = torch_reference.weights(sigma, packed.optical, packed.rays, packed.backdrop)
     basis = float64(rendered.basis)[packed.rays]
-    colours = oracle_colour(field.colour, colour_values, basis, x)
-    coloured = torch.from_numpy(rendered.colours[packed.at, 0] >= 0)
+    colors = oracle_color(field.color, color_values, basis, x)
+    colored = torch.from_numpy(rendered.colors[packed.at, 0] >= 0)
     t = torch.where(packed.backdrop, 0, packed.t)
-    return torch_reference.composite(weights, colours, coloured, t, packed.rays, len(rays.origins)), x
+    return torch_reference.composite(weights, colors, colored, t, packed.rays, len(rays.origins)), x

@@ -1,4 +1,4 @@
-"""A small posed capture to be spoilt: four photos around a corner, with transforms.json, COLMAP or LLFF poses."""
+"""A small posed capture to be spoiled: four photos around a corner, with transforms.json, COLMAP or LLFF poses."""
 
 import json
 from pathlib import Path
@@ -19,7 +19,7 @@ def cameras() -> list[Camera]:
 
 
 def write_images(folder: Path) -> None:
-    """images/pNN.png: smooth colours, none of them black."""
+    """images/pNN.png: smooth colors, none of them black."""
     rows, columns = np.mgrid[0:HEIGHT, 0:WIDTH]
     for number, camera in enumerate(cameras()):
         pixels = np.stack([40 + 4 * columns, 60 + 5 * rows, np.full_like(rows, 90 + 20 * number)], -1)
@@ -69,7 +69,7 @@ def llff() -> np.ndarray:
     """[4, 17]."""
     rows = []
     for one in cameras():
-        right, down, forward, centre = one.world_from_camera[:3].T
-        pose = np.column_stack([down, right, -forward, centre, [HEIGHT, WIDTH, FOCAL]])
+        right, down, forward, center = one.world_from_camera[:3].T
+        pose = np.column_stack([down, right, -forward, center, [HEIGHT, WIDTH, FOCAL]])
         rows.append([*pose.ravel(), 1.0, 9.0])
     return np.array(rows)

@@ -1,4 +1,4 @@
-"""A tiny still life, photographed, fitted, stylised and rendered once for all tests that start from there."""
+"""A tiny still life, photographed, fitted, stylized and rendered once for all tests that start from there."""
 
 import os
 import shutil

@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from schemas.work_folder import Artefact, Work
+from schemas.work_folder import Artifact, Work
 from tests.stylerf_cli.nursery import Command, Nursery
 
 FOLLOWED_EVERY_SECONDS = 0.002
@@ -36,14 +36,14 @@ class LongStage:
     apart: Path | None = None
 
     def command(self, name: str) -> tuple[object, ...]:
-        """Writes the artefact `name`."""
+        """Writes the artifact `name`."""
         return (*self.arguments, "--name", name)
 
     def partial(self, work: Path, name: str) -> Path:
         """Where the run in progress lies."""
         return work / self.kind / f".{name}.partial"
 
-    def whole(self, work: Path) -> Artefact:
+    def whole(self, work: Path) -> Artifact:
         """What an undisturbed run made."""
         return Work(self.apart or work).get(self.kind, "whole")
 
@@ -73,7 +73,7 @@ def arguments_of(stage: str, work: Path, photos: Path, room: Path) -> tuple[tupl
         "stylize by a palette": (("stylize", work, "--of", "fit", "--method", "palettenerf", "--budget", "40",
                                   "--refit-steps", "20", "--pixels", "512", "--levels", "4", "--finest", "64",
                                   "--table-bits", "12", *often), "field"),
-        "finetune": (("finetune", work, "--edit", "grey", "--budget", "40", "--rays", "1024", *often), "field"),
+        "finetune": (("finetune", work, "--edit", "gray", "--budget", "40", "--rays", "1024", *often), "field"),
         "render": (("render", work, "--of", "fit", "--path", "orbit", "--count", "24", "--scale", "2", "--video"),
                    "frames"),
         "eval": (("eval", work, "--of", "painting-arf", "--perceptual", "none"), "report"),
@@ -88,9 +88,9 @@ def before(stage: str, work: Path) -> tuple[tuple[object, ...], ...]:
     made = (("select", work, *everything, "--name", "all"), ("extract", work, "--region", "all"))
     if stage == "stylize a region":
         return made
-    few = ("--palette-steps", "10", "--pruned-steps", "4", "--colours", "3", "--most-colours", "3")
-    edit = ("stylize", work, "--region", "all", "--recolor", "--palette", "0=#808080", "--name", "grey", *few)
-    return (*made, edit, ("distill", work, "--edit", "grey"))
+    few = ("--palette-steps", "10", "--pruned-steps", "4", "--colors", "3", "--most-colors", "3")
+    edit = ("stylize", work, "--region", "all", "--recolor", "--palette", "0=#808080", "--name", "gray", *few)
+    return (*made, edit, ("distill", work, "--edit", "gray"))
 
 
 def appeared(path: Path, command: Command, seconds: float = 120.0) -> bool:
@@ -105,7 +105,7 @@ def appeared(path: Path, command: Command, seconds: float = 120.0) -> bool:
 
 
 def undisturbed(nursery: Nursery, arguments: tuple, kind: str, work: Path) -> LongStage:
-    """Makes the artefact `whole` and takes the time."""
+    """Makes the artifact `whole` and takes the time."""
     stage = LongStage(arguments, kind)
     command = nursery.start(work.parent / "said", *stage.command("whole"))
     assert appeared(stage.partial(work, "whole"), command)
@@ -134,7 +134,7 @@ def stopped(nursery: Nursery, stage: LongStage, work: Path, name: str, number: i
     return command
 
 
-def killed_until_done(nursery: Nursery, stage: LongStage, work: Path, kills: int, seed: int) -> Artefact:
+def killed_until_done(nursery: Nursery, stage: LongStage, work: Path, kills: int, seed: int) -> Artifact:
     """kill -9 at `kills` random moments, each run going on from what the one before left; then undisturbed.
 
     A run that ends before its moment comes is looked at, deleted, and begun again. Where it had begun at the start, the
@@ -146,8 +146,8 @@ def killed_until_done(nursery: Nursery, stage: LongStage, work: Path, kills: int
         afresh = not stage.partial(work, "killed").exists()
         command = stopped(nursery, stage, work, "killed", signal.SIGKILL, moment)
         command.wait()
-        for artefact in store.artefacts():
-            artefact.verify()
+        for artifact in store.artifacts():
+            artifact.verify()
         if (work / stage.kind / "killed").exists():
             assert command.code in (0, -signal.SIGKILL), command.err
             made, whole = store.get(stage.kind, "killed"), stage.whole(work)
@@ -166,8 +166,8 @@ def killed_until_done(nursery: Nursery, stage: LongStage, work: Path, kills: int
     return assert_same(store, stage)
 
 
-def assert_same(store: Work, stage: LongStage, name: str = "killed") -> Artefact:
-    """The artefact `name` has the files and figures of `whole`, but for the time it took, and left nothing behind."""
+def assert_same(store: Work, stage: LongStage, name: str = "killed") -> Artifact:
+    """The artifact `name` has the files and figures of `whole`, but for the time it took, and left nothing behind."""
     made, whole = store.get(stage.kind, name), stage.whole(store.root)
     made.verify()
     assert digests(made) == digests(whole)
@@ -176,9 +176,9 @@ def assert_same(store: Work, stage: LongStage, name: str = "killed") -> Artefact
     return made
 
 
-def digests(artefact: Artefact) -> dict[str, str]:
+def digests(artifact: Artifact) -> dict[str, str]:
     """Digest of each file: to compare these is quick even where megabytes differ."""
-    return {record.path: record.sha256 for record in artefact.manifest.files}
+    return {record.path: record.sha256 for record in artifact.manifest.files}
 
 
 def timeless(figures: Any) -> Any:

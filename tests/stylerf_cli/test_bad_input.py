@@ -175,7 +175,7 @@ def test_a_photo_of_another_size_than_its_camera(posed, capsys):
     assert "images/p02.png: the photo is 48x40 where its camera says 48x36" in line
 
 
-def test_names_that_lead_out_of_the_folder_stay_inside_the_artefacts(source, tmp_path):
+def test_names_that_lead_out_of_the_folder_stay_inside_the_artifacts(source, tmp_path):
     """Nothing is read from outside either: photos are found by the end of their paths, and named by where they lie."""
     capture.write_colmap(source)
     listed = source / "sparse" / "0" / "images.txt"
@@ -211,7 +211,7 @@ def test_photos_of_one_stem_are_views_of_two_names(source, tmp_path, kind):
 # -- poses and lenses --------------------------------------------------------------------------------------------------
 
 
-def spoilt_pose(change) -> dict:
+def spoiled_pose(change) -> dict:
     content = capture.transforms()
     pose = np.array(content["frames"][2]["transform_matrix"])
     content["frames"][2]["transform_matrix"] = change(pose)
@@ -225,7 +225,7 @@ def put(pose: np.ndarray, row: int, column: int, value: float) -> list:
 
 POSES = {
     "NaN": (lambda pose: put(pose, 0, 0, NAN), "NaN or infinity"),
-    "infinite centre": (lambda pose: put(pose, 1, 3, INF), "NaN or infinity"),
+    "infinite center": (lambda pose: put(pose, 1, 3, INF), "NaN or infinity"),
     "stretched": (lambda pose: (pose * [[2, 2, 1, 1]]).tolist(), "is not a rotation"),
     "transposed": (lambda pose: pose.T.tolist(), "as its last row, expected 0 0 0 1; is it transposed?"),
     "mirrored": (lambda pose: (pose * [[-1, 1, 1, 1]]).tolist(), "mirrored"),
@@ -239,7 +239,7 @@ POSES = {
 @pytest.mark.parametrize("name", POSES)
 def test_poses_that_are_none(source, capsys, name):
     change, words = POSES[name]
-    capture.write_transforms(source, spoilt_pose(change))
+    capture.write_transforms(source, spoiled_pose(change))
     line = refused(source, capsys)
     assert words in line and ("p02" in line or "frame 2" in line)
 

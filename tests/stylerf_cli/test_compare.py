@@ -17,7 +17,7 @@ def work(tmp_path):
     scene = made.make_scene(work, [0.0], depth=False)
     base = runs.fit(work, scene, "fit-10s", 10.0, 25.0)
     runs.fit(work, scene, "fit-60s", 60.0, 28.0)
-    runs.stylised(work, scene, base, "starry", 20.0, {})
+    runs.stylized(work, scene, base, "starry", 20.0, {})
     return work
 
 
@@ -40,7 +40,7 @@ def test_files_and_json_tell_the_same_and_nothing_else_changes(work, capsys):
     for path, time in before.items():
         if path != work.root:
             assert path.stat().st_mtime_ns == time
-    assert main(["verify", str(work.root), "--quiet"]) == 0  # what it writes is no artefact and spoils none
+    assert main(["verify", str(work.root), "--quiet"]) == 0  # what it writes is no artifact and spoils none
 
 
 def test_words_and_another_place(work, tmp_path, capsys):

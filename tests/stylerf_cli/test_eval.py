@@ -98,7 +98,7 @@ def test_missing_and_outdated_frames_are_rendered(work, renderer, capsys):
 
 @pytest.mark.parametrize("path", ["test", "train", "views"])
 def test_views_of_photos_are_no_film(work, renderer, capsys, path):
-    """`fit` leaves frames of path `views`; neighbours among photos show too little of the same."""
+    """`fit` leaves frames of path `views`; neighbors among photos show too little of the same."""
     if path != "test":
         render(work, work.get("field", "wall"), path)
     assert "short_rmse" not in result(capsys, work.root)["figures"]
@@ -183,12 +183,12 @@ def test_a_film_of_another_length_is_another_protocol(work, renderer, capsys, tm
 
 
 def test_a_bent_field_is_no_measure_of_its_own_bending(work, renderer, capsys):
-    """The stylised field keeps the shape of the deformed one, whose depth is a fifth less than the fit's."""
+    """The stylized field keeps the shape of the deformed one, whose depth is a fifth less than the fit's."""
     bent = made.make_field(work, "bent", "deform_init", {"field": work.get("field", "wall")})
-    stylised = made.make_field(work, "red", "stylize", {"field": bent})
+    stylized = made.make_field(work, "red", "stylize", {"field": bent})
     views = cameras("test")
     seen = [made.Seen(one.rgb, one.alpha, one.z * 0.8) for one in map(made.look, views)]
-    for field in (bent, stylised):
+    for field in (bent, stylized):
         made.make_frames(work, f"{field.name}-test", "test", views, seen, field)
     found = result(capsys, work.root, "--of", "red")
     assert found["figures"]["shape_change"] == pytest.approx(0.2, abs=1e-3) and renderer == []
@@ -206,7 +206,7 @@ def test_a_bent_field_is_no_measure_of_its_own_bending(work, renderer, capsys):
         (("--masks", "/nowhere"), 3, "--masks /nowhere"),
         (("--flow", "/nowhere"), 3, "--flow /nowhere"),
         (("--region", "cup"), 4, "no region"),
-        (("--robust-to", "red"), 2, "for a stylised field"),
+        (("--robust-to", "red"), 2, "for a stylized field"),
     ],
 )
 def test_what_cannot_be_measured_is_refused_before_anything_is_rendered(work, renderer, capsys, options, code, told):
@@ -230,12 +230,12 @@ def test_a_reference_is_of_a_view_of_the_scene_by_name_or_number(work, renderer,
     assert main(["eval", *asked, f"#1={tmp_path}/red.png"]) == 0
 
 
-def test_a_stylised_field_is_set_against_the_fit_it_came_from(work, renderer, capsys):
+def test_a_stylized_field_is_set_against_the_fit_it_came_from(work, renderer, capsys):
     fit = work.get("field", "wall")
-    stylised = made.make_field(work, "red", "stylize", {"field": fit})
-    render(work, stylised, "test", shift=0.1)
+    stylized = made.make_field(work, "red", "stylize", {"field": fit})
+    render(work, stylized, "test", shift=0.1)
     found = result(capsys, work.root, "--of", "red")
-    assert found["stylised"] and found["figures"]["shape_change"] == pytest.approx(0, abs=1e-6)
+    assert found["stylized"] and found["figures"]["shape_change"] == pytest.approx(0, abs=1e-6)
     assert renderer == []
     roles = {ref.role for ref in work.get("report", "red").manifest.inputs}
     assert roles == {"scene", "field", "frames", "base_frames"}

@@ -53,7 +53,7 @@ def masks(tmp_path):
 
 def test_an_edited_field_is_set_against_the_one_it_started_from(work, edited, masks, renderer, capsys):
     found = result(capsys, work.root, "--of", "blue", "--region", "left", "--masks", masks)
-    assert not found["stylised"] and renderer == []
+    assert not found["stylized"] and renderer == []
     assert found["figures"]["background_ratio"] == pytest.approx(1, abs=0.02)
     assert found["figures"]["change_inside"] == pytest.approx(0.1, abs=0.003)
     assert found["figures"]["bleeding"] < 1e-3 and found["figures"]["background_mse"] < 1e-4
@@ -64,9 +64,9 @@ def test_an_edited_field_is_set_against_the_one_it_started_from(work, edited, ma
     }  # fmt: skip
 
 
-def test_a_recoloured_palette_is_set_against_what_it_was_learnt_of(work, edited, masks, renderer, capsys):
+def test_a_recolored_palette_is_set_against_what_it_was_learned_of(work, edited, masks, renderer, capsys):
     palette = made.make_field(work, "palette", "decompose", {"field": work.get("field", "wall")})
-    made.make_field(work, "red", "recolour", {"field": palette})
+    made.make_field(work, "red", "recolor", {"field": palette})
     for of, base in (("blue", "wall"), ("red", "wall")):
         found = result(capsys, work.root, "--of", of, "--region", "left", "--masks", masks)
         inputs = {ref.role: ref.name for ref in work.get("report", of).manifest.inputs}

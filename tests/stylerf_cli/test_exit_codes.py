@@ -1,4 +1,4 @@
-"""Paintings, camera files, option files and artefacts that cannot be used: the exit code of their kind and one line
+"""Paintings, camera files, option files and artifacts that cannot be used: the exit code of their kind and one line
 that says what, where and what to do."""
 
 import hashlib
@@ -41,9 +41,9 @@ def paintings(tmp_path):
     (tmp_path / "cut.png").write_bytes((tmp_path / "sound.png").read_bytes()[:6000])
     assert oiio.ImageBuf(sound).write(str(tmp_path / "whole.jpg"))
     (tmp_path / "cut.jpg").write_bytes((tmp_path / "whole.jpg").read_bytes()[:1500])
-    spoilt = np.ones((32, 32, 3), np.float32)
-    spoilt[3, 4] = math.nan
-    assert oiio.ImageBuf(spoilt).write(str(tmp_path / "nan.exr"), "half")
+    spoiled = np.ones((32, 32, 3), np.float32)
+    spoiled[3, 4] = math.nan
+    assert oiio.ImageBuf(spoiled).write(str(tmp_path / "nan.exr"), "half")
     return tmp_path
 
 
@@ -79,7 +79,7 @@ def test_paintings_that_are_none_are_refused_before_any_work(paintings, capsys, 
         (("--method", "desrf", "--deform-rate", "0"), "deform_rate must be over 0"),
     ],
 )  # fmt: skip
-def test_settings_of_a_stylisation_that_mean_nothing(paintings, capsys, flags, words):
+def test_settings_of_a_stylization_that_mean_nothing(paintings, capsys, flags, words):
     assert words in told(capsys, 2, "stylize", paintings / "work", "--style", paintings / "sound.png", *flags)
     assert not (paintings / "work").exists()
 
@@ -96,7 +96,7 @@ def test_settings_of_a_stylisation_that_mean_nothing(paintings, capsys, flags, w
         (("--style", "sound.png", "--displacement-weight", "1"), "an option of --method desrf; this is --method arf"),
         (("--style", "sound.png", "--method", "snerf", "--rays", "patch"), "--rays is no option of --method snerf"),
         (("--style", "sound.png", "--method", "snerf", "--no-remember"), "--remember is no option of --method snerf"),
-        (("--style", "sound.png", "--match", "none", "--most-gain", "2"), "--most-gain bounds the matching of colours"),
+        (("--style", "sound.png", "--match", "none", "--most-gain", "2"), "--most-gain bounds the matching of colors"),
         (("--style", "sound.png", "--method", "snerf", "--deform-rate", "1"), "an option of --method desrf"),
         (("--method", "refnpr", "--reference", "sound.png"), "written VIEW=FILE.png"),
         (("--method", "refnpr", "--reference", "0=sound.png", "0=sound.png"), "given two references"),
@@ -171,9 +171,9 @@ def test_a_painting_that_has_changed_is_measured_against_anew(work, paintings, c
 
 
 @pytest.mark.parametrize(
-    "flags", [("--box", "0", "0", "0", "1", "1", "1"), ("--at", "0:1,1", "--tolerance", "0"), ("--colour", "#102030")]
+    "flags", [("--box", "0", "0", "0", "1", "1", "1"), ("--at", "0:1,1", "--tolerance", "0"), ("--color", "#102030")]
 )
-def test_pixels_to_avoid_where_nothing_grows_by_colour(tmp_path, capsys, flags):
+def test_pixels_to_avoid_where_nothing_grows_by_color(tmp_path, capsys, flags):
     line = told(capsys, 2, "select", tmp_path / "work", *flags, "--avoid", "0:9,9")
     assert "--avoid bounds what grows from --at or --scribble" in line
 
@@ -265,7 +265,7 @@ def test_an_empty_region_is_the_only_one_as_for_other_verbs(tmp_path, capsys):
 def test_a_name_that_is_none_is_refused_before_any_work(paintings, capsys, name):
     for command in (("fit",), ("stylize", "--style", paintings / "sound.png"), ("edit", "--recolor", "--at", "0:1,1")):
         verb, *flags = command
-        assert "cannot name an artefact" in told(capsys, 2, verb, paintings / "work", *flags, "--name", name)
+        assert "cannot name an artifact" in told(capsys, 2, verb, paintings / "work", *flags, "--name", name)
 
 
 # -- option files ------------------------------------------------------------------------------------------------------
@@ -294,14 +294,14 @@ def test_option_files_that_are_none(tmp_path, capsys, text, words):
     assert not (tmp_path / "work").exists()
 
 
-# -- artefacts ---------------------------------------------------------------------------------------------------------
+# -- artifacts ---------------------------------------------------------------------------------------------------------
 
 VERBS = (("fit", "scene/main"), ("deform", "field/fit"), ("stylize", "field/fit"), ("render", "field/fit"),
          ("eval", "frames/fit-test"))  # fmt: skip
 
 
 def arguments_for(verb: str, work, photos) -> list:
-    """A command that would make something of the artefact."""
+    """A command that would make something of the artifact."""
     own = {
         "fit": ["--budget", "5", "--no-buffers", "--name", "new"],
         "deform": ["--of", "fit", "--name", "new"],
@@ -327,7 +327,7 @@ def test_a_flipped_byte_in_what_a_stage_reads_stops_it(work, photos, capsys, ver
 
 
 @pytest.mark.parametrize(("verb", "place"), VERBS)
-def test_an_artefact_of_a_newer_version_stops_a_stage(work, photos, capsys, verb, place):
+def test_an_artifact_of_a_newer_version_stops_a_stage(work, photos, capsys, verb, place):
     reseal(work / place, schema=99)
     line = told(capsys, 4, *arguments_for(verb, work, photos))
     assert "newer stylerf" in line
@@ -335,7 +335,7 @@ def test_an_artefact_of_a_newer_version_stops_a_stage(work, photos, capsys, verb
 
 
 def reseal(folder, **changes) -> None:
-    """Writes the manifest again as an honest writer of another version would (docs/artefacts.md)."""
+    """Writes the manifest again as an honest writer of another version would (docs/artifacts.md)."""
     content = json.loads((folder / MANIFEST).read_text()) | changes
     content["self_sha256"] = "0" * 64
     text = json.dumps(content, indent=1, ensure_ascii=False) + "\n"

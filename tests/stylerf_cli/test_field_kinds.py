@@ -1,4 +1,4 @@
-"""Every kind of field through every stage: fit, stylise, a local edit from selection to fine-tuning, pictures."""
+"""Every kind of field through every stage: fit, stylize, a local edit from selection to fine-tuning, pictures."""
 
 import json
 from pathlib import Path
@@ -14,7 +14,7 @@ from stages.pipeline.demo_scene import PAINTING
 from stylerf_cli.main import main
 from tests.stylerf_cli.conftest import STYLIZE
 
-PALETTE = ("--palette-steps", "40", "--pruned-steps", "10", "--colours", "3", "--most-colours", "2")
+PALETTE = ("--palette-steps", "40", "--pruned-steps", "10", "--colors", "3", "--most-colors", "2")
 FIELDS = {
     "vm": ("vm", "linear"),
     "hash": ("hash", "linear"),
@@ -44,7 +44,7 @@ def rendered(capsys, work: Path, name: str) -> np.ndarray:
 
 def middle_of(work: Path) -> str:
     """VIEW:X,Y of the most saturated pixel in the middle of the first training view: one of the objects."""
-    scene = load_scene(Work(work).artefacts("scene")[0])
+    scene = load_scene(Work(work).artifacts("scene")[0])
     view = scene.splits["train"][0]
     rgb = scene.images(view)[..., :3]
     saturation = (rgb.max(2) - rgb.min(2))[9:23, 9:23]
@@ -58,7 +58,7 @@ def test_a_hash_field_is_fitted_told_about_and_rendered(photos, tmp_path, capsys
     assert result["figures"]["kinds"] == ["hash", "hash", "linear"] and result["figures"]["density_rank"] is None
     assert len(rendered(capsys, work, "fit")) == 2
     field, _ = load_field(Work(work).get("field", "fit"))
-    assert (field.density.kind, field.colour.features.kind) == ("hash", "hash")
+    assert (field.density.kind, field.color.features.kind) == ("hash", "hash")
     assert result["figures"]["parameters"] == field.parameters
 
 

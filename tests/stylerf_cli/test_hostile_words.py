@@ -16,7 +16,7 @@ from stylerf_cli.main import main
 from stylerf_cli.progress import Bars
 from tests.conftest import REPOSITORY
 
-# Colour and title of a terminal, C1's own beginning of them, going back in a line, a new line, text turned round.
+# Color and title of a terminal, C1's own beginning of them, going back in a line, a new line, text turned round.
 HOSTILE = "a\x1b[31m\x1b]0;x\x07\x9b1A\rb\nfield fox: sound\u202egnp.\u2028\ud800"
 ESCAPED = r"a\x1b[31m\x1b]0;x\x07\x9b1A\rb\nfield fox: sound\u202egnp.\u2028\ud800"
 

@@ -56,8 +56,8 @@ def interrupted(nursery, stage, work, moment):
     return command, wall if os.getloadavg()[0] < 2 * (os.cpu_count() or 1) else used - begun
 
 
-def test_ctrl_c_while_the_last_colours_are_matched_loses_nothing(long_stage, capsys, monkeypatch):
-    """All style steps are done then, but the colour map that ends a stylisation is not."""
+def test_ctrl_c_while_the_last_colors_are_matched_loses_nothing(long_stage, capsys, monkeypatch):
+    """All style steps are done then, but the color map that ends a stylization is not."""
     stage, work = long_stage("stylize")
     command = [*map(str, stage.command("matched")), "--quiet"]
 
@@ -72,5 +72,5 @@ def test_ctrl_c_while_the_last_colours_are_matched_loses_nothing(long_stage, cap
     # Undisturbed in this same process: `whole` comes from another one, whose rounding the style steps amplify.
     assert main([*map(str, stage.command("undisturbed")), "--quiet"]) == 0
     matched, undisturbed = (Work(work).get("field", name) for name in ("matched", "undisturbed"))
-    assert json.loads(matched.file("field.json").read_text())["colour_map"] is not None
+    assert json.loads(matched.file("field.json").read_text())["color_map"] is not None
     assert digests(matched) == digests(undisturbed)

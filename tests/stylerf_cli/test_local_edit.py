@@ -1,4 +1,4 @@
-"""A local edit of a tiny still life, command by command: select, extract, recolour, distill, finetune; and undone."""
+"""A local edit of a tiny still life, command by command: select, extract, recolor, distill, finetune; and undone."""
 
 import json
 import shlex
@@ -24,7 +24,7 @@ from stylerf_cli.main import main
 
 DEMO = ["--size", "48", "--train-views", "16", "--test-views", "2", "--fit-budget", "250", "--style-budget", "2",
         "--frames", "2", "--method", "arf"]  # fmt: skip
-QUICK = ["--palette-steps", "60", "--pruned-steps", "20", "--colours", "4", "--most-colours", "3"]
+QUICK = ["--palette-steps", "60", "--pruned-steps", "20", "--colors", "4", "--most-colors", "3"]
 
 
 def said(capsys, *arguments: object) -> dict:
@@ -54,7 +54,7 @@ def still_life(tmp_path_factory) -> Path:
 @pytest.fixture(scope="module")
 def middle(still_life) -> str:
     """VIEW:X,Y of the most saturated pixel in the middle of the first training view: one of the objects."""
-    scene = load_scene(Work(still_life).artefacts("scene")[0])
+    scene = load_scene(Work(still_life).artifacts("scene")[0])
     view = scene.splits["train"][0]
     rgb = scene.images(view)[..., :3]
     saturation = (rgb.max(2) - rgb.min(2))[14:34, 14:34]
@@ -72,7 +72,7 @@ def edited(still_life, middle) -> Path:
 
 def photos_of(work: Work):
     """The scene of photos."""
-    return next(one for one in work.artefacts("scene") if one.manifest.stage == "pose_import")
+    return next(one for one in work.artifacts("scene") if one.manifest.stage == "pose_import")
 
 
 def photographed(work: Work):
@@ -83,7 +83,7 @@ def photographed(work: Work):
 
 def fitted(work: Path) -> str:
     """Name of the field that was fitted to the photos."""
-    return next(one.name for one in Work(work).artefacts("field") if one.manifest.stage == "nerf_fit")
+    return next(one.name for one in Work(work).artifacts("field") if one.manifest.stage == "nerf_fit")
 
 
 def _finetune(work: Path) -> Path:
@@ -92,12 +92,12 @@ def _finetune(work: Path) -> Path:
     return path
 
 
-def test_one_command_leaves_every_artefact_and_each_verifies(edited, capsys):
+def test_one_command_leaves_every_artifact_and_each_verifies(edited, capsys):
     for kind, name in (
         ("region", "ball"),
         ("edit-dataset", "ball"),
         ("edit", "ball"),
-        ("edit", "ball-learnt"),
+        ("edit", "ball-learned"),
         ("scene", "ball"),
         ("field", "ball"),
     ):
@@ -119,7 +119,7 @@ def test_commands_one_by_one_reuse_what_the_one_command_made(edited, middle, cap
 
 def test_only_pixels_of_the_region_change_and_they_turn_green(edited):
     work = Work(edited)
-    plain = load_scene(next(s for s in work.artefacts("scene") if s.manifest.stage == "pose_import"))
+    plain = load_scene(next(s for s in work.artifacts("scene") if s.manifest.stage == "pose_import"))
     green = load_scene(work.get("scene", "ball"))
     changed, towards = 0, []
     for view in plain.splits["train"]:
@@ -141,23 +141,23 @@ def test_only_pixels_of_the_region_change_and_they_turn_green(edited):
 
 
 def test_other_palette_changes_need_no_training(edited, capsys):
-    learnt = (edited / "edit" / "ball-learnt" / "manifest.json").stat().st_mtime_ns
+    learned = (edited / "edit" / "ball-learned" / "manifest.json").stat().st_mtime_ns
     made = said(
         capsys, "stylize", edited, "--region", "ball", "--recolor", "--palette", "0=#2030f0", "--name", "ball", *QUICK
     )
-    assert (edited / "edit" / "ball-learnt" / "manifest.json").stat().st_mtime_ns == learnt
-    colours = json.loads((Path(made["edit"]) / "palette.json").read_text())["colours"]
-    assert colours[0]["now"] == "#2030f0" != colours[0]["learnt"]
-    assert abs(sum(one["share"] for one in colours) - 1) < 0.01
+    assert (edited / "edit" / "ball-learned" / "manifest.json").stat().st_mtime_ns == learned
+    colors = json.loads((Path(made["edit"]) / "palette.json").read_text())["colors"]
+    assert colors[0]["now"] == "#2030f0" != colors[0]["learned"]
+    assert abs(sum(one["share"] for one in colors) - 1) < 0.01
     assert read_image(Path(made["edit"]) / "palette.png").pixels.shape[2] == 3
 
 
-def test_a_tint_takes_every_palette_colour_and_one_that_is_named_goes_its_own_way(edited, capsys):
+def test_a_tint_takes_every_palette_color_and_one_that_is_named_goes_its_own_way(edited, capsys):
     asked = ("--palette", "all=#2030f0", "--palette", "1=#ffffff", "--name", "tint")
     made = said(capsys, "stylize", edited, "--region", "ball", "--recolor", *asked, *QUICK)
-    assert made["figures"]["learnt"] == "ball-learnt" and not (edited / "edit" / "tint-learnt").exists()
-    colours = json.loads((Path(made["edit"]) / "palette.json").read_text())["colours"]
-    rgb = [[int(one["now"][i : i + 2], 16) for i in (1, 3, 5)] for one in colours]
+    assert made["figures"]["learned"] == "ball-learned" and not (edited / "edit" / "tint-learned").exists()
+    colors = json.loads((Path(made["edit"]) / "palette.json").read_text())["colors"]
+    rgb = [[int(one["now"][i : i + 2], 16) for i in (1, 3, 5)] for one in colors]
     assert rgb[1] == [255, 255, 255]
     blues = [one for place, one in enumerate(rgb) if place != 1 and max(one) > 8]
     assert blues and all(one[2] > one[1] > one[0] for one in blues)
@@ -168,15 +168,15 @@ def test_what_stands_under_the_ordinary_name_needs_no_training_either(edited, ca
     work, asked = tmp_path / "work", ("--region", "ball", "--recolor", *QUICK)
     shutil.copytree(edited, work)
     shutil.rmtree(work / "edit")
-    learnt = said(capsys, "stylize", work, *asked)
+    learned = said(capsys, "stylize", work, *asked)
     changed = said(capsys, "stylize", work, *asked, "--palette", "0=#2030f0")
-    assert (learnt["name"], changed["name"]) == ("ball-recolor", "ball-recolor-changed")
-    assert changed["figures"]["learnt"] == "ball-recolor"
-    edits = [one.name for one in Work(work).artefacts("edit")]
+    assert (learned["name"], changed["name"]) == ("ball-recolor", "ball-recolor-changed")
+    assert changed["figures"]["learned"] == "ball-recolor"
+    edits = [one.name for one in Work(work).artifacts("edit")]
     assert sorted(edits) == ["ball-recolor", "ball-recolor-changed"]
 
 
-def test_a_change_under_the_very_name_of_what_was_learnt_needs_no_training(edited, capsys, tmp_path, monkeypatch):
+def test_a_change_under_the_very_name_of_what_was_learned_needs_no_training(edited, capsys, tmp_path, monkeypatch):
     work, asked = tmp_path / "work", ("--region", "ball", "--recolor", "--palette-steps", "30", *QUICK[2:])
     shutil.copytree(edited, work)
     said(capsys, "stylize", work, *asked, "--name", "vase")
@@ -184,7 +184,7 @@ def test_a_change_under_the_very_name_of_what_was_learnt_needs_no_training(edite
     before, files = looked_at.manifest, {one.path: one.sha256 for one in looked_at.manifest.files}
 
     def never(*_):
-        raise AssertionError("learnt again")
+        raise AssertionError("learned again")
 
     with monkeypatch.context() as patch:
         patch.setattr(edit_learn, "run", never)
@@ -196,11 +196,11 @@ def test_a_change_under_the_very_name_of_what_was_learnt_needs_no_training(edite
     again = Work(work).get("edit", "vase")
     again.verify()
     assert back["name"] == "vase" and {one.path: one.sha256 for one in again.manifest.files} == files
-    assert named["figures"]["learnt"] == "vase-learnt"
-    learnt = Work(work).get("edit", "vase-learnt")
-    learnt.verify()
-    assert {one.path: one.sha256 for one in learnt.manifest.files} == files
-    assert (learnt.manifest.recipe, learnt.manifest.seconds) == (before.recipe, before.seconds)
+    assert named["figures"]["learned"] == "vase-learned"
+    learned = Work(work).get("edit", "vase-learned")
+    learned.verify()
+    assert {one.path: one.sha256 for one in learned.manifest.files} == files
+    assert (learned.manifest.recipe, learned.manifest.seconds) == (before.recipe, before.seconds)
     assert [*stages, again.manifest.stage] == ["edit_palette", "edit_learn"]
 
 
@@ -230,7 +230,7 @@ def test_options_of_extract_and_distill_reach_the_edit(edited, capsys, tmp_path)
 
 def test_a_second_edit_of_the_edited_field_keeps_the_first_and_either_can_be_gone_back_to(edited, middle, capsys):
     work, first = Work(edited), middle.partition(":")[0]
-    scene = load_scene(next(one for one in work.artefacts("scene") if one.manifest.stage == "pose_import"))
+    scene = load_scene(next(one for one in work.artifacts("scene") if one.manifest.stage == "pose_import"))
     covered = binary_erosion(scene.images(scene.splits["train"][0])[..., 3] > 0.99, iterations=4)
     column, row = map(int, middle.partition(":")[2].split(","))
     far = max(np.argwhere(covered), key=lambda at: np.hypot(at[0] - row, at[1] - column))
@@ -252,7 +252,7 @@ def test_a_second_edit_of_the_edited_field_keeps_the_first_and_either_can_be_gon
     (plain, _), (ball, _), (both, _) = (
         load_field(work.get("field", name)) for name in (fitted(edited), "ball", "table")
     )
-    assert [part.kind for part in layers_of(both.colour)] == ["patch", "patch", plain.colour.kind]
+    assert [part.kind for part in layers_of(both.color)] == ["patch", "patch", plain.color.kind]
     assert {name: work.get("field", name).digest for name in kept} == kept
     scene = load_scene(work.get("scene", "table"))
     camera = scene.cameras[scene.splits["train"][0]]
@@ -268,11 +268,11 @@ def test_a_second_edit_of_the_edited_field_keeps_the_first_and_either_can_be_gon
     assert green[1] > green[0] and blue[2] > blue[0] + 0.05
     # What the first edit made of the ball, the second leaves as it is, but for a seam.
     assert np.abs(shift(1, 2, in_ball & (views[0].masks["table"] < 0.01))).max() < 0.03
-    again = ("--colours", "field", "--budget", "5", "--name", "whole-table")
-    assert "holds a local edit over its colours" in refused(capsys, "finetune", edited, "--edit", "table", *again)
+    again = ("--colors", "field", "--budget", "5", "--name", "whole-table")
+    assert "holds a local edit over its colors" in refused(capsys, "finetune", edited, "--edit", "table", *again)
 
 
-def test_a_palette_of_the_whole_scene_is_learnt_from_pictures_that_hold_the_edit(edited, capsys):
+def test_a_palette_of_the_whole_scene_is_learned_from_pictures_that_hold_the_edit(edited, capsys):
     few = ("--budget", "30", "--refit-steps", "40", "--pixels", "512", "--levels", "4", "--table-bits", "12")
     said(capsys, "stylize", edited, "--of", "ball", "--method", "palettenerf", *few, "--name", "all-over")
     work = Work(edited)
@@ -286,7 +286,7 @@ def test_a_palette_of_the_whole_scene_is_learnt_from_pictures_that_hold_the_edit
     assert np.abs(found - wanted).max() < 0.5 * np.abs(wanted - before).max()
 
 
-def test_a_part_alone_is_stylised_after_a_view_and_all_else_stays_to_the_bit(edited, middle, capsys, tmp_path):
+def test_a_part_alone_is_stylized_after_a_view_and_all_else_stays_to_the_bit(edited, middle, capsys, tmp_path):
     work, view = Work(edited), middle.partition(":")[0]
     few = ("--method", "refnpr", "--levels", "4", "--table-bits", "12", "--budget", "9", "--refit-steps", "8")
     red = np.zeros((48, 48, 3), np.uint8) + np.array([220, 10, 10], np.uint8)
@@ -301,9 +301,9 @@ def test_a_part_alone_is_stylised_after_a_view_and_all_else_stays_to_the_bit(edi
         made = said(capsys, "stylize", edited, "--region", "ball", *flags, *few)
         assert made["name"] == name
         field, _ = load_field(work.get("field", name))
-        assert [part.kind for part in layers_of(field.colour)] == ["patch", fit.colour.kind]
+        assert [part.kind for part in layers_of(field.color)] == ["patch", fit.color.kind]
         assert {ref.role: ref.name for ref in work.get("field", name).manifest.inputs}["region"] == "ball"
-        after = render_view(field, camera, chunks=1, regions={"own": field.colour.marked})
+        after = render_view(field, camera, chunks=1, regions={"own": field.color.marked})
         beside = after.masks["own"] == 0
         assert beside.sum() > 500 and np.array_equal(after.rgb[beside], before.rgb[beside])
         inside = before.masks["ball"] > 0.9
@@ -318,7 +318,7 @@ def test_a_part_alone_is_stylised_after_a_view_and_all_else_stays_to_the_bit(edi
     assert figures["figures"]["change_inside"] > 0.02
 
 
-def test_a_part_is_stylised_by_methods_that_can_and_whole_pictures_are_not_matched(edited, capsys):
+def test_a_part_is_stylized_by_methods_that_can_and_whole_pictures_are_not_matched(edited, capsys):
     painting = edited / "photos" / "painting.png"
     told = refused(capsys, "stylize", edited, "--region", "ball", "--style", painting, "--method", "refnpr", "--match",
                    "both")  # fmt: skip
@@ -331,9 +331,9 @@ def test_a_part_is_stylised_by_methods_that_can_and_whole_pictures_are_not_match
         assert "is for the whole scene; a --region takes --method refnpr" in told
 
 
-def test_an_edit_of_a_stylised_field_is_taught_by_what_that_field_shows(edited, middle, capsys):
-    """A painting is in no photo: what lies beside the region would turn to the photos' colours."""
-    name = next(one.name for one in Work(edited).artefacts("field") if one.manifest.stage == "stylize")
+def test_an_edit_of_a_stylized_field_is_taught_by_what_that_field_shows(edited, middle, capsys):
+    """A painting is in no photo: what lies beside the region would turn to the photos' colors."""
+    name = next(one.name for one in Work(edited).artifacts("field") if one.manifest.stage == "stylize")
     flags = (
         "--at",
         middle,
@@ -351,13 +351,13 @@ def test_an_edit_of_a_stylised_field_is_taught_by_what_that_field_shows(edited, 
     said(capsys, "edit", edited, "--of", name, *flags, "--name", "on-paint", *options)
     work = Work(edited)
     photos, pictures = (load_scene(work.get("scene", one)) for one in (photos_of(work).name, "on-paint"))
-    stylised, taught = (load_field(work.get("field", one))[0] for one in (name, "on-paint"))
+    stylized, taught = (load_field(work.get("field", one))[0] for one in (name, "on-paint"))
     region = {"part": load_region(work.get("region", "on-paint"))[0].edit}
     targets, _ = load_tensors(pictures.folder / EDIT_TARGETS)
     moved = []
     for view in pictures.splits["train"][:3]:
         camera, picture = pictures.cameras[view], pictures.images(view)
-        seen, now = (render_view(one, camera, chunks=1, regions=region) for one in (stylised, taught))
+        seen, now = (render_view(one, camera, chunks=1, regions=region) for one in (stylized, taught))
         edited_here = np.isin(np.arange(seen.alpha.size), targets.get(f"{view}.pixels", ())).reshape(seen.alpha.shape)
         solid = ~edited_here & (seen.alpha > 0.9)
         assert np.abs(picture[..., :3] - seen.rgb / seen.alpha.clip(1e-6)[..., None])[solid].max() < 0.01
@@ -374,20 +374,20 @@ def test_an_edit_of_a_stylised_field_is_taught_by_what_that_field_shows(edited, 
         assert "show another field" in line
 
 
-def test_the_whole_fields_colours_can_learn_instead(edited, capsys):
-    said(capsys, "finetune", edited, "--edit", "ball", "--colours", "field", "--budget", "5", "--name", "whole")
+def test_the_whole_fields_colors_can_learn_instead(edited, capsys):
+    said(capsys, "finetune", edited, "--edit", "ball", "--colors", "field", "--budget", "5", "--name", "whole")
     field, _ = load_field(Work(edited).get("field", "whole"))
     plain, _ = load_field(Work(edited).get("field", fitted(edited)))
-    assert field.colour.kind == plain.colour.kind
+    assert field.color.kind == plain.color.kind
     assert (field.density.values != plain.density.values).any()
-    said(capsys, "finetune", edited, "--edit", "ball", "--colours", "field", "--freeze-density", "--budget", "5",
+    said(capsys, "finetune", edited, "--edit", "ball", "--colors", "field", "--freeze-density", "--budget", "5",
          "--name", "held")  # fmt: skip
     held, _ = load_field(Work(edited).get("field", "held"))
     np.testing.assert_array_equal(held.density.values, plain.density.values)
 
 
 def test_the_commands_that_only_names_make_what_was_missing(edited, tmp_path, capsys):
-    """An edit learnt otherwise than any that stands, and its photos: each named command is enough for the next step."""
+    """An edit learned otherwise than any that stands, and its photos: each named command is enough for the next step."""
     work = tmp_path / "a folder"
     shutil.copytree(edited, work)
     quick = ["--palette-steps", "40", *QUICK[2:]]
@@ -395,7 +395,7 @@ def test_the_commands_that_only_names_make_what_was_missing(edited, tmp_path, ca
         ["stylize", work, "--region", "ball", "--recolor", "--palette", "0=#2030f0", "--name", "other", *quick],
         ["finetune", work, "--edit", "other", "--budget", "5"],
     ]
-    for command, missing in zip(commands, ("edit other-learnt", "scene other"), strict=True):
+    for command, missing in zip(commands, ("edit other-learned", "scene other"), strict=True):
         line = refused(capsys, *command, "--only")
         assert f"{missing} is missing or out of date" in line
         said(capsys, *shlex.split(line.partition("; run: ")[2])[1:])
@@ -422,7 +422,7 @@ def test_regions_are_joined_and_cut(edited, capsys):
         (["select"], "nothing is selected"),
         (["select", "--at", "FIRST:400,1"], "48x48 pixels"),
         (["stylize", "--region", "ball", "--recolor", "--palette", "9=#000000", *QUICK], "does not exist"),
-        (["stylize", "--region", "ball"], "either recoloured"),
+        (["stylize", "--region", "ball"], "either recolored"),
         (["stylize", "--region", "ball", "--recolor", "--of", "painting-arf"], "was selected in field fit"),
         (["stylize", "--region", "ball", "--style", "PAINTING", "--crop", "0", "0", "9000"], "does not fit"),
         (["stylize", "--region", "no-such", "--recolor"], "none found"),
@@ -499,14 +499,14 @@ def test_learning_distilling_and_tuning_run_on_a_gpus_kernels(edited, capsys, mo
 
     for stage in (edit_learn, distill, finetune):
         monkeypatch.setattr(stage, "gpu_of", lambda context, field=None: "cpu")
-    work, small = Work(edited), ["--palette-steps", "3", "--pruned-steps", "2", "--colours", "4", "--most-colours", "3"]
+    work, small = Work(edited), ["--palette-steps", "3", "--pruned-steps", "2", "--colors", "4", "--most-colors", "3"]
     asked = ["--region", "ball", "--recolor", "--palette", "0=#10e020", "--name", "there"]
     said(capsys, "stylize", edited, *asked, *small)
-    figures = [work.get("edit", "there-learnt").manifest.figures]
+    figures = [work.get("edit", "there-learned").manifest.figures]
     figures.append(said(capsys, "distill", edited, "--edit", "there")["figures"])
-    tuning = ["--colours", "field", "--budget", "2", "--rays", "64"]
+    tuning = ["--colors", "field", "--budget", "2", "--rays", "64"]
     figures.append(said(capsys, "finetune", edited, "--edit", "there", *tuning)["figures"])
     assert all("gpu_memory_mb" in found for found in figures)
     taught, plain = (load_field(work.get("field", name))[0] for name in ("there", fitted(edited)))
-    for one, other in ((taught.colour, plain.colour), (taught.density, plain.density)):
+    for one, other in ((taught.color, plain.color), (taught.density, plain.density)):
         assert 0 < np.abs(one.values - other.values).max() < 0.1

@@ -1,4 +1,4 @@
-"""`show`, `verify` and `doctor` on real artefacts."""
+"""`show`, `verify` and `doctor` on real artifacts."""
 
 import json
 import sys
@@ -19,12 +19,12 @@ def work(tmp_path):
         (begun.path / "images").mkdir()
         (begun.path / "images" / "a.bin").write_bytes(b"abc" * 1000)
         curve = {"psnr": 27.123456, "curve": list(range(50)), "nested": {"a": 1.0, "b": [1, 2]}}
-        artefact = begun.commit(seconds=61, peak_memory_mb=512, figures=curve, versions={"torch": "2.13.0"})
-        inputs = [artefact.reference("scene")]
+        artifact = begun.commit(seconds=61, peak_memory_mb=512, figures=curve, versions={"torch": "2.13.0"})
+        inputs = [artifact.reference("scene")]
     return work
 
 
-def test_show_tells_an_artefact_in_words(work, capsys):
+def test_show_tells_an_artifact_in_words(work, capsys):
     assert main(["show", str(work.root / "field" / "fox")]) == 0
     out = capsys.readouterr().out
     for words in ("field fox", "toy revision 2", "seed 7", "1 min 01 s", "512 MB", "from       scene fox",
@@ -71,7 +71,7 @@ def test_show_tells_a_work_folder(work, capsys):
     assert "field fox" in out and "OUT OF DATE: scene fox, from which fox was made, is not readable" in out
     assert main(["show", str(work.root), "--json"]) == 0
     shown = json.loads(capsys.readouterr().out)
-    assert [row["name"] for row in shown["unfinished"]] == ["turn"] and len(shown["artefacts"]) == 2
+    assert [row["name"] for row in shown["unfinished"]] == ["turn"] and len(shown["artifacts"]) == 2
 
 
 @pytest.mark.parametrize("path", ["", "absent", "w/field/fox/images/a.bin", "empty"])
@@ -82,7 +82,7 @@ def test_paths_that_are_neither_are_refused(work, tmp_path, path, verb, capsys):
     assert capsys.readouterr().err.count("\n") == 1
 
 
-def test_verify_passes_a_sound_folder_and_a_sound_artefact(work, capsys):
+def test_verify_passes_a_sound_folder_and_a_sound_artifact(work, capsys):
     assert main(["verify", str(work.root)]) == 0
     assert capsys.readouterr().out == "scene fox: sound, 1 files, 0.0 MB\nfield fox: sound, 1 files, 0.0 MB\n"
     assert main(["verify", str(work.root / "field/fox"), "--json"]) == 0
@@ -103,10 +103,10 @@ def test_verify_finds_a_flipped_bit(work, which, capsys):
     assert err.count("\n") == 1
     result = json.loads(out)
     assert result["exit_code"] == 4 and (result["sound"], result["damaged"]) == (1, 1)
-    assert [row["sound"] for row in result["artefacts"]] == [True, False]
+    assert [row["sound"] for row in result["artifacts"]] == [True, False]
 
 
-def test_verify_refuses_a_folder_of_an_artefact_without_its_manifest(work, capsys):
+def test_verify_refuses_a_folder_of_an_artifact_without_its_manifest(work, capsys):
     (work.root / "field" / "fox" / "manifest.json").unlink()
     assert main(["verify", str(work.root / "field/fox")]) == 4
     assert "no manifest.json" in capsys.readouterr().err

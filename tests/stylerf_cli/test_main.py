@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from schemas.errors import ArtefactDamaged, BadInput, OutOfResources, StylerfError
+from schemas.errors import ArtifactDamaged, BadInput, OutOfResources, StylerfError
 from stylerf.errors import Diverged, InvalidValue
 from stylerf_cli.main import main
 from stylerf_cli.verbs import VERBS
@@ -115,9 +115,9 @@ def test_json_in_process(tmp_path, capsys):
         (["toy", "w", "--stepz", "3"], "did you mean '--steps'?"),
         (["toy", "w", "--step", "3"], "did you mean '--steps'?"),  # abbreviations are not taken
         (["toy", "w", "--steps", "many"], "whole number"),
-        (["toy", "w", "--colour", "green"], "green"),
+        (["toy", "w", "--color", "green"], "green"),
         (["toy", "w", "--steps", "-1"], "steps must not be negative"),
-        (["toy", "w", "--name", "../x"], "cannot name an artefact"),
+        (["toy", "w", "--name", "../x"], "cannot name an artifact"),
         (["toy", "w", "--threads", "0"], "at least 1"),
         (["toy", "w", "--seed", "-1"], "--seed is -1; expected 0 to 4294967295"),
         (["toy", "w", "--seed", "4294967296"], "--seed is 4294967296"),
@@ -144,7 +144,7 @@ def test_usage_faults_end_with_2_and_one_line(arguments, words, capsys, monkeypa
     ("fault", "code", "words"),
     [
         (BadInput("no photos\nin x"), 3, "no photos in x"),
-        (ArtefactDamaged("bad"), 4, "bad"),
+        (ArtifactDamaged("bad"), 4, "bad"),
         (OutOfResources("full"), 5, "full"),
         (StylerfError("other"), 3, "other"),
         (InvalidValue("a NaN pose"), 3, "a NaN pose"),

@@ -125,7 +125,7 @@ def demo_intrinsics(demo: Path):
     return [(Path(view["name"]).name, view["fx"]) for view in scene["views"]]
 
 
-def test_stylised_colours_are_nearer_to_the_painting(demo):
+def test_stylized_colors_are_nearer_to_the_painting(demo):
     painting = read_image(demo / "photos" / "painting.png").pixels[..., :3].reshape(-1, 3).mean(0)
 
     def mean_of(name: str) -> np.ndarray:

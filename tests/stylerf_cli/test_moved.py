@@ -12,7 +12,7 @@ from tests.stylerf_cli.conftest import STYLIZE
 
 
 def digests(work) -> dict[str, str]:
-    return {f"{one.kind} {one.name}": one.digest for one in Work(work).artefacts()}
+    return {f"{one.kind} {one.name}": one.digest for one in Work(work).artifacts()}
 
 
 def test_what_was_made_of_photos_stands_where_they_are_moved(work, photos, tmp_path, capsys):

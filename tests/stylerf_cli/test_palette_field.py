@@ -1,4 +1,4 @@
-"""A palette of the whole scene, command by command: learnt, changed in seconds, around a place, rendered, evaluated."""
+"""A palette of the whole scene, command by command: learned, changed in seconds, around a place, rendered, evaluated."""
 
 import json
 from pathlib import Path
@@ -34,23 +34,23 @@ def pictures(capsys, work: Path, name: str) -> np.ndarray:
 
 
 @pytest.mark.slow
-def test_a_palette_is_learnt_once_and_changed_without_learning(work, capsys):
-    learnt = said(capsys, "stylize", work, "--of", "fit", *LEARN, "--name", "palette")
-    assert learnt["name"] == "palette" and learnt["figures"]["colours"] == 4
-    entries = json.loads((Path(learnt["field"]) / "palette.json").read_text())["colours"]
+def test_a_palette_is_learned_once_and_changed_without_learning(work, capsys):
+    learned = said(capsys, "stylize", work, "--of", "fit", *LEARN, "--name", "palette")
+    assert learned["name"] == "palette" and learned["figures"]["colors"] == 4
+    entries = json.loads((Path(learned["field"]) / "palette.json").read_text())["colors"]
     assert [one["share"] for one in entries] == sorted((one["share"] for one in entries), reverse=True)
     asked = ("--method", "palettenerf", "--palette", "0=#10e020")
     everywhere = said(capsys, "stylize", work, "--of", "palette", *asked, "--name", "green")
     here = said(
         capsys, "stylize", work, "--of", "palette", *asked, "--at", "#0:16,16", "--reach", "0.2", "--name", "here"
     )
-    assert everywhere["seconds"] < 20 and here["figures"]["learnt"] == "palette"
+    assert everywhere["seconds"] < 20 and here["figures"]["learned"] == "palette"
     plain, green, local = (pictures(capsys, work, name) for name in ("palette", "green", "here"))
     assert np.array_equal(plain[..., 3], green[..., 3]) and np.array_equal(plain[..., 3], local[..., 3])
     changed, less = (np.abs(one - plain).max(-1) > 0.02 for one in (green, local))
     assert changed.sum() > 20 and less.sum() < changed.sum()
     report = said(capsys, "eval", work, "--of", "green", "--perceptual", "none")
-    assert report["figures"]["sparsity"] == learnt["figures"]["sparsity"] and report["figures"]["psnr"] > 5
+    assert report["figures"]["sparsity"] == learned["figures"]["sparsity"] and report["figures"]["psnr"] > 5
     assert "pixels that show the scene" in report["protocols"]["sparsity"]
     assert "has its palette already" in refused(capsys, 2, "stylize", work, "--of", "green", "--method", "palettenerf")
     assert "options of learning" in refused(capsys, 2, "stylize", work, "--of", "palette", *asked, "--bases", "5")
@@ -59,14 +59,14 @@ def test_a_palette_is_learnt_once_and_changed_without_learning(work, capsys):
 
 
 @pytest.mark.slow
-def test_what_is_learnt_for_a_change_stands_beside_it(work, capsys):
+def test_what_is_learned_for_a_change_stands_beside_it(work, capsys):
     few = (*LEARN[:2], "--budget", "6", "--refit-steps", "4", *LEARN[6:])
     made = said(capsys, "stylize", work, "--of", "fit", *few, "--palette", "all=#2030f0", "--name", "blue")
-    learnt = Work(work).get("field", "fit-palettenerf")
-    assert made["name"] == "blue" and learnt.manifest.stage == "decompose"
+    learned = Work(work).get("field", "fit-palettenerf")
+    assert made["name"] == "blue" and learned.manifest.stage == "decompose"
     other = said(capsys, "stylize", work, "--of", "fit", *few, "--palette", "0=#ff0000", "--name", "red")
-    assert other["figures"]["learnt"] == "fit-palettenerf"
-    assert Work(work).get("field", "fit-palettenerf").manifest.created == learnt.manifest.created
+    assert other["figures"]["learned"] == "fit-palettenerf"
+    assert Work(work).get("field", "fit-palettenerf").manifest.created == learned.manifest.created
 
 
 def test_a_file_cannot_choose_the_method(work, tmp_path, capsys):

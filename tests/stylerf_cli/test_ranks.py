@@ -1,4 +1,4 @@
-"""`stylerf fit` in two processes: the same artefact, one voice; a process that dies ends it in one line."""
+"""`stylerf fit` in two processes: the same artifact, one voice; a process that dies ends it in one line."""
 
 import json
 import signal
@@ -25,7 +25,7 @@ def command(work, steps: int, *more: str) -> tuple[str, ...]:
     return "stylerf_cli.main", "fit", str(work), "--budget", str(steps), *FIT, *more
 
 
-def test_two_processes_make_the_artefact_of_one(scene, nursery, tmp_path):
+def test_two_processes_make_the_artifact_of_one(scene, nursery, tmp_path):
     processes = start(2, *command(scene, 30, "--name", "two", "--json"), folder=tmp_path)
     assert ended(processes, 200) == [0, 0], (tmp_path / "err0").read_text()
     assert json.loads((tmp_path / "out0").read_text())["name"] == "two"
@@ -33,8 +33,8 @@ def test_two_processes_make_the_artefact_of_one(scene, nursery, tmp_path):
     one = nursery.run(tmp_path / "one", *command(scene, 30, "--name", "one", "--threads", "2")[1:])
     assert one.code == 0, one.err
     fields = [Work(scene).get("field", name) for name in ("one", "two")]
-    assert len({artefact.manifest.recipe for artefact in fields}) == 1
-    assert len({artefact.file("field.safetensors").read_bytes() for artefact in fields}) == 1
+    assert len({artifact.manifest.recipe for artifact in fields}) == 1
+    assert len({artifact.file("field.safetensors").read_bytes() for artifact in fields}) == 1
     assert timeless(fields[0].manifest.figures) == timeless(fields[1].manifest.figures)
 
 
@@ -76,7 +76,7 @@ def test_a_fault_of_a_process_that_is_silent_is_told_by_the_first(scene, tmp_pat
     codes = ended(processes, 100)
     told = (tmp_path / "err0").read_text().splitlines()
     assert codes[0] == 5 and codes[1] != 0 and len(told) == 1, told
-    assert "(process 1: ArtefactStale:" in told[0] and "elsewhere" in told[0]
+    assert "(process 1: ArtifactStale:" in told[0] and "elsewhere" in told[0]
     assert (tmp_path / "err1").read_text() == ""
 
 

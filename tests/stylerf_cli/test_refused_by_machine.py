@@ -1,4 +1,4 @@
-"""No space, no permission, no memory: exit code 5, one line, the older artefact whole, and the same command goes on
+"""No space, no permission, no memory: exit code 5, one line, the older artifact whole, and the same command goes on
 when the machine gives way."""
 
 import errno
@@ -45,14 +45,14 @@ def test_a_disk_that_takes_no_more_stops_a_stage_which_then_goes_on(long_stage, 
     assert "free some and run the same command" in assert_refused(limited, "no space left to write")
     assert not (work / stage.kind / "limited").exists()
     assert half_written(work) == []
-    for artefact in Work(work).artefacts():
-        artefact.verify()
+    for artifact in Work(work).artifacts():
+        artifact.verify()
     last = nursery.run(said, *stage.command("limited"))
     assert last.code == 0 and "going on with the interrupted" in last.err, last.err
     assert_same(Work(work), stage, "limited")
 
 
-def test_the_older_artefact_stands_while_its_successor_cannot_be_written(work, nursery):
+def test_the_older_artifact_stands_while_its_successor_cannot_be_written(work, nursery):
     before = Work(work).get("field", "fit").digest
     again = ("fit", work, *FIT, "--seed", "1")
     assert_refused(nursery.run(work.parent / "said", *again, limits={"RLIMIT_FSIZE": SMALL_FILE}), "no space left")
@@ -89,7 +89,7 @@ def test_a_full_disk_stops_an_import_and_a_larger_one_lets_it_go_on(
     command = ("import", request.getfixturevalue(source), folder / "work")
     line = assert_refused(nursery.run(tmp_path / "said", *command), "no space left to write")
     assert str(folder) in line
-    assert Work(folder / "work").artefacts() == []
+    assert Work(folder / "work").artifacts() == []
     assert half_written(folder) == []
     subprocess.run(["mount", "-o", "remount,size=64m", str(folder)], check=True)
     assert nursery.run(tmp_path / "said", *command).code == 0

@@ -13,7 +13,7 @@ from schemas import video
 from schemas.exr import read_exr
 from schemas.frames import read_frames
 from schemas.images import read_image
-from schemas.work_folder import Artefact, Work
+from schemas.work_folder import Artifact, Work
 from stages import render as stage
 from stages.artifacts.scene import load_scene
 from stages.configs.render import RenderConfig
@@ -70,7 +70,7 @@ def test_shards_are_put_together_and_filmed_without_rendering(work, capsys, monk
     for view in read_frames(folder).views:
         for relative in (view.png, view.exr, view.png.replace("png/", "depth/")):
             assert (folder / relative).read_bytes() == (kept / relative).read_bytes()
-    assert Artefact(folder).manifest.figures["pixels"] == 0
+    assert Artifact(folder).manifest.figures["pixels"] == 0
 
 
 def test_frames_of_other_options_or_that_were_altered_are_rendered(work, capsys, monkeypatch):
@@ -181,8 +181,8 @@ def camera_of(camera) -> tuple:
 def test_scaled_views_keep_their_names(work, capsys, monkeypatch):
     names = ["1", "01"]
 
-    def named(artefact):
-        scene = load_scene(artefact)
+    def named(artifact):
+        scene = load_scene(artifact)
         for place, name in zip(scene.splits["test"], names, strict=True):
             scene.cameras[place] = replace(scene.cameras[place], name=name)
         return scene

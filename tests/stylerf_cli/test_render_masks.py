@@ -12,7 +12,7 @@ import pytest
 from schemas import partial_artifact as partial
 from schemas.frames import read_frames
 from schemas.images import read_image
-from schemas.work_folder import Artefact, Recipe, Work
+from schemas.work_folder import Artifact, Recipe, Work
 from stages import render as stage
 from stages.artifacts.field import load_field
 from stages.artifacts.region import save_region
@@ -25,7 +25,7 @@ from stylerf_cli.main import main
 TEST = ("--of", "fit", "--path", "test")
 
 
-def make_region(work: Path, name: str, edit: np.ndarray, stretch: float = 1.0) -> Artefact:
+def make_region(work: Path, name: str, edit: np.ndarray, stretch: float = 1.0) -> Artifact:
     """A region in the space of the field `fit`, or in one that reaches `stretch` times as far."""
     field, _ = load_field(Work(work).get("field", "fit"))
     partial = Work(work).begin("region", name, Recipe("select", 1, {"cells": int(edit.sum())}, [], 0))
@@ -108,19 +108,19 @@ def test_pictures_of_regions_hold_what_the_channels_hold(work, regions, capsys):
 
 def test_a_changed_region_makes_frames_anew_and_one_that_stands_does_not(work, regions, capsys):
     folder, _, _ = rendered(work, capsys, *TEST)
-    first = Artefact(folder).manifest
+    first = Artifact(folder).manifest
     assert "stands up to date" in rendered(work, capsys, *TEST)[2]
-    assert Artefact(folder).manifest.created == first.created
+    assert Artifact(folder).manifest.created == first.created
     make_region(work, "low", ~regions["low"])
     assert "stands up to date" not in rendered(work, capsys, *TEST)[2]
-    assert {ref.role: ref.digest for ref in Artefact(folder).manifest.inputs}["region.low"] == (
+    assert {ref.role: ref.digest for ref in Artifact(folder).manifest.inputs}["region.low"] == (
         Work(work).get("region", "low").digest
     )
     # Regions that are not written take no part.
     plain, _, _ = rendered(work, capsys, *TEST, "--no-regions", name="plain")
     make_region(work, "low", regions["low"])
     assert "stands up to date" in rendered(work, capsys, *TEST, "--no-regions", name="plain")[2]
-    assert {ref.kind for ref in Artefact(plain).manifest.inputs} == {"scene", "field"}
+    assert {ref.kind for ref in Artifact(plain).manifest.inputs} == {"scene", "field"}
 
 
 def test_a_region_selected_since_does_not_cost_an_interrupted_render(work, regions, capsys, monkeypatch):

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from schemas.errors import ArtefactStale, UsageError
+from schemas.errors import ArtifactStale, UsageError
 from schemas.read_limit import LEAST, allowance
 from stages.pipeline.distributed import agreed
 from stages.run.memory import free
@@ -61,7 +61,7 @@ def test_several_processes_go_by_what_the_first_one_finds(tmp_path):
 
 
 def test_only_refuses_to_make_earlier_stages_with_the_command_that_does(tmp_path):
-    with pytest.raises(ArtefactStale, match=f"stylerf import {tmp_path}"):
+    with pytest.raises(ArtifactStale, match=f"stylerf import {tmp_path}"):
         session(tmp_path, "--only").run(UPSTREAM, toy_stage.run, {}, ToyConfig(), "fox")
     assert not list(tmp_path.iterdir())
     session(tmp_path).run(UPSTREAM, toy_stage.run, {}, ToyConfig(), "fox")
@@ -71,7 +71,7 @@ def test_only_refuses_to_make_earlier_stages_with_the_command_that_does(tmp_path
 
 def test_only_names_the_whole_command_with_options_seed_and_a_folder_of_two_words(tmp_path):
     given = session(tmp_path / "a folder", "--only", "--seed", "7")
-    with pytest.raises(ArtefactStale) as caught:
+    with pytest.raises(ArtifactStale) as caught:
         given.run(UPSTREAM, toy_stage.run, {}, ToyConfig(steps=3), "fox", by=("--of", "den"))
     folder = f"'{tmp_path}/a folder'"
     assert str(caught.value).endswith(f"run: stylerf import {folder} --name fox --of den --steps 3 --seed 7")

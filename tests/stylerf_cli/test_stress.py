@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from schemas.canonical_json import file_sha256
-from schemas.errors import ArtefactDamaged, ArtefactStale, BadInput, OutOfResources, UsageError
+from schemas.errors import ArtifactDamaged, ArtifactStale, BadInput, OutOfResources, UsageError
 from schemas.work_folder import Work
 from stages.configs.stress import StressConfig
 from stages.stress import edit_trials, trials
@@ -24,7 +24,7 @@ FEW = ("--methods", "fit", "arf", "--faults", "seeds", "blur", "style-white", "-
 
 
 class Runs:
-    """Stands in for scenes, fits and stylisations. made: what was asked for; answer: score by method and fault."""
+    """Stands in for scenes, fits and stylizations. made: what was asked for; answer: score by method and fault."""
 
     def __init__(self) -> None:
         self.made: list[tuple[str, str, int, bool]] = []
@@ -89,7 +89,7 @@ def test_files_and_json_tell_the_same(folder, runs, capsys):
     with open(out / "runs.csv", newline="") as stream:
         assert len([*csv.DictReader(stream)]) == 15
     assert (folder / "scene" / "main" / "manifest.json").stat().st_mtime_ns == before
-    assert main(["verify", str(folder), "--quiet"]) == 0  # what it writes is no artefact of this work folder
+    assert main(["verify", str(folder), "--quiet"]) == 0  # what it writes is no artifact of this work folder
 
 
 def test_what_stands_is_not_run_again(folder, runs, capsys):
@@ -160,7 +160,7 @@ def test_whatever_a_method_raises_it_has_failed(folder, runs, capsys, fault):
     assert (cell["successes"], cell["count"]) == (2, 3) and type(fault).__name__ in cell["whys"][0]
 
 
-@pytest.mark.parametrize("fault", [UsageError("no trunk"), ArtefactDamaged("cut short"), ArtefactStale("gone")])
+@pytest.mark.parametrize("fault", [UsageError("no trunk"), ArtifactDamaged("cut short"), ArtifactStale("gone")])
 def test_what_is_not_of_a_method_ends_it_and_is_not_counted(folder, runs, capsys, fault):
     runs.raising["fit", "seeds", 1] = fault
     assert stress(folder) == fault.exit_code and str(fault) in capsys.readouterr().err
@@ -294,7 +294,7 @@ def test_a_run_without_keep_leaves_what_another_kept(folder, stages, capsys):
 
 def test_a_fit_that_fails_is_not_run_again_for_what_would_be_made_of_it(folder, stages, capsys):
     stages.raising["nerf_fit"] = Diverged("left the finite numbers")
-    methods = ("fit", "fit-hash", "arf", "desrf", "laenerf-recolour")
+    methods = ("fit", "fit-hash", "arf", "desrf", "laenerf-recolor")
     more = ("--faults", "seeds", "blur", "style-white", "--seeds", "2", "--budget", "10", "--remedies", "both")
     assert main(["stress", str(folder), "--methods", *methods, *more, "--json"]) == 0
     fits = [place for place, stage, _ in stages.made if stage == "nerf_fit"]
@@ -395,8 +395,8 @@ def test_remedies_are_options_of_their_stages():
 
 
 def test_an_edits_options_follow_its_fault(folder, runs, capsys):
-    """A colour for a palette, a painting for strokes; the key of a run tells them apart, and knows no folder."""
-    methods = ("laenerf-recolour", "laenerf-paint", "palettenerf")
+    """A color for a palette, a painting for strokes; the key of a run tells them apart, and knows no folder."""
+    methods = ("laenerf-recolor", "laenerf-paint", "palettenerf")
     faults = ("seeds", "style-wash", "palette-random", "palette-full")
     asked = ("--methods", *methods, "--faults", *faults, "--seeds", "1", "--remedies", "both")
     assert main(["stress", str(folder), *asked]) == 0
@@ -414,18 +414,18 @@ def test_an_edits_options_follow_its_fault(folder, runs, capsys):
             painting = {"style": str(file), "style_digest": file_sha256(file)}
         return edit_trials.options_of(METHODS[method], FAULTS[fault], remedies, conditions, painting)
 
-    plain, begun = options("laenerf-recolour", "seeds"), options("laenerf-recolour", "palette-random")
+    plain, begun = options("laenerf-recolor", "seeds"), options("laenerf-recolor", "palette-random")
     assert (plain.learning.start, begun.learning.start) == ("clusters", "random")
-    assert options("laenerf-recolour", "palette-random", remedies=True) == plain
+    assert options("laenerf-recolor", "palette-random", remedies=True) == plain
     assert plain.changes != options("palettenerf", "palette-full").changes == ("all=#00ff00",)
     painted = options("laenerf-paint", "seeds")
     assert painted.changes == () and painted.described()["learning"].style == "-" and painted.learning.style_digest
     assert options("palettenerf", "seeds").learning.budget == plain.finetune.budget == plain.learning.budget == "25s"
     assert options("palettenerf", "seeds", quick=True, budget="15").learning.budget == "60"
-    stepped, quick = (options("laenerf-recolour", "seeds", quick=quick, budget="40") for quick in (False, True))
+    stepped, quick = (options("laenerf-recolor", "seeds", quick=quick, budget="40") for quick in (False, True))
     assert (stepped.finetune.budget, quick.finetune.budget) == ("40", "60")
     assert stepped.learning.budget == quick.learning.budget == "1h"  # its steps decide
-    assert options("laenerf-recolour", "seeds", quick=True).learning.budget == "25s"
+    assert options("laenerf-recolor", "seeds", quick=True).learning.budget == "25s"
 
 
 def test_a_run_takes_as_long_as_all_that_it_is_made_of(folder, monkeypatch, capsys):
@@ -453,7 +453,7 @@ def test_a_run_takes_as_long_as_all_that_it_is_made_of(folder, monkeypatch, caps
 
 @pytest.mark.slow
 def test_real_runs_of_a_still_life(work, capsys):
-    """The whole chain, tiny: a fit and a stylisation of the clean scene, one of a white painting, a made scene."""
+    """The whole chain, tiny: a fit and a stylization of the clean scene, one of a white painting, a made scene."""
     options = ("--quick", "--side", "32", "--seeds", "1", "--budget", "150", "--style-budget", "4", "--keep")
     faults = ("seeds", "views-3", "textureless", "style-white")
     assert main(["stress", str(work), "--methods", "fit", "arf", "--faults", *faults, *options, "--json"]) == 0
@@ -462,17 +462,17 @@ def test_real_runs_of_a_still_life(work, capsys):
     assert cells["seeds", "fit"]["successes"] == 1 and cells["seeds", "fit"]["median"] > 15
     assert cells["style-white", "arf"]["median"] < cells["seeds", "arf"]["median"]
     kept = Work(work / "stress" / "works" / "seeds-0")
-    assert {one.name for one in kept.artefacts("field")} == {"fit-vm", "seeds-arf", "style-white-arf"}
+    assert {one.name for one in kept.artifacts("field")} == {"fit-vm", "seeds-arf", "style-white-arf"}
 
 
 @pytest.mark.slow
 def test_real_edits_of_a_still_life(work, capsys):
-    """A fit, then a part of it recoloured, painted, and recoloured by a palette of the whole; tiny."""
+    """A fit, then a part of it recolored, painted, and recolored by a palette of the whole; tiny."""
     options = ("--quick", "--side", "48", "--seeds", "1", "--budget", "150", "--keep", "--json")
-    methods = ("laenerf-recolour", "laenerf-paint", "palettenerf")
+    methods = ("laenerf-recolor", "laenerf-paint", "palettenerf")
     assert main(["stress", str(work), "--methods", *methods, "--faults", "seeds", "palette-full", *options]) == 0
     cells = {(one["fault"], one["method"]): one for one in json.loads(capsys.readouterr().out)["cells"]}
     assert len(cells) == 5 and all(cell["median"] is not None for cell in cells.values())
-    assert cells["seeds", "laenerf-recolour"]["successes"] == 1
+    assert cells["seeds", "laenerf-recolor"]["successes"] == 1
     kept = Work(work / "stress" / "works" / "seeds-0")
-    assert len(kept.artefacts("region")) == 1 and len(kept.artefacts("edit")) == 4
+    assert len(kept.artifacts("region")) == 1 and len(kept.artifacts("edit")) == 4

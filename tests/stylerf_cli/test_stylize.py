@@ -12,7 +12,7 @@ from tests.stages import evaluation_fixture as made
 
 @pytest.fixture
 def work(tmp_path, monkeypatch):
-    """A scene and its field; what would stylise it writes a file alone."""
+    """A scene and its field; what would stylize it writes a file alone."""
     work = Work(tmp_path / "work")
     made.make_field(work, "fit", "nerf_fit", {"scene": made.make_scene(work, [-0.2, 0.2])})
 
@@ -25,64 +25,64 @@ def work(tmp_path, monkeypatch):
 
 
 def painting(path, level: int):
-    """A file of one grey."""
+    """A file of one gray."""
     path.parent.mkdir(parents=True, exist_ok=True)
     write_png(path, np.full((16, 16, 3), level, np.uint8))
     return path
 
 
-def stylised(work, capsys, style, *flags) -> str:
+def stylized(work, capsys, style, *flags) -> str:
     """What is said on stderr."""
     assert main(["stylize", str(work.root), "--style", str(style), "--of", "fit", *flags]) == 0
     return capsys.readouterr().err
 
 
 def names(work) -> set[str]:
-    return {one.name for one in work.artefacts("field")} - {"fit"}
+    return {one.name for one in work.artifacts("field")} - {"fit"}
 
 
 def test_fields_are_called_after_the_painting_and_the_method(work, tmp_path, capsys):
     for level, name in enumerate(("starry night.jpg.png", "-wave.png", "1889.png")):
-        stylised(work, capsys, painting(tmp_path / name, level))
+        stylized(work, capsys, painting(tmp_path / name, level))
     assert names(work) == {"starry_night.jpg-arf", "wave-arf", "1889-arf"}
 
 
 def test_paintings_without_a_letter_of_ascii_get_names_apart(work, tmp_path, capsys):
     for level, name in enumerate(("星月夜.png", "神奈川沖浪裏.png")):
-        assert "replaced" not in stylised(work, capsys, painting(tmp_path / name, level))
+        assert "replaced" not in stylized(work, capsys, painting(tmp_path / name, level))
     assert len(names(work)) == 2 and all(name.startswith("style-") for name in names(work))
 
 
 def test_long_names_are_cut_and_stay_apart(work, tmp_path, capsys):
     long = "The_Shipwreck_of_the_Minotaur_1805_1810_oil_on_canvas_172_x_241_cm_Calouste_Gulbenkian_Museum_Lisbon"
     for level, name in enumerate((f"{long}_a.png", f"{long}_b.png")):
-        assert "replaced" not in stylised(work, capsys, painting(tmp_path / name, level))
+        assert "replaced" not in stylized(work, capsys, painting(tmp_path / name, level))
     assert len(names(work)) == 2 and all(len(name) <= 64 and name.startswith(long[:50]) for name in names(work))
 
 
 def test_other_weights_make_the_field_anew(work, tmp_path, capsys, monkeypatch):
     style = painting(tmp_path / "night.png", 0)
-    stylised(work, capsys, style, "--features", "st-vgg16")
-    assert "up to date" in stylised(work, capsys, style, "--features", "st-vgg16")
+    stylized(work, capsys, style, "--features", "st-vgg16")
+    assert "up to date" in stylized(work, capsys, style, "--features", "st-vgg16")
     monkeypatch.setattr("stages.weights.resolve.describe", lambda: [{"name": "st-vgg16", "chosen": True}])
-    assert "up to date" in stylised(work, capsys, style)
+    assert "up to date" in stylized(work, capsys, style)
     monkeypatch.setattr("stages.weights.resolve.describe", lambda: [{"name": "hed-vgg16", "chosen": True}])
-    assert "up to date" not in stylised(work, capsys, style)
+    assert "up to date" not in stylized(work, capsys, style)
 
 
 def test_that_the_field_of_another_painting_is_replaced_is_said(work, tmp_path, capsys):
     one, other = (painting(tmp_path / folder / "night.png", level) for level, folder in enumerate("ab"))
-    assert "replaced" not in stylised(work, capsys, one) + stylised(work, capsys, one, "--budget", "9")
-    assert "field night-arf is of another painting and is replaced; --name" in stylised(work, capsys, other)
-    assert "replaced" not in stylised(work, capsys, one, "--name", "night-of-a")
+    assert "replaced" not in stylized(work, capsys, one) + stylized(work, capsys, one, "--budget", "9")
+    assert "field night-arf is of another painting and is replaced; --name" in stylized(work, capsys, other)
+    assert "replaced" not in stylized(work, capsys, one, "--name", "night-of-a")
     assert names(work) == {"night-arf", "night-of-a"}
     (work.root / "field/night-arf/manifest.json").write_text("{}")  # one that nobody can read is made again
-    assert "replaced" not in stylised(work, capsys, one)
+    assert "replaced" not in stylized(work, capsys, one)
 
 
-def test_an_edited_field_is_stylised_by_the_photos_that_hold_its_edit_and_a_stylised_one_is_not(work, tmp_path, capsys):
+def test_an_edited_field_is_stylized_by_the_photos_that_hold_its_edit_and_a_stylized_one_is_not(work, tmp_path, capsys):
     fit, style = work.get("field", "fit"), painting(tmp_path / "night.png", 0)
-    photos = made.commit(work, "scene", "vase-red", "distill", {"scene": work.artefacts("scene")[0]}, blank)
+    photos = made.commit(work, "scene", "vase-red", "distill", {"scene": work.artifacts("scene")[0]}, blank)
     made.make_field(work, "vase-red", "finetune", {"scene": photos, "field": fit})
     for of, scene in (("fit", "wall"), ("vase-red", "vase-red")):
         assert main(["stylize", str(work.root), "--style", str(style), "--of", of, "--name", f"of-{of}"]) == 0
@@ -90,7 +90,7 @@ def test_an_edited_field_is_stylised_by_the_photos_that_hold_its_edit_and_a_styl
         assert inputs == {"scene": scene, "field": of}
     capsys.readouterr()
     assert main(["stylize", str(work.root), "--style", str(style), "--of", "of-vase-red", "--name", "twice"]) == 2
-    assert "field of-vase-red has colours that no photo shows" in (told := capsys.readouterr().err)
+    assert "field of-vase-red has colors that no photo shows" in (told := capsys.readouterr().err)
     assert "start from --of vase-red," in told
 
 

@@ -14,7 +14,7 @@ HELP = "make a toy"
 class CONFIG:
     steps: int = option(5, help="how many steps")
     pause: float = option(0.0, help="seconds between steps")
-    colour: str = option("red", help="which one", choices=("red", "blue"))
+    color: str = option("red", help="which one", choices=("red", "blue"))
     sizes: tuple[int, ...] = option((1, 2), help="sizes")
     bounce: bool = option(True, help="whether it bounces")
 
@@ -33,8 +33,8 @@ def add_arguments(parser) -> None:
 def run(args, session) -> dict:
     if FAULT:
         raise FAULT.pop()
-    artefact = session.run(toy_stage.SPEC, toy_stage.run, {}, session.config, "fox")
+    artifact = session.run(toy_stage.SPEC, toy_stage.run, {}, session.config, "fox")
     if session.json:
         print("noise from a library")
         os.write(1, b"noise from native code\n")
-    return session.emit({"name": artefact.name, "seconds": float("inf")}, [f"made {artefact.name}"])
+    return session.emit({"name": artifact.name, "seconds": float("inf")}, [f"made {artifact.name}"])

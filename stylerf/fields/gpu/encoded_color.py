@@ -1,4 +1,4 @@
-"""Colours that are an encoder of places and a head behind it (fields/encoded_color.py), on a device."""
+"""Colors that are an encoder of places and a head behind it (fields/encoded_color.py), on a device."""
 
 from types import SimpleNamespace
 
@@ -34,8 +34,8 @@ ENCODERS = {
 }
 
 
-class DeviceHeadedColour:
-    """fields/encoded_color.py's HeadedColour. half: the table is read as halves, which cannot be taught."""
+class DeviceHeadedColor:
+    """fields/encoded_color.py's HeadedColor. half: the table is read as halves, which cannot be taught."""
 
     def __init__(self, part, device: torch.device, half: bool = False) -> None:
         self.values = torch.from_numpy(part.values).to(device, copy=True)
@@ -50,14 +50,14 @@ class DeviceHeadedColour:
         # The harmonics head has no numbers, and a kernel's argument must be something.
         self.numbers = self.values[part.features.length :] if part.head.length else self.values
 
-    def colours(self, samples: DeviceSamples, directions: Tensor, share: float) -> Tensor:
+    def colors(self, samples: DeviceSamples, directions: Tensor, share: float) -> Tensor:
         """[room, 3] in 0..1; -1 in the first channel of samples under `share` of their ray's largest weight."""
-        return launch_heads.headed_colours(self, samples, directions, share)
+        return launch_heads.headed_colors(self, samples, directions, share)
 
-    def backward(self, samples: DeviceSamples, directions, colours, colour_gradients, to: Tensor) -> None:
+    def backward(self, samples: DeviceSamples, directions, colors, color_gradients, to: Tensor) -> None:
         """Add dL/d(values) to `to` [len(values)]."""
-        launch_heads.headed_colours_backward(self, samples, directions, colours, colour_gradients, to)
+        launch_heads.headed_colors_backward(self, samples, directions, colors, color_gradients, to)
 
     def smooth(self, strength: float, to: Tensor) -> None:
-        """As HeadedColour.smooth."""
+        """As HeadedColor.smooth."""
         self.encoder.smooth(self.values, strength, to)

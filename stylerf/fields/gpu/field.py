@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from stylerf.errors import InvalidValue
-from stylerf.fields.gpu.encoded_color import DeviceHeadedColour
+from stylerf.fields.gpu.encoded_color import DeviceHeadedColor
 from stylerf.fields.gpu.grids import DeviceHashDensity, DeviceVoxelDensity
 from stylerf.fields.radiance_field import RadianceField, layers_of
 from stylerf.geometry.space_warp import Space
@@ -50,8 +50,8 @@ class DeviceVmDensity:
         launch.smoothness(self, strength / len(self.values), to)
 
 
-class DeviceVmColour:
-    """fields/vm.py's VmColour."""
+class DeviceVmColor:
+    """fields/vm.py's VmColor."""
 
     def __init__(self, part, device: torch.device, half: bool = False) -> None:
         self.values = torch.from_numpy(part.values).to(device, copy=True)
@@ -60,25 +60,25 @@ class DeviceVmColour:
         self.table = _table(self.values, len(part.table), half)
         self.head, self.bias = self.values[len(part.table) : -3], self.values[-3:]
 
-    def colours(self, samples: DeviceSamples, directions: Tensor, share: float) -> Tensor:
+    def colors(self, samples: DeviceSamples, directions: Tensor, share: float) -> Tensor:
         """[room, 3] in 0..1; -1 in the first channel of samples under `share` of their ray's largest weight."""
-        return launch.vm_colours(self, samples, directions, share)
+        return launch.vm_colors(self, samples, directions, share)
 
-    def backward(self, samples: DeviceSamples, directions, colours, colour_gradients, to: Tensor) -> None:
+    def backward(self, samples: DeviceSamples, directions, colors, color_gradients, to: Tensor) -> None:
         """Add dL/d(values) to `to` [len(values)]."""
-        launch.vm_colours_backward(self, samples, directions, colours, colour_gradients, to)
+        launch.vm_colors_backward(self, samples, directions, colors, color_gradients, to)
 
-    def add_position_gradients(self, samples: DeviceSamples, directions, colours, colour_gradients, out) -> None:
+    def add_position_gradients(self, samples: DeviceSamples, directions, colors, color_gradients, out) -> None:
         """Add dL/dx to out [room, 3]."""
-        launch_deform.add_vm_colour_slopes(self, samples, directions, colours, colour_gradients, out)
+        launch_deform.add_vm_color_slopes(self, samples, directions, colors, color_gradients, out)
 
     def smooth(self, strength: float, to: Tensor) -> None:
-        """As VmColour.smooth."""
+        """As VmColor.smooth."""
         launch.smoothness(self, strength / len(self.table), to)
 
 
-class DeviceHashColour:
-    """fields/hash_color.py's HashColour."""
+class DeviceHashColor:
+    """fields/hash_color.py's HashColor."""
 
     def __init__(self, part, device: torch.device, half: bool = False) -> None:
         self.values = torch.from_numpy(part.values).to(device, copy=True)
@@ -86,56 +86,56 @@ class DeviceHashColour:
         self.layout = torch.from_numpy(part.layout).to(device)
         self.table = _table(self.values, len(self.values), half)
 
-    def colours(self, samples: DeviceSamples, directions: Tensor | None, share: float) -> Tensor:
-        """As DeviceVmColour.colours; the same from everywhere."""
-        return launch.hash_colours(self, samples, share)
+    def colors(self, samples: DeviceSamples, directions: Tensor | None, share: float) -> Tensor:
+        """As DeviceVmColor.colors; the same from everywhere."""
+        return launch.hash_colors(self, samples, share)
 
-    def backward(self, samples: DeviceSamples, directions, colours, colour_gradients, to: Tensor) -> None:
+    def backward(self, samples: DeviceSamples, directions, colors, color_gradients, to: Tensor) -> None:
         """Add dL/d(values) to `to` [len(values)]."""
-        launch.hash_colours_backward(self, samples, colours, colour_gradients, to)
+        launch.hash_colors_backward(self, samples, colors, color_gradients, to)
 
-    def add_position_gradients(self, samples: DeviceSamples, directions, colours, colour_gradients, out) -> None:
+    def add_position_gradients(self, samples: DeviceSamples, directions, colors, color_gradients, out) -> None:
         """Add dL/dx to out [room, 3]."""
-        launch_deform.add_hash_colour_slopes(self, samples, colours, colour_gradients, out)
+        launch_deform.add_hash_color_slopes(self, samples, colors, color_gradients, out)
 
     def smooth(self, strength: float, to: Tensor) -> None:
-        """As HashColour.smooth."""
+        """As HashColor.smooth."""
         to.add_(self.values, alpha=strength / len(self.values))
 
 
-class DevicePatchColour:
-    """fields/region_color.py's PatchColour, over a base of any kind that the device knows. values: the patch's own."""
+class DevicePatchColor:
+    """fields/region_color.py's PatchColor, over a base of any kind that the device knows. values: the patch's own."""
 
     def __init__(self, part, device: torch.device, half: bool = False) -> None:
-        self.base = COLOUR_KINDS[part.base.kind](part.base, device, half)
-        self._own = DeviceHashColour(part.own, device, half)
+        self.base = COLOR_KINDS[part.base.kind](part.base, device, half)
+        self._own = DeviceHashColor(part.own, device, half)
         self.values, self.table, self.groups = self._own.values, self._own.table, self._own.groups
         self.layout, self.levels = self._own.layout, self._own.levels
         self.marked, self.cells = marked_cells(part.marked, device), part.cells
         box = np.array([*part.low, 1 / part.side], np.float32)
         self.box = torch.from_numpy(box).to(device)
 
-    def colours(self, samples: DeviceSamples, directions: Tensor, share: float) -> Tensor:
-        """As DeviceVmColour.colours: the base's, and in marked cells sigmoid(logit(base) + logits)."""
-        out = self.base.colours(samples, directions, share)
-        launch_edit.patch_colours(self, samples, out)
+    def colors(self, samples: DeviceSamples, directions: Tensor, share: float) -> Tensor:
+        """As DeviceVmColor.colors: the base's, and in marked cells sigmoid(logit(base) + logits)."""
+        out = self.base.colors(samples, directions, share)
+        launch_edit.patch_colors(self, samples, out)
         return out
 
-    def backward(self, samples: DeviceSamples, directions, colours, colour_gradients, to: Tensor) -> None:
+    def backward(self, samples: DeviceSamples, directions, colors, color_gradients, to: Tensor) -> None:
         """Add dL/d(values) to `to` [len(values)]."""
-        launch_edit.patch_colours_backward(self, samples, colours, colour_gradients, to)
+        launch_edit.patch_colors_backward(self, samples, colors, color_gradients, to)
 
     def smooth(self, strength: float, to: Tensor) -> None:
-        """As PatchColour.smooth."""
+        """As PatchColor.smooth."""
         self._own.smooth(strength, to)
 
 
 DENSITY_KINDS = {"vm": DeviceVmDensity, "hash": DeviceHashDensity, "voxel": DeviceVoxelDensity}
-COLOUR_KINDS = {
-    "vm": DeviceVmColour,
-    "hash": DeviceHashColour,
-    "headed": DeviceHeadedColour,
-    "patch": DevicePatchColour,
+COLOR_KINDS = {
+    "vm": DeviceVmColor,
+    "hash": DeviceHashColor,
+    "headed": DeviceHeadedColor,
+    "patch": DevicePatchColor,
 }
 
 
@@ -146,8 +146,8 @@ def marked_cells(marked: np.ndarray, device: torch.device) -> Tensor:
 
 def unsupported(field: RadianceField, moving: bool = False) -> str | None:
     """Why a field cannot be used on a GPU, in one line; None where it can. moving: its shapes are to learn to move."""
-    colours = [(part, COLOUR_KINDS) for part in layers_of(field.colour)]
-    for part, kinds in ((field.density, DENSITY_KINDS), *colours):
+    colors = [(part, COLOR_KINDS) for part in layers_of(field.color)]
+    for part, kinds in ((field.density, DENSITY_KINDS), *colors):
         known = [name for name, kind in kinds.items() if not moving or hasattr(kind, "add_position_gradients")]
         if part.kind not in known:
             what = "kernel that moves it" if moving and part.kind in kinds else "kernel"
@@ -178,7 +178,7 @@ class DeviceRendered:
     unmapped: Tensor
     rays: DeviceRays
     samples: DeviceSamples
-    colours: Tensor
+    colors: Tensor
 
     def seen(self) -> Tensor:
         """As rendering/rays.py's seen."""
@@ -197,7 +197,7 @@ class DeviceField:
         self.device = torch.device(device)
         self.space: Space = field.space
         self.density = DENSITY_KINDS[field.density.kind](field.density, self.device, half)
-        self.colour = COLOUR_KINDS[field.colour.kind](field.colour, self.device, half)
+        self.color = COLOR_KINDS[field.color.kind](field.color, self.device, half)
         self.cells, self.step, self.share, self.closed = field.occupancy.cells, field.step, field.share, field.closed
         self.distances = torch.from_numpy(field.occupancy.distances).to(self.device, copy=True)
         clear = field.occupancy.clear
@@ -207,10 +207,10 @@ class DeviceField:
         if field.displacement is not None:
             self.displacement = torch.from_numpy(field.displacement.reshape(-1).copy()).to(self.device)
             self.vertices = field.displacement.shape[0]
-        self.colour_map = None
-        if field.colour_map is not None:
-            matrix, offset = field.colour_map.matrix, field.colour_map.offset
-            self.colour_map = matrix.to(self.device, torch.float32), offset.to(self.device, torch.float32)
+        self.color_map = None
+        if field.color_map is not None:
+            matrix, offset = field.color_map.matrix, field.color_map.offset
+            self.color_map = matrix.to(self.device, torch.float32), offset.to(self.device, torch.float32)
         self._space = torch.from_numpy(field.space.packed()).to(self.device)
 
     def walk(self, limit: int, opaque: float) -> Walk:
@@ -230,17 +230,17 @@ class DeviceField:
     ) -> DeviceRendered:
         """As rendering/rays.py's render_rays."""
         samples = self.march(rays, limit, opaque, room)
-        colours = self.colour.colours(samples, rays.directions, share)
-        unmapped = launch.composite(samples, colours)
+        colors = self.color.colors(samples, rays.directions, share)
+        unmapped = launch.composite(samples, colors)
         out = unmapped
-        if self.colour_map is not None:
-            matrix, offset = self.colour_map
+        if self.color_map is not None:
+            matrix, offset = self.color_map
             rgb = out[:, :3] @ matrix.T + out[:, 3:4] * offset
             out = torch.cat([torch.minimum(rgb.clamp(min=0), out[:, 3:4]), out[:, 3:]], 1)
-        return DeviceRendered(out, unmapped, rays, samples, colours)
+        return DeviceRendered(out, unmapped, rays, samples, colors)
 
     def backward(
-        self, rendered: DeviceRendered, gradients: Tensor, density_to: Tensor | None, colour_to: Tensor | None,
+        self, rendered: DeviceRendered, gradients: Tensor, density_to: Tensor | None, color_to: Tensor | None,
         displacement_to: Tensor | None = None,
         *, even_from: float = 0.0, density_within: tuple[Tensor, int] | None = None,
     ) -> None:  # fmt: skip
@@ -250,9 +250,9 @@ class DeviceField:
         outside of which no density learns.
         """
         r = rendered
-        of_sigma, of_colours = launch.composite_backward(r.samples, r.colours, r.unmapped, gradients, even_from)
-        if colour_to is not None:
-            self.colour.backward(r.samples, r.rays.directions, r.colours, of_colours, colour_to)
+        of_sigma, of_colors = launch.composite_backward(r.samples, r.colors, r.unmapped, gradients, even_from)
+        if color_to is not None:
+            self.color.backward(r.samples, r.rays.directions, r.colors, of_colors, color_to)
         if density_to is not None:
             if density_within is not None:
                 launch_edit.keep_inside(*density_within, r.samples, of_sigma)
@@ -260,14 +260,14 @@ class DeviceField:
         if displacement_to is not None:
             moved, s, rays = torch.zeros_like(r.samples.x), r.samples, r.rays
             self.density.add_position_gradients(s, of_sigma, moved)
-            self.colour.add_position_gradients(s, rays.directions, r.colours, of_colours, moved)
+            self.color.add_position_gradients(s, rays.directions, r.colors, of_colors, moved)
             launch_deform.displacement_backward(
                 self.space.code, self._space, rays.origins, rays.directions, s, moved, self.vertices, displacement_to
             )
 
     def write_to(self, field: RadianceField) -> None:
-        """Copy what was learnt into the field's own arrays; occupancy is decided anew there, all distances exact."""
+        """Copy what was learned into the field's own arrays; occupancy is decided anew there, all distances exact."""
         field.density.values[:] = self.density.values.cpu().numpy()
-        field.colour.values[:] = self.colour.values.cpu().numpy()
+        field.color.values[:] = self.color.values.cpu().numpy()
         field.occupancy.highest[:] = self.highest.cpu().numpy()
         field.occupancy.set_occupied(self.distances.cpu().numpy() == 0)

@@ -1,4 +1,4 @@
-"""Colour heads: features of packed samples to colours, seen from their rays' directions, and back.
+"""Color heads: features of packed samples to colors, seen from their rays' directions, and back.
 
 Packed: sample index[i] of ray ray[i], ascending; features phi [m, f]. basis [rays, bands]: spherical harmonics Y of the
 rays' directions. `widths`, `hidden`: tuples whose lengths are compile-time constants (see vector).
@@ -43,7 +43,7 @@ def pack_marked(marks, bound, starts, ends, offsets, chunks, index, ray):
 
 @parallel_kernel
 def hide(starts, ends, chunks, out):
-    """out[k, 0] = -1 for every sample: the sign of having no colour."""
+    """out[k, 0] = -1 for every sample: the sign of having no color."""
     n = len(ends)
     for c in prange(chunks):
         for r in range(c * n // chunks, (c + 1) * n // chunks):
@@ -92,7 +92,7 @@ def linear(phi, widths, head, basis, index, ray, chunks, out):
 
 @inline
 def _spread_head(seen_gradient, basis, r, width, flat, at, widths):
-    """Add what one ray's head learnt to the buffer's [3, bands, f] at `at`."""
+    """Add what one ray's head learned to the buffer's [3, bands, f] at `at`."""
     bands = basis.shape[1]
     for j in range(3):
         for b in range(bands):
@@ -101,7 +101,7 @@ def _spread_head(seen_gradient, basis, r, width, flat, at, widths):
 
 
 @parallel_kernel
-def linear_backward(phi, widths, head, basis, index, ray, colours, colour_gradients, chunks, phi_gradients, at, to):
+def linear_backward(phi, widths, head, basis, index, ray, colors, color_gradients, chunks, phi_gradients, at, to):
     """phi_gradients [m, f] = dL/d(phi), and dL/d(head, bias) added to to[chunk, at:]."""
     m, width = phi.shape
     flat, phi_flat, stride = phi.reshape(-1), phi_gradients.reshape(-1), to.shape[1]
@@ -123,7 +123,7 @@ def linear_backward(phi, widths, head, basis, index, ray, colours, colour_gradie
             for f in range(width):
                 phi_flat[here + f] = _ZERO
             for j in range(3):
-                g = colour_gradients[k, j] * colours[k, j] * (_ONE - colours[k, j])
+                g = color_gradients[k, j] * colors[k, j] * (_ONE - colors[k, j])
                 buffers[bias + j] += g
                 axpy_row(g, seen, np.int64(j * width), phi_flat, here, widths)
                 axpy_row(g, flat, here, seen_gradient, np.int64(j * width), widths)
@@ -148,13 +148,13 @@ def harmonic(phi, basis, index, ray, chunks, out):
 
 
 @parallel_kernel
-def harmonic_backward(basis, index, ray, colours, colour_gradients, chunks, phi_gradients):
+def harmonic_backward(basis, index, ray, colors, color_gradients, chunks, phi_gradients):
     """phi_gradients [m, 3 bands] = dL/d(phi)."""
     m, bands = len(phi_gradients), basis.shape[1]
     for c in prange(chunks):
         for i in range(c * m // chunks, (c + 1) * m // chunks):
             k = index[i]
             for j in range(3):
-                g = colour_gradients[k, j] * colours[k, j] * (_ONE - colours[k, j])
+                g = color_gradients[k, j] * colors[k, j] * (_ONE - colors[k, j])
                 for b in range(bands):
                     phi_gradients[i, j * bands + b] = g * basis[ray[i], b]

@@ -1,4 +1,4 @@
-"""composite: samples' colours and weights to pixels, and back (Max 1995; Mildenhall et al. 2020, eq. 3)."""
+"""composite: samples' colors and weights to pixels, and back (Max 1995; Mildenhall et al. 2020, eq. 3)."""
 
 import numpy as np
 from numba import prange
@@ -10,8 +10,8 @@ AROUND = np.float32(0.05)  # of its distance: samples so close to a ray's middle
 
 
 @parallel_kernel
-def composite(weights, optical, colours, t, starts, ends, chunks, out):
-    """out[r] = (sum w c (3), sum w, sum w t). Samples without a colour (colours[k, 0] < 0) take the mean of the others.
+def composite(weights, optical, colors, t, starts, ends, chunks, out):
+    """out[r] = (sum w c (3), sum w, sum w t). Samples without a color (colors[k, 0] < 0) take the mean of the others.
 
     They weigh next to nothing; counting them as black would pull every density the wrong way. A backdrop (optical[k]
     0) has no part in sum w t: so far out, the least of light that reaches it would be all that counts.
@@ -20,18 +20,18 @@ def composite(weights, optical, colours, t, starts, ends, chunks, out):
     for c in prange(chunks):
         for r in range(c * n // chunks, (c + 1) * n // chunks):
             red, green, blue, depth = _ZERO, _ZERO, _ZERO, _ZERO
-            total, coloured = _ZERO, _ZERO
+            total, colored = _ZERO, _ZERO
             for k in range(starts[r], ends[r]):
                 w = weights[k]
                 total += w
                 if optical[k] > _ZERO:
                     depth += w * t[k]
-                if colours[k, 0] >= _ZERO:
-                    coloured += w
-                    red += w * colours[k, 0]
-                    green += w * colours[k, 1]
-                    blue += w * colours[k, 2]
-            scale = total / coloured if coloured > _ZERO else _ZERO
+                if colors[k, 0] >= _ZERO:
+                    colored += w
+                    red += w * colors[k, 0]
+                    green += w * colors[k, 1]
+                    blue += w * colors[k, 2]
+            scale = total / colored if colored > _ZERO else _ZERO
             out[r, 0] = red * scale
             out[r, 1] = green * scale
             out[r, 2] = blue * scale
@@ -71,12 +71,12 @@ def surface_distance(weights, t, starts, ends, chunks, out):
 
 @parallel_kernel
 def composite_backward(
-    sigma, weights, optical, colours, t, starts, ends, out, gradients, chunks, sigma_gradients, colour_gradients
+    sigma, weights, optical, colors, t, starts, ends, out, gradients, chunks, sigma_gradients, color_gradients
 ):
-    """From dL/d(out) [rays, 5] to dL/d(sigma) [n] and dL/d(colour) [n, 3].
+    """From dL/d(out) [rays, 5] to dL/d(sigma) [n] and dL/d(color) [n, 3].
 
     dL/d(sigma_k) = optical_k (T_{k+1} D_k - sum_{i>k} w_i D_i) with D_k = dL/dw_k, T_{k+1} the transmittance behind k.
-    The scale that spreads the colour over uncoloured samples is treated as a constant.
+    The scale that spreads the color over uncolored samples is treated as a constant.
     """
     n = len(ends)
     for c in prange(chunks):
@@ -89,11 +89,11 @@ def composite_backward(
             for k in range(starts[r], ends[r]):
                 w = weights[k]
                 d = ga + gd * t[k] if optical[k] > _ZERO else ga
-                if colours[k, 0] >= _ZERO:
-                    d += g0 * colours[k, 0] + g1 * colours[k, 1] + g2 * colours[k, 2]
-                    colour_gradients[k, 0] = w * g0
-                    colour_gradients[k, 1] = w * g1
-                    colour_gradients[k, 2] = w * g2
+                if colors[k, 0] >= _ZERO:
+                    d += g0 * colors[k, 0] + g1 * colors[k, 1] + g2 * colors[k, 2]
+                    color_gradients[k, 0] = w * g0
+                    color_gradients[k, 1] = w * g1
+                    color_gradients[k, 2] = w * g2
                 else:
                     d += mean
                 sigma_gradients[k] = d
@@ -107,7 +107,7 @@ def composite_backward(
 
 
 @parallel_kernel
-def scale_near(t, starts, ends, distance, chunks, sigma_gradients, colour_gradients):
+def scale_near(t, starts, ends, distance, chunks, sigma_gradients, color_gradients):
     """Gradients of samples nearer than `distance` times (t / distance)^2 (Philip, Deschaintre 2023).
 
     A camera's rays are that much denser there, and a step would otherwise teach what is close to it first of all.
@@ -120,7 +120,7 @@ def scale_near(t, starts, ends, distance, chunks, sigma_gradients, colour_gradie
                     share = (t[k] / distance) * (t[k] / distance)
                     sigma_gradients[k] *= share
                     for a in range(3):
-                        colour_gradients[k, a] *= share
+                        color_gradients[k, a] *= share
 
 
 @parallel_kernel
@@ -183,21 +183,21 @@ def unpack(pixels, offsets, packed_x, packed_w, starts, x, weights):
 
 
 @parallel_kernel
-def shade(weights, colours, starts, ends, out):
+def shade(weights, colors, starts, ends, out):
     """out[r] = sum w c over the ray's samples, [rays, 3]."""
     for r in prange(len(ends)):
         red, green, blue = _ZERO, _ZERO, _ZERO
         for k in range(starts[r], ends[r]):
-            red += weights[k] * colours[k, 0]
-            green += weights[k] * colours[k, 1]
-            blue += weights[k] * colours[k, 2]
+            red += weights[k] * colors[k, 0]
+            green += weights[k] * colors[k, 1]
+            blue += weights[k] * colors[k, 2]
         out[r, 0], out[r, 1], out[r, 2] = red, green, blue
 
 
 @parallel_kernel
-def shade_backward(weights, gradients, starts, ends, colour_gradients):
+def shade_backward(weights, gradients, starts, ends, color_gradients):
     """dL/dc_k = w_k dL/d(out_r)."""
     for r in prange(len(ends)):
         for k in range(starts[r], ends[r]):
             for a in range(3):
-                colour_gradients[k, a] = weights[k] * gradients[r, a]
+                color_gradients[k, a] = weights[k] * gradients[r, a]

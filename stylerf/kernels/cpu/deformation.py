@@ -1,4 +1,4 @@
-"""Gradients of a deformation x' = x + D(x): from densities and colours to positions, from positions to a grid D.
+"""Gradients of a deformation x' = x + D(x): from densities and colors to positions, from positions to a grid D.
 
 The grid is flat [cells^3, 3] on the vertices of the cube, interpolated trilinearly, as march_density reads it.
 """
@@ -33,10 +33,10 @@ def density_position_gradient(table, size, ranks, x, starts, ends, sigma, sigma_
 
 
 @parallel_kernel
-def colour_position_gradient(
-    table, size, ranks, head, basis, x, starts, ends, colours, colour_gradients, chunks, position_gradients
+def color_position_gradient(
+    table, size, ranks, head, basis, x, starts, ends, colors, color_gradients, chunks, position_gradients
 ):
-    """Add dL/dx [n, 3] of vm colours; head, basis, colours as in vm.colour. A sample without a colour adds nothing."""
+    """Add dL/dx [n, 3] of vm colors; head, basis, colors as in vm.color. A sample without a color adds nothing."""
     n = len(ends)
     rank, bands = np.int64(len(ranks)), basis.shape[1]
     width = 3 * rank
@@ -46,14 +46,14 @@ def colour_position_gradient(
         for r in range(c * n // chunks, (c + 1) * n // chunks):
             ready = False
             for k in range(starts[r], ends[r]):
-                if colours[k, 0] < _ZERO:
+                if colors[k, 0] < _ZERO:
                     continue
                 if not ready:
                     head_of_ray(head, basis, r, bands, width, ray_head)
                     ready = True
                 gradient[:] = _ZERO
                 for j in range(3):
-                    g = colour_gradients[k, j] * colours[k, j] * (_ONE - colours[k, j])
+                    g = color_gradients[k, j] * colors[k, j] * (_ONE - colors[k, j])
                     for m in range(3):
                         axpy_row(g, ray_head, j * width + m * rank, gradient, m * rank, ranks)
                 for m in range(3):

@@ -133,7 +133,7 @@ def density_position_gradient(
 
 @parallel_kernel
 def smoothness_backward(table, cells, first, width, strength, to):
-    """Add strength * d/dt of half the summed squared differences between neighbouring vertices of one direct level."""
+    """Add strength * d/dt of half the summed squared differences between neighboring vertices of one direct level."""
     n = cells + 1
     for i in prange(n):
         for j in range(n):

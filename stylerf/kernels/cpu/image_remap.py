@@ -8,7 +8,7 @@ from stylerf.kernels.cpu.compiling import inline, parallel_kernel
 
 @inline
 def _cubic(t):
-    """Catmull-Rom weights of the four neighbours at offset t in 0..1 from the second (Keys 1981, a = -1/2)."""
+    """Catmull-Rom weights of the four neighbors at offset t in 0..1 from the second (Keys 1981, a = -1/2)."""
     return (
         ((-0.5 * t + 1.0) * t - 0.5) * t,
         (1.5 * t - 2.5) * t * t + 1.0,
@@ -19,7 +19,7 @@ def _cubic(t):
 
 @parallel_kernel
 def remapped(pixels, positions):
-    """Picture [h, w, c] float32 at positions [a, b, 2] (x, y; pixel centres at + 0.5) -> [a, b, c], clipped to 0..1.
+    """Picture [h, w, c] float32 at positions [a, b, 2] (x, y; pixel centers at + 0.5) -> [a, b, c], clipped to 0..1.
 
     Beyond the border the nearest pixel counts.
     """

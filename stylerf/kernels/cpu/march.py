@@ -24,7 +24,7 @@ _TINY = np.float32(1e-9)
 def warp_at(kind, space, px, py, pz, dx, dy, dz, out):
     """Warped position out[0:3], the speed at which it moves along (dx, dy, dz), and the density jacobian.
 
-    space: box: lo(3), 1/extent(3), mean 1/extent. contraction: centre(3), 1/half(3), mean 1/half.
+    space: box: lo(3), 1/extent(3), mean 1/extent. contraction: center(3), 1/half(3), mean 1/half.
     frustum: bx, by, near. Speed: largest |d out / dt|. Jacobian: cube units per scene unit towards infinity.
     """
     if kind == FRUSTUM:
@@ -289,7 +289,7 @@ def walk_chunk(
             t, speed, jacobian = s, next_speed, next_jacobian
             q[0], q[1], q[2] = ahead[0], ahead[1], ahead[2]
         if closed and through >= opaque and at < last:
-            # The far end takes what light is left; its density is fixed, so only its colour learns.
+            # The far end takes what light is left; its density is fixed, so only its color learns.
             warp_at(kind, space, ox + end * dx, oy + end * dy, oz + end * dz, dx, dy, dz, q)
             t_out[at] = end
             optical[at] = _ZERO

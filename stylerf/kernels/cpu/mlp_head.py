@@ -1,4 +1,4 @@
-"""A colour head of one hidden layer: sigmoid(W2 relu(W1 (phi, Y) + b1) + b2), packed samples as in color_heads.py.
+"""A color head of one hidden layer: sigmoid(W2 relu(W1 (phi, Y) + b1) + b2), packed samples as in color_heads.py.
 
 numbers, flat: W1 of the features [f, h], W1 of the harmonics [bands, h], b1 [h], W2 [3, h], b2 [3]. h is a compile-time
 constant, the length of the tuple `hidden`: a row of h floats is one vector. What the direction adds to the hidden layer
@@ -39,7 +39,7 @@ def hidden_layer(numbers, phi, i, seen, hidden, out):
 
 @parallel_kernel
 def mlp(phi, hidden, numbers, basis, index, ray, chunks, out):
-    """out[index[i]] = the colour of sample i."""
+    """out[index[i]] = the color of sample i."""
     m, width = phi.shape
     h, bands = np.int64(len(hidden)), basis.shape[1]
     second = (width + bands + 1) * h
@@ -57,16 +57,16 @@ def mlp(phi, hidden, numbers, basis, index, ray, chunks, out):
 
 
 @inline
-def _teach_direction(learnt, basis, r, buffers, at, hidden):
+def _teach_direction(learned, basis, r, buffers, at, hidden):
     """Add what a ray's samples taught the hidden layer to W1 of the harmonics and b1, at `at`."""
-    h, bands = len(learnt), basis.shape[1]
+    h, bands = len(learned), basis.shape[1]
     for b in range(bands):
-        axpy_row(basis[r, b], learnt, np.int64(0), buffers, np.int64(at + b * h), hidden)
-    axpy_row(_ONE, learnt, np.int64(0), buffers, np.int64(at + bands * h), hidden)
+        axpy_row(basis[r, b], learned, np.int64(0), buffers, np.int64(at + b * h), hidden)
+    axpy_row(_ONE, learned, np.int64(0), buffers, np.int64(at + bands * h), hidden)
 
 
 @parallel_kernel
-def mlp_backward(phi, hidden, numbers, basis, index, ray, colours, colour_gradients, chunks, phi_gradients, at, to):
+def mlp_backward(phi, hidden, numbers, basis, index, ray, colors, color_gradients, chunks, phi_gradients, at, to):
     """phi_gradients [m, f] = dL/d(phi), and dL/d(numbers) added to to[chunk, at:]."""
     m, width = phi.shape
     h, bands, stride = np.int64(len(hidden)), basis.shape[1], to.shape[1]
@@ -74,30 +74,30 @@ def mlp_backward(phi, hidden, numbers, basis, index, ray, colours, colour_gradie
     buffers = to.reshape(-1)
     for c in prange(chunks):
         base = np.int64(c * stride + at)
-        seen, layer, learnt = np.empty(h, np.float32), np.empty(h, np.float32), np.zeros(h, np.float32)
+        seen, layer, learned = np.empty(h, np.float32), np.empty(h, np.float32), np.zeros(h, np.float32)
         back = np.empty(h, np.float32)
         last = np.int64(-1)
         for i in range(c * m // chunks, (c + 1) * m // chunks):
             if ray[i] != last:
                 if last >= 0:
-                    _teach_direction(learnt, basis, last, buffers, base + width * h, hidden)
-                    learnt[:] = _ZERO
+                    _teach_direction(learned, basis, last, buffers, base + width * h, hidden)
+                    learned[:] = _ZERO
                 last = ray[i]
                 from_direction(numbers, width * h, basis, last, hidden, seen)
             hidden_layer(numbers, phi, i, seen, hidden, layer)
             k = index[i]
             back[:] = _ZERO
             for j in range(3):
-                g = colour_gradients[k, j] * colours[k, j] * (_ONE - colours[k, j])
+                g = color_gradients[k, j] * colors[k, j] * (_ONE - colors[k, j])
                 buffers[base + second + 3 * h + j] += g
                 axpy_row(g, layer, np.int64(0), buffers, np.int64(base + second + j * h), hidden)
                 axpy_row(g, numbers, np.int64(second + j * h), back, np.int64(0), hidden)
             for u in range(h):
                 if layer[u] <= _ZERO:
                     back[u] = _ZERO
-                learnt[u] += back[u]
+                learned[u] += back[u]
             for f in range(width):
                 phi_gradients[i, f] = dot_rows(numbers, np.int64(f * h), back, np.int64(0), hidden)
                 axpy_row(phi[i, f], back, np.int64(0), buffers, np.int64(base + f * h), hidden)
         if last >= 0:
-            _teach_direction(learnt, basis, last, buffers, base + width * h, hidden)
+            _teach_direction(learned, basis, last, buffers, base + width * h, hidden)

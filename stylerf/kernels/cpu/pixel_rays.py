@@ -1,4 +1,4 @@
-"""Rays and target colours of chosen pixels, straight from cameras and 8-bit images: no ray is ever stored."""
+"""Rays and target colors of chosen pixels, straight from cameras and 8-bit images: no ray is ever stored."""
 
 import math
 
@@ -12,11 +12,11 @@ _BYTE = np.float32(1.0 / 255.0)
 
 
 @parallel_kernel
-def gather(views, pixels, widths, intrinsics, poses, starts, bytes_, channels, codes, origins, directions, colours):
+def gather(views, pixels, widths, intrinsics, poses, starts, bytes_, channels, codes, origins, directions, colors):
     """For ray r: pixel pixels[r] (row-major) of view views[r].
 
     intrinsics [views, 4] fx fy cx cy; poses [views, 3, 4] world from camera (OpenCV axes); starts [views]: where a
-    view's bytes begin in bytes_; codes [views, 256]: the value that a byte of a view stands for; colours [rays, 4]: rgb
+    view's bytes begin in bytes_; codes [views, 256]: the value that a byte of a view stands for; colors [rays, 4]: rgb
     and alpha 0..1 (alpha 1 where images have three channels).
     """
     for r in prange(len(views)):
@@ -31,5 +31,5 @@ def gather(views, pixels, widths, intrinsics, poses, starts, bytes_, channels, c
             origins[r, a] = poses[v, a, 3]
         at = starts[v] + pixels[r] * channels
         for a in range(3):
-            colours[r, a] = codes[v, bytes_[at + a]]
-        colours[r, 3] = np.float32(bytes_[at + 3]) * _BYTE if channels == 4 else _ONE
+            colors[r, a] = codes[v, bytes_[at + a]]
+        colors[r, 3] = np.float32(bytes_[at + 3]) * _BYTE if channels == 4 else _ONE

@@ -1,4 +1,4 @@
-"""Colours of marked cells that add their logits to others'. Which samples they are, and where in the cells' box."""
+"""Colors of marked cells that add their logits to others'. Which samples they are, and where in the cells' box."""
 
 import numpy as np
 from numba import prange
@@ -31,7 +31,7 @@ def restrict(marked, cells, low, scale, x, weights, starts, ends, chunks, own_x,
 
 @parallel_kernel
 def add_logits(own, starts, ends, chunks, out):
-    """out = sigmoid(logit(out) + logit(own)) of samples that both colour: odds multiply. own [k, 0] < 0: none."""
+    """out = sigmoid(logit(out) + logit(own)) of samples that both color: odds multiply. own [k, 0] < 0: none."""
     n = len(ends)
     for c in prange(chunks):
         for r in range(c * n // chunks, (c + 1) * n // chunks):
@@ -45,16 +45,16 @@ def add_logits(own, starts, ends, chunks, out):
 
 
 @parallel_kernel
-def restrict_coloured(marked, cells, low, scale, x, colours, starts, ends, chunks, own_x, inside):
-    """own_x as in restrict, inside = colours, of samples in marked cells; elsewhere -1 in the first channel."""
+def restrict_colored(marked, cells, low, scale, x, colors, starts, ends, chunks, own_x, inside):
+    """own_x as in restrict, inside = colors, of samples in marked cells; elsewhere -1 in the first channel."""
     n = len(ends)
     for c in prange(chunks):
         for r in range(c * n // chunks, (c + 1) * n // chunks):
             for k in range(starts[r], ends[r]):
-                if colours[k, 0] >= _ZERO and marked[cell_of(x, k, cells)]:
+                if colors[k, 0] >= _ZERO and marked[cell_of(x, k, cells)]:
                     _into_box(x, k, low, scale, own_x)
                     for j in range(3):
-                        inside[k, j] = colours[k, j]
+                        inside[k, j] = colors[k, j]
                 else:
                     inside[k, 0] = -_ONE
 

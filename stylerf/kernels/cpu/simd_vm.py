@@ -105,7 +105,7 @@ def _weights(rows, fu, fv, fw):
 class _Product:
     """One sample in one plane and its line: P = bilinear plane row, L = linear line row.
 
-    The rows lie in one flat table: the plane's at `first` and `second` (each with its right neighbour), the line's at
+    The rows lie in one flat table: the plane's at `first` and `second` (each with its right neighbor), the line's at
     `line` and the one after it.
     """
 
@@ -324,13 +324,13 @@ def axpy_row(typing, scale, source, source_at, to, to_at, ranks):
 
 @intrinsic
 def add_roughness(typing, table, here, above, below, left, right, strength, to, ranks):
-    """to[here + r] += strength * sum over the four neighbours of table[here + r] - table[neighbour + r]."""
+    """to[here + r] += strength * sum over the four neighbors of table[here + r] - table[neighbor + r]."""
 
     def generate(context, builder, sig, args):
         rows = Rows(builder, sig.args[-1].count)
         table_at = data_pointer(context, builder, sig.args[0], args[0])
         own = rows.load(table_at, args[1])
-        apart = [rows.sub(own, rows.load(table_at, neighbour)) for neighbour in args[2:6]]
+        apart = [rows.sub(own, rows.load(table_at, neighbor)) for neighbor in args[2:6]]
         total = apart[0]
         for row in apart[1:]:
             total = rows.add(total, row)

@@ -1,4 +1,4 @@
-"""encode, vm: vector-matrix fields (TensoRF, Chen et al. 2022, eq. 7) as density and as spherical-harmonic colour.
+"""encode, vm: vector-matrix fields (TensoRF, Chen et al. 2022, eq. 7) as density and as spherical-harmonic color.
 
 A table is one flat float32 array: for m = 0, 1, 2 a plane [size[a], size[b], rank] over axes a = (m+1)%3, b = (m+2)%3,
 then for m = 0, 1, 2 a line [size[m], rank] over axis m. A sample's feature m, r is bilinear(plane m, r) * linear(line
@@ -163,7 +163,7 @@ def density_backward(table, size, shift, ranks, x, starts, ends, sigma, sigma_gr
 
 @inline
 def head_of_ray(head, basis, r, bands, features, out):
-    """out[j, f] = sum_b head[j, b, f] basis[r, b]: the colour head seen from one ray's direction."""
+    """out[j, f] = sum_b head[j, b, f] basis[r, b]: the color head seen from one ray's direction."""
     for j in range(3):
         for f in range(features):
             out[j * features + f] = _ZERO
@@ -174,8 +174,8 @@ def head_of_ray(head, basis, r, bands, features, out):
 
 
 @parallel_kernel
-def colour(table, size, ranks, head, bias, basis, x, starts, ends, weights, least, chunks, out):
-    """Colours of samples with weight > `least`: sigmoid(sum_b basis_b (head_b . features) + bias); else -1.
+def color(table, size, ranks, head, bias, basis, x, starts, ends, weights, least, chunks, out):
+    """Colors of samples with weight > `least`: sigmoid(sum_b basis_b (head_b . features) + bias); else -1.
 
     head: flat [3, bands, 3 rank]; bias [3]; basis [rays, bands]: spherical harmonics of the ray directions.
     """
@@ -204,10 +204,10 @@ def colour(table, size, ranks, head, bias, basis, x, starts, ends, weights, leas
 
 
 @parallel_kernel
-def colour_backward(table, size, ranks, head, basis, x, starts, ends, colours, colour_gradients, chunks, to):
+def color_backward(table, size, ranks, head, basis, x, starts, ends, colors, color_gradients, chunks, to):
     """Add dL/d(table), then dL/d(head), then dL/d(bias) to the chunk's buffer to[chunk] of that layout.
 
-    colours, colour_gradients [n, 3]: the forward's result and dL/dc; samples with colours[k, 0] < 0 are skipped.
+    colors, color_gradients [n, 3]: the forward's result and dL/dc; samples with colors[k, 0] < 0 are skipped.
     """
     n = len(ends)
     bands = basis.shape[1]
@@ -225,9 +225,9 @@ def colour_backward(table, size, ranks, head, basis, x, starts, ends, colours, c
         for r in range(c * n // chunks, (c + 1) * n // chunks):
             ready = False
             for k in range(starts[r], ends[r]):
-                if colours[k, 0] < _ZERO:
+                if colors[k, 0] < _ZERO:
                     continue
-                if k + 1 < stop and colours[k + 1, 0] >= _ZERO:
+                if k + 1 < stop and colors[k + 1, 0] >= _ZERO:
                     following = places(x[k + 1], size, rank)
                     vm_prefetch(table, np.int64(0), *following, ranks)
                     vm_prefetch(flat, base, *following, ranks)
@@ -236,7 +236,7 @@ def colour_backward(table, size, ranks, head, basis, x, starts, ends, colours, c
                     ray_head_gradient[:] = _ZERO
                     ready = True
                 for j in range(3):
-                    g[j] = colour_gradients[k, j] * colours[k, j] * (_ONE - colours[k, j])
+                    g[j] = color_gradients[k, j] * colors[k, j] * (_ONE - colors[k, j])
                     to[c, stride - 3 + j] += g[j]
                 where = places(x[k], size, rank)
                 vm_projected_backward(table, *where, ray_head, g[0], g[1], g[2], ray_head_gradient, flat, base, ranks)
@@ -257,7 +257,7 @@ def colour_backward(table, size, ranks, head, basis, x, starts, ends, colours, c
 
 @parallel_kernel
 def smoothness_backward(table, size, ranks, strength, to):
-    """Add strength * d/dt of half the summed squared differences between neighbouring plane texels to to[...]."""
+    """Add strength * d/dt of half the summed squared differences between neighboring plane texels to to[...]."""
     rank = np.int64(len(ranks))
     at = np.int64(0)
     for m in range(3):

@@ -207,7 +207,7 @@ def features_position_gradient(table, links, widths, x, index, gradients, chunks
 
 @parallel_kernel
 def smoothness_backward(table, links, width, strength, to):
-    """Add strength * d/dt of half the summed squared differences between neighbouring vertices, both of them kept."""
+    """Add strength * d/dt of half the summed squared differences between neighboring vertices, both of them kept."""
     size = links[:3].astype(np.int64)
     for i in prange(size[0]):
         for j in range(size[1]):

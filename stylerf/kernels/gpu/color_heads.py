@@ -1,4 +1,4 @@
-"""Colour heads without a hidden layer, behind any encoder: kernels/cpu/color_heads.py, features and head in one kernel.
+"""Color heads without a hidden layer, behind any encoder: kernels/cpu/color_heads.py, features and head in one kernel.
 
 Samples are walked as in vm.py; features never leave the registers. All heads' kernels take the same arguments: ENCODER,
 PIECES, RANK and WIDTH say what the features are (encoders.py); UNITS: columns of the layer behind them, here 3 BANDS
@@ -8,7 +8,7 @@ rounded up to a power of two, at least 16.
 import triton
 import triton.language as tl
 
-from stylerf.kernels.gpu.encoders import piece, piece_scatter, to_colour, to_learn
+from stylerf.kernels.gpu.encoders import piece, piece_scatter, to_color, to_learn
 from stylerf.kernels.gpu.indexing import offset, store_vector, vector
 from stylerf.kernels.gpu.spherical_harmonics import bands_of
 from stylerf.kernels.gpu.vm import SIZES, _channel, _sigmoid
@@ -43,7 +43,7 @@ def linear_kernel(
     bias = numbers + 3 * BANDS * PIECES * RANK
     for block in range(tl.program_id(0).to(tl.int64), tl.cdiv(count, BLOCK), tl.num_programs(0)):
         k = block * BLOCK + tl.arange(0, BLOCK)
-        inside, live, ray = to_colour(k, count, ray_of, weights, largest, share)
+        inside, live, ray = to_color(k, count, ray_of, weights, largest, share)
         if tl.max(live.to(tl.int32), axis=0) > 0:
             x, y, z = vector(points, k, live)
             sums = tl.zeros([BLOCK, UNITS], tl.float32)
@@ -62,11 +62,11 @@ def linear_kernel(
 
 @triton.jit(do_not_specialize=SIZES, do_not_specialize_on_alignment=UNALIGNED)
 def linear_backward_kernel(
-    table, layout, numbers, points, directions, ray_of, colours, colour_gradients, total, to, numbers_to, s0, s1, s2,
+    table, layout, numbers, points, directions, ray_of, colors, color_gradients, total, to, numbers_to, s0, s1, s2,
     ENCODER: tl.constexpr, PIECES: tl.constexpr, RANK: tl.constexpr, WIDTH: tl.constexpr, BANDS: tl.constexpr,
     UNITS: tl.constexpr, BLOCK: tl.constexpr,
 ):  # fmt: skip
-    """Add dL/d(table) and dL/d(head, bias) to their buffers; samples with colours[k, 0] < 0 are skipped."""
+    """Add dL/d(table) and dL/d(head, bias) to their buffers; samples with colors[k, 0] < 0 are skipped."""
     count = tl.load(total)
     columns, output = tl.arange(0, WIDTH), tl.arange(0, UNITS)
     # Every sample speaks to the head: a program adds up its own samples first.
@@ -76,7 +76,7 @@ def linear_backward_kernel(
     red, green, blue = 0.0, 0.0, 0.0
     for block in range(tl.program_id(0).to(tl.int64), tl.cdiv(count, BLOCK), tl.num_programs(0)):
         k = block * BLOCK + tl.arange(0, BLOCK)
-        live, ray, g0, g1, g2 = to_learn(k, count, ray_of, colours, colour_gradients)
+        live, ray, g0, g1, g2 = to_learn(k, count, ray_of, colors, color_gradients)
         red += tl.sum(g0, axis=0)
         green += tl.sum(g1, axis=0)
         blue += tl.sum(g2, axis=0)
@@ -117,7 +117,7 @@ def harmonic_kernel(
     columns = tl.arange(0, WIDTH)
     for block in range(tl.program_id(0).to(tl.int64), tl.cdiv(count, BLOCK), tl.num_programs(0)):
         k = block * BLOCK + tl.arange(0, BLOCK)
-        inside, live, ray = to_colour(k, count, ray_of, weights, largest, share)
+        inside, live, ray = to_color(k, count, ray_of, weights, largest, share)
         if tl.max(live.to(tl.int32), axis=0) > 0:
             x, y, z = vector(points, k, live)
             dx, dy, dz = vector(directions, ray, live)
@@ -132,16 +132,16 @@ def harmonic_kernel(
 
 @triton.jit(do_not_specialize=SIZES, do_not_specialize_on_alignment=UNALIGNED)
 def harmonic_backward_kernel(
-    table, layout, numbers, points, directions, ray_of, colours, colour_gradients, total, to, numbers_to, s0, s1, s2,
+    table, layout, numbers, points, directions, ray_of, colors, color_gradients, total, to, numbers_to, s0, s1, s2,
     ENCODER: tl.constexpr, PIECES: tl.constexpr, RANK: tl.constexpr, WIDTH: tl.constexpr, BANDS: tl.constexpr,
     UNITS: tl.constexpr, BLOCK: tl.constexpr,
 ):  # fmt: skip
-    """Add dL/d(table); samples with colours[k, 0] < 0 are skipped."""
+    """Add dL/d(table); samples with colors[k, 0] < 0 are skipped."""
     count = tl.load(total)
     columns = tl.arange(0, WIDTH)
     for block in range(tl.program_id(0).to(tl.int64), tl.cdiv(count, BLOCK), tl.num_programs(0)):
         k = block * BLOCK + tl.arange(0, BLOCK)
-        live, ray, g0, g1, g2 = to_learn(k, count, ray_of, colours, colour_gradients)
+        live, ray, g0, g1, g2 = to_learn(k, count, ray_of, colors, color_gradients)
         x, y, z = vector(points, k, live)
         dx, dy, dz = vector(directions, ray, live)
         own = _of_channel(columns, g0, g1, g2, BANDS) * bands_of(dx, dy, dz, columns, BANDS)

@@ -9,8 +9,8 @@ AROUND = tl.constexpr(0.05)  # as on the CPU
 
 
 @triton.jit(do_not_specialize=["rays"])
-def composite_kernel(weights, optical, colours, t, starts, ends, out, rays, BLOCK: tl.constexpr):
-    """out[r] = (sum w c (3), sum w, sum w t); samples without a colour (colours[k, 0] < 0) take the others' mean.
+def composite_kernel(weights, optical, colors, t, starts, ends, out, rays, BLOCK: tl.constexpr):
+    """out[r] = (sum w c (3), sum w, sum w t); samples without a color (colors[k, 0] < 0) take the others' mean.
 
     A backdrop (optical[k] 0) has no part in sum w t.
     """
@@ -19,22 +19,22 @@ def composite_kernel(weights, optical, colours, t, starts, ends, out, rays, BLOC
     first = tl.load(starts + r, mask=live, other=0)
     count = tl.load(ends + r, mask=live, other=0) - first
     zero = first.to(tl.float32) * 0.0
-    red, green, blue, depth, total, coloured = zero, zero, zero, zero, zero, zero
+    red, green, blue, depth, total, colored = zero, zero, zero, zero, zero, zero
     for i in range(0, tl.max(count, axis=0)):
         own = i < count
         k = first + i
         w = tl.load(weights + k, mask=own, other=0.0)
-        c0 = tl.load(colours + offset(k, 3, 0), mask=own, other=-1.0)
-        _c0, c1, c2 = vector(colours, k, own & (c0 >= 0.0))
+        c0 = tl.load(colors + offset(k, 3, 0), mask=own, other=-1.0)
+        _c0, c1, c2 = vector(colors, k, own & (c0 >= 0.0))
         total += w
         held = own & (tl.load(optical + k, mask=own, other=0.0) > 0.0)
         depth += w * tl.load(t + k, mask=held, other=0.0)
         shown = tl.where(c0 >= 0.0, w, 0.0)
-        coloured += shown
+        colored += shown
         red += shown * c0
         green += shown * c1
         blue += shown * c2
-    scale = tl.where(coloured > 0.0, total / tl.where(coloured > 0.0, coloured, 1.0), 0.0)
+    scale = tl.where(colored > 0.0, total / tl.where(colored > 0.0, colored, 1.0), 0.0)
     at = offset(r, 5, 0)
     tl.store(out + at, red * scale, mask=live)
     tl.store(out + at + 1, green * scale, mask=live)
@@ -72,10 +72,10 @@ def surface_distance_kernel(weights, t, starts, ends, out, rays, BLOCK: tl.const
 
 @triton.jit(do_not_specialize=["rays"])
 def composite_backward_kernel(
-    weights, optical, colours, t, starts, ends, out, gradients, even_from, sigma_gradients, colour_gradients, rays,
+    weights, optical, colors, t, starts, ends, out, gradients, even_from, sigma_gradients, color_gradients, rays,
     BLOCK: tl.constexpr,
 ):  # fmt: skip
-    """From dL/d(out) [rays, 5] to dL/d(sigma) [n] and dL/d(colour) [n, 3]; see the CPU's composite_backward.
+    """From dL/d(out) [rays, 5] to dL/d(sigma) [n] and dL/d(color) [n, 3]; see the CPU's composite_backward.
 
     even_from: samples nearer than that learn by (t / even_from)^2 (scale_near); 0: all alike.
     """
@@ -100,9 +100,9 @@ def composite_backward_kernel(
         own = i < count
         k = first + i
         w = tl.load(weights + k, mask=own, other=0.0)
-        c0 = tl.load(colours + offset(k, 3, 0), mask=own, other=-1.0)
+        c0 = tl.load(colors + offset(k, 3, 0), mask=own, other=-1.0)
         shown = own & (c0 >= 0.0)
-        c0, c1, c2 = vector(colours, k, shown)
+        c0, c1, c2 = vector(colors, k, shown)
         held = own & (tl.load(optical + k, mask=own, other=0.0) > 0.0)
         d = ga + gd * tl.load(t + k, mask=held, other=0.0)
         d += tl.where(shown, g0 * c0 + g1 * c1 + g2 * c2, mean)
@@ -112,9 +112,9 @@ def composite_backward_kernel(
         own = i < count
         k = first + i
         w = tl.load(weights + k, mask=own, other=0.0)
-        c0 = tl.load(colours + offset(k, 3, 0), mask=own, other=-1.0)
+        c0 = tl.load(colors + offset(k, 3, 0), mask=own, other=-1.0)
         shown = own & (c0 >= 0.0)
-        c0, c1, c2 = vector(colours, k, shown)
+        c0, c1, c2 = vector(colors, k, shown)
         far = tl.load(t + k, mask=own, other=0.0)
         length = tl.load(optical + k, mask=own, other=0.0)
         d = ga + tl.where(length > 0.0, gd * far, 0.0)
@@ -125,7 +125,7 @@ def composite_backward_kernel(
         even = tl.where(far < even_from, near * near, 1.0)
         s = length * (through * d - behind)
         tl.store(sigma_gradients + k, s * even, mask=own)
-        store_vector(colour_gradients, k, w * g0 * even, w * g1 * even, w * g2 * even, shown)
+        store_vector(color_gradients, k, w * g0 * even, w * g1 * even, w * g2 * even, shown)
 
 
 @triton.jit(do_not_specialize=["rays"])
@@ -164,7 +164,7 @@ def tuning_loss_kernel(
     out, wanted, depth, counts, starts, ends, level, scale, depth_scale, edited, gradients, sums, rays,
     BLOCK: tl.constexpr,
 ):  # fmt: skip
-    """dL/d(out) [rays, 5] of a fine-tuning: squared error against straight rgba [rays, 4] over grey `level`, times
+    """dL/d(out) [rays, 5] of a fine-tuning: squared error against straight rgba [rays, 4] over gray `level`, times
     scale / 2, and at the first `edited` rays (sum w t / depth - 1)^2, times depth_scale / 2.
 
     sums += squared error at the other rays, at the edited ones, of depths; rays of either kind that found no room.
@@ -199,10 +199,10 @@ def tuning_loss_kernel(
 
 
 @triton.jit(do_not_specialize=["count"])
-def shade_backward_kernel(weights, gradients, ray_of, colour_gradients, count, BLOCK: tl.constexpr):
+def shade_backward_kernel(weights, gradients, ray_of, color_gradients, count, BLOCK: tl.constexpr):
     """dL/dc_k = w_k dL/d(out_r) of `count` samples; gradients [rays, 3]."""
     k = tl.program_id(0).to(tl.int64) * BLOCK + tl.arange(0, BLOCK)
     live = k < count
     a, b, c = vector(gradients, tl.load(ray_of + k, mask=live, other=0), live)
     w = tl.load(weights + k, mask=live, other=0.0)
-    store_vector(colour_gradients, k, w * a, w * b, w * c, live)
+    store_vector(color_gradients, k, w * a, w * b, w * c, live)

@@ -1,6 +1,6 @@
 """Gradients of a deformation x' = x + D(x), and where a deformed field is occupied: kernels/cpu/deformation.py.
 
-Densities and colours tell each sample's position its gradient, one after the other; from there it goes to the vertices
+Densities and colors tell each sample's position its gradient, one after the other; from there it goes to the vertices
 of the grid D by atomics. D is flat [cells^3, 3] on the vertices of the cube, interpolated trilinearly, as the march
 reads it.
 """
@@ -67,26 +67,26 @@ def density_position_kernel(
 
 
 @triton.jit
-def logit_gradients(colours, colour_gradients, k, inside):
-    """(live, g0, g1, g2): samples that have a colour, and dL/d(logit) of its channels."""
-    live = tl.load(colours + offset(k, 3, 0), mask=inside, other=-1.0) >= 0.0
-    c0, c1, c2 = vector(colours, k, live)
-    g0, g1, g2 = vector(colour_gradients, k, live)
+def logit_gradients(colors, color_gradients, k, inside):
+    """(live, g0, g1, g2): samples that have a color, and dL/d(logit) of its channels."""
+    live = tl.load(colors + offset(k, 3, 0), mask=inside, other=-1.0) >= 0.0
+    c0, c1, c2 = vector(colors, k, live)
+    g0, g1, g2 = vector(color_gradients, k, live)
     return live, g0 * c0 * (1.0 - c0), g1 * c1 * (1.0 - c1), g2 * c2 * (1.0 - c2)
 
 
 @triton.jit(do_not_specialize=SIZES, do_not_specialize_on_alignment=["head"])
-def vm_colour_position_kernel(
-    table, head, points, directions, ray_of, colours, colour_gradients, total, out, s0, s1, s2,
+def vm_color_position_kernel(
+    table, head, points, directions, ray_of, colors, color_gradients, total, out, s0, s1, s2,
     RANK: tl.constexpr, WIDTH: tl.constexpr, BANDS: tl.constexpr, OUTPUTS: tl.constexpr, BLOCK: tl.constexpr,
 ):  # fmt: skip
-    """Add dL/dx of vm colours to out [n, 3]; samples with colours[k, 0] < 0 add nothing."""
+    """Add dL/dx of vm colors to out [n, 3]; samples with colors[k, 0] < 0 add nothing."""
     count = tl.load(total)
     columns, output = tl.arange(0, WIDTH), tl.arange(0, OUTPUTS)
     channel = output // BANDS
     for block in range(tl.program_id(0).to(tl.int64), tl.cdiv(count, BLOCK), tl.num_programs(0)):
         k = block * BLOCK + tl.arange(0, BLOCK)
-        live, g0, g1, g2 = logit_gradients(colours, colour_gradients, k, k < count)
+        live, g0, g1, g2 = logit_gradients(colors, color_gradients, k, k < count)
         x, y, z = vector(points, k, live)
         ax, ay, az = vector(out, k, live)
         dx, dy, dz = vector(directions, tl.load(ray_of + k, mask=live, other=0), live)
@@ -127,15 +127,15 @@ def level_slopes(table, layout, level: tl.constexpr, LEVELS: tl.constexpr, x, y,
 
 
 @triton.jit
-def hash_colour_position_kernel(
-    table, layout, points, colours, colour_gradients, total, out, LEVELS: tl.constexpr, BLOCK: tl.constexpr
+def hash_color_position_kernel(
+    table, layout, points, colors, color_gradients, total, out, LEVELS: tl.constexpr, BLOCK: tl.constexpr
 ):
-    """Add dL/dx of a hash grid's colours to out [n, 3]; samples with colours[k, 0] < 0 add nothing."""
+    """Add dL/dx of a hash grid's colors to out [n, 3]; samples with colors[k, 0] < 0 add nothing."""
     count = tl.load(total)
     lane = tl.arange(0, 4)
     for block in range(tl.program_id(0).to(tl.int64), tl.cdiv(count, BLOCK), tl.num_programs(0)):
         k = block * BLOCK + tl.arange(0, BLOCK)
-        live, g0, g1, g2 = logit_gradients(colours, colour_gradients, k, k < count)
+        live, g0, g1, g2 = logit_gradients(colors, color_gradients, k, k < count)
         three = tl.where(lane[None, :] == 2, g2[:, None], (g0 + g1 + g2)[:, None])
         g = tl.where(lane[None, :] == 0, g0[:, None], tl.where(lane[None, :] == 1, g1[:, None], three))
         x, y, z = vector(points, k, live)

@@ -1,4 +1,4 @@
-"""Encoders of places as tiles of features, of any kind: what the colour heads read (fields/encoders.py), and back.
+"""Encoders of places as tiles of features, of any kind: what the color heads read (fields/encoders.py), and back.
 
 A place's features are PIECES tiles of RANK columns: three of vm, one for each plane, and one of a hash or voxel grid.
 layout: the levels' (hash), links (voxel), not read (vm). s0, s1, s2: vertices per axis of vm's and voxels' grids.
@@ -51,7 +51,7 @@ def piece_scatter(
 
 
 @triton.jit
-def to_colour(k, count, ray_of, weights, largest, share):
+def to_color(k, count, ray_of, weights, largest, share):
     """(inside, live, ray): which samples there are, which have `share` of their ray's largest weight, their rays."""
     inside = k < count
     ray = tl.load(ray_of + k, mask=inside, other=0)
@@ -60,10 +60,10 @@ def to_colour(k, count, ray_of, weights, largest, share):
 
 
 @triton.jit
-def to_learn(k, count, ray_of, colours, colour_gradients):
-    """(live, ray, g0, g1, g2): which samples have a colour, their rays, dL/d(logits), zero where there is none."""
-    live = tl.load(colours + offset(k, 3, 0), mask=k < count, other=-1.0) >= 0.0
+def to_learn(k, count, ray_of, colors, color_gradients):
+    """(live, ray, g0, g1, g2): which samples have a color, their rays, dL/d(logits), zero where there is none."""
+    live = tl.load(colors + offset(k, 3, 0), mask=k < count, other=-1.0) >= 0.0
     ray = tl.load(ray_of + k, mask=live, other=0)
-    c0, c1, c2 = vector(colours, k, live)
-    g0, g1, g2 = vector(colour_gradients, k, live)
+    c0, c1, c2 = vector(colors, k, live)
+    g0, g1, g2 = vector(color_gradients, k, live)
     return live, ray, g0 * c0 * (1.0 - c0), g1 * c1 * (1.0 - c1), g2 * c2 * (1.0 - c2)

@@ -59,17 +59,17 @@ def logit(values, lane, j: tl.constexpr):
 
 
 @triton.jit
-def lane_gradients(colours, colour_gradients, k, lane, live):
-    """dL/df [samples, 4] from dL/d(colour): the fourth float is part of every channel's logit."""
-    c0, c1, c2 = vector(colours, k, live)
-    g0, g1, g2 = vector(colour_gradients, k, live)
+def lane_gradients(colors, color_gradients, k, lane, live):
+    """dL/df [samples, 4] from dL/d(color): the fourth float is part of every channel's logit."""
+    c0, c1, c2 = vector(colors, k, live)
+    g0, g1, g2 = vector(color_gradients, k, live)
     g0, g1, g2 = g0 * c0 * (1.0 - c0), g1 * c1 * (1.0 - c1), g2 * c2 * (1.0 - c2)
     three = tl.where(lane[None, :] == 2, g2[:, None], (g0 + g1 + g2)[:, None])
     return tl.where(lane[None, :] == 0, g0[:, None], tl.where(lane[None, :] == 1, g1[:, None], three))
 
 
 @triton.jit
-def colour_kernel(
+def color_kernel(
     table, layout, points, ray_of, weights, largest, share, total, out, LEVELS: tl.constexpr, BLOCK: tl.constexpr
 ):
     """out [n, 3]: sigmoid(f[0:3] + f[3]); samples with less than `share` of their ray's largest weight get -1."""
@@ -94,16 +94,16 @@ def colour_kernel(
 
 
 @triton.jit
-def colour_backward_kernel(
-    layout, points, colours, colour_gradients, total, to, LEVELS: tl.constexpr, BLOCK: tl.constexpr
+def color_backward_kernel(
+    layout, points, colors, color_gradients, total, to, LEVELS: tl.constexpr, BLOCK: tl.constexpr
 ):
-    """Add dL/d(table); samples with colours[k, 0] < 0 are skipped."""
+    """Add dL/d(table); samples with colors[k, 0] < 0 are skipped."""
     count = tl.load(total)
     lane = tl.arange(0, 4)
     for block in range(tl.program_id(0).to(tl.int64), tl.cdiv(count, BLOCK), tl.num_programs(0)):
         k = block * BLOCK + tl.arange(0, BLOCK)
-        live = tl.load(colours + offset(k, 3, 0), mask=k < count, other=-1.0) >= 0.0
-        g = lane_gradients(colours, colour_gradients, k, lane, live)
+        live = tl.load(colors + offset(k, 3, 0), mask=k < count, other=-1.0) >= 0.0
+        g = lane_gradients(colors, color_gradients, k, lane, live)
         x, y, z = vector(points, k, live)
         for level in tl.static_range(LEVELS):
             level_scatter(to, layout, level, LEVELS, x, y, z, g, live)

@@ -41,7 +41,7 @@ def density_backward_kernel(
 
 @triton.jit(do_not_specialize=["vertices", "first"])
 def smoothness_kernel(table, to, strength, vertices, first, ROW: tl.constexpr, BLOCK: tl.constexpr):
-    """Add strength * d/dt of half the summed squared differences of neighbouring vertices of one direct level to `to`.
+    """Add strength * d/dt of half the summed squared differences of neighboring vertices of one direct level to `to`.
 
     vertices: a side; first: the level's first float; a lane to a float.
     """

@@ -6,7 +6,7 @@ import torch
 import triton
 from torch import Tensor
 
-from stylerf.kernels.gpu import adam as optimiser
+from stylerf.kernels.gpu import adam as optimizer
 from stylerf.kernels.gpu import compositing as composite_kernels
 from stylerf.kernels.gpu import hash_color as hash_kernels
 from stylerf.kernels.gpu import interpreted, march, pixel_rays, vm
@@ -49,7 +49,7 @@ def width_of(rank: int) -> int:
 
 
 def outputs_of(bands: int) -> int:
-    """Columns of a tile of the colour head's outputs."""
+    """Columns of a tile of the color head's outputs."""
     return max(16, triton.next_power_of_2(3 * bands))
 
 
@@ -140,43 +140,43 @@ def vm_density_backward(density, samples: DeviceSamples, sigma_gradients: Tensor
     )  # fmt: skip
 
 
-def vm_colours(colour, samples: DeviceSamples, directions: Tensor, share: float) -> Tensor:
-    """[room, 3] colours of samples with at least `share` of their ray's largest weight; others have -1 first."""
+def vm_colors(color, samples: DeviceSamples, directions: Tensor, share: float) -> Tensor:
+    """[room, 3] colors of samples with at least `share` of their ray's largest weight; others have -1 first."""
     out = torch.empty((samples.room, 3), device=directions.device)
-    vm.colour_kernel[persistent_grid(out.device, samples.room, SAMPLES)](
-        colour.table, colour.head, colour.bias, samples.x, directions, samples.ray_of, samples.weights,
-        samples.largest, float(share), samples.total, out, *colour.size,
-        RANK=colour.rank, WIDTH=width_of(colour.rank), BANDS=colour.bands, OUTPUTS=outputs_of(colour.bands),
+    vm.color_kernel[persistent_grid(out.device, samples.room, SAMPLES)](
+        color.table, color.head, color.bias, samples.x, directions, samples.ray_of, samples.weights,
+        samples.largest, float(share), samples.total, out, *color.size,
+        RANK=color.rank, WIDTH=width_of(color.rank), BANDS=color.bands, OUTPUTS=outputs_of(color.bands),
         BLOCK=SAMPLES, num_stages=STAGES,
     )  # fmt: skip
     return out
 
 
-def vm_colours_backward(colour, samples: DeviceSamples, directions, colours, colour_gradients, to: Tensor) -> None:
+def vm_colors_backward(color, samples: DeviceSamples, directions, colors, color_gradients, to: Tensor) -> None:
     """Add dL/d(values) to `to` [len(values)]: table, head, bias."""
-    table = len(colour.table)
-    vm.colour_backward_kernel[persistent_grid(to.device, samples.room, SAMPLES)](
-        colour.table, colour.head, samples.x, directions, samples.ray_of, colours, colour_gradients, samples.total,
-        to, to[table:-3], to[-3:], *colour.size,
-        RANK=colour.rank, WIDTH=width_of(colour.rank), BANDS=colour.bands, OUTPUTS=outputs_of(colour.bands),
+    table = len(color.table)
+    vm.color_backward_kernel[persistent_grid(to.device, samples.room, SAMPLES)](
+        color.table, color.head, samples.x, directions, samples.ray_of, colors, color_gradients, samples.total,
+        to, to[table:-3], to[-3:], *color.size,
+        RANK=color.rank, WIDTH=width_of(color.rank), BANDS=color.bands, OUTPUTS=outputs_of(color.bands),
         BLOCK=SAMPLES, num_stages=STAGES,
     )  # fmt: skip
 
 
-def hash_colours(colour, samples: DeviceSamples, share: float) -> Tensor:
-    """As vm_colours, of a hash grid."""
+def hash_colors(color, samples: DeviceSamples, share: float) -> Tensor:
+    """As vm_colors, of a hash grid."""
     out = torch.empty((samples.room, 3), device=samples.x.device)
-    hash_kernels.colour_kernel[persistent_grid(out.device, samples.room, SAMPLES)](
-        colour.table, colour.layout, samples.x, samples.ray_of, samples.weights, samples.largest, float(share),
-        samples.total, out, LEVELS=colour.levels, BLOCK=SAMPLES, num_stages=STAGES,
+    hash_kernels.color_kernel[persistent_grid(out.device, samples.room, SAMPLES)](
+        color.table, color.layout, samples.x, samples.ray_of, samples.weights, samples.largest, float(share),
+        samples.total, out, LEVELS=color.levels, BLOCK=SAMPLES, num_stages=STAGES,
     )  # fmt: skip
     return out
 
 
-def hash_colours_backward(colour, samples: DeviceSamples, colours, colour_gradients, to: Tensor) -> None:
+def hash_colors_backward(color, samples: DeviceSamples, colors, color_gradients, to: Tensor) -> None:
     """Add dL/d(values) to `to`."""
-    hash_kernels.colour_backward_kernel[persistent_grid(to.device, samples.room, SAMPLES)](
-        colour.layout, samples.x, colours, colour_gradients, samples.total, to, LEVELS=colour.levels, BLOCK=SAMPLES,
+    hash_kernels.color_backward_kernel[persistent_grid(to.device, samples.room, SAMPLES)](
+        color.layout, samples.x, colors, color_gradients, samples.total, to, LEVELS=color.levels, BLOCK=SAMPLES,
         num_stages=STAGES,
     )  # fmt: skip
 
@@ -193,13 +193,13 @@ def smoothness(part, strength: float, to: Tensor) -> None:
         begin += rows * columns
 
 
-def composite(samples: DeviceSamples, colours: Tensor) -> Tensor:
+def composite(samples: DeviceSamples, colors: Tensor) -> Tensor:
     """[rays, 5]: sum w c (3), sum w, sum w t without a backdrop's."""
     n = len(samples.starts)
-    out = torch.empty((n, 5), device=colours.device)
+    out = torch.empty((n, 5), device=colors.device)
     if n:
         composite_kernels.composite_kernel[(triton.cdiv(n, RAYS),)](
-            samples.weights, samples.optical, colours, samples.t, samples.starts, samples.ends, out, n, BLOCK=RAYS,
+            samples.weights, samples.optical, colors, samples.t, samples.starts, samples.ends, out, n, BLOCK=RAYS,
             num_warps=1,
         )  # fmt: skip
     return out
@@ -217,16 +217,16 @@ def surface_distance(samples: DeviceSamples) -> Tensor:
 
 
 def composite_backward(
-    samples: DeviceSamples, colours: Tensor, out: Tensor, gradients: Tensor, even_from: float
+    samples: DeviceSamples, colors: Tensor, out: Tensor, gradients: Tensor, even_from: float
 ) -> tuple[Tensor, Tensor]:
-    """(dL/d(sigma) [room], dL/d(colour) [room, 3]) from dL/d(out) [rays, 5]; unset beyond the samples there are."""
-    sigma_gradients, colour_gradients = torch.empty_like(samples.sigma), torch.empty_like(colours)
+    """(dL/d(sigma) [room], dL/d(color) [room, 3]) from dL/d(out) [rays, 5]; unset beyond the samples there are."""
+    sigma_gradients, color_gradients = torch.empty_like(samples.sigma), torch.empty_like(colors)
     if len(out):
         composite_kernels.composite_backward_kernel[(triton.cdiv(len(out), RAYS),)](
-            samples.weights, samples.optical, colours, samples.t, samples.starts, samples.ends, out, gradients,
-            float(even_from), sigma_gradients, colour_gradients, len(out), BLOCK=RAYS, num_warps=1,
+            samples.weights, samples.optical, colors, samples.t, samples.starts, samples.ends, out, gradients,
+            float(even_from), sigma_gradients, color_gradients, len(out), BLOCK=RAYS, num_warps=1,
         )  # fmt: skip
-    return sigma_gradients, colour_gradients
+    return sigma_gradients, color_gradients
 
 
 def photometric_loss(out: Tensor, wanted, background, samples: DeviceSamples, scale: float, sums: Tensor) -> Tensor:
@@ -241,7 +241,7 @@ def photometric_loss(out: Tensor, wanted, background, samples: DeviceSamples, sc
 
 def adam(values, gradients, first, second, rate, betas, epsilon, corrections, begin: int, end: int) -> None:
     """One step of Adam on values[begin:end]."""
-    optimiser.adam_kernel[(triton.cdiv(triton.cdiv(end - begin, 8), RUNS),)](
+    optimizer.adam_kernel[(triton.cdiv(triton.cdiv(end - begin, 8), RUNS),)](
         values, gradients, first, second, float(rate), *betas, epsilon, *corrections, begin, end, BLOCK=RUNS
     )
 
@@ -261,7 +261,7 @@ def draw_rays(
 
 
 def shade_backward(samples: DeviceSamples, gradients: Tensor) -> Tensor:
-    """dL/d(colour) [n, 3] of samples that fill their room, from dL/d(sum w c) [rays, 3]."""
+    """dL/d(color) [n, 3] of samples that fill their room, from dL/d(sum w c) [rays, 3]."""
     out, n = torch.empty_like(samples.x), len(samples.weights)
     if n:
         composite_kernels.shade_backward_kernel[(triton.cdiv(n, POINTS),)](

@@ -25,21 +25,21 @@ def add_density_slopes(density, samples: DeviceSamples, sigma_gradients: Tensor,
     )  # fmt: skip
 
 
-def add_vm_colour_slopes(colour, samples: DeviceSamples, directions, colours, colour_gradients, out: Tensor) -> None:
-    """Add dL/dx of vm colours to out [room, 3]."""
-    deformation.vm_colour_position_kernel[persistent_grid(out.device, samples.room, SAMPLES)](
-        colour.table, colour.head, samples.x, directions, samples.ray_of, colours, colour_gradients, samples.total, out,
-        *colour.size,
-        RANK=colour.rank, WIDTH=width_of(colour.rank), BANDS=colour.bands, OUTPUTS=outputs_of(colour.bands),
+def add_vm_color_slopes(color, samples: DeviceSamples, directions, colors, color_gradients, out: Tensor) -> None:
+    """Add dL/dx of vm colors to out [room, 3]."""
+    deformation.vm_color_position_kernel[persistent_grid(out.device, samples.room, SAMPLES)](
+        color.table, color.head, samples.x, directions, samples.ray_of, colors, color_gradients, samples.total, out,
+        *color.size,
+        RANK=color.rank, WIDTH=width_of(color.rank), BANDS=color.bands, OUTPUTS=outputs_of(color.bands),
         BLOCK=SAMPLES, num_stages=STAGES,
     )  # fmt: skip
 
 
-def add_hash_colour_slopes(colour, samples: DeviceSamples, colours, colour_gradients, out: Tensor) -> None:
-    """Add dL/dx of a hash grid's colours to out [room, 3]."""
-    deformation.hash_colour_position_kernel[persistent_grid(out.device, samples.room, SAMPLES)](
-        colour.table, colour.layout, samples.x, colours, colour_gradients, samples.total, out,
-        LEVELS=colour.levels, BLOCK=SAMPLES, num_stages=STAGES,
+def add_hash_color_slopes(color, samples: DeviceSamples, colors, color_gradients, out: Tensor) -> None:
+    """Add dL/dx of a hash grid's colors to out [room, 3]."""
+    deformation.hash_color_position_kernel[persistent_grid(out.device, samples.room, SAMPLES)](
+        color.table, color.layout, samples.x, colors, color_gradients, samples.total, out,
+        LEVELS=color.levels, BLOCK=SAMPLES, num_stages=STAGES,
     )  # fmt: skip
 
 

@@ -9,19 +9,19 @@ from stylerf.kernels.gpu import hash_color as hash_kernels
 from stylerf.kernels.gpu.launch import POINTS, SAMPLES, STAGES, DeviceSamples, persistent_grid
 
 
-def patch_colours(part, samples: DeviceSamples, colours: Tensor) -> None:
-    """Colours [room, 3] of the base become those of the patch, in place. part: has table, layout, levels, marked,
+def patch_colors(part, samples: DeviceSamples, colors: Tensor) -> None:
+    """Colors [room, 3] of the base become those of the patch, in place. part: has table, layout, levels, marked,
     cells, box."""
-    region_color.colour_kernel[persistent_grid(colours.device, samples.room, SAMPLES)](
-        part.table, part.layout, part.marked, part.cells, part.box, samples.x, samples.total, colours,
+    region_color.color_kernel[persistent_grid(colors.device, samples.room, SAMPLES)](
+        part.table, part.layout, part.marked, part.cells, part.box, samples.x, samples.total, colors,
         LEVELS=part.levels, BLOCK=SAMPLES, num_stages=STAGES,
     )  # fmt: skip
 
 
-def patch_colours_backward(part, samples: DeviceSamples, colours: Tensor, colour_gradients, to: Tensor) -> None:
+def patch_colors_backward(part, samples: DeviceSamples, colors: Tensor, color_gradients, to: Tensor) -> None:
     """Add dL/d(values) to `to` [len(values)]."""
-    region_color.colour_backward_kernel[persistent_grid(to.device, samples.room, SAMPLES)](
-        part.layout, part.marked, part.cells, part.box, samples.x, colours, colour_gradients, samples.total, to,
+    region_color.color_backward_kernel[persistent_grid(to.device, samples.room, SAMPLES)](
+        part.layout, part.marked, part.cells, part.box, samples.x, colors, color_gradients, samples.total, to,
         LEVELS=part.levels, BLOCK=SAMPLES, num_stages=STAGES,
     )  # fmt: skip
 

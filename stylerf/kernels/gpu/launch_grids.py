@@ -38,7 +38,7 @@ def voxel_density_backward(density, samples: DeviceSamples, sigma_gradients: Ten
 
 
 def level_smoothness(table: Tensor, strength: float, vertices: int, first: int, row: int, to: Tensor) -> None:
-    """Add the gradient of strength/2 times the summed squared differences of neighbours of one direct level to `to`.
+    """Add the gradient of strength/2 times the summed squared differences of neighbors of one direct level to `to`.
 
     vertices: of the level, a side; first: its first float; row: floats at a vertex.
     """
@@ -48,7 +48,7 @@ def level_smoothness(table: Tensor, strength: float, vertices: int, first: int, 
 
 
 def voxel_smoothness(table: Tensor, links: Tensor, places: Tensor, size, row: int, strength: float, to: Tensor) -> None:
-    """Add the gradient of strength/2 times the summed squared differences of kept neighbours to `to`.
+    """Add the gradient of strength/2 times the summed squared differences of kept neighbors to `to`.
 
     places: int32 [blocks of the table, 3]; row: floats at a vertex.
     """

@@ -1,4 +1,4 @@
-"""How colours that are an encoder and a head are launched."""
+"""How colors that are an encoder and a head are launched."""
 
 import torch
 from torch import Tensor
@@ -16,32 +16,32 @@ KERNELS = {
 }
 
 
-def _constants(colour) -> dict:
+def _constants(color) -> dict:
     return {
-        "ENCODER": colour.code, "PIECES": colour.pieces, "RANK": colour.rank, "WIDTH": width_of(colour.rank),
-        "BANDS": colour.bands, "UNITS": colour.hidden or outputs_of(colour.bands), "BLOCK": SAMPLES,
+        "ENCODER": color.code, "PIECES": color.pieces, "RANK": color.rank, "WIDTH": width_of(color.rank),
+        "BANDS": color.bands, "UNITS": color.hidden or outputs_of(color.bands), "BLOCK": SAMPLES,
         "num_warps": WARPS, "num_stages": STAGES,
     }  # fmt: skip
 
 
-def headed_colours(colour, samples: DeviceSamples, directions: Tensor, share: float) -> Tensor:
-    """[room, 3] colours of samples with at least `share` of their ray's largest weight; others have -1 first.
+def headed_colors(color, samples: DeviceSamples, directions: Tensor, share: float) -> Tensor:
+    """[room, 3] colors of samples with at least `share` of their ray's largest weight; others have -1 first.
 
-    colour: has table, layout, numbers, size, code, pieces, rank, bands, head (its kind) and hidden (0: no such layer).
+    color: has table, layout, numbers, size, code, pieces, rank, bands, head (its kind) and hidden (0: no such layer).
     """
     out = torch.empty((samples.room, 3), device=directions.device)
-    layout = samples.counts if colour.layout is None else colour.layout
-    KERNELS[colour.head][0][persistent_grid(out.device, samples.room, SAMPLES)](
-        colour.table, layout, colour.numbers, samples.x, directions, samples.ray_of, samples.weights, samples.largest,
-        float(share), samples.total, out, *colour.size, **_constants(colour),
+    layout = samples.counts if color.layout is None else color.layout
+    KERNELS[color.head][0][persistent_grid(out.device, samples.room, SAMPLES)](
+        color.table, layout, color.numbers, samples.x, directions, samples.ray_of, samples.weights, samples.largest,
+        float(share), samples.total, out, *color.size, **_constants(color),
     )  # fmt: skip
     return out
 
 
-def headed_colours_backward(colour, samples: DeviceSamples, directions, colours, colour_gradients, to: Tensor) -> None:
+def headed_colors_backward(color, samples: DeviceSamples, directions, colors, color_gradients, to: Tensor) -> None:
     """Add dL/d(values) to `to` [len(values)]: the features' table, the head's numbers."""
-    layout = samples.counts if colour.layout is None else colour.layout
-    KERNELS[colour.head][1][persistent_grid(to.device, samples.room, SAMPLES)](
-        colour.table, layout, colour.numbers, samples.x, directions, samples.ray_of, colours, colour_gradients,
-        samples.total, to, to[len(colour.table) :], *colour.size, **_constants(colour),
+    layout = samples.counts if color.layout is None else color.layout
+    KERNELS[color.head][1][persistent_grid(to.device, samples.room, SAMPLES)](
+        color.table, layout, color.numbers, samples.x, directions, samples.ray_of, colors, color_gradients,
+        samples.total, to, to[len(color.table) :], *color.size, **_constants(color),
     )  # fmt: skip

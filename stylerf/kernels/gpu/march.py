@@ -108,7 +108,7 @@ def march_kernel(
         turns += 1
         walking = ((t < end) & (through >= opaque) & (found < most) & (turns < MOST_TURNS)).to(tl.int32)
     if CLOSED:
-        # The far end takes what light is left; its density is fixed, so only its colour learns.
+        # The far end takes what light is left; its density is fixed, so only its color learns.
         x, y, z, speed, jacobian = warp_at(KIND, space, ox + end * dx, oy + end * dy, oz + end * dz, dx, dy, dz)
         takes = live & (through >= opaque) & (found < most)
         zero = 0.0 * t

@@ -1,4 +1,4 @@
-"""A colour head of one hidden layer, behind any encoder: kernels/cpu/mlp_head.py, features and head in one kernel.
+"""A color head of one hidden layer, behind any encoder: kernels/cpu/mlp_head.py, features and head in one kernel.
 
 The arguments are those of color_heads.py; UNITS: of the hidden layer, a power of two. numbers, flat: W1 of the features
 [PIECES RANK, UNITS], W1 of the harmonics [BANDS, UNITS], b1 [UNITS], W2 [3, UNITS], b2 [3].
@@ -8,7 +8,7 @@ import triton
 import triton.language as tl
 
 from stylerf.kernels.gpu.color_heads import UNALIGNED
-from stylerf.kernels.gpu.encoders import piece, piece_scatter, to_colour, to_learn
+from stylerf.kernels.gpu.encoders import piece, piece_scatter, to_color, to_learn
 from stylerf.kernels.gpu.indexing import offset, store_vector, vector
 from stylerf.kernels.gpu.spherical_harmonics import bands_of
 from stylerf.kernels.gpu.vm import SIZES, _sigmoid
@@ -48,7 +48,7 @@ def mlp_kernel(
     second = numbers + (PIECES * RANK + BANDS + 1) * UNITS
     for block in range(tl.program_id(0).to(tl.int64), tl.cdiv(count, BLOCK), tl.num_programs(0)):
         k = block * BLOCK + tl.arange(0, BLOCK)
-        inside, live, ray = to_colour(k, count, ray_of, weights, largest, share)
+        inside, live, ray = to_color(k, count, ray_of, weights, largest, share)
         if tl.max(live.to(tl.int32), axis=0) > 0:
             x, y, z = vector(points, k, live)
             dx, dy, dz = vector(directions, ray, live)
@@ -67,11 +67,11 @@ def mlp_kernel(
 
 @triton.jit(do_not_specialize=SIZES, do_not_specialize_on_alignment=UNALIGNED)
 def mlp_backward_kernel(
-    table, layout, numbers, points, directions, ray_of, colours, colour_gradients, total, to, numbers_to, s0, s1, s2,
+    table, layout, numbers, points, directions, ray_of, colors, color_gradients, total, to, numbers_to, s0, s1, s2,
     ENCODER: tl.constexpr, PIECES: tl.constexpr, RANK: tl.constexpr, WIDTH: tl.constexpr, BANDS: tl.constexpr,
     UNITS: tl.constexpr, BLOCK: tl.constexpr,
 ):  # fmt: skip
-    """Add dL/d(table) and dL/d(numbers) to their buffers; samples with colours[k, 0] < 0 are skipped."""
+    """Add dL/d(table) and dL/d(numbers) to their buffers; samples with colors[k, 0] < 0 are skipped."""
     count = tl.load(total)
     columns, band, unit = tl.arange(0, WIDTH), tl.arange(0, MOST_BANDS), tl.arange(0, UNITS)
     second = numbers + (PIECES * RANK + BANDS + 1) * UNITS
@@ -87,7 +87,7 @@ def mlp_backward_kernel(
     red, green, blue = 0.0, 0.0, 0.0
     for block in range(tl.program_id(0).to(tl.int64), tl.cdiv(count, BLOCK), tl.num_programs(0)):
         k = block * BLOCK + tl.arange(0, BLOCK)
-        live, ray, g0, g1, g2 = to_learn(k, count, ray_of, colours, colour_gradients)
+        live, ray, g0, g1, g2 = to_learn(k, count, ray_of, colors, color_gradients)
         x, y, z = vector(points, k, live)
         dx, dy, dz = vector(directions, ray, live)
         basis = bands_of(dx, dy, dz, band, BANDS)

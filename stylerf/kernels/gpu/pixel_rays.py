@@ -1,4 +1,4 @@
-"""Random rays with their colours, drawn on the device from 8-bit photos that lie there."""
+"""Random rays with their colors, drawn on the device from 8-bit photos that lie there."""
 
 import triton
 import triton.language as tl
@@ -92,7 +92,7 @@ def draw_kernel(
 ):  # fmt: skip
     """Rays `first` .. `first` + rays of the batch that `seed` names, which is the same however it is cut into parts.
 
-    Of the batch's rays those below lit_rays take a pixel of lit[0:lit_total], the others one of 0..total. level: grey
+    Of the batch's rays those below lit_rays take a pixel of lit[0:lit_total], the others one of 0..total. level: gray
     of the background where it is not random.
     """
     local = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
@@ -113,5 +113,5 @@ def draw_kernel(
     if RANDOM_BACKGROUND:
         store_vector(background, local, _unit(r0), _unit(r1), _unit(r2), mask)
     else:
-        grey = level + 0.0 * dx
-        store_vector(background, local, grey, grey, grey, mask)
+        gray = level + 0.0 * dx
+        store_vector(background, local, gray, gray, gray, mask)

@@ -1,4 +1,4 @@
-"""Colours of marked cells that add their logits to others': kernels/cpu/region_color.py and hash_color.py in one pass each way.
+"""Colors of marked cells that add their logits to others': kernels/cpu/region_color.py and hash_color.py in one pass each way.
 
 box: float32 [4], the lowest corner of the cells' box and one over its side: where in its own grid a sample lies.
 """
@@ -24,17 +24,17 @@ def into_box(box, x, y, z):
 
 
 @triton.jit(do_not_specialize=["cells"])
-def colour_kernel(
+def color_kernel(
     table, layout, marked, cells, box, points, total, out, LEVELS: tl.constexpr, BLOCK: tl.constexpr
 ):  # fmt: skip
-    """out [n, 3] = sigmoid(logit(out) + f) of samples in marked cells that have a colour (out[k, 0] >= 0)."""
+    """out [n, 3] = sigmoid(logit(out) + f) of samples in marked cells that have a color (out[k, 0] >= 0)."""
     count = tl.load(total)
     lane = tl.arange(0, 4)
     for block in range(tl.program_id(0).to(tl.int64), tl.cdiv(count, BLOCK), tl.num_programs(0)):
         k = block * BLOCK + tl.arange(0, BLOCK)
-        coloured = tl.load(out + offset(k, 3, 0), mask=k < count, other=-1.0) >= 0.0
-        x, y, z = vector(points, k, coloured)
-        live = in_marked(marked, cells, x, y, z, coloured)
+        colored = tl.load(out + offset(k, 3, 0), mask=k < count, other=-1.0) >= 0.0
+        x, y, z = vector(points, k, colored)
+        live = in_marked(marked, cells, x, y, z, colored)
         if tl.max(live.to(tl.int32), axis=0) > 0:
             x, y, z = into_box(box, x, y, z)
             f = x[:, None] * 0.0 + lane[None, :] * 0.0
@@ -49,11 +49,11 @@ def colour_kernel(
 
 
 @triton.jit(do_not_specialize=["cells"])
-def colour_backward_kernel(
-    layout, marked, cells, box, points, colours, colour_gradients, total, to,
+def color_backward_kernel(
+    layout, marked, cells, box, points, colors, color_gradients, total, to,
     LEVELS: tl.constexpr, BLOCK: tl.constexpr,
 ):  # fmt: skip
-    """Add dL/d(table) of samples in marked cells that have a colour.
+    """Add dL/d(table) of samples in marked cells that have a color.
 
     The slope of a sigmoid is told by its value, whatever was added within.
     """
@@ -61,11 +61,11 @@ def colour_backward_kernel(
     lane = tl.arange(0, 4)
     for block in range(tl.program_id(0).to(tl.int64), tl.cdiv(count, BLOCK), tl.num_programs(0)):
         k = block * BLOCK + tl.arange(0, BLOCK)
-        coloured = tl.load(colours + offset(k, 3, 0), mask=k < count, other=-1.0) >= 0.0
-        x, y, z = vector(points, k, coloured)
-        live = in_marked(marked, cells, x, y, z, coloured)
+        colored = tl.load(colors + offset(k, 3, 0), mask=k < count, other=-1.0) >= 0.0
+        x, y, z = vector(points, k, colored)
+        live = in_marked(marked, cells, x, y, z, colored)
         if tl.max(live.to(tl.int32), axis=0) > 0:
-            g = lane_gradients(colours, colour_gradients, k, lane, live)
+            g = lane_gradients(colors, color_gradients, k, lane, live)
             x, y, z = into_box(box, x, y, z)
             for level in tl.static_range(LEVELS):
                 level_scatter(to, layout, level, LEVELS, x, y, z, g, live)

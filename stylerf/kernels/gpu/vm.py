@@ -132,11 +132,11 @@ def _sigmoid(z):
 
 
 @triton.jit(do_not_specialize=SIZES, do_not_specialize_on_alignment=["head", "bias"])
-def colour_kernel(
+def color_kernel(
     table, head, bias, points, directions, ray_of, weights, largest, share, total, out, s0, s1, s2,
     RANK: tl.constexpr, WIDTH: tl.constexpr, BANDS: tl.constexpr, OUTPUTS: tl.constexpr, BLOCK: tl.constexpr,
 ):  # fmt: skip
-    """out [n, 3]: colours of samples with at least `share` of their ray's largest weight; others get -1 in channel 0.
+    """out [n, 3]: colors of samples with at least `share` of their ray's largest weight; others get -1 in channel 0.
 
     OUTPUTS: 3 BANDS rounded up to a power of two, at least 16.
     """
@@ -170,11 +170,11 @@ def colour_kernel(
 
 
 @triton.jit(do_not_specialize=SIZES, do_not_specialize_on_alignment=["head", "head_to", "bias_to"])
-def colour_backward_kernel(
-    table, head, points, directions, ray_of, colours, colour_gradients, total, to, head_to, bias_to, s0, s1, s2,
+def color_backward_kernel(
+    table, head, points, directions, ray_of, colors, color_gradients, total, to, head_to, bias_to, s0, s1, s2,
     RANK: tl.constexpr, WIDTH: tl.constexpr, BANDS: tl.constexpr, OUTPUTS: tl.constexpr, BLOCK: tl.constexpr,
 ):  # fmt: skip
-    """Add dL/d(table), dL/d(head), dL/d(bias) to their buffers; samples with colours[k, 0] < 0 are skipped."""
+    """Add dL/d(table), dL/d(head), dL/d(bias) to their buffers; samples with colors[k, 0] < 0 are skipped."""
     count = tl.load(total)
     columns, output = tl.arange(0, WIDTH), tl.arange(0, OUTPUTS)
     # The head is small and every sample speaks to it: a program adds up its own samples first.
@@ -185,11 +185,11 @@ def colour_backward_kernel(
     for block in range(tl.program_id(0).to(tl.int64), tl.cdiv(count, BLOCK), tl.num_programs(0)):
         k = block * BLOCK + tl.arange(0, BLOCK)
         inside = k < count
-        c0 = tl.load(colours + offset(k, 3, 0), mask=inside, other=-1.0)
+        c0 = tl.load(colors + offset(k, 3, 0), mask=inside, other=-1.0)
         live = c0 >= 0.0
         ray = tl.load(ray_of + k, mask=live, other=0)
-        c0, c1, c2 = vector(colours, k, live)
-        g0, g1, g2 = vector(colour_gradients, k, live)
+        c0, c1, c2 = vector(colors, k, live)
+        g0, g1, g2 = vector(color_gradients, k, live)
         g0, g1, g2 = g0 * c0 * (1.0 - c0), g1 * c1 * (1.0 - c1), g2 * c2 * (1.0 - c2)
         red += tl.sum(g0, axis=0)
         green += tl.sum(g1, axis=0)
@@ -226,7 +226,7 @@ def colour_backward_kernel(
 def smoothness_kernel(
     table, to, strength, rows, columns, begin, RANK: tl.constexpr, WIDTH: tl.constexpr, BLOCK: tl.constexpr
 ):
-    """Add strength * d/dt of half the summed squared differences of neighbouring texels of one plane to `to`.
+    """Add strength * d/dt of half the summed squared differences of neighboring texels of one plane to `to`.
 
     begin: the plane's first row of the table; one texel to a row of the tile.
     """

@@ -92,7 +92,7 @@ def row_tile_scatter(to, links, x, y, z, s0, s1, s2, gradient, columns, ROW: tl.
 def smoothness_kernel(
     table, links, places, to, strength, rows, s0, s1, s2, ROW: tl.constexpr, WIDTH: tl.constexpr, BLOCK: tl.constexpr
 ):
-    """Add strength * d/dt of half the summed squared differences of neighbouring vertices, both kept, to `to`.
+    """Add strength * d/dt of half the summed squared differences of neighboring vertices, both kept, to `to`.
 
     rows: of the table; places: int32 [blocks of the table, 3], each block's place in the grid of blocks.
     """

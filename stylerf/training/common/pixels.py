@@ -1,4 +1,4 @@
-"""What a bank of rays draws its colours from: the photos' bytes, wherever they are kept, and the pixels worth more."""
+"""What a bank of rays draws its colors from: the photos' bytes, wherever they are kept, and the pixels worth more."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""The training set as the loop sees it: random rays with their target colours."""
+"""The training set as the loop sees it: random rays with their target colors."""
 
 import math
 from collections.abc import Iterator
@@ -14,21 +14,21 @@ from stylerf.training.common.pixels import STRETCH, LitPixels, Pixels
 HIDDEN = 0.5  # alpha up to which a photo of a closed space hides what lies there
 
 
-def unhidden(colours: np.ndarray, found: np.ndarray) -> np.ndarray:
+def unhidden(colors: np.ndarray, found: np.ndarray) -> np.ndarray:
     """Straight rgba [n, 4] that rays of a closed space are to learn, opaque, of what its photos have there.
 
     Nothing of such a space is transparent: a mask hides a passer-by. There it is what was found [n, 3], which teaches
     nothing.
     """
-    rgb = np.where(colours[:, 3:] > HIDDEN, colours[:, :3], found)
-    return np.concatenate([rgb, np.ones_like(colours[:, 3:])], 1)
+    rgb = np.where(colors[:, 3:] > HIDDEN, colors[:, :3], found)
+    return np.concatenate([rgb, np.ones_like(colors[:, 3:])], 1)
 
 
-def shown_rays(origins: np.ndarray, directions: np.ndarray, colours: np.ndarray) -> tuple[np.ndarray, ...]:
+def shown_rays(origins: np.ndarray, directions: np.ndarray, colors: np.ndarray) -> tuple[np.ndarray, ...]:
     """Those of a closed space's rays [n] that photos show, opaque; all, where they show none."""
-    shown = colours[:, 3] > HIDDEN
+    shown = colors[:, 3] > HIDDEN
     shown = shown if shown.any() else np.ones_like(shown)
-    return origins[shown], directions[shown], unhidden(colours[shown], np.zeros((int(shown.sum()), 3), np.float32))
+    return origins[shown], directions[shown], unhidden(colors[shown], np.zeros((int(shown.sum()), 3), np.float32))
 
 
 class RayBank:
@@ -82,7 +82,7 @@ class RayBank:
     ):
         """`count` random rays of the first `among` views, of them those of `part`: the rest is drawn, but not made.
 
-        Gives origins, directions [n, 3], colours [n, 4], views [n].
+        Gives origins, directions [n, 3], colors [n, 4], views [n].
         """
         views, pixels = self.choose(count, generator, among, lit_share, part)
         return *self.at(views, pixels), views
@@ -108,10 +108,10 @@ class RayBank:
         return views, index - (self._ends[views] - self.sizes[views])
 
     def at(self, views: np.ndarray, pixels: np.ndarray):
-        """Rays and colours of given pixels: (origins, directions [n, 3], colours [n, 4])."""
+        """Rays and colors of given pixels: (origins, directions [n, 3], colors [n, 4])."""
         n = len(views)
         origins, directions = np.empty((n, 3), np.float32), np.empty((n, 3), np.float32)
-        colours = np.empty((n, 4), np.float32)
+        colors = np.empty((n, 4), np.float32)
         gather(
             views,
             pixels,
@@ -124,7 +124,7 @@ class RayBank:
             self.codes,
             origins,
             directions,
-            colours,
+            colors,
         )
         self.read(n)
-        return origins, directions, colours
+        return origins, directions, colors

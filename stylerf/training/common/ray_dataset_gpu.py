@@ -1,4 +1,4 @@
-"""The training photos on a device: random rays with their colours, drawn there."""
+"""The training photos on a device: random rays with their colors, drawn there."""
 
 import math
 from dataclasses import dataclass
@@ -77,8 +77,8 @@ class DeviceBank:
     ) -> Drawn:
         """Rays `first` to `first + count` of the batch of `batch` random rays that `seed` names, of `among` views.
 
-        lit_share: part of the batch that goes through pixels near something opaque. level: grey of the background;
-        None: random colours.
+        lit_share: part of the batch that goes through pixels near something opaque. level: gray of the background;
+        None: random colors.
         """
         total = int(self.ends[among - 1])
         most_lit = 0 if self._host.lit is None else self._host.lit.below(total)

@@ -71,7 +71,7 @@ class Deformer:
         return tensor
 
     def _prepare(self, chunks: int) -> None:
-        """Buffers and the optimiser; the field has its grid."""
+        """Buffers and the optimizer; the field has its grid."""
         self.gradients = np.zeros((chunks, 3 * self.vertices**3), np.float32)
         self.adam = Adam(self.deformation.values, [(0, len(self.deformation.values), 1.0)], 1, self.clip)
 
@@ -100,7 +100,7 @@ class Deformer:
         return float(size)
 
     def collect(self) -> None:
-        """Bring what was learnt into `deformation` and `field`."""
+        """Bring what was learned into `deformation` and `field`."""
 
     # -- what is worked out -----------------------------------------------------------------------------------------
 
@@ -114,7 +114,7 @@ class Deformer:
         """One step down dL/dD plus weight |D| plus smoothness TV(D); the root mean square of D, in the network's units.
 
         |D|: root of the mean squared displacement of the vertices that matter, the cube two units wide (L_dx of eq. 7).
-        TV: mean squared difference of neighbouring vertices, in the same units.
+        TV: mean squared difference of neighboring vertices, in the same units.
         """
         gradient = torch.zeros_like(self._live).index_add_(0, self._nearest, self._gathered())
         self.gradients[:] = 0
@@ -144,7 +144,7 @@ class Deformer:
         return self.deformation.values.copy()
 
     def take(self, values: np.ndarray) -> None:
-        """The deformation of the weights `values` from now on; the optimiser's past stays."""
+        """The deformation of the weights `values` from now on; the optimizer's past stays."""
         self._set(values)
         self.look()
         self.collect()
@@ -181,7 +181,7 @@ def deformer_on(device: str | torch.device | None, *given) -> Deformer:
 
 
 def _pairs(active: np.ndarray, vertices: int) -> list[Tensor]:
-    """For each axis, which neighbours along it are both among the vertices that the network is asked at."""
+    """For each axis, which neighbors along it are both among the vertices that the network is asked at."""
     own = torch.zeros(vertices**3, dtype=torch.bool)
     own[torch.from_numpy(active)] = True
     own = own.view((vertices,) * 3)

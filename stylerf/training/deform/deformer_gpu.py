@@ -1,4 +1,4 @@
-"""A deformation learnt on a GPU: network, grid, gradients, moments and occupancy stay there."""
+"""A deformation learned on a GPU: network, grid, gradients, moments and occupancy stay there."""
 
 import math
 
@@ -103,27 +103,27 @@ class DevicePhotoError:
         self.deformer, self.background, self.share = deformer, background, share
         self._reports = Reports(deformer.device, 3, _mean_error, 0.0)
 
-    def of(self, origins: np.ndarray, directions: np.ndarray, colours: np.ndarray) -> float:
+    def of(self, origins: np.ndarray, directions: np.ndarray, colors: np.ndarray) -> float:
         """Mean squared difference of rays, marched from the middle of their first step, from straight rgba [n, 4]."""
         device, total = self.deformer.device, 0.0
         for at in range(0, len(origins), RAYS_AT_ONCE):
             part = slice(at, at + RAYS_AT_ONCE)
             rays = DeviceRays.of(origins[part], directions[part], device)
             out = self.deformer.live.render_rays(rays, share=self.share, limit=LIMIT).out
-            wanted = torch.from_numpy(colours[part]).to(device)
+            wanted = torch.from_numpy(colors[part]).to(device)
             cover = wanted[:, 3:]
             found = out[:, :3] + (1 - out[:, 3:4]) * self.background
             difference = found - wanted[:, :3] * cover - (1 - cover) * self.background
             total += float(difference.square().sum(dtype=torch.float64))
         return total / (3 * len(origins))
 
-    def learn(self, origins: np.ndarray, directions: np.ndarray, colours: np.ndarray, jitter: np.ndarray) -> float:
+    def learn(self, origins: np.ndarray, directions: np.ndarray, colors: np.ndarray, jitter: np.ndarray) -> float:
         """Add dL/dD of their mean squared difference to the deformer's gradients; the difference itself."""
         device, live, n = self.deformer.device, self.deformer.live, len(origins)
         rays = DeviceRays(*(sent(array, device) for array in (origins, directions, jitter)))
         rendered = live.render_rays(rays, room=min(n * LIMIT, MOST_SAMPLES), share=self.share, limit=LIMIT)
         background = torch.full((n, 3), float(self.background), device=device)
-        sums, wanted = self._reports.begin(), sent(colours, device)
+        sums, wanted = self._reports.begin(), sent(colors, device)
         if live.closed:
             wanted = unhidden(wanted, rendered.out, background)
         gradients = launch.photometric_loss(rendered.out, wanted, background, rendered.samples, 2 / (3 * n), sums)

@@ -1,4 +1,4 @@
-"""Deformation initialised on the photos before a stylisation moves it (DeSRF, section 3.2, L_init)."""
+"""Deformation initialized on the photos before a stylization moves it (DeSRF, section 3.2, L_init)."""
 
 import math
 import time
@@ -24,7 +24,7 @@ LOOK_EVERY = 200  # steps
 @dataclass(frozen=True)
 class DeformSettings:
     """steps of `rays` random rays; smoothness: weight of the displacement's total variation; vertices: side of the grid
-    that the deformation is baked to; rate falls to a tenth. background: level of grey behind the field. patience: dB
+    that the deformation is baked to; rate falls to a tenth. background: level of gray behind the field. patience: dB
     that a fixed set of the photos' rays must gain between two looks for the training to go on (0: always). gate: dB
     that they must gain in all, else the deformation is dropped (0: what is best on them is kept)."""
 
@@ -41,7 +41,7 @@ class DeformSettings:
 
 @dataclass
 class DeformState:
-    """Where the initialisation stands."""
+    """Where the initialization stands."""
 
     step: int = 0
     seconds: float = 0.0
@@ -54,33 +54,33 @@ class DeformState:
 class PhotoError:
     """How far rays through a deforming field are from the photos, and what that teaches the deformation.
 
-    background: level of grey behind the field. share: as render_rays takes it.
+    background: level of gray behind the field. share: as render_rays takes it.
     """
 
     def __init__(self, deformer: Deformer, background: float, share: float, chunks: int) -> None:
         self.deformer, self.background, self.share, self.chunks = deformer, np.float32(background), share, chunks
         self._memory = Memory()
 
-    def _rendered(self, origins, directions, colours, jitter=None) -> tuple[Rendered, np.ndarray]:
+    def _rendered(self, origins, directions, colors, jitter=None) -> tuple[Rendered, np.ndarray]:
         """What rays come back with, and its difference from the photos over the background."""
         field, back = self.deformer.field, self.background
         rays = Rays.of(origins, directions, field.space.near, jitter)
         rendered = render_rays(field, rays, chunks=self.chunks, share=self.share)
         found = rendered.out[:, :3] + (1 - rendered.out[:, 3:4]) * back
         if field.closed:
-            colours = unhidden(colours, found)
-        target = colours[:, :3] * colours[:, 3:] + (1 - colours[:, 3:]) * back
+            colors = unhidden(colors, found)
+        target = colors[:, :3] * colors[:, 3:] + (1 - colors[:, 3:]) * back
         return rendered, found - target
 
-    def of(self, origins: np.ndarray, directions: np.ndarray, colours: np.ndarray) -> float:
+    def of(self, origins: np.ndarray, directions: np.ndarray, colors: np.ndarray) -> float:
         """Mean squared difference of rays, marched from the middle of their first step, from straight rgba [n, 4]."""
         with self._memory.round():
-            return float(np.square(self._rendered(origins, directions, colours)[1]).mean())
+            return float(np.square(self._rendered(origins, directions, colors)[1]).mean())
 
-    def learn(self, origins: np.ndarray, directions: np.ndarray, colours: np.ndarray, jitter: np.ndarray) -> float:
+    def learn(self, origins: np.ndarray, directions: np.ndarray, colors: np.ndarray, jitter: np.ndarray) -> float:
         """Add dL/dD of their mean squared difference to the deformer's gradients; the difference itself."""
         with self._memory.round():
-            rendered, difference = self._rendered(origins, directions, colours, jitter)
+            rendered, difference = self._rendered(origins, directions, colors, jitter)
             gradients = np.zeros_like(rendered.out)
             gradients[:, :3] = difference * np.float32(2 / difference.size)
             gradients[:, 3] = -gradients[:, :3].sum(1) * self.background
@@ -89,10 +89,10 @@ class PhotoError:
 
 
 class DeformationFitter:
-    """The scene's density and colours stay; the deformation learns to explain what they leave of the photos.
+    """The scene's density and colors stay; the deformation learns to explain what they leave of the photos.
 
     held_out: so many last views of the bank teach nothing and are looked at instead of a fixed set of all rays.
-    device: where it is learnt; None: by the CPU's kernels. The same rays are drawn everywhere.
+    device: where it is learned; None: by the CPU's kernels. The same rays are drawn everywhere.
     """
 
     def __init__(

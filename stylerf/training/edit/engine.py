@@ -1,4 +1,4 @@
-"""What learning an edit asks of whatever holds its palette module: features of a view's pixels, and optimisers.
+"""What learning an edit asks of whatever holds its palette module: features of a view's pixels, and optimizers.
 
 The loop (stylerf/training/edit/trainer.py) decides which pixels and what their loss is; an engine holds the numbers, on the CPU
 (here) or on a GPU (stylerf/training/edit/engine_gpu.py). Losses are torch's, wherever their tensors lie.
@@ -17,7 +17,7 @@ from stylerf.training.common.adam import Adam
 
 
 class EditEngine(Protocol):
-    """device: where tensors lie. kept: numbers of the active colours there, or None. asked: answers as the module does
+    """device: where tensors lie. kept: numbers of the active colors there, or None. asked: answers as the module does
     as it now stands."""
 
     device: torch.device
@@ -26,13 +26,13 @@ class EditEngine(Protocol):
 
     def shown(self, at: int, rows: np.ndarray, jitter: np.ndarray) -> tuple[Tensor, Tensor, Tensor]:
         """Of pixels `rows` [n] of view number `at`, ends moved by jitter [n, 1]: features in a graph whose backward
-        adds to the table's gradients, harmonics of their directions [n, 9], colours of the photo [n, 3]."""
+        adds to the table's gradients, harmonics of their directions [n, 9], colors of the photo [n, 3]."""
 
     def leaf(self) -> Tensor:
         """A copy of the module's `values` that gradients are asked of."""
 
     def step(self, values: Tensor, rate: float, table_rate: float) -> None:
-        """Both optimisers, from the gradient of `values` and what shown() has had added."""
+        """Both optimizers, from the gradient of `values` and what shown() has had added."""
 
     def tell(self, parts: dict[str, Tensor]) -> dict[str, float]:
         """Parts of a loss as numbers. A GPU's are those of the newest step that it has finished; none at first."""
@@ -41,10 +41,10 @@ class EditEngine(Protocol):
         """Those of the last step, waiting for it where need be."""
 
     def collect(self) -> None:
-        """Bring what was learnt into the module's own arrays."""
+        """Bring what was learned into the module's own arrays."""
 
     def moments(self) -> dict[str, np.ndarray]:
-        """What the optimisers remember, by name."""
+        """What the optimizers remember, by name."""
 
     def resume(self, moments: dict[str, np.ndarray]) -> None:
         """Go on from the module's arrays as somebody has set them, and from moments()."""

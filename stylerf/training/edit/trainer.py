@@ -1,7 +1,7 @@
 """Learns a palette module from what the views show of a region, towards a painting where there is one (LAENeRF).
 
-Phases: palette (colours and their mixture, by the photos), style (with a painting: the same and the picture losses),
-pruned (colours that hardly anything is made of are gone), done.
+Phases: palette (colors and their mixture, by the photos), style (with a painting: the same and the picture losses),
+pruned (colors that hardly anything is made of are gone), done.
 """
 
 import math
@@ -16,41 +16,41 @@ from torch import Tensor
 from stylerf import validation
 from stylerf.editing import palette_losses
 from stylerf.editing.edit_views import EditView
-from stylerf.editing.palette_losses import EditWeights, Neighbours
+from stylerf.editing.palette_losses import EditWeights, Neighbors
 from stylerf.editing.palette_module import (
-    MOST_COLOURS,
+    MOST_COLORS,
     Mixture,
     PaletteModule,
     box_around,
     clustered_palette,
     random_palette,
 )
-from stylerf.editing.palette_shares import figures_of, kept_colours, shares_of
-from stylerf.editing.region_style import Canvas, RegionStyle, in_colours_of
+from stylerf.editing.palette_shares import figures_of, kept_colors, shares_of
+from stylerf.editing.region_style import Canvas, RegionStyle, in_colors_of
 from stylerf.errors import Diverged, InvalidValue
 from stylerf.style.feature_extractor import Trunk
 from stylerf.training.edit.engine import CpuEdit, EditEngine
 
-SAMPLED_COLOURS = 20_000  # pixels of the region that a first palette and the painting's colours are taken from
+SAMPLED_COLORS = 20_000  # pixels of the region that a first palette and the painting's colors are taken from
 # Shares of `seconds` that the phases may take.
-TIME = {"recolour": {"palette": 0.75, "pruned": 0.25}, "style": {"palette": 0.2, "style": 0.55, "pruned": 0.25}}
+TIME = {"recolor": {"palette": 0.75, "pruned": 0.25}, "style": {"palette": 0.2, "style": 0.55, "pruned": 0.25}}
 
 
 @dataclass(frozen=True)
 class EditSettings:
-    """How an edit is learnt.
+    """How an edit is learned.
 
-    colours: of the palette at first; palette: where they begin, "clusters" or "random" (LAENeRF); of four
-    shaded colours clusters leave these four with L_sp 0.1, random ones six with 0.5. most_colours: kept by
-    pruning at most. *_steps: of each phase. seconds: a bound for all of them, 0 for none; what is learnt depends on
+    colors: of the palette at first; palette: where they begin, "clusters" or "random" (LAENeRF); of four
+    shaded colors clusters leave these four with L_sp 0.1, random ones six with 0.5. most_colors: kept by
+    pruning at most. *_steps: of each phase. seconds: a bound for all of them, 0 for none; what is learned depends on
     the clock only where that is reached first. pixels: of a view that a step without a painting learns from. rates: per
     step, of networks and palette (twice it) and of the table, falling to `final_rate` of themselves. style_side: see
-    RegionStyle. preserve_colour: the painting is first given the region's mean colour and covariance.
+    RegionStyle. preserve_color: the painting is first given the region's mean color and covariance.
     """
 
-    colours: int = 8
+    colors: int = 8
     palette: str = "clusters"
-    most_colours: int = 8
+    most_colors: int = 8
     palette_steps: int = 300
     style_steps: int = 100
     pruned_steps: int = 100
@@ -62,12 +62,12 @@ class EditSettings:
     final_rate: float = 0.1
     weights: EditWeights = field(default_factory=EditWeights)
     style_side: int = 128
-    preserve_colour: bool = False
+    preserve_color: bool = False
 
     def __post_init__(self) -> None:
-        if not 1 <= self.most_colours <= self.colours <= MOST_COLOURS:
+        if not 1 <= self.most_colors <= self.colors <= MOST_COLORS:
             raise InvalidValue(
-                f"palette: {self.colours} colours (1..{MOST_COLOURS}) of which {self.most_colours} may stay"
+                f"palette: {self.colors} colors (1..{MOST_COLORS}) of which {self.most_colors} may stay"
             )
         if self.palette not in ("clusters", "random"):
             raise InvalidValue(f"palette: begins as clusters or random, not {self.palette!r}")
@@ -89,23 +89,23 @@ def start_module(views: list[EditView], settings: EditSettings, seed: int) -> Pa
     generator = np.random.default_rng([seed, 1])
     box = box_around(np.concatenate([view.x for view in views]))
     if settings.palette == "random":
-        palette = random_palette(generator, settings.colours)
+        palette = random_palette(generator, settings.colors)
     else:
-        palette = clustered_palette(generator, sampled_colours(views, generator), settings.colours)
+        palette = clustered_palette(generator, sampled_colors(views, generator), settings.colors)
     return PaletteModule.create(generator, palette, box)
 
 
-def sampled_colours(views: list[EditView], generator: np.random.Generator) -> np.ndarray:
-    """[up to SAMPLED_COLOURS, 3] what the photos show of the region."""
-    colours = np.concatenate([view.target for view in views])
-    if len(colours) <= SAMPLED_COLOURS:
-        return colours
-    return colours[generator.integers(0, len(colours), SAMPLED_COLOURS)]
+def sampled_colors(views: list[EditView], generator: np.random.Generator) -> np.ndarray:
+    """[up to SAMPLED_COLORS, 3] what the photos show of the region."""
+    colors = np.concatenate([view.target for view in views])
+    if len(colors) <= SAMPLED_COLORS:
+        return colors
+    return colors[generator.integers(0, len(colors), SAMPLED_COLORS)]
 
 
 class EditTrainer:
     """module: from start_module, taught in place. style: painting [3, h, w], or a crop of it, sRGB 0..1, with a trunk;
-    None recolours. device: of the GPU kernels, where the trunk lies too; None: the CPU's. Both see the same pixels."""
+    None recolors. device: of the GPU kernels, where the trunk lies too; None: the CPU's. Both see the same pixels."""
 
     def __init__(
         self,
@@ -126,8 +126,8 @@ class EditTrainer:
         self._module, self.settings, self.seed, self.chunks = module, settings, seed, chunks
         self.style: RegionStyle | None = None
         if style is not None:
-            if settings.preserve_colour:
-                style = in_colours_of(style, sampled_colours(self.views, np.random.default_rng([seed, 6])))
+            if settings.preserve_color:
+                style = in_colors_of(style, sampled_colors(self.views, np.random.default_rng([seed, 6])))
             self.style = RegionStyle(trunk, style, settings.style_side)
         self.engine: EditEngine
         if device is None:
@@ -137,7 +137,7 @@ class EditTrainer:
 
             self.engine = DeviceEdit(self.views, module, device)
         self.state = EditState()
-        self._pictured: dict[int, tuple[Neighbours, Canvas, Tensor]] = {}
+        self._pictured: dict[int, tuple[Neighbors, Canvas, Tensor]] = {}
         self.between_steps = True
 
     @property
@@ -148,7 +148,7 @@ class EditTrainer:
 
     @property
     def asked(self):
-        """What answers as `module` does, wherever that is learnt."""
+        """What answers as `module` does, wherever that is learned."""
         return self.engine.asked
 
     # -- steps ------------------------------------------------------------------------------------------------------
@@ -169,7 +169,7 @@ class EditTrainer:
         steps = self._steps()[phase]
         done = self.state.step / steps if steps else 1.0
         if seconds > 0:
-            share = TIME["recolour" if self.style is None else "style"][phase]
+            share = TIME["recolor" if self.style is None else "style"][phase]
             done = max(done, self.state.seconds / (seconds * share))
         return min(1.0, done)
 
@@ -199,7 +199,7 @@ class EditTrainer:
         mixture = self._module.mix(values, phi, basis, self.engine.kept)
         parts = self._of_pixels(mixture, target, self._module.palette_of(values))
         if pictured:
-            parts |= self._of_picture(at, mixture.colours, target)
+            parts |= self._of_picture(at, mixture.colors, target)
         # A part of weight 0 is not even asked for its gradient.
         weights = {name: getattr(self.settings.weights, name) for name in parts}
         parts = {name: part for name, part in parts.items() if weights[name]}
@@ -215,7 +215,7 @@ class EditTrainer:
 
     def _of_pixels(self, mixture: Mixture, target: Tensor, palette: Tensor) -> dict[str, Tensor]:
         parts = {
-            "reconstruction": palette_losses.reconstruction(mixture.colours, target).mean(),
+            "reconstruction": palette_losses.reconstruction(mixture.colors, target).mean(),
             "certainty": palette_losses.uncertainty(mixture.weights).mean(),
             "offset": palette_losses.offset_size(mixture.offsets).mean(),
             "valid": palette_losses.outside_gamut(palette),
@@ -228,18 +228,18 @@ class EditTrainer:
             parts["distinct"] = palette_losses.likeness(palette[active])
         return parts
 
-    def _of_picture(self, at: int, colours: Tensor, target: Tensor) -> dict[str, Tensor]:
+    def _of_picture(self, at: int, colors: Tensor, target: Tensor) -> dict[str, Tensor]:
         if at not in self._pictured:
             view, device = self.views[at], self.engine.device
             transition = torch.from_numpy(view.transition).to(device)
-            self._pictured[at] = Neighbours.of(view, device), self.style.canvas(view), transition
-        neighbours, canvas, transition = self._pictured[at]
-        differences = neighbours.differences(colours)
+            self._pictured[at] = Neighbors.of(view, device), self.style.canvas(view), transition
+        neighbors, canvas, transition = self._pictured[at]
+        differences = neighbors.differences(colors)
         return {
-            "style": self.style.distance(colours, canvas),
-            "variation": palette_losses.variation(differences, neighbours),
-            "edges": palette_losses.edge_contrast(differences, neighbours),
-            "smooth": palette_losses.transition_error(colours, target, transition).mean(),
+            "style": self.style.distance(colors, canvas),
+            "variation": palette_losses.variation(differences, neighbors),
+            "edges": palette_losses.edge_contrast(differences, neighbors),
+            "smooth": palette_losses.transition_error(colors, target, transition).mean(),
         }
 
     # -- the loop ---------------------------------------------------------------------------------------------------
@@ -276,7 +276,7 @@ class EditTrainer:
         self.between_steps = False  # half of this change would make a checkpoint of neither phase
         if following == "pruned":
             shares = shares_of(self.asked, self.views, self.chunks)
-            self._module.active = kept_colours(self._module.active, shares, self.settings.most_colours)
+            self._module.active = kept_colors(self._module.active, shares, self.settings.most_colors)
         state.spent[state.phase] = round(state.seconds, 3)
         state.phase, state.step, state.seconds = following, 0, 0.0
         self.between_steps = True

@@ -11,7 +11,7 @@ import numpy as np
 
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.fields.ray_samples import Rays
-from stylerf.fields.region_color import PatchColour
+from stylerf.fields.region_color import PatchColor
 from stylerf.fields.scratch_arena import Memory
 from stylerf.rendering.rays import backward, render_rays
 from stylerf.training.common.adam import Adam
@@ -23,9 +23,9 @@ from stylerf.training.common.ray_dataset import RayBank, unhidden
 class FineTuneSettings:
     """seconds: budget, or steps if > 0. rays: of a step. inside: share of them through edited pixels.
 
-    rate: per step, of the colours and (times density_factor) of the density, falling to final_rate of itself;
+    rate: per step, of the colors and (times density_factor) of the density, falling to final_rate of itself;
     density_factor 0 keeps the shapes. depth_weight: of the squared difference of sum(w t) from the depth before the
-    edit, in units of that depth, at edited pixels. background: level of grey behind the field. smoothness, even_from:
+    edit, in units of that depth, at edited pixels. background: level of gray behind the field. smoothness, even_from:
     as in FitSettings.
     """
 
@@ -66,7 +66,7 @@ class TuningEngine(Protocol):
     field: RadianceField
 
     def learn(self, batch: TuningBatch) -> dict[str, float]:
-        """One step of the optimisers; mean squared errors of colours outside and inside the edit, and of depths.
+        """One step of the optimizers; mean squared errors of colors outside and inside the edit, and of depths.
 
         A GPU's are those of the newest step that it has finished; nothing before the first.
         """
@@ -75,7 +75,7 @@ class TuningEngine(Protocol):
         """Those of the last step, waiting for it where need be."""
 
     def moments(self) -> dict[str, np.ndarray]:
-        """What the optimisers remember, by name."""
+        """What the optimizers remember, by name."""
 
     def resume(self, moments: dict[str, np.ndarray]) -> None:
         """Go on from the field's arrays as somebody has set them, and from moments()."""
@@ -93,7 +93,7 @@ class CpuTuning:
         self, field: RadianceField, bank: RayBank, settings: FineTuneSettings, chunks: int, ranks: Ranks = ALONE
     ) -> None:
         self.field, self.bank, self.settings, self.chunks, self.ranks = field, bank, settings, chunks, ranks
-        self.colour_adam = Adam(field.colour.values, field.colour.groups(), chunks)
+        self.color_adam = Adam(field.color.values, field.color.groups(), chunks)
         self.density_adam = Adam(field.density.values, field.density.groups(), chunks)
         self._last: dict[str, float] = {}
         self._memory = Memory()
@@ -105,20 +105,20 @@ class CpuTuning:
     def _learn(self, batch: TuningBatch) -> dict[str, float]:
         s, field, edited = self.settings, self.field, len(batch.depth)
         moving = s.density_factor > 0
-        origins, directions, colours = self.bank.at(batch.views, batch.pixels)
+        origins, directions, colors = self.bank.at(batch.views, batch.pixels)
         rays = Rays.of(origins, directions, field.space.near, batch.jitter)
         rendered = render_rays(field, rays, chunks=self.chunks)
         out, level = rendered.out, np.float32(s.background)
         found = out[:, :3] + (1 - out[:, 3:4]) * level
         if field.closed and self.bank.channels == 4:
-            colours = unhidden(colours, found)
-        difference = found - (colours[:, :3] * colours[:, 3:] + (1 - colours[:, 3:]) * level)
+            colors = unhidden(colors, found)
+        difference = found - (colors[:, :3] * colors[:, 3:] + (1 - colors[:, 3:]) * level)
         gradients = np.zeros_like(out)
         gradients[:, :3] = difference * np.float32(2 / (3 * s.rays))
         gradients[:, 3] = -level * gradients[:, :3].sum(1)
-        if field.colour_map is not None:
+        if field.color_map is not None:
             # The map comes after compositing: rgb' = A rgb + alpha b.
-            matrix, offset = field.colour_map.matrix.numpy(), field.colour_map.offset.numpy()
+            matrix, offset = field.color_map.matrix.numpy(), field.color_map.offset.numpy()
             gradients[:, 3] += gradients[:, :3] @ offset.astype(np.float32)
             gradients[:, :3] = gradients[:, :3] @ matrix.astype(np.float32)
         depth_error = 0.0
@@ -128,8 +128,8 @@ class CpuTuning:
             gradients[:edited, 4] = (2 * s.depth_weight / batch.inside) * off / known
             depth_error = float(np.square(off).sum())
         density_to = self.density_adam.gradients if moving else None
-        within = field.colour.marked if isinstance(field.colour, PatchColour) else None
-        to = density_to, self.colour_adam.gradients
+        within = field.color.marked if isinstance(field.color, PatchColor) else None
+        to = density_to, self.color_adam.gradients
         backward(field, rendered, gradients, *to, even_from=s.even_from, density_within=within)
         self._step(batch, moving)
         squares = np.square(difference).mean(1)
@@ -139,15 +139,15 @@ class CpuTuning:
         return self._last
 
     def _step(self, batch: TuningBatch, moving: bool) -> None:
-        """Both optimisers, where the density moves, on gradients of all processes."""
+        """Both optimizers, where the density moves, on gradients of all processes."""
         if batch.smoothness > 0 and self.ranks.first:
-            self.field.colour.smooth(batch.smoothness, self.colour_adam.gradients[0])
+            self.field.color.smooth(batch.smoothness, self.color_adam.gradients[0])
             if moving:
                 self.field.density.smooth(batch.smoothness, self.density_adam.gradients[0])
-        self.ranks.add_gradients(self.colour_adam.gradients)
+        self.ranks.add_gradients(self.color_adam.gradients)
         if moving:
             self.ranks.add_gradients(self.density_adam.gradients)
-        self.colour_adam.step(batch.rate)
+        self.color_adam.step(batch.rate)
         if moving:
             self.density_adam.step(batch.rate * self.settings.density_factor)
 
@@ -155,9 +155,9 @@ class CpuTuning:
         return self._last
 
     def moments(self) -> dict[str, np.ndarray]:
-        both = ("density", self.density_adam), ("colour", self.colour_adam)
+        both = ("density", self.density_adam), ("color", self.color_adam)
         return {f"{name}.{k}": v.copy() for name, adam in both for k, v in adam.arrays().items()}
 
     def resume(self, moments: dict[str, np.ndarray]) -> None:
-        for name, adam in (("density", self.density_adam), ("colour", self.colour_adam)):
+        for name, adam in (("density", self.density_adam), ("color", self.color_adam)):
             adam.restore({k: moments[f"{name}.{k}"] for k in ("first", "second", "steps")})

@@ -8,7 +8,7 @@ import torch
 
 from stylerf.fields.gpu.field import DeviceField, marked_cells
 from stylerf.fields.radiance_field import RadianceField
-from stylerf.fields.region_color import PatchColour
+from stylerf.fields.region_color import PatchColor
 from stylerf.kernels.gpu import launch_edit
 from stylerf.rendering.rays import SAMPLE_LIMIT
 from stylerf.training.common.async_readback import Reports, sent
@@ -33,8 +33,8 @@ class DeviceTuning:
         self.bank = DeviceBank(bank, self.device)
         self._host = field
         self._within = None
-        if isinstance(field.colour, PatchColour):
-            self._within = marked_cells(field.colour.marked, self.device), field.colour.cells
+        if isinstance(field.color, PatchColor):
+            self._within = marked_cells(field.color.marked, self.device), field.color.cells
         self._reports = Reports(self.device, 5, self._told, {}, in_step=ranks.count > 1)
         self._take_up()
 
@@ -42,15 +42,15 @@ class DeviceTuning:
         """The host's arrays, moments at zero."""
         self._stale = False
         self.live = DeviceField(self._host, self.device)
-        self.colour_adam = DeviceAdam(self.live.colour.values, self.live.colour.groups)
+        self.color_adam = DeviceAdam(self.live.color.values, self.live.color.groups)
         self.density_adam = DeviceAdam(self.live.density.values, self.live.density.groups)
 
     @property
     def field(self) -> RadianceField:
         if self._stale:
             # The occupancy stays as it is: see the loop.
-            for own, learnt in ((self._host.colour, self.live.colour), (self._host.density, self.live.density)):
-                own.values[:] = learnt.values.cpu().numpy()
+            for own, learned in ((self._host.color, self.live.color), (self._host.density, self.live.density)):
+                own.values[:] = learned.values.cpu().numpy()
             self._stale = False
         return self._host
 
@@ -70,12 +70,12 @@ class DeviceTuning:
         gradients = launch_edit.tuning_loss(
             rendered.out, wanted, depth, rendered.samples, s.background, scale, pulling, sums
         )
-        if field.colour_map is not None:
+        if field.color_map is not None:
             # The map comes after compositing: rgb' = A rgb + alpha b.
-            matrix, offset = field.colour_map
+            matrix, offset = field.color_map
             gradients[:, 3] += gradients[:, :3] @ offset
             gradients[:, :3] = gradients[:, :3] @ matrix
-        to = self.density_adam.gradients if moving else None, self.colour_adam.gradients
+        to = self.density_adam.gradients if moving else None, self.color_adam.gradients
         field.backward(rendered, gradients, *to, even_from=s.even_from, density_within=self._within)
         for part, adam, factor in self._taught():
             if batch.smoothness > 0 and self.ranks.first:
@@ -87,10 +87,10 @@ class DeviceTuning:
         return self._reports.send(batch.inside)
 
     def _taught(self) -> list[tuple]:
-        """(part, its optimiser, its rate over that of the colours) of what learns."""
-        colour = self.live.colour, self.colour_adam, 1.0
+        """(part, its optimizer, its rate over that of the colors) of what learns."""
+        color = self.live.color, self.color_adam, 1.0
         density = self.live.density, self.density_adam, self.settings.density_factor
-        return [colour, density] if density[2] > 0 else [colour]
+        return [color, density] if density[2] > 0 else [color]
 
     def _told(self, sums: list[float], inside: int) -> dict[str, float]:
         outside, within, depth, lost_outside, lost_inside = sums
@@ -101,10 +101,10 @@ class DeviceTuning:
         return self._reports.settle()
 
     def moments(self) -> dict[str, np.ndarray]:
-        both = ("density", self.density_adam), ("colour", self.colour_adam)
+        both = ("density", self.density_adam), ("color", self.color_adam)
         return {f"{name}.{k}": v for name, adam in both for k, v in adam.arrays().items()}
 
     def resume(self, moments: dict[str, np.ndarray]) -> None:
         self._take_up()
-        for name, adam in (("density", self.density_adam), ("colour", self.colour_adam)):
+        for name, adam in (("density", self.density_adam), ("color", self.color_adam)):
             adam.restore({k: moments[f"{name}.{k}"] for k in ("first", "second", "steps")})

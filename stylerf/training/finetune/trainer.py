@@ -1,4 +1,4 @@
-"""Fine-tune a field on photos that carry an edit (LAENeRF, section 3.5): colours follow, density where it has to.
+"""Fine-tune a field on photos that carry an edit (LAENeRF, section 3.5): colors follow, density where it has to.
 
 LAENeRF adds a depth term whose gradient its compositing discards; ours acts. The occupancy stays as it is: looked at
 anew, it lost thin cells all over the scene (fox: background error 1.14 times that before the edit, else 1.05).
@@ -13,7 +13,7 @@ import numpy as np
 
 from stylerf.errors import Diverged
 from stylerf.fields.radiance_field import RadianceField
-from stylerf.fields.region_color import PatchColour
+from stylerf.fields.region_color import PatchColor
 from stylerf.training.common.process_group import ALONE, Ranks
 from stylerf.training.common.ray_dataset import RayBank
 from stylerf.training.finetune.engine import CpuTuning, FineTuneSettings, TuningBatch, TuningEngine
@@ -66,7 +66,7 @@ class FineTuner:
         self.ranks, self.bank, self.edited, self.settings, self.seed = ranks, bank, edited, settings, seed
         self.state = FineTuneState()
         # Whether all that learns is near the edit: rays far from it would tell nothing.
-        self.local = isinstance(field.colour, PatchColour) and settings.density_factor == 0
+        self.local = isinstance(field.color, PatchColor) and settings.density_factor == 0
         self.engine: TuningEngine
         if device is None:
             self.engine = CpuTuning(field, bank, settings, chunks, ranks)
@@ -116,7 +116,7 @@ class FineTuner:
         )
 
     def step(self) -> dict[str, float]:
-        """One step; mean squared errors of colours outside and inside the edit, and of depths."""
+        """One step; mean squared errors of colors outside and inside the edit, and of depths."""
         return self.engine.learn(self._batch())
 
     def run(self, on_step: Callable[["FineTuner"], None] = lambda tuner: None) -> None:

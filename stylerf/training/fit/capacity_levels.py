@@ -5,10 +5,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stylerf.fields.capacity import Capacity
-from stylerf.fields.encoded_color import HeadedColour
+from stylerf.fields.encoded_color import HeadedColor
 from stylerf.fields.hash_density import HashDensity
 from stylerf.fields.occupancy_grid import Occupancy
-from stylerf.fields.vm import VmColour, VmDensity
+from stylerf.fields.vm import VmColor, VmDensity
 from stylerf.fields.voxel import VoxelDensity
 from stylerf.geometry.space_warp import Space
 
@@ -17,57 +17,57 @@ from stylerf.geometry.space_warp import Space
 class Rung:
     """One capacity: vertices per axis of an even box (of a hash grid: most cells a side), ranks of vm's density and
 
-    colour, cells of the occupancy grid, the power of two of a hash level's vertices, the highest degree that the
-    harmonics of a vm colour may have, and the resolution of the colour where it is not that of the density.
+    color, cells of the occupancy grid, the power of two of a hash level's vertices, the highest degree that the
+    harmonics of a vm color may have, and the resolution of the color where it is not that of the density.
     """
 
     resolution: int
     density_rank: int = 16
-    colour_rank: int = 24
+    color_rank: int = 24
     cells: int = 64
     table_bits: int = 16
     degree: int = 2
-    colour_resolution: int = 0
+    color_resolution: int = 0
 
     @property
-    def colour(self) -> "Rung":
-        """The capacity that the colour has: it may be coarser than the density."""
-        return replace(self, resolution=self.colour_resolution or self.resolution)
+    def color(self) -> "Rung":
+        """The capacity that the color has: it may be coarser than the density."""
+        return replace(self, resolution=self.color_resolution or self.resolution)
 
 
 @dataclass(frozen=True)
 class Kinds:
-    """What a field is made of. density, colour: vm, hash or voxel. head: linear or mlp. levels: of hash grids."""
+    """What a field is made of. density, color: vm, hash or voxel. head: linear or mlp. levels: of hash grids."""
 
     density: str = "vm"
-    colour: str = "vm"
+    color: str = "vm"
     head: str = "linear"
     levels: int = 8
 
 
 # Few ranks on the first rung: what is added later begins beside what is known already, where the error is. On the
-# finest grid a density of half the ranks and a coarser colour hold as much, and a step takes less time (0040).
+# finest grid a density of half the ranks and a coarser color hold as much, and a step takes less time (0040).
 LADDER = (
     Rung(64, 8, 16, table_bits=16),
     Rung(128, table_bits=17),
     Rung(192, table_bits=17),
-    Rung(256, 8, table_bits=18, colour_resolution=176),
+    Rung(256, 8, table_bits=18, color_resolution=176),
 )
-# The same with colours as fine as the density, where the photos of an object hold more than LADDER's colours can.
+# The same with colors as fine as the density, where the photos of an object hold more than LADDER's colors can.
 FULL = Rung(256, 8, table_bits=18)
 # A contraction leaves half of each axis to what the cameras stand around: there a finer density still tells.
-BEYOND = Rung(384, 8, table_bits=18, colour_resolution=256)
+BEYOND = Rung(384, 8, table_bits=18, color_resolution=256)
 
 
 def ladder_of(kinds: Kinds, space: str, pixels: int) -> tuple[Rung, ...]:
     """The rungs that a fit of so made fields climbs. space: its kind. pixels: the longest side of the photos."""
     if kinds.head != "linear":
-        # A small network behind the colour has one width: its ranks are those of the first rung.
-        return (replace(LADDER[0], colour_rank=FULL.colour_rank), *LADDER[1:3], FULL)
+        # A small network behind the color has one width: its ranks are those of the first rung.
+        return (replace(LADDER[0], color_rank=FULL.color_rank), *LADDER[1:3], FULL)
     if kinds == Kinds() and space == "contraction":
         # All ranks until the last: 256^3 with half of them seems to gain nothing, where 384^3 then would.
         return (*LADDER[:3], replace(FULL, density_rank=16), BEYOND)
-    lean = kinds == Kinds() and (space == "frustum" or pixels < 2 * LADDER[-1].colour_resolution)
+    lean = kinds == Kinds() and (space == "frustum" or pixels < 2 * LADDER[-1].color_resolution)
     return LADDER if lean else (*LADDER[:3], FULL)
 
 
@@ -79,7 +79,7 @@ def capacity_at(
         space.cells_per_axis(rung.resolution),
         rung.resolution,
         rung.density_rank,
-        rung.colour_rank,
+        rung.color_rank,
         1 << rung.table_bits,
         levels,
         finest,
@@ -89,15 +89,15 @@ def capacity_at(
 
 
 def first_parts(kinds: Kinds, capacity: Capacity, generator: np.random.Generator) -> tuple:
-    """(density, colour) that know nothing yet."""
+    """(density, color) that know nothing yet."""
     degree = capacity.degree
     if kinds.density == "vm":
         density = VmDensity.create(capacity.size, capacity.density_rank, generator)
     else:
         density = DENSITIES[kinds.density].create(capacity, generator)
-    if kinds.colour == "vm" and kinds.head == "linear":
-        return density, VmColour.create(capacity.size, capacity.colour_rank, degree, generator)
-    return density, HeadedColour.create(kinds.colour, kinds.head, capacity, degree, generator)
+    if kinds.color == "vm" and kinds.head == "linear":
+        return density, VmColor.create(capacity.size, capacity.color_rank, degree, generator)
+    return density, HeadedColor.create(kinds.color, kinds.head, capacity, degree, generator)
 
 
 DENSITIES = {"hash": HashDensity, "voxel": VoxelDensity}

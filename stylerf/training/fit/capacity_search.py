@@ -22,7 +22,7 @@ HOPELESS, HOPELESS_RANKS = 0.6, 0.3
 RAMP = 5
 RANKS = (8, 16)  # that may be gone down to: each number is a set of kernels to compile
 RESOLUTIONS = (32, 48, 64, 96, 128, 192, 256, 384, 512)
-COLOUR_STEP = 16  # a coarser colour's resolution is a multiple of it
+COLOR_STEP = 16  # a coarser color's resolution is a multiple of it
 # An error of one step of an eight-bit photo. What lies beyond is rounding: no reason to grow, and no collapse to lose.
 TELLING_PSNR = 20 * math.log10(255)
 GROW = "grow"
@@ -33,28 +33,28 @@ def _fewer_density_ranks(rung: Rung, kinds: Kinds, settings: FitSettings) -> dic
     return {"density_rank": below[-1]} if kinds.density == "vm" and below else {}
 
 
-def _fewer_colour_ranks(rung: Rung, kinds: Kinds, settings: FitSettings) -> dict[str, int]:
-    # A headed colour's network has one width.
-    below = [n for n in RANKS if n < rung.colour_rank]
-    return {"colour_rank": below[-1]} if kinds.colour == "vm" and kinds.head == "linear" and below else {}
+def _fewer_color_ranks(rung: Rung, kinds: Kinds, settings: FitSettings) -> dict[str, int]:
+    # A headed color's network has one width.
+    below = [n for n in RANKS if n < rung.color_rank]
+    return {"color_rank": below[-1]} if kinds.color == "vm" and kinds.head == "linear" and below else {}
 
 
 def _coarser(rung: Rung, kinds: Kinds, settings: FitSettings) -> dict[str, int]:
     below = [n for n in RESOLUTIONS if n < rung.resolution]
     if not below:
         return {}
-    coarser_colour = 0 < rung.colour_resolution < below[-1]
-    return {"resolution": below[-1], "colour_resolution": rung.colour_resolution if coarser_colour else 0}
+    coarser_color = 0 < rung.color_resolution < below[-1]
+    return {"resolution": below[-1], "color_resolution": rung.color_resolution if coarser_color else 0}
 
 
-def _coarser_colour(rung: Rung, kinds: Kinds, settings: FitSettings) -> dict[str, int]:
-    # By a third: at once the views miss it no more than a quarter, and a colour of 176^3 halves a field of 256^3.
-    below = max(RESOLUTIONS[0], round(rung.colour.resolution * 2 / 3 / COLOUR_STEP) * COLOUR_STEP)
-    return {"colour_resolution": below} if below < rung.colour.resolution else {}
+def _coarser_color(rung: Rung, kinds: Kinds, settings: FitSettings) -> dict[str, int]:
+    # By a third: at once the views miss it no more than a quarter, and a color of 176^3 halves a field of 256^3.
+    below = max(RESOLUTIONS[0], round(rung.color.resolution * 2 / 3 / COLOR_STEP) * COLOR_STEP)
+    return {"color_resolution": below} if below < rung.color.resolution else {}
 
 
 def _seen_alike(rung: Rung, kinds: Kinds, settings: FitSettings) -> dict[str, int]:
-    view_dependent = kinds.colour == "vm" and kinds.head == "linear" and min(rung.degree, settings.degree) > 0
+    view_dependent = kinds.color == "vm" and kinds.head == "linear" and min(rung.degree, settings.degree) > 0
     return {"degree": 0} if view_dependent else {}
 
 
@@ -62,22 +62,22 @@ def _seen_alike(rung: Rung, kinds: Kinds, settings: FitSettings) -> dict[str, in
 REDUCTIONS = {
     "density ranks": _fewer_density_ranks,
     "resolution": _coarser,
-    "colour ranks": _fewer_colour_ranks,
-    "colour resolution": _coarser_colour,
+    "color ranks": _fewer_color_ranks,
+    "color resolution": _coarser_color,
     "degree": _seen_alike,
 }
-OF_RANKS = ("density ranks", "colour ranks")
+OF_RANKS = ("density ranks", "color ranks")
 
 
 def named(rung: Rung, kinds: Kinds, settings: FitSettings) -> str:
-    """A capacity in words: 128^3 rank 16+24; where the colour is coarser, 256^3+128^3 rank 16+24."""
+    """A capacity in words: 128^3 rank 16+24; where the color is coarser, 256^3+128^3 rank 16+24."""
     ranks = []
     if kinds.density == "vm":
         ranks.append(rung.density_rank)
-    if kinds.colour == "vm":
-        ranks.append(rung.colour_rank)
+    if kinds.color == "vm":
+        ranks.append(rung.color_rank)
     degree = min(rung.degree, settings.degree)
-    coarser = f"+{rung.colour_resolution}^3" if rung.colour.resolution != rung.resolution else ""
+    coarser = f"+{rung.color_resolution}^3" if rung.color.resolution != rung.resolution else ""
     words = f"{rung.resolution}^3{coarser}" + (f" rank {'+'.join(map(str, ranks))}" if ranks else "")
     return words + ("" if degree == settings.degree else f" degree {degree}")
 
@@ -279,7 +279,7 @@ class Climb:
     def told(self, parameters: int) -> str:
         """The capacity that stands in one line, with what more of it would gain and less of it would lose."""
         kinds, here = self.settings.kinds, self.name(self.rung)
-        kind = kinds.density if kinds.density == kinds.colour else f"{kinds.density}+{kinds.colour}"
+        kind = kinds.density if kinds.density == kinds.color else f"{kinds.density}+{kinds.color}"
         line = f"{kind} {here}, {parameters / 1e6:.2f} M parameters"
         more = [s for s in self.state.sizes if s["smaller"] == here]
         less = [s for s in self.state.sizes if s["larger"] == here]

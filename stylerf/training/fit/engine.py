@@ -24,7 +24,7 @@ class Batch:
     """One step: `rays` random rays of the first `among` views, worked off in `parts`; `step` and seed decide which.
 
     lit_share: part of the rays near something opaque. background: white, black, random or none. smoothness: strengths
-    (density, colour) of the planes' total variation, 0: none. even_from, opacity, coverage: see FitSettings.
+    (density, color) of the planes' total variation, 0: none. even_from, opacity, coverage: see FitSettings.
     """
 
     step: int
@@ -41,7 +41,7 @@ class Batch:
 
 
 @dataclass(frozen=True)
-class Learnt:
+class Learned:
     """Mean squared error of a batch and samples a ray. A GPU's are those of the newest step that it has finished."""
 
     error: float
@@ -59,19 +59,19 @@ class Engine(Protocol):
     most_rays: int
 
     def adopt(self, field: RadianceField) -> None:
-        """Go on with this field, moments of the optimiser at zero but of a part that is the very one before."""
+        """Go on with this field, moments of the optimizer at zero but of a part that is the very one before."""
 
     def refresh(self, seed: int, share: int) -> None:
         """Look anew where the field has density, at one cell in `share`."""
 
-    def learn(self, batch: Batch) -> Learnt:
-        """One step of the optimiser. MemoryError where the batch does not fit; then discard() what was begun."""
+    def learn(self, batch: Batch) -> Learned:
+        """One step of the optimizer. MemoryError where the batch does not fit; then discard() what was begun."""
 
     def discard(self) -> None:
         """Drop gradients that no step has taken."""
 
     def rendered(self, origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
-        """[rays, 5] float32: premultiplied colour, alpha and distance of what they show, of rays without jitter."""
+        """[rays, 5] float32: premultiplied color, alpha and distance of what they show, of rays without jitter."""
 
     def follow_exposure(self) -> None:
         """Take photos for what the codes of the loop's bank say now."""
@@ -83,7 +83,7 @@ class Engine(Protocol):
         """Take the first process's values: what unlike processors round otherwise must not add up."""
 
     def moments(self) -> dict[str, np.ndarray]:
-        """What the optimisers remember, by name."""
+        """What the optimizers remember, by name."""
 
     def restore_moments(self, arrays: dict[str, np.ndarray]) -> None:
         """From moments(), for the field adopted last."""
@@ -105,9 +105,9 @@ def over(rgb: np.ndarray, alpha: np.ndarray, background: np.ndarray) -> np.ndarr
     return rgb + (1 - alpha) * background
 
 
-def target(colours: np.ndarray, background: np.ndarray) -> np.ndarray:
+def target(colors: np.ndarray, background: np.ndarray) -> np.ndarray:
     """Straight rgba over a background."""
-    return colours[:, :3] * colours[:, 3:] + (1 - colours[:, 3:]) * background
+    return colors[:, :3] * colors[:, 3:] + (1 - colors[:, 3:]) * background
 
 
 def opacity_gradient(alpha: np.ndarray, weight: float, rays: int) -> np.ndarray:
@@ -121,8 +121,8 @@ def opacity_gradient(alpha: np.ndarray, weight: float, rays: int) -> np.ndarray:
 def coverage_gradient(alpha: np.ndarray, wanted: np.ndarray, weight: float, rays: int) -> np.ndarray:
     """d/d(alpha) of weight * mean((alpha - wanted)^2) over `rays`: how much of each pixel [n] is covered.
 
-    On a background of one colour, matter of that colour costs nothing. Random backgrounds tell it by noise: the mean of
-    their squared error is that on mid-grey plus a twelfth of the alphas'.
+    On a background of one color, matter of that color costs nothing. Random backgrounds tell it by noise: the mean of
+    their squared error is that on mid-gray plus a twelfth of the alphas'.
     """
     return (np.float32(2 * weight / rays) * (alpha - wanted)).astype(np.float32)
 
@@ -148,14 +148,14 @@ class CpuEngine:
         clip: float = 0.0,
     ) -> None:
         self.bank, self.seed, self.chunks, self.ranks, self.clip = bank, seed, chunks, ranks, clip
-        self.density_adam = self.colour_adam = None
+        self.density_adam = self.color_adam = None
         self._memory = Memory()
         self.adopt(field)
 
     def adopt(self, field: RadianceField) -> None:
         self.field = field
         self.density_adam = self._adam_of(field.density, self.density_adam)
-        self.colour_adam = self._adam_of(field.colour, self.colour_adam)
+        self.color_adam = self._adam_of(field.color, self.color_adam)
 
     def _adam_of(self, part, before: Adam | None) -> Adam:
         if before is not None and before.values is part.values:
@@ -170,56 +170,56 @@ class CpuEngine:
         field = self.field
         field.occupancy.refresh(lambda x: field.density.sigma(x, self.chunks), field.step, seed, share, 0.9)
 
-    def learn(self, batch: Batch) -> Learnt:
+    def learn(self, batch: Batch) -> Learned:
         generator = np.random.default_rng([self.seed, 4, batch.step])
         count, near, own = batch.rays, self.field.space.near, self.ranks.own(batch.rays)
-        origins, directions, colours, _ = self.bank.draw(count, generator, batch.among, batch.lit_share, own)
+        origins, directions, colors, _ = self.bank.draw(count, generator, batch.among, batch.lit_share, own)
         jitter = generator.random(count, dtype=np.float32)[own]
         background = background_of(batch.background, count, generator)[own]
         error, live = 0.0, 0
         for part in parts_of(0, len(origins), batch.parts):
             rays = Rays.of(origins[part], directions[part], near, jitter[part])
             with self._memory.round():
-                squares, samples = self._learn_part(batch, rays, colours[part], background[part])
+                squares, samples = self._learn_part(batch, rays, colors[part], background[part])
             error += squares
             live += samples
-        both = (self.field.density, self.density_adam), (self.field.colour, self.colour_adam)
+        both = (self.field.density, self.density_adam), (self.field.color, self.color_adam)
         for strength, (part, adam) in zip(batch.smoothness, both):
             if strength > 0 and self.ranks.first:
                 part.smooth(strength, adam.gradients[0])
         totals = np.array([error, live], np.float64)
         self.ranks.add(totals)
-        for adam in (self.density_adam, self.colour_adam):
+        for adam in (self.density_adam, self.color_adam):
             self.ranks.add_gradients(adam.gradients)
         self.density_adam.step(batch.rate)
-        self.colour_adam.step(batch.rate)
+        self.color_adam.step(batch.rate)
         error, live = totals.tolist()
-        return Learnt(error / (3 * count), live / count)
+        return Learned(error / (3 * count), live / count)
 
-    def _learn_part(self, batch: Batch, rays: Rays, colours, back) -> tuple[float, int]:
+    def _learn_part(self, batch: Batch, rays: Rays, colors, back) -> tuple[float, int]:
         """Add the gradients of some rays of a batch; the sum of their squared errors, and their samples."""
         count = batch.rays
         rendered = render_rays(self.field, rays, chunks=self.chunks)
         out = rendered.out
         found = over(out[:, :3], out[:, 3:4], back)
         if self.field.closed and self.bank.channels == 4:
-            colours = unhidden(colours, found)
-        difference = found - target(colours, back)
+            colors = unhidden(colors, found)
+        difference = found - target(colors, back)
         gradients = np.zeros_like(out)
         gradients[:, :3] = difference * np.float32(2 / (3 * count))
         gradients[:, 3] = -(gradients[:, :3] * back).sum(1)
         if batch.opacity > 0:
             gradients[:, 3] += opacity_gradient(out[:, 3], batch.opacity, count)
         if batch.coverage > 0:
-            gradients[:, 3] += coverage_gradient(out[:, 3], colours[:, 3], batch.coverage, count)
-        to = self.density_adam.gradients, self.colour_adam.gradients
+            gradients[:, 3] += coverage_gradient(out[:, 3], colors[:, 3], batch.coverage, count)
+        to = self.density_adam.gradients, self.color_adam.gradients
         backward(self.field, rendered, gradients, *to, even_from=batch.even_from)
         return float(np.square(difference).sum()), rendered.samples.count
 
     def discard(self) -> None:
         self._memory = Memory()  # what was kept for batches of this size is needed for smaller ones
         self.density_adam.gradients[:] = 0
-        self.colour_adam.gradients[:] = 0
+        self.color_adam.gradients[:] = 0
 
     def rendered(self, origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
         found = np.zeros((len(origins), 5), np.float32)
@@ -236,15 +236,15 @@ class CpuEngine:
     def settle(self) -> None: ...
 
     def agree(self) -> None:
-        for part in (self.field.density, self.field.colour):
+        for part in (self.field.density, self.field.color):
             self.ranks.take_first(part.values)
 
     def moments(self) -> dict[str, np.ndarray]:
-        both = ("density", self.density_adam), ("colour", self.colour_adam)
+        both = ("density", self.density_adam), ("color", self.color_adam)
         return {f"{name}.{k}": v for name, adam in both for k, v in adam.arrays().items()}
 
     def restore_moments(self, arrays: dict[str, np.ndarray]) -> None:
-        for name, adam in (("density", self.density_adam), ("colour", self.colour_adam)):
+        for name, adam in (("density", self.density_adam), ("color", self.color_adam)):
             adam.restore({k: arrays[f"{name}.{k}"] for k in ("first", "second", "steps")})
 
     def warm_up(self, scratch: list[RadianceField], smoothness: tuple[float, float], even_from: float) -> None:
@@ -253,7 +253,7 @@ class CpuEngine:
         for field in scratch:
             field.occupancy.refresh(lambda x, d=field.density: d.sigma(x, self.chunks), field.step, 0, 1, 0.9)
             rendered = render_rays(field, rays, chunks=self.chunks)
-            parts = field.density, field.colour
+            parts = field.density, field.color
             adams = [Adam(part.values, part.groups(), self.chunks) for part in parts]
             to = adams[0].gradients, adams[1].gradients
             backward(field, rendered, np.ones_like(rendered.out), *to, even_from=even_from)

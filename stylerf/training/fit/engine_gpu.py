@@ -20,7 +20,7 @@ from stylerf.training.common.async_readback import Reports
 from stylerf.training.common.process_group import ALONE, Ranks
 from stylerf.training.common.ray_dataset import RayBank
 from stylerf.training.common.ray_dataset_gpu import DeviceBank, unhidden
-from stylerf.training.fit.engine import Batch, Learnt, parts_of
+from stylerf.training.fit.engine import Batch, Learned, parts_of
 
 ROOM = 4  # times the samples that a batch is meant to have; rays beyond that are left out of the step
 LEAST_ROOM = 1 << 18
@@ -99,7 +99,7 @@ def out_of_memory() -> Iterator[None]:
 
 
 def _joined(groups: list[tuple[int, int, float]]) -> list[tuple[int, int, float]]:
-    """Neighbouring groups of one factor as one: a launch less. A run of eight may then span both."""
+    """Neighboring groups of one factor as one: a launch less. A run of eight may then span both."""
     joined: list[tuple[int, int, float]] = []
     for begin, end, factor in groups:
         if joined and joined[-1][1] == begin and joined[-1][2] == factor:
@@ -109,12 +109,12 @@ def _joined(groups: list[tuple[int, int, float]]) -> list[tuple[int, int, float]
     return joined
 
 
-def _learnt(sums: list[float], rays: int) -> Learnt:
+def _learned(sums: list[float], rays: int) -> Learned:
     """Of (squared error, samples, rays left out) of a step."""
     error, samples, left_out = sums
     # Rays that found no room show that there were more samples than were counted.
     rays = max(1.0, rays - left_out)
-    return Learnt(error / (3 * rays), samples / rays)
+    return Learned(error / (3 * rays), samples / rays)
 
 
 class DeviceEngine:
@@ -139,19 +139,19 @@ class DeviceEngine:
     ) -> None:
         self.device, self.ranks, self.clip = torch.device(device), ranks, clip
         self.bank, self.seed = DeviceBank(bank, self.device), seed
-        self._parts, self.density_adam, self.colour_adam = (None, None), None, None
+        self._parts, self.density_adam, self.color_adam = (None, None), None, None
         self.room = max(LEAST_ROOM if self.device.type == "cuda" else 0, ROOM * samples)
         self.adopt(field)
 
     def adopt(self, field: RadianceField) -> None:
         self._host, self._stale = field, False
         self.live = DeviceField(field, self.device)
-        parts = field.density, field.colour
+        parts = field.density, field.color
         kept = [old is part for old, part in zip(self._parts, parts)]
         self.density_adam = self._adam_of(self.live.density, self.density_adam if kept[0] else None)
-        self.colour_adam = self._adam_of(self.live.colour, self.colour_adam if kept[1] else None)
+        self.color_adam = self._adam_of(self.live.color, self.color_adam if kept[1] else None)
         self._parts = parts
-        self._reports = Reports(self.device, 3, _learnt, Learnt(0.0, 0.0), in_step=True)
+        self._reports = Reports(self.device, 3, _learned, Learned(0.0, 0.0), in_step=True)
 
     def _adam_of(self, part, before: DeviceAdam | None) -> DeviceAdam:
         """Of a part's new tensors; `before` is that of the same part."""
@@ -176,20 +176,20 @@ class DeviceEngine:
             refresh(self.live, seed, share, 0.9)
         self._stale = True
 
-    def learn(self, batch: Batch) -> Learnt:
+    def learn(self, batch: Batch) -> Learned:
         sums = self._reports.begin()
         with out_of_memory():
             self._add_gradients(batch, sums)
         # From here on lack of memory ends the run: a step begun anew would ask the other processes for its sums again.
-        for summed in (sums, self.density_adam.gradients, self.colour_adam.gradients):
+        for summed in (sums, self.density_adam.gradients, self.color_adam.gradients):
             self.ranks.add(summed)
         self.density_adam.step(batch.rate)
-        self.colour_adam.step(batch.rate)
+        self.color_adam.step(batch.rate)
         self._stale = True
         return self._reports.send(batch.rays)
 
     def _add_gradients(self, batch: Batch, sums: Tensor) -> None:
-        """Those of this process's part of the rays, and of the smoothness, to the optimisers'; the rest to sums [3]."""
+        """Those of this process's part of the rays, and of the smoothness, to the optimizers'; the rest to sums [3]."""
         field = self.live
         seed = (self.seed * 1_000_003 + batch.step) & 0x7FFFFFFF
         level = None if batch.background == "random" else 0.0 if batch.background in ("black", "none") else 1.0
@@ -209,16 +209,16 @@ class DeviceEngine:
                 gradients[:, 3] += opacity_gradient(rendered, batch.opacity, batch.rays)
             if batch.coverage > 0:
                 gradients[:, 3] += coverage_gradient(rendered, drawn.wanted[:, 3], batch.coverage, batch.rays)
-            to = self.density_adam.gradients, self.colour_adam.gradients
+            to = self.density_adam.gradients, self.color_adam.gradients
             field.backward(rendered, gradients, *to, even_from=batch.even_from)
-        both = (field.density, self.density_adam), (field.colour, self.colour_adam)
+        both = (field.density, self.density_adam), (field.color, self.color_adam)
         for strength, (part, adam) in zip(batch.smoothness, both):
             if strength > 0 and self.ranks.first:
                 part.smooth(strength, adam.gradients)
 
     def discard(self) -> None:
         self.density_adam.gradients.zero_()
-        self.colour_adam.gradients.zero_()
+        self.color_adam.gradients.zero_()
 
     def rendered(self, origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
         found = np.empty((len(origins), 5), np.float32)
@@ -235,7 +235,7 @@ class DeviceEngine:
         self._reports.settle()
 
     def agree(self) -> None:
-        for part in (self.live.density, self.live.colour):
+        for part in (self.live.density, self.live.color):
             self.ranks.take_first(part.values)
         if self.ranks.count > 1:  # unlike GPUs draw unlike points to look at
             self.ranks.take_first(self.live.highest)
@@ -243,18 +243,18 @@ class DeviceEngine:
             self._stale = True
 
     def moments(self) -> dict[str, np.ndarray]:
-        both = ("density", self.density_adam), ("colour", self.colour_adam)
+        both = ("density", self.density_adam), ("color", self.color_adam)
         return {f"{name}.{k}": v for name, adam in both for k, v in adam.arrays().items()}
 
     def restore_moments(self, arrays: dict[str, np.ndarray]) -> None:
-        for name, adam in (("density", self.density_adam), ("colour", self.colour_adam)):
+        for name, adam in (("density", self.density_adam), ("color", self.color_adam)):
             adam.restore({k: arrays[f"{name}.{k}"] for k in ("first", "second", "steps")})
 
     def warm_up(self, scratch: list[RadianceField], smoothness: tuple[float, float], even_from: float) -> None:
         levels = [None, 1.0]
         for field in scratch:
             scratch = DeviceField(field, self.device)
-            adams = [DeviceAdam(part.values, part.groups) for part in (scratch.density, scratch.colour)]
+            adams = [DeviceAdam(part.values, part.groups) for part in (scratch.density, scratch.color)]
             refresh(scratch, 0, 1, 0.9)
             for level in levels:
                 drawn = self.bank.draw(0, 0, 16, 16, self.bank.views, 0.5, level)
@@ -264,7 +264,7 @@ class DeviceEngine:
                     rendered.out, drawn.wanted, drawn.background, rendered.samples, 1.0, sums
                 )
                 scratch.backward(rendered, gradients, *(adam.gradients for adam in adams), even_from=even_from)
-            for part, adam, weight in zip((scratch.density, scratch.colour), adams, smoothness):
+            for part, adam, weight in zip((scratch.density, scratch.color), adams, smoothness):
                 if weight > 0:
                     part.smooth(weight, adam.gradients)
                 adam.step(1e-3)

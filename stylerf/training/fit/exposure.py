@@ -1,8 +1,8 @@
 """Photos whose exposure differs: by how many stops, as surfaces show that several of them see.
 
 A camera that sets its exposure by itself shows one wall bright here and dark there, and a field can but mix them, or
-give each side of the wall a colour of its own. Others learn an appearance a photo beside the field (Martin-Brualla et
-al. 2021); here it is a number a photo, and photos are compared with one another, never with the field, which has learnt
+give each side of the wall a color of its own. Others learn an appearance a photo beside the field (Martin-Brualla et
+al. 2021); here it is a number a photo, and photos are compared with one another, never with the field, which has learned
 their differences by then: its depth alone tells where a surface is seen again.
 """
 
@@ -40,7 +40,7 @@ class Exposures:
     def judged(self, rendered: Callable[[np.ndarray, np.ndarray], np.ndarray], stops: np.ndarray) -> np.ndarray:
         """[views] stops by which photos are overexposed, their mean 0. stops: what the bank takes them for now.
 
-        rendered: from origins and directions [n, 3] to premultiplied colour, alpha and distance [n, 5].
+        rendered: from origins and directions [n, 3] to premultiplied color, alpha and distance [n, 5].
         """
         points, light = self._surfaces(rendered, self.views, self.pixels)[:2]
         at, others, pixels = self._seen_again(points, np.isfinite(light))
@@ -53,12 +53,12 @@ class Exposures:
     def _surfaces(self, rendered, views: np.ndarray, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Of pixels [n]: points in the world [n, 3], light that the photos show there, NaN where it tells nothing [n],
         and the distance [n]."""
-        origins, directions, colours = self.bank.at(views, pixels)
+        origins, directions, colors = self.bank.at(views, pixels)
         out = rendered(origins, directions)
         distance = out[:, 4]
-        rgb = colours[:, :3]
+        rgb = colors[:, :3]
         telling = (rgb > DARKEST) & (rgb < np.minimum(self.bank.codes[views, CLIPPED], BRIGHTEST)[:, None])
-        telling = telling.all(1) & (colours[:, 3] > SOLID) & (out[:, 3] > SOLID)
+        telling = telling.all(1) & (colors[:, 3] > SOLID) & (out[:, 3] > SOLID)
         light = np.where(telling, decoded(rgb.astype(np.float64)) @ LUMA, np.nan)
         return origins + directions * distance[:, None], light, distance
 

@@ -114,7 +114,7 @@ class Fitter:
         grown = RadianceField(
             self.space,
             old.density.grown(capacity, generator),
-            old.colour.grown(self._capacity(rung.colour, old.occupancy), generator),
+            old.color.grown(self._capacity(rung.color, old.occupancy), generator),
             old.occupancy.resized(rung.cells) if rung.cells != old.occupancy.cells else old.occupancy,
             1.0 / rung.resolution,
         )
@@ -144,14 +144,14 @@ class Fitter:
     def held_out_psnr(self) -> float:
         """PSNR over the held-out rays (training rays where no view is held out), dB.
 
-        An object cut out by transparency is judged before colours drawn at random: a white one that is missing before
+        An object cut out by transparency is judged before colors drawn at random: a white one that is missing before
         white would pass for found.
         """
         kind = "random" if self.bank.channels == 4 else self.settings.background
-        origins, directions, colours = self._held_out_rays
+        origins, directions, colors = self._held_out_rays
         background = background_of(kind, len(origins), np.random.default_rng([self.seed, 4]))
         out = self.engine.rendered(origins, directions)
-        error = np.clip(over(out[:, :3], out[:, 3:4], background) - target(colours, background), -1, 1)
+        error = np.clip(over(out[:, :3], out[:, 3:4], background) - target(colors, background), -1, 1)
         return psnr_from_mse(self.ranks.of_first(float(np.square(error).mean(dtype=np.float64))))
 
     def _balance(self, quality: float) -> float:
@@ -197,7 +197,7 @@ class Fitter:
         return min(1.0, self.state.step / s.steps if s.steps else self.state.seconds / s.seconds)
 
     def step(self) -> float:
-        """One optimisation step; its mean squared error."""
+        """One optimization step; its mean squared error."""
         settings, state = self.settings, self.state
         # Once a step, however often lack of memory has it begun anew: processes must not differ in it.
         if state.step >= 16 and state.step % _refresh_every(state.step) == 0 and self._refreshed_at != state.step:
@@ -207,7 +207,7 @@ class Fitter:
         if self._judging:
             among -= self.held_out
         smoothing = SMOOTH_EVERY if state.step % SMOOTH_EVERY == 0 else 0
-        learnt = self.engine.learn(
+        learned = self.engine.learn(
             Batch(
                 step=state.step,
                 rays=state.rays,
@@ -223,9 +223,9 @@ class Fitter:
             )
         )
         state.step += 1
-        if learnt.live > 0:  # else no step has been told of yet
-            state.rays = _rays_for(settings.samples, learnt.live, state.rays, self.engine.most_rays)
-        return learnt.error
+        if learned.live > 0:  # else no step has been told of yet
+            state.rays = _rays_for(settings.samples, learned.live, state.rays, self.engine.most_rays)
+        return learned.error
 
     # -- the loop ---------------------------------------------------------------------------------------------------
 
@@ -255,13 +255,13 @@ class Fitter:
         self._warm_up([*self.settings.ladder, self.climb.rung])
 
     def _warm_up(self, rungs: Iterable[Rung]) -> None:
-        """Kernels differ by ranks and, on a GPU, by the colour's degree."""
+        """Kernels differ by ranks and, on a GPU, by the color's degree."""
         settings, generator, scratch = self.settings, np.random.default_rng(0), []
-        kinds = {(rung.density_rank, rung.colour_rank, min(rung.degree, settings.degree)) for rung in rungs}
+        kinds = {(rung.density_rank, rung.color_rank, min(rung.degree, settings.degree)) for rung in rungs}
         if kinds <= self._warm:
             return
-        for density_rank, colour_rank, degree in kinds - self._warm:
-            capacity = self._capacity(Rung(8, density_rank, colour_rank, 8, 8, degree))
+        for density_rank, color_rank, degree in kinds - self._warm:
+            capacity = self._capacity(Rung(8, density_rank, color_rank, 8, 8, degree))
             parts = first_parts(settings.kinds, capacity, generator)
             scratch.append(RadianceField(self.space, *parts, Occupancy(8), 1 / 8))
         self._warm |= kinds

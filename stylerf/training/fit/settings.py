@@ -11,7 +11,7 @@ class FitSettings:
     """How a field is fitted. kinds: what it is made of. Budget: seconds of training, or steps if `steps` > 0.
 
     samples: density samples a step; the number of rays follows, so that fog early on does not slow the steps down;
-    rates in value units per step; smoothness: weights of the planes' total variation (density, colour); even_from:
+    rates in value units per step; smoothness: weights of the planes' total variation (density, color); even_from:
     distance, scene units, below which samples learn by the square of their distance, against floaters (0: all alike);
     shares: parts of the budget at which the trial of the next rung begins, and that of the last ends, at the latest
     after so many steps in all (`longest`, of every rung; empty: however many those are);
@@ -21,7 +21,7 @@ class FitSettings:
     first quarter, so that it cannot forbid what is yet to appear.
     hull: share of the training views that must show a cell of a box as clear, by their transparency, for nothing to be
     looked for there (hull.clear_cells; 0: everywhere is). coverage: weight of the squared error of alpha
-    (engine.coverage_gradient) beside that of the colours, where photos are cut out. exposure: whether photos are
+    (engine.coverage_gradient) beside that of the colors, where photos are cut out. exposure: whether photos are
     brought to one exposure (exposure.py).
     """
 
@@ -38,7 +38,7 @@ class FitSettings:
     shares: tuple[float, ...] = (0.1, 0.22, 0.38, 0.55)
     longest: tuple[int, ...] = ()
     held_out_until: float = 0.75
-    reductions: tuple[str, ...] = ("density ranks", "resolution", "colour ranks", "colour resolution", "degree")
+    reductions: tuple[str, ...] = ("density ranks", "resolution", "color ranks", "color resolution", "degree")
     min_gain: float = 0.1
     background: str = "white"  # white, black, random or none
     lit_share: float = 0.9

@@ -1,6 +1,6 @@
-"""Stylise a whole scene with one painting: its colours alone (ARF, Zhang et al. 2022) or its shapes too (DeSRF).
+"""Stylize a whole scene with one painting: its colors alone (ARF, Zhang et al. 2022) or its shapes too (DeSRF).
 
-The new colour is taught the painting one view a step, and with it the deformation, where there is one.
+The new color is taught the painting one view a step, and with it the deformation, where there is one.
 """
 
 from collections.abc import Callable, Sequence
@@ -22,7 +22,7 @@ from stylerf.training.stylize.trainer import MEMORY, PIXELS_AT_ONCE, Repainting
 BESIDE = 3  # feature positions beside a silhouette that may move: what stands out from it shows there, or is missing
 COARSEST_STEP = 1 / 128  # cube units; of a field whose rays are walked anew in every step
 # Style steps in which the rate of shapes rises. Adam's first steps have no past, and weights of one sign move together:
-# the whole scene would slide by some cells, which a short stylisation does not undo.
+# the whole scene would slide by some cells, which a short stylization does not undo.
 SHAPE_RAMP = 10
 
 
@@ -43,7 +43,7 @@ class Stylizer(Repainting):
         settings: StyleSettings,
         seed: int,
         chunks: int,
-        new_colour: Callable[[np.random.Generator, float], object],
+        new_color: Callable[[np.random.Generator, float], object],
         deformation: Deformation | None = None,
         memory: float = MEMORY,
         device: str | None = None,
@@ -53,14 +53,14 @@ class Stylizer(Repainting):
         self.deformer: Deformer | None = None
         self.around = BESIDE if deformation is not None else 0
         self._remembered: dict[int, np.ndarray] = {}
-        given = scene, cameras, photos, background, painting, trunk, settings, seed, chunks, new_colour
+        given = scene, cameras, photos, background, painting, trunk, settings, seed, chunks, new_color
         super().__init__(*given, memory, device, within)
 
     def _prepare_shapes(self) -> None:
         if self._deformation is not None:
             vertices = self.settings.displacement_vertices
             at_rest(self.field)  # by the step that its densities were fitted with
-            # A walk costs by its samples, and its step cannot change later: colours are learnt where it samples them.
+            # A walk costs by its samples, and its step cannot change later: colors are learned where it samples them.
             self.field.step = max(self.field.step, COARSEST_STEP)
             given = self.field, self._deformation, self.cameras, vertices, self.seed, self.chunks
             self.deformer = deformer_on(self.device, *given, self.settings.clip)
@@ -119,7 +119,7 @@ class Stylizer(Repainting):
         return {}
 
     def _view_of_step(self) -> int:
-        """Every view that shows what is stylised once an epoch, in an order drawn anew for each."""
+        """Every view that shows what is stylized once an epoch, in an order drawn anew for each."""
         epoch, at = divmod(self.state.step, len(self.shown))
         return self.shown[int(np.random.default_rng([self.seed, 3, epoch]).permutation(len(self.shown))[at])]
 

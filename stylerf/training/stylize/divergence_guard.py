@@ -1,4 +1,4 @@
-"""A stylisation that leaves the finite numbers goes back to where it was last sound, and on at half the rate."""
+"""A stylization that leaves the finite numbers goes back to where it was last sound, and on at half the rate."""
 
 from typing import Any
 

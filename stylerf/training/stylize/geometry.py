@@ -1,8 +1,8 @@
-"""How a stylisation sees its scene: fixed surfaces that are coloured, or rays walked anew through a deforming field."""
+"""How a stylization sees its scene: fixed surfaces that are colored, or rays walked anew through a deforming field."""
 
 import numpy as np
 
-from stylerf.fields.hash_color import HashColour
+from stylerf.fields.hash_color import HashColor
 from stylerf.fields.packed_surface import Surface, surface_of
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.fields.ray_samples import Rays
@@ -18,7 +18,7 @@ OPAQUE = 1e-2  # transmittance at which a walked ray ends
 
 
 class FixedGeometry:
-    """Colours on surfaces that do not move: every view is marched once and its samples are kept, up to `memory` bytes.
+    """Colors on surfaces that do not move: every view is marched once and its samples are kept, up to `memory` bytes.
 
     share: part of a ray's largest weight that a sample needs to take part. What learns is the same from everywhere.
     """
@@ -43,26 +43,26 @@ class FixedGeometry:
     def paint(self, view: int, pixels: np.ndarray) -> tuple[np.ndarray, tuple]:
         """Premultiplied rgb [n, 3] of pixels, and what learn() needs."""
         starts, ends, x, weights = self.surface(view).samples(pixels)
-        colour, basis = self.field.colour, None
-        if not isinstance(colour, HashColour):  # what lies under a part's own colours is seen from somewhere
-            basis = harmonics(self.cameras[view].rays(pixels)[1], colour.degree)
-        colours = colour.colours(x, basis, starts, ends, weights, 0.0, self.chunks)
+        color, basis = self.field.color, None
+        if not isinstance(color, HashColor):  # what lies under a part's own colors is seen from somewhere
+            basis = harmonics(self.cameras[view].rays(pixels)[1], color.degree)
+        colors = color.colors(x, basis, starts, ends, weights, 0.0, self.chunks)
         out = np.empty((len(pixels), 3), np.float32)
-        shade(weights, colours, starts, ends, out)
-        return out, (starts, ends, x, weights, colours)
+        shade(weights, colors, starts, ends, out)
+        return out, (starts, ends, x, weights, colors)
 
-    def learn(self, kept: tuple, gradients: np.ndarray, colour_to: np.ndarray) -> None:
-        """Add dL/d(colour values), from dL/d(rgb) [n, 3], to the chunks' buffers."""
-        starts, ends, x, weights, colours = kept
-        colour_gradients = np.empty_like(x)
-        shade_backward(weights, gradients, starts, ends, colour_gradients)
-        self.field.colour.backward(x, None, starts, ends, colours, colour_gradients, colour_to)
+    def learn(self, kept: tuple, gradients: np.ndarray, color_to: np.ndarray) -> None:
+        """Add dL/d(color values), from dL/d(rgb) [n, 3], to the chunks' buffers."""
+        starts, ends, x, weights, colors = kept
+        color_gradients = np.empty_like(x)
+        shade_backward(weights, gradients, starts, ends, color_gradients)
+        self.field.color.backward(x, None, starts, ends, colors, color_gradients, color_to)
 
 
 class MovingGeometry:
-    """Rays walked anew through a field that deforms, which learn its colours and its deformation.
+    """Rays walked anew through a field that deforms, which learn its colors and its deformation.
 
-    share: part of a ray's largest weight that a sample needs to be coloured. background: level of grey behind the
+    share: part of a ray's largest weight that a sample needs to be colored. background: level of gray behind the
     field, which shows where a moving silhouette lets it; not used for a closed scene. still: the same field before
     anything moved; a view that was not painted yet has the alpha that it has there.
     """
@@ -108,15 +108,15 @@ class MovingGeometry:
         rendered = render_rays(self.field, rays, chunks=self.chunks, opaque=OPAQUE, share=self.share)
         return rendered.out, rendered
 
-    def learn(self, kept: list[tuple[slice, Rendered]], gradients: np.ndarray, colour_to: np.ndarray) -> None:
-        """Add dL/d(colour values) and dL/dD, from dL/d(rgb over the background) [n, 3], to the chunks' buffers."""
+    def learn(self, kept: list[tuple[slice, Rendered]], gradients: np.ndarray, color_to: np.ndarray) -> None:
+        """Add dL/d(color values) and dL/dD, from dL/d(rgb over the background) [n, 3], to the chunks' buffers."""
         for part, rendered in kept:
             to = np.zeros((len(rendered.out), 5), np.float32)
             to[:, :3] = gradients[part]
             if not self.field.closed:
                 to[:, 3] = -self.background * gradients[part].sum(1)
-            self._backward(rendered, to, colour_to)
+            self._backward(rendered, to, color_to)
 
-    def _backward(self, rendered: Rendered, gradients: np.ndarray, colour_to: np.ndarray) -> None:
+    def _backward(self, rendered: Rendered, gradients: np.ndarray, color_to: np.ndarray) -> None:
         """Add what dL/d(pixels) [n, 5] teaches."""
-        backward(self.field, rendered, gradients, None, colour_to, self.deformer.gradients)
+        backward(self.field, rendered, gradients, None, color_to, self.deformer.gradients)

@@ -1,12 +1,12 @@
-"""How a stylisation sees its scene on a GPU: fixed surfaces, marched once and kept there, or rays walked anew."""
+"""How a stylization sees its scene on a GPU: fixed surfaces, marched once and kept there, or rays walked anew."""
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from stylerf.fields.gpu.field import COLOUR_KINDS, DeviceField, DeviceRendered
+from stylerf.fields.gpu.field import COLOR_KINDS, DeviceField, DeviceRendered
 from stylerf.fields.gpu.memory import free_on, in_parts
-from stylerf.fields.hash_color import HashColour
+from stylerf.fields.hash_color import HashColor
 from stylerf.fields.packed_surface import Surface
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.geometry.cameras import Camera
@@ -24,7 +24,7 @@ MEMORY_BYTES = 8e9  # of kept surfaces, where no GPU says what it has
 class DeviceFixedGeometry:
     """stylerf/training/stylize/geometry.py's FixedGeometry: numpy in and out, all between on `device`.
 
-    field.colour is what is taught, from new_adam() on; collect() brings it back. share: part of a ray's largest weight
+    field.color is what is taught, from new_adam() on; collect() brings it back. share: part of a ray's largest weight
     that a sample needs to take part. Surfaces are kept in up to half of the memory that the device has free.
     """
 
@@ -35,22 +35,22 @@ class DeviceFixedGeometry:
         self._kept: dict[int, tuple[Tensor, Tensor, Tensor]] = {}
         self._last: tuple[int, tuple[Tensor, Tensor, Tensor]] | None = None
         self._alphas: dict[int, np.ndarray] = {}
-        self._colour = None
+        self._color = None
 
     def new_adam(self, clip: float = 0.0) -> DeviceAdam:
-        """An optimiser of field.colour as it now stands, copied to the device. clip: see DeviceAdam."""
-        self._colour = COLOUR_KINDS[self.field.colour.kind](self.field.colour, self.device)
-        return DeviceAdam(self._colour.values, self._colour.groups, clip)
+        """An optimizer of field.color as it now stands, copied to the device. clip: see DeviceAdam."""
+        self._color = COLOR_KINDS[self.field.color.kind](self.field.color, self.device)
+        return DeviceAdam(self._color.values, self._color.groups, clip)
 
     @property
-    def colour(self):
+    def color(self):
         """What is taught, on the device; None before new_adam()."""
-        return self._colour
+        return self._color
 
     def collect(self) -> None:
-        """Bring what was learnt into field.colour."""
-        if self._colour is not None:
-            self.field.colour.values[:] = self._colour.values.cpu().numpy()
+        """Bring what was learned into field.color."""
+        if self._color is not None:
+            self.field.color.values[:] = self._color.values.cpu().numpy()
 
     def _samples(self, view: int) -> tuple[Tensor, Tensor, Tensor]:
         """(offsets [pixels + 1], x [n, 3], weights [n]) of a view, weights scaled so that each ray keeps its alpha."""
@@ -115,34 +115,34 @@ class DeviceFixedGeometry:
             starts, ends, counts.int(), zero[: len(pixels)], torch.full((1,), n, dtype=torch.int64, device=self.device),
             zero[:n], zero[:n], x[place].contiguous(), zero[:n], own, ray.int(),
         )  # fmt: skip
-        plain = isinstance(self.field.colour, HashColour)
+        plain = isinstance(self.field.color, HashColor)
         directions = None if plain else rays_of(self.cameras[view], chosen).directions
-        colours = self._colour.colours(samples, directions, 0.0)
-        return launch.composite(samples, colours)[:, :3].cpu().numpy(), (samples, colours)
+        colors = self._color.colors(samples, directions, 0.0)
+        return launch.composite(samples, colors)[:, :3].cpu().numpy(), (samples, colors)
 
-    def learn(self, kept: tuple[DeviceSamples, Tensor], gradients: np.ndarray, colour_to: Tensor) -> None:
-        """Add dL/d(colour values), from dL/d(rgb) [n, 3], to the flat buffer."""
-        samples, colours = kept
+    def learn(self, kept: tuple[DeviceSamples, Tensor], gradients: np.ndarray, color_to: Tensor) -> None:
+        """Add dL/d(color values), from dL/d(rgb) [n, 3], to the flat buffer."""
+        samples, colors = kept
         given = torch.from_numpy(np.ascontiguousarray(gradients, np.float32)).to(self.device)
-        to_colours = launch.shade_backward(samples, given)
-        self._colour.backward(samples, None, colours, to_colours, colour_to)
+        to_colors = launch.shade_backward(samples, given)
+        self._color.backward(samples, None, colors, to_colors, color_to)
 
 
 class DeviceMovingGeometry(MovingGeometry):
     """Pixels and their gradients are numpy, all between stays on the device of `deformer`, a DeviceDeformer.
 
-    What is taught are the colours of `still`, a DeviceFixedGeometry, and the deformation.
+    What is taught are the colors of `still`, a DeviceFixedGeometry, and the deformation.
     """
 
     rays_at_once = RAYS_AT_ONCE
 
     def _rendered(self, camera: Camera, pixels: np.ndarray) -> tuple[np.ndarray, DeviceRendered]:
         live = self.deformer.live
-        live.colour = self.still.colour  # each phase teaches a copy of its own
+        live.color = self.still.color  # each phase teaches a copy of its own
         rays = rays_of(camera, sent(pixels, live.device))
         rendered = live.render_rays(rays, opaque=OPAQUE, share=self.share)
         return rendered.out.cpu().numpy(), rendered
 
-    def _backward(self, rendered: DeviceRendered, gradients: np.ndarray, colour_to: Tensor) -> None:
+    def _backward(self, rendered: DeviceRendered, gradients: np.ndarray, color_to: Tensor) -> None:
         live = self.deformer.live
-        live.backward(rendered, sent(gradients, live.device), None, colour_to, self.deformer.gradients)
+        live.backward(rendered, sent(gradients, live.device), None, color_to, self.deformer.gradients)

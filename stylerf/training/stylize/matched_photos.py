@@ -1,4 +1,4 @@
-"""Colours of photos and of rendered views brought to a painting's, weighted by what of them is object."""
+"""Colors of photos and of rendered views brought to a painting's, weighted by what of them is object."""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
@@ -7,14 +7,14 @@ import numpy as np
 import torch
 
 from stylerf.rendering.ray_registration import SOLID
-from stylerf.style.color_matching import ColourMap, match_colours, pixels_of
+from stylerf.style.color_matching import ColorMap, match_colors, pixels_of
 
 
 @dataclass(frozen=True, eq=False)
 class ObjectPhotos:
     """Photos without their background. photos: [h, w, 3] over it; alpha: of a view [h, w], before anything moves.
 
-    background: its level of grey; None: of a part of what the photos show, beside which they stay as they are.
+    background: its level of gray; None: of a part of what the photos show, beside which they stay as they are.
     """
 
     photos: Sequence[np.ndarray]
@@ -30,15 +30,15 @@ class ObjectPhotos:
     def _beside(self, view: int) -> np.ndarray | np.float32:
         return self.photos[view] if self.background is None else self.background
 
-    def colours(self, seed: int, count: int) -> tuple[torch.Tensor, torch.Tensor]:
-        """A sample of their colours [n, 3] and its weights [n]. count: pixels of all photos."""
+    def colors(self, seed: int, count: int) -> tuple[torch.Tensor, torch.Tensor]:
+        """A sample of their colors [n, 3] and its weights [n]. count: pixels of all photos."""
         straight = (straight_rgba(*self(view)) for view in range(len(self.photos)))
         return pixels_of(straight, seed=seed, count=count)
 
-    def mapped(self, view: int, colour_map: ColourMap) -> np.ndarray:
-        """[h, w, 3]: a photo whose object has other colours; the background stays as it is."""
+    def mapped(self, view: int, color_map: ColorMap) -> np.ndarray:
+        """[h, w, 3]: a photo whose object has other colors; the background stays as it is."""
         rgb, coverage = self(view)
-        mapped = colour_map.premultiplied(torch.from_numpy(rgb), torch.from_numpy(coverage)).numpy()
+        mapped = color_map.premultiplied(torch.from_numpy(rgb), torch.from_numpy(coverage)).numpy()
         level = coverage[..., None]
         return (np.clip(mapped, 0, level) + (1 - level) * self._beside(view)).astype(np.float32)
 
@@ -54,8 +54,8 @@ def rendered_match(
     pictures: Iterable[tuple[np.ndarray, np.ndarray]],  # premultiplied rgb [h, w, 3], alpha [h, w]
     painting: torch.Tensor,
     seed: int,
-) -> ColourMap:
-    """The map from rendered views' colours to the painting's (ARF's last step).
+) -> ColorMap:
+    """The map from rendered views' colors to the painting's (ARF's last step).
 
     Half-covered pixels do not count, unless there are no others: of haze, or of rods thinner than a pixel.
     """
@@ -63,5 +63,5 @@ def rendered_match(
     if any(bool((rgba[3] > SOLID).any()) for rgba in seen):
         for rgba in seen:
             rgba[3][rgba[3] <= SOLID] = 0
-    colours, weights = pixels_of(seen, seed=seed)
-    return match_colours(colours.clamp(0, 1), painting.flatten(1).T, weights)
+    colors, weights = pixels_of(seen, seed=seed)
+    return match_colors(colors.clamp(0, 1), painting.flatten(1).T, weights)

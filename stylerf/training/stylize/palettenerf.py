@@ -1,6 +1,6 @@
 """Learn what palette a whole scene is mixed of (PaletteNeRF, Kuang et al. 2023): shapes held fast, photos as they are.
 
-The refit teaches the direct colour, diffuse and specular; then the palette's branch learns with it. All of a sample's
+The refit teaches the direct color, diffuse and specular; then the palette's branch learns with it. All of a sample's
 quantities are composited along rays with the field's weights, and are means over rays.
 """
 
@@ -14,7 +14,7 @@ from torch import Tensor
 from stylerf.editing.palette_hull import extracted
 from stylerf.editing.palette_losses import sparsity
 from stylerf.errors import InvalidValue
-from stylerf.fields.palette_color import PaletteColour
+from stylerf.fields.palette_color import PaletteColor
 from stylerf.fields.palette_head import Parts
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.geometry.cameras import Camera
@@ -22,7 +22,7 @@ from stylerf.geometry.spherical_harmonics import harmonics
 from stylerf.training.stylize.settings import StyleSettings
 from stylerf.training.stylize.trainer import MEMORY, Repainting
 
-SAMPLED_COLOURS = 200_000  # pixels of the photos that the palette is taken from
+SAMPLED_COLORS = 200_000  # pixels of the photos that the palette is taken from
 ASKED_VIEWS = 10  # that figures are taken of, as those of local edits
 PIXELS_AT_ONCE = 16384
 SHOWN = 0.5  # alpha from which a pixel shows the scene
@@ -37,7 +37,7 @@ class DecompositionWeights:
     """Weights of the parts beside the two images' squared errors, as published but for sparsity (2e-4 there).
 
     sparsity: sum w / sum w^2 - 1. offset: sum_i |delta_i|^2. view: |s|^2. smooth: of weights between near places of
-    like colour. guide: towards the weights that the palette's hull tells, falling to 0 at RELEASE. drift: of the
+    like color. guide: towards the weights that the palette's hull tells, falling to 0 at RELEASE. drift: of the
     palette from what was extracted, once it is released.
     """
 
@@ -50,7 +50,7 @@ class DecompositionWeights:
 
 
 class Decomposing(Repainting):
-    """new_colour: as of Repainting, from the extracted palette [bases, 3] too. bases: see editing/hull.extracted."""
+    """new_color: as of Repainting, from the extracted palette [bases, 3] too. bases: see editing/hull.extracted."""
 
     field: RadianceField
 
@@ -65,14 +65,14 @@ class Decomposing(Repainting):
         bases: int,
         seed: int,
         chunks: int,
-        new_colour: Callable[[np.random.Generator, float, np.ndarray], PaletteColour],
+        new_color: Callable[[np.random.Generator, float, np.ndarray], PaletteColor],
         memory: float = MEMORY,
     ) -> None:
         self.weights = weights
 
-        def with_palette(generator: np.random.Generator, pixel_cells: float) -> PaletteColour:
-            self.extracted = extracted(self._seen_colours(photos, generator), bases, generator)
-            return new_colour(generator, pixel_cells, self.extracted.palette)
+        def with_palette(generator: np.random.Generator, pixel_cells: float) -> PaletteColor:
+            self.extracted = extracted(self._seen_colors(photos, generator), bases, generator)
+            return new_color(generator, pixel_cells, self.extracted.palette)
 
         given = (settings, seed, chunks, with_palette, memory)
         super().__init__(scene, cameras, photos, background, None, None, *given)
@@ -82,23 +82,23 @@ class Decomposing(Repainting):
         """No features are looked at."""
         return 1
 
-    def _seen_colours(self, photos: Sequence[np.ndarray], generator: np.random.Generator) -> np.ndarray:
+    def _seen_colors(self, photos: Sequence[np.ndarray], generator: np.random.Generator) -> np.ndarray:
         """[n, 3] what the photos show where the field is."""
-        found, each = [], -(-SAMPLED_COLOURS // len(self.cameras))
+        found, each = [], -(-SAMPLED_COLORS // len(self.cameras))
         for view in range(len(self.cameras)):
             shown = np.flatnonzero(self.still.alpha(view).ravel() > SHOWN)
             if len(shown) > each:
                 shown = shown[generator.integers(0, len(shown), each)]
             found.append(photos[view].reshape(-1, 3)[shown])
-        colours = np.concatenate(found)
-        if len(colours) == 0:
-            raise InvalidValue("no training view shows anything of the field: there are no colours to decompose")
-        return np.clip(colours, 0, 1)
+        colors = np.concatenate(found)
+        if len(colors) == 0:
+            raise InvalidValue("no training view shows anything of the field: there are no colors to decompose")
+        return np.clip(colors, 0, 1)
 
     # -- steps ------------------------------------------------------------------------------------------------------
 
     def refit_step(self) -> float:
-        """One step of the direct colour towards a photo; its mean squared error."""
+        """One step of the direct color towards a photo; its mean squared error."""
         parts = self._taught(2, False)
         if parts:
             self.adam.step(self.settings.refit_rate * 0.1**self.progress)
@@ -176,15 +176,15 @@ class Decomposing(Repainting):
         return losses
 
     def _collect_gradients(self, seen: "_Seen") -> None:
-        colour, to = self.field.colour, self.adam.gradients
+        color, to = self.field.color, self.adam.gradients
         for x, phi in seen.encoded:
             if phi.grad is not None:
                 gradients = phi.grad.contiguous().numpy()
-                colour.features.backward(colour.table, x, np.arange(len(x)), gradients, to)
+                color.features.backward(color.table, x, np.arange(len(x)), gradients, to)
         own = seen.rest.grad.numpy()
         if self.progress < RELEASE or self.state.phase == "refit":
-            own[: 3 * colour.bases] = 0
-        to[0, colour.features.length :] += own
+            own[: 3 * color.bases] = 0
+        to[0, color.features.length :] += own
 
     # -- figures ----------------------------------------------------------------------------------------------------
 
@@ -208,8 +208,8 @@ class Decomposing(Repainting):
             varied.append(picture_variation(weights, alpha, shown))
             shares.append(weights[shown].mean(0))
         return {
-            "colours": self.field.colour.bases,
-            "palette": [[round(float(v), 4) for v in colour] for colour in self.field.colour.palette],
+            "colors": self.field.color.bases,
+            "palette": [[round(float(v), 4) for v in color] for color in self.field.color.palette],
             "shares": [round(float(share), 4) for share in np.mean(shares, 0)],
             "sparsity": round(float(np.mean(sparse)), 4),
             "palette_variation": round(float(np.mean(varied)), 5),
@@ -222,32 +222,32 @@ class Decomposing(Repainting):
         alpha, kept = self.still.alpha(view), []
         for at in range(0, alpha.size, PIXELS_AT_ONCE):
             seen = _Seen(self, view, np.arange(at, min(at + PIXELS_AT_ONCE, alpha.size)))
-            colours = (seen.parts.mixed(seen.palette) + seen.parts.specular).clamp(0, 1)
-            kept.append(seen.composited(torch.cat([seen.parts.weights, colours], 1)).detach().numpy())
+            colors = (seen.parts.mixed(seen.palette) + seen.parts.specular).clamp(0, 1)
+            kept.append(seen.composited(torch.cat([seen.parts.weights, colors], 1)).detach().numpy())
         found = np.concatenate(kept).reshape(*alpha.shape, -1)
         return found[..., :-3], found[..., -3:]
 
 
 class _Seen:
-    """What pixels of a view show of the colour part, as a graph whose leaves are `rest` and the features."""
+    """What pixels of a view show of the color part, as a graph whose leaves are `rest` and the features."""
 
     def __init__(self, owner: Decomposing, view: int, pixels: np.ndarray) -> None:
-        self._colour, self._chunks, self._pixels = owner.field.colour, owner.chunks, len(pixels)
+        self._color, self._chunks, self._pixels = owner.field.color, owner.chunks, len(pixels)
         starts, ends, self.x, weights = owner.still.surface(view).samples(pixels)
         self._rays = torch.from_numpy(np.repeat(np.arange(len(pixels)), ends - starts))
         self._weights = torch.from_numpy(weights)[:, None]
         self.alpha = torch.from_numpy(owner.still.alpha(view).ravel()[pixels])[:, None]
-        basis = harmonics(owner.cameras[view].rays(pixels)[1], self._colour.degree)
+        basis = harmonics(owner.cameras[view].rays(pixels)[1], self._color.degree)
         self._basis = torch.from_numpy(basis).index_select(0, self._rays)
-        self.rest = torch.from_numpy(self._colour.rest.copy()).requires_grad_()
+        self.rest = torch.from_numpy(self._color.rest.copy()).requires_grad_()
         self.encoded: list[tuple[np.ndarray, Tensor]] = []
         self.parts, self.palette = self._parts(self.x)
 
     def _parts(self, x: np.ndarray) -> tuple[Parts, Tensor]:
-        colour = self._colour
-        phi = torch.from_numpy(colour.features.encode(colour.table, x, np.arange(len(x)), self._chunks))
+        color = self._color
+        phi = torch.from_numpy(color.features.encode(color.table, x, np.arange(len(x)), self._chunks))
         self.encoded.append((x, phi.requires_grad_()))
-        return colour.parts(self.rest, phi, self._basis, apart=True)
+        return color.parts(self.rest, phi, self._basis, apart=True)
 
     def beside(self, generator: np.random.Generator) -> tuple[Parts, Tensor]:
         """(parts of places up to SMOOTH_REACH further along each axis, their squared distances in the cube [n])."""
@@ -269,7 +269,7 @@ def roughness(parts: Parts, beside: Parts, away: Tensor) -> Tensor:
 
 def picture_variation(weights: np.ndarray, alpha: np.ndarray, shown: np.ndarray) -> float:
     """Palette TV of a picture, as editing/losses.weight_variation has it: squared differences of weights [h, w, M] of
-    neighbours that are both shown, times both alphas squared, summed, over the number of shown pixels."""
+    neighbors that are both shown, times both alphas squared, summed, over the number of shown pixels."""
     total, weights, alpha = 0.0, weights.astype(np.float64), alpha.astype(np.float64)
     for axis in (0, 1):
         first, second = (

@@ -1,12 +1,12 @@
-"""Stylise a whole scene after one or a few of its views that are given stylised (Ref-NPR, Zhang et al. 2023).
+"""Stylize a whole scene after one or a few of its views that are given stylized (Ref-NPR, Zhang et al. 2023).
 
-    refit       the new colour learns the photos
+    refit       the new color learns the photos
     reference   where a reference is to be made: the view's photo, painted in 2D (style/painted_picture)
-    style       each step: colours of the reference on its own rays, and on the rays of other views that see the same
+    style       each step: colors of the reference on its own rays, and on the rays of other views that see the same
                 surface (rendering/registration); and one view's picture by its correspondences (style/template).
                 In the last quarter correspondences are sought between renders, as the field then shows them.
 
-The loss of a step is w (MSE of the references' pixels + MSE of registered pixels) + style + content + colour +
+The loss of a step is w (MSE of the references' pixels + MSE of registered pixels) + style + content + color +
 variation, in the last quarter of the style steps w (...) + 0.2 style + variation.
 """
 
@@ -31,11 +31,11 @@ LATE_WEIGHT = 0.2  # of the style distance once matches are sought between rende
 PAINTING_SHARE = 1 / 3  # of the budget, that painting references may take
 NOTHING = 0.01  # coverage under which nothing of an object is seen
 REGISTERED = 0.1  # of the memory
-Registered = tuple[np.ndarray, np.ndarray]  # pixels [n], colours [n, 3]
+Registered = tuple[np.ndarray, np.ndarray]  # pixels [n], colors [n, 3]
 
 
 class Referenced(Stylizer):
-    """references: by training view, its stylised picture [h, w, 3] over the background; None: painted here, in 2D, by
+    """references: by training view, its stylized picture [h, w, 3] over the background; None: painted here, in 2D, by
     the objective of `painting` (settings.loss) on `trunk`. template_trunk, coarse_trunk: see TemplateObjective.
 
     Painting counts towards the budget. Shapes are held fast, and must not have been displaced. Of a part of the scene
@@ -80,7 +80,7 @@ class Referenced(Stylizer):
         return max(trunk.stride for trunk in (self.trunk, self._template_trunk, self._coarse_trunk))
 
     def _asked_for(self, view: int, picture: np.ndarray) -> np.ndarray:
-        """A reference without what it cannot ask for: beside the part that is stylised, or where no object is."""
+        """A reference without what it cannot ask for: beside the part that is stylized, or where no object is."""
         if self.partial:
             part = self.counted(view)[..., None]
             return part * picture + (1 - part) * self.photos[view]
@@ -135,7 +135,7 @@ class Referenced(Stylizer):
         return parts
 
     def _painted_whole(self, view: int) -> None:
-        """A reference has had its steps: it gets the painting's colours, as ARF's result does.
+        """A reference has had its steps: it gets the painting's colors, as ARF's result does.
 
         Features know little of hue: what is painted by them alone has specks of green and violet.
         """
@@ -212,22 +212,22 @@ class Referenced(Stylizer):
         return found
 
     def _registered_of(self, view: int) -> Registered:
-        """Pixels of a view that see what a reference sees, and its colours there; of several, the straightest look."""
+        """Pixels of a view that see what a reference sees, and its colors there; of several, the straightest look."""
         count = self.cameras[view].width * self.cameras[view].height
-        best, colours = np.full(count, -1.0), np.zeros((count, 3), np.float32)
+        best, colors = np.full(count, -1.0), np.zeros((count, 3), np.float32)
         for other, picture in self.references.items():
             if other == view:
                 continue
             pixels, positions, cosines = registered(self._points_of(view), self._points_of(other))
             nearer = cosines > best[pixels]
             best[pixels[nearer]] = cosines[nearer]
-            colours[pixels[nearer]] = sampled_at(picture, positions[nearer])
+            colors[pixels[nearer]] = sampled_at(picture, positions[nearer])
         pixels = np.flatnonzero(best > -1)
-        return pixels, colours[pixels]
+        return pixels, colors[pixels]
 
     @property
     def registered_share(self) -> float:
-        """Of what views other than the references see, the part that the references tell the colour of."""
+        """Of what views other than the references see, the part that the references tell the color of."""
         others = [view for view in self.shown if view not in self.references]
         shares = [len(self._reached[v][0]) / max(1, int((self.counted(v) > SOLID).sum())) for v in others]
         return float(np.mean(shares)) if shares else 0.0
@@ -240,10 +240,10 @@ class Referenced(Stylizer):
         others = [v for v in self.shown if v not in self.references]
         if others:
             view = others[int(generator.integers(len(others)))]
-            pixels, colours = self._reached[view]
+            pixels, colors = self._reached[view]
             if len(pixels):
                 chosen = generator.integers(0, len(pixels), self.settings.refit_pixels)
-                parts["registered"] = self._learn_pixels(view, pixels[chosen], colours[chosen], weight)
+                parts["registered"] = self._learn_pixels(view, pixels[chosen], colors[chosen], weight)
         return parts
 
     def _loss(self, view: int, picture: torch.Tensor) -> tuple[torch.Tensor, dict[str, float]]:

@@ -1,4 +1,4 @@
-"""How a scene is stylised, whatever the method; and where a stylisation stands."""
+"""How a scene is stylized, whatever the method; and where a stylization stands."""
 
 from dataclasses import dataclass, field, replace
 
@@ -7,7 +7,7 @@ from stylerf.style.style_objective import StyleWeights
 
 @dataclass(frozen=True)
 class StyleSettings:
-    """How a scene is stylised. seconds: budget of the style steps; steps: their number if > 0.
+    """How a scene is stylized. seconds: budget of the style steps; steps: their number if > 0.
 
     strategy, dilation, blur: see rendering/strategies. remember: unselected pixels are taken from the view's last
     render instead of being rendered anew. match: before, after, both or none. coarse: share of the style steps, the
@@ -15,7 +15,7 @@ class StyleSettings:
     of themselves. deform_rate, displacement_weight, displacement_vertices: see training/deformer. loss: nnfm or gram
     (style/objective). rounds, image_share, image_steps, image_rate: see training/alternating. reference_steps,
     reference_weight, template_weights, late: see training/referenced. rollbacks: see training/guard; clip:
-    training/optimiser; least_spread, most_gain: style/colour.spread_at_least, strokes_in, spread_at_most.
+    training/optimizer; least_spread, most_gain: style/color.spread_at_least, strokes_in, spread_at_most.
     """
 
     steps: int = 0
@@ -64,7 +64,7 @@ class StyleSettings:
 
 @dataclass
 class StyleState:
-    """Where the stylisation stands. counts: what a method counts beside its steps."""
+    """Where the stylization stands. counts: what a method counts beside its steps."""
 
     phase: str = "refit"
     step: int = 0

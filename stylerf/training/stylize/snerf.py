@@ -1,7 +1,7 @@
-"""Stylise a whole scene by turns (SNeRF, Nguyen-Phuoc et al. 2022): its pictures in 2D, then the field on the pictures.
+"""Stylize a whole scene by turns (SNeRF, Nguyen-Phuoc et al. 2022): its pictures in 2D, then the field on the pictures.
 
 A round: views as they are now rendered are painted in 2D, each by itself, for `image_share` of the round; then the
-colours learn these pictures by their mean squared error, for the rest of it. The budget is shared by `rounds`. What the
+colors learn these pictures by their mean squared error, for the rest of it. The budget is shared by `rounds`. What the
 pictures disagree about is evened out by the field, from whose renders the next round's pictures start. Never are a
 trunk's graph and a field's samples in memory together.
 
@@ -72,7 +72,7 @@ class Alternating(Repainting):
         return parts
 
     def field_step(self) -> dict[str, float]:
-        """The colours towards one of the pictures; the mean squared error."""
+        """The colors towards one of the pictures; the mean squared error."""
         s = self.settings
         generator = np.random.default_rng([self.seed, 5, self.state.step])
         view = sorted(self.targets)[int(generator.integers(len(self.targets)))]

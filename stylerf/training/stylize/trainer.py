@@ -1,8 +1,8 @@
-"""What all whole-scene stylisations share: shapes seen once, a new colour fitted to the matched photos, pictures
+"""What all whole-scene stylizations share: shapes seen once, a new color fitted to the matched photos, pictures
 painted with it, the loop, and checkpoints.
 
-The density part stays. A new colour part with local detail learns the colour-matched photos (refit); then a method
-teaches it (its `_step`, in its own phases); at the end colours are matched to the painting once more.
+The density part stays. A new color part with local detail learns the color-matched photos (refit); then a method
+teaches it (its `_step`, in its own phases); at the end colors are matched to the painting once more.
 """
 
 import math
@@ -20,7 +20,7 @@ from stylerf.fields.radiance_field import RadianceField
 from stylerf.geometry.cameras import Camera
 from stylerf.kernels.cpu.regions import weights_inside
 from stylerf.rendering.ray_registration import SOLID
-from stylerf.style.color_matching import ColourMap, match_colours, spread_at_least, spread_at_most, strokes_in
+from stylerf.style.color_matching import ColorMap, match_colors, spread_at_least, spread_at_most, strokes_in
 from stylerf.style.feature_extractor import Trunk
 from stylerf.style.style_objective import EVERYTHING, Content, GramObjective, StyleObjective, window_of
 from stylerf.training.common.adam import Adam
@@ -31,7 +31,7 @@ from stylerf.training.stylize.matched_photos import ObjectPhotos, rendered_match
 from stylerf.training.stylize.settings import StyleSettings, StyleState
 
 PIXELS_AT_ONCE = 65536
-MATCHED_VIEWS = 24  # their colours are those of all
+MATCHED_VIEWS = 24  # their colors are those of all
 MEMORY = 8e9  # bytes
 # Parts of the memory: a march takes seconds to repeat, features about as long, a photo a tenth of that.
 SURFACES, CONTENT, PHOTOS = 0.5, 0.35, 0.15
@@ -42,13 +42,13 @@ OBJECTIVES = {"nnfm": StyleObjective, "gram": GramObjective}
 class Repainting:
     """photos: per view [h, w, 3] float32 over the background, sRGB 0..1; read anew where they are not kept.
 
-    background: level of grey behind the field. new_colour: the colour to learn, from a generator and the cells a side
+    background: level of gray behind the field. new_color: the color to learn, from a generator and the cells a side
     that are as wide as a pixel sees (nan: nothing is seen). memory: bytes that surfaces, features and photos may take
     together; those beyond are made anew each time. What lies on a GPU is bounded by what is free there. device: where
     rays are followed; None: by the CPU. The trunk works where it lies.
 
-    within: cells [s, s, s] of the cube whose part of the scene alone is looked at, matched and taught; new_colour then
-    gives colours over the scene's own, which stand everywhere else. InvalidValue where no view shows it.
+    within: cells [s, s, s] of the cube whose part of the scene alone is looked at, matched and taught; new_color then
+    gives colors over the scene's own, which stand everywhere else. InvalidValue where no view shows it.
     """
 
     PHASES: tuple[str, ...] = ("refit", "style")
@@ -65,7 +65,7 @@ class Repainting:
         settings: StyleSettings,
         seed: int,
         chunks: int,
-        new_colour: Callable[[np.random.Generator, float], object],
+        new_color: Callable[[np.random.Generator, float], object],
         memory: float = MEMORY,
         device: str | None = None,
         within: np.ndarray | None = None,
@@ -79,7 +79,7 @@ class Repainting:
         self._guard = Guard(settings)
         self.cameras, self.painting, self.trunk = cameras, painting, trunk
         self._palette = spread_at_least(painting, settings.least_spread)
-        self.field = replace(scene, colour_map=None, share=scene.share if self.partial else settings.share)
+        self.field = replace(scene, color_map=None, share=scene.share if self.partial else settings.share)
         self.closed = scene.closed
         self._prepare_shapes()
         self.still = self._fixed_geometry()
@@ -88,8 +88,8 @@ class Repainting:
         self.shown = [view for view in range(len(cameras)) if not self.partial or (self._parts[view] > SOLID).any()]
         if not self.shown:
             raise InvalidValue("no training view shows anything of the region")
-        self.field.colour = new_colour(np.random.default_rng([seed, 1]), self._pixel_cells())
-        self.still.field.colour = self.field.colour
+        self.field.color = new_color(np.random.default_rng([seed, 1]), self._pixel_cells())
+        self.still.field.color = self.field.color
         self.adam = self._new_adam()
         least = math.ceil(2 * self.stride / settings.feature_scale * (2 if settings.coarse > 0 else 1))
         self.windows = [
@@ -121,7 +121,7 @@ class Repainting:
         """state.phase has just been set, or restored."""
 
     def _own_arrays(self) -> dict[str, np.ndarray]:
-        """What a checkpoint needs beside colours and optimiser."""
+        """What a checkpoint needs beside colors and optimizer."""
         return {}
 
     def _restore_own(self, arrays: dict[str, np.ndarray]) -> None:
@@ -130,7 +130,7 @@ class Repainting:
     # -- seeing -----------------------------------------------------------------------------------------------------
 
     def _fixed_geometry(self) -> FixedGeometry:
-        # Its shapes as they now are, for good; its colours go on learning.
+        # Its shapes as they now are, for good; its colors go on learning.
         moved = self.field.displacement
         still = replace(self.field, displacement=None if moved is None else moved.copy())
         if self.device is None:
@@ -140,13 +140,13 @@ class Repainting:
         return DeviceFixedGeometry(still, self.cameras, self.settings.share, self.device)
 
     def _new_adam(self) -> Adam:
-        """An optimiser of the colours as they stand, without a past."""
+        """An optimizer of the colors as they stand, without a past."""
         if self.device is None:
-            return Adam(self.field.colour.values, self.field.colour.groups(), self.chunks, self.settings.clip)
+            return Adam(self.field.color.values, self.field.color.groups(), self.chunks, self.settings.clip)
         return self.still.new_adam(self.settings.clip)
 
     def _collect(self) -> None:
-        """Bring what the colours have learnt on a device into the field's own array."""
+        """Bring what the colors have learned on a device into the field's own array."""
         if self.device is not None:
             self.still.collect()
 
@@ -157,7 +157,7 @@ class Repainting:
 
     @property
     def partial(self) -> bool:
-        """Whether only a part of the scene is stylised."""
+        """Whether only a part of the scene is stylized."""
         return self.within is not None
 
     @property
@@ -165,7 +165,7 @@ class Repainting:
         return self.closed and not self.partial
 
     def counted(self, view: int) -> np.ndarray:
-        """[h, w]: how much of a pixel is object, or belongs to the part that is stylised."""
+        """[h, w]: how much of a pixel is object, or belongs to the part that is stylized."""
         return self._parts[view] if self.partial else self.geometry.alpha(view)
 
     def _part_of(self, view: int) -> np.ndarray:
@@ -176,7 +176,7 @@ class Repainting:
         return np.clip(part, 0, 1).reshape(self.still.alpha(view).shape)
 
     def _matched(self, photos: Sequence[np.ndarray]) -> Callable[[int], np.ndarray]:
-        """The photos in the painting's colours, where that is asked for. Settles which colours those are."""
+        """The photos in the painting's colors, where that is asked for. Settles which colors those are."""
         if self.settings.match == "none":
             return photos.__getitem__
 
@@ -186,13 +186,13 @@ class Repainting:
             return self._parts[view] if self.partial else self.still.alpha(view)
 
         of_object = ObjectPhotos(photos, alpha, None if self.partial else self.background)
-        colours, weights = of_object.colours(self.seed, sum(camera.width * camera.height for camera in self.cameras))
-        # Both matches aim at these colours: two that were bounded apart would stretch twice as far.
-        self._palette = spread_at_most(self._palette, colours, self.settings.most_gain, weights)
+        colors, weights = of_object.colors(self.seed, sum(camera.width * camera.height for camera in self.cameras))
+        # Both matches aim at these colors: two that were bounded apart would stretch twice as far.
+        self._palette = spread_at_most(self._palette, colors, self.settings.most_gain, weights)
         if self.settings.match == "after":
             return photos.__getitem__
-        colour_map = match_colours(colours, self._palette.flatten(1).T, weights)
-        return lambda view: of_object.mapped(view, colour_map)
+        color_map = match_colors(colors, self._palette.flatten(1).T, weights)
+        return lambda view: of_object.mapped(view, color_map)
 
     def paint_view(self, view: int, geometry: FixedGeometry | None = None) -> np.ndarray:
         """Premultiplied rgb of a whole view, [h*w, 3], in parts of bounded memory; as it stands, or in `geometry`."""
@@ -251,7 +251,7 @@ class Repainting:
         return self.settings.refit_steps if self.state.phase == "refit" else self.settings.steps
 
     def refit_step(self) -> float:
-        """One step of colours towards the matched photos; its mean squared error."""
+        """One step of colors towards the matched photos; its mean squared error."""
         generator = np.random.default_rng([self.seed, 2, self.state.step])
         view = self.shown[int(generator.integers(len(self.shown)))]
         error = self._learn_image(view, self.photos[view], generator)
@@ -274,7 +274,7 @@ class Repainting:
         return self._learn_pixels(view, pixels, image.reshape(-1, 3)[pixels], weight)
 
     def _learn_pixels(self, view: int, pixels: np.ndarray, wanted: np.ndarray, weight: float = 1.0) -> float:
-        """Adds the gradient of the mean squared error of pixels [n] to colours [n, 3] over the background."""
+        """Adds the gradient of the mean squared error of pixels [n] to colors [n, 3] over the background."""
         rgb, kept = self.geometry.paint(view, pixels)
         alpha = self.geometry.alpha(view).ravel()[pixels, None]
         difference = rgb + (1 - alpha) * self.background - wanted
@@ -324,12 +324,12 @@ class Repainting:
             return
         self._collect()
         if self.settings.match in ("after", "both"):
-            self.field = replace(self.field, colour_map=self.final_match())
-        # Last: a checkpoint holds no colour map, so one of an interrupted match must not say that all is done.
+            self.field = replace(self.field, color_map=self.final_match())
+        # Last: a checkpoint holds no color map, so one of an interrupted match must not say that all is done.
         state.phase = "done"
 
-    def final_match(self) -> ColourMap:
-        """The map from the rendered views' colours to the painting's (ARF's last step), from up to MATCHED_VIEWS."""
+    def final_match(self) -> ColorMap:
+        """The map from the rendered views' colors to the painting's (ARF's last step), from up to MATCHED_VIEWS."""
         count = len(self.cameras)
         chosen = np.unique(np.linspace(0, count - 1, min(count, MATCHED_VIEWS)).round().astype(int))
         pictures = (
@@ -341,7 +341,7 @@ class Repainting:
     def checkpoint(self) -> tuple[dict, dict[str, np.ndarray]]:
         """(JSON, arrays) to go on from."""
         self._collect()
-        arrays = {"colour": self.field.colour.values.copy()}
+        arrays = {"color": self.field.color.values.copy()}
         arrays |= {f"adam.{k}": v.copy() for k, v in self.adam.arrays().items()}
         return {"state": vars(self.state)}, arrays | self._own_arrays()
 
@@ -349,7 +349,7 @@ class Repainting:
         """From checkpoint()."""
         self.state = StyleState(**data["state"])
         self.settings = self._guard.paced(self.settings, self.state)
-        self.field.colour.values[:] = arrays["colour"]
+        self.field.color.values[:] = arrays["color"]
         self.adam = self._new_adam()
         self.adam.restore({k: arrays[f"adam.{k}"] for k in ("first", "second", "steps")})
         if self.state.phase != "refit":

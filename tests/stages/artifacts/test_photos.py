@@ -121,7 +121,7 @@ def test_no_more_of_the_file_stays_in_memory_than_it_may(tmp_path):
     assert found[0] > 100e6 and found[1] < 75e6, found
 
 
-def test_a_photo_that_teaches_colours_to_a_capture_has_what_the_field_shows_where_it_hides_something():
+def test_a_photo_that_teaches_colors_to_a_capture_has_what_the_field_shows_where_it_hides_something():
     field = wall_in_front(0.02)
     camera = Camera("view", 8, 6, 8.0, 8.0, 4.0, 3.0, np.eye(4))
     pixels = np.full((6, 8, 4), 0.25, np.float32)

@@ -1,9 +1,9 @@
-"""What an artefact was made from: fields, edits and costs behind it, also where two replaced each other."""
+"""What an artifact was made from: fields, edits and costs behind it, also where two replaced each other."""
 
 import pytest
 
 from schemas.work_folder import Work
-from stages.artifacts.provenance import edit_behind, field_before, field_unstylised, fields_behind, upstream
+from stages.artifacts.provenance import edit_behind, field_before, field_unstylized, fields_behind, upstream
 from tests.stages import evaluation_fixture as made
 
 
@@ -38,16 +38,16 @@ def test_what_was_made_again_is_remarked(circle):
     }
 
 
-def test_what_an_edit_and_a_stylisation_began_with(tmp_path):
-    """Behind palettes the field that they were learnt of, behind a stylised one that from before its deformation."""
-    work, field, before, unstylised = Work(tmp_path), None, {}, {}
+def test_what_an_edit_and_a_stylization_began_with(tmp_path):
+    """Behind palettes the field that they were learned of, behind a stylized one that from before its deformation."""
+    work, field, before, unstylized = Work(tmp_path), None, {}, {}
     for name, stage in (
-        ("fit", "nerf_fit"), ("head", "finetune"), ("palette", "decompose"), ("blue", "recolour"),
-        ("green", "recolour"), ("foot", "finetune"), ("bent", "deform_init"), ("starry", "stylize"),
+        ("fit", "nerf_fit"), ("head", "finetune"), ("palette", "decompose"), ("blue", "recolor"),
+        ("green", "recolor"), ("foot", "finetune"), ("bent", "deform_init"), ("starry", "stylize"),
         ("starrier", "stylize"),
     ):  # fmt: skip
         field = made.make_field(work, name, stage, {"field": field} if field else {})
-        before[name], unstylised[name] = (one and one.name for one in (field_before(field), field_unstylised(field)))
+        before[name], unstylized[name] = (one and one.name for one in (field_before(field), field_unstylized(field)))
     assert before["fit"] is None and before["head"] == "fit" and before["foot"] == "green"
     assert before["palette"] == before["blue"] == before["green"] == "head"
-    assert unstylised["starry"] == unstylised["starrier"] == "foot"
+    assert unstylized["starry"] == unstylized["starrier"] == "foot"

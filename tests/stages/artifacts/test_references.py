@@ -1,4 +1,4 @@
-"""Stylised views: which view, which size, which digest; what a method asks of the options."""
+"""Stylized views: which view, which size, which digest; what a method asks of the options."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -47,7 +47,7 @@ def test_a_reference_of_another_size_is_scaled_and_of_another_shape_refused(tmp_
 
 
 @pytest.mark.parametrize(("options", "matched"), [({}, "before"), ({"reference": ("a=x.png",)}, "none")])
-def test_colours_over_the_fields_own_look_as_the_photos_do_from_the_start(options, matched):
+def test_colors_over_the_fields_own_look_as_the_photos_do_from_the_start(options, matched):
     config = StylizeConfig(style="" if options else "x", method="refnpr", refit_steps=70, **options)
     assert match_of(config) == matched
     assert settings_of(config, 300, True).refit_steps == 70
@@ -97,9 +97,9 @@ def test_a_painting_beside_references_must_have_a_say():
 
 def test_a_reference_is_painted_as_arf_paints_and_followed_by_other_weights():
     found = settings_of(StylizeConfig(style="x", method="refnpr", style_weight=3.0), 200, True)
-    assert (found.weights.style, found.weights.content, found.weights.colour) == (1.0, 0.02, 10.0)
+    assert (found.weights.style, found.weights.content, found.weights.color) == (1.0, 0.02, 10.0)
     weights = found.template_weights
-    assert (weights.style, weights.content, weights.colour) == (3.0, 0.1, 5.0)
+    assert (weights.style, weights.content, weights.color) == (3.0, 0.1, 5.0)
 
 
 def test_blocks_are_those_that_ref_npr_counts_from_zero():

@@ -1,4 +1,4 @@
-"""A scene artefact becomes cameras and images, and whatever does not fit together is damage."""
+"""A scene artifact becomes cameras and images, and whatever does not fit together is damage."""
 
 import dataclasses
 import shutil
@@ -7,12 +7,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from schemas.errors import ArtefactDamaged, BadInput
+from schemas.errors import ArtifactDamaged, BadInput
 from schemas.exr import ExrView, write_exr
 from schemas.images import read_image, write_png
 from schemas.scene import Bounds, Scene, Truth, View, as_matrix, write_scene
 from schemas.tensors import save_tensors
-from schemas.work_folder import Artefact, Recipe, Work
+from schemas.work_folder import Artifact, Recipe, Work
 from stages import distill, finetune
 from stages.artifacts.scene import EDIT_TARGETS, EXPOSURE_STOPS, load_scene, view_index
 from stylerf.srgb import exposed
@@ -61,33 +61,33 @@ def test_cameras_images_points_and_truth(tmp_path):
     assert len(data.points.xyz) == 5
 
 
-def test_grey_images_become_rgb_and_points_may_be_absent(tmp_path):
+def test_gray_images_become_rgb_and_points_may_be_absent(tmp_path):
     data = load_scene(build(tmp_path, channels=1))
     assert data.images(1).shape == (6, 8, 3) and data.points is None
 
 
 def test_an_image_of_another_size_than_its_camera_is_damage(tmp_path):
     data = load_scene(build(tmp_path, size=(6, 7)))
-    with pytest.raises(ArtefactDamaged, match="7x6 where its camera says 8x6"):
+    with pytest.raises(ArtifactDamaged, match="7x6 where its camera says 8x6"):
         data.images(0)
 
 
 def test_missing_and_cut_images_are_damage(tmp_path):
-    artefact = build(tmp_path)
-    data = load_scene(artefact)
-    path = artefact.file("images/001.png")
+    artifact = build(tmp_path)
+    data = load_scene(artifact)
+    path = artifact.file("images/001.png")
     path.write_bytes(path.read_bytes()[:60])
-    with pytest.raises(ArtefactDamaged, match=r"001\.png.*import"):
+    with pytest.raises(ArtifactDamaged, match=r"001\.png.*import"):
         data.images(1)
-    with pytest.raises(ArtefactDamaged, match="60 bytes"):
-        load_scene(artefact)
+    with pytest.raises(ArtifactDamaged, match="60 bytes"):
+        load_scene(artifact)
     path.unlink()
-    with pytest.raises(ArtefactDamaged, match=r"lacks images/001\.png"):
-        load_scene(artefact)
+    with pytest.raises(ArtifactDamaged, match=r"lacks images/001\.png"):
+        load_scene(artifact)
 
 
-def test_a_view_whose_image_is_not_in_the_artefact_is_damage(tmp_path):
-    with pytest.raises(ArtefactDamaged, match="other"):
+def test_a_view_whose_image_is_not_in_the_artifact_is_damage(tmp_path):
+    with pytest.raises(ArtifactDamaged, match="other"):
         load_scene(build(tmp_path, {"image": "images/other.png"}))
 
 
@@ -98,7 +98,7 @@ def test_unsound_points_are_damage(tmp_path, drop):
         points["rgb"] = points["rgb"][:4]
     else:
         del points[drop]
-    with pytest.raises(ArtefactDamaged, match="points"):
+    with pytest.raises(ArtifactDamaged, match="points"):
         load_scene(build(tmp_path, points=points))
 
 
@@ -129,7 +129,7 @@ def test_photos_are_seen_at_the_exposure_of_the_fit(tmp_path):
     (scene.path / EDIT_TARGETS).parent.mkdir()
     save_tensors(scene.path / EDIT_TARGETS, {"1.pixels": np.array([5]), "1.depth": np.ones(1, np.float32)})
     reseal(scene.path)
-    scene = Artefact(scene.path)
+    scene = Artifact(scene.path)
     assert np.array_equal(load_scene(scene, bent).images(1), plain.images(1))
     assert load_scene(scene, bent).exposure_figures == {}
 
@@ -150,12 +150,12 @@ def test_a_view_without_an_edited_pixel_carries_no_edit(tmp_path):
     none = {"1.pixels": np.empty(0, np.int64), "1.depth": np.empty(0, np.float32)}
     save_tensors(made.path / EDIT_TARGETS, none | some)
     reseal(made.path)
-    scene = load_scene(Artefact(made.path))
+    scene = load_scene(Artifact(made.path))
     found = finetune.edited_pixels(scene, [1, 2, 3], earlier=False)
     assert found.views.tolist() == [1, 1] and found.pixels.tolist() == [5, 6]
     save_tensors(made.path / EDIT_TARGETS, none)
     reseal(made.path)
-    scene = load_scene(Artefact(made.path))
+    scene = load_scene(Artifact(made.path))
     with pytest.raises(BadInput, match="no training view carries the edit"):
         finetune.edited_pixels(scene, [1, 2, 3], earlier=False)
 

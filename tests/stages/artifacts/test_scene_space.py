@@ -10,11 +10,11 @@ from stages.artifacts.scene_space import FOCUS, space_of
 from stylerf.geometry.cameras import Camera
 
 
-def scene(layout: str, centres, box=((-1, -1, -1), (1, 1, 1)), near: float = 0.5) -> SimpleNamespace:
+def scene(layout: str, centers, box=((-1, -1, -1), (1, 1, 1)), near: float = 0.5) -> SimpleNamespace:
     cameras = []
-    for place, centre in enumerate(centres):
+    for place, center in enumerate(centers):
         pose = np.eye(4)
-        pose[:3, 3] = centre
+        pose[:3, 3] = center
         cameras.append(Camera(f"c{place}", 40, 30, 40.0, 40.0, 20.0, 15.0, pose))
     about = SimpleNamespace(layout_reason="made up")
     return SimpleNamespace(layout=layout, scene=about, cameras=cameras, bounds=Bounds(box, near, 10.0))

@@ -9,7 +9,7 @@ from schemas import partial_artifact
 from schemas.work_folder import Work
 from stages.comparison.cost_charts import comparison_charts, look_of
 from stages.comparison.pareto_fronts import disagreements, on_fronts, panel_of
-from stages.comparison.runs import EDITS, FITS, STYLISATIONS, on_other_threads, runs_of
+from stages.comparison.runs import EDITS, FITS, STYLIZATIONS, on_other_threads, runs_of
 from stages.report.comparison_page import build_page, rows_of
 from tests.stages import comparison_fixture as runs
 from tests.stages import evaluation_fixture as made
@@ -26,8 +26,8 @@ def work(tmp_path):
     runs.fit(work, scene, "fit-300s", 300.0, 30.0, parameters=900, memory=200.0)
     inputs = {"scene": scene, "field": small}
     deformed = made.make_field(work, "bent", "deform_init", inputs, seconds=7.0, peak_memory_mb=2000)
-    runs.stylised(work, scene, small, "starry-arf", 20.0, STYLE)
-    runs.stylised(work, scene, deformed, "starry-desrf", 30.0, STYLE | {"nnfm": 0.2}, method="desrf")
+    runs.stylized(work, scene, small, "starry-arf", 20.0, STYLE)
+    runs.stylized(work, scene, deformed, "starry-desrf", 30.0, STYLE | {"nnfm": 0.2}, method="desrf")
     edit = {"background_mse": 0.001, "bleeding": 0.1, "sparsity": 0.5, "short_rmse": 0.01, "edit_short_rmse": 0.03}
     runs.edited(work, scene, small, "cup", (1.0, 2.0, 4.0, 8.0), edit)
     return work
@@ -41,7 +41,7 @@ def found(work, *others):
 def test_families_and_costs_are_those_of_the_manifests(work):
     by_name, gaps = found(work)
     assert {name: run.family for name, run in by_name.items()} == {
-        "fit-10s": FITS, "fit-60s": FITS, "fit-300s": FITS, "starry-arf": STYLISATIONS, "starry-desrf": STYLISATIONS,
+        "fit-10s": FITS, "fit-60s": FITS, "fit-300s": FITS, "starry-arf": STYLIZATIONS, "starry-desrf": STYLIZATIONS,
         "cup": EDITS,
     }  # fmt: skip
     assert gaps == []
@@ -58,7 +58,7 @@ def test_families_and_costs_are_those_of_the_manifests(work):
 def test_a_consistency_of_few_pixels_is_on_no_front_and_that_is_said(work):
     scene, base = work.get("scene", "wall"), work.get("field", "fit-10s")
     figures = STYLE | {"short_rmse": 0.001, "short_share": 0.036, "long_share": 0.2}
-    runs.stylised(work, scene, base, "few", 5.0, figures, budget="5s")
+    runs.stylized(work, scene, base, "few", 5.0, figures, budget="5s")
     every = list(found(work)[0].values())
     fronts = on_fronts(every, ["short_rmse", "long_rmse"])["room/few"]
     assert "long_rmse/seconds" in fronts and not any(one.startswith("short") for one in fronts)
@@ -69,10 +69,10 @@ def test_a_consistency_of_few_pixels_is_on_no_front_and_that_is_said(work):
 
 def test_a_changed_palette_is_an_edit_that_costs_what_its_learning_did(work):
     inputs = {"scene": work.get("scene", "wall"), "field": work.get("field", "fit-10s")}
-    learnt = made.make_field(work, "palette", "decompose", inputs, seconds=60.0, peak_memory_mb=700)
+    learned = made.make_field(work, "palette", "decompose", inputs, seconds=60.0, peak_memory_mb=700)
     figures = {"parameters": 5000}
     given = {"seconds": 2.0, "peak_memory_mb": 300, "figures": figures}
-    made.make_field(work, "blue", "recolour", {**inputs, "field": learnt}, **given)
+    made.make_field(work, "blue", "recolor", {**inputs, "field": learned}, **given)
     by_name, gaps = found(work)
     assert "palette" not in by_name and by_name["blue"].family == EDITS and by_name["blue"].method == "palettenerf"
     assert tuple(by_name["blue"].costs.values()) == (62.0, 700.0, 5000)
@@ -83,13 +83,13 @@ def test_fields_that_replaced_each_other_cost_what_each_of_them_did(tmp_path):
     work = Work(tmp_path / "room")
     inputs = {"scene": made.make_scene(work, [0.0], depth=False)}
     for seconds, name in ((1.0, "red"), (2.0, "blue"), (4.0, "red")):
-        field = made.make_field(work, name, "recolour", inputs, seconds=seconds, peak_memory_mb=100.0)
+        field = made.make_field(work, name, "recolor", inputs, seconds=seconds, peak_memory_mb=100.0)
         inputs = inputs | {"field": field}
     by_name, _ = found(work)
     assert {name: run.costs["seconds"] for name, run in by_name.items()} == {"red": 6.0, "blue": 6.0}
 
 
-def test_an_edit_of_an_edit_and_of_a_stylised_field_costs_what_these_did(work):
+def test_an_edit_of_an_edit_and_of_a_stylized_field_costs_what_these_did(work):
     """Whatever field it began with, all that was made since the fit counts, and the fit does not."""
     scene = work.get("scene", "wall")
     runs.edited(work, scene, work.get("field", "cup"), "saucer", (1.0, 2.0, 4.0, 8.5), {})
@@ -157,7 +157,7 @@ def test_figures_by_other_networks_or_protocols_are_told_apart(work):
     """Another network has a column of its own; another protocol within a group a letter, and a line in the table."""
     scene, base = work.get("scene", "wall"), work.get("field", "fit-10s")
     for name, changed in (("a", {}), ("b", {"label": "Ref-LPIPS (lpips-vgg)"}), ("c", {"protocol": "by <hand>"})):
-        field = runs.stylised(work, scene, base, name, 20.0, {}, budget=name)
+        field = runs.stylized(work, scene, base, name, 20.0, {}, budget=name)
         runs.report(work, field, {"ref_lpips": 0.7}, changed=changed)
     some, gaps = runs_of([work])
     page = build_page(some, [], gaps, {run.title: [] for run in some})
@@ -180,7 +180,7 @@ def test_fronts_are_those_of_the_group(work):
     assert fronts["room/fit-10s"] == ["psnr/seconds", "psnr/parameters"]
     assert fronts["room/fit-60s"] == []
     assert fronts["room/fit-300s"] == ["psnr/seconds", "psnr/peak_memory_mb", "psnr/parameters"]
-    panel = panel_of([run for run in by_name.values() if run.family == STYLISATIONS], "nnfm", "seconds")
+    panel = panel_of([run for run in by_name.values() if run.family == STYLIZATIONS], "nnfm", "seconds")
     assert [[run.name for run in front] for front in panel.fronts] == [["starry-arf", "starry-desrf"]]
     assert panel_of(some, "nnfm", "seconds") is None
 
@@ -218,7 +218,7 @@ def test_groups_are_known_by_content_and_called_by_names(work):
         "d": {"style": "", "reference": ["0=/one/x.png"], "references_digest": "3" * 64},
         "e": {"style": "", "reference": ["0=/one/x.png"], "references_digest": "4" * 64},
     }.items():
-        runs.stylised(work, scene, base, name, 20.0, STYLE, **config)
+        runs.stylized(work, scene, base, name, 20.0, STYLE, **config)
     figures, regions = {"background_mse": 0.001, "bleeding": 0.1}, [work.get("region", "cup")]
     for name, seconds, config, given in (
         ("f", 51.0, {"masks": "/one/masks", "masks_digest": "5" * 64}, ()),
@@ -252,7 +252,7 @@ def test_runs_on_other_numbers_of_threads_are_told(tmp_path):
 def test_what_is_missing_is_named_with_its_command(work):
     scene, base = work.get("scene", "wall"), work.get("field", "fit-10s")
     runs.fit(work, scene, "unseen", 11.0, None)
-    runs.stylised(work, scene, base, "half", 20.0, {"nnfm": 0.4, "content_ssim": 0.2}, budget="20s")
+    runs.stylized(work, scene, base, "half", 20.0, {"nnfm": 0.4, "content_ssim": 0.2}, budget="20s")
     runs.edited(work, scene, base, "plain", (1.0, 1.0, 1.0, 1.0), {"sparsity": 1.0})
     made.make_field(work, "nameless", "nerf_fit", {"scene": scene}, peak_memory_mb=1.0)
     _, gaps = found(work)
@@ -280,7 +280,7 @@ def test_charts_page_and_table_tell_the_same(work):
     fronts = {run.title: fronts.get(run.title, []) for run in some}
     charts = comparison_charts(some)
     costs = ("seconds", "peak_memory_mb", "parameters")
-    names = [f"{family}_{cost}" for family in (FITS, STYLISATIONS, EDITS) for cost in costs]
+    names = [f"{family}_{cost}" for family in (FITS, STYLIZATIONS, EDITS) for cost in costs]
     assert [chart.name for chart in charts] == names
     first = charts[0]
     assert first.png.startswith(b"\x89PNG") and "fit-300s" in first.svg

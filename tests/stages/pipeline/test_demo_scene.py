@@ -77,9 +77,9 @@ def test_written_depth_unprojects_onto_the_still_life_by_the_written_matrices_al
         y = (v - camera_to_ndc[2, 1]) * z / camera_to_ndc[1, 1]
         world = (np.stack([x, y, z, np.ones_like(z)], -1) @ np.linalg.inv(to_camera))[:, :3]
         assert np.abs(life.distance(world)).max() < 5e-5  # float32 matrices, at four units from the camera
-        centre = np.linalg.inv(to_camera)[3, :3]
+        center = np.linalg.inv(to_camera)[3, :3]
         np.testing.assert_allclose(
-            planes["rayDistance.Z"][rows, columns], np.linalg.norm(world - centre, axis=1), rtol=2e-5
+            planes["rayDistance.Z"][rows, columns], np.linalg.norm(world - center, axis=1), rtol=2e-5
         )
         assert (planes["Z"][planes["A"] == 0] == np.float32(FAR_Z)).all()
         points += len(z)

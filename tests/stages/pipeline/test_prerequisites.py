@@ -9,7 +9,7 @@ from tests.stages import evaluation_fixture as made
 
 @pytest.fixture
 def work(tmp_path) -> Work:
-    """Field `wall` of scene `wall`, and a stylised one of it. Stand-ins: a stage that reads them stops."""
+    """Field `wall` of scene `wall`, and a stylized one of it. Stand-ins: a stage that reads them stops."""
     work = Work(tmp_path / "work")
     scene = made.make_scene(work, [-0.2, 0.2], depth=False)
     field = made.make_field(work, "wall", "nerf_fit", {"scene": scene})

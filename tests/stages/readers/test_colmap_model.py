@@ -193,9 +193,9 @@ def incomplete_beside_llff(root: Path) -> None:
     binary(root).joinpath("images.bin").unlink()
     rows = []
     for pose in dots.poses():
-        right, down, forward, centre = pose[:3].T
+        right, down, forward, center = pose[:3].T
         size = [dots.HEIGHT, dots.WIDTH, dots.FOCAL]
-        rows.append([*np.column_stack([down, right, -forward, centre, size]).ravel(), 1.0, 9.0])
+        rows.append([*np.column_stack([down, right, -forward, center, size]).ravel(), 1.0, 9.0])
     np.save(root / "poses_bounds.npy", np.array(rows))
 
 

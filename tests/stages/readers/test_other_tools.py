@@ -144,7 +144,7 @@ OPENSFM = {
 
 
 def opensfm_pixels(kind: str, c: dict):
-    """OpenSfM's doc/source/geometry.rst, and from its pixels, whose centres are whole numbers, to ours."""
+    """OpenSfM's doc/source/geometry.rst, and from its pixels, whose centers are whole numbers, to ours."""
 
     def project(inside: np.ndarray) -> np.ndarray:
         x, y = (inside[:, :2] / inside[:, 2:]).T
@@ -203,7 +203,7 @@ def polycam(root: Path, cameras="cameras", images="images", spoil=None) -> None:
 
 
 def corrected(root: Path) -> None:
-    """The optimised cameras beside those that were recorded, which are wrong."""
+    """The optimized cameras beside those that were recorded, which are wrong."""
     polycam(root, "corrected_cameras", "corrected_images")
     (root / "keyframes/cameras").mkdir()
     dots.write_photos(root / "keyframes/images", NAMES, blank=True)

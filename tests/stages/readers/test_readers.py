@@ -23,7 +23,7 @@ from tests.stages.photo_room import write_tagged
 from tests.stylerf_cli import capture
 
 
-def colours_of(photo: Path, **options) -> np.ndarray:
+def colors_of(photo: Path, **options) -> np.ndarray:
     return to_uint8(read_image(photo, **options).pixels)
 
 
@@ -33,7 +33,7 @@ def colours_of(photo: Path, **options) -> np.ndarray:
 def tagged(source: Path, orientation: int) -> Path:
     """images/p02.png with an orientation in its place."""
     path = source / "images" / "p02.png"
-    write_tagged(path.with_suffix(".tif"), colours_of(path), orientation)
+    write_tagged(path.with_suffix(".tif"), colors_of(path), orientation)
     path.unlink()
     return path.with_suffix(".tif")
 
@@ -58,7 +58,7 @@ def test_poses_describe_photos_as_they_are_stored(source, tmp_path, kind, orient
             content = {"camera_angle_x": 0.98, "frames": content["frames"]}
         capture.write_transforms(source, content)
     seen = to_uint8(load_scene(imported(source, tmp_path / "work")).images(2))
-    np.testing.assert_array_equal(seen[:, :24, :3], colours_of(photo, upright=False)[:, :24])
+    np.testing.assert_array_equal(seen[:, :24, :3], colors_of(photo, upright=False)[:, :24])
     assert (seen[:, :24, 3] == 255).all() and (seen[:, 24:, 3] == 0).all()
 
 
@@ -68,7 +68,7 @@ def test_a_photo_that_only_turned_has_the_size_of_its_camera_is_turned(source, t
     content["frames"][2] |= {"file_path": "images/p02.tif", "w": 36, "h": 48, "cx": 18, "cy": 24}
     capture.write_transforms(source, content)
     data = load_scene(imported(source, tmp_path / "work"))
-    np.testing.assert_array_equal(to_uint8(data.images(2)), colours_of(photo))
+    np.testing.assert_array_equal(to_uint8(data.images(2)), colors_of(photo))
     assert data.images(2).shape[:2] == (48, 36) and data.images(1).shape[:2] == (36, 48)
 
 
@@ -76,7 +76,7 @@ def test_a_photo_that_only_turned_has_the_size_of_its_camera_is_turned(source, t
 
 
 def test_light_in_photos_and_paintings_becomes_srgb(source, tmp_path):
-    """Grey of code 0.5, half covered on the left, in a data window that leaves two columns out."""
+    """Gray of code 0.5, half covered on the left, in a data window that leaves two columns out."""
     (source / "images" / "p02.png").unlink()
     photo = source / "images" / "p02.exr"
     alpha = np.where(np.arange(46) < 22, 0.5, 1)[None, :, None] * np.ones((36, 1, 1))
@@ -217,15 +217,15 @@ def test_a_mask_that_could_be_of_either_of_two_photos_is_refused(source, tmp_pat
     assert cut_out(imported(source, tmp_path / "work")) == ["a/p00", "b/p00"]
 
 
-@pytest.mark.parametrize("cut", ["by colour", "by transparency", "by labels"])
+@pytest.mark.parametrize("cut", ["by color", "by transparency", "by labels"])
 def test_pictures_of_masks_mean_the_same_wherever_they_are_read(posed, tmp_path, cut):
     """White on black that is opaque all over; black on nothing; 1 and 0 in eight bits. The left half is kept."""
     kept = np.where(np.arange(48) < 24, np.full((36, 48), 255), 0).astype(np.uint8)
     opaque = np.full_like(kept, 255)
-    colour, alpha = (np.zeros_like(kept), kept) if cut == "by transparency" else (kept, opaque)
-    colour = colour // 255 if cut == "by labels" else colour
+    color, alpha = (np.zeros_like(kept), kept) if cut == "by transparency" else (kept, opaque)
+    color = color // 255 if cut == "by labels" else color
     mask = posed / "masks" / "p02.png"
-    write_png(mask, np.dstack([colour] * 3 + [alpha]))
+    write_png(mask, np.dstack([color] * 3 + [alpha]))
     scene = load_scene(imported(posed, tmp_path / "work"))
     np.testing.assert_array_equal(to_uint8(scene.images(2))[..., 3], kept)
     looking = region_select.Looking(scene, None, 0.0, 0, 1, print)
@@ -318,10 +318,10 @@ def test_rows_of_llff_are_of_photos_in_alphabetical_order(source, tmp_path):
         (source / "images" / f"{before}.png").rename(source / "images" / f"{after}.png")
     np.save(source / "poses_bounds.npy", capture.llff())
     scene = scene_of(imported(source, tmp_path / "work"))
-    centres = {view.name: np.array(view.world_from_camera)[:3, 3] for view in scene.views}
-    apart = {name: [np.linalg.norm(centres[name] - centres[other]) for other in centres] for name in centres}
+    centers = {view.name: np.array(view.world_from_camera)[:3, 3] for view in scene.views}
+    apart = {name: [np.linalg.norm(centers[name] - centers[other]) for other in centers] for name in centers}
     wanted = [one.world_from_camera[:3, 3] for one in capture.cameras()]
     for name, place in (("1", 0), ("10", 1), ("11", 2), ("2", 3)):
-        expected = [np.linalg.norm(wanted[place] - wanted[("1", "10", "11", "2").index(other)]) for other in centres]
+        expected = [np.linalg.norm(wanted[place] - wanted[("1", "10", "11", "2").index(other)]) for other in centers]
         ratio = np.array(apart[name])[np.array(expected) > 0] / np.array(expected)[np.array(expected) > 0]
         assert np.ptp(ratio) < 1e-3 * ratio.mean()  # a scene may be scaled as a whole

@@ -97,7 +97,7 @@ NAMES = [f"images/p{index:02d}.png" for index in range(4)]
 
 @row("json-comments")
 def _(source, tmp_path):
-    text = json.dumps(listed(licence='http://a.b/*c*/ " // d')).replace('"frames"', '// one\n/* "two" */ "frames"')
+    text = json.dumps(listed(license='http://a.b/*c*/ " // d')).replace('"frames"', '// one\n/* "two" */ "frames"')
     assert [one.source for one in read(source, text).cameras] == NAMES
 
 
@@ -342,21 +342,21 @@ def _(source, tmp_path):
 
 ANGLE_X, ANGLE_Y = 2 * math.atan(WIDTH / 2 / 45), 2 * math.atan(HEIGHT / 2 / 60)
 NO_LENS = dict.fromkeys(("fl_x", "fl_y", "cx", "cy"), ...)
-CENTRE = [WIDTH / 2, HEIGHT / 2]
+CENTER = [WIDTH / 2, HEIGHT / 2]
 
 
 @row("lens-angle")
 def _(source, tmp_path):
     content = {"camera_angle_x": ANGLE_X, "frames": listed()["frames"]}
-    np.testing.assert_allclose(lens(source, tmp_path / "a", content), [[45, 45, *CENTRE]] * 4)
+    np.testing.assert_allclose(lens(source, tmp_path / "a", content), [[45, 45, *CENTER]] * 4)
     content = listed(**NO_LENS, camera_angle_x=ANGLE_X, camera_angle_y=ANGLE_Y)
-    np.testing.assert_allclose(lens(source, tmp_path / "b", content), [[45, 60, *CENTRE]] * 4)
+    np.testing.assert_allclose(lens(source, tmp_path / "b", content), [[45, 60, *CENTER]] * 4)
 
 
 @row("lens-fov")
 def _(source, tmp_path):
     content = listed(**NO_LENS, x_fov=math.degrees(ANGLE_X), y_fov=math.degrees(ANGLE_Y))
-    np.testing.assert_allclose(lens(source, tmp_path / "a", content), [[45, 60, *CENTRE]] * 4)
+    np.testing.assert_allclose(lens(source, tmp_path / "a", content), [[45, 60, *CENTER]] * 4)
 
 
 @row("lens-one-axis")
@@ -366,7 +366,7 @@ def _(source, tmp_path):
          ({"y_fov": math.degrees(ANGLE_Y)}, (60, 60)), ({"fl_x": 50, "camera_angle_y": ANGLE_Y}, (50, 60))]
     ):  # fmt: skip
         found = lens(source, tmp_path / str(name), listed(**(NO_LENS | change)))
-        np.testing.assert_allclose(found, [[*focals, *CENTRE]] * 4)
+        np.testing.assert_allclose(found, [[*focals, *CENTER]] * 4)
     assert "tells no focal length" in refusal(source, listed(**NO_LENS))
 
 
@@ -388,7 +388,7 @@ def _(source, tmp_path):
     assert not read(source, listed(camera_angle_x=ANGLE_X, camera_angle_y=2 * math.atan(18 / 45))).remarks
 
 
-@row("lens-centre")
+@row("lens-center")
 def _(source, tmp_path):
     content = listed(**NO_LENS, camera_angle_x=ANGLE_X) | {"cx": 20.5}
     np.testing.assert_allclose(lens(source, tmp_path / "a", content), [[45, 45, 20.5, HEIGHT / 2]] * 4)
@@ -397,7 +397,7 @@ def _(source, tmp_path):
 @row("lens-text")
 def _(source, tmp_path):
     content = listed(fl_x="45.0", fl_y="60", w="48", h="36")
-    np.testing.assert_allclose(lens(source, tmp_path / "a", content), [[45, 60, *CENTRE]] * 4)
+    np.testing.assert_allclose(lens(source, tmp_path / "a", content), [[45, 60, *CENTER]] * 4)
     assert "fl_x is 'wide', expected a number" in refusal(source, listed(fl_x="wide"))
     assert "w is None, expected a number" in refusal(source, listed(w=None))
 
@@ -537,16 +537,16 @@ def _(source, tmp_path):
 @row("pose-one-point")
 def _(source, tmp_path):
     rounding = np.random.default_rng(0).uniform(-1, 1, (4, 3)) * 6e-8
-    for centre in (np.zeros(3), np.array([0.1, 0.2, 0.3]), np.array([5e5, 4e6, 100])):
-        content, noise = listed(), iter(rounding * np.abs(centre).max())
+    for center in (np.zeros(3), np.array([0.1, 0.2, 0.3]), np.array([5e5, 4e6, 100])):
+        content, noise = listed(), iter(rounding * np.abs(center).max())
         for frame in content["frames"]:
-            for axis, value in enumerate(centre + next(noise)):
+            for axis, value in enumerate(center + next(noise)):
                 frame["transform_matrix"][axis][3] = float(value)
         capture.write_transforms(source, content)
         with pytest.raises(BadInput, match="all cameras stand at one point"):
             imported(source, tmp_path / "work")
     moved = listed()
-    for frame in moved["frames"]:  # metres of a map, far from its origin
+    for frame in moved["frames"]:  # meters of a map, far from its origin
         for axis, value in enumerate((5e5, 4e6, 100)):
             frame["transform_matrix"][axis][3] += value
     capture.write_transforms(source, moved)
@@ -679,8 +679,8 @@ def _(source, tmp_path):
                        ([*moving[:2], whole, whole], False)):  # fmt: skip
         backdrop = Backdrop("auto")
         for mask in masks:
-            colours = np.full((HEIGHT, WIDTH, 3), 0.5, np.float32)
-            backdrop.seen(np.dstack([colours, mask / 255]) if mask.min() < 255 else colours)
+            colors = np.full((HEIGHT, WIDTH, 3), 0.5, np.float32)
+            backdrop.seen(np.dstack([colors, mask / 255]) if mask.min() < 255 else colors)
         backdrop.decide()
         assert (backdrop.kind, backdrop.cuts_out) == ("alpha", "transparency" if cut else "")
         assert bool(backdrop.remark) != cut

@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 
 from stages.evaluation.metric_definitions import KINDS
-from stages.evaluation.metrics import summarise
+from stages.evaluation.metrics import summarize
 from stages.evaluation.test_views import Photo, Render
 from stages.report.charts import bar_chart, curve_chart, pairs_chart
 from stages.report.contact_sheet import Sheet, chosen_views
@@ -48,7 +48,7 @@ class Reader(HTMLParser):
 
 
 REPORT = {
-    "field": "fern <b>", "scene": "fern & co", "stylised": False, "painting": "", "view_count": 2,
+    "field": "fern <b>", "scene": "fern & co", "stylized": False, "painting": "", "view_count": 2,
     "resolution": "40x30", "pairs": [], "curve": None, "device": "cpu", "seed": 7, "versions": {"torch": "2.13"},
     "views": [
         {"name": "a", "psnr": 21.25, "ssim": 0.7345, "remark": ""},
@@ -68,7 +68,7 @@ REPORT = {
 def report_with_all_figures():
     report = copy.deepcopy(REPORT)
     values = {kind.key: 0.123456 + i for i, kind in enumerate(KINDS)}
-    figures = summarise([{"name": "a", **values}, {"name": "b", **values}], {"gap": 7}, {"nnfm": {"the photos": 9.5}})
+    figures = summarize([{"name": "a", **values}, {"name": "b", **values}], {"gap": 7}, {"nnfm": {"the photos": 9.5}})
     report["figures"] = [figure.as_json() for figure in figures]
     return report
 
@@ -179,7 +179,7 @@ def test_what_the_sheet_keeps_of_a_view_does_not_grow_with_the_photos():
         view = made.camera(0.0, "a").scaled(scale)
         seen = made.look(view)
         render = Render("a", view, seen.rgb, seen.alpha, seen.z, 0, 0)
-        sheet = Sheet(Picture(seen.rgb, "the painting", "P").small(), stylised=True)
+        sheet = Sheet(Picture(seen.rgb, "the painting", "P").small(), stylized=True)
         sheet.add("a", {}, render, Photo(seen.rgb, None, None, False, False), render)
         (kept,) = sheet._views
         held.append([one.image.nbytes for one in kept.pictures] + [kept.z.nbytes, kept.alpha.nbytes])
@@ -218,7 +218,7 @@ def test_the_sheet_shows_worst_best_and_what_failed():
 
 def test_summaries_leave_out_what_is_not_a_number_and_say_so():
     rows = [{"psnr": 20.0}, {"psnr": None}, {"psnr": 30.0}, {"psnr": float("nan")}, {"ssim": None}]
-    (figure,) = summarise(rows, {})
+    (figure,) = summarize(rows, {})
     assert (figure.mean, figure.median, figure.min, figure.max) == (25, 25, 20, 30)
     assert (figure.count, figure.left_out) == (2, 2)
 

@@ -7,11 +7,11 @@ import pytest
 from stages.report.notes import Presence, not_measured
 
 EVERYTHING = Presence(
-    stylised=False, painting=True, tolerant=True, lpips=True, perceptual_wanted=True, large_enough=True,
+    stylized=False, painting=True, tolerant=True, lpips=True, perceptual_wanted=True, large_enough=True,
     true_depth=True, depth_sizes_differ=False, base=True, path="orbit", path_length=30, gap=7, field=True,
     consistency="all", reference=True, twin=True,
 )  # fmt: skip
-STYLISED, EDITED = replace(EVERYTHING, stylised=True), replace(EVERYTHING, edited=True)
+STYLIZED, EDITED = replace(EVERYTHING, stylized=True), replace(EVERYTHING, edited=True)
 BLIND = {
     "Turned off by --perceptual none": {"perceptual_wanted": False},
     "smaller than 64 pixels": {"large_enough": False},
@@ -25,7 +25,7 @@ def notes(have: Presence) -> dict[str, str]:
 
 def test_nothing_is_missing_where_everything_is_there():
     assert notes(EVERYTHING) == {}
-    assert not {"Ref-LPIPS", "Robustness", "Consistency by a perceptual distance"} & {*notes(STYLISED)}
+    assert not {"Ref-LPIPS", "Robustness", "Consistency by a perceptual distance"} & {*notes(STYLIZED)}
     assert "Consistency within the region" not in notes(EDITED)
 
 
@@ -33,8 +33,8 @@ def test_nothing_is_missing_where_everything_is_there():
 @pytest.mark.parametrize(
     ("have", "what"),
     [
-        (STYLISED, "Ref-LPIPS"),
-        (STYLISED, "Consistency by a perceptual distance"),
+        (STYLIZED, "Ref-LPIPS"),
+        (STYLIZED, "Consistency by a perceptual distance"),
         (EVERYTHING, "LPIPS and ST-LPIPS"),
     ],
 )
@@ -56,4 +56,4 @@ def test_why_the_region_is_not_followed_along_the_film_is_said(given, why):
 
 
 def test_changed_weights_of_a_palette_are_said():
-    assert "after they were learnt" in notes(replace(EDITED, weights_changed=True))["Palette sparsity and TV"]
+    assert "after they were learned" in notes(replace(EDITED, weights_changed=True))["Palette sparsity and TV"]

@@ -22,9 +22,9 @@ import pytest
 from schemas import atomic_write
 from schemas import partial_artifact as partial
 from schemas.artifact import VERB_OF
-from schemas.errors import ArtefactDamaged, ArtefactStale, BadInput, OutOfResources, UsageError
+from schemas.errors import ArtifactDamaged, ArtifactStale, BadInput, OutOfResources, UsageError
 from schemas.manifest import MANIFEST, Recipe
-from schemas.work_folder import Artefact, Work
+from schemas.work_folder import Artifact, Work
 from stages.configs import option
 from stages.run import clock, runner
 from stages.run.progress import Context, Silent
@@ -53,7 +53,7 @@ def expected(tmp_path) -> str:
     return toy(Work(tmp_path / "undisturbed"))[0].digest
 
 
-def test_a_standing_artefact_is_reused_and_a_changed_recipe_is_not(tmp_path):
+def test_a_standing_artifact_is_reused_and_a_changed_recipe_is_not(tmp_path):
     work, calls = Work(tmp_path), []
 
     def counted(*arguments):
@@ -88,7 +88,7 @@ def test_inputs_are_verified_before_a_run(tmp_path):
     data = bytearray(source.file("field.safetensors").read_bytes())
     data[-3] ^= 4
     source.file("field.safetensors").write_bytes(data)
-    with pytest.raises(ArtefactDamaged, match=r"field\.safetensors was altered"):
+    with pytest.raises(ArtifactDamaged, match=r"field\.safetensors was altered"):
         toy(work, inputs={"scene": source})
 
 
@@ -104,7 +104,7 @@ def test_nothing_takes_the_place_of_what_it_is_made_from(tmp_path):
 
 
 def snapshot(work: Work) -> dict[str, str]:
-    return {one.name: one.digest for one in work.artefacts()}
+    return {one.name: one.digest for one in work.artifacts()}
 
 
 def test_the_verb_of_every_stage_is_known_where_one_is_damaged():
@@ -138,21 +138,21 @@ def test_kill_at_random_moments_then_resume_gives_the_same_result(tmp_path, expe
         time.sleep(chance.uniform(0.0, 0.02))
         os.kill(child, signal.SIGKILL)
         deaths += os.WIFSIGNALED(os.waitpid(child, 0)[1])
-        for artefact in work.artefacts():
-            artefact.verify()
+        for artifact in work.artifacts():
+            artifact.verify()
         made = toy(work, config=paced)[0]
         made.verify()
-        assert files_of(made) == files_of(expected_artefact(tmp_path))
+        assert files_of(made) == files_of(expected_artifact(tmp_path))
         assert os.listdir(work.root / "field").count(".fox.partial") == 0
     assert deaths >= 10, "too few children died in time for the test to mean anything"
 
 
-def expected_artefact(tmp_path) -> Artefact:
+def expected_artifact(tmp_path) -> Artifact:
     return Work(tmp_path / "undisturbed").get("field", "fox")
 
 
-def files_of(artefact: Artefact) -> list[str]:
-    return [record.sha256 for record in artefact.manifest.files]
+def files_of(artifact: Artifact) -> list[str]:
+    return [record.sha256 for record in artifact.manifest.files]
 
 
 def die_at(number: int, action) -> None:
@@ -183,14 +183,14 @@ def test_a_death_before_any_flush_rename_or_removal_leaves_old_or_new_and_resume
         old = toy(work, config=ToyConfig(steps=3))[0].digest if replaced else None
         child = in_child(partial_call(die_at, number, partial_call(toy, work, config=config)))
         died = os.WIFSIGNALED(os.waitpid(child, 0)[1])
-        for artefact in work.artefacts():
-            artefact.verify()
-            assert artefact.digest == old or files_of(artefact) == wanted
-        assert len(work.artefacts()) == 1 or not replaced
+        for artifact in work.artifacts():
+            artifact.verify()
+            assert artifact.digest == old or files_of(artifact) == wanted
+        assert len(work.artifacts()) == 1 or not replaced
         made = toy(work, config=config)[0]
         made.verify()
         assert files_of(made) == wanted
-        # Also where the run died with its artefact in place, before it had tidied up.
+        # Also where the run died with its artifact in place, before it had tidied up.
         assert work.unfinished() == [] and not list(work.root.rglob(".*.partial"))
         if not died:
             break
@@ -226,10 +226,10 @@ def test_a_stage_resumes_where_it_stopped_and_the_clock_adds_up(tmp_path, expect
 
     with pytest.raises(KeyboardInterrupt):
         toy(work, function=interrupted)
-    assert work.artefacts() == [] and work.unfinished() == [("field", "fox")]
+    assert work.artifacts() == [] and work.unfinished() == [("field", "fox")]
     made, _ = execute(SPEC, run, work, "fox", {}, ToyConfig(), Context(progress=Heard()))
     assert said == ["going on with the interrupted toy of fox"]
-    assert files_of(made) == files_of(expected_artefact(tmp_path))
+    assert files_of(made) == files_of(expected_artifact(tmp_path))
     assert made.manifest.figures["runs"] == 2
     assert 0.2 <= made.manifest.seconds < 20
     assert 5 < made.manifest.peak_memory_mb < 50_000
@@ -252,7 +252,7 @@ def test_dear_work_with_other_options_is_not_lost_without_a_word(tmp_path, expec
         toy(work, function=interrupted)
     told = json.loads((work.root / "field/.fox.partial/clock.json").read_text())
     (work.root / "field/.fox.partial/clock.json").write_text(json.dumps(told | {"seconds": 3300.0}))
-    with pytest.raises(ArtefactStale, match="55 min of work with --steps 30, would be lost; run `stylerf toy`"):
+    with pytest.raises(ArtifactStale, match="55 min of work with --steps 30, would be lost; run `stylerf toy`"):
         asked(ToyConfig(steps=31))
     made, _ = asked(ToyConfig())
     assert made.digest == expected and made.manifest.seconds > 3300
@@ -357,7 +357,7 @@ def test_a_users_own_files_are_not_deleted_even_with_force(tmp_path):
     (made.path / "comp.nk").write_text("mine")
     assert toy(work)[1]  # what stands is of use as before
     for more in ({"force": True}, {"seed": 1}):
-        with pytest.raises(ArtefactDamaged, match=r"comp\.nk would be deleted"):
+        with pytest.raises(ArtifactDamaged, match=r"comp\.nk would be deleted"):
             toy(work, **more)
     assert (made.path / "comp.nk").read_text() == "mine"
 
@@ -433,7 +433,7 @@ def test_ctrl_c_keeps_the_checkpoint(tmp_path, expected):
     assert os.WEXITSTATUS(os.waitpid(child, 0)[1]) == 9
     assert work.unfinished() == [("field", "fox")]
     assert (work.root / "field/.fox.partial/clock.json").is_file()
-    assert files_of(toy(work, config=ToyConfig(pause=0.05))[0]) == files_of(expected_artefact(tmp_path))
+    assert files_of(toy(work, config=ToyConfig(pause=0.05))[0]) == files_of(expected_artifact(tmp_path))
 
 
 FILL = """
@@ -472,7 +472,7 @@ def fill(folder, *arguments) -> str:
 
 def test_a_file_size_limit_is_told_and_the_next_run_finishes(tmp_path):
     assert fill(tmp_path, 10_000, 30_000).startswith("no space left")
-    assert Work(tmp_path).artefacts() == []
+    assert Work(tmp_path).artifacts() == []
     assert fill(tmp_path, 10_000) == "made\n"
     Work(tmp_path).get("field", "fox").verify()
 
@@ -486,7 +486,7 @@ def test_a_full_disk_is_told_and_the_next_run_finishes(tmp_path):
     try:
         told = fill(disk, 100_000)
         assert told.startswith("no space left") and "MB free" in told
-        assert Work(disk).artefacts() == [] and Work(disk).unfinished() == [("field", "fox")]
+        assert Work(disk).artifacts() == [] and Work(disk).unfinished() == [("field", "fox")]
         assert fill(disk, 1000) == "made\n"
         Work(disk).get("field", "fox").verify()
     finally:
@@ -530,7 +530,7 @@ def test_a_second_writer_is_refused(tmp_path):
     assert (work.get("field", "fox").path / MANIFEST).is_file()
 
 
-def test_an_artefact_finished_by_another_in_the_meantime_is_reused(tmp_path, monkeypatch):
+def test_an_artifact_finished_by_another_in_the_meantime_is_reused(tmp_path, monkeypatch):
     work, begin = Work(tmp_path), Work.begin
 
     def late(self, *arguments, **more):
@@ -566,7 +566,7 @@ def _during(act, outcome=run):
     return stage
 
 
-def source_of(work: Work, seed: int = 0) -> Artefact:
+def source_of(work: Work, seed: int = 0) -> Artifact:
     return execute(Spec("src", "import", 1, "scene"), run, work, "fox", {}, ToyConfig(steps=3), Context(seed=seed))[0]
 
 
@@ -579,7 +579,7 @@ def test_an_input_altered_while_a_stage_read_it_gives_no_result(tmp_path):
         data[-1] ^= 1
         source.file("field.safetensors").write_bytes(data)
 
-    with pytest.raises(ArtefactDamaged, match=r"field\.safetensors was altered"):
+    with pytest.raises(ArtifactDamaged, match=r"field\.safetensors was altered"):
         toy(work, inputs={"scene": source}, function=_during(flip))
     assert os.listdir(tmp_path / "field") == [".fox.lock"]
 
@@ -587,7 +587,7 @@ def test_an_input_altered_while_a_stage_read_it_gives_no_result(tmp_path):
 def test_an_input_made_again_while_a_stage_read_it_gives_no_result(tmp_path):
     work = Work(tmp_path)
     source = source_of(work)
-    with pytest.raises(ArtefactStale, match="scene fox was made again while `stylerf toy` read it"):
+    with pytest.raises(ArtifactStale, match="scene fox was made again while `stylerf toy` read it"):
         toy(work, inputs={"scene": source}, function=_during(lambda: source_of(work, seed=1)))
     assert not (tmp_path / "field" / "fox").exists()
 
@@ -612,7 +612,7 @@ def test_a_file_from_outside_that_changed_meanwhile_gives_no_result(tmp_path, pi
     assert not (tmp_path / "field" / "fox").exists()
 
 
-@pytest.mark.parametrize("kind", [BadInput, ArtefactDamaged])
+@pytest.mark.parametrize("kind", [BadInput, ArtifactDamaged])
 def test_what_could_not_be_read_keeps_the_run_whatever_the_fault_is_called(tmp_path, kind):
     def failing(inputs, config, partial, context):
         (partial.checkpoint / "kept").write_text("")

@@ -68,14 +68,14 @@ def test_the_poses_of_the_room(room, tmp_path):
     for name in ("p92.HEIC", "p01.cr2", "._p93.HEIC"):
         (source / name).touch()
     said = Said()
-    artefact = imported(source, tmp_path / "w", said)
-    scene = scene_of(artefact)
+    artifact = imported(source, tmp_path / "w", said)
+    scene = scene_of(artifact)
     assert [view.name for view in scene.views] == [camera.name for camera in CAMERAS]
     assert [(one.source, one.reason) for one in scene.skipped] == [
         ("p90.png", "it is the same file as p01.png"), ("p91.png", "it is black"),
         ("p92.HEIC", "of a format that cannot be read; convert it to JPEG or PNG"),
     ]  # fmt: skip
-    assert psnr(load_scene(artefact).images(2), taken / 255) > 25  # a little undistorted
+    assert psnr(load_scene(artifact).images(2), taken / 255) > 25  # a little undistorted
     found = np.array([view.world_from_camera for view in scene.views])
     angles, distances = aligned(found, np.array([camera.world_from_camera for camera in CAMERAS]))
     assert angles.max() < 0.5 and distances.max() < 0.01
@@ -84,8 +84,8 @@ def test_the_poses_of_the_room(room, tmp_path):
     assert "1 photos beside 10 cannot be read (.HEIC)" in said.lines[0]
     assert any("structure from motion: 8 of 8 photos placed" in line for line in said.lines)
     # Points lie on the faces of the room: one coordinate is 0 in the room's own frame.
-    points = load_scene(artefact).points.xyz
-    onto = similarity(found[:, :3, 3], np.array([camera.centre for camera in CAMERAS]))
+    points = load_scene(artifact).points.xyz
+    onto = similarity(found[:, :3, 3], np.array([camera.center for camera in CAMERAS]))
     inside = points @ onto[:3, :3].T + onto[:3, 3]
     assert np.median(np.abs(inside).min(axis=1)) < 0.01 and len(points) > 300
 
@@ -303,9 +303,9 @@ def test_photos_side_by_side_without_matches_are_found_out(finished):
 
 def test_features_under_masks_are_dropped_and_photos_without_masks_keep_theirs(room, tmp_path):
     photos = sorted(room.glob("*.png"))[:4]
-    grey = read_image(photos[2]).pixels.mean(axis=2)
-    photos[2] = tmp_path / "grey.png"
-    write_png(photos[2], to_uint8(grey))
+    gray = read_image(photos[2]).pixels.mean(axis=2)
+    photos[2] = tmp_path / "gray.png"
+    write_png(photos[2], to_uint8(gray))
     mask = np.full((180, 240), 255, np.uint8)
     mask[:, :120] = 0
     write_png(tmp_path / "half.png", mask)
@@ -393,14 +393,14 @@ def test_an_object_before_a_still_background_by_its_masks(data_dir, tmp_path):
 @pytest.mark.realdata
 def test_the_castle(data_dir, tmp_path):
     """Eleven real photos whose focal length K.txt tells: 2905.88 pixels at 2832 x 2128."""
-    artefact = imported(data_dir / "castle", tmp_path / "w", sfm_side=800, sfm_features=1500, max_side=300)
-    scene = scene_of(artefact)
+    artifact = imported(data_dir / "castle", tmp_path / "w", sfm_side=800, sfm_features=1500, max_side=300)
+    scene = scene_of(artifact)
     assert scene.sfm["registered"] == 11 and scene.sfm["error_px"] < 0.8 and scene.sfm["agreement"] > 0.9
     model = tmp_path / "w"
     assert model.is_dir() and scene.layout == "unbounded" and len(scene.split("test")) == 2
-    # The walk along the facade: neighbours in the file names are neighbours in space.
-    centres = np.array([view.world_from_camera for view in scene.views])[:, :3, 3]
-    gaps = np.linalg.norm(centres[:, None] - centres[None], axis=-1) + 10 * np.eye(11)
+    # The walk along the facade: neighbors in the file names are neighbors in space.
+    centers = np.array([view.world_from_camera for view in scene.views])[:, :3, 3]
+    gaps = np.linalg.norm(centers[:, None] - centers[None], axis=-1) + 10 * np.eye(11)
     assert all(abs(int(np.argmin(row)) - index) <= 2 for index, row in enumerate(gaps))
 
 

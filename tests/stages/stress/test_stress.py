@@ -38,20 +38,20 @@ def off_by(picture: np.ndarray, error: float) -> np.ndarray:
     return (picture + error * signs).astype(np.float32)
 
 
-def test_a_fit_is_set_beside_the_best_picture_of_one_colour():
-    """Three views in three greys; the best one colour is 0.5, off by 0.2, 0.1 and 0.3: 14.81 dB in the mean."""
-    greys = [np.full((20, 20, 3), level, np.float32) for level in (0.3, 0.4, 0.8)]
+def test_a_fit_is_set_beside_the_best_picture_of_one_color():
+    """Three views in three grays; the best one color is 0.5, off by 0.2, 0.1 and 0.3: 14.81 dB in the mean."""
+    grays = [np.full((20, 20, 3), level, np.float32) for level in (0.3, 0.4, 0.8)]
     least = -20 * np.log10(0.2 * 0.1 * 0.3) / 3
     for error, ok in ((0.1227, True), (0.1363, False)):  # 18.22 and 17.31 dB: 3.41 and 2.50 over it
-        verdict = judged_fit([Seen(f"v{i}", off_by(grey, error), grey) for i, grey in enumerate(greys)])
+        verdict = judged_fit([Seen(f"v{i}", off_by(gray, error), gray) for i, gray in enumerate(grays)])
         assert verdict.ok == ok and bool(verdict.why) != ok
         assert verdict.score == pytest.approx(-20 * np.log10(error), abs=1e-3)
         assert verdict.figures["gain_over_flat"] == pytest.approx(-20 * np.log10(error) - least, abs=1e-3)
     assert LEAST_GAIN == 3.0
 
 
-def test_an_object_is_set_beside_its_own_outlines_in_one_colour():
-    """On white, a grey blob with the outlines of the object is 15 dB better than white, and shows nothing of it."""
+def test_an_object_is_set_beside_its_own_outlines_in_one_color():
+    """On white, a gray blob with the outlines of the object is 15 dB better than white, and shows nothing of it."""
     mask = np.zeros((40, 48), bool)
     mask[10:30, 12:36] = True
     truth = np.where(mask[..., None], 0.5 * np.random.default_rng(1).random((40, 48, 3)), 1.0).astype(np.float32)
@@ -82,30 +82,30 @@ def test_what_is_not_finite_has_failed_whatever_else():
     assert shown.shape == (20, 52, 3) and tuple(shown[3, 28 + 4]) == (1, 0, 1) and np.isfinite(shown).all()
 
 
-def recoloured(picture: np.ndarray, mean: np.ndarray, scale: float) -> np.ndarray:
+def recolored(picture: np.ndarray, mean: np.ndarray, scale: float) -> np.ndarray:
     return (mean + scale * (picture - picture.mean((0, 1)))).astype(np.float32)
 
 
-def test_a_stylisation_keeps_luma_and_takes_colours():
+def test_a_stylization_keeps_luma_and_takes_colors():
     """The painting is the photo darkened: three tenths of the way leave 0.7 of the distance of means, the limit."""
     seen = photo()
     painting = seen - np.float32(0.6)
     just, not_yet = (Seen("v", seen - np.float32(0.6 * share), seen) for share in (0.31, 0.29))
     assert judged_style([just], painting).ok
     verdict = judged_style([not_yet], painting)
-    assert not verdict.ok and "colours" in verdict.why
-    assert verdict.figures["colour_distance_of_photos"] == pytest.approx(0.6 * np.sqrt(3), abs=1e-3)
-    assert verdict.figures["colour_distance"] == pytest.approx(0.71 * 0.6 * np.sqrt(3), abs=1e-3)
+    assert not verdict.ok and "colors" in verdict.why
+    assert verdict.figures["color_distance_of_photos"] == pytest.approx(0.6 * np.sqrt(3), abs=1e-3)
+    assert verdict.figures["color_distance"] == pytest.approx(0.71 * 0.6 * np.sqrt(3), abs=1e-3)
     near = seen - np.float32(0.02)
     assert judged_style([Seen("v", seen, seen)], near).ok  # so near that nothing needs to be taken
 
 
-def test_a_stylisation_without_structure_fails_however_smooth_the_photo_is():
+def test_a_stylization_without_structure_fails_however_smooth_the_photo_is():
     seen = photo()
-    faint = recoloured(seen, np.full(3, 0.9, np.float32), 0.02)
+    faint = recolored(seen, np.full(3, 0.9, np.float32), 0.02)
     noise = np.random.default_rng(5).random(seen.shape).astype(np.float32)
     for one in (seen, faint):
-        flat = recoloured(one, one.mean((0, 1)), 0.0)
+        flat = recolored(one, one.mean((0, 1)), 0.0)
         for render in (flat, 0.9 * flat + 0.1 * noise):
             verdict = judged_style([Seen("v", render, one)], flat)
             assert not verdict.ok and "structure kept" in verdict.why
@@ -114,7 +114,7 @@ def test_a_stylisation_without_structure_fails_however_smooth_the_photo_is():
     assert judged_style([Seen("v", flat, faint)], flat).figures["content_ssim"] > 0.8
     # What was light and became dark is still to be seen.
     assert judged_style([Seen("v", 1 - seen, seen)], 1 - seen).ok
-    kept = judged_style([Seen("a", seen, seen), Seen("b", recoloured(seen, seen.mean((0, 1)), 0.0), seen)], seen)
+    kept = judged_style([Seen("a", seen, seen), Seen("b", recolored(seen, seen.mean((0, 1)), 0.0), seen)], seen)
     assert kept.score == pytest.approx(0.5, abs=2e-3) and kept.worst == 1
 
 
@@ -127,12 +127,12 @@ def test_of_an_object_only_what_is_there_counts():
     render[~mask] = 0.0  # wrong, but nothing is there
     painting = 0.5 * photo()
     verdict = judged_style([Seen("v", render, seen, mask)], painting)
-    assert verdict.figures["colour_distance"] < 0.1 and verdict.ok
+    assert verdict.figures["color_distance"] < 0.1 and verdict.ok
     assert judged_style([Seen("v", render, seen)], painting).score < verdict.score - 0.1
 
 
 def edited_view(inside: float, around: float, mask: np.ndarray | None = None) -> Seen:
-    """A textured grey view whose greys rise by so much of L* in the part, and around it."""
+    """A textured gray view whose grays rise by so much of L* in the part, and around it."""
     if mask is None:
         mask = np.zeros((40, 48), bool)
         mask[10:30, 12:36] = True
@@ -145,7 +145,7 @@ def of_lightness(lightness: np.ndarray) -> np.ndarray:
 
 
 def test_an_edit_changes_its_part_and_nothing_around_it():
-    """Greys of one lightness more are 1 apart in CIE76, the whole colour difference."""
+    """Grays of one lightness more are 1 apart in CIE76, the whole color difference."""
     verdict = judged_edit([edited_view(20, 1), edited_view(20, 3)])
     assert verdict.ok and verdict.worst == 1 and verdict.score == pytest.approx(0.9, abs=2e-3)
     assert verdict.figures["change_inside"] == pytest.approx(20, abs=0.05)
@@ -212,8 +212,8 @@ def test_page_and_tables_tell_the_same(tmp_path):
     assert page.count("<svg") == 1 and "<script" not in page and page.count("data:image/png") == 1
     assert "2 of 4" in page and "too far off" in page and "too few" in page and "side 24" in page
     assert all(escape(fault.told) in page for fault in FAULTS.values())
-    # The criteria are those that judge: of a stylisation no SSIM (decision 0037).
-    asked = page[page.index("A stylisation succeeds") : page.index("A local edit succeeds")]
+    # The criteria are those that judge: of a stylization no SSIM (decision 0037).
+    asked = page[page.index("A stylization succeeds") : page.index("A local edit succeeds")]
     assert "the share that a straight line from the render’s luma explains" in asked and "SSIM" not in asked
     assert "at least 0.33 of the photos’ structure" in asked
     rows = cell_rows(cells)
@@ -307,7 +307,7 @@ def test_other_conditions_and_files_that_are_none_are_refused(tmp_path):
     with pytest.raises(UsageError, match="other conditions: criteria not told; give the same, or write it anew"):
         read_baseline(path, conditions | {"criteria": 3})  # of before it was kept
     content = json.loads(path.read_text())
-    for spoilt in (
+    for spoiled in (
         "[]",
         "{",
         json.dumps(content | {"cells": [{"method": "fit"}]}),
@@ -320,7 +320,7 @@ def test_other_conditions_and_files_that_are_none_are_refused(tmp_path):
                                ("count", 0), ("method", []))
         ),
     ):  # fmt: skip
-        path.write_text(spoilt)
+        path.write_text(spoiled)
         with pytest.raises(BadInput):
             read_baseline(path, conditions)
 
@@ -356,7 +356,7 @@ def test_options_choose_and_refuse():
             StressConfig(**wrong)
     facing = {name: {fault.of for fault in FAULTS.values() if one.faces(fault)} for name, one in METHODS.items()}
     assert not facing["fit"] & {STYLE, PALETTE} and facing["arf"] == facing["laenerf-paint"] == {"scene", "made", STYLE}
-    assert facing["laenerf-recolour"] == facing["palettenerf"] == {"scene", "made", PALETTE}
+    assert facing["laenerf-recolor"] == facing["palettenerf"] == {"scene", "made", PALETTE}
     assert not METHODS["palettenerf"].faces(FAULTS["palette-random"])
     assert all("{" not in fault.told for fault in FAULTS.values())
 
@@ -368,9 +368,9 @@ def test_what_a_mask_hides_in_a_capture_judges_no_method(monkeypatch):
     pixels[..., 3] = 1.0
     pixels[:, :8, 3] = 0.0
     data = SimpleNamespace(cameras=[camera], splits={"test": [0]}, images=lambda index: pixels)
-    monkeypatch.setattr(test_views, "load_scene", lambda artefact: data)
+    monkeypatch.setattr(test_views, "load_scene", lambda artifact: data)
     for field, hidden in ((wall_in_front(0.02), True), (field_of(SPACES["box"], 1), False)):
-        monkeypatch.setattr(test_views, "load_field", lambda artefact, field=field: (field, "none"))
+        monkeypatch.setattr(test_views, "load_field", lambda artifact, field=field: (field, "none"))
         (view,) = test_views.seen_from_tests(None, None, 1)
         assert (view.mask is None) == hidden
         left = view.render if hidden else np.zeros_like(view.render)

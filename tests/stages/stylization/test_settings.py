@@ -1,24 +1,24 @@
-"""What the stylise stage decides by itself: the grain of its colours, and which rays learn."""
+"""What the stylize stage decides by itself: the grain of its colors, and which rays learn."""
 
 import numpy as np
 import pytest
 
-from stages.configs.stylize import COLOUR_CELLS, StylizeConfig
-from stages.stylization.settings import new_colour, rays_of, settings_of
+from stages.configs.stylize import COLOR_CELLS, StylizeConfig
+from stages.stylization.settings import new_color, rays_of, settings_of
 
 
 @pytest.mark.parametrize(
     ("pixel_cells", "finest"),
-    [(128.0, 160), (180.0, 224), (5.0, COLOUR_CELLS[0]), (4000.0, COLOUR_CELLS[1]), (float("nan"), COLOUR_CELLS[0])],
+    [(128.0, 160), (180.0, 224), (5.0, COLOR_CELLS[0]), (4000.0, COLOR_CELLS[1]), (float("nan"), COLOR_CELLS[0])],
 )
-def test_colours_are_a_quarter_finer_than_a_pixel_within_bounds(pixel_cells, finest):
+def test_colors_are_a_quarter_finer_than_a_pixel_within_bounds(pixel_cells, finest):
     config = StylizeConfig(style="x", levels=2, table_bits=10)
-    assert new_colour(config, np.random.default_rng(0), pixel_cells).finest == finest
+    assert new_color(config, np.random.default_rng(0), pixel_cells).finest == finest
 
 
 def test_cells_that_are_asked_for_are_taken():
     config = StylizeConfig(style="x", levels=2, table_bits=10, finest=48)
-    assert new_colour(config, np.random.default_rng(0), 500.0).finest == 48
+    assert new_color(config, np.random.default_rng(0), 500.0).finest == 48
 
 
 @pytest.mark.parametrize(
@@ -35,16 +35,16 @@ def test_rays_follow_from_method_and_size_unless_asked_for(options, side, rays):
 
 
 @pytest.mark.parametrize(
-    ("options", "closed", "colour", "displacement", "coarse"),
+    ("options", "closed", "color", "displacement", "coarse"),
     [
         ({"method": "desrf"}, False, 1.0, 0.0, 0.6),
         ({"method": "desrf"}, True, 10.0, 0.003, 0.0),
         ({"method": "arf"}, False, 10.0, 0.003, 0.0),
-        ({"method": "desrf", "coarse": 0.0, "colour_weight": 4.0}, False, 4.0, 0.0, 0.0),
+        ({"method": "desrf", "coarse": 0.0, "color_weight": 4.0}, False, 4.0, 0.0, 0.0),
     ],
 )
 def test_what_holds_shapes_follows_from_method_and_scene_unless_asked_for(
-    options, closed, colour, displacement, coarse
+    options, closed, color, displacement, coarse
 ):
     found = settings_of(StylizeConfig(style="x", **options), 200, closed)
-    assert (found.weights.colour, found.displacement_weight, found.coarse) == (colour, displacement, coarse)
+    assert (found.weights.color, found.displacement_weight, found.coarse) == (color, displacement, coarse)

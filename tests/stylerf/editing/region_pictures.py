@@ -1,4 +1,4 @@
-"""Views of a flat region of four plain colours under a shade, as extraction would give them."""
+"""Views of a flat region of four plain colors under a shade, as extraction would give them."""
 
 import numpy as np
 
@@ -8,7 +8,7 @@ PLAIN = np.array([[0.85, 0.15, 0.1], [0.1, 0.6, 0.2], [0.15, 0.2, 0.8], [0.9, 0.
 
 
 def view_of(number: int, side: int = 48, shade: float = 0.12, width: int = 60) -> EditView:
-    """A disc on the plane z = 0.4 of the cube, its quarters coloured; each view sees it moved a little.
+    """A disc on the plane z = 0.4 of the cube, its quarters colored; each view sees it moved a little.
 
     The picture is `width` pixels wide with the disc from column 6 on, whatever `side` the disc has.
     """
@@ -36,7 +36,7 @@ def view_of(number: int, side: int = 48, shade: float = 0.12, width: int = 60) -
     )
 
 
-def tiny_view(colours=None, edges=None, transition=None) -> EditView:
+def tiny_view(colors=None, edges=None, transition=None) -> EditView:
     """Two rows and three columns of a picture of 4x3 pixels, from column 1 of row 1 on."""
     zeros = np.zeros(6, np.float32)
     return EditView(
@@ -47,7 +47,7 @@ def tiny_view(colours=None, edges=None, transition=None) -> EditView:
         np.zeros((6, 3), np.float32),
         np.zeros((6, 3), np.float32),
         np.tile(np.float32([0, 0, 1]), (6, 1)),
-        np.zeros((6, 3), np.float32) if colours is None else np.asarray(colours, np.float32),
+        np.zeros((6, 3), np.float32) if colors is None else np.asarray(colors, np.float32),
         *(zeros + 1,) * 4,
         zeros if transition is None else np.asarray(transition, np.float32),
         np.zeros((6, 2), np.float32) if edges is None else np.asarray(edges, np.float32),

@@ -5,17 +5,17 @@ from collections import deque
 import numpy as np
 import pytest
 
-from stylerf.editing.edit_grid import Region, alpha_inside, grow, marked_at, narrowest, neighbours, solid_cells
+from stylerf.editing.edit_grid import Region, alpha_inside, grow, marked_at, narrowest, neighbors, solid_cells
 from stylerf.errors import InvalidValue
 from stylerf.fields.occupancy_grid import Occupancy
 from stylerf.fields.radiance_field import RadianceField
-from tests.stylerf.small import SPACES, density, occupied, rays_into, vm_colour
+from tests.stylerf.small import SPACES, density, occupied, rays_into, vm_color
 
 SIDE = 7
 
 
 def queue_growth(start: np.ndarray, allowed: np.ndarray, most: int) -> np.ndarray:
-    """LAENeRF's growth: a first-in first-out queue of cells, face neighbours appended on acceptance."""
+    """LAENeRF's growth: a first-in first-out queue of cells, face neighbors appended on acceptance."""
     marked, seen, looked = start.copy(), start.copy(), 0
     queue: deque = deque()
 
@@ -82,14 +82,14 @@ def test_what_dwindles_to_nothing_is_no_neck():
     assert narrowest([6, 18, 38, 12, 2, 2, 12, 40], 0.0) == 8
 
 
-def test_neighbours_of_a_corner_and_of_the_middle():
-    assert neighbours(np.array([0]), 3).tolist() == [1, 3, 9]
-    assert neighbours(np.array([13]), 3).tolist() == [4, 10, 12, 14, 16, 22]
+def test_neighbors_of_a_corner_and_of_the_middle():
+    assert neighbors(np.array([0]), 3).tolist() == [1, 3, 9]
+    assert neighbors(np.array([13]), 3).tolist() == [4, 10, 12, 14, 16, 22]
 
 
 def test_alpha_inside_sums_the_weights_of_marked_cells():
     space = SPACES["box"]
-    field = RadianceField(space, density(1), vm_colour(2), occupied(), 0.02)
+    field = RadianceField(space, density(1), vm_color(2), occupied(), 0.02)
     samples = field.march(rays_into(space, 40, 3), 128, 1e-3, 2)
     marked = np.random.default_rng(4).random((5, 5, 5)) < 0.4
     expected = np.zeros(40)
@@ -104,7 +104,7 @@ def test_alpha_inside_sums_the_weights_of_marked_cells():
 def test_solid_cells_are_those_a_walk_across_which_is_opaque_enough():
     """A density that is even in a half of the cube and nearly nothing in the other."""
     space = SPACES["box"]
-    field = RadianceField(space, _half_full(), vm_colour(2), occupied(), 0.02)
+    field = RadianceField(space, _half_full(), vm_color(2), occupied(), 0.02)
     found = solid_cells(field, 8, 2, 0.02)
     assert found[:3].all()
     assert not found[5:].any()
@@ -115,7 +115,7 @@ def test_a_cell_over_several_of_the_occupancy_is_solid_for_any_of_them(at):
     occupancy, slab = Occupancy(16), np.zeros((16,) * 3, bool)
     slab[at] = True
     occupancy.set_occupied(slab.ravel())
-    field = RadianceField(SPACES["box"], _slab(at), vm_colour(2), occupancy, 0.02)
+    field = RadianceField(SPACES["box"], _slab(at), vm_color(2), occupancy, 0.02)
     expected = np.zeros((8,) * 3, bool)
     expected[at // 2] = True
     np.testing.assert_array_equal(solid_cells(field, 8, 2), expected)

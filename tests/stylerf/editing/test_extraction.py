@@ -11,7 +11,7 @@ from stylerf.fields.radiance_field import RadianceField
 from stylerf.fields.ray_samples import Rays
 from stylerf.geometry.space_warp import Space
 from stylerf.rendering.rays import render_rays
-from tests.stylerf.small import density, vm_colour
+from tests.stylerf.small import density, vm_color
 from tests.stylerf.training.scenes import SIDE, box_photo, dome
 
 CELLS = 16
@@ -23,9 +23,9 @@ def field():
     """An opaque box of SIDE, by occupancy: density everywhere, but only cells inside are marched."""
     made = density(1, size=(8, 8, 8), shift=8.0)
     occupancy = Occupancy(32)
-    centre = (np.stack(np.meshgrid(*[np.arange(32)] * 3, indexing="ij"), -1) + 0.5) / 32 * 1.6 - 0.8
-    occupancy.set_occupied((np.abs(centre) < SIDE).all(-1).ravel())
-    return RadianceField(SPACE, made, vm_colour(2), occupancy, 0.01)
+    center = (np.stack(np.meshgrid(*[np.arange(32)] * 3, indexing="ij"), -1) + 0.5) / 32 * 1.6 - 0.8
+    occupancy.set_occupied((np.abs(center) < SIDE).all(-1).ravel())
+    return RadianceField(SPACE, made, vm_color(2), occupancy, 0.01)
 
 
 def halves() -> Region:
@@ -71,7 +71,7 @@ def test_depth_and_ends_agree_with_the_box(seen):
 
 def test_what_lies_behind_the_region_takes_part_in_its_rays_depth_and_opacity():
     """A fog: of many rays a good part of the opacity lies before or behind the region."""
-    field = RadianceField(SPACE, density(1, size=(8, 8, 8), shift=-3.0), vm_colour(2), Occupancy(32), 0.01)
+    field = RadianceField(SPACE, density(1, size=(8, 8, 8), shift=-3.0), vm_color(2), Occupancy(32), 0.01)
     camera = dome(6, 1)[2]
     photo = np.full((24, 24, 3), 0.5, np.float32)
     seen = seen_of_view(field, camera, photo, halves(), Extraction(1.0), 0, 1).edit
@@ -88,7 +88,7 @@ def test_what_lies_behind_the_region_takes_part_in_its_rays_depth_and_opacity():
 def test_the_depth_of_a_whole_ray_leaves_out_the_backdrop_as_a_renders_does():
     """A capture, of whose rays some light is left for an opaque backdrop far away: fine-tuning compares the two."""
     space = Space("contraction", Space.box([-0.8] * 3, [0.8] * 3).parameters, 0.0, 1e3)
-    field = RadianceField(space, density(1, size=(8, 8, 8), shift=-3.0), vm_colour(2), Occupancy(32), 0.01)
+    field = RadianceField(space, density(1, size=(8, 8, 8), shift=-3.0), vm_color(2), Occupancy(32), 0.01)
     assert field.closed
     camera = dome(6, 1)[2]
     photo = np.full((24, 24, 3), 0.5, np.float32)
@@ -144,8 +144,8 @@ def test_views_without_the_region_show_nothing(field):
     assert found.alpha.max() > 0.99
 
 
-def test_pairs_are_the_neighbours_that_both_show_the_region():
-    pixels = np.array([0, 1, 3, 4, 7, 11])  # of a picture 4 wide: 3 and 4 are no neighbours
+def test_pairs_are_the_neighbors_that_both_show_the_region():
+    pixels = np.array([0, 1, 3, 4, 7, 11])  # of a picture 4 wide: 3 and 4 are no neighbors
     n = len(pixels)
     blank = {name: np.zeros((n, 3), np.float32) for name in ("x", "along", "directions", "target")}
     view = EditView(0, 4, 3, pixels, *blank.values(), *(np.zeros(n, np.float32),) * 5, np.zeros((n, 2), np.float32))

@@ -22,26 +22,26 @@ def test_a_row_that_loses_everything_stays_as_it_was():
     np.testing.assert_allclose(changed, [[5 / 7, 0, 2 / 7], [0, 1, 0]], rtol=1e-6)
 
 
-def test_colours_are_replaced_and_the_others_kept():
+def test_colors_are_replaced_and_the_others_kept():
     palette = np.arange(9, dtype=np.float32).reshape(3, 3) / 10
-    changed = PaletteEdits(colours={1: (1.5, 0, -0.5)}).palette(palette)
+    changed = PaletteEdits(colors={1: (1.5, 0, -0.5)}).palette(palette)
     np.testing.assert_allclose(changed, [palette[0], [1.5, 0, -0.5], palette[2]])
     assert palette[1, 0] == np.float32(0.3)
 
 
-@pytest.mark.parametrize("name", ["colours", "scales", "biases"])
-def test_a_colour_that_does_not_exist_is_named_with_those_that_do(name):
-    edits = PaletteEdits(**{name: {7: (0, 0, 0) if name == "colours" else 1.0}})
+@pytest.mark.parametrize("name", ["colors", "scales", "biases"])
+def test_a_color_that_does_not_exist_is_named_with_those_that_do(name):
+    edits = PaletteEdits(**{name: {7: (0, 0, 0) if name == "colors" else 1.0}})
     for count, exist in ((5, "0 to 4"), (1, "0 alone")):
-        with pytest.raises(InvalidValue, match=f"palette colour 7 does not exist; there are {exist}"):
+        with pytest.raises(InvalidValue, match=f"palette color 7 does not exist; there are {exist}"):
             edits.check(count)
-    with pytest.raises(InvalidValue, match="colour -1 does not"):
+    with pytest.raises(InvalidValue, match="color -1 does not"):
         PaletteEdits(scales={-1: 1.0}).weights(WEIGHTS)
 
 
 def test_nonsense_is_refused():
-    for wrong in ({"scales": {0: float("nan")}}, {"colours": {0: (0, 1)}}, {"colours": {0: (0, 1, float("inf"))}}):
-        with pytest.raises(InvalidValue, match="palette colour 0"):
+    for wrong in ({"scales": {0: float("nan")}}, {"colors": {0: (0, 1)}}, {"colors": {0: (0, 1, float("inf"))}}):
+        with pytest.raises(InvalidValue, match="palette color 0"):
             PaletteEdits(**wrong)
 
 

@@ -1,4 +1,4 @@
-"""A palette out of colours: histogram by hand, hulls that hold what they must, mixes that other means find too."""
+"""A palette out of colors: histogram by hand, hulls that hold what they must, mixes that other means find too."""
 
 from collections import defaultdict
 from itertools import combinations
@@ -29,19 +29,19 @@ def mixes(count: int, seed: int, corners: np.ndarray = CORNERS) -> np.ndarray:
 
 
 def test_a_histogram_tells_means_and_shares_of_its_bins():
-    colours = np.concatenate([np.random.default_rng(0).random((300, 3)), np.eye(3), np.ones((1, 3))])
+    colors = np.concatenate([np.random.default_rng(0).random((300, 3)), np.eye(3), np.ones((1, 3))])
     held = defaultdict(list)
-    for colour in colours:
-        held[tuple(min(int(v * 8), 7) for v in colour)].append(colour)
-    means, shares = histogram(colours, 3)
+    for color in colors:
+        held[tuple(min(int(v * 8), 7) for v in color)].append(color)
+    means, shares = histogram(colors, 3)
     np.testing.assert_allclose(means, [np.mean(held[key], 0) for key in sorted(held)], rtol=1e-12)
-    np.testing.assert_allclose(shares, [len(held[key]) / len(colours) for key in sorted(held)])
+    np.testing.assert_allclose(shares, [len(held[key]) / len(colors) for key in sorted(held)])
 
 
 def test_means_are_drawn_by_mass_and_an_empty_cluster_stays():
-    colours = np.array([[0.1, 0, 0], [0.2, 0, 0], [0.9, 0, 0]])
-    centres = weighted_means(colours, np.array([3.0, 1, 1]), np.array([[0.0, 0, 0], [1, 0, 0], [0, 0, 5]]))
-    np.testing.assert_allclose(centres, [[0.125, 0, 0], [0.9, 0, 0], [0, 0, 5]])
+    colors = np.array([[0.1, 0, 0], [0.2, 0, 0], [0.9, 0, 0]])
+    centers = weighted_means(colors, np.array([3.0, 1, 1]), np.array([[0.0, 0, 0], [1, 0, 0], [0, 0, 5]]))
+    np.testing.assert_allclose(centers, [[0.125, 0, 0], [0.9, 0, 0], [0, 0, 5]])
 
 
 def test_a_collapsed_hull_has_a_corner_less_holds_all_and_adds_the_least():
@@ -103,44 +103,44 @@ def test_a_tetrahedron_without_its_tips_is_found_again_around_what_is_left():
 
 
 def test_as_few_corners_as_the_error_asks_for():
-    colours = mixes(120, 4)
-    colours = colours[(mixing_weights(colours, CORNERS).max(1) < 0.95)]
-    found = simplified(colours, 0)
-    assert 4 <= len(found) <= len(ConvexHull(colours).vertices) and hull_error(found, colours) <= ERROR
+    colors = mixes(120, 4)
+    colors = colors[(mixing_weights(colors, CORNERS).max(1) < 0.95)]
+    found = simplified(colors, 0)
+    assert 4 <= len(found) <= len(ConvexHull(colors).vertices) and hull_error(found, colors) <= ERROR
 
 
 def test_mixes_of_four_corners_are_barycentric_and_those_from_outside_the_nearest():
     wanted = np.random.default_rng(5).dirichlet(np.ones(4), 20)
     np.testing.assert_allclose(mixing_weights(wanted @ CORNERS, CORNERS), wanted, atol=1e-6)
-    for colour in np.random.default_rng(6).random((4, 3)) * 1.4 - 0.2:
+    for color in np.random.default_rng(6).random((4, 3)) * 1.4 - 0.2:
         best = minimize(
-            lambda w, colour=colour: np.square(w @ CORNERS - colour).sum(), np.full(4, 0.25), bounds=[(0, 1)] * 4,
+            lambda w, color=color: np.square(w @ CORNERS - color).sum(), np.full(4, 0.25), bounds=[(0, 1)] * 4,
             constraints={"type": "eq", "fun": lambda w: w.sum() - 1}, options={"ftol": 1e-14, "maxiter": 500},
         )  # fmt: skip
-        np.testing.assert_allclose(mixing_weights(colour[None], CORNERS)[0] @ CORNERS, best.x @ CORNERS, atol=2e-3)
+        np.testing.assert_allclose(mixing_weights(color[None], CORNERS)[0] @ CORNERS, best.x @ CORNERS, atol=2e-3)
 
 
-def test_an_extracted_palette_mixes_the_colours_and_guides_by_those_mixes():
-    colours = np.concatenate([np.repeat(CORNERS, 400, 0), mixes(4000, 7)]).astype(np.float32)
-    found = extracted(colours, 4, np.random.default_rng(0))
+def test_an_extracted_palette_mixes_the_colors_and_guides_by_those_mixes():
+    colors = np.concatenate([np.repeat(CORNERS, 400, 0), mixes(4000, 7)]).astype(np.float32)
+    found = extracted(colors, 4, np.random.default_rng(0))
     assert found.palette.shape == (4, 3) and found.palette.dtype == np.float32 and found.error < 0.03
     assert np.linalg.norm(found.palette[:, None] - CORNERS, axis=-1).min(0).max() < 0.12
     np.testing.assert_allclose(found.guide.sum(-1), 1, atol=1e-5)
-    np.testing.assert_allclose(found.weights_of(colours), mixing_weights(colours, found.palette), atol=0.12)
+    np.testing.assert_allclose(found.weights_of(colors), mixing_weights(colors, found.palette), atol=0.12)
     nearest = found.weights_of(found.palette)  # a corner is nearly itself alone
     assert (nearest.max(1) > 0.7).all() and set(nearest.argmax(1)) == {0, 1, 2, 3}
 
 
-def test_greys_have_a_palette_too():
-    grey = np.repeat(np.linspace(0.1, 0.9, 500)[:, None], 3, 1)
-    found = extracted(grey, 4, np.random.default_rng(0))
+def test_grays_have_a_palette_too():
+    gray = np.repeat(np.linspace(0.1, 0.9, 500)[:, None], 3, 1)
+    found = extracted(gray, 4, np.random.default_rng(0))
     assert found.palette.shape == (4, 3) and np.ptp(found.palette, 1).max() < 1e-6
     assert np.ptp(found.palette[:, 0]) > 0.4 and found.error < 0.1
 
 
 @pytest.mark.parametrize(
-    ("colours", "size"), [(np.ones((5, 3)), 3), (np.empty((0, 3)), 4), (np.full((2, 3), np.nan), 4)]
+    ("colors", "size"), [(np.ones((5, 3)), 3), (np.empty((0, 3)), 4), (np.full((2, 3), np.nan), 4)]
 )
-def test_what_has_no_palette_is_refused(colours, size):
+def test_what_has_no_palette_is_refused(colors, size):
     with pytest.raises(InvalidValue, match="a palette of"):
-        extracted(colours, size, np.random.default_rng(0))
+        extracted(colors, size, np.random.default_rng(0))

@@ -5,10 +5,10 @@ import pytest
 import torch
 
 from stylerf.editing import palette_losses
-from stylerf.editing.palette_losses import REFERENCE_PIXELS, Neighbours
+from stylerf.editing.palette_losses import REFERENCE_PIXELS, Neighbors
 from tests.stylerf.editing.region_pictures import tiny_view, view_of
 
-COLOURS = [[0.1, 0.2, 0.3], [0.5, 0.2, 0.3], [0.5, 0.0, 0.3], [0.1, 0.2, 0.3], [0.1, 0.2, 0.3], [0.5, 0.0, 0.9]]
+COLORS = [[0.1, 0.2, 0.3], [0.5, 0.2, 0.3], [0.5, 0.0, 0.3], [0.1, 0.2, 0.3], [0.1, 0.2, 0.3], [0.5, 0.0, 0.9]]
 
 
 def tensor(values) -> torch.Tensor:
@@ -16,13 +16,13 @@ def tensor(values) -> torch.Tensor:
 
 
 def test_losses_of_pixels():
-    colours, target = tensor([[0.5, 0.5, 0.5], [1, 0, 0]]), tensor([[0.2, 0.5, 0.9], [1, 0, 0]])
-    assert palette_losses.reconstruction(colours, target).tolist() == pytest.approx([0.25 / 3, 0])
+    colors, target = tensor([[0.5, 0.5, 0.5], [1, 0, 0]]), tensor([[0.2, 0.5, 0.9], [1, 0, 0]])
+    assert palette_losses.reconstruction(colors, target).tolist() == pytest.approx([0.25 / 3, 0])
     weights = tensor([[0.7, 0.2, 0.1], [0.0, 0.0, 1.0]])
     assert palette_losses.uncertainty(weights).tolist() == pytest.approx([0.3, 0])
     assert float(palette_losses.largest_share(weights)) == pytest.approx(0.55)
     assert palette_losses.offset_size(tensor([[0.1, -0.2, 0.2], [0, 0, 0]])).tolist() == pytest.approx([0.09, 0])
-    error = palette_losses.transition_error(colours, target, tensor([0.5, 1]))
+    error = palette_losses.transition_error(colors, target, tensor([0.5, 1]))
     assert error.tolist() == pytest.approx([0.125, 0])
 
 
@@ -43,27 +43,27 @@ def test_losses_of_a_picture():
     edges[0, 1] = 2.0  # beside: a-b the sharpest
     transition = [0, 0, 0, 0, 0, 0.5]
     view = tiny_view(edges=edges, transition=transition)
-    neighbours = Neighbours.of(view)
-    differences = neighbours.differences(torch.tensor(COLOURS))
+    neighbors = Neighbors.of(view)
+    differences = neighbors.differences(torch.tensor(COLORS))
     kept = 0.36 * 0.75 * 0.5 + 0.04 + 0.56 * 0.5
-    assert float(palette_losses.variation(differences, neighbours)) * REFERENCE_PIXELS == pytest.approx(kept, rel=1e-5)
+    assert float(palette_losses.variation(differences, neighbors)) * REFERENCE_PIXELS == pytest.approx(kept, rel=1e-5)
     sharp = 0.16 + 0.36 * 0.25 + 0.16
     expected = -sharp / (6 * REFERENCE_PIXELS) ** 0.5
-    assert float(palette_losses.edge_contrast(differences, neighbours)) == pytest.approx(expected, rel=1e-5)
+    assert float(palette_losses.edge_contrast(differences, neighbors)) == pytest.approx(expected, rel=1e-5)
 
 
 def test_a_view_without_edges_has_no_edge_contrast():
-    neighbours = Neighbours.of(tiny_view())
-    differences = neighbours.differences(torch.tensor(COLOURS))
-    assert float(palette_losses.edge_contrast(differences, neighbours)) == 0 and float(differences.sum()) > 0
+    neighbors = Neighbors.of(tiny_view())
+    differences = neighbors.differences(torch.tensor(COLORS))
+    assert float(palette_losses.edge_contrast(differences, neighbors)) == 0 and float(differences.sum()) > 0
 
 
 def test_gradients():
     generator = torch.Generator().manual_seed(0)
-    colours, target = (torch.rand(6, 3, generator=generator, dtype=torch.float64) for _ in range(2))
+    colors, target = (torch.rand(6, 3, generator=generator, dtype=torch.float64) for _ in range(2))
     edges = np.random.default_rng(0).random((6, 2))
     view = tiny_view(edges=edges, transition=np.linspace(0, 1, 6))
-    neighbours = Neighbours.of(view)
+    neighbors = Neighbors.of(view)
     checked = {
         "reconstruction": lambda c: palette_losses.reconstruction(c, target),
         "uncertainty": palette_losses.uncertainty,
@@ -71,12 +71,12 @@ def test_gradients():
         "offset": palette_losses.offset_size,
         "gamut": lambda c: palette_losses.outside_gamut(3 * c - 1),
         "likeness": palette_losses.likeness,
-        "variation": lambda c: palette_losses.variation(neighbours.differences(c), neighbours) * REFERENCE_PIXELS,
-        "edges": lambda c: palette_losses.edge_contrast(neighbours.differences(c), neighbours) * REFERENCE_PIXELS,
+        "variation": lambda c: palette_losses.variation(neighbors.differences(c), neighbors) * REFERENCE_PIXELS,
+        "edges": lambda c: palette_losses.edge_contrast(neighbors.differences(c), neighbors) * REFERENCE_PIXELS,
         "smooth": lambda c: palette_losses.transition_error(c, target, target[:, 0]),
     }
     for name, loss in checked.items():
-        assert torch.autograd.gradcheck(loss, (colours.clone().requires_grad_(),)), name
+        assert torch.autograd.gradcheck(loss, (colors.clone().requires_grad_(),)), name
 
 
 def smooth_picture(side: int) -> tuple[dict, float]:
@@ -86,16 +86,16 @@ def smooth_picture(side: int) -> tuple[dict, float]:
     columns = view.pixels % view.width
     view.edges[:, 1] = 3.0 * (columns == 6 + side // 2 - 1)
     view.transition[:] = np.clip((place[:, 0] - 0.3) / 0.2, 0, 1)
-    colours = 0.5 + 0.4 * np.sin(np.column_stack([30 * place[:, 0], 20 * place[:, 1], 25 * place.sum(1)]))
-    colours[:, 0] += 0.3 * (columns >= 6 + side // 2)
-    found, neighbours = torch.from_numpy(colours), Neighbours.of(view)
-    differences = neighbours.differences(found)
-    target = torch.from_numpy(colours) * 0.5
+    colors = 0.5 + 0.4 * np.sin(np.column_stack([30 * place[:, 0], 20 * place[:, 1], 25 * place.sum(1)]))
+    colors[:, 0] += 0.3 * (columns >= 6 + side // 2)
+    found, neighbors = torch.from_numpy(colors), Neighbors.of(view)
+    differences = neighbors.differences(found)
+    target = torch.from_numpy(colors) * 0.5
     transition = torch.from_numpy(view.transition).double()
     return {
         "reconstruction": float(palette_losses.reconstruction(found, target).mean()),
-        "variation": float(palette_losses.variation(differences, neighbours)),
-        "edges": float(palette_losses.edge_contrast(differences, neighbours)),
+        "variation": float(palette_losses.variation(differences, neighbors)),
+        "edges": float(palette_losses.edge_contrast(differences, neighbors)),
         "smooth": float(palette_losses.transition_error(found, target, transition).mean()),
     }
 

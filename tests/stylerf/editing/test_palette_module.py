@@ -58,7 +58,7 @@ def slow(made: PaletteModule, x, directions) -> Mixture:
 
 
 @pytest.mark.parametrize("removed", [(), (1,), (0, 1, 3)])
-def test_colours_are_the_formula_over_active_colours_alone(removed):
+def test_colors_are_the_formula_over_active_colors_alone(removed):
     made = module()
     made.active[list(removed)] = False
     x, directions = places()
@@ -66,7 +66,7 @@ def test_colours_are_the_formula_over_active_colours_alone(removed):
     found = made.mixture(x, directions, chunks=2)
     close(found.weights, expected.weights, 1e-5)
     close(found.offsets, expected.offsets, 1e-5)
-    close(made.colours(x, directions), expected.colours, 1e-5)
+    close(made.colors(x, directions), expected.colors, 1e-5)
     assert made.weights(x).shape == (40, 4 - len(removed)) and (expected.offsets.abs() > 0.1).any()
     np.testing.assert_allclose(made.weights(x).sum(1), 1, rtol=1e-6)
     np.testing.assert_allclose(made.weights(x), found.weights, rtol=1e-6)  # not a matter of the direction
@@ -80,20 +80,20 @@ def test_gradients_reach_every_part_and_equal_those_in_float64():
     to = np.zeros((2, len(made.encoding.values)), np.float32)
     values = made.leaf()
     basis = torch.from_numpy(harmonics(directions, 2))
-    (made.mix(values, made.encoding(made.local(x), to), basis).colours * pulls).sum().backward()
+    (made.mix(values, made.encoding(made.local(x), to), basis).colors * pulls).sum().backward()
     along = np.random.default_rng(3).normal(size=len(made.values))
     ends = []
     for step in (-1e-5, 1e-5):
         other = module()
         other.active[2] = False
         other.values = other.values + step * along  # float64: slow() takes what it is given
-        ends.append(float((slow(other, x, directions).colours * pulls).sum()))
+        ends.append(float((slow(other, x, directions).colors * pulls).sum()))
     assert float(values.grad.double() @ torch.from_numpy(along)) == pytest.approx((ends[1] - ends[0]) / 2e-5, rel=2e-3)
-    assert (values.grad[6:9] == 0).all() and np.abs(to).max() > 0  # the removed colour learns nothing
+    assert (values.grad[6:9] == 0).all() and np.abs(to).max() > 0  # the removed color learns nothing
 
 
 def even_module(offset: float) -> PaletteModule:
-    """Two colours with weights 3/4 and 1/4 everywhere, and one offset everywhere."""
+    """Two colors with weights 3/4 and 1/4 everywhere, and one offset everywhere."""
     made = module(2)
     made.values[6:] = 0
     made.values[:6] = [0.8, 0.4, 0.0, 0.0, 0.4, 0.8]
@@ -106,27 +106,27 @@ def even_module(offset: float) -> PaletteModule:
 def test_edits_and_their_transition_by_hand():
     made = even_module(0.1)
     x, directions = places(3)
-    np.testing.assert_allclose(made.colours(x, directions)[0], [0.7, 0.5, 0.3], atol=1e-6)
-    edits = PaletteEdits(colours={0: (0.0, 0.0, 0.6)}, scales={1: 3.0})
+    np.testing.assert_allclose(made.colors(x, directions)[0], [0.7, 0.5, 0.3], atol=1e-6)
+    edits = PaletteEdits(colors={0: (0.0, 0.0, 0.6)}, scales={1: 3.0})
     # Weights 3/4, 3/4 -> 1/2, 1/2. Palette (0, 0, .6), (0, .4, .8): (0, .2, .7) and the offset.
-    np.testing.assert_allclose(made.colours(x, directions, edits)[0], [0.1, 0.3, 0.8], atol=1e-6)
-    found = made.colours(x, directions, edits, np.array([0, 1, 0.5]))
+    np.testing.assert_allclose(made.colors(x, directions, edits)[0], [0.1, 0.3, 0.8], atol=1e-6)
+    found = made.colors(x, directions, edits, np.array([0, 1, 0.5]))
     np.testing.assert_allclose(found[0], [0.1, 0.3, 0.8], atol=1e-6)
     np.testing.assert_allclose(found[1], [0.7, 0.5, 0.3], atol=1e-6)
-    # Half way: weights 5/8, 3/8, palette (.4, .2, .3), (0, .4, .8). The middle of the colours would be (.4, .4, .55).
+    # Half way: weights 5/8, 3/8, palette (.4, .2, .3), (0, .4, .8). The middle of the colors would be (.4, .4, .55).
     np.testing.assert_allclose(found[2], [0.35, 0.375, 0.5875], atol=1e-6)
     for nothing in (None, PaletteEdits()):
-        assert np.array_equal(made.colours(x, directions, nothing, np.ones(3)), made.colours(x, directions))
+        assert np.array_equal(made.colors(x, directions, nothing, np.ones(3)), made.colors(x, directions))
 
 
-def test_indices_count_active_colours():
+def test_indices_count_active_colors():
     made = module()
     made.active[1] = False
     np.testing.assert_array_equal(made.palette, made.values[:12].reshape(4, 3)[[0, 2, 3]])
     x, directions = places(2)
-    with pytest.raises(InvalidValue, match="colour 3 does not exist; there are 0 to 2"):
-        made.colours(x, directions, PaletteEdits(colours={3: (0, 0, 0)}))
-    assert made.colours(x[:0], directions[:0]).shape == (0, 3)
+    with pytest.raises(InvalidValue, match="color 3 does not exist; there are 0 to 2"):
+        made.colors(x, directions, PaletteEdits(colors={3: (0, 0, 0)}))
+    assert made.colors(x[:0], directions[:0]).shape == (0, 3)
 
 
 def test_goes_through_a_file_bit_by_bit_and_refuses_another_length():
@@ -135,7 +135,7 @@ def test_goes_through_a_file_bit_by_bit_and_refuses_another_length():
     x, directions = places()
     data = json.loads(json.dumps(made.describe()))
     again = PaletteModule.restore(data, made.arrays())
-    assert np.array_equal(again.colours(x, directions), made.colours(x, directions))
+    assert np.array_equal(again.colors(x, directions), made.colors(x, directions))
     with pytest.raises(InvalidValue, match="finite ones were expected"):
         PaletteModule.restore(data, made.arrays() | {"networks": made.values[:-1]})
     with pytest.raises(InvalidValue, match="one of them active"):
@@ -144,11 +144,11 @@ def test_goes_through_a_file_bit_by_bit_and_refuses_another_length():
 
 def test_first_palettes():
     generator = np.random.default_rng(0)
-    colours = PLAIN[generator.integers(0, 4, 4000)] + generator.normal(scale=0.01, size=(4000, 3))
-    found = clustered_palette(np.random.default_rng(1), colours, 4)
+    colors = PLAIN[generator.integers(0, 4, 4000)] + generator.normal(scale=0.01, size=(4000, 3))
+    found = clustered_palette(np.random.default_rng(1), colors, 4)
     assert np.abs(found[:, None] - PLAIN).max(-1).min(0).max() < 0.01
-    assert np.array_equal(found, clustered_palette(np.random.default_rng(1), colours, 4))
-    # Fewer different colours than clusters: no cluster is lost in a division by zero.
+    assert np.array_equal(found, clustered_palette(np.random.default_rng(1), colors, 4))
+    # Fewer different colors than clusters: no cluster is lost in a division by zero.
     assert np.isfinite(clustered_palette(np.random.default_rng(1), np.full((9, 3), 0.5), 4)).all()
     even = random_palette(np.random.default_rng(2), 500)
     assert 0 <= even.min() < 0.02 and 0.98 < even.max() < 1 and abs(even.mean() - 0.5) < 0.03

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from stylerf.editing.region_style import RegionStyle, crop_of, in_colours_of
+from stylerf.editing.region_style import RegionStyle, crop_of, in_colors_of
 from stylerf.errors import InvalidValue
 from tests.stylerf.editing.region_pictures import tiny_view, view_of
 from tests.stylerf.style.small_trunk import picture, small_trunk
@@ -32,8 +32,8 @@ def test_a_whole_view_that_shows_the_painting_is_at_no_distance():
 def test_pixels_lie_in_their_window_with_proportions_kept():
     style = RegionStyle(small_trunk(), picture(30, 40, 0), 24)
     view = tiny_view()
-    colours = torch.arange(18.0).view(6, 3)
-    drawn = style.picture(colours, style.canvas(view))
+    colors = torch.arange(18.0).view(6, 3)
+    drawn = style.picture(colors, style.canvas(view))
     assert drawn.shape == (3, 16, 24)  # two rows by three columns
     whole = style.canvas(view)
     assert (whole.height, whole.width) == (2, 3) and whole.places.tolist() == [0, 1, 2, 3, 4, 5]
@@ -65,16 +65,16 @@ def test_gradient_reaches_the_regions_pixels():
     canvas = replace(canvas, coverage=[c.double() for c in canvas.coverage])
     style = RegionStyle(small_trunk().double(), picture(30, 40, 0).double(), 24)
     generator = torch.Generator().manual_seed(1)
-    colours, along = (torch.rand(len(view), 3, generator=generator, dtype=torch.float64) for _ in range(2))
-    colours.requires_grad_()
-    (gradient,) = torch.autograd.grad(style.distance(colours, canvas), colours)
+    colors, along = (torch.rand(len(view), 3, generator=generator, dtype=torch.float64) for _ in range(2))
+    colors.requires_grad_()
+    (gradient,) = torch.autograd.grad(style.distance(colors, canvas), colors)
     assert (gradient.abs().sum(1) > 0).all()
     with torch.no_grad():
-        ends = [float(style.distance(colours + step * along, canvas)) for step in (-1e-6, 1e-6)]
+        ends = [float(style.distance(colors + step * along, canvas)) for step in (-1e-6, 1e-6)]
     assert float((gradient * along).sum()) == pytest.approx((ends[1] - ends[0]) / 2e-6, rel=1e-5)
 
 
-def test_crops_and_recoloured_paintings():
+def test_crops_and_recolored_paintings():
     painting = picture(20, 30, 5)
     assert torch.equal(crop_of(painting, 10, 5, 15), painting[:, 5:20, 10:25])
     for wrong in ((16, 0, 15), (0, 6, 15), (-1, 0, 5), (0, 0, 21)):
@@ -84,7 +84,7 @@ def test_crops_and_recoloured_paintings():
     region = (0.5 + 0.08 * generator.normal(size=(4000, 3)) @ np.array([[1, 0.5, 0], [0, 1, 0], [0, 0.2, 0.5]])).astype(
         np.float32
     )
-    pixels = in_colours_of(painting, region).flatten(1).T.numpy()
+    pixels = in_colors_of(painting, region).flatten(1).T.numpy()
     np.testing.assert_allclose(pixels.mean(0), region.mean(0), atol=2e-3)
     np.testing.assert_allclose(np.cov(pixels.T), np.cov(region.T), atol=5e-4)
     with pytest.raises(InvalidValue, match="too small"):

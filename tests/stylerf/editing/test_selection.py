@@ -1,4 +1,4 @@
-"""What a selection looks at: colours in cells, boxes and spheres, masks of several views."""
+"""What a selection looks at: colors in cells, boxes and spheres, masks of several views."""
 
 import numpy as np
 import pytest
@@ -19,7 +19,7 @@ from stylerf.editing.selection import (
 from stylerf.fields.packed_surface import Surface
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.geometry.cameras import Camera
-from tests.stylerf.small import SPACES, occupied, vm_colour
+from tests.stylerf.small import SPACES, occupied, vm_color
 
 CELLS = 8
 
@@ -35,10 +35,10 @@ def looking_in(width: int = 24) -> Camera:
 def field():
     from tests.stylerf.small import density
 
-    return RadianceField(SPACES["box"], density(3, shift=4.0), vm_colour(2), occupied(), 0.02)
+    return RadianceField(SPACES["box"], density(3, shift=4.0), vm_color(2), occupied(), 0.02)
 
 
-def test_cells_take_the_colours_of_the_photo_that_sees_them(field):
+def test_cells_take_the_colors_of_the_photo_that_sees_them(field):
     camera = looking_in()
     photo = np.zeros((24, 24, 3), np.float32)
     photo[:, :12], photo[:, 12:] = (0.9, 0.1, 0.1), (0.1, 0.2, 0.8)
@@ -62,11 +62,11 @@ def test_a_large_view_is_looked_at_by_every_other_ray(field, monkeypatch):
     monkeypatch.setattr("stylerf.editing.selection.MOST_RAYS", 24 * 24 // 4)
     half = Look.at(field, camera, photo, 2)
     assert (whole.stride, half.stride) == (1, 2) and half.surface.alpha.shape == (12, 12)
-    np.testing.assert_array_equal(half.colours.reshape(12, 12, 3), photo[::2, ::2])
+    np.testing.assert_array_equal(half.colors.reshape(12, 12, 3), photo[::2, ::2])
     np.testing.assert_array_equal(half.surface.alpha, whole.surface.alpha[::2, ::2])
     sums = [np.zeros((CELLS**3, 4), np.float32) for _ in range(2)]
     for look, to in zip((whole, half), sums):
-        look.add(look.colours, CELLS, to)
+        look.add(look.colors, CELLS, to)
     assert sums[1][:, 3].sum() == pytest.approx(sums[0][:, 3].sum() / 4, rel=0.1)
 
 
@@ -90,7 +90,7 @@ def test_what_is_seen_only_with_the_region_is_claimed_and_what_is_seen_alone_is_
     twice = look(range(4))
     alone = Look(  # the same places behind, seen by rays that do not pass the region
         Surface(twice.surface.offsets, twice.surface.x, np.tile(np.float32([0, 1.0]), 32), twice.surface.alpha),
-        twice.colours,
+        twice.colors,
         1,
     )
     np.testing.assert_array_equal(claimed([look(range(8)), alone], marked, 1), marked)
@@ -108,11 +108,11 @@ def test_masks_mark_the_cells_that_most_of_their_views_show_inside(field):
     assert not (outvoted & marked & ~shown_by_masks(field, [camera], [1 - left], CELLS, 2)).any()
 
 
-def test_box_and_sphere_hold_the_cells_whose_centres_they_hold():
+def test_box_and_sphere_hold_the_cells_whose_centers_they_hold():
     for name, space in SPACES.items():
-        from stylerf.editing.selection import centres_of
+        from stylerf.editing.selection import centers_of
 
-        world = space.unwarp(centres_of(CELLS))
+        world = space.unwarp(centers_of(CELLS))
         low, high = np.percentile(world, 30, axis=0), np.percentile(world, 70, axis=0)
         expected = np.array([all(low[a] <= p[a] <= high[a] for a in range(3)) for p in world])
         assert expected.any(), name
@@ -123,15 +123,15 @@ def test_box_and_sphere_hold_the_cells_whose_centres_they_hold():
         np.testing.assert_array_equal(inside_sphere(space, CELLS, middle, radius).ravel(), away <= radius)
 
 
-def test_light_counts_half_of_colour():
-    colours = np.array([[0.5, 0.5, 0.5], [0.8, 0.3, 0.2]])
-    lab = rgb2lab(colours.reshape(1, 2, 3))[0]
-    found = halved_light(colours)
+def test_light_counts_half_of_color():
+    colors = np.array([[0.5, 0.5, 0.5], [0.8, 0.3, 0.2]])
+    lab = rgb2lab(colors.reshape(1, 2, 3))[0]
+    found = halved_light(colors)
     np.testing.assert_allclose(found[:, 0], lab[:, 0] / 2, rtol=1e-5)
     np.testing.assert_allclose(found[:, 1:], lab[:, 1:], rtol=1e-4, atol=1e-4)
 
 
-def test_every_colour_is_near_a_mode():
+def test_every_color_is_near_a_mode():
     random = np.random.default_rng(5)
     lab = np.concatenate([random.normal([20, 40, 10], 1, (50, 3)), random.normal([40, -30, 0], 1, (30, 3))])
     found = modes(lab, 12)

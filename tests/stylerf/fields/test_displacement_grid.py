@@ -4,7 +4,7 @@ import numpy as np
 
 from stylerf.fields.displacement_grid import occupancy_of_seen, seen_cells, vertices_of
 from stylerf.fields.ray_samples import Rays
-from tests.stylerf.small import SPACES, field_of, hash_colour, rays_into
+from tests.stylerf.small import SPACES, field_of, hash_color, rays_into
 
 
 def expected_vertices(field, rays: Rays, vertices: int, share: float) -> set[int]:
@@ -19,7 +19,7 @@ def expected_vertices(field, rays: Rays, vertices: int, share: float) -> set[int
 
 def test_vertices_around_what_is_seen():
     for kind in ("box", "frustum"):
-        field, rays = field_of(SPACES[kind], 3, hash_colour(2)), rays_into(SPACES[kind], 30, 4, jitter=False)
+        field, rays = field_of(SPACES[kind], 3, hash_color(2)), rays_into(SPACES[kind], 30, 4, jitter=False)
         for share in (0.1, 0.9):
             found = vertices_of(seen_cells(field, rays, 8, share, 2))
             assert (np.diff(found) > 0).all() and 20 < len(found) < 9**3
@@ -28,7 +28,7 @@ def test_vertices_around_what_is_seen():
 
 def test_occupancy_without_what_no_ray_sees():
     """Nothing is added; each cell that holds a large weight stays."""
-    field, rays = field_of(SPACES["box"], 3, hash_colour(2)), rays_into(SPACES["box"], 30, 4, jitter=False)
+    field, rays = field_of(SPACES["box"], 3, hash_color(2)), rays_into(SPACES["box"], 30, 4, jitter=False)
     field.density.values[-1] += 3  # opaque enough that the far side of the box is out of sight
     found = occupancy_of_seen(field, rays, 2)
     before, after = field.occupancy.distances == 0, found.distances == 0

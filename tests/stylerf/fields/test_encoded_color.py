@@ -1,13 +1,13 @@
-"""Every encoder with every head: colours, gradients to numbers and positions, growth; against the float64 oracle."""
+"""Every encoder with every head: colors, gradients to numbers and positions, growth; against the float64 oracle."""
 
 import numpy as np
 import pytest
 import torch
 
-from stylerf.fields.radiance_field import COLOUR_KINDS
+from stylerf.fields.radiance_field import COLOR_KINDS
 from tests.stylerf.fields.test_densities import LARGER, OCCUPIED
 from tests.stylerf.kernels.cpu.test_vm import RAYS, added, basis_of, buffers, owned, samples
-from tests.stylerf.small import SMALL, SPARSE, close, float64, headed, oracle_colour
+from tests.stylerf.small import SMALL, SPARSE, close, float64, headed, oracle_color
 
 PAIRS = [("hash", "linear"), ("voxel", "linear"), ("hash", "mlp"), ("vm", "mlp"), ("voxel", "mlp")]
 
@@ -17,17 +17,17 @@ def made(request):
     return headed(4, *request.param, capacity=SPARSE if request.param[0] == "voxel" else SMALL)
 
 
-def test_colours_and_gradients_equal_the_oracle(made):
+def test_colors_and_gradients_equal_the_oracle(made):
     s, basis = samples(5), basis_of(samples(5), 1)
     s.weights[[4, 11, 30]] = 0
     at, rays = owned(s), np.repeat(np.arange(RAYS), s.ends - s.starts)
     values = float64(made.values).requires_grad_()
-    expected = oracle_colour(made, values, float64(basis[rays]), float64(s.x[at]))
+    expected = oracle_color(made, values, float64(basis[rays]), float64(s.x[at]))
     shown = s.weights[at] > 0
     gradients = np.random.default_rng(6).normal(size=(len(s.x), 3)).astype(np.float32)
     (expected * float64(gradients[at]))[shown].sum().backward()
     for chunks in (1, 3):
-        found = made.colours(s.x, basis, s.starts, s.ends, s.weights, 0.0, chunks)
+        found = made.colors(s.x, basis, s.starts, s.ends, s.weights, 0.0, chunks)
         close(found[at][shown], expected[shown], 3e-6)
         assert (found[at][~shown, 0] == -1).all() and (~shown).sum() == 3
         to = buffers(chunks, len(made.values))
@@ -44,12 +44,12 @@ def test_position_gradient_equals_the_oracle(made):
     at, rays = owned(s), np.repeat(np.arange(RAYS), s.ends - s.starts)
     x = float64(s.x[at]).requires_grad_()
     gradients = np.random.default_rng(6).normal(size=(len(s.x), 3)).astype(np.float32)
-    colours = made.colours(s.x, basis, s.starts, s.ends, s.weights, 0.0, 1)
-    expected = oracle_colour(made, float64(made.values), float64(basis[rays]), x)
+    colors = made.colors(s.x, basis, s.starts, s.ends, s.weights, 0.0, 1)
+    expected = oracle_color(made, float64(made.values), float64(basis[rays]), x)
     (expected * float64(gradients[at]))[torch.from_numpy(s.weights[at] > 0)].sum().backward()
     for chunks in (1, 3):
         out = np.full(s.x.shape, 0.25, np.float32)
-        made.add_position_gradients(s, basis, colours, gradients, out, chunks)
+        made.add_position_gradients(s, basis, colors, gradients, out, chunks)
         close(out[at] - 0.25, x.grad, 2e-5)
         assert (np.delete(out, at, 0) == 0.25).all()
 
@@ -57,19 +57,19 @@ def test_position_gradient_equals_the_oracle(made):
 def test_least_is_a_bound_that_must_be_passed(made):
     s = samples()
     s.weights[:] = np.linspace(0, 1, len(s.x))
-    found = made.colours(s.x, basis_of(s, 1), s.starts, s.ends, s.weights, float(s.weights[20]), 1)
+    found = made.colors(s.x, basis_of(s, 1), s.starts, s.ends, s.weights, float(s.weights[20]), 1)
     assert np.array_equal(found[owned(s), 0] >= 0, owned(s) > 20)
 
 
-def test_a_grown_colour_is_the_same_colour_and_a_restored_one_the_same_bits(made):
+def test_a_grown_color_is_the_same_color_and_a_restored_one_the_same_bits(made):
     s, basis, kind = samples(5), basis_of(samples(5), 1), made.features.kind
     if kind == "voxel":
         s.x *= np.float32(OCCUPIED)
     at = owned(s)
-    before = made.colours(s.x, basis, s.starts, s.ends, s.weights, 0.0, 1)[at]
+    before = made.colors(s.x, basis, s.starts, s.ends, s.weights, 0.0, 1)[at]
     grown = made.grown(LARGER[kind], np.random.default_rng(0))
     assert len(grown.values) > 2 * len(made.values)
-    close(grown.colours(s.x, basis, s.starts, s.ends, s.weights, 0.0, 1)[at], before, 5e-6)
-    again = COLOUR_KINDS[made.kind].restore(made.describe(), made.values.copy())
-    assert np.array_equal(again.colours(s.x, basis, s.starts, s.ends, s.weights, 0.0, 1)[at], before)
+    close(grown.colors(s.x, basis, s.starts, s.ends, s.weights, 0.0, 1)[at], before, 5e-6)
+    again = COLOR_KINDS[made.kind].restore(made.describe(), made.values.copy())
+    assert np.array_equal(again.colors(s.x, basis, s.starts, s.ends, s.weights, 0.0, 1)[at], before)
     assert again.describe() == made.describe()

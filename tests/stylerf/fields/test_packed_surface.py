@@ -10,7 +10,7 @@ from stylerf.geometry.cameras import Camera
 from stylerf.geometry.space_warp import Space
 from stylerf.rendering.view import render_view
 from stylerf.training.stylize.geometry import FixedGeometry
-from tests.stylerf.small import SPACES, displacement_grid, field_of, float64, hash_colour, oracle_colour
+from tests.stylerf.small import SPACES, displacement_grid, field_of, float64, hash_color, oracle_color
 
 BOX = Space.box([-1, -1, -1], [1, 1, 1])
 SHARE = 0.3
@@ -24,7 +24,7 @@ def camera(space: Space = BOX) -> Camera:
 
 
 def scene(space: Space = BOX, **more):
-    field = field_of(space, 1, hash_colour(2), **more)
+    field = field_of(space, 1, hash_color(2), **more)
     field.share = SHARE
     return field
 
@@ -41,7 +41,7 @@ def test_a_surface_is_the_picture_of_the_whole_render(name):
     geometry = FixedGeometry(field, [view], SHARE, 2)
     painted, _ = geometry.paint(0, np.arange(13 * 9))
     difference = np.abs(painted - whole.rgb.reshape(-1, 3))
-    # A sixteen-bit step is 8e-6 of the cube, half of it the error; colours of the finest level (40 cells, values of
+    # A sixteen-bit step is 8e-6 of the cube, half of it the error; colors of the finest level (40 cells, values of
     # up to +-1.5) change by 30 a cube's width at most where eight levels do not conspire.
     assert 0 < difference.max() < 0.5 / 65535 * 3 * 100
     np.testing.assert_allclose(geometry.alpha(0), whole.alpha, atol=1e-6)
@@ -54,8 +54,8 @@ def test_what_is_kept_equals_the_oracle_at_the_rounded_positions():
     starts, ends, x, weights = kept.samples(np.arange(13 * 9))
     assert np.array_equal(np.rint(x * 65535).astype(np.uint16), kept.x) and len(x) > 100
     assert np.array_equal(starts[1:], ends[:-1])
-    colours = oracle_colour(field.colour, float64(field.colour.values), None, float64(x)).numpy()
-    expected = [weights[a:b] @ colours[a:b] for a, b in zip(starts, ends)]
+    colors = oracle_color(field.color, float64(field.color.values), None, float64(x)).numpy()
+    expected = [weights[a:b] @ colors[a:b] for a, b in zip(starts, ends)]
     painted, _ = FixedGeometry(field, [view], SHARE, 1).paint(0, np.arange(13 * 9))
     np.testing.assert_allclose(painted, expected, atol=1e-6)
     largest = np.array([weights[a:b].max() if b > a else 0 for a, b in zip(starts, ends)])
@@ -85,16 +85,16 @@ def test_teaching_chosen_pixels_is_teaching_their_part_of_the_whole():
     field, view = scene(), camera()
     geometry, gradients = FixedGeometry(field, [view], SHARE, 2), np.random.default_rng(4).normal(size=(117, 3))
     gradients = gradients.astype(np.float32)
-    whole, parts = (np.zeros((2, len(field.colour.values)), np.float32) for _ in range(2))
+    whole, parts = (np.zeros((2, len(field.color.values)), np.float32) for _ in range(2))
     geometry.learn(geometry.paint(0, np.arange(117))[1], gradients, whole)
     for part in np.array_split(np.arange(117), 4):
         geometry.learn(geometry.paint(0, part)[1], gradients[part], parts)
     largest = np.abs(whole.sum(0)).max()
     np.testing.assert_allclose(parts.sum(0), whole.sum(0), atol=1e-6 * largest)
-    values = float64(field.colour.values).requires_grad_()
+    values = float64(field.color.values).requires_grad_()
     starts, ends, x, weights = geometry.surface(0).samples(np.arange(117))
     each = float64(np.repeat(gradients, ends - starts, axis=0) * weights[:, None])
-    (oracle_colour(field.colour, values, None, float64(x)) * each).sum().backward()
+    (oracle_color(field.color, values, None, float64(x)) * each).sum().backward()
     np.testing.assert_allclose(whole.sum(0), values.grad, atol=1e-5 * largest)
 
 

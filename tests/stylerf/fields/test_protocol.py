@@ -4,13 +4,13 @@ import inspect
 
 import pytest
 
-from stylerf.fields.hash_color import HashColour
-from stylerf.fields.palette_color import PaletteColour
-from stylerf.fields.protocol import ColourPart, DensityPart, Growing, Part
-from stylerf.fields.radiance_field import COLOUR_KINDS, DENSITY_KINDS
+from stylerf.fields.hash_color import HashColor
+from stylerf.fields.palette_color import PaletteColor
+from stylerf.fields.protocol import ColorPart, DensityPart, Growing, Part
+from stylerf.fields.radiance_field import COLOR_KINDS, DENSITY_KINDS
 
 KINDS = [(kind, DensityPart) for kind in DENSITY_KINDS.values()] + [
-    (kind, ColourPart) for kind in COLOUR_KINDS.values()
+    (kind, ColorPart) for kind in COLOR_KINDS.values()
 ]
 
 
@@ -25,8 +25,8 @@ def asked_of(protocol: type) -> dict[str, list[str]]:
 
 @pytest.mark.parametrize(("kind", "protocol"), KINDS, ids=lambda one: one.__name__)
 def test_a_kind_offers_all_that_is_asked_for(kind, protocol):
-    # A stylisation's colour never grows.
-    asked = asked_of(protocol) | ({} if kind in (HashColour, PaletteColour) else asked_of(Growing))
+    # A stylization's color never grows.
+    asked = asked_of(protocol) | ({} if kind in (HashColor, PaletteColor) else asked_of(Growing))
     assert {"backward", "add_position_gradients", "smooth", "groups", "describe", "restore"} <= set(asked)
     for name, arguments in asked.items():
         assert list(inspect.signature(getattr(kind, name)).parameters) == arguments, name

@@ -7,7 +7,7 @@ import pytest
 
 from stylerf.fields.occupancy_grid import Occupancy
 from stylerf.fields.rank_truncation import EMPTY, best_ranks, best_seen_ranks, texel_weights
-from stylerf.fields.vm import VmColour, VmDensity
+from stylerf.fields.vm import VmColor, VmDensity
 from stylerf.fields.vm_tables import split_table
 from stylerf.geometry.spherical_harmonics import harmonics
 
@@ -143,19 +143,19 @@ def test_a_line_of_fewer_vertices_than_ranks_is_held_exactly():
     np.testing.assert_allclose(after.sigma(points(), 1), made.sigma(points(), 1), rtol=1e-4)
 
 
-def colours_of(made: VmColour) -> np.ndarray:
+def colors_of(made: VmColor) -> np.ndarray:
     x, directions = points(), np.random.default_rng(8).normal(size=(200, 3)).astype(np.float32)
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     starts = np.arange(200, dtype=np.int64)
     weights = np.ones(200, np.float32)
-    return made.colours(x, harmonics(directions, made.degree), starts, starts + 1, weights, 0.0, 1)
+    return made.colors(x, harmonics(directions, made.degree), starts, starts + 1, weights, 0.0, 1)
 
 
-def test_a_colour_loses_the_ranks_of_which_nothing_is_seen():
-    made = VmColour.create(SIZE, 24, 1, np.random.default_rng(5))
+def test_a_color_loses_the_ranks_of_which_nothing_is_seen():
+    made = VmColor.create(SIZE, 24, 1, np.random.default_rng(5))
     silent = np.random.default_rng(6).permutation(24)[:16]
     for line in split_table(made.table, SIZE, 24)[1]:
         line[:, silent] = 0
     after = made.narrowed(8, EVERYWHERE)
     assert after.rank == 8 and after.degree == 1
-    np.testing.assert_allclose(colours_of(after), colours_of(made), atol=1e-5)
+    np.testing.assert_allclose(colors_of(after), colors_of(made), atol=1e-5)

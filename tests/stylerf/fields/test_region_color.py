@@ -1,4 +1,4 @@
-"""A region's own colours over a field's: values and gradients against the oracle, and nothing outside changes."""
+"""A region's own colors over a field's: values and gradients against the oracle, and nothing outside changes."""
 
 import numpy as np
 import pytest
@@ -6,9 +6,9 @@ import torch
 
 from stylerf.errors import InvalidValue
 from stylerf.fields.radiance_field import RadianceField
-from stylerf.fields.region_color import PatchColour, box_of
+from stylerf.fields.region_color import PatchColor, box_of
 from tests.stylerf.kernels.cpu.test_vm import added, basis_of, buffers, owned, samples
-from tests.stylerf.small import SPACES, close, field_of, float64, hash_colour, oracle_colour, vm_colour
+from tests.stylerf.small import SPACES, close, field_of, float64, hash_color, oracle_color, vm_color
 
 CELLS = 6
 
@@ -20,8 +20,8 @@ def marked_cells() -> np.ndarray:
     return marked
 
 
-def patch() -> PatchColour:
-    made = PatchColour.create(vm_colour(4), marked_cells(), 30.0, table=64, levels=8)
+def patch() -> PatchColor:
+    made = PatchColor.create(vm_color(4), marked_cells(), 30.0, table=64, levels=8)
     made.values[:] = np.random.default_rng(8).normal(scale=0.4, size=len(made.values))
     return made
 
@@ -31,12 +31,12 @@ def inside(x: np.ndarray) -> np.ndarray:
     return marked_cells()[tuple(at.T)]
 
 
-def oracle(made: PatchColour, values: torch.Tensor, basis: torch.Tensor, x: torch.Tensor) -> torch.Tensor:
+def oracle(made: PatchColor, values: torch.Tensor, basis: torch.Tensor, x: torch.Tensor) -> torch.Tensor:
     """sigmoid(logit(base) + logit(own)) where a cell is marked, base elsewhere."""
-    base = oracle_colour(made.base, float64(made.base.values), basis, x)
+    base = oracle_color(made.base, float64(made.base.values), basis, x)
     low, side = box_of(marked_cells())
     marked = torch.from_numpy(inside(x.detach().numpy()))
-    own = oracle_colour(made.own, values, None, (x[marked] - float64(low)) / side)
+    own = oracle_color(made.own, values, None, (x[marked] - float64(low)) / side)
     both = torch.sigmoid(torch.logit(base[marked]) + torch.logit(own))
     return base.index_put((torch.nonzero(marked)[:, 0],), both)
 
@@ -53,14 +53,14 @@ def case():
     return s, at, basis, float64(basis)[rays], s.weights[at] > 0
 
 
-def test_colours_and_gradients_equal_the_oracle():
+def test_colors_and_gradients_equal_the_oracle():
     made, (s, at, basis, each, shown) = patch(), case()
     values, x = float64(made.values).requires_grad_(), float64(s.x[at]).requires_grad_()
     expected = oracle(made, values, each, x)
     gradients = np.random.default_rng(3).normal(size=(len(s.x), 3)).astype(np.float32)
     (expected * float64(gradients[at]))[shown].sum().backward()
     for chunks in (1, 3):
-        found = made.colours(s.x, basis, s.starts, s.ends, s.weights, 0.0, chunks)
+        found = made.colors(s.x, basis, s.starts, s.ends, s.weights, 0.0, chunks)
         close(found[at][shown], expected[shown], 5e-6)
         assert (found[at][~shown, 0] == -1).all() and (~shown).any()
         to = buffers(chunks, len(made.values))
@@ -73,13 +73,13 @@ def test_colours_and_gradients_equal_the_oracle():
 
 def test_outside_the_cells_nothing_changes_to_the_bit_and_an_untaught_patch_changes_nothing():
     made, (s, at, basis, _, shown) = patch(), case()
-    base = made.base.colours(s.x, basis, s.starts, s.ends, s.weights, 0.0, 2)
-    found = made.colours(s.x, basis, s.starts, s.ends, s.weights, 0.0, 2)
+    base = made.base.colors(s.x, basis, s.starts, s.ends, s.weights, 0.0, 2)
+    found = made.colors(s.x, basis, s.starts, s.ends, s.weights, 0.0, 2)
     within = inside(s.x[at]) & shown
     np.testing.assert_array_equal(found[at][~within & shown], base[at][~within & shown])
     assert (np.abs(found[at][within] - base[at][within]).max(1) > 0).all()
     made.values[:] = 0
-    found = made.colours(s.x, basis, s.starts, s.ends, s.weights, 0.0, 2)
+    found = made.colors(s.x, basis, s.starts, s.ends, s.weights, 0.0, 2)
     np.testing.assert_allclose(found[at][shown], base[at][shown], atol=1e-6)
 
 
@@ -87,9 +87,9 @@ def test_a_patch_on_a_patch_comes_back_from_what_is_kept():
     low = patch()
     more = np.zeros((4,) * 3, bool)
     more[1:3, 1:3, 1:3] = True
-    top = PatchColour.create(low, more, 20.0, table=64)
+    top = PatchColor.create(low, more, 20.0, table=64)
     top.values[:] = 0.3
-    field = field_of(SPACES["box"], 3, colour=top)
+    field = field_of(SPACES["box"], 3, color=top)
     again = RadianceField.restore(field.describe(), {k: v.copy() for k, v in field.arrays().items()})
     assert (
         again.parameters
@@ -97,7 +97,7 @@ def test_a_patch_on_a_patch_comes_back_from_what_is_kept():
         == len(field.density.values) + sum(len(one.values) for one in (top, low, low.base))
     )
     s, at, basis, _, shown = case()
-    found = [p.colours(s.x, basis, s.starts, s.ends, s.weights, 0.0, 1)[at][shown] for p in (top, again.colour, low)]
+    found = [p.colors(s.x, basis, s.starts, s.ends, s.weights, 0.0, 1)[at][shown] for p in (top, again.color, low)]
     np.testing.assert_array_equal(found[0], found[1])
     assert (found[0] != found[2]).any()
 
@@ -111,4 +111,4 @@ def test_the_box_holds_the_cells_and_no_more():
 def test_an_empty_patch_and_one_of_another_shape_are_refused():
     for wrong in (np.zeros((4, 4, 4), bool), np.ones((4, 4, 5), bool), np.ones((4, 4, 4))):
         with pytest.raises(InvalidValue, match="marked cells"):
-            PatchColour(vm_colour(4), hash_colour(1), wrong)
+            PatchColor(vm_color(4), hash_color(1), wrong)

@@ -11,7 +11,7 @@ from stylerf.fields.radiance_field import RadianceField
 from stylerf.geometry.cameras import Camera
 from stylerf.geometry.space_warp import Space
 from stylerf.rendering.view import render_view
-from stylerf.style.color_matching import ColourMap
+from stylerf.style.color_matching import ColorMap
 from tests.stylerf import small
 
 BOX = small.SPACES["box"]
@@ -25,23 +25,23 @@ def restored(field: RadianceField, data: dict | None = None, arrays: dict | None
 def test_a_vm_part_has_as_many_numbers_as_its_size_says(size):
     """2048^3 over a small tensor ended the process, 48^3 read what lies behind it."""
     field = small.field_of(BOX, 1)
-    for part in ("density", "colour"):
+    for part in ("density", "color"):
         with pytest.raises(InvalidValue):
             restored(field, {part: field.describe()[part] | {"size": size}})
 
 
 def test_what_was_described_is_restored_to_the_bit():
     field = small.field_of(BOX, 1, displacement=small.displacement_grid(2))
-    field.colour_map = ColourMap(torch.eye(3), torch.zeros(3))
+    field.color_map = ColorMap(torch.eye(3), torch.zeros(3))
     again = restored(field)
     assert again.describe() == field.describe()
     for name, array in field.arrays().items():
         np.testing.assert_array_equal(again.arrays()[name], array)
 
 
-@pytest.mark.parametrize("name", ["density", "colour", "displacement"])
+@pytest.mark.parametrize("name", ["density", "color", "displacement"])
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e30])
-def test_a_number_that_cannot_have_been_learnt_is_refused_by_the_name_of_its_array(name, value):
+def test_a_number_that_cannot_have_been_learned_is_refused_by_the_name_of_its_array(name, value):
     field = small.field_of(BOX, 1, displacement=small.displacement_grid(2))
     array = field.arrays()[name].copy()
     array.reshape(-1)[-1] = value

@@ -11,7 +11,7 @@ from tests.stylerf.small import SMALL, SPARSE, close, float64, hash_density, hea
 
 
 def differences(grid: torch.Tensor, there: torch.Tensor | None = None) -> torch.Tensor:
-    """Half the summed squared differences of neighbours of [a, b, c, f]; there [a, b, c]: of pairs that both are."""
+    """Half the summed squared differences of neighbors of [a, b, c, f]; there [a, b, c]: of pairs that both are."""
     total = grid.new_zeros(())
     for axis in range(3):
         count = grid.shape[axis] - 1
@@ -50,13 +50,13 @@ def energy_of_grid(grid: Grid, table: torch.Tensor, width: int) -> torch.Tensor:
 MADE = {
     "hash density": lambda: hash_density(3),
     "voxel density": lambda: voxel_density(3),
-    "hash colour": lambda: headed(4, "hash", "linear", capacity=SMALL),
-    "voxel colour": lambda: headed(4, "voxel", "linear", capacity=SPARSE),
+    "hash color": lambda: headed(4, "hash", "linear", capacity=SMALL),
+    "voxel color": lambda: headed(4, "voxel", "linear", capacity=SPARSE),
 }
 
 
 @pytest.mark.parametrize("name", MADE)
-def test_smoothness_is_the_gradient_of_neighbours_squared_differences(name):
+def test_smoothness_is_the_gradient_of_neighbors_squared_differences(name):
     made = MADE[name]()
     values = float64(made.values).requires_grad_()
     features = made if made.kind != "headed" else made.features

@@ -28,12 +28,12 @@ def pixels_of(pose: np.ndarray, points: np.ndarray = POINTS) -> np.ndarray:
 @pytest.mark.parametrize("seed", range(4))
 def test_opengl_cameras_look_along_minus_z_with_y_up(seed):
     rotation = random_rotation(seed)
-    centre = rotation @ [0.2, -0.1, 4.0]  # the origin lies in front, along the camera's -z
-    local = (POINTS - centre) @ rotation  # Blender's camera coordinates: x right, y up, z backward
+    center = rotation @ [0.2, -0.1, 4.0]  # the origin lies in front, along the camera's -z
+    local = (POINTS - center) @ rotation  # Blender's camera coordinates: x right, y up, z backward
     expected = np.stack(
         [WIDTH / 2 + FOCAL * local[:, 0] / -local[:, 2], HEIGHT / 2 - FOCAL * local[:, 1] / -local[:, 2]], axis=1
     )
-    pose = np.vstack([np.column_stack([rotation, centre]), [0, 0, 0, 1]])
+    pose = np.vstack([np.column_stack([rotation, center]), [0, 0, 0, 1]])
     np.testing.assert_allclose(pixels_of(camera_conventions.from_opengl(pose)), expected, atol=1e-9)
 
 
@@ -43,11 +43,11 @@ def test_llff_columns_are_down_right_backward(seed):
     down, right, backward = rotation.T
     if np.linalg.det(np.column_stack([right, -down, backward])) < 0:
         down = -down
-    centre = 4.0 * backward
-    seen = POINTS - centre
+    center = 4.0 * backward
+    seen = POINTS - center
     depth = seen @ -backward
     expected = np.stack([WIDTH / 2 + FOCAL * seen @ right / depth, HEIGHT / 2 + FOCAL * seen @ down / depth], axis=1)
-    pose = np.column_stack([down, right, backward, centre, [HEIGHT, WIDTH, FOCAL]])
+    pose = np.column_stack([down, right, backward, center, [HEIGHT, WIDTH, FOCAL]])
     np.testing.assert_allclose(pixels_of(camera_conventions.from_llff(pose)), expected, atol=1e-9)
 
 

@@ -12,9 +12,9 @@ from stylerf.geometry.cameras import Camera
 FOCUS, UP = np.array([0.5, -1.0, 0.2]), np.array([0, 0, 1.0])
 
 
-def camera(centre, target=FOCUS, name="c") -> Camera:
+def camera(center, target=FOCUS, name="c") -> Camera:
     return Camera(
-        name, 40, 30, 33.0, 34.0, 20.0, 15.0, look_at(np.asarray(centre, float), np.asarray(target, float), UP)
+        name, 40, 30, 33.0, 34.0, 20.0, 15.0, look_at(np.asarray(center, float), np.asarray(target, float), UP)
     )
 
 
@@ -78,7 +78,7 @@ def test_focus_is_where_axes_meet_or_ahead_of_parallel_ones():
 
 def test_an_orbit_of_cameras_all_around_is_a_full_even_circle():
     frames = path("orbit", ring(range(0, 360, 15)), 12)
-    offsets = np.array([f.centre for f in frames]) - FOCUS
+    offsets = np.array([f.center for f in frames]) - FOCUS
     np.testing.assert_allclose(np.linalg.norm(offsets[:, :2], axis=1), 3, atol=1e-3)
     np.testing.assert_allclose(offsets[:, 2], 1.5, atol=1e-3)
     turns = np.diff(np.unwrap(np.arctan2(offsets[:, 1], offsets[:, 0])))
@@ -89,7 +89,7 @@ def test_an_orbit_of_cameras_all_around_is_a_full_even_circle():
 
 def test_an_orbit_of_an_arc_swings_within_it_and_comes_back():
     frames = path("orbit", ring(range(-50, 60, 10), height=0.0), 40)
-    offsets = np.array([f.centre for f in frames]) - FOCUS
+    offsets = np.array([f.center for f in frames]) - FOCUS
     angles = np.degrees(np.arctan2(offsets[:, 1], offsets[:, 0]))
     assert angles.min() == pytest.approx(-45, abs=0.1) and angles.max() == pytest.approx(45, abs=0.1)
     np.testing.assert_allclose(angles[1:], angles[:0:-1], atol=1e-6)  # there and back alike
@@ -100,35 +100,35 @@ def test_a_spiral_looks_at_one_point_and_makes_two_turns():
     frames = path("spiral", facing(), 24, focus_depth=6.0)
     target = np.array([0, 6.0, 0])
     for frame in frames:
-        toward = target - frame.centre
+        toward = target - frame.center
         np.testing.assert_allclose(frame.forward, toward / np.linalg.norm(toward), atol=1e-9)
-    centres = np.array([f.centre for f in frames])
+    centers = np.array([f.center for f in frames])
     # As wide as 80 % of the cameras: a grid of -1, 0, 1 by -0.5, 0, 0.5, all in the plane y = 0.
-    np.testing.assert_allclose(centres[:, 0], np.cos(4 * np.pi * np.arange(24) / 24), atol=1e-9)
-    np.testing.assert_allclose(np.abs(centres[:, 2]), 0.5 * np.abs(np.sin(4 * np.pi * np.arange(24) / 24)), atol=1e-9)
-    assert not centres[:, 1].round(9).any()
+    np.testing.assert_allclose(centers[:, 0], np.cos(4 * np.pi * np.arange(24) / 24), atol=1e-9)
+    np.testing.assert_allclose(np.abs(centers[:, 2]), 0.5 * np.abs(np.sin(4 * np.pi * np.arange(24) / 24)), atol=1e-9)
+    assert not centers[:, 1].round(9).any()
 
 
-def test_interpolation_passes_through_every_camera_once_by_nearest_neighbours():
+def test_interpolation_passes_through_every_camera_once_by_nearest_neighbors():
     cameras = walk()
     frames = path("interpolate", cameras, 9)
-    order = [frame.centre for frame in frames[::2]]
-    places = sorted((c.centre.tolist() for c in cameras), key=lambda c: c[0], reverse=bool(order[0][0] > 0))
+    order = [frame.center for frame in frames[::2]]
+    places = sorted((c.center.tolist() for c in cameras), key=lambda c: c[0], reverse=bool(order[0][0] > 0))
     np.testing.assert_allclose(order, places, atol=1e-9)
-    by_place = {tuple(np.round(c.centre, 6)): c for c in cameras}
+    by_place = {tuple(np.round(c.center, 6)): c for c in cameras}
     for frame in frames[::2]:
-        same = by_place[tuple(np.round(frame.centre, 6))]
+        same = by_place[tuple(np.round(frame.center, 6))]
         np.testing.assert_allclose(frame.world_from_camera, same.world_from_camera, atol=1e-9)
-    # Half-way the axis has made half the turn: the bisector of its neighbours'.
+    # Half-way the axis has made half the turn: the bisector of its neighbors'.
     middle = frames[2].forward + frames[4].forward
     np.testing.assert_allclose(frames[3].forward, middle / np.linalg.norm(middle), atol=2e-3)
 
 
 def test_interpolation_between_evenly_spaced_cameras_is_a_straight_even_walk():
     cameras = [camera((x, 0, 0), (x, 5, 0)) for x in np.arange(5.0)]
-    centres = np.array([f.centre for f in path("interpolate", cameras, 41)])[10:31]  # the ends start at rest
-    np.testing.assert_allclose(np.abs(np.diff(centres[:, 0])), 0.1, atol=1e-9)
-    assert not centres[:, 1:].round(9).any()
+    centers = np.array([f.center for f in path("interpolate", cameras, 41)])[10:31]  # the ends start at rest
+    np.testing.assert_allclose(np.abs(np.diff(centers[:, 0])), 0.1, atol=1e-9)
+    assert not centers[:, 1:].round(9).any()
 
 
 def test_one_camera_alone():

@@ -82,7 +82,7 @@ def test_the_pinhole_shows_no_blank_and_wastes_little(model):
         across = positions[..., 0].min(), 120 - positions[..., 0].max()
         down = positions[..., 1].min(), 90 - positions[..., 1].max()
         assert min(max(across), max(down)) < 1.5 and max(*across, *down) < 3
-    # The centre of one pixel is where COLMAP puts it.
+    # The center of one pixel is where COLMAP puts it.
     x, y = (30.5 - pinhole[2]) / pinhole[0], (70.5 - pinhole[3]) / pinhole[1]
     camera = pycolmap.Camera(model=model, width=SIZE[0], height=SIZE[1], params=MODELS[model])
     expected = camera.img_from_cam(np.array([[x, y, 1.0]]))[0]

@@ -6,11 +6,11 @@ from stylerf.geometry.epipolar import epipolar_distance, essential, largest_para
 from tests.stylerf.geometry.test_camera_conventions import random_rotation
 
 
-def pose(seed: int, centre) -> np.ndarray:
+def pose(seed: int, center) -> np.ndarray:
     """A camera that looks roughly along z."""
     matrix = np.eye(4)
     near_one, signs = np.linalg.qr(np.eye(3) + 0.2 * random_rotation(seed))
-    matrix[:3, :3], matrix[:3, 3] = near_one * np.sign(np.diag(signs)), centre
+    matrix[:3, :3], matrix[:3, 3] = near_one * np.sign(np.diag(signs)), center
     return matrix
 
 
@@ -37,6 +37,6 @@ def test_a_match_moved_off_its_line_is_so_far_from_it():
 
 
 def test_parallax_is_the_widest_angle():
-    centres = np.array([[1.0, 0, 0], [0, 0, 1.0], [np.sqrt(0.5), 0, np.sqrt(0.5)]])
-    assert abs(largest_parallax(np.zeros(3), centres) - 90) < 1e-9
-    assert largest_parallax(np.zeros(3), centres[:1]) < 1e-5
+    centers = np.array([[1.0, 0, 0], [0, 0, 1.0], [np.sqrt(0.5), 0, np.sqrt(0.5)]])
+    assert abs(largest_parallax(np.zeros(3), centers) - 90) < 1e-9
+    assert largest_parallax(np.zeros(3), centers[:1]) < 1e-5

@@ -30,7 +30,7 @@ def test_the_mean_of_the_picture_stays():
     assert shrunk(pixels, (31, 53)) is pixels
 
 
-def test_nearest_takes_the_pixel_under_each_centre():
+def test_nearest_takes_the_pixel_under_each_center():
     values = np.arange(12.0).reshape(3, 4)
     np.testing.assert_array_equal(nearest(values, (2, 3)), [[1, 3], [5, 7], [9, 11]])
 
@@ -54,7 +54,7 @@ def test_remapped_is_catmull_rom():
             np.testing.assert_allclose(found[i, j], catmull_rom(along, y - row), atol=2e-6)
 
 
-def test_remapped_at_pixel_centres_is_the_picture_itself():
+def test_remapped_at_pixel_centers_is_the_picture_itself():
     pixels = RANDOM.random((6, 7, 3), dtype=np.float32)
     rows, columns = np.meshgrid(np.arange(6) + 0.5, np.arange(7) + 0.5, indexing="ij")
     np.testing.assert_allclose(remapped(pixels, np.stack([columns, rows], -1).astype(np.float32)), pixels, atol=1e-6)

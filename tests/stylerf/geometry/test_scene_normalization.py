@@ -1,4 +1,4 @@
-"""Layout, normalising similarity, bounds and visual hull on captures whose answers are known."""
+"""Layout, normalizing similarity, bounds and visual hull on captures whose answers are known."""
 
 from dataclasses import replace
 
@@ -43,9 +43,9 @@ def test_layouts_are_told_from_the_cameras():
     assert scene_normalization.decided_layout(turned(poses_of(forward())), "").name == "forward"
 
 
-def test_centred_brings_the_focus_to_the_origin_at_distance_one_with_up_up():
+def test_centerd_brings_the_focus_to_the_origin_at_distance_one_with_up_up():
     for poses in (poses_of(ring()), turned(poses_of(ring()))):
-        matrix = scene_normalization.centred(poses)
+        matrix = scene_normalization.centerd(poses)
         moved = np.array([scene_normalization.moved(pose, matrix) for pose in poses])
         np.testing.assert_allclose(np.linalg.norm(moved[:, :3, 3], axis=1), 1, atol=1e-6)
         np.testing.assert_allclose(moved[:, :3, 3].std(0)[2], 0, atol=1e-6)  # all at one height: the axis is z
@@ -77,15 +77,15 @@ def test_facing_looks_along_z_with_y_down_and_near_before_everything():
         assert abs(scale * nearest - 4 / 3) < 1e-9  # the near plane at 1 is three quarters of it
 
 
-@pytest.mark.parametrize("centre", [(0, 0, 0), (1, 1, 1), (0.1, 0.2, 0.3), (1e-3, 0, 0), (5e5, 4e6, 120)])
+@pytest.mark.parametrize("center", [(0, 0, 0), (1, 1, 1), (0.1, 0.2, 0.3), (1e-3, 0, 0), (5e5, 4e6, 120)])
 @pytest.mark.parametrize("kept_in", [np.float32, np.float64])
-def test_cameras_at_one_point_are_refused(centre, kept_in):
+def test_cameras_at_one_point_are_refused(center, kept_in):
     """Differing by rounding, as after a turn of the camera and back in the numbers that a tool keeps."""
     poses = poses_of(ring())
     for pose in poses:
         turn = pose[:3, :3].astype(kept_in)
-        pose[:3, 3] = turn @ (turn.T @ kept_in(centre))
-    for refusal in (scene_normalization.focus_of, scene_normalization.centred, lambda all: scene_normalization.nearest_depth(all, None, None)):
+        pose[:3, 3] = turn @ (turn.T @ kept_in(center))
+    for refusal in (scene_normalization.focus_of, scene_normalization.centerd, lambda all: scene_normalization.nearest_depth(all, None, None)):
         with pytest.raises(InvalidValue, match="one point"):
             refusal(poses)
 
@@ -94,12 +94,12 @@ def test_cameras_at_one_point_are_refused(centre, kept_in):
 @pytest.mark.parametrize("capture", [ring, forward])
 def test_neither_unit_nor_origin_decide_whether_cameras_stand_at_one_point(capture, scale):
     poses = poses_of(capture())
-    wanted = np.cbrt(np.linalg.det(scene_normalization.centred(poses)[:3, :3]))
+    wanted = np.cbrt(np.linalg.det(scene_normalization.centerd(poses)[:3, :3]))
     small, far = poses.copy(), poses.copy()
     small[:, :3, 3] *= scale
-    far[:, :3, 3] += [5e5, 4e6, 120]  # metres of a map
-    assert np.isclose(np.cbrt(np.linalg.det(scene_normalization.centred(small)[:3, :3])) * scale, wanted)
-    assert np.isclose(np.cbrt(np.linalg.det(scene_normalization.centred(far)[:3, :3])), wanted, rtol=1e-4)
+    far[:, :3, 3] += [5e5, 4e6, 120]  # meters of a map
+    assert np.isclose(np.cbrt(np.linalg.det(scene_normalization.centerd(small)[:3, :3])) * scale, wanted)
+    assert np.isclose(np.cbrt(np.linalg.det(scene_normalization.centerd(far)[:3, :3])), wanted, rtol=1e-4)
 
 
 def test_a_baseline_too_small_for_the_depths_is_refused():
@@ -135,11 +135,11 @@ def test_nearest_depth_prefers_what_is_told_then_points():
     assert "baseline" in scene_normalization.nearest_depth(poses, None, None)[1]
 
 
-def ball(camera, radius, centre=FOCUS):
-    """Silhouette of a ball in closed form: rays whose distance to its centre is under the radius."""
+def ball(camera, radius, center=FOCUS):
+    """Silhouette of a ball in closed form: rays whose distance to its center is under the radius."""
     origins, directions = camera.rays()
-    along = ((centre - origins) * directions).sum(1)
-    away = np.linalg.norm(centre - origins - along[:, None] * directions, axis=1)
+    along = ((center - origins) * directions).sum(1)
+    away = np.linalg.norm(center - origins - along[:, None] * directions, axis=1)
     return (away < radius).reshape(camera.height, camera.width).astype(np.float32)
 
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from stylerf.fields.hash_color import HashColour, level_layout
-from stylerf.fields.vm import VmColour, VmDensity
+from stylerf.fields.hash_color import HashColor, level_layout
+from stylerf.fields.vm import VmColor, VmDensity
 from stylerf.fields.vm_tables import split_table, table_length
 from stylerf.geometry.space_warp import Space
 from stylerf.kernels import torch_reference
@@ -98,13 +98,13 @@ def test_vm_density_is_the_exponential_within_its_clamp():
         assert float(gradient[-1]) == pytest.approx(expected.sum(), rel=1e-12)  # d exp(e) = exp(e), clamped or not
 
 
-def test_vm_colour_equals_its_formula_in_loops():
+def test_vm_color_equals_its_formula_in_loops():
     x, rank, bands = points(20), 2, 4
     generator = np.random.default_rng(0)
     head, bias = generator.normal(scale=0.1, size=(3, bands, 3 * rank)), np.array([0.1, -0.4, 0.2])
     basis = generator.normal(size=(20, bands))
     values = float64(np.concatenate([table_of_products(), head.ravel(), bias]))
-    found = torch_reference.vm_colour(values, SIZE, rank, float64(basis), x).numpy()
+    found = torch_reference.vm_color(values, SIZE, rank, float64(basis), x).numpy()
     features = products_at(x.numpy())
     for n in range(20):
         for j in range(3):
@@ -116,17 +116,17 @@ def test_layouts_are_those_of_the_fields():
     assert len(table_of_products()) == table_length(np.array(SIZE), 2)
     rank, degree = 2, 1
     VmDensity(np.array(SIZE), rank, np.append(table_of_products(), 0).astype(np.float32))
-    made = VmColour.create(np.array(SIZE), rank, degree, np.random.default_rng(0))
+    made = VmColor.create(np.array(SIZE), rank, degree, np.random.default_rng(0))
     assert len(made.values) == table_length(np.array(SIZE), rank) + 3 * 4 * 3 * rank + 3
 
 
-def test_hash_colour_equals_a_loop_over_levels_and_corners():
+def test_hash_color_equals_a_loop_over_levels_and_corners():
     levels, base, finest, table = 5, 2, 11, 128
     layout, count = level_layout(levels, base, finest, table)
     assert sorted(set(layout[5])) == [-1, 0]  # directly indexed and hashed levels, both
     values = np.random.default_rng(1).normal(size=count)
     x = points(20)
-    found = torch_reference.hash_colour(float64(values), levels, base, finest, table, x).numpy()
+    found = torch_reference.hash_color(float64(values), levels, base, finest, table, x).numpy()
     for n, point in enumerate(x.tolist()):
         total, at = np.zeros(4), 0
         for level in range(levels):
@@ -145,7 +145,7 @@ def test_hash_colour_equals_a_loop_over_levels_and_corners():
                 )
                 total += share * rows[index]
         np.testing.assert_allclose(found[n], sigmoid(total[:3] + total[3]), **TIGHT)
-    assert len(HashColour.create(np.random.default_rng(0), levels, base, finest, table).values) == at
+    assert len(HashColor.create(np.random.default_rng(0), levels, base, finest, table).values) == at
 
 
 # -- space ----------------------------------------------------------------------------------------------------------
@@ -222,21 +222,21 @@ def test_rays_do_not_see_each_other_and_a_backdrop_takes_the_rest():
 
 
 def test_one_opaque_sample_is_the_pixel_and_an_empty_ray_is_nothing():
-    rays, colours = torch.tensor([1]), torch.tensor([[0.2, 0.5, 0.9]], dtype=torch.float64)
+    rays, colors = torch.tensor([1]), torch.tensor([[0.2, 0.5, 0.9]], dtype=torch.float64)
     w, _ = torch_reference.weights(float64([1e9]), float64([1.0]), rays, torch.tensor([False]))
-    out = torch_reference.composite(w, colours, torch.tensor([True]), float64([3.5]), rays, 3)
+    out = torch_reference.composite(w, colors, torch.tensor([True]), float64([3.5]), rays, 3)
     assert out.tolist() == [[0] * 5, [0.2, 0.5, 0.9, 1, 3.5], [0] * 5]
 
 
-def test_samples_without_a_colour_take_the_mean_of_the_others():
+def test_samples_without_a_color_take_the_mean_of_the_others():
     w = float64([0.2, 0.3, 0.1, 0.4]).requires_grad_()
-    colours = float64([[1, 0, 0.5], [-1, 7, 7], [0, 1, 0.5], [-1, 7, 7]]).requires_grad_()
-    coloured, rays = torch.tensor([True, False, True, False]), torch.tensor([0, 0, 0, 1])
-    out = torch_reference.composite(w, colours, coloured, float64([1, 2, 3, 4]), rays, 2)
+    colors = float64([[1, 0, 0.5], [-1, 7, 7], [0, 1, 0.5], [-1, 7, 7]]).requires_grad_()
+    colored, rays = torch.tensor([True, False, True, False]), torch.tensor([0, 0, 0, 1])
+    out = torch_reference.composite(w, colors, colored, float64([1, 2, 3, 4]), rays, 2)
     share = 0.6 / 0.3
     expected = [[0.2 * share, 0.1 * share, 0.15 * share, 0.6, 0.2 + 0.6 + 0.3], [0, 0, 0, 0.4, 1.6]]
     torch.testing.assert_close(out, float64(expected), **TIGHT)
-    to_weights, to_colours = torch.autograd.grad(out[0, 0], (w, colours))
-    # The mean (2/3 red) is a constant for those who take it; colours learn by their own weight alone.
+    to_weights, to_colors = torch.autograd.grad(out[0, 0], (w, colors))
+    # The mean (2/3 red) is a constant for those who take it; colors learn by their own weight alone.
     np.testing.assert_allclose(to_weights, [1, 2 / 3, 0, 0], **TIGHT)
-    np.testing.assert_allclose(to_colours[:, 0], [0.2, 0, 0.1, 0], **TIGHT)
+    np.testing.assert_allclose(to_colors[:, 0], [0.2, 0, 0.1, 0], **TIGHT)

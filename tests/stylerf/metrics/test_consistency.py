@@ -54,7 +54,7 @@ def test_warp_is_the_homography_of_the_plane():
     k = np.array([[60.0, 0, 32], [0, 60, 24], [0, 0, 1]])
     a_from_b = a.camera.camera_from_world @ b.camera.world_from_camera
     normal = b.camera.world_from_camera[2, :3]  # plane z = 3 of the world, in b's axes
-    distance = 3.0 - b.camera.centre[2]
+    distance = 3.0 - b.camera.center[2]
     homography = k @ (a_from_b[:3, :3] + np.outer(a_from_b[:3, 3], normal) / distance) @ np.linalg.inv(k)
     for row, column in [(10, 12), (24, 32), (40, 30)]:
         assert visible[row, column]
@@ -97,7 +97,7 @@ def test_occlusion_is_excluded():
     _, visible = warp(a, b)
     honest = pair_consistency(a, b)
     assert honest.rmse < 2e-3
-    # The wall behind a's board: a cannot know its colour, b sees it at x = 0.2 .. 0.4 * 1.5 or so.
+    # The wall behind a's board: a cannot know its color, b sees it at x = 0.2 .. 0.4 * 1.5 or so.
     points = b.camera.unproject(
         np.stack(np.meshgrid(np.arange(64) + 0.5, np.arange(48) + 0.5), -1).reshape(-1, 2), b.z.reshape(-1)
     )

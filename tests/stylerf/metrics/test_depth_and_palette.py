@@ -35,21 +35,21 @@ def test_shape_change_is_relative_to_the_base():
     assert shape_change(ones, ones * 0, ones, ones) is None
 
 
-def test_palette_distance_of_shifted_and_scaled_colours():
+def test_palette_distance_of_shifted_and_scaled_colors():
     random = np.random.default_rng(0)
-    colours = random.random((5000, 3))
-    assert palette_distance(colours, colours[::-1]).frechet == pytest.approx(0, abs=1e-6)
-    shifted = palette_distance(colours, colours + [0.3, 0.0, 0.4])
+    colors = random.random((5000, 3))
+    assert palette_distance(colors, colors[::-1]).frechet == pytest.approx(0, abs=1e-6)
+    shifted = palette_distance(colors, colors + [0.3, 0.0, 0.4])
     assert shifted.mean == pytest.approx(0.5) and shifted.frechet == pytest.approx(0.5)
     assert shifted.covariance == pytest.approx(0, abs=1e-12)
     # Scaling by s about the mean: the covariance grows by s^2; frechet^2 = (s - 1)^2 tr S.
-    centre, covariance = colours.mean(axis=0), np.cov(colours.T, bias=True)
-    scaled = palette_distance(colours, centre + 3 * (colours - centre))
+    center, covariance = colors.mean(axis=0), np.cov(colors.T, bias=True)
+    scaled = palette_distance(colors, center + 3 * (colors - center))
     assert scaled.covariance == pytest.approx(8 * np.linalg.norm(covariance))
     assert scaled.frechet == pytest.approx(2 * np.sqrt(np.trace(covariance)))
 
 
-def test_palette_refuses_what_is_no_colour():
+def test_palette_refuses_what_is_no_color():
     with pytest.raises(InvalidValue):
         palette_distance(np.zeros((4, 4)), np.zeros((4, 3)))
     with pytest.raises(InvalidValue):

@@ -50,7 +50,7 @@ def test_ssim_agrees_with_the_formula_written_out():
     assert ssim(a, b) == pytest.approx(np.mean(inner), abs=1e-9)
 
 
-def test_ssim_of_colours_is_the_mean_of_channels_and_respects_a_mask():
+def test_ssim_of_colors_is_the_mean_of_channels_and_respects_a_mask():
     random = np.random.default_rng(4)
     a, b = random.random((20, 20, 3)), random.random((20, 20, 3))
     assert ssim(a, b) == pytest.approx(np.mean([ssim(a[..., i], b[..., i]) for i in range(3)]))

@@ -1,4 +1,4 @@
-"""Background MSE, ring and change against loops over pixels and colour differences worked out by hand."""
+"""Background MSE, ring and change against loops over pixels and color differences worked out by hand."""
 
 import numpy as np
 import pytest
@@ -56,7 +56,7 @@ def test_a_view_without_the_region_is_all_background():
 
 
 def lab(rgb) -> np.ndarray:
-    """IEC 61966-2-1 and CIE 15, a colour at a time."""
+    """IEC 61966-2-1 and CIE 15, a color at a time."""
     linear = [v / 12.92 if v <= 0.04045 else ((v + 0.055) / 1.055) ** 2.4 for v in rgb]
     rows = [(0.4124564, 0.3575761, 0.1804375), (0.2126729, 0.7151522, 0.0721750), (0.0193339, 0.1191920, 0.9503041)]
     white = (0.95047, 1.0, 1.08883)

@@ -8,7 +8,7 @@ from scipy.ndimage import gaussian_filter, minimum_filter
 
 from stylerf.errors import InvalidValue
 from stylerf.procedural import painting
-from stylerf.procedural.composition import PALETTES, colours, compose, hexadecimal
+from stylerf.procedural.composition import PALETTES, colors, compose, hexadecimal
 from stylerf.procedural.painting import FINER, LAYERS, paint
 from stylerf.procedural.strokes import follow_flow
 
@@ -27,7 +27,7 @@ def test_it_is_a_picture_of_its_size_from_its_seed():
 
 
 def orientation(picture: np.ndarray, scale: float) -> tuple[np.ndarray, np.ndarray]:
-    """Of the lines in a grey picture by its structure tensor: angle [h, w] of least change, coherence 0..1."""
+    """Of the lines in a gray picture by its structure tensor: angle [h, w] of least change, coherence 0..1."""
     down, right = np.gradient(gaussian_filter(picture, 0.7))
     xx, yy, xy = (gaussian_filter(one, scale) for one in (right * right, down * down, right * down))
     across = 0.5 * np.arctan2(2 * xy, xx - yy)
@@ -65,18 +65,18 @@ def test_strokes_bend_and_show_every_direction():
 
 
 def test_strokes_are_strong():
-    """Detail at the width of a stroke: the picture differs from its own blurred self, in relief and in colour."""
+    """Detail at the width of a stroke: the picture differs from its own blurred self, in relief and in color."""
     blurred = gaussian_filter(PAINTED, (4, 4, 0))
     assert np.abs(PAINTED - blurred).mean() > 0.03
-    grey = PAINTED.mean(-1, keepdims=True)
-    assert (PAINTED - grey).std() > 0.08
+    gray = PAINTED.mean(-1, keepdims=True)
+    assert (PAINTED - gray).std() > 0.08
 
 
 def test_the_palette_is_that_of_the_regions():
-    """Mean colour of each region lies among its own paints, nearer to them than to a random region's."""
+    """Mean color of each region lies among its own paints, nearer to them than to a random region's."""
     regions = SUBJECT.regions[FINER // 2 :: FINER, FINER // 2 :: FINER]
     means = {name: PAINTED[regions == index].mean(0) for index, name in enumerate(SUBJECT.names)}
-    palettes = {name: colours(name) for name in SUBJECT.names}
+    palettes = {name: colors(name) for name in SUBJECT.names}
     for name, mean in means.items():
         assert palettes[name].min(0).min() - 0.1 < mean.min() and mean.max() < palettes[name].max() + 0.1
     assert means["sky"][2] > means["sky"][0] + 0.1 and means["field"][0] > means["field"][2] + 0.2

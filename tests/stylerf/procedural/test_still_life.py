@@ -15,8 +15,8 @@ def hits(samples: int) -> np.ndarray:
     """[SIZE, SIZE] share of samples^2 rays through each pixel, evenly spread, that meet anything."""
     steps = (np.arange(SIZE * samples) + 0.5) / samples
     columns, rows = np.meshgrid(steps, steps)
-    directions = CAMERA.unproject(np.stack([columns.ravel(), rows.ravel()], -1), np.ones(columns.size)) - CAMERA.centre
-    met = np.isfinite(LIFE.trace(CAMERA.centre[None], directions))
+    directions = CAMERA.unproject(np.stack([columns.ravel(), rows.ravel()], -1), np.ones(columns.size)) - CAMERA.center
+    met = np.isfinite(LIFE.trace(CAMERA.center[None], directions))
     return met.reshape(SIZE, samples, SIZE, samples).mean(axis=(1, 3))
 
 
@@ -25,7 +25,7 @@ def test_depth_unprojects_onto_the_surfaces():
     points = CAMERA.unproject(np.stack([columns + 0.5, rows + 0.5], -1), VIEW.z[rows, columns].astype(np.float64))
     assert len(rows) > 200
     assert np.abs(LIFE.distance(points)).max() < 1e-5  # float32 at a distance of four
-    distances = np.linalg.norm(points - CAMERA.centre, axis=1)
+    distances = np.linalg.norm(points - CAMERA.center, axis=1)
     np.testing.assert_allclose(VIEW.ray_distance[rows, columns], distances, rtol=1e-6)
     assert (np.isinf(VIEW.z) == np.isinf(VIEW.ray_distance)).all()
 
@@ -40,7 +40,7 @@ def test_coverage_is_the_share_of_a_pixel_that_is_covered():
     assert (alpha[share == 0] == 0).all() and 0.1 < (share == 1).mean() < 0.9
 
 
-def test_colours_are_those_of_light_things_and_dark_ones():
+def test_colors_are_those_of_light_things_and_dark_ones():
     rgb, solid = VIEW.rgba[..., :3], VIEW.rgba[..., 3] == 1
     assert VIEW.rgba.dtype == np.float32 and 0 <= VIEW.rgba.min() and VIEW.rgba.max() <= 1
     assert rgb[solid].std(0).min() > 0.08 and 0.2 < rgb[solid].mean() < 0.7
@@ -52,12 +52,12 @@ def test_threads_and_repetition_change_nothing_but_the_seed_changes_textures_alo
     np.testing.assert_array_equal(again.rgba, VIEW.rgba)
     other = StillLife(1).render(CAMERA)
     np.testing.assert_array_equal(other.z, VIEW.z)
-    # Where rays of a pixel differ in colour more of them are sent, so that a texture may refine a coverage.
+    # Where rays of a pixel differ in color more of them are sent, so that a texture may refine a coverage.
     assert np.abs(other.rgba[..., 3] - VIEW.rgba[..., 3]).mean() < 1e-3
     assert np.abs(other.rgba[..., :3] - VIEW.rgba[..., :3]).mean() > 1e-3
 
 
-def test_a_point_keeps_its_colour_when_the_camera_turns():
+def test_a_point_keeps_its_color_when_the_camera_turns():
     """Nothing is random from view to view: the same rays, from a camera half as wide, give the same pixels."""
     from dataclasses import replace
 
@@ -67,7 +67,7 @@ def test_a_point_keeps_its_colour_when_the_camera_turns():
 
 def test_dome_cameras_look_at_the_origin_from_a_dome():
     cameras = dome_cameras(60, 100, "train", 0)
-    eyes = np.array([camera.centre for camera in cameras])
+    eyes = np.array([camera.center for camera in cameras])
     np.testing.assert_allclose(np.linalg.norm(eyes, axis=1), 4.03, rtol=1e-12)
     elevation = np.degrees(np.arcsin(eyes[:, 2] / 4.03))
     assert elevation.min() > 10 and elevation.max() < 72
@@ -79,7 +79,7 @@ def test_dome_cameras_look_at_the_origin_from_a_dome():
         assert above[0, 1] < 50 and above[0, 0] == pytest.approx(50)  # +z up in the picture
         assert 2 * np.arctan(50 / camera.fx) == pytest.approx(0.6911112)
     assert len({camera.name for camera in cameras}) == 60
-    # Evenly spread: every quarter of the turn has its share, and neighbours keep apart.
+    # Evenly spread: every quarter of the turn has its share, and neighbors keep apart.
     quarters = np.bincount(((np.arctan2(eyes[:, 1], eyes[:, 0]) + np.pi) // (np.pi / 2)).astype(int) % 4, minlength=4)
     assert quarters.min() >= 12
     gaps = np.linalg.norm(eyes[:, None] - eyes[None], axis=-1) + 9 * np.eye(60)
@@ -89,4 +89,4 @@ def test_dome_cameras_look_at_the_origin_from_a_dome():
 def test_dome_cameras_follow_from_their_seed():
     one, same, other = (dome_cameras(5, 32, "a", seed) for seed in (0, 0, 1))
     np.testing.assert_array_equal([c.world_from_camera for c in one], [c.world_from_camera for c in same])
-    assert np.abs(one[0].centre - other[0].centre).max() > 0.1
+    assert np.abs(one[0].center - other[0].center).max() > 0.1

@@ -60,11 +60,11 @@ def canvas() -> tuple[np.ndarray, np.ndarray]:
 
 
 def laid(path: np.ndarray, width: float, dryness: float = 0.0, seed: int = 3):
-    """One stroke of a single paint on grey."""
+    """One stroke of a single paint on gray."""
     paint, height = canvas()
     points, offsets = joined([path])
-    colour = np.array([[0.9, 0.3, 0.1]])
-    lay_strokes(paint, height, points, offsets, np.array([width]), colour, colour, dryness, 1.0, seed)
+    color = np.array([[0.9, 0.3, 0.1]])
+    lay_strokes(paint, height, points, offsets, np.array([width]), color, color, dryness, 1.0, seed)
     return paint, height
 
 

@@ -162,7 +162,7 @@ def test_the_still_life_lies_within_its_cube_and_rests_on_the_table():
     assert LIFE.distance(below).min() > 0
     ring, ball = SOLIDS["ring"], SOLIDS["ball"]
     lift = ball.world_from_local[2, 3] - ring.world_from_local[2, 3]
-    # The ball touches the ring all round: its centre is as far from the ring's core as both radii together.
+    # The ball touches the ring all round: its center is as far from the ring's core as both radii together.
     assert np.hypot(ring.params[0], lift) == pytest.approx(ball.params[0] + ring.params[1], abs=1e-12)
 
 

@@ -1,4 +1,4 @@
-"""The still life made hard: its surfaces, and what its colours are and are not."""
+"""The still life made hard: its surfaces, and what its colors are and are not."""
 
 import numpy as np
 import pytest
@@ -26,16 +26,16 @@ def test_depth_lies_on_the_surfaces_and_alpha_is_their_coverage(kind):
 
 
 def test_shapes_of_two_are_those_of_the_still_life():
-    plain = (StillLife().centre_distances(CAMERA) * CAMERA.ray_cosines()).astype(np.float32)
+    plain = (StillLife().center_distances(CAMERA) * CAMERA.ray_cosines()).astype(np.float32)
     for kind in ("textureless", "repeating"):
         np.testing.assert_array_equal(VIEWS[kind].z, plain)
 
 
 def test_plaster_has_one_hue_and_differs_by_light_alone():
-    """Colour over its light is PLASTER everywhere; light by Lambert's law of a normal from another step."""
+    """Color over its light is PLASTER everywhere; light by Lambert's law of a normal from another step."""
     view = VIEWS["textureless"]
     solid = view.rgba[..., 3] == 1
-    assert np.ptp(view.rgba[solid][:, :3], axis=1).max() < 1e-6  # grey
+    assert np.ptp(view.rgba[solid][:, :3], axis=1).max() < 1e-6  # gray
     assert view.rgba[solid][:, 0].max() <= PLASTER + 1e-6
     assert view.rgba[solid][:, 0].min() >= 0.55 * PLASTER - 1e-6
 
@@ -44,12 +44,12 @@ def test_the_check_repeats_by_its_period_along_every_axis():
     life = LIVES["repeating"]
     points = np.random.default_rng(0).uniform(-1, 1, (500, 3))
     owners = np.zeros(500, int)
-    colours = life.albedo(points, owners)
+    colors = life.albedo(points, owners)
     for axis in np.eye(3):
-        np.testing.assert_array_equal(life.albedo(points + PERIOD * axis, owners), colours)
+        np.testing.assert_array_equal(life.albedo(points + PERIOD * axis, owners), colors)
         half = life.albedo(points + 0.5 * PERIOD * axis, owners)
-        assert (half != colours).all()
-    assert {*map(tuple, colours.tolist())} == {*INKS}
+        assert (half != colors).all()
+    assert {*map(tuple, colors.tolist())} == {*INKS}
 
 
 def test_thin_things_are_thin_stand_on_the_table_and_move_with_the_seed():

@@ -40,8 +40,8 @@ def homography(one: Camera, other: Camera) -> np.ndarray:
         return np.array([[c.fx, 0, c.cx], [0, c.fy, c.cy], [0, 0, 1]])
 
     relative = np.linalg.inv(other.world_from_camera) @ one.world_from_camera
-    turn, centre = one.world_from_camera[:3, :3], one.centre
-    normal, distance = turn.T @ NORMAL, OFFSET - NORMAL @ centre
+    turn, center = one.world_from_camera[:3, :3], one.center
+    normal, distance = turn.T @ NORMAL, OFFSET - NORMAL @ center
     induced = relative[:3, :3] + np.outer(relative[:3, 3], normal) / distance
     return intrinsics(other) @ induced @ np.linalg.inv(intrinsics(one))
 
@@ -56,7 +56,7 @@ def test_pixels_of_a_plane_are_registered_where_its_homography_says():
     assert np.array_equal(pixels, np.flatnonzero(within)) and 300 < len(pixels) < within.size
     assert np.abs(positions - mapped[pixels]).max() < 1e-3
     points = seeing(one).points[pixels]
-    ways = [(points - c.centre) / np.linalg.norm(points - c.centre, axis=1, keepdims=True) for c in (one, other)]
+    ways = [(points - c.center) / np.linalg.norm(points - c.center, axis=1, keepdims=True) for c in (one, other)]
     np.testing.assert_allclose(cosines, (ways[0] * ways[1]).sum(1), atol=1e-9)
 
 
@@ -66,9 +66,9 @@ def test_what_a_square_hides_from_the_reference_is_not_registered():
     found = np.zeros(len(seen.there), bool)
     found[registered(seen, seeing(other, screen=True))[0]] = True
     on_plane = np.abs(seen.points @ NORMAL - OFFSET) < 1e-6
-    # Along the segment from the point to the reference's centre, where the square's height is passed.
-    share = (SCREEN[0] - seen.points[:, 2]) / (other.centre[2] - seen.points[:, 2])
-    passing = np.abs((seen.points + share[:, None] * (other.centre - seen.points))[:, :2]).max(1)
+    # Along the segment from the point to the reference's center, where the square's height is passed.
+    share = (SCREEN[0] - seen.points[:, 2]) / (other.center[2] - seen.points[:, 2])
+    passing = np.abs((seen.points + share[:, None] * (other.center - seen.points))[:, :2]).max(1)
     inside = other.project(seen.points)[0]
     inside = (inside > 1).all(1) & (inside[:, 0] < other.width - 1) & (inside[:, 1] < other.height - 1)
     hidden = on_plane & inside & (passing < SCREEN[1] - 0.06)  # but for a pixel at the square's rim

@@ -92,7 +92,7 @@ def test_the_mean_over_many_draws_is_the_full_gradient(strategy, height, width, 
     assert np.abs(found / gradient - 1).max() <= bound + 1e-6
 
 
-def test_a_patch_is_the_full_gradient_in_sum_but_favours_the_middle():
+def test_a_patch_is_the_full_gradient_in_sum_but_favors_the_middle():
     share = mean_gradient("patch", np.ones((HEIGHT, WIDTH, 3), np.float32), 3, 3000)[..., 0]
     # Of 7 x 11 windows of 3 x 4 pixels one holds a corner, twelve a pixel of the middle; each counts 126/12.
     assert share.mean() == pytest.approx(1, rel=1e-5)
@@ -112,7 +112,7 @@ def test_every_offset_of_a_lattice_together_is_exactly_the_full_gradient():
 
 
 @pytest.mark.parametrize("blur", [3, 5])
-def test_a_blur_lets_chosen_pixels_speak_for_their_neighbours(blur):
+def test_a_blur_lets_chosen_pixels_speak_for_their_neighbors(blur):
     gradient, pixels, rim = picture_gradient(), drawn("dilated", 1), blur // 2
     found = selected_gradient(gradient, pixels, blur)
     padded = np.pad(gradient.astype(np.float64), ((rim, rim), (rim, rim), (0, 0)), mode="edge")

@@ -7,7 +7,7 @@ import torch
 from stylerf.fields.displacement_grid import position_gradients
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.rendering.rays import backward, render_rays
-from stylerf.style.color_matching import ColourMap
+from stylerf.style.color_matching import ColorMap
 from tests.stylerf.small import (
     SPACES,
     Packed,
@@ -15,19 +15,19 @@ from tests.stylerf.small import (
     displacement_grid,
     field_of,
     float64,
-    hash_colour,
+    hash_color,
     oracle_pixels,
     rays_into,
-    vm_colour,
+    vm_color,
 )
 
-COLOURS = {"vm": lambda: vm_colour(2), "hash": lambda: hash_colour(2)}
+COLORS = {"vm": lambda: vm_color(2), "hash": lambda: hash_color(2)}
 CASES = [("box", "vm"), ("contraction", "hash"), ("frustum", "vm"), ("box", "hash")]
 
 
-def thin(space, colour, **more) -> RadianceField:
-    """A field that rays see many samples of, some too faint for a colour of their own."""
-    made = field_of(space, 3, colour, **more)
+def thin(space, color, **more) -> RadianceField:
+    """A field that rays see many samples of, some too faint for a color of their own."""
+    made = field_of(space, 3, color, **more)
     made.density.values[-1] = -3.5
     return made
 
@@ -37,16 +37,16 @@ def pixel_gradients(count: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize("displaced", [False, True])
-@pytest.mark.parametrize(("kind", "colour"), CASES)
-def test_pixels_and_parameter_gradients_equal_the_oracle(kind, colour, displaced):
+@pytest.mark.parametrize(("kind", "color"), CASES)
+def test_pixels_and_parameter_gradients_equal_the_oracle(kind, color, displaced):
     moved = displacement_grid(5) if displaced else None
-    field, rays = thin(SPACES[kind], COLOURS[colour](), displacement=moved), rays_into(SPACES[kind], 40, 4)
+    field, rays = thin(SPACES[kind], COLORS[color](), displacement=moved), rays_into(SPACES[kind], 40, 4)
     gradients = pixel_gradients(40)
-    values = [float64(part.values).requires_grad_() for part in (field.density, field.colour)]
+    values = [float64(part.values).requires_grad_() for part in (field.density, field.color)]
     for chunks in (1, 2):
         rendered = render_rays(field, rays, chunks=chunks, share=0.1)
-        coloured = rendered.colours[Packed.of(rendered.samples).at, 0] >= 0
-        assert 0.2 < coloured.mean() < 0.95
+        colored = rendered.colors[Packed.of(rendered.samples).at, 0] >= 0
+        assert 0.2 < colored.mean() < 0.95
         expected, _ = oracle_pixels(field, rays, rendered, *values, None if moved is None else float64(moved))
         # Distances along a contraction's rays reach a thousand units; each column is as exact as its own scale.
         for column in (slice(0, 3), slice(3, 4), slice(4, 5)):
@@ -56,36 +56,36 @@ def test_pixels_and_parameter_gradients_equal_the_oracle(kind, colour, displaced
             used[:, 4] *= 1e-2
         loss = (expected * float64(used)).sum()
         wanted = torch.autograd.grad(loss, values)
-        to = [np.zeros((chunks, len(part.values)), np.float32) for part in (field.density, field.colour)]
+        to = [np.zeros((chunks, len(part.values)), np.float32) for part in (field.density, field.color)]
         backward(field, rendered, used, *to)
         for found, gradient in zip(to, wanted):
             close(found.sum(0, dtype=np.float64), gradient, 1e-4)
 
 
-@pytest.mark.parametrize(("kind", "colour"), [*CASES, ("frustum", "hash")])
-def test_displacement_gradient_of_a_render_equals_the_oracle(kind, colour):
+@pytest.mark.parametrize(("kind", "color"), [*CASES, ("frustum", "hash")])
+def test_displacement_gradient_of_a_render_equals_the_oracle(kind, color):
     moved = displacement_grid(6)
-    field, rays = thin(SPACES[kind], COLOURS[colour](), displacement=moved), rays_into(SPACES[kind], 40, 4)
+    field, rays = thin(SPACES[kind], COLORS[color](), displacement=moved), rays_into(SPACES[kind], 40, 4)
     rendered, gradients = render_rays(field, rays, chunks=2, share=0.1), pixel_gradients(40)
     gradients[:, 4] *= 1e-2
     to = np.zeros((2, moved.size), np.float32)
     backward(field, rendered, gradients, None, None, to)
     grid = float64(moved).requires_grad_()
-    out, _ = oracle_pixels(field, rays, rendered, *(float64(p.values) for p in (field.density, field.colour)), grid)
+    out, _ = oracle_pixels(field, rays, rendered, *(float64(p.values) for p in (field.density, field.color)), grid)
     (wanted,) = torch.autograd.grad((out * float64(gradients)).sum(), grid)
     close(to.sum(0, dtype=np.float64), wanted.flatten(), 2e-4)
 
 
 def test_a_part_may_be_held_fixed_while_the_other_bends():
-    field, rays = thin(SPACES["box"], hash_colour(2), displacement=displacement_grid(6)), rays_into(SPACES["box"], 9, 4)
+    field, rays = thin(SPACES["box"], hash_color(2), displacement=displacement_grid(6)), rays_into(SPACES["box"], 9, 4)
     rendered = render_rays(field, rays, chunks=2)
     s, random = rendered.samples, np.random.default_rng(0)
     at = Packed.of(s).at
-    to_sigma, to_colours = (np.zeros(a.shape, np.float32) for a in (s.sigma, rendered.colours))
-    to_sigma[at], to_colours[at] = random.normal(size=len(at)), random.normal(size=(len(at), 3))
+    to_sigma, to_colors = (np.zeros(a.shape, np.float32) for a in (s.sigma, rendered.colors))
+    to_sigma[at], to_colors[at] = random.normal(size=len(at)), random.normal(size=(len(at), 3))
     both, dense, bright = (
-        position_gradients(*parts, s, rendered.basis, to_sigma, rendered.colours, to_colours, 2)[at]
-        for parts in ((field.density, field.colour), (field.density, None), (None, field.colour))
+        position_gradients(*parts, s, rendered.basis, to_sigma, rendered.colors, to_colors, 2)[at]
+        for parts in ((field.density, field.color), (field.density, None), (None, field.color))
     )
     assert dense.any() and bright.any()
     close(dense + bright, both, 1e-6)
@@ -93,11 +93,11 @@ def test_a_part_may_be_held_fixed_while_the_other_bends():
 
 def test_a_grid_of_zeros_changes_nothing_and_an_even_shift_moves_the_field():
     space, rays = SPACES["box"], rays_into(SPACES["box"], 30, 4)
-    plain = render_rays(thin(space, hash_colour(2)), rays, chunks=1)
-    still = render_rays(thin(space, hash_colour(2), displacement=np.zeros((4, 4, 4, 3), np.float32)), rays, chunks=1)
+    plain = render_rays(thin(space, hash_color(2)), rays, chunks=1)
+    still = render_rays(thin(space, hash_color(2), displacement=np.zeros((4, 4, 4, 3), np.float32)), rays, chunks=1)
     np.testing.assert_allclose(still.out, plain.out, atol=1e-6)
     shift = np.full((4, 4, 4, 3), 0.02, np.float32)
-    moved = render_rays(thin(space, hash_colour(2), displacement=shift), rays, chunks=1)
+    moved = render_rays(thin(space, hash_color(2), displacement=shift), rays, chunks=1)
     assert np.abs(moved.out - plain.out).max() > 0.02
     inside = Packed.of(moved.samples)
     where = oracle_positions(space, rays, inside) + 0.02
@@ -110,9 +110,9 @@ def oracle_positions(space, rays, packed) -> torch.Tensor:
 
 
 def test_parts_without_a_buffer_are_left_out():
-    field, rays = thin(SPACES["box"], vm_colour(2)), rays_into(SPACES["box"], 20, 4)
+    field, rays = thin(SPACES["box"], vm_color(2)), rays_into(SPACES["box"], 20, 4)
     rendered, gradients = render_rays(field, rays, chunks=1), pixel_gradients(20)
-    both = [np.zeros((1, len(part.values)), np.float32) for part in (field.density, field.colour)]
+    both = [np.zeros((1, len(part.values)), np.float32) for part in (field.density, field.color)]
     backward(field, rendered, gradients, *both)
     alone = [np.zeros_like(b) for b in both]
     backward(field, rendered, gradients, alone[0], None)
@@ -121,7 +121,7 @@ def test_parts_without_a_buffer_are_left_out():
 
 
 def test_density_learns_within_cells_or_without_and_both_add_up_to_all():
-    field, rays = thin(SPACES["box"], vm_colour(2)), rays_into(SPACES["box"], 20, 4)
+    field, rays = thin(SPACES["box"], vm_color(2)), rays_into(SPACES["box"], 20, 4)
     rendered, gradients = render_rays(field, rays, chunks=1), pixel_gradients(20)
     cells = np.random.default_rng(6).random((5, 5, 5)) < 0.4
     parts = []
@@ -133,24 +133,24 @@ def test_density_learns_within_cells_or_without_and_both_add_up_to_all():
 
 
 def test_rays_through_nothing_are_black_clear_and_teach_nothing():
-    field, rays = thin(SPACES["box"], vm_colour(2)), rays_into(SPACES["box"], 5, 4)
+    field, rays = thin(SPACES["box"], vm_color(2)), rays_into(SPACES["box"], 5, 4)
     rays.directions[:] = -rays.directions
     rendered = render_rays(field, rays, chunks=2)
     assert rendered.samples.count == 0 and not rendered.out.any()
-    to = [np.zeros((2, len(part.values)), np.float32) for part in (field.density, field.colour)]
+    to = [np.zeros((2, len(part.values)), np.float32) for part in (field.density, field.color)]
     backward(field, rendered, pixel_gradients(5), *to)
     assert not to[0].any() and not to[1].any()
 
 
 def matched(field: RadianceField) -> RadianceField:
-    field.colour_map = ColourMap(torch.diag(torch.tensor([0.5, 0.4, 2.0])), torch.tensor([0.1, -0.3, 0.5]))
+    field.color_map = ColorMap(torch.diag(torch.tensor([0.5, 0.4, 2.0])), torch.tensor([0.1, -0.3, 0.5]))
     return field
 
 
-def test_a_colour_map_acts_on_premultiplied_pixels_within_their_alpha():
+def test_a_color_map_acts_on_premultiplied_pixels_within_their_alpha():
     rays = rays_into(SPACES["box"], 40, 4)
-    plain = render_rays(thin(SPACES["box"], vm_colour(2)), rays, chunks=1).out
-    found = render_rays(matched(thin(SPACES["box"], vm_colour(2))), rays, chunks=1).out
+    plain = render_rays(thin(SPACES["box"], vm_color(2)), rays, chunks=1).out
+    found = render_rays(matched(thin(SPACES["box"], vm_color(2))), rays, chunks=1).out
     alpha = plain[:, 3:4]
     expected = np.clip(plain[:, :3] * [0.5, 0.4, 2.0] + alpha * [0.1, -0.3, 0.5], 0, alpha)
     np.testing.assert_allclose(found[:, :3], expected, atol=1e-6)
@@ -158,11 +158,11 @@ def test_a_colour_map_acts_on_premultiplied_pixels_within_their_alpha():
     assert (found[:, 1] == 0).any() and (found[:, 2:3] == alpha).any()  # the clamp has something to do
 
 
-def test_gradients_are_those_of_the_colours_before_a_colour_map():
+def test_gradients_are_those_of_the_colors_before_a_color_map():
     rays, gradients, found = rays_into(SPACES["box"], 40, 4), pixel_gradients(40), []
-    for field in (thin(SPACES["box"], vm_colour(2)), matched(thin(SPACES["box"], vm_colour(2)))):
+    for field in (thin(SPACES["box"], vm_color(2)), matched(thin(SPACES["box"], vm_color(2)))):
         rendered = render_rays(field, rays, chunks=1, share=0.3)
-        to = [np.zeros((1, len(part.values)), np.float32) for part in (field.density, field.colour)]
+        to = [np.zeros((1, len(part.values)), np.float32) for part in (field.density, field.color)]
         backward(field, rendered, gradients, *to)
         found.append(to)
     assert all(np.array_equal(a, b) for a, b in zip(*found))
@@ -170,21 +170,21 @@ def test_gradients_are_those_of_the_colours_before_a_colour_map():
 
 @pytest.mark.parametrize("kind", ["box", "contraction"])
 def test_near_samples_learn_by_the_square_of_their_distance(kind):
-    """One ray of one coloured sample: what it teaches falls as (t / distance)^2, and not at all beyond `distance`."""
-    field, rays = thin(SPACES[kind], vm_colour(2)), rays_into(SPACES[kind], 12, 4)
-    rendered = render_rays(field, rays, chunks=1, share=1.0)  # of each ray only its heaviest sample has a colour
+    """One ray of one colored sample: what it teaches falls as (t / distance)^2, and not at all beyond `distance`."""
+    field, rays = thin(SPACES[kind], vm_color(2)), rays_into(SPACES[kind], 12, 4)
+    rendered = render_rays(field, rays, chunks=1, share=1.0)  # of each ray only its heaviest sample has a color
     packed = Packed.of(rendered.samples).at
-    lit = packed[rendered.colours[packed, 0] >= 0]
+    lit = packed[rendered.colors[packed, 0] >= 0]
     gradients = np.zeros((12, 5), np.float32)
     ray = int(np.searchsorted(rendered.samples.ends, lit[0], side="right"))
     gradients[ray, :3] = 1.0
     at = float(rendered.samples.t[lit[0]])
-    learnt = {}
+    learned = {}
     for even_from in (0.0, 0.5 * at, at, 2 * at, 4 * at):
-        to = np.zeros((1, len(field.colour.values)), np.float32)
+        to = np.zeros((1, len(field.color.values)), np.float32)
         backward(field, rendered, gradients, None, to, even_from=even_from)
-        learnt[even_from] = to[0]
-    plain = learnt.pop(0.0)
+        learned[even_from] = to[0]
+    plain = learned.pop(0.0)
     assert np.abs(plain).max() > 0
-    for even_from, found in learnt.items():
+    for even_from, found in learned.items():
         np.testing.assert_allclose(found, plain * min(1.0, at / even_from) ** 2, atol=1e-6 * np.abs(plain).max())

@@ -7,19 +7,19 @@ from stylerf.geometry.camera_paths import look_at
 from stylerf.geometry.cameras import Camera
 from stylerf.geometry.space_warp import Space
 from stylerf.rendering.view import render_view
-from tests.stylerf.small import density, field_of, hash_colour, vm_colour, wall_in_front
+from tests.stylerf.small import density, field_of, hash_color, vm_color, wall_in_front
 
 BOX = Space.box([-1, -1, -1], [1, 1, 1])
 
 
-def camera(centre=(2.6, 0.9, 0.7), width=13, height=9, focal=14.0) -> Camera:
-    pose = look_at(np.array(centre, float), np.zeros(3), np.array([0, 0, 1.0]))
+def camera(center=(2.6, 0.9, 0.7), width=13, height=9, focal=14.0) -> Camera:
+    pose = look_at(np.array(center, float), np.zeros(3), np.array([0, 0, 1.0]))
     return Camera("view", width, height, focal, focal + 1, width / 2, height / 2, pose)
 
 
-@pytest.mark.parametrize("colour", [vm_colour(2), hash_colour(2)], ids=["vm", "hash"])
-def test_shares_of_a_view_are_the_same_bits_as_the_whole(colour):
-    field, told = field_of(BOX, 1, colour), []
+@pytest.mark.parametrize("color", [vm_color(2), hash_color(2)], ids=["vm", "hash"])
+def test_shares_of_a_view_are_the_same_bits_as_the_whole(color):
+    field, told = field_of(BOX, 1, color), []
     whole = render_view(field, camera(), chunks=1)
     assert 0.2 < (whole.alpha > 0.5).mean() < 1
     for rays_at_once, chunks in ((7, 1), (50, 3), (117, 2)):
@@ -32,10 +32,10 @@ def test_shares_of_a_view_are_the_same_bits_as_the_whole(colour):
 
 def test_a_solid_box_has_its_front_as_a_plane_of_even_depth():
     step = 1 / 50
-    field = field_of(BOX, 1, hash_colour(2), step=step)
+    field = field_of(BOX, 1, hash_color(2), step=step)
     field.density = density(0, size=(2, 2, 2))
     field.density.values[:-1], field.density.values[-1] = 0, 12
-    seen = render_view(field, camera(centre=(4.0, 0, 0), focal=20), chunks=1)
+    seen = render_view(field, camera(center=(4.0, 0, 0), focal=20), chunks=1)
     front = (np.abs(np.indices((9, 13))[1] + 0.5 - 6.5) / 20 * 3 < 0.99) & (
         np.abs(np.indices((9, 13))[0] + 0.5 - 4.5) / 21 * 3 < 0.99
     )
@@ -48,10 +48,10 @@ def test_a_solid_box_has_its_front_as_a_plane_of_even_depth():
 
 def test_depth_in_fog_is_where_half_of_what_is_seen_lies():
     """Even fog that takes 1 - exp(-3 x) of the light on its first x of the cube: half of what all of it takes."""
-    field = field_of(BOX, 1, hash_colour(2), step=1 / 400)
+    field = field_of(BOX, 1, hash_color(2), step=1 / 400)
     field.density = density(0, size=(2, 2, 2))
     field.density.values[:-1], field.density.values[-1] = 0, np.log(0.03)
-    seen = render_view(field, camera(centre=(4.0, 0, 0), width=1, height=1, focal=20), chunks=1, opaque=0.0)
+    seen = render_view(field, camera(center=(4.0, 0, 0), width=1, height=1, focal=20), chunks=1, opaque=0.0)
     assert seen.alpha[0, 0] == pytest.approx(1 - np.exp(-3), rel=1e-4)
     assert seen.z[0, 0] == pytest.approx(3 - 2 / 3 * np.log((1 + np.exp(-3)) / 2), abs=0.02)
 

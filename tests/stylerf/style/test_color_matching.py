@@ -1,4 +1,4 @@
-"""Colour matching: statistics after it are the painting's, on colours and through spherical harmonics."""
+"""Color matching: statistics after it are the painting's, on colors and through spherical harmonics."""
 
 import numpy as np
 import pytest
@@ -8,59 +8,59 @@ from stylerf.errors import InvalidValue
 from stylerf.style import color_matching
 
 
-def colours(count: int, seed: int) -> torch.Tensor:
+def colors(count: int, seed: int) -> torch.Tensor:
     generator = torch.Generator().manual_seed(seed)
     mixing = torch.rand(3, 3, generator=generator, dtype=torch.float64)
     return torch.rand(count, 3, generator=generator, dtype=torch.float64) @ mixing * 0.5 + 0.1
 
 
-def test_matched_colours_have_exactly_the_mean_and_covariance_of_the_style():
-    content, style = colours(500, 0), colours(700, 1)
-    found = color_matching.match_colours(content, style)(content).numpy()
+def test_matched_colors_have_exactly_the_mean_and_covariance_of_the_style():
+    content, style = colors(500, 0), colors(700, 1)
+    found = color_matching.match_colors(content, style)(content).numpy()
     np.testing.assert_allclose(found.mean(axis=0), style.numpy().mean(axis=0), atol=1e-12)
     np.testing.assert_allclose(np.cov(found.T, bias=True), np.cov(style.numpy().T, bias=True), atol=1e-12)
 
 
 def test_weights_count_pixels():
-    content, style = colours(400, 2), colours(300, 3)
+    content, style = colors(400, 2), colors(300, 3)
     weights = torch.randint(0, 4, (400,), generator=torch.Generator().manual_seed(0))
     repeated = torch.repeat_interleave(content, weights, dim=0)
-    one, other = color_matching.match_colours(content, style, weights), color_matching.match_colours(repeated, style)
+    one, other = color_matching.match_colors(content, style, weights), color_matching.match_colors(repeated, style)
     torch.testing.assert_close(one.matrix, other.matrix)
     torch.testing.assert_close(one.offset, other.offset)
 
 
-def test_colours_already_matched_stay_and_the_matrix_is_of_symmetric_roots():
-    content = colours(400, 4)
-    same = color_matching.match_colours(content, content)
+def test_colors_already_matched_stay_and_the_matrix_is_of_symmetric_roots():
+    content = colors(400, 4)
+    same = color_matching.match_colors(content, content)
     torch.testing.assert_close(same.matrix, torch.eye(3, dtype=torch.float64), atol=1e-9, rtol=0)
-    root = color_matching.symmetric_power(color_matching.colour_statistics(content)[1], 0.5)
+    root = color_matching.symmetric_power(color_matching.color_statistics(content)[1], 0.5)
     torch.testing.assert_close(root, root.T)
-    torch.testing.assert_close(root @ root, color_matching.colour_statistics(content)[1])
+    torch.testing.assert_close(root @ root, color_matching.color_statistics(content)[1])
 
 
-def test_a_grey_picture_stays_finite():
-    grey = torch.linspace(0, 1, 50, dtype=torch.float64)[:, None].expand(50, 3)
-    found = color_matching.match_colours(grey, colours(300, 5))
+def test_a_gray_picture_stays_finite():
+    gray = torch.linspace(0, 1, 50, dtype=torch.float64)[:, None].expand(50, 3)
+    found = color_matching.match_colors(gray, colors(300, 5))
     assert torch.isfinite(found.matrix).all()
-    torch.testing.assert_close(found(grey).mean(dim=0), colours(300, 5).mean(dim=0))
-    assert torch.isfinite(color_matching.match_colours(torch.full((9, 3), 0.5), colours(300, 5)).matrix).all()
+    torch.testing.assert_close(found(gray).mean(dim=0), colors(300, 5).mean(dim=0))
+    assert torch.isfinite(color_matching.match_colors(torch.full((9, 3), 0.5), colors(300, 5)).matrix).all()
 
 
-def test_noise_of_a_grey_picture_does_not_become_colours():
-    """Greys with one code value of noise a channel: exactly matched, the noise would grow a hundredfold."""
+def test_noise_of_a_gray_picture_does_not_become_colors():
+    """Grays with one code value of noise a channel: exactly matched, the noise would grow a hundredfold."""
     generator = torch.Generator().manual_seed(16)
-    grey = torch.linspace(0.1, 0.9, 3000, dtype=torch.float64)[:, None]
-    noisy = grey + (torch.rand(3000, 3, generator=generator, dtype=torch.float64) - 0.5) / 127.5
-    assert float(torch.linalg.svdvals(color_matching.match_colours(noisy, colours(300, 5)).matrix).max()) < 40
-    tinted = grey * torch.tensor([1.0, 0.9, 0.8]) + 0.02 * torch.randn(3000, 3, generator=generator).double()
-    found = color_matching.match_colours(tinted, colours(300, 5))
-    torch.testing.assert_close(found(tinted).T.cov(correction=0), colours(300, 5).T.cov(correction=0))
+    gray = torch.linspace(0.1, 0.9, 3000, dtype=torch.float64)[:, None]
+    noisy = gray + (torch.rand(3000, 3, generator=generator, dtype=torch.float64) - 0.5) / 127.5
+    assert float(torch.linalg.svdvals(color_matching.match_colors(noisy, colors(300, 5)).matrix).max()) < 40
+    tinted = gray * torch.tensor([1.0, 0.9, 0.8]) + 0.02 * torch.randn(3000, 3, generator=generator).double()
+    found = color_matching.match_colors(tinted, colors(300, 5))
+    torch.testing.assert_close(found(tinted).T.cov(correction=0), colors(300, 5).T.cov(correction=0))
 
 
-def test_maps_compose_and_act_on_images_and_premultiplied_colours():
-    first, second = (color_matching.match_colours(colours(300, a), colours(300, a + 1)) for a in (9, 11))
-    sample = colours(10, 13)
+def test_maps_compose_and_act_on_images_and_premultiplied_colors():
+    first, second = (color_matching.match_colors(colors(300, a), colors(300, a + 1)) for a in (9, 11))
+    sample = colors(10, 13)
     torch.testing.assert_close(second.after(first)(sample), second(first(sample)))
     image = sample[:6].T.reshape(3, 2, 3).float()
     torch.testing.assert_close(
@@ -82,6 +82,6 @@ def test_pixels_are_sampled_with_their_alpha():
 def test_nonsense_is_refused():
     for wrong in (torch.zeros(0, 3), torch.zeros(5, 4), torch.full((5, 3), torch.nan)):
         with pytest.raises(InvalidValue):
-            color_matching.match_colours(wrong, colours(10, 0))
+            color_matching.match_colors(wrong, colors(10, 0))
     with pytest.raises(InvalidValue):
-        color_matching.match_colours(colours(10, 0), colours(10, 1), torch.zeros(10))
+        color_matching.match_colors(colors(10, 0), colors(10, 1), torch.zeros(10))

@@ -1,10 +1,10 @@
-"""A painting that colours are matched to: a least spread of luma, and no more than the scene can follow."""
+"""A painting that colors are matched to: a least spread of luma, and no more than the scene can follow."""
 
 import pytest
 import torch
 
 from stylerf.srgb import LUMA
-from stylerf.style.color_matching import colour_statistics, match_colours, spread_at_least, spread_at_most, strokes_in
+from stylerf.style.color_matching import color_statistics, match_colors, spread_at_least, spread_at_most, strokes_in
 from stylerf.training.stylize.arf import Stylizer
 from tests.stylerf.style.small_trunk import picture
 from tests.stylerf.training.stylizing import made
@@ -51,32 +51,32 @@ def test_a_blank_sheet_has_no_strokes_to_teach():
 
 
 def test_matching_to_a_blank_sheet_keeps_light_and_shade():
-    """Without it every colour becomes white; with it luma keeps its order along the colours' main direction."""
-    grey = torch.linspace(0.2, 0.8, 50)[:, None].expand(50, 3) + 0.01 * picture(50, 1, 3)[..., 0].T
+    """Without it every color becomes white; with it luma keeps its order along the colors' main direction."""
+    gray = torch.linspace(0.2, 0.8, 50)[:, None].expand(50, 3) + 0.01 * picture(50, 1, 3)[..., 0].T
     sheet = torch.ones(3, 8, 8)
-    flat = match_colours(grey, sheet.flatten(1).T)(grey.double())
-    kept = match_colours(grey, spread_at_least(sheet, 0.08).flatten(1).T)(grey.double())
+    flat = match_colors(gray, sheet.flatten(1).T)(gray.double())
+    kept = match_colors(gray, spread_at_least(sheet, 0.08).flatten(1).T)(gray.double())
     weights = torch.tensor(LUMA, dtype=torch.float64)
     assert (flat @ weights).std() < 2e-3
     found = kept @ weights
     assert found.std(correction=0) == pytest.approx(0.08, rel=0.02)
-    assert torch.corrcoef(torch.stack([found, grey.double() @ weights]))[0, 1] > 0.99
+    assert torch.corrcoef(torch.stack([found, gray.double() @ weights]))[0, 1] > 0.99
 
 
-def nearly_grey(count: int, hue: float) -> torch.Tensor:
-    """Colours along grey, `hue` beside it."""
+def nearly_gray(count: int, hue: float) -> torch.Tensor:
+    """Colors along gray, `hue` beside it."""
     generator = torch.Generator().manual_seed(4)
-    grey = torch.rand(count, 1, generator=generator).expand(count, 3)
-    return (0.2 + 0.6 * grey + hue * torch.randn(count, 3, generator=generator)).double()
+    gray = torch.rand(count, 1, generator=generator).expand(count, 3)
+    return (0.2 + 0.6 * gray + hue * torch.randn(count, 3, generator=generator)).double()
 
 
 @pytest.mark.parametrize("most", [2.0, 4.0])
-def test_no_axis_of_a_nearly_grey_scene_is_stretched_further_than_asked(most):
-    content, painting = nearly_grey(4000, 0.01), picture(30, 30, 5)
-    axes = torch.linalg.eigh(colour_statistics(content)[1])[1]
-    free = match_colours(content, painting.flatten(1).T)
+def test_no_axis_of_a_nearly_gray_scene_is_stretched_further_than_asked(most):
+    content, painting = nearly_gray(4000, 0.01), picture(30, 30, 5)
+    axes = torch.linalg.eigh(color_statistics(content)[1])[1]
+    free = match_colors(content, painting.flatten(1).T)
     assert float((free.matrix @ axes).norm(dim=0).max()) > 2 * most
-    bounded = match_colours(content, spread_at_most(painting, content, most).flatten(1).T)
+    bounded = match_colors(content, spread_at_most(painting, content, most).flatten(1).T)
     gains = (bounded.matrix @ axes).norm(dim=0)
     assert float(gains.max()) == pytest.approx(most, rel=1e-4)
     # What is brought nearer is brought no nearer than needed, and around the painting's own mean.
@@ -84,21 +84,21 @@ def test_no_axis_of_a_nearly_grey_scene_is_stretched_further_than_asked(most):
     torch.testing.assert_close(bounded(content).mean(0), painting.double().flatten(1).mean(1), atol=1e-6, rtol=0)
 
 
-def test_a_scene_with_colours_enough_is_matched_exactly():
-    content, painting = nearly_grey(4000, 0.2), picture(30, 30, 5)
+def test_a_scene_with_colors_enough_is_matched_exactly():
+    content, painting = nearly_gray(4000, 0.2), picture(30, 30, 5)
     assert spread_at_most(painting, content, 4.0) is painting
-    assert spread_at_most(painting, nearly_grey(4000, 0.01), 0.0) is painting
+    assert spread_at_most(painting, nearly_gray(4000, 0.01), 0.0) is painting
 
 
 @pytest.mark.parametrize("match", ["after", "both"])
-def test_both_matches_of_a_stylisation_together_stay_below_the_bound(match):
+def test_both_matches_of_a_stylization_together_stay_below_the_bound(match):
     """The second aims at what the first could reach: two bounds one after the other would be their product."""
     painting = picture(16, 16, 2)
     one = made(Stylizer, painting=painting, match=match, most_gain=0.5)
     free = made(Stylizer, painting=painting, match=match, most_gain=0.0)
     assert torch.equal(free._palette, painting)
-    drawn, full = (colour_statistics(x.flatten(1).T)[1].trace() for x in (one._palette, painting))
+    drawn, full = (color_statistics(x.flatten(1).T)[1].trace() for x in (one._palette, painting))
     assert drawn < 0.9 * full
-    before = colour_statistics(torch.cat([torch.from_numpy(free.photos[v].reshape(-1, 3)) for v in range(2)]))[1]
-    after = colour_statistics(torch.cat([torch.from_numpy(one.photos[v].reshape(-1, 3)) for v in range(2)]))[1]
+    before = color_statistics(torch.cat([torch.from_numpy(free.photos[v].reshape(-1, 3)) for v in range(2)]))[1]
+    after = color_statistics(torch.cat([torch.from_numpy(one.photos[v].reshape(-1, 3)) for v in range(2)]))[1]
     assert (after.trace() < 0.9 * before.trace()) == (match == "both")

@@ -22,7 +22,7 @@ def test_steps_are_those_of_adam():
         adam.zero_grad()
         towards(other)[0].backward()
         adam.step()
-    assert float((made.colours - other.detach()).abs().max()) < 1e-6
+    assert float((made.colors - other.detach()).abs().max()) < 1e-6
 
 
 def test_what_is_not_covered_stays_background_and_half_of_it_half():
@@ -36,7 +36,7 @@ def test_what_is_not_covered_stays_background_and_half_of_it_half():
     assert float((made.seen()[:, 4:] - 0.7).abs().max()) < 1e-6
     assert float((made.seen()[:, :3] - WANTED[:, :3]).abs().max()) < 0.03
     assert float((made.seen()[:, 3] - 0.35).min()) >= -1e-6 and float(made.seen()[:, 3].max()) <= 0.85 + 1e-6
-    assert 0 <= float(made.colours.min()) and float(made.colours.max()) <= 1
+    assert 0 <= float(made.colors.min()) and float(made.colors.max()) <= 1
 
 
 def test_of_a_part_alone_the_rest_stays_the_picture_that_it_began_as():

@@ -13,9 +13,9 @@ def features(shape: tuple[int, ...], seed: int) -> torch.Tensor:
     return torch.rand(shape, generator=torch.Generator().manual_seed(seed), dtype=torch.float64) + 0.05
 
 
-def test_nearest_neighbour_distance_equals_a_double_loop():
+def test_nearest_neighbor_distance_equals_a_double_loop():
     content, style = features((4, 3, 5), 0), features((4, 6, 2), 1)
-    distances, matches = losses.nearest_neighbour_distance(content, style_rows(style))
+    distances, matches = losses.nearest_neighbor_distance(content, style_rows(style))
     expected = []
     for i in range(3):
         for j in range(5):
@@ -35,8 +35,8 @@ def test_its_gradient_and_that_of_other_losses():
     gram = losses.gram_matrix(features((4, 6, 2), 1))
     reference = features((4, 3, 5), 3)
     checked = {
-        "nnfm": lambda x: losses.nearest_neighbour_distance(x, style)[0],
-        "weighted": lambda x: losses.nearest_neighbour_distance(x, style, weights)[0],
+        "nnfm": lambda x: losses.nearest_neighbor_distance(x, style)[0],
+        "weighted": lambda x: losses.nearest_neighbor_distance(x, style, weights)[0],
         "content": lambda x: losses.content_distance(x, reference),
         "gram": lambda x: losses.gram_distance(x, gram, weights),
         "variation": losses.image_variation,
@@ -49,7 +49,7 @@ def test_its_gradient_and_that_of_other_losses():
 def test_gradients_are_finite_at_zero():
     flat = torch.zeros(3, 4, 4, dtype=torch.float64, requires_grad=True)
     style = StyleRows(unit_rows(torch.ones(2, 3, dtype=torch.float64)))
-    distances, _ = losses.nearest_neighbour_distance(flat, style)
+    distances, _ = losses.nearest_neighbor_distance(flat, style)
     total = distances.sum() + losses.diagonal_variation(flat).sum() + losses.image_variation(flat)
     (gradient,) = torch.autograd.grad(total, flat)
     assert float(distances.detach().min()) == 1 and torch.isfinite(gradient).all()
@@ -64,22 +64,22 @@ def test_a_transparent_background_takes_no_part():
     altered = content.clone()
     altered[:, :, 3:] = 7.0
     content.requires_grad_()
-    distances, matches = losses.nearest_neighbour_distance(content, style, weights)
+    distances, matches = losses.nearest_neighbor_distance(content, style, weights)
     assert distances.shape == matches.shape == (9,)
-    assert torch.equal(distances, losses.nearest_neighbour_distance(altered, style, weights)[0])
+    assert torch.equal(distances, losses.nearest_neighbor_distance(altered, style, weights)[0])
     (gradient,) = torch.autograd.grad(distances.sum(), content)
     assert float(gradient[:, :, 3:].abs().max()) == 0 and float(gradient[:, :, :3].abs().min()) > 0
-    plain, _ = losses.nearest_neighbour_distance(content[:, :, :3], style)
+    plain, _ = losses.nearest_neighbor_distance(content[:, :, :3], style)
     expected = plain * weights[:, :3].flatten()
     torch.testing.assert_close(distances, expected)
 
 
 def test_given_matches_are_used_instead_of_a_search():
     style, content = style_rows(features((4, 6, 2), 1)), features((4, 3, 5), 0)
-    distances, found = losses.nearest_neighbour_distance(content, style)
-    again, same = losses.nearest_neighbour_distance(content, style, matches=found)
+    distances, found = losses.nearest_neighbor_distance(content, style)
+    again, same = losses.nearest_neighbor_distance(content, style, matches=found)
     assert torch.equal(distances, again) and torch.equal(found, same)
-    worse, _ = losses.nearest_neighbour_distance(content, style, matches=(found + 1) % 12)
+    worse, _ = losses.nearest_neighbor_distance(content, style, matches=(found + 1) % 12)
     assert float(worse.sum()) > float(distances.sum())
 
 

@@ -34,7 +34,7 @@ def rows(trunk, image: torch.Tensor) -> list[np.ndarray]:
 def test_style_is_the_look_that_the_reference_has_where_its_content_is():
     made, render, photo = objective(), picture(HEIGHT, WIDTH, 1), picture(HEIGHT, WIDTH, 2)
     keys = [np.concatenate(p) for p in zip(*(rows(made.trunk, t.photo) for t in templates()))]
-    looks = [np.concatenate(p) for p in zip(*(rows(made.trunk, t.stylised) for t in templates()))]
+    looks = [np.concatenate(p) for p in zip(*(rows(made.trunk, t.stylized) for t in templates()))]
     expected = 0.0
     for asked, seen, key, look in zip(rows(made.trunk, photo), rows(made.trunk, render), keys, looks):
         total = 0.0
@@ -44,17 +44,17 @@ def test_style_is_the_look_that_the_reference_has_where_its_content_is():
         expected += total / len(asked)
     loss, parts = made(render, made.wanted(photo))
     assert parts["style"] == pytest.approx(expected, rel=1e-5) and expected > 0.05
-    together = 0.7 * parts["style"] + 0.2 * parts["content"] + 0.3 * parts["variation"] + 5 * parts["colour"]
+    together = 0.7 * parts["style"] + 0.2 * parts["content"] + 0.3 * parts["variation"] + 5 * parts["color"]
     assert float(loss) == pytest.approx(together, rel=1e-5)
 
 
-def test_the_reference_itself_is_asked_to_be_its_stylised_picture():
+def test_the_reference_itself_is_asked_to_be_its_stylized_picture():
     one = templates()[:1]
     made = objective(one, StyleWeights(1, 0, 0, 5))
     wanted = made.wanted(one[0].photo)
-    _, parts = made(one[0].stylised, wanted)
+    _, parts = made(one[0].stylized, wanted)
     astray = []
-    pictures = (rows(made.trunk, picture_) for picture_ in (one[0].photo, one[0].stylised))
+    pictures = (rows(made.trunk, picture_) for picture_ in (one[0].photo, one[0].stylized))
     for keys, looks, matches in zip(*pictures, wanted.matches.values(), strict=True):
         likeness = keys @ keys.T
         np.fill_diagonal(likeness, -1)
@@ -64,14 +64,14 @@ def test_the_reference_itself_is_asked_to_be_its_stylised_picture():
         np.testing.assert_array_equal(matches.numpy()[told], np.flatnonzero(told))
         # A position whose features are all dead is at distance 1 from everything, itself included.
         astray.append((~told | (np.abs(looks).sum(1) == 0)).mean())
-    assert parts["style"] <= np.mean(astray) + 1e-6 and parts["colour"] < 1e-9
+    assert parts["style"] <= np.mean(astray) + 1e-6 and parts["color"] < 1e-9
     _, others = made(one[0].photo, wanted)
-    cells = [F.adaptive_avg_pool2d(picture_, wanted.trusted.shape) for picture_ in (one[0].photo, one[0].stylised)]
+    cells = [F.adaptive_avg_pool2d(picture_, wanted.trusted.shape) for picture_ in (one[0].photo, one[0].stylized)]
     assert others["style"] > 0.05
-    assert others["colour"] == pytest.approx(float((cells[0] - cells[1]).square().mean()), rel=1e-4)
+    assert others["color"] == pytest.approx(float((cells[0] - cells[1]).square().mean()), rel=1e-4)
 
 
-def test_coarse_colours_are_those_of_the_likest_cell_unless_it_is_strange():
+def test_coarse_colors_are_those_of_the_likest_cell_unless_it_is_strange():
     made, photo = objective(), picture(HEIGHT, WIDTH, 2)
     size = (2, 2)  # of 24 x 32 pixels, cells of at least 16
 
@@ -80,19 +80,19 @@ def test_coarse_colours_are_those_of_the_likest_cell_unless_it_is_strange():
         return found / np.linalg.norm(found, axis=1, keepdims=True)
 
     keys = np.concatenate([cells(t.photo) for t in templates()])
-    pooled = [F.adaptive_avg_pool2d(t.stylised, size).flatten(1).T.numpy() for t in templates()]
+    pooled = [F.adaptive_avg_pool2d(t.stylized, size).flatten(1).T.numpy() for t in templates()]
     cosines = cells(photo) @ keys.T
     wanted = made.wanted(photo)
     expected = np.concatenate(pooled)[cosines.argmax(1)].T.reshape(3, *size)
-    np.testing.assert_allclose(wanted.colours.numpy(), expected, atol=1e-6)
+    np.testing.assert_allclose(wanted.colors.numpy(), expected, atol=1e-6)
     assert (wanted.trusted == 1).all()
     image, half = picture(HEIGHT, WIDTH, 1), made.wanted(photo)
     half.trusted[0] = 0  # strange cells count as 0 in the mean over all
-    gaps = (F.adaptive_avg_pool2d(image, size) - half.colours).square().mean(0)
-    assert made(image, half)[1]["colour"] == pytest.approx(float(gaps[1].sum() / 4), rel=1e-5)
+    gaps = (F.adaptive_avg_pool2d(image, size) - half.colors).square().mean(0)
+    assert made(image, half)[1]["color"] == pytest.approx(float(gaps[1].sum() / 4), rel=1e-5)
     made.coarse_keys = -made.coarse_keys  # features are not negative: nothing is like anything now
     strange = made.wanted(photo)
-    assert not strange.trusted.any() and made(photo, strange)[1]["colour"] == 0 and STRANGE < 1
+    assert not strange.trusted.any() and made(photo, strange)[1]["color"] == 0 and STRANGE < 1
 
 
 def test_where_the_object_is_not_nothing_is_sought_found_or_asked():
@@ -101,11 +101,11 @@ def test_where_the_object_is_not_nothing_is_sought_found_or_asked():
     alpha[:, : WIDTH // 2] = 1
     masked = templates(alpha)
     made = objective(masked)
-    swapped = [Template(t.photo.flip(2), t.stylised.flip(2), alpha.flip(1)) for t in masked]
+    swapped = [Template(t.photo.flip(2), t.stylized.flip(2), alpha.flip(1)) for t in masked]
     photo = masked[0].photo.clone()
     wanted, other = made.wanted(photo, alpha), objective(swapped).wanted(photo, alpha)
     assert len(wanted.matches["conv1"]) == HEIGHT * WIDTH // 2 and len(wanted.matches["conv2"]) == HEIGHT * WIDTH // 8
-    assert (wanted.trusted[:, 1] == 0).all() and not np.array_equal(wanted.colours, other.colours)
+    assert (wanted.trusted[:, 1] == 0).all() and not np.array_equal(wanted.colors, other.colors)
     image = picture(HEIGHT, WIDTH, 4)
     changed = image.clone()
     changed[:, :, 28:] = 0.2
@@ -118,8 +118,8 @@ def test_many_rows_are_sampled_alike_in_every_picture_of_a_reference(monkeypatch
     monkeypatch.setattr("stylerf.style.reference_features.MOST_ROWS", 100)
     one = templates()[:1]
     made = objective([Template(one[0].photo, one[0].photo)], StyleWeights(1, 0, 0, 0))
-    assert len(made.stylised["conv1"].rows) == len(made.keys["conv1"].rows) == 100
-    assert torch.equal(made.stylised["conv1"].rows, made.keys["conv1"].rows)
+    assert len(made.stylized["conv1"].rows) == len(made.keys["conv1"].rows) == 100
+    assert torch.equal(made.stylized["conv1"].rows, made.keys["conv1"].rows)
     assert torch.equal(made.keys_of([one[0].photo])["conv2"].rows, made.keys["conv2"].rows)
 
 
@@ -127,7 +127,7 @@ def test_the_gradient_is_that_of_finite_differences():
     made = objective()
     for trunk in (made.trunk, made.coarse):
         trunk.double()
-    given = [Template(t.photo.double(), t.stylised.double()) for t in templates()]
+    given = [Template(t.photo.double(), t.stylized.double()) for t in templates()]
     made = TemplateObjective(made.trunk, made.coarse, given, WEIGHTS, 1.0, basis=0)
     wanted, image = made.wanted(picture(HEIGHT, WIDTH, 2).double()), picture(HEIGHT, WIDTH, 1).double()
     way = picture(HEIGHT, WIDTH, 7).double() - 0.5

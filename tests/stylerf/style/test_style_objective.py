@@ -68,13 +68,13 @@ def test_loss_and_its_parts_equal_a_slow_loop(masked, double):
     assert parts["style"] == pytest.approx(expected[0], rel=1e-5)
     assert parts["content"] == pytest.approx(expected[1], rel=2e-3)
     assert parts["variation"] == pytest.approx(expected[2], rel=1e-5)
-    together = 0.7 * parts["style"] + 0.05 * parts["content"] + 0.3 * parts["variation"] + 2 * parts["colour"]
+    together = 0.7 * parts["style"] + 0.05 * parts["content"] + 0.3 * parts["variation"] + 2 * parts["color"]
     assert float(loss) == pytest.approx(together, rel=1e-5)
     assert min(expected) > 1e-3
 
 
 @pytest.mark.parametrize("masked", [False, True])
-def test_the_colour_distance_is_that_of_cells(masked):
+def test_the_color_distance_is_that_of_cells(masked):
     """A picture as wide as two cells' pixels: cells of two by two, those of the object alone."""
     generator = torch.Generator().manual_seed(1)
     image, photo = (torch.rand(3, 2 * 20, 2 * CELLS, generator=generator) for _ in range(2))
@@ -84,15 +84,15 @@ def test_the_colour_distance_is_that_of_cells(masked):
     loss, parts = made(image, made.content_of(photo), alpha if masked else None)
     apart = (image - photo).double().reshape(3, 20, 2, CELLS, 2).mean((2, 4)).square()
     expected = apart[:, 2:10, 3:15].mean() if masked else apart.mean()
-    assert parts["colour"] == pytest.approx(float(expected), rel=1e-5) and float(loss) == pytest.approx(
+    assert parts["color"] == pytest.approx(float(expected), rel=1e-5) and float(loss) == pytest.approx(
         3 * float(expected), rel=1e-5
     )
 
 
-def test_colours_finer_than_a_cell_are_free():
+def test_colors_finer_than_a_cell_are_free():
     made, photo = objective(StyleWeights(0, 0, 0, 1.0)), torch.full((3, 2 * CELLS, 2 * CELLS), 0.5)
     checks = (torch.arange(2 * CELLS)[:, None] + torch.arange(2 * CELLS)) % 2 * 0.8 - 0.4
-    assert made(photo + checks, made.content_of(photo))[1]["colour"] < 1e-12
+    assert made(photo + checks, made.content_of(photo))[1]["color"] < 1e-12
 
 
 def test_the_diagonal_variation_is_the_mean_of_its_pixels():
@@ -147,13 +147,13 @@ def test_an_object_that_is_nowhere_costs_nothing():
     made, image = objective(), picture(HEIGHT, WIDTH, 2).requires_grad_()
     loss, parts = made(image, made.content_of(image.detach()), torch.zeros(HEIGHT, WIDTH))
     loss.backward()
-    assert parts["style"] == parts["content"] == parts["colour"] == 0 and torch.isfinite(image.grad).all()
+    assert parts["style"] == parts["content"] == parts["color"] == 0 and torch.isfinite(image.grad).all()
 
 
 def test_a_weight_of_zero_needs_no_content_and_drops_its_part():
     made, image = objective(StyleWeights(2.0, 0.0, 0.0, 0.0)), picture(HEIGHT, WIDTH, 2)
     loss, parts = made(image, None)
-    assert parts["content"] == parts["colour"] == 0 and float(loss) == pytest.approx(2 * parts["style"], rel=1e-6)
+    assert parts["content"] == parts["color"] == 0 and float(loss) == pytest.approx(2 * parts["style"], rel=1e-6)
 
 
 @pytest.mark.parametrize("masked", [False, True])
@@ -164,13 +164,13 @@ def test_gradient_equals_finite_differences_in_float64(masked):
     made(leaf, content, alpha)[0].backward()
     generator = torch.Generator().manual_seed(5)
     for _ in range(6):
-        # Small enough that no neighbour changes and no ReLU turns: the loss is smooth between such events.
+        # Small enough that no neighbor changes and no ReLU turns: the loss is smooth between such events.
         way = torch.randn(image.shape, generator=generator, dtype=torch.float64)
         up, down = (float(made(image + sign * 1e-6 * way, content, alpha)[0]) for sign in (1, -1))
         assert (up - down) / 2e-6 == pytest.approx(float((leaf.grad * way).sum()), rel=1e-5, abs=1e-8)
 
 
-def test_fewer_rows_and_a_basis_choose_worse_or_equal_neighbours():
+def test_fewer_rows_and_a_basis_choose_worse_or_equal_neighbors():
     image = picture(HEIGHT, WIDTH, 2)
     style = StyleWeights(1, 0, 0, 0)
     exact, few, short = (

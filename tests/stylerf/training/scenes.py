@@ -1,4 +1,4 @@
-"""Tiny captures in closed form: a coloured box in nothing, a wall of one colour; and fitters for them."""
+"""Tiny captures in closed form: a colored box in nothing, a wall of one color; and fitters for them."""
 
 import numpy as np
 
@@ -26,7 +26,7 @@ def dome(count: int, seed: int, size: int = 24) -> list[Camera]:
 
 
 def box_photo(camera: Camera) -> np.ndarray:
-    """[h, w, 4] uint8: a box whose colour waves over its surface, nothing around it."""
+    """[h, w, 4] uint8: a box whose color waves over its surface, nothing around it."""
     origins, directions = (a.astype(np.float64) for a in camera.rays())
     sides = np.stack([(s * SIDE - origins) / directions for s in (-1, 1)])
     near, far = sides.min(0).max(1), sides.max(0).min(1)
@@ -43,7 +43,7 @@ def box_bank(views: int = 10, size: int = 24) -> RayBank:
 
 
 def wall_bank(views: int = 8, size: int = 24) -> tuple[Space, RayBank]:
-    """A wall of one colour that fills every picture, seen from a row of places, the outermost first; a frustum."""
+    """A wall of one color that fills every picture, seen from a row of places, the outermost first; a frustum."""
     cameras = []
     for x in sorted(np.linspace(-0.4, 0.4, views), key=lambda x: -abs(x)):
         pose = np.eye(4)

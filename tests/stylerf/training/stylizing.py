@@ -1,18 +1,18 @@
-"""A tiny scene to stylise by any method: a fog in a box, three looks at it, a painting, a trunk of few channels."""
+"""A tiny scene to stylize by any method: a fog in a box, three looks at it, a painting, a trunk of few channels."""
 
 import numpy as np
 
-from stylerf.fields.region_color import PatchColour
+from stylerf.fields.region_color import PatchColor
 from stylerf.geometry.camera_paths import look_at
 from stylerf.geometry.cameras import Camera
 from stylerf.geometry.space_warp import Space
 from stylerf.style.style_objective import StyleWeights
 from stylerf.training.stylize.settings import StyleSettings
-from tests.stylerf.small import field_of, hash_colour, vm_colour
+from tests.stylerf.small import field_of, hash_color, vm_color
 from tests.stylerf.style.small_trunk import picture, small_trunk
 
 BOX = Space.box([-1, -1, -1], [1, 1, 1])
-HEIGHT, WIDTH, GREY, VIEWS = 14, 18, 0.75, 3
+HEIGHT, WIDTH, GRAY, VIEWS = 14, 18, 0.75, 3
 
 
 def camera(index: int, apart: float = 1.3) -> Camera:
@@ -29,22 +29,22 @@ def settings(**more) -> StyleSettings:
 def made(
     kind: type, seed: int = 0, apart: float = 1.3, raw: float = -3.0, more: dict | None = None, painting=None, **given
 ):
-    """A stylisation of class `kind`. apart: radians between neighbouring looks. raw: of the fog's density.
+    """A stylization of class `kind`. apart: radians between neighboring looks. raw: of the fog's density.
 
-    more: may tell the cells `within` which colours of their own learn.
+    more: may tell the cells `within` which colors of their own learn.
     """
-    field = field_of(BOX, 3, vm_colour(4))
+    field = field_of(BOX, 3, vm_color(4))
     field.density.values[-1] = raw
     photos = [picture(HEIGHT, WIDTH, 20 + i).permute(1, 2, 0).numpy().copy() for i in range(VIEWS)]
     cameras = [camera(i, apart) for i in range(VIEWS)]
 
-    def new_colour(generator, pixel_cells):
+    def new_color(generator, pixel_cells):
         if "within" in (more or {}):
-            return PatchColour.create(field.colour, more["within"], 16.0, table=4096, levels=4)
-        return hash_colour(int(generator.integers(1000)))
+            return PatchColor.create(field.color, more["within"], 16.0, table=4096, levels=4)
+        return hash_color(int(generator.integers(1000)))
 
     painting = picture(20, 24, 9) if painting is None else painting
-    args = (field, cameras, photos, GREY, painting, small_trunk(), settings(**given), seed, 1, new_colour)
+    args = (field, cameras, photos, GRAY, painting, small_trunk(), settings(**given), seed, 1, new_color)
     return kind(*args, **(more or {}))
 
 

@@ -43,7 +43,7 @@ def test_a_gpu_says_what_is_free_on_it(monkeypatch):
     assert free_on("cuda", 1.0) == 6e9 and free_on("cpu", 1.0) == 1.0
 
 
-def test_features_of_a_stylisation_are_bounded_by_what_is_free_where_they_lie(monkeypatch):
+def test_features_of_a_stylization_are_bounded_by_what_is_free_where_they_lie(monkeypatch):
     monkeypatch.setattr(trainer, "free_on", lambda device, otherwise: 100.0)
     made = stylizer(memory=1e9)
     assert made.memory_there == 50 and made.photos._left > 1e7

@@ -98,7 +98,7 @@ def test_a_leap_is_shortened_to_what_is_usual_and_the_direction_stays():
     assert clipped(nothing, 2.0, usual, UNKNOWN) == usual  # tells nothing of what is usual
 
 
-def test_what_is_usual_is_learnt_before_anything_is_shortened():
+def test_what_is_usual_is_learned_before_anything_is_shortened():
     """A first gradient of next to nothing, as of a network whose last layer begins at zero, holds no later one down."""
     usual, lengths = 0.0, [1e-4, *range(1, UNKNOWN)]
     for step, length in enumerate(lengths):

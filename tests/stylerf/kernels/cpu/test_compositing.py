@@ -8,7 +8,7 @@ from stylerf.kernels import torch_reference
 from stylerf.kernels.cpu import compositing as kernels
 from tests.stylerf.small import close, float64
 
-# Rays of many kinds: many samples, none, one, one opaque, many behind an opaque one, uncoloured ones only.
+# Rays of many kinds: many samples, none, one, one opaque, many behind an opaque one, uncolored ones only.
 COUNTS = (7, 0, 1, 1, 6, 3, 5)
 RAYS = np.repeat(np.arange(len(COUNTS)), COUNTS)
 
@@ -23,55 +23,55 @@ def samples(seed=0, gap=3):
     optical = generator.uniform(0.2, 2, n).astype(np.float32)
     sigma = generator.uniform(0, 0.8, n).astype(np.float32)
     t = np.sort(generator.uniform(1, 9, n)).astype(np.float32)
-    colours = generator.random((n, 3)).astype(np.float32)
+    colors = generator.random((n, 3)).astype(np.float32)
     sigma[starts[3]] = 1e5
     sigma[starts[4] + 2] = 1e5
-    colours[at[generator.random(len(at)) < 0.4], 0] = -1
-    colours[starts[5] : ends[5], 0] = -1
-    colours[starts[3], 0] = 0.3
+    colors[at[generator.random(len(at)) < 0.4], 0] = -1
+    colors[starts[5] : ends[5], 0] = -1
+    colors[starts[3], 0] = 0.3
     optical[ends[6] - 1], sigma[ends[6] - 1] = 0, 0  # a backdrop
     rubbish = np.setdiff1d(np.arange(n), at)
-    for array in (optical, sigma, t, colours):
+    for array in (optical, sigma, t, colors):
         array[rubbish] = np.nan
-    return starts, ends, at, optical, sigma, t, colours
+    return starts, ends, at, optical, sigma, t, colors
 
 
-def reference(at, optical, sigma, t, colours):
+def reference(at, optical, sigma, t, colors):
     """The oracle's weights and pixels, with leaves for gradients."""
-    s, c = float64(sigma[at]).requires_grad_(), float64(colours[at]).requires_grad_()
+    s, c = float64(sigma[at]).requires_grad_(), float64(colors[at]).requires_grad_()
     rays, length = torch.from_numpy(RAYS), float64(optical[at])
     w, _ = torch_reference.weights(s, length, rays, length == 0)
-    coloured = torch.from_numpy(colours[at, 0] >= 0)
-    return s, c, w, torch_reference.composite(w, c, coloured, torch.where(length == 0, 0, float64(t[at])), rays, len(COUNTS))
+    colored = torch.from_numpy(colors[at, 0] >= 0)
+    return s, c, w, torch_reference.composite(w, c, colored, torch.where(length == 0, 0, float64(t[at])), rays, len(COUNTS))
 
 
 @pytest.mark.parametrize("chunks", [1, 3])
 def test_pixels_and_gradients_equal_the_oracle(chunks):
-    starts, ends, at, optical, sigma, t, colours = samples()
-    s, c, w, expected = reference(at, optical, sigma, t, colours)
+    starts, ends, at, optical, sigma, t, colors = samples()
+    s, c, w, expected = reference(at, optical, sigma, t, colors)
     weights = np.full(len(sigma), np.nan, np.float32)
     weights[at] = w.detach()
     out = np.full((len(COUNTS), 5), np.nan, np.float32)
-    kernels.composite(weights, optical, colours, t, starts, ends, chunks, out)
+    kernels.composite(weights, optical, colors, t, starts, ends, chunks, out)
     close(out, expected, 1e-6)
     assert not out[1].any() and (out[5, :3] == 0).all() and out[5, 3] > 0
     gradients = np.random.default_rng(1).normal(size=out.shape).astype(np.float32)
     (expected * float64(gradients)).sum().backward()
-    to_sigma, to_colours = np.full_like(sigma, np.nan), np.full_like(colours, np.nan)
+    to_sigma, to_colors = np.full_like(sigma, np.nan), np.full_like(colors, np.nan)
     kernels.composite_backward(
-        sigma, weights, optical, colours, t, starts, ends, out, gradients, chunks, to_sigma, to_colours
+        sigma, weights, optical, colors, t, starts, ends, out, gradients, chunks, to_sigma, to_colors
     )
     # What is left behind a sample is one minus float32 weights: an opaque ray's gradients carry that rounding.
     close(to_sigma[at], s.grad, 1e-5)
-    lit = at[colours[at, 0] >= 0]
-    close(to_colours[lit], c.grad[colours[at, 0] >= 0], 1e-6)
+    lit = at[colors[at, 0] >= 0]
+    close(to_colors[lit], c.grad[colors[at, 0] >= 0], 1e-6)
 
 
 @pytest.mark.parametrize("chunks", [1, 3])
 def test_distance_is_the_mean_of_the_samples_around_the_middle_of_the_weights(chunks):
-    starts, ends, at, optical, sigma, t, colours = samples()
+    starts, ends, at, optical, sigma, t, colors = samples()
     weights = np.full(len(sigma), np.nan, np.float32)
-    weights[at] = reference(at, optical, sigma, t, colours)[2].detach()
+    weights[at] = reference(at, optical, sigma, t, colors)[2].detach()
     t[starts[0] + 1] = 1.01 * t[starts[0]]
     weights[starts[0] : ends[0]] = [0.3, 0.2, 0.2, 0.1, 0.1, 0.05, 0.05]
     weights[starts[6] : ends[6]] = 0
@@ -91,15 +91,15 @@ def test_distance_is_the_mean_of_the_samples_around_the_middle_of_the_weights(ch
 
 
 def test_a_backdrop_and_what_lies_behind_an_opaque_sample_teach_no_density():
-    starts, ends, at, optical, sigma, t, colours = samples()
-    _, _, w, _ = reference(at, optical, sigma, t, colours)
+    starts, ends, at, optical, sigma, t, colors = samples()
+    _, _, w, _ = reference(at, optical, sigma, t, colors)
     weights = np.zeros_like(sigma)
     weights[at] = w.detach()
     out, gradients = np.empty((len(COUNTS), 5), np.float32), np.ones((len(COUNTS), 5), np.float32)
-    kernels.composite(weights, optical, colours, t, starts, ends, 1, out)
-    to_sigma, to_colours = np.empty_like(sigma), np.empty_like(colours)
+    kernels.composite(weights, optical, colors, t, starts, ends, 1, out)
+    to_sigma, to_colors = np.empty_like(sigma), np.empty_like(colors)
     kernels.composite_backward(
-        sigma, weights, optical, colours, t, starts, ends, out, gradients, 1, to_sigma, to_colours
+        sigma, weights, optical, colors, t, starts, ends, out, gradients, 1, to_sigma, to_colors
     )
     assert to_sigma[ends[6] - 1] == 0
     np.testing.assert_allclose(to_sigma[starts[4] + 3 : ends[4]], 0, atol=1e-5)
@@ -107,14 +107,14 @@ def test_a_backdrop_and_what_lies_behind_an_opaque_sample_teach_no_density():
 
 @pytest.mark.parametrize("chunks", [1, 3])
 def test_gradients_of_near_samples_fall_with_the_square_of_the_distance(chunks):
-    starts, ends, at, _, sigma, t, colours = samples()
-    to_sigma, to_colours = sigma + 1, colours + 1
-    before = to_sigma.copy(), to_colours.copy()
-    kernels.scale_near(t, starts, ends, np.float32(5), chunks, to_sigma, to_colours)
+    starts, ends, at, _, sigma, t, colors = samples()
+    to_sigma, to_colors = sigma + 1, colors + 1
+    before = to_sigma.copy(), to_colors.copy()
+    kernels.scale_near(t, starts, ends, np.float32(5), chunks, to_sigma, to_colors)
     share = np.minimum(1, (t[at] / 5) ** 2)
     assert (share < 0.9).any() and (share == 1).any()
     np.testing.assert_allclose(to_sigma[at], before[0][at] * share, rtol=1e-6)
-    np.testing.assert_allclose(to_colours[at], before[1][at] * share[:, None], rtol=1e-6)
+    np.testing.assert_allclose(to_colors[at], before[1][at] * share[:, None], rtol=1e-6)
     rubbish = np.setdiff1d(np.arange(len(sigma)), at)
     assert np.array_equal(to_sigma[rubbish], before[0][rubbish], equal_nan=True)
 
@@ -161,19 +161,19 @@ def test_packing_and_unpacking_equal_a_loop(chunks):
 
 
 def test_shade_and_its_backward_equal_the_oracle():
-    starts, ends, at, _, sigma, t, colours = samples(4)
-    colours[at] = np.abs(colours[at])
+    starts, ends, at, _, sigma, t, colors = samples(4)
+    colors[at] = np.abs(colors[at])
     weights = np.random.default_rng(5).random(len(sigma)).astype(np.float32)
     out = np.empty((len(COUNTS), 3), np.float32)
-    kernels.shade(weights, colours, starts, ends, out)
-    c = float64(colours[at]).requires_grad_()
+    kernels.shade(weights, colors, starts, ends, out)
+    c = float64(colors[at]).requires_grad_()
     everything = torch.ones(len(at), dtype=torch.bool)
     rays = torch.from_numpy(RAYS)
     expected = torch_reference.composite(float64(weights[at]), c, everything, float64(t[at]), rays, len(COUNTS))[:, :3]
     close(out, expected, 1e-6)
     gradients = np.random.default_rng(6).normal(size=out.shape).astype(np.float32)
     (expected * float64(gradients)).sum().backward()
-    to_colours = np.full_like(colours, np.nan)
-    kernels.shade_backward(weights, gradients, starts, ends, to_colours)
-    close(to_colours[at], c.grad, 1e-6)
-    assert np.isnan(np.delete(to_colours, at, 0)).all()
+    to_colors = np.full_like(colors, np.nan)
+    kernels.shade_backward(weights, gradients, starts, ends, to_colors)
+    close(to_colors[at], c.grad, 1e-6)
+    assert np.isnan(np.delete(to_colors, at, 0)).all()

@@ -18,11 +18,11 @@ from tests.stylerf.small import (
     density,
     displacement_grid,
     float64,
-    oracle_colour,
+    oracle_color,
     oracle_density,
     points_on,
     rays_into,
-    vm_colour,
+    vm_color,
 )
 
 
@@ -44,19 +44,19 @@ def test_density_position_gradient_equals_the_oracle():
 
 
 @pytest.mark.parametrize("degree", [0, 1])
-def test_vm_colour_position_gradient_equals_the_oracle(degree):
-    made, s = vm_colour(4, degree=degree), samples(5)
+def test_vm_color_position_gradient_equals_the_oracle(degree):
+    made, s = vm_color(4, degree=degree), samples(5)
     s.x[:] = np.random.default_rng(4).uniform(0.01, 0.99, s.x.shape)
     s.weights[[4, 11, 30]] = 0
     at, rays, basis = owned(s), np.repeat(np.arange(RAYS), s.ends - s.starts), basis_of(s, degree)
     x = float64(s.x[at]).requires_grad_()
     gradients = np.random.default_rng(6).normal(size=(len(s.x), 3)).astype(np.float32)
-    colours = made.colours(s.x, basis, s.starts, s.ends, s.weights, 0.0, 1)
-    expected = oracle_colour(made, float64(made.values), float64(basis[rays]), x)
+    colors = made.colors(s.x, basis, s.starts, s.ends, s.weights, 0.0, 1)
+    expected = oracle_color(made, float64(made.values), float64(basis[rays]), x)
     (expected * float64(gradients[at]))[s.weights[at] > 0].sum().backward()
     for chunks in (1, 3):
         out = np.full(s.x.shape, 0.25, np.float32)
-        made.add_position_gradients(s, basis, colours, gradients, out, chunks)
+        made.add_position_gradients(s, basis, colors, gradients, out, chunks)
         close(out[at] - 0.25, x.grad, 2e-5)
         assert (np.delete(out, at, 0) == 0.25).all()
 

@@ -54,10 +54,10 @@ def test_leaps_in_a_box_do_not_change_the_result():
 def clumps(cells: int, seed: int) -> np.ndarray:
     """Occupied cells [cells^3]: a few balls and as many single cells."""
     generator = np.random.default_rng(seed)
-    centres = (np.indices((cells,) * 3).reshape(3, -1).T + 0.5) / cells
+    centers = (np.indices((cells,) * 3).reshape(3, -1).T + 0.5) / cells
     full = np.zeros(cells**3, bool)
     for middle, radius in zip(generator.random((6, 3)), generator.uniform(0.05, 0.2, 6)):
-        full |= np.linalg.norm(centres - middle, axis=1) < radius
+        full |= np.linalg.norm(centers - middle, axis=1) < radius
     full[generator.integers(0, cells**3, 6)] = True
     return full
 
@@ -98,7 +98,7 @@ def test_no_leap_passes_into_an_occupied_cell(kind, cells):
 
 @pytest.mark.parametrize("zero", [0.0, -0.0])
 @pytest.mark.parametrize("axis", [0, 1, 2])
-def test_rays_along_a_side_of_a_box_leap_as_their_neighbours_do(axis, zero):
+def test_rays_along_a_side_of_a_box_leap_as_their_neighbors_do(axis, zero):
     """A ray that does not move along an axis at all never leaves its cells on that axis."""
     space, step, cells = SPACES["box"], 1 / 64, 16
     occupancy = Occupancy(cells)

@@ -1,13 +1,13 @@
-"""The hash colour, its gradients to the table and to the position, against the oracle."""
+"""The hash color, its gradients to the table and to the position, against the oracle."""
 
 import numpy as np
 import pytest
 import torch
 
-from stylerf.fields.hash_color import HashColour
+from stylerf.fields.hash_color import HashColor
 from stylerf.fields.ray_samples import Samples
 from tests.stylerf.kernels.cpu.test_vm import added, buffers, owned, samples
-from tests.stylerf.small import close, float64, hash_colour, oracle_colour
+from tests.stylerf.small import close, float64, hash_color, oracle_color
 
 # Levels of one kind only, of both, one level alone, and so few entries that most vertices share one.
 LAYOUTS = {
@@ -18,8 +18,8 @@ LAYOUTS = {
 }
 
 
-def made_of(layout: str) -> tuple[HashColour, Samples]:
-    made = hash_colour(1, **LAYOUTS[layout])
+def made_of(layout: str) -> tuple[HashColor, Samples]:
+    made = hash_color(1, **LAYOUTS[layout])
     hashed = made.layout[5] < 0
     assert (hashed.any(), hashed.all()) == {"mixed": (1, 0), "dense": (0, 0), "hashed": (1, 1), "single": (0, 0)}[
         layout
@@ -28,17 +28,17 @@ def made_of(layout: str) -> tuple[HashColour, Samples]:
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)
-def test_colour_and_table_gradient_equal_the_oracle(layout):
+def test_color_and_table_gradient_equal_the_oracle(layout):
     made, s = made_of(layout)
     s.weights[[5, 17]] = 0
     at = owned(s)
     shown = s.weights[at] > 0
     values = float64(made.values).requires_grad_()
-    expected = oracle_colour(made, values, None, float64(s.x[at]))
+    expected = oracle_color(made, values, None, float64(s.x[at]))
     gradients = np.random.default_rng(3).normal(size=(len(s.x), 3)).astype(np.float32)
     (expected * float64(gradients[at]))[shown].sum().backward()
     for chunks in (1, 2):
-        found = made.colours(s.x, None, s.starts, s.ends, s.weights, 0.0, chunks)
+        found = made.colors(s.x, None, s.starts, s.ends, s.weights, 0.0, chunks)
         close(found[at][shown], expected[shown], 3e-6)
         assert (found[at][~shown, 0] == -1).all() and (~shown).sum() == 2
         to = buffers(chunks, len(made.values))
@@ -54,34 +54,34 @@ def test_position_gradient_equals_the_oracle(layout):
     at = owned(s)
     x = float64(s.x[at]).requires_grad_()
     gradients = np.random.default_rng(3).normal(size=(len(s.x), 3)).astype(np.float32)
-    colours = made.colours(s.x, None, s.starts, s.ends, s.weights, 0.0, 1)
+    colors = made.colors(s.x, None, s.starts, s.ends, s.weights, 0.0, 1)
     shown = torch.from_numpy(s.weights[at] > 0)
-    (oracle_colour(made, float64(made.values), None, x) * float64(gradients[at]))[shown].sum().backward()
+    (oracle_color(made, float64(made.values), None, x) * float64(gradients[at]))[shown].sum().backward()
     for chunks in (1, 3):
         out = np.full(s.x.shape, 0.5, np.float32)
-        made.add_position_gradients(s, None, colours, gradients, out, chunks)
+        made.add_position_gradients(s, None, colors, gradients, out, chunks)
         close(out[at] - 0.5, x.grad, 1e-5)
         assert (np.delete(out, at, 0) == 0.5).all()
 
 
-def coloured(made, x):
-    """[n, 3] colours of points [n, 3], as one ray."""
+def colored(made, x):
+    """[n, 3] colors of points [n, 3], as one ray."""
     ends = np.array([len(x)], np.int64)
-    return made.colours(x, None, np.zeros(1, np.int64), ends, np.ones(len(x), np.float32), 0.0, 1)
+    return made.colors(x, None, np.zeros(1, np.int64), ends, np.ones(len(x), np.float32), 0.0, 1)
 
 
 def test_far_logits_saturate_without_leaving_the_finite_numbers():
-    made = hash_colour(1, levels=1, base=5, finest=5)
+    made = hash_color(1, levels=1, base=5, finest=5)
     x = np.full((1, 3), 0.3, np.float32)
     for level in (-1e30, -200.0, -50.0, 50.0, 200.0, 1e30):
         made.values[:] = level / 2
-        assert coloured(made, x)[0].tolist() == pytest.approx([float(level > 0)] * 3, rel=2e-7, abs=1e-20)
+        assert colored(made, x)[0].tolist() == pytest.approx([float(level > 0)] * 3, rel=2e-7, abs=1e-20)
 
 
 def test_sigmoid_is_exact_over_its_range():
-    made = hash_colour(1, levels=1, base=1, finest=1, table=8)
+    made = hash_color(1, levels=1, base=1, finest=1, table=8)
     for z in np.linspace(-20, 20, 801, dtype=np.float32):
         made.values[:] = z / 2
-        found = coloured(made, np.full((1, 3), 0.5, np.float32))[0]
+        found = colored(made, np.full((1, 3), 0.5, np.float32))[0]
         # The polynomial's 3e-7, and the rounding of an exponent as large as z.
         np.testing.assert_allclose(found, 1 / (1 + np.exp(-np.float64(z))), rtol=5e-7 + 1e-7 * abs(z))

@@ -1,4 +1,4 @@
-"""Rays and colours of chosen pixels against the cameras' own rays and the images themselves."""
+"""Rays and colors of chosen pixels against the cameras' own rays and the images themselves."""
 
 import numpy as np
 import pytest
@@ -11,8 +11,8 @@ from stylerf.training.common.ray_dataset import RayBank
 
 def camera(index: int, width: int, height: int) -> Camera:
     angle = 0.7 * index
-    centre = np.array([3 * np.cos(angle), 3 * np.sin(angle), 1.0 + 0.3 * index])
-    pose = look_at(centre, np.array([0.1, 0.2, 0]), np.array([0, 0, 1.0]))
+    center = np.array([3 * np.cos(angle), 3 * np.sin(angle), 1.0 + 0.3 * index])
+    pose = look_at(center, np.array([0.1, 0.2, 0]), np.array([0, 0, 1.0]))
     return Camera(f"v{index}", width, height, 20.0 + index, 22.0, width / 2 + 0.7, height / 2 - 1.2, pose)
 
 
@@ -28,25 +28,25 @@ def test_every_pixel_of_every_view(channels):
     bank, images = bank_of(channels)
     for view, image in enumerate(images):
         pixels = np.arange(image.shape[0] * image.shape[1])
-        origins, directions, colours = bank.at(np.full(len(pixels), view), pixels)
+        origins, directions, colors = bank.at(np.full(len(pixels), view), pixels)
         expected = bank.cameras[view].rays()
         np.testing.assert_allclose(origins, expected[0], atol=1e-6)
         np.testing.assert_allclose(directions, expected[1], atol=1e-6)
         rgba = np.full((len(pixels), 4), 255.0)
         rgba[:, :channels] = image.reshape(-1, channels)
-        np.testing.assert_allclose(colours, rgba / 255, atol=1e-7)
-        assert colours.max() <= 1
+        np.testing.assert_allclose(colors, rgba / 255, atol=1e-7)
+        assert colors.max() <= 1
 
 
 def test_drawn_rays_belong_to_their_views_and_to_the_first_ones_only():
     bank, images = bank_of(3)
-    origins, _, colours, views = bank.draw(4000, np.random.default_rng(0), among=2)
+    origins, _, colors, views = bank.draw(4000, np.random.default_rng(0), among=2)
     assert set(views) == {0, 1} and len(bank) == 35 + 36 + 36
-    centres = np.array([c.centre for c in bank.cameras])
-    np.testing.assert_allclose(origins, centres[views], atol=1e-6)
+    centers = np.array([c.center for c in bank.cameras])
+    np.testing.assert_allclose(origins, centers[views], atol=1e-6)
     # Every pixel alike: 4000 draws of 71 pixels give view 0 a share of 35/71.
     assert abs((views == 0).mean() - 35 / 71) < 0.03
-    seen = {tuple(c) for c in np.round(colours[views == 1, :3] * 255).astype(int)}
+    seen = {tuple(c) for c in np.round(colors[views == 1, :3] * 255).astype(int)}
     assert seen == {tuple(c) for c in images[1].reshape(-1, 3).astype(int)}
 
 
@@ -55,12 +55,12 @@ def test_rays_near_an_object_are_drawn_more_often():
     for image in images:
         image[10:12, 10:12] = 255
     bank = RayBank([camera(i, 40, 40) for i in range(2)], images)
-    _, _, colours, views = bank.draw(5000, np.random.default_rng(0), lit_share=0.9)
+    _, _, colors, views = bank.draw(5000, np.random.default_rng(0), lit_share=0.9)
     # Two rounds of dilation by a cross around 2x2 pixels light 4 + 8 + 12 = 24 of the 1600; 4 of these are opaque.
-    assert abs((colours[:, 3] == 1).mean() - (0.9 * 4 / 24 + 0.1 * 4 / 1600)) < 0.02
+    assert abs((colors[:, 3] == 1).mean() - (0.9 * 4 / 24 + 0.1 * 4 / 1600)) < 0.02
     assert abs(views.mean() - 0.5) < 0.03
-    _, _, colours, _ = bank.draw(5000, np.random.default_rng(0), lit_share=0.0)
-    assert (colours[:, 3] == 1).mean() < 0.01
+    _, _, colors, _ = bank.draw(5000, np.random.default_rng(0), lit_share=0.0)
+    assert (colors[:, 3] == 1).mean() < 0.01
 
 
 def test_an_image_that_does_not_fit_its_camera_is_refused():

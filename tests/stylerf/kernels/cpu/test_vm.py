@@ -1,4 +1,4 @@
-"""vm density and colour, their gradients and the planes' smoothness, against the oracle."""
+"""vm density and color, their gradients and the planes' smoothness, against the oracle."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ from stylerf.fields.vm import VmDensity
 from stylerf.fields.vm_tables import split_table
 from stylerf.geometry.spherical_harmonics import harmonics
 from stylerf.kernels import torch_reference
-from tests.stylerf.small import SIZE, close, density, float64, oracle_colour, oracle_density, vm_colour
+from tests.stylerf.small import SIZE, close, density, float64, oracle_color, oracle_density, vm_color
 
 RAYS = 9
 
@@ -79,18 +79,18 @@ def test_the_exponent_is_clamped_and_lets_gradients_pass(shift, limit):
 
 
 @pytest.mark.parametrize("degree", [0, 1, 2])
-def test_colour_and_its_gradients_equal_the_oracle(degree):
-    made, s = vm_colour(4, degree=degree), samples(5)
+def test_color_and_its_gradients_equal_the_oracle(degree):
+    made, s = vm_color(4, degree=degree), samples(5)
     basis = basis_of(s, degree)
     s.weights[[4, 11, 30]] = 0
     at, rays = owned(s), np.repeat(np.arange(RAYS), s.ends - s.starts)
     values = float64(made.values).requires_grad_()
-    expected = oracle_colour(made, values, float64(basis[rays]), float64(s.x[at]))
+    expected = oracle_color(made, values, float64(basis[rays]), float64(s.x[at]))
     shown = s.weights[at] > 0
     gradients = np.random.default_rng(6).normal(size=(len(s.x), 3)).astype(np.float32)
     (expected * float64(gradients[at]))[shown].sum().backward()
     for chunks in (1, 2):
-        found = made.colours(s.x, basis, s.starts, s.ends, s.weights, 0.0, chunks)
+        found = made.colors(s.x, basis, s.starts, s.ends, s.weights, 0.0, chunks)
         close(found[at][shown], expected[shown], 2e-6)
         assert (found[at][~shown, 0] == -1).all() and (~shown).sum() == 3
         to = buffers(chunks, len(made.values))
@@ -99,9 +99,9 @@ def test_colour_and_its_gradients_equal_the_oracle(degree):
 
 
 def test_least_is_a_bound_that_must_be_passed():
-    made, s = vm_colour(4), samples()
+    made, s = vm_color(4), samples()
     s.weights[:] = np.linspace(0, 1, len(s.x))
-    found = made.colours(s.x, basis_of(s, 1), s.starts, s.ends, s.weights, float(s.weights[20]), 1)
+    found = made.colors(s.x, basis_of(s, 1), s.starts, s.ends, s.weights, float(s.weights[20]), 1)
     at = owned(s)
     assert np.array_equal(found[at, 0] >= 0, at > 20)
 
@@ -117,7 +117,7 @@ def test_a_sample_at_the_far_side_reads_the_last_vertex():
 
 
 def smoothness_energy(values: torch.Tensor, size, rank: int) -> torch.Tensor:
-    """Half the summed squared differences between neighbouring texels of the three planes."""
+    """Half the summed squared differences between neighboring texels of the three planes."""
     total, at = values.new_zeros(()), 0
     for m in range(3):
         shape = (size[(m + 1) % 3], size[(m + 2) % 3], rank)
@@ -126,7 +126,7 @@ def smoothness_energy(values: torch.Tensor, size, rank: int) -> torch.Tensor:
     return total
 
 
-@pytest.mark.parametrize("made", [density(7), vm_colour(8)], ids=["density", "colour"])
+@pytest.mark.parametrize("made", [density(7), vm_color(8)], ids=["density", "color"])
 def test_smoothness_is_the_gradient_of_the_planes_squared_differences(made):
     values = float64(made.values).requires_grad_()
     smoothness_energy(values, SIZE, made.rank).backward()
@@ -146,10 +146,10 @@ def test_a_finer_grid_and_more_ranks_hold_the_same_field():
     wider = made.with_rank(24, np.random.default_rng(0))
     expected = torch_reference.vm_density(float64(wider.values), list(SIZE), 24, float64(s.x))
     close(made.sigma(s.x, 1), expected, 5e-6)
-    colour, basis = vm_colour(4, rank=16), basis_of(s, 1)
+    color, basis = vm_color(4, rank=16), basis_of(s, 1)
     rays = np.repeat(np.arange(RAYS), s.ends - s.starts)
     at = owned(s)
-    before = oracle_colour(colour, float64(colour.values), float64(basis[rays]), float64(s.x[at]))
-    for other in (colour.with_rank(24, np.random.default_rng(0)), colour.resized(finer), colour.with_degree(2)):
+    before = oracle_color(color, float64(color.values), float64(basis[rays]), float64(s.x[at]))
+    for other in (color.with_rank(24, np.random.default_rng(0)), color.resized(finer), color.with_degree(2)):
         turned = basis_of(s, other.degree)[rays]
-        close(oracle_colour(other, float64(other.values), float64(turned), float64(s.x[at])), before, 1e-6)
+        close(oracle_color(other, float64(other.values), float64(turned), float64(s.x[at])), before, 1e-6)

@@ -15,11 +15,11 @@ from tests.stylerf.small import (
     density,
     displacement_grid,
     field_of,
-    hash_colour,
+    hash_color,
     hash_density,
     headed,
     rays_into,
-    vm_colour,
+    vm_color,
     voxel_density,
 )
 
@@ -31,11 +31,11 @@ def learn_deformation(made: DeviceField, rendered, gradients: torch.Tensor) -> N
 
 
 def everything() -> None:
-    for kind, density_of, colour, displaced, half in (
-        ("box", density, vm_colour(1, degree=1), False, False),
-        ("box", density, vm_colour(1, degree=1), False, True),
-        ("contraction", density, vm_colour(1, degree=2), False, False),
-        ("frustum", density, hash_colour(1), True, False),
+    for kind, density_of, color, displaced, half in (
+        ("box", density, vm_color(1, degree=1), False, False),
+        ("box", density, vm_color(1, degree=1), False, True),
+        ("contraction", density, vm_color(1, degree=2), False, False),
+        ("frustum", density, hash_color(1), True, False),
         ("box", hash_density, headed(1, "hash", "linear"), False, False),
         ("contraction", hash_density, headed(1, "hash", "mlp"), True, True),
         ("box", voxel_density, headed(1, "voxel", "linear", 2, SPARSE), False, True),
@@ -44,12 +44,12 @@ def everything() -> None:
         ("box", density, patch(), False, False),
         ("box", density, patch(), False, True),
     ):
-        field = field_of(SPACES[kind], 3, colour, 1 / 8, displacement_grid(6) if displaced else None)
+        field = field_of(SPACES[kind], 3, color, 1 / 8, displacement_grid(6) if displaced else None)
         field.density = density_of(3)
         made, rays = DeviceField(field, "cpu", half), device_rays(rays_into(SPACES[kind], 8, 4), torch.device("cpu"))
         rendered = made.render_rays(rays, room=64)
         rendered.seen()
-        to = [torch.zeros_like(part.values) for part in (made.density, made.colour)]
+        to = [torch.zeros_like(part.values) for part in (made.density, made.color)]
         sums = torch.zeros(3)
         wanted, background = torch.zeros(8, 4), torch.zeros(8, 3)
         gradients = launch.photometric_loss(rendered.out, wanted, background, rendered.samples, 0.1, sums)
@@ -57,7 +57,7 @@ def everything() -> None:
         if not half and unsupported(field, moving=True) is None:
             learn_deformation(made, rendered, gradients)
         made.density.smooth(0.1, to[0])
-        made.colour.smooth(0.1, to[1])
+        made.color.smooth(0.1, to[1])
         made.density.sigma(torch.zeros(5, 3))
         moments = [torch.zeros_like(to[0]) for _ in range(2)]
         launch.adam(made.density.values, to[0], *moments, 0.1, (0.9, 0.99), 1e-15, (0.1, 0.01), 0, len(to[0]))

@@ -34,20 +34,20 @@ def brought_over(rendered, rays, device):
     own = [v.float() for v in (packed.t, packed.optical, packed.x, packed.sigma, packed.weights)]
     made = (ends - counts, ends, counts.int(), largest.float(), ends[-1:], *own, ray_of)
     samples = DeviceSamples(*(tensor.contiguous().to(device) for tensor in made))
-    out, unmapped, colours = (torch.from_numpy(a) for a in (rendered.out, rendered.unmapped, rendered.colours))
+    out, unmapped, colors = (torch.from_numpy(a) for a in (rendered.out, rendered.unmapped, rendered.colors))
     pixels = out.to(device), unmapped.to(device)
-    return DeviceRendered(*pixels, device_rays(rays, device), samples, colours[packed.at].to(device))
+    return DeviceRendered(*pixels, device_rays(rays, device), samples, colors[packed.at].to(device))
 
 
 def by_oracle(field, rays, rendered, grid=None, even_from: float = 0.0, gradients=None):
     """(pixels [rays, 5], gradients of the parts' values) in float64, at the samples that the device chose."""
-    degree = getattr(field.colour, "degree", 0)
+    degree = getattr(field.color, "degree", 0)
     seen = SimpleNamespace(
         samples=on_host(rendered.samples),
-        colours=rendered.colours.cpu().numpy(),
+        colors=rendered.colors.cpu().numpy(),
         basis=harmonics(rays.directions, degree),
     )
-    values = [float64(part.values).requires_grad_() for part in (field.density, field.colour)]
+    values = [float64(part.values).requires_grad_() for part in (field.density, field.color)]
     pixels, _ = oracle_pixels(field, rays, seen, *values, grid)
     if gradients is None:
         return pixels.detach(), None
@@ -56,8 +56,8 @@ def by_oracle(field, rays, rendered, grid=None, even_from: float = 0.0, gradient
 
 
 def gradients_of(made, rendered, gradients, even_from: float = 0.0) -> list[torch.Tensor]:
-    """What the device adds to flat buffers of the density and the colour."""
-    to = [torch.zeros_like(part.values) for part in (made.density, made.colour)]
+    """What the device adds to flat buffers of the density and the color."""
+    to = [torch.zeros_like(part.values) for part in (made.density, made.color)]
     made.backward(rendered, torch.from_numpy(gradients).to(made.device), *to, even_from=even_from)
     return [t.cpu() for t in to]
 

@@ -18,11 +18,11 @@ from tests.stylerf.small import (
     displacement_grid,
     field_of,
     float64,
-    hash_colour,
-    oracle_colour,
+    hash_color,
+    oracle_color,
     oracle_density,
     rays_into,
-    vm_colour,
+    vm_color,
 )
 
 COUNT, ROOM = 70, 80
@@ -78,41 +78,41 @@ def test_the_densitys_slopes_equal_the_oracles(device):
     assert bool((out[COUNT:] == 0.25).all()) and bool((out[[3, 9]] == 0.25).all())
 
 
-COLOURS = {"hash": lambda: hash_colour(5)} | {f"vm {d}": lambda d=d: vm_colour(4, degree=d) for d in (0, 1, 2)}
+COLORS = {"hash": lambda: hash_color(5)} | {f"vm {d}": lambda d=d: vm_color(4, degree=d) for d in (0, 1, 2)}
 
 
-@pytest.mark.parametrize("kind", COLOURS)
-def test_colours_slopes_equal_the_oracles(kind, device):
-    from stylerf.fields.gpu.field import COLOUR_KINDS
+@pytest.mark.parametrize("kind", COLORS)
+def test_colors_slopes_equal_the_oracles(kind, device):
+    from stylerf.fields.gpu.field import COLOR_KINDS
 
-    made, x, ways = COLOURS[kind](), positions(), directions(ROOM)
+    made, x, ways = COLORS[kind](), positions(), directions(ROOM)
     exact = float64(x).requires_grad_()
     basis = float64(harmonics(ways[:COUNT], getattr(made, "degree", 0)))
-    colours = oracle_colour(made, float64(made.values), basis, exact)
+    colors = oracle_color(made, float64(made.values), basis, exact)
     gradients = np.random.default_rng(6).normal(size=(COUNT, 3)).astype(np.float32)
     hidden = [4, 11, 30]
     kept = np.setdiff1d(np.arange(COUNT), hidden)
-    (colours * float64(gradients))[kept].sum().backward()
-    found = colours.detach().float().numpy()
+    (colors * float64(gradients))[kept].sum().backward()
+    found = colors.detach().float().numpy()
     found[hidden, 0] = -1
     out = torch.full((ROOM, 3), 0.25, device=device)
-    COLOUR_KINDS[made.kind](made, device).add_position_gradients(
+    COLOR_KINDS[made.kind](made, device).add_position_gradients(
         loose(device, x), torch.from_numpy(ways).to(device), padded(found, device), padded(gradients, device), out
     )
     close(out[:COUNT].cpu() - 0.25, exact.grad, 2e-5)
     assert bool((out[COUNT:] == 0.25).all()) and bool((out[hidden] == 0.25).all())
 
 
-# Space, colour of a field whose whole backward is looked at.
+# Space, color of a field whose whole backward is looked at.
 CASES = {
-    "box": lambda: vm_colour(4, degree=1),
-    "contraction": lambda: vm_colour(4, degree=2),
-    "frustum": lambda: hash_colour(5),
+    "box": lambda: vm_color(4, degree=1),
+    "contraction": lambda: vm_color(4, degree=2),
+    "frustum": lambda: hash_color(5),
 }
 
 
 @cache
-def learnt(kind: str, device, rays: int = 14):
+def learned(kind: str, device, rays: int = 14):
     """(field, rays, what the CPU rendered, the same on the device, dL/d(pixels), the device's dL/dD).
 
     Walked by the CPU, which takes a tenth of the interpreter's time.
@@ -136,7 +136,7 @@ def grid_gradient(made, rendered, towards: np.ndarray) -> torch.Tensor:
 
 @pytest.mark.parametrize("kind", CASES)
 def test_the_grids_gradient_equals_the_oracles_and_the_cpus(kind, device):
-    field, rays, cpu, rendered, towards, found = learnt(kind, device)
+    field, rays, cpu, rendered, towards, found = learned(kind, device)
     sides = (rendered.samples.x == 0) | (rendered.samples.x == 1)
     assert bool(sides.any()) and not bool(sides.any(1).all())
     assert bool((rendered.samples.optical == 0).any()) == (kind != "box")  # a backdrop, which does not move
@@ -153,7 +153,7 @@ def test_a_grid_of_zeros_learns_as_one_that_bends(device):
     """Nothing is displaced yet: the samples are those of the field at rest, the gradient is there."""
     from stylerf.fields.gpu.field import DeviceField
 
-    field, rays = field_of(SPACES["box"], 3, hash_colour(5), 1 / 8), rays_into(SPACES["box"], 6, 4)
+    field, rays = field_of(SPACES["box"], 3, hash_color(5), 1 / 8), rays_into(SPACES["box"], 6, 4)
     rendered = brought_over(render_rays(field, rays, chunks=1), rays, device)
     field.displacement = np.zeros((3, 3, 3, 3), np.float32)
     towards = np.random.default_rng(7).normal(size=(6, 5)).astype(np.float32)
@@ -195,7 +195,7 @@ def test_one_sample_spreads_its_gradient_over_eight_vertices_but_along_sides_tha
 def test_rays_without_samples_teach_the_grid_nothing(device):
     from stylerf.fields.gpu.field import DeviceField
 
-    field = field_of(SPACES["box"], 3, hash_colour(5), 1 / 8, displacement_grid(6))
+    field = field_of(SPACES["box"], 3, hash_color(5), 1 / 8, displacement_grid(6))
     rays, made = rays_into(SPACES["box"], 5, 4), DeviceField(field, device)
     rays.directions *= -1
     for room in (None, 40):

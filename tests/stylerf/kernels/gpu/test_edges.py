@@ -11,7 +11,7 @@ from stylerf.fields.vm import VmDensity
 from stylerf.geometry.space_warp import Space
 from stylerf.kernels import torch_reference
 from tests.stylerf.kernels.gpu.on_gpu import device_rays, on_host
-from tests.stylerf.small import SPACES, close, density, float64, hash_colour, occupied, rays_into
+from tests.stylerf.small import SPACES, close, density, float64, hash_color, occupied, rays_into
 
 UNIT_BOX = Space.box([0, 0, 0], [1, 1, 1])
 
@@ -32,10 +32,10 @@ def along_x(*origins: tuple[float, float, float], jitter: float = 0.5) -> Rays:
 def device_field(made, device, space=UNIT_BOX, step=1 / 8, occupancy=None):
     from stylerf.fields.gpu.field import DeviceField
 
-    return DeviceField(RadianceField(space, made, hash_colour(1), occupancy or occupied(), step), device)
+    return DeviceField(RadianceField(space, made, hash_color(1), occupancy or occupied(), step), device)
 
 
-def test_rays_that_miss_have_no_samples_and_colour_nothing(device):
+def test_rays_that_miss_have_no_samples_and_color_nothing(device):
     rays = along_x((-1, 1.5, 0.5), (2, 0.5, 0.5), (1, 0.5, 0.5), (-1, 0, 0.5), (-1, 0.5, 0.5))
     found = device_field(even_fog(0.01), device).render_rays(device_rays(rays, device), opaque=0.0)
     s = found.samples
@@ -81,9 +81,9 @@ def test_rays_beyond_the_room_get_no_sample_and_count_for_nothing(device):
     gradients = launch.photometric_loss(found.out, wanted, background, s, 0.5, sums)
     assert sums.tolist()[1:] == [16, 2] and not gradients[2:].any() and gradients[0].any()
     # Nothing is read or written beyond what there is: the rest of the room is poisoned.
-    for array in (s.x, s.weights, s.sigma, s.optical, s.t, found.colours):
+    for array in (s.x, s.weights, s.sigma, s.optical, s.t, found.colors):
         array[16:] = float("nan")
-    to = [torch.zeros_like(part.values) for part in (made.density, made.colour)]
+    to = [torch.zeros_like(part.values) for part in (made.density, made.color)]
     made.backward(found, gradients, *to)
     assert all(bool(torch.isfinite(t).all()) and t.any() for t in to)
 
@@ -133,7 +133,7 @@ def test_leaps_reach_every_occupied_cell_that_the_cpu_reaches(kind, device):
     full[6, 6, 6] = True
     occupancy.set_occupied(full.ravel())
     made, rays = even_fog(1e-4), rays_into(SPACES[kind], 12, 13)
-    field = RadianceField(SPACES[kind], made, hash_colour(1), occupancy, 1 / 24)
+    field = RadianceField(SPACES[kind], made, hash_color(1), occupancy, 1 / 24)
     cpu = field.march(rays, 512, 1e-3, 1)
     gpu = device_field(made, device, SPACES[kind], 1 / 24, occupancy)
     found = on_host(gpu.march(device_rays(rays, device), 512, 1e-3, None))

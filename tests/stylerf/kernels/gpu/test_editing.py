@@ -15,8 +15,8 @@ from tests.stylerf.style.small_trunk import picture, small_trunk
 from tests.stylerf.training.edit.test_trainer import SMALL
 from tests.stylerf.training.running import saved
 
-FEW = {"palette_steps": 2, "style_steps": 1, "pruned_steps": 1, "pruned_style_steps": 1, "pixels": 300, "colours": 4,
-       "most_colours": 3}  # fmt: skip
+FEW = {"palette_steps": 2, "style_steps": 1, "pruned_steps": 1, "pruned_style_steps": 1, "pixels": 300, "colors": 4,
+       "most_colors": 3}  # fmt: skip
 
 
 def trainer(device=None, style: bool = False, **more) -> EditTrainer:
@@ -38,12 +38,12 @@ def test_a_module_answers_as_on_the_cpu(removed, device):
     assert len(there.kept) == 4
     made.active[list(removed)] = False  # pruned or not, what is asked is what is active now
     expected, found = made.mixture(x, directions), there.mixture(x, directions)
-    for name in ("weights", "offsets", "colours"):
+    for name in ("weights", "offsets", "colors"):
         close(getattr(found, name), getattr(expected, name), 1e-5, name)
     np.testing.assert_allclose(there.palette, made.palette, atol=1e-7)
-    edits, fading = PaletteEdits(colours={0: (0.0, 0.2, 0.9)}, scales={0: 2.0}), np.linspace(0, 1, 70)
+    edits, fading = PaletteEdits(colors={0: (0.0, 0.2, 0.9)}, scales={0: 2.0}), np.linspace(0, 1, 70)
     np.testing.assert_allclose(
-        there.colours(x, directions, edits, fading), made.colours(x, directions, edits, fading), atol=1e-5
+        there.colors(x, directions, edits, fading), made.colors(x, directions, edits, fading), atol=1e-5
     )
     assert there.weights(x[:0]).shape == (0, 4 - len(removed))
 
@@ -66,7 +66,7 @@ def test_points_beyond_the_box_count_to_its_sides_and_the_table_learns_there_too
 
 
 def gradients_taken(made: EditTrainer) -> list[np.ndarray]:
-    """Instead of steps of the optimisers: the gradients they would take."""
+    """Instead of steps of the optimizers: the gradients they would take."""
     found = []
     for adam in (made.engine.networks, made.engine.table):
 
@@ -81,7 +81,7 @@ def gradients_taken(made: EditTrainer) -> list[np.ndarray]:
 @pytest.mark.parametrize("phase", ["palette", "style", "pruned"])
 def test_a_step_learns_the_gradients_that_the_cpu_finds(phase, device):
     both = [trainer(where, style=True) for where in (None, device)]
-    learnt, told = [gradients_taken(made) for made in both], []
+    learned, told = [gradients_taken(made) for made in both], []
     for made in both:
         made.state.phase = phase
         if phase == "pruned":
@@ -91,18 +91,18 @@ def test_a_step_learns_the_gradients_that_the_cpu_finds(phase, device):
     assert told[0].keys() == told[1].keys() and ("style" in told[0]) == (phase != "palette")
     for name, value in told[0].items():
         assert told[1][name] == pytest.approx(value, rel=1e-4, abs=1e-7), name
-    for theirs, ours in zip(*learnt):
+    for theirs, ours in zip(*learned):
         assert np.abs(theirs).max() > 0
         close(ours, theirs, 2e-4)
 
 
 def agree(made: EditTrainer, expected: EditTrainer) -> None:
-    """Numbers and colours, beside how far both have come. Where a gradient is all but nothing its sign is rounding's,
+    """Numbers and colors, beside how far both have come. Where a gradient is all but nothing its sign is rounding's,
     and Adam's step is as long as for any."""
     begun, one, other = trainer().module, made.module, expected.module
     moved = np.abs(other.values - begun.values).mean()
     assert np.abs(one.values - other.values).mean() < 1e-2 * moved
-    first, second, plain = (each.colours(*asked()) for each in (one, other, begun))
+    first, second, plain = (each.colors(*asked()) for each in (one, other, begun))
     assert np.abs(first - second).mean() < 1e-2 * np.abs(second - plain).mean()
 
 
@@ -126,7 +126,7 @@ def test_a_step_on_the_device_between_two_on_the_cpu_comes_to_what_the_cpu_does(
 
 
 @pytest.mark.slow
-def test_an_edit_is_learnt_to_its_end_on_a_device(device):
+def test_an_edit_is_learned_to_its_end_on_a_device(device):
     expected, made = trainer(), trainer(device)
     for one in (expected, made):
         one.run()
@@ -135,8 +135,8 @@ def test_an_edit_is_learnt_to_its_end_on_a_device(device):
     figures = [one.figures() for one in (expected, made)]
     assert figures[0]["shares"] == pytest.approx(figures[1]["shares"], abs=2e-3)
     assert figures[0]["psnr"] == pytest.approx(figures[1]["psnr"], abs=0.05)
-    # What the device has learnt is in the module that is kept.
-    np.testing.assert_allclose(made.module.colours(*asked()), made.asked.colours(*asked()), atol=1e-5)
+    # What the device has learned is in the module that is kept.
+    np.testing.assert_allclose(made.module.colors(*asked()), made.asked.colors(*asked()), atol=1e-5)
 
 
 def asked() -> tuple[np.ndarray, np.ndarray]:

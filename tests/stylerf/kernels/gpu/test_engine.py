@@ -9,7 +9,7 @@ import torch
 from stylerf.fields.occupancy_grid import Occupancy
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.fields.ray_samples import Rays
-from stylerf.fields.region_color import PatchColour
+from stylerf.fields.region_color import PatchColor
 from stylerf.fields.vm_tables import split_table
 from stylerf.geometry.cameras import Camera
 from stylerf.rendering.rays import backward, render_rays
@@ -23,10 +23,10 @@ from tests.stylerf.fields.test_densities import LARGER
 from tests.stylerf.small import (
     SPARSE,
     field_of,
-    hash_colour,
+    hash_color,
     hash_density,
     headed,
-    vm_colour,
+    vm_color,
     voxel_density,
     wall_in_front,
 )
@@ -39,8 +39,8 @@ def bank():
     return box_bank(4, 10)
 
 
-def thin_field(space=AROUND, step=1 / 8, colour=None, density=None):
-    field = field_of(space, 3, colour or vm_colour(4), step)
+def thin_field(space=AROUND, step=1 / 8, color=None, density=None):
+    field = field_of(space, 3, color or vm_color(4), step)
     field.density = density or field.density
     field.density.values[-1] = -4.0
     return field
@@ -58,18 +58,18 @@ def engine_on(device, bank, field, clip: float = 0.0):
 
 
 def kept_gradients(engine) -> list[torch.Tensor]:
-    """Instead of steps of the optimisers: the gradients they would take."""
+    """Instead of steps of the optimizers: the gradients they would take."""
     found = []
-    for adam in (engine.density_adam, engine.colour_adam):
+    for adam in (engine.density_adam, engine.color_adam):
         adam.step = lambda rate, adam=adam: found.append(adam.gradients.clone().cpu())
     return found
 
 
 FIELDS = {
     "vm": thin_field,
-    "hash": lambda: thin_field(colour=headed(4, "hash", "linear"), density=hash_density(3)),
-    "voxel": lambda: thin_field(colour=headed(4, "voxel", "linear", capacity=SPARSE), density=voxel_density(3)),
-    "vm+hash-mlp": lambda: thin_field(colour=headed(4, "hash", "mlp")),
+    "hash": lambda: thin_field(color=headed(4, "hash", "linear"), density=hash_density(3)),
+    "voxel": lambda: thin_field(color=headed(4, "voxel", "linear", capacity=SPARSE), density=voxel_density(3)),
+    "vm+hash-mlp": lambda: thin_field(color=headed(4, "hash", "mlp")),
 }
 
 
@@ -80,7 +80,7 @@ def test_a_step_learns_the_gradient_that_the_cpu_finds_for_the_same_rays(kinds, 
     found = kept_gradients(engine)
     opacity, coverage = (0.3, 0.2) if kinds == "vm" else (0.0, 0.0)
     engine.learn(batch(opacity=opacity, coverage=coverage))
-    learnt = engine._reports.settle()
+    learned = engine._reports.settle()
     drawn = engine.bank.draw((0 * 1_000_003 + 3) & 0x7FFFFFFF, 0, 24, 24, 3, 0.5, 1.0)
     host = [t.cpu().numpy() for t in (drawn.rays.origins, drawn.rays.directions, drawn.rays.jitter)]
     rendered = render_rays(field, Rays.of(host[0], host[1], 0.0, host[2]), chunks=1)
@@ -90,30 +90,30 @@ def test_a_step_learns_the_gradient_that_the_cpu_finds_for_the_same_rays(kinds, 
     gradients[:, :3] = difference * np.float32(2 / (3 * 24))
     gradients[:, 3] = -gradients[:, :3].sum(1) + opacity_gradient(out[:, 3], opacity, 24)
     gradients[:, 3] += coverage_gradient(out[:, 3], rgba[:, 3], coverage, 24)
-    to = [np.zeros((1, len(part.values)), np.float32) for part in (field.density, field.colour)]
+    to = [np.zeros((1, len(part.values)), np.float32) for part in (field.density, field.color)]
     backward(field, rendered, gradients, *to)
     for ours, expected in zip(found, to):
         np.testing.assert_allclose(ours, expected[0], atol=3e-5 * np.abs(expected).max())
-    assert learnt.error == pytest.approx(float(np.square(difference).mean()), rel=1e-4)
-    assert learnt.live == pytest.approx(rendered.samples.count / 24, abs=0.1)
+    assert learned.error == pytest.approx(float(np.square(difference).mean()), rel=1e-4)
+    assert learned.live == pytest.approx(rendered.samples.count / 24, abs=0.1)
 
 
 @pytest.mark.parametrize("kind", ["hash", "voxel"])
 def test_a_field_that_grows_is_taken_over_and_taught_on(kind, bank, device):
     engine = engine_on(device, bank, FIELDS[kind]())
     taught = engine.field
-    for name in ("density", "colour"):
+    for name in ("density", "color"):
         setattr(taught, name, getattr(taught, name).grown(LARGER[kind], np.random.default_rng(0)))
-    before, larger = taught.colour.values.copy(), len(taught.density.values)
+    before, larger = taught.color.values.copy(), len(taught.density.values)
     engine.adopt(taught)
     engine.learn(batch(step=4, rate=0.01, smoothness=(1e-3, 0.0)))
     engine.refresh(0, 1)
     now = engine.field
     assert len(now.density.values) == larger > 2 * len(FIELDS[kind]().density.values)
-    moved = np.abs(now.colour.values - before)
+    moved = np.abs(now.color.values - before)
     assert 0 < moved.max() < 0.01 * 15.1 and np.isfinite(now.density.values).all()
     # What stands for blocks that are not kept never learns; nor does what no ray has met.
-    fixed = now.colour.features.fixed
+    fixed = now.color.features.fixed
     assert not moved[:fixed].any() and (moved == 0).any()
 
 
@@ -133,10 +133,10 @@ def test_what_a_loop_looks_at_again_is_in_time_every_cell_but_clear_ones(bank, d
 def test_moments_stay_with_a_part_that_does(bank, device):
     engine = engine_on(device, bank, thin_field())
     engine.learn(batch())
-    kept = engine.colour_adam
+    kept = engine.color_adam
     field = engine.field
-    engine.adopt(RadianceField(field.space, thin_field().density, field.colour, field.occupancy, field.step))
-    assert engine.colour_adam.steps == 1 and torch.equal(engine.colour_adam.second, kept.second)
+    engine.adopt(RadianceField(field.space, thin_field().density, field.color, field.occupancy, field.step))
+    assert engine.color_adam.steps == 1 and torch.equal(engine.color_adam.second, kept.second)
     assert engine.density_adam.steps == 0 and not engine.density_adam.second.any()
 
 
@@ -153,24 +153,24 @@ def test_parts_smoothness_and_steps(bank, device):
 
 
 @pytest.mark.slow
-def test_what_is_learnt_comes_back_and_moments_with_it(bank, device):
+def test_what_is_learned_comes_back_and_moments_with_it(bank, device):
     engine = engine_on(device, bank, thin_field())
-    before = engine.field.colour.values.copy()
-    assert engine.field.colour.values is engine.field.colour.values
+    before = engine.field.color.values.copy()
+    assert engine.field.color.values is engine.field.color.values
     engine.learn(batch(rate=0.05))
-    now = engine.field.colour.values
+    now = engine.field.color.values
     assert not np.array_equal(now, before) and np.abs(now - before).max() < 0.06
     moments = engine.moments()
-    assert moments["density.steps"].tolist() == [1, 0] and moments["colour.first"].any()
+    assert moments["density.steps"].tolist() == [1, 0] and moments["color.first"].any()
     other = engine_on(device, bank, engine.field)
     other.restore_moments(moments)
-    assert torch.equal(other.colour_adam.second, engine.colour_adam.second) and other.density_adam.steps == 1
+    assert torch.equal(other.color_adam.second, engine.color_adam.second) and other.density_adam.steps == 1
 
 
 def test_both_parts_are_clipped_where_that_is_asked_for(bank, device):
     engine = engine_on(device, bank, thin_field(), clip=1.5)
     engine.learn(batch())
-    for adam in (engine.density_adam, engine.colour_adam):
+    for adam in (engine.density_adam, engine.color_adam):
         usual, adam.steps = float(adam.usual), UNKNOWN
         assert usual > 0
         adam.gradients[:] = 0
@@ -282,7 +282,7 @@ def test_the_loop_runs_and_resumes_on_a_device(bank, device):
     part = resumed(small_fitter(bank, device), run_until(small_fitter(bank, device), 2))
     assert part.state.step == 2
     part.run(check_every=0.5)
-    np.testing.assert_allclose(part.field.colour.values, whole.field.colour.values, atol=1e-3)
+    np.testing.assert_allclose(part.field.color.values, whole.field.color.values, atol=1e-3)
 
 
 def test_a_reduction_goes_to_the_device_and_comes_back_refused(bank, device):
@@ -301,7 +301,7 @@ def test_a_reduction_goes_to_the_device_and_comes_back_refused(bank, device):
 def test_a_view_is_the_cpus_picture(device):
     from stylerf.rendering.view_gpu import DeviceRenderer
 
-    field, camera = thin_field(step=1 / 6, colour=hash_colour(5)), dome(1, 2, 7)[0]
+    field, camera = thin_field(step=1 / 6, color=hash_color(5)), dome(1, 2, 7)[0]
     cells = np.zeros((4, 4, 4), bool)
     cells[1:3, :, 2] = True
     expected = render_view(field, camera, chunks=1, regions={"one": cells})
@@ -327,7 +327,7 @@ def test_depth_is_that_of_a_surface_whatever_light_passes_it(through, backs, z, 
 def test_halves_are_taken_where_pixels_allow_it_and_refused_elsewhere(device):
     from stylerf.rendering.view_gpu import TOLERANCE, DeviceRenderer
 
-    field, camera = thin_field(step=1 / 6, colour=hash_colour(5)), dome(1, 2, 4)[0]
+    field, camera = thin_field(step=1 / 6, color=hash_color(5)), dome(1, 2, 4)[0]
     made = DeviceRenderer(field, device)
     rgb = made.view(camera).rgb
     assert made.half and made.field.density.table.dtype == torch.float16
@@ -353,7 +353,7 @@ def test_fixed_surfaces_paint_and_learn_as_on_the_cpu(device, over):
     cpu, gpu = FixedGeometry(field, cameras, 0.2, 1), DeviceFixedGeometry(field, cameras, 0.2, device)
     marked = np.zeros((4, 4, 4), bool)
     marked[:, :2] = True
-    field.colour = PatchColour(field.colour, hash_colour(6), marked) if over else hash_colour(6)
+    field.color = PatchColor(field.color, hash_color(6), marked) if over else hash_color(6)
     adam = gpu.new_adam()
     np.testing.assert_allclose(gpu.alpha(1), cpu.alpha(1), atol=2e-5)
     assert np.array_equal(gpu.surface(1).offsets, cpu.surface(1).offsets)
@@ -361,11 +361,11 @@ def test_fixed_surfaces_paint_and_learn_as_on_the_cpu(device, over):
     (ours, kept), (expected, held) = gpu.paint(1, pixels), cpu.paint(1, pixels)
     np.testing.assert_allclose(ours, expected, atol=2e-4)  # the CPU keeps positions in sixteen bits
     towards = np.random.default_rng(0).normal(size=(5, 3)).astype(np.float32)
-    to = np.zeros((1, len(field.colour.values)), np.float32)
+    to = np.zeros((1, len(field.color.values)), np.float32)
     cpu.learn(held, towards, to)
     gpu.learn(kept, towards, adam.gradients)
     np.testing.assert_allclose(adam.gradients.cpu(), to[0], atol=3e-3 * np.abs(to).max())
     adam.step(0.01)
-    before = field.colour.values.copy()
+    before = field.color.values.copy()
     gpu.collect()
-    assert 0 < np.abs(field.colour.values - before).max() < 0.011
+    assert 0 < np.abs(field.color.values - before).max() < 0.011

@@ -6,7 +6,7 @@ import torch
 
 from stylerf.editing.edit_grid import Region
 from stylerf.editing.extraction import Extraction, ends_of_view, seen_of_view
-from tests.stylerf.small import field_of, hash_colour
+from tests.stylerf.small import field_of, hash_color
 from tests.stylerf.training.scenes import AROUND, box_photo, dome
 
 CELLS = 8
@@ -27,7 +27,7 @@ def walked(device):
     """(field, camera, ends by grid): walked once."""
     from stylerf.editing.extraction_gpu import DeviceEnds
 
-    field, camera = field_of(AROUND, 3, hash_colour(5), 1 / 8), dome(3, 2, 6)[1]
+    field, camera = field_of(AROUND, 3, hash_color(5), 1 / 8), dome(3, 2, 6)[1]
     field.density.values[-1] = -1.0
     ends_of = DeviceEnds(field, device, rays_at_once=20)
     found = ends_of(camera, GRIDS)

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 import torch
 
-from stylerf.fields.region_color import PatchColour
-from stylerf.style.color_matching import ColourMap
+from stylerf.fields.region_color import PatchColor
+from stylerf.style.color_matching import ColorMap
 from stylerf.training.finetune.engine import FineTuneSettings
 from stylerf.training.finetune.trainer import EditedPixels, FineTuner
-from tests.stylerf.small import close, field_of, vm_colour
+from tests.stylerf.small import close, field_of, vm_color
 from tests.stylerf.training.running import saved
 from tests.stylerf.training.scenes import AROUND, box_bank
 
@@ -25,16 +25,16 @@ def edited(depth: float = 1.7) -> EditedPixels:
 
 
 def thin_field(patched: bool = True, mapped: bool = False):
-    field = field_of(AROUND, 3, vm_colour(4), 1 / 8)
+    field = field_of(AROUND, 3, vm_color(4), 1 / 8)
     field.density.values[-1] = -4.0
     if patched:
         marked = np.zeros((6,) * 3, bool)
         marked[1:5, 1:5, 2:6] = True
-        field.colour = PatchColour.create(field.colour, marked, 20.0, table=64)
-        field.colour.values[:] = 0.2 * np.random.default_rng(1).normal(size=len(field.colour.values))
+        field.color = PatchColor.create(field.color, marked, 20.0, table=64)
+        field.color.values[:] = 0.2 * np.random.default_rng(1).normal(size=len(field.color.values))
     if mapped:
         matrix = torch.tensor([[0.8, 0.1, 0.0], [0.0, 0.9, 0.05], [0.1, 0.0, 0.7]])
-        field.colour_map = ColourMap(matrix, torch.tensor([0.05, 0.02, 0.1]))
+        field.color_map = ColorMap(matrix, torch.tensor([0.05, 0.02, 0.1]))
     return field
 
 
@@ -55,9 +55,9 @@ def tuner(bank, device=None, patched=True, mapped=False, **more) -> FineTuner:
 
 
 def gradients_taken(made) -> list[np.ndarray]:
-    """Instead of steps of the optimisers: the gradients they would take."""
+    """Instead of steps of the optimizers: the gradients they would take."""
     found = []
-    for adam in (made.engine.colour_adam, made.engine.density_adam):
+    for adam in (made.engine.color_adam, made.engine.density_adam):
 
         def step(rate: float, adam=adam) -> None:
             taken = torch.as_tensor(adam.gradients).cpu().numpy()
@@ -120,17 +120,17 @@ def test_the_loss_and_its_gradient_equal_autograds(edited_rays, depth_scale, dev
 CASES = {
     "a patch, shapes held": {},
     "a patch beside which density learns": {"density_factor": 0.5},
-    "the field's colours and density, mapped": {"patched": False, "density_factor": 0.5, "mapped": True},
+    "the field's colors and density, mapped": {"patched": False, "density_factor": 0.5, "mapped": True},
 }
 
 
 @pytest.mark.parametrize("case", [pytest.param(c, marks=[] if "density" in c else pytest.mark.slow) for c in CASES])
 def test_a_step_learns_the_gradient_that_the_cpu_finds(case, bank, device):
     both = [tuner(bank, where, **CASES[case]) for where in (None, device)]
-    learnt = [gradients_taken(made) for made in both]
+    learned = [gradients_taken(made) for made in both]
     told = [(made.step(), made.engine.settle())[1] for made in both]
-    assert len(learnt[0]) == len(learnt[1]) == (2 if "density" in case else 1)
-    for theirs, ours in zip(*learnt):
+    assert len(learned[0]) == len(learned[1]) == (2 if "density" in case else 1)
+    for theirs, ours in zip(*learned):
         assert np.abs(theirs).max() > 0
         close(ours, theirs, 5e-5)
     assert told[0].keys() == told[1].keys() == {"outside", "inside", "depth"}
@@ -140,9 +140,9 @@ def test_a_step_learns_the_gradient_that_the_cpu_finds(case, bank, device):
 
 
 def agree(values: np.ndarray, expected: np.ndarray) -> None:
-    """Learnt values of the patch. Where a gradient is all but nothing its sign is rounding's, and Adam's step as long
+    """Learned values of the patch. Where a gradient is all but nothing its sign is rounding's, and Adam's step as long
     as for any."""
-    apart, moved = np.abs(values - expected), np.abs(expected - thin_field().colour.values)
+    apart, moved = np.abs(values - expected), np.abs(expected - thin_field().color.values)
     assert moved.max() > 1e-2 and np.quantile(apart, 0.99) < 1e-4 and apart.mean() < 1e-3 * moved.mean()
 
 
@@ -165,8 +165,8 @@ def test_a_step_on_the_device_between_two_on_the_cpu_comes_to_what_the_cpu_does(
     expected.run()
     between = after(tuner(bank, device), one_step(tuner(bank)))
     ended = after(tuner(bank), between)
-    assert ended.state.step == expected.state.step == ended.engine.colour_adam.steps == 3
-    agree(ended.field.colour.values, expected.field.colour.values)
+    assert ended.state.step == expected.state.step == ended.engine.color_adam.steps == 3
+    agree(ended.field.color.values, expected.field.color.values)
     assert np.array_equal(between.field.density.values, thin_field().density.values)
 
 
@@ -175,8 +175,8 @@ def test_a_run_on_the_device_comes_to_what_the_cpu_does(bank, device):
     expected, made = tuner(bank), tuner(bank, device)
     for one in (expected, made):
         one.run()
-    agree(made.field.colour.values, expected.field.colour.values)
+    agree(made.field.color.values, expected.field.color.values)
     begun = one_step(tuner(bank, device))
-    agree(after(tuner(bank, device), after(tuner(bank), begun)).field.colour.values, expected.field.colour.values)
-    assert np.array_equal(made.checkpoint()[1]["field.colour"], made.field.colour.values)
+    agree(after(tuner(bank, device), after(tuner(bank), begun)).field.color.values, expected.field.color.values)
+    assert np.array_equal(made.checkpoint()[1]["field.color"], made.field.color.values)
     assert made.state.step == 3 and set(made.engine.settle()) == {"outside", "inside", "depth"}

@@ -16,7 +16,7 @@ from tests.stylerf.small import (
     float64,
     hash_density,
     headed,
-    oracle_colour,
+    oracle_color,
     oracle_density,
     voxel_density,
 )
@@ -44,9 +44,9 @@ def walked(device, count: int = 60):
 
 
 def on_device(part, device, half=False):
-    from stylerf.fields.gpu.field import COLOUR_KINDS, DENSITY_KINDS
+    from stylerf.fields.gpu.field import COLOR_KINDS, DENSITY_KINDS
 
-    return (DENSITY_KINDS if part.kind in DENSITIES else COLOUR_KINDS)[part.kind](part, device, half)
+    return (DENSITY_KINDS if part.kind in DENSITIES else COLOR_KINDS)[part.kind](part, device, half)
 
 
 @pytest.fixture(params=DENSITIES)
@@ -61,7 +61,7 @@ def taught_alone(part, found, expected, rounding: float) -> None:
     close(found[fixed:], expected[fixed:], rounding)
 
 
-def colour_of(encoder: str, head: str):
+def color_of(encoder: str, head: str):
     return headed(4, encoder, head, degree=2, capacity=SPARSE if encoder == "voxel" else SMALL)
 
 
@@ -92,18 +92,18 @@ def test_the_exponent_is_clamped_as_the_cpus(density, shift, limit, device):
 
 
 @pytest.mark.parametrize(("encoder", "head", "count"), [*((*pair, 60) for pair in PAIRS), ("hash", "mlp", 1)])
-def test_a_colour_and_its_gradient_equal_the_oracle(encoder, head, count, device):
-    colour = colour_of(encoder, head)
-    made, s, x = on_device(colour, device), walked(device, count), float64(points(count))
+def test_a_color_and_its_gradient_equal_the_oracle(encoder, head, count, device):
+    color = color_of(encoder, head)
+    made, s, x = on_device(color, device), walked(device, count), float64(points(count))
     ways = np.random.default_rng(3).normal(size=(RAYS, 3)).astype(np.float32)
     ways /= np.linalg.norm(ways, axis=1, keepdims=True)
     seen_from = torch.from_numpy(ways).to(device)
     rays, weights = s.ray_of[:count].cpu().long(), s.weights[:count].cpu()
-    found = made.colours(s, seen_from, 0.3)
+    found = made.colors(s, seen_from, 0.3)
     shown = (weights > 0) & (weights >= 0.3 * s.largest.cpu()[rays])
     assert bool(shown.any()) and bool(shown.all()) == (count == 1)
-    values = float64(colour.values).requires_grad_()
-    expected = oracle_colour(colour, values, float64(harmonics(ways, 2))[rays], x)
+    values = float64(color.values).requires_grad_()
+    expected = oracle_color(color, values, float64(harmonics(ways, 2))[rays], x)
     np.testing.assert_allclose(found[:count].cpu()[shown], expected[shown].detach(), atol=3e-6)
     assert bool((found[:count, 0].cpu()[~shown] == -1).all())
     gradients = torch.randn((count, 3), generator=torch.Generator().manual_seed(4))
@@ -113,23 +113,23 @@ def test_a_colour_and_its_gradient_equal_the_oracle(encoder, head, count, device
     found[count:] = float("nan")
     for _ in range(2):
         made.backward(s, seen_from, found, poisoned, to)
-    taught_alone(colour, to.cpu() / 2, values.grad, 2e-5)
-    length = colour.features.length
-    assert values.grad[:length].any() and bool(values.grad[length:].any()) == (colour.head.length > 0)
+    taught_alone(color, to.cpu() / 2, values.grad, 2e-5)
+    length = color.features.length
+    assert values.grad[:length].any() and bool(values.grad[length:].any()) == (color.head.length > 0)
 
 
-def test_a_sample_without_weight_has_no_colour(device):
-    made, s = on_device(colour_of("voxel", "linear"), device), walked(device)
-    found = made.colours(s, torch.ones((RAYS, 3), device=device), 0.0)[:60, 0]
+def test_a_sample_without_weight_has_no_color(device):
+    made, s = on_device(color_of("voxel", "linear"), device), walked(device)
+    found = made.colors(s, torch.ones((RAYS, 3), device=device), 0.0)[:60, 0]
     assert torch.equal(found >= 0, s.weights[:60] > 0) and not bool((found >= 0).all())
 
 
 SMOOTHED = {
     **DENSITIES,
     "voxel, whole": lambda seed: voxel_density(seed, replace(SPARSE, occupancy=None)),  # its blocks reach beyond it
-    "hash-linear": lambda seed: colour_of("hash", "linear"),
-    "voxel-linear": lambda seed: colour_of("voxel", "linear"),
-    "vm-mlp": lambda seed: colour_of("vm", "mlp"),
+    "hash-linear": lambda seed: color_of("hash", "linear"),
+    "voxel-linear": lambda seed: color_of("voxel", "linear"),
+    "vm-mlp": lambda seed: color_of("vm", "mlp"),
 }
 
 
@@ -164,5 +164,5 @@ def test_kinds_without_kernels_are_told_in_one_line():
     field = field_of(SPACES["box"], 1, headed(1, "voxel", "mlp", capacity=SPARSE))
     field.density = hash_density(1)
     assert unsupported(field) is None
-    field.colour.kind = "palette"
+    field.color.kind = "palette"
     assert "palette" in unsupported(field)

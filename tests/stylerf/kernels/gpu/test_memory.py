@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from stylerf.fields.gpu import memory
-from tests.stylerf.small import field_of, hash_colour
+from tests.stylerf.small import field_of, hash_color
 from tests.stylerf.training.scenes import AROUND, dome
 
 FIT = 20  # rays
@@ -37,7 +37,7 @@ def test_pictures_surfaces_and_ends_of_rays_come_out_alike(scarce, device):
     from stylerf.rendering.view_gpu import DeviceRenderer
     from stylerf.training.stylize.geometry_gpu import DeviceFixedGeometry
 
-    field, camera = field_of(AROUND, 3, hash_colour(5), 1 / 6), dome(1, 2, 6)[0]
+    field, camera = field_of(AROUND, 3, hash_color(5), 1 / 6), dome(1, 2, 6)[0]
     field.density.values[-1] = -3.0
     cells = np.zeros((4, 4, 4), bool)
     cells[1:3] = True

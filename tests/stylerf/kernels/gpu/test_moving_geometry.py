@@ -1,4 +1,4 @@
-"""Rays through shapes that move: deformer, geometry, initialisation and stylisation beside the CPU's."""
+"""Rays through shapes that move: deformer, geometry, initialization and stylization beside the CPU's."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ from stylerf.training.deform.deformer import Deformer, deformer_on
 from stylerf.training.deform.fitter import DeformationFitter, DeformSettings
 from stylerf.training.stylize.geometry import FixedGeometry, MovingGeometry
 from tests.stylerf.kernels.gpu.test_engine import thin_field
-from tests.stylerf.small import displacement_grid, hash_colour
+from tests.stylerf.small import displacement_grid, hash_color
 from tests.stylerf.training.running import saved
 from tests.stylerf.training.scenes import box_bank, dome
 
@@ -66,7 +66,7 @@ def test_steps_of_the_network_are_the_cpus(device, monkeypatch):
     expected, told = pushed(cpu, 3), pushed(gpu, 3)
     before, stale = gpu.field.displacement.copy(), gpu.deformation.values.copy()
     gpu.collect()
-    # What has been learnt came back when it was asked for, not before.
+    # What has been learned came back when it was asked for, not before.
     assert not np.array_equal(gpu.field.displacement, before) and not np.array_equal(gpu.deformation.values, stale)
     np.testing.assert_allclose(gpu.deformation.values, cpu.deformation.values, atol=2e-5)
     largest = np.abs(cpu.field.displacement).max()
@@ -110,7 +110,7 @@ def test_a_checkpoint_of_one_goes_on_upon_the_other(back, device):
 # -- rays through it ------------------------------------------------------------------------------------------------
 
 
-def test_a_moving_view_is_painted_and_learnt_as_on_the_cpu(device):
+def test_a_moving_view_is_painted_and_learned_as_on_the_cpu(device):
     from stylerf.training.stylize.geometry_gpu import DeviceFixedGeometry, DeviceMovingGeometry
 
     cameras, pixels = dome(2, 3, 6), np.array([3, 30, 17, 8, 14, 21, 22])
@@ -118,28 +118,28 @@ def test_a_moving_view_is_painted_and_learnt_as_on_the_cpu(device):
     seen = []
     for where in (None, device):
         made = made_on(where)
-        # As a stylisation does: a new colour, taught through the fixed shapes first.
+        # As a stylization does: a new color, taught through the fixed shapes first.
         if where is None:
             still = FixedGeometry(made.field, cameras, 0.1, 1)
-            made.field.colour = hash_colour(6)
-            moving, colour_to = MovingGeometry, np.zeros((1, len(made.field.colour.values)), np.float32)
+            made.field.color = hash_color(6)
+            moving, color_to = MovingGeometry, np.zeros((1, len(made.field.color.values)), np.float32)
         else:
             still = DeviceFixedGeometry(made.field, cameras, 0.1, where)
-            made.field.colour = hash_colour(6)
-            moving, colour_to = DeviceMovingGeometry, still.new_adam().gradients
+            made.field.color = hash_color(6)
+            moving, color_to = DeviceMovingGeometry, still.new_adam().gradients
         geometry = moving(made.field, cameras, 0.1, 1, 0.75, made, still)
         np.testing.assert_allclose(geometry.alpha(1), still.alpha(1))
         rgb, kept = geometry.paint(1, pixels)
-        geometry.learn(kept, towards, colour_to)
+        geometry.learn(kept, towards, color_to)
         of_grid = torch.as_tensor(made.gradients).cpu().numpy().reshape(-1)
-        seen.append((rgb, geometry.alpha(1), torch.as_tensor(colour_to).cpu().numpy().reshape(-1), of_grid))
+        seen.append((rgb, geometry.alpha(1), torch.as_tensor(color_to).cpu().numpy().reshape(-1), of_grid))
     for expected, found in zip(*seen):
         largest = np.abs(expected).max()
         assert largest > 0
         np.testing.assert_allclose(found, expected, atol=5e-5 * largest)
 
 
-# -- the initialisation on the photos -------------------------------------------------------------------------------
+# -- the initialization on the photos -------------------------------------------------------------------------------
 
 
 def fitter_on(where, steps: int = 3) -> DeformationFitter:
@@ -147,7 +147,7 @@ def fitter_on(where, steps: int = 3) -> DeformationFitter:
     return DeformationFitter(thin_field(step=STEP), bent(), box_bank(4, 10), settings, 0, 1, device=where)
 
 
-def test_the_initialisation_is_the_cpus(device):
+def test_the_initialization_is_the_cpus(device):
     """Three steps of the same rays: errors, sizes, quality, the grid; and what is kept at the end."""
     cpu, gpu = fitter_on(None), fitter_on(device)
     assert gpu.state.before == pytest.approx(cpu.state.before, abs=1e-3)

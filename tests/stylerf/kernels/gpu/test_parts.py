@@ -8,7 +8,7 @@ from stylerf.fields.occupancy_grid import Occupancy
 from stylerf.kernels import torch_reference
 from stylerf.training.common.adam import Adam
 from stylerf.training.common.ray_dataset import RayBank
-from tests.stylerf.small import close, density, float64, hash_colour, vm_colour
+from tests.stylerf.small import close, density, float64, hash_color, vm_color
 from tests.stylerf.training.scenes import box_bank
 
 
@@ -75,7 +75,7 @@ def test_a_leap_is_shortened_as_on_the_cpu_and_a_gradient_of_nan_is_no_step(devi
 def test_hash_rows_and_their_gradient_equal_the_oracle(device):
     from stylerf.kernels.gpu import hash_color as kernels
 
-    made, x = hash_colour(3), np.random.default_rng(1).random((40, 3), dtype=np.float32)
+    made, x = hash_color(3), np.random.default_rng(1).random((40, 3), dtype=np.float32)
     x[0], x[1] = 0, 1
     values, points = (torch.from_numpy(a).to(device) for a in (made.values, x))
     layout = torch.from_numpy(made.layout).to(device)
@@ -91,12 +91,12 @@ def test_hash_rows_and_their_gradient_equal_the_oracle(device):
     close(to.cpu(), exact.grad, 5e-6)
 
 
-@pytest.mark.parametrize("make", [lambda: density(1), lambda: vm_colour(2), lambda: hash_colour(3)])
+@pytest.mark.parametrize("make", [lambda: density(1), lambda: vm_color(2), lambda: hash_color(3)])
 def test_smoothing_equals_the_cpus(make, device):
     from stylerf.fields.gpu import field as parts
 
     part = make()
-    kinds = parts.DENSITY_KINDS if part.values.size == density(1).values.size else parts.COLOUR_KINDS
+    kinds = parts.DENSITY_KINDS if part.values.size == density(1).values.size else parts.COLOR_KINDS
     cpu = np.full(len(part.values), 0.25, np.float32)
     part.smooth(0.7, cpu)
     to = torch.full((len(part.values),), 0.25, device=device)
@@ -110,13 +110,13 @@ def test_drawn_rays_are_those_of_pixels_of_the_photos(device):
     bank = box_bank(5, 12)
     made = DeviceBank(bank, device)
     drawn = made.draw(7, 0, 500, 500, 3, 0.5, 1.0)
-    origins, directions, colours = bank.at(*np.divmod(np.arange(3 * 144), 144))
-    # Each ray is one pixel's of the first three views, with its colour.
+    origins, directions, colors = bank.at(*np.divmod(np.arange(3 * 144), 144))
+    # Each ray is one pixel's of the first three views, with its color.
     ways = drawn.rays.directions.cpu().numpy()
     pixel = np.array([np.abs(directions - way).max(1).argmin() for way in ways])
     np.testing.assert_allclose(ways, directions[pixel], atol=1e-6)
     np.testing.assert_allclose(drawn.rays.origins.cpu(), origins[pixel], atol=1e-6)
-    np.testing.assert_allclose(drawn.wanted.cpu(), colours[pixel], atol=1e-6)
+    np.testing.assert_allclose(drawn.wanted.cpu(), colors[pixel], atol=1e-6)
     lit = bank.lit[np.arange(bank.lit.below(len(bank)))]
     assert np.isin(pixel[:250], lit).all() and not np.isin(pixel[250:], lit).all()
     assert len(np.unique(pixel)) > 200 and {0, 1, 2} == set((pixel // 144).tolist())

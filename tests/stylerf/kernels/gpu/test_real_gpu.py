@@ -11,11 +11,11 @@ from tests.stylerf.small import (
     density,
     displacement_grid,
     field_of,
-    hash_colour,
+    hash_color,
     hash_density,
     headed,
     rays_into,
-    vm_colour,
+    vm_color,
     voxel_density,
 )
 
@@ -30,8 +30,8 @@ def gpu(device):
 
 
 PARTS = {
-    "vm": lambda: (density(3), vm_colour(4)),
-    "stylised": lambda: (density(3), hash_colour(5)),
+    "vm": lambda: (density(3), vm_color(4)),
+    "stylized": lambda: (density(3), hash_color(5)),
     "hash": lambda: (hash_density(3), headed(4, "hash", "linear")),
     "voxel": lambda: (voxel_density(3), headed(4, "voxel", "linear", 2, SPARSE)),
     "vm-mlp": lambda: (density(3), headed(4, "vm", "mlp")),
@@ -47,7 +47,7 @@ def test_thousands_of_rays_agree_with_the_cpu(kind, parts, gpu):
     from tests.stylerf.kernels.gpu.on_gpu import device_rays, gradients_of
 
     field = field_of(SPACES[kind], 3, None, 1 / 64)
-    field.density, field.colour = PARTS[parts]()
+    field.density, field.color = PARTS[parts]()
     rays = rays_into(SPACES[kind], 5000, 4)
     cpu, made = render_rays(field, rays, chunks=2), DeviceField(field, gpu)
     found = made.render_rays(device_rays(rays, gpu))
@@ -57,7 +57,7 @@ def test_thousands_of_rays_agree_with_the_cpu(kind, parts, gpu):
     assert np.quantile(apart, 0.99) < 1e-4 and apart.max() < 5e-2
     towards = np.random.default_rng(7).normal(size=(5000, 5)).astype(np.float32)
     towards[:, 4] = 0
-    to = [np.zeros((2, len(part.values)), np.float32) for part in (field.density, field.colour)]
+    to = [np.zeros((2, len(part.values)), np.float32) for part in (field.density, field.color)]
     backward(field, cpu, towards, *to)
     for ours, expected in zip(gradients_of(made, found, towards), to):
         whole = expected.sum(0)
@@ -88,7 +88,7 @@ def test_thousands_of_rays_teach_a_deformation_what_they_do_on_the_cpu(kind, gpu
     from stylerf.fields.gpu.field import DeviceField
     from tests.stylerf.kernels.gpu.on_gpu import device_rays
 
-    field = field_of(SPACES[kind], 3, hash_colour(5), 1 / 64, displacement_grid(6, 9, 0.02))
+    field = field_of(SPACES[kind], 3, hash_color(5), 1 / 64, displacement_grid(6, 9, 0.02))
     rays, towards = rays_into(SPACES[kind], 5000, 4), np.random.default_rng(7).normal(size=(5000, 5))
     towards = (towards * [1, 1, 1, 1, 0]).astype(np.float32)
     expected, to = np.zeros((2, field.displacement.size), np.float32), torch.zeros(field.displacement.size, device=gpu)

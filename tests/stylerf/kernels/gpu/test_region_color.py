@@ -1,4 +1,4 @@
-"""A region's own colours on the device: values and gradients against the oracle and the CPU, for any share of cells."""
+"""A region's own colors on the device: values and gradients against the oracle and the CPU, for any share of cells."""
 
 from functools import cache
 
@@ -6,44 +6,44 @@ import numpy as np
 import pytest
 import torch
 
-from stylerf.fields.region_color import PatchColour
+from stylerf.fields.region_color import PatchColor
 from stylerf.geometry.spherical_harmonics import harmonics
 from stylerf.rendering.rays import backward, render_rays
 from tests.stylerf.fields.test_region_color import CELLS, inside, marked_cells, oracle
 from tests.stylerf.fields.test_region_color import patch as one_patch
 from tests.stylerf.kernels.gpu.on_gpu import device_rays, gradients_of, on_host
-from tests.stylerf.small import SPACES, close, field_of, float64, hash_colour, headed, rays_into
+from tests.stylerf.small import SPACES, close, field_of, float64, hash_color, headed, rays_into
 
 SHARE = 0.02
 
 
-def everywhere(made: PatchColour) -> PatchColour:
+def everywhere(made: PatchColor) -> PatchColor:
     return _over(made, np.ones((CELLS,) * 3, bool))
 
 
-def nowhere_met(made: PatchColour) -> PatchColour:
+def nowhere_met(made: PatchColor) -> PatchColor:
     """One cell of many, in a corner that no ray meets."""
     marked = np.zeros((64,) * 3, bool)
     marked[0, 0, 0] = True
     return _over(made, marked)
 
 
-def _over(made: PatchColour, marked: np.ndarray) -> PatchColour:
-    other = PatchColour.create(made.base, marked, 30.0, table=64, levels=8)
+def _over(made: PatchColor, marked: np.ndarray) -> PatchColor:
+    other = PatchColor.create(made.base, marked, 30.0, table=64, levels=8)
     other.values[:] = np.random.default_rng(5).normal(scale=0.4, size=len(other.values))
     return other
 
 
-def on_a_patch(made: PatchColour) -> PatchColour:
+def on_a_patch(made: PatchColor) -> PatchColor:
     marked = np.zeros((4,) * 3, bool)
     marked[1:3, :, 1:3] = True
-    other = PatchColour.create(made, marked, 20.0, table=64)
+    other = PatchColor.create(made, marked, 20.0, table=64)
     other.values[:] = 0.3 * np.random.default_rng(6).normal(size=len(other.values))
     return other
 
 
-def on_a_network(made: PatchColour) -> PatchColour:
-    return PatchColour(headed(2, "vm", "mlp"), made.own, made.marked)
+def on_a_network(made: PatchColor) -> PatchColor:
+    return PatchColor(headed(2, "vm", "mlp"), made.own, made.marked)
 
 
 CASES = {
@@ -69,27 +69,27 @@ def walked(case: str, device, rays: int = 12):
     return field, going, made, rendered, np.random.default_rng(7).normal(size=(rays, 5)).astype(np.float32)
 
 
-def test_colours_and_gradients_equal_the_oracle(device):
+def test_colors_and_gradients_equal_the_oracle(device):
     field, rays, made, rendered, _ = walked("some cells", device)
-    s, colours = on_host(rendered.samples), rendered.colours.cpu()
-    shown = colours[:, 0] >= 0
+    s, colors = on_host(rendered.samples), rendered.colors.cpu()
+    shown = colors[:, 0] >= 0
     within = inside(s.x) & shown.numpy()
     assert 5 < within.sum() < shown.sum() - 5 and not bool(shown.all())
-    values = float64(field.colour.values).requires_grad_()
+    values = float64(field.color.values).requires_grad_()
     basis = float64(harmonics(rays.directions, 1))[rendered.samples.ray_of.cpu().long()]
-    expected = oracle(field.colour, values, basis, float64(s.x))
-    close(colours[shown], expected[shown], 5e-6)
+    expected = oracle(field.color, values, basis, float64(s.x))
+    close(colors[shown], expected[shown], 5e-6)
     gradients = np.random.default_rng(3).normal(size=s.x.shape).astype(np.float32)
     (expected * float64(gradients))[shown].sum().backward()
-    to = torch.zeros_like(made.colour.values)
-    made.colour.backward(rendered.samples, None, rendered.colours, torch.from_numpy(gradients).to(device), to)
+    to = torch.zeros_like(made.color.values)
+    made.color.backward(rendered.samples, None, rendered.colors, torch.from_numpy(gradients).to(device), to)
     close(to.cpu(), values.grad, 1e-5)
 
 
 def test_outside_the_cells_the_base_stays_to_the_bit(device):
     _, _, made, rendered, _ = walked("some cells", device)
-    base = made.colour.base.colours(rendered.samples, rendered.rays.directions, SHARE).cpu()
-    found, shown = rendered.colours.cpu(), base[:, 0] >= 0
+    base = made.color.base.colors(rendered.samples, rendered.rays.directions, SHARE).cpu()
+    found, shown = rendered.colors.cpu(), base[:, 0] >= 0
     within = torch.from_numpy(inside(on_host(rendered.samples).x))
     assert torch.equal(found[shown & ~within], base[shown & ~within])
     assert bool((found[shown & within] != base[shown & within]).any(1).all())
@@ -103,7 +103,7 @@ def test_pixels_and_gradients_are_the_cpus(case, device):
     field, rays, made, rendered, towards = walked(case, device)
     cpu = render_rays(field, rays, chunks=1, share=SHARE)
     close(rendered.out.cpu(), cpu.out, 2e-5)
-    to = [np.zeros((1, len(part.values)), np.float32) for part in (field.density, field.colour)]
+    to = [np.zeros((1, len(part.values)), np.float32) for part in (field.density, field.color)]
     backward(field, cpu, towards, *to)
     found = gradients_of(made, rendered, towards)
     for ours, expected in zip(found, to):
@@ -129,10 +129,10 @@ def test_density_learns_in_the_cells_alone(device):
 
 def test_what_a_patch_stands_on_decides_whether_a_gpu_can_have_it():
     from stylerf.fields.gpu.field import unsupported
-    from tests.stylerf.fields.test_palette_color import made as palette_colour
+    from tests.stylerf.fields.test_palette_color import made as palette_color
 
     assert unsupported(field_of(SPACES["box"], 3, on_a_patch(one_patch()))) is None
-    other = PatchColour(palette_colour(), hash_colour(1), marked_cells())
+    other = PatchColor(palette_color(), hash_color(1), marked_cells())
     assert "palette has no GPU kernel" in unsupported(field_of(SPACES["box"], 3, other))
 
 
@@ -142,9 +142,9 @@ def test_an_edited_view_in_halves_is_the_cpus_picture(device):
     from stylerf.rendering.view_gpu import DeviceRenderer
     from tests.stylerf.training.scenes import AROUND, dome
 
-    over_hash = PatchColour(hash_colour(3), one_patch().own, marked_cells())
+    over_hash = PatchColor(hash_color(3), one_patch().own, marked_cells())
     field, camera = field_of(AROUND, 3, over_hash, 1 / 5), dome(1, 2, 4)[0]
     field.density.values[-1] = -4.0
     made = DeviceRenderer(field, device, "float16")
-    assert made.field.colour.table.dtype == made.field.colour.base.table.dtype == torch.float16
+    assert made.field.color.table.dtype == made.field.color.base.table.dtype == torch.float16
     np.testing.assert_allclose(made.view(camera).rgb, render_view(field, camera, chunks=1).rgb, atol=1e-3)

@@ -18,24 +18,24 @@ from tests.stylerf.small import (
     displacement_grid,
     field_of,
     float64,
-    hash_colour,
+    hash_color,
     hash_density,
     headed,
-    oracle_colour,
+    oracle_color,
     oracle_density,
     points_on,
     rays_into,
-    vm_colour,
+    vm_color,
     voxel_density,
 )
 
 STEP = 1 / 8
-# Space, density, colour, displaced: every space, every kind, degrees 0 to 2 and a displacement, at one walk each.
+# Space, density, color, displaced: every space, every kind, degrees 0 to 2 and a displacement, at one walk each.
 CASES = {
-    "box": ("box", density, lambda: vm_colour(4, degree=1), False),
-    "box displaced": ("box", density, lambda: hash_colour(5), True),
-    "contraction": ("contraction", density, lambda: vm_colour(4, degree=2), False),
-    "frustum": ("frustum", density, lambda: vm_colour(4, degree=0), False),
+    "box": ("box", density, lambda: vm_color(4, degree=1), False),
+    "box displaced": ("box", density, lambda: hash_color(5), True),
+    "contraction": ("contraction", density, lambda: vm_color(4, degree=2), False),
+    "frustum": ("frustum", density, lambda: vm_color(4, degree=0), False),
     "hash, contraction": ("contraction", hash_density, lambda: headed(4, "hash", "linear"), False),
     "voxel, box displaced": ("box", voxel_density, lambda: headed(4, "voxel", "linear", 2, SPARSE), True),
     "hash, frustum": ("frustum", hash_density, lambda: headed(4, "vm", "mlp"), False),
@@ -47,8 +47,8 @@ def walked(case: str, device, rays: int = 14):
     """(field, rays, device field, what it rendered, dL/d(pixels), device gradients): computed once a case."""
     from stylerf.fields.gpu.field import DeviceField
 
-    kind, density_of, colour, displaced = CASES[case]
-    field = field_of(SPACES[kind], 3, colour(), STEP, displacement_grid(6) if displaced else None)
+    kind, density_of, color, displaced = CASES[case]
+    field = field_of(SPACES[kind], 3, color(), STEP, displacement_grid(6) if displaced else None)
     field.density = density_of(3)
     field.density.values[-1] = -4.5  # thin: rays go on long enough to end in the backdrop
     made, going = DeviceField(field, device), rays_into(SPACES[kind], rays, 4)
@@ -93,16 +93,16 @@ def test_the_device_walks_as_the_cpu_does(case, device):
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_colours_equal_the_oracle_where_they_weigh_enough_and_are_left_out_elsewhere(case, device):
+def test_colors_equal_the_oracle_where_they_weigh_enough_and_are_left_out_elsewhere(case, device):
     field, rays, _, rendered, _, _ = walked(case, device)
-    packed, colour = Packed.of(on_host(rendered.samples)), field.colour
+    packed, color = Packed.of(on_host(rendered.samples)), field.color
     largest = rendered.samples.largest.cpu().double()[packed.rays]
     shown = packed.weights >= np.float32(0.05) * largest
-    found = rendered.colours.cpu().double()
+    found = rendered.colors.cpu().double()
     assert bool(shown.any()) and not bool(shown.all())
     assert bool((found[~shown, 0] == -1).all())
-    basis = float64(harmonics(rays.directions, colour.degree))[packed.rays]
-    expected = oracle_colour(colour, float64(colour.values), basis, packed.x)
+    basis = float64(harmonics(rays.directions, color.degree))[packed.rays]
+    expected = oracle_color(color, float64(color.values), basis, packed.x)
     np.testing.assert_allclose(found[shown], expected[shown], atol=3e-6)
 
 
@@ -111,11 +111,11 @@ def test_pixels_and_gradients_equal_the_oracle(case, device):
     field, rays, _, rendered, towards, found = walked(case, device)
     grid = None if field.displacement is None else float64(field.displacement)
     pixels, expected = by_oracle(field, rays, rendered, grid, gradients=towards)
-    for part, gradients in zip((field.density, field.colour), expected):
+    for part, gradients in zip((field.density, field.color), expected):
         gradients[: part.groups()[0][0]] = 0  # what stands for blocks that a voxel grid does not keep never learns
     close(rendered.out.cpu(), pixels, 1e-5)
     close(found[0], expected[0], 1e-4 if field.space.kind == "contraction" else 2e-5, "density")
-    close(found[1], expected[1], 2e-5, "colour")
+    close(found[1], expected[1], 2e-5, "color")
     assert all(bool((e != 0).any()) for e in expected)
 
 
@@ -127,13 +127,13 @@ def test_near_samples_learn_by_the_square_of_their_distance(device):
     from stylerf.kernels.cpu.compositing import composite_backward, scale_near
 
     s, n = on_host(rendered.samples), rendered.samples.room
-    sigma, colour = np.zeros(n, np.float32), np.zeros((n, 3), np.float32)
-    colours = rendered.colours.cpu().numpy()
+    sigma, color = np.zeros(n, np.float32), np.zeros((n, 3), np.float32)
+    colors = rendered.colors.cpu().numpy()
     composite_backward(
-        s.sigma, s.weights, s.optical, colours, s.t, s.starts, s.ends, rendered.out.cpu().numpy(), towards, 1, sigma,
-        colour,
+        s.sigma, s.weights, s.optical, colors, s.t, s.starts, s.ends, rendered.out.cpu().numpy(), towards, 1, sigma,
+        color,
     )  # fmt: skip
-    scale_near(s.t, s.starts, s.ends, np.float32(2.0), 1, sigma, colour)
+    scale_near(s.t, s.starts, s.ends, np.float32(2.0), 1, sigma, color)
     to = np.zeros((1, len(field.density.values)), np.float32)
     field.density.backward(s.x, s.starts, s.ends, s.sigma, sigma, to)
     close(found[0], to[0], 2e-5)

@@ -1,4 +1,4 @@
-"""What is kept of views, and a stylisation that keeps nothing."""
+"""What is kept of views, and a stylization that keeps nothing."""
 
 import numpy as np
 import pytest
@@ -25,7 +25,7 @@ def test_the_first_that_fit_are_kept_and_the_others_made_anew():
 
 
 @pytest.mark.parametrize("deform", [False, True])
-def test_a_stylisation_that_keeps_nothing_ends_with_the_same_bits(deform):
+def test_a_stylization_that_keeps_nothing_ends_with_the_same_bits(deform):
     results = []
     for memory in (1e9, 0):
         made = stylizer(deform=deform, memory=memory, coarse=0.5, match="both")

@@ -1,4 +1,4 @@
-"""Learning a deformation: gradients through the grid, init on photos, what a stylisation does to shapes."""
+"""Learning a deformation: gradients through the grid, init on photos, what a stylization does to shapes."""
 
 from dataclasses import replace
 
@@ -58,7 +58,7 @@ def test_a_step_goes_down_the_gradient_that_the_grid_was_given(scene):
 
 
 def test_a_field_that_is_deformed_already_is_moved_from_where_it_rests(scene):
-    """Moved by some cells and taken up again, as a stylisation does: occupied is what was, not what is moved twice."""
+    """Moved by some cells and taken up again, as a stylization does: occupied is what was, not what is moved twice."""
     first = Deformer(scene(), deformation(), dome(4, 1), 8, 0, 1)
     values = first.values()
     values[-3:] = 2.0, 0.0, -2.0  # the last layer's biases: everything by 0.034 of the cube

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from stylerf.editing.palette_losses import EditWeights
-from stylerf.editing.palette_shares import figures_of, kept_colours, shares_of
+from stylerf.editing.palette_shares import figures_of, kept_colors, shares_of
 from stylerf.errors import Diverged, InvalidValue
 from stylerf.training.edit.trainer import EditSettings, EditTrainer, start_module
 from tests.stylerf.editing.region_pictures import PLAIN, view_of
@@ -27,44 +27,44 @@ def trainer(count: int = 3, style: bool = False, seed: int = 0, chunks: int = 2,
     return EditTrainer(views, start_module(views, settings, seed), settings, painting, trunk, seed, chunks)
 
 
-def hue_distance(colour: np.ndarray, plain: np.ndarray) -> float:
-    """Sine of the angle between two colours: shading makes a colour darker, not another."""
-    return float(np.linalg.norm(np.cross(colour, plain)) / np.linalg.norm(colour) / np.linalg.norm(plain))
+def hue_distance(color: np.ndarray, plain: np.ndarray) -> float:
+    """Sine of the angle between two colors: shading makes a color darker, not another."""
+    return float(np.linalg.norm(np.cross(color, plain)) / np.linalg.norm(color) / np.linalg.norm(plain))
 
 
-def test_plain_colours_are_found_and_eight_pruned_to_them():
+def test_plain_colors_are_found_and_eight_pruned_to_them():
     made = trainer()
     made.run()
     figures = made.figures()
-    # Published of lego's shovel, on real photos: 5 colours, sparsity 0.859.
-    assert figures["colours"] == made.module.active.sum() == 4
+    # Published of lego's shovel, on real photos: 5 colors, sparsity 0.859.
+    assert figures["colors"] == made.module.active.sum() == 4
     assert figures["sparsity"] < 0.25 and figures["psnr"] > 31
     np.testing.assert_allclose(figures["shares"], 0.25, atol=0.03)
     for plain in PLAIN:
-        assert min(hue_distance(colour, plain) for colour in made.module.palette) < 0.06
+        assert min(hue_distance(color, plain) for color in made.module.palette) < 0.06
 
 
-def test_a_random_palette_comes_to_the_colours_too():
+def test_a_random_palette_comes_to_the_colors_too():
     made = trainer(palette="random")
     made.run()
     figures = made.figures()
-    assert 4 <= figures["colours"] < 8 and figures["sparsity"] < 0.859 and figures["psnr"] > 29
+    assert 4 <= figures["colors"] < 8 and figures["sparsity"] < 0.859 and figures["psnr"] > 29
     assert sum(figures["shares"]) == pytest.approx(1, abs=1e-3)
     for plain in PLAIN:
-        assert min(hue_distance(colour, plain) for colour in made.module.palette) < 0.3
+        assert min(hue_distance(color, plain) for color in made.module.palette) < 0.3
 
 
-def test_each_quarter_has_a_colour_of_its_own():
-    """No collapse: the strongest colours of the four quarters differ, from eight as from four at first."""
-    for colours in (4, 8):
-        made = trainer(colours=colours, most_colours=colours)
+def test_each_quarter_has_a_color_of_its_own():
+    """No collapse: the strongest colors of the four quarters differ, from eight as from four at first."""
+    for colors in (4, 8):
+        made = trainer(colors=colors, most_colors=colors)
         made.run()
         view = view_of(0)
         strongest = made.module.weights(view.x).argmax(1)
         place = (view.x[:, :2] - 0.3) / 0.2
         quarter = (place[:, 0] > 0.5) * 2 + (place[:, 1] > 0.5)
         shares = np.stack([np.bincount(strongest[quarter == q], minlength=8) / (quarter == q).sum() for q in range(4)])
-        # Each strongest colour belongs to one quarter: what two quarters share is at most a tenth.
+        # Each strongest color belongs to one quarter: what two quarters share is at most a tenth.
         assert max(float(np.minimum(shares[a], shares[b]).sum()) for a in range(4) for b in range(a)) < 0.1
 
 
@@ -85,9 +85,9 @@ def test_every_view_has_its_turn_once_an_epoch():
 
 def test_pruning_by_shares():
     active = np.array([True, True, False, True, True])
-    assert kept_colours(active, np.array([0.5, 0.024, 0.2, 0.276]), 8).tolist() == [True, False, False, True, True]
-    assert kept_colours(active, np.array([0.5, 0.024, 0.2, 0.276]), 2).tolist() == [True, False, False, False, True]
-    assert kept_colours(np.ones(80, bool), np.full(80, 1 / 80), 40).sum() == 1
+    assert kept_colors(active, np.array([0.5, 0.024, 0.2, 0.276]), 8).tolist() == [True, False, False, True, True]
+    assert kept_colors(active, np.array([0.5, 0.024, 0.2, 0.276]), 2).tolist() == [True, False, False, False, True]
+    assert kept_colors(np.ones(80, bool), np.full(80, 1 / 80), 40).sum() == 1
     made = trainer(count=12)
     views = [replace(view, x=view.x[:100]) for view in made.views]
     expected = np.mean([made.module.weights(views[at].x).mean(0) for at in (0, 1, 2, 4, 5, 6, 7, 9, 10, 11)], 0)
@@ -97,7 +97,7 @@ def test_pruning_by_shares():
 @pytest.mark.parametrize("style", [False, True])
 @pytest.mark.parametrize("at", ["palette", "last", "pruned"])
 def test_a_killed_run_goes_on_to_the_same_bits(style, at):
-    more = {"palette_steps": 6, "style_steps": 4, "pruned_steps": 5, "pruned_style_steps": 5, "most_colours": 3}
+    more = {"palette_steps": 6, "style_steps": 4, "pruned_steps": 5, "pruned_style_steps": 5, "most_colors": 3}
 
     def stop(running: EditTrainer) -> None:
         if running.state.phase == phase and running.state.step == step:
@@ -125,26 +125,26 @@ def test_style_steps_come_nearer_to_the_painting():
     assert before[-1] < 0.7 * before[0]
     assert "style" not in made.state.curve[0]
     canvas = made.style.canvas(made.views[0])
-    mixed = made.module.mixture(made.views[0].x, made.views[0].directions).colours
+    mixed = made.module.mixture(made.views[0].x, made.views[0].directions).colors
     plain = made.style.distance(torch.from_numpy(made.views[0].target), canvas)
     assert float(made.style.distance(mixed, canvas)) < 0.7 * float(plain)
 
 
-def test_the_edge_of_a_region_holds_the_photo_while_it_is_stylised():
-    """lambda = 1 in the left half: there the colours stay, in the right half they go."""
+def test_the_edge_of_a_region_holds_the_photo_while_it_is_stylized():
+    """lambda = 1 in the left half: there the colors stay, in the right half they go."""
     views = [view_of(number) for number in range(2)]
     left = [view.pixels % view.width < 30 for view in views]
     for view, mask in zip(views, left):
         view.transition[:] = mask
     made = trainer(style=True, views=views, style_steps=40, pruned_style_steps=20, weights=EditWeights(style=3.0))
     made.run()
-    colours = made.module.colours(views[0].x, views[0].directions)
-    apart = np.abs(colours - views[0].target).mean(1)
+    colors = made.module.colors(views[0].x, views[0].directions)
+    apart = np.abs(colors - views[0].target).mean(1)
     assert apart[left[0]].mean() < 0.5 * apart[~left[0]].mean()
 
 
-def test_the_painting_in_the_regions_own_colours():
-    made, kept = trainer(style=True), trainer(style=True, preserve_colour=True)
+def test_the_painting_in_the_regions_own_colors():
+    made, kept = trainer(style=True), trainer(style=True, preserve_color=True)
     assert not torch.allclose(made.style.grams[0], kept.style.grams[0], rtol=0.1)
 
 
@@ -168,21 +168,21 @@ def test_a_first_step_that_compiles_changes_nothing(monkeypatch):
 def test_figures_tell_how_well_the_region_is_drawn():
     made = trainer(count=2)
     mixtures = [made.module.mixture(view.x, view.directions) for view in made.views]
-    errors = np.concatenate([np.square(m.colours.numpy() - v.target) for m, v in zip(mixtures, made.views)])
+    errors = np.concatenate([np.square(m.colors.numpy() - v.target) for m, v in zip(mixtures, made.views)])
     figures = figures_of(made.module, made.views, 2)
     assert figures["psnr"] == pytest.approx(-10 * np.log10(errors.mean()), abs=0.006)
-    assert figures["colours"] == 8 and figures["sparsity"] > 5  # all nearly even at first
+    assert figures["colors"] == 8 and figures["sparsity"] > 5  # all nearly even at first
 
 
-def test_what_cannot_be_learnt_is_refused():
+def test_what_cannot_be_learned_is_refused():
     views = [view_of(0)]
     module = start_module(views, SMALL, 0)
     with pytest.raises(InvalidValue, match="no view shows"):
         EditTrainer([], module, SMALL, None, None, 0, 1)
     with pytest.raises(InvalidValue, match="needs a feature trunk"):
         EditTrainer(views, module, SMALL, picture(40, 40, 0), None, 0, 1)
-    with pytest.raises(InvalidValue, match=r"8 colours .* of which 9 may stay"):
-        replace(SMALL, most_colours=9)
+    with pytest.raises(InvalidValue, match=r"8 colors .* of which 9 may stay"):
+        replace(SMALL, most_colors=9)
     views[0].target[:] = np.nan
     with pytest.raises(Diverged, match="palette step 0"):
         EditTrainer(views, module, SMALL, None, None, 0, 1).run()

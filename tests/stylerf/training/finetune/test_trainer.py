@@ -1,15 +1,15 @@
-"""Fine-tuning: the edit is learnt, the rest stays, depth acts, and a resumed run ends with the same bits."""
+"""Fine-tuning: the edit is learned, the rest stays, depth acts, and a resumed run ends with the same bits."""
 
 import numpy as np
 import pytest
 
 from stylerf.editing.edit_grid import alpha_inside, march_view
-from stylerf.fields.region_color import PatchColour
+from stylerf.fields.region_color import PatchColor
 from stylerf.fields.vm_tables import split_table
 from stylerf.rendering.view import render_view
 from stylerf.training.common.ray_dataset import RayBank
 from stylerf.training.finetune.trainer import EditedPixels, FineTuner, FineTuneSettings
-from tests.stylerf.small import field_of, hash_colour, wall_in_front
+from tests.stylerf.small import field_of, hash_color, wall_in_front
 from tests.stylerf.training.scenes import SIDE, box_fitter, box_photo, dome, masked_wall
 
 RED = np.uint8([230, 20, 30])
@@ -63,7 +63,7 @@ def test_what_masks_hide_in_a_closed_space_teaches_nothing():
     space, bank = masked_wall(24)
     nothing = np.empty(0, np.int64)
     edited = EditedPixels(nothing, nothing, np.empty(0, np.float32), (nothing, nothing))
-    made = FineTuner(field_of(space, 1, hash_colour(2)), bank, edited, FineTuneSettings(steps=3, rays=64), 0, 1)
+    made = FineTuner(field_of(space, 1, hash_color(2)), bank, edited, FineTuneSettings(steps=3, rays=64), 0, 1)
     before = {name: array.copy() for name, array in made.field.arrays().items()}
     assert made.step()["outside"] == 0
     assert all(np.array_equal(array, before[name]) for name, array in made.field.arrays().items())
@@ -93,7 +93,7 @@ def errors(field, bank) -> tuple[float, float]:
     return float(np.mean(inside)), float(np.mean(outside))
 
 
-def test_the_edit_is_learnt_and_the_rest_stays(fitted, edited):
+def test_the_edit_is_learned_and_the_rest_stays(fitted, edited):
     before = errors(fitted, edited[0])
     made = tuner(fitted, edited, steps=150)
     made.run()
@@ -103,11 +103,11 @@ def test_the_edit_is_learnt_and_the_rest_stays(fitted, edited):
 
 
 def patched(fitted):
-    """The field with colours of its own for the cube's upper half."""
+    """The field with colors of its own for the cube's upper half."""
     field = copy_of(fitted)
     marked = np.zeros((8,) * 3, bool)
     marked[:, :, 4:] = True
-    field.colour = PatchColour.create(field.colour, marked, 16.0, table=256)
+    field.color = PatchColor.create(field.color, marked, 16.0, table=256)
     return field
 
 
@@ -121,11 +121,11 @@ def test_a_patch_learns_the_edit_and_leaves_all_else_to_the_bit(fitted, edited):
     for camera in edited[0].cameras[:3]:
         plain, taught = (render_view(field, camera, chunks=1) for field in (fitted, made.field))
         parts = march_view(fitted, camera, 1)
-        free = np.concatenate([alpha_inside(made.field.colour.marked, samples, 1) == 0 for _, samples in parts])
+        free = np.concatenate([alpha_inside(made.field.color.marked, samples, 1) == 0 for _, samples in parts])
         assert free.sum() > 30
         np.testing.assert_array_equal(taught.rgb.reshape(-1, 3)[free], plain.rgb.reshape(-1, 3)[free])
         np.testing.assert_array_equal(taught.alpha, plain.alpha)
-    np.testing.assert_array_equal(made.field.colour.base.values, fitted.colour.values)
+    np.testing.assert_array_equal(made.field.color.base.values, fitted.color.values)
 
 
 def test_density_beside_a_patch_learns_within_its_cells_only(fitted, edited):
@@ -148,11 +148,11 @@ def test_frozen_density_keeps_every_value(fitted, edited):
     made = tuner(fitted, edited, density_factor=0.0, steps=5)
     made.run()
     np.testing.assert_array_equal(made.field.density.values, fitted.density.values)
-    assert (made.field.colour.values != fitted.colour.values).any()
+    assert (made.field.color.values != fitted.color.values).any()
 
 
 def test_the_depth_term_moves_the_density_by_its_own_gradient(fitted, edited):
-    """With colours that are right already, only the depth term asks for anything of the density in the edit."""
+    """With colors that are right already, only the depth term asks for anything of the density in the edit."""
     pulled, free = (tuner(fitted, edited, depth_weight=w, steps=1) for w in (10.0, 0.0))
     for made in (pulled, free):
         made.step()

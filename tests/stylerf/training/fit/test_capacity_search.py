@@ -58,16 +58,16 @@ def test_nor_when_the_held_out_views_are_about_to_be_trained_on():
 def test_a_reduction_that_loses_little_stays_and_one_that_loses_more_is_refused_for_good():
     climb = climb_at(min_gain=0.1)
     assert tried(climb, 0.56, 29.95) == ("density ranks", True)
-    assert (climb.rung.density_rank, climb.rung.colour_rank, climb.rung.resolution) == (8, 24, 256)
+    assert (climb.rung.density_rank, climb.rung.color_rank, climb.rung.resolution) == (8, 24, 256)
     assert tried(climb, 0.58, 29.5) == ("resolution", False)
     assert climb.rung == Rung(256, 8, 24, table_bits=18)
-    assert tried(climb, 0.57, 30.0) == ("colour ranks", True)
-    assert climb.rung.colour_rank == 16
-    assert tried(climb, 0.57, 29.8) == ("colour ranks", False)
-    assert climb.rung.colour_rank == 16
-    assert tried(climb, 0.58, 30.0) == ("colour resolution", True)
-    assert climb.rung.colour.resolution == 176 and climb.rung.resolution == 256
-    assert tried(climb, 0.59, 29.8) == ("colour resolution", False)
+    assert tried(climb, 0.57, 30.0) == ("color ranks", True)
+    assert climb.rung.color_rank == 16
+    assert tried(climb, 0.57, 29.8) == ("color ranks", False)
+    assert climb.rung.color_rank == 16
+    assert tried(climb, 0.58, 30.0) == ("color resolution", True)
+    assert climb.rung.color.resolution == 176 and climb.rung.resolution == 256
+    assert tried(climb, 0.59, 29.8) == ("color resolution", False)
     assert tried(climb, 0.60, 30.2) == ("degree", True)
     assert climb.rung.degree == 0 and climb.reduction_due(0.64) is None
 
@@ -78,7 +78,7 @@ def test_a_rung_that_was_worth_its_climb_is_not_asked_back(gain, size, asked_bac
     climb.begin(GROW, 29.0, 500, 0.4)
     assert climb.judge(29.0 + gain, size)[0] and climb.state.rung == 3
     climb.state.refused = ["density ranks"]
-    assert climb.reduction_due(0.6) == ("resolution" if asked_back else "colour ranks")
+    assert climb.reduction_due(0.6) == ("resolution" if asked_back else "color ranks")
     # A climb that is dropped says nothing about the rung below it.
     climb.state.rung, climb.state.climbed, climb.state.fixed = 2, 0.3, False
     climb.begin(GROW, 30.0, 500, 0.4)
@@ -136,11 +136,11 @@ def test_views_met_within_rounding_lose_nothing_by_falling_less_far_beyond_it():
 @pytest.mark.parametrize(
     ("kinds", "expected"),
     [
-        (Kinds(), ["density ranks", "resolution", "colour ranks", "colour resolution", "degree"]),
-        (Kinds("vm", "hash"), ["density ranks", "resolution", "colour resolution"]),
-        (Kinds("hash", "hash"), ["resolution", "colour resolution"]),
-        (Kinds("voxel", "voxel"), ["resolution", "colour resolution"]),
-        (Kinds("hash", "vm", "mlp"), ["resolution", "colour resolution"]),
+        (Kinds(), ["density ranks", "resolution", "color ranks", "color resolution", "degree"]),
+        (Kinds("vm", "hash"), ["density ranks", "resolution", "color resolution"]),
+        (Kinds("hash", "hash"), ["resolution", "color resolution"]),
+        (Kinds("voxel", "voxel"), ["resolution", "color resolution"]),
+        (Kinds("hash", "vm", "mlp"), ["resolution", "color resolution"]),
     ],
 )
 def test_each_kind_gives_up_what_it_has(kinds, expected):
@@ -199,7 +199,7 @@ def test_what_falls_too_far_at_once_is_not_taught():
 
 
 @pytest.mark.parametrize(
-    ("what", "bears"), [("colour resolution", True), ("colour ranks", False), ("density ranks", False)]
+    ("what", "bears"), [("color resolution", True), ("color ranks", False), ("density ranks", False)]
 )
 def test_ranks_must_fall_less_than_resolution(what, bears):
     climb = climb_at()
@@ -208,7 +208,7 @@ def test_ranks_must_fall_less_than_resolution(what, bears):
 
 
 @pytest.mark.parametrize(("now", "then"), [(384, 256), (256, 176), (176, 112), (64, 48), (32, None), (8, None)])
-def test_a_colour_gets_coarser_by_a_third(now, then):
+def test_a_color_gets_coarser_by_a_third(now, then):
     climb = climb_at()
-    found = REDUCTIONS["colour resolution"](Rung(now, 16, 24), climb.settings.kinds, climb.settings)
-    assert found == ({} if then is None else {"colour_resolution": then})
+    found = REDUCTIONS["color resolution"](Rung(now, 16, 24), climb.settings.kinds, climb.settings)
+    assert found == ({} if then is None else {"color_resolution": then})

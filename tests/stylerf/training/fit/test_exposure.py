@@ -67,7 +67,7 @@ def test_a_bank_takes_photos_for_what_they_would_have_shown():
 
 
 def uneven_wall() -> tuple[Space, RayBank]:
-    """A wall at z = 3 whose colours wave, photos of several exposures."""
+    """A wall at z = 3 whose colors wave, photos of several exposures."""
     space, bank = wall_bank(len(MORE_STOPS))
     photos = []
     for camera, stops in zip(bank.cameras, MORE_STOPS, strict=True):
@@ -104,7 +104,7 @@ def test_photos_of_one_exposure_are_taken_as_they_are(exposure):
     assert fitter.state.stops == (None if exposure == "off" else [])
     plain = box_fitter(40, bank=photos)
     plain.run()
-    assert np.array_equal(fitter.field.colour.values, plain.field.colour.values)
+    assert np.array_equal(fitter.field.color.values, plain.field.color.values)
 
 
 def test_few_photos_are_judged_where_that_is_asked_for_alone():
@@ -138,7 +138,7 @@ def test_a_field_that_has_fallen_judges_no_photo():
     run_until(fitter, 21)
     stops = list(fitter.state.stops)
     fitter.exposures.judged = lambda rendered, stops: 1 / 0
-    for values in (fitter.field.density.values, fitter.field.colour.values):
+    for values in (fitter.field.density.values, fitter.field.color.values):
         values[:] = np.nan
     fitter._check()
     assert fitter.state.rollbacks == 1 and fitter.state.stops == stops and np.isfinite(fitter.state.best)
@@ -155,4 +155,4 @@ def test_a_resumed_fit_goes_on_with_the_exposures_it_had():
     again = resumed(made(), stopped)
     assert np.array_equal(again.bank.codes, stopped.bank.codes)
     again.run()
-    assert np.array_equal(again.field.colour.values, whole.field.colour.values)
+    assert np.array_equal(again.field.color.values, whole.field.color.values)

@@ -13,9 +13,9 @@ from stylerf.geometry.space_warp import Space
 from stylerf.rendering.rays import backward, render_rays
 from stylerf.training.common.ray_dataset import RayBank
 from stylerf.training.fit import engine as module
-from stylerf.training.fit.engine import Batch, CpuEngine, Learnt
+from stylerf.training.fit.engine import Batch, CpuEngine, Learned
 from stylerf.training.fit.fitter import Fitter
-from tests.stylerf.small import close, field_of, vm_colour
+from tests.stylerf.small import close, field_of, vm_color
 from tests.stylerf.training.running import Stopped, assert_same_bits, now, result_of, resumed, run_until, saved
 from tests.stylerf.training.scenes import LADDER, box_fitter, masked_wall, settings
 
@@ -46,9 +46,9 @@ def test_a_fit_that_was_stopped_goes_on_to_the_same_bits():
 
 
 def gradients_of(bank: RayBank, field) -> list[np.ndarray]:
-    """Of one step, by the engine's optimisers."""
+    """Of one step, by the engine's optimizers."""
     engine, found = CpuEngine(bank, 0, 1, field), []
-    for adam in (engine.density_adam, engine.colour_adam):
+    for adam in (engine.density_adam, engine.color_adam):
         adam.step = lambda rate, adam=adam: found.append(adam.gradients.copy())
     engine.learn(Batch(0, 200, 1, len(bank.cameras), 0.0, "white", 1e-2, (0.0, 0.0), 0.0))
     return found
@@ -57,7 +57,7 @@ def gradients_of(bank: RayBank, field) -> list[np.ndarray]:
 @pytest.mark.parametrize("kind", ["frustum", "contraction"])
 def test_what_masks_hide_in_a_closed_space_teaches_nothing(kind):
     space = masked_wall(0)[0] if kind == "frustum" else Space.box([-1] * 3, [1] * 3, near=0.05, far=1e3, kind=kind)
-    field = field_of(space, 1, vm_colour(2))
+    field = field_of(space, 1, vm_color(2))
     assert all(not found.any() for found in gradients_of(masked_wall(24)[1], field))
     # What a photo shows counts for as much as without the mask.
     half, whole = masked_wall(12)[1], masked_wall(0)[1]
@@ -65,12 +65,12 @@ def test_what_masks_hide_in_a_closed_space_teaches_nothing(kind):
     views, pixels = half.choose(200, generator, 8, 0.0)
     jitter = generator.random(200, dtype=np.float32)
     shown = pixels % 24 >= 12
-    origins, directions, colours = (array[shown] for array in whole.at(views, pixels))
+    origins, directions, colors = (array[shown] for array in whole.at(views, pixels))
     rendered = render_rays(field, Rays.of(origins, directions, space.near, jitter[shown]), chunks=1)
     towards = np.zeros_like(rendered.out)
-    towards[:, :3] = 2 / 600 * (rendered.out[:, :3] + (1 - rendered.out[:, 3:4]) - colours[:, :3])
+    towards[:, :3] = 2 / 600 * (rendered.out[:, :3] + (1 - rendered.out[:, 3:4]) - colors[:, :3])
     towards[:, 3] = -towards[:, :3].sum(1)
-    wanted = [np.zeros((1, len(part.values)), np.float32) for part in (field.density, field.colour)]
+    wanted = [np.zeros((1, len(part.values)), np.float32) for part in (field.density, field.color)]
     backward(field, rendered, towards, *wanted)
     for found, expected in zip(gradients_of(half, field), wanted, strict=True):
         close(found, expected, 1e-4)
@@ -91,13 +91,13 @@ def test_another_seed_is_another_fit_and_the_same_seed_the_same():
         fitter.run()
         results.append(fitter.field.arrays())
     assert_same_bits(results[0], results[1])
-    assert not np.array_equal(results[0]["colour"], results[2]["colour"])
+    assert not np.array_equal(results[0]["color"], results[2]["color"])
 
 
 def test_rays_stay_as_they_are_until_a_step_is_told_of():
     fitter = box_fitter(4)
     learn, before = fitter.engine.learn, fitter.state.rays
-    fitter.engine.learn = lambda batch: Learnt(0.0, 0.0)  # a device is still at its first
+    fitter.engine.learn = lambda batch: Learned(0.0, 0.0)  # a device is still at its first
     fitter.step()
     assert fitter.state.rays == before
     fitter.engine.learn = learn
@@ -124,7 +124,7 @@ def test_kernels_of_a_lower_degree_are_compiled_before_it_is_taught():
     seen, warm_up = [], fitter.engine.warm_up
 
     def watched(scratch, *more) -> None:
-        seen.append(sorted(field.colour.degree for field in scratch))
+        seen.append(sorted(field.color.degree for field in scratch))
         warm_up(scratch, *more)
 
     fitter.engine.warm_up = watched
@@ -138,14 +138,14 @@ def test_kernels_of_a_lower_degree_are_compiled_before_it_is_taught():
 
 
 def poison(fitter: Fitter, steps) -> None:
-    """NaN among the colours that the rays of these steps should meet."""
+    """NaN among the colors that the rays of these steps should meet."""
     draw = fitter.bank.draw
 
     def drawn(*arguments):
-        origins, directions, colours, views = draw(*arguments)
+        origins, directions, colors, views = draw(*arguments)
         if fitter.state.step in steps:
-            colours[7] = np.nan
-        return origins, directions, colours, views
+            colors[7] = np.nan
+        return origins, directions, colors, views
 
     fitter.bank.draw = drawn
 
@@ -168,7 +168,7 @@ def test_a_loss_of_nan_brings_back_the_best_field_with_half_the_rate():
     again = box_fitter(60)
     poison(again, {40})
     again.run()
-    assert all(np.isfinite(v).all() for v in (again.field.density.values, again.field.colour.values))
+    assert all(np.isfinite(v).all() for v in (again.field.density.values, again.field.color.values))
     assert again.state.decisions == fitter.state.decisions
     clean = box_fitter(60)
     clean.run()
@@ -225,12 +225,12 @@ def test_nan_in_the_field_itself_is_found_by_the_next_look():
     def on_step(now_: Fitter) -> None:
         if now_.state.step == 97:
             now_.field.density.values[:] = np.nan
-            now_.field.colour.values[:] = np.nan
+            now_.field.color.values[:] = np.nan
 
     fitter = box_fitter(100)
     fitter.run(on_step)
     assert fitter.state.rollbacks >= 1
-    assert np.isfinite(fitter.field.density.values).all() and np.isfinite(fitter.field.colour.values).all()
+    assert np.isfinite(fitter.field.density.values).all() and np.isfinite(fitter.field.color.values).all()
 
 
 def test_quality_that_is_no_number_counts_as_a_fall(monkeypatch):
@@ -325,10 +325,10 @@ def test_not_even_a_sixty_fourth_fits(monkeypatch):
 
 
 def step_gradients(parts: int, **more) -> list[np.ndarray]:
-    """Gradients of one step in a half-learnt field, before the optimiser takes them."""
+    """Gradients of one step in a half-learned field, before the optimizer takes them."""
     fitter, found = resumed(box_fitter(60), run_until(box_fitter(60), 33)), []
     fitter.state.parts = parts
-    for adam in (fitter.engine.density_adam, fitter.engine.colour_adam):
+    for adam in (fitter.engine.density_adam, fitter.engine.color_adam):
         adam.step = lambda rate, adam=adam: found.append(adam.gradients.sum(0, dtype=np.float64))
     fitter.step()
     return found
@@ -358,10 +358,10 @@ def test_planes_are_smoothed_every_eighth_step_by_as_much_as_eight():
 def gradients_and_variation(at: int, weight: float) -> tuple[list[np.ndarray], list[np.ndarray]]:
     """Gradients of step `at`, and eight times the weighted gradient of the planes' variation before it, per part."""
     fitter, found = resumed(box_fitter(60, smoothness=(weight, 2 * weight)), run_until(box_fitter(60), at)), []
-    variation = [np.zeros(len(part.values), np.float32) for part in (fitter.field.density, fitter.field.colour)]
+    variation = [np.zeros(len(part.values), np.float32) for part in (fitter.field.density, fitter.field.color)]
     fitter.field.density.smooth(8 * weight, variation[0])
-    fitter.field.colour.smooth(16 * weight, variation[1])
-    for adam in (fitter.engine.density_adam, fitter.engine.colour_adam):
+    fitter.field.color.smooth(16 * weight, variation[1])
+    for adam in (fitter.engine.density_adam, fitter.engine.color_adam):
         adam.step = lambda rate, adam=adam: found.append(adam.gradients.sum(0))
     fitter.step()
     return found, variation

@@ -159,7 +159,7 @@ def test_what_is_told_is_the_quality_of_the_field_that_stands():
 
 
 @pytest.mark.parametrize("steps", [200, 600])
-def test_a_wall_of_one_colour_stays_at_the_smallest_capacity(steps):
+def test_a_wall_of_one_color_stays_at_the_smallest_capacity(steps):
     space, bank = wall_bank()
     fitter = Fitter(space, bank, 2, settings(steps), 0, 1)
     fitter.run()
@@ -179,7 +179,7 @@ def reducing(steps: int = 400, **more) -> Fitter:
 def test_ranks_that_the_views_do_not_miss_are_given_up():
     fitter = reducing()
     fitter.run()
-    assert fitter.field.density.rank == 8 and fitter.field.colour.rank == 24
+    assert fitter.field.density.rank == 8 and fitter.field.color.rank == 24
     sizes = [entry["parameters"] for entry in fitter.state.curve]
     assert sizes[-1] == fitter.field.parameters < 0.85 * sizes[0]
     whole = box_fitter(400, ladder=LADDER[:1])
@@ -207,19 +207,19 @@ def test_what_the_views_miss_comes_back_to_the_bit():
 
 def test_what_the_views_miss_badly_is_not_even_taught(monkeypatch):
     monkeypatch.setattr(capacity_search, "HOPELESS_RANKS", -50.0)
-    fitter = reducing(260, reductions=("colour ranks",), min_gain=-50.0)
+    fitter = reducing(260, reductions=("color ranks",), min_gain=-50.0)
     fitter.run()
-    assert fitter.field.colour.rank == 24 and "8^3 rank 16+16 is too little" in fitter.state.decisions[0]
+    assert fitter.field.color.rank == 24 and "8^3 rank 16+16 is too little" in fitter.state.decisions[0]
     assert len({entry["parameters"] for entry in fitter.state.curve}) == 1
 
 
 def test_a_fit_stopped_within_a_reduction_goes_on_to_the_same_bits(monkeypatch):
     monkeypatch.setattr(capacity_search, "HOPELESS_RANKS", 50.0)
-    given = {"reductions": ("colour ranks",), "min_gain": 0.01}
+    given = {"reductions": ("color ranks",), "min_gain": 0.01}
     whole = reducing(260, **given)
     whole.run()
     at = run_until(reducing(260, **given), 130)
-    assert at.state.trial is not None and at.field.colour.rank == 16
+    assert at.state.trial is not None and at.field.color.rank == 16
     at = resumed(reducing(260, **given), at)
     at.run()
     assert at.state.decisions == whole.state.decisions

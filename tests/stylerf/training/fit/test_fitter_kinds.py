@@ -1,4 +1,4 @@
-"""Fits of every kind of field on a coloured box: they learn, grow, stop and go on; a wall stays small."""
+"""Fits of every kind of field on a colored box: they learn, grow, stop and go on; a wall stays small."""
 
 import numpy as np
 import pytest

@@ -53,13 +53,13 @@ def test_the_gradient_of_coverage_is_what_random_backgrounds_teach_on_average():
     alpha, wanted = generator.random((2, 9)).astype(np.float32)
     backgrounds = generator.random(400_000)
     for a, w in zip(alpha, wanted):
-        # Colours met exactly: what differs is how much background shows, d/da of its squared error, its mean over grey.
+        # Colors met exactly: what differs is how much background shows, d/da of its squared error, its mean over gray.
         noisy = np.mean(2 * np.square(backgrounds) * (a - w)) - 2 * 0.25 * (a - w)
         assert abs(coverage_gradient(np.float32([a]), np.float32([w]), 1 / 12, 1)[0] - noisy) < 1e-3
 
 
 def test_pale_matter_is_told_from_a_white_background():
-    """A pale ball before white: where colours alone are asked for, half a ball is nearly as good as a whole one."""
+    """A pale ball before white: where colors alone are asked for, half a ball is nearly as good as a whole one."""
     cameras = dome(8, 1, 24)
     bank = RayBank(cameras, [np.maximum(ball_photo(camera), np.uint8([200, 200, 200, 0])) for camera in cameras])
     covered, errors = [], []

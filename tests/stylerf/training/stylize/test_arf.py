@@ -1,4 +1,4 @@
-"""Stylising a tiny scene: what a step teaches, against the float64 oracle; resuming; what stops it."""
+"""Stylizing a tiny scene: what a step teaches, against the float64 oracle; resuming; what stops it."""
 
 from dataclasses import replace
 
@@ -18,12 +18,12 @@ from stylerf.training.stylize import geometry
 from stylerf.training.stylize.arf import Stylizer
 from stylerf.training.stylize.settings import StyleSettings
 from stylerf.training.stylize.trainer import MEMORY
-from tests.stylerf.small import field_of, float64, hash_colour, oracle_colour, vm_colour
+from tests.stylerf.small import field_of, float64, hash_color, oracle_color, vm_color
 from tests.stylerf.style.small_trunk import picture, small_trunk
 from tests.stylerf.training.running import Stopped, assert_same_bits, result_of, resumed, run_until
 
 BOX = Space.box([-1, -1, -1], [1, 1, 1])
-HEIGHT, WIDTH, GREY = 14, 18, 0.75
+HEIGHT, WIDTH, GRAY = 14, 18, 0.75
 
 
 def camera(index: int) -> Camera:
@@ -40,23 +40,23 @@ def settings(**more) -> StyleSettings:
 def stylizer(
     chunks: int = 1, seed: int = 0, space: Space = BOX, deform: bool = False, memory: float = MEMORY, **more
 ) -> Stylizer:
-    field = field_of(space, 3, vm_colour(4))
+    field = field_of(space, 3, vm_color(4))
     field.density.values[-1] = -3.0
     photos = [picture(HEIGHT, WIDTH, 20 + i).permute(1, 2, 0).numpy().copy() for i in range(3)]
     cameras = [camera(i) for i in range(3)]
 
-    def new_colour(generator, pixel_cells):
-        return hash_colour(int(generator.integers(1000)))
+    def new_color(generator, pixel_cells):
+        return hash_color(int(generator.integers(1000)))
 
     painting = picture(20, 24, 9)
     deformation = Deformation.create(np.random.default_rng(0), frequencies=2, width=16) if deform else None
     given = settings(**more, **({"displacement_vertices": 8} if deform else {}))
-    more = (painting, small_trunk(), given, seed, chunks, new_colour, deformation, memory)
-    return Stylizer(field, cameras, photos, GREY, *more)
+    more = (painting, small_trunk(), given, seed, chunks, new_color, deformation, memory)
+    return Stylizer(field, cameras, photos, GRAY, *more)
 
 
 def style_gradient(made: Stylizer) -> np.ndarray:
-    """dL/d(colour values) of one style step, before the optimiser takes it."""
+    """dL/d(color values) of one style step, before the optimizer takes it."""
     found = []
     made.adam.step = lambda rate: found.append(made.adam.gradients.sum(0, dtype=np.float64))
     made.style_step()
@@ -70,8 +70,8 @@ def oracle_picture(made: Stylizer, view: int, values: torch.Tensor, pixels: np.n
     """Premultiplied rgb [n, 3] of pixels in float64, from the packed surface."""
     starts, ends, x, weights = made.geometry.surface(view).samples(pixels)
     rays = torch.from_numpy(np.repeat(np.arange(len(pixels)), ends - starts))
-    colours = oracle_colour(made.field.colour, values, None, float64(x))
-    return torch.zeros(len(pixels), 3, dtype=torch.float64).index_add(0, rays, float64(weights)[:, None] * colours)
+    colors = oracle_color(made.field.color, values, None, float64(x))
+    return torch.zeros(len(pixels), 3, dtype=torch.float64).index_add(0, rays, float64(weights)[:, None] * colors)
 
 
 def oracle_loss(made: Stylizer, view: int, premultiplied: torch.Tensor) -> torch.Tensor:
@@ -82,14 +82,14 @@ def oracle_loss(made: Stylizer, view: int, premultiplied: torch.Tensor) -> torch
     )
     alpha = float64(made.geometry.alpha(view))
     content = objective.content_of(float64(made.photos[view]).permute(2, 0, 1))
-    rgb = premultiplied.reshape(HEIGHT, WIDTH, 3) + (1 - alpha[..., None]) * GREY
+    rgb = premultiplied.reshape(HEIGHT, WIDTH, 3) + (1 - alpha[..., None]) * GRAY
     return objective(rgb.permute(2, 0, 1), content, alpha)[0]
 
 
 def oracle_gradients(made: Stylizer, view: int, parts: int) -> tuple[np.ndarray, np.ndarray]:
     """dL/d(values) through one graph, and deferred: by the picture's own gradient, handed back in parts."""
     everything = np.arange(HEIGHT * WIDTH)
-    values = float64(made.field.colour.values).requires_grad_()
+    values = float64(made.field.color.values).requires_grad_()
     whole = oracle_picture(made, view, values, everything)
     (full,) = torch.autograd.grad(oracle_loss(made, view, whole), values)
     cached = whole.detach().requires_grad_()
@@ -130,7 +130,7 @@ def test_chosen_rays_learn_their_share_of_the_whole_pictures_gradient(strategy):
     made = stylizer(strategy=strategy, match="none", blur=0, dilation=3)
     view, generator = made._view_of_step(), np.random.default_rng([0, 4, 0])
     pixels = module.selected_pixels(strategy, HEIGHT, WIDTH, 3, generator)
-    values = float64(made.field.colour.values).requires_grad_()
+    values = float64(made.field.color.values).requires_grad_()
     cached = oracle_picture(made, view, values, np.arange(HEIGHT * WIDTH)).detach().requires_grad_()
     (gradient,) = torch.autograd.grad(oracle_loss(made, view, cached), cached)
     chosen = gradient[pixels] * (HEIGHT * WIDTH / len(pixels))
@@ -146,7 +146,7 @@ def test_what_is_remembered_stands_in_for_pixels_that_are_not_rendered(strategy)
     before = kept.paint_view(0)
     for made in (kept, fresh):
         made._picture(0, pixels)
-        made.field.colour.values += 0.3
+        made.field.color.values += 0.3
     now_ = kept.paint_view(0)
     old, new = kept._picture(0, pixels + 1)[0], fresh._picture(0, pixels + 1)[0]
     assert np.array_equal(new, now_) and np.array_equal(old[pixels + 1], now_[pixels + 1])
@@ -154,11 +154,11 @@ def test_what_is_remembered_stands_in_for_pixels_that_are_not_rendered(strategy)
     assert np.array_equal(old[rest], before[rest]) and np.abs(old[rest] - now_[rest]).max() > 0.05
 
 
-def test_what_is_remembered_follows_what_dilated_rays_have_learnt():
+def test_what_is_remembered_follows_what_dilated_rays_have_learned():
     made = stylizer(strategy="dilated", match="none", dilation=2)
     before = made.paint_view(0)
     made._picture(0, module.selected_pixels("dilated", HEIGHT, WIDTH, 2, np.random.default_rng(0)))
-    made.field.colour.values += 0.3
+    made.field.color.values += 0.3
     now_, chosen = made.paint_view(0), module.selected_pixels("dilated", HEIGHT, WIDTH, 2, np.random.default_rng(1))
     seen = made._picture(0, chosen)[0]
     assert np.array_equal(seen[chosen], now_[chosen])
@@ -174,8 +174,8 @@ def test_a_refit_step_teaches_the_mean_squared_error_of_its_pixels():
     lit = np.flatnonzero(alpha > 1e-3)
     pixels = lit[generator.integers(0, len(lit), 128)]
     loss = made.refit_step()
-    values = float64(made.field.colour.values).requires_grad_()
-    rgb = oracle_picture(made, view, values, pixels) + (1 - float64(alpha[pixels])[:, None]) * GREY
+    values = float64(made.field.color.values).requires_grad_()
+    rgb = oracle_picture(made, view, values, pixels) + (1 - float64(alpha[pixels])[:, None]) * GRAY
     expected = (rgb - float64(made.photos[view].reshape(-1, 3)[pixels])).square().mean()
     expected.backward()
     assert loss == pytest.approx(float(expected.detach()), rel=1e-5) and apart(found[0], values.grad.numpy()) < 1e-5
@@ -186,7 +186,7 @@ def test_a_refit_step_teaches_the_mean_squared_error_of_its_pixels():
 
 @pytest.mark.parametrize("deform", [False, True])
 @pytest.mark.parametrize("strategy", ["deferred", "dilated"])
-def test_a_stylisation_that_was_stopped_goes_on_to_the_same_bits(strategy, deform):
+def test_a_stylization_that_was_stopped_goes_on_to_the_same_bits(strategy, deform):
     whole = stylizer(strategy=strategy, deform=deform)
     whole.run()
     expected, arrays = result_of(whole)
@@ -209,7 +209,7 @@ def test_a_stylisation_that_was_stopped_goes_on_to_the_same_bits(strategy, defor
     state, found = result_of(at)
     assert seen.count("style") == 7 and state == expected and state["phase"] == "done"
     assert_same_bits(found, arrays)
-    assert torch.equal(at.field.colour_map.matrix, whole.field.colour_map.matrix)
+    assert torch.equal(at.field.color_map.matrix, whole.field.color_map.matrix)
     assert any(name.startswith("seen.") for name in arrays) == (strategy == "dilated")
 
 
@@ -222,7 +222,7 @@ def test_learning_lowers_the_loss_and_leaves_the_density_alone():
     style = [parts["style"] for parts in losses]
     assert np.mean(style[-3:]) < 0.9 * np.mean(style[:3])
     assert np.array_equal(made.field.density.values, before)
-    assert made.field.colour_map is None and len(made.state.curve) == 3
+    assert made.field.color_map is None and len(made.state.curve) == 3
 
 
 def test_every_view_is_visited_once_an_epoch():
@@ -271,7 +271,7 @@ def test_a_deforming_step_teaches_the_grid_what_the_finite_difference_says(monke
     def linear(step: float) -> float:
         made.field.displacement[:] = step * direction
         rgb = made.paint_view(view).astype(np.float64)
-        over = rgb + (1 - made.geometry.alpha(view).reshape(-1, 1)) * GREY
+        over = rgb + (1 - made.geometry.alpha(view).reshape(-1, 1)) * GRAY
         return float((over * gradient.reshape(-1, 3)).sum())
 
     measured = (linear(2e-4) - linear(-2e-4)) / 4e-4
@@ -279,12 +279,12 @@ def test_a_deforming_step_teaches_the_grid_what_the_finite_difference_says(monke
 
 
 @pytest.mark.parametrize("match", ["none", "before", "after", "both"])
-def test_colours_are_matched_when_asked_for(match):
+def test_colors_are_matched_when_asked_for(match):
     made = stylizer(match=match, steps=3)
     changed = [not np.array_equal(a, b) for a, b in zip(made.photos, stylizer(match="none").photos)]
     assert all(changed) == (match in ("before", "both"))
     made.run()
-    assert (made.field.colour_map is not None) == (match in ("after", "both"))
+    assert (made.field.color_map is not None) == (match in ("after", "both"))
 
 
 def test_nan_in_a_photo_or_in_the_painting_is_a_divergence():
@@ -304,8 +304,8 @@ def test_a_view_that_sees_nothing_is_passed_over():
     away = look_at(np.array([3.0, 0, 0]), np.array([9.0, 0, 0]), np.array([0, 0, 1.0]))
     made.cameras[:] = [Camera("away", WIDTH, HEIGHT, 20.0, 20.0, WIDTH / 2, HEIGHT / 2, away)] * 3
     made.geometry = geometry.FixedGeometry(made.field, made.cameras, 0.1, 1)
-    before = made.field.colour.values.copy()
-    assert made.refit_step() == 0 and np.array_equal(made.field.colour.values, before)
+    before = made.field.color.values.copy()
+    assert made.refit_step() == 0 and np.array_equal(made.field.color.values, before)
     assert all(np.isfinite(v) for v in made.style_step().values())
 
 

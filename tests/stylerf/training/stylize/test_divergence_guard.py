@@ -1,4 +1,4 @@
-"""A stylisation that meets NaN: back to the last good state, on at half the rate, as often as it is allowed to."""
+"""A stylization that meets NaN: back to the last good state, on at half the rate, as often as it is allowed to."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ from tests.stylerf.training.stylizing import made
 
 
 def poisoned(at: set[int], **given) -> Stylizer:
-    """Its style step spoils the colours at these steps, each time once, as an overflowing gradient does."""
+    """Its style step spoils the colors at these steps, each time once, as an overflowing gradient does."""
     one = made(Stylizer, match="none", **{"steps": 12, "refit_steps": 4, **given})
     left, plain = set(at), one._step
 
@@ -20,7 +20,7 @@ def poisoned(at: set[int], **given) -> Stylizer:
         parts = plain()
         if one.state.step in left:
             left.remove(one.state.step)
-            one.field.colour.values[:] = np.nan
+            one.field.color.values[:] = np.nan
             return parts | {"style": float("nan")}
         return parts
 
@@ -33,11 +33,11 @@ def test_without_leave_it_ends_at_the_first():
         poisoned({3}).run()
 
 
-def test_it_goes_back_and_ends_with_sound_colours_at_half_the_rate():
+def test_it_goes_back_and_ends_with_sound_colors_at_half_the_rate():
     one = poisoned({3, 7}, rollbacks=2)
     seen = []
     one.run(lambda now: seen.append((now.state.phase, now.state.step)))
-    assert np.isfinite(one.field.colour.values).all() and one.state.counts["rollbacks"] == 2
+    assert np.isfinite(one.field.color.values).all() and one.state.counts["rollbacks"] == 2
     assert one.settings.rate == pytest.approx(0.25 * one._guard.asked.rate) and one.state.phase == "done"
     # What is kept is of step 1 of the phase: each return begins there again.
     style = [step for phase, step in seen if phase != "refit"]
@@ -92,7 +92,7 @@ def test_the_last_step_is_looked_at_too(rollbacks):
         parts = plain()
         if left and one.state.step == left[0]:
             left.pop()
-            one.field.colour.values[:] = np.nan
+            one.field.color.values[:] = np.nan
         return parts
 
     one._step = step
@@ -101,7 +101,7 @@ def test_the_last_step_is_looked_at_too(rollbacks):
             one.run()
         return
     one.run()
-    assert np.isfinite(one.field.colour.values).all() and one.state.phase == "done"
+    assert np.isfinite(one.field.color.values).all() and one.state.phase == "done"
 
 
 def test_too_often_is_the_end():
@@ -116,8 +116,8 @@ def test_a_sound_run_is_the_same_with_and_without():
     assert_same_bits(result_of(plain)[1], result_of(guarded)[1])
 
 
-@pytest.mark.parametrize("spoilt", ["colour", "adam.second", "deform.values", "deform.adam.first"])
-def test_what_is_not_finite_and_only_the_device_has_yet_is_not_kept(spoilt):
+@pytest.mark.parametrize("spoiled", ["color", "adam.second", "deform.values", "deform.adam.first"])
+def test_what_is_not_finite_and_only_the_device_has_yet_is_not_kept(spoiled):
     one = with_shapes(rollbacks=1)
     one.state.phase = "style"
     one._phase_begins()
@@ -125,14 +125,14 @@ def test_what_is_not_finite_and_only_the_device_has_yet_is_not_kept(spoilt):
 
     def collected():
         data, arrays = checkpoint()
-        return data, arrays | {spoilt: np.full_like(arrays[spoilt], np.nan)}
+        return data, arrays | {spoiled: np.full_like(arrays[spoiled], np.nan)}
 
     one.checkpoint = collected
     one._guard.look(one)
-    assert one._guard._kept is None and np.isfinite(one.field.colour.values).all()
+    assert one._guard._kept is None and np.isfinite(one.field.color.values).all()
     one.checkpoint = checkpoint
     one._guard.look(one)
-    assert np.isfinite(one._guard._kept[1][spoilt]).all()
+    assert np.isfinite(one._guard._kept[1][spoiled]).all()
 
 
 def test_what_is_kept_has_shapes_that_can_be_seen():
@@ -158,7 +158,7 @@ def test_a_clip_holds_the_network_of_the_shapes_too():
 
 
 def with_shapes(**given) -> Stylizer:
-    """A short stylisation whose shapes move."""
+    """A short stylization whose shapes move."""
     moved = Deformation.create(np.random.default_rng(0), frequencies=2, width=16)
     options = {"match": "none", "steps": KEEP_EVERY + 3, "refit_steps": 4, "displacement_vertices": 6, **given}
     return made(Stylizer, more={"deformation": moved}, **options)

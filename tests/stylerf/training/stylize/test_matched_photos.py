@@ -1,23 +1,23 @@
-"""Photos brought to a painting's colours: what is background stays, edges included."""
+"""Photos brought to a painting's colors: what is background stays, edges included."""
 
 import numpy as np
 import pytest
 import torch
 
-from stylerf.style.color_matching import match_colours
+from stylerf.style.color_matching import match_colors
 from stylerf.training.stylize.matched_photos import ObjectPhotos, rendered_match
 from tests.stylerf.style.small_trunk import picture
 
 
 def matched(photo: np.ndarray, alpha: np.ndarray, background: float, painting: torch.Tensor) -> np.ndarray:
     of_object = ObjectPhotos([photo], lambda view: alpha, np.float32(background))
-    colours, weights = of_object.colours(0, photo.size // 3)
-    return of_object.mapped(0, match_colours(colours, painting.flatten(1).T, weights))
+    colors, weights = of_object.colors(0, photo.size // 3)
+    return of_object.mapped(0, match_colors(colors, painting.flatten(1).T, weights))
 
 
 @pytest.mark.parametrize("background", [0.0, 1.0])
-def test_photos_in_their_own_colours_stay_as_they_are_where_they_are_half_covered_too(background):
-    """Straight colours of two kinds, their mean and covariance those of the painting: the map is none."""
+def test_photos_in_their_own_colors_stay_as_they_are_where_they_are_half_covered_too(background):
+    """Straight colors of two kinds, their mean and covariance those of the painting: the map is none."""
     generator = np.random.default_rng(0)
     straight = generator.random((20, 24, 3), dtype=np.float32)
     alpha = np.where(np.arange(24) < 8, 0.0, np.where(np.arange(24) < 16, 0.5, 1.0)).astype(np.float32)
@@ -41,23 +41,23 @@ def test_what_lies_beside_a_part_of_a_photo_stays_and_half_of_it_half():
     photo, alpha = picture(6, 8, 1).permute(1, 2, 0).numpy(), np.zeros((6, 8), np.float32)
     alpha[:3], alpha[3] = 1, 0.5
     of_part = ObjectPhotos([photo], lambda view: alpha, None)
-    colours, weights = of_part.colours(0, 48)
-    found = of_part.mapped(0, match_colours(colours, torch.tensor([[0.2, 0.4, 0.6]] * 9), weights))
+    colors, weights = of_part.colors(0, 48)
+    found = of_part.mapped(0, match_colors(colors, torch.tensor([[0.2, 0.4, 0.6]] * 9), weights))
     np.testing.assert_array_equal(found[4:], photo[4:])
-    wanted = np.array([0.2, 0.4, 0.6], np.float32)  # of a painting of one colour
+    wanted = np.array([0.2, 0.4, 0.6], np.float32)  # of a painting of one color
     np.testing.assert_allclose(found[:3], np.broadcast_to(wanted, (3, 8, 3)), atol=1e-2)
     np.testing.assert_allclose(found[3], (photo[3] + wanted) / 2, atol=1e-2)
 
 
 def test_half_covered_pixels_count_where_there_are_no_others():
-    """Haze, or rods thinner than a pixel, would otherwise end a stylisation after its last step."""
-    painting, colours = picture(16, 16, 5), picture(12, 12, 6).permute(1, 2, 0).numpy()
+    """Haze, or rods thinner than a pixel, would otherwise end a stylization after its last step."""
+    painting, colors = picture(16, 16, 5), picture(12, 12, 6).permute(1, 2, 0).numpy()
 
     def after(coverage: float, beside: float) -> np.ndarray:
         alpha = np.full((12, 12), coverage, np.float32)
         alpha[:6] = beside
-        change = rendered_match([(colours * alpha[..., None], alpha)], painting, 0)
-        return np.cov(change(torch.from_numpy(colours[6:].reshape(-1, 3)).double()).numpy().T, ddof=0)
+        change = rendered_match([(colors * alpha[..., None], alpha)], painting, 0)
+        return np.cov(change(torch.from_numpy(colors[6:].reshape(-1, 3)).double()).numpy().T, ddof=0)
 
     wanted = np.cov(painting.flatten(1).double().numpy(), ddof=0)
     np.testing.assert_allclose(after(0.3, 0.0), wanted, atol=1e-4)

@@ -6,22 +6,22 @@ import torch
 
 from stylerf.editing.edit_views import EditView
 from stylerf.editing.palette_losses import weight_variation
-from stylerf.editing.recoloring import Recolouring
+from stylerf.editing.recoloring import Recoloring
 from stylerf.errors import InvalidValue
-from stylerf.fields.palette_color import PaletteColour
+from stylerf.fields.palette_color import PaletteColor
 from stylerf.fields.palette_head import Parts
 from stylerf.rendering.view import render_view
 from stylerf.training.stylize.palettenerf import Decomposing, DecompositionWeights, _Seen, picture_variation, roughness
 from stylerf.training.stylize.settings import StyleSettings
-from tests.stylerf.small import field_of, vm_colour
+from tests.stylerf.small import field_of, vm_color
 from tests.stylerf.training.running import Stopped, assert_same_bits, result_of, resumed
-from tests.stylerf.training.stylizing import BOX, GREY, HEIGHT, VIEWS, WIDTH, camera, stopping
+from tests.stylerf.training.stylizing import BOX, GRAY, HEIGHT, VIEWS, WIDTH, camera, stopping
 
 PLAIN = np.array([[0.8, 0.1, 0.1], [0.1, 0.6, 0.2], [0.1, 0.2, 0.8], [0.9, 0.85, 0.3]], np.float32)
 
 
 def photo(seed: int) -> np.ndarray:
-    """Quarters of the four colours, lit unevenly."""
+    """Quarters of the four colors, lit unevenly."""
     rows, columns = np.mgrid[:HEIGHT, :WIDTH]
     quarter = (rows >= HEIGHT // 2) * 2 + (columns >= WIDTH // 2)
     light = 0.85 + 0.15 * np.sin(rows + 0.5 * columns + seed)
@@ -30,17 +30,17 @@ def photo(seed: int) -> np.ndarray:
 
 def decomposing(seed: int = 0, weights: DecompositionWeights | None = None, raw: float = 1.0, **given) -> Decomposing:
     """A fog as opaque as `raw` says, seen in three photos."""
-    field = field_of(BOX, 3, vm_colour(4))
+    field = field_of(BOX, 3, vm_color(4))
     field.density.values[-1] = raw
     small = {"steps": 12, "refit_steps": 8, "refit_pixels": 128, "share": 0.1, "match": "none", "final_rate": 0.1}
     settings = StyleSettings(**{**small, **given})
 
-    def new_colour(generator, pixel_cells, palette):
-        return PaletteColour.create(generator, palette, 8, 40, 512, base=3)
+    def new_color(generator, pixel_cells, palette):
+        return PaletteColor.create(generator, palette, 8, 40, 512, base=3)
 
     cameras, photos = [camera(i) for i in range(VIEWS)], [photo(i) for i in range(VIEWS)]
     return Decomposing(
-        field, cameras, photos, GREY, settings, weights or DecompositionWeights(), 4, seed, 1, new_colour
+        field, cameras, photos, GRAY, settings, weights or DecompositionWeights(), 4, seed, 1, new_color
     )
 
 
@@ -77,7 +77,7 @@ def test_parts_of_the_loss_are_those_written_ray_by_ray():
             expected["view"] += weights[k] * (s[k] ** 2).sum() / 5
             expected["offset"] += weights[k] * (o[k] ** 2).sum() / 5
             expected["sparsity"] += weights[k] * (w[k].sum() / (w[k] ** 2).sum() - 1) / 5
-        gap = (1 - alpha) * GREY - wanted[r]
+        gap = (1 - alpha) * GRAY - wanted[r]
         expected["direct"] += ((direct + gap) ** 2).sum() / 15
         expected["mse"] += ((mixed + gap) ** 2).sum() / 15
         expected["guide"] += ((mixture - alpha * one.extracted.weights_of(wanted[r : r + 1])[0]) ** 2).sum() / 20
@@ -86,7 +86,7 @@ def test_parts_of_the_loss_are_those_written_ray_by_ray():
     assert float(found["drift"]) == 0 and x.shape[1] == 3
 
 
-def test_roughness_counts_near_places_of_like_colour():
+def test_roughness_counts_near_places_of_like_color():
     def parts(diffuse, weights):
         return Parts(
             torch.tensor([diffuse]), torch.zeros(1, 3), torch.tensor([weights]), torch.zeros(1, 2, 3), torch.ones(1, 1)
@@ -110,15 +110,15 @@ def test_the_picture_of_weights_varies_as_that_of_a_local_edit():
     assert picture_variation(weights, alpha, shown) == pytest.approx(expected, rel=1e-9)
 
 
-def test_the_refit_teaches_the_direct_colour_and_the_palette_waits_for_its_release():
+def test_the_refit_teaches_the_direct_color_and_the_palette_waits_for_its_release():
     one, palettes = decomposing(steps=12), {}
-    one.run(lambda now: palettes.setdefault((now.state.phase, now.state.step), now.field.colour.palette.copy()))
+    one.run(lambda now: palettes.setdefault((now.state.phase, now.state.step), now.field.color.palette.copy()))
     first = one.extracted.palette
     assert np.array_equal(palettes["refit", 8], first) and np.array_equal(palettes["style", 4], first)
     assert not np.array_equal(palettes["style", 12], first)
 
 
-def test_a_scene_of_four_colours_is_decomposed_into_them():
+def test_a_scene_of_four_colors_is_decomposed_into_them():
     """The palette's picture comes near the photos, its mixes are few, and figures tell as much."""
     one = decomposing(steps=150, refit_steps=60, refit_pixels=256, rate=1e-2)
     errors = []
@@ -129,10 +129,10 @@ def test_a_scene_of_four_colours_is_decomposed_into_them():
     )
     figures = one.figures()
     assert errors[1] > errors[0] + 3 and figures["psnr"] == errors[1]
-    assert figures["colours"] == 4 and sum(figures["shares"]) == pytest.approx(1, abs=1e-3)
+    assert figures["colors"] == 4 and sum(figures["shares"]) == pytest.approx(1, abs=1e-3)
     assert 0 <= figures["sparsity"] < 2.5 and figures["palette_variation"] >= 0
     before = render_view(one.field, one.cameras[0], chunks=1).rgb
-    one.field.colour = one.field.colour.edited(Recolouring())
+    one.field.color = one.field.color.edited(Recoloring())
     np.testing.assert_allclose(render_view(one.field, one.cameras[0], chunks=1).rgb, before, atol=1e-5)
 
 
@@ -140,7 +140,7 @@ def test_shapes_stay_to_the_bit():
     one = decomposing()
     before = one.field.density.values.copy()
     one.run()
-    assert np.array_equal(one.field.density.values, before) and one.field.colour_map is None
+    assert np.array_equal(one.field.density.values, before) and one.field.color_map is None
 
 
 def test_a_stopped_decomposition_goes_on_to_the_same_bits():
@@ -159,5 +159,5 @@ def test_a_stopped_decomposition_goes_on_to_the_same_bits():
 
 
 def test_a_field_that_no_view_sees_has_no_palette():
-    with pytest.raises(InvalidValue, match="no colours to decompose"):
+    with pytest.raises(InvalidValue, match="no colors to decompose"):
         decomposing(raw=-40.0)

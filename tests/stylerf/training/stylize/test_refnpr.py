@@ -1,4 +1,4 @@
-"""Stylising after a view that is given stylised: what it says of itself and of other views; painting one; going on."""
+"""Stylizing after a view that is given stylized: what it says of itself and of other views; painting one; going on."""
 
 from dataclasses import replace
 
@@ -14,9 +14,9 @@ from stylerf.training.stylize.refnpr import LATE_WEIGHT, Referenced
 from tests.stylerf.small import displacement_grid, field_of
 from tests.stylerf.style.small_trunk import small_trunk
 from tests.stylerf.training.running import Stopped, assert_same_bits, result_of, resumed
-from tests.stylerf.training.stylizing import BOX, GREY, HEIGHT, VIEWS, WIDTH, made, settings, stopping
+from tests.stylerf.training.stylizing import BOX, GRAY, HEIGHT, VIEWS, WIDTH, made, settings, stopping
 
-ONLY_COLOURS = StyleWeights(0, 0, 0, 0)
+ONLY_COLORS = StyleWeights(0, 0, 0, 0)
 
 
 def referenced(references: dict | None = None, within=None, apart: float = 0.2, **given) -> Referenced:
@@ -35,37 +35,37 @@ def upper_half(cells: int = 8) -> np.ndarray:
 
 
 def waves(points: np.ndarray) -> np.ndarray:
-    """A colour for every place in the world."""
+    """A color for every place in the world."""
     turned = points @ np.array([[0.5, 2.0, 1.0], [2.0, -1.0, 1.5], [1.0, 1.5, -2.0]])
     return (0.5 + 0.4 * np.sin(turned)).astype(np.float32)
 
 
-def true_colours(one: Referenced, view: int) -> tuple[np.ndarray, np.ndarray]:
+def true_colors(one: Referenced, view: int) -> tuple[np.ndarray, np.ndarray]:
     """The picture [h, w, 3] of a view of a world of these waves, and where it sees the world."""
     seen = points_of(one.still.surface(view), one.cameras[view], one.field.space)
-    picture = np.where(seen.there[:, None], waves(seen.points), GREY).astype(np.float32)
+    picture = np.where(seen.there[:, None], waves(seen.points), GRAY).astype(np.float32)
     return picture.reshape(HEIGHT, WIDTH, 3), seen.there
 
 
 def rendered(one: Referenced, view: int) -> np.ndarray:
     alpha = one.geometry.alpha(view).reshape(-1, 1)
-    return one.paint_view(view) + (1 - alpha) * GREY
+    return one.paint_view(view) + (1 - alpha) * GRAY
 
 
-def test_the_reference_is_learnt_and_other_views_carry_its_colours():
-    """The colours of the other views come from the world's own formula: the method has never seen it."""
-    picture, there = true_colours(referenced(), 1)
-    one = referenced({1: picture}, steps=150, refit_steps=1, template_weights=ONLY_COLOURS, rate=0.05, late=0.0)
+def test_the_reference_is_learned_and_other_views_carry_its_colors():
+    """The colors of the other views come from the world's own formula: the method has never seen it."""
+    picture, there = true_colors(referenced(), 1)
+    one = referenced({1: picture}, steps=150, refit_steps=1, template_weights=ONLY_COLORS, rate=0.05, late=0.0)
     before = {view: rendered(one, view) for view in range(VIEWS)}
     one.run()
     apart = [np.abs(image - picture.reshape(-1, 3))[there].mean() for image in (before[1], rendered(one, 1))]
     assert apart[1] < 0.25 * apart[0]
     for view in (0, 2):
-        wanted, there = true_colours(one, view)
-        pixels, colours = one._reached[view]
+        wanted, there = true_colors(one, view)
+        pixels, colors = one._reached[view]
         assert len(pixels) > 0.5 * there.sum()
-        # A pixel is a twentieth of the cube wide: colours between two of the reference's pixels.
-        assert np.abs(colours - wanted.reshape(-1, 3)[pixels]).mean() < 0.04
+        # A pixel is a twentieth of the cube wide: colors between two of the reference's pixels.
+        assert np.abs(colors - wanted.reshape(-1, 3)[pixels]).mean() < 0.04
         apart = [np.abs(image - wanted.reshape(-1, 3))[pixels].mean() for image in (before[view], rendered(one, view))]
         assert apart[1] < 0.4 * apart[0]
     assert 0.5 < one.registered_share <= 1
@@ -73,7 +73,7 @@ def test_the_reference_is_learnt_and_other_views_carry_its_colours():
 
 def test_only_rays_that_see_the_references_surface_are_taught_by_it():
     """A view from the other side has none."""
-    picture, _ = true_colours(referenced(), 1)
+    picture, _ = true_colors(referenced(), 1)
     one = referenced({1: picture})
     behind = replace(one.cameras[1], world_from_camera=one.cameras[1].world_from_camera.copy())
     turn = np.diag([-1.0, -1.0, 1.0, 1.0])  # half a turn about the cube's upright axis
@@ -89,9 +89,9 @@ def test_of_two_references_the_straighter_look_tells():
     turn = one.cameras[0]
     one.cameras[1] = replace(one.cameras[1], world_from_camera=turn.world_from_camera.copy())
     one.still._surfaces.kept.clear()
-    pixels, colours = one._reached[1]
+    pixels, colors = one._reached[1]
     alpha = one.still.alpha(0).ravel()[pixels]
-    assert len(pixels) > 50 and np.abs(colours - (1 - alpha[:, None]) * GREY).max() < 1e-5  # all of view 0's black
+    assert len(pixels) > 50 and np.abs(colors - (1 - alpha[:, None]) * GRAY).max() < 1e-5  # all of view 0's black
 
 
 def test_a_reference_is_painted_before_the_scene_is():
@@ -122,7 +122,7 @@ def test_painting_counts_towards_a_budget_and_takes_a_third_at_most():
 
 
 def test_in_the_last_quarter_renders_are_matched_with_the_references_render():
-    picture, _ = true_colours(referenced(), 1)
+    picture, _ = true_colors(referenced(), 1)
     one, parts = referenced({1: picture}, steps=12, refit_steps=1), []
     step = one.style_step
     one.style_step = lambda: parts.append(step()) or parts[-1]
@@ -165,13 +165,13 @@ def test_a_stopped_one_goes_on_to_the_same_bits(within):
     assert {"reference", "late"} <= names and "painted" not in names
 
 
-def test_of_a_part_what_lies_beside_it_keeps_its_colours_to_the_bit():
+def test_of_a_part_what_lies_beside_it_keeps_its_colors_to_the_bit():
     black = np.zeros((HEIGHT, WIDTH, 3), np.float32)
-    one = referenced({1: black}, upper_half(), steps=60, refit_steps=1, template_weights=ONLY_COLOURS, late=0.0)
-    fitted = replace(one.field, colour=one.field.colour.base)
+    one = referenced({1: black}, upper_half(), steps=60, refit_steps=1, template_weights=ONLY_COLORS, late=0.0)
+    fitted = replace(one.field, color=one.field.color.base)
     before = [one.paint_view(view) for view in range(VIEWS)]
     one.run()
-    assert one.field.colour.base is fitted.colour and one.field.share == fitted.share
+    assert one.field.color.base is fitted.color and one.field.share == fitted.share
     for view in range(VIEWS):
         part, after = one.counted(view).ravel(), one.paint_view(view)
         assert np.array_equal(after[part == 0], before[view][part == 0])
@@ -215,22 +215,22 @@ def test_views_that_show_nothing_of_a_part_do_not_learn_and_are_no_reference():
 def test_rays_are_not_registered_through_a_deformation():
     field = field_of(BOX, 3, displacement=displacement_grid(0))
     with pytest.raises(InvalidValue, match="deformation"):
-        Referenced(field, [], [], GREY, None, small_trunk(), settings(), 0, 1, None, references={},
+        Referenced(field, [], [], GRAY, None, small_trunk(), settings(), 0, 1, None, references={},
                    template_trunk=small_trunk(), coarse_trunk=small_trunk())  # fmt: skip
 
 
-def test_a_reference_that_is_painted_here_ends_with_the_paintings_colours():
+def test_a_reference_that_is_painted_here_ends_with_the_paintings_colors():
     """Their mean and covariance where all is covered; as published, with --match none, what features leave of them."""
 
-    def colours(match: str) -> np.ndarray:
+    def colors(match: str) -> np.ndarray:
         one = referenced(match=match, steps=40, refit_steps=1)
         one.run()
         covered = one.still.alpha(1) > 0.5
-        picture = one.references[1] - (1 - one.still.alpha(1)[..., None]) * GREY
+        picture = one.references[1] - (1 - one.still.alpha(1)[..., None]) * GRAY
         return (picture / np.maximum(one.still.alpha(1)[..., None], 1e-3))[covered]
 
     palette = np.cov(referenced().painting.flatten(1).numpy())
-    apart = {m: np.abs(np.cov(colours(m).T) - palette).max() / palette.max() for m in ("before", "none")}
+    apart = {m: np.abs(np.cov(colors(m).T) - palette).max() / palette.max() for m in ("before", "none")}
     assert apart["before"] < 0.05 < apart["none"]
 
 

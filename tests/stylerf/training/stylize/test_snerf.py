@@ -10,7 +10,7 @@ from stylerf.style.image_optimization import painted
 from stylerf.style.style_objective import StyleWeights
 from stylerf.training.stylize.snerf import Alternating
 from tests.stylerf.training.running import Stopped, assert_same_bits, result_of, resumed
-from tests.stylerf.training.stylizing import GREY, HEIGHT, VIEWS, WIDTH, made, stopping
+from tests.stylerf.training.stylizing import GRAY, HEIGHT, VIEWS, WIDTH, made, stopping
 
 
 def alternating(**more) -> Alternating:
@@ -50,10 +50,10 @@ def test_a_picture_is_its_render_painted_and_kept_in_eight_bits():
     parts = one.picture_step()
     (view,) = one.targets
     alpha = one.geometry.alpha(view)
-    rgb = one.paint_view(view).reshape(HEIGHT, WIDTH, 3) + (1 - alpha[..., None]) * GREY
+    rgb = one.paint_view(view).reshape(HEIGHT, WIDTH, 3) + (1 - alpha[..., None]) * GRAY
     content, coverage = one._content_of(view), torch.from_numpy(alpha)
     expected, again = painted(
-        torch.from_numpy(rgb).permute(2, 0, 1).contiguous(), coverage, GREY,
+        torch.from_numpy(rgb).permute(2, 0, 1).contiguous(), coverage, GRAY,
         lambda p: one.objective(p, content, coverage, one.windows[view]), 5, 0.03,
     )  # fmt: skip
     assert np.abs(one.targets[view] / 255 - expected).max() <= 0.5 / 255 + 1e-6 and parts == again
@@ -115,7 +115,7 @@ def test_alternation_lowers_both_distances():
 
     def seen(now: Alternating, view: int) -> np.ndarray:
         alpha = now.geometry.alpha(view)
-        return now.paint_view(view).reshape(HEIGHT, WIDTH, 3) + (1 - alpha[..., None]) * GREY
+        return now.paint_view(view).reshape(HEIGHT, WIDTH, 3) + (1 - alpha[..., None]) * GRAY
 
     def look(now: Alternating) -> None:
         if now.state.phase != "style":
@@ -146,4 +146,4 @@ def test_a_stopped_alternation_goes_on_to_the_same_bits():
     assert state == expected and state["phase"] == "done" and state["counts"] == {"pictures": 6}
     assert_same_bits(found, arrays)
     assert sum(name.startswith("target.") for name in arrays) == VIEWS
-    assert torch.equal(at.field.colour_map.matrix, whole.field.colour_map.matrix)
+    assert torch.equal(at.field.color_map.matrix, whole.field.color_map.matrix)
