@@ -44,23 +44,23 @@ def near_share(depths: list[np.ndarray]) -> float:
 
 def depths_of(work: Path, name: str) -> list[np.ndarray]:
     """[h, w] of every test view of a field."""
-    from schemas.work_folder import Work
+    from schemas.work_folder import WorkFolder
     from stages.artifacts.field import load_field
     from stages.artifacts.scene import load_scene
     from stylerf.kernels.cpu.compiling import set_threads
     from stylerf.rendering.view import render_view
 
     threads = set_threads(os.cpu_count() or 1)
-    scene, field = load_scene(Work(work).find("scene", "main")), load_field(Work(work).find("field", name))[0]
+    scene, field = load_scene(WorkFolder(work).find("scene", "main")), load_field(WorkFolder(work).find("field", name))[0]
     return [render_view(field, scene.cameras[i], chunks=threads).z for i in scene.splits["test"]]
 
 
 def layout_of(work: Path) -> str:
     """object, forward or unbounded."""
-    from schemas.work_folder import Work
+    from schemas.work_folder import WorkFolder
     from stages.artifacts.scene import load_scene
 
-    return load_scene(Work(work).find("scene", "main")).layout
+    return load_scene(WorkFolder(work).find("scene", "main")).layout
 
 
 def measure(scene: str, layout: str, name: str, steps: int, work: Path) -> dict | None:

@@ -13,7 +13,7 @@ from skimage.transform import resize
 from schemas.exr import read_channels
 from schemas.frames import read_frames
 from schemas.images import read_image, to_uint8, write_png
-from schemas.work_folder import Artifact, Work
+from schemas.work_folder import Artifact, WorkFolder
 from stages.artifacts.scene import load_scene
 
 SIDE = 300  # pixels of a picture's longer side
@@ -45,7 +45,7 @@ def small(image: np.ndarray) -> np.ndarray:
 
 def main() -> None:
     root, out, region, views, *edits = sys.argv[1:]
-    work = Work(Path(root))
+    work = WorkFolder(Path(root))
     scene = load_scene(next(one for one in work.artifacts("scene") if one.manifest.stage == "pose_import"))
     field = next(ref.name for ref in work.get("region", region).manifest.inputs if ref.kind == "field")
     rows = []

@@ -104,9 +104,9 @@ def random_field(vertices: int, kind: str = "vm"):
     color of a stylization. A voxel grid keeps all of its blocks.
     """
     from stylerf.fields.hash_color import HashColor
-    from stylerf.fields.occupancy_grid import Occupancy
+    from stylerf.fields.occupancy_grid import OccupancyGrid
     from stylerf.fields.radiance_field import RadianceField
-    from stylerf.geometry.space_warp import Space
+    from stylerf.geometry.space_warp import SpaceWarp
     from stylerf.training.fit.capacity_levels import Capacity, Kinds, first_parts
 
     generator, capacity = np.random.default_rng(0), Capacity(np.full(3, vertices), vertices, finest=max(32, vertices))
@@ -116,20 +116,20 @@ def random_field(vertices: int, kind: str = "vm"):
     density.values[-1] = -2.0
     if kind == "stylized":
         color = HashColor.create(generator)
-    occupancy = Occupancy(min(64, vertices))
+    occupancy = OccupancyGrid(min(64, vertices))
     occupancy.set_occupied(generator.random(occupancy.cells**3) < 0.5)
-    return RadianceField(Space.box([-1] * 3, [1] * 3), density, color, occupancy, 1 / vertices)
+    return RadianceField(SpaceWarp.box([-1] * 3, [1] * 3), density, color, occupancy, 1 / vertices)
 
 
 def random_rays(count: int, device: torch.device):
     """Rays towards the middle of the box from around it."""
-    from stylerf.fields.gpu.field import DeviceRays
+    from stylerf.fields.gpu.field import GpuRays
 
     generator = np.random.default_rng(1)
     origins = generator.normal(size=(count, 3))
     origins *= 3 / np.linalg.norm(origins, axis=1, keepdims=True)
     ways = generator.uniform(-0.7, 0.7, (count, 3)) - origins
-    return DeviceRays.of(origins, ways / np.linalg.norm(ways, axis=1, keepdims=True), device)
+    return GpuRays.of(origins, ways / np.linalg.norm(ways, axis=1, keepdims=True), device)
 
 
 def kernels(device: torch.device, bandwidth: float, rays: int = 1 << 15, vertices: int = 192, repeats=30) -> list[dict]:
@@ -153,10 +153,10 @@ def kernels(device: torch.device, bandwidth: float, rays: int = 1 << 15, vertice
 def launches(device: torch.device, rays: int, vertices: int, kind: str) -> tuple[dict, int]:
     """({kernel: (a launch of it, fewest bytes it moves)}, samples) on random rays through a random field."""
     from benchmarks import gpu_edit
-    from stylerf.fields.gpu.field import DeviceField
+    from stylerf.fields.gpu.field import GpuField
     from stylerf.kernels.gpu import launch
 
-    field, going = DeviceField(random_field(vertices, kind), device), random_rays(rays, device)
+    field, going = GpuField(random_field(vertices, kind), device), random_rays(rays, device)
     rendered = field.render_rays(going, share=0.0)
     s, n, colors = rendered.samples, rendered.samples.room, rendered.colors
     gradients, sums = torch.randn_like(rendered.out), torch.zeros(3, device=device)
@@ -257,9 +257,9 @@ def edited(work: Path) -> dict:
 
 def frames(field, cameras: list, device: torch.device, repeats: int = 30) -> dict:
     """Whole views a second, the pictures left on the device."""
-    from stylerf.rendering.view_gpu import DeviceRenderer
+    from stylerf.rendering.view_gpu import GpuRenderer
 
-    made = DeviceRenderer(field, device)
+    made = GpuRenderer(field, device)
     turn = iter(range(1 << 30))
     median, spread = seconds_of(lambda: made.pixels(cameras[next(turn) % len(cameras)]), device, repeats)
     pixels = cameras[0].width * cameras[0].height
@@ -272,11 +272,11 @@ def frames(field, cameras: list, device: torch.device, repeats: int = 30) -> dic
 
 def frames_of(work: Path, device: torch.device) -> dict:
     """frames() of the longest lego fit, at the test views."""
-    from schemas.work_folder import Work
+    from schemas.work_folder import WorkFolder
     from stages.artifacts.field import load_field
     from stages.artifacts.scene import load_scene
 
-    store = Work(work)
+    store = WorkFolder(work)
     scene = load_scene(store.get("scene", "scene"))
     field, _ = load_field(store.get("field", f"fit-{BUDGETS[-1]}"))
     return frames(field, [scene.cameras[i] for i in scene.splits["test"][:16]], device)

@@ -3,9 +3,9 @@
 import numpy as np
 import torch
 
-from stylerf.fields.gpu.field import DevicePatchColor
+from stylerf.fields.gpu.field import GpuRegionColor
 from stylerf.fields.hash_color import HashColor
-from stylerf.fields.region_color import PatchColor
+from stylerf.fields.region_color import RegionColor
 from stylerf.kernels.gpu import launch_edit
 
 
@@ -13,8 +13,8 @@ def launches(rendered, of_colors: torch.Tensor, wanted: torch.Tensor) -> dict:
     """{kernel: (a launch of it, fewest bytes it moves)} on rendered random rays; half of the cells are the edit's."""
     generator, cells = np.random.default_rng(2), 128
     base = HashColor.create(generator)
-    part = DevicePatchColor(
-        PatchColor.create(base, generator.random((cells,) * 3) < 0.5, 256.0, table=1 << 15), wanted.device
+    part = GpuRegionColor(
+        RegionColor.create(base, generator.random((cells,) * 3) < 0.5, 256.0, table=1 << 15), wanted.device
     )
     s, n, rays, ways = rendered.samples, rendered.samples.room, len(rendered.out), rendered.rays.directions
     colors, marked, table = part.colors(s, ways, 0.0), part.marked, 4 * len(part.values)

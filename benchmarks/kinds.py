@@ -32,14 +32,14 @@ BUDGET, SCENES = "60s", ("lego 200x200", "fern 504x378")
 
 def rays_a_second(work: Path, name: str) -> float:
     """Of the test views of a field."""
-    from schemas.work_folder import Work
+    from schemas.work_folder import WorkFolder
     from stages.artifacts.field import load_field
     from stages.artifacts.scene import load_scene
     from stylerf.kernels.cpu.compiling import set_threads
     from stylerf.rendering.view import render_view
 
     threads = set_threads(os.cpu_count() or 1)
-    scene, field = load_scene(Work(work).find("scene", "main")), load_field(Work(work).find("field", name))[0]
+    scene, field = load_scene(WorkFolder(work).find("scene", "main")), load_field(WorkFolder(work).find("field", name))[0]
     cameras = [scene.cameras[i] for i in scene.splits["test"]]
     seconds = []
     for _ in range(1 + PASSES):

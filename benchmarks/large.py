@@ -21,7 +21,7 @@ from benchmarks.conditions import here_and_now
 from benchmarks.fits import stylerf
 from schemas.images import to_uint8, write_png
 from schemas.scene import Bounds, Scene, View, as_matrix, write_scene
-from schemas.work_folder import Recipe, Work
+from schemas.work_folder import Recipe, WorkFolder
 from stages.pipeline.demo_scene import ANGLE_X
 from stylerf.procedural.still_life import StillLife, dome_cameras
 
@@ -56,7 +56,7 @@ def taken(work: Path, kind: str, name: str) -> dict:
 
 def scene_of(folder: Path, work: Path) -> dict:
     """The scene, made at once: importing would decode and write every photo again, one at a time."""
-    begun = Work(work).begin("scene", "main", Recipe("pose_import", 1, {}, []))
+    begun = WorkFolder(work).begin("scene", "main", Recipe("pose_import", 1, {}, []))
     focal, views = 0.5 * SIZE[0] / np.tan(0.5 * ANGLE_X), []
     (begun.path / "images").mkdir()
     for index, camera in enumerate(dome_cameras(VIEWS, SMALL, "train", 0, angle_x=ANGLE_X)):

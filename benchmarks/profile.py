@@ -145,21 +145,21 @@ class Watch:
 
 def fitter_of(work: Path, capacity: str, threads: int, scratch: Path):
     """A fit of one capacity that climbs nowhere, as `stylerf fit` sets it up."""
-    from schemas.work_folder import Work
+    from schemas.work_folder import WorkFolder
     from stages.artifacts.photos import bank_of
     from stages.artifacts.scene import load_scene
     from stages.artifacts.scene_space import space_of
     from stages.configs.fit import FitConfig
     from stages.nerf_fit import _settings
     from stages.run.progress import Context, Silent
-    from stylerf.training.fit.capacity_levels import Rung
+    from stylerf.training.fit.capacity_levels import CapacityLevel
     from stylerf.training.fit.fitter import Fitter
 
-    scene = load_scene(Work(work).find("scene", "main"))
+    scene = load_scene(WorkFolder(work).find("scene", "main"))
     space = space_of(scene, "auto")[0]
     settings = _settings(FitConfig(budget="1000000"), scene, space)
     resolution, density, color = map(int, capacity.split("x"))
-    settings = dataclasses.replace(settings, ladder=(Rung(resolution, density, color),), shares=(), reductions=())
+    settings = dataclasses.replace(settings, ladder=(CapacityLevel(resolution, density, color),), shares=(), reductions=())
     bank = bank_of(scene, scene.splits["train"], scratch, Context(progress=Silent(), threads=threads))
     return Fitter(space, bank, 0, settings, 0, threads)
 

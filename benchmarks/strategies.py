@@ -52,7 +52,7 @@ def stylizer_for(work: str, style: str, method: str, case: str):
     """The stylizer of a case, the scene, and its held-out views with their photos."""
     import numpy as np
 
-    from schemas.work_folder import Work
+    from schemas.work_folder import WorkFolder
     from stages.artifacts.field import load_field
     from stages.artifacts.photos import level_of, photo_over
     from stages.artifacts.scene import load_scene
@@ -62,19 +62,19 @@ def stylizer_for(work: str, style: str, method: str, case: str):
     from stages.weights.resolve import resolve
     from stylerf.fields.deformation import Deformation
     from stylerf.kernels.cpu.compiling import set_threads
-    from stylerf.style.feature_extractor import Trunk
-    from stylerf.training.stylize.arf import Stylizer
+    from stylerf.style.feature_extractor import FeatureExtractor
+    from stylerf.training.stylize.arf import ArfTrainer
 
-    threads, store = set_threads(os.cpu_count() or 1), Work(Path(work))
+    threads, store = set_threads(os.cpu_count() or 1), WorkFolder(Path(work))
     scene = load_scene(store.artifacts("scene")[0])
     field, background = load_field(next(f for f in store.artifacts("field") if f.manifest.stage == "nerf_fit"))
     options = {"rays" if k == "strategy" else k: v for k, v in CASES[case].items()}
     config = StylizeConfig(style=style, method=method, budget="100000", **options)
     level, found = level_of(background), resolve(None)
     views = scene.splits["train"]
-    trunk = Trunk(found.state, painting_taps(config, found.state), found.kind)
+    trunk = FeatureExtractor(found.state, painting_taps(config, found.state), found.kind)
     long_side = max(max(c.width, c.height) for c in scene.cameras)
-    made = Stylizer(
+    made = ArfTrainer(
         field,
         [scene.cameras[i] for i in views],
         [photo_over(scene, i, level) for i in views],

@@ -29,7 +29,7 @@ class BadInput(StylerfError):
     exit_code = 3
 
 
-class NoFilm(BadInput):
+class NoVideo(BadInput):
     """Frames were rendered, but no film could be made of them."""
 
     keeps_run = True

@@ -45,7 +45,7 @@ class UnlikeInterrupted(ArtifactStale):
         self.seconds, self.options = seconds, options
 
 
-class Partial:
+class PartialArtifact:
     """A run in progress. The stage writes its files below `path` and its checkpoints below `checkpoint`.
 
     `resumed` tells that an earlier run of the same recipe left something here; with `anew` one that was begun so,

@@ -18,15 +18,15 @@ from schemas.canonical_json import file_sha256
 from schemas.errors import ArtifactDamaged, ArtifactStale, StylerfError, UsageError
 from schemas.manifest import MANIFEST, InputRef, Recipe
 from schemas.migrations import CURRENT
-from schemas.partial_artifact import Partial, replaced_by, sweep_finished
+from schemas.partial_artifact import PartialArtifact, replaced_by, sweep_finished
 
-__all__ = ["MADE_BY", "Artifact", "InputRef", "Partial", "Recipe", "Work", "newest", "sound_name", "sources_of"]
+__all__ = ["MADE_BY", "Artifact", "InputRef", "PartialArtifact", "Recipe", "WorkFolder", "newest", "sound_name", "sources_of"]
 
 CLOCK_SLACK = timedelta(minutes=5)  # by which the clocks of two machines may differ
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._+-]{0,99}")
 
 
-class Work:
+class WorkFolder:
     """A work folder. Reading never writes; the folder is created when the first artifact is begun."""
 
     def __init__(self, root: Path | str) -> None:
@@ -83,9 +83,9 @@ class Work:
         """Deletes what is left of the run that made the artifact of that name, where a kill kept it from doing so."""
         sweep_finished(self.root, _known(kind), sound_name(name))
 
-    def begin(self, kind: str, name: str, recipe: Recipe, careful: bool = False, anew: bool = False) -> Partial:
+    def begin(self, kind: str, name: str, recipe: Recipe, careful: bool = False, anew: bool = False) -> PartialArtifact:
         """Goes on with an interrupted run of this recipe, or starts afresh; see Partial."""
-        return Partial(self.root, _known(kind), sound_name(name), recipe, careful, anew)
+        return PartialArtifact(self.root, _known(kind), sound_name(name), recipe, careful, anew)
 
     def copy(self, artifact: Artifact, name: str) -> Artifact:
         """The artifact under another name too, in place of what is called so; its digest knows no name and stays."""
@@ -163,7 +163,7 @@ def sources_of(artifact: Artifact, kinds: Collection[str] = tuple(CURRENT)) -> l
 
     What is gone or cannot be read is passed over.
     """
-    work, found = Work(artifact.path.parent.parent), [artifact]
+    work, found = WorkFolder(artifact.path.parent.parent), [artifact]
     for made in found:  # which grows meanwhile
         for ref in made.manifest.inputs:
             if ref.kind in kinds and (ref.kind, ref.name) not in [(one.kind, one.name) for one in found]:

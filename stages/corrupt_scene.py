@@ -14,9 +14,9 @@ from skimage.transform import resize
 from schemas.errors import ArtifactStale, BadInput
 from schemas.images import to_uint8, write_png
 from schemas.scene import Bounds, Scene, View, as_matrix, write_scene
-from schemas.work_folder import Artifact, Partial
+from schemas.work_folder import Artifact, PartialArtifact
 from stages.artifacts.scene import SceneData, load_scene
-from stages.configs.corrupt_scene import FaultConfig
+from stages.configs.corrupt_scene import CorruptSceneConfig
 from stages.run.progress import Context
 from stages.run.runner import Spec
 from stages.stress.faults import FAULTS, MADE
@@ -28,7 +28,7 @@ from stylerf.procedural.variants import HardStillLife
 from stylerf.srgb import exposed
 
 
-def _outside(config: FaultConfig) -> dict[str, str]:
+def _outside(config: CorruptSceneConfig) -> dict[str, str]:
     if not config.source:
         return {}
     scene = Artifact(Path(config.source))
@@ -64,7 +64,7 @@ class Capture:
     figures: dict
 
 
-def run(inputs: dict[str, Artifact], config: FaultConfig, partial: Partial, context: Context) -> dict:
+def run(inputs: dict[str, Artifact], config: CorruptSceneConfig, partial: PartialArtifact, context: Context) -> dict:
     """Writes scene.json and images/; returns the figures, among them what the fault did."""
     generator = np.random.default_rng([context.seed, 20])
     made = FAULTS[config.fault].of == MADE
@@ -101,7 +101,7 @@ def _view(shot: Shot, image: str) -> View:
     )  # fmt: skip
 
 
-def _still_life(config: FaultConfig, seed: int) -> Capture:
+def _still_life(config: CorruptSceneConfig, seed: int) -> Capture:
     life = HardStillLife(config.fault, seed)
     shots = [
         Shot(camera, split, lambda camera=camera: life.render(camera).rgba, f"still life: {config.fault}")
@@ -113,7 +113,7 @@ def _still_life(config: FaultConfig, seed: int) -> Capture:
     return Capture(shots, "object", "made so", bounds, "alpha", np.eye(4), {})
 
 
-def _spoiled(config: FaultConfig, generator: np.random.Generator) -> Capture:
+def _spoiled(config: CorruptSceneConfig, generator: np.random.Generator) -> Capture:
     data = _source(config)
     train, tests = data.splits["train"], _few(data.splits["test"], config.tests)
     if not tests:
@@ -139,7 +139,7 @@ def _spoiled(config: FaultConfig, generator: np.random.Generator) -> Capture:
     )  # fmt: skip
 
 
-def _source(config: FaultConfig) -> SceneData:
+def _source(config: CorruptSceneConfig) -> SceneData:
     artifact = Artifact(Path(config.source))
     if artifact.digest != config.source_digest:
         raise ArtifactStale(f"{config.source} was made again meanwhile; run the same `stylerf stress` again")
@@ -153,7 +153,7 @@ def _few(tests: list[int], count: int) -> list[int]:
 
 
 def _chosen(
-    config: FaultConfig, train: list[int], poses: np.ndarray, generator: np.random.Generator
+    config: CorruptSceneConfig, train: list[int], poses: np.ndarray, generator: np.random.Generator
 ) -> tuple[list[int], dict]:
     """The training views that the fault leaves."""
     if config.fault.startswith("views-"):
@@ -169,7 +169,7 @@ def _chosen(
 
 
 def _change_of(
-    config: FaultConfig, count: int, generator: np.random.Generator, figures: dict
+    config: CorruptSceneConfig, count: int, generator: np.random.Generator, figures: dict
 ) -> Callable[[np.ndarray, int], np.ndarray]:
     """From a photo and its place among the training views to the photo with the fault."""
     if config.fault == "exposure":
@@ -210,7 +210,7 @@ def averaged(photo: np.ndarray, height: int, width: int) -> np.ndarray:
     return np.clip(np.concatenate([rgb, mixed[..., 3:]], -1), 0, 1).astype(np.float32)
 
 
-def _bounds(data: SceneData, config: FaultConfig) -> Bounds:
+def _bounds(data: SceneData, config: CorruptSceneConfig) -> Bounds:
     """As they were, but for the fault that is theirs: a near plane beyond things, a box that lacks a part of one."""
     bounds = data.bounds
     if config.fault != "near-plane":

@@ -4,7 +4,7 @@ import numpy as np
 import torch
 
 from schemas.errors import BadInput
-from schemas.work_folder import Artifact, Partial
+from schemas.work_folder import Artifact, PartialArtifact
 from stages.artifacts.edit import save_palette
 from stages.artifacts.field import load_field, save_field
 from stages.artifacts.photos import level_of, photo_for
@@ -21,8 +21,8 @@ from stages.stylization.settings import finest_cells
 from stylerf.errors import InvalidValue
 from stylerf.fields.palette_color import PaletteColor
 from stylerf.kernels.cpu.compiling import compiling_note, set_threads
-from stylerf.training.common.bounded_cache import Kept
-from stylerf.training.stylize.palettenerf import Decomposing, DecompositionWeights
+from stylerf.training.common.bounded_cache import BoundedCache
+from stylerf.training.stylize.palettenerf import DecompositionWeights, PaletteNerfTrainer
 from stylerf.training.stylize.settings import StyleSettings
 
 SPEC = Spec(stage="decompose", verb="stylize", revision=3, writes="field")
@@ -30,7 +30,7 @@ FINAL_RATE = 0.1  # of the learning rate, at the end
 WORKING_BYTES = 1e9  # what a step takes beside what is kept of the views
 
 
-def run(inputs: dict[str, Artifact], config: DecomposeConfig, partial: Partial, context: Context) -> dict:
+def run(inputs: dict[str, Artifact], config: DecomposeConfig, partial: PartialArtifact, context: Context) -> dict:
     """Writes the decomposed field and its palette; returns the figures."""
     scene = load_scene(inputs["scene"], inputs["field"])
     field, background = load_field(inputs["field"])
@@ -38,7 +38,7 @@ def run(inputs: dict[str, Artifact], config: DecomposeConfig, partial: Partial, 
     torch.set_num_threads(threads)
     views, level = scene.splits["train"], level_of(background)
     cameras = [scene.cameras[i] for i in views]
-    photos = Kept(lambda place: photo_for(field, scene, views[place], level, threads), len, len(views), 0)
+    photos = BoundedCache(lambda place: photo_for(field, scene, views[place], level, threads), len, len(views), 0)
     if context.device == "cuda":
         context.progress.say("a palette is learned on the CPU: its colors have no GPU kernel")
 
@@ -49,7 +49,7 @@ def run(inputs: dict[str, Artifact], config: DecomposeConfig, partial: Partial, 
     memory = max(room(context.memory) - WORKING_BYTES, 0)
     try:
         settled = settings_of(config), weights_of(config), config.bases, context.seed, threads, new_color, memory
-        learner = Decomposing(field, cameras, photos, level, *settled)
+        learner = PaletteNerfTrainer(field, cameras, photos, level, *settled)
     except InvalidValue as error:
         raise BadInput(f"{inputs['field'].path}: {error}") from error
     if (saved := load_checkpoint(partial.checkpoint, context.progress.say)) is not None:
@@ -102,11 +102,11 @@ def weights_of(config: DecomposeConfig) -> DecompositionWeights:
     )
 
 
-def _train(learner: Decomposing, config: DecomposeConfig, partial: Partial, context: Context) -> None:
+def _train(learner: PaletteNerfTrainer, config: DecomposeConfig, partial: PartialArtifact, context: Context) -> None:
     shown = ""
     seconds, steps = budget_of(config.budget)
 
-    def tell(now: Decomposing) -> None:
+    def tell(now: PaletteNerfTrainer) -> None:
         nonlocal shown
         state, counted = now.state, now.state.phase == "refit" or steps
         if state.phase != shown:

@@ -4,7 +4,7 @@ import numpy as np
 import torch
 
 from schemas.errors import BadInput
-from schemas.work_folder import Artifact, Partial
+from schemas.work_folder import Artifact, PartialArtifact
 from stages.artifacts.field import load_field, save_deformation, save_field
 from stages.artifacts.photos import bank_of, level_of
 from stages.artifacts.scene import load_scene, spread
@@ -23,7 +23,7 @@ from stylerf.training.deform.fitter import DeformationFitter, DeformSettings
 SPEC = Spec(stage="deform_init", verb="deform", revision=3, writes="field")
 
 
-def run(inputs: dict[str, Artifact], config: DeformConfig, partial: Partial, context: Context) -> dict:
+def run(inputs: dict[str, Artifact], config: DeformConfig, partial: PartialArtifact, context: Context) -> dict:
     """Writes the field with its displacement grid, and the network behind it; returns the figures."""
     scene = load_scene(inputs["scene"], inputs["field"])
     field, background = load_field(inputs["field"])
@@ -77,7 +77,7 @@ def run(inputs: dict[str, Artifact], config: DeformConfig, partial: Partial, con
     }
 
 
-def _train(fitter: DeformationFitter, config: DeformConfig, partial: Partial, context: Context) -> None:
+def _train(fitter: DeformationFitter, config: DeformConfig, partial: PartialArtifact, context: Context) -> None:
     context.progress.start("deform", config.steps, "step")
 
     def tell(now: DeformationFitter) -> None:

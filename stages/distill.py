@@ -9,7 +9,7 @@ import numpy as np
 from schemas.errors import ArtifactDamaged, BadInput
 from schemas.images import to_uint8, write_png
 from schemas.tensors import save_tensors
-from schemas.work_folder import Artifact, Partial
+from schemas.work_folder import Artifact, PartialArtifact
 from stages.artifacts.edit import load_edit
 from stages.artifacts.edit_views import load_edit_views
 from stages.artifacts.scene import EARLIER, EDIT_TARGETS, SceneData, edit_targets
@@ -26,7 +26,7 @@ from stylerf.kernels.cpu.compiling import compiling_note, set_threads
 SPEC = Spec(stage="distill", verb="distill", revision=3, writes="scene")
 
 
-def run(inputs: dict[str, Artifact], config: DistillConfig, partial: Partial, context: Context) -> dict:
+def run(inputs: dict[str, Artifact], config: DistillConfig, partial: PartialArtifact, context: Context) -> dict:
     """Writes a scene like the one before, but for the photos that show the edit; returns the figures."""
     chunks = set_threads(context.threads)
     scene = load_pictures(inputs["scene"], inputs["field"], chunks)
@@ -66,9 +66,9 @@ def run(inputs: dict[str, Artifact], config: DistillConfig, partial: Partial, co
 
 
 def _on_device(module: PaletteModule, device: str):
-    from stylerf.editing.palette_module_gpu import DevicePalette
+    from stylerf.editing.palette_module_gpu import GpuPaletteModule
 
-    return DevicePalette(module, device)
+    return GpuPaletteModule(module, device)
 
 
 def _edited(

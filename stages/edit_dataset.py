@@ -8,7 +8,7 @@ import numpy as np
 from schemas.errors import BadInput
 from schemas.exr import ExrView, write_exr
 from schemas.images import linear_from_srgb
-from schemas.work_folder import Artifact, Partial
+from schemas.work_folder import Artifact, PartialArtifact
 from stages.artifacts.edit_views import save_edit_views
 from stages.artifacts.field import load_field
 from stages.artifacts.region import load_region
@@ -21,14 +21,14 @@ from stylerf.editing.edit_grid import Region
 from stylerf.editing.extraction import Extraction, Seen, seen_of_view
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.geometry.cameras import Camera
-from stylerf.geometry.space_warp import Space
+from stylerf.geometry.space_warp import SpaceWarp
 from stylerf.kernels.cpu.compiling import compiling_note, set_threads
 
 SPEC = Spec(stage="edit_dataset", verb="extract", revision=3, writes="edit-dataset")
 FADING = 1 / 40  # of the region's size
 
 
-def run(inputs: dict[str, Artifact], config: ExtractConfig, partial: Partial, context: Context) -> dict:
+def run(inputs: dict[str, Artifact], config: ExtractConfig, partial: PartialArtifact, context: Context) -> dict:
     """Writes the views' pixels, and what they are as EXR; returns the figures."""
     chunks = set_threads(context.threads)
     scene = load_pictures(inputs["scene"], inputs["field"], chunks)
@@ -71,12 +71,12 @@ def run(inputs: dict[str, Artifact], config: ExtractConfig, partial: Partial, co
 
 
 def _on_device(field: RadianceField, device: str) -> Callable[[Camera, list[np.ndarray]], list[np.ndarray]]:
-    from stylerf.editing.extraction_gpu import DeviceEnds
+    from stylerf.editing.extraction_gpu import GpuRayEnds
 
-    return DeviceEnds(field, device)
+    return GpuRayEnds(field, device)
 
 
-def _size(region: Region, space: Space) -> float:
+def _size(region: Region, space: SpaceWarp) -> float:
     """Diagonal of the box of the region's cells, scene units; cells at the very border of the cube left out."""
     s = region.cells
     where = np.argwhere(region.edit)

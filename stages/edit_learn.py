@@ -10,7 +10,7 @@ import torch
 
 from schemas.errors import BadInput
 from schemas.images import to_uint8, write_png
-from schemas.work_folder import Artifact, Partial
+from schemas.work_folder import Artifact, PartialArtifact
 from stages.artifacts.edit import Edit, save_edit
 from stages.artifacts.edit_views import load_edit_views
 from stages.artifacts.style_images import read_painting
@@ -30,13 +30,13 @@ from stylerf.editing.region_style import crop_of
 from stylerf.errors import InvalidValue
 from stylerf.kernels.cpu.compiling import compiling_note, set_threads
 from stylerf.style.color_matching import match_colors
-from stylerf.style.feature_extractor import Trunk
+from stylerf.style.feature_extractor import FeatureExtractor
 from stylerf.training.edit.trainer import EditSettings, EditTrainer, sampled_colors, start_module
 
 SPEC = Spec(stage="edit_learn", verb="stylize", revision=4, writes="edit", outside=digests_of_files)
 
 
-def run(inputs: dict[str, Artifact], config: EditConfig, partial: Partial, context: Context) -> dict:
+def run(inputs: dict[str, Artifact], config: EditConfig, partial: PartialArtifact, context: Context) -> dict:
     """Writes the palette module, its palette and a preview; returns the figures."""
     views, _ = load_edit_views(inputs["edit-dataset"])
     shown = max(views, key=len)
@@ -46,7 +46,7 @@ def run(inputs: dict[str, Artifact], config: EditConfig, partial: Partial, conte
     if config.style:
         resolved = resolve(config.features or None)
         context.progress.say(f"features: {resolved.name}, from {resolved.source}")
-        painting, trunk = cropped(config), Trunk(resolved.state, config.taps, resolved.kind).to(device or "cpu")
+        painting, trunk = cropped(config), FeatureExtractor(resolved.state, config.taps, resolved.kind).to(device or "cpu")
         features = resolved.manifest()
         if config.match and not config.preserve_color:
             views = in_colors_of_painting(views, painting, context.seed)
@@ -132,7 +132,7 @@ def drawn(trainer: EditTrainer, view: EditView, chunks: int) -> np.ndarray:
     return to_uint8(np.concatenate(pictures, 1))
 
 
-def _train(trainer: EditTrainer, shown: EditView, config: EditConfig, partial: Partial, context: Context) -> None:
+def _train(trainer: EditTrainer, shown: EditView, config: EditConfig, partial: PartialArtifact, context: Context) -> None:
     drawn_at = time.monotonic()
     context.progress.start("edit", 100.0, "%")
 

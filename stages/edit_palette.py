@@ -5,7 +5,7 @@ import shutil
 import numpy as np
 
 from schemas.errors import BadInput
-from schemas.work_folder import Artifact, Partial
+from schemas.work_folder import Artifact, PartialArtifact
 from stages.artifacts.edit import (
     PALETTE,
     Edit,
@@ -24,7 +24,7 @@ from stylerf.errors import InvalidValue
 SPEC = Spec(stage="edit_palette", verb="stylize", revision=2, writes="edit")
 
 
-def run(inputs: dict[str, Artifact], config: PaletteConfig, partial: Partial, context: Context) -> dict:
+def run(inputs: dict[str, Artifact], config: PaletteConfig, partial: PartialArtifact, context: Context) -> dict:
     """Writes the same module with the changes; returns the figures."""
     learned = inputs["edit"]
     edit = load_edit(learned)

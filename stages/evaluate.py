@@ -13,14 +13,14 @@ from dataclasses import replace
 import numpy as np
 
 from schemas.atomic_write import write_bytes, write_json
-from schemas.work_folder import Artifact, Partial
+from schemas.work_folder import Artifact, PartialArtifact
 from stages.artifacts.edit import OF_WEIGHTS
 from stages.artifacts.provenance import is_stylized, upstream
 from stages.configs.evaluate import EvaluateConfig
 from stages.evaluation.local_edit import LocalEdit, palette_facts, palette_rows
-from stages.evaluation.metrics import Figure, Row, summarize, write_csv
-from stages.evaluation.path_consistency import Film
-from stages.evaluation.perceptual_metrics import Lenses
+from stages.evaluation.metrics import Metric, Row, summarize, write_csv
+from stages.evaluation.path_consistency import PathConsistency
+from stages.evaluation.perceptual_metrics import PerceptualMetrics
 from stages.evaluation.pinned_inputs import digests_of_files
 from stages.evaluation.reference_metrics import NEAREST, References, measure_robustness
 from stages.evaluation.test_views import FrameViews, Photo, Render, SceneViews
@@ -34,7 +34,7 @@ from stages.evaluation.view_metrics import (
     measure_style,
     spoiled_words,
 )
-from stages.report.contact_sheet import Sheet, chosen_views
+from stages.report.contact_sheet import ContactSheet, chosen_views
 from stages.report.evaluation_page import build_page
 from stages.report.notes import Presence, curve_of, draw_charts, not_measured, warnings_of
 from stages.report.thumbnails import Picture
@@ -45,7 +45,7 @@ SPEC = Spec(stage="evaluate", verb="eval", revision=5, writes="report", outside=
 STYLE_KEYS = ("nnfm", "gram", "sifid", "palette", "palette_mean", "palette_covariance", "content_ssim")
 
 
-def run(inputs: dict[str, Artifact], config: EvaluateConfig, partial: Partial, context: Context) -> dict:
+def run(inputs: dict[str, Artifact], config: EvaluateConfig, partial: PartialArtifact, context: Context) -> dict:
     """Writes report.json, views.csv, pairs.csv, training.csv, charts/ and report.html; returns the means by key."""
     task = Evaluation(inputs, config, context)
     task.measure_views()
@@ -79,10 +79,10 @@ class Evaluation:
         self.twin = self._frames("twin_frames")
         self.field = inputs.get("field")
         self.edit = LocalEdit.found(inputs, config, self.scene, context)
-        self.lenses = Lenses.found(config, self.field, context)
+        self.lenses = PerceptualMetrics.found(config, self.field, context)
         path = self._frames("path_frames")
         inside = self.edit.inside_film() if self.edit and path else None
-        self.film = Film(path, config, self.lenses, inside) if path else None
+        self.film = PathConsistency(path, config, self.lenses, inside) if path else None
         self.references = References(config.reference, self.scene, self.frames) if config.reference else None
         made_by_style = self.field is not None and is_stylized(self.field)
         self.stylized = made_by_style or self.base is not None or bool(config.style)
@@ -208,7 +208,7 @@ class Evaluation:
             **(self.film.facts() if self.film else {}),
         }
 
-    def report(self) -> tuple[dict, list[Figure]]:
+    def report(self) -> tuple[dict, list[Metric]]:
         """report.json as a dictionary, and its figures."""
         facts = self.facts()
         name = "the unstylized renders" if self.base is not None else "the photos"
@@ -268,14 +268,14 @@ class Evaluation:
             weights_changed=any(not {*row} & {*OF_WEIGHTS} for row in palette_rows(self.field, self.edit is not None)),
         )
 
-    def sheet(self) -> Sheet:
+    def sheet(self) -> ContactSheet:
         """The contact sheet of the views worth seeing."""
         key = "content_ssim" if self.stylized else "psnr"
         lenses, painting = self.lenses, None
         if lenses.painting:
             words = f"{lenses.style_words[:1].upper()}{lenses.style_words[1:]} {lenses.painting_name}"
             painting = Picture(lenses.painting.image, lenses.style_words, words)
-        sheet = Sheet(painting, self.stylized, edited=self.edit is not None)
+        sheet = ContactSheet(painting, self.stylized, edited=self.edit is not None)
         for index, word in chosen_views(self.rows, key, self.config.sheet):
             render = self.frames.render(index)
             known = render.name not in self.unmatched

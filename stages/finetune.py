@@ -7,7 +7,7 @@ import numpy as np
 from scipy.ndimage import binary_dilation
 
 from schemas.errors import BadInput
-from schemas.work_folder import Artifact, Partial
+from schemas.work_folder import Artifact, PartialArtifact
 from stages.artifacts.field import load_field, save_field
 from stages.artifacts.photos import bank_of, level_of
 from stages.artifacts.region import region_of_field
@@ -20,9 +20,9 @@ from stages.run.devices import gpu_figures, gpu_of
 from stages.run.progress import Context
 from stages.run.runner import Spec
 from stages.run.training_loop import run_training
-from stylerf.fields.packed_surface import Surface, pixel_cells, surface_of
+from stylerf.fields.packed_surface import PackedSurface, pixel_cells, surface_of
 from stylerf.fields.radiance_field import RadianceField
-from stylerf.fields.region_color import PatchColor
+from stylerf.fields.region_color import RegionColor
 from stylerf.geometry.cameras import Camera
 from stylerf.kernels.cpu.compiling import compiling_note, set_threads
 from stylerf.training.finetune.trainer import EditedPixels, FineTuner, FineTuneSettings
@@ -32,14 +32,14 @@ SEEN = 2e-2  # part of a ray's largest weight from which a sample tells what a p
 MARGIN = 2  # cells: samples in front of a surface, which is where its color is looked for too
 
 
-def run(inputs: dict[str, Artifact], config: FinetuneConfig, partial: Partial, context: Context) -> dict:
+def run(inputs: dict[str, Artifact], config: FinetuneConfig, partial: PartialArtifact, context: Context) -> dict:
     """Writes the field that shows the edit; returns the figures."""
     scene = load_scene(inputs["scene"])
     field, background = load_field(inputs["field"])
     threads = set_threads(context.threads)
     train = scene.splits["train"]
     whole = config.colors == "field"
-    if whole and isinstance(field.color, PatchColor):
+    if whole and isinstance(field.color, RegionColor):
         raise BadInput(
             f"{inputs['field'].path} holds a local edit over its colors, which the whole field's cannot learn under: "
             "leave out --colors field, or teach the earlier edits by it too"
@@ -89,22 +89,22 @@ def run(inputs: dict[str, Artifact], config: FinetuneConfig, partial: Partial, c
 
 def _patch(
     inputs: dict[str, Artifact], field: RadianceField, cameras: list[Camera], chunks: int, device: str | None
-) -> PatchColor:
+) -> RegionColor:
     """Colors for the region and MARGIN cells around it, over the field's. cameras: that see it."""
     otherwise = ", or teach the whole field with --colors field"
     region = region_of_field(inputs["region"], inputs["field"], field, otherwise)
     some = [cameras[i] for i in np.unique(np.linspace(0, len(cameras) - 1, 4).round().astype(int))]
     seen = pixel_cells(_surfaces(field, some, chunks, device))
-    return PatchColor.create(field.color, binary_dilation(region.edit, iterations=MARGIN), seen)
+    return RegionColor.create(field.color, binary_dilation(region.edit, iterations=MARGIN), seen)
 
 
-def _surfaces(field: RadianceField, cameras: list[Camera], chunks: int, device: str | None) -> Iterator[Surface]:
+def _surfaces(field: RadianceField, cameras: list[Camera], chunks: int, device: str | None) -> Iterator[PackedSurface]:
     """Of each view, marched on the device."""
     if device is None:
         return (surface_of(field, camera, SEEN, chunks) for camera in cameras)
-    from stylerf.training.stylize.geometry_gpu import DeviceFixedGeometry
+    from stylerf.training.stylize.geometry_gpu import GpuFixedGeometry
 
-    shapes = DeviceFixedGeometry(field, cameras, SEEN, device)
+    shapes = GpuFixedGeometry(field, cameras, SEEN, device)
     return (shapes.surface(view) for view in range(len(cameras)))
 
 
@@ -140,7 +140,7 @@ def _around(pixels: np.ndarray, camera: Camera) -> np.ndarray:
     return np.flatnonzero(binary_dilation(edited, iterations=reach) & ~edited)
 
 
-def _train(tuner: FineTuner, config: FinetuneConfig, partial: Partial, context: Context) -> None:
+def _train(tuner: FineTuner, config: FinetuneConfig, partial: PartialArtifact, context: Context) -> None:
     steps = tuner.settings.steps
     context.progress.start("finetune", steps or tuner.settings.seconds, "step" if steps else "s")
 

@@ -6,7 +6,7 @@ from contextlib import nullcontext
 import numpy as np
 
 from schemas.errors import BadInput
-from schemas.work_folder import Artifact, Partial
+from schemas.work_folder import Artifact, PartialArtifact
 from stages.artifacts.field import save_field
 from stages.artifacts.photos import bank_of
 from stages.artifacts.scene import EXPOSURE_STOPS, SceneData, load_scene, spread
@@ -20,9 +20,9 @@ from stages.run.memory import in_words
 from stages.run.progress import Context
 from stages.run.runner import Spec
 from stages.run.training_loop import run_training
-from stylerf.geometry.space_warp import Space
+from stylerf.geometry.space_warp import SpaceWarp
 from stylerf.kernels.cpu.compiling import compiling_note, set_threads
-from stylerf.training.fit.capacity_levels import LADDER, Kinds, Rung, capacity_at, first_parts, ladder_of
+from stylerf.training.fit.capacity_levels import LADDER, CapacityLevel, Kinds, capacity_at, first_parts, ladder_of
 from stylerf.training.fit.engine import CpuEngine
 from stylerf.training.fit.fitter import Fitter
 from stylerf.training.fit.settings import FitSettings
@@ -38,7 +38,7 @@ LONGEST = (350, 850, 1350, 1900, 2600)
 RATE = {"object": 2e-2, "forward": 4e-2, "unbounded": 4e-2}
 
 
-def run(inputs: dict[str, Artifact], config: FitConfig, partial: Partial, context: Context) -> dict:
+def run(inputs: dict[str, Artifact], config: FitConfig, partial: PartialArtifact, context: Context) -> dict:
     """Writes field.json and field.safetensors; returns the figures, among them the curve of quality over time."""
     scene = load_scene(inputs["scene"])
     threads = set_threads(context.threads)
@@ -104,19 +104,19 @@ def _engine(device: str | None, settings: FitSettings, clip: float):
     """What the fit computes with."""
     if device is None:
         return functools.partial(CpuEngine, clip=clip)
-    from stylerf.training.fit.engine_gpu import DeviceEngine
+    from stylerf.training.fit.engine_gpu import GpuEngine
 
-    return functools.partial(DeviceEngine, device=device, samples=settings.samples, clip=clip)
+    return functools.partial(GpuEngine, device=device, samples=settings.samples, clip=clip)
 
 
-def _tell_memory(settings: FitSettings, space: Space, context: Context) -> None:
+def _tell_memory(settings: FitSettings, space: SpaceWarp, context: Context) -> None:
     """Says that the bound is below what the largest field takes to fit; of voxels the first: how many of a finer one
     are kept is not known before."""
     kinds, finest = settings.kinds, settings.ladder[-1].resolution
     # A lean last rung may have fewer numbers than the one before.
     rungs = settings.ladder[:1] if "voxel" in (kinds.density, kinds.color) else settings.ladder[-2:]
 
-    def parameters(rung: Rung) -> int:
+    def parameters(rung: CapacityLevel) -> int:
         found = 0
         for part, of in enumerate((rung, rung.color)):
             capacity = capacity_at(of, finest, kinds.levels, space, degree=settings.degree)
@@ -133,7 +133,7 @@ def _tell_memory(settings: FitSettings, space: Space, context: Context) -> None:
         )
 
 
-def _train(fitter: Fitter, config: FitConfig, partial: Partial, context: Context) -> None:
+def _train(fitter: Fitter, config: FitConfig, partial: PartialArtifact, context: Context) -> None:
     steps = fitter.settings.steps
     context.progress.start("fit", steps or fitter.settings.seconds, "step" if steps else "s")
 
@@ -150,7 +150,7 @@ def _quality(point: dict) -> str:
     return f"{point['psnr']:.1f} dB {'held out' if point['held_out'] else 'on training views'}"
 
 
-def _settings(config: FitConfig, scene: SceneData, space: Space, device: str | None = None) -> FitSettings:
+def _settings(config: FitConfig, scene: SceneData, space: SpaceWarp, device: str | None = None) -> FitSettings:
     seconds, steps = budget_of(config.budget)
     fixed = capacity_of(config.capacity)
     if scene.background == "none":
@@ -191,7 +191,7 @@ def _cpu_samples(seconds: float) -> int:
     return int(np.clip(500 * seconds, 30_000, 90_000)) if seconds else 90_000
 
 
-def _climb(fixed: tuple[int, int, int] | None, kinds: Kinds, space: Space, pixels: int) -> dict:
+def _climb(fixed: tuple[int, int, int] | None, kinds: Kinds, space: SpaceWarp, pixels: int) -> dict:
     """The ladder, and when its rungs are left. pixels: the longest side of the photos."""
     contraction, four = space.kind == "contraction", FitSettings.shares
     # What a coarse field is taught for longer is wrong in a contraction; elsewhere it is overfit the less.
@@ -203,18 +203,18 @@ def _climb(fixed: tuple[int, int, int] | None, kinds: Kinds, space: Space, pixel
     return {"ladder": ladder, "shares": four if len(ladder) == len(four) else FIVE_SHARES, "longest": longest}
 
 
-def _fixed_ladder(resolution: int, density: int, color: int, first_color: int) -> tuple[Rung, ...]:
+def _fixed_ladder(resolution: int, density: int, color: int, first_color: int) -> tuple[CapacityLevel, ...]:
     """Coarse to fine towards one capacity: the same end, reached sooner than by starting there."""
     coarser = [n for n in (64, 128, 192) if n < resolution]
     return tuple(
-        Rung(
+        CapacityLevel(
             n,
             min(density, 8) if n == 64 else density,
             min(color, first_color) if n == 64 else color,
             table_bits=_table_bits(n),
         )
         for n in coarser
-    ) + (Rung(resolution, density, color, table_bits=_table_bits(resolution)),)
+    ) + (CapacityLevel(resolution, density, color, table_bits=_table_bits(resolution)),)
 
 
 def _table_bits(resolution: int) -> int:

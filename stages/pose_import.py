@@ -12,10 +12,10 @@ from schemas.images import to_uint8, write_png
 from schemas.safe_names import printable
 from schemas.scene import POINTS_FILE, Bounds, Scene, Skipped, Truth, View, as_matrix, write_scene
 from schemas.tensors import save_tensors
-from schemas.work_folder import Artifact, Partial
+from schemas.work_folder import Artifact, PartialArtifact
 from stages.configs.pose_import import ImportConfig
 from stages.readers import found_in, read_source
-from stages.readers.background import Backdrop
+from stages.readers.background import Background
 from stages.readers.digest import digest_of_source
 from stages.readers.photo_folder import conversion, photos_of, unreadable_beside
 from stages.readers.photos import Developer, Sized, present, scale_of, scene_camera, sized
@@ -46,12 +46,12 @@ class Frame:
     splits: list[str]
 
 
-def run(inputs: dict[str, Artifact], config: ImportConfig, partial: Partial, context: Context) -> dict:
+def run(inputs: dict[str, Artifact], config: ImportConfig, partial: PartialArtifact, context: Context) -> dict:
     """Writes scene.json, images/, points.safetensors and truth/ where there are any; returns the figures."""
     return import_scene(_source(config, partial, context), config, partial, context)
 
 
-def _source(config: ImportConfig, partial: Partial, context: Context) -> SourceScene:
+def _source(config: ImportConfig, partial: PartialArtifact, context: Context) -> SourceScene:
     source = Path(config.source)
     found = found_in(source, config.format)
     if found.kind == "photos":
@@ -76,7 +76,7 @@ def _source(config: ImportConfig, partial: Partial, context: Context) -> SourceS
     return scene
 
 
-def import_scene(source: SourceScene, config: ImportConfig, partial: Partial, context: Context) -> dict:
+def import_scene(source: SourceScene, config: ImportConfig, partial: PartialArtifact, context: Context) -> dict:
     """The scene of what a reader found, poses told or reconstructed."""
     here, missing = present(source.cameras)
     here, doubled = _without_doubles([replace(one, name=_inside(one.name)) for one in here])
@@ -176,9 +176,9 @@ def _with_splits(cameras: list[SourceCamera], every: int) -> list[SourceCamera]:
     ]
 
 
-def _develop(photos: list[Sized], cameras: list[Camera], config: ImportConfig, partial: Partial, context) -> Backdrop:
+def _develop(photos: list[Sized], cameras: list[Camera], config: ImportConfig, partial: PartialArtifact, context) -> Background:
     """Writes images/NNN.png and returns what was learned about their background."""
-    developer, backdrop = Developer(), Backdrop(config.background)
+    developer, backdrop = Developer(), Background(config.background)
     context.progress.start("import", len(photos), "photo")
     for index, (one, camera) in enumerate(zip(photos, cameras, strict=True)):
         pixels = backdrop.seen(developer.picture(one, (camera.width, camera.height)))
@@ -192,7 +192,7 @@ def _develop(photos: list[Sized], cameras: list[Camera], config: ImportConfig, p
     return backdrop
 
 
-def _framed(source: SourceScene, photos: list[Sized], plain: list[Camera], backdrop: Backdrop, config) -> Frame:
+def _framed(source: SourceScene, photos: list[Sized], plain: list[Camera], backdrop: Background, config) -> Frame:
     poses = np.array([one.pose for one in photos])
     told = np.array([one.camera.near_far for one in photos]) if photos[0].camera.near_far else None
     points = None if source.points is None else source.points.xyz
@@ -215,7 +215,7 @@ def _framed(source: SourceScene, photos: list[Sized], plain: list[Camera], backd
     return Frame(layout, similarity, cameras, [one.camera.split for one in photos])
 
 
-def _bounds(source: SourceScene, frame: Frame, backdrop: Backdrop) -> Bounds:
+def _bounds(source: SourceScene, frame: Frame, backdrop: Background) -> Bounds:
     scale = float(np.cbrt(np.linalg.det(frame.scene_from_source[:3, :3])))
     if frame.layout.name == "unbounded":
         box = np.array([[-1.0] * 3, [1.0] * 3])
@@ -231,7 +231,7 @@ def _bounds(source: SourceScene, frame: Frame, backdrop: Backdrop) -> Bounds:
     return Bounds(tuple(tuple(float(value) for value in corner) for corner in box), float(near), float(far))
 
 
-def _object_box(frame: Frame, backdrop: Backdrop) -> np.ndarray:
+def _object_box(frame: Frame, backdrop: Background) -> np.ndarray:
     poses = np.array([camera.world_from_camera for camera in frame.cameras])
     focus = scene_normalization.focus_of(poses)
     distance = float(np.median(np.linalg.norm(poses[:, :3, 3] - focus, axis=1)))

@@ -3,7 +3,7 @@
 import numpy as np
 
 from schemas.errors import BadInput
-from schemas.work_folder import Artifact, Partial
+from schemas.work_folder import Artifact, PartialArtifact
 from stages.artifacts.edit import PALETTE, by_column, changes_of, columns_and_shares, save_palette, told_after
 from stages.artifacts.field import load_field, save_field
 from stages.artifacts.scene import SceneData, load_scene, view_index
@@ -23,7 +23,7 @@ REACH = 0.1  # of the distance between camera and place
 SEEN = 0.5  # alpha from which a pixel shows a place
 
 
-def run(inputs: dict[str, Artifact], config: RecolorConfig, partial: Partial, context: Context) -> dict:
+def run(inputs: dict[str, Artifact], config: RecolorConfig, partial: PartialArtifact, context: Context) -> dict:
     """Writes the same field with the changes; returns the figures."""
     source = inputs["field"]
     field, background = load_field(source)

@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 from schemas.canonical_json import digest_of, file_sha256
 from schemas.errors import BadInput
 from schemas.images import coverage, read_image, to_uint8, write_png
-from schemas.work_folder import Artifact, Partial
+from schemas.work_folder import Artifact, PartialArtifact
 from stages.artifacts.field import load_field
 from stages.artifacts.photos import level_of, photo_for, photo_over
 from stages.artifacts.region import load_region, save_region
@@ -123,7 +123,7 @@ def digest_of_masks(config: SelectConfig) -> str:
     return digest_of([[*one, file_sha256(path)] for *one, path in files]) if files else ""
 
 
-def run(inputs: dict[str, Artifact], config: SelectConfig, partial: Partial, context: Context) -> dict:
+def run(inputs: dict[str, Artifact], config: SelectConfig, partial: PartialArtifact, context: Context) -> dict:
     """Writes the region and previews of it over the photos; returns the figures."""
     chunks = set_threads(context.threads)
     scene = load_pictures(inputs["scene"], inputs["field"], chunks)

@@ -11,14 +11,14 @@ from pathlib import Path
 
 import numpy as np
 
-from schemas.errors import ArtifactDamaged, BadInput, NoFilm, StylerfError
+from schemas.errors import ArtifactDamaged, BadInput, NoVideo, StylerfError
 from schemas.exr import ExrView, write_exr
 from schemas.frames import Frame, FrameCamera, Frames, write_frames
 from schemas.images import linear_from_srgb, to_uint8, write_png
 from schemas.journal import Journal
 from schemas.scene import Bounds, as_matrix
 from schemas.video import try_video, write_video
-from schemas.work_folder import Artifact, Partial
+from schemas.work_folder import Artifact, PartialArtifact
 from stages.artifacts.camera_files import digest_of_cameras, read_cameras
 from stages.artifacts.field import load_field
 from stages.artifacts.region_masks import CHANNEL, channels_of, regions_among
@@ -42,7 +42,7 @@ SPEC = Spec(
 Shot = tuple[Camera, int | None]
 
 
-def run(inputs: dict[str, Artifact], config: RenderConfig, partial: Partial, context: Context) -> dict:
+def run(inputs: dict[str, Artifact], config: RenderConfig, partial: PartialArtifact, context: Context) -> dict:
     """Writes frames.json, png/, and exr/, depth/ and a video where asked for. A frame on disk, here or in a shard
     of the work folder, is not rendered again."""
     scene = load_scene(inputs["scene"])
@@ -99,9 +99,9 @@ def run(inputs: dict[str, Artifact], config: RenderConfig, partial: Partial, con
 
 
 def _on_device(field: RadianceField, device: str, camera: Camera) -> Callable[..., RenderedView]:
-    from stylerf.rendering.view_gpu import DeviceRenderer
+    from stylerf.rendering.view_gpu import GpuRenderer
 
-    renderer = DeviceRenderer(field, device)
+    renderer = GpuRenderer(field, device)
     renderer.choose(camera)  # one for all: shards, and runs that go on, must not decide by frames of their own
     return renderer.view
 
@@ -213,7 +213,7 @@ def _video(folder: Path, pictures: list[str], config: RenderConfig, context: Con
     except (StylerfError, MemoryError):
         raise
     except Exception as error:
-        raise NoFilm(
+        raise NoVideo(
             f"--video: no film could be made of the frames ({type(error).__name__}: {error}); they are kept in "
             f"{folder}: run the same command to try again"
         ) from error

@@ -7,7 +7,7 @@ import torch
 
 from schemas.errors import BadInput
 from schemas.images import to_uint8, write_png
-from schemas.work_folder import Artifact, Partial
+from schemas.work_folder import Artifact, PartialArtifact
 from stages.artifacts.field import load_deformation, load_field, save_deformation, save_field
 from stages.artifacts.photos import level_of, photo_for
 from stages.artifacts.references import chosen_view, decoded_reference, digest_of, read_references
@@ -25,20 +25,20 @@ from stages.run.progress import Context
 from stages.run.runner import Spec
 from stages.run.training_loop import run_training
 from stages.stylization.settings import coarse_taps, new_color, own_color, painting_taps, settings_of, template_taps
-from stages.weights.resolve import ResolvedTrunk, digests_of_files, resolve
+from stages.weights.resolve import ResolvedExtractor, digests_of_files, resolve
 from stylerf.editing.edit_grid import Region
 from stylerf.errors import InvalidValue
 from stylerf.fields.deformation import Deformation
 from stylerf.fields.hash_color import HashColor
 from stylerf.fields.radiance_field import RadianceField
-from stylerf.fields.region_color import PatchColor
+from stylerf.fields.region_color import RegionColor
 from stylerf.kernels.cpu.compiling import compiling_note, set_threads
-from stylerf.style.feature_extractor import Trunk
-from stylerf.training.common.bounded_cache import Kept
-from stylerf.training.stylize.arf import Stylizer
-from stylerf.training.stylize.refnpr import Referenced
-from stylerf.training.stylize.snerf import Alternating
-from stylerf.training.stylize.trainer import Repainting
+from stylerf.style.feature_extractor import FeatureExtractor
+from stylerf.training.common.bounded_cache import BoundedCache
+from stylerf.training.stylize.arf import ArfTrainer
+from stylerf.training.stylize.refnpr import RefNprTrainer
+from stylerf.training.stylize.snerf import SnerfTrainer
+from stylerf.training.stylize.trainer import StylizationTrainer
 
 
 def _outside(config: StylizeConfig) -> dict[str, str]:
@@ -51,7 +51,7 @@ KEPT_BYTES = 60  # about, for each pixel of a view: its photo, samples on its su
 WORDS = {"refit": "new colors"}  # of phases that are not told by their own name
 
 
-def run(inputs: dict[str, Artifact], config: StylizeConfig, partial: Partial, context: Context) -> dict:
+def run(inputs: dict[str, Artifact], config: StylizeConfig, partial: PartialArtifact, context: Context) -> dict:
     """Writes the stylized field; returns the figures, among them the curve of the loss."""
     scene = load_scene(inputs["scene"], inputs["field"])
     field, background = load_field(inputs["field"])
@@ -103,7 +103,7 @@ def run(inputs: dict[str, Artifact], config: StylizeConfig, partial: Partial, co
 
 def _learned(field: RadianceField) -> HashColor:
     """The colors that were taught."""
-    return field.color.own if isinstance(field.color, PatchColor) else field.color
+    return field.color.own if isinstance(field.color, RegionColor) else field.color
 
 
 def _stylizer(
@@ -112,21 +112,21 @@ def _stylizer(
     field: RadianceField,
     level: float,
     painting: torch.Tensor,
-    resolved: ResolvedTrunk,
+    resolved: ResolvedExtractor,
     deformation: Deformation | None,
     region: Region | None,
     context: Context,
     device: str | None,
-) -> Repainting:
+) -> StylizationTrainer:
     """What `config.method` stylizes with, before its first step."""
     views, moving = scene.splits["train"], deformation is not None
 
-    def trunk(taps: str) -> Trunk:
-        return Trunk(resolved.state, taps, resolved.kind).to(device or "cpu")
+    def trunk(taps: str) -> FeatureExtractor:
+        return FeatureExtractor(resolved.state, taps, resolved.kind).to(device or "cpu")
 
     cameras = [scene.cameras[i] for i in views]
     threads = torch.get_num_threads()
-    photos = Kept(lambda place: photo_for(field, scene, views[place], level, threads), len, len(views), 0)
+    photos = BoundedCache(lambda place: photo_for(field, scene, views[place], level, threads), len, len(views), 0)
     long_side = max(max(c.width, c.height) for c in scene.cameras)
     settings = settings_of(config, long_side, field.closed, region is not None)
     color = functools.partial(new_color, config)
@@ -148,7 +148,7 @@ def _stylizer(
     more = {"memory": _room_for(scene, views, context), "device": rays_on(device, field, context, moving)}
     more["within"] = None if region is None else region.edit
     if config.method == "snerf":
-        return Alternating(*given, **more)
+        return SnerfTrainer(*given, **more)
     if config.method == "refnpr":
         references = read_references(scene, config.reference)
         if not references:
@@ -162,15 +162,15 @@ def _stylizer(
             "template_trunk": trunk(template_taps(config, resolved.state)),
             "coarse_trunk": trunk(coarse_taps(resolved.state)),
         }
-        return Referenced(*given, **more)
-    return Stylizer(*given, deformation, **more)
+        return RefNprTrainer(*given, **more)
+    return ArfTrainer(*given, deformation, **more)
 
 
-def _figures_of_method(stylizer: Repainting, config: StylizeConfig, scene: SceneData, partial: Partial) -> dict:
+def _figures_of_method(stylizer: StylizationTrainer, config: StylizeConfig, scene: SceneData, partial: PartialArtifact) -> dict:
     """What a method tells beside what all tell; references are kept with what was made after them."""
-    if isinstance(stylizer, Alternating):
+    if isinstance(stylizer, SnerfTrainer):
         return {"rounds": config.rounds, "pictures": stylizer.state.counts.get("pictures", 0)}
-    if not isinstance(stylizer, Referenced):
+    if not isinstance(stylizer, RefNprTrainer):
         return {}
     told = []
     for place, picture in stylizer.references.items():
@@ -195,10 +195,10 @@ def _room_for(scene: SceneData, views: list[int], context: Context) -> float:
     return left
 
 
-def _train(stylizer: Repainting, config: StylizeConfig, partial: Partial, context: Context) -> None:
+def _train(stylizer: StylizationTrainer, config: StylizeConfig, partial: PartialArtifact, context: Context) -> None:
     shown = ""
 
-    def tell(now: Repainting) -> None:
+    def tell(now: StylizationTrainer) -> None:
         nonlocal shown
         state = now.state
         if state.phase != shown:

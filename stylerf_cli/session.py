@@ -11,7 +11,7 @@ from typing import Any
 
 from schemas.errors import ArtifactStale, UsageError
 from schemas.read_limit import set_allowance
-from schemas.work_folder import Artifact, Work, sound_name
+from schemas.work_folder import Artifact, WorkFolder, sound_name
 from stages.pipeline.distributed import follow, joined, launched, led, release, speaks
 from stages.run.memory import room
 from stages.run.progress import Context, Silent
@@ -43,9 +43,9 @@ class Session:
             _use_threads(self.common.threads)
 
     @cached_property
-    def work(self) -> Work:
+    def work(self) -> WorkFolder:
         """The work folder named on the command line."""
-        return Work(Path(self.args.work))
+        return WorkFolder(Path(self.args.work))
 
     @cached_property
     def context(self) -> Context:

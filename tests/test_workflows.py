@@ -11,7 +11,7 @@ import sys
 import pytest
 
 from schemas.errors import ArtifactStale
-from schemas.work_folder import Work
+from schemas.work_folder import WorkFolder
 from stages.configs.render import RenderConfig
 from stylerf_cli.arguments import Parser, add_common, add_config, build_config, read_toml
 from stylerf_cli.verbs import VERBS
@@ -75,7 +75,7 @@ def test_the_field_gets_a_name_that_an_artifact_can_have(tmp_path, file, name):
     asked = [call[call.index(flag) + 1] for call, flag in zip(calls[3:6], ("--name", "--of", "--of"), strict=True)]
     assert code == 0 and len(set(asked)) == 1 and re.fullmatch(name, asked[0])
     with pytest.raises(ArtifactStale):  # not that it cannot be a name
-        Work(tmp_path).get("field", asked[0])
+        WorkFolder(tmp_path).get("field", asked[0])
 
 
 @pytest.mark.parametrize("verb", ["import", "fit", "stylize", "render", "eval", "verify"])

@@ -15,7 +15,7 @@ from stages.run.progress import Context
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.rendering.view import render_view
 from stylerf.training.common.pixels import STRETCH, Pixels
-from stylerf.training.common.ray_dataset import HIDDEN, RayBank
+from stylerf.training.common.ray_dataset import HIDDEN, RayDataset
 
 # What training takes beside its photos, as measured: a field of 256^3, its moments and two copies of it; and for each
 # thread a buffer of its gradients.
@@ -24,7 +24,7 @@ THREAD_BYTES = 4 * 8.3e6
 LEAST_BYTES = 64e6  # of photos that may be in memory, however little of it is left
 
 
-def bank_of(scene: SceneData, views: list[int], folder: Path, context: Context) -> RayBank:
+def bank_of(scene: SceneData, views: list[int], folder: Path, context: Context) -> RayDataset:
     """Rays of the views, in this order. With and without alpha together: those without are opaque.
 
     Every photo is decoded once. Where they do not fit in the memory that is left, they go to a file in `folder`.
@@ -36,12 +36,12 @@ def bank_of(scene: SceneData, views: list[int], folder: Path, context: Context) 
     if size <= left:
         pixels = Pixels(np.empty(size, np.uint8), channels)
         _fill(lambda at, photo: pixels.values.__setitem__(slice(at, at + len(photo)), photo), scene, views, channels)
-        return RayBank(cameras, pixels)
+        return RayDataset(cameras, pixels)
     context.progress.say(
         f"{len(views)} photos take {in_words(size)}, more than the {in_words(left)} of memory that training leaves "
         "them: they are read from a file while it runs"
     )
-    return RayBank(cameras, _on_disk(scene, views, channels, size, left, folder))
+    return RayDataset(cameras, _on_disk(scene, views, channels, size, left, folder))
 
 
 def _fill(put: Callable[[int, np.ndarray], None], scene: SceneData, views: list[int], channels: int) -> None:

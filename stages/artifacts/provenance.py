@@ -4,7 +4,7 @@ from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 
 from schemas.errors import ArtifactStale, StylerfError
-from schemas.work_folder import Artifact, Work, sources_of
+from schemas.work_folder import Artifact, WorkFolder, sources_of
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ def original_scene(scene: Artifact) -> Artifact:
         artifact = waiting.pop(0)
         if artifact.manifest.kind == "scene" and artifact.manifest.stage != "distill":
             return artifact
-        work = Work(artifact.path.parent.parent)
+        work = WorkFolder(artifact.path.parent.parent)
         for ref in sorted(artifact.manifest.inputs, key=lambda one: one.kind != "scene"):
             if (ref.kind, ref.name) not in seen:
                 seen.add((ref.kind, ref.name))
@@ -102,7 +102,7 @@ def _walk(artifact: Artifact, remark: str, found: dict[tuple[str, str], Made], s
     if key in seen:
         return
     seen.add(key)
-    work = Work(artifact.path.parent.parent)
+    work = WorkFolder(artifact.path.parent.parent)
     for ref in manifest.inputs:
         if (ref.kind, ref.name) in seen:
             continue

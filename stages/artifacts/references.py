@@ -19,7 +19,7 @@ from stylerf.fields.radiance_field import RadianceField
 from stylerf.geometry.cameras import Camera
 from stylerf.rendering.ray_registration import best_reference, few_points
 from stylerf.style.adain import Decoder, adain_picture
-from stylerf.style.feature_extractor import Trunk
+from stylerf.style.feature_extractor import FeatureExtractor
 from stylerf.style.image_sizes import resized, style_picture
 
 LIKE = 0.01  # by so much may a picture's proportions differ from its view's: a pixel of a small picture
@@ -99,7 +99,7 @@ def checked(scene: SceneData, config: StylizeConfig) -> None:
 def decoded_reference(photo: np.ndarray, painting: torch.Tensor, scale: float, device: str) -> np.ndarray:
     """A photo [h, w, 3] stylized at once by AdaIN at conv3_1; UsageError where its weights are not here."""
     decoder, found = resolve_decoder(), resolve("vgg19-wct")
-    trunk = Trunk(found.state, "conv3_1", found.kind).to(device)
+    trunk = FeatureExtractor(found.state, "conv3_1", found.kind).to(device)
     there = torch.from_numpy(photo).permute(2, 0, 1).contiguous().to(device)
     picture = style_picture(painting, *photo.shape[:2], scale=scale).to(device)
     made = adain_picture(trunk, Decoder(decoder.state).to(device), there, picture)

@@ -13,12 +13,12 @@ from stages.artifacts.validity import sound
 from stylerf import validation
 from stylerf.editing.edit_grid import Region
 from stylerf.fields.radiance_field import RadianceField
-from stylerf.geometry.space_warp import Space
+from stylerf.geometry.space_warp import SpaceWarp
 
 DESCRIPTION, NUMBERS = "region.json", "region.safetensors"
 
 
-def save_region(folder: Path, region: Region, space: Space, told: dict) -> None:
+def save_region(folder: Path, region: Region, space: SpaceWarp, told: dict) -> None:
     """space: the warp whose cube the cells divide. told: figures for whoever reads the file."""
     packed = {name: np.packbits(grid.reshape(-1)) for name, grid in (("edit", region.edit), ("grow", region.grow))}
     save_tensors(folder / NUMBERS, packed)
@@ -39,7 +39,7 @@ def region_of_field(region: Artifact, of: Artifact, field: RadianceField, otherw
     return found
 
 
-def load_region(artifact: Artifact) -> tuple[Region, Space]:
+def load_region(artifact: Artifact) -> tuple[Region, SpaceWarp]:
     """The region and the space whose cube it divides; ArtifactDamaged where the two files do not make one."""
     artifact.check_sizes()
     arrays, _ = load_tensors(artifact.file(NUMBERS))
@@ -47,4 +47,4 @@ def load_region(artifact: Artifact) -> tuple[Region, Space]:
     with sound(artifact.path, "a sound region"):
         cells = validation.integer(data, "cells", 1, 1024)
         region = Region(*(validation.bits(arrays, name, cells) for name in ("edit", "grow")))
-        return region, Space.restore(validation.entry(data, "space"))
+        return region, SpaceWarp.restore(validation.entry(data, "space"))

@@ -8,12 +8,12 @@ import numpy as np
 
 from schemas.errors import ArtifactDamaged, BadInput
 from schemas.safe_reading import read_json
-from schemas.work_folder import Artifact, Work
+from schemas.work_folder import Artifact, WorkFolder
 from stages.artifacts.field import DESCRIPTION as FIELD_DESCRIPTION
 from stages.artifacts.region import DESCRIPTION, load_region
 from stages.artifacts.validity import sound
 from stylerf import validation
-from stylerf.geometry.space_warp import Space
+from stylerf.geometry.space_warp import SpaceWarp
 
 ROLE = "region."
 CHANNEL = "mask."
@@ -27,7 +27,7 @@ class Marked:
     digest: str
 
 
-def regions_fitting(work: Work, field: Artifact) -> tuple[dict[str, Artifact], list[str]]:
+def regions_fitting(work: WorkFolder, field: Artifact) -> tuple[dict[str, Artifact], list[str]]:
     """The regions of a work folder that divide the field's own space, by role; the names of all others."""
     regions = work.artifacts("region")
     if not regions:
@@ -37,7 +37,7 @@ def regions_fitting(work: Work, field: Artifact) -> tuple[dict[str, Artifact], l
     return fitting, [one.name for one in regions if ROLE + one.name not in fitting]
 
 
-def regions_among(inputs: Mapping[str, Artifact], space: Space) -> dict[str, Marked]:
+def regions_among(inputs: Mapping[str, Artifact], space: SpaceWarp) -> dict[str, Marked]:
     """The regions among a stage's inputs, by name; BadInput where one divides another space than the field's."""
     found = {}
     for artifact in (one for role, one in inputs.items() if role.startswith(ROLE)):
@@ -67,7 +67,7 @@ def channels_of(names: Iterable[str]) -> dict[str, str]:
     return channels
 
 
-def _space(artifact: Artifact, description: str) -> Space:
+def _space(artifact: Artifact, description: str) -> SpaceWarp:
     data = read_json(artifact.file(description), ArtifactDamaged)
     with sound(artifact.path / description, "a sound space"):
-        return Space.restore(validation.entry(data, "space"))
+        return SpaceWarp.restore(validation.entry(data, "space"))

@@ -5,7 +5,7 @@ import numpy as np
 from schemas.errors import BadInput
 from stages.artifacts.scene import SceneData
 from stylerf.errors import InvalidValue
-from stylerf.geometry.space_warp import Space
+from stylerf.geometry.space_warp import SpaceWarp
 
 KIND_OF_LAYOUT = {"object": "box", "forward": "frustum", "unbounded": "contraction"}
 _MARGIN = 1.02
@@ -14,7 +14,7 @@ _MARGIN = 1.02
 FOCUS = 0.6
 
 
-def space_of(scene: SceneData, wanted: str) -> tuple[Space, str]:
+def space_of(scene: SceneData, wanted: str) -> tuple[SpaceWarp, str]:
     """The warp, and in words why. wanted: a kind, or auto for the one of the scene's layout.
 
     BadInput where the scene's bounds and cameras, sound one by one, span no space.
@@ -27,22 +27,22 @@ def space_of(scene: SceneData, wanted: str) -> tuple[Space, str]:
         ) from error
 
 
-def _space_of(scene: SceneData, wanted: str) -> tuple[Space, str]:
+def _space_of(scene: SceneData, wanted: str) -> tuple[SpaceWarp, str]:
     bounds = scene.bounds
     kind = KIND_OF_LAYOUT[scene.layout] if wanted == "auto" else wanted
     reason = f"{scene.layout} layout ({scene.scene.layout_reason})" if wanted == "auto" else "asked for"
     if kind == "box":
-        return Space.box(*bounds.aabb), reason
+        return SpaceWarp.box(*bounds.aabb), reason
     if kind == "contraction":
         low, high = np.asarray(bounds.aabb)
         # An unbounded scene's box reaches as far as its cameras; others know what is in theirs.
         middle, half = (low + high) / 2, (FOCUS if scene.layout == "unbounded" else 1.0) * (high - low) / 2
         far = max(bounds.far, 1e3)
-        return Space.box(middle - half, middle + half, near=bounds.near, far=far, kind="contraction"), reason
+        return SpaceWarp.box(middle - half, middle + half, near=bounds.near, far=far, kind="contraction"), reason
     half_width, half_height = _frustum_sides(scene, bounds.near)
     centers = np.array([camera.world_from_camera[:3, 3] for camera in scene.cameras])
     parallax = np.ptp(centers, axis=0)[:2].max() / bounds.near
-    return Space.frustum(half_width, half_height, bounds.near, max(bounds.far, 1e4), parallax), reason
+    return SpaceWarp.frustum(half_width, half_height, bounds.near, max(bounds.far, 1e4), parallax), reason
 
 
 def _frustum_sides(scene: SceneData, near: float) -> tuple[float, float]:

@@ -13,12 +13,12 @@ from schemas.errors import StylerfError
 from schemas.frames import Frame
 from schemas.journal import Journal
 from schemas.manifest import FileRecord, Manifest
-from schemas.work_folder import Artifact, Partial, Recipe, Work
+from schemas.work_folder import Artifact, PartialArtifact, Recipe, WorkFolder
 
 NO_SAY = ("frames", "video", "fps")  # options that no picture depends on
 
 
-def take_frames(partial: Partial, frames: Sequence[Frame], journal: Journal) -> dict[str, list[str]]:
+def take_frames(partial: PartialArtifact, frames: Sequence[Frame], journal: Journal) -> dict[str, list[str]]:
     """Puts what shards hold of `frames` below `partial.path`, and records it; the names of those taken, by shard.
 
     Files are linked where the disk can, else copied. One that was altered since it was written is not taken.
@@ -36,9 +36,9 @@ def take_frames(partial: Partial, frames: Sequence[Frame], journal: Journal) -> 
     return taken
 
 
-def _shards(partial: Partial) -> Iterator[Artifact]:
+def _shards(partial: PartialArtifact) -> Iterator[Artifact]:
     wanted = _pictured(partial.recipe)
-    for one in Work(partial.target.parent.parent).artifacts(partial.kind):
+    for one in WorkFolder(partial.target.parent.parent).artifacts(partial.kind):
         with suppress(StylerfError):  # one that cannot be read is no help
             made = one.manifest
             recipe = Recipe(made.stage, made.revision, made.config, made.inputs, made.seed)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from schemas.canonical_json import digest_of
 from schemas.errors import StylerfError
-from schemas.work_folder import Artifact, Work, newest
+from schemas.work_folder import Artifact, WorkFolder, newest
 from stages.artifacts.provenance import counted, is_stylized, original_scene
 from stages.artifacts.report import read_report
 from stages.evaluation.metric_definitions import BY_KEY
@@ -88,7 +88,7 @@ class Gap:
     why: str
 
 
-def runs_of(works: Sequence[Work]) -> tuple[list[Run], list[Gap]]:
+def runs_of(works: Sequence[WorkFolder]) -> tuple[list[Run], list[Gap]]:
     """Every fit, stylization and edit of these work folders, in the order given; and what is missing."""
     runs, groups, gaps, scenes = [], [], [], {}
     for work, called in zip(works, _called(works)):
@@ -131,7 +131,7 @@ def family_of(artifact: Artifact) -> str | None:
     return STYLIZATIONS if is_stylized(artifact) else FITS
 
 
-def _called(works: Sequence[Work]) -> list[str]:
+def _called(works: Sequence[WorkFolder]) -> list[str]:
     """Names of work folders, with their parents' where two would be the same."""
     paths = [work.root.resolve() for work in works]
     for depth in range(1, max(len(path.parts) for path in paths)):
@@ -141,7 +141,7 @@ def _called(works: Sequence[Work]) -> list[str]:
     return [str(path) for path in paths]
 
 
-def _run(artifact: Artifact, family: str, work: Work, called: str, scenes: dict[str, str]) -> tuple[Run, Group]:
+def _run(artifact: Artifact, family: str, work: WorkFolder, called: str, scenes: dict[str, str]) -> tuple[Run, Group]:
     """The group's name is given when all runs are known."""
     manifest = artifact.manifest
     made = [*(_made_for(artifact) if family != FITS else ()), artifact]
@@ -190,7 +190,7 @@ def _made_for(artifact: Artifact, seen: set[Path] | None = None) -> list[Artifac
 
     No import, fit, selection or rendering.
     """
-    work, found, seen = Work(artifact.path.parent.parent), [], {artifact.path} if seen is None else seen
+    work, found, seen = WorkFolder(artifact.path.parent.parent), [], {artifact.path} if seen is None else seen
     for ref in artifact.manifest.inputs:
         if ref.kind not in ("field", "scene", "edit", "edit-dataset"):
             continue
@@ -202,7 +202,7 @@ def _made_for(artifact: Artifact, seen: set[Path] | None = None) -> list[Artifac
     return found
 
 
-def _reports(artifact: Artifact, work: Work) -> list[tuple[Artifact, dict]]:
+def _reports(artifact: Artifact, work: WorkFolder) -> list[tuple[Artifact, dict]]:
     """The evaluations of this very field with what they tell, the newest first."""
     found, told = [], {}
     for report in work.artifacts("report"):
@@ -231,7 +231,7 @@ def _group(
     waiting, scene = [artifact], None
     while waiting and scene is None:
         one = waiting.pop(0)
-        inside = Work(one.path.parent.parent)
+        inside = WorkFolder(one.path.parent.parent)
         for ref in one.manifest.inputs:
             if ref.kind == "scene":
                 scene = original_scene(inside.get("scene", ref.name))
@@ -299,7 +299,7 @@ def _settings(config: dict) -> str:
     return ", ".join(text.format(config[key]) for key, text in words.items() if config.get(key))
 
 
-def _gaps(run: Run, work: Work) -> list[Gap]:
+def _gaps(run: Run, work: WorkFolder) -> list[Gap]:
     command = f"stylerf eval {shlex.quote(str(work.root))} --of {run.name}"
     found = [Gap(f"{run.title}: {key}", "Its manifest does not tell.") for key in COSTS if run.costs[key] is None]
     missing = [key for key in NEEDED[run.family] if key not in run.figures]

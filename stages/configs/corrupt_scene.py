@@ -6,7 +6,7 @@ from stages.configs import option
 
 
 @dataclass(frozen=True)
-class FaultConfig:
+class CorruptSceneConfig:
     """One fault of one scene. source, source_digest: the scene that it is made from; empty for a procedural one."""
 
     fault: str = option("seeds", help="name of the fault, see docs/stress.md")

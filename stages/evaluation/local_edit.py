@@ -11,7 +11,7 @@ from stages.artifacts.edit import OF_WEIGHTS
 from stages.artifacts.provenance import palette_behind
 from stages.artifacts.region_masks import ROLE
 from stages.configs.evaluate import EvaluateConfig
-from stages.evaluation.metrics import Figure, Row, is_number
+from stages.evaluation.metrics import Metric, Row, is_number
 from stages.evaluation.region_masks import PictureMasks, RegionMasks
 from stages.evaluation.test_views import FrameViews, Photo, Render, SceneViews
 from stages.evaluation.view_metrics import ViewRow
@@ -114,7 +114,7 @@ class LocalEdit:
             "unedited": self.unedited.frames.field,
         }
 
-    def told(self, figures: list[Figure], rows: Sequence[Row]) -> list[Figure]:
+    def told(self, figures: list[Metric], rows: Sequence[Row]) -> list[Metric]:
         """The figures with those of the unedited field beside them; the ratio is that of the two means."""
         found = []
         for figure in figures:

@@ -15,7 +15,7 @@ Row = dict[str, object]  # one view or one pair of views: name and values by key
 
 
 @dataclass(frozen=True)
-class Figure:
+class Metric:
     """One figure over its views (or pairs): mean, spread, how many took part, how many had to be left out."""
 
     key: str
@@ -44,7 +44,7 @@ class _Facts(dict):
 
 def summarize(
     rows: Sequence[Row], facts: Mapping[str, object], references: Mapping[str, Mapping[str, float]] | None = None
-) -> list[Figure]:
+) -> list[Metric]:
     """One Figure per kind that any row holds a finite value of, in the order of KINDS.
 
     A row without a finite value where others have one is left out of the mean and counted as left out.
@@ -59,7 +59,7 @@ def summarize(
         median = values[middle] if len(values) % 2 else (values[middle - 1] + values[middle]) / 2
         filled = _Facts(facts)
         found.append(
-            Figure(
+            Metric(
                 key=kind.key,
                 label=kind.label.format_map(filled),
                 unit=kind.unit,

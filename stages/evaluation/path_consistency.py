@@ -8,7 +8,7 @@ import numpy as np
 from stages.configs.evaluate import EvaluateConfig
 from stages.evaluation.metrics import Row
 from stages.evaluation.optical_flow import FieldFlows, FileFlows
-from stages.evaluation.perceptual_metrics import Lenses
+from stages.evaluation.perceptual_metrics import PerceptualMetrics
 from stages.evaluation.test_views import FrameViews, Render
 from stages.evaluation.view_metrics import ViewRow, spoiled_words, spread
 from stylerf.metrics.consistency import pair_consistency
@@ -27,13 +27,13 @@ def pairs_of(count: int, gap: int, most: int) -> list[tuple[int, int]]:
     return [(k, k + gap) for k in spread(max(0, count - gap), most)]
 
 
-class Film:
+class PathConsistency:
     """The frames of a path under measurement, and the pairs measured so far.
 
     Pairs are 1 frame apart (range `short`) and `gap` frames (`long`).
     """
 
-    def __init__(self, frames: FrameViews, config: EvaluateConfig, lenses: Lenses, inside: Inside | None) -> None:
+    def __init__(self, frames: FrameViews, config: EvaluateConfig, lenses: PerceptualMetrics, inside: Inside | None) -> None:
         self.frames, self.config, self._inside = frames, config, inside
         self.modes = tuple(PARTS) if config.consistency == "all" else (config.consistency,)
         flows = (Path(config.flow).expanduser(), frames, config.flow_digest)

@@ -16,7 +16,7 @@ from stylerf.metrics.flow_consistency import ImageDistance
 
 
 @dataclass(frozen=True, eq=False)
-class Lenses:
+class PerceptualMetrics:
     """Networks by use, None where not wanted or not here."""
 
     tolerant: Perceptual | None
@@ -26,7 +26,7 @@ class Lenses:
     style_words: str = "the painting"  # what that picture is
 
     @classmethod
-    def found(cls, config: EvaluateConfig, field: Artifact | None, context: Context) -> "Lenses":
+    def found(cls, config: EvaluateConfig, field: Artifact | None, context: Context) -> "PerceptualMetrics":
         """Loads what the configuration wants and this machine has; says which features the style is judged by."""
         tolerant, lpips = perceptual_distances(context.device) if config.perceptual != "none" else (None, None)
         path = painting_file(config, field)

@@ -11,7 +11,7 @@ from schemas.errors import UsageError
 from stages.weights import resolve
 from stylerf.metrics.frechet import Moments, frechet_squared, moments
 from stylerf.metrics.perceptual import PerceptualDistance
-from stylerf.style.feature_extractor import Trunk
+from stylerf.style.feature_extractor import FeatureExtractor
 from stylerf.style.feature_matching import StyleRows, style_rows
 from stylerf.style.image_sizes import fitted
 from stylerf.style.losses import by_block, gram_matrix, nearest_neighbor_distance, position_weights
@@ -57,7 +57,7 @@ def networks_found(perceptual: bool, painted: bool, features: str) -> str:
     return ", ".join(f"{one.name} {one.digest[:16]}" for one in found)
 
 
-def _perceptual_weights() -> tuple[resolve.ResolvedTrunk | None, resolve.ResolvedTrunk | None]:
+def _perceptual_weights() -> tuple[resolve.ResolvedExtractor | None, resolve.ResolvedExtractor | None]:
     # AlexNet first: at 504x378 on two cores ST-LPIPS on VGG-16 takes 2.4 times as long.
     names = sorted(resolve.available_metrics(), key=lambda name: "alex" not in name)
     plain = next((name for name in names if name.startswith("lpips")), None)
@@ -65,7 +65,7 @@ def _perceptual_weights() -> tuple[resolve.ResolvedTrunk | None, resolve.Resolve
     return _first_of(("st-lpips-alex", tolerant) if tolerant else ()), _first_of((plain,) if plain else ())
 
 
-def _first_of(names: tuple[str, ...]) -> resolve.ResolvedTrunk | None:
+def _first_of(names: tuple[str, ...]) -> resolve.ResolvedExtractor | None:
     """The first of these metrics whose weights are here."""
     for name in names:
         with suppress(UsageError):
@@ -73,7 +73,7 @@ def _first_of(names: tuple[str, ...]) -> resolve.ResolvedTrunk | None:
     return None
 
 
-def _loaded(found: resolve.ResolvedTrunk | None, device: str) -> Perceptual | None:
+def _loaded(found: resolve.ResolvedExtractor | None, device: str) -> Perceptual | None:
     if found is None:
         return None
     network = PerceptualDistance(found.state, found.kind).to(device).eval()
@@ -101,7 +101,7 @@ class Painting:
         found = resolve.resolve(features or None)
         self.image, self.side, self.device = image, side, device
         self.trunk_name, self.trunk_words = found.name, found.source
-        self.trunk = Trunk(found.state, TAPS, found.kind).to(device)
+        self.trunk = FeatureExtractor(found.state, TAPS, found.kind).to(device)
         self._prepared: dict[int, Prepared] = {}
 
     @property

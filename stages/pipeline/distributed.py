@@ -37,7 +37,7 @@ def joined(verb: str, device: Callable[[], str]) -> Any:
     device: what this process computes on. Where it has nothing to compute on, or something else than the others, all of
     them are told so, UsageError.
     """
-    from stylerf.training.common.process_group import ALONE, Together  # late: main must not wait for numpy
+    from stylerf.training.common.process_group import ALONE, DistributedProcesses  # late: main must not wait for numpy
 
     if launched() == 1:
         return ALONE
@@ -50,7 +50,7 @@ def joined(verb: str, device: Callable[[], str]) -> Any:
     except UsageError as error:
         found = str(error)
     try:
-        return _told(Together, found)
+        return _told(DistributedProcesses, found)
     except InvalidValue as error:
         raise UsageError(str(error)) from error
 

@@ -4,7 +4,7 @@ from dataclasses import replace
 from typing import Any
 
 from schemas.errors import ArtifactStale, UsageError
-from schemas.work_folder import Artifact, Work, newest
+from schemas.work_folder import Artifact, WorkFolder, newest
 from stages.configs.decompose import METHOD
 from stages.configs.deform import DeformConfig
 from stages.configs.fit import FitConfig
@@ -67,7 +67,7 @@ def made_from(session: Any, kind: str, stage: str, source: Artifact) -> Artifact
     return next(iter(newest(made)), None)
 
 
-def scene_of(work: Work, field: Artifact) -> Artifact:
+def scene_of(work: WorkFolder, field: Artifact) -> Artifact:
     """The scene of photos that a field was made from, directly, through other fields or through edited pictures."""
     from stages.artifacts.provenance import fields_behind, original_scene
 
@@ -86,7 +86,7 @@ def chosen_field(session: Any, name: str | None) -> Artifact:
     return field
 
 
-def _made_last(work: Work) -> Artifact:
+def _made_last(work: WorkFolder) -> Artifact:
     fields = work.artifacts("field")
     if not fields:
         return work.get("field", FIT_NAME)

@@ -18,7 +18,7 @@ CUT_SHARE = 0.2
 _ONE_MASK = 0.002
 
 
-class Backdrop:
+class Background:
     """Gathers evidence picture by picture (`seen`), then `decide`s.
 
     kind: alpha, white, black or none. cuts_out: in words, by what the object is told from the background, else empty.

@@ -10,7 +10,7 @@ AS_COLMAP = "export its registration there as COLMAP text (cameras.txt, images.t
 
 
 @dataclass(frozen=True)
-class Foreign:
+class UnsupportedPoses:
     """tool: whose poses. how: what makes them readable."""
 
     path: Path
@@ -18,11 +18,11 @@ class Foreign:
     how: str
 
 
-def foreign_poses(source: Path) -> list[Foreign]:
+def foreign_poses(source: Path) -> list[UnsupportedPoses]:
     """What lies in the folder `source` of tools whose poses are not read."""
     if not source.is_dir():
         return []
-    return [Foreign(path, tool, how) for find, tool, how in KINDS if (path := next(find(source), None))]
+    return [UnsupportedPoses(path, tool, how) for find, tool, how in KINDS if (path := next(find(source), None))]
 
 
 def _named(*patterns: str) -> Callable[[Path], Iterator[Path]]:

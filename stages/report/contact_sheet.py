@@ -34,7 +34,7 @@ def chosen_views(rows: Sequence[Row], key: str, most: int) -> list[tuple[int, st
     return sorted(chosen.items())[: max(most, 0)]
 
 
-class Sheet:
+class ContactSheet:
     """Gathers views, each as small as the page shows it, and encodes all at once, so that the whole fits its budget."""
 
     def __init__(self, painting: Picture | None, stylized: bool, edited: bool = False) -> None:

@@ -13,12 +13,12 @@ from schemas.atomic_write import out_of_resources
 from schemas.canonical_json import plain
 from schemas.errors import ArtifactStale, BadInput, OutOfResources, StylerfError, UsageError
 from schemas.partial_artifact import DEAR_SECONDS, UnlikeInterrupted
-from schemas.work_folder import Artifact, Partial, Recipe, Work, sources_of
+from schemas.work_folder import Artifact, PartialArtifact, Recipe, WorkFolder, sources_of
 from stages.configs import incidental
 from stages.run.clock import Clock, peak_memory_mb
 from stages.run.progress import Context
 
-Run = Callable[[dict[str, Artifact], Any, Partial, Context], dict]
+Run = Callable[[dict[str, Artifact], Any, PartialArtifact, Context], dict]
 
 # Packages whose version can change a result; those that the run has imported are recorded.
 RECORDED_PACKAGES = {
@@ -74,7 +74,7 @@ def _name_of(value: Any) -> Any:
     return f"{view}={Path(path).name}" if mark and "/" not in view else Path(value).name
 
 
-def refuse_to_replace(work: Work, kind: str, name: str, sources: Iterable[Artifact]) -> None:
+def refuse_to_replace(work: WorkFolder, kind: str, name: str, sources: Iterable[Artifact]) -> None:
     """UsageError where the artifact `name` would take the place of what it is made from, directly or through others."""
     target = (work.root / kind / name).resolve()
     if any(one.path.resolve() == target for source in sources for one in [source, *sources_of(source)]):
@@ -84,7 +84,7 @@ def refuse_to_replace(work: Work, kind: str, name: str, sources: Iterable[Artifa
 def execute(
     spec: Spec,
     run: Run,
-    work: Work,
+    work: WorkFolder,
     name: str,
     inputs: dict[str, Artifact],
     config: Any,
@@ -148,7 +148,7 @@ def execute(
         partial.release()
 
 
-def tell_replaced(work: Work, spec: Spec, name: str, recipe: Recipe, context: Context) -> None:
+def tell_replaced(work: WorkFolder, spec: Spec, name: str, recipe: Recipe, context: Context) -> None:
     """Says what takes a minute or more to make and is about to be replaced by what another recipe makes."""
     with suppress(StylerfError):  # what is not there, or cannot be read, is no loss
         made = Artifact(work.root / spec.writes / name).manifest
@@ -163,7 +163,7 @@ def tell_replaced(work: Work, spec: Spec, name: str, recipe: Recipe, context: Co
 
 
 def _run(
-    spec: Spec, run: Run, partial: Partial, inputs: dict[str, Artifact], config: Any, context: Context
+    spec: Spec, run: Run, partial: PartialArtifact, inputs: dict[str, Artifact], config: Any, context: Context
 ) -> Artifact:
     with Clock(partial.folder, partial.resumed) as clock:
         figures = run(inputs, config, partial, context) or {}

@@ -5,14 +5,14 @@ from collections.abc import Callable
 from typing import Any
 
 from schemas.errors import BadInput
-from schemas.work_folder import Partial
+from schemas.work_folder import PartialArtifact
 from stages.run.checkpoints import save_checkpoint
 from stages.run.progress import Context
 from stylerf.errors import Diverged
 
 
 def run_training(
-    trainer: Any, what: str, every: float, partial: Partial, context: Context, tell: Callable[[Any], None]
+    trainer: Any, what: str, every: float, partial: PartialArtifact, context: Context, tell: Callable[[Any], None]
 ) -> None:
     """Calls `trainer.run` and brings it to its end.
 

@@ -14,14 +14,14 @@ from pathlib import Path
 
 from schemas.atomic_write import sync_file, write_json
 from schemas.errors import BadInput, StylerfError
-from stages.sfm.job import MODEL, RESULT, Job, Teller, journal_of
+from stages.sfm.job import MODEL, RESULT, Job, JobProgress, journal_of
 
 
 def main(path: str) -> int:
     """Runs the job at `path`; 0 when its result is written, 1 after a fault that was told."""
     channel = os.fdopen(os.dup(1), "w", encoding="utf-8")
     os.dup2(2, 1)  # whatever else writes to stdout goes to the log
-    tell = Teller(channel)
+    tell = JobProgress(channel)
     threading.Thread(target=_end_with_parent, daemon=True).start()
     try:
         run(Job.read(Path(path)), tell)
@@ -37,7 +37,7 @@ def main(path: str) -> int:
     return 0
 
 
-def run(job: Job, tell: Teller) -> None:
+def run(job: Job, tell: JobProgress) -> None:
     """All steps, but those an interrupted run has finished. Writes model/ and result.json into the job's folder."""
     import pycolmap
 

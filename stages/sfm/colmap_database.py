@@ -13,7 +13,7 @@ import pycolmap
 from schemas.atomic_write import write_bytes
 from schemas.errors import BadInput
 from stages.sfm.image_pairs import pairs
-from stages.sfm.job import Job, Teller
+from stages.sfm.job import Job, JobProgress
 from stages.sfm.photo_copies import COPIES, MASKS, Copy
 from stages.sfm.row_digests import Rows
 
@@ -26,7 +26,7 @@ PHOTOS_AT_ONCE, PAIRS_AT_ONCE = 4, 40
 SMALL_PHOTO = 800
 
 
-def register(job: Job, copies: list[Copy], tell: Teller) -> Path:
+def register(job: Job, copies: list[Copy], tell: JobProgress) -> Path:
     """The database with its cameras and photos, in this order whatever happens later: numbers are repeatable."""
     folder = Path(job.folder)
     path, done = folder / DATABASE, folder / REGISTERED
@@ -67,7 +67,7 @@ def _by_lens(copies: list[Copy], shared: bool) -> list[list[Copy]]:
     return list(groups.values())
 
 
-def extract(job: Job, path: Path, copies: list[Copy], tell: Teller) -> None:
+def extract(job: Job, path: Path, copies: list[Copy], tell: JobProgress) -> None:
     """SIFT features of every photo; BadInput where hardly any has some."""
     options = pycolmap.FeatureExtractionOptions()
     options.num_threads, options.use_gpu = job.threads, False
@@ -107,7 +107,7 @@ def _without_features(path: Path, copies: list[Copy]) -> list[Copy]:
         ]
 
 
-def match(job: Job, path: Path, copies: list[Copy], tell: Teller) -> None:
+def match(job: Job, path: Path, copies: list[Copy], tell: JobProgress) -> None:
     """Matches of the chosen pairs and their two-view geometry, each pair's RANSAC with the same seed."""
     matching, verification = pycolmap.FeatureMatchingOptions(), pycolmap.TwoViewGeometryOptions()
     matching.num_threads, matching.use_gpu = job.threads, False

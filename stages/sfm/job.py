@@ -49,7 +49,7 @@ def journal_of(folder: Path) -> Journal:
     return Journal(folder / "whole.jsonl", folder)
 
 
-class Teller:
+class JobProgress:
     """Writes events to the parent. Native libraries write to stdout too, so the channel is a copy made before them."""
 
     def __init__(self, stream: Any = None) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pycolmap
 
-from stages.sfm.job import Job, Teller
+from stages.sfm.job import Job, JobProgress
 from stages.sfm.photo_copies import COPIES
 from stages.sfm.quality import REFUSED_SHARE
 
@@ -26,7 +26,7 @@ LARGEST_ERROR, LEAST_PARALLAX = 4.0, 1.5
 FARTHEST_CENTER = 0.08
 
 
-def reconstruct(job: Job, database: Path, photos: int, tell: Teller) -> list[pycolmap.Reconstruction]:
+def reconstruct(job: Job, database: Path, photos: int, tell: JobProgress) -> list[pycolmap.Reconstruction]:
     """All models, that with the most photos first; none where no pair of photos has matches enough to begin with.
 
     Begun with a pair of wide parallax, or where that places too few photos, with a narrow one if it places more.
@@ -41,7 +41,7 @@ def reconstruct(job: Job, database: Path, photos: int, tell: Teller) -> list[pyc
     return best
 
 
-def _mapped(job: Job, database: Path, photos: int, angle: float, tell: Teller) -> list[pycolmap.Reconstruction]:
+def _mapped(job: Job, database: Path, photos: int, angle: float, tell: JobProgress) -> list[pycolmap.Reconstruction]:
     """All models that grow from pairs of photos with `angle` degrees of parallax, in COLMAP's order."""
     folder = Path(job.folder) / MODELS
     shutil.rmtree(folder, ignore_errors=True)  # of an interrupted mapping

@@ -26,7 +26,7 @@ from schemas.errors import BadInput
 from schemas.images import read_srgb, to_uint8, write_png
 from schemas.journal import Journal
 from stages.readers.photos import DARKEST_WHITE, masked
-from stages.sfm.job import Job, Teller, journal_of
+from stages.sfm.job import Job, JobProgress, journal_of
 from stylerf.geometry.resampling import shrunk
 
 COPIES, MASKS = "copies", "masks"
@@ -54,7 +54,7 @@ class Copy:
     unusable: str = ""
 
 
-def make_copies(job: Job, tell: Teller) -> list[Copy]:
+def make_copies(job: Job, tell: JobProgress) -> list[Copy]:
     """Copies of all photos, those of an earlier, interrupted run included; BadInput at the first damaged photo."""
     folder = Path(job.folder) / COPIES
     folder.mkdir(exist_ok=True)

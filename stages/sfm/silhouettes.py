@@ -10,7 +10,7 @@ import numpy as np
 from scipy.ndimage import maximum_filter
 
 from schemas.images import read_image
-from stages.readers.background import Backdrop
+from stages.readers.background import Background
 from stages.sfm.photo_copies import KEPT, MASKS, Copy
 
 # A point outside lies further from the silhouette than this share of the photo's longest side: 4 pixels of 400.
@@ -25,7 +25,7 @@ REASON = "its silhouette contradicts the pose that structure from motion found"
 def of_object(folder: Path, copies: list[Copy]) -> dict[str, np.ndarray]:
     """Silhouettes by name of the copy, [h, w] bool; none where the photos' masks do not cut an object out, or are one
     mask, which belongs to the lens."""
-    backdrop, found = Backdrop("auto"), {}
+    backdrop, found = Background("auto"), {}
     if not any(copy.cut_out for copy in copies):
         return {}
     for copy in copies:

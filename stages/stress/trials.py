@@ -19,10 +19,10 @@ from schemas.atomic_write import make_folder
 from schemas.canonical_json import digest_of, file_sha256
 from schemas.errors import ArtifactDamaged, ArtifactStale, BadInput, OutOfResources, UsageError
 from schemas.images import to_uint8, write_png
-from schemas.work_folder import Artifact, Work
+from schemas.work_folder import Artifact, WorkFolder
 from stages import corrupt_scene, deform_init, nerf_fit, stylize
 from stages.artifacts.style_images import read_painting
-from stages.configs.corrupt_scene import FaultConfig
+from stages.configs.corrupt_scene import CorruptSceneConfig
 from stages.configs.deform import DeformConfig
 from stages.configs.fit import FitConfig
 from stages.configs.stress import StressConfig
@@ -161,14 +161,14 @@ class Stress:
             }
         )
 
-    def fault_config(self, trial: Trial) -> FaultConfig:
+    def fault_config(self, trial: Trial) -> CorruptSceneConfig:
         """Of the scene that a trial takes place in."""
         fault, conditions = FAULTS[trial.origin], self.conditions
         given = {"side": conditions["side"], "views": conditions["views"], "tests": conditions["tests"]}
         if fault.of == "made":
-            return FaultConfig(fault=fault.name, amount=fault.amount, **given)
+            return CorruptSceneConfig(fault=fault.name, amount=fault.amount, **given)
         source = {"source": str(self.source.path.resolve()), "source_digest": self.source.digest}
-        return FaultConfig(fault=fault.name, amount=fault.amount, **given, **source)
+        return CorruptSceneConfig(fault=fault.name, amount=fault.amount, **given, **source)
 
     def fit_config(self, trial: Trial) -> FitConfig:
         """Of its fit, buffers left out."""
@@ -264,8 +264,8 @@ class Stress:
         keep_outcome(self.root, outcome)
         return outcome
 
-    def _place(self, trial: Trial) -> Work:
-        return Work(self.root / "works" / f"{trial.origin}-{trial.seed}")
+    def _place(self, trial: Trial) -> WorkFolder:
+        return WorkFolder(self.root / "works" / f"{trial.origin}-{trial.seed}")
 
     def _execute(self, trial: Trial, stage: Any, inputs: dict, config: Any, name: str) -> Artifact:
         context = replace(self.session.context, seed=trial.seed, progress=Silent())

@@ -9,7 +9,7 @@ from stages.configs.fit import budget_of
 from stages.configs.stylize import COLOR_CELLS, StylizeConfig
 from stylerf.fields.hash_color import HashColor
 from stylerf.fields.protocol import ColorPart
-from stylerf.fields.region_color import PatchColor
+from stylerf.fields.region_color import RegionColor
 from stylerf.style.feature_extractor import LAYERS, taps_of
 from stylerf.style.style_objective import StyleWeights
 from stylerf.training.stylize.settings import StyleSettings
@@ -40,10 +40,10 @@ def new_color(config: StylizeConfig, generator: np.random.Generator, pixel_cells
 
 def own_color(
     config: StylizeConfig, base: ColorPart, cells: np.ndarray, generator: np.random.Generator, pixel_cells: float
-) -> PatchColor:
+) -> RegionColor:
     """As new_color, over `base` in marked cells [s, s, s] of the cube alone; at first it is the base."""
     finest = float(finest_cells(config.finest, pixel_cells))
-    return PatchColor.create(base, cells, finest, 1 << config.table_bits, config.levels)
+    return RegionColor.create(base, cells, finest, 1 << config.table_bits, config.levels)
 
 
 def finest_cells(asked: int, pixel_cells: float) -> int:

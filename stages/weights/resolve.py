@@ -39,7 +39,7 @@ from stylerf.environment.trusted_paths import not_ours
 
 
 @dataclass(frozen=True)
-class ResolvedTrunk:
+class ResolvedExtractor:
     """Weights ready for use. digest: sha256 of the tensors; path: where they were read from; kind: the architecture."""
 
     name: str
@@ -54,7 +54,7 @@ class ResolvedTrunk:
         return {"name": self.name, "digest": self.digest, "source": self.source, "kind": self.kind}
 
 
-def resolve(name_or_path: str | os.PathLike | None = None) -> ResolvedTrunk:
+def resolve(name_or_path: str | os.PathLike | None = None) -> ResolvedExtractor:
     """The feature trunk to use: the one named, the one in a file, or (None) the first of the default order found.
 
     Raises UsageError for an unknown name or one that is not there (with the command that gets it), BadInput for a
@@ -74,7 +74,7 @@ def resolve(name_or_path: str | os.PathLike | None = None) -> ResolvedTrunk:
             f"--features expects one of {', '.join(TRUNKS)} or a file of VGG weights; {str(name_or_path)!r} is neither"
         )
     kind, state = formats.recognized(path)
-    return ResolvedTrunk(path.stem, state_digest(state), path, f"VGG weights of {path}", state, kind)
+    return ResolvedExtractor(path.stem, state_digest(state), path, f"VGG weights of {path}", state, kind)
 
 
 def chosen(features: str) -> dict[str, str]:
@@ -102,14 +102,14 @@ def found_trunk() -> str:
     return next((row["name"] for row in describe() if row["chosen"]), "")
 
 
-def resolve_metric(name: str) -> ResolvedTrunk:
+def resolve_metric(name: str) -> ResolvedExtractor:
     """The network and heads of a perceptual metric by name; errors as for `resolve`."""
     if name not in METRICS:
         raise UsageError(f"expected a perceptual metric among {', '.join(METRICS)}, found {name!r}")
     return _named(METRICS[name])
 
 
-def resolve_decoder(name: str = "vgg19-wct-decoder") -> ResolvedTrunk:
+def resolve_decoder(name: str = "vgg19-wct-decoder") -> ResolvedExtractor:
     """The decoder of a trunk's features; UsageError with the command that gets it where it is not here."""
     return _named(DECODERS[name])
 
@@ -164,14 +164,14 @@ def state_digest(state: dict[str, Tensor]) -> str:
     return total.hexdigest()
 
 
-def _named(source: Source) -> ResolvedTrunk:
+def _named(source: Source) -> ResolvedExtractor:
     found = _read(source)
     if found is None:
         raise UsageError(f"{source.name} ({source.words}) is not here; get it with: {source.obtain}")
     return found
 
 
-def _read(source: Source) -> ResolvedTrunk | None:
+def _read(source: Source) -> ResolvedExtractor | None:
     """From the cache when its numbers are what they should be, else converted from the files of origin and cached."""
     cached = _from_cache(source)
     if cached is not None:
@@ -189,7 +189,7 @@ def _read(source: Source) -> ResolvedTrunk | None:
             f"{source.digest[:12]}); install it again with: {source.obtain}"
         )
     _keep(source, state, digest)
-    return ResolvedTrunk(source.name, digest, files[0], source.words, state, source.kind)
+    return ResolvedExtractor(source.name, digest, files[0], source.words, state, source.kind)
 
 
 def _cached_file(source: Source) -> Path:
@@ -202,7 +202,7 @@ def _cached(source: Source) -> Path | None:
     return path if path.is_file() and (source.digest or not_ours(path) is None) else None
 
 
-def _from_cache(source: Source) -> ResolvedTrunk | None:
+def _from_cache(source: Source) -> ResolvedExtractor | None:
     """None when nothing is cached or what is there is damaged (it is then made again)."""
     path = _cached(source)
     if path is None:
@@ -216,7 +216,7 @@ def _from_cache(source: Source) -> ResolvedTrunk | None:
     digest = state_digest(state)
     if digest != expected:
         return None
-    return ResolvedTrunk(source.name, digest, path, source.words, state, source.kind)
+    return ResolvedExtractor(source.name, digest, path, source.words, state, source.kind)
 
 
 def _keep(source: Source, state: dict[str, Tensor], digest: str) -> None:

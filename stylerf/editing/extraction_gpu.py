@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from stylerf.editing.extraction import EVERYWHERE
-from stylerf.fields.gpu.field import DeviceField, marked_cells
+from stylerf.fields.gpu.field import GpuField, marked_cells
 from stylerf.fields.gpu.memory import in_parts
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.geometry.cameras import Camera
@@ -18,13 +18,13 @@ from stylerf.rendering.view_gpu import rays_of
 RAYS_AT_ONCE = 1 << 17
 
 
-class DeviceEnds:
+class GpuRayEnds:
     """ends_of_view of one field on `device`, to rounding; the grids that were asked for stay there."""
 
     def __init__(
         self, field: RadianceField, device: torch.device | str, rays_at_once: int = RAYS_AT_ONCE
     ) -> None:  # fmt: skip
-        self._field, self.rays_at_once = DeviceField(field, torch.device(device)), rays_at_once
+        self._field, self.rays_at_once = GpuField(field, torch.device(device)), rays_at_once
         self._there: list[tuple[np.ndarray, Tensor]] = []
 
     def _marked(self, grid: np.ndarray) -> Tensor:

@@ -10,7 +10,7 @@ from stylerf.geometry.spherical_harmonics import harmonics
 from stylerf.kernels.gpu import launch_edit
 
 
-class DevicePalette:
+class GpuPaletteModule:
     """The module's numbers copied to `device`. What is asked is answered as PaletteModule does, to rounding.
 
     table, networks: the encoding's values and the module's, as tensors that may be taught. module: where they are from.
@@ -91,7 +91,7 @@ class _Encode(torch.autograd.Function):
     """The table's gradient goes to the buffer that its optimizer clears, as in fields/hash_encoding.py."""
 
     @staticmethod
-    def forward(context, hook: Tensor, palette: DevicePalette, x: Tensor, to: Tensor) -> Tensor:
+    def forward(context, hook: Tensor, palette: GpuPaletteModule, x: Tensor, to: Tensor) -> Tensor:
         context.palette, context.x, context.to = palette, x, to
         return launch_edit.rows(palette.table, palette.layout, palette.levels, x)
 

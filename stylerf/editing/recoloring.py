@@ -14,7 +14,7 @@ from torch import Tensor
 from stylerf import validation
 from stylerf.editing.palette_edits import PaletteEdits
 from stylerf.errors import InvalidValue
-from stylerf.geometry.space_warp import Space
+from stylerf.geometry.space_warp import SpaceWarp
 
 GRAYISH = 0.1  # saturation under which a palette color has no hue to turn and no saturation to scale
 DARKEST = 1 / 32  # value that a darker palette color counts as, where values are scaled
@@ -24,7 +24,7 @@ DARKEST = 1 / 32  # value that a darker palette color counts as, where values ar
 class SpaceFilter:
     """exp(-|p - c|^2 / reach^2) of places p, in scene units; of several centers c the nearest counts."""
 
-    space: Space
+    space: SpaceWarp
     centers: tuple[tuple[float, float, float], ...]
     reach: float
 
@@ -47,7 +47,7 @@ class SpaceFilter:
     def restore(cls, data: dict) -> "SpaceFilter":
         centers = tuple(map(tuple, validation.rows(data, "centers", None, 3)))
         return cls(
-            Space.restore(validation.entry(data, "space")), centers, validation.number(data, "reach", 1 / validation.LARGEST)
+            SpaceWarp.restore(validation.entry(data, "space")), centers, validation.number(data, "reach", 1 / validation.LARGEST)
         )
 
 

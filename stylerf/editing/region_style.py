@@ -10,7 +10,7 @@ from torch import Tensor
 from stylerf.editing.edit_views import EditView
 from stylerf.errors import InvalidValue
 from stylerf.style.color_matching import match_colors
-from stylerf.style.feature_extractor import Trunk
+from stylerf.style.feature_extractor import FeatureExtractor
 from stylerf.style.image_sizes import fitted
 from stylerf.style.losses import gram_distance, gram_matrix, position_weights
 
@@ -47,7 +47,7 @@ class RegionStyle:
     1 means as far from the painting as no picture at all, with any trunk.
     """
 
-    def __init__(self, trunk: Trunk, painting: Tensor, side: int) -> None:
+    def __init__(self, trunk: FeatureExtractor, painting: Tensor, side: int) -> None:
         if side < 4 * trunk.stride:
             raise InvalidValue(f"style pictures of {side} pixels are too small; {4 * trunk.stride} or more are needed")
         self.trunk, self.side = trunk, side

@@ -9,11 +9,11 @@ from scipy.ndimage import binary_dilation, binary_erosion, distance_transform_ed
 from skimage.color import rgb2lab
 
 from stylerf.editing.edit_grid import march_view
-from stylerf.fields.packed_surface import Surface, surface_of
+from stylerf.fields.packed_surface import PackedSurface, surface_of
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.fields.ray_samples import Rays
 from stylerf.geometry.cameras import Camera
-from stylerf.geometry.space_warp import Space
+from stylerf.geometry.space_warp import SpaceWarp
 from stylerf.kernels.cpu.regions import add_to_cells, ends_inside, weights_inside
 
 LIGHT = 0.5  # of a difference in lightness counts: one thing lies in light and in shadow
@@ -32,7 +32,7 @@ class Look:
     stride: every stride-th pixel of every stride-th row has a ray.
     """
 
-    surface: Surface
+    surface: PackedSurface
     colors: np.ndarray
     stride: int
 
@@ -128,14 +128,14 @@ def ends_of_rays(field: RadianceField, camera: Camera, pixels: np.ndarray, chunk
     return out[:, 3:] / np.maximum(out[:, :1], 1e-8), out[:, 0]
 
 
-def inside_box(space: Space, cells: int, low, high) -> np.ndarray:
+def inside_box(space: SpaceWarp, cells: int, low, high) -> np.ndarray:
     """[cells, cells, cells] bool: cells whose center lies in a box of scene units."""
     centers = space.unwarp(centers_of(cells))
     inside = ((centers >= np.minimum(low, high)) & (centers <= np.maximum(low, high))).all(1)
     return inside.reshape((cells,) * 3)
 
 
-def inside_sphere(space: Space, cells: int, center, radius: float) -> np.ndarray:
+def inside_sphere(space: SpaceWarp, cells: int, center, radius: float) -> np.ndarray:
     """[cells, cells, cells] bool: cells whose center lies in a sphere of scene units."""
     away = np.linalg.norm(space.unwarp(centers_of(cells)) - np.asarray(center), axis=1)
     return (away <= radius).reshape((cells,) * 3)

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stylerf.fields.occupancy_grid import Occupancy
+from stylerf.fields.occupancy_grid import OccupancyGrid
 
 
 @dataclass(frozen=True)
@@ -23,5 +23,5 @@ class Capacity:
     table: int = 1 << 16
     levels: int = 8
     finest: int = 256
-    occupancy: Occupancy | None = None
+    occupancy: OccupancyGrid | None = None
     degree: int = 1

@@ -3,10 +3,10 @@
 import numpy as np
 from scipy.ndimage import binary_dilation, distance_transform_edt
 
-from stylerf.fields.occupancy_grid import Occupancy
+from stylerf.fields.occupancy_grid import OccupancyGrid
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.fields.ray_samples import Rays, Samples
-from stylerf.geometry.space_warp import Space
+from stylerf.geometry.space_warp import SpaceWarp
 from stylerf.kernels.cpu.compositing import significant
 from stylerf.kernels.cpu.deformation import displaced_cells, displacement_backward, mark_cells
 
@@ -27,7 +27,7 @@ def position_gradients(
 
 
 def displacement_gradient(
-    space: Space, rays: Rays, samples: Samples, gradients: np.ndarray, cells: int, to: np.ndarray
+    space: SpaceWarp, rays: Rays, samples: Samples, gradients: np.ndarray, cells: int, to: np.ndarray
 ) -> None:
     """Add dL/dD to the chunks' buffers `to` [chunks, 3 cells^3], from dL/dx' [n, 3]; D is [cells, cells, cells, 3]."""
     displacement_backward(
@@ -47,13 +47,13 @@ def displacement_gradient(
     )
 
 
-def displaced_occupancy(occupancy: Occupancy, displacement: np.ndarray) -> Occupancy:
+def displaced_occupancy(occupancy: OccupancyGrid, displacement: np.ndarray) -> OccupancyGrid:
     """The occupancy of x with x + D(x) in an occupied cell; displacement: [m, m, m, 3], cube units."""
     cells = occupancy.cells
     reach = int(np.ceil(np.abs(displacement).max() * cells)) + 1
     occupied = np.zeros(cells**3, np.bool_)
     displaced_cells(occupancy.distances, cells, reach, displacement.reshape(-1), displacement.shape[0], occupied)
-    moved = Occupancy(cells, occupancy.highest)
+    moved = OccupancyGrid(cells, occupancy.highest)
     moved.set_occupied(occupied)
     return moved
 
@@ -66,7 +66,7 @@ def at_rest(field: RadianceField) -> None:
     if field.displacement is None:
         return
     field.displacement = None
-    field.occupancy = Occupancy(field.occupancy.cells, field.occupancy.highest)
+    field.occupancy = OccupancyGrid(field.occupancy.cells, field.occupancy.highest)
     field.occupancy.decide(field.step)
 
 
@@ -94,14 +94,14 @@ def vertices_of(seen: np.ndarray) -> np.ndarray:
     return np.flatnonzero(vertices)
 
 
-def occupancy_of_seen(field: RadianceField, rays: Rays, chunks: int) -> Occupancy:
+def occupancy_of_seen(field: RadianceField, rays: Rays, chunks: int) -> OccupancyGrid:
     """The field's occupancy without what no ray sees: behind surfaces and in fog (fern: 28 % of the cells, of 40 %).
 
     Kept are cells that hold a fiftieth of some ray's largest weight, and those around them.
     """
     rest = field.occupancy
     seen = binary_dilation(seen_cells(field, rays, rest.cells, 0.02, chunks), np.ones((3, 3, 3)))
-    found = Occupancy(rest.cells, rest.highest)
+    found = OccupancyGrid(rest.cells, rest.highest)
     found.set_occupied(seen.ravel() & (rest.distances == 0))
     return found
 

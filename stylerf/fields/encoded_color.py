@@ -11,7 +11,7 @@ from stylerf.fields.ray_samples import Samples
 from stylerf.geometry.spherical_harmonics import BANDS
 
 
-class HeadedColor:
+class EncodedColor:
     """Color head(features(x), d). values: the features' table, the head's numbers.
 
     Features of all colored samples are written out between the two: 4 bytes times their width a sample (at most a
@@ -30,7 +30,7 @@ class HeadedColor:
     @classmethod
     def create(
         cls, kind: str, head: str, capacity: Capacity, degree: int, generator: np.random.Generator
-    ) -> "HeadedColor":
+    ) -> "EncodedColor":
         """head: linear or mlp. What a voxel holds are coefficients already: `linear` leaves them as they are."""
         features = FEATURES[kind].of(capacity, degree)
         made = HEADS["harmonic" if (kind, head) == ("voxel", "linear") else head](features.width, degree)
@@ -55,10 +55,10 @@ class HeadedColor:
         features, end = self.features, len(self.values)
         return [(features.fixed, features.length, features.rate), (features.length, end, self.head.rate)]
 
-    def grown(self, capacity: Capacity, generator: np.random.Generator) -> "HeadedColor":
+    def grown(self, capacity: Capacity, generator: np.random.Generator) -> "EncodedColor":
         """The same color at a larger capacity."""
         features, table = self.features.grown(self.table, capacity, generator)
-        return HeadedColor(features, self.head, np.concatenate([table, self.numbers]))
+        return EncodedColor(features, self.head, np.concatenate([table, self.numbers]))
 
     def colors(self, x, basis, starts, ends, weights, least, chunks) -> np.ndarray:
         """[n, 3] colors in 0..1 of samples with weight > least; others have -1 in the first channel."""
@@ -97,7 +97,7 @@ class HeadedColor:
         return {"kind": self.kind, "features": self.features.describe(), "head": self.head.describe()}
 
     @classmethod
-    def restore(cls, data: dict, values: np.ndarray) -> "HeadedColor":
+    def restore(cls, data: dict, values: np.ndarray) -> "EncodedColor":
         described, head = validation.entry(data, "features"), validation.entry(data, "head")
         features = FEATURES[validation.one_of(described, "kind", FEATURES)].restore(described)
         degree = validation.integer(head, "degree", 0, max(BANDS))

@@ -2,17 +2,17 @@
 
 import numpy as np
 
-from stylerf.fields.occupancy_grid import Occupancy
+from stylerf.fields.occupancy_grid import OccupancyGrid
 from stylerf.fields.ray_samples import Rays, Samples
-from stylerf.geometry.space_warp import Space
+from stylerf.geometry.space_warp import SpaceWarp
 
 
 def walk(
     kernel,
     numbers: tuple,
-    space: Space,
+    space: SpaceWarp,
     rays: Rays,
-    occupancy: Occupancy,
+    occupancy: OccupancyGrid,
     step: float,
     displacement: tuple[np.ndarray, int],
     limit: int,

@@ -19,7 +19,7 @@ DENSEST = 9999.0  # of what was seen no more is kept
 MOST_CELLS = 1024  # per axis
 
 
-class Occupancy:
+class OccupancyGrid:
     """cells: resolution per axis. highest: decaying maximum of raw density, [cells^3] float32.
 
     clear: cells [cells^3] bool that are known to be empty, whatever a field says of them: never looked at or occupied.
@@ -34,12 +34,12 @@ class Occupancy:
             self.set_occupied(~clear)
 
     @staticmethod
-    def restore(cells: int, arrays: dict[str, np.ndarray]) -> "Occupancy":
+    def restore(cells: int, arrays: dict[str, np.ndarray]) -> "OccupancyGrid":
         """From a field's description and arrays."""
         highest = validation.array(arrays, "occupancy.highest", np.float32, (cells**3,), most=None)
         if not (highest >= 0).all():  # infinity stands for what nobody has looked at
             raise InvalidValue("the array occupancy.highest holds NaN, or a density below 0")
-        made = Occupancy(cells, highest)
+        made = OccupancyGrid(cells, highest)
         made.distances = validation.array(arrays, "occupancy.distances", np.uint8, (cells**3,))
         _check_distances(made.distances.reshape((cells,) * 3))
         return made
@@ -84,9 +84,9 @@ class Occupancy:
         """Occupied share of the cells."""
         return float(np.mean(self.distances == 0))
 
-    def resized(self, cells: int) -> "Occupancy":
+    def resized(self, cells: int) -> "OccupancyGrid":
         """The same knowledge on a grid a whole multiple finer."""
-        grown = Occupancy(cells, self._spread(self.highest, cells))
+        grown = OccupancyGrid(cells, self._spread(self.highest, cells))
         grown.clear = None if self.clear is None else self._spread(self.clear, cells)
         grown.set_occupied(self._spread(self.distances == 0, cells))
         return grown

@@ -18,7 +18,7 @@ RAYS_AT_ONCE = 8192
 
 
 @dataclass(frozen=True)
-class Surface:
+class PackedSurface:
     """offsets [pixels + 1] into x [n, 3] uint16 and weights [n] float32 (they sum to alpha per pixel); alpha [h, w]."""
 
     offsets: np.ndarray
@@ -42,7 +42,7 @@ class Surface:
         return starts, ends, x, weights
 
 
-def cells_of(surface: Surface) -> float:
+def cells_of(surface: PackedSurface) -> float:
     """Cells a side of a grid over the cube whose cells are as wide as what one pixel of the view sees, nan if nothing.
 
     Per pixel, the nearer of its right and its lower neighbor's point on the surface (so that slanted surfaces count by
@@ -61,7 +61,7 @@ def cells_of(surface: Surface) -> float:
     return float(1 / np.median(apart)) if len(apart) else float("nan")
 
 
-def pixel_cells(surfaces: Iterable[Surface]) -> float:
+def pixel_cells(surfaces: Iterable[PackedSurface]) -> float:
     """The median of cells_of over views, nan if none of them sees anything."""
     found = np.array([cells_of(surface) for surface in surfaces])
     return float(np.median(found[np.isfinite(found)])) if np.isfinite(found).any() else float("nan")
@@ -69,7 +69,7 @@ def pixel_cells(surfaces: Iterable[Surface]) -> float:
 
 def surface_of(
     field: RadianceField, camera: Camera, share: float, chunks: int, opaque: float = 1e-3, stride: int = 1
-) -> Surface:
+) -> PackedSurface:
     """March one view. share: part of a ray's largest weight that a sample must have to be kept.
 
     stride: only each stride-th pixel of each stride-th row is walked; the surface is that of so much smaller a view.
@@ -94,4 +94,4 @@ def surface_of(
         alphas.append((sums[offsets[1:]] - sums[offsets[:-1]]).astype(np.float32))
     offsets = np.concatenate([[0], np.cumsum(np.concatenate(counts))]).astype(np.int64)
     alpha = np.clip(np.concatenate(alphas), 0, 1).reshape(pixels.shape)
-    return Surface(offsets, np.concatenate(parts_x), np.concatenate(parts_w), alpha)
+    return PackedSurface(offsets, np.concatenate(parts_x), np.concatenate(parts_w), alpha)

@@ -7,21 +7,21 @@ import torch
 
 from stylerf import validation
 from stylerf.errors import InvalidValue
-from stylerf.fields.encoded_color import HeadedColor
+from stylerf.fields.encoded_color import EncodedColor
 from stylerf.fields.hash_color import HashColor
 from stylerf.fields.hash_density import HashDensity
-from stylerf.fields.occupancy_grid import MOST_CELLS, Occupancy
+from stylerf.fields.occupancy_grid import MOST_CELLS, OccupancyGrid
 from stylerf.fields.palette_color import PaletteColor
 from stylerf.fields.protocol import ColorPart, DensityPart
 from stylerf.fields.ray_samples import Rays, Samples
-from stylerf.fields.region_color import PatchColor
+from stylerf.fields.region_color import RegionColor
 from stylerf.fields.vm import VmColor, VmDensity
 from stylerf.fields.voxel import VoxelDensity
-from stylerf.geometry.space_warp import Space
+from stylerf.geometry.space_warp import SpaceWarp
 from stylerf.style.color_matching import ColorMap
 
 DENSITY_KINDS = {"vm": VmDensity, "hash": HashDensity, "voxel": VoxelDensity}
-COLOR_KINDS = {"vm": VmColor, "hash": HashColor, "headed": HeadedColor, "palette": PaletteColor}
+COLOR_KINDS = {"vm": VmColor, "hash": HashColor, "headed": EncodedColor, "palette": PaletteColor}
 LEAST_STEP = 1e-5  # cube units: a ray takes no more than 10^5 steps
 MOST_PATCHES = 100  # over one another
 _NO_DISPLACEMENT = np.empty(0, np.float32)
@@ -37,10 +37,10 @@ class RadianceField:
     colored; what lies below takes the ray's mean.
     """
 
-    space: Space
+    space: SpaceWarp
     density: DensityPart
     color: ColorPart
-    occupancy: Occupancy
+    occupancy: OccupancyGrid
     step: float
     displacement: np.ndarray | None = None
     color_map: ColorMap | None = None
@@ -99,10 +99,10 @@ class RadianceField:
         density = validation.entry(data, "density")
         kind = DENSITY_KINDS[validation.one_of(density, "kind", DENSITY_KINDS)]
         return RadianceField(
-            Space.restore(validation.entry(data, "space")),
+            SpaceWarp.restore(validation.entry(data, "space")),
             kind.restore(density, _values(arrays, "density")),
             _color(validation.entry(data, "color"), arrays, "color"),
-            Occupancy.restore(validation.integer(data, "cells", 1, MOST_CELLS), arrays),
+            OccupancyGrid.restore(validation.integer(data, "cells", 1, MOST_CELLS), arrays),
             validation.number(data, "step", LEAST_STEP, 1.0),
             _displacement(arrays),
             _color_map(data.get("color_map")),
@@ -112,11 +112,11 @@ class RadianceField:
 
 def layers_of(color) -> list:
     """A color part and what lies under it, where it is a patch over another."""
-    return [color, *layers_of(color.base)] if isinstance(color, PatchColor) else [color]
+    return [color, *layers_of(color.base)] if isinstance(color, RegionColor) else [color]
 
 
 def _described(color) -> dict:
-    if not isinstance(color, PatchColor):
+    if not isinstance(color, RegionColor):
         return color.describe()
     return {
         "kind": color.kind,
@@ -128,7 +128,7 @@ def _described(color) -> dict:
 
 def _color_arrays(color, name: str) -> dict[str, np.ndarray]:
     arrays = {name: color.values}
-    if isinstance(color, PatchColor):
+    if isinstance(color, RegionColor):
         arrays |= {f"{name}.marked": np.packbits(color.marked.reshape(-1))}
         arrays |= _color_arrays(color.base, f"{name}.base")
     return arrays
@@ -141,12 +141,12 @@ def _values(arrays: dict[str, np.ndarray], name: str) -> np.ndarray:
 
 def _color(data: dict, arrays: dict[str, np.ndarray], name: str, patches: int = MOST_PATCHES):
     """What _described and _color_arrays tell. patches: how many may lie over one another here."""
-    kind = validation.one_of(data, "kind", [*COLOR_KINDS, *([PatchColor.kind] if patches else [])])
-    if kind != PatchColor.kind:
+    kind = validation.one_of(data, "kind", [*COLOR_KINDS, *([RegionColor.kind] if patches else [])])
+    if kind != RegionColor.kind:
         return COLOR_KINDS[kind].restore(data, _values(arrays, name))
     marked = validation.bits(arrays, f"{name}.marked", validation.integer(data, "cells", 1, MOST_CELLS))
     own = HashColor.restore(validation.entry(data, "own"), _values(arrays, name))
-    return PatchColor(_color(validation.entry(data, "base"), arrays, f"{name}.base", patches - 1), own, marked)
+    return RegionColor(_color(validation.entry(data, "base"), arrays, f"{name}.base", patches - 1), own, marked)
 
 
 def _displacement(arrays: dict[str, np.ndarray]) -> np.ndarray | None:

@@ -8,14 +8,14 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.linalg import qr
 
-from stylerf.fields.occupancy_grid import Occupancy
+from stylerf.fields.occupancy_grid import OccupancyGrid
 
 EMPTY = 1e-3  # weight of a texel that no occupied cell projects to
 SWEEPS = 100  # of alternating least squares: what more of them win is under a hundredth of a dB
 _AXES = ((1, 2), (2, 0), (0, 1))
 
 
-def texel_weights(occupancy: Occupancy, size: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+def texel_weights(occupancy: OccupancyGrid, size: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
     """For m = 0, 1, 2: weights of plane m's texels, flat [size[a] * size[b]], and of line m's, [size[m]].
 
     A texel weighs the square root of the share of cells along its column that are occupied, EMPTY at least.

@@ -12,7 +12,7 @@ from stylerf.fields.ray_samples import Samples
 from stylerf.kernels.cpu import region_color as kernels
 
 
-class PatchColor:
+class RegionColor:
     """Color sigmoid(logit(base) + f) in marked cells, f the logits of `own` (a hash grid over the cells' box); base
 
     elsewhere. values: own's, the only ones that learn; f = 0 is the base itself. marked: [s, s, s] bool, cells of the

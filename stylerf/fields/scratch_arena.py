@@ -16,11 +16,11 @@ _here = threading.local()
 
 def room(shape: tuple[int, ...], dtype=np.float32) -> np.ndarray:
     """An array of any content, as numpy.empty; within a round of a Memory, of what its last round has written to."""
-    held: Memory | None = getattr(_here, "held", None)
+    held: ScratchArena | None = getattr(_here, "held", None)
     return np.empty(shape, dtype) if held is None else held.next(shape, np.dtype(dtype))
 
 
-class Memory:
+class ScratchArena:
     """What room() gives, round after round: nothing of a round may outlive it."""
 
     def __init__(self) -> None:

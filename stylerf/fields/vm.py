@@ -10,7 +10,7 @@ from stylerf import validation
 from stylerf.errors import InvalidValue
 from stylerf.fields.capacity import Capacity
 from stylerf.fields.marching import walk
-from stylerf.fields.occupancy_grid import Occupancy
+from stylerf.fields.occupancy_grid import OccupancyGrid
 from stylerf.fields.rank_truncation import best_ranks, best_seen_ranks, texel_weights
 from stylerf.fields.ray_samples import Samples
 from stylerf.fields.scratch_arena import room
@@ -57,7 +57,7 @@ class VmDensity:
         table = widened_table(self.table, self.size, self.rank, rank, generator)
         return VmDensity(self.size, rank, np.append(table, self.values[-1]))
 
-    def narrowed(self, rank: int, occupancy: Occupancy) -> "VmDensity":
+    def narrowed(self, rank: int, occupancy: OccupancyGrid) -> "VmDensity":
         """Nearly the same density with fewer ranks, as near as so few can be where `occupancy` is occupied."""
         table = np.empty(table_length(self.size, rank), np.float32)
         weights = texel_weights(occupancy, self.size)
@@ -177,7 +177,7 @@ class VmColor:
         head[..., : self.rank] = self.head.reshape(3, bands, 3, self.rank)
         return VmColor(self.size, rank, self.degree, np.concatenate([table, head.ravel(), self.values[-3:]]))
 
-    def narrowed(self, rank: int, occupancy: Occupancy) -> "VmColor":
+    def narrowed(self, rank: int, occupancy: OccupancyGrid) -> "VmColor":
         """Nearly the same color with fewer ranks, as near as so few come where `occupancy` is occupied."""
         table = np.empty(table_length(self.size, rank), np.float32)
         weights = texel_weights(occupancy, self.size)

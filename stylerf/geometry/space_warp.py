@@ -17,7 +17,7 @@ KINDS = ("box", "contraction", "frustum")
 
 
 @dataclass(frozen=True)
-class Space:
+class SpaceWarp:
     """A warp: `kind` of KINDS; its float32 parameters as the kernels read them; marching bounds in scene units."""
 
     kind: str
@@ -37,7 +37,7 @@ class Space:
             raise InvalidValue(f"space: parameters {self.parameters} make no {self.kind}")
 
     @staticmethod
-    def box(low, high, near: float = 0.0, far: float = 1e6, kind: str = "box") -> "Space":
+    def box(low, high, near: float = 0.0, far: float = 1e6, kind: str = "box") -> "SpaceWarp":
         """Box (or the uncontracted box of a contraction) between two corners, scene units."""
         low, high = np.asarray(low, float), np.asarray(high, float)
         if not (high > low).all():
@@ -48,17 +48,17 @@ class Space:
             values = (*((low + high) / 2), *(1 / half), float(np.mean(1 / half)))
         else:
             values = (*low, *(1 / extent), float(np.mean(1 / extent)))
-        return Space(kind, tuple(float(v) for v in values), float(near), float(far))
+        return SpaceWarp(kind, tuple(float(v) for v in values), float(near), float(far))
 
     @staticmethod
-    def frustum(half_width: float, half_height: float, near: float, far: float, parallax: float = 0.0) -> "Space":
+    def frustum(half_width: float, half_height: float, near: float, far: float, parallax: float = 0.0) -> "SpaceWarp":
         """Frustum along +z of the frame: |x| <= half_width z, |y| <= half_height z, z >= near.
 
         parallax: by how much views see the nearest point apart, against what is infinitely far, in the units of the
         half sides (baseline / near): it tells how finely depth need be told apart. 0: as finely as the sides.
         """
         values = half_width, half_height, near, parallax, 0.0, 0.0, 0.0
-        return Space("frustum", tuple(float(value) for value in values), near, far)
+        return SpaceWarp("frustum", tuple(float(value) for value in values), near, far)
 
     @property
     def code(self) -> int:
@@ -124,7 +124,7 @@ class Space:
         return {"kind": self.kind, "parameters": list(self.parameters), "near": self.near, "far": self.far}
 
     @staticmethod
-    def restore(data: dict) -> "Space":
+    def restore(data: dict) -> "SpaceWarp":
         """From its JSON form."""
         kind, parameters = validation.one_of(data, "kind", KINDS), tuple(validation.numbers(data, "parameters", 7))
-        return Space(kind, parameters, validation.number(data, "near"), validation.number(data, "far"))
+        return SpaceWarp(kind, parameters, validation.number(data, "near"), validation.number(data, "far"))

@@ -9,7 +9,7 @@ import math
 import torch
 from torch import Tensor
 
-from stylerf.geometry.space_warp import Space
+from stylerf.geometry.space_warp import SpaceWarp
 
 OPTICAL_SCALE = 100.0
 EXPONENT_MIN, EXPONENT_MAX = -15.0, 12.0
@@ -18,7 +18,7 @@ EXPONENT_MIN, EXPONENT_MAX = -15.0, 12.0
 # -- space ----------------------------------------------------------------------------------------------------------
 
 
-def warp_open(space: Space, points: Tensor) -> Tensor:
+def warp_open(space: SpaceWarp, points: Tensor) -> Tensor:
     """World points [n, 3] to the cube, not clamped to it."""
     p = torch.tensor(space.parameters, dtype=points.dtype)
     if space.kind == "frustum":
@@ -32,18 +32,18 @@ def warp_open(space: Space, points: Tensor) -> Tensor:
     return 0.5 + 0.25 * local * (2 - 1 / largest) / largest
 
 
-def warp(space: Space, points: Tensor) -> Tensor:
+def warp(space: SpaceWarp, points: Tensor) -> Tensor:
     """World points [n, 3] to the unit cube."""
     return warp_open(space, points).clamp(0, 1)
 
 
-def speed(space: Space, points: Tensor, directions: Tensor) -> Tensor:
+def speed(space: SpaceWarp, points: Tensor, directions: Tensor) -> Tensor:
     """Largest coordinate's velocity in the cube, [n], of points moving with unit speed along `directions`."""
     _, velocity = torch.func.jvp(lambda x: warp_open(space, x), (points,), (directions,))
     return velocity.abs().amax(1)
 
 
-def density_jacobian(space: Space, points: Tensor) -> Tensor:
+def density_jacobian(space: SpaceWarp, points: Tensor) -> Tensor:
     """Cube units per scene unit, [n]: what turns distance into optical length."""
     p = torch.tensor(space.parameters, dtype=points.dtype)
     if space.kind == "frustum":

@@ -14,7 +14,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from stylerf.errors import InvalidValue
-from stylerf.style.feature_extractor import BLUR_TAPS, Trunk, blur_pool
+from stylerf.style.feature_extractor import BLUR_TAPS, FeatureExtractor, blur_pool
 
 LENGTH_FLOOR = 1e-10  # added to each length, as in LPIPS
 VGG_TAPS = ("conv1_2", "conv2_2", "conv3_3", "conv4_3", "conv5_3")
@@ -102,7 +102,7 @@ class PerceptualDistance(nn.Module):
         if missing:
             raise InvalidValue(f"weights of a perceptual metric need {missing[0]}; these have no such head")
         if kind.startswith("vgg"):
-            self.network = Trunk(state, VGG_TAPS, "vgg16-blur" if kind == "vgg-blur" else "vgg16")
+            self.network = FeatureExtractor(state, VGG_TAPS, "vgg16-blur" if kind == "vgg-blur" else "vgg16")
         elif kind == "squeeze":
             self.network = SqueezeFeatures(state)
         else:

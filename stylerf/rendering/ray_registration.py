@@ -10,10 +10,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from stylerf.fields.packed_surface import Surface, surface_of
+from stylerf.fields.packed_surface import PackedSurface, surface_of
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.geometry.cameras import Camera
-from stylerf.geometry.space_warp import Space
+from stylerf.geometry.space_warp import SpaceWarp
 
 TOLERANCE = 1 / 128  # of the cube that the field lives in: further apart, it is another surface (or another side)
 LEAST_COSINE = 0.3  # between the two rays (Ref-NPR)
@@ -31,7 +31,7 @@ class SeenPoints:
     there: np.ndarray
 
 
-def points_of(surface: Surface, camera: Camera, space: Space) -> SeenPoints:
+def points_of(surface: PackedSurface, camera: Camera, space: SpaceWarp) -> SeenPoints:
     """Where half of each pixel's weight lies: the mean place, by weight, of the samples within TOLERANCE of there.
 
     As of its depth (decision 0032). Of a field whose shapes are not displaced.

@@ -8,7 +8,7 @@ import numpy as np
 from stylerf.editing.edit_grid import alpha_inside
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.fields.ray_samples import Rays
-from stylerf.fields.scratch_arena import Memory
+from stylerf.fields.scratch_arena import ScratchArena
 from stylerf.geometry.cameras import Camera
 from stylerf.rendering.rays import render_rays, seen
 
@@ -47,7 +47,7 @@ def render_view(
     count = camera.width * camera.height
     out = np.empty((count, 5), np.float32)
     inside = {name: np.empty(count, np.float32) for name in regions or {}}
-    memory = Memory()
+    memory = ScratchArena()
     for at in range(0, count, rays_at_once):
         pixels = np.arange(at, min(at + rays_at_once, count))
         # Rows by turns to each thread: the upper half of a picture is often emptier than the lower.

@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from stylerf.fields.gpu.field import DeviceField, DeviceRays, DeviceRendered
+from stylerf.fields.gpu.field import GpuField, GpuRays, GpuRendered
 from stylerf.fields.gpu.memory import in_parts
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.geometry.cameras import Camera
@@ -19,7 +19,7 @@ TOLERANCE = 0.5 / 255
 TRIED_RAYS = 4096
 
 
-def rays_of(camera: Camera, number: Tensor) -> DeviceRays:
+def rays_of(camera: Camera, number: Tensor) -> GpuRays:
     """Rays of the centers of pixels [n] of an int type, counted row by row, made on their device."""
     count, device = len(number), number.device
     x = ((number % camera.width).float() + 0.5 - camera.cx) / camera.fx
@@ -29,10 +29,10 @@ def rays_of(camera: Camera, number: Tensor) -> DeviceRays:
     ways = local[:, :1] * pose[:, 0] + local[:, 1:2] * pose[:, 1] + local[:, 2:] * pose[:, 2]
     ways = ways / torch.linalg.vector_norm(ways, dim=1, keepdim=True)
     origins = pose[:, 3].expand(count, 3).contiguous()
-    return DeviceRays(origins, ways.contiguous(), torch.full((count,), 0.5, device=device))
+    return GpuRays(origins, ways.contiguous(), torch.full((count,), 0.5, device=device))
 
 
-class DeviceRenderer:
+class GpuRenderer:
     """Renders `field` on `device`. precision: of the tables as they are read; auto: halves where pixels allow it.
 
     What pixels allow is tried on rays of the first view; `half` tells what was chosen.
@@ -46,12 +46,12 @@ class DeviceRenderer:
         rays_at_once: int = RAYS_AT_ONCE,
     ) -> None:
         self.device, self.rays_at_once = torch.device(device), rays_at_once
-        self._exact = DeviceField(field, self.device) if precision != "float16" else None
-        self._halves = DeviceField(field, self.device, half=True) if precision != "float32" else None
+        self._exact = GpuField(field, self.device) if precision != "float16" else None
+        self._halves = GpuField(field, self.device, half=True) if precision != "float32" else None
         self.half = None if precision == "auto" else precision == "float16"
 
     @property
-    def field(self) -> DeviceField:
+    def field(self) -> GpuField:
         """The field that pictures are made of."""
         return self._halves if self.half else self._exact
 
@@ -61,7 +61,7 @@ class DeviceRenderer:
             return
         count = camera.width * camera.height
         pixels = np.linspace(0, count - 1, min(count, TRIED_RAYS)).astype(np.int64)
-        rays = DeviceRays.of(*camera.rays(pixels), self.device)
+        rays = GpuRays.of(*camera.rays(pixels), self.device)
         exact, rounded = (f.render_rays(rays, share=f.share).out[:, :4] for f in (self._exact, self._halves))
         self.half = bool((exact - rounded).abs().max() <= TOLERANCE)
         if self.half:
@@ -111,7 +111,7 @@ class DeviceRenderer:
         return RenderedView(out[..., :3], alpha, distance, distance * camera.ray_cosines(), masks)
 
 
-def alpha_inside(marked: Tensor, rendered: DeviceRendered) -> Tensor:
+def alpha_inside(marked: Tensor, rendered: GpuRendered) -> Tensor:
     """[rays]: sum of each ray's weights over samples in marked cells [s, s, s] bool."""
     s, cells = rendered.samples, marked.shape[0]
     place = (s.x * cells).long().clamp(0, cells - 1)

@@ -6,7 +6,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from stylerf.style.feature_extractor import Trunk
+from stylerf.style.feature_extractor import FeatureExtractor
 
 CONVOLUTIONS = 5
 DOUBLED_AFTER = (0, 2)  # convolutions whose result is doubled in size: two halvings lie before conv3_1
@@ -44,7 +44,7 @@ def adain(content: Tensor, style: Tensor) -> Tensor:
 
 
 @torch.no_grad()
-def adain_picture(trunk: Trunk, decoder: Decoder, photo: Tensor, painting: Tensor) -> Tensor:
+def adain_picture(trunk: FeatureExtractor, decoder: Decoder, photo: Tensor, painting: Tensor) -> Tensor:
     """A photo [3, h, w] in the manner of a painting [3, any, any], [3, h, w] in 0..1. trunk: up to conv3_1 alone."""
     height, width = photo.shape[1:]
     made = decoder(adain(trunk(photo[None])[-1], trunk(painting[None])[-1]))[0]

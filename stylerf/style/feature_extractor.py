@@ -59,7 +59,7 @@ def taps_of(names: str | Iterable[str]) -> tuple[str, ...]:
     return tuple(layer for layer in LAYERS if layer in wanted)
 
 
-class Trunk(nn.Module):
+class FeatureExtractor(nn.Module):
     """A frozen chain of convolutions that returns the ReLU outputs of `taps`, in network order.
 
     Nothing past the deepest tap is built. Gradients flow to the image only. On the CPU weights and activations are kept
@@ -145,7 +145,7 @@ def blur_pool(hidden: Tensor, kernel: Tensor, padding: int = 2) -> Tensor:
     return F.conv2d(padded, weight, stride=2, groups=channels)
 
 
-def features(trunk: Trunk, image: Tensor, half_precision: torch.dtype | None = None) -> list[Tensor]:
+def features(trunk: FeatureExtractor, image: Tensor, half_precision: torch.dtype | None = None) -> list[Tensor]:
     """`trunk(image)`, in float32 on the CPU and under autocast to `half_precision` on CUDA when one is given.
 
     Autocast is refused elsewhere: this kind of arithmetic is emulated, and slower, on most CPUs.

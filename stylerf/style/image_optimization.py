@@ -11,7 +11,7 @@ FIRST, SECOND, FLOOR = 0.9, 0.99, 1e-8  # decays of Adam's moments, and what is 
 Loss = Callable[[Tensor], tuple[Tensor, dict[str, float]]]
 
 
-class PaintedPicture:
+class ImageOptimization:
     """Straight colors that learn by Adam; what is seen is alpha colors + (1 - alpha) background.
 
     start: [3, h, w] over the background, sRGB 0..1. alpha: [h, w], None where all is covered. background: a level of
@@ -71,7 +71,7 @@ def painted(
 
     enough: asked after every step, whether that was the last; one is made in any case.
     """
-    made = PaintedPicture(start, alpha, background, rate)
+    made = ImageOptimization(start, alpha, background, rate)
     for at in range(steps):
         parts = made.step(loss, 1 - at / steps)
         if enough():

@@ -15,7 +15,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from stylerf.style.feature_extractor import Trunk, features
+from stylerf.style.feature_extractor import FeatureExtractor, features
 from stylerf.style.feature_matching import StyleRows, nearest, rows_of, sample, unit_rows
 from stylerf.style.image_sizes import feature_size, resized
 from stylerf.style.losses import by_block, content_distance, nearest_neighbor_distance, position_weights
@@ -29,7 +29,7 @@ Matches = dict[str, Tensor]  # by block: [n] int32, for the positions that count
 
 
 @dataclass(frozen=True)
-class Template:
+class ReferenceFeatures:
     """A reference view: its photo and its stylized picture, [3, h, w]; alpha [h, w] or None; the window that counts."""
 
     photo: Tensor
@@ -59,7 +59,7 @@ class Wanted:
         return sum(t.numel() * t.element_size() for t in held)
 
 
-class TemplateObjective:
+class ReferenceObjective:
     """Loss of a picture [3, h, w] by its correspondences with the references.
 
     trunk: its taps' blocks are matched, each by itself (Ref-NPR: conv3 and conv4). coarse: a trunk whose deepest
@@ -70,9 +70,9 @@ class TemplateObjective:
 
     def __init__(
         self,
-        trunk: Trunk,
-        coarse: Trunk,
-        templates: Sequence[Template],
+        trunk: FeatureExtractor,
+        coarse: FeatureExtractor,
+        templates: Sequence[ReferenceFeatures],
         weights: StyleWeights,
         scale: float = 0.5,
         basis: int = 96,
@@ -130,7 +130,7 @@ class TemplateObjective:
             matches[block] = keys[block].match(rows, self.memory_mb, self.half is not None).int()
         return matches
 
-    def _cells(self, one: Template) -> tuple[Tensor, Tensor]:
+    def _cells(self, one: ReferenceFeatures) -> tuple[Tensor, Tensor]:
         """(features [n, c], stylized colors [n, 3]) of a reference's coarse cells that see the object."""
         keys, size = self._coarse_features(one.photo, one.window)
         colors = rows_of(F.adaptive_avg_pool2d(one.stylized[:, *one.window], size))

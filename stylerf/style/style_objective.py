@@ -9,7 +9,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from stylerf.style.feature_extractor import Trunk, features
+from stylerf.style.feature_extractor import FeatureExtractor, features
 from stylerf.style.feature_matching import StyleRows, style_rows
 from stylerf.style.image_sizes import feature_size, resized, style_picture
 from stylerf.style.losses import (
@@ -76,7 +76,7 @@ class StyleObjective:
 
     def __init__(
         self,
-        trunk: Trunk,
+        trunk: FeatureExtractor,
         painting: Tensor,
         size: tuple[int, int],
         weights: StyleWeights,

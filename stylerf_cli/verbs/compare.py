@@ -5,7 +5,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 from schemas.errors import ArtifactStale, UsageError
-from schemas.work_folder import Artifact, Work
+from schemas.work_folder import Artifact, WorkFolder
 from stylerf_cli.path_arguments import work_or_artifact
 
 NAME = "compare"
@@ -68,7 +68,7 @@ def run(args, session) -> dict:
     return session.emit(result, words_of(result))
 
 
-def work_of(path: Path) -> Work:
+def work_of(path: Path) -> WorkFolder:
     """The work folder there; UsageError for the folder of one artifact."""
     found = work_or_artifact(path)
     if isinstance(found, Artifact):

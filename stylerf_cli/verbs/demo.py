@@ -4,7 +4,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from schemas.errors import BadInput, UsageError
-from schemas.work_folder import Work
+from schemas.work_folder import WorkFolder
 from stages.configs.demo import DemoConfig
 
 NAME = "demo"
@@ -100,7 +100,7 @@ def run(args, session) -> dict:
     return session.emit(result, words)
 
 
-def refuse_others(work: Work, photos: Path) -> None:
+def refuse_others(work: WorkFolder, photos: Path) -> None:
     """UsageError where there are photos or a scene that the demo would replace and has not made."""
     from stages.pipeline.demo_scene import STAMP
     from stages.readers.digest import digest_of_source

@@ -5,7 +5,7 @@ from typing import Any
 from schemas.canonical_json import plain
 from schemas.errors import StylerfError, UsageError
 from schemas.frames import FRAMES_FILE, read_frames
-from schemas.work_folder import Artifact, Work, newest
+from schemas.work_folder import Artifact, WorkFolder, newest
 from stages.configs.evaluate import EvaluateConfig
 from stages.configs.render import OWN_VIEWS, label_of
 
@@ -149,14 +149,14 @@ def frames_of(session: Any, field: Artifact, path: str) -> Artifact:
     return ensure_frames(session, field, path, f"{name}-eval" if taken else name)
 
 
-def film_there(work: Work, field: Artifact) -> Artifact | None:
+def film_there(work: WorkFolder, field: Artifact) -> Artifact | None:
     """The last rendered frames, two or more, of the field along a camera path that can be measured, None where there
     are none."""
     films = [frames for frames, path, count in measurable(work, field) if path not in OWN_VIEWS and count > 1]
     return last(films) if films else None
 
 
-def measurable(work: Work, field: Artifact) -> list[tuple[Artifact, str, int]]:
+def measurable(work: WorkFolder, field: Artifact) -> list[tuple[Artifact, str, int]]:
     """Frames of the field as it stands, their path and how many: whole ones, with EXR, of the views' own size, as this
     stylerf renders them."""
     from stages.render import SPEC
@@ -173,7 +173,7 @@ def measurable(work: Work, field: Artifact) -> list[tuple[Artifact, str, int]]:
     return found
 
 
-def readable(work: Work) -> list[Artifact]:
+def readable(work: WorkFolder) -> list[Artifact]:
     """Frames that are whole as far as manifests, lengths of files and lists of views tell."""
     return [one for one in work.artifacts("frames") if not fault_of(one)]
 

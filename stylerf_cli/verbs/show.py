@@ -6,7 +6,7 @@ from typing import Any
 from schemas.canonical_json import plain
 from schemas.errors import ArtifactDamaged, ArtifactStale
 from schemas.scene import SCENE_FILE, read_scene
-from schemas.work_folder import Artifact, Work
+from schemas.work_folder import Artifact, WorkFolder
 from stylerf_cli.path_arguments import work_around, work_or_artifact
 from stylerf_cli.progress import duration
 
@@ -57,7 +57,7 @@ def _views(artifact: Artifact) -> dict:
     return {"views": [{key: getattr(view, key) for key in kept} for view in read_scene(artifact.path).views]}
 
 
-def _work(work: Work) -> dict:
+def _work(work: WorkFolder) -> dict:
     rows = []
     for artifact in work.artifacts():
         row = {"kind": artifact.path.parent.name, "name": artifact.name}

@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from schemas.work_folder import Work
+from schemas.work_folder import WorkFolder
 from stages.pipeline.demo_scene import PAINTING, write_demo
 from stages.run.progress import Silent
 from tests.stages.photo_room import walk, write_photos
@@ -182,7 +182,7 @@ def copy_of(base: Path | None, parent: Path) -> Iterator[Path]:
 
 def contents(work: Path) -> dict[str, dict[str, str]]:
     """Digest of every file of every artifact; of a stress test its outcomes but for the time they took."""
-    store = Work(work)
+    store = WorkFolder(work)
     found = {
         f"{one.kind}/{one.name}": {record.path: record.sha256 for record in one.manifest.files}
         for one in store.artifacts()

@@ -12,13 +12,13 @@ import pytest
 from schemas import lock
 from schemas.errors import OutOfResources, WouldBeLost
 from schemas.lock import Lock
-from schemas.work_folder import Recipe, Work
+from schemas.work_folder import Recipe, WorkFolder
 
 RECIPE = Recipe("toy", 1, {}, [])
 
 
 def hold(root, ready, done):
-    begun = Work(root).begin("field", "fit", RECIPE)
+    begun = WorkFolder(root).begin("field", "fit", RECIPE)
     ready.set()
     done.wait(20)
     begun.release()
@@ -39,13 +39,13 @@ def other_process(tmp_path):
 
 def test_the_holder_is_told_by_process_and_host(tmp_path, other_process):
     with pytest.raises(OutOfResources, match=f"process .{other_process.pid} on {socket.gethostname()}"):
-        Work(tmp_path).begin("field", "fit", RECIPE)
+        WorkFolder(tmp_path).begin("field", "fit", RECIPE)
 
 
 def test_a_second_writer_is_kept_out_though_the_lock_file_was_deleted(tmp_path, other_process):
     (tmp_path / "field" / ".fit.lock").unlink()
     with pytest.raises(OutOfResources, match="another process"):
-        Work(tmp_path).begin("field", "fit", RECIPE)
+        WorkFolder(tmp_path).begin("field", "fit", RECIPE)
 
 
 def test_a_lock_file_deleted_while_it_is_taken_is_taken_anew(tmp_path, monkeypatch):
@@ -78,7 +78,7 @@ def test_what_is_no_lock_file_is_neither_written_to_nor_followed(tmp_path, kind)
     }
     made[kind]()
     with pytest.raises(WouldBeLost, match=r"\.fit\.lock is no lock file"):
-        Work(tmp_path).begin("field", "fit", RECIPE)
+        WorkFolder(tmp_path).begin("field", "fit", RECIPE)
     assert letter.read_text() == "Dear Sir" and not (tmp_path / "new").exists()
     assert kind != "document" or path.read_text() == "Dear Madam"
 
@@ -129,10 +129,10 @@ def test_a_disk_that_locks_no_folders_is_no_fault(tmp_path, monkeypatch):
         real(handle, how)
 
     monkeypatch.setattr(lock.fcntl, "flock", files_alone)
-    assert Work(tmp_path).begin("field", "fit", RECIPE).commit().name == "fit"
-    held = Work(tmp_path).begin("field", "b", RECIPE)
+    assert WorkFolder(tmp_path).begin("field", "fit", RECIPE).commit().name == "fit"
+    held = WorkFolder(tmp_path).begin("field", "b", RECIPE)
     with pytest.raises(OutOfResources, match="another process"):  # the lock file alone still keeps others out
-        Work(tmp_path).begin("field", "b", RECIPE)
+        WorkFolder(tmp_path).begin("field", "b", RECIPE)
     held.discard()
 
 

@@ -10,7 +10,7 @@ import pytest
 from schemas import partial_artifact
 from schemas.errors import ArtifactDamaged, StylerfError, WouldBeLost
 from schemas.manifest import MANIFEST
-from schemas.work_folder import Artifact, Recipe, Work, newest
+from schemas.work_folder import Artifact, Recipe, WorkFolder, newest
 from tests.schemas.test_work_folder import die_between_renames, make, recipe, reseal
 
 DIGEST = "0" * 63 + "1"
@@ -25,9 +25,9 @@ def record(path, **changes):
     "path", ["../../out", "/etc/passwd", "sub/../../out", "a\n", "a\x1b[2J", "", ".", "sub//a.bin", "x" * 300, MANIFEST]
 )
 def test_a_listed_path_that_leaves_the_artifact_is_damage(tmp_path, path):
-    artifact = make(Work(tmp_path))
+    artifact = make(WorkFolder(tmp_path))
     reseal(artifact, files=[record(path)])
-    for use in (Artifact(artifact.path).verify, lambda: Work(tmp_path).copy(Artifact(artifact.path), "other")):
+    for use in (Artifact(artifact.path).verify, lambda: WorkFolder(tmp_path).copy(Artifact(artifact.path), "other")):
         with pytest.raises(ArtifactDamaged) as fault:
             use()
         assert str(fault.value).isprintable()
@@ -35,7 +35,7 @@ def test_a_listed_path_that_leaves_the_artifact_is_damage(tmp_path, path):
 
 
 def test_a_file_listed_twice_is_damage(tmp_path):
-    artifact = make(Work(tmp_path))
+    artifact = make(WorkFolder(tmp_path))
     for twice in ("b.json", "B.JSON"):
         reseal(artifact, files=[record("b.json"), record(twice)])
         with pytest.raises(ArtifactDamaged, match="twice"):
@@ -46,7 +46,7 @@ def test_a_file_listed_twice_is_damage(tmp_path):
                                    "device", "versions", "seconds", "peak_memory_mb", "created", "figures", "threads",
                                    "schema"])  # fmt: skip
 def test_any_field_of_another_type_is_damage_or_no_matter(tmp_path, field):
-    artifact = make(Work(tmp_path))
+    artifact = make(WorkFolder(tmp_path))
     whole = json.loads((artifact.path / MANIFEST).read_text())
     for value in LEAVES:
         reseal(artifact, **{**whole, field: value})
@@ -55,13 +55,13 @@ def test_any_field_of_another_type_is_damage_or_no_matter(tmp_path, field):
             again.verify()
             made, as_written = again.manifest, value
             assert type(getattr(made, field)) is type(as_written) or field in ("seconds", "peak_memory_mb"), value
-            assert newest([again, again]) and Work(tmp_path).artifacts() and Work(tmp_path).outdated(again) is not None
+            assert newest([again, again]) and WorkFolder(tmp_path).artifacts() and WorkFolder(tmp_path).outdated(again) is not None
         except StylerfError as fault:
             assert "\n" not in str(fault)
 
 
 def test_a_nested_manifest_is_damage(tmp_path):
-    artifact = make(Work(tmp_path))
+    artifact = make(WorkFolder(tmp_path))
     text = b'{"a": ' * 50_000 + b'"self_sha256": "' + b"0" * 64 + b'"'
     from schemas.manifest import _sealed
 
@@ -71,7 +71,7 @@ def test_a_nested_manifest_is_damage(tmp_path):
 
 
 def test_what_a_link_leads_to_is_no_part_of_an_artifact(tmp_path):
-    artifact, elsewhere = make(Work(tmp_path)), tmp_path / "elsewhere"
+    artifact, elsewhere = make(WorkFolder(tmp_path)), tmp_path / "elsewhere"
     shutil.move(artifact.path / "sub", elsewhere)
     (artifact.path / "sub").symlink_to(elsewhere)
     with pytest.raises(ArtifactDamaged, match="sub is a link"):
@@ -87,7 +87,7 @@ def test_what_a_link_leads_to_is_no_part_of_an_artifact(tmp_path):
 
 
 def test_only_listed_files_are_opened(tmp_path):
-    artifact = make(Work(tmp_path))
+    artifact = make(WorkFolder(tmp_path))
     (artifact.path / "deformation.safetensors").write_bytes(b"unlisted")
     assert artifact.has("b.json") and not artifact.has("deformation.safetensors")
     with pytest.raises(ArtifactDamaged, match="lists no file"):
@@ -96,7 +96,7 @@ def test_only_listed_files_are_opened(tmp_path):
 
 @pytest.mark.parametrize("place", ["", "files", "checkpoint", "files/sub", "files/b.json"])
 def test_a_run_does_not_go_on_through_a_link(tmp_path, place):
-    begun, outside = Work(tmp_path / "work").begin("field", "fox", recipe()), tmp_path / "outside"
+    begun, outside = WorkFolder(tmp_path / "work").begin("field", "fox", recipe()), tmp_path / "outside"
     (begun.path / "sub").mkdir()
     (begun.path / "b.json").write_text("{}")
     begun.release()
@@ -105,31 +105,31 @@ def test_a_run_does_not_go_on_through_a_link(tmp_path, place):
     target.symlink_to(outside)
     before = sorted(outside.rglob("*")), outside.stat().st_mtime_ns
     with pytest.raises(WouldBeLost, match="is a link"):
-        Work(tmp_path / "work").begin("field", "fox", recipe())
+        WorkFolder(tmp_path / "work").begin("field", "fox", recipe())
     assert (sorted(outside.rglob("*")), outside.stat().st_mtime_ns) == before
 
 
 def test_a_link_made_while_a_run_goes_on_is_not_finished(tmp_path):
-    begun = Work(tmp_path).begin("field", "fox", recipe())
+    begun = WorkFolder(tmp_path).begin("field", "fox", recipe())
     (begun.path / "a").symlink_to("/etc/hostname")
     with pytest.raises(WouldBeLost, match="is a link"):
         begun.commit()
 
 
 def test_a_run_that_cannot_be_read_is_not_given_up(tmp_path, monkeypatch):
-    begun = Work(tmp_path).begin("field", "fox", recipe())
+    begun = WorkFolder(tmp_path).begin("field", "fox", recipe())
     (begun.checkpoint / "state").write_text("an hour's work")
     begun.release()
     with monkeypatch.context() as failing:
         failing.setattr(partial_artifact.Path, "read_bytes", lambda self: (_ for _ in ()).throw(OSError(errno.EIO, "I/O")))
         with pytest.raises(OSError, match="I/O"):
-            Work(tmp_path).begin("field", "fox", recipe())
-    again = Work(tmp_path).begin("field", "fox", recipe())
+            WorkFolder(tmp_path).begin("field", "fox", recipe())
+    again = WorkFolder(tmp_path).begin("field", "fox", recipe())
     assert again.resumed and (again.checkpoint / "state").read_text() == "an hour's work"
 
 
 def test_readers_see_the_older_one_where_a_kill_came_between_two_renames(tmp_path, monkeypatch):
-    work = Work(tmp_path)
+    work = WorkFolder(tmp_path)
     old = make(work).digest
     die_between_renames(work, monkeypatch)
     assert not (tmp_path / "field" / "fox").exists()
@@ -143,20 +143,20 @@ def test_readers_see_the_older_one_where_a_kill_came_between_two_renames(tmp_pat
 
 
 def test_an_artifact_dated_in_the_future_is_not_the_newest(tmp_path):
-    work = Work(tmp_path)
+    work = WorkFolder(tmp_path)
     wrong, right = make(work, "wrong"), make(work, "right")
     reseal(wrong, created="9999-12-31T00:00:00.000+00:00")
     assert [one.name for one in newest(work.artifacts())] == ["right", "wrong"]
     reseal(right, created="2020-01-01T02:00:00+02:00")
     reseal(wrong, created="2020-01-01T00:00:01+00:00")
-    assert [one.name for one in newest(Work(tmp_path).artifacts())] == ["wrong", "right"]
+    assert [one.name for one in newest(WorkFolder(tmp_path).artifacts())] == ["wrong", "right"]
 
 
 def test_a_name_of_an_input_that_leads_elsewhere_is_damage(tmp_path):
-    artifact = make(Work(tmp_path))
+    artifact = make(WorkFolder(tmp_path))
     reseal(artifact, inputs=[{"role": "scene", "kind": "scene", "name": "../../x", "digest": DIGEST}])
     with pytest.raises(ArtifactDamaged, match="name of an input"):
-        Work(tmp_path).outdated(Artifact(artifact.path))
+        WorkFolder(tmp_path).outdated(Artifact(artifact.path))
 
 
 def test_a_disk_that_cannot_flush_folders_is_used_all_the_same(tmp_path, monkeypatch):
@@ -166,14 +166,14 @@ def test_a_disk_that_cannot_flush_folders_is_used_all_the_same(tmp_path, monkeyp
         raise OSError(errno.EINVAL, "Invalid argument")
 
     monkeypatch.setattr(atomic_write.os, "fsync", refuse)
-    make(Work(tmp_path)).verify()
+    make(WorkFolder(tmp_path)).verify()
     monkeypatch.setattr(atomic_write.os, "fsync", lambda handle: (_ for _ in ()).throw(OSError(errno.EIO, "I/O")))
     with pytest.raises(OSError, match="I/O"):
-        make(Work(tmp_path), "other")
+        make(WorkFolder(tmp_path), "other")
 
 
 def test_a_file_that_changes_while_it_is_copied_gets_no_sound_seal(tmp_path, monkeypatch):
-    work = Work(tmp_path)
+    work = WorkFolder(tmp_path)
     artifact = make(work)
     copyfile = shutil.copyfile
 
@@ -189,6 +189,6 @@ def test_a_file_that_changes_while_it_is_copied_gets_no_sound_seal(tmp_path, mon
 
 
 def test_threads_are_recorded(tmp_path):
-    begun = Work(tmp_path).begin("field", "fox", Recipe("toy", 1, {}, []))
+    begun = WorkFolder(tmp_path).begin("field", "fox", Recipe("toy", 1, {}, []))
     assert begun.commit(threads=2).manifest.threads == 2
-    assert Work(tmp_path).copy(Work(tmp_path).get("field", "fox"), "copy").manifest.threads == 2
+    assert WorkFolder(tmp_path).copy(WorkFolder(tmp_path).get("field", "fox"), "copy").manifest.threads == 2

@@ -12,14 +12,14 @@ import pytest
 from schemas import lock, migrations, partial_artifact
 from schemas.errors import ArtifactDamaged, ArtifactStale, OutOfResources, StylerfError, UsageError, WouldBeLost
 from schemas.manifest import MANIFEST, InputRef
-from schemas.work_folder import Artifact, Recipe, Work, sources_of
+from schemas.work_folder import Artifact, Recipe, WorkFolder, sources_of
 
 
 def recipe(**changes) -> Recipe:
     return Recipe(**{"stage": "toy", "revision": 1, "config": {"steps": 3}, "inputs": [], "seed": 0, **changes})
 
 
-def make(work: Work, name="fox", kind="field", content=b"weights", made_of=None, **changes) -> Artifact:
+def make(work: WorkFolder, name="fox", kind="field", content=b"weights", made_of=None, **changes) -> Artifact:
     begun = work.begin(kind, name, made_of or recipe(**changes))
     (begun.path / "sub").mkdir(exist_ok=True)
     (begun.path / "sub" / "a.bin").write_bytes(content)
@@ -28,8 +28,8 @@ def make(work: Work, name="fox", kind="field", content=b"weights", made_of=None,
 
 
 def test_a_finished_artifact_reads_back(tmp_path):
-    artifact = make(Work(tmp_path))
-    again = Work(tmp_path).get("field", "fox")
+    artifact = make(WorkFolder(tmp_path))
+    again = WorkFolder(tmp_path).get("field", "fox")
     assert again.digest == artifact.digest == again.manifest.digest
     assert [record.path for record in again.manifest.files] == ["b.json", "sub/a.bin"]
     assert again.manifest.figures == {"psnr": 27.1}
@@ -40,7 +40,7 @@ def test_a_finished_artifact_reads_back(tmp_path):
 
 def test_of_two_made_within_a_second_the_later_is_known(tmp_path):
     """What is made of "the last" of several looks at nothing else."""
-    work, times = Work(tmp_path), []
+    work, times = WorkFolder(tmp_path), []
     for name in ("b", "a", "c"):
         time.sleep(0.002)
         times.append(make(work, name).manifest.created)
@@ -50,7 +50,7 @@ def test_of_two_made_within_a_second_the_later_is_known(tmp_path):
 
 
 def test_digest_tells_content_recipe_and_kind_but_not_name(tmp_path):
-    work = Work(tmp_path)
+    work = WorkFolder(tmp_path)
     base = make(work, "a").digest
     assert make(work, "b").digest == base
     assert make(work, "c", content=b"Weights").digest != base
@@ -59,7 +59,7 @@ def test_digest_tells_content_recipe_and_kind_but_not_name(tmp_path):
 
 
 def test_a_copy_is_the_same_artifact_by_another_name_at_what_it_cost(tmp_path):
-    work = Work(tmp_path)
+    work = WorkFolder(tmp_path)
     first, other = make(work), make(work, "den", content=b"other").digest
     copy = work.copy(first, "den")
     copy.verify()
@@ -76,7 +76,7 @@ def test_a_copy_is_the_same_artifact_by_another_name_at_what_it_cost(tmp_path):
 
 
 def test_an_artifact_whose_manifest_nobody_can_read_may_be_made_again(tmp_path):
-    work = Work(tmp_path)
+    work = WorkFolder(tmp_path)
     (make(work).path / MANIFEST).write_text("{")
     again = make(work, seed=1)
     again.verify()
@@ -85,7 +85,7 @@ def test_an_artifact_whose_manifest_nobody_can_read_may_be_made_again(tmp_path):
 
 @pytest.mark.parametrize("which", ["b.json", "sub/a.bin", MANIFEST])
 def test_a_flipped_bit_anywhere_is_found(tmp_path, which):
-    artifact = make(Work(tmp_path))
+    artifact = make(WorkFolder(tmp_path))
     path = artifact.path / which
     whole = path.read_bytes()
     for position in range(len(whole)):
@@ -99,7 +99,7 @@ def test_a_flipped_bit_anywhere_is_found(tmp_path, which):
 
 
 def test_missing_shortened_and_additional_files_are_found(tmp_path):
-    artifact = make(Work(tmp_path))
+    artifact = make(WorkFolder(tmp_path))
     (artifact.path / "sub" / "new.bin").write_bytes(b"")
     artifact.check_sizes()
     with pytest.raises(ArtifactDamaged, match=r"new.bin"):
@@ -117,7 +117,7 @@ def test_missing_shortened_and_additional_files_are_found(tmp_path):
 
 
 def test_what_desktops_leave_in_folders_is_no_part_of_an_artifact(tmp_path):
-    begun = Work(tmp_path).begin("field", "fox", recipe())
+    begun = WorkFolder(tmp_path).begin("field", "fox", recipe())
     (begun.path / "sub").mkdir()
     for name in ("a.bin", ".DS_Store"):
         (begun.path / "sub" / name).write_bytes(b"x")
@@ -139,7 +139,7 @@ def test_what_desktops_leave_in_folders_is_no_part_of_an_artifact(tmp_path):
     ],
 )
 def test_a_damaged_artifact_is_made_again_by_the_verb_that_made_it(tmp_path, stage, config, command):
-    artifact = make(Work(tmp_path / "a folder"), stage=stage, config=config)
+    artifact = make(WorkFolder(tmp_path / "a folder"), stage=stage, config=config)
     (artifact.path / "b.json").write_text("[]")
     work = f"'{tmp_path}/a folder'"
     with pytest.raises(ArtifactDamaged) as caught:
@@ -150,14 +150,14 @@ def test_a_damaged_artifact_is_made_again_by_the_verb_that_made_it(tmp_path, sta
 
 def test_absent_artifacts_come_with_the_command_that_makes_them(tmp_path):
     with pytest.raises(ArtifactStale, match="stylerf fit"):
-        Work(tmp_path).get("field", "fox")
+        WorkFolder(tmp_path).get("field", "fox")
     with pytest.raises(ArtifactStale, match="stylerf import"):
-        Work(tmp_path).find("scene", "fox")
+        WorkFolder(tmp_path).find("scene", "fox")
     assert not list(tmp_path.iterdir())
 
 
 def test_find_by_unique_prefix(tmp_path):
-    work = Work(tmp_path)
+    work = WorkFolder(tmp_path)
     for name in ("starry", "start", "wave"):
         make(work, name)
     assert work.find("field", "w").name == "wave"
@@ -170,11 +170,11 @@ def test_find_by_unique_prefix(tmp_path):
 @pytest.mark.parametrize("name", ["", ".a", "a/b", "../x", "a b", "x" * 101])
 def test_unsound_names_are_refused(tmp_path, name):
     with pytest.raises(UsageError):
-        Work(tmp_path).begin("field", name, recipe())
+        WorkFolder(tmp_path).begin("field", name, recipe())
 
 
 def test_what_is_begun_anew_goes_on_with_nothing_but_its_own(tmp_path):
-    work = Work(tmp_path)
+    work = WorkFolder(tmp_path)
     first = work.begin("field", "fox", recipe())
     (first.checkpoint / "step").write_text("7")
     first.release()
@@ -188,7 +188,7 @@ def test_what_is_begun_anew_goes_on_with_nothing_but_its_own(tmp_path):
 
 
 def test_a_copy_of_what_is_damaged_is_refused(tmp_path):
-    work = Work(tmp_path)
+    work = WorkFolder(tmp_path)
     made = make(work)
     file = next(item for item in made.path.iterdir() if item.name != "manifest.json")
     data = bytearray(file.read_bytes())
@@ -200,7 +200,7 @@ def test_a_copy_of_what_is_damaged_is_refused(tmp_path):
 
 
 def test_interrupted_run_resumes_only_for_the_same_recipe(tmp_path):
-    work = Work(tmp_path)
+    work = WorkFolder(tmp_path)
     first = work.begin("field", "fox", recipe())
     assert not first.resumed
     (first.checkpoint / "step").write_text("7")
@@ -221,7 +221,7 @@ def test_interrupted_run_resumes_only_for_the_same_recipe(tmp_path):
 
 @pytest.mark.parametrize("ended_by", ["discard", "another recipe"])
 def test_what_a_kill_leaves_of_a_deletion_is_not_resumed(tmp_path, monkeypatch, ended_by):
-    work = Work(tmp_path)
+    work = WorkFolder(tmp_path)
     first = work.begin("field", "fox", recipe())
     (first.path / "a.png").write_text("")
 
@@ -240,15 +240,15 @@ def test_what_a_kill_leaves_of_a_deletion_is_not_resumed(tmp_path, monkeypatch, 
 
 
 def test_damaged_recipe_starts_afresh(tmp_path):
-    first = Work(tmp_path).begin("field", "fox", recipe())
+    first = WorkFolder(tmp_path).begin("field", "fox", recipe())
     (first.folder / "recipe.json").write_text("{")
     first.release()
-    assert not Work(tmp_path).begin("field", "fox", recipe()).resumed
+    assert not WorkFolder(tmp_path).begin("field", "fox", recipe()).resumed
 
 
 @pytest.mark.parametrize("added", ["comp.nk", "sub/retouched.exr"])
 def test_what_no_run_wrote_is_not_deleted_with_what_is_replaced(tmp_path, added):
-    work = Work(tmp_path)
+    work = WorkFolder(tmp_path)
     old = make(work)
     begun = work.begin("field", "fox", recipe(seed=1))
     (old.path / added).write_text("mine")
@@ -265,7 +265,7 @@ def test_what_no_run_wrote_is_not_deleted_with_what_is_replaced(tmp_path, added)
 
 
 def test_a_folder_that_is_no_artifact_is_not_deleted_and_a_damaged_one_is_made_again(tmp_path):
-    work, folder = Work(tmp_path), tmp_path / "field" / "fox"
+    work, folder = WorkFolder(tmp_path), tmp_path / "field" / "fox"
     (folder / "scans").mkdir(parents=True)
     work.begin("field", "fox", recipe()).discard()  # nothing would be lost
     (folder / "scans" / "1.exr").write_text("mine")
@@ -285,7 +285,7 @@ def test_a_folder_that_is_no_artifact_is_not_deleted_and_a_damaged_one_is_made_a
 
 
 def test_a_link_to_nothing_is_told_before_a_run_and_does_not_cost_a_finished_one(tmp_path):
-    work = Work(tmp_path)
+    work = WorkFolder(tmp_path)
     begun = work.begin("field", "fox", recipe())
     os.symlink(tmp_path / "gone", tmp_path / "field" / "fox")
     with pytest.raises(WouldBeLost, match="field/fox is a link to nothing"):
@@ -301,7 +301,7 @@ def test_a_link_to_nothing_is_told_before_a_run_and_does_not_cost_a_finished_one
 def test_replacing_keeps_the_older_one_until_the_rename(tmp_path, monkeypatch, exchange):
     if not exchange:
         monkeypatch.setattr(partial_artifact, "_exchange", lambda one, other: False)
-    work = Work(tmp_path)
+    work = WorkFolder(tmp_path)
     old = make(work)
     begun = work.begin("field", "fox", recipe(seed=1))
     (begun.path / "other.bin").write_bytes(b"new")
@@ -312,7 +312,7 @@ def test_replacing_keeps_the_older_one_until_the_rename(tmp_path, monkeypatch, e
     assert sorted(os.listdir(tmp_path / "field")) == [".fox.lock", "fox"]
 
 
-def die_between_renames(work: Work, monkeypatch) -> None:
+def die_between_renames(work: WorkFolder, monkeypatch) -> None:
     """Replaces field fox by another, without a way to swap the two, up to a death after the first of two renames."""
     begun = work.begin("field", "fox", recipe(seed=1))
     monkeypatch.setattr(partial_artifact, "_exchange", lambda one, other: False)
@@ -331,7 +331,7 @@ def die_between_renames(work: Work, monkeypatch) -> None:
 
 
 def test_a_death_between_the_two_renames_is_mended(tmp_path, monkeypatch):
-    work = Work(tmp_path)
+    work = WorkFolder(tmp_path)
     old = make(work).digest
     die_between_renames(work, monkeypatch)
     again = work.begin("field", "fox", recipe(seed=1))
@@ -341,7 +341,7 @@ def test_a_death_between_the_two_renames_is_mended(tmp_path, monkeypatch):
 
 
 def _hold(root, ready, done):
-    begun = Work(root).begin("field", "fox", recipe())
+    begun = WorkFolder(root).begin("field", "fox", recipe())
     ready.set()
     done.wait(20)
     del begun
@@ -354,11 +354,11 @@ def test_a_second_writer_is_refused_until_the_first_ends(tmp_path):
     child.start()
     assert ready.wait(20)
     with pytest.raises(OutOfResources, match=f"another process .{child.pid}"):
-        Work(tmp_path).begin("field", "fox", recipe())
-    Work(tmp_path).begin("field", "other", recipe()).discard()
+        WorkFolder(tmp_path).begin("field", "fox", recipe())
+    WorkFolder(tmp_path).begin("field", "other", recipe()).discard()
     child.kill()
     child.join()
-    Work(tmp_path).begin("field", "fox", recipe()).discard()
+    WorkFolder(tmp_path).begin("field", "fox", recipe()).discard()
 
 
 def test_a_disk_that_cannot_lock_is_not_taken_for_another_process(tmp_path, monkeypatch):
@@ -367,12 +367,12 @@ def test_a_disk_that_cannot_lock_is_not_taken_for_another_process(tmp_path, monk
 
     monkeypatch.setattr(lock.fcntl, "flock", refuse)
     with pytest.raises(OutOfResources, match=r"\.fox\.lock cannot be locked .Function not implemented.") as caught:
-        Work(tmp_path).begin("field", "fox", recipe())
+        WorkFolder(tmp_path).begin("field", "fox", recipe())
     assert "another process" not in str(caught.value)
 
 
 def test_standing_needs_the_recipe_and_whole_files(tmp_path):
-    work = Work(tmp_path)
+    work = WorkFolder(tmp_path)
     artifact = make(work)
     assert work.standing("field", "fox", recipe()).digest == artifact.digest
     assert work.standing("field", "fox", recipe(config={"steps": 4})) is None
@@ -390,7 +390,7 @@ def test_recipe_ignores_input_names_and_order_but_not_roles_and_digests():
 
 
 def test_outdated_follows_inputs_to_the_scene(tmp_path):
-    work = Work(tmp_path)
+    work = WorkFolder(tmp_path)
     scene = make(work, "fox", "scene")
     field = make(work, "fox", inputs=[scene.reference("scene")])
     frames = make(work, "turn", "frames", inputs=[field.reference("field")])
@@ -402,7 +402,7 @@ def test_outdated_follows_inputs_to_the_scene(tmp_path):
 
 
 def test_artifacts_that_were_made_from_each_other_are_each_looked_at_once(tmp_path):
-    work = Work(tmp_path)
+    work = WorkFolder(tmp_path)
     make(work, "a")
     make(work, "b", inputs=[work.get("field", "a").reference("field")])
     make(work, "a", inputs=[work.get("field", "b").reference("field")])
@@ -413,7 +413,7 @@ def test_artifacts_that_were_made_from_each_other_are_each_looked_at_once(tmp_pa
 
 
 def test_sources_are_told_nearest_first_and_of_the_kinds_asked_for(tmp_path):
-    work = Work(tmp_path)
+    work = WorkFolder(tmp_path)
     scene = make(work, "fox", "scene")
     fit = make(work, "fit", inputs=[scene.reference("scene")])
     red = make(work, "red", inputs=[fit.reference("field"), scene.reference("scene")])
@@ -435,13 +435,13 @@ def reseal(artifact, **changes):
 
 
 def test_a_newer_schema_or_kind_is_refused(tmp_path):
-    artifact = make(Work(tmp_path))
+    artifact = make(WorkFolder(tmp_path))
     reseal(artifact)
     Artifact(artifact.path).verify()
     reseal(artifact, schema=migrations.CURRENT["field"] + 1)
     with pytest.raises(ArtifactStale, match="newer stylerf"):
         Artifact(artifact.path).verify()
-    assert Work(tmp_path).standing("field", "fox", recipe()) is None
+    assert WorkFolder(tmp_path).standing("field", "fox", recipe()) is None
     reseal(artifact, schema=1, kind="hologram")
     with pytest.raises(ArtifactStale, match="newer stylerf"):
         Artifact(artifact.path).verify()
@@ -449,7 +449,7 @@ def test_a_newer_schema_or_kind_is_refused(tmp_path):
 
 @pytest.mark.parametrize("changes", [{"schema": "1"}, {"schema": 0}, {"files": [{"path": "x"}]}, {"surprise": 1}])
 def test_sealed_nonsense_is_damage_not_a_crash(tmp_path, changes):
-    artifact = make(Work(tmp_path))
+    artifact = make(WorkFolder(tmp_path))
     reseal(artifact, **changes)
     with pytest.raises(StylerfError):
         Artifact(artifact.path).verify()
@@ -457,7 +457,7 @@ def test_sealed_nonsense_is_damage_not_a_crash(tmp_path, changes):
 
 def test_old_schemas_migrate_step_by_step_and_keep_their_digest(tmp_path, monkeypatch):
     monkeypatch.setitem(migrations.CURRENT, "field", 1)
-    artifact = make(Work(tmp_path))
+    artifact = make(WorkFolder(tmp_path))
     monkeypatch.setitem(migrations.CURRENT, "field", 3)
     monkeypatch.delitem(migrations.MIGRATIONS, ("field", 1))
     with pytest.raises(ArtifactStale, match="too old"):

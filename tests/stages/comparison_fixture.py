@@ -2,7 +2,7 @@
 
 import json
 
-from schemas.work_folder import Artifact, Work
+from schemas.work_folder import Artifact, WorkFolder
 from tests.stages import evaluation_fixture as made
 
 LABELS = {"psnr": ("PSNR", "dB", "higher"), "nnfm": ("NNFM distance to the painting", "", "lower"),
@@ -16,7 +16,7 @@ LABELS = {"psnr": ("PSNR", "dB", "higher"), "nnfm": ("NNFM distance to the paint
           "long_rmse": ("Consistency long (correct), RMSE", "", "lower")}  # fmt: skip
 
 
-def fit(work: Work, scene: Artifact, name: str, seconds: float, psnr: float | None, **more) -> Artifact:
+def fit(work: WorkFolder, scene: Artifact, name: str, seconds: float, psnr: float | None, **more) -> Artifact:
     """A fitted field, evaluated unless psnr is None."""
     figures, memory = {"parameters": more.pop("parameters", 1000)}, more.pop("memory", 500.0)
     config = {"budget": f"{seconds:g}s", "field": "vm", "capacity": "grow"} | more
@@ -30,7 +30,7 @@ def fit(work: Work, scene: Artifact, name: str, seconds: float, psnr: float | No
 
 
 def stylized(
-    work: Work, scene: Artifact, base: Artifact, name: str, seconds: float, figures: dict, **config
+    work: WorkFolder, scene: Artifact, base: Artifact, name: str, seconds: float, figures: dict, **config
 ) -> Artifact:
     """A stylized field of 2,000 parameters, evaluated where there are figures."""
     field = made.make_field(
@@ -43,7 +43,7 @@ def stylized(
 
 
 def edited(
-    work: Work, scene: Artifact, base: Artifact, name: str, seconds: tuple[float, ...], figures: dict
+    work: WorkFolder, scene: Artifact, base: Artifact, name: str, seconds: tuple[float, ...], figures: dict
 ) -> Artifact:
     """A field that learned an edit; seconds of extract, learn, distill and finetune."""
     region = made.commit(work, "region", name, "region_select", {"field": base}, _nothing, seconds=999.0)
@@ -71,7 +71,7 @@ def edited(
 
 
 def report(
-    work: Work, field: Artifact, figures: dict, edit: dict | None = None, protocol: str = "as ever", **more
+    work: WorkFolder, field: Artifact, figures: dict, edit: dict | None = None, protocol: str = "as ever", **more
 ) -> Artifact:
     """What `stylerf eval` leaves, as far as a comparison looks at it. more: of its manifest; `regions`, artifacts;
     `name`, else the field's; `changed`, of each figure."""

@@ -9,7 +9,7 @@ from schemas.exr import FAR_Z, ExrView, write_exr
 from schemas.frames import Frame, FrameCamera, Frames, write_frames
 from schemas.images import linear_from_srgb, write_png
 from schemas.scene import Bounds, Scene, Truth, View, as_matrix, write_scene
-from schemas.work_folder import Artifact, Recipe, Work
+from schemas.work_folder import Artifact, Recipe, WorkFolder
 from stages import render
 from stylerf.geometry.cameras import Camera
 
@@ -55,7 +55,7 @@ def camera_entry(view: Camera) -> dict:
     return {**{key: getattr(view, key) for key in keys}, "world_from_camera": as_matrix(view.world_from_camera)}
 
 
-def commit(work: Work, kind: str, name: str, stage: str, inputs: dict[str, Artifact], write, **manifest) -> Artifact:
+def commit(work: WorkFolder, kind: str, name: str, stage: str, inputs: dict[str, Artifact], write, **manifest) -> Artifact:
     revision, config = manifest.pop("revision", 1), manifest.pop("config", {})
     recipe = Recipe(stage, revision, config, [a.reference(role) for role, a in inputs.items()], 0)
     partial = work.begin(kind, name, recipe)
@@ -64,7 +64,7 @@ def commit(work: Work, kind: str, name: str, stage: str, inputs: dict[str, Artif
 
 
 def make_scene(
-    work: Work,
+    work: WorkFolder,
     positions: list[float],
     background: str = "none",
     depth: bool = True,
@@ -101,7 +101,7 @@ def exr_of(view: Camera, seen: Seen) -> ExrView:
 
 
 def make_frames(
-    work: Work,
+    work: WorkFolder,
     name: str,
     path: str,
     cameras: list[Camera],
@@ -126,7 +126,7 @@ def make_frames(
     return commit(work, "frames", name, "render", {"field": field}, write, **told)
 
 
-def make_field(work: Work, name: str, stage: str, inputs: dict[str, Artifact], **manifest) -> Artifact:
+def make_field(work: WorkFolder, name: str, stage: str, inputs: dict[str, Artifact], **manifest) -> Artifact:
     """A stand-in: evaluation reads only the manifest of a field."""
 
     def write(folder: Path) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 from schemas.tensors import save_tensors
-from schemas.work_folder import Artifact, Work
+from schemas.work_folder import Artifact, WorkFolder
 from stages.artifacts.edit import Edit, columns_and_shares, load_edit, save_edit, told_after
 from stages.artifacts.edit_views import load_edit_views, save_edit_views
 from stages.artifacts.field import load_deformation, load_field, save_deformation, save_field
@@ -32,7 +32,7 @@ from stylerf.fields.deformation import Deformation
 from stylerf.fields.hash_encoding import HashEncoding
 from stylerf.fields.palette_color import PaletteColor
 from stylerf.fields.radiance_field import RadianceField, layers_of
-from stylerf.fields.region_color import PatchColor
+from stylerf.fields.region_color import RegionColor
 from stylerf.geometry.cameras import Camera
 from stylerf.rendering.view import render_view
 from stylerf.style.color_matching import ColorMap
@@ -53,7 +53,7 @@ class Made:
     use: Callable[[Artifact], None]
 
 
-def every_artifact(work: Work) -> dict[str, Made]:
+def every_artifact(work: WorkFolder) -> dict[str, Made]:
     """By kind, or kind and kind of field."""
     scene = make_capture(work, tests=1, train=3)
     rng = np.random.default_rng(0)
@@ -120,13 +120,13 @@ def _palette(space) -> PaletteColor:
     return color.edited(Recoloring(changes, 0.5, 2.0, within)).edited(Recoloring(PaletteEdits({3: (0, 0, 1.0)})))
 
 
-def _patch() -> PatchColor:
+def _patch() -> RegionColor:
     marked = np.zeros((CELLS,) * 3, bool)
     marked[2:6, 2:6, 2:6] = True
-    return PatchColor(small.vm_color(17), small.hash_color(18), marked)
+    return RegionColor(small.vm_color(17), small.hash_color(18), marked)
 
 
-def _field(work: Work, scene: Artifact, name: str, field: RadianceField) -> Artifact:
+def _field(work: WorkFolder, scene: Artifact, name: str, field: RadianceField) -> Artifact:
     def write(folder: Path) -> None:
         save_field(folder, field, "white" if field.space.kind == "box" else "none")
         if field.displacement is not None:
@@ -221,7 +221,7 @@ def _use_frames(artifact: Artifact) -> None:
 
 def _use_report(artifact: Artifact) -> None:
     read_report(artifact)
-    runs_of([Work(artifact.path.parent.parent)])
+    runs_of([WorkFolder(artifact.path.parent.parent)])
 
 
 def _finite(*arrays: np.ndarray) -> None:

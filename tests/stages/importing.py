@@ -3,7 +3,7 @@
 import numpy as np
 
 from schemas.scene import Scene, read_scene
-from schemas.work_folder import Artifact, Work
+from schemas.work_folder import Artifact, WorkFolder
 from stages import pose_import
 from stages.configs.pose_import import ImportOptions
 from stages.run.progress import Context, Silent
@@ -25,7 +25,7 @@ def imported(source, work, said=None, seed=0, **options) -> Artifact:
     """The scene artifact of `stylerf import source work` with these options."""
     config = config_for(source, ImportOptions(**options))
     context = Context(seed=seed, progress=said or Silent())
-    return execute(pose_import.SPEC, pose_import.run, Work(work), "main", {}, config, context)[0]
+    return execute(pose_import.SPEC, pose_import.run, WorkFolder(work), "main", {}, config, context)[0]
 
 
 def scene_of(artifact: Artifact) -> Scene:

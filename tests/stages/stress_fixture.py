@@ -4,7 +4,7 @@ import numpy as np
 
 from schemas.images import write_png
 from schemas.scene import Bounds, Scene, View, as_matrix, write_scene
-from schemas.work_folder import Artifact, Work
+from schemas.work_folder import Artifact, WorkFolder
 from stages.stress.success_rates import Outcome
 from stylerf.procedural.still_life import dome_cameras
 from tests.stages.evaluation_fixture import camera_entry, commit
@@ -21,7 +21,7 @@ def photo_of(index: int, alpha: bool = True) -> np.ndarray:
 
 
 def make_capture(
-    work: Work, layout: str = "object", tests: int = TEST, train: int = TRAIN, background: str = "alpha"
+    work: WorkFolder, layout: str = "object", tests: int = TEST, train: int = TRAIN, background: str = "alpha"
 ) -> Artifact:
     """Scene `main`: views train_000 ... and test_000 ... on a dome of radius 4.03."""
 

@@ -5,10 +5,10 @@ import pytest
 from skimage.measure import block_reduce
 
 from schemas.errors import ArtifactStale, BadInput
-from schemas.work_folder import Work
+from schemas.work_folder import WorkFolder
 from stages import corrupt_scene
 from stages.artifacts.scene import load_scene
-from stages.configs.corrupt_scene import FaultConfig
+from stages.configs.corrupt_scene import CorruptSceneConfig
 from stages.run.progress import Context
 from stages.run.runner import execute
 from stages.stress.faults import ALL_FAULTS, FAULTS, MADE, SCENE
@@ -19,15 +19,15 @@ from tests.stages.stress_fixture import SIZE, TRAIN, make_capture, photo_of
 
 @pytest.fixture
 def source(tmp_path):
-    return make_capture(Work(tmp_path / "work"))
+    return make_capture(WorkFolder(tmp_path / "work"))
 
 
 def spoiled(source, tmp_path, fault: str, seed=0, **more):
     given = {"amount": FAULTS[fault].amount, "side": SIZE, "views": 4, "tests": 2}
     if FAULTS[fault].of == SCENE:
         given |= {"source": str(source.path), "source_digest": source.digest}
-    config = FaultConfig(fault=fault, **{**given, **more})
-    place = Work(tmp_path / f"{fault}-{seed}-{len(list(tmp_path.iterdir()))}")
+    config = CorruptSceneConfig(fault=fault, **{**given, **more})
+    place = WorkFolder(tmp_path / f"{fault}-{seed}-{len(list(tmp_path.iterdir()))}")
     made, _ = execute(corrupt_scene.SPEC, corrupt_scene.run, place, "main", {}, config, Context(seed=seed))
     return made, load_scene(made)
 
@@ -90,7 +90,7 @@ def test_fewer_views_and_views_of_one_side(source, tmp_path):
     assert len(three.splits["train"]) == 3 and names(three, "train") != names(other, "train")
     made, half = spoiled(source, tmp_path, "hidden")
     assert len(half.splits["train"]) == TRAIN // 2 and made.manifest.figures["left_out"] == TRAIN // 2
-    few = make_capture(Work(tmp_path / "few"), train=8)
+    few = make_capture(WorkFolder(tmp_path / "few"), train=8)
     with pytest.raises(BadInput, match="8 training views"):
         spoiled(few, tmp_path, "views-8")
 
@@ -98,7 +98,7 @@ def test_fewer_views_and_views_of_one_side(source, tmp_path):
 def test_the_near_plane_of_a_capture_and_the_box_of_an_object(source, tmp_path):
     _, data = spoiled(source, tmp_path, "near-plane")
     assert data.bounds.aabb == ((-1, -1, -1), (1, 1, 0)) and data.bounds.near == 0.5
-    capture = make_capture(Work(tmp_path / "room"), "unbounded")
+    capture = make_capture(WorkFolder(tmp_path / "room"), "unbounded")
     _, data = spoiled(capture, tmp_path, "near-plane")
     assert data.bounds.aabb == ((-1, -1, -1), (1, 1, 1))
     assert data.bounds.near == pytest.approx(0.5 * 4.03, rel=0.02)  # half of the dome's radius
@@ -131,9 +131,9 @@ def test_made_scenes_are_objects_in_their_box(source, tmp_path, fault):
 
 
 def test_what_cannot_be_spoiled_is_refused(source, tmp_path):
-    untested = make_capture(Work(tmp_path / "untested"), tests=0)
+    untested = make_capture(WorkFolder(tmp_path / "untested"), tests=0)
     with pytest.raises(BadInput, match="--test-every"):
         spoiled(untested, tmp_path, "seeds")
-    config = FaultConfig(source=str(source.path), source_digest="another")
+    config = CorruptSceneConfig(source=str(source.path), source_digest="another")
     with pytest.raises(ArtifactStale, match="made again"):
         corrupt_scene._source(config)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from schemas.tensors import save_tensors
-from schemas.work_folder import Artifact, Work
+from schemas.work_folder import Artifact, WorkFolder
 from stages import distill, finetune
 from stages.artifacts.scene import EDIT_TARGETS, load_scene
 from stages.configs.distill import DistillConfig
@@ -48,7 +48,7 @@ def test_a_pixel_is_painted_as_far_as_the_region_covers_it(channels, weight, sha
 
 def test_pixels_of_an_earlier_edit_are_learned_from_by_the_whole_field_only(tmp_path):
     """Two edits beside each other, of which the second covers one pixel of the first."""
-    scene = make_capture(Work(tmp_path))
+    scene = make_capture(WorkFolder(tmp_path))
     first = {"1.pixels": np.array([5, 6]), "1.depth": np.float32([1, 2]), "2.pixels": np.array([7]),
              "2.depth": np.float32([3])}  # fmt: skip
     save_tensors(scene.path / EDIT_TARGETS, first)

@@ -9,11 +9,11 @@ import pytest
 
 from schemas.errors import UsageError
 from schemas.images import write_png
-from schemas.work_folder import Work
+from schemas.work_folder import WorkFolder
 from stages import evaluate
 from stages.configs.evaluate import EvaluateConfig
-from stages.evaluation.path_consistency import Film, pairs_of
-from stages.evaluation.perceptual_metrics import Lenses
+from stages.evaluation.path_consistency import PathConsistency, pairs_of
+from stages.evaluation.perceptual_metrics import PerceptualMetrics
 from stages.evaluation.pinned_inputs import pinned
 from stages.evaluation.test_views import SceneViews
 from stages.evaluation.view_metrics import measure_content
@@ -38,7 +38,7 @@ def figure(report, key):
 @pytest.fixture(scope="module")
 def fitted(tmp_path_factory):
     """A fit that is brighter than the photos by 0.1 and one tenth too deep."""
-    work = Work(tmp_path_factory.mktemp("fitted"))
+    work = WorkFolder(tmp_path_factory.mktemp("fitted"))
     scene = made.make_scene(work, POSITIONS)
     curve = [
         {"seconds": s, "step": s * 10, "parameters": 1e5 * s, "psnr": 10 + s, "held_out": s < 9} for s in (1, 3, 9)
@@ -129,7 +129,7 @@ def test_a_report_of_before_a_network_was_installed_does_not_stand(tmp_path, mon
     def resolved(name=None):
         if (name or "trunk") not in here:
             raise UsageError("not here")
-        return resolve.ResolvedTrunk(name or "trunk", here[name or "trunk"], tmp_path, "", {}, "")
+        return resolve.ResolvedExtractor(name or "trunk", here[name or "trunk"], tmp_path, "", {}, "")
 
     def recipe(field=None, **options):
         return recipe_of(evaluate.SPEC, {}, pinned(EvaluateConfig(**options), field), 0).digest
@@ -146,7 +146,7 @@ def test_a_report_of_before_a_network_was_installed_does_not_stand(tmp_path, mon
     assert len({without, tolerant, both, recipe()}) == 4 and recipe(perceptual="none") == silent
     write_png(tmp_path / "style.png", np.zeros((4, 4, 3), np.uint8))
     given = {"config": {"style": str(tmp_path / "style.png")}}
-    field = made.make_field(Work(tmp_path / "work"), "red", "stylize", {}, **given)
+    field = made.make_field(WorkFolder(tmp_path / "work"), "red", "stylize", {}, **given)
     with pytest.raises(UsageError):
         recipe(field)
     here["trunk"] = "4" * 64
@@ -168,7 +168,7 @@ def test_nan_in_a_render_is_told_and_left_out(fitted, tmp_path, monkeypatch):
         return replace(found, image=image, spoiled=3)
 
     monkeypatch.setattr(evaluate.FrameViews, "render", spoiled)
-    artifact, found = evaluated(Work(tmp_path), {key: inputs[key] for key in ("scene", "frames", "path_frames")})
+    artifact, found = evaluated(WorkFolder(tmp_path), {key: inputs[key] for key in ("scene", "frames", "path_frames")})
     assert found["views"][1]["psnr"] is None and "3 of 6912 pixels" in found["views"][1]["remark"]
     psnr = figure(found, "psnr")
     assert (psnr["count"], psnr["left_out"]) == (2, 1)
@@ -193,7 +193,7 @@ def test_a_frame_with_nan_in_its_file_is_counted_not_refused(fitted, tmp_path, m
 
 
 def test_alpha_scenes_are_composited_on_white_and_measured_on_the_object(tmp_path):
-    work = Work(tmp_path)
+    work = WorkFolder(tmp_path)
     scene = made.make_scene(work, POSITIONS, background="alpha")
     field = made.make_field(work, "ball", "fit", {"scene": scene})
     cameras = [made.camera(x, f"test_{i}") for i, x in enumerate(POSITIONS)]
@@ -211,7 +211,7 @@ def test_alpha_scenes_are_composited_on_white_and_measured_on_the_object(tmp_pat
 
 
 def test_photos_of_another_size_are_resampled_and_said(tmp_path):
-    work = Work(tmp_path)
+    work = WorkFolder(tmp_path)
     scene = made.make_scene(work, POSITIONS, size=(192, 144))
     field = made.make_field(work, "wall", "fit", {"scene": scene})
     cameras = [made.camera(x, f"test_{i}", (192, 144)).scaled(0.5) for i, x in enumerate(POSITIONS)]
@@ -233,7 +233,7 @@ def test_options_out_of_range_are_refused(name):
 
 
 def test_a_source_made_again_or_gone_is_said(fitted, tmp_path):
-    work = Work(tmp_path)
+    work = WorkFolder(tmp_path)
     scene = made.make_scene(work, POSITIONS)
     field = made.make_field(work, "wall", "fit", {"scene": scene})
     cameras = [made.camera(x, f"test_{i}") for i, x in enumerate(POSITIONS)]
@@ -247,7 +247,7 @@ def test_a_source_made_again_or_gone_is_said(fitted, tmp_path):
 
 
 def test_equal_images_are_a_hundred_decibels(tmp_path):
-    work = Work(tmp_path)
+    work = WorkFolder(tmp_path)
     scene = made.make_scene(work, [0.0], depth=False)
     field = made.make_field(work, "wall", "fit", {"scene": scene})
     view = made.camera(0.0, "test_0")
@@ -271,7 +271,7 @@ def test_exr_colors_come_back_as_they_were_composited():
 
 
 def test_what_masks_hide_of_a_capture_is_not_measured(tmp_path):
-    work = Work(tmp_path)
+    work = WorkFolder(tmp_path)
     scene = made.make_scene(work, [0.0], background="alpha", depth=False, layout="forward")
     field = made.make_field(work, "wall", "fit", {"scene": scene})
     view, ball = made.camera(0.0, "test_0"), made.look(made.camera(0.0, "test_0"), wall=False)
@@ -299,7 +299,7 @@ def test_pairs_are_spread_and_few_are_looked_at_perceptually(fitted):
     assert pairs_of(100, 1, 4) == [(0, 1), (33, 34), (65, 66), (98, 99)]
     path = evaluate.FrameViews(inputs["path_frames"], 0.0)
     ranges = {"short": pairs_of(10, 1, 0), "long": pairs_of(10, 7, 0)}
-    film = Film(path, replace(QUIET, perceptual_pairs=2), Lenses(None, None, None, ""), None)
+    film = PathConsistency(path, replace(QUIET, perceptual_pairs=2), PerceptualMetrics(None, None, None, ""), None)
     film._pixels = lambda a, b: np.full(a.shape[:2], 0.25)
     rows = list(film.measured(ranges))
     assert [row["short_perceptual"] for row in rows if "short_perceptual" in row] == [0.25, 0.25]

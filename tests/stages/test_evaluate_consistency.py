@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from schemas.errors import BadInput
-from schemas.work_folder import Work
+from schemas.work_folder import WorkFolder
 from stages import evaluate
 from stages.configs.evaluate import CONSISTENCY, EvaluateConfig
 from stages.evaluation.metric_definitions import BY_KEY
-from stages.evaluation.path_consistency import PARTS, Film
-from stages.evaluation.perceptual_metrics import Lenses
+from stages.evaluation.path_consistency import PARTS, PathConsistency
+from stages.evaluation.perceptual_metrics import PerceptualMetrics
 from stages.evaluation.pinned_inputs import pinned
 from stages.evaluation.test_views import FrameViews
 from stages.run.progress import Context
@@ -38,7 +38,7 @@ def figures(report):
 @pytest.fixture(scope="module")
 def filmed(tmp_path_factory):
     """A film that turns brighter by 0.1 a frame."""
-    work = Work(tmp_path_factory.mktemp("filmed"))
+    work = WorkFolder(tmp_path_factory.mktemp("filmed"))
     scene = made.make_scene(work, [0.0], depth=False)
     field = made.make_field(work, "wall", "fit", {"scene": scene})
     still = made.camera(0.0, "test_0")
@@ -126,7 +126,7 @@ def test_the_same_flow_from_files_gives_the_same_figures(filmed, tmp_path, suffi
 
 def test_along_flow_too_the_background_is_neither_visible_nor_asked_for(tmp_path):
     """A ball before nothing that brightens by 0.1 a frame: over all pixels it would be 0.1 of a small share."""
-    work = Work(tmp_path)
+    work = WorkFolder(tmp_path)
     scene = made.make_scene(work, [0.0], background="alpha", depth=False)
     field = made.make_field(work, "ball", "fit", {"scene": scene})
     cameras = [made.camera(x, f"path_{i}") for i, x in enumerate((0.0, 0.02))]
@@ -148,7 +148,7 @@ def test_a_protocol_tells_how_many_pairs_its_figure_is_of(filmed):
         if key.startswith(("short_", "long_")):
             count = 4 if key.startswith("short_") else 2  # of five frames, 1 and 3 apart
             assert f"mean of {count} pairs" in told[0][key] and "mean of 2 pairs" in told[1][key], key
-    film = Film(FrameViews(inputs["path_frames"], 0.0), replace(ALL, perceptual_pairs=1), Lenses(*[None] * 3, ""), None)
+    film = PathConsistency(FrameViews(inputs["path_frames"], 0.0), replace(ALL, perceptual_pairs=1), PerceptualMetrics(*[None] * 3, ""), None)
     assert (film.facts()["short_looked_at"], film.facts()["short_pairs"]) == (1, 4)
 
 

@@ -11,7 +11,7 @@ from schemas.errors import BadInput
 from schemas.exr import write_exr
 from schemas.frames import Frame, FrameCamera, Frames, write_frames
 from schemas.images import write_png
-from schemas.work_folder import Work
+from schemas.work_folder import WorkFolder
 from stages import evaluate
 from stages.artifacts.field import save_field
 from stages.artifacts.region import save_region
@@ -21,17 +21,17 @@ from stages.evaluation.pinned_inputs import pinned
 from stages.run.progress import Context
 from stages.run.runner import execute
 from stylerf.editing.edit_grid import Region
-from stylerf.geometry.space_warp import Space
+from stylerf.geometry.space_warp import SpaceWarp
 from tests.stages import evaluation_fixture as made
 from tests.stylerf.small import density, field_of, hash_color
 
 POSITIONS = [0.0, 0.25]
-BOX = Space.box([-1, -1, 3], [1, 1, 5])
+BOX = SpaceWarp.box([-1, -1, 3], [1, 1, 5])
 QUIET = EvaluateConfig(perceptual="none", sheet=2, margin=2, ring=4)
 ROWS, COLUMNS = np.indices((72, 96))
 
 
-def region_of(space: Space = BOX, cells: int = 8):
+def region_of(space: SpaceWarp = BOX, cells: int = 8):
     """The half of the cube towards +x."""
     edit = np.indices((cells,) * 3)[0] >= cells // 2
     return lambda folder: save_region(folder, Region(edit, np.zeros_like(edit)), space, {})
@@ -74,7 +74,7 @@ def nearest(inside: np.ndarray) -> np.ndarray:
 @pytest.fixture(scope="module")
 def made_up(tmp_path_factory):
     """Unedited renders are 0.02 and 0.06 too bright; the edit paints the region and runs over by six pixels."""
-    work = Work(tmp_path_factory.mktemp("edit"))
+    work = WorkFolder(tmp_path_factory.mktemp("edit"))
     scene = made.make_scene(work, POSITIONS)
     base = made.commit(work, "field", "fit", "nerf_fit", {"scene": scene}, lambda at: save_field(at, solid(), "black"))
     edited = made.make_field(work, "blue", "finetune", {"scene": scene, "field": base})

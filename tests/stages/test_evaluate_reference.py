@@ -8,7 +8,7 @@ import pytest
 
 from schemas.errors import BadInput
 from schemas.images import write_png
-from schemas.work_folder import Work
+from schemas.work_folder import WorkFolder
 from stages import evaluate
 from stages.artifacts.provenance import edit_behind
 from stages.configs.evaluate import EvaluateConfig
@@ -27,7 +27,7 @@ POSITIONS = [0.0, 0.1, 0.2, 0.3]
 @pytest.fixture(scope="module")
 def stylized(tmp_path_factory):
     """A field painted darker, and one made from its renders that is darker by another 0.1."""
-    work = Work(tmp_path_factory.mktemp("references"))
+    work = WorkFolder(tmp_path_factory.mktemp("references"))
     scene = made.make_scene(work, POSITIONS, depth=False)
     fit = made.make_field(work, "wall", "fit", {"scene": scene})
     cameras = [made.camera(x, f"test_{i}") for i, x in enumerate(POSITIONS)]
@@ -117,7 +117,7 @@ def test_a_spoiled_render_is_left_out_and_counted(stylized, monkeypatch, tmp_pat
     inputs = {"scene": scene, "frames": frames["second"], "field": work.get("field", "second")}
     inputs |= dict.fromkeys(("twin_frames", "base_frames"), frames["first"])
     config = EvaluateConfig(perceptual="none", sheet=1)
-    artifact, _ = execute(evaluate.SPEC, evaluate.run, Work(tmp_path), "second", inputs, config, Context())
+    artifact, _ = execute(evaluate.SPEC, evaluate.run, WorkFolder(tmp_path), "second", inputs, config, Context())
     report = json.loads(artifact.file("report.json").read_text())
     counts = {item["key"]: (item["count"], item["left_out"]) for item in report["figures"]}
     assert counts["robustness"] == counts["shape_change"] == (3, 1)
@@ -144,7 +144,7 @@ def test_a_changed_reference_is_measured_anew(tmp_path):
 
 
 def test_the_edit_that_a_field_learned_is_found_through_the_scene_of_edited_pictures(tmp_path):
-    work = Work(tmp_path / "work")
+    work = WorkFolder(tmp_path / "work")
     photos = made.make_scene(work, [0.0], depth=False)
     fit = made.make_field(work, "wall", "fit", {"scene": photos})
     nothing = {"write": lambda folder: (folder / "a").write_text("a")}

@@ -8,7 +8,7 @@ import pytest
 
 from schemas.errors import BadInput
 from schemas.images import write_png
-from schemas.work_folder import Work
+from schemas.work_folder import WorkFolder
 from stages import evaluate
 from stages.configs.evaluate import EvaluateConfig
 from stages.evaluation.perceptual_metrics import painting_file
@@ -81,7 +81,7 @@ def test_perceptual_map_agrees_with_its_network_and_grows_with_error(painted):
 def stylized(tmp_path_factory, painted):
     """A "stylized" field whose renders are the fit's in the painting's mean color, a fifth nearer."""
     folder = tmp_path_factory.mktemp("stylized")
-    work = Work(folder / "work")
+    work = WorkFolder(folder / "work")
     scene = made.make_scene(work, POSITIONS)
     field = made.make_field(work, "wall", "fit", {"scene": scene}, seconds=10)
     write_png(folder / "stripes.png", np.round(painted * 255).astype(np.uint8))
@@ -130,7 +130,7 @@ def test_a_field_made_after_references_alone_is_measured_against_the_first_and_s
     def write(folder):
         write_png(folder / "style.png", np.round(painted * 255).astype(np.uint8))
 
-    work, given = Work(tmp_path / "work"), {key: inputs[key] for key in ("scene", "frames")}
+    work, given = WorkFolder(tmp_path / "work"), {key: inputs[key] for key in ("scene", "frames")}
     made_with = {"style": "", "reference": ["0=stripes.png"]}
     field = made.commit(work, "field", "referenced", "stylize", {"scene": inputs["scene"]}, write, config=made_with)
     told = {}
@@ -158,7 +158,7 @@ def test_the_painting_kept_with_the_field_is_preferred(tmp_path, stylized):
     def write(folder):
         write_png(folder / "style.png", np.zeros((4, 4, 3), np.uint8))
 
-    field = made.commit(Work(tmp_path), "field", "kept", "stylize", {}, write, config={"style": "elsewhere.png"})
+    field = made.commit(WorkFolder(tmp_path), "field", "kept", "stylize", {}, write, config={"style": "elsewhere.png"})
     assert painting_file(EvaluateConfig(), field) == field.file("style.png")
     assert painting_file(EvaluateConfig(), inputs["field"]).name == "stripes.png"
     assert painting_file(EvaluateConfig(), None) is None

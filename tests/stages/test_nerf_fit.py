@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from schemas.work_folder import Work
+from schemas.work_folder import WorkFolder
 from stages import nerf_fit
 from stages.artifacts.field import load_field
 from stages.artifacts.photos import level_of
@@ -14,7 +14,7 @@ from stages.configs.fit import FitConfig
 from stages.nerf_fit import _settings, _shown, _tell_idle, _tell_memory
 from stages.run.progress import Context
 from stages.run.runner import execute
-from stylerf.geometry.space_warp import Space
+from stylerf.geometry.space_warp import SpaceWarp
 from stylerf.training.fit.capacity_levels import FULL, LADDER
 from stylerf.training.fit.engine import background_of
 from tests.stages.importing import Said
@@ -24,7 +24,7 @@ from tests.stylerf.small import SPACES
 SCENE = SimpleNamespace(background="none", layout="unbounded", cameras=[SimpleNamespace(width=400, height=300)])
 
 
-def settings(space: Space, **options):
+def settings(space: SpaceWarp, **options):
     return _settings(FitConfig(**options), SCENE, space)
 
 
@@ -94,7 +94,7 @@ def test_behind_a_field_stands_what_it_was_trained_over(kind):
 def test_a_scene_without_background_in_a_box_stands_on_what_taught_it_and_tells_its_own_ranks(tmp_path):
     """What is made of the field later teaches with the background that is told here. Behind a small network the color
     has one width from the first rung on; six steps are enough for two rungs."""
-    work, said = Work(tmp_path / "work"), Said()
+    work, said = WorkFolder(tmp_path / "work"), Said()
     scene = make_capture(work, background="none")
     config = FitConfig(budget="6", space="box", capacity="fixed:72x8x24", head="mlp", samples=1000, held_out=0)
     made, _ = execute(nerf_fit.SPEC, nerf_fit.run, work, "fit", {"scene": scene}, config, Context(progress=said))
@@ -110,7 +110,7 @@ def test_a_scene_without_background_in_a_box_stands_on_what_taught_it_and_tells_
 
 
 def test_what_cannot_be_reached_is_told(tmp_path):
-    work, said = Work(tmp_path / "work"), Said()
+    work, said = WorkFolder(tmp_path / "work"), Said()
     config = FitConfig(budget="1", capacity="fixed:136x8x8", samples=1000, held_out=0)
     scene = make_capture(work)
     made, _ = execute(nerf_fit.SPEC, nerf_fit.run, work, "fit", {"scene": scene}, config, Context(progress=said))
@@ -142,7 +142,7 @@ def test_options_of_objects_without_effect_are_told_where_they_were_set(layout, 
 
 def test_a_fit_of_a_capture_tells_options_of_objects_and_is_the_same_without_them(tmp_path):
     """What is told to have no effect has none: the field is the same to the bit."""
-    work, digests = Work(tmp_path / "work"), []
+    work, digests = WorkFolder(tmp_path / "work"), []
     scene = make_capture(work, layout="unbounded", background="none")
     plain = FitConfig(budget="3", capacity="fixed:64x8x8", samples=1000, held_out=0)
     for config, told in ((plain, 0), (replace(plain, **OF_OBJECTS), 1)):
@@ -155,7 +155,7 @@ def test_a_fit_of_a_capture_tells_options_of_objects_and_is_the_same_without_the
 
 def test_a_bound_below_what_a_fit_takes_is_told():
     """vm of 256^3, ranks 8 and 24: 3 * 32 * (256^2 + 256) parameters and a few of a head, 94 bytes each."""
-    even = Space.box([-1] * 3, [1] * 3)
+    even = SpaceWarp.box([-1] * 3, [1] * 3)
     for memory, told in ((950_000_000, True), (1_000_000_000, False)):
         said = Said()
         _tell_memory(settings(even), even, Context(progress=said, memory=memory))

@@ -9,7 +9,7 @@ import torch
 from schemas.errors import OutOfResources
 from schemas.images import write_png
 from schemas.scene import Bounds, Scene, View, as_matrix, write_scene
-from schemas.work_folder import Artifact, Recipe, Work
+from schemas.work_folder import Artifact, Recipe, WorkFolder
 from stages import deform_init, stylize
 from stages.artifacts.field import load_deformation, load_field, save_field
 from stages.artifacts.scene import load_scene
@@ -20,9 +20,9 @@ from stages.run.devices import rays_on
 from stages.run.progress import Context
 from stylerf.fields.deformation import Deformation
 from stylerf.kernels.gpu import interpreted
-from stylerf.training.common.process_group import Alone
+from stylerf.training.common.process_group import SingleProcess
 from stylerf.training.deform import deformer, fitter
-from stylerf.training.deform.deformer_gpu import DeviceDeformer
+from stylerf.training.deform.deformer_gpu import GpuDeformer
 from tests.stages.evaluation_fixture import camera_entry, commit
 from tests.stylerf.small import field_of, hash_density, vm_color
 from tests.stylerf.style.small_trunk import picture, small_trunk
@@ -47,7 +47,7 @@ class Said:
     def finish(self) -> None: ...
 
 
-def inputs_in(work: Work) -> dict[str, Artifact]:
+def inputs_in(work: WorkFolder) -> dict[str, Artifact]:
     """Three photos of a box, and a fog that was never fitted to them."""
     cameras = dome(3, 1, 8)
 
@@ -75,14 +75,14 @@ def test_a_deformation_is_learned_on_the_device_and_kept_as_on_the_cpu(few_rays,
     """Where there is no GPU Triton's interpreter stands in: `cpu` is then a device as any other."""
     pytest.importorskip("triton", reason="Triton is not installed")
     monkeypatch.setattr(deform_init, "gpu_of", lambda context, field, moving: context.device)
-    work, seen = Work(tmp_path / "work"), []
+    work, seen = WorkFolder(tmp_path / "work"), []
     inputs = inputs_in(work)
 
     def bent(name: str, device: str | None) -> tuple[dict, Artifact]:
         partial, said = work.begin("field", name, Recipe("deform_init", 2, {"name": name}, [], 0)), Said()
-        made_by = DeviceDeformer.collect
+        made_by = GpuDeformer.collect
         with monkeypatch.context() as watched:
-            watched.setattr(DeviceDeformer, "collect", lambda made: seen.append(name) or made_by(made))
+            watched.setattr(GpuDeformer, "collect", lambda made: seen.append(name) or made_by(made))
             figures = deform_init.run(inputs, CONFIG, partial, Context(0, device, 1, progress=said))
         assert not [line for line in said.lines if "CPU" in line]
         return figures, partial.commit()
@@ -102,15 +102,15 @@ def test_a_deformation_is_learned_on_the_device_and_kept_as_on_the_cpu(few_rays,
 
 @pytest.mark.parametrize("kind", ["vm", "hash"])
 def test_a_stylization_that_bends_is_handed_the_device_where_its_kernels_know_the_field(kind, monkeypatch, tmp_path):
-    inputs = inputs_in(Work(tmp_path / "work"))
+    inputs = inputs_in(WorkFolder(tmp_path / "work"))
     scene, (field, _) = load_scene(inputs["scene"]), load_field(inputs["field"])
     if kind == "hash":
         field.density = hash_density(1)
     given, said = {}, Said()
     for name, stand_in in (
-        ("Trunk", lambda *a: SimpleNamespace(to=lambda device: given.update(trunk=device) or small_trunk())),
+        ("FeatureExtractor", lambda *a: SimpleNamespace(to=lambda device: given.update(trunk=device) or small_trunk())),
         ("painting_taps", lambda config, state: "conv1"),
-        ("Stylizer", lambda *a, **more: given.update(more, deformation=a[-1])),
+        ("ArfTrainer", lambda *a, **more: given.update(more, deformation=a[-1])),
     ):
         monkeypatch.setattr(stylize, name, stand_in)
     config, bends = StylizeConfig(method="desrf", style="painting.png"), Deformation.create(np.random.default_rng(0))
@@ -123,7 +123,7 @@ def test_a_stylization_that_bends_is_handed_the_device_where_its_kernels_know_th
     assert [line.split(":")[0] for line in said.lines] == expected
 
 
-class OneLacks(Alone):
+class OneLacks(SingleProcess):
     """Three processes, one of the others without what a GPU needs."""
 
     count = 3

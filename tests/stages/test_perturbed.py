@@ -17,7 +17,7 @@ import pytest
 from schemas.errors import StylerfError
 from schemas.migrations import CURRENT
 from schemas.tensors import TYPES, load_tensors
-from schemas.work_folder import Artifact, Work
+from schemas.work_folder import Artifact, WorkFolder
 from tests.resealing import reseal
 from tests.stages.every_artifact import Made, every_artifact
 
@@ -211,7 +211,7 @@ def assert_sound(cases: list[Case]) -> None:
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory) -> dict[str, Made]:
-    return every_artifact(Work(tmp_path_factory.mktemp("perturbed") / "work"))
+    return every_artifact(WorkFolder(tmp_path_factory.mktemp("perturbed") / "work"))
 
 
 def test_untouched_all_are_used(made):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from schemas.errors import BadInput
-from schemas.work_folder import Work
+from schemas.work_folder import WorkFolder
 from stages import edit_palette, recolor
 from stages.artifacts.edit import Edit, save_edit, save_palette
 from stages.artifacts.field import load_field, save_field
@@ -20,7 +20,7 @@ from stages.run.runner import execute
 from stylerf.editing.palette_edits import PaletteEdits
 from stylerf.editing.palette_module import PaletteModule
 from stylerf.fields.palette_color import PaletteColor
-from stylerf.geometry.space_warp import Space
+from stylerf.geometry.space_warp import SpaceWarp
 from tests.stages import evaluation_fixture as made
 from tests.stylerf.small import field_of, vm_color
 
@@ -32,11 +32,11 @@ TOLD = {"sparsity": 0.4, "palette_variation": 0.01}
 @pytest.fixture
 def work(tmp_path):
     """A scene, a fitted stand-in, and a decomposed fog around the ball's place whose shares are not in order."""
-    work = Work(tmp_path / "work")
+    work = WorkFolder(tmp_path / "work")
     scene = made.make_scene(work, [0.0, 0.3], depth=False)
     fit = made.make_field(work, "fit", "nerf_fit", {"scene": scene})
     color = PaletteColor.create(np.random.default_rng(0), PALETTE, 8, 40, 512, base=3)
-    field = field_of(Space.box([-1, -1, 2], [1, 1, 4]), 3, color)
+    field = field_of(SpaceWarp.box([-1, -1, 2], [1, 1, 4]), 3, color)
     field.density.values[-1] = 3.0
 
     def write(folder):
@@ -52,7 +52,7 @@ def work(tmp_path):
     return work
 
 
-def recolored(work: Work, of: str = "palette", name: str = "new", **options):
+def recolored(work: WorkFolder, of: str = "palette", name: str = "new", **options):
     inputs = {"scene": work.get("scene", "wall"), "field": work.get("field", of)}
     return execute(recolor.SPEC, recolor.run, work, name, inputs, RecolorConfig(**options), Context())[0]
 

@@ -10,10 +10,10 @@ from stages import region_select
 from stages.configs.select import SelectConfig
 from stylerf.editing.edit_grid import Region
 from stylerf.editing.selection import halved_light
-from stylerf.geometry.space_warp import Space
+from stylerf.geometry.space_warp import SpaceWarp
 
 CELLS = 16
-BOX = Space.box([0, 0, 0], [1, 1, 1])
+BOX = SpaceWarp.box([0, 0, 0], [1, 1, 1])
 
 
 def looking(**more) -> SimpleNamespace:

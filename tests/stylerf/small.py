@@ -9,16 +9,16 @@ import numpy as np
 import torch
 
 from stylerf.fields.capacity import Capacity
-from stylerf.fields.encoded_color import HeadedColor
+from stylerf.fields.encoded_color import EncodedColor
 from stylerf.fields.hash_color import HashColor
 from stylerf.fields.hash_density import HashDensity
 from stylerf.fields.hash_levels import Levels
-from stylerf.fields.occupancy_grid import Occupancy
+from stylerf.fields.occupancy_grid import OccupancyGrid
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.fields.ray_samples import Rays, Samples
 from stylerf.fields.vm import VmColor, VmDensity
 from stylerf.fields.voxel import Grid, VoxelDensity
-from stylerf.geometry.space_warp import Space
+from stylerf.geometry.space_warp import SpaceWarp
 from stylerf.kernels import torch_reference
 from stylerf.kernels.cpu.march import OPTICAL_SCALE
 
@@ -26,9 +26,9 @@ DENSITY_RANK, COLOR_RANK = 16, 24
 SIZE = (7, 6, 8)
 
 SPACES = {
-    "box": Space.box([-1, -0.8, -0.5], [1.2, 0.9, 0.7]),
-    "contraction": Space.box([-1, -0.8, -0.5], [1.2, 0.9, 0.7], near=0.05, far=1e3, kind="contraction"),
-    "frustum": Space.frustum(0.7, 0.6, 1.0, 1e4),
+    "box": SpaceWarp.box([-1, -0.8, -0.5], [1.2, 0.9, 0.7]),
+    "contraction": SpaceWarp.box([-1, -0.8, -0.5], [1.2, 0.9, 0.7], near=0.05, far=1e3, kind="contraction"),
+    "frustum": SpaceWarp.frustum(0.7, 0.6, 1.0, 1e4),
 }
 
 
@@ -64,9 +64,9 @@ def hash_color(seed: int, levels: int = 8, base: int = 3, finest: int = 40, tabl
     return made
 
 
-def half_empty(cells: int = 8) -> Occupancy:
+def half_empty(cells: int = 8) -> OccupancyGrid:
     """Occupied in one corner of the cube only, so that a voxel grid leaves blocks out."""
-    made = Occupancy(cells)
+    made = OccupancyGrid(cells)
     full = np.zeros((cells,) * 3, bool)
     full[: cells // 4, : cells // 2, : cells // 2] = True
     made.set_occupied(full.ravel())
@@ -91,20 +91,20 @@ def voxel_density(seed: int, capacity: Capacity = SPARSE) -> VoxelDensity:
     return made
 
 
-def headed(seed: int, kind: str, head: str, degree: int = 1, capacity: Capacity = SMALL) -> HeadedColor:
-    made = HeadedColor.create(kind, head, capacity, degree, np.random.default_rng(seed))
+def headed(seed: int, kind: str, head: str, degree: int = 1, capacity: Capacity = SMALL) -> EncodedColor:
+    made = EncodedColor.create(kind, head, capacity, degree, np.random.default_rng(seed))
     made.table[:] = np.random.default_rng(seed).normal(scale=0.6, size=len(made.table))
     if made.head.length:
         made.numbers[-3:] = 0.3, -0.2, 0.1
     return made
 
 
-def occupied(cells: int = 8) -> Occupancy:
+def occupied(cells: int = 8) -> OccupancyGrid:
     """Every cell counts: no leaps."""
-    return Occupancy(cells)
+    return OccupancyGrid(cells)
 
 
-def rays_into(space: Space, count: int, seed: int, jitter: bool = True) -> Rays:
+def rays_into(space: SpaceWarp, count: int, seed: int, jitter: bool = True) -> Rays:
     """Rays through the middle of the space from around it (or, into a frustum, along its axis)."""
     generator = np.random.default_rng(seed)
     if space.kind == "frustum":
@@ -119,7 +119,7 @@ def rays_into(space: Space, count: int, seed: int, jitter: bool = True) -> Rays:
     return Rays.of(origins.astype(np.float32), directions.astype(np.float32), space.near, where)
 
 
-def field_of(space: Space, seed: int, color=None, step: float = 1 / 24, displacement=None) -> RadianceField:
+def field_of(space: SpaceWarp, seed: int, color=None, step: float = 1 / 24, displacement=None) -> RadianceField:
     made = vm_color(seed + 1) if color is None else color
     return RadianceField(space, density(seed), made, occupied(), step, displacement)
 
@@ -129,7 +129,7 @@ def wall_in_front(through: float, backs: bool = False) -> RadianceField:
 
     The walls are one cell of the cube thick; a ray along the axis is asked four times in each.
     """
-    space, cells = Space.frustum(0.7, 0.6, 1.0, 1e4), 96
+    space, cells = SpaceWarp.frustum(0.7, 0.6, 1.0, 1e4), 96
     made = field_of(space, 1, hash_color(2), step=1 / (4 * cells))
     made.density = density(0, size=(2, 2, 2))
     made.density.values[:-1] = 0
@@ -137,7 +137,7 @@ def wall_in_front(through: float, backs: bool = False) -> RadianceField:
     solid = np.zeros((cells, cells, cells), bool)
     solid[..., 64] = True  # 1 - near / z = 2/3
     solid[..., 80] = backs
-    made.occupancy = Occupancy(cells)
+    made.occupancy = OccupancyGrid(cells)
     made.occupancy.set_occupied(solid.ravel())
     return made
 

@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from schemas.work_folder import Artifact, Work
+from schemas.work_folder import Artifact, WorkFolder
 from tests.stylerf_cli.nursery import Command, Nursery
 
 FOLLOWED_EVERY_SECONDS = 0.002
@@ -45,7 +45,7 @@ class LongStage:
 
     def whole(self, work: Path) -> Artifact:
         """What an undisturbed run made."""
-        return Work(self.apart or work).get(self.kind, "whole")
+        return WorkFolder(self.apart or work).get(self.kind, "whole")
 
 
 def arguments_of(stage: str, work: Path, photos: Path, room: Path) -> tuple[tuple[object, ...], str]:
@@ -140,7 +140,7 @@ def killed_until_done(nursery: Nursery, stage: LongStage, work: Path, kills: int
     A run that ends before its moment comes is looked at, deleted, and begun again. Where it had begun at the start, the
     stage takes less than was thought (its first run compiled kernels): later moments come earlier.
     """
-    deaths, store = 0, Work(work)
+    deaths, store = 0, WorkFolder(work)
     shutil.rmtree(work / stage.kind / "killed", ignore_errors=True)
     for moment in islice(moments(seed, kills), 6 * kills):
         afresh = not stage.partial(work, "killed").exists()
@@ -166,7 +166,7 @@ def killed_until_done(nursery: Nursery, stage: LongStage, work: Path, kills: int
     return assert_same(store, stage)
 
 
-def assert_same(store: Work, stage: LongStage, name: str = "killed") -> Artifact:
+def assert_same(store: WorkFolder, stage: LongStage, name: str = "killed") -> Artifact:
     """The artifact `name` has the files and figures of `whole`, but for the time it took, and left nothing behind."""
     made, whole = store.get(stage.kind, name), stage.whole(store.root)
     made.verify()

@@ -5,7 +5,7 @@ import json
 
 import pytest
 
-from schemas.work_folder import Work
+from schemas.work_folder import WorkFolder
 from stylerf_cli.main import main
 from tests.stages import comparison_fixture as runs
 from tests.stages import evaluation_fixture as made
@@ -13,7 +13,7 @@ from tests.stages import evaluation_fixture as made
 
 @pytest.fixture
 def work(tmp_path):
-    work = Work(tmp_path / "room")
+    work = WorkFolder(tmp_path / "room")
     scene = made.make_scene(work, [0.0], depth=False)
     base = runs.fit(work, scene, "fit-10s", 10.0, 25.0)
     runs.fit(work, scene, "fit-60s", 60.0, 28.0)
@@ -62,7 +62,7 @@ def test_a_folder_written_in_two_ways_is_compared_once(work, monkeypatch, capsys
 def test_what_is_no_work_folder_is_refused(work, tmp_path, capsys):
     assert main(["compare", str(tmp_path / "absent")]) == 3
     assert main(["compare", str(work.root / "field" / "fit-10s")]) == 2
-    bare = Work(tmp_path / "bare")
+    bare = WorkFolder(tmp_path / "bare")
     made.make_scene(bare, [0.0], depth=False)
     assert main(["compare", str(bare.root)]) == 4
     assert f"stylerf fit {bare.root}" in capsys.readouterr().err

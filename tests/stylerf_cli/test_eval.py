@@ -12,7 +12,7 @@ import pytest
 
 from schemas.canonical_json import plain
 from schemas.images import write_png
-from schemas.work_folder import Work
+from schemas.work_folder import WorkFolder
 from stages.configs.render import RenderConfig
 from stages.pipeline import prerequisites
 from stages.render import SPEC, pinned
@@ -26,7 +26,7 @@ FAST = ("--perceptual", "none", "--device", "cpu", "--quiet")
 
 @pytest.fixture
 def work(tmp_path):
-    work = Work(tmp_path / "work")
+    work = WorkFolder(tmp_path / "work")
     scene = made.make_scene(work, POSITIONS)
     field = made.make_field(work, "wall", "fit", {"scene": scene})
     render(work, field, "test")

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from schemas.images import read_image
-from schemas.work_folder import Work
+from schemas.work_folder import WorkFolder
 from stages.artifacts.field import load_field
 from stages.artifacts.scene import load_scene
 from stages.pipeline.demo_scene import PAINTING
@@ -44,7 +44,7 @@ def rendered(capsys, work: Path, name: str) -> np.ndarray:
 
 def middle_of(work: Path) -> str:
     """VIEW:X,Y of the most saturated pixel in the middle of the first training view: one of the objects."""
-    scene = load_scene(Work(work).artifacts("scene")[0])
+    scene = load_scene(WorkFolder(work).artifacts("scene")[0])
     view = scene.splits["train"][0]
     rgb = scene.images(view)[..., :3]
     saturation = (rgb.max(2) - rgb.min(2))[9:23, 9:23]
@@ -57,7 +57,7 @@ def test_a_hash_field_is_fitted_told_about_and_rendered(photos, tmp_path, capsys
     result = fitted(capsys, photos, work, "hash", "linear", 40)
     assert result["figures"]["kinds"] == ["hash", "hash", "linear"] and result["figures"]["density_rank"] is None
     assert len(rendered(capsys, work, "fit")) == 2
-    field, _ = load_field(Work(work).get("field", "fit"))
+    field, _ = load_field(WorkFolder(work).get("field", "fit"))
     assert (field.density.kind, field.color.features.kind) == ("hash", "hash")
     assert result["figures"]["parameters"] == field.parameters
 
@@ -75,7 +75,7 @@ def test_every_stage_works_with_it(name, photos, tmp_path, capsys):
 
     said(capsys, "stylize", work, "--style", photos / PAINTING, "--method", "arf", *STYLIZE)
     assert np.abs(rendered(capsys, work, "painting-arf") - plain).mean() > 0.01
-    density = load_field(Work(work).get("field", "painting-arf"))[0].density
+    density = load_field(WorkFolder(work).get("field", "painting-arf"))[0].density
     assert density.kind == kind.split("+")[0]
 
     said(capsys, "deform", work, "--of", "fit", "--steps", "10", "--vertices", "12", "--width", "16")

@@ -10,8 +10,8 @@ import time
 
 import pytest
 
-from schemas.work_folder import Work
-from stylerf.training.stylize.arf import Stylizer
+from schemas.work_folder import WorkFolder
+from stylerf.training.stylize.arf import ArfTrainer
 from stylerf_cli.main import main
 from tests.stylerf_cli.long_stages import FOLLOWED_EVERY_SECONDS, IN_THE_GATE, assert_same, digests, stopped
 
@@ -38,7 +38,7 @@ def test_ctrl_c_ends_a_stage_within_ten_seconds_and_the_next_run_goes_on(long_st
         raise AssertionError("six runs ended before they could be interrupted")
     last = nursery.run(work.parent / "said", *stage.command("stopped"))
     assert last.code == 0 and "going on with the interrupted" in last.err, last.err
-    assert_same(Work(work), stage, "stopped")
+    assert_same(WorkFolder(work), stage, "stopped")
 
 
 def interrupted(nursery, stage, work, moment):
@@ -65,12 +65,12 @@ def test_ctrl_c_while_the_last_colors_are_matched_loses_nothing(long_stage, caps
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr(Stylizer, "final_match", stop)
+        patch.setattr(ArfTrainer, "final_match", stop)
         assert main(command) == 130
     assert stage.partial(work, "matched").is_dir()
     assert main(command) == 0
     # Undisturbed in this same process: `whole` comes from another one, whose rounding the style steps amplify.
     assert main([*map(str, stage.command("undisturbed")), "--quiet"]) == 0
-    matched, undisturbed = (Work(work).get("field", name) for name in ("matched", "undisturbed"))
+    matched, undisturbed = (WorkFolder(work).get("field", name) for name in ("matched", "undisturbed"))
     assert json.loads(matched.file("field.json").read_text())["color_map"] is not None
     assert digests(matched) == digests(undisturbed)

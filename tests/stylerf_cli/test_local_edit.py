@@ -13,7 +13,7 @@ from scipy.ndimage import binary_dilation, binary_erosion
 from schemas.exr import read_exr
 from schemas.images import read_image, write_png
 from schemas.tensors import load_tensors
-from schemas.work_folder import Recipe, Work
+from schemas.work_folder import Recipe, WorkFolder
 from stages import edit_learn
 from stages.artifacts.field import load_field
 from stages.artifacts.region import load_region, save_region
@@ -54,7 +54,7 @@ def still_life(tmp_path_factory) -> Path:
 @pytest.fixture(scope="module")
 def middle(still_life) -> str:
     """VIEW:X,Y of the most saturated pixel in the middle of the first training view: one of the objects."""
-    scene = load_scene(Work(still_life).artifacts("scene")[0])
+    scene = load_scene(WorkFolder(still_life).artifacts("scene")[0])
     view = scene.splits["train"][0]
     rgb = scene.images(view)[..., :3]
     saturation = (rgb.max(2) - rgb.min(2))[14:34, 14:34]
@@ -70,12 +70,12 @@ def edited(still_life, middle) -> Path:
     return still_life
 
 
-def photos_of(work: Work):
+def photos_of(work: WorkFolder):
     """The scene of photos."""
     return next(one for one in work.artifacts("scene") if one.manifest.stage == "pose_import")
 
 
-def photographed(work: Work):
+def photographed(work: WorkFolder):
     """The camera of the first training view."""
     scene = load_scene(photos_of(work))
     return scene.cameras[scene.splits["train"][0]]
@@ -83,7 +83,7 @@ def photographed(work: Work):
 
 def fitted(work: Path) -> str:
     """Name of the field that was fitted to the photos."""
-    return next(one.name for one in Work(work).artifacts("field") if one.manifest.stage == "nerf_fit")
+    return next(one.name for one in WorkFolder(work).artifacts("field") if one.manifest.stage == "nerf_fit")
 
 
 def _finetune(work: Path) -> Path:
@@ -118,7 +118,7 @@ def test_commands_one_by_one_reuse_what_the_one_command_made(edited, middle, cap
 
 
 def test_only_pixels_of_the_region_change_and_they_turn_green(edited):
-    work = Work(edited)
+    work = WorkFolder(edited)
     plain = load_scene(next(s for s in work.artifacts("scene") if s.manifest.stage == "pose_import"))
     green = load_scene(work.get("scene", "ball"))
     changed, towards = 0, []
@@ -172,7 +172,7 @@ def test_what_stands_under_the_ordinary_name_needs_no_training_either(edited, ca
     changed = said(capsys, "stylize", work, *asked, "--palette", "0=#2030f0")
     assert (learned["name"], changed["name"]) == ("ball-recolor", "ball-recolor-changed")
     assert changed["figures"]["learned"] == "ball-recolor"
-    edits = [one.name for one in Work(work).artifacts("edit")]
+    edits = [one.name for one in WorkFolder(work).artifacts("edit")]
     assert sorted(edits) == ["ball-recolor", "ball-recolor-changed"]
 
 
@@ -180,7 +180,7 @@ def test_a_change_under_the_very_name_of_what_was_learned_needs_no_training(edit
     work, asked = tmp_path / "work", ("--region", "ball", "--recolor", "--palette-steps", "30", *QUICK[2:])
     shutil.copytree(edited, work)
     said(capsys, "stylize", work, *asked, "--name", "vase")
-    looked_at = Work(work).get("edit", "vase")
+    looked_at = WorkFolder(work).get("edit", "vase")
     before, files = looked_at.manifest, {one.path: one.sha256 for one in looked_at.manifest.files}
 
     def never(*_):
@@ -189,15 +189,15 @@ def test_a_change_under_the_very_name_of_what_was_learned_needs_no_training(edit
     with monkeypatch.context() as patch:
         patch.setattr(edit_learn, "run", never)
         refused(capsys, "stylize", work, *asked, "--palette", "9=#000000", "--name", "vase")
-        assert Work(work).get("edit", "vase").digest == looked_at.digest  # a slip loses nothing
+        assert WorkFolder(work).get("edit", "vase").digest == looked_at.digest  # a slip loses nothing
         named = said(capsys, "stylize", work, *asked, "--palette", "0=#2030f0", "--name", "vase")
-        stages = [Work(work).get("edit", "vase").manifest.stage]
+        stages = [WorkFolder(work).get("edit", "vase").manifest.stage]
         back = said(capsys, "stylize", work, *asked, "--name", "vase")
-    again = Work(work).get("edit", "vase")
+    again = WorkFolder(work).get("edit", "vase")
     again.verify()
     assert back["name"] == "vase" and {one.path: one.sha256 for one in again.manifest.files} == files
     assert named["figures"]["learned"] == "vase-learned"
-    learned = Work(work).get("edit", "vase-learned")
+    learned = WorkFolder(work).get("edit", "vase-learned")
     learned.verify()
     assert {one.path: one.sha256 for one in learned.manifest.files} == files
     assert (learned.manifest.recipe, learned.manifest.seconds) == (before.recipe, before.seconds)
@@ -211,7 +211,7 @@ def test_options_of_extract_and_distill_reach_the_edit(edited, capsys, tmp_path)
     said(capsys, "stylize", copy, "--region", "ball", "--recolor", "--name", "near", *QUICK)
     said(capsys, "distill", copy, "--edit", "near", "--no-fade", "--name", "sharp")
     said(capsys, "finetune", copy, "--edit", "near", *short)
-    work = Work(copy)
+    work = WorkFolder(copy)
 
     def made_from(kind: str, name: str) -> set[str]:
         return {f"{ref.kind} {ref.name}" for ref in work.get(kind, name).manifest.inputs}
@@ -229,7 +229,7 @@ def test_options_of_extract_and_distill_reach_the_edit(edited, capsys, tmp_path)
 
 
 def test_a_second_edit_of_the_edited_field_keeps_the_first_and_either_can_be_gone_back_to(edited, middle, capsys):
-    work, first = Work(edited), middle.partition(":")[0]
+    work, first = WorkFolder(edited), middle.partition(":")[0]
     scene = load_scene(next(one for one in work.artifacts("scene") if one.manifest.stage == "pose_import"))
     covered = binary_erosion(scene.images(scene.splits["train"][0])[..., 3] > 0.99, iterations=4)
     column, row = map(int, middle.partition(":")[2].split(","))
@@ -275,7 +275,7 @@ def test_a_second_edit_of_the_edited_field_keeps_the_first_and_either_can_be_gon
 def test_a_palette_of_the_whole_scene_is_learned_from_pictures_that_hold_the_edit(edited, capsys):
     few = ("--budget", "30", "--refit-steps", "40", "--pixels", "512", "--levels", "4", "--table-bits", "12")
     said(capsys, "stylize", edited, "--of", "ball", "--method", "palettenerf", *few, "--name", "all-over")
-    work = Work(edited)
+    work = WorkFolder(edited)
     camera = photographed(work)
     region = {"ball": load_region(work.get("region", "ball"))[0].edit}
     names = (fitted(edited), "ball", "all-over")
@@ -287,7 +287,7 @@ def test_a_palette_of_the_whole_scene_is_learned_from_pictures_that_hold_the_edi
 
 
 def test_a_part_alone_is_stylized_after_a_view_and_all_else_stays_to_the_bit(edited, middle, capsys, tmp_path):
-    work, view = Work(edited), middle.partition(":")[0]
+    work, view = WorkFolder(edited), middle.partition(":")[0]
     few = ("--method", "refnpr", "--levels", "4", "--table-bits", "12", "--budget", "9", "--refit-steps", "8")
     red = np.zeros((48, 48, 3), np.uint8) + np.array([220, 10, 10], np.uint8)
     write_png(tmp_path / "red.png", red)
@@ -333,7 +333,7 @@ def test_a_part_is_stylized_by_methods_that_can_and_whole_pictures_are_not_match
 
 def test_an_edit_of_a_stylized_field_is_taught_by_what_that_field_shows(edited, middle, capsys):
     """A painting is in no photo: what lies beside the region would turn to the photos' colors."""
-    name = next(one.name for one in Work(edited).artifacts("field") if one.manifest.stage == "stylize")
+    name = next(one.name for one in WorkFolder(edited).artifacts("field") if one.manifest.stage == "stylize")
     flags = (
         "--at",
         middle,
@@ -349,7 +349,7 @@ def test_an_edit_of_a_stylized_field_is_taught_by_what_that_field_shows(edited, 
     )
     options = ("--config", _finetune(edited), *QUICK)
     said(capsys, "edit", edited, "--of", name, *flags, "--name", "on-paint", *options)
-    work = Work(edited)
+    work = WorkFolder(edited)
     photos, pictures = (load_scene(work.get("scene", one)) for one in (photos_of(work).name, "on-paint"))
     stylized, taught = (load_field(work.get("field", one))[0] for one in (name, "on-paint"))
     region = {"part": load_region(work.get("region", "on-paint"))[0].edit}
@@ -376,13 +376,13 @@ def test_an_edit_of_a_stylized_field_is_taught_by_what_that_field_shows(edited, 
 
 def test_the_whole_fields_colors_can_learn_instead(edited, capsys):
     said(capsys, "finetune", edited, "--edit", "ball", "--colors", "field", "--budget", "5", "--name", "whole")
-    field, _ = load_field(Work(edited).get("field", "whole"))
-    plain, _ = load_field(Work(edited).get("field", fitted(edited)))
+    field, _ = load_field(WorkFolder(edited).get("field", "whole"))
+    plain, _ = load_field(WorkFolder(edited).get("field", fitted(edited)))
     assert field.color.kind == plain.color.kind
     assert (field.density.values != plain.density.values).any()
     said(capsys, "finetune", edited, "--edit", "ball", "--colors", "field", "--freeze-density", "--budget", "5",
          "--name", "held")  # fmt: skip
-    held, _ = load_field(Work(edited).get("field", "held"))
+    held, _ = load_field(WorkFolder(edited).get("field", "held"))
     np.testing.assert_array_equal(held.density.values, plain.density.values)
 
 
@@ -403,7 +403,7 @@ def test_the_commands_that_only_names_make_what_was_missing(edited, tmp_path, ca
 
 
 def test_regions_are_joined_and_cut(edited, capsys):
-    region, space = load_region(Work(edited).get("region", "ball"))
+    region, space = load_region(WorkFolder(edited).get("region", "ball"))
     ends = space.unwarp((np.argwhere(region.edit) + 0.5) / region.cells)
     low, high = ends.min(0) - 0.1, ends.max(0) + 0.1
     left = [*low, np.median(ends[:, 0]), *high[1:]]
@@ -457,7 +457,7 @@ def test_a_scribble_of_another_size_or_of_nothing_is_refused(edited, middle, cap
 
 
 def test_seeds_that_meet_nothing_are_refused_or_told(edited, middle, capsys, tmp_path):
-    scene, first = load_scene(photos_of(Work(edited))), middle.partition(":")[0]
+    scene, first = load_scene(photos_of(WorkFolder(edited))), middle.partition(":")[0]
     empty = ~binary_dilation(scene.images(scene.splits["train"][0])[..., 3] > 0, iterations=3)
     row, column = np.argwhere(empty)[0]
     nowhere = f"{first}:{column},{row}"
@@ -481,7 +481,7 @@ def test_an_edit_of_a_region_of_another_field_is_refused(edited, capsys, tmp_pat
     """A region divides the space of the field that it was selected in."""
     other = tmp_path / "other"
     shutil.copytree(edited, other)
-    work = Work(other)
+    work = WorkFolder(other)
     ball = work.get("region", "ball")
     region, space = load_region(ball)
     made = ball.manifest
@@ -499,7 +499,7 @@ def test_learning_distilling_and_tuning_run_on_a_gpus_kernels(edited, capsys, mo
 
     for stage in (edit_learn, distill, finetune):
         monkeypatch.setattr(stage, "gpu_of", lambda context, field=None: "cpu")
-    work, small = Work(edited), ["--palette-steps", "3", "--pruned-steps", "2", "--colors", "4", "--most-colors", "3"]
+    work, small = WorkFolder(edited), ["--palette-steps", "3", "--pruned-steps", "2", "--colors", "4", "--most-colors", "3"]
     asked = ["--region", "ball", "--recolor", "--palette", "0=#10e020", "--name", "there"]
     said(capsys, "stylize", edited, *asked, *small)
     figures = [work.get("edit", "there-learned").manifest.figures]

@@ -6,13 +6,13 @@ import types
 
 import pytest
 
-from schemas.work_folder import InputRef, Recipe, Work
+from schemas.work_folder import InputRef, Recipe, WorkFolder
 from stylerf_cli.main import main
 
 
 @pytest.fixture
 def work(tmp_path):
-    work = Work(tmp_path / "w")
+    work = WorkFolder(tmp_path / "w")
     inputs: list[InputRef] = []
     for kind, name in (("scene", "fox"), ("field", "fox")):
         begun = work.begin(kind, name, Recipe("toy", 2, {"steps": 3}, inputs, 7))

@@ -10,7 +10,7 @@ import pytest
 
 from schemas.errors import UsageError
 from schemas.images import read_image, write_png
-from schemas.work_folder import Work
+from schemas.work_folder import WorkFolder
 from stylerf.procedural.still_life import StillLife
 from stylerf_cli.main import main
 from stylerf_cli.verbs.demo import refuse_others
@@ -47,10 +47,10 @@ def test_demo_leaves_what_it_promises_and_a_field_that_has_learned(demo, capsys)
 def test_a_demo_replaces_neither_scenes_nor_photos_of_others(posed, tmp_path, capsys):
     work = tmp_path / "work"
     said(capsys, "import", str(posed), str(work))
-    before = Work(work).get("scene", "main").digest
+    before = WorkFolder(work).get("scene", "main").digest
     assert main(["demo", str(work), "--quiet", *DEMO]) == 2
     assert "scene/main is not the demo's" in capsys.readouterr().err
-    assert Work(work).get("scene", "main").digest == before and not (work / "photos").exists()
+    assert WorkFolder(work).get("scene", "main").digest == before and not (work / "photos").exists()
     (tmp_path / "new" / "photos").mkdir(parents=True)
     (tmp_path / "new" / "photos" / "mine.jpg").write_bytes(b"mine")
     assert main(["demo", str(tmp_path / "new"), "--quiet", *DEMO]) == 2
@@ -61,12 +61,12 @@ def test_a_demo_knows_its_own_even_where_it_was_moved(photos, tmp_path, capsys):
     work = tmp_path / "work"
     shutil.copytree(photos, work / "photos")
     said(capsys, "import", str(work / "photos"), str(work))
-    refuse_others(Work(work), work / "photos")
+    refuse_others(WorkFolder(work), work / "photos")
     moved = work.rename(tmp_path / "moved")
-    refuse_others(Work(moved), moved / "photos")
+    refuse_others(WorkFolder(moved), moved / "photos")
     shutil.rmtree(moved / "photos")
     with pytest.raises(UsageError, match="not the demo's"):
-        refuse_others(Work(moved), moved / "photos")
+        refuse_others(WorkFolder(moved), moved / "photos")
 
 
 def test_all_stages_of_a_demo_are_its_own(demo, capsys, monkeypatch, tmp_path):

@@ -5,14 +5,14 @@ import shutil
 import numpy as np
 
 from schemas.images import read_image, to_uint8, write_png
-from schemas.work_folder import Work
+from schemas.work_folder import WorkFolder
 from stages.pipeline.demo_scene import PAINTING
 from stylerf_cli.main import main
 from tests.stylerf_cli.conftest import STYLIZE
 
 
 def digests(work) -> dict[str, str]:
-    return {f"{one.kind} {one.name}": one.digest for one in Work(work).artifacts()}
+    return {f"{one.kind} {one.name}": one.digest for one in WorkFolder(work).artifacts()}
 
 
 def test_what_was_made_of_photos_stands_where_they_are_moved(work, photos, tmp_path, capsys):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from schemas.exr import read_exr
-from schemas.work_folder import Work
+from schemas.work_folder import WorkFolder
 from stages.artifacts.field import load_field
 from stylerf_cli.main import main
 
@@ -54,7 +54,7 @@ def test_a_palette_is_learned_once_and_changed_without_learning(work, capsys):
     assert "pixels that show the scene" in report["protocols"]["sparsity"]
     assert "has its palette already" in refused(capsys, 2, "stylize", work, "--of", "green", "--method", "palettenerf")
     assert "options of learning" in refused(capsys, 2, "stylize", work, "--of", "palette", *asked, "--bases", "5")
-    densities = [load_field(Work(work).get("field", name))[0].density.values for name in ("fit", "green")]
+    densities = [load_field(WorkFolder(work).get("field", name))[0].density.values for name in ("fit", "green")]
     assert np.array_equal(*densities)
 
 
@@ -62,11 +62,11 @@ def test_a_palette_is_learned_once_and_changed_without_learning(work, capsys):
 def test_what_is_learned_for_a_change_stands_beside_it(work, capsys):
     few = (*LEARN[:2], "--budget", "6", "--refit-steps", "4", *LEARN[6:])
     made = said(capsys, "stylize", work, "--of", "fit", *few, "--palette", "all=#2030f0", "--name", "blue")
-    learned = Work(work).get("field", "fit-palettenerf")
+    learned = WorkFolder(work).get("field", "fit-palettenerf")
     assert made["name"] == "blue" and learned.manifest.stage == "decompose"
     other = said(capsys, "stylize", work, "--of", "fit", *few, "--palette", "0=#ff0000", "--name", "red")
     assert other["figures"]["learned"] == "fit-palettenerf"
-    assert Work(work).get("field", "fit-palettenerf").manifest.created == learned.manifest.created
+    assert WorkFolder(work).get("field", "fit-palettenerf").manifest.created == learned.manifest.created
 
 
 def test_a_file_cannot_choose_the_method(work, tmp_path, capsys):

@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from schemas.work_folder import Work
+from schemas.work_folder import WorkFolder
 from tests.processes import ended, start
 from tests.stylerf_cli.long_stages import timeless
 
@@ -32,7 +32,7 @@ def test_two_processes_make_the_artifact_of_one(scene, nursery, tmp_path):
     assert (tmp_path / "out1").read_text() == (tmp_path / "err1").read_text() == ""
     one = nursery.run(tmp_path / "one", *command(scene, 30, "--name", "one", "--threads", "2")[1:])
     assert one.code == 0, one.err
-    fields = [Work(scene).get("field", name) for name in ("one", "two")]
+    fields = [WorkFolder(scene).get("field", name) for name in ("one", "two")]
     assert len({artifact.manifest.recipe for artifact in fields}) == 1
     assert len({artifact.file("field.safetensors").read_bytes() for artifact in fields}) == 1
     assert timeless(fields[0].manifest.figures) == timeless(fields[1].manifest.figures)

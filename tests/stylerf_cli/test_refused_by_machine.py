@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from schemas.atomic_write import is_temporary
-from schemas.work_folder import Work
+from schemas.work_folder import WorkFolder
 from stylerf.training.fit import engine as fitting
 from stylerf_cli.main import main
 from tests.stylerf_cli.conftest import FIT
@@ -45,22 +45,22 @@ def test_a_disk_that_takes_no_more_stops_a_stage_which_then_goes_on(long_stage, 
     assert "free some and run the same command" in assert_refused(limited, "no space left to write")
     assert not (work / stage.kind / "limited").exists()
     assert half_written(work) == []
-    for artifact in Work(work).artifacts():
+    for artifact in WorkFolder(work).artifacts():
         artifact.verify()
     last = nursery.run(said, *stage.command("limited"))
     assert last.code == 0 and "going on with the interrupted" in last.err, last.err
-    assert_same(Work(work), stage, "limited")
+    assert_same(WorkFolder(work), stage, "limited")
 
 
 def test_the_older_artifact_stands_while_its_successor_cannot_be_written(work, nursery):
-    before = Work(work).get("field", "fit").digest
+    before = WorkFolder(work).get("field", "fit").digest
     again = ("fit", work, *FIT, "--seed", "1")
     assert_refused(nursery.run(work.parent / "said", *again, limits={"RLIMIT_FSIZE": SMALL_FILE}), "no space left")
-    kept = Work(work).get("field", "fit")
+    kept = WorkFolder(work).get("field", "fit")
     kept.verify()
     assert kept.digest == before
     assert nursery.run(work.parent / "said", *again).code == 0
-    assert Work(work).get("field", "fit").digest != before
+    assert WorkFolder(work).get("field", "fit").digest != before
 
 
 @pytest.fixture
@@ -89,11 +89,11 @@ def test_a_full_disk_stops_an_import_and_a_larger_one_lets_it_go_on(
     command = ("import", request.getfixturevalue(source), folder / "work")
     line = assert_refused(nursery.run(tmp_path / "said", *command), "no space left to write")
     assert str(folder) in line
-    assert Work(folder / "work").artifacts() == []
+    assert WorkFolder(folder / "work").artifacts() == []
     assert half_written(folder) == []
     subprocess.run(["mount", "-o", "remount,size=64m", str(folder)], check=True)
     assert nursery.run(tmp_path / "said", *command).code == 0
-    Work(folder / "work").get("scene", "main").verify()
+    WorkFolder(folder / "work").get("scene", "main").verify()
 
 
 def test_a_read_only_disk_is_told(disk, nursery, photos, tmp_path):
@@ -163,7 +163,7 @@ def test_not_even_a_part_that_fits_ends_with_5_and_keeps_the_run(work, capsys, m
     assert main(["fit", str(work), *FIT, "--name", "small", "--quiet"]) == 5
     err = capsys.readouterr().err
     assert err.count("\n") == 1 and "out of memory" in err
-    assert Work(work).unfinished() == [("field", "small")]
+    assert WorkFolder(work).unfinished() == [("field", "small")]
 
 
 def fitted(work, capsys, name) -> tuple[str, str]:

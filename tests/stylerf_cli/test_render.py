@@ -13,7 +13,7 @@ from schemas import video
 from schemas.exr import read_exr
 from schemas.frames import read_frames
 from schemas.images import read_image
-from schemas.work_folder import Artifact, Work
+from schemas.work_folder import Artifact, WorkFolder
 from stages import render as stage
 from stages.artifacts.scene import load_scene
 from stages.configs.render import RenderConfig
@@ -135,7 +135,7 @@ def test_the_example_of_a_file_of_cameras_is_one(work, capsys):
 @pytest.mark.parametrize("name", ["camera_path.json", "transforms.json"])
 def test_paths_of_other_tools_are_rendered(work, tmp_path, capsys, name):
     """The still life's scene keeps the frame of its source: the view is the scene's own."""
-    first = load_scene(Work(work).get("scene", "main")).cameras[0]
+    first = load_scene(WorkFolder(work).get("scene", "main")).cameras[0]
     pose = first.world_from_camera @ np.diag([1, -1, -1, 1])
     angle = float(np.degrees(2 * np.arctan(16 / first.fy)))
     content = {
@@ -159,7 +159,7 @@ def test_paths_of_other_tools_are_rendered(work, tmp_path, capsys, name):
 
 
 def test_cameras_of_a_file_see_as_the_scenes_first_in_as_many_pixels_as_they_ask_for(work, tmp_path):
-    scene = load_scene(Work(work).get("scene", "main"))
+    scene = load_scene(WorkFolder(work).get("scene", "main"))
     first = replace(scene.cameras[0], cx=15.0, fy=40.0)
     pose = {"world_from_camera": first.world_from_camera.tolist()}
     path = tmp_path / "cameras.json"

@@ -12,7 +12,7 @@ import pytest
 from schemas import partial_artifact as partial
 from schemas.frames import read_frames
 from schemas.images import read_image
-from schemas.work_folder import Artifact, Recipe, Work
+from schemas.work_folder import Artifact, Recipe, WorkFolder
 from stages import render as stage
 from stages.artifacts.field import load_field
 from stages.artifacts.region import save_region
@@ -27,8 +27,8 @@ TEST = ("--of", "fit", "--path", "test")
 
 def make_region(work: Path, name: str, edit: np.ndarray, stretch: float = 1.0) -> Artifact:
     """A region in the space of the field `fit`, or in one that reaches `stretch` times as far."""
-    field, _ = load_field(Work(work).get("field", "fit"))
-    partial = Work(work).begin("region", name, Recipe("select", 1, {"cells": int(edit.sum())}, [], 0))
+    field, _ = load_field(WorkFolder(work).get("field", "fit"))
+    partial = WorkFolder(work).begin("region", name, Recipe("select", 1, {"cells": int(edit.sum())}, [], 0))
     save_region(
         partial.path, Region(edit, np.zeros_like(edit)), replace(field.space, far=field.space.far * stretch), {}
     )
@@ -62,14 +62,14 @@ def test_every_region_is_a_channel_of_every_frame(work, regions, capsys):
     folder, result, _ = rendered(work, capsys, *TEST)
     frames = read_frames(folder)
     assert result["regions"] == ["all+", "low"] and frames.masks == {"all+": "all_", "low": "low"}
-    field, _ = load_field(Work(work).get("field", "fit"))
+    field, _ = load_field(WorkFolder(work).get("field", "fit"))
     for frame in frames.views:
         kinds, planes, spec = planes_of(folder / frame.exr)
         without, same, _ = planes_of(bare / frame.exr)
         assert kinds == without | {"mask.low": "half", "mask.all_": "half"}
         assert all(np.array_equal(plane, planes[name]) for name, plane in same.items())
         assert np.array_equal(planes["mask.all_"], planes["A"]) and planes["A"].max() > 0.9
-        low = Work(work).get("region", "low")
+        low = WorkFolder(work).get("region", "low")
         assert spec.getattribute("stylerf:mask.low") == f"low {low.digest}"
         given = frame.camera
         view = Camera("", given.width, given.height, given.fx, given.fy, given.cx, given.cy,
@@ -114,7 +114,7 @@ def test_a_changed_region_makes_frames_anew_and_one_that_stands_does_not(work, r
     make_region(work, "low", ~regions["low"])
     assert "stands up to date" not in rendered(work, capsys, *TEST)[2]
     assert {ref.role: ref.digest for ref in Artifact(folder).manifest.inputs}["region.low"] == (
-        Work(work).get("region", "low").digest
+        WorkFolder(work).get("region", "low").digest
     )
     # Regions that are not written take no part.
     plain, _, _ = rendered(work, capsys, *TEST, "--no-regions", name="plain")

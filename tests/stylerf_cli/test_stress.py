@@ -11,7 +11,7 @@ import pytest
 
 from schemas.canonical_json import file_sha256
 from schemas.errors import ArtifactDamaged, ArtifactStale, BadInput, OutOfResources, UsageError
-from schemas.work_folder import Work
+from schemas.work_folder import WorkFolder
 from stages.configs.stress import StressConfig
 from stages.stress import edit_trials, trials
 from stages.stress.criteria import Seen, Verdict
@@ -57,7 +57,7 @@ def runs(monkeypatch):
 
 @pytest.fixture
 def folder(tmp_path):
-    make_capture(Work(tmp_path / "room"))
+    make_capture(WorkFolder(tmp_path / "room"))
     return tmp_path / "room"
 
 
@@ -191,7 +191,7 @@ def test_another_trunk_or_device_is_another_run_and_no_baseline(folder, runs, ca
     keys = []
     for device in ("cpu", "cuda"):
         session = SimpleNamespace(context=SimpleNamespace(device=device), common=SimpleNamespace(seed=0))
-        one = trials.Stress(session, config, Work(folder).get("scene", "main"), folder / "stress")
+        one = trials.Stress(session, config, WorkFolder(folder).get("scene", "main"), folder / "stress")
         keys.append(one.key_of(next(one.trials())))
         assert one.conditions["device"] == device and one.conditions["criteria"] == trials.criteria.REVISION
     assert keys[0] != keys[1]
@@ -461,7 +461,7 @@ def test_real_runs_of_a_still_life(work, capsys):
     assert len(cells) == 7 and all(cell["median"] is not None for cell in cells.values())
     assert cells["seeds", "fit"]["successes"] == 1 and cells["seeds", "fit"]["median"] > 15
     assert cells["style-white", "arf"]["median"] < cells["seeds", "arf"]["median"]
-    kept = Work(work / "stress" / "works" / "seeds-0")
+    kept = WorkFolder(work / "stress" / "works" / "seeds-0")
     assert {one.name for one in kept.artifacts("field")} == {"fit-vm", "seeds-arf", "style-white-arf"}
 
 
@@ -474,5 +474,5 @@ def test_real_edits_of_a_still_life(work, capsys):
     cells = {(one["fault"], one["method"]): one for one in json.loads(capsys.readouterr().out)["cells"]}
     assert len(cells) == 5 and all(cell["median"] is not None for cell in cells.values())
     assert cells["seeds", "laenerf-recolor"]["successes"] == 1
-    kept = Work(work / "stress" / "works" / "seeds-0")
+    kept = WorkFolder(work / "stress" / "works" / "seeds-0")
     assert len(kept.artifacts("region")) == 1 and len(kept.artifacts("edit")) == 4

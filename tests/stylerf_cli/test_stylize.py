@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from schemas.images import write_png
-from schemas.work_folder import Work
+from schemas.work_folder import WorkFolder
 from stages import stylize
 from stylerf_cli.main import main
 from tests.stages import evaluation_fixture as made
@@ -13,7 +13,7 @@ from tests.stages import evaluation_fixture as made
 @pytest.fixture
 def work(tmp_path, monkeypatch):
     """A scene and its field; what would stylize it writes a file alone."""
-    work = Work(tmp_path / "work")
+    work = WorkFolder(tmp_path / "work")
     made.make_field(work, "fit", "nerf_fit", {"scene": made.make_scene(work, [-0.2, 0.2])})
 
     def run(inputs, config, partial, context):

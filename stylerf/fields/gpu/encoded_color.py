@@ -6,14 +6,14 @@ import torch
 from torch import Tensor
 
 from stylerf.fields.color_heads import HIDDEN
-from stylerf.fields.gpu.grids import DeviceGrid, DeviceLevels
+from stylerf.fields.gpu.grids import GpuHashLevels, GpuVoxelGrid
 from stylerf.geometry.spherical_harmonics import BANDS
 from stylerf.kernels.gpu import launch, launch_heads
 from stylerf.kernels.gpu.density import VM
-from stylerf.kernels.gpu.launch import DeviceSamples
+from stylerf.kernels.gpu.launch import GpuSamples
 
 
-class DevicePlanes:
+class GpuPlanes:
     """fields/encoders.py's VmFeatures, laid out as the kernels read them."""
 
     code, pieces, layout = VM.value, 3, None
@@ -28,13 +28,13 @@ class DevicePlanes:
 
 
 ENCODERS = {
-    "vm": DevicePlanes,
-    "hash": lambda features, device: DeviceLevels(features.levels, device),
-    "voxel": lambda features, device: DeviceGrid(features.grid, features.width, device),
+    "vm": GpuPlanes,
+    "hash": lambda features, device: GpuHashLevels(features.levels, device),
+    "voxel": lambda features, device: GpuVoxelGrid(features.grid, features.width, device),
 }
 
 
-class DeviceHeadedColor:
+class GpuEncodedColor:
     """fields/encoded_color.py's HeadedColor. half: the table is read as halves, which cannot be taught."""
 
     def __init__(self, part, device: torch.device, half: bool = False) -> None:
@@ -50,11 +50,11 @@ class DeviceHeadedColor:
         # The harmonics head has no numbers, and a kernel's argument must be something.
         self.numbers = self.values[part.features.length :] if part.head.length else self.values
 
-    def colors(self, samples: DeviceSamples, directions: Tensor, share: float) -> Tensor:
+    def colors(self, samples: GpuSamples, directions: Tensor, share: float) -> Tensor:
         """[room, 3] in 0..1; -1 in the first channel of samples under `share` of their ray's largest weight."""
         return launch_heads.headed_colors(self, samples, directions, share)
 
-    def backward(self, samples: DeviceSamples, directions, colors, color_gradients, to: Tensor) -> None:
+    def backward(self, samples: GpuSamples, directions, colors, color_gradients, to: Tensor) -> None:
         """Add dL/d(values) to `to` [len(values)]."""
         launch_heads.headed_colors_backward(self, samples, directions, colors, color_gradients, to)
 

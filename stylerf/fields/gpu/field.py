@@ -7,14 +7,14 @@ import torch
 from torch import Tensor
 
 from stylerf.errors import InvalidValue
-from stylerf.fields.gpu.encoded_color import DeviceHeadedColor
-from stylerf.fields.gpu.grids import DeviceHashDensity, DeviceVoxelDensity
+from stylerf.fields.gpu.encoded_color import GpuEncodedColor
+from stylerf.fields.gpu.grids import GpuHashDensity, GpuVoxelDensity
 from stylerf.fields.radiance_field import RadianceField, layers_of
-from stylerf.geometry.space_warp import Space
+from stylerf.geometry.space_warp import SpaceWarp
 from stylerf.geometry.spherical_harmonics import BANDS
 from stylerf.kernels.gpu import launch, launch_deform, launch_edit
 from stylerf.kernels.gpu.density import VM
-from stylerf.kernels.gpu.launch import DeviceSamples, Walk
+from stylerf.kernels.gpu.launch import GpuSamples, Walk
 
 
 def _table(values: Tensor, length: int, half: bool) -> Tensor:
@@ -22,7 +22,7 @@ def _table(values: Tensor, length: int, half: bool) -> Tensor:
     return values[:length].half() if half else values[:length]
 
 
-class DeviceVmDensity:
+class GpuVmDensity:
     """fields/vm.py's VmDensity. half: the table is read as halves, which cannot be taught."""
 
     code, layout = VM.value, None
@@ -37,11 +37,11 @@ class DeviceVmDensity:
         """Raw density [n] of cube points [n, 3]."""
         return launch.vm_density(self, points)
 
-    def backward(self, samples: DeviceSamples, sigma_gradients: Tensor, to: Tensor) -> None:
+    def backward(self, samples: GpuSamples, sigma_gradients: Tensor, to: Tensor) -> None:
         """Add dL/d(values) to `to` [len(values)]."""
         launch.vm_density_backward(self, samples, sigma_gradients, to)
 
-    def add_position_gradients(self, samples: DeviceSamples, sigma_gradients: Tensor, out: Tensor) -> None:
+    def add_position_gradients(self, samples: GpuSamples, sigma_gradients: Tensor, out: Tensor) -> None:
         """Add dL/dx to out [room, 3], x the samples' positions in the cube."""
         launch_deform.add_density_slopes(self, samples, sigma_gradients, out)
 
@@ -50,7 +50,7 @@ class DeviceVmDensity:
         launch.smoothness(self, strength / len(self.values), to)
 
 
-class DeviceVmColor:
+class GpuVmColor:
     """fields/vm.py's VmColor."""
 
     def __init__(self, part, device: torch.device, half: bool = False) -> None:
@@ -60,15 +60,15 @@ class DeviceVmColor:
         self.table = _table(self.values, len(part.table), half)
         self.head, self.bias = self.values[len(part.table) : -3], self.values[-3:]
 
-    def colors(self, samples: DeviceSamples, directions: Tensor, share: float) -> Tensor:
+    def colors(self, samples: GpuSamples, directions: Tensor, share: float) -> Tensor:
         """[room, 3] in 0..1; -1 in the first channel of samples under `share` of their ray's largest weight."""
         return launch.vm_colors(self, samples, directions, share)
 
-    def backward(self, samples: DeviceSamples, directions, colors, color_gradients, to: Tensor) -> None:
+    def backward(self, samples: GpuSamples, directions, colors, color_gradients, to: Tensor) -> None:
         """Add dL/d(values) to `to` [len(values)]."""
         launch.vm_colors_backward(self, samples, directions, colors, color_gradients, to)
 
-    def add_position_gradients(self, samples: DeviceSamples, directions, colors, color_gradients, out) -> None:
+    def add_position_gradients(self, samples: GpuSamples, directions, colors, color_gradients, out) -> None:
         """Add dL/dx to out [room, 3]."""
         launch_deform.add_vm_color_slopes(self, samples, directions, colors, color_gradients, out)
 
@@ -77,7 +77,7 @@ class DeviceVmColor:
         launch.smoothness(self, strength / len(self.table), to)
 
 
-class DeviceHashColor:
+class GpuHashColor:
     """fields/hash_color.py's HashColor."""
 
     def __init__(self, part, device: torch.device, half: bool = False) -> None:
@@ -86,15 +86,15 @@ class DeviceHashColor:
         self.layout = torch.from_numpy(part.layout).to(device)
         self.table = _table(self.values, len(self.values), half)
 
-    def colors(self, samples: DeviceSamples, directions: Tensor | None, share: float) -> Tensor:
+    def colors(self, samples: GpuSamples, directions: Tensor | None, share: float) -> Tensor:
         """As DeviceVmColor.colors; the same from everywhere."""
         return launch.hash_colors(self, samples, share)
 
-    def backward(self, samples: DeviceSamples, directions, colors, color_gradients, to: Tensor) -> None:
+    def backward(self, samples: GpuSamples, directions, colors, color_gradients, to: Tensor) -> None:
         """Add dL/d(values) to `to` [len(values)]."""
         launch.hash_colors_backward(self, samples, colors, color_gradients, to)
 
-    def add_position_gradients(self, samples: DeviceSamples, directions, colors, color_gradients, out) -> None:
+    def add_position_gradients(self, samples: GpuSamples, directions, colors, color_gradients, out) -> None:
         """Add dL/dx to out [room, 3]."""
         launch_deform.add_hash_color_slopes(self, samples, colors, color_gradients, out)
 
@@ -103,25 +103,25 @@ class DeviceHashColor:
         to.add_(self.values, alpha=strength / len(self.values))
 
 
-class DevicePatchColor:
+class GpuRegionColor:
     """fields/region_color.py's PatchColor, over a base of any kind that the device knows. values: the patch's own."""
 
     def __init__(self, part, device: torch.device, half: bool = False) -> None:
         self.base = COLOR_KINDS[part.base.kind](part.base, device, half)
-        self._own = DeviceHashColor(part.own, device, half)
+        self._own = GpuHashColor(part.own, device, half)
         self.values, self.table, self.groups = self._own.values, self._own.table, self._own.groups
         self.layout, self.levels = self._own.layout, self._own.levels
         self.marked, self.cells = marked_cells(part.marked, device), part.cells
         box = np.array([*part.low, 1 / part.side], np.float32)
         self.box = torch.from_numpy(box).to(device)
 
-    def colors(self, samples: DeviceSamples, directions: Tensor, share: float) -> Tensor:
+    def colors(self, samples: GpuSamples, directions: Tensor, share: float) -> Tensor:
         """As DeviceVmColor.colors: the base's, and in marked cells sigmoid(logit(base) + logits)."""
         out = self.base.colors(samples, directions, share)
         launch_edit.patch_colors(self, samples, out)
         return out
 
-    def backward(self, samples: DeviceSamples, directions, colors, color_gradients, to: Tensor) -> None:
+    def backward(self, samples: GpuSamples, directions, colors, color_gradients, to: Tensor) -> None:
         """Add dL/d(values) to `to` [len(values)]."""
         launch_edit.patch_colors_backward(self, samples, colors, color_gradients, to)
 
@@ -130,12 +130,12 @@ class DevicePatchColor:
         self._own.smooth(strength, to)
 
 
-DENSITY_KINDS = {"vm": DeviceVmDensity, "hash": DeviceHashDensity, "voxel": DeviceVoxelDensity}
+DENSITY_KINDS = {"vm": GpuVmDensity, "hash": GpuHashDensity, "voxel": GpuVoxelDensity}
 COLOR_KINDS = {
-    "vm": DeviceVmColor,
-    "hash": DeviceHashColor,
-    "headed": DeviceHeadedColor,
-    "patch": DevicePatchColor,
+    "vm": GpuVmColor,
+    "hash": GpuHashColor,
+    "headed": GpuEncodedColor,
+    "patch": GpuRegionColor,
 }
 
 
@@ -156,7 +156,7 @@ def unsupported(field: RadianceField, moving: bool = False) -> str | None:
 
 
 @dataclass
-class DeviceRays:
+class GpuRays:
     """origins, directions (unit) [n, 3]; jitter [n] in 0..1 of a step: float32 on the device."""
 
     origins: Tensor
@@ -164,20 +164,20 @@ class DeviceRays:
     jitter: Tensor
 
     @staticmethod
-    def of(origins: np.ndarray, directions: np.ndarray, device: torch.device) -> "DeviceRays":
+    def of(origins: np.ndarray, directions: np.ndarray, device: torch.device) -> "GpuRays":
         """Rays marched from the middle of their first step."""
         moved = [torch.from_numpy(np.ascontiguousarray(a, np.float32)).to(device) for a in (origins, directions)]
-        return DeviceRays(*moved, torch.full((len(origins),), 0.5, device=device))
+        return GpuRays(*moved, torch.full((len(origins),), 0.5, device=device))
 
 
 @dataclass
-class DeviceRendered:
+class GpuRendered:
     """As rendering/rays.py's Rendered."""
 
     out: Tensor
     unmapped: Tensor
-    rays: DeviceRays
-    samples: DeviceSamples
+    rays: GpuRays
+    samples: GpuSamples
     colors: Tensor
 
     def seen(self) -> Tensor:
@@ -185,7 +185,7 @@ class DeviceRendered:
         return torch.cat([self.out[:, :4], launch.surface_distance(self.samples)[:, None]], 1)
 
 
-class DeviceField:
+class GpuField:
     """field: what is copied to the device; its shapes, space and step stay as they are there.
 
     half: tables are read in half precision (rendering only).
@@ -195,7 +195,7 @@ class DeviceField:
         if (why := unsupported(field)) is not None:
             raise InvalidValue(why)
         self.device = torch.device(device)
-        self.space: Space = field.space
+        self.space: SpaceWarp = field.space
         self.density = DENSITY_KINDS[field.density.kind](field.density, self.device, half)
         self.color = COLOR_KINDS[field.color.kind](field.color, self.device, half)
         self.cells, self.step, self.share, self.closed = field.occupancy.cells, field.step, field.share, field.closed
@@ -220,14 +220,14 @@ class DeviceField:
             self.closed, self.displacement, self.vertices, limit, opaque,
         )  # fmt: skip
 
-    def march(self, rays: DeviceRays, limit: int, opaque: float, room: int | None) -> DeviceSamples:
+    def march(self, rays: GpuRays, limit: int, opaque: float, room: int | None) -> GpuSamples:
         """Samples of rays with density and weights; room: most samples, None: as many as there are (waits)."""
         walk = self.walk(limit, opaque)
         return launch.march_density(walk, self.density, rays.origins, rays.directions, rays.jitter, room)
 
     def render_rays(
-        self, rays: DeviceRays, *, room: int | None = None, opaque=1e-3, share=2e-2, limit: int = 512
-    ) -> DeviceRendered:
+        self, rays: GpuRays, *, room: int | None = None, opaque=1e-3, share=2e-2, limit: int = 512
+    ) -> GpuRendered:
         """As rendering/rays.py's render_rays."""
         samples = self.march(rays, limit, opaque, room)
         colors = self.color.colors(samples, rays.directions, share)
@@ -237,10 +237,10 @@ class DeviceField:
             matrix, offset = self.color_map
             rgb = out[:, :3] @ matrix.T + out[:, 3:4] * offset
             out = torch.cat([torch.minimum(rgb.clamp(min=0), out[:, 3:4]), out[:, 3:]], 1)
-        return DeviceRendered(out, unmapped, rays, samples, colors)
+        return GpuRendered(out, unmapped, rays, samples, colors)
 
     def backward(
-        self, rendered: DeviceRendered, gradients: Tensor, density_to: Tensor | None, color_to: Tensor | None,
+        self, rendered: GpuRendered, gradients: Tensor, density_to: Tensor | None, color_to: Tensor | None,
         displacement_to: Tensor | None = None,
         *, even_from: float = 0.0, density_within: tuple[Tensor, int] | None = None,
     ) -> None:  # fmt: skip

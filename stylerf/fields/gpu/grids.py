@@ -9,10 +9,10 @@ from stylerf.fields.hash_levels import Levels
 from stylerf.fields.voxel import Grid
 from stylerf.kernels.gpu import launch_grids
 from stylerf.kernels.gpu.density import HASH, VOXEL
-from stylerf.kernels.gpu.launch import DeviceSamples
+from stylerf.kernels.gpu.launch import GpuSamples
 
 
-class DeviceLevels:
+class GpuHashLevels:
     """fields/hash_levels.py's Levels. code to layout: the constants and arguments of density.py and encoders.py."""
 
     code, pieces, size = HASH.value, 1, (0, 0, 0)
@@ -35,7 +35,7 @@ class DeviceLevels:
                 to[first:end].add_(values[first:end], alpha=strength)
 
 
-class DeviceGrid:
+class GpuVoxelGrid:
     """fields/voxel.py's Grid, `row` floats at a vertex."""
 
     code, pieces = VOXEL.value, 1
@@ -54,10 +54,10 @@ class DeviceGrid:
         launch_grids.voxel_smoothness(values, self.layout, self.places, self.size, self.rank, strength, to)
 
 
-class _DeviceGridDensity:
+class _GpuGridDensity:
     """What the densities of both share. half: the table is read as halves, which cannot be taught."""
 
-    def __init__(self, part, grid: DeviceLevels | DeviceGrid, device: torch.device, half: bool) -> None:
+    def __init__(self, part, grid: GpuHashLevels | GpuVoxelGrid, device: torch.device, half: bool) -> None:
         self.values = torch.from_numpy(part.values).to(device, copy=True)
         self.groups, self.grid = part.groups(), grid
         self.code, self.size, self.rank, self.layout = grid.code, grid.size, grid.rank, grid.layout
@@ -74,23 +74,23 @@ class _DeviceGridDensity:
         self.grid.smooth(self.values, strength, to)
 
 
-class DeviceHashDensity(_DeviceGridDensity):
+class GpuHashDensity(_GpuGridDensity):
     """fields/hash_density.py's HashDensity."""
 
     def __init__(self, part, device: torch.device, half: bool = False) -> None:
-        super().__init__(part, DeviceLevels(part.levels, device), device, half)
+        super().__init__(part, GpuHashLevels(part.levels, device), device, half)
 
-    def backward(self, samples: DeviceSamples, sigma_gradients: Tensor, to: Tensor) -> None:
+    def backward(self, samples: GpuSamples, sigma_gradients: Tensor, to: Tensor) -> None:
         """Add dL/d(values) to `to` [len(values)]."""
         launch_grids.hash_density_backward(self, samples, sigma_gradients, to)
 
 
-class DeviceVoxelDensity(_DeviceGridDensity):
+class GpuVoxelDensity(_GpuGridDensity):
     """fields/voxel.py's VoxelDensity."""
 
     def __init__(self, part, device: torch.device, half: bool = False) -> None:
-        super().__init__(part, DeviceGrid(part.grid, 1, device), device, half)
+        super().__init__(part, GpuVoxelGrid(part.grid, 1, device), device, half)
 
-    def backward(self, samples: DeviceSamples, sigma_gradients: Tensor, to: Tensor) -> None:
+    def backward(self, samples: GpuSamples, sigma_gradients: Tensor, to: Tensor) -> None:
         """Add dL/d(values) to `to` [len(values)]."""
         launch_grids.voxel_density_backward(self, samples, sigma_gradients, to)

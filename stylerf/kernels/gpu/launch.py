@@ -19,7 +19,7 @@ PROGRAMS_PER_PROCESSOR = 8  # of kernels that walk a list whose length only the 
 
 
 @dataclass
-class DeviceSamples:
+class GpuSamples:
     """As fields/ray_samples.py's Samples, packed without gaps. ray_of [room]; largest [rays]: weights; total [1] int64.
 
     counts [rays]: samples that each ray wanted; starts:ends is empty where they found no room.
@@ -81,7 +81,7 @@ class Walk:
 
 def march_density(
     walk: Walk, density, origins: Tensor, directions: Tensor, jitter: Tensor, room: int | None
-) -> DeviceSamples:
+) -> GpuSamples:
     """Samples of rays through a density. room: most samples there is memory for; None: asked from the device.
 
     With a room nothing waits for the device. density: has table, shift, layout, size, code, rank and width; see
@@ -92,7 +92,7 @@ def march_density(
     starts, ends = torch.empty(n, **int64), torch.empty(n, **int64)
     largest, total = torch.empty(n, device=device), torch.zeros(1, **int64)
     # What a pass does not use is still an argument: any tensor of the right kind will do.
-    nothing = DeviceSamples(starts, ends, counts, largest, total, *[largest] * 5, counts)
+    nothing = GpuSamples(starts, ends, counts, largest, total, *[largest] * 5, counts)
     _walk_rays(walk, density, origins, directions, jitter, nothing, starts, 0, False)
     last = torch.cumsum(counts, 0, dtype=torch.int64)
     if room is None:
@@ -100,12 +100,12 @@ def march_density(
     one = [torch.empty(room, device=device) for _ in range(4)]
     points = torch.empty((room, 3), device=device)
     ray_of = torch.empty(room, dtype=torch.int32, device=device)
-    samples = DeviceSamples(starts, ends, counts, largest, total, one[0], one[1], points, one[2], one[3], ray_of)
+    samples = GpuSamples(starts, ends, counts, largest, total, one[0], one[1], points, one[2], one[3], ray_of)
     _walk_rays(walk, density, origins, directions, jitter, samples, last, room, True)
     return samples
 
 
-def _walk_rays(walk, density, origins, directions, jitter, samples: DeviceSamples, last, room, fill: bool) -> None:
+def _walk_rays(walk, density, origins, directions, jitter, samples: GpuSamples, last, room, fill: bool) -> None:
     n = len(origins)
     if not n:
         return
@@ -132,7 +132,7 @@ def vm_density(density, points: Tensor) -> Tensor:
     return out
 
 
-def vm_density_backward(density, samples: DeviceSamples, sigma_gradients: Tensor, to: Tensor) -> None:
+def vm_density_backward(density, samples: GpuSamples, sigma_gradients: Tensor, to: Tensor) -> None:
     """Add dL/d(values) to `to` [len(values)]: table, shift."""
     vm.density_backward_kernel[persistent_grid(to.device, samples.room, SAMPLES)](
         density.table, samples.x, samples.sigma, sigma_gradients, samples.total, to, to[-1:], *density.size,
@@ -140,7 +140,7 @@ def vm_density_backward(density, samples: DeviceSamples, sigma_gradients: Tensor
     )  # fmt: skip
 
 
-def vm_colors(color, samples: DeviceSamples, directions: Tensor, share: float) -> Tensor:
+def vm_colors(color, samples: GpuSamples, directions: Tensor, share: float) -> Tensor:
     """[room, 3] colors of samples with at least `share` of their ray's largest weight; others have -1 first."""
     out = torch.empty((samples.room, 3), device=directions.device)
     vm.color_kernel[persistent_grid(out.device, samples.room, SAMPLES)](
@@ -152,7 +152,7 @@ def vm_colors(color, samples: DeviceSamples, directions: Tensor, share: float) -
     return out
 
 
-def vm_colors_backward(color, samples: DeviceSamples, directions, colors, color_gradients, to: Tensor) -> None:
+def vm_colors_backward(color, samples: GpuSamples, directions, colors, color_gradients, to: Tensor) -> None:
     """Add dL/d(values) to `to` [len(values)]: table, head, bias."""
     table = len(color.table)
     vm.color_backward_kernel[persistent_grid(to.device, samples.room, SAMPLES)](
@@ -163,7 +163,7 @@ def vm_colors_backward(color, samples: DeviceSamples, directions, colors, color_
     )  # fmt: skip
 
 
-def hash_colors(color, samples: DeviceSamples, share: float) -> Tensor:
+def hash_colors(color, samples: GpuSamples, share: float) -> Tensor:
     """As vm_colors, of a hash grid."""
     out = torch.empty((samples.room, 3), device=samples.x.device)
     hash_kernels.color_kernel[persistent_grid(out.device, samples.room, SAMPLES)](
@@ -173,7 +173,7 @@ def hash_colors(color, samples: DeviceSamples, share: float) -> Tensor:
     return out
 
 
-def hash_colors_backward(color, samples: DeviceSamples, colors, color_gradients, to: Tensor) -> None:
+def hash_colors_backward(color, samples: GpuSamples, colors, color_gradients, to: Tensor) -> None:
     """Add dL/d(values) to `to`."""
     hash_kernels.color_backward_kernel[persistent_grid(to.device, samples.room, SAMPLES)](
         color.layout, samples.x, colors, color_gradients, samples.total, to, LEVELS=color.levels, BLOCK=SAMPLES,
@@ -193,7 +193,7 @@ def smoothness(part, strength: float, to: Tensor) -> None:
         begin += rows * columns
 
 
-def composite(samples: DeviceSamples, colors: Tensor) -> Tensor:
+def composite(samples: GpuSamples, colors: Tensor) -> Tensor:
     """[rays, 5]: sum w c (3), sum w, sum w t without a backdrop's."""
     n = len(samples.starts)
     out = torch.empty((n, 5), device=colors.device)
@@ -205,7 +205,7 @@ def composite(samples: DeviceSamples, colors: Tensor) -> Tensor:
     return out
 
 
-def surface_distance(samples: DeviceSamples) -> Tensor:
+def surface_distance(samples: GpuSamples) -> Tensor:
     """[rays]: distance of what each ray shows, scene units, 0 where there is nothing."""
     n = len(samples.starts)
     out = torch.empty(n, device=samples.t.device)
@@ -217,7 +217,7 @@ def surface_distance(samples: DeviceSamples) -> Tensor:
 
 
 def composite_backward(
-    samples: DeviceSamples, colors: Tensor, out: Tensor, gradients: Tensor, even_from: float
+    samples: GpuSamples, colors: Tensor, out: Tensor, gradients: Tensor, even_from: float
 ) -> tuple[Tensor, Tensor]:
     """(dL/d(sigma) [room], dL/d(color) [room, 3]) from dL/d(out) [rays, 5]; unset beyond the samples there are."""
     sigma_gradients, color_gradients = torch.empty_like(samples.sigma), torch.empty_like(colors)
@@ -229,7 +229,7 @@ def composite_backward(
     return sigma_gradients, color_gradients
 
 
-def photometric_loss(out: Tensor, wanted, background, samples: DeviceSamples, scale: float, sums: Tensor) -> Tensor:
+def photometric_loss(out: Tensor, wanted, background, samples: GpuSamples, scale: float, sums: Tensor) -> Tensor:
     """dL/d(out) of the squared error; adds (squared error, samples, rays without room) to sums [3]."""
     gradients = torch.empty_like(out)
     composite_kernels.loss_kernel[(triton.cdiv(len(out), POINTS),)](
@@ -260,7 +260,7 @@ def draw_rays(
     )  # fmt: skip
 
 
-def shade_backward(samples: DeviceSamples, gradients: Tensor) -> Tensor:
+def shade_backward(samples: GpuSamples, gradients: Tensor) -> Tensor:
     """dL/d(color) [n, 3] of samples that fill their room, from dL/d(sum w c) [rays, 3]."""
     out, n = torch.empty_like(samples.x), len(samples.weights)
     if n:

@@ -8,7 +8,7 @@ from stylerf.kernels.gpu import deformation, interpreted
 from stylerf.kernels.gpu.launch import (
     SAMPLES,
     STAGES,
-    DeviceSamples,
+    GpuSamples,
     outputs_of,
     persistent_grid,
     width_of,
@@ -17,7 +17,7 @@ from stylerf.kernels.gpu.launch import (
 CELLS = 1024 if interpreted() else 32  # to a program, each of 32 lanes
 
 
-def add_density_slopes(density, samples: DeviceSamples, sigma_gradients: Tensor, out: Tensor) -> None:
+def add_density_slopes(density, samples: GpuSamples, sigma_gradients: Tensor, out: Tensor) -> None:
     """Add dL/dx of a vm density to out [room, 3]."""
     deformation.density_position_kernel[persistent_grid(out.device, samples.room, SAMPLES)](
         density.table, samples.x, samples.sigma, sigma_gradients, samples.total, out, *density.size,
@@ -25,7 +25,7 @@ def add_density_slopes(density, samples: DeviceSamples, sigma_gradients: Tensor,
     )  # fmt: skip
 
 
-def add_vm_color_slopes(color, samples: DeviceSamples, directions, colors, color_gradients, out: Tensor) -> None:
+def add_vm_color_slopes(color, samples: GpuSamples, directions, colors, color_gradients, out: Tensor) -> None:
     """Add dL/dx of vm colors to out [room, 3]."""
     deformation.vm_color_position_kernel[persistent_grid(out.device, samples.room, SAMPLES)](
         color.table, color.head, samples.x, directions, samples.ray_of, colors, color_gradients, samples.total, out,
@@ -35,7 +35,7 @@ def add_vm_color_slopes(color, samples: DeviceSamples, directions, colors, color
     )  # fmt: skip
 
 
-def add_hash_color_slopes(color, samples: DeviceSamples, colors, color_gradients, out: Tensor) -> None:
+def add_hash_color_slopes(color, samples: GpuSamples, colors, color_gradients, out: Tensor) -> None:
     """Add dL/dx of a hash grid's colors to out [room, 3]."""
     deformation.hash_color_position_kernel[persistent_grid(out.device, samples.room, SAMPLES)](
         color.table, color.layout, samples.x, colors, color_gradients, samples.total, out,
@@ -44,7 +44,7 @@ def add_hash_color_slopes(color, samples: DeviceSamples, colors, color_gradients
 
 
 def displacement_backward(
-    code: int, space: Tensor, origins, directions, samples: DeviceSamples, position_gradients, vertices: int, to: Tensor
+    code: int, space: Tensor, origins, directions, samples: GpuSamples, position_gradients, vertices: int, to: Tensor
 ) -> None:
     """Add dL/dD to `to`, flat [vertices^3, 3], from dL/dx' [room, 3]; code, space: as Walk's."""
     deformation.displacement_backward_kernel[persistent_grid(to.device, samples.room, SAMPLES)](

@@ -6,10 +6,10 @@ from torch import Tensor
 
 from stylerf.kernels.gpu import compositing, pixel_rays, region_color, regions
 from stylerf.kernels.gpu import hash_color as hash_kernels
-from stylerf.kernels.gpu.launch import POINTS, SAMPLES, STAGES, DeviceSamples, persistent_grid
+from stylerf.kernels.gpu.launch import POINTS, SAMPLES, STAGES, GpuSamples, persistent_grid
 
 
-def patch_colors(part, samples: DeviceSamples, colors: Tensor) -> None:
+def patch_colors(part, samples: GpuSamples, colors: Tensor) -> None:
     """Colors [room, 3] of the base become those of the patch, in place. part: has table, layout, levels, marked,
     cells, box."""
     region_color.color_kernel[persistent_grid(colors.device, samples.room, SAMPLES)](
@@ -18,7 +18,7 @@ def patch_colors(part, samples: DeviceSamples, colors: Tensor) -> None:
     )  # fmt: skip
 
 
-def patch_colors_backward(part, samples: DeviceSamples, colors: Tensor, color_gradients, to: Tensor) -> None:
+def patch_colors_backward(part, samples: GpuSamples, colors: Tensor, color_gradients, to: Tensor) -> None:
     """Add dL/d(values) to `to` [len(values)]."""
     region_color.color_backward_kernel[persistent_grid(to.device, samples.room, SAMPLES)](
         part.layout, part.marked, part.cells, part.box, samples.x, colors, color_gradients, samples.total, to,
@@ -26,14 +26,14 @@ def patch_colors_backward(part, samples: DeviceSamples, colors: Tensor, color_gr
     )  # fmt: skip
 
 
-def keep_inside(marked: Tensor, cells: int, samples: DeviceSamples, values: Tensor) -> None:
+def keep_inside(marked: Tensor, cells: int, samples: GpuSamples, values: Tensor) -> None:
     """values [room] of samples that lie outside the marked cells (uint8 [cells^3]) become 0."""
     regions.keep_kernel[persistent_grid(values.device, samples.room, SAMPLES)](
         marked, cells, samples.x, samples.total, values, BLOCK=SAMPLES, num_stages=STAGES
     )
 
 
-def ends_inside(marked: Tensor, cells: int, samples: DeviceSamples) -> Tensor:
+def ends_inside(marked: Tensor, cells: int, samples: GpuSamples) -> Tensor:
     """[rays, 6]: sum w, and over marked cells sum w, w t, w x."""
     n = len(samples.starts)
     out = torch.empty((n, 6), device=samples.x.device)
@@ -59,7 +59,7 @@ def rays_of_pixels(bank, chosen: Tensor) -> tuple[Tensor, Tensor, Tensor]:
 
 
 def tuning_loss(
-    out: Tensor, wanted: Tensor, depth: Tensor, samples: DeviceSamples, level: float, scale: float, depth_scale: float,
+    out: Tensor, wanted: Tensor, depth: Tensor, samples: GpuSamples, level: float, scale: float, depth_scale: float,
     sums: Tensor,
 ) -> Tensor:  # fmt: skip
     """dL/d(out) [rays, 5], see composite.tuning_loss_kernel; adds to sums [5]. depth [m]: of the first m rays."""

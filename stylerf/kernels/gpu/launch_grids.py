@@ -7,7 +7,7 @@ from torch import Tensor
 from stylerf.kernels.gpu import density as density_kernels
 from stylerf.kernels.gpu import hash_density as hash_kernels
 from stylerf.kernels.gpu import voxel as voxel_kernels
-from stylerf.kernels.gpu.launch import POINTS, SAMPLES, STAGES, DeviceSamples, persistent_grid
+from stylerf.kernels.gpu.launch import POINTS, SAMPLES, STAGES, GpuSamples, persistent_grid
 
 
 def grid_density(density, points: Tensor) -> Tensor:
@@ -21,7 +21,7 @@ def grid_density(density, points: Tensor) -> Tensor:
     return out
 
 
-def hash_density_backward(density, samples: DeviceSamples, sigma_gradients: Tensor, to: Tensor) -> None:
+def hash_density_backward(density, samples: GpuSamples, sigma_gradients: Tensor, to: Tensor) -> None:
     """Add dL/d(values) to `to` [len(values)]: levels, shift."""
     hash_kernels.density_backward_kernel[persistent_grid(to.device, samples.room, SAMPLES)](
         density.layout, samples.x, samples.sigma, sigma_gradients, samples.total, to, to[-1:],
@@ -29,7 +29,7 @@ def hash_density_backward(density, samples: DeviceSamples, sigma_gradients: Tens
     )  # fmt: skip
 
 
-def voxel_density_backward(density, samples: DeviceSamples, sigma_gradients: Tensor, to: Tensor) -> None:
+def voxel_density_backward(density, samples: GpuSamples, sigma_gradients: Tensor, to: Tensor) -> None:
     """Add dL/d(values) to `to` [len(values)]: table, shift."""
     voxel_kernels.density_backward_kernel[persistent_grid(to.device, samples.room, SAMPLES)](
         density.layout, samples.x, samples.sigma, sigma_gradients, samples.total, to, to[-1:], *density.size,

@@ -4,7 +4,7 @@ import torch
 from torch import Tensor
 
 from stylerf.kernels.gpu import color_heads, mlp_head
-from stylerf.kernels.gpu.launch import SAMPLES, STAGES, DeviceSamples, outputs_of, persistent_grid, width_of
+from stylerf.kernels.gpu.launch import SAMPLES, STAGES, GpuSamples, outputs_of, persistent_grid, width_of
 
 # With four, the network's backward on hash features keeps 4.6 KB a thread in local memory, with eight 0.2 KB (compiled
 # for capability 9.0).
@@ -24,7 +24,7 @@ def _constants(color) -> dict:
     }  # fmt: skip
 
 
-def headed_colors(color, samples: DeviceSamples, directions: Tensor, share: float) -> Tensor:
+def headed_colors(color, samples: GpuSamples, directions: Tensor, share: float) -> Tensor:
     """[room, 3] colors of samples with at least `share` of their ray's largest weight; others have -1 first.
 
     color: has table, layout, numbers, size, code, pieces, rank, bands, head (its kind) and hidden (0: no such layer).
@@ -38,7 +38,7 @@ def headed_colors(color, samples: DeviceSamples, directions: Tensor, share: floa
     return out
 
 
-def headed_colors_backward(color, samples: DeviceSamples, directions, colors, color_gradients, to: Tensor) -> None:
+def headed_colors_backward(color, samples: GpuSamples, directions, colors, color_gradients, to: Tensor) -> None:
     """Add dL/d(values) to `to` [len(values)]: the features' table, the head's numbers."""
     layout = samples.counts if color.layout is None else color.layout
     KERNELS[color.head][1][persistent_grid(to.device, samples.room, SAMPLES)](

@@ -14,7 +14,7 @@ BEHIND = 8
 Told = TypeVar("Told")
 
 
-class Reports(Generic[Told]):
+class AsyncReadback(Generic[Told]):
     """`width` sums of each of the last steps, on their way from the device.
 
     read: makes of a step's sums, and what was noted of it, what the loop is told; first: told before any has come.

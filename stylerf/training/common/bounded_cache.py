@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 
-class Kept(Sequence):
+class BoundedCache(Sequence):
     """Made when first asked for. The first to come are kept, up to `most` bytes in all, and never given up for others.
 
     Views are asked for in an order drawn anew for each round: whichever are kept, as many of them come up.

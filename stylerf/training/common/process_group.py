@@ -20,7 +20,7 @@ READING_WAIT = timedelta(seconds=10)
 Checkpoint = tuple[dict, dict[str, np.ndarray]]
 
 
-class Ranks(Protocol):
+class ProcessGroup(Protocol):
     """This process's place among those that train together. first: the one that decides, writes and speaks."""
 
     count: int
@@ -49,7 +49,7 @@ class Ranks(Protocol):
         """Nothing more is to be done together."""
 
 
-class Alone:
+class SingleProcess:
     """One process: its part is the whole, its sums are its own."""
 
     count, place, first = 1, 0, True
@@ -72,10 +72,10 @@ class Alone:
     def leave(self) -> None: ...
 
 
-ALONE = Alone()
+ALONE = SingleProcess()
 
 
-class Together:
+class DistributedProcesses:
     """Processes joined by torch.distributed, under the addresses that torchrun leaves in the environment.
 
     device: `cpu` (gloo) or `cuda` (gloo for what is in memory, NCCL for what is on GPUs, one a process); anything else

@@ -31,7 +31,7 @@ def shown_rays(origins: np.ndarray, directions: np.ndarray, colors: np.ndarray) 
     return origins[shown], directions[shown], unhidden(colors[shown], np.zeros((int(shown.sum()), 3), np.float32))
 
 
-class RayBank:
+class RayDataset:
     """8-bit photos and their cameras; rays are made when asked for, and none is ever stored.
 
     photos: uint8 [h, w, 3 or 4] (straight alpha) of every camera, of any sizes, all with as many channels; or the same

@@ -8,10 +8,10 @@ import torch
 from torch import Tensor
 
 from stylerf.errors import InvalidValue
-from stylerf.fields.gpu.field import DeviceRays
+from stylerf.fields.gpu.field import GpuRays
 from stylerf.kernels.gpu import launch, launch_edit
 from stylerf.training.common.pixels import STRETCH
-from stylerf.training.common.ray_dataset import HIDDEN, RayBank
+from stylerf.training.common.ray_dataset import HIDDEN, RayDataset
 
 AT_ONCE = 1 << 22  # bytes of photos, or numbers of pixels, on their way to the device
 
@@ -24,18 +24,18 @@ def unhidden(wanted: Tensor, out: Tensor, background: Tensor | float) -> Tensor:
 
 
 @dataclass
-class Drawn:
+class RayBatch:
     """rays; wanted [n, 4]: straight rgba 0..1; background [n, 3]."""
 
-    rays: DeviceRays
+    rays: GpuRays
     wanted: Tensor
     background: Tensor
 
 
-class DeviceBank:
+class GpuRayDataset:
     """bank: photos and cameras, copied to the device once, a byte a channel."""
 
-    def __init__(self, bank: RayBank, device: torch.device) -> None:
+    def __init__(self, bank: RayDataset, device: torch.device) -> None:
         if len(bank) >= 2**31:
             raise InvalidValue(f"{len(bank)} pixels of photos; at most {2**31 - 1} can be drawn from on a GPU")
         self.device, self.channels, self.views = device, bank.channels, len(bank.cameras)
@@ -50,7 +50,7 @@ class DeviceBank:
     def _copy(self, array: np.ndarray) -> Tensor:
         return torch.from_numpy(np.ascontiguousarray(array)).to(self.device)
 
-    def _photos(self, bank: RayBank) -> Tensor:
+    def _photos(self, bank: RayDataset) -> Tensor:
         """The bank's bytes, brought over little by little: where they are mapped from a file, never all in memory."""
         there = torch.empty(len(bank.bytes), dtype=torch.uint8, device=self.device)
         for at in range(0, len(there), AT_ONCE):
@@ -59,7 +59,7 @@ class DeviceBank:
             there[at : at + len(part)] = torch.from_numpy(part)
         return there
 
-    def _near_objects(self, bank: RayBank) -> Tensor:
+    def _near_objects(self, bank: RayDataset) -> Tensor:
         """The pixels worth more, int32, one by one: the device draws from them; the bank keeps them as runs."""
         count = 0 if bank.lit is None else bank.lit.below(len(bank))
         there = torch.zeros(max(1, count), dtype=torch.int32, device=self.device)
@@ -74,7 +74,7 @@ class DeviceBank:
 
     def draw(
         self, seed: int, first: int, count: int, batch: int, among: int, lit_share: float, level: float | None
-    ) -> Drawn:
+    ) -> RayBatch:
         """Rays `first` to `first + count` of the batch of `batch` random rays that `seed` names, of `among` views.
 
         lit_share: part of the batch that goes through pixels near something opaque. level: gray of the background;
@@ -88,12 +88,12 @@ class DeviceBank:
         launch.draw_rays(
             self, seed, first, total, most_lit, lit_rays, level, origins, directions, wanted, jitter, background
         )
-        return Drawn(DeviceRays(origins, directions, jitter), wanted, background)
+        return RayBatch(GpuRays(origins, directions, jitter), wanted, background)
 
-    def at(self, chosen: Tensor, jitter: Tensor) -> tuple[DeviceRays, Tensor]:
+    def at(self, chosen: Tensor, jitter: Tensor) -> tuple[GpuRays, Tensor]:
         """(rays, straight rgba [n, 4]) of pixels `chosen` [n] int64, numbered as number_of tells; jitter [n]."""
         origins, directions, wanted = launch_edit.rays_of_pixels(self, chosen)
-        return DeviceRays(origins, directions, jitter), wanted
+        return GpuRays(origins, directions, jitter), wanted
 
     def number_of(self, views: np.ndarray, pixels: np.ndarray) -> np.ndarray:
         """[n] int64: the numbers of row-major pixels of views, all views laid end to end."""

@@ -18,7 +18,7 @@ from stylerf.fields.displacement_grid import (
     seen_cells,
     vertices_of,
 )
-from stylerf.fields.occupancy_grid import Occupancy
+from stylerf.fields.occupancy_grid import OccupancyGrid
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.fields.ray_samples import Rays
 from stylerf.geometry.cameras import Camera
@@ -92,7 +92,7 @@ class Deformer:
 
     def _place(self, distances: np.ndarray) -> None:
         """The deformed field's occupancy as a checkpoint has it."""
-        self.field.occupancy = Occupancy(self.rest.cells, self.rest.highest)
+        self.field.occupancy = OccupancyGrid(self.rest.cells, self.rest.highest)
         self.field.occupancy.distances = distances.copy()
 
     def _told(self, size: Tensor) -> float:
@@ -175,9 +175,9 @@ def deformer_on(device: str | torch.device | None, *given) -> Deformer:
     """A Deformer of what it is given, that works on `device`; None: by the CPU's kernels."""
     if device is None:
         return Deformer(*given)
-    from stylerf.training.deform.deformer_gpu import DeviceDeformer
+    from stylerf.training.deform.deformer_gpu import GpuDeformer
 
-    return DeviceDeformer(torch.device(device), *given)
+    return GpuDeformer(torch.device(device), *given)
 
 
 def _pairs(active: np.ndarray, vertices: int) -> list[Tensor]:

@@ -7,25 +7,25 @@ import torch
 from torch import Tensor
 
 from stylerf.fields.deformation import FARTHEST, Deformation
-from stylerf.fields.gpu.field import DeviceField, DeviceRays
+from stylerf.fields.gpu.field import GpuField, GpuRays
 from stylerf.fields.gpu.occupancy_grid import FARTHEST as FARTHEST_CELL
 from stylerf.fields.gpu.occupancy_grid import distances_to
-from stylerf.fields.occupancy_grid import Occupancy
+from stylerf.fields.occupancy_grid import OccupancyGrid
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.geometry.cameras import Camera
 from stylerf.kernels.gpu import launch
 from stylerf.kernels.gpu.launch_deform import displaced_cells
-from stylerf.training.common.async_readback import Reports, sent
+from stylerf.training.common.async_readback import AsyncReadback, sent
 from stylerf.training.common.ray_dataset_gpu import unhidden
 from stylerf.training.deform.deformer import Deformer
-from stylerf.training.fit.engine_gpu import DeviceAdam
+from stylerf.training.fit.engine_gpu import GpuAdam
 
 RAYS_AT_ONCE = 1 << 16
 MOST_SAMPLES = 1 << 24  # of a step's rays, 1.3 GB; rays beyond that are left out of it
 LIMIT = 512  # samples on a ray
 
 
-class DeviceDeformer(Deformer):
+class GpuDeformer(Deformer):
     """training/deform/deformer.py's Deformer. live: the deforming field on the device, which rays are walked through.
 
     What the cameras see is found once, by the CPU's kernels. `field` and `deformation` are brought up to date by
@@ -51,15 +51,15 @@ class DeviceDeformer(Deformer):
         return tensor.to(self.device)
 
     def _prepare(self, chunks: int) -> None:
-        self.live = DeviceField(self.field, self.device)
+        self.live = GpuField(self.field, self.device)
         self._at_rest = self._there(torch.from_numpy(self.rest.distances))
         self.gradients = torch.zeros(3 * self.vertices**3, device=self.device)
         values = torch.from_numpy(self.deformation.values).to(self.device, copy=True)
-        self.adam = DeviceAdam(values, [(0, len(values), 1.0)], self.clip)
+        self.adam = GpuAdam(values, [(0, len(values), 1.0)], self.clip)
         self._sizes, self._brought = self._no_sizes(), None
 
-    def _no_sizes(self) -> Reports:
-        return Reports(self.device, 1, lambda sums, _: sums[0], 0.0)
+    def _no_sizes(self) -> AsyncReadback:
+        return AsyncReadback(self.device, 1, lambda sums, _: sums[0], 0.0)
 
     def restore(self, arrays: dict[str, np.ndarray]) -> None:
         super().restore(arrays)
@@ -91,24 +91,24 @@ class DeviceDeformer(Deformer):
         self.deformation.values[:] = self.adam.values.cpu().numpy()
         self.field.displacement.reshape(-1)[:] = self.live.displacement.cpu().numpy()
         if self._brought is not self.live.distances:  # the distances of a fine grid take a while
-            self.field.occupancy = Occupancy(self.rest.cells, self.rest.highest)
+            self.field.occupancy = OccupancyGrid(self.rest.cells, self.rest.highest)
             self.field.occupancy.set_occupied(self.live.distances.cpu().numpy() == 0)
             self._brought = self.live.distances
 
 
-class DevicePhotoError:
+class GpuPhotoError:
     """training/deform/fitter.py's PhotoError of a DeviceDeformer. Its error is told a few steps late."""
 
-    def __init__(self, deformer: DeviceDeformer, background: float, share: float) -> None:
+    def __init__(self, deformer: GpuDeformer, background: float, share: float) -> None:
         self.deformer, self.background, self.share = deformer, background, share
-        self._reports = Reports(deformer.device, 3, _mean_error, 0.0)
+        self._reports = AsyncReadback(deformer.device, 3, _mean_error, 0.0)
 
     def of(self, origins: np.ndarray, directions: np.ndarray, colors: np.ndarray) -> float:
         """Mean squared difference of rays, marched from the middle of their first step, from straight rgba [n, 4]."""
         device, total = self.deformer.device, 0.0
         for at in range(0, len(origins), RAYS_AT_ONCE):
             part = slice(at, at + RAYS_AT_ONCE)
-            rays = DeviceRays.of(origins[part], directions[part], device)
+            rays = GpuRays.of(origins[part], directions[part], device)
             out = self.deformer.live.render_rays(rays, share=self.share, limit=LIMIT).out
             wanted = torch.from_numpy(colors[part]).to(device)
             cover = wanted[:, 3:]
@@ -120,7 +120,7 @@ class DevicePhotoError:
     def learn(self, origins: np.ndarray, directions: np.ndarray, colors: np.ndarray, jitter: np.ndarray) -> float:
         """Add dL/dD of their mean squared difference to the deformer's gradients; the difference itself."""
         device, live, n = self.deformer.device, self.deformer.live, len(origins)
-        rays = DeviceRays(*(sent(array, device) for array in (origins, directions, jitter)))
+        rays = GpuRays(*(sent(array, device) for array in (origins, directions, jitter)))
         rendered = live.render_rays(rays, room=min(n * LIMIT, MOST_SAMPLES), share=self.share, limit=LIMIT)
         background = torch.full((n, 3), float(self.background), device=device)
         sums, wanted = self._reports.begin(), sent(colors, device)

@@ -11,9 +11,9 @@ from stylerf.errors import Diverged
 from stylerf.fields.deformation import Deformation
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.fields.ray_samples import Rays
-from stylerf.fields.scratch_arena import Memory
+from stylerf.fields.scratch_arena import ScratchArena
 from stylerf.rendering.rays import Rendered, backward, render_rays
-from stylerf.training.common.ray_dataset import RayBank, shown_rays, unhidden
+from stylerf.training.common.ray_dataset import RayDataset, shown_rays, unhidden
 from stylerf.training.deform.deformer import Deformer, deformer_on
 from stylerf.training.fit.fitter import psnr_from_mse
 
@@ -59,7 +59,7 @@ class PhotoError:
 
     def __init__(self, deformer: Deformer, background: float, share: float, chunks: int) -> None:
         self.deformer, self.background, self.share, self.chunks = deformer, np.float32(background), share, chunks
-        self._memory = Memory()
+        self._memory = ScratchArena()
 
     def _rendered(self, origins, directions, colors, jitter=None) -> tuple[Rendered, np.ndarray]:
         """What rays come back with, and its difference from the photos over the background."""
@@ -99,7 +99,7 @@ class DeformationFitter:
         self,
         scene: RadianceField,
         deformation: Deformation,
-        bank: RayBank,
+        bank: RayDataset,
         settings: DeformSettings,
         seed: int,
         chunks: int,
@@ -119,9 +119,9 @@ class DeformationFitter:
     def _error_on(self, device: str | None) -> PhotoError:
         if device is None:
             return PhotoError(self.deformer, self.settings.background, self.settings.share, self.chunks)
-        from stylerf.training.deform.deformer_gpu import DevicePhotoError
+        from stylerf.training.deform.deformer_gpu import GpuPhotoError
 
-        return DevicePhotoError(self.deformer, self.settings.background, self.settings.share)
+        return GpuPhotoError(self.deformer, self.settings.background, self.settings.share)
 
     def _fixed_rays(self, generator: np.random.Generator):
         """Rays of the views kept aside, of all where none is."""

@@ -56,7 +56,7 @@ def groups_of(module: PaletteModule) -> list[tuple[int, int, float]]:
     return [(0, palette, 2.0), (palette, len(module.values), 1.0)]
 
 
-class CpuEdit:
+class CpuEditEngine:
     """numba kernels on `chunks` threads; the same seed gives the same bits."""
 
     device, kept = torch.device("cpu"), None

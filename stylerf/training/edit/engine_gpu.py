@@ -6,34 +6,34 @@ from torch import Tensor
 
 from stylerf.editing.edit_views import EditView
 from stylerf.editing.palette_module import DEGREE, PaletteModule
-from stylerf.editing.palette_module_gpu import DevicePalette
+from stylerf.editing.palette_module_gpu import GpuPaletteModule
 from stylerf.fields.gpu.memory import free_on
 from stylerf.geometry.spherical_harmonics import harmonics
-from stylerf.training.common.async_readback import Reports, sent
-from stylerf.training.common.bounded_cache import Kept
+from stylerf.training.common.async_readback import AsyncReadback, sent
+from stylerf.training.common.bounded_cache import BoundedCache
 from stylerf.training.edit.engine import groups_of
-from stylerf.training.fit.engine_gpu import DeviceAdam
+from stylerf.training.fit.engine_gpu import GpuAdam
 
 MEMORY = 8e9  # bytes that views may take on the device, or a third of what is free; those beyond are sent each time
 MOST_PARTS = 16  # of a loss
 
 
-class DeviceEdit:
+class GpuEditEngine:
     """stylerf/training/edit/engine.py's CpuEdit on `device`: from the same pixels the same, to rounding."""
 
     def __init__(
         self, views: list[EditView], module: PaletteModule, device: torch.device | str, memory: float | None = None
     ) -> None:
         self.device, self.views = torch.device(device), views
-        self.asked = DevicePalette(module, self.device)
+        self.asked = GpuPaletteModule(module, self.device)
         memory = min(MEMORY, free_on(self.device, 3 * MEMORY) / 3) if memory is None else memory
-        self._there = Kept(self._moved, lambda parts: sum(part.nbytes for part in parts), len(views), memory)
-        self._reports = Reports(self.device, MOST_PARTS, lambda told, names: dict(zip(names, told)), {})
+        self._there = BoundedCache(self._moved, lambda parts: sum(part.nbytes for part in parts), len(views), memory)
+        self._reports = AsyncReadback(self.device, MOST_PARTS, lambda told, names: dict(zip(names, told)), {})
         self._new_adams()
 
     def _new_adams(self) -> None:
-        self.table = DeviceAdam(self.asked.table, [(0, len(self.asked.table), 1.0)])
-        self.networks = DeviceAdam(self.asked.networks, groups_of(self.asked.module))
+        self.table = GpuAdam(self.asked.table, [(0, len(self.asked.table), 1.0)])
+        self.networks = GpuAdam(self.asked.networks, groups_of(self.asked.module))
 
     @property
     def kept(self) -> Tensor:

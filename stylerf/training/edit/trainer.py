@@ -28,8 +28,8 @@ from stylerf.editing.palette_module import (
 from stylerf.editing.palette_shares import figures_of, kept_colors, shares_of
 from stylerf.editing.region_style import Canvas, RegionStyle, in_colors_of
 from stylerf.errors import Diverged, InvalidValue
-from stylerf.style.feature_extractor import Trunk
-from stylerf.training.edit.engine import CpuEdit, EditEngine
+from stylerf.style.feature_extractor import FeatureExtractor
+from stylerf.training.edit.engine import CpuEditEngine, EditEngine
 
 SAMPLED_COLORS = 20_000  # pixels of the region that a first palette and the painting's colors are taken from
 # Shares of `seconds` that the phases may take.
@@ -113,7 +113,7 @@ class EditTrainer:
         module: PaletteModule,
         settings: EditSettings,
         style: Tensor | None,
-        trunk: Trunk | None,
+        trunk: FeatureExtractor | None,
         seed: int,
         chunks: int,
         device: str | None = None,
@@ -131,11 +131,11 @@ class EditTrainer:
             self.style = RegionStyle(trunk, style, settings.style_side)
         self.engine: EditEngine
         if device is None:
-            self.engine = CpuEdit(self.views, module, chunks)
+            self.engine = CpuEditEngine(self.views, module, chunks)
         else:
-            from stylerf.training.edit.engine_gpu import DeviceEdit
+            from stylerf.training.edit.engine_gpu import GpuEditEngine
 
-            self.engine = DeviceEdit(self.views, module, device)
+            self.engine = GpuEditEngine(self.views, module, device)
         self.state = EditState()
         self._pictured: dict[int, tuple[Neighbors, Canvas, Tensor]] = {}
         self.between_steps = True

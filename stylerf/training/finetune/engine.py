@@ -11,12 +11,12 @@ import numpy as np
 
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.fields.ray_samples import Rays
-from stylerf.fields.region_color import PatchColor
-from stylerf.fields.scratch_arena import Memory
+from stylerf.fields.region_color import RegionColor
+from stylerf.fields.scratch_arena import ScratchArena
 from stylerf.rendering.rays import backward, render_rays
 from stylerf.training.common.adam import Adam
-from stylerf.training.common.process_group import ALONE, Ranks
-from stylerf.training.common.ray_dataset import RayBank, unhidden
+from stylerf.training.common.process_group import ALONE, ProcessGroup
+from stylerf.training.common.ray_dataset import RayDataset, unhidden
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ class FineTuneSettings:
 
 
 @dataclass(frozen=True, eq=False)
-class TuningBatch:
+class FineTuneBatch:
     """This process's pixels of one step, edited ones first: views, row-major pixels, jitter of their rays [n].
 
     depth [m]: known of the first m, the edited ones. inside: edited ones of all processes. smoothness: its strength,
@@ -60,12 +60,12 @@ class TuningBatch:
     smoothness: float
 
 
-class TuningEngine(Protocol):
+class FineTuneEngine(Protocol):
     """field: as it now stands, its arrays up to date."""
 
     field: RadianceField
 
-    def learn(self, batch: TuningBatch) -> dict[str, float]:
+    def learn(self, batch: FineTuneBatch) -> dict[str, float]:
         """One step of the optimizers; mean squared errors of colors outside and inside the edit, and of depths.
 
         A GPU's are those of the newest step that it has finished; nothing before the first.
@@ -86,23 +86,23 @@ def parts_of(sums: np.ndarray, of: np.ndarray) -> dict[str, float]:
     return dict(zip(("outside", "inside", "depth"), (sums / np.maximum(of, 1)).tolist(), strict=True))
 
 
-class CpuTuning:
+class CpuFineTuneEngine:
     """numba kernels on `chunks` threads; the same seed gives the same bits."""
 
     def __init__(
-        self, field: RadianceField, bank: RayBank, settings: FineTuneSettings, chunks: int, ranks: Ranks = ALONE
+        self, field: RadianceField, bank: RayDataset, settings: FineTuneSettings, chunks: int, ranks: ProcessGroup = ALONE
     ) -> None:
         self.field, self.bank, self.settings, self.chunks, self.ranks = field, bank, settings, chunks, ranks
         self.color_adam = Adam(field.color.values, field.color.groups(), chunks)
         self.density_adam = Adam(field.density.values, field.density.groups(), chunks)
         self._last: dict[str, float] = {}
-        self._memory = Memory()
+        self._memory = ScratchArena()
 
-    def learn(self, batch: TuningBatch) -> dict[str, float]:
+    def learn(self, batch: FineTuneBatch) -> dict[str, float]:
         with self._memory.round():
             return self._learn(batch)
 
-    def _learn(self, batch: TuningBatch) -> dict[str, float]:
+    def _learn(self, batch: FineTuneBatch) -> dict[str, float]:
         s, field, edited = self.settings, self.field, len(batch.depth)
         moving = s.density_factor > 0
         origins, directions, colors = self.bank.at(batch.views, batch.pixels)
@@ -128,7 +128,7 @@ class CpuTuning:
             gradients[:edited, 4] = (2 * s.depth_weight / batch.inside) * off / known
             depth_error = float(np.square(off).sum())
         density_to = self.density_adam.gradients if moving else None
-        within = field.color.marked if isinstance(field.color, PatchColor) else None
+        within = field.color.marked if isinstance(field.color, RegionColor) else None
         to = density_to, self.color_adam.gradients
         backward(field, rendered, gradients, *to, even_from=s.even_from, density_within=within)
         self._step(batch, moving)
@@ -138,7 +138,7 @@ class CpuTuning:
         self._last = parts_of(sums, np.array([s.rays - batch.inside, batch.inside, batch.inside]))
         return self._last
 
-    def _step(self, batch: TuningBatch, moving: bool) -> None:
+    def _step(self, batch: FineTuneBatch, moving: bool) -> None:
         """Both optimizers, where the density moves, on gradients of all processes."""
         if batch.smoothness > 0 and self.ranks.first:
             self.field.color.smooth(batch.smoothness, self.color_adam.gradients[0])

@@ -6,44 +6,44 @@ A step sends a number and a jitter for each ray, about seventy kilobytes, and wa
 import numpy as np
 import torch
 
-from stylerf.fields.gpu.field import DeviceField, marked_cells
+from stylerf.fields.gpu.field import GpuField, marked_cells
 from stylerf.fields.radiance_field import RadianceField
-from stylerf.fields.region_color import PatchColor
+from stylerf.fields.region_color import RegionColor
 from stylerf.kernels.gpu import launch_edit
 from stylerf.rendering.rays import SAMPLE_LIMIT
-from stylerf.training.common.async_readback import Reports, sent
-from stylerf.training.common.process_group import ALONE, Ranks
-from stylerf.training.common.ray_dataset import RayBank
-from stylerf.training.common.ray_dataset_gpu import DeviceBank, unhidden
-from stylerf.training.finetune.engine import FineTuneSettings, TuningBatch, parts_of
-from stylerf.training.fit.engine_gpu import DeviceAdam
+from stylerf.training.common.async_readback import AsyncReadback, sent
+from stylerf.training.common.process_group import ALONE, ProcessGroup
+from stylerf.training.common.ray_dataset import RayDataset
+from stylerf.training.common.ray_dataset_gpu import GpuRayDataset, unhidden
+from stylerf.training.finetune.engine import FineTuneBatch, FineTuneSettings, parts_of
+from stylerf.training.fit.engine_gpu import GpuAdam
 
 # Samples there is room for: all that the rays could have, up to a gigabyte. Rays beyond take no part in their step.
 MOST_ROOM = 1 << 24
 
 
-class DeviceTuning:
+class GpuFineTuneEngine:
     """stylerf/training/finetune/engine.py's CpuTuning on `device`: from the same pixels the same, to rounding."""
 
     def __init__(
-        self, field: RadianceField, bank: RayBank, settings: FineTuneSettings, device: torch.device | str,
-        ranks: Ranks = ALONE,
+        self, field: RadianceField, bank: RayDataset, settings: FineTuneSettings, device: torch.device | str,
+        ranks: ProcessGroup = ALONE,
     ) -> None:  # fmt: skip
         self.device, self.settings, self.ranks = torch.device(device), settings, ranks
-        self.bank = DeviceBank(bank, self.device)
+        self.bank = GpuRayDataset(bank, self.device)
         self._host = field
         self._within = None
-        if isinstance(field.color, PatchColor):
+        if isinstance(field.color, RegionColor):
             self._within = marked_cells(field.color.marked, self.device), field.color.cells
-        self._reports = Reports(self.device, 5, self._told, {}, in_step=ranks.count > 1)
+        self._reports = AsyncReadback(self.device, 5, self._told, {}, in_step=ranks.count > 1)
         self._take_up()
 
     def _take_up(self) -> None:
         """The host's arrays, moments at zero."""
         self._stale = False
-        self.live = DeviceField(self._host, self.device)
-        self.color_adam = DeviceAdam(self.live.color.values, self.live.color.groups)
-        self.density_adam = DeviceAdam(self.live.density.values, self.live.density.groups)
+        self.live = GpuField(self._host, self.device)
+        self.color_adam = GpuAdam(self.live.color.values, self.live.color.groups)
+        self.density_adam = GpuAdam(self.live.density.values, self.live.density.groups)
 
     @property
     def field(self) -> RadianceField:
@@ -54,7 +54,7 @@ class DeviceTuning:
             self._stale = False
         return self._host
 
-    def learn(self, batch: TuningBatch) -> dict[str, float]:
+    def learn(self, batch: FineTuneBatch) -> dict[str, float]:
         s, field, sums = self.settings, self.live, self._reports.begin()
         moving = s.density_factor > 0
         numbers = self.bank.number_of(batch.views, batch.pixels)

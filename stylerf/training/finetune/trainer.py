@@ -13,10 +13,10 @@ import numpy as np
 
 from stylerf.errors import Diverged
 from stylerf.fields.radiance_field import RadianceField
-from stylerf.fields.region_color import PatchColor
-from stylerf.training.common.process_group import ALONE, Ranks
-from stylerf.training.common.ray_dataset import RayBank
-from stylerf.training.finetune.engine import CpuTuning, FineTuneSettings, TuningBatch, TuningEngine
+from stylerf.fields.region_color import RegionColor
+from stylerf.training.common.process_group import ALONE, ProcessGroup
+from stylerf.training.common.ray_dataset import RayDataset
+from stylerf.training.finetune.engine import CpuFineTuneEngine, FineTuneBatch, FineTuneEngine, FineTuneSettings
 from stylerf.training.fit.fitter import SMOOTH_EVERY
 
 
@@ -55,25 +55,25 @@ class FineTuner:
     def __init__(
         self,
         field: RadianceField,
-        bank: RayBank,
+        bank: RayDataset,
         edited: EditedPixels,
         settings: FineTuneSettings,
         seed: int,
         chunks: int,
-        ranks: Ranks = ALONE,
+        ranks: ProcessGroup = ALONE,
         device: str | None = None,
     ) -> None:
         self.ranks, self.bank, self.edited, self.settings, self.seed = ranks, bank, edited, settings, seed
         self.state = FineTuneState()
         # Whether all that learns is near the edit: rays far from it would tell nothing.
-        self.local = isinstance(field.color, PatchColor) and settings.density_factor == 0
-        self.engine: TuningEngine
+        self.local = isinstance(field.color, RegionColor) and settings.density_factor == 0
+        self.engine: FineTuneEngine
         if device is None:
-            self.engine = CpuTuning(field, bank, settings, chunks, ranks)
+            self.engine = CpuFineTuneEngine(field, bank, settings, chunks, ranks)
         else:
-            from stylerf.training.finetune.engine_gpu import DeviceTuning
+            from stylerf.training.finetune.engine_gpu import GpuFineTuneEngine
 
-            self.engine = DeviceTuning(field, bank, settings, device, ranks)
+            self.engine = GpuFineTuneEngine(field, bank, settings, device, ranks)
         self.between_steps = True
 
     @property
@@ -87,7 +87,7 @@ class FineTuner:
         s = self.settings
         return min(1.0, self.state.step / s.steps if s.steps else self.state.seconds / s.seconds)
 
-    def _batch(self) -> TuningBatch:
+    def _batch(self) -> FineTuneBatch:
         """This process's pixels of the step, and how fast it learns.
 
         Edited pixels come first in a step, then those beside them, then any; a process takes its part of all.
@@ -106,7 +106,7 @@ class FineTuner:
             (views[around], pixels[around]),
             self.bank.choose(others, generator, part=_overlap(own, s.rays - others, others)),
         )
-        return TuningBatch(
+        return FineTuneBatch(
             *(np.concatenate(two) for two in zip(*drawn)),
             jitter=generator.random(s.rays, dtype=np.float32)[own],
             depth=self.edited.depth[chosen],

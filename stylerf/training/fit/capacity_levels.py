@@ -5,16 +5,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stylerf.fields.capacity import Capacity
-from stylerf.fields.encoded_color import HeadedColor
+from stylerf.fields.encoded_color import EncodedColor
 from stylerf.fields.hash_density import HashDensity
-from stylerf.fields.occupancy_grid import Occupancy
+from stylerf.fields.occupancy_grid import OccupancyGrid
 from stylerf.fields.vm import VmColor, VmDensity
 from stylerf.fields.voxel import VoxelDensity
-from stylerf.geometry.space_warp import Space
+from stylerf.geometry.space_warp import SpaceWarp
 
 
 @dataclass(frozen=True)
-class Rung:
+class CapacityLevel:
     """One capacity: vertices per axis of an even box (of a hash grid: most cells a side), ranks of vm's density and
 
     color, cells of the occupancy grid, the power of two of a hash level's vertices, the highest degree that the
@@ -30,7 +30,7 @@ class Rung:
     color_resolution: int = 0
 
     @property
-    def color(self) -> "Rung":
+    def color(self) -> "CapacityLevel":
         """The capacity that the color has: it may be coarser than the density."""
         return replace(self, resolution=self.color_resolution or self.resolution)
 
@@ -48,18 +48,18 @@ class Kinds:
 # Few ranks on the first rung: what is added later begins beside what is known already, where the error is. On the
 # finest grid a density of half the ranks and a coarser color hold as much, and a step takes less time (0040).
 LADDER = (
-    Rung(64, 8, 16, table_bits=16),
-    Rung(128, table_bits=17),
-    Rung(192, table_bits=17),
-    Rung(256, 8, table_bits=18, color_resolution=176),
+    CapacityLevel(64, 8, 16, table_bits=16),
+    CapacityLevel(128, table_bits=17),
+    CapacityLevel(192, table_bits=17),
+    CapacityLevel(256, 8, table_bits=18, color_resolution=176),
 )
 # The same with colors as fine as the density, where the photos of an object hold more than LADDER's colors can.
-FULL = Rung(256, 8, table_bits=18)
+FULL = CapacityLevel(256, 8, table_bits=18)
 # A contraction leaves half of each axis to what the cameras stand around: there a finer density still tells.
-BEYOND = Rung(384, 8, table_bits=18, color_resolution=256)
+BEYOND = CapacityLevel(384, 8, table_bits=18, color_resolution=256)
 
 
-def ladder_of(kinds: Kinds, space: str, pixels: int) -> tuple[Rung, ...]:
+def ladder_of(kinds: Kinds, space: str, pixels: int) -> tuple[CapacityLevel, ...]:
     """The rungs that a fit of so made fields climbs. space: its kind. pixels: the longest side of the photos."""
     if kinds.head != "linear":
         # A small network behind the color has one width: its ranks are those of the first rung.
@@ -72,7 +72,7 @@ def ladder_of(kinds: Kinds, space: str, pixels: int) -> tuple[Rung, ...]:
 
 
 def capacity_at(
-    rung: Rung, finest: int, levels: int, space: Space, occupancy: Occupancy | None = None, degree: int = 1
+    rung: CapacityLevel, finest: int, levels: int, space: SpaceWarp, occupancy: OccupancyGrid | None = None, degree: int = 1
 ) -> Capacity:
     """A rung's capacity in a space; finest: the resolution of the ladder's last rung; degree: asked for at most."""
     return Capacity(
@@ -97,7 +97,7 @@ def first_parts(kinds: Kinds, capacity: Capacity, generator: np.random.Generator
         density = DENSITIES[kinds.density].create(capacity, generator)
     if kinds.color == "vm" and kinds.head == "linear":
         return density, VmColor.create(capacity.size, capacity.color_rank, degree, generator)
-    return density, HeadedColor.create(kinds.color, kinds.head, capacity, degree, generator)
+    return density, EncodedColor.create(kinds.color, kinds.head, capacity, degree, generator)
 
 
 DENSITIES = {"hash": HashDensity, "voxel": VoxelDensity}

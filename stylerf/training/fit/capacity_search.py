@@ -8,7 +8,7 @@ needed, and compared with what stood before. What the views do not miss stays aw
 import math
 from dataclasses import asdict, replace
 
-from stylerf.training.fit.capacity_levels import Kinds, Rung
+from stylerf.training.fit.capacity_levels import CapacityLevel, Kinds
 from stylerf.training.fit.settings import FitSettings, FitState
 
 LEAST_STEPS_PER_RUNG = 100
@@ -28,18 +28,18 @@ TELLING_PSNR = 20 * math.log10(255)
 GROW = "grow"
 
 
-def _fewer_density_ranks(rung: Rung, kinds: Kinds, settings: FitSettings) -> dict[str, int]:
+def _fewer_density_ranks(rung: CapacityLevel, kinds: Kinds, settings: FitSettings) -> dict[str, int]:
     below = [n for n in RANKS if n < rung.density_rank]
     return {"density_rank": below[-1]} if kinds.density == "vm" and below else {}
 
 
-def _fewer_color_ranks(rung: Rung, kinds: Kinds, settings: FitSettings) -> dict[str, int]:
+def _fewer_color_ranks(rung: CapacityLevel, kinds: Kinds, settings: FitSettings) -> dict[str, int]:
     # A headed color's network has one width.
     below = [n for n in RANKS if n < rung.color_rank]
     return {"color_rank": below[-1]} if kinds.color == "vm" and kinds.head == "linear" and below else {}
 
 
-def _coarser(rung: Rung, kinds: Kinds, settings: FitSettings) -> dict[str, int]:
+def _coarser(rung: CapacityLevel, kinds: Kinds, settings: FitSettings) -> dict[str, int]:
     below = [n for n in RESOLUTIONS if n < rung.resolution]
     if not below:
         return {}
@@ -47,13 +47,13 @@ def _coarser(rung: Rung, kinds: Kinds, settings: FitSettings) -> dict[str, int]:
     return {"resolution": below[-1], "color_resolution": rung.color_resolution if coarser_color else 0}
 
 
-def _coarser_color(rung: Rung, kinds: Kinds, settings: FitSettings) -> dict[str, int]:
+def _coarser_color(rung: CapacityLevel, kinds: Kinds, settings: FitSettings) -> dict[str, int]:
     # By a third: at once the views miss it no more than a quarter, and a color of 176^3 halves a field of 256^3.
     below = max(RESOLUTIONS[0], round(rung.color.resolution * 2 / 3 / COLOR_STEP) * COLOR_STEP)
     return {"color_resolution": below} if below < rung.color.resolution else {}
 
 
-def _seen_alike(rung: Rung, kinds: Kinds, settings: FitSettings) -> dict[str, int]:
+def _seen_alike(rung: CapacityLevel, kinds: Kinds, settings: FitSettings) -> dict[str, int]:
     view_dependent = kinds.color == "vm" and kinds.head == "linear" and min(rung.degree, settings.degree) > 0
     return {"degree": 0} if view_dependent else {}
 
@@ -69,7 +69,7 @@ REDUCTIONS = {
 OF_RANKS = ("density ranks", "color ranks")
 
 
-def named(rung: Rung, kinds: Kinds, settings: FitSettings) -> str:
+def named(rung: CapacityLevel, kinds: Kinds, settings: FitSettings) -> str:
     """A capacity in words: 128^3 rank 16+24; where the color is coarser, 256^3+128^3 rank 16+24."""
     ranks = []
     if kinds.density == "vm":
@@ -82,7 +82,7 @@ def named(rung: Rung, kinds: Kinds, settings: FitSettings) -> str:
     return words + ("" if degree == settings.degree else f" degree {degree}")
 
 
-class Climb:
+class CapacitySearch:
     """What is tried next, and what becomes of it; it knows no array.
 
     state.trial, while one is on: {what: `grow` or a reduction's name, before: dB, from, parameters: of the field
@@ -94,11 +94,11 @@ class Climb:
         self.settings, self.state, self.judges = settings, state, judges
 
     @property
-    def rung(self) -> Rung:
+    def rung(self) -> CapacityLevel:
         """The present capacity."""
         return replace(self.settings.ladder[self.state.rung], **self.state.given_up)
 
-    def name(self, rung: Rung) -> str:
+    def name(self, rung: CapacityLevel) -> str:
         return named(rung, self.settings.kinds, self.settings)
 
     # -- when -------------------------------------------------------------------------------------------------------
@@ -216,7 +216,7 @@ class Climb:
 
     # -- what -------------------------------------------------------------------------------------------------------
 
-    def begin(self, what: str, quality: float, parameters: int, progress: float) -> Rung:
+    def begin(self, what: str, quality: float, parameters: int, progress: float) -> CapacityLevel:
         """Put a change on trial; the capacity to go on with."""
         state, settings = self.state, self.settings
         before = self.rung
@@ -234,7 +234,7 @@ class Climb:
     def judge(self, quality: float, parameters: int) -> tuple[bool, str]:
         """End the trial: whether what was tried stays, and why in words. parameters: of the field on trial."""
         settings, trial = self.settings, self.state.trial
-        old, new, gain = Rung(**trial["from"]), self.rung, quality - trial["before"]
+        old, new, gain = CapacityLevel(**trial["from"]), self.rung, quality - trial["before"]
         names, sizes = (self.name(old), self.name(new)), (trial["parameters"], parameters)
         if trial["what"] == GROW:
             kept = self._gained(quality, parameters)

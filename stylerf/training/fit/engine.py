@@ -12,11 +12,11 @@ import numpy as np
 
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.fields.ray_samples import Rays
-from stylerf.fields.scratch_arena import Memory
+from stylerf.fields.scratch_arena import ScratchArena
 from stylerf.rendering.rays import backward, render_rays, seen
 from stylerf.training.common.adam import Adam
-from stylerf.training.common.process_group import ALONE, Ranks
-from stylerf.training.common.ray_dataset import RayBank, unhidden
+from stylerf.training.common.process_group import ALONE, ProcessGroup
+from stylerf.training.common.ray_dataset import RayDataset, unhidden
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class Batch:
 
 
 @dataclass(frozen=True)
-class Learned:
+class StepResult:
     """Mean squared error of a batch and samples a ray. A GPU's are those of the newest step that it has finished."""
 
     error: float
@@ -64,7 +64,7 @@ class Engine(Protocol):
     def refresh(self, seed: int, share: int) -> None:
         """Look anew where the field has density, at one cell in `share`."""
 
-    def learn(self, batch: Batch) -> Learned:
+    def learn(self, batch: Batch) -> StepResult:
         """One step of the optimizer. MemoryError where the batch does not fit; then discard() what was begun."""
 
     def discard(self) -> None:
@@ -140,16 +140,16 @@ class CpuEngine:
 
     def __init__(
         self,
-        bank: RayBank,
+        bank: RayDataset,
         seed: int,
         chunks: int,
         field: RadianceField,
-        ranks: Ranks = ALONE,
+        ranks: ProcessGroup = ALONE,
         clip: float = 0.0,
     ) -> None:
         self.bank, self.seed, self.chunks, self.ranks, self.clip = bank, seed, chunks, ranks, clip
         self.density_adam = self.color_adam = None
-        self._memory = Memory()
+        self._memory = ScratchArena()
         self.adopt(field)
 
     def adopt(self, field: RadianceField) -> None:
@@ -170,7 +170,7 @@ class CpuEngine:
         field = self.field
         field.occupancy.refresh(lambda x: field.density.sigma(x, self.chunks), field.step, seed, share, 0.9)
 
-    def learn(self, batch: Batch) -> Learned:
+    def learn(self, batch: Batch) -> StepResult:
         generator = np.random.default_rng([self.seed, 4, batch.step])
         count, near, own = batch.rays, self.field.space.near, self.ranks.own(batch.rays)
         origins, directions, colors, _ = self.bank.draw(count, generator, batch.among, batch.lit_share, own)
@@ -194,7 +194,7 @@ class CpuEngine:
         self.density_adam.step(batch.rate)
         self.color_adam.step(batch.rate)
         error, live = totals.tolist()
-        return Learned(error / (3 * count), live / count)
+        return StepResult(error / (3 * count), live / count)
 
     def _learn_part(self, batch: Batch, rays: Rays, colors, back) -> tuple[float, int]:
         """Add the gradients of some rays of a batch; the sum of their squared errors, and their samples."""
@@ -217,7 +217,7 @@ class CpuEngine:
         return float(np.square(difference).sum()), rendered.samples.count
 
     def discard(self) -> None:
-        self._memory = Memory()  # what was kept for batches of this size is needed for smaller ones
+        self._memory = ScratchArena()  # what was kept for batches of this size is needed for smaller ones
         self.density_adam.gradients[:] = 0
         self.color_adam.gradients[:] = 0
 

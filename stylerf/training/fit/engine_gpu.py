@@ -11,22 +11,22 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from stylerf.fields.gpu.field import DeviceField, DeviceRays, DeviceRendered
+from stylerf.fields.gpu.field import GpuField, GpuRays, GpuRendered
 from stylerf.fields.gpu.occupancy_grid import decide, refresh
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.kernels.gpu import launch
 from stylerf.training.common.adam import BETA1, BETA2, EPSILON, UNKNOWN
-from stylerf.training.common.async_readback import Reports
-from stylerf.training.common.process_group import ALONE, Ranks
-from stylerf.training.common.ray_dataset import RayBank
-from stylerf.training.common.ray_dataset_gpu import DeviceBank, unhidden
-from stylerf.training.fit.engine import Batch, Learned, parts_of
+from stylerf.training.common.async_readback import AsyncReadback
+from stylerf.training.common.process_group import ALONE, ProcessGroup
+from stylerf.training.common.ray_dataset import RayDataset
+from stylerf.training.common.ray_dataset_gpu import GpuRayDataset, unhidden
+from stylerf.training.fit.engine import Batch, StepResult, parts_of
 
 ROOM = 4  # times the samples that a batch is meant to have; rays beyond that are left out of the step
 LEAST_ROOM = 1 << 18
 
 
-class DeviceAdam:
+class GpuAdam:
     """stylerf/training/common/adam.py's Adam, on tensors: one gradient buffer, added to by atomics."""
 
     def __init__(self, values: Tensor, groups: list[tuple[int, int, float]], clip: float = 0.0) -> None:
@@ -72,17 +72,17 @@ def clipped(gradients: Tensor, clip: float, usual: Tensor, steps: int) -> Tensor
     return torch.where(tells, torch.where(known, usual + newest * (shortened - usual), shortened), usual)
 
 
-def opacity_gradient(rendered: DeviceRendered, weight: float, rays: int) -> Tensor:
+def opacity_gradient(rendered: GpuRendered, weight: float, rays: int) -> Tensor:
     """As engine.py's, of a part of `rays` rays; those that found no room teach nothing."""
     return torch.where(_whole(rendered), (4 * weight / rays) * (1 - 2 * rendered.out[:, 3].clamp(0, 1)), 0.0)
 
 
-def coverage_gradient(rendered: DeviceRendered, wanted: Tensor, weight: float, rays: int) -> Tensor:
+def coverage_gradient(rendered: GpuRendered, wanted: Tensor, weight: float, rays: int) -> Tensor:
     """As engine.py's, likewise."""
     return torch.where(_whole(rendered), (2 * weight / rays) * (rendered.out[:, 3] - wanted), 0.0)
 
 
-def _whole(rendered: DeviceRendered) -> Tensor:
+def _whole(rendered: GpuRendered) -> Tensor:
     """Rays whose samples have all found room."""
     s = rendered.samples
     return s.counts == s.ends - s.starts
@@ -109,15 +109,15 @@ def _joined(groups: list[tuple[int, int, float]]) -> list[tuple[int, int, float]
     return joined
 
 
-def _learned(sums: list[float], rays: int) -> Learned:
+def _learned(sums: list[float], rays: int) -> StepResult:
     """Of (squared error, samples, rays left out) of a step."""
     error, samples, left_out = sums
     # Rays that found no room show that there were more samples than were counted.
     rays = max(1.0, rays - left_out)
-    return Learned(error / (3 * rays), samples / rays)
+    return StepResult(error / (3 * rays), samples / rays)
 
 
-class DeviceEngine:
+class GpuEngine:
     """stylerf/training/fit/engine.py's Engine on `device`. samples: what the loop aims at in a batch (FitSettings).
 
     Of several processes each has a device of its own; gradients are summed there.
@@ -127,35 +127,35 @@ class DeviceEngine:
 
     def __init__(
         self,
-        bank: RayBank,
+        bank: RayDataset,
         seed: int,
         chunks: int,
         field: RadianceField,
-        ranks: Ranks = ALONE,
+        ranks: ProcessGroup = ALONE,
         *,
         device: torch.device | str,
         samples: int,
         clip: float = 0.0,
     ) -> None:
         self.device, self.ranks, self.clip = torch.device(device), ranks, clip
-        self.bank, self.seed = DeviceBank(bank, self.device), seed
+        self.bank, self.seed = GpuRayDataset(bank, self.device), seed
         self._parts, self.density_adam, self.color_adam = (None, None), None, None
         self.room = max(LEAST_ROOM if self.device.type == "cuda" else 0, ROOM * samples)
         self.adopt(field)
 
     def adopt(self, field: RadianceField) -> None:
         self._host, self._stale = field, False
-        self.live = DeviceField(field, self.device)
+        self.live = GpuField(field, self.device)
         parts = field.density, field.color
         kept = [old is part for old, part in zip(self._parts, parts)]
         self.density_adam = self._adam_of(self.live.density, self.density_adam if kept[0] else None)
         self.color_adam = self._adam_of(self.live.color, self.color_adam if kept[1] else None)
         self._parts = parts
-        self._reports = Reports(self.device, 3, _learned, Learned(0.0, 0.0), in_step=True)
+        self._reports = AsyncReadback(self.device, 3, _learned, StepResult(0.0, 0.0), in_step=True)
 
-    def _adam_of(self, part, before: DeviceAdam | None) -> DeviceAdam:
+    def _adam_of(self, part, before: GpuAdam | None) -> GpuAdam:
         """Of a part's new tensors; `before` is that of the same part."""
-        adam = DeviceAdam(part.values, part.groups, self.clip)
+        adam = GpuAdam(part.values, part.groups, self.clip)
         if before is not None:
             adam.first, adam.second, adam.usual, adam.steps = before.first, before.second, before.usual, before.steps
         return adam
@@ -176,7 +176,7 @@ class DeviceEngine:
             refresh(self.live, seed, share, 0.9)
         self._stale = True
 
-    def learn(self, batch: Batch) -> Learned:
+    def learn(self, batch: Batch) -> StepResult:
         sums = self._reports.begin()
         with out_of_memory():
             self._add_gradients(batch, sums)
@@ -224,7 +224,7 @@ class DeviceEngine:
         found = np.empty((len(origins), 5), np.float32)
         for at in range(0, len(origins), 1 << 16):
             part = slice(at, at + (1 << 16))
-            rays = DeviceRays.of(origins[part], directions[part], self.device)
+            rays = GpuRays.of(origins[part], directions[part], self.device)
             found[part] = self.live.render_rays(rays).seen().cpu().numpy()
         return found
 
@@ -253,8 +253,8 @@ class DeviceEngine:
     def warm_up(self, scratch: list[RadianceField], smoothness: tuple[float, float], even_from: float) -> None:
         levels = [None, 1.0]
         for field in scratch:
-            scratch = DeviceField(field, self.device)
-            adams = [DeviceAdam(part.values, part.groups) for part in (scratch.density, scratch.color)]
+            scratch = GpuField(field, self.device)
+            adams = [GpuAdam(part.values, part.groups) for part in (scratch.density, scratch.color)]
             refresh(scratch, 0, 1, 0.9)
             for level in levels:
                 drawn = self.bank.draw(0, 0, 16, 16, self.bank.views, 0.5, level)

@@ -11,7 +11,7 @@ from collections.abc import Callable
 import numpy as np
 
 from stylerf.srgb import LUMA, decoded
-from stylerf.training.common.ray_dataset import RayBank
+from stylerf.training.common.ray_dataset import RayDataset
 
 POINTS = 16384  # surface points in all, at least LEAST of them a photo
 LEAST = 64
@@ -28,7 +28,7 @@ PLAINLY = 0.27  # stops, standard deviation, from which photos are not as one ca
 class Exposures:
     """Judges the exposure of a bank's photos at pixels chosen once."""
 
-    def __init__(self, bank: RayBank, seed: int) -> None:
+    def __init__(self, bank: RayDataset, seed: int) -> None:
         self.bank = bank
         count = len(bank.cameras)
         generator = np.random.default_rng([seed, 5])

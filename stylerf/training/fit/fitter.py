@@ -16,13 +16,13 @@ import numpy as np
 
 from stylerf.errors import Diverged
 from stylerf.fields.capacity import Capacity
-from stylerf.fields.occupancy_grid import Occupancy
+from stylerf.fields.occupancy_grid import OccupancyGrid
 from stylerf.fields.radiance_field import RadianceField
-from stylerf.geometry.space_warp import Space
-from stylerf.training.common.process_group import ALONE, Ranks
-from stylerf.training.common.ray_dataset import RayBank, shown_rays
-from stylerf.training.fit.capacity_levels import Rung, capacity_at, first_parts
-from stylerf.training.fit.capacity_search import GROW, TELLING_PSNR, Climb
+from stylerf.geometry.space_warp import SpaceWarp
+from stylerf.training.common.process_group import ALONE, ProcessGroup
+from stylerf.training.common.ray_dataset import RayDataset, shown_rays
+from stylerf.training.fit.capacity_levels import CapacityLevel, capacity_at, first_parts
+from stylerf.training.fit.capacity_search import GROW, TELLING_PSNR, CapacitySearch
 from stylerf.training.fit.engine import Batch, CpuEngine, Engine, background_of, over, target
 from stylerf.training.fit.exposure import FEWEST_PHOTOS, PLAINLY, Exposures
 from stylerf.training.fit.settings import FitSettings, FitState
@@ -49,27 +49,27 @@ class Fitter:
 
     def __init__(
         self,
-        space: Space,
-        bank: RayBank,
+        space: SpaceWarp,
+        bank: RayDataset,
         held_out: int,
         settings: FitSettings,
         seed: int,
         chunks: int,
         on_say: Callable[[str], None] = lambda text: None,
-        ranks: Ranks = ALONE,
-        engine: Callable[[RayBank, int, int, RadianceField, Ranks], Engine] | None = None,
+        ranks: ProcessGroup = ALONE,
+        engine: Callable[[RayDataset, int, int, RadianceField, ProcessGroup], Engine] | None = None,
     ) -> None:
         self.space, self.bank, self.held_out, self.settings = space, bank, held_out, settings
         self.seed, self.chunks, self.on_say, self.ranks = seed, chunks, on_say, ranks
         self.state = FitState()
-        self.climb = Climb(settings, self.state, self._judges)
+        self.climb = CapacitySearch(settings, self.state, self._judges)
         self._warm: set[tuple[int, int, int]] = set()
         rung, generator = settings.ladder[0], np.random.default_rng([seed, 1])
         self._clear: dict[int, np.ndarray | None] = {}
         first = RadianceField(
             space,
             *first_parts(settings.kinds, self._capacity(rung), generator),
-            Occupancy(rung.cells, clear=self._clear_cells(rung.cells)),
+            OccupancyGrid(rung.cells, clear=self._clear_cells(rung.cells)),
             1.0 / rung.resolution,
         )
         self.engine = (engine or CpuEngine)(bank, seed, chunks, first, ranks)
@@ -102,12 +102,12 @@ class Fitter:
         """Learnable numbers of the field; asks nothing of a device."""
         return self.engine.parameters
 
-    def _capacity(self, rung: Rung, occupancy: Occupancy | None = None) -> Capacity:
+    def _capacity(self, rung: CapacityLevel, occupancy: OccupancyGrid | None = None) -> Capacity:
         settings = self.settings
         finest, levels = settings.ladder[-1].resolution, settings.kinds.levels
         return capacity_at(rung, finest, levels, self.space, occupancy, settings.degree)
 
-    def _resize(self, rung: Rung) -> None:
+    def _resize(self, rung: CapacityLevel) -> None:
         generator = np.random.default_rng([self.seed, 2, rung.resolution])
         old = self.field
         capacity = self._capacity(rung, old.occupancy)
@@ -254,16 +254,16 @@ class Fitter:
         """Compile every kernel that a step uses, for every rank of the ladder, without learning anything."""
         self._warm_up([*self.settings.ladder, self.climb.rung])
 
-    def _warm_up(self, rungs: Iterable[Rung]) -> None:
+    def _warm_up(self, rungs: Iterable[CapacityLevel]) -> None:
         """Kernels differ by ranks and, on a GPU, by the color's degree."""
         settings, generator, scratch = self.settings, np.random.default_rng(0), []
         kinds = {(rung.density_rank, rung.color_rank, min(rung.degree, settings.degree)) for rung in rungs}
         if kinds <= self._warm:
             return
         for density_rank, color_rank, degree in kinds - self._warm:
-            capacity = self._capacity(Rung(8, density_rank, color_rank, 8, 8, degree))
+            capacity = self._capacity(CapacityLevel(8, density_rank, color_rank, 8, 8, degree))
             parts = first_parts(settings.kinds, capacity, generator)
-            scratch.append(RadianceField(self.space, *parts, Occupancy(8), 1 / 8))
+            scratch.append(RadianceField(self.space, *parts, OccupancyGrid(8), 1 / 8))
         self._warm |= kinds
         self.engine.warm_up(scratch, settings.smoothness, settings.even_from)
 

@@ -3,7 +3,7 @@
 import math
 from dataclasses import dataclass, field
 
-from stylerf.training.fit.capacity_levels import LADDER, Kinds, Rung
+from stylerf.training.fit.capacity_levels import LADDER, CapacityLevel, Kinds
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class FitSettings:
     smoothness: tuple[float, float] = (0.0, 0.0)
     even_from: float = 0.0
     kinds: Kinds = field(default_factory=Kinds)
-    ladder: tuple[Rung, ...] = LADDER
+    ladder: tuple[CapacityLevel, ...] = LADDER
     shares: tuple[float, ...] = (0.1, 0.22, 0.38, 0.55)
     longest: tuple[int, ...] = ()
     held_out_until: float = 0.75

@@ -5,14 +5,14 @@ from collections.abc import Iterable
 import numpy as np
 
 from stylerf.geometry.cameras import Camera
-from stylerf.geometry.space_warp import Space
+from stylerf.geometry.space_warp import SpaceWarp
 from stylerf.kernels.cpu.visual_hull import count_clear
 
 NOTHING = 8  # alpha, of 255, up to which a pixel shows nothing: what compressed masks leave there
 
 
 def clear_cells(
-    cameras: list[Camera], alphas: Iterable[np.ndarray], space: Space, cells: int, share: float, chunks: int
+    cameras: list[Camera], alphas: Iterable[np.ndarray], space: SpaceWarp, cells: int, share: float, chunks: int
 ) -> np.ndarray:
     """Cells [cells^3] bool of a box that at least `share` (0..1) of the views that see them, and two, show as clear.
 

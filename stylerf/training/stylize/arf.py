@@ -13,11 +13,11 @@ from stylerf.fields.displacement_grid import at_rest
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.geometry.cameras import Camera
 from stylerf.rendering.ray_selection import selected_gradient, selected_pixels, spread_over_picture
-from stylerf.style.feature_extractor import Trunk
+from stylerf.style.feature_extractor import FeatureExtractor
 from stylerf.training.deform.deformer import Deformer, deformer_on
 from stylerf.training.stylize.geometry import MovingGeometry
 from stylerf.training.stylize.settings import StyleSettings
-from stylerf.training.stylize.trainer import MEMORY, PIXELS_AT_ONCE, Repainting
+from stylerf.training.stylize.trainer import MEMORY, PIXELS_AT_ONCE, StylizationTrainer
 
 BESIDE = 3  # feature positions beside a silhouette that may move: what stands out from it shows there, or is missing
 COARSEST_STEP = 1 / 128  # cube units; of a field whose rays are walked anew in every step
@@ -26,7 +26,7 @@ COARSEST_STEP = 1 / 128  # cube units; of a field whose rays are walked anew in 
 SHAPE_RAMP = 10
 
 
-class Stylizer(Repainting):
+class ArfTrainer(StylizationTrainer):
     """deformation: moves the shapes too, from how it stands (DeSRF); None holds them fast (ARF).
 
     device: where rays are followed, through shapes that move too. The rest: see Repainting.
@@ -39,7 +39,7 @@ class Stylizer(Repainting):
         photos: Sequence[np.ndarray],
         background: float,
         painting: torch.Tensor,
-        trunk: Trunk,
+        trunk: FeatureExtractor,
         settings: StyleSettings,
         seed: int,
         chunks: int,
@@ -75,9 +75,9 @@ class Stylizer(Repainting):
     def _moving(self) -> type[MovingGeometry]:
         if self.device is None:
             return MovingGeometry
-        from stylerf.training.stylize.geometry_gpu import DeviceMovingGeometry
+        from stylerf.training.stylize.geometry_gpu import GpuMovingGeometry
 
-        return DeviceMovingGeometry
+        return GpuMovingGeometry
 
     def _collect(self) -> None:
         super()._collect()

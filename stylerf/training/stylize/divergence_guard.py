@@ -15,7 +15,7 @@ def finite(arrays: dict[str, np.ndarray]) -> bool:
     return all(np.isfinite(values).all() for values in arrays.values())
 
 
-class Guard:
+class DivergenceGuard:
     """asked: settings as they were asked for; their `rollbacks` of 0 keeps nothing and never goes back.
 
     What is kept is in no checkpoint: a resumed run goes back to where it was resumed, or to what it has kept since.

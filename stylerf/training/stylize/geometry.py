@@ -3,14 +3,14 @@
 import numpy as np
 
 from stylerf.fields.hash_color import HashColor
-from stylerf.fields.packed_surface import Surface, surface_of
+from stylerf.fields.packed_surface import PackedSurface, surface_of
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.fields.ray_samples import Rays
 from stylerf.geometry.cameras import Camera
 from stylerf.geometry.spherical_harmonics import harmonics
 from stylerf.kernels.cpu.compositing import shade, shade_backward
 from stylerf.rendering.rays import Rendered, backward, render_rays
-from stylerf.training.common.bounded_cache import Kept
+from stylerf.training.common.bounded_cache import BoundedCache
 from stylerf.training.deform.deformer import Deformer
 
 RAYS_AT_ONCE = 8192
@@ -27,12 +27,12 @@ class FixedGeometry:
         self, field: RadianceField, cameras: list[Camera], share: float, chunks: int, memory: float = 2048e6
     ) -> None:
         self.field, self.cameras, self.share, self.chunks = field, cameras, share, chunks
-        self._surfaces = Kept(self._marched, lambda surface: surface.bytes, len(cameras), memory)
+        self._surfaces = BoundedCache(self._marched, lambda surface: surface.bytes, len(cameras), memory)
 
-    def _marched(self, view: int) -> Surface:
+    def _marched(self, view: int) -> PackedSurface:
         return surface_of(self.field, self.cameras[view], self.share, self.chunks)
 
-    def surface(self, view: int) -> Surface:
+    def surface(self, view: int) -> PackedSurface:
         """The samples of a view."""
         return self._surfaces[view]
 

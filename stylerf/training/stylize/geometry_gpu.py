@@ -4,24 +4,24 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from stylerf.fields.gpu.field import COLOR_KINDS, DeviceField, DeviceRendered
+from stylerf.fields.gpu.field import COLOR_KINDS, GpuField, GpuRendered
 from stylerf.fields.gpu.memory import free_on, in_parts
 from stylerf.fields.hash_color import HashColor
-from stylerf.fields.packed_surface import Surface
+from stylerf.fields.packed_surface import PackedSurface
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.geometry.cameras import Camera
 from stylerf.kernels.gpu import launch
-from stylerf.kernels.gpu.launch import DeviceSamples
+from stylerf.kernels.gpu.launch import GpuSamples
 from stylerf.rendering.view_gpu import rays_of
 from stylerf.training.common.async_readback import sent
-from stylerf.training.fit.engine_gpu import DeviceAdam
+from stylerf.training.fit.engine_gpu import GpuAdam
 from stylerf.training.stylize.geometry import OPAQUE, MovingGeometry
 
 RAYS_AT_ONCE = 1 << 17
 MEMORY_BYTES = 8e9  # of kept surfaces, where no GPU says what it has
 
 
-class DeviceFixedGeometry:
+class GpuFixedGeometry:
     """stylerf/training/stylize/geometry.py's FixedGeometry: numpy in and out, all between on `device`.
 
     field.color is what is taught, from new_adam() on; collect() brings it back. share: part of a ray's largest weight
@@ -30,17 +30,17 @@ class DeviceFixedGeometry:
 
     def __init__(self, field: RadianceField, cameras: list[Camera], share: float, device: str | torch.device) -> None:
         self.field, self.cameras, self.share, self.device = field, cameras, share, torch.device(device)
-        self._marched = DeviceField(field, self.device)
+        self._marched = GpuField(field, self.device)
         self.memory_bytes = free_on(self.device, 2 * MEMORY_BYTES) / 2
         self._kept: dict[int, tuple[Tensor, Tensor, Tensor]] = {}
         self._last: tuple[int, tuple[Tensor, Tensor, Tensor]] | None = None
         self._alphas: dict[int, np.ndarray] = {}
         self._color = None
 
-    def new_adam(self, clip: float = 0.0) -> DeviceAdam:
+    def new_adam(self, clip: float = 0.0) -> GpuAdam:
         """An optimizer of field.color as it now stands, copied to the device. clip: see DeviceAdam."""
         self._color = COLOR_KINDS[self.field.color.kind](self.field.color, self.device)
-        return DeviceAdam(self._color.values, self._color.groups, clip)
+        return GpuAdam(self._color.values, self._color.groups, clip)
 
     @property
     def color(self):
@@ -85,10 +85,10 @@ class DeviceFixedGeometry:
         torch.cumsum(torch.cat(counts), 0, out=offsets[1:])
         return offsets, torch.cat(xs), torch.cat(weights)
 
-    def surface(self, view: int) -> Surface:
+    def surface(self, view: int) -> PackedSurface:
         """The samples of a view, on the host."""
         offsets, x, weights = (t.cpu().numpy() for t in self._samples(view))
-        return Surface(offsets, (x * 65535 + 0.5).astype(np.uint16), weights, self.alpha(view))
+        return PackedSurface(offsets, (x * 65535 + 0.5).astype(np.uint16), weights, self.alpha(view))
 
     def alpha(self, view: int) -> np.ndarray:
         """[h, w]."""
@@ -100,7 +100,7 @@ class DeviceFixedGeometry:
             self._alphas[view] = alpha.view(camera.height, camera.width).cpu().numpy()
         return self._alphas[view]
 
-    def paint(self, view: int, pixels: np.ndarray) -> tuple[np.ndarray, tuple[DeviceSamples, Tensor]]:
+    def paint(self, view: int, pixels: np.ndarray) -> tuple[np.ndarray, tuple[GpuSamples, Tensor]]:
         """Premultiplied rgb [n, 3] of pixels, and what learn() needs."""
         offsets, x, weights = self._samples(view)
         chosen = torch.from_numpy(np.ascontiguousarray(pixels)).to(self.device)
@@ -111,7 +111,7 @@ class DeviceFixedGeometry:
         place = torch.arange(n, device=self.device) + (offsets[chosen] - starts)[ray]
         zero = torch.zeros(max(n, len(pixels)), device=self.device)
         own = weights[place].contiguous()
-        samples = DeviceSamples(
+        samples = GpuSamples(
             starts, ends, counts.int(), zero[: len(pixels)], torch.full((1,), n, dtype=torch.int64, device=self.device),
             zero[:n], zero[:n], x[place].contiguous(), zero[:n], own, ray.int(),
         )  # fmt: skip
@@ -120,7 +120,7 @@ class DeviceFixedGeometry:
         colors = self._color.colors(samples, directions, 0.0)
         return launch.composite(samples, colors)[:, :3].cpu().numpy(), (samples, colors)
 
-    def learn(self, kept: tuple[DeviceSamples, Tensor], gradients: np.ndarray, color_to: Tensor) -> None:
+    def learn(self, kept: tuple[GpuSamples, Tensor], gradients: np.ndarray, color_to: Tensor) -> None:
         """Add dL/d(color values), from dL/d(rgb) [n, 3], to the flat buffer."""
         samples, colors = kept
         given = torch.from_numpy(np.ascontiguousarray(gradients, np.float32)).to(self.device)
@@ -128,7 +128,7 @@ class DeviceFixedGeometry:
         self._color.backward(samples, None, colors, to_colors, color_to)
 
 
-class DeviceMovingGeometry(MovingGeometry):
+class GpuMovingGeometry(MovingGeometry):
     """Pixels and their gradients are numpy, all between stays on the device of `deformer`, a DeviceDeformer.
 
     What is taught are the colors of `still`, a DeviceFixedGeometry, and the deformation.
@@ -136,13 +136,13 @@ class DeviceMovingGeometry(MovingGeometry):
 
     rays_at_once = RAYS_AT_ONCE
 
-    def _rendered(self, camera: Camera, pixels: np.ndarray) -> tuple[np.ndarray, DeviceRendered]:
+    def _rendered(self, camera: Camera, pixels: np.ndarray) -> tuple[np.ndarray, GpuRendered]:
         live = self.deformer.live
         live.color = self.still.color  # each phase teaches a copy of its own
         rays = rays_of(camera, sent(pixels, live.device))
         rendered = live.render_rays(rays, opaque=OPAQUE, share=self.share)
         return rendered.out.cpu().numpy(), rendered
 
-    def _backward(self, rendered: DeviceRendered, gradients: np.ndarray, color_to: Tensor) -> None:
+    def _backward(self, rendered: GpuRendered, gradients: np.ndarray, color_to: Tensor) -> None:
         live = self.deformer.live
         live.backward(rendered, sent(gradients, live.device), None, color_to, self.deformer.gradients)

@@ -20,7 +20,7 @@ from stylerf.fields.radiance_field import RadianceField
 from stylerf.geometry.cameras import Camera
 from stylerf.geometry.spherical_harmonics import harmonics
 from stylerf.training.stylize.settings import StyleSettings
-from stylerf.training.stylize.trainer import MEMORY, Repainting
+from stylerf.training.stylize.trainer import MEMORY, StylizationTrainer
 
 SAMPLED_COLORS = 200_000  # pixels of the photos that the palette is taken from
 ASKED_VIEWS = 10  # that figures are taken of, as those of local edits
@@ -49,7 +49,7 @@ class DecompositionWeights:
     drift: float = 1e-3
 
 
-class Decomposing(Repainting):
+class PaletteNerfTrainer(StylizationTrainer):
     """new_color: as of Repainting, from the extracted palette [bases, 3] too. bases: see editing/hull.extracted."""
 
     field: RadianceField
@@ -231,7 +231,7 @@ class Decomposing(Repainting):
 class _Seen:
     """What pixels of a view show of the color part, as a graph whose leaves are `rest` and the features."""
 
-    def __init__(self, owner: Decomposing, view: int, pixels: np.ndarray) -> None:
+    def __init__(self, owner: PaletteNerfTrainer, view: int, pixels: np.ndarray) -> None:
         self._color, self._chunks, self._pixels = owner.field.color, owner.chunks, len(pixels)
         starts, ends, self.x, weights = owner.still.surface(view).samples(pixels)
         self._rays = torch.from_numpy(np.repeat(np.arange(len(pixels)), ends - starts))

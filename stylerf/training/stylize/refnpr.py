@@ -18,12 +18,12 @@ import torch
 
 from stylerf.errors import InvalidValue
 from stylerf.rendering.ray_registration import SOLID, SeenPoints, points_of, registered, sampled_at
-from stylerf.style.feature_extractor import Trunk
-from stylerf.style.image_optimization import PaintedPicture
-from stylerf.style.reference_features import Template, TemplateObjective
+from stylerf.style.feature_extractor import FeatureExtractor
+from stylerf.style.image_optimization import ImageOptimization
+from stylerf.style.reference_features import ReferenceFeatures, ReferenceObjective
 from stylerf.style.style_objective import VARIATIONS
-from stylerf.training.common.bounded_cache import Kept
-from stylerf.training.stylize.arf import Stylizer
+from stylerf.training.common.bounded_cache import BoundedCache
+from stylerf.training.stylize.arf import ArfTrainer
 from stylerf.training.stylize.matched_photos import ObjectPhotos, rendered_match
 from stylerf.training.stylize.trainer import CONTENT
 
@@ -34,7 +34,7 @@ REGISTERED = 0.1  # of the memory
 Registered = tuple[np.ndarray, np.ndarray]  # pixels [n], colors [n, 3]
 
 
-class Referenced(Stylizer):
+class RefNprTrainer(ArfTrainer):
     """references: by training view, its stylized picture [h, w, 3] over the background; None: painted here, in 2D, by
     the objective of `painting` (settings.loss) on `trunk`. template_trunk, coarse_trunk: see TemplateObjective.
 
@@ -47,8 +47,8 @@ class Referenced(Stylizer):
         self,
         *given,
         references: dict[int, np.ndarray | None],
-        template_trunk: Trunk,
-        coarse_trunk: Trunk,
+        template_trunk: FeatureExtractor,
+        coarse_trunk: FeatureExtractor,
         **more,
     ) -> None:
         if given[0].displacement is not None:
@@ -58,8 +58,8 @@ class Referenced(Stylizer):
         if self.to_paint:
             self.PHASES = ("refit", "reference", "style")
         self._template_trunk, self._coarse_trunk = template_trunk, coarse_trunk
-        self._painted: PaintedPicture | None = None
-        self._template: TemplateObjective | None = None
+        self._painted: ImageOptimization | None = None
+        self._template: ReferenceObjective | None = None
         self._late: dict[int, np.ndarray] = {}  # the references' views as they are when the last quarter begins
         self._late_keys = None
         super().__init__(*given, **more)
@@ -69,8 +69,8 @@ class Referenced(Stylizer):
             if picture is not None:
                 self.references[view] = self._asked_for(view, picture)
         views = len(self.cameras)
-        self._wanted = Kept(self._wanted_of, lambda wanted: wanted.bytes, views, CONTENT * self.memory_there)
-        self._reached = Kept(
+        self._wanted = BoundedCache(self._wanted_of, lambda wanted: wanted.bytes, views, CONTENT * self.memory_there)
+        self._reached = BoundedCache(
             self._registered_of, lambda found: sum(a.nbytes for a in found), views, REGISTERED * self.memory
         )
         self._points: dict[int, SeenPoints] = {}
@@ -147,10 +147,10 @@ class Referenced(Stylizer):
             self.references[view] = _in_eight_bits(matched)
         self._painted = None
 
-    def _new_picture(self, view: int) -> PaintedPicture:
+    def _new_picture(self, view: int) -> ImageOptimization:
         start = self._there(self.photos[view])
         beside = start if self.partial else float(self.background)
-        return PaintedPicture(start, self._alpha_there(view), beside, self.settings.image_rate)
+        return ImageOptimization(start, self._alpha_there(view), beside, self.settings.image_rate)
 
     def _painting_loss(self, view: int) -> Callable:
         content, alpha, window = self._content_of(view), self._alpha_there(view), self.windows[view]
@@ -186,16 +186,16 @@ class Referenced(Stylizer):
     # -- what the references ask for --------------------------------------------------------------------------------
 
     @property
-    def template(self) -> TemplateObjective:
+    def template(self) -> ReferenceObjective:
         """The loss of a view by its correspondences; made when the references are there."""
         if self._template is None:
             s = self.settings
             templates = [
-                Template(self._there(self.photos[v]), self._there(picture), self._alpha_there(v), self.windows[v])
+                ReferenceFeatures(self._there(self.photos[v]), self._there(picture), self._alpha_there(v), self.windows[v])
                 for v, picture in self.references.items()
             ]
             given = (s.template_weights, s.feature_scale, s.style_basis, self.seed, s.variation)
-            self._template = TemplateObjective(self._template_trunk, self._coarse_trunk, templates, *given)
+            self._template = ReferenceObjective(self._template_trunk, self._coarse_trunk, templates, *given)
         return self._template
 
     def _wanted_of(self, view: int):

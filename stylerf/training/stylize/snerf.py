@@ -16,10 +16,10 @@ import time
 import numpy as np
 
 from stylerf.style.image_optimization import painted
-from stylerf.training.stylize.trainer import Repainting
+from stylerf.training.stylize.trainer import StylizationTrainer
 
 
-class Alternating(Repainting):
+class SnerfTrainer(StylizationTrainer):
     """Shapes are held fast. The loss of a picture is that of the objective, its content the matched photo's."""
 
     def __init__(self, *given, **more) -> None:

@@ -21,11 +21,11 @@ from stylerf.geometry.cameras import Camera
 from stylerf.kernels.cpu.regions import weights_inside
 from stylerf.rendering.ray_registration import SOLID
 from stylerf.style.color_matching import ColorMap, match_colors, spread_at_least, spread_at_most, strokes_in
-from stylerf.style.feature_extractor import Trunk
+from stylerf.style.feature_extractor import FeatureExtractor
 from stylerf.style.style_objective import EVERYTHING, Content, GramObjective, StyleObjective, window_of
 from stylerf.training.common.adam import Adam
-from stylerf.training.common.bounded_cache import Kept
-from stylerf.training.stylize.divergence_guard import Guard, finite
+from stylerf.training.common.bounded_cache import BoundedCache
+from stylerf.training.stylize.divergence_guard import DivergenceGuard, finite
 from stylerf.training.stylize.geometry import FixedGeometry, MovingGeometry
 from stylerf.training.stylize.matched_photos import ObjectPhotos, rendered_match
 from stylerf.training.stylize.settings import StyleSettings, StyleState
@@ -39,7 +39,7 @@ PARTS = 0.05  # beyond these: what belongs to a part of the scene
 OBJECTIVES = {"nnfm": StyleObjective, "gram": GramObjective}
 
 
-class Repainting:
+class StylizationTrainer:
     """photos: per view [h, w, 3] float32 over the background, sRGB 0..1; read anew where they are not kept.
 
     background: level of gray behind the field. new_color: the color to learn, from a generator and the cells a side
@@ -61,7 +61,7 @@ class Repainting:
         photos: Sequence[np.ndarray],
         background: float,
         painting: torch.Tensor,
-        trunk: Trunk,
+        trunk: FeatureExtractor,
         settings: StyleSettings,
         seed: int,
         chunks: int,
@@ -76,7 +76,7 @@ class Repainting:
         weights, rate = replace(weights, style=strokes * weights.style), strokes * settings.deform_rate
         settings = replace(settings, weights=weights, deform_rate=rate)
         self.settings, self.seed, self.chunks, self.background = settings, seed, chunks, np.float32(background)
-        self._guard = Guard(settings)
+        self._guard = DivergenceGuard(settings)
         self.cameras, self.painting, self.trunk = cameras, painting, trunk
         self._palette = spread_at_least(painting, settings.least_spread)
         self.field = replace(scene, color_map=None, share=scene.share if self.partial else settings.share)
@@ -84,7 +84,7 @@ class Repainting:
         self._prepare_shapes()
         self.still = self._fixed_geometry()
         self.geometry: FixedGeometry | MovingGeometry = self.still
-        self._parts = Kept(self._part_of, lambda part: part.nbytes, len(cameras), PARTS * memory)
+        self._parts = BoundedCache(self._part_of, lambda part: part.nbytes, len(cameras), PARTS * memory)
         self.shown = [view for view in range(len(cameras)) if not self.partial or (self._parts[view] > SOLID).any()]
         if not self.shown:
             raise InvalidValue("no training view shows anything of the region")
@@ -95,7 +95,7 @@ class Repainting:
         self.windows = [
             EVERYTHING if self._all_counts else window_of(self.counted(view), least) for view in range(len(cameras))
         ]
-        self.photos = Kept(self._matched(photos), lambda photo: photo.nbytes, len(cameras), PHOTOS * memory)
+        self.photos = BoundedCache(self._matched(photos), lambda photo: photo.nbytes, len(cameras), PHOTOS * memory)
         self.state = StyleState()
         # Where features are; of a GPU half of what surfaces have left free: steps need room too.
         self.memory_there = free_on("cpu" if trunk is None else trunk.input_scale.device, 2 * memory) / 2
@@ -135,9 +135,9 @@ class Repainting:
         still = replace(self.field, displacement=None if moved is None else moved.copy())
         if self.device is None:
             return FixedGeometry(still, self.cameras, self.settings.share, self.chunks, SURFACES * self.memory)
-        from stylerf.training.stylize.geometry_gpu import DeviceFixedGeometry
+        from stylerf.training.stylize.geometry_gpu import GpuFixedGeometry
 
-        return DeviceFixedGeometry(still, self.cameras, self.settings.share, self.device)
+        return GpuFixedGeometry(still, self.cameras, self.settings.share, self.device)
 
     def _new_adam(self) -> Adam:
         """An optimizer of the colors as they stand, without a past."""
@@ -218,13 +218,13 @@ class Repainting:
             return None
         return self._content[view]
 
-    def _kept_content(self) -> Kept:
+    def _kept_content(self) -> BoundedCache:
         """What the views' photos show to the objective as it stands."""
 
         def content(view: int) -> Content:
             return self.objective.content_of(self._there(self.photos[view]), self.windows[view])
 
-        return Kept(content, lambda made: made.bytes, len(self.cameras), CONTENT * self.memory_there)
+        return BoundedCache(content, lambda made: made.bytes, len(self.cameras), CONTENT * self.memory_there)
 
     def _there(self, image: np.ndarray) -> torch.Tensor:
         """An image [h, w, 3] as [3, h, w] where the trunk lies."""
@@ -283,7 +283,7 @@ class Repainting:
 
     # -- the loop ---------------------------------------------------------------------------------------------------
 
-    def run(self, on_step: Callable[["Repainting"], None] = lambda stylizer: None) -> None:
+    def run(self, on_step: Callable[["StylizationTrainer"], None] = lambda stylizer: None) -> None:
         """All phases; on_step is told after every step."""
         state = self.state
         while state.phase != "done":

@@ -2,15 +2,15 @@
 
 import pytest
 
-from schemas.work_folder import Work
+from schemas.work_folder import WorkFolder
 from stages.artifacts.provenance import edit_behind, field_before, field_unstylized, fields_behind, upstream
 from tests.stages import evaluation_fixture as made
 
 
 @pytest.fixture
-def circle(tmp_path) -> Work:
+def circle(tmp_path) -> WorkFolder:
     """Fields `red` and `blue`, and scenes `a` and `b`, each made from the other before it was replaced."""
-    work = Work(tmp_path)
+    work = WorkFolder(tmp_path)
     for kind, stage, names in (("field", "stylize", ("red", "blue", "red")), ("scene", "distill", ("a", "b", "a"))):
         inputs = {}
         for number, name in enumerate(names):
@@ -40,7 +40,7 @@ def test_what_was_made_again_is_remarked(circle):
 
 def test_what_an_edit_and_a_stylization_began_with(tmp_path):
     """Behind palettes the field that they were learned of, behind a stylized one that from before its deformation."""
-    work, field, before, unstylized = Work(tmp_path), None, {}, {}
+    work, field, before, unstylized = WorkFolder(tmp_path), None, {}, {}
     for name, stage in (
         ("fit", "nerf_fit"), ("head", "finetune"), ("palette", "decompose"), ("blue", "recolor"),
         ("green", "recolor"), ("foot", "finetune"), ("bent", "deform_init"), ("starry", "stylize"),

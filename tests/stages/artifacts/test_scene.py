@@ -12,7 +12,7 @@ from schemas.exr import ExrView, write_exr
 from schemas.images import read_image, write_png
 from schemas.scene import Bounds, Scene, Truth, View, as_matrix, write_scene
 from schemas.tensors import save_tensors
-from schemas.work_folder import Artifact, Recipe, Work
+from schemas.work_folder import Artifact, Recipe, WorkFolder
 from stages import distill, finetune
 from stages.artifacts.scene import EDIT_TARGETS, EXPOSURE_STOPS, load_scene, view_index
 from stylerf.srgb import exposed
@@ -25,7 +25,7 @@ POSE = np.array([[0, 0, 1, 2], [-1, 0, 0, 3], [0, -1, 0, 4], [0, 0, 0, 1]], floa
 
 def build(root, change_view=None, points=None, size=(6, 8), channels=4):
     """A scene of three views whose pixel (0, 0) holds the view's index."""
-    begun = Work(root).begin("scene", "toy", Recipe("pose_import", 1, {}, []))
+    begun = WorkFolder(root).begin("scene", "toy", Recipe("pose_import", 1, {}, []))
     views = []
     for index in range(3):
         pixels = np.full((*size, channels), index, np.uint8)
@@ -103,7 +103,7 @@ def test_unsound_points_are_damage(tmp_path, drop):
 
 
 def test_photos_are_seen_at_the_exposure_of_the_fit(tmp_path):
-    scene, work = make_capture(Work(tmp_path)), Work(tmp_path)
+    scene, work = make_capture(WorkFolder(tmp_path)), WorkFolder(tmp_path)
     stops = {"train_001": 1.0, "train_002": -0.5}
 
     def made_of(name: str, inputs: dict, **more):
@@ -135,7 +135,7 @@ def test_photos_are_seen_at_the_exposure_of_the_fit(tmp_path):
 
 
 def test_a_distilled_scene_holds_photos_of_one_exposure(tmp_path):
-    scene = make_capture(Work(tmp_path))
+    scene = make_capture(WorkFolder(tmp_path))
     seen = dataclasses.replace(load_scene(scene), stops={"train_001": 1.0, "train_002": -0.5})
     copy = tmp_path / "copy"
     shutil.copytree(scene.path, copy)
@@ -145,7 +145,7 @@ def test_a_distilled_scene_holds_photos_of_one_exposure(tmp_path):
 
 
 def test_a_view_without_an_edited_pixel_carries_no_edit(tmp_path):
-    made = make_capture(Work(tmp_path))
+    made = make_capture(WorkFolder(tmp_path))
     some = {"2.pixels": np.array([5, 6]), "2.depth": np.ones(2, np.float32)}
     none = {"1.pixels": np.empty(0, np.int64), "1.depth": np.empty(0, np.float32)}
     save_tensors(made.path / EDIT_TARGETS, none | some)

@@ -6,7 +6,7 @@ from datetime import datetime
 import pytest
 
 from schemas import partial_artifact
-from schemas.work_folder import Work
+from schemas.work_folder import WorkFolder
 from stages.comparison.cost_charts import comparison_charts, look_of
 from stages.comparison.pareto_fronts import disagreements, on_fronts, panel_of
 from stages.comparison.runs import EDITS, FITS, STYLIZATIONS, on_other_threads, runs_of
@@ -19,7 +19,7 @@ STYLE = {"nnfm": 0.3, "content_ssim": 0.5, "short_rmse": 0.02, "long_rmse": 0.04
 
 @pytest.fixture
 def work(tmp_path):
-    work = Work(tmp_path / "room")
+    work = WorkFolder(tmp_path / "room")
     scene = made.make_scene(work, [0.0], depth=False)
     small = runs.fit(work, scene, "fit-10s", 10.0, 25.0, parameters=100, memory=300.0)
     runs.fit(work, scene, "fit-60s", 60.0, 24.0, parameters=900, memory=400.0)  # beaten in everything
@@ -80,7 +80,7 @@ def test_a_changed_palette_is_an_edit_that_costs_what_its_learning_did(work):
 
 
 def test_fields_that_replaced_each_other_cost_what_each_of_them_did(tmp_path):
-    work = Work(tmp_path / "room")
+    work = WorkFolder(tmp_path / "room")
     inputs = {"scene": made.make_scene(work, [0.0], depth=False)}
     for seconds, name in ((1.0, "red"), (2.0, "blue"), (4.0, "red")):
         field = made.make_field(work, name, "recolor", inputs, seconds=seconds, peak_memory_mb=100.0)
@@ -186,7 +186,7 @@ def test_fronts_are_those_of_the_group(work):
 
 
 def test_scenes_and_protocols_do_not_share_a_front(work, tmp_path):
-    other = Work(tmp_path / "other")
+    other = WorkFolder(tmp_path / "other")
     scene = made.make_scene(other, [0.1], depth=False)
     runs.fit(other, scene, "better", 1.0, 50.0)
     some, _ = runs_of([work, other])
@@ -200,7 +200,7 @@ def test_scenes_and_protocols_do_not_share_a_front(work, tmp_path):
 
 
 def test_the_same_scene_in_two_folders_is_one_group(work, tmp_path):
-    again = Work(tmp_path / "a" / "room")
+    again = WorkFolder(tmp_path / "a" / "room")
     scene = made.make_scene(again, [0.0], depth=False)
     runs.fit(again, scene, "fit-5s", 5.0, 20.0)
     some, _ = runs_of([work, again])
@@ -238,7 +238,7 @@ def test_groups_are_known_by_content_and_called_by_names(work):
 
 
 def test_runs_on_other_numbers_of_threads_are_told(tmp_path):
-    work = Work(tmp_path)
+    work = WorkFolder(tmp_path)
     scene = made.make_scene(work, [0.0])
     for name, threads in (("one", 2), ("two", 2), ("old", None)):
         made.make_field(work, name, "nerf_fit", {"scene": scene}, threads=threads)

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from schemas.images import to_uint8, write_png
 from schemas.scene import Bounds, Scene, View, as_matrix, write_scene
-from schemas.work_folder import Artifact, Work
+from schemas.work_folder import Artifact, WorkFolder
 from stages import nerf_fit
 from stages.configs.fit import FitConfig
 from stages.evaluation.pose_check import ViewShift, pose_figures, told
@@ -50,7 +50,7 @@ def reversed_one(cameras: list[Camera]) -> list[Camera]:
     return [replace(c, world_from_camera=c.world_from_camera @ roll) if i == 5 else c for i, c in enumerate(cameras)]
 
 
-def room(work: Work, given) -> Artifact:
+def room(work: WorkFolder, given) -> Artifact:
     def write(folder) -> None:
         cameras, faces, views = walk(COUNT, width=96, height=72, focal=90.0), textures(0, 0.02), []
         for camera, wrong in zip(cameras, given(cameras)):
@@ -64,7 +64,7 @@ def room(work: Work, given) -> Artifact:
 
 def fitted(tmp_path, given) -> tuple[dict, list[str]]:
     """pose_shift_px of a short fit, and what was said of the poses."""
-    work, said = Work(tmp_path / "work"), Said()
+    work, said = WorkFolder(tmp_path / "work"), Said()
     config = FitConfig(budget="80", capacity="fixed:64x8x8", samples=10000, held_out=0)
     inputs = {"scene": room(work, given)}
     made, _ = execute(nerf_fit.SPEC, nerf_fit.run, work, "fit", inputs, config, Context(progress=said))

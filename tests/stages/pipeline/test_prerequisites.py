@@ -2,15 +2,15 @@
 
 import pytest
 
-from schemas.work_folder import Work
+from schemas.work_folder import WorkFolder
 from stylerf_cli.main import main
 from tests.stages import evaluation_fixture as made
 
 
 @pytest.fixture
-def work(tmp_path) -> Work:
+def work(tmp_path) -> WorkFolder:
     """Field `wall` of scene `wall`, and a stylized one of it. Stand-ins: a stage that reads them stops."""
-    work = Work(tmp_path / "work")
+    work = WorkFolder(tmp_path / "work")
     scene = made.make_scene(work, [-0.2, 0.2], depth=False)
     field = made.make_field(work, "wall", "nerf_fit", {"scene": scene})
     made.make_field(work, "red", "stylize", {"scene": scene, "field": field})

@@ -13,7 +13,7 @@ from schemas.errors import BadInput
 from schemas.images import to_uint8, write_png
 from stages.artifacts.scene import load_scene
 from stages.readers import read_source
-from stages.readers.background import Backdrop
+from stages.readers.background import Background
 from tests.conftest import REPOSITORY
 from tests.stages.importing import Said, imported, scene_of
 from tests.stylerf_cli import capture
@@ -677,7 +677,7 @@ def _(source, tmp_path):
     whole = np.full((HEIGHT, WIDTH), 255, np.uint8)
     for masks, cut in ((moving, True), (bust, True), (still, True), ([*moving[:3], whole], True),
                        ([*moving[:2], whole, whole], False)):  # fmt: skip
-        backdrop = Backdrop("auto")
+        backdrop = Background("auto")
         for mask in masks:
             colors = np.full((HEIGHT, WIDTH, 3), 0.5, np.float32)
             backdrop.seen(np.dstack([colors, mask / 255]) if mask.min() < 255 else colors)

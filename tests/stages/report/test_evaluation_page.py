@@ -15,7 +15,7 @@ from stages.evaluation.metric_definitions import KINDS
 from stages.evaluation.metrics import summarize
 from stages.evaluation.test_views import Photo, Render
 from stages.report.charts import bar_chart, curve_chart, pairs_chart
-from stages.report.contact_sheet import Sheet, chosen_views
+from stages.report.contact_sheet import ContactSheet, chosen_views
 from stages.report.evaluation_page import Pictures, SheetRow, build_page
 from stages.report.formatting import clock, count, duration, listed, megabytes, number
 from stages.report.thumbnails import NOT_FINITE, Picture, depth_picture, depth_range, encode, error_picture, shown
@@ -179,7 +179,7 @@ def test_what_the_sheet_keeps_of_a_view_does_not_grow_with_the_photos():
         view = made.camera(0.0, "a").scaled(scale)
         seen = made.look(view)
         render = Render("a", view, seen.rgb, seen.alpha, seen.z, 0, 0)
-        sheet = Sheet(Picture(seen.rgb, "the painting", "P").small(), stylized=True)
+        sheet = ContactSheet(Picture(seen.rgb, "the painting", "P").small(), stylized=True)
         sheet.add("a", {}, render, Photo(seen.rgb, None, None, False, False), render)
         (kept,) = sheet._views
         held.append([one.image.nbytes for one in kept.pictures] + [kept.z.nbytes, kept.alpha.nbytes])

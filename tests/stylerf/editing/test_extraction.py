@@ -6,23 +6,23 @@ import pytest
 from stylerf.editing.edit_grid import Region, alpha_inside, march_view
 from stylerf.editing.edit_views import EditView
 from stylerf.editing.extraction import Extraction, seen_of_view
-from stylerf.fields.occupancy_grid import Occupancy
+from stylerf.fields.occupancy_grid import OccupancyGrid
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.fields.ray_samples import Rays
-from stylerf.geometry.space_warp import Space
+from stylerf.geometry.space_warp import SpaceWarp
 from stylerf.rendering.rays import render_rays
 from tests.stylerf.small import density, vm_color
 from tests.stylerf.training.scenes import SIDE, box_photo, dome
 
 CELLS = 16
-SPACE = Space.box([-0.8] * 3, [0.8] * 3)
+SPACE = SpaceWarp.box([-0.8] * 3, [0.8] * 3)
 
 
 @pytest.fixture(scope="module")
 def field():
     """An opaque box of SIDE, by occupancy: density everywhere, but only cells inside are marched."""
     made = density(1, size=(8, 8, 8), shift=8.0)
-    occupancy = Occupancy(32)
+    occupancy = OccupancyGrid(32)
     center = (np.stack(np.meshgrid(*[np.arange(32)] * 3, indexing="ij"), -1) + 0.5) / 32 * 1.6 - 0.8
     occupancy.set_occupied((np.abs(center) < SIDE).all(-1).ravel())
     return RadianceField(SPACE, made, vm_color(2), occupancy, 0.01)
@@ -71,7 +71,7 @@ def test_depth_and_ends_agree_with_the_box(seen):
 
 def test_what_lies_behind_the_region_takes_part_in_its_rays_depth_and_opacity():
     """A fog: of many rays a good part of the opacity lies before or behind the region."""
-    field = RadianceField(SPACE, density(1, size=(8, 8, 8), shift=-3.0), vm_color(2), Occupancy(32), 0.01)
+    field = RadianceField(SPACE, density(1, size=(8, 8, 8), shift=-3.0), vm_color(2), OccupancyGrid(32), 0.01)
     camera = dome(6, 1)[2]
     photo = np.full((24, 24, 3), 0.5, np.float32)
     seen = seen_of_view(field, camera, photo, halves(), Extraction(1.0), 0, 1).edit
@@ -87,8 +87,8 @@ def test_what_lies_behind_the_region_takes_part_in_its_rays_depth_and_opacity():
 
 def test_the_depth_of_a_whole_ray_leaves_out_the_backdrop_as_a_renders_does():
     """A capture, of whose rays some light is left for an opaque backdrop far away: fine-tuning compares the two."""
-    space = Space("contraction", Space.box([-0.8] * 3, [0.8] * 3).parameters, 0.0, 1e3)
-    field = RadianceField(space, density(1, size=(8, 8, 8), shift=-3.0), vm_color(2), Occupancy(32), 0.01)
+    space = SpaceWarp("contraction", SpaceWarp.box([-0.8] * 3, [0.8] * 3).parameters, 0.0, 1e3)
+    field = RadianceField(space, density(1, size=(8, 8, 8), shift=-3.0), vm_color(2), OccupancyGrid(32), 0.01)
     assert field.closed
     camera = dome(6, 1)[2]
     photo = np.full((24, 24, 3), 0.5, np.float32)

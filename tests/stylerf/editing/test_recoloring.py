@@ -10,10 +10,10 @@ import torch
 from stylerf.editing.palette_edits import PaletteEdits
 from stylerf.editing.recoloring import Recoloring, SpaceFilter, from_hsv, recolored, shifted, to_hsv
 from stylerf.errors import InvalidValue
-from stylerf.geometry.space_warp import Space
+from stylerf.geometry.space_warp import SpaceWarp
 
 PALETTE = torch.tensor([[0.8, 0.2, 0.1], [0.1, 0.3, 0.9], [0.5, 0.5, 0.5]])
-SPACE = Space.box([-2, -2, -2], [2, 2, 2])
+SPACE = SpaceWarp.box([-2, -2, -2], [2, 2, 2])
 
 
 def given(count: int, seed: int = 0) -> tuple[torch.Tensor, ...]:
@@ -96,7 +96,7 @@ def test_weights_offsets_and_gloss_change_around_the_place_alone():
 
 
 def test_distances_are_those_of_the_scene_whatever_its_space():
-    space = Space.box([-1, -0.8, -0.5], [1.2, 0.9, 0.7], near=0.05, far=1e3, kind="contraction")
+    space = SpaceWarp.box([-1, -0.8, -0.5], [1.2, 0.9, 0.7], near=0.05, far=1e3, kind="contraction")
     center, way = np.array([0.3, 0.2, 0.1]), np.array([[2.0, 0, 0], [0, 3.0, 0], [0.1, 0, 0], [0, 0, 0]])
     near = SpaceFilter(space, (tuple(center), (50.0, 50.0, 50.0)), 2.0)(space.warp(center + way))
     np.testing.assert_allclose(near, np.exp(-np.square(way).sum(1) / 4), atol=1e-5)

@@ -16,7 +16,7 @@ from stylerf.editing.selection import (
     shell,
     shown_by_masks,
 )
-from stylerf.fields.packed_surface import Surface
+from stylerf.fields.packed_surface import PackedSurface
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.geometry.cameras import Camera
 from tests.stylerf.small import SPACES, occupied, vm_color
@@ -78,7 +78,7 @@ def test_what_is_seen_only_with_the_region_is_claimed_and_what_is_seen_alone_is_
         x = np.array([[(c + 0.5) / 8, (r + 0.5) / 8, z] for c, r in rays for z in (0.3, 0.45)])
         weights = np.tile(np.float32([0.7, 0.3]), len(rays))
         offsets = np.arange(len(rays) + 1) * 2
-        surface = Surface(offsets, np.round(x * 65535).astype(np.uint16), weights, np.ones((len(columns), 8)))
+        surface = PackedSurface(offsets, np.round(x * 65535).astype(np.uint16), weights, np.ones((len(columns), 8)))
         return Look(surface, np.zeros((len(rays), 3), np.float32), 1)
 
     marked = np.zeros((8,) * 3, bool)
@@ -89,7 +89,7 @@ def test_what_is_seen_only_with_the_region_is_claimed_and_what_is_seen_alone_is_
     np.testing.assert_array_equal(found, marked | behind)
     twice = look(range(4))
     alone = Look(  # the same places behind, seen by rays that do not pass the region
-        Surface(twice.surface.offsets, twice.surface.x, np.tile(np.float32([0, 1.0]), 32), twice.surface.alpha),
+        PackedSurface(twice.surface.offsets, twice.surface.x, np.tile(np.float32([0, 1.0]), 32), twice.surface.alpha),
         twice.colors,
         1,
     )

@@ -9,7 +9,7 @@ import torch
 from stylerf.errors import InvalidValue
 from stylerf.fields.deformation import FARTHEST, SCALE, Deformation
 from stylerf.fields.displacement_grid import displaced_occupancy, nearest_of
-from stylerf.fields.occupancy_grid import Occupancy
+from stylerf.fields.occupancy_grid import OccupancyGrid
 
 
 def test_it_starts_as_the_identity_and_every_other_weight_is_alive():
@@ -65,7 +65,7 @@ def test_occupancy_follows_a_shift_by_whole_cells():
     cells = 8
     occupied = np.zeros((cells,) * 3, bool)
     occupied[4:6, 3, 3] = True
-    rest = Occupancy(cells)
+    rest = OccupancyGrid(cells)
     rest.set_occupied(occupied.ravel())
     shift = np.zeros((5, 5, 5, 3), np.float32)
     shift[..., 0] = 2 / cells

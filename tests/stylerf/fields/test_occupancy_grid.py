@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from stylerf.fields.occupancy_grid import DENSEST, OPAQUE_STEP, Occupancy
+from stylerf.fields.occupancy_grid import DENSEST, OPAQUE_STEP, OccupancyGrid
 
 
 def test_distances_are_chebyshev_distances():
     cells, full = 6, np.random.default_rng(1).random(6**3) < 0.02
-    made = Occupancy(cells)
+    made = OccupancyGrid(cells)
     made.set_occupied(full)
     places = np.stack(np.unravel_index(np.arange(cells**3), (cells,) * 3), 1)
     expected = np.abs(places[:, None] - places[full][None]).max(2).min(1)
@@ -18,7 +18,7 @@ def test_distances_are_chebyshev_distances():
 
 
 def test_a_cell_counts_where_a_step_would_be_a_hundredth_opaque():
-    made, step = Occupancy(4), 1 / 50
+    made, step = OccupancyGrid(4), 1 / 50
     bound = -np.log(1 - OPAQUE_STEP) / (100 * step)  # 1 - exp(-100 sigma step)
     highest = np.full(64, 50.0, np.float32)
     highest[:3] = bound * 1.001, bound * 0.999, 0
@@ -28,7 +28,7 @@ def test_a_cell_counts_where_a_step_would_be_a_hundredth_opaque():
 
 
 def test_a_thin_field_is_kept_where_it_is_thicker_than_its_mean():
-    made = Occupancy(4)
+    made = OccupancyGrid(4)
     made.highest = np.linspace(0, 1e-6, 64, dtype=np.float32)
     made.decide(1 / 50)
     assert np.array_equal(made.distances == 0, np.arange(64) >= 32)
@@ -36,7 +36,7 @@ def test_a_thin_field_is_kept_where_it_is_thicker_than_its_mean():
 
 @pytest.mark.parametrize("share", [1, 4])
 def test_refreshing_keeps_a_decaying_maximum_of_the_cells_it_looks_at(share):
-    made, asked = Occupancy(4), []
+    made, asked = OccupancyGrid(4), []
 
     def rising(x):
         asked.append(x)
@@ -56,7 +56,7 @@ def test_refreshing_keeps_a_decaying_maximum_of_the_cells_it_looks_at(share):
 
 
 def test_a_finer_grid_knows_the_same():
-    made = Occupancy(3)
+    made = OccupancyGrid(3)
     made.highest = np.arange(27, dtype=np.float32)
     made.set_occupied(np.arange(27) % 5 == 0)
     finer = made.resized(6)
@@ -67,7 +67,7 @@ def test_a_finer_grid_knows_the_same():
 
 def test_what_is_known_to_be_clear_is_never_looked_at_or_occupied_on_a_finer_grid_neither():
     clear, asked = np.arange(64) % 3 == 0, []
-    made = Occupancy(4, clear=clear)
+    made = OccupancyGrid(4, clear=clear)
     assert np.array_equal(made.distances == 0, ~clear)
 
     def dense(x):
@@ -85,7 +85,7 @@ def test_what_is_known_to_be_clear_is_never_looked_at_or_occupied_on_a_finer_gri
 
 def test_a_cell_that_was_seen_however_dense_is_not_forgotten_at_once():
     """The densities of a solid may pass any number: its mark must be none of them."""
-    made = Occupancy(4)
+    made = OccupancyGrid(4)
     made.refresh(lambda x: np.full(len(x), 3e4, np.float32), 1 / 50, 0, 1, 0.9)
     assert np.isfinite(made.highest).all()
     made.refresh(lambda x: np.zeros(len(x), np.float32), 1 / 50, 1, 1, 0.9)
@@ -95,7 +95,7 @@ def test_a_cell_that_was_seen_however_dense_is_not_forgotten_at_once():
 @pytest.mark.parametrize("mark", [np.inf, 1e4])
 def test_a_cell_that_nobody_has_looked_at_counts_until_somebody_does(mark):
     """In a file of before it holds 10,000."""
-    made = Occupancy(4, np.full(64, mark, np.float32))
+    made = OccupancyGrid(4, np.full(64, mark, np.float32))
     made.refresh(lambda x: np.full(len(x), 1e-3, np.float32), 1 / 50, 0, 4, 0.9)
     looked = np.isfinite(made.highest)
     assert looked.sum() == 16 and np.array_equal(made.distances == 0, ~looked)

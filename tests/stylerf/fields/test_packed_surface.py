@@ -4,26 +4,26 @@ import numpy as np
 import pytest
 
 from stylerf.fields import packed_surface as module
-from stylerf.fields.packed_surface import Surface, cells_of, surface_of
+from stylerf.fields.packed_surface import PackedSurface, cells_of, surface_of
 from stylerf.geometry.camera_paths import look_at
 from stylerf.geometry.cameras import Camera
-from stylerf.geometry.space_warp import Space
+from stylerf.geometry.space_warp import SpaceWarp
 from stylerf.rendering.view import render_view
 from stylerf.training.stylize.geometry import FixedGeometry
 from tests.stylerf.small import SPACES, displacement_grid, field_of, float64, hash_color, oracle_color
 
-BOX = Space.box([-1, -1, -1], [1, 1, 1])
+BOX = SpaceWarp.box([-1, -1, -1], [1, 1, 1])
 SHARE = 0.3
 
 
-def camera(space: Space = BOX) -> Camera:
+def camera(space: SpaceWarp = BOX) -> Camera:
     if space.kind == "frustum":
         return Camera("view", 13, 9, 14.0, 15.0, 6.5, 4.5, np.eye(4))
     pose = look_at(np.array([2.6, 0.9, 0.7]), np.zeros(3), np.array([0, 0, 1.0]))
     return Camera("view", 13, 9, 14.0, 15.0, 6.5, 4.5, pose)
 
 
-def scene(space: Space = BOX, **more):
+def scene(space: SpaceWarp = BOX, **more):
     field = field_of(space, 1, hash_color(2), **more)
     field.share = SHARE
     return field
@@ -105,14 +105,14 @@ def test_views_beyond_the_memory_are_marched_again_and_look_the_same():
     assert np.array_equal(plenty.paint(1, np.arange(117))[0], none.paint(1, np.arange(117))[0])
 
 
-def wall(height: int, width: int, apart: tuple[float, float], alpha: np.ndarray) -> Surface:
+def wall(height: int, width: int, apart: tuple[float, float], alpha: np.ndarray) -> PackedSurface:
     """A wall seen head on, two samples a pixel that average to a grid of points `apart` across and down."""
     down, across = np.mgrid[:height, :width]
     points = np.stack([0.1 + across * apart[0], 0.2 + down * apart[1], np.full(across.shape, 0.5)], -1).reshape(-1, 3)
     pair = np.stack([points - [0, 0, 0.02], points + [0, 0, 0.01]], 1).reshape(-1, 3)  # weights 1 : 2
     weights = (alpha.ravel()[:, None] * [1 / 3, 2 / 3]).ravel().astype(np.float32)
     offsets = np.arange(height * width + 1, dtype=np.int64) * 2
-    return Surface(offsets, np.rint(pair * 65535).astype(np.uint16), weights, alpha)
+    return PackedSurface(offsets, np.rint(pair * 65535).astype(np.uint16), weights, alpha)
 
 
 def test_cells_are_as_wide_as_a_pixel_sees_by_its_finer_side():

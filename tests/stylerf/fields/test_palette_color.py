@@ -12,14 +12,14 @@ from stylerf.errors import InvalidValue
 from stylerf.fields.palette_color import PaletteColor
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.fields.ray_samples import Rays
-from stylerf.geometry.space_warp import Space
+from stylerf.geometry.space_warp import SpaceWarp
 from stylerf.kernels import torch_reference
 from stylerf.rendering.rays import render_rays
 from tests.stylerf.kernels.cpu.test_vm import RAYS, added, basis_of, buffers, owned, samples
 from tests.stylerf.small import close, field_of, float64, rays_into
 
 PALETTE = np.float32([[0.7, 0.2, 0.1], [0.1, 0.3, 0.6], [0.2, 0.5, 0.2], [0.8, 0.8, 0.7]])
-BOX = Space.box([-1, -1, -1], [1, 1, 1])
+BOX = SpaceWarp.box([-1, -1, -1], [1, 1, 1])
 
 
 def made(seed: int = 4) -> PaletteColor:

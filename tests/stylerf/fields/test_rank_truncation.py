@@ -5,14 +5,14 @@ import itertools
 import numpy as np
 import pytest
 
-from stylerf.fields.occupancy_grid import Occupancy
+from stylerf.fields.occupancy_grid import OccupancyGrid
 from stylerf.fields.rank_truncation import EMPTY, best_ranks, best_seen_ranks, texel_weights
 from stylerf.fields.vm import VmColor, VmDensity
 from stylerf.fields.vm_tables import split_table
 from stylerf.geometry.spherical_harmonics import harmonics
 
 SIZE = np.array([7, 9, 11])
-EVERYWHERE = Occupancy(4)  # of a new grid every cell is occupied
+EVERYWHERE = OccupancyGrid(4)  # of a new grid every cell is occupied
 
 
 def factors(seed: int, plane: int = 40, line: int = 9, rank: int = 16) -> tuple[np.ndarray, np.ndarray]:
@@ -111,7 +111,7 @@ def test_factors_stay_in_proportion():
 
 def test_texels_weigh_what_lies_along_their_columns():
     """One occupied cell: on each plane and line the texels in its shadow, found by asking cell by cell."""
-    occupancy, there = Occupancy(4), (0, 1, 3)
+    occupancy, there = OccupancyGrid(4), (0, 1, 3)
     occupied = np.zeros((4, 4, 4), bool)
     occupied[there] = True
     occupancy.set_occupied(occupied)

@@ -6,7 +6,7 @@ import torch
 
 from stylerf.errors import InvalidValue
 from stylerf.fields.radiance_field import RadianceField
-from stylerf.fields.region_color import PatchColor, box_of
+from stylerf.fields.region_color import RegionColor, box_of
 from tests.stylerf.kernels.cpu.test_vm import added, basis_of, buffers, owned, samples
 from tests.stylerf.small import SPACES, close, field_of, float64, hash_color, oracle_color, vm_color
 
@@ -20,8 +20,8 @@ def marked_cells() -> np.ndarray:
     return marked
 
 
-def patch() -> PatchColor:
-    made = PatchColor.create(vm_color(4), marked_cells(), 30.0, table=64, levels=8)
+def patch() -> RegionColor:
+    made = RegionColor.create(vm_color(4), marked_cells(), 30.0, table=64, levels=8)
     made.values[:] = np.random.default_rng(8).normal(scale=0.4, size=len(made.values))
     return made
 
@@ -31,7 +31,7 @@ def inside(x: np.ndarray) -> np.ndarray:
     return marked_cells()[tuple(at.T)]
 
 
-def oracle(made: PatchColor, values: torch.Tensor, basis: torch.Tensor, x: torch.Tensor) -> torch.Tensor:
+def oracle(made: RegionColor, values: torch.Tensor, basis: torch.Tensor, x: torch.Tensor) -> torch.Tensor:
     """sigmoid(logit(base) + logit(own)) where a cell is marked, base elsewhere."""
     base = oracle_color(made.base, float64(made.base.values), basis, x)
     low, side = box_of(marked_cells())
@@ -87,7 +87,7 @@ def test_a_patch_on_a_patch_comes_back_from_what_is_kept():
     low = patch()
     more = np.zeros((4,) * 3, bool)
     more[1:3, 1:3, 1:3] = True
-    top = PatchColor.create(low, more, 20.0, table=64)
+    top = RegionColor.create(low, more, 20.0, table=64)
     top.values[:] = 0.3
     field = field_of(SPACES["box"], 3, color=top)
     again = RadianceField.restore(field.describe(), {k: v.copy() for k, v in field.arrays().items()})
@@ -111,4 +111,4 @@ def test_the_box_holds_the_cells_and_no_more():
 def test_an_empty_patch_and_one_of_another_shape_are_refused():
     for wrong in (np.zeros((4, 4, 4), bool), np.ones((4, 4, 5), bool), np.ones((4, 4, 4))):
         with pytest.raises(InvalidValue, match="marked cells"):
-            PatchColor(vm_color(4), hash_color(1), wrong)
+            RegionColor(vm_color(4), hash_color(1), wrong)

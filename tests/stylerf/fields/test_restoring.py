@@ -6,10 +6,10 @@ import torch
 
 from stylerf import validation
 from stylerf.errors import InvalidValue
-from stylerf.fields.occupancy_grid import Occupancy
+from stylerf.fields.occupancy_grid import OccupancyGrid
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.geometry.cameras import Camera
-from stylerf.geometry.space_warp import Space
+from stylerf.geometry.space_warp import SpaceWarp
 from stylerf.rendering.view import render_view
 from stylerf.style.color_matching import ColorMap
 from tests.stylerf import small
@@ -59,10 +59,10 @@ def test_arrays_of_another_type_are_refused(kind):
 def test_distances_of_the_chessboard_are_believed_and_no_longer_ones():
     """By a slow loop: a cell may tell less than the way to the nearest occupied one, never more."""
     rng = np.random.default_rng(0)
-    occupancy = Occupancy(6)
+    occupancy = OccupancyGrid(6)
     occupancy.set_occupied(rng.random(216) < 0.02)
     arrays = {"occupancy.highest": np.ones(216, np.float32), "occupancy.distances": occupancy.distances}
-    Occupancy.restore(6, arrays)
+    OccupancyGrid.restore(6, arrays)
     where = np.argwhere(np.ones((6, 6, 6)))
     there = where[occupancy.distances == 0]
     nearest = np.abs(where[:, None] - there).max(-1).min(1)
@@ -70,19 +70,19 @@ def test_distances_of_the_chessboard_are_believed_and_no_longer_ones():
         lying = occupancy.distances.copy()
         lying[cell] = nearest[cell] + 1
         with pytest.raises(InvalidValue, match="no distances"):
-            Occupancy.restore(6, arrays | {"occupancy.distances": lying})
+            OccupancyGrid.restore(6, arrays | {"occupancy.distances": lying})
     ending_at_two = np.minimum(occupancy.distances, 2)  # as those of a GPU end at 32
-    Occupancy.restore(6, arrays | {"occupancy.distances": ending_at_two})
-    Occupancy.restore(6, arrays | {"occupancy.distances": np.full(216, 255, np.uint8)})  # nothing is occupied
+    OccupancyGrid.restore(6, arrays | {"occupancy.distances": ending_at_two})
+    OccupancyGrid.restore(6, arrays | {"occupancy.distances": np.full(216, 255, np.uint8)})  # nothing is occupied
 
 
 def test_infinity_stands_for_cells_that_nobody_has_looked_at_and_nan_for_nothing():
     arrays = {"occupancy.highest": np.full(8, np.inf, np.float32), "occupancy.distances": np.zeros(8, np.uint8)}
-    Occupancy.restore(2, arrays)
+    OccupancyGrid.restore(2, arrays)
     for value in (np.nan, -1.0):
         arrays["occupancy.highest"][3] = value
         with pytest.raises(InvalidValue, match="highest"):
-            Occupancy.restore(2, arrays)
+            OccupancyGrid.restore(2, arrays)
 
 
 @pytest.mark.parametrize("kind", ["box", "contraction", "frustum"])
@@ -90,7 +90,7 @@ def test_infinity_stands_for_cells_that_nobody_has_looked_at_and_nan_for_nothing
 @pytest.mark.parametrize("value", [-1.0, float("nan"), 1e300, "1", None, True])
 def test_the_reach_of_a_space_is_of_numbers_that_float32_can_march(kind, key, value):
     with pytest.raises(InvalidValue):
-        Space.restore(small.SPACES[kind].describe() | {key: value})
+        SpaceWarp.restore(small.SPACES[kind].describe() | {key: value})
 
 
 @pytest.mark.parametrize("kind", ["box", "contraction", "frustum"])
@@ -101,7 +101,7 @@ def test_a_space_that_would_be_divided_by_nothing_is_refused(kind):
             other = [*described["parameters"]]
             other[place] = value
             with pytest.raises(InvalidValue):
-                Space.restore(described | {"parameters": other})
+                SpaceWarp.restore(described | {"parameters": other})
 
 
 @pytest.mark.parametrize("kind", ["box", "contraction", "frustum"])

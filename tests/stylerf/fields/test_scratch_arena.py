@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from stylerf.fields.scratch_arena import Memory, room
+from stylerf.fields.scratch_arena import ScratchArena, room
 
 
 def test_outside_of_a_round_every_array_is_its_own():
@@ -11,7 +11,7 @@ def test_outside_of_a_round_every_array_is_its_own():
 
 
 def test_a_round_has_arrays_of_its_own_and_the_next_round_has_them_again():
-    memory = Memory()
+    memory = ScratchArena()
     with memory.round():
         first, second = room((1000,)), room((500, 3))
         assert not np.shares_memory(first, second)
@@ -26,7 +26,7 @@ def test_a_round_has_arrays_of_its_own_and_the_next_round_has_them_again():
 
 def test_a_round_within_a_round_has_its_own_memory():
     """A look at held-out views may render within whatever else is under way."""
-    outer, inner = Memory(), Memory()
+    outer, inner = ScratchArena(), ScratchArena()
     with outer.round():
         first = room((10,))
         with inner.round():

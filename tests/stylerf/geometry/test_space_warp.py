@@ -3,34 +3,34 @@
 import numpy as np
 import pytest
 
-from stylerf.geometry.space_warp import Space
+from stylerf.geometry.space_warp import SpaceWarp
 
 
 def test_a_long_box_has_most_of_its_vertices_along_its_length():
-    np.testing.assert_array_equal(Space.box((0, 0, 0), (4, 1, 2)).cells_per_axis(64), [128, 32, 64])
+    np.testing.assert_array_equal(SpaceWarp.box((0, 0, 0), (4, 1, 2)).cells_per_axis(64), [128, 32, 64])
 
 
 def test_a_contraction_has_as_many_vertices_along_every_side():
-    space = Space.box((-1, -1, -1), (1, 3, 1), kind="contraction")
+    space = SpaceWarp.box((-1, -1, -1), (1, 3, 1), kind="contraction")
     np.testing.assert_array_equal(space.cells_per_axis(64), [64, 64, 64])
 
 
 def test_a_frustum_tells_depths_apart_as_finely_as_views_do():
     """Twice as wide as high; the nearest point moves by half the width between the views: half as many depths."""
-    found = Space.frustum(1.0, 0.5, 1.0, 1e3, parallax=1.0).cells_per_axis(128)
+    found = SpaceWarp.frustum(1.0, 0.5, 1.0, 1e3, parallax=1.0).cells_per_axis(128)
     np.testing.assert_allclose(found, 128 * 2 ** (1 / 3) * np.array([1.0, 0.5, 0.5]) * 2 ** (1 / 3), atol=0.5)
     assert np.prod(found) == pytest.approx(128**3, rel=0.02)
 
 
 @pytest.mark.parametrize(("parallax", "share"), [(0.01, 0.25), (9.0, 1.0)])
 def test_depths_are_a_quarter_of_the_width_at_least_and_no_more_than_it(parallax, share):
-    wide, _, deep = Space.frustum(1.0, 0.5, 1.0, 1e3, parallax=parallax).cells_per_axis(96)
+    wide, _, deep = SpaceWarp.frustum(1.0, 0.5, 1.0, 1e3, parallax=parallax).cells_per_axis(96)
     assert deep == pytest.approx(share * wide, abs=0.6)
 
 
 def test_a_frustum_of_unknown_parallax_is_even_and_parallax_moves_no_point():
-    even, uneven = (Space.frustum(0.9, 0.6, 1.0, 1e3, parallax=p) for p in (0.0, 0.4))
+    even, uneven = (SpaceWarp.frustum(0.9, 0.6, 1.0, 1e3, parallax=p) for p in (0.0, 0.4))
     np.testing.assert_array_equal(even.cells_per_axis(50), [50, 50, 50])
     points = np.random.default_rng(0).uniform((-1, -1, 1), (1, 1, 9), (50, 3))
     np.testing.assert_array_equal(even.warp(points), uneven.warp(points))
-    assert Space.restore(uneven.describe()) == uneven
+    assert SpaceWarp.restore(uneven.describe()) == uneven

@@ -9,7 +9,7 @@ import torch
 from stylerf.fields.hash_color import HashColor, level_layout
 from stylerf.fields.vm import VmColor, VmDensity
 from stylerf.fields.vm_tables import split_table, table_length
-from stylerf.geometry.space_warp import Space
+from stylerf.geometry.space_warp import SpaceWarp
 from stylerf.kernels import torch_reference
 from tests.stylerf.small import SPACES, float64
 
@@ -159,7 +159,7 @@ def test_warps_equal_the_definition_of_space(kind):
 
 
 def test_a_contraction_written_out():
-    space = Space.box([-1, -2, -4], [1, 2, 4], near=0.1, far=1e3, kind="contraction")
+    space = SpaceWarp.box([-1, -2, -4], [1, 2, 4], near=0.1, far=1e3, kind="contraction")
     world = torch.tensor([[0.5, 0, 0], [1, 2, 4], [2, 0, 0], [0, 8, 0], [2, 4, 2], [1e9, 0, 0]], dtype=torch.float64)
     # 1/2 + x/4 inside; m (2 - 1/m)/m outside: at m = 2 and 4 the largest coordinate is at 3/2 and 7/4 of 2.
     expected = [[0.625, 0.5, 0.5], [0.75] * 3, [0.875, 0.5, 0.5], [0.5, 0.9375, 0.5], [0.875, 0.875, 0.59375]]
@@ -176,7 +176,7 @@ def test_a_contraction_written_out():
 
 
 def test_a_frustum_and_a_box_written_out():
-    space = Space.frustum(0.5, 0.25, 2.0, 1e4)
+    space = SpaceWarp.frustum(0.5, 0.25, 2.0, 1e4)
     world = torch.tensor([[0, 0, 2.0], [2, 1, 4.0], [-2, -1, 4], [0, 0, 2e9]], dtype=torch.float64)
     expected = float64([[0.5, 0.5, 0], [1, 1, 0.5], [0, 0, 0.5], [0.5, 0.5, 1]])
     torch.testing.assert_close(torch_reference.warp(space, world), expected, rtol=0, atol=1e-8)
@@ -185,7 +185,7 @@ def test_a_frustum_and_a_box_written_out():
     sideways = torch.tensor([[0, 1.0, 0]], dtype=torch.float64)
     assert float(torch_reference.speed(space, world[1:2], sideways)[0]) == pytest.approx(0.5 / (4 * 0.25))
     assert torch_reference.density_jacobian(space, world)[1].item() == pytest.approx(2 / 16)
-    box = Space.box([0, 0, 0], [1, 2, 4])
+    box = SpaceWarp.box([0, 0, 0], [1, 2, 4])
     way = torch.tensor([[0.6, 0.8, 0]], dtype=torch.float64)
     assert float(torch_reference.speed(box, world[:1], way)) == pytest.approx(0.6)
     assert float(torch_reference.density_jacobian(box, world[:1])) == pytest.approx((1 + 1 / 2 + 1 / 4) / 3)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from stylerf.fields.ray_samples import Rays
-from stylerf.geometry.space_warp import Space
+from stylerf.geometry.space_warp import SpaceWarp
 from stylerf.rendering import view as module
 from stylerf.rendering.rays import SAMPLE_LIMIT
 from stylerf.rendering.view import render_view
@@ -76,7 +76,7 @@ def counting(march, told: list):
 
 def test_the_backdrop_of_a_contraction_counts_to_the_cell_it_lies_in():
     space = SPACES["contraction"]
-    assert isinstance(space, Space)
+    assert isinstance(space, SpaceWarp)
     field = field_of(space, 1, hash_color(2))
     field.density.values[-1] = -30  # nothing but the backdrop
     seen = render_view(field, camera(), chunks=1, regions={"all": np.ones((4, 4, 4), bool), "up": half(2, 4)})

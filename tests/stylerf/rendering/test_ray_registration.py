@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from stylerf.fields.packed_surface import Surface, surface_of
+from stylerf.fields.packed_surface import PackedSurface, surface_of
 from stylerf.geometry.camera_paths import look_at
 from stylerf.geometry.cameras import Camera
-from stylerf.geometry.space_warp import Space
+from stylerf.geometry.space_warp import SpaceWarp
 from stylerf.rendering.ray_registration import SeenPoints, best_reference, every, points_of, registered, sampled_at
 from tests.stylerf.small import wall_in_front
 
-SPACE = Space.box([-4, -4, -4], [4, 4, 4])
+SPACE = SpaceWarp.box([-4, -4, -4], [4, 4, 4])
 NORMAL, OFFSET = np.array([0.15, -0.1, 1.0]), 0.2  # the plane NORMAL x = OFFSET
 SCREEN = 1.5, 0.5  # height of a square before the plane, half its side
 
@@ -104,7 +104,7 @@ def test_points_are_the_weighted_means_of_a_pixels_samples():
     x = np.array([[10, 20, 30], [30, 20, 10], [60000, 5, 7], [1, 2, 3]], np.uint16)
     weights = np.array([0.6, 0.2, 0.9, 0.1], np.float32)
     alpha = np.array([[0.8, 0.9, 0.1]], np.float32)
-    found = points_of(Surface(np.array([0, 2, 3, 4]), x, weights, alpha), one, SPACE)
+    found = points_of(PackedSurface(np.array([0, 2, 3, 4]), x, weights, alpha), one, SPACE)
     places = x / 65535
     expected = [(0.6 * places[0] + 0.2 * places[1]) / 0.8, places[2], places[3]]
     np.testing.assert_allclose(found.places, expected, atol=1e-5)

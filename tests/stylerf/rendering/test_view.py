@@ -5,11 +5,11 @@ import pytest
 
 from stylerf.geometry.camera_paths import look_at
 from stylerf.geometry.cameras import Camera
-from stylerf.geometry.space_warp import Space
+from stylerf.geometry.space_warp import SpaceWarp
 from stylerf.rendering.view import render_view
 from tests.stylerf.small import density, field_of, hash_color, vm_color, wall_in_front
 
-BOX = Space.box([-1, -1, -1], [1, 1, 1])
+BOX = SpaceWarp.box([-1, -1, -1], [1, 1, 1])
 
 
 def camera(center=(2.6, 0.9, 0.7), width=13, height=9, focal=14.0) -> Camera:

@@ -7,7 +7,7 @@ from torch import nn
 
 from stages.weights.formats import wct_decoder
 from stylerf.style.adain import Decoder, adain, adain_picture
-from stylerf.style.feature_extractor import Trunk
+from stylerf.style.feature_extractor import FeatureExtractor
 from stylerf.style.image_sizes import resized
 
 
@@ -55,7 +55,7 @@ def test_the_real_decoder_gives_a_photo_back_and_a_painting_changes_it(data_dir,
     monkeypatch.setenv("STYLERF_WEIGHTS", str(data_dir / "weights"))
     monkeypatch.setenv("STYLERF_CACHE", str(tmp_path))
     found, decoder = resolve("vgg19-wct"), Decoder(resolve_decoder().state)
-    trunk = Trunk(found.state, "conv3_1", found.kind)
+    trunk = FeatureExtractor(found.state, "conv3_1", found.kind)
     photo = resized(read_painting(data_dir / "styles" / "great_wave.jpg"), 122, 161)
     back = adain_picture(trunk, decoder, photo, photo)
     assert back.shape == photo.shape and float((back - photo).abs().mean()) < 0.06

@@ -5,7 +5,7 @@ import torch
 
 from stylerf.srgb import LUMA
 from stylerf.style.color_matching import color_statistics, match_colors, spread_at_least, spread_at_most, strokes_in
-from stylerf.training.stylize.arf import Stylizer
+from stylerf.training.stylize.arf import ArfTrainer
 from tests.stylerf.style.small_trunk import picture
 from tests.stylerf.training.stylizing import made
 
@@ -44,10 +44,10 @@ def test_a_blank_sheet_has_no_strokes_to_teach():
     blots = torch.zeros(3, 8, 8)
     blots[0, :4], blots[2, 4:] = 1, 1
     assert strokes_in(blots, 0.2) == 1
-    one = made(Stylizer, painting=torch.ones(3, 16, 16), least_spread=0.1)
+    one = made(ArfTrainer, painting=torch.ones(3, 16, 16), least_spread=0.1)
     assert one.settings.weights.style == 0 and one.settings.weights.content > 0
     # Adam's steps are as long for what a weak loss leaves of a gradient: shapes would move by rounding.
-    assert one.settings.deform_rate == 0 < made(Stylizer, painting=blots, least_spread=0.1).settings.deform_rate
+    assert one.settings.deform_rate == 0 < made(ArfTrainer, painting=blots, least_spread=0.1).settings.deform_rate
 
 
 def test_matching_to_a_blank_sheet_keeps_light_and_shade():
@@ -94,8 +94,8 @@ def test_a_scene_with_colors_enough_is_matched_exactly():
 def test_both_matches_of_a_stylization_together_stay_below_the_bound(match):
     """The second aims at what the first could reach: two bounds one after the other would be their product."""
     painting = picture(16, 16, 2)
-    one = made(Stylizer, painting=painting, match=match, most_gain=0.5)
-    free = made(Stylizer, painting=painting, match=match, most_gain=0.0)
+    one = made(ArfTrainer, painting=painting, match=match, most_gain=0.5)
+    free = made(ArfTrainer, painting=painting, match=match, most_gain=0.0)
     assert torch.equal(free._palette, painting)
     drawn, full = (color_statistics(x.flatten(1).T)[1].trace() for x in (one._palette, painting))
     assert drawn < 0.9 * full

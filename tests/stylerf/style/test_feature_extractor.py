@@ -6,7 +6,7 @@ import torch
 from scipy.signal import correlate
 
 from stylerf.errors import InvalidValue
-from stylerf.style.feature_extractor import LAYERS, Trunk, blur_pool, features, taps_of
+from stylerf.style.feature_extractor import LAYERS, FeatureExtractor, blur_pool, features, taps_of
 
 CHANNELS = {"conv1_1": 4, "conv1_2": 5, "conv2_1": 6, "conv2_2": 6, "conv3_1": 7, "conv3_2": 5, "conv3_3": 8}
 
@@ -68,18 +68,18 @@ def test_every_layer_equals_a_naive_computation(architecture):
         hidden = naive_convolution(hidden, weight, bias, padding)
         expected[layer] = hidden
     taps = tuple(CHANNELS)
-    for tap, found in zip(taps, Trunk(state, taps, architecture)(image[None])):
+    for tap, found in zip(taps, FeatureExtractor(state, taps, architecture)(image[None])):
         np.testing.assert_allclose(found[0].numpy(), expected[tap], rtol=1e-4, atol=1e-5)
 
 
 def test_only_the_layers_up_to_the_deepest_tap_are_built():
-    trunk = Trunk(small_state(), "conv2_1")
+    trunk = FeatureExtractor(small_state(), "conv2_1")
     assert trunk.layers == ("conv1_1", "conv1_2", "conv2_1") and trunk.channels == (6,) and trunk.stride == 2
     assert not any(name.startswith("conv2_2") for name, _ in trunk.named_buffers())
 
 
 def test_gradient_of_the_image_is_exact_and_weights_have_none():
-    trunk = Trunk(small_state(), "conv1_2,conv3_1").double()
+    trunk = FeatureExtractor(small_state(), "conv1_2,conv3_1").double()
     image = torch.rand(1, 3, 8, 9, dtype=torch.float64, requires_grad=True)
     assert torch.autograd.gradcheck(lambda x: tuple(trunk(x)), (image,))
     assert list(trunk.parameters()) == []
@@ -97,10 +97,10 @@ def test_taps_are_named_in_several_ways():
 
 def test_bad_arguments_are_refused():
     with pytest.raises(InvalidValue, match="end before conv4_1"):
-        Trunk(small_state(), "conv4_1")
+        FeatureExtractor(small_state(), "conv4_1")
     with pytest.raises(InvalidValue, match="a trunk among"):
-        Trunk(small_state(), "conv1_1", "resnet")
-    trunk = Trunk(small_state(), "conv3_1")
+        FeatureExtractor(small_state(), "conv1_1", "resnet")
+    trunk = FeatureExtractor(small_state(), "conv3_1")
     for shape in ((3, 16, 16), (1, 4, 16, 16), (1, 3, 7, 16)):
         with pytest.raises(InvalidValue):
             trunk(torch.zeros(shape))
@@ -109,5 +109,5 @@ def test_bad_arguments_are_refused():
 def test_blur_keeps_a_constant_and_half_precision_is_ignored_on_the_cpu():
     kernel = torch.outer(torch.tensor([1.0, 2, 1]), torch.tensor([1.0, 2, 1])) / 16
     assert torch.allclose(blur_pool(torch.full((1, 2, 9, 7), 0.3), kernel), torch.tensor(0.3))
-    trunk, image = Trunk(small_state(), "conv1_1"), torch.rand(1, 3, 8, 8)
+    trunk, image = FeatureExtractor(small_state(), "conv1_1"), torch.rand(1, 3, 8, 8)
     assert torch.equal(features(trunk, image, torch.bfloat16)[0], trunk(image)[0])

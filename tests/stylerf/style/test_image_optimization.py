@@ -3,7 +3,7 @@
 import numpy as np
 import torch
 
-from stylerf.style.image_optimization import PaintedPicture, painted
+from stylerf.style.image_optimization import ImageOptimization, painted
 from tests.stylerf.style.small_trunk import picture
 
 WANTED = picture(6, 8, 2)
@@ -15,7 +15,7 @@ def towards(image: torch.Tensor):
 
 
 def test_steps_are_those_of_adam():
-    made, other = PaintedPicture(picture(6, 8, 1), None, 0.0, 0.01), picture(6, 8, 1).requires_grad_()
+    made, other = ImageOptimization(picture(6, 8, 1), None, 0.0, 0.01), picture(6, 8, 1).requires_grad_()
     adam = torch.optim.Adam([other], lr=0.01, betas=(0.9, 0.99), eps=1e-8)
     for _ in range(7):
         made.step(towards)
@@ -29,7 +29,7 @@ def test_what_is_not_covered_stays_background_and_half_of_it_half():
     alpha = torch.zeros(6, 8)
     alpha[:3], alpha[3] = 1, 0.5
     start = alpha * picture(6, 8, 1) + (1 - alpha) * 0.7
-    made = PaintedPicture(start, alpha, 0.7, 0.05)
+    made = ImageOptimization(start, alpha, 0.7, 0.05)
     assert float((made.seen() - start).abs().max()) < 1e-6
     for _ in range(60):
         made.step(towards)
@@ -42,7 +42,7 @@ def test_what_is_not_covered_stays_background_and_half_of_it_half():
 def test_of_a_part_alone_the_rest_stays_the_picture_that_it_began_as():
     alpha, start = torch.zeros(6, 8), picture(6, 8, 1)
     alpha[:3] = 1
-    made = PaintedPicture(start, alpha, start, 0.05)
+    made = ImageOptimization(start, alpha, start, 0.05)
     for _ in range(60):
         made.step(towards)
     assert torch.equal(made.seen()[:, 3:], start[:, 3:])
@@ -50,12 +50,12 @@ def test_of_a_part_alone_the_rest_stays_the_picture_that_it_began_as():
 
 
 def test_a_picture_that_was_put_aside_goes_on_to_the_same_bits():
-    whole, first = (PaintedPicture(picture(6, 8, 1), None, 0.0, 0.02) for _ in range(2))
+    whole, first = (ImageOptimization(picture(6, 8, 1), None, 0.0, 0.02) for _ in range(2))
     for at in range(6):
         whole.step(towards, 1 - at / 6)
     for at in range(4):
         first.step(towards, 1 - at / 6)
-    second = PaintedPicture(picture(6, 8, 1), None, 0.0, 0.02)
+    second = ImageOptimization(picture(6, 8, 1), None, 0.0, 0.02)
     second.restore({k: v.copy() for k, v in first.arrays().items()})
     for at in range(4, 6):
         second.step(towards, 1 - at / 6)

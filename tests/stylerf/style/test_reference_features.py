@@ -5,7 +5,7 @@ import pytest
 import torch
 import torch.nn.functional as F
 
-from stylerf.style.reference_features import STRANGE, Template, TemplateObjective
+from stylerf.style.reference_features import STRANGE, ReferenceFeatures, ReferenceObjective
 from stylerf.style.style_objective import StyleWeights
 from tests.stylerf.style.small_trunk import picture, small_trunk
 
@@ -13,13 +13,13 @@ HEIGHT, WIDTH = 24, 32
 WEIGHTS = StyleWeights(0.7, 0.2, 0.3, 5.0)
 
 
-def templates(alpha=None) -> list[Template]:
-    return [Template(picture(HEIGHT, WIDTH, 10 + i), picture(HEIGHT, WIDTH, 20 + i), alpha) for i in range(2)]
+def templates(alpha=None) -> list[ReferenceFeatures]:
+    return [ReferenceFeatures(picture(HEIGHT, WIDTH, 10 + i), picture(HEIGHT, WIDTH, 20 + i), alpha) for i in range(2)]
 
 
-def objective(given=None, weights=WEIGHTS, **more) -> TemplateObjective:
+def objective(given=None, weights=WEIGHTS, **more) -> ReferenceObjective:
     given = given or templates()
-    return TemplateObjective(small_trunk(), small_trunk("conv2_2", 3), given, weights, 1.0, **{"basis": 0, **more})
+    return ReferenceObjective(small_trunk(), small_trunk("conv2_2", 3), given, weights, 1.0, **{"basis": 0, **more})
 
 
 def rows(trunk, image: torch.Tensor) -> list[np.ndarray]:
@@ -101,7 +101,7 @@ def test_where_the_object_is_not_nothing_is_sought_found_or_asked():
     alpha[:, : WIDTH // 2] = 1
     masked = templates(alpha)
     made = objective(masked)
-    swapped = [Template(t.photo.flip(2), t.stylized.flip(2), alpha.flip(1)) for t in masked]
+    swapped = [ReferenceFeatures(t.photo.flip(2), t.stylized.flip(2), alpha.flip(1)) for t in masked]
     photo = masked[0].photo.clone()
     wanted, other = made.wanted(photo, alpha), objective(swapped).wanted(photo, alpha)
     assert len(wanted.matches["conv1"]) == HEIGHT * WIDTH // 2 and len(wanted.matches["conv2"]) == HEIGHT * WIDTH // 8
@@ -117,7 +117,7 @@ def test_where_the_object_is_not_nothing_is_sought_found_or_asked():
 def test_many_rows_are_sampled_alike_in_every_picture_of_a_reference(monkeypatch):
     monkeypatch.setattr("stylerf.style.reference_features.MOST_ROWS", 100)
     one = templates()[:1]
-    made = objective([Template(one[0].photo, one[0].photo)], StyleWeights(1, 0, 0, 0))
+    made = objective([ReferenceFeatures(one[0].photo, one[0].photo)], StyleWeights(1, 0, 0, 0))
     assert len(made.stylized["conv1"].rows) == len(made.keys["conv1"].rows) == 100
     assert torch.equal(made.stylized["conv1"].rows, made.keys["conv1"].rows)
     assert torch.equal(made.keys_of([one[0].photo])["conv2"].rows, made.keys["conv2"].rows)
@@ -127,8 +127,8 @@ def test_the_gradient_is_that_of_finite_differences():
     made = objective()
     for trunk in (made.trunk, made.coarse):
         trunk.double()
-    given = [Template(t.photo.double(), t.stylized.double()) for t in templates()]
-    made = TemplateObjective(made.trunk, made.coarse, given, WEIGHTS, 1.0, basis=0)
+    given = [ReferenceFeatures(t.photo.double(), t.stylized.double()) for t in templates()]
+    made = ReferenceObjective(made.trunk, made.coarse, given, WEIGHTS, 1.0, basis=0)
     wanted, image = made.wanted(picture(HEIGHT, WIDTH, 2).double()), picture(HEIGHT, WIDTH, 1).double()
     way = picture(HEIGHT, WIDTH, 7).double() - 0.5
     leaf = image.clone().requires_grad_()

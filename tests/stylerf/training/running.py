@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from stylerf.training.fit.fitter import Fitter
-from stylerf.training.stylize.arf import Stylizer
+from stylerf.training.stylize.arf import ArfTrainer
 
-Loop = Fitter | Stylizer
+Loop = Fitter | ArfTrainer
 
 
 class Stopped(Exception):

@@ -4,15 +4,15 @@ import numpy as np
 
 from stylerf.geometry.camera_paths import look_at
 from stylerf.geometry.cameras import Camera
-from stylerf.geometry.space_warp import Space
-from stylerf.training.common.ray_dataset import RayBank
-from stylerf.training.fit.capacity_levels import Rung
+from stylerf.geometry.space_warp import SpaceWarp
+from stylerf.training.common.ray_dataset import RayDataset
+from stylerf.training.fit.capacity_levels import CapacityLevel
 from stylerf.training.fit.fitter import Fitter
 from stylerf.training.fit.settings import FitSettings
 
 SIDE = 0.6
-LADDER = (Rung(8, 16, 24, 8), Rung(12, 16, 24, 8), Rung(16, 16, 24, 16))
-AROUND = Space.box([-0.8] * 3, [0.8] * 3)
+LADDER = (CapacityLevel(8, 16, 24, 8), CapacityLevel(12, 16, 24, 8), CapacityLevel(16, 16, 24, 16))
+AROUND = SpaceWarp.box([-0.8] * 3, [0.8] * 3)
 
 
 def dome(count: int, seed: int, size: int = 24) -> list[Camera]:
@@ -37,12 +37,12 @@ def box_photo(camera: Camera) -> np.ndarray:
     return np.rint(rgba * 255).astype(np.uint8).reshape(camera.height, camera.width, 4)
 
 
-def box_bank(views: int = 10, size: int = 24) -> RayBank:
+def box_bank(views: int = 10, size: int = 24) -> RayDataset:
     cameras = dome(views, 1, size)
-    return RayBank(cameras, [box_photo(c) for c in cameras])
+    return RayDataset(cameras, [box_photo(c) for c in cameras])
 
 
-def wall_bank(views: int = 8, size: int = 24) -> tuple[Space, RayBank]:
+def wall_bank(views: int = 8, size: int = 24) -> tuple[SpaceWarp, RayDataset]:
     """A wall of one color that fills every picture, seen from a row of places, the outermost first; a frustum."""
     cameras = []
     for x in sorted(np.linspace(-0.4, 0.4, views), key=lambda x: -abs(x)):
@@ -50,22 +50,22 @@ def wall_bank(views: int = 8, size: int = 24) -> tuple[Space, RayBank]:
         pose[:2, 3] = x, 0.2 * np.sin(7 * x)
         cameras.append(Camera(f"w{x:.2f}", size, size, float(size), float(size), size / 2, size / 2, pose))
     photo = np.broadcast_to(np.uint8([180, 120, 60]), (size, size, 3))
-    return Space.frustum(1.0, 1.0, 1.0, 1e4), RayBank(cameras, [photo.copy() for _ in cameras])
+    return SpaceWarp.frustum(1.0, 1.0, 1.0, 1e4), RayDataset(cameras, [photo.copy() for _ in cameras])
 
 
-def masked_wall(hidden: int, size: int = 24) -> tuple[Space, RayBank]:
+def masked_wall(hidden: int, size: int = 24) -> tuple[SpaceWarp, RayDataset]:
     """The wall, all of whose photos have a mask that hides their `hidden` left columns, which are blue."""
     space, bank = wall_bank(size=size)
     photo = np.full((size, size, 4), [180, 120, 60, 255], np.uint8)
     photo[:, :hidden] = [0, 0, 255, 0]
-    return space, RayBank(bank.cameras, [photo.copy() for _ in bank.cameras])
+    return space, RayDataset(bank.cameras, [photo.copy() for _ in bank.cameras])
 
 
 def settings(steps: int, **more) -> FitSettings:
     return FitSettings(**{"steps": steps, "samples": 4000, "ladder": LADDER, "reductions": (), **more})
 
 
-def box_fitter(steps: int, seed: int = 0, held_out: int = 2, bank: RayBank | None = None, **more) -> Fitter:
+def box_fitter(steps: int, seed: int = 0, held_out: int = 2, bank: RayDataset | None = None, **more) -> Fitter:
     said: list[str] = []
     made = Fitter(AROUND, bank or box_bank(), held_out, settings(steps, **more), seed, 1, said.append)
     made.said = said

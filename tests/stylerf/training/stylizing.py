@@ -2,16 +2,16 @@
 
 import numpy as np
 
-from stylerf.fields.region_color import PatchColor
+from stylerf.fields.region_color import RegionColor
 from stylerf.geometry.camera_paths import look_at
 from stylerf.geometry.cameras import Camera
-from stylerf.geometry.space_warp import Space
+from stylerf.geometry.space_warp import SpaceWarp
 from stylerf.style.style_objective import StyleWeights
 from stylerf.training.stylize.settings import StyleSettings
 from tests.stylerf.small import field_of, hash_color, vm_color
 from tests.stylerf.style.small_trunk import picture, small_trunk
 
-BOX = Space.box([-1, -1, -1], [1, 1, 1])
+BOX = SpaceWarp.box([-1, -1, -1], [1, 1, 1])
 HEIGHT, WIDTH, GRAY, VIEWS = 14, 18, 0.75, 3
 
 
@@ -40,7 +40,7 @@ def made(
 
     def new_color(generator, pixel_cells):
         if "within" in (more or {}):
-            return PatchColor.create(field.color, more["within"], 16.0, table=4096, levels=4)
+            return RegionColor.create(field.color, more["within"], 16.0, table=4096, levels=4)
         return hash_color(int(generator.integers(1000)))
 
     painting = picture(20, 24, 9) if painting is None else painting

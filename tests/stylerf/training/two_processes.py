@@ -9,7 +9,7 @@ import time
 
 import numpy as np
 
-from stylerf.training.common.process_group import ALONE, Ranks, Together
+from stylerf.training.common.process_group import ALONE, DistributedProcesses, ProcessGroup
 from stylerf.training.finetune.trainer import EditedPixels, FineTuner, FineTuneSettings
 from stylerf.training.fit.fitter import Fitter
 from stylerf.training.fit.settings import FitSettings
@@ -19,7 +19,7 @@ from tests.stylerf.training.scenes import AROUND, LADDER, box_bank, settings
 MORE = {"shares": (0.36,), "background": "random", "smoothness": (1e-4, 1e-4), "min_gain": 9.0, "samples": 4000}
 
 
-def fitted(steps: int, chunks: int, ranks: Ranks = ALONE) -> dict[str, np.ndarray]:
+def fitted(steps: int, chunks: int, ranks: ProcessGroup = ALONE) -> dict[str, np.ndarray]:
     """A fit that trains on held-out views at its end; in 280 steps it tries one rung and drops it.
 
     Several processes begin from a checkpoint.
@@ -34,14 +34,14 @@ def fitted(steps: int, chunks: int, ranks: Ranks = ALONE) -> dict[str, np.ndarra
     return outcome(fitter)
 
 
-def timed(ranks: Ranks) -> dict[str, np.ndarray]:
+def timed(ranks: ProcessGroup) -> dict[str, np.ndarray]:
     """A fit by the clock, in which the processes are not equally fast."""
     fitter = Fitter(AROUND, box_bank(), 2, FitSettings(seconds=1.0, samples=2000, ladder=LADDER[:1]), 0, 1, ranks=ranks)
     fitter.run(lambda now: time.sleep(0.002 * ranks.place))
     return outcome(fitter)
 
 
-def tuned(chunks: int, ranks: Ranks = ALONE) -> dict[str, np.ndarray]:
+def tuned(chunks: int, ranks: ProcessGroup = ALONE) -> dict[str, np.ndarray]:
     """A fine-tuning of a field that has hardly begun, with edited pixels anywhere."""
     fitter = Fitter(AROUND, box_bank(), 0, settings(20), 0, 1)
     fitter.run()
@@ -64,7 +64,7 @@ def outcome(loop: Fitter | FineTuner) -> dict[str, np.ndarray]:
 
 def main() -> None:
     folder, steps = sys.argv[1], int(sys.argv[2])
-    ranks = Together()
+    ranks = DistributedProcesses()
     np.savez(f"{folder}/fit{ranks.place}.npz", **fitted(steps, 1, ranks))
     np.savez(f"{folder}/time{ranks.place}.npz", **timed(ranks))
     np.savez(f"{folder}/tune{ranks.place}.npz", **tuned(1, ranks))

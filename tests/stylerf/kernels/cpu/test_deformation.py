@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from stylerf.fields.displacement_grid import displacement_gradient
-from stylerf.fields.occupancy_grid import Occupancy
+from stylerf.fields.occupancy_grid import OccupancyGrid
 from stylerf.fields.ray_samples import Rays
 from stylerf.kernels import torch_reference
 from stylerf.kernels.cpu.deformation import displaced_cells, mark_cells
@@ -124,7 +124,7 @@ def test_one_sample_spreads_its_gradient_over_eight_vertices():
 def test_cells_are_occupied_where_any_of_27_points_is_moved_into_an_occupied_one(reach):
     cells, moved = 7, displacement_grid(2, cells=4, reach=reach)
     full = np.random.default_rng(3).random(cells**3) < 0.03
-    occupancy = Occupancy(cells)
+    occupancy = OccupancyGrid(cells)
     occupancy.set_occupied(full)
     found = np.zeros(cells**3, np.bool_)
     displaced_cells(occupancy.distances, cells, cells, moved.reshape(-1), 4, found)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from stylerf.fields.occupancy_grid import Occupancy
+from stylerf.fields.occupancy_grid import OccupancyGrid
 from stylerf.fields.ray_samples import Rays
 from stylerf.fields.vm import VmDensity
 from stylerf.fields.vm_tables import split_table
@@ -13,7 +13,7 @@ from tests.stylerf.kernels.cpu.test_march import even_fog, march
 from tests.stylerf.small import SPACES, Packed, density, float64, occupied, rays_into
 
 
-def block_field(cells=16) -> tuple[VmDensity, Occupancy]:
+def block_field(cells=16) -> tuple[VmDensity, OccupancyGrid]:
     """Two dense blocks in the emptiest space there is (exp(-15)), and the cells they reach into."""
     size = 2 * cells + 1
     made = density(0, size=(size,) * 3)
@@ -28,7 +28,7 @@ def block_field(cells=16) -> tuple[VmDensity, Occupancy]:
     full = np.zeros((cells,) * 3, bool)
     for place in np.argwhere(solid):  # a vertex is felt within one vertex' distance, half a cell, on all sides
         full[tuple(slice(max(0, (v - 1) // 2), v // 2 + 1) for v in place)] = True
-    occupancy = Occupancy(cells)
+    occupancy = OccupancyGrid(cells)
     occupancy.set_occupied(full.ravel())
     return made, occupancy
 
@@ -75,7 +75,7 @@ def stays(places: torch.Tensor, full: np.ndarray, cells: int) -> list[torch.Tens
 def test_no_leap_passes_into_an_occupied_cell(kind, cells):
     """A stay of more than a step in occupied cells is sampled, all of it within a step of a sample."""
     space, rays, step = SPACES[kind], rays_into(SPACES[kind], 400, 13), 1 / 64
-    full, occupancy = clumps(cells, 14), Occupancy(cells)
+    full, occupancy = clumps(cells, 14), OccupancyGrid(cells)
     occupancy.set_occupied(full)
     assert 0.01 < occupancy.share < 0.2
     packed = Packed.of(march(even_fog(1e-6), space, rays, step=step, occupancy=occupancy, limit=512))
@@ -101,7 +101,7 @@ def test_no_leap_passes_into_an_occupied_cell(kind, cells):
 def test_rays_along_a_side_of_a_box_leap_as_their_neighbors_do(axis, zero):
     """A ray that does not move along an axis at all never leaves its cells on that axis."""
     space, step, cells = SPACES["box"], 1 / 64, 16
-    occupancy = Occupancy(cells)
+    occupancy = OccupancyGrid(cells)
     occupancy.set_occupied(clumps(cells, 14))
     rays = rays_into(space, 400, 13, jitter=False)
     rays.directions[:, axis] = zero
@@ -118,7 +118,7 @@ def test_rays_along_a_side_of_a_box_leap_as_their_neighbors_do(axis, zero):
 def test_a_step_that_is_lost_in_a_far_cameras_distance_ends_the_ray():
     """In float32 a thousandth cannot be added to a distance of 1e5, and beside an occupied cell that is a leap."""
     space, cells = SPACES["box"], 24
-    occupancy = Occupancy(cells)
+    occupancy = OccupancyGrid(cells)
     occupancy.set_occupied(clumps(cells, 14))
     rays = rays_into(space, 400, 3)
     away = Rays(rays.origins - 1e5 * rays.directions, rays.directions, rays.jitter, rays.near)

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 import torch
 
-from stylerf.fields.occupancy_grid import Occupancy
+from stylerf.fields.occupancy_grid import OccupancyGrid
 from stylerf.fields.ray_samples import Rays
 from stylerf.fields.vm import VmDensity
-from stylerf.geometry.space_warp import Space
+from stylerf.geometry.space_warp import SpaceWarp
 from stylerf.kernels import torch_reference
 from stylerf.kernels.cpu.march import OPTICAL_SCALE, warp_points
 from tests.stylerf.small import (
@@ -24,7 +24,7 @@ from tests.stylerf.small import (
 
 NO_DISPLACEMENT = (np.empty(0, np.float32), 0)
 STEP = 1 / 24
-UNIT_BOX = Space.box([0, 0, 0], [1, 1, 1])
+UNIT_BOX = SpaceWarp.box([0, 0, 0], [1, 1, 1])
 
 
 def march(made, space, rays, *, step=STEP, occupancy=None, moved=None, limit=256, opaque=1e-3, closed=False, chunks=1):
@@ -111,7 +111,7 @@ def test_distances_equal_a_slow_walk_in_float64(kind):
         np.testing.assert_allclose(found[:both], np.array(expected)[:both], rtol=2e-4 if kind != "box" else 1e-5)
 
 
-def span(space: Space, origin: np.ndarray, way: np.ndarray) -> tuple[float, float]:
+def span(space: SpaceWarp, origin: np.ndarray, way: np.ndarray) -> tuple[float, float]:
     if space.kind != "box":
         return space.near, space.far
     low, extent = np.array(space.parameters[:3]), 1 / np.array(space.parameters[3:6])
@@ -181,7 +181,7 @@ def test_one_sample_rays():
 @pytest.mark.parametrize("kind", ["contraction", "frustum"])
 def test_closed_spaces_end_in_a_backdrop_that_takes_the_rest(kind):
     space, rays = SPACES[kind], rays_into(SPACES[kind], 30, 9)
-    empty = Occupancy(8)
+    empty = OccupancyGrid(8)
     empty.set_occupied(np.zeros(8**3, bool))
     for occupancy, count in ((empty, 1), (occupied(), None)):
         packed = Packed.of(march(even_fog(1e-5), space, rays, occupancy=occupancy, closed=True, limit=512))
@@ -196,7 +196,7 @@ def test_closed_spaces_end_in_a_backdrop_that_takes_the_rest(kind):
 
 
 def test_an_empty_grid_gives_no_sample_in_an_open_box():
-    empty = Occupancy(8)
+    empty = OccupancyGrid(8)
     empty.set_occupied(np.zeros(8**3, bool))
     samples = march(even_fog(1.0), UNIT_BOX, rays_into(UNIT_BOX, 20, 0), occupancy=empty)
     assert samples.count == 0

@@ -6,7 +6,7 @@ import pytest
 from stylerf.errors import InvalidValue
 from stylerf.geometry.camera_paths import look_at
 from stylerf.geometry.cameras import Camera
-from stylerf.training.common.ray_dataset import RayBank
+from stylerf.training.common.ray_dataset import RayDataset
 
 
 def camera(index: int, width: int, height: int) -> Camera:
@@ -16,11 +16,11 @@ def camera(index: int, width: int, height: int) -> Camera:
     return Camera(f"v{index}", width, height, 20.0 + index, 22.0, width / 2 + 0.7, height / 2 - 1.2, pose)
 
 
-def bank_of(channels: int) -> tuple[RayBank, list[np.ndarray]]:
+def bank_of(channels: int) -> tuple[RayDataset, list[np.ndarray]]:
     sizes = [(7, 5), (4, 9), (6, 6)]
     generator = np.random.default_rng(channels)
     images = [generator.integers(0, 256, (h, w, channels), dtype=np.uint8) for w, h in sizes]
-    return RayBank([camera(i, *size) for i, size in enumerate(sizes)], images), images
+    return RayDataset([camera(i, *size) for i, size in enumerate(sizes)], images), images
 
 
 @pytest.mark.parametrize("channels", [3, 4])
@@ -54,7 +54,7 @@ def test_rays_near_an_object_are_drawn_more_often():
     images = [np.zeros((40, 40, 4), np.uint8) for _ in range(2)]
     for image in images:
         image[10:12, 10:12] = 255
-    bank = RayBank([camera(i, 40, 40) for i in range(2)], images)
+    bank = RayDataset([camera(i, 40, 40) for i in range(2)], images)
     _, _, colors, views = bank.draw(5000, np.random.default_rng(0), lit_share=0.9)
     # Two rounds of dilation by a cross around 2x2 pixels light 4 + 8 + 12 = 24 of the 1600; 4 of these are opaque.
     assert abs((colors[:, 3] == 1).mean() - (0.9 * 4 / 24 + 0.1 * 4 / 1600)) < 0.02
@@ -65,6 +65,6 @@ def test_rays_near_an_object_are_drawn_more_often():
 
 def test_an_image_that_does_not_fit_its_camera_is_refused():
     with pytest.raises(InvalidValue, match="v0"):
-        RayBank([camera(0, 7, 5)], [np.zeros((7, 5, 3), np.uint8)])
+        RayDataset([camera(0, 7, 5)], [np.zeros((7, 5, 3), np.uint8)])
     with pytest.raises(InvalidValue, match="v0"):
-        RayBank([camera(0, 7, 5)], [np.zeros((5, 7, 3), np.float32)])
+        RayDataset([camera(0, 7, 5)], [np.zeros((5, 7, 3), np.float32)])

@@ -2,8 +2,8 @@
 
 import torch
 
-from stylerf.editing.palette_module_gpu import DevicePalette
-from stylerf.fields.gpu.field import DeviceField, unsupported
+from stylerf.editing.palette_module_gpu import GpuPaletteModule
+from stylerf.fields.gpu.field import GpuField, unsupported
 from stylerf.kernels.gpu import launch, launch_deform, launch_edit
 from stylerf.training.edit.trainer import EditSettings, start_module
 from tests.stylerf.editing.region_pictures import view_of
@@ -24,7 +24,7 @@ from tests.stylerf.small import (
 )
 
 
-def learn_deformation(made: DeviceField, rendered, gradients: torch.Tensor) -> None:
+def learn_deformation(made: GpuField, rendered, gradients: torch.Tensor) -> None:
     """Of a field that need not be displaced: the kernels are the same."""
     made.vertices = made.vertices or 5
     made.backward(rendered, gradients, None, None, torch.zeros(3 * made.vertices**3))
@@ -46,7 +46,7 @@ def everything() -> None:
     ):
         field = field_of(SPACES[kind], 3, color, 1 / 8, displacement_grid(6) if displaced else None)
         field.density = density_of(3)
-        made, rays = DeviceField(field, "cpu", half), device_rays(rays_into(SPACES[kind], 8, 4), torch.device("cpu"))
+        made, rays = GpuField(field, "cpu", half), device_rays(rays_into(SPACES[kind], 8, 4), torch.device("cpu"))
         rendered = made.render_rays(rays, room=64)
         rendered.seen()
         to = [torch.zeros_like(part.values) for part in (made.density, made.color)]
@@ -63,10 +63,10 @@ def everything() -> None:
         launch.adam(made.density.values, to[0], *moments, 0.1, (0.9, 0.99), 1e-15, (0.1, 0.01), 0, len(to[0]))
     launch.shade_backward(rendered.samples, torch.zeros(8, 3))
     launch_deform.displaced_cells(made.distances, made.cells, 2, torch.zeros(3 * 5**3), 5)
-    from stylerf.training.common.ray_dataset_gpu import DeviceBank
+    from stylerf.training.common.ray_dataset_gpu import GpuRayDataset
     from tests.stylerf.training.scenes import box_bank
 
-    bank = DeviceBank(box_bank(3, 8), torch.device("cpu"))
+    bank = GpuRayDataset(box_bank(3, 8), torch.device("cpu"))
     for background in (None, 1.0):
         bank.draw(1, 0, 16, 16, 3, 0.9, background)
     local_edits(rendered, bank)
@@ -79,6 +79,6 @@ def local_edits(rendered, bank) -> None:
         rendered.out, torch.zeros(8, 4), torch.zeros(3), rendered.samples, 1.0, 0.1, 0.1, torch.zeros(5)
     )
     bank.at(torch.zeros(16, dtype=torch.int64), torch.zeros(16))
-    module = DevicePalette(start_module([view_of(0)], EditSettings(), 0), "cpu")
+    module = GpuPaletteModule(start_module([view_of(0)], EditSettings(), 0), "cpu")
     to = torch.zeros_like(module.table)
     module.features(torch.zeros(7, 3), to).sum().backward()

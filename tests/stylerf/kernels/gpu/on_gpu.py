@@ -11,9 +11,9 @@ from tests.stylerf.small import Packed, float64, oracle_pixels
 
 
 def device_rays(rays, device):
-    from stylerf.fields.gpu.field import DeviceRays
+    from stylerf.fields.gpu.field import GpuRays
 
-    return DeviceRays(*(torch.from_numpy(a).to(device) for a in (rays.origins, rays.directions, rays.jitter)))
+    return GpuRays(*(torch.from_numpy(a).to(device) for a in (rays.origins, rays.directions, rays.jitter)))
 
 
 def on_host(samples) -> Samples:
@@ -24,8 +24,8 @@ def on_host(samples) -> Samples:
 
 def brought_over(rendered, rays, device):
     """What the CPU rendered as a DeviceField would have: samples packed, the room filled."""
-    from stylerf.fields.gpu.field import DeviceRendered
-    from stylerf.kernels.gpu.launch import DeviceSamples
+    from stylerf.fields.gpu.field import GpuRendered
+    from stylerf.kernels.gpu.launch import GpuSamples
 
     packed = Packed.of(rendered.samples)
     counts = torch.bincount(packed.rays, minlength=len(rays.origins))
@@ -33,10 +33,10 @@ def brought_over(rendered, rays, device):
     ends, ray_of = counts.cumsum(0), packed.rays.int()
     own = [v.float() for v in (packed.t, packed.optical, packed.x, packed.sigma, packed.weights)]
     made = (ends - counts, ends, counts.int(), largest.float(), ends[-1:], *own, ray_of)
-    samples = DeviceSamples(*(tensor.contiguous().to(device) for tensor in made))
+    samples = GpuSamples(*(tensor.contiguous().to(device) for tensor in made))
     out, unmapped, colors = (torch.from_numpy(a) for a in (rendered.out, rendered.unmapped, rendered.colors))
     pixels = out.to(device), unmapped.to(device)
-    return DeviceRendered(*pixels, device_rays(rays, device), samples, colors[packed.at].to(device))
+    return GpuRendered(*pixels, device_rays(rays, device), samples, colors[packed.at].to(device))
 
 
 def by_oracle(field, rays, rendered, grid=None, even_from: float = 0.0, gradients=None):
@@ -64,7 +64,7 @@ def gradients_of(made, rendered, gradients, even_from: float = 0.0) -> list[torc
 
 def packed_samples(points: np.ndarray, rays: np.ndarray, weights: np.ndarray, device, spare: int = 5):
     """DeviceSamples at cube points [n, 3] of rays [n], ascending; `spare` more find room and are poisoned."""
-    from stylerf.kernels.gpu.launch import DeviceSamples
+    from stylerf.kernels.gpu.launch import GpuSamples
 
     count, n = int(rays.max(initial=-1)) + 1, len(points)
     counts = np.bincount(rays, minlength=count)
@@ -77,4 +77,4 @@ def packed_samples(points: np.ndarray, rays: np.ndarray, weights: np.ndarray, de
     for to, what in ((arrays["x"], points), (arrays["weights"], weights), (ray_of, rays)):
         to[:n] = torch.from_numpy(what).to(device)
     told = (ends - counts, ends, counts.astype(np.int32), largest, np.array([n]))
-    return DeviceSamples(*(torch.from_numpy(a).to(device) for a in told), **arrays, ray_of=ray_of)
+    return GpuSamples(*(torch.from_numpy(a).to(device) for a in told), **arrays, ray_of=ray_of)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from stylerf.fields.occupancy_grid import Occupancy
+from stylerf.fields.occupancy_grid import OccupancyGrid
 from stylerf.geometry.spherical_harmonics import harmonics
 from stylerf.kernels.cpu.deformation import displaced_cells
 from stylerf.rendering.rays import backward, render_rays
@@ -35,7 +35,7 @@ def directions(count: int) -> np.ndarray:
 
 def loose(device, x: np.ndarray, sigma: np.ndarray | None = None):
     """Samples at positions x [n, 3], one to a ray, as the device holds them; what lies beyond them is NaN."""
-    from stylerf.kernels.gpu.launch import DeviceSamples
+    from stylerf.kernels.gpu.launch import GpuSamples
 
     n = len(x)
     poison = torch.full((ROOM,), float("nan"), device=device)
@@ -45,7 +45,7 @@ def loose(device, x: np.ndarray, sigma: np.ndarray | None = None):
     if sigma is not None:
         densities[:n] = torch.from_numpy(sigma)
     rays, total = torch.arange(ROOM, dtype=torch.int32, device=device), torch.full((1,), n, device=device)
-    return DeviceSamples(rays.long(), rays.long() + 1, rays, poison, total, poison, poison, places, densities, poison,
+    return GpuSamples(rays.long(), rays.long() + 1, rays, poison, total, poison, poison, places, densities, poison,
                          rays)  # fmt: skip
 
 
@@ -63,7 +63,7 @@ def padded(array: np.ndarray, device) -> torch.Tensor:
 
 
 def test_the_densitys_slopes_equal_the_oracles(device):
-    from stylerf.fields.gpu.field import DeviceVmDensity
+    from stylerf.fields.gpu.field import GpuVmDensity
 
     made, x = density(3), positions()
     exact = float64(x).requires_grad_()
@@ -73,7 +73,7 @@ def test_the_densitys_slopes_equal_the_oracles(device):
     (sigma * float64(gradients)).sum().backward()
     samples = loose(device, x, sigma.detach().float().numpy())
     out = torch.full((ROOM, 3), 0.25, device=device)
-    DeviceVmDensity(made, device).add_position_gradients(samples, padded(gradients, device), out)
+    GpuVmDensity(made, device).add_position_gradients(samples, padded(gradients, device), out)
     close(out[:COUNT].cpu() - 0.25, exact.grad, 2e-5)
     assert bool((out[COUNT:] == 0.25).all()) and bool((out[[3, 9]] == 0.25).all())
 
@@ -117,7 +117,7 @@ def learned(kind: str, device, rays: int = 14):
 
     Walked by the CPU, which takes a tenth of the interpreter's time.
     """
-    from stylerf.fields.gpu.field import DeviceField
+    from stylerf.fields.gpu.field import GpuField
 
     field = field_of(SPACES[kind], 3, CASES[kind](), 1 / 8, displacement_grid(6, reach=0.15))
     field.density.values[-1] = -4.5  # thin: rays go on long enough to end in the backdrop
@@ -125,7 +125,7 @@ def learned(kind: str, device, rays: int = 14):
     cpu = render_rays(field, going, chunks=1, share=0.05)
     rendered = brought_over(cpu, going, device)
     towards = np.random.default_rng(7).normal(size=(rays, 5)).astype(np.float32)
-    return field, going, cpu, rendered, towards, grid_gradient(DeviceField(field, device), rendered, towards)
+    return field, going, cpu, rendered, towards, grid_gradient(GpuField(field, device), rendered, towards)
 
 
 def grid_gradient(made, rendered, towards: np.ndarray) -> torch.Tensor:
@@ -151,7 +151,7 @@ def test_the_grids_gradient_equals_the_oracles_and_the_cpus(kind, device):
 
 def test_a_grid_of_zeros_learns_as_one_that_bends(device):
     """Nothing is displaced yet: the samples are those of the field at rest, the gradient is there."""
-    from stylerf.fields.gpu.field import DeviceField
+    from stylerf.fields.gpu.field import GpuField
 
     field, rays = field_of(SPACES["box"], 3, hash_color(5), 1 / 8), rays_into(SPACES["box"], 6, 4)
     rendered = brought_over(render_rays(field, rays, chunks=1), rays, device)
@@ -160,19 +160,19 @@ def test_a_grid_of_zeros_learns_as_one_that_bends(device):
     exact = float64(field.displacement).requires_grad_()
     by_oracle(field, rays, rendered, exact, gradients=towards)
     assert exact.grad.abs().max() > 0
-    close(grid_gradient(DeviceField(field, device), rendered, towards), exact.grad.flatten(), 3e-5)
+    close(grid_gradient(GpuField(field, device), rendered, towards), exact.grad.flatten(), 3e-5)
 
 
 def spread(device, x, gradient, where=(0.5, 0.5, 0.5), optical: float = 1.0) -> np.ndarray:
     """dL/dD [2, 2, 2, 3] of one sample of a unit box at `where`, displaced to x."""
-    from stylerf.geometry.space_warp import Space
+    from stylerf.geometry.space_warp import SpaceWarp
     from stylerf.kernels.gpu import launch_deform
 
     samples = loose(device, np.float32([x]))
     samples.t, samples.optical = (torch.full((ROOM,), v, device=device) for v in (2.0, optical))
     ways = torch.tensor([[1.0, 0, 0]], device=device)
     origins = torch.tensor([where], device=device) - 2 * ways
-    to, space = torch.zeros(24, device=device), Space.box([0] * 3, [1] * 3)
+    to, space = torch.zeros(24, device=device), SpaceWarp.box([0] * 3, [1] * 3)
     parameters, given = torch.from_numpy(space.packed()).to(device), padded(np.float32([gradient]), device)
     launch_deform.displacement_backward(space.code, parameters, origins, ways, samples, given, 2, to)
     return to.cpu().numpy().reshape(2, 2, 2, 3)
@@ -193,10 +193,10 @@ def test_one_sample_spreads_its_gradient_over_eight_vertices_but_along_sides_tha
 
 
 def test_rays_without_samples_teach_the_grid_nothing(device):
-    from stylerf.fields.gpu.field import DeviceField
+    from stylerf.fields.gpu.field import GpuField
 
     field = field_of(SPACES["box"], 3, hash_color(5), 1 / 8, displacement_grid(6))
-    rays, made = rays_into(SPACES["box"], 5, 4), DeviceField(field, device)
+    rays, made = rays_into(SPACES["box"], 5, 4), GpuField(field, device)
     rays.directions *= -1
     for room in (None, 40):
         rendered = made.render_rays(device_rays(rays, device), room=room)
@@ -209,7 +209,7 @@ def test_rays_without_samples_teach_the_grid_nothing(device):
 def test_cells_are_occupied_where_the_cpu_finds_them(reach, device):
     from stylerf.kernels.gpu import launch_deform
 
-    cells, moved, occupancy = 7, displacement_grid(2, cells=4, reach=reach), Occupancy(7)
+    cells, moved, occupancy = 7, displacement_grid(2, cells=4, reach=reach), OccupancyGrid(7)
     occupancy.set_occupied(np.random.default_rng(3).random(cells**3) < 0.03)
     expected = np.zeros(cells**3, np.bool_)
     displaced_cells(occupancy.distances, cells, cells, moved.reshape(-1), 4, expected)

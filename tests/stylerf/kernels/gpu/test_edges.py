@@ -4,16 +4,16 @@ import numpy as np
 import pytest
 import torch
 
-from stylerf.fields.occupancy_grid import Occupancy
+from stylerf.fields.occupancy_grid import OccupancyGrid
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.fields.ray_samples import Rays
 from stylerf.fields.vm import VmDensity
-from stylerf.geometry.space_warp import Space
+from stylerf.geometry.space_warp import SpaceWarp
 from stylerf.kernels import torch_reference
 from tests.stylerf.kernels.gpu.on_gpu import device_rays, on_host
 from tests.stylerf.small import SPACES, close, density, float64, hash_color, occupied, rays_into
 
-UNIT_BOX = Space.box([0, 0, 0], [1, 1, 1])
+UNIT_BOX = SpaceWarp.box([0, 0, 0], [1, 1, 1])
 
 
 def even_fog(raw: float) -> VmDensity:
@@ -30,9 +30,9 @@ def along_x(*origins: tuple[float, float, float], jitter: float = 0.5) -> Rays:
 
 
 def device_field(made, device, space=UNIT_BOX, step=1 / 8, occupancy=None):
-    from stylerf.fields.gpu.field import DeviceField
+    from stylerf.fields.gpu.field import GpuField
 
-    return DeviceField(RadianceField(space, made, hash_color(1), occupancy or occupied(), step), device)
+    return GpuField(RadianceField(space, made, hash_color(1), occupancy or occupied(), step), device)
 
 
 def test_rays_that_miss_have_no_samples_and_color_nothing(device):
@@ -90,7 +90,7 @@ def test_rays_beyond_the_room_get_no_sample_and_count_for_nothing(device):
 
 @pytest.mark.parametrize("kind", ["contraction", "frustum"])
 def test_closed_spaces_end_in_a_backdrop_that_takes_the_rest(kind, device):
-    rays, empty = rays_into(SPACES[kind], 5, 9), Occupancy(8)
+    rays, empty = rays_into(SPACES[kind], 5, 9), OccupancyGrid(8)
     empty.set_occupied(np.zeros(8**3, bool))
     found = device_field(even_fog(1e-5), device, SPACES[kind], occupancy=empty).march(
         device_rays(rays, device), 512, 1e-3, None
@@ -128,7 +128,7 @@ def test_a_sample_that_was_not_counted_takes_the_backdrops_light(kind, device, m
 
 @pytest.mark.parametrize("kind", SPACES)
 def test_leaps_reach_every_occupied_cell_that_the_cpu_reaches(kind, device):
-    full, occupancy = np.zeros((8, 8, 8), bool), Occupancy(8)
+    full, occupancy = np.zeros((8, 8, 8), bool), OccupancyGrid(8)
     full[3:5, 2:4, 3:6] = True
     full[6, 6, 6] = True
     occupancy.set_occupied(full.ravel())

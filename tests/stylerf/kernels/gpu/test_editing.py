@@ -31,10 +31,10 @@ def trainer(device=None, style: bool = False, **more) -> EditTrainer:
 
 @pytest.mark.parametrize("removed", [(), (0, 1, 3)])
 def test_a_module_answers_as_on_the_cpu(removed, device):
-    from stylerf.editing.palette_module_gpu import DevicePalette
+    from stylerf.editing.palette_module_gpu import GpuPaletteModule
 
     made = module()
-    there, (x, directions) = DevicePalette(made, device), places(70)
+    there, (x, directions) = GpuPaletteModule(made, device), places(70)
     assert len(there.kept) == 4
     made.active[list(removed)] = False  # pruned or not, what is asked is what is active now
     expected, found = made.mixture(x, directions), there.mixture(x, directions)
@@ -49,10 +49,10 @@ def test_a_module_answers_as_on_the_cpu(removed, device):
 
 
 def test_points_beyond_the_box_count_to_its_sides_and_the_table_learns_there_too(device):
-    from stylerf.editing.palette_module_gpu import DevicePalette
+    from stylerf.editing.palette_module_gpu import GpuPaletteModule
 
     made, x = module(), np.array([[0.0, 0.0, 0.0], [1.0, 1.0, 1.0], [0.4, 0.45, 0.45]], np.float32)
-    there = DevicePalette(made, device)
+    there = GpuPaletteModule(made, device)
     to, local = torch.zeros_like(there.table), there.local(torch.from_numpy(x).to(device))
     np.testing.assert_array_equal(local.cpu(), made.local(x))
     phi = there.features(local, to)

@@ -6,17 +6,17 @@ import numpy as np
 import pytest
 import torch
 
-from stylerf.fields.occupancy_grid import Occupancy
+from stylerf.fields.occupancy_grid import OccupancyGrid
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.fields.ray_samples import Rays
-from stylerf.fields.region_color import PatchColor
+from stylerf.fields.region_color import RegionColor
 from stylerf.fields.vm_tables import split_table
 from stylerf.geometry.cameras import Camera
 from stylerf.rendering.rays import backward, render_rays
 from stylerf.rendering.view import render_view
 from stylerf.training.common.adam import UNKNOWN
 from stylerf.training.common.async_readback import BEHIND
-from stylerf.training.common.process_group import Alone
+from stylerf.training.common.process_group import SingleProcess
 from stylerf.training.fit.engine import Batch, CpuEngine, coverage_gradient, opacity_gradient
 from stylerf.training.fit.fitter import Fitter
 from tests.stylerf.fields.test_densities import LARGER
@@ -31,7 +31,7 @@ from tests.stylerf.small import (
     wall_in_front,
 )
 from tests.stylerf.training.running import resumed, run_until
-from tests.stylerf.training.scenes import AROUND, Rung, box_bank, dome, masked_wall, settings
+from tests.stylerf.training.scenes import AROUND, CapacityLevel, box_bank, dome, masked_wall, settings
 
 
 @pytest.fixture(scope="module")
@@ -52,9 +52,9 @@ def batch(**more) -> Batch:
 
 
 def engine_on(device, bank, field, clip: float = 0.0):
-    from stylerf.training.fit.engine_gpu import DeviceEngine
+    from stylerf.training.fit.engine_gpu import GpuEngine
 
-    return DeviceEngine(bank, 0, 1, field, device=device, samples=400, clip=clip)
+    return GpuEngine(bank, 0, 1, field, device=device, samples=400, clip=clip)
 
 
 def kept_gradients(engine) -> list[torch.Tensor]:
@@ -119,7 +119,7 @@ def test_a_field_that_grows_is_taken_over_and_taught_on(kind, bank, device):
 
 def test_what_a_loop_looks_at_again_is_in_time_every_cell_but_clear_ones(bank, device):
     field = thin_field()
-    field.occupancy = Occupancy(8, clear=np.arange(512) % 7 == 0)
+    field.occupancy = OccupancyGrid(8, clear=np.arange(512) % 7 == 0)
     engine = engine_on(device, bank, field)
     engine.refresh(0, 1)
     engine.live.highest.fill_(2e3)
@@ -220,7 +220,7 @@ def test_lack_of_memory_is_told_as_the_loop_knows_it(bank, device, monkeypatch):
         raise torch.OutOfMemoryError("CUDA out of memory")
 
     monkeypatch.setattr(engine.live, "render_rays", full)
-    engine.ranks, summed = Alone(), []
+    engine.ranks, summed = SingleProcess(), []
     engine.ranks.add = summed.append
     with pytest.raises(MemoryError, match="out of memory"):
         engine.learn(batch())
@@ -253,7 +253,7 @@ def test_a_loop_is_told_of_a_step_so_many_later_however_fast_the_device_is(bank,
 def test_processes_agree_about_what_is_occupied(bank, device):
     engine, first = engine_on(device, bank, thin_field()), torch.zeros(8**3, device=device)
     first[100] = 1e3
-    engine.ranks = Alone()
+    engine.ranks = SingleProcess()
     engine.ranks.count = 2
     engine.ranks.take_first = lambda values: values.copy_(first) if values is engine.live.highest else None
     engine.agree()
@@ -263,10 +263,10 @@ def test_processes_agree_about_what_is_occupied(bank, device):
 
 
 def small_fitter(bank, device, steps=3):
-    from stylerf.training.fit.engine_gpu import DeviceEngine
+    from stylerf.training.fit.engine_gpu import GpuEngine
 
-    given = settings(steps, samples=300, ladder=(Rung(8, 16, 24, 8),), shares=(), background="random")
-    made = Fitter(AROUND, bank, 0, given, 0, 1, engine=functools.partial(DeviceEngine, device=device, samples=300))
+    given = settings(steps, samples=300, ladder=(CapacityLevel(8, 16, 24, 8),), shares=(), background="random")
+    made = Fitter(AROUND, bank, 0, given, 0, 1, engine=functools.partial(GpuEngine, device=device, samples=300))
     made.state.rays = 32
     made._held_out_rays = tuple(a[:32] for a in made._held_out_rays)
     made.warm_up = lambda: None
@@ -299,13 +299,13 @@ def test_a_reduction_goes_to_the_device_and_comes_back_refused(bank, device):
 
 
 def test_a_view_is_the_cpus_picture(device):
-    from stylerf.rendering.view_gpu import DeviceRenderer
+    from stylerf.rendering.view_gpu import GpuRenderer
 
     field, camera = thin_field(step=1 / 6, color=hash_color(5)), dome(1, 2, 7)[0]
     cells = np.zeros((4, 4, 4), bool)
     cells[1:3, :, 2] = True
     expected = render_view(field, camera, chunks=1, regions={"one": cells})
-    found = DeviceRenderer(field, device, "float32", rays_at_once=30).view(camera, regions={"one": cells})
+    found = GpuRenderer(field, device, "float32", rays_at_once=30).view(camera, regions={"one": cells})
     for name in ("rgb", "alpha", "ray_distance", "z"):
         np.testing.assert_allclose(getattr(found, name), getattr(expected, name), atol=2e-5)
     np.testing.assert_allclose(found.masks["one"], expected.masks["one"], atol=2e-5)
@@ -314,21 +314,21 @@ def test_a_view_is_the_cpus_picture(device):
 
 @pytest.mark.parametrize(("through", "backs", "z"), [(0.02, False, 3), (0.6, True, 6)])
 def test_depth_is_that_of_a_surface_whatever_light_passes_it(through, backs, z, device):
-    from stylerf.rendering.view_gpu import DeviceRenderer
+    from stylerf.rendering.view_gpu import GpuRenderer
 
     field, camera = wall_in_front(through, backs), Camera("view", 5, 4, 40.0, 40.0, 2.5, 2.0, np.eye(4))
     expected = render_view(field, camera, chunks=1)
-    found = DeviceRenderer(field, device, "float32").view(camera)
+    found = GpuRenderer(field, device, "float32").view(camera)
     np.testing.assert_allclose(found.z, z, rtol=0.05)
     np.testing.assert_allclose(found.z, expected.z, rtol=1e-5)
 
 
 @pytest.mark.slow
 def test_halves_are_taken_where_pixels_allow_it_and_refused_elsewhere(device):
-    from stylerf.rendering.view_gpu import TOLERANCE, DeviceRenderer
+    from stylerf.rendering.view_gpu import TOLERANCE, GpuRenderer
 
     field, camera = thin_field(step=1 / 6, color=hash_color(5)), dome(1, 2, 4)[0]
-    made = DeviceRenderer(field, device)
+    made = GpuRenderer(field, device)
     rgb = made.view(camera).rgb
     assert made.half and made.field.density.table.dtype == torch.float16
     assert np.abs(rgb - render_view(field, camera, chunks=1).rgb).max() <= TOLERANCE
@@ -337,7 +337,7 @@ def test_halves_are_taken_where_pixels_allow_it_and_refused_elsewhere(device):
     for plane, line in zip(planes, lines):
         plane[..., ::2], plane[..., 1::2], line[:] = 2000.3, -2000, 1
     field.density.values[-1] = -9.5
-    exact = DeviceRenderer(field, device)
+    exact = GpuRenderer(field, device)
     exact.view(camera)
     assert exact.half is False and exact.field.density.table.dtype == torch.float32
 
@@ -346,14 +346,14 @@ def test_halves_are_taken_where_pixels_allow_it_and_refused_elsewhere(device):
 @pytest.mark.parametrize("over", [False, True], ids=["alone", "over the field's own in a part"])
 def test_fixed_surfaces_paint_and_learn_as_on_the_cpu(device, over):
     from stylerf.training.stylize.geometry import FixedGeometry
-    from stylerf.training.stylize.geometry_gpu import DeviceFixedGeometry
+    from stylerf.training.stylize.geometry_gpu import GpuFixedGeometry
 
     field, cameras = thin_field(step=1 / 6), dome(2, 3, 6)
     field.density.values[-1] = -2.0
-    cpu, gpu = FixedGeometry(field, cameras, 0.2, 1), DeviceFixedGeometry(field, cameras, 0.2, device)
+    cpu, gpu = FixedGeometry(field, cameras, 0.2, 1), GpuFixedGeometry(field, cameras, 0.2, device)
     marked = np.zeros((4, 4, 4), bool)
     marked[:, :2] = True
-    field.color = PatchColor(field.color, hash_color(6), marked) if over else hash_color(6)
+    field.color = RegionColor(field.color, hash_color(6), marked) if over else hash_color(6)
     adam = gpu.new_adam()
     np.testing.assert_allclose(gpu.alpha(1), cpu.alpha(1), atol=2e-5)
     assert np.array_equal(gpu.surface(1).offsets, cpu.surface(1).offsets)

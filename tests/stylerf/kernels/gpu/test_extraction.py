@@ -25,11 +25,11 @@ GRIDS = [*halves(), np.ones((5,) * 3, bool), np.zeros((5,) * 3, bool)]
 @pytest.fixture(scope="module")
 def walked(device):
     """(field, camera, ends by grid): walked once."""
-    from stylerf.editing.extraction_gpu import DeviceEnds
+    from stylerf.editing.extraction_gpu import GpuRayEnds
 
     field, camera = field_of(AROUND, 3, hash_color(5), 1 / 8), dome(3, 2, 6)[1]
     field.density.values[-1] = -1.0
-    ends_of = DeviceEnds(field, device, rays_at_once=20)
+    ends_of = GpuRayEnds(field, device, rays_at_once=20)
     found = ends_of(camera, GRIDS)
     assert [grid is known for grid, (known, _) in zip(GRIDS, ends_of._there)] == [True] * 4  # sent once
     return field, camera, found
@@ -69,12 +69,12 @@ def test_a_view_shows_the_same_of_the_region(walked):
 
 def test_sums_of_rays_by_hand(device):
     from stylerf.kernels.gpu import launch_edit
-    from stylerf.kernels.gpu.launch import DeviceSamples
+    from stylerf.kernels.gpu.launch import GpuSamples
 
     x = torch.tensor([[0.1, 0.1, 0.1], [0.9, 0.1, 0.1], [0.2, 0.4, 0.3], [1.0, 1.0, 1.0]])
     weights, t, nothing = torch.tensor([0.5, 0.25, 0.2, 0.1]), torch.tensor([1.0, 2.0, 3.0, 4.0]), torch.zeros(4)
     starts, ends = torch.tensor([0, 2, 2]), torch.tensor([2, 2, 4])
-    samples = DeviceSamples(*(a.to(device) for a in (starts, ends, nothing, nothing, nothing, t, nothing, x, nothing,
+    samples = GpuSamples(*(a.to(device) for a in (starts, ends, nothing, nothing, nothing, t, nothing, x, nothing,
                                                      weights, nothing)))  # fmt: skip
     marked = torch.zeros(8, dtype=torch.uint8, device=device)
     marked[0] = 1  # the corner at the origin

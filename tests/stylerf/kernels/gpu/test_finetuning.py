@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from stylerf.fields.region_color import PatchColor
+from stylerf.fields.region_color import RegionColor
 from stylerf.style.color_matching import ColorMap
 from stylerf.training.finetune.engine import FineTuneSettings
 from stylerf.training.finetune.trainer import EditedPixels, FineTuner
@@ -30,7 +30,7 @@ def thin_field(patched: bool = True, mapped: bool = False):
     if patched:
         marked = np.zeros((6,) * 3, bool)
         marked[1:5, 1:5, 2:6] = True
-        field.color = PatchColor.create(field.color, marked, 20.0, table=64)
+        field.color = RegionColor.create(field.color, marked, 20.0, table=64)
         field.color.values[:] = 0.2 * np.random.default_rng(1).normal(size=len(field.color.values))
     if mapped:
         matrix = torch.tensor([[0.8, 0.1, 0.0], [0.0, 0.9, 0.05], [0.1, 0.0, 0.7]])
@@ -69,9 +69,9 @@ def gradients_taken(made) -> list[np.ndarray]:
 
 
 def test_chosen_pixels_become_the_cpus_rays(bank, device):
-    from stylerf.training.common.ray_dataset_gpu import DeviceBank
+    from stylerf.training.common.ray_dataset_gpu import GpuRayDataset
 
-    made, generator = DeviceBank(bank, device), np.random.default_rng(0)
+    made, generator = GpuRayDataset(bank, device), np.random.default_rng(0)
     views, pixels = generator.integers(0, 4, 30), generator.integers(0, 100, 30)
     views[:2], pixels[:2] = (0, 3), (0, 99)  # the very first and the very last
     numbers = torch.from_numpy(made.number_of(views, pixels)).to(device)
@@ -85,7 +85,7 @@ def test_chosen_pixels_become_the_cpus_rays(bank, device):
 @pytest.mark.parametrize(("edited_rays", "depth_scale"), [(5, 0.3), (5, 0.0), (0, 0.3), (9, 0.3)])
 def test_the_loss_and_its_gradient_equal_autograds(edited_rays, depth_scale, device):
     from stylerf.kernels.gpu import launch_edit
-    from stylerf.kernels.gpu.launch import DeviceSamples
+    from stylerf.kernels.gpu.launch import GpuSamples
 
     generator, level = torch.Generator().manual_seed(1), 0.7
     out, wanted = (torch.rand(9, n, generator=generator) for n in (5, 4))
@@ -97,7 +97,7 @@ def test_the_loss_and_its_gradient_equal_autograds(edited_rays, depth_scale, dev
     lost[[2, 7]] = True
     ends[lost] = starts[lost]  # these found no room
     nothing = torch.zeros(0)
-    samples = DeviceSamples(
+    samples = GpuSamples(
         *(t.to(device) for t in (starts, ends, counts)), nothing, torch.zeros(1), *[nothing] * 6
     )  # fmt: skip
     sums = torch.zeros(5, device=device)

@@ -14,9 +14,9 @@ FIT = 20  # rays
 @pytest.fixture
 def scarce(monkeypatch):
     """Switches on: marches of more rays than FIT find no memory. Gives the numbers of rays that were marched."""
-    from stylerf.fields.gpu.field import DeviceField
+    from stylerf.fields.gpu.field import GpuField
 
-    march, tried = DeviceField.march, []
+    march, tried = GpuField.march, []
 
     def marched(field, rays, *more):
         tried.append(len(rays.origins))
@@ -25,7 +25,7 @@ def scarce(monkeypatch):
         return march(field, rays, *more)
 
     def switched_on() -> list[int]:
-        monkeypatch.setattr(DeviceField, "march", marched)
+        monkeypatch.setattr(GpuField, "march", marched)
         monkeypatch.setattr(memory, "FEWEST", 4)
         return tried
 
@@ -33,9 +33,9 @@ def scarce(monkeypatch):
 
 
 def test_pictures_surfaces_and_ends_of_rays_come_out_alike(scarce, device):
-    from stylerf.editing.extraction_gpu import DeviceEnds
-    from stylerf.rendering.view_gpu import DeviceRenderer
-    from stylerf.training.stylize.geometry_gpu import DeviceFixedGeometry
+    from stylerf.editing.extraction_gpu import GpuRayEnds
+    from stylerf.rendering.view_gpu import GpuRenderer
+    from stylerf.training.stylize.geometry_gpu import GpuFixedGeometry
 
     field, camera = field_of(AROUND, 3, hash_color(5), 1 / 6), dome(1, 2, 6)[0]
     field.density.values[-1] = -3.0
@@ -43,9 +43,9 @@ def test_pictures_surfaces_and_ends_of_rays_come_out_alike(scarce, device):
     cells[1:3] = True
 
     def all_of_them() -> list[np.ndarray]:
-        view = DeviceRenderer(field, device, "float32").view(camera, regions={"one": cells})
-        surface = DeviceFixedGeometry(field, [camera], 0.2, device).surface(0)
-        (ends,) = DeviceEnds(field, device)(camera, [cells])
+        view = GpuRenderer(field, device, "float32").view(camera, regions={"one": cells})
+        surface = GpuFixedGeometry(field, [camera], 0.2, device).surface(0)
+        (ends,) = GpuRayEnds(field, device)(camera, [cells])
         return [view.rgb, view.masks["one"], view.ray_distance, surface.offsets, surface.weights, ends]
 
     plenty = all_of_them()

@@ -111,7 +111,7 @@ def test_a_checkpoint_of_one_goes_on_upon_the_other(back, device):
 
 
 def test_a_moving_view_is_painted_and_learned_as_on_the_cpu(device):
-    from stylerf.training.stylize.geometry_gpu import DeviceFixedGeometry, DeviceMovingGeometry
+    from stylerf.training.stylize.geometry_gpu import GpuFixedGeometry, GpuMovingGeometry
 
     cameras, pixels = dome(2, 3, 6), np.array([3, 30, 17, 8, 14, 21, 22])
     towards = np.random.default_rng(0).normal(size=(len(pixels), 3)).astype(np.float32)
@@ -124,9 +124,9 @@ def test_a_moving_view_is_painted_and_learned_as_on_the_cpu(device):
             made.field.color = hash_color(6)
             moving, color_to = MovingGeometry, np.zeros((1, len(made.field.color.values)), np.float32)
         else:
-            still = DeviceFixedGeometry(made.field, cameras, 0.1, where)
+            still = GpuFixedGeometry(made.field, cameras, 0.1, where)
             made.field.color = hash_color(6)
-            moving, color_to = DeviceMovingGeometry, still.new_adam().gradients
+            moving, color_to = GpuMovingGeometry, still.new_adam().gradients
         geometry = moving(made.field, cameras, 0.1, 1, 0.75, made, still)
         np.testing.assert_allclose(geometry.alpha(1), still.alpha(1))
         rgb, kept = geometry.paint(1, pixels)

@@ -4,21 +4,21 @@ import numpy as np
 import pytest
 import torch
 
-from stylerf.fields.occupancy_grid import Occupancy
+from stylerf.fields.occupancy_grid import OccupancyGrid
 from stylerf.kernels import torch_reference
 from stylerf.training.common.adam import Adam
-from stylerf.training.common.ray_dataset import RayBank
+from stylerf.training.common.ray_dataset import RayDataset
 from tests.stylerf.small import close, density, float64, hash_color, vm_color
 from tests.stylerf.training.scenes import box_bank
 
 
 def test_adam_steps_as_the_cpus_does_and_leaves_runs_without_gradient_alone(device):
-    from stylerf.training.fit.engine_gpu import DeviceAdam
+    from stylerf.training.fit.engine_gpu import GpuAdam
 
     generator, n = np.random.default_rng(0), 1003
     values = generator.normal(size=n).astype(np.float32)
     cpu = Adam(values.copy(), [(0, 500, 1.0), (500, n, 0.5)], 1)
-    gpu = DeviceAdam(torch.from_numpy(values.copy()).to(device), cpu.groups)
+    gpu = GpuAdam(torch.from_numpy(values.copy()).to(device), cpu.groups)
     first = values
     for step in range(3):
         gradient = generator.normal(size=n).astype(np.float32)
@@ -30,15 +30,15 @@ def test_adam_steps_as_the_cpus_does_and_leaves_runs_without_gradient_alone(devi
         first = gpu.values.cpu().numpy().copy() if step == 0 else first
     np.testing.assert_allclose(gpu.values.cpu(), cpu.values, rtol=2e-6, atol=2e-6)
     assert np.array_equal(gpu.values.cpu()[200:400], first[200:400]) and not gpu.gradients.any()
-    again = DeviceAdam(gpu.values, cpu.groups)
+    again = GpuAdam(gpu.values, cpu.groups)
     again.restore(gpu.arrays())
     assert again.steps == 3 and torch.equal(again.second, gpu.second)
 
 
 def test_processes_that_train_together_are_told_of_the_same_step(device):
-    from stylerf.training.common.async_readback import BEHIND, Reports
+    from stylerf.training.common.async_readback import BEHIND, AsyncReadback
 
-    told = Reports(device, 1, lambda sums, note: (sums[0], note), None, in_step=True)
+    told = AsyncReadback(device, 1, lambda sums, note: (sums[0], note), None, in_step=True)
     for step in range(BEHIND + 4):
         told.begin().fill_(step)
         assert told.send(step) == (None if step < BEHIND else (step - BEHIND, step - BEHIND))
@@ -46,20 +46,20 @@ def test_processes_that_train_together_are_told_of_the_same_step(device):
 
 
 def test_a_gradient_of_nan_is_no_zero(device):
-    from stylerf.training.fit.engine_gpu import DeviceAdam
+    from stylerf.training.fit.engine_gpu import GpuAdam
 
-    made = DeviceAdam(torch.ones(16, device=device), [(0, 16, 1.0)])
+    made = GpuAdam(torch.ones(16, device=device), [(0, 16, 1.0)])
     made.gradients[3] = float("nan")
     made.step(0.1)
     assert made.values.isnan().tolist() == [k == 3 for k in range(16)]
 
 
 def test_a_leap_is_shortened_as_on_the_cpu_and_a_gradient_of_nan_is_no_step(device):
-    from stylerf.training.fit.engine_gpu import DeviceAdam
+    from stylerf.training.fit.engine_gpu import GpuAdam
 
     generator, n = np.random.default_rng(1), 300
     cpu = Adam(np.zeros(n, np.float32), [(0, n, 1.0)], 1, 2.0)
-    gpu = DeviceAdam(torch.zeros(n, device=device), cpu.groups, 2.0)
+    gpu = GpuAdam(torch.zeros(n, device=device), cpu.groups, 2.0)
     for longer in (1.0, 1.5, 50.0, float("nan"), 0.0, float("inf"), 1.0):
         gradient = generator.normal(size=n).astype(np.float32) * np.float32(longer)
         cpu.gradients[0], gpu.gradients[:] = gradient, torch.from_numpy(gradient).to(device)
@@ -67,7 +67,7 @@ def test_a_leap_is_shortened_as_on_the_cpu_and_a_gradient_of_nan_is_no_step(devi
         gpu.step(0.1)
         assert float(gpu.usual) == pytest.approx(cpu.usual, rel=1e-6)
         np.testing.assert_allclose(gpu.first.cpu(), cpu.first, rtol=2e-5, atol=2e-6)
-    again = DeviceAdam(gpu.values, cpu.groups, 2.0)
+    again = GpuAdam(gpu.values, cpu.groups, 2.0)
     again.restore(gpu.arrays())
     assert float(again.usual) == float(gpu.usual) > 0
 
@@ -105,10 +105,10 @@ def test_smoothing_equals_the_cpus(make, device):
 
 
 def test_drawn_rays_are_those_of_pixels_of_the_photos(device):
-    from stylerf.training.common.ray_dataset_gpu import DeviceBank
+    from stylerf.training.common.ray_dataset_gpu import GpuRayDataset
 
     bank = box_bank(5, 12)
-    made = DeviceBank(bank, device)
+    made = GpuRayDataset(bank, device)
     drawn = made.draw(7, 0, 500, 500, 3, 0.5, 1.0)
     origins, directions, colors = bank.at(*np.divmod(np.arange(3 * 144), 144))
     # Each ray is one pixel's of the first three views, with its color.
@@ -130,10 +130,10 @@ def test_photos_are_brought_over_little_by_little_and_let_go_of_between(device, 
     from stylerf.training.common.pixels import STRETCH, Pixels
 
     plain, told = box_bank(5, 12), []
-    bank = RayBank(plain.cameras, Pixels(plain.bytes, plain.channels, told.append))
+    bank = RayDataset(plain.cameras, Pixels(plain.bytes, plain.channels, told.append))
     told.clear()  # of the look at the alphas
     monkeypatch.setattr(ray_dataset_gpu, "AT_ONCE", 100)
-    made = ray_dataset_gpu.DeviceBank(bank, device)
+    made = ray_dataset_gpu.GpuRayDataset(bank, device)
     assert len(told) == -(-len(plain.bytes) // 100) and set(told) == {-(-100 // STRETCH)}
     assert np.array_equal(made.bytes.cpu(), plain.bytes)
     lit = plain.lit[np.arange(plain.lit.below(len(plain)))]
@@ -141,9 +141,9 @@ def test_photos_are_brought_over_little_by_little_and_let_go_of_between(device, 
 
 
 def test_a_batch_is_the_same_however_it_is_cut_and_another_for_another_seed(device):
-    from stylerf.training.common.ray_dataset_gpu import DeviceBank
+    from stylerf.training.common.ray_dataset_gpu import GpuRayDataset
 
-    made = DeviceBank(box_bank(4, 8), device)
+    made = GpuRayDataset(box_bank(4, 8), device)
     whole = made.draw(7, 0, 90, 90, 4, 0.5, None)
     parts = [made.draw(7, first, count, 90, 4, 0.5, None) for first, count in ((0, 40), (40, 50))]
     for of in (lambda d: d.rays.directions, lambda d: d.wanted, lambda d: d.background, lambda d: d.rays.jitter):
@@ -155,7 +155,7 @@ def test_a_batch_is_the_same_however_it_is_cut_and_another_for_another_seed(devi
 def test_distances_are_scipys_and_never_beyond(device):
     from stylerf.fields.gpu.occupancy_grid import distances_to
 
-    full, exact = np.random.default_rng(0).random((12, 12, 12)) < 0.004, Occupancy(12)
+    full, exact = np.random.default_rng(0).random((12, 12, 12)) < 0.004, OccupancyGrid(12)
     assert full.any()
     exact.set_occupied(full.ravel())
     there = torch.from_numpy(full).to(device)
@@ -164,12 +164,12 @@ def test_distances_are_scipys_and_never_beyond(device):
 
 
 def test_the_occupancy_looks_where_it_should_and_decides_as_the_cpus_does(device):
-    from stylerf.fields.gpu.field import DeviceField
+    from stylerf.fields.gpu.field import GpuField
     from stylerf.fields.gpu.occupancy_grid import refresh
     from tests.stylerf.small import SPACES, field_of
 
     field = field_of(SPACES["box"], 3)
-    made = DeviceField(field, device)
+    made = GpuField(field, device)
     refresh(made, 5, 1, 0.9)
     assert bool(torch.isfinite(made.highest).all())
     # Each cell holds the density of one point in it: nowhere beyond the densest of many points.
@@ -184,7 +184,7 @@ def test_the_occupancy_looks_where_it_should_and_decides_as_the_cpus_does(device
     assert 0.7 < float(same) < 0.8 and bool((made.highest >= 0.5 * before * (1 - 1e-6)).all())
     clear = np.arange(field.occupancy.cells**3) % 3 == 0
     field.occupancy.clear = clear
-    carved = DeviceField(field, device)
+    carved = GpuField(field, device)
     refresh(carved, 5, 1, 0.9)
     field.occupancy.decide(field.step)
     assert np.array_equal(carved.distances.cpu().numpy(), np.minimum(field.occupancy.distances, 32))
@@ -192,11 +192,11 @@ def test_the_occupancy_looks_where_it_should_and_decides_as_the_cpus_does(device
 
 
 def test_the_occupancy_forgets_no_density_at_once_however_high(device):
-    from stylerf.fields.gpu.field import DeviceField
+    from stylerf.fields.gpu.field import GpuField
     from stylerf.fields.gpu.occupancy_grid import refresh
     from tests.stylerf.small import SPACES, field_of
 
-    made = DeviceField(field_of(SPACES["box"], 3), device)
+    made = GpuField(field_of(SPACES["box"], 3), device)
     assert bool(torch.isinf(made.highest).all())
     made.density.sigma = lambda x: torch.full((len(x),), 3e4, device=x.device)
     refresh(made, 0, 1, 0.9)

@@ -43,13 +43,13 @@ PARTS = {
 @pytest.mark.parametrize("parts", PARTS)
 @pytest.mark.parametrize("kind", SPACES)
 def test_thousands_of_rays_agree_with_the_cpu(kind, parts, gpu):
-    from stylerf.fields.gpu.field import DeviceField
+    from stylerf.fields.gpu.field import GpuField
     from tests.stylerf.kernels.gpu.on_gpu import device_rays, gradients_of
 
     field = field_of(SPACES[kind], 3, None, 1 / 64)
     field.density, field.color = PARTS[parts]()
     rays = rays_into(SPACES[kind], 5000, 4)
-    cpu, made = render_rays(field, rays, chunks=2), DeviceField(field, gpu)
+    cpu, made = render_rays(field, rays, chunks=2), GpuField(field, gpu)
     found = made.render_rays(device_rays(rays, gpu))
     assert int(found.samples.total) == pytest.approx(cpu.samples.count, rel=1e-3)
     # Where rounding moves a sample across a cell's side or a threshold, a pixel differs by what that sample weighs.
@@ -66,11 +66,11 @@ def test_thousands_of_rays_agree_with_the_cpu(kind, parts, gpu):
 
 @pytest.mark.parametrize("kinds", ["vm", "hash", "voxel", "vm+hash-mlp"])
 def test_a_step_never_waits_for_the_device(kinds, gpu):
-    from stylerf.training.fit.engine_gpu import DeviceEngine
+    from stylerf.training.fit.engine_gpu import GpuEngine
     from tests.stylerf.kernels.gpu.test_engine import FIELDS, batch
     from tests.stylerf.training.scenes import box_bank
 
-    engine = DeviceEngine(box_bank(4, 10), 0, 1, FIELDS[kinds](), device=gpu, samples=4000)
+    engine = GpuEngine(box_bank(4, 10), 0, 1, FIELDS[kinds](), device=gpu, samples=4000)
     engine.learn(batch())
     engine.refresh(0, 1)
     torch.cuda.synchronize()
@@ -85,7 +85,7 @@ def test_a_step_never_waits_for_the_device(kinds, gpu):
 
 @pytest.mark.parametrize("kind", SPACES)
 def test_thousands_of_rays_teach_a_deformation_what_they_do_on_the_cpu(kind, gpu):
-    from stylerf.fields.gpu.field import DeviceField
+    from stylerf.fields.gpu.field import GpuField
     from tests.stylerf.kernels.gpu.on_gpu import device_rays
 
     field = field_of(SPACES[kind], 3, hash_color(5), 1 / 64, displacement_grid(6, 9, 0.02))
@@ -93,7 +93,7 @@ def test_thousands_of_rays_teach_a_deformation_what_they_do_on_the_cpu(kind, gpu
     towards = (towards * [1, 1, 1, 1, 0]).astype(np.float32)
     expected, to = np.zeros((2, field.displacement.size), np.float32), torch.zeros(field.displacement.size, device=gpu)
     backward(field, render_rays(field, rays, chunks=2), towards, None, None, expected)
-    made = DeviceField(field, gpu)
+    made = GpuField(field, gpu)
     rendered = made.render_rays(device_rays(rays, gpu))
     made.backward(rendered, torch.from_numpy(towards).to(gpu), None, None, to)
     whole = expected.sum(0)

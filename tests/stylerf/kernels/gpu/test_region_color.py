@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from stylerf.fields.region_color import PatchColor
+from stylerf.fields.region_color import RegionColor
 from stylerf.geometry.spherical_harmonics import harmonics
 from stylerf.rendering.rays import backward, render_rays
 from tests.stylerf.fields.test_region_color import CELLS, inside, marked_cells, oracle
@@ -17,33 +17,33 @@ from tests.stylerf.small import SPACES, close, field_of, float64, hash_color, he
 SHARE = 0.02
 
 
-def everywhere(made: PatchColor) -> PatchColor:
+def everywhere(made: RegionColor) -> RegionColor:
     return _over(made, np.ones((CELLS,) * 3, bool))
 
 
-def nowhere_met(made: PatchColor) -> PatchColor:
+def nowhere_met(made: RegionColor) -> RegionColor:
     """One cell of many, in a corner that no ray meets."""
     marked = np.zeros((64,) * 3, bool)
     marked[0, 0, 0] = True
     return _over(made, marked)
 
 
-def _over(made: PatchColor, marked: np.ndarray) -> PatchColor:
-    other = PatchColor.create(made.base, marked, 30.0, table=64, levels=8)
+def _over(made: RegionColor, marked: np.ndarray) -> RegionColor:
+    other = RegionColor.create(made.base, marked, 30.0, table=64, levels=8)
     other.values[:] = np.random.default_rng(5).normal(scale=0.4, size=len(other.values))
     return other
 
 
-def on_a_patch(made: PatchColor) -> PatchColor:
+def on_a_patch(made: RegionColor) -> RegionColor:
     marked = np.zeros((4,) * 3, bool)
     marked[1:3, :, 1:3] = True
-    other = PatchColor.create(made, marked, 20.0, table=64)
+    other = RegionColor.create(made, marked, 20.0, table=64)
     other.values[:] = 0.3 * np.random.default_rng(6).normal(size=len(other.values))
     return other
 
 
-def on_a_network(made: PatchColor) -> PatchColor:
-    return PatchColor(headed(2, "vm", "mlp"), made.own, made.marked)
+def on_a_network(made: RegionColor) -> RegionColor:
+    return RegionColor(headed(2, "vm", "mlp"), made.own, made.marked)
 
 
 CASES = {
@@ -58,13 +58,13 @@ CASES = {
 @cache
 def walked(case: str, device, rays: int = 12):
     """(field, rays, device field, what it rendered, dL/d(pixels)): walked once a case."""
-    from stylerf.fields.gpu.field import DeviceField
+    from stylerf.fields.gpu.field import GpuField
 
     field = field_of(SPACES["box"], 3, CASES[case](one_patch()), 1 / 8)
     field.density.values[-1] = -4.5  # thin: rays go through the region and beyond
     going = rays_into(SPACES["box"], rays, 4)
     going.origins[-1] += 50  # meets nothing
-    made = DeviceField(field, device)
+    made = GpuField(field, device)
     rendered = made.render_rays(device_rays(going, device), share=SHARE)
     return field, going, made, rendered, np.random.default_rng(7).normal(size=(rays, 5)).astype(np.float32)
 
@@ -132,19 +132,19 @@ def test_what_a_patch_stands_on_decides_whether_a_gpu_can_have_it():
     from tests.stylerf.fields.test_palette_color import made as palette_color
 
     assert unsupported(field_of(SPACES["box"], 3, on_a_patch(one_patch()))) is None
-    other = PatchColor(palette_color(), hash_color(1), marked_cells())
+    other = RegionColor(palette_color(), hash_color(1), marked_cells())
     assert "palette has no GPU kernel" in unsupported(field_of(SPACES["box"], 3, other))
 
 
 @pytest.mark.slow
 def test_an_edited_view_in_halves_is_the_cpus_picture(device):
     from stylerf.rendering.view import render_view
-    from stylerf.rendering.view_gpu import DeviceRenderer
+    from stylerf.rendering.view_gpu import GpuRenderer
     from tests.stylerf.training.scenes import AROUND, dome
 
-    over_hash = PatchColor(hash_color(3), one_patch().own, marked_cells())
+    over_hash = RegionColor(hash_color(3), one_patch().own, marked_cells())
     field, camera = field_of(AROUND, 3, over_hash, 1 / 5), dome(1, 2, 4)[0]
     field.density.values[-1] = -4.0
-    made = DeviceRenderer(field, device, "float16")
+    made = GpuRenderer(field, device, "float16")
     assert made.field.color.table.dtype == made.field.color.base.table.dtype == torch.float16
     np.testing.assert_allclose(made.view(camera).rgb, render_view(field, camera, chunks=1).rgb, atol=1e-3)

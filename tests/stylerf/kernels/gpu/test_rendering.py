@@ -45,13 +45,13 @@ CASES = {
 @cache
 def walked(case: str, device, rays: int = 14):
     """(field, rays, device field, what it rendered, dL/d(pixels), device gradients): computed once a case."""
-    from stylerf.fields.gpu.field import DeviceField
+    from stylerf.fields.gpu.field import GpuField
 
     kind, density_of, color, displaced = CASES[case]
     field = field_of(SPACES[kind], 3, color(), STEP, displacement_grid(6) if displaced else None)
     field.density = density_of(3)
     field.density.values[-1] = -4.5  # thin: rays go on long enough to end in the backdrop
-    made, going = DeviceField(field, device), rays_into(SPACES[kind], rays, 4)
+    made, going = GpuField(field, device), rays_into(SPACES[kind], rays, 4)
     rendered = made.render_rays(device_rays(going, device), share=0.05)
     towards = np.random.default_rng(7).normal(size=(rays, 5)).astype(np.float32)
     return field, going, made, rendered, towards, gradients_of(made, rendered, towards)

@@ -27,14 +27,14 @@ def gradients_taken(made) -> list[np.ndarray]:
 @pytest.mark.slow
 def test_a_stylization_on_a_device_learns_the_cpus_gradients(device, monkeypatch):
     """From the same colors: after a step or two a match that rounding turns leads them apart, on the CPU as well."""
-    expected, made_by = on_cpu.stylizer(**ASKED), on_cpu.Stylizer
+    expected, made_by = on_cpu.stylizer(**ASKED), on_cpu.ArfTrainer
 
     def placed(*arguments):
         return made_by(*arguments[:5], arguments[5].to(device), *arguments[6:], device=str(device))
 
-    monkeypatch.setattr(on_cpu, "Stylizer", placed)
+    monkeypatch.setattr(on_cpu, "ArfTrainer", placed)
     found = on_cpu.stylizer(**ASKED)
-    assert type(found.geometry).__name__ == "DeviceFixedGeometry"
+    assert type(found.geometry).__name__ == "GpuFixedGeometry"
     for ours, theirs in zip(found.photos, expected.photos):
         np.testing.assert_allclose(ours, theirs, atol=1e-5)  # brought to the painting's colors by way of alpha
     learned = [gradients_taken(made) for made in (expected, found)]
@@ -50,8 +50,8 @@ def test_a_stylization_on_a_device_learns_the_cpus_gradients(device, monkeypatch
 
 @pytest.mark.slow
 def test_a_stylization_runs_to_its_end_on_a_device(device, monkeypatch):
-    made_by = on_cpu.Stylizer
-    monkeypatch.setattr(on_cpu, "Stylizer", lambda *a: made_by(*a[:5], a[5].to(device), *a[6:], device=str(device)))
+    made_by = on_cpu.ArfTrainer
+    monkeypatch.setattr(on_cpu, "ArfTrainer", lambda *a: made_by(*a[:5], a[5].to(device), *a[6:], device=str(device)))
     made = on_cpu.stylizer(**ASKED)
     before, phases = made.field.color.values.copy(), []
     made.run(lambda now: phases.append(now.state.phase))
@@ -70,9 +70,9 @@ def coarse_walks(monkeypatch):
 
 def deforming_on(device, monkeypatch, **asked):
     """The DeSRF stylization of the CPU's tests, on the device."""
-    made_by = on_cpu.Stylizer
+    made_by = on_cpu.ArfTrainer
     with monkeypatch.context() as placed:
-        placed.setattr(on_cpu, "Stylizer", lambda *a: made_by(*a[:5], a[5].to(device), *a[6:], device=str(device)))
+        placed.setattr(on_cpu, "ArfTrainer", lambda *a: made_by(*a[:5], a[5].to(device), *a[6:], device=str(device)))
         return on_cpu.stylizer(deform=True, **asked)
 
 
@@ -85,7 +85,7 @@ def test_a_stylization_that_bends_learns_the_cpus_gradients_on_a_device(device, 
     for made in (expected, found):
         made._next_phase()
         grids.append(made.deformer)
-    assert [type(made.geometry).__name__ for made in (expected, found)] == ["MovingGeometry", "DeviceMovingGeometry"]
+    assert [type(made.geometry).__name__ for made in (expected, found)] == ["MovingGeometry", "GpuMovingGeometry"]
     learned = [gradients_taken(made) for made in (expected, found)]
     moved = []
     for made, grid in zip((expected, found), grids):

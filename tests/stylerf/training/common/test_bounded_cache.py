@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from stylerf.training.common.bounded_cache import Kept
+from stylerf.training.common.bounded_cache import BoundedCache
 from tests.stylerf.training.running import assert_same_bits, result_of
 from tests.stylerf.training.stylize.test_arf import stylizer
 
@@ -15,7 +15,7 @@ def test_the_first_that_fit_are_kept_and_the_others_made_anew():
         made.append(view)
         return np.full(3, view, np.uint8)
 
-    kept = Kept(make, lambda array: array.nbytes, 4, 7)
+    kept = BoundedCache(make, lambda array: array.nbytes, 4, 7)
     for view in (2, 0, 1, 2, 0, 1, 3):
         assert (kept[view] == view).all()
     assert made == [2, 0, 1, 1, 3] and len(kept) == 4

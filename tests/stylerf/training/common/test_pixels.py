@@ -6,7 +6,7 @@ from scipy.ndimage import binary_dilation
 
 from stylerf.errors import InvalidValue
 from stylerf.training.common.pixels import STRETCH, LitPixels, Pixels, near_opaque
-from stylerf.training.common.ray_dataset import RayBank
+from stylerf.training.common.ray_dataset import RayDataset
 from tests.stylerf.training.scenes import box_photo, dome
 
 
@@ -53,7 +53,7 @@ def test_what_is_drawn_does_not_depend_on_where_the_photos_are(tmp_path):
     np.concatenate([image.ravel() for image in images]).tofile(tmp_path / "photos")
     told = []
     mapped = Pixels(np.memmap(tmp_path / "photos", np.uint8, "r"), 4, told.append)
-    banks = [RayBank(cameras, images), RayBank(cameras, mapped)]
+    banks = [RayDataset(cameras, images), RayDataset(cameras, mapped)]
     assert sum(told) * STRETCH >= 6 * 40 * 40 * 4
     del told[:]
     for share in (0.0, 0.9):
@@ -65,4 +65,4 @@ def test_what_is_drawn_does_not_depend_on_where_the_photos_are(tmp_path):
 
 def test_bytes_that_are_not_the_cameras_are_refused():
     with pytest.raises(InvalidValue, match="bytes"):
-        RayBank(dome(2, 1, 8), Pixels(np.zeros(2 * 64 * 3 - 1, np.uint8), 3))
+        RayDataset(dome(2, 1, 8), Pixels(np.zeros(2 * 64 * 3 - 1, np.uint8), 3))

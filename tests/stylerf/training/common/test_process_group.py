@@ -9,7 +9,7 @@ import torch
 from torch import distributed
 
 from stylerf.errors import InvalidValue
-from stylerf.training.common.process_group import ALONE, Together
+from stylerf.training.common.process_group import ALONE, DistributedProcesses
 from tests.processes import ended, start
 from tests.stylerf.training import two_processes
 
@@ -68,7 +68,7 @@ def test_a_budget_of_time_ends_for_all_at_the_same_step(together):
     ],
 )
 def test_processes_with_unlike_devices_are_told_so_before_they_wait_for_each_other(own, other, told):
-    ranks, store = Together.__new__(Together), distributed.HashStore()
+    ranks, store = DistributedProcesses.__new__(DistributedProcesses), distributed.HashStore()
     ranks._store, ranks.place, ranks.count = store, 0, 2
     store.set("stylerf device 1", other)
     store.set("stylerf read 1", "")
@@ -82,7 +82,7 @@ def test_a_gpu_that_cannot_be_used_is_told_to_the_others(monkeypatch):
     def refused(number):
         raise RuntimeError(f"CUDA error: invalid device ordinal {number}\nmore of it")
 
-    ranks = Together.__new__(Together)
+    ranks = DistributedProcesses.__new__(DistributedProcesses)
     ranks._torch = torch
     monkeypatch.setattr(torch.cuda, "set_device", refused)
     monkeypatch.setenv("LOCAL_RANK", "5")
@@ -118,7 +118,7 @@ class Store(dict):
 @pytest.mark.parametrize(("place", "others", "awaited"), [(0, "none", 2), (0, "cpu", 2), (1, "none", 0)])
 def test_the_first_process_does_not_take_the_store_away_before_all_have_read_it(place, others, awaited):
     """Else the others find it lost, and end as if the first had crashed."""
-    one = Together.__new__(Together)
+    one = DistributedProcesses.__new__(DistributedProcesses)
     one.place, one.count = place, 2
     one._store = Store({f"stylerf device {1 - place}": others})
     with pytest.raises(InvalidValue):

@@ -8,7 +8,7 @@ import torch
 
 from stylerf.fields.deformation import Deformation
 from stylerf.fields.radiance_field import RadianceField
-from stylerf.training.common.ray_dataset import RayBank
+from stylerf.training.common.ray_dataset import RayDataset
 from stylerf.training.deform.deformer import Deformer
 from stylerf.training.deform.fitter import DeformationFitter, DeformSettings
 from tests.stylerf.training.running import saved
@@ -30,14 +30,14 @@ def scene(fitted):
     return lambda: RadianceField.restore(fitted["field"], {k: v.copy() for k, v in fitted["arrays"].items()})
 
 
-def shifted_bank() -> RayBank:
+def shifted_bank() -> RayDataset:
     """Photos of the box as if it stood 0.08 further along -x: each taken by a camera so much further along +x."""
     images = []
     for camera in dome(10, 1):
         pose = camera.world_from_camera.copy()
         pose[0, 3] += 0.08
         images.append(box_photo(replace(camera, world_from_camera=pose)))
-    return RayBank(dome(10, 1), images)
+    return RayDataset(dome(10, 1), images)
 
 
 def deformation() -> Deformation:

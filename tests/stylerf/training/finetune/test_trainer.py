@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from stylerf.editing.edit_grid import alpha_inside, march_view
-from stylerf.fields.region_color import PatchColor
+from stylerf.fields.region_color import RegionColor
 from stylerf.fields.vm_tables import split_table
 from stylerf.rendering.view import render_view
-from stylerf.training.common.ray_dataset import RayBank
+from stylerf.training.common.ray_dataset import RayDataset
 from stylerf.training.finetune.trainer import EditedPixels, FineTuner, FineTuneSettings
 from tests.stylerf.small import field_of, hash_color, wall_in_front
 from tests.stylerf.training.scenes import SIDE, box_fitter, box_photo, dome, masked_wall
@@ -51,7 +51,7 @@ def edited():
     depth = np.full(sum(map(len, pixels)), 1.7, np.float32)
     beside = [np.flatnonzero(heights(camera).ravel() < 0) for camera in cameras]
     around = np.repeat(np.arange(10), [len(own) for own in beside]), np.concatenate(beside)
-    return RayBank(cameras, photos), EditedPixels(np.concatenate(views), np.concatenate(pixels), depth, around)
+    return RayDataset(cameras, photos), EditedPixels(np.concatenate(views), np.concatenate(pixels), depth, around)
 
 
 def tuner(fitted, edited, **more) -> FineTuner:
@@ -107,7 +107,7 @@ def patched(fitted):
     field = copy_of(fitted)
     marked = np.zeros((8,) * 3, bool)
     marked[:, :, 4:] = True
-    field.color = PatchColor.create(field.color, marked, 16.0, table=256)
+    field.color = RegionColor.create(field.color, marked, 16.0, table=256)
     return field
 
 

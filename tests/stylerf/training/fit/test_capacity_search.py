@@ -2,19 +2,19 @@
 
 import pytest
 
-from stylerf.training.fit.capacity_levels import LADDER, Kinds, Rung
-from stylerf.training.fit.capacity_search import GROW, RAMP, REDUCTIONS, TRIAL_STEPS, Climb
+from stylerf.training.fit.capacity_levels import LADDER, CapacityLevel, Kinds
+from stylerf.training.fit.capacity_search import GROW, RAMP, REDUCTIONS, TRIAL_STEPS, CapacitySearch
 from stylerf.training.fit.settings import FitSettings, FitState
 
-EVEN = tuple(Rung(n, table_bits=18) for n in (64, 128, 192, 256))
+EVEN = tuple(CapacityLevel(n, table_bits=18) for n in (64, 128, 192, 256))
 
 
-def climb_at(rung: int = 3, step: int = 1200, **more) -> Climb:
+def climb_at(rung: int = 3, step: int = 1200, **more) -> CapacitySearch:
     settings = FitSettings(**{"steps": 2000, "ladder": EVEN, **more})
-    return Climb(settings, FitState(step=step, rung=rung, best=30.0), "held-out views")
+    return CapacitySearch(settings, FitState(step=step, rung=rung, best=30.0), "held-out views")
 
 
-def tried(climb: Climb, progress: float, quality: float) -> tuple[str, bool]:
+def tried(climb: CapacitySearch, progress: float, quality: float) -> tuple[str, bool]:
     """One reduction, begun at 30 dB and judged at `quality`."""
     name = climb.reduction_due(progress)
     climb.begin(name, 30.0, 1000, progress)
@@ -60,7 +60,7 @@ def test_a_reduction_that_loses_little_stays_and_one_that_loses_more_is_refused_
     assert tried(climb, 0.56, 29.95) == ("density ranks", True)
     assert (climb.rung.density_rank, climb.rung.color_rank, climb.rung.resolution) == (8, 24, 256)
     assert tried(climb, 0.58, 29.5) == ("resolution", False)
-    assert climb.rung == Rung(256, 8, 24, table_bits=18)
+    assert climb.rung == CapacityLevel(256, 8, 24, table_bits=18)
     assert tried(climb, 0.57, 30.0) == ("color ranks", True)
     assert climb.rung.color_rank == 16
     assert tried(climb, 0.57, 29.8) == ("color ranks", False)
@@ -210,5 +210,5 @@ def test_ranks_must_fall_less_than_resolution(what, bears):
 @pytest.mark.parametrize(("now", "then"), [(384, 256), (256, 176), (176, 112), (64, 48), (32, None), (8, None)])
 def test_a_color_gets_coarser_by_a_third(now, then):
     climb = climb_at()
-    found = REDUCTIONS["color resolution"](Rung(now, 16, 24), climb.settings.kinds, climb.settings)
+    found = REDUCTIONS["color resolution"](CapacityLevel(now, 16, 24), climb.settings.kinds, climb.settings)
     assert found == ({} if then is None else {"color_resolution": then})

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from stylerf.geometry.space_warp import Space
+from stylerf.geometry.space_warp import SpaceWarp
 from stylerf.srgb import decoded, exposed
-from stylerf.training.common.ray_dataset import RayBank
+from stylerf.training.common.ray_dataset import RayDataset
 from stylerf.training.fit.exposure import FEWEST_PHOTOS, PLAINLY, Exposures, balanced
 from stylerf.training.fit.fitter import Fitter
 from tests.stylerf.training.running import resumed, run_until
@@ -15,11 +15,11 @@ STOPS = np.linspace(-0.6, 0.6, 8)[[3, 0, 6, 1, 7, 2, 5, 4]]
 MORE_STOPS = np.random.default_rng(3).permutation(np.linspace(-0.6, 0.6, 14))
 
 
-def uneven_bank(stops=STOPS, size: int = 24) -> RayBank:
+def uneven_bank(stops=STOPS, size: int = 24) -> RayDataset:
     """The box, dark enough for no photo to be clipped, each photo with an exposure of its own."""
     photos = [exposed(box_photo(c) / 255, -1.2) for c in dome(len(stops), 1, size)]
     bytes_ = [np.rint(255 * exposed(photo, one)).astype(np.uint8) for photo, one in zip(photos, stops)]
-    return RayBank(dome(len(stops), 1, size), bytes_)
+    return RayDataset(dome(len(stops), 1, size), bytes_)
 
 
 def test_differences_are_balanced_whatever_a_few_of_them_say():
@@ -66,7 +66,7 @@ def test_a_bank_takes_photos_for_what_they_would_have_shown():
     assert np.array_equal(bank.at(views, pixels)[2], raw)
 
 
-def uneven_wall() -> tuple[Space, RayBank]:
+def uneven_wall() -> tuple[SpaceWarp, RayDataset]:
     """A wall at z = 3 whose colors wave, photos of several exposures."""
     space, bank = wall_bank(len(MORE_STOPS))
     photos = []
@@ -75,7 +75,7 @@ def uneven_wall() -> tuple[Space, RayBank]:
         points = origins + directions * (3 - origins[:, 2:]) / directions[:, 2:]
         rgb = 0.4 + 0.15 * np.sin(points @ np.array([[3.0, 1, 0], [1, 4, 2], [0, 0, 0]]) + [0, 1, 2])
         photos.append(np.rint(255 * exposed(rgb, stops)).astype(np.uint8).reshape(camera.height, camera.width, 3))
-    return space, RayBank(bank.cameras, photos)
+    return space, RayDataset(bank.cameras, photos)
 
 
 def test_a_fit_brings_photos_to_one_exposure_and_gains_by_it():

@@ -9,11 +9,11 @@ import pytest
 
 from stylerf.errors import Diverged
 from stylerf.fields.ray_samples import Rays
-from stylerf.geometry.space_warp import Space
+from stylerf.geometry.space_warp import SpaceWarp
 from stylerf.rendering.rays import backward, render_rays
-from stylerf.training.common.ray_dataset import RayBank
+from stylerf.training.common.ray_dataset import RayDataset
 from stylerf.training.fit import engine as module
-from stylerf.training.fit.engine import Batch, CpuEngine, Learned
+from stylerf.training.fit.engine import Batch, CpuEngine, StepResult
 from stylerf.training.fit.fitter import Fitter
 from tests.stylerf.small import close, field_of, vm_color
 from tests.stylerf.training.running import Stopped, assert_same_bits, now, result_of, resumed, run_until, saved
@@ -45,7 +45,7 @@ def test_a_fit_that_was_stopped_goes_on_to_the_same_bits():
 # -- masks ----------------------------------------------------------------------------------------------------------
 
 
-def gradients_of(bank: RayBank, field) -> list[np.ndarray]:
+def gradients_of(bank: RayDataset, field) -> list[np.ndarray]:
     """Of one step, by the engine's optimizers."""
     engine, found = CpuEngine(bank, 0, 1, field), []
     for adam in (engine.density_adam, engine.color_adam):
@@ -56,7 +56,7 @@ def gradients_of(bank: RayBank, field) -> list[np.ndarray]:
 
 @pytest.mark.parametrize("kind", ["frustum", "contraction"])
 def test_what_masks_hide_in_a_closed_space_teaches_nothing(kind):
-    space = masked_wall(0)[0] if kind == "frustum" else Space.box([-1] * 3, [1] * 3, near=0.05, far=1e3, kind=kind)
+    space = masked_wall(0)[0] if kind == "frustum" else SpaceWarp.box([-1] * 3, [1] * 3, near=0.05, far=1e3, kind=kind)
     field = field_of(space, 1, vm_color(2))
     assert all(not found.any() for found in gradients_of(masked_wall(24)[1], field))
     # What a photo shows counts for as much as without the mask.
@@ -97,7 +97,7 @@ def test_another_seed_is_another_fit_and_the_same_seed_the_same():
 def test_rays_stay_as_they_are_until_a_step_is_told_of():
     fitter = box_fitter(4)
     learn, before = fitter.engine.learn, fitter.state.rays
-    fitter.engine.learn = lambda batch: Learned(0.0, 0.0)  # a device is still at its first
+    fitter.engine.learn = lambda batch: StepResult(0.0, 0.0)  # a device is still at its first
     fitter.step()
     assert fitter.state.rays == before
     fitter.engine.learn = learn

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from stylerf.rendering.view import render_view
-from stylerf.training.fit.capacity_levels import Kinds, Rung
+from stylerf.training.fit.capacity_levels import CapacityLevel, Kinds
 from stylerf.training.fit.fitter import Fitter
 from tests.stylerf.training.running import assert_same_bits, result_of, resumed, run_until
 from tests.stylerf.training.scenes import box_fitter, box_photo, dome
 
-LADDER = tuple(Rung(n, cells=8, table_bits=10) for n in (8, 16))
+LADDER = tuple(CapacityLevel(n, cells=8, table_bits=10) for n in (8, 16))
 KINDS = {
     "hash": Kinds("hash", "hash"),
     "voxel": Kinds("voxel", "voxel"),

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from stylerf.training.common.ray_dataset import RayBank
+from stylerf.training.common.ray_dataset import RayDataset
 from stylerf.training.fit.engine import coverage_gradient, opacity_gradient
 from tests.stylerf.training.fit.test_visual_hull import ball_photo
 from tests.stylerf.training.scenes import LADDER, box_bank, box_fitter, dome
@@ -61,7 +61,7 @@ def test_the_gradient_of_coverage_is_what_random_backgrounds_teach_on_average():
 def test_pale_matter_is_told_from_a_white_background():
     """A pale ball before white: where colors alone are asked for, half a ball is nearly as good as a whole one."""
     cameras = dome(8, 1, 24)
-    bank = RayBank(cameras, [np.maximum(ball_photo(camera), np.uint8([200, 200, 200, 0])) for camera in cameras])
+    bank = RayDataset(cameras, [np.maximum(ball_photo(camera), np.uint8([200, 200, 200, 0])) for camera in cameras])
     covered, errors = [], []
     for weight in (0.0, 0.1):
         fitter = box_fitter(300, bank=bank, ladder=LADDER[-1:], shares=(), held_out_until=1.0, coverage=weight)
@@ -75,7 +75,7 @@ def test_pale_matter_is_told_from_a_white_background():
 
 def test_a_white_ball_that_is_missing_before_white_is_no_good_fit():
     cameras = dome(8, 1, 24)
-    bank = RayBank(cameras, [np.maximum(ball_photo(camera), np.uint8([255, 255, 255, 0])) for camera in cameras])
+    bank = RayDataset(cameras, [np.maximum(ball_photo(camera), np.uint8([255, 255, 255, 0])) for camera in cameras])
     missing = box_fitter(1, bank=bank)
     fitter = box_fitter(300, bank=bank, ladder=LADDER[-1:], shares=(), held_out_until=1.0, coverage=0.3)
     fitter.run()

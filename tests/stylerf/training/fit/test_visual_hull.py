@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from stylerf.geometry.cameras import Camera
-from stylerf.training.common.ray_dataset import RayBank
+from stylerf.training.common.ray_dataset import RayDataset
 from stylerf.training.fit.visual_hull import clear_cells
 from tests.stylerf.training.running import resumed, run_until
 from tests.stylerf.training.scenes import AROUND, LADDER, box_fitter, dome
@@ -73,9 +73,9 @@ def test_what_no_view_sees_whole_is_not_clear():
 # -- in a fit -------------------------------------------------------------------------------------------------------
 
 
-def ball_bank() -> RayBank:
+def ball_bank() -> RayDataset:
     cameras = dome(12, 1, 48)
-    return RayBank(cameras, [ball_photo(camera) for camera in cameras])
+    return RayDataset(cameras, [ball_photo(camera) for camera in cameras])
 
 
 def test_a_fit_never_looks_there_while_it_grows_and_resumes():
@@ -92,5 +92,5 @@ def test_a_fit_never_looks_there_while_it_grows_and_resumes():
 def test_a_fit_that_is_not_asked_to_or_has_no_transparency_looks_everywhere():
     assert box_fitter(10, bank=ball_bank()).field.occupancy.clear is None
     cameras = dome(12, 1, 24)
-    opaque = RayBank(cameras, [ball_photo(camera)[..., :3].copy() for camera in cameras])
+    opaque = RayDataset(cameras, [ball_photo(camera)[..., :3].copy() for camera in cameras])
     assert box_fitter(10, bank=opaque, hull=0.05).field.occupancy.clear is None

@@ -8,21 +8,21 @@ import torch
 
 from stylerf.errors import Diverged
 from stylerf.fields.deformation import Deformation
-from stylerf.fields.occupancy_grid import Occupancy
+from stylerf.fields.occupancy_grid import OccupancyGrid
 from stylerf.geometry.camera_paths import look_at
 from stylerf.geometry.cameras import Camera
-from stylerf.geometry.space_warp import Space
+from stylerf.geometry.space_warp import SpaceWarp
 from stylerf.style.style_objective import StyleObjective, StyleWeights
 from stylerf.training.stylize import arf as module
 from stylerf.training.stylize import geometry
-from stylerf.training.stylize.arf import Stylizer
+from stylerf.training.stylize.arf import ArfTrainer
 from stylerf.training.stylize.settings import StyleSettings
 from stylerf.training.stylize.trainer import MEMORY
 from tests.stylerf.small import field_of, float64, hash_color, oracle_color, vm_color
 from tests.stylerf.style.small_trunk import picture, small_trunk
 from tests.stylerf.training.running import Stopped, assert_same_bits, result_of, resumed, run_until
 
-BOX = Space.box([-1, -1, -1], [1, 1, 1])
+BOX = SpaceWarp.box([-1, -1, -1], [1, 1, 1])
 HEIGHT, WIDTH, GRAY = 14, 18, 0.75
 
 
@@ -38,8 +38,8 @@ def settings(**more) -> StyleSettings:
 
 
 def stylizer(
-    chunks: int = 1, seed: int = 0, space: Space = BOX, deform: bool = False, memory: float = MEMORY, **more
-) -> Stylizer:
+    chunks: int = 1, seed: int = 0, space: SpaceWarp = BOX, deform: bool = False, memory: float = MEMORY, **more
+) -> ArfTrainer:
     field = field_of(space, 3, vm_color(4))
     field.density.values[-1] = -3.0
     photos = [picture(HEIGHT, WIDTH, 20 + i).permute(1, 2, 0).numpy().copy() for i in range(3)]
@@ -52,10 +52,10 @@ def stylizer(
     deformation = Deformation.create(np.random.default_rng(0), frequencies=2, width=16) if deform else None
     given = settings(**more, **({"displacement_vertices": 8} if deform else {}))
     more = (painting, small_trunk(), given, seed, chunks, new_color, deformation, memory)
-    return Stylizer(field, cameras, photos, GRAY, *more)
+    return ArfTrainer(field, cameras, photos, GRAY, *more)
 
 
-def style_gradient(made: Stylizer) -> np.ndarray:
+def style_gradient(made: ArfTrainer) -> np.ndarray:
     """dL/d(color values) of one style step, before the optimizer takes it."""
     found = []
     made.adam.step = lambda rate: found.append(made.adam.gradients.sum(0, dtype=np.float64))
@@ -66,7 +66,7 @@ def style_gradient(made: Stylizer) -> np.ndarray:
 # -- what a step teaches --------------------------------------------------------------------------------------------
 
 
-def oracle_picture(made: Stylizer, view: int, values: torch.Tensor, pixels: np.ndarray) -> torch.Tensor:
+def oracle_picture(made: ArfTrainer, view: int, values: torch.Tensor, pixels: np.ndarray) -> torch.Tensor:
     """Premultiplied rgb [n, 3] of pixels in float64, from the packed surface."""
     starts, ends, x, weights = made.geometry.surface(view).samples(pixels)
     rays = torch.from_numpy(np.repeat(np.arange(len(pixels)), ends - starts))
@@ -74,7 +74,7 @@ def oracle_picture(made: Stylizer, view: int, values: torch.Tensor, pixels: np.n
     return torch.zeros(len(pixels), 3, dtype=torch.float64).index_add(0, rays, float64(weights)[:, None] * colors)
 
 
-def oracle_loss(made: Stylizer, view: int, premultiplied: torch.Tensor) -> torch.Tensor:
+def oracle_loss(made: ArfTrainer, view: int, premultiplied: torch.Tensor) -> torch.Tensor:
     """The style objective of a view's picture over the background, in float64 from end to end."""
     s = made.settings
     objective = StyleObjective(
@@ -86,7 +86,7 @@ def oracle_loss(made: Stylizer, view: int, premultiplied: torch.Tensor) -> torch
     return objective(rgb.permute(2, 0, 1), content, alpha)[0]
 
 
-def oracle_gradients(made: Stylizer, view: int, parts: int) -> tuple[np.ndarray, np.ndarray]:
+def oracle_gradients(made: ArfTrainer, view: int, parts: int) -> tuple[np.ndarray, np.ndarray]:
     """dL/d(values) through one graph, and deferred: by the picture's own gradient, handed back in parts."""
     everything = np.arange(HEIGHT * WIDTH)
     values = float64(made.field.color.values).requires_grad_()
@@ -194,7 +194,7 @@ def test_a_stylization_that_was_stopped_goes_on_to_the_same_bits(strategy, defor
     seen = []
 
     def stop_after(count: int):
-        def on_step(made: Stylizer) -> None:
+        def on_step(made: ArfTrainer) -> None:
             seen.append(made.state.phase)
             if len(seen) == count:
                 raise Stopped
@@ -254,7 +254,7 @@ def test_a_deforming_step_teaches_the_grid_what_the_finite_difference_says(monke
     """dL/dD of a whole style step, along a random direction, background behind the silhouette included."""
     monkeypatch.setattr(geometry, "OPAQUE", 0.0)  # a ray that ends a sample earlier is a jump, not a slope
     made = stylizer(deform=True, match="none", strategy="deferred", refit_steps=1, share=0.0)
-    made.field.occupancy = Occupancy(made.field.occupancy.cells)
+    made.field.occupancy = OccupancyGrid(made.field.occupancy.cells)
     made.refit_step()
     made._next_phase()
     view, pixels = made._view_of_step(), np.arange(HEIGHT * WIDTH)
@@ -334,7 +334,7 @@ def test_large_strokes_come_first():
     """The coarse share of the steps takes features at half the size; the photos' are taken anew after it."""
     made, scales, contents = stylizer(steps=4, coarse=0.5, match="none"), [], []
 
-    def look(now: Stylizer) -> None:
+    def look(now: ArfTrainer) -> None:
         if now.state.phase == "style":
             scales.append(now.objective.scale)
             contents.append({view: kept.features["conv1"].shape for view, kept in now._content.kept.items()})

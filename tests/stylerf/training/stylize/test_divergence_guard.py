@@ -5,15 +5,15 @@ import pytest
 
 from stylerf.errors import Diverged
 from stylerf.fields.deformation import Deformation
-from stylerf.training.stylize.arf import Stylizer
+from stylerf.training.stylize.arf import ArfTrainer
 from stylerf.training.stylize.divergence_guard import KEEP_EVERY
 from tests.stylerf.training.running import assert_same_bits, result_of, resumed
 from tests.stylerf.training.stylizing import made
 
 
-def poisoned(at: set[int], **given) -> Stylizer:
+def poisoned(at: set[int], **given) -> ArfTrainer:
     """Its style step spoils the colors at these steps, each time once, as an overflowing gradient does."""
-    one = made(Stylizer, match="none", **{"steps": 12, "refit_steps": 4, **given})
+    one = made(ArfTrainer, match="none", **{"steps": 12, "refit_steps": 4, **given})
     left, plain = set(at), one._step
 
     def step() -> dict[str, float]:
@@ -49,7 +49,7 @@ def test_what_it_goes_back_to_is_the_kept_state_to_the_bit():
     """Compared with a run that is stopped at that state and goes on at half the rate by itself."""
     one = poisoned({3}, rollbacks=1)
     one.run()
-    other = made(Stylizer, match="none", steps=12, refit_steps=4, rollbacks=1)
+    other = made(ArfTrainer, match="none", steps=12, refit_steps=4, rollbacks=1)
     stop = other.state
 
     class Enough(Exception):
@@ -62,7 +62,7 @@ def test_what_it_goes_back_to_is_the_kept_state_to_the_bit():
     with pytest.raises(Enough):
         other.run(halt)
     other.state.counts["rollbacks"] = 1
-    other = resumed(made(Stylizer, match="none", steps=12, refit_steps=4, rollbacks=1), other)
+    other = resumed(made(ArfTrainer, match="none", steps=12, refit_steps=4, rollbacks=1), other)
     assert other.settings.rate == pytest.approx(0.5 * other._guard.asked.rate) and stop is not other.state
     other.run()
     assert_same_bits(result_of(one)[1], result_of(other)[1])
@@ -85,7 +85,7 @@ def test_what_was_counted_and_told_since_is_forgotten():
 @pytest.mark.parametrize("rollbacks", [0, 1])
 def test_the_last_step_is_looked_at_too(rollbacks):
     """What it leaves no loss tells of."""
-    one = made(Stylizer, match="none", steps=12, refit_steps=4, rollbacks=rollbacks)
+    one = made(ArfTrainer, match="none", steps=12, refit_steps=4, rollbacks=rollbacks)
     plain, left = one._step, [11]
 
     def step() -> dict[str, float]:
@@ -110,7 +110,7 @@ def test_too_often_is_the_end():
 
 
 def test_a_sound_run_is_the_same_with_and_without():
-    plain, guarded = (made(Stylizer, match="none", steps=12, refit_steps=4, rollbacks=n) for n in (0, 3))
+    plain, guarded = (made(ArfTrainer, match="none", steps=12, refit_steps=4, rollbacks=n) for n in (0, 3))
     plain.run()
     guarded.run()
     assert_same_bits(result_of(plain)[1], result_of(guarded)[1])
@@ -157,8 +157,8 @@ def test_a_clip_holds_the_network_of_the_shapes_too():
     assert with_shapes(clip=3.0).deformer.adam.clip == 3.0 and with_shapes().deformer.adam.clip == 0.0
 
 
-def with_shapes(**given) -> Stylizer:
+def with_shapes(**given) -> ArfTrainer:
     """A short stylization whose shapes move."""
     moved = Deformation.create(np.random.default_rng(0), frequencies=2, width=16)
     options = {"match": "none", "steps": KEEP_EVERY + 3, "refit_steps": 4, "displacement_vertices": 6, **given}
-    return made(Stylizer, more={"deformation": moved}, **options)
+    return made(ArfTrainer, more={"deformation": moved}, **options)

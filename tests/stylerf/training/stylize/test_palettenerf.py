@@ -11,7 +11,13 @@ from stylerf.errors import InvalidValue
 from stylerf.fields.palette_color import PaletteColor
 from stylerf.fields.palette_head import Parts
 from stylerf.rendering.view import render_view
-from stylerf.training.stylize.palettenerf import Decomposing, DecompositionWeights, _Seen, picture_variation, roughness
+from stylerf.training.stylize.palettenerf import (
+    DecompositionWeights,
+    PaletteNerfTrainer,
+    _Seen,
+    picture_variation,
+    roughness,
+)
 from stylerf.training.stylize.settings import StyleSettings
 from tests.stylerf.small import field_of, vm_color
 from tests.stylerf.training.running import Stopped, assert_same_bits, result_of, resumed
@@ -28,7 +34,7 @@ def photo(seed: int) -> np.ndarray:
     return (PLAIN[quarter] * light[..., None]).astype(np.float32)
 
 
-def decomposing(seed: int = 0, weights: DecompositionWeights | None = None, raw: float = 1.0, **given) -> Decomposing:
+def decomposing(seed: int = 0, weights: DecompositionWeights | None = None, raw: float = 1.0, **given) -> PaletteNerfTrainer:
     """A fog as opaque as `raw` says, seen in three photos."""
     field = field_of(BOX, 3, vm_color(4))
     field.density.values[-1] = raw
@@ -39,7 +45,7 @@ def decomposing(seed: int = 0, weights: DecompositionWeights | None = None, raw:
         return PaletteColor.create(generator, palette, 8, 40, 512, base=3)
 
     cameras, photos = [camera(i) for i in range(VIEWS)], [photo(i) for i in range(VIEWS)]
-    return Decomposing(
+    return PaletteNerfTrainer(
         field, cameras, photos, GRAY, settings, weights or DecompositionWeights(), 4, seed, 1, new_color
     )
 

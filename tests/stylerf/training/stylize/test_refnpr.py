@@ -10,7 +10,7 @@ from stylerf.errors import InvalidValue
 from stylerf.rendering.ray_registration import points_of
 from stylerf.rendering.view import render_view
 from stylerf.style.style_objective import StyleWeights
-from stylerf.training.stylize.refnpr import LATE_WEIGHT, Referenced
+from stylerf.training.stylize.refnpr import LATE_WEIGHT, RefNprTrainer
 from tests.stylerf.small import displacement_grid, field_of
 from tests.stylerf.style.small_trunk import small_trunk
 from tests.stylerf.training.running import Stopped, assert_same_bits, result_of, resumed
@@ -19,13 +19,13 @@ from tests.stylerf.training.stylizing import BOX, GRAY, HEIGHT, VIEWS, WIDTH, ma
 ONLY_COLORS = StyleWeights(0, 0, 0, 0)
 
 
-def referenced(references: dict | None = None, within=None, apart: float = 0.2, **given) -> Referenced:
+def referenced(references: dict | None = None, within=None, apart: float = 0.2, **given) -> RefNprTrainer:
     """A solid cube, seen from three places close to each other; view 1 is the reference. within: of a part alone."""
     more = {} if within is None else {"within": within}
     more |= {"references": references or {1: None}, "template_trunk": small_trunk(),
             "coarse_trunk": small_trunk("conv2_2", 3)}  # fmt: skip
     options = {"match": "none", "reference_steps": 6, "strategy": "deferred", **given}
-    return made(Referenced, apart=apart, raw=6.0, more=more, **options)
+    return made(RefNprTrainer, apart=apart, raw=6.0, more=more, **options)
 
 
 def upper_half(cells: int = 8) -> np.ndarray:
@@ -40,14 +40,14 @@ def waves(points: np.ndarray) -> np.ndarray:
     return (0.5 + 0.4 * np.sin(turned)).astype(np.float32)
 
 
-def true_colors(one: Referenced, view: int) -> tuple[np.ndarray, np.ndarray]:
+def true_colors(one: RefNprTrainer, view: int) -> tuple[np.ndarray, np.ndarray]:
     """The picture [h, w, 3] of a view of a world of these waves, and where it sees the world."""
     seen = points_of(one.still.surface(view), one.cameras[view], one.field.space)
     picture = np.where(seen.there[:, None], waves(seen.points), GRAY).astype(np.float32)
     return picture.reshape(HEIGHT, WIDTH, 3), seen.there
 
 
-def rendered(one: Referenced, view: int) -> np.ndarray:
+def rendered(one: RefNprTrainer, view: int) -> np.ndarray:
     alpha = one.geometry.alpha(view).reshape(-1, 1)
     return one.paint_view(view) + (1 - alpha) * GRAY
 
@@ -215,7 +215,7 @@ def test_views_that_show_nothing_of_a_part_do_not_learn_and_are_no_reference():
 def test_rays_are_not_registered_through_a_deformation():
     field = field_of(BOX, 3, displacement=displacement_grid(0))
     with pytest.raises(InvalidValue, match="deformation"):
-        Referenced(field, [], [], GRAY, None, small_trunk(), settings(), 0, 1, None, references={},
+        RefNprTrainer(field, [], [], GRAY, None, small_trunk(), settings(), 0, 1, None, references={},
                    template_trunk=small_trunk(), coarse_trunk=small_trunk())  # fmt: skip
 
 

@@ -8,13 +8,13 @@ import torch
 
 from stylerf.style.image_optimization import painted
 from stylerf.style.style_objective import StyleWeights
-from stylerf.training.stylize.snerf import Alternating
+from stylerf.training.stylize.snerf import SnerfTrainer
 from tests.stylerf.training.running import Stopped, assert_same_bits, result_of, resumed
 from tests.stylerf.training.stylizing import GRAY, HEIGHT, VIEWS, WIDTH, made, stopping
 
 
-def alternating(**more) -> Alternating:
-    return made(Alternating, **{"rounds": 2, "image_share": 0.5, "loss": "gram", **more})
+def alternating(**more) -> SnerfTrainer:
+    return made(SnerfTrainer, **{"rounds": 2, "image_share": 0.5, "loss": "gram", **more})
 
 
 def test_turns_follow_the_budget():
@@ -113,11 +113,11 @@ def test_alternation_lowers_both_distances():
                       weights=StyleWeights(1, 0, 0, 0))  # fmt: skip
     styles, gaps = [], []
 
-    def seen(now: Alternating, view: int) -> np.ndarray:
+    def seen(now: SnerfTrainer, view: int) -> np.ndarray:
         alpha = now.geometry.alpha(view)
         return now.paint_view(view).reshape(HEIGHT, WIDTH, 3) + (1 - alpha[..., None]) * GRAY
 
-    def look(now: Alternating) -> None:
+    def look(now: SnerfTrainer) -> None:
         if now.state.phase != "style":
             return
         if now.state.step in (1, 20, 40, 60):
