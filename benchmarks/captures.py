@@ -51,7 +51,10 @@ def depths_of(work: Path, name: str) -> list[np.ndarray]:
     from stylerf.rendering.view import render_view
 
     threads = set_threads(os.cpu_count() or 1)
-    scene, field = load_scene(WorkFolder(work).find("scene", "main")), load_field(WorkFolder(work).find("field", name))[0]
+    scene, field = (
+        load_scene(WorkFolder(work).find("scene", "main")),
+        load_field(WorkFolder(work).find("field", name))[0],
+    )
     return [render_view(field, scene.cameras[i], chunks=threads).z for i in scene.splits["test"]]
 
 

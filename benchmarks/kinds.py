@@ -39,7 +39,10 @@ def rays_a_second(work: Path, name: str) -> float:
     from stylerf.rendering.view import render_view
 
     threads = set_threads(os.cpu_count() or 1)
-    scene, field = load_scene(WorkFolder(work).find("scene", "main")), load_field(WorkFolder(work).find("field", name))[0]
+    scene, field = (
+        load_scene(WorkFolder(work).find("scene", "main")),
+        load_field(WorkFolder(work).find("field", name))[0],
+    )
     cameras = [scene.cameras[i] for i in scene.splits["test"]]
     seconds = []
     for _ in range(1 + PASSES):

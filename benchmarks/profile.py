@@ -159,7 +159,9 @@ def fitter_of(work: Path, capacity: str, threads: int, scratch: Path):
     space = space_of(scene, "auto")[0]
     settings = _settings(FitConfig(budget="1000000"), scene, space)
     resolution, density, color = map(int, capacity.split("x"))
-    settings = dataclasses.replace(settings, ladder=(CapacityLevel(resolution, density, color),), shares=(), reductions=())
+    settings = dataclasses.replace(
+        settings, ladder=(CapacityLevel(resolution, density, color),), shares=(), reductions=()
+    )
     bank = bank_of(scene, scene.splits["train"], scratch, Context(progress=Silent(), threads=threads))
     return Fitter(space, bank, 0, settings, 0, threads)
 

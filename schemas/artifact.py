@@ -3,10 +3,16 @@
 import shlex
 from functools import cached_property
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from schemas.canonical_json import file_sha256
 from schemas.errors import ArtifactDamaged, ArtifactStale
 from schemas.manifest import MANIFEST, InputRef, Manifest, read_manifest
+from schemas.migrations import current_arrays, current_json
+from schemas.safe_reading import read_json
+from schemas.tensors import load_tensors
 
 # What a user types to get an artifact of each kind; WORK stands for the work folder.
 MADE_BY: dict[str, str] = {
@@ -53,7 +59,7 @@ class Artifact:
         return f"Artifact({str(self.path)!r})"
 
     @cached_property
-    def _read(self) -> tuple[Manifest, str]:
+    def _read(self) -> tuple[Manifest, str, int]:
         return read_manifest(self.path)
 
     @property
@@ -100,6 +106,15 @@ class Artifact:
         if not path.is_file():
             raise ArtifactDamaged(f"{self.path} lacks {relative}; make it again: {self.remade_by()}")
         return path
+
+    def json(self, relative: str) -> Any:
+        """One of its JSON files as the current schema has it; ArtifactDamaged where it is absent or no JSON."""
+        return current_json(read_json(self.file(relative), ArtifactDamaged), self._read[2])
+
+    def tensors(self, relative: str) -> tuple[dict[str, np.ndarray], dict[str, str]]:
+        """Arrays and metadata of one of its safetensors files, named as in the current schema."""
+        arrays, metadata = load_tensors(self.file(relative))
+        return current_arrays(arrays, self._read[2]), metadata
 
     def check_sizes(self) -> None:
         """Quick check that every listed file is there with its length; ArtifactDamaged naming the first that is not."""

@@ -163,10 +163,11 @@ def _seal_holds(text: bytes) -> bool:
     return hashlib.sha256(blank).hexdigest().encode() == last.group(1)
 
 
-def read_manifest(folder: Path) -> tuple[Manifest, str]:
-    """The manifest of the artifact in `folder`, brought to the present schema, and the digest it was stored with.
+def read_manifest(folder: Path) -> tuple[Manifest, str, int]:
+    """The manifest of the artifact in `folder` at the current schema, and the digest and schema it was stored with.
 
-    The digest is that of the stored version, so that what was made from it stays up to date after a migration.
+    Returning the stored digest keeps artifacts that were made from this one up to date after a migration.
+
     Raises ArtifactDamaged when the manifest is missing or altered, ArtifactStale when a newer stylerf wrote it.
     """
     path = folder / MANIFEST
@@ -181,7 +182,8 @@ def read_manifest(folder: Path) -> tuple[Manifest, str]:
         raise ArtifactDamaged(f"{path} is no JSON object; make the artifact again")
     content.pop("self_sha256", None)
     stored = _digest_as_stored(content)
-    return _from_dict(migrated(content, folder), path), stored
+    manifest = _from_dict(migrated(content, folder), path)
+    return manifest, stored, content["schema"]
 
 
 def _digest_as_stored(content: dict) -> str:

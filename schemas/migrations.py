@@ -1,31 +1,76 @@
-"""The present schema of each kind of artifact, and how older ones are brought to it when read.
+"""The current schema of each artifact kind, and how older artifacts are brought to it when read.
 
-A new schema of a kind raises its number in CURRENT, adds one function to MIGRATIONS and one stored sample of the old
-version to tests/schemas/samples/.
+To change a schema: raise the kind's number in CURRENT, add a manifest migration to MIGRATIONS and, if files inside the
+artifact change, a step to current_json or current_arrays; add a sample of the new version to tests/schemas/samples/.
 """
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from schemas.errors import ArtifactDamaged, ArtifactStale
 
 CURRENT: dict[str, int] = {
-    "scene": 2,
-    "field": 2,
-    "frames": 2,
-    "region": 2,
-    "edit-dataset": 2,
-    "edit": 2,
-    "report": 2,
+    "scene": 3,
+    "field": 3,
+    "frames": 3,
+    "region": 3,
+    "edit-dataset": 3,
+    "edit": 3,
+    "report": 3,
 }
 
 Migration = Callable[[dict, Path], dict]
 
+# Schema 3 renamed keys: American spelling, and the field's terms in place of ours.
+RENAMED_PARTS = {"colour": "color", "centre": "center", "stylised": "stylized", "learnt": "learned"}
+RENAMED_KEYS: dict[str, str] = {}
+RENAMED_VALUES = {
+    "stage": {"recolour": "recolor", "fault_scene": "corrupt_scene"},
+}
+
+
+def renamed_in_3(value: Any, key: str = "") -> Any:
+    """A JSON value of schema 2 with the keys, and the values of known keys, that schema 3 uses."""
+    if isinstance(value, dict):
+        return {_key_in_3(name): renamed_in_3(item, _key_in_3(name)) for name, item in value.items()}
+    if isinstance(value, list):
+        return [renamed_in_3(item, key) for item in value]
+    return RENAMED_VALUES.get(key, {}).get(value, value) if isinstance(value, str) else value
+
+
+def _key_in_3(name: str) -> str:
+    for old, new in RENAMED_PARTS.items():
+        name = name.replace(old, new)
+    return RENAMED_KEYS.get(name, name)
+
+
+def _without_threads(content: dict, folder: Path) -> dict:
+    return {**content, "threads": None}  # schema 1 did not record them
+
+
+def _with_new_names(content: dict, folder: Path) -> dict:
+    # `files` and `versions` name files and packages, not options.
+    return {key: value if key in ("files", "versions") else renamed_in_3(value, key) for key, value in content.items()}
+
+
 # (kind, from this schema) -> function(manifest as stored, folder) -> manifest of the next schema. Nothing is written.
 MIGRATIONS: dict[tuple[str, int], Migration] = {
-    (kind, 1): lambda content, folder: {**content, "threads": None}
-    for kind in CURRENT  # were not recorded
+    **{(kind, 1): _without_threads for kind in CURRENT},
+    **{(kind, 2): _with_new_names for kind in CURRENT},
 }
+
+
+def current_json(document: Any, schema: int) -> Any:
+    """A JSON document from inside an artifact that was written with `schema`, as the current schema has it."""
+    return renamed_in_3(document) if schema < 3 else document
+
+
+def current_arrays(arrays: dict[str, np.ndarray], schema: int) -> dict[str, np.ndarray]:
+    """Named arrays from inside an artifact that was written with `schema`, under their current names."""
+    return {_key_in_3(name): array for name, array in arrays.items()} if schema < 3 else arrays
 
 
 def migrated(content: dict, folder: Path) -> dict:

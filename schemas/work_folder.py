@@ -20,7 +20,17 @@ from schemas.manifest import MANIFEST, InputRef, Recipe
 from schemas.migrations import CURRENT
 from schemas.partial_artifact import PartialArtifact, replaced_by, sweep_finished
 
-__all__ = ["MADE_BY", "Artifact", "InputRef", "PartialArtifact", "Recipe", "WorkFolder", "newest", "sound_name", "sources_of"]
+__all__ = [
+    "MADE_BY",
+    "Artifact",
+    "InputRef",
+    "PartialArtifact",
+    "Recipe",
+    "WorkFolder",
+    "newest",
+    "sound_name",
+    "sources_of",
+]
 
 CLOCK_SLACK = timedelta(minutes=5)  # by which the clocks of two machines may differ
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._+-]{0,99}")

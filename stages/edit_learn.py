@@ -46,7 +46,10 @@ def run(inputs: dict[str, Artifact], config: EditConfig, partial: PartialArtifac
     if config.style:
         resolved = resolve(config.features or None)
         context.progress.say(f"features: {resolved.name}, from {resolved.source}")
-        painting, trunk = cropped(config), FeatureExtractor(resolved.state, config.taps, resolved.kind).to(device or "cpu")
+        painting, trunk = (
+            cropped(config),
+            FeatureExtractor(resolved.state, config.taps, resolved.kind).to(device or "cpu"),
+        )
         features = resolved.manifest()
         if config.match and not config.preserve_color:
             views = in_colors_of_painting(views, painting, context.seed)
@@ -132,7 +135,9 @@ def drawn(trainer: EditTrainer, view: EditView, chunks: int) -> np.ndarray:
     return to_uint8(np.concatenate(pictures, 1))
 
 
-def _train(trainer: EditTrainer, shown: EditView, config: EditConfig, partial: PartialArtifact, context: Context) -> None:
+def _train(
+    trainer: EditTrainer, shown: EditView, config: EditConfig, partial: PartialArtifact, context: Context
+) -> None:
     drawn_at = time.monotonic()
     context.progress.start("edit", 100.0, "%")
 

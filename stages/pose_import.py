@@ -176,7 +176,9 @@ def _with_splits(cameras: list[SourceCamera], every: int) -> list[SourceCamera]:
     ]
 
 
-def _develop(photos: list[Sized], cameras: list[Camera], config: ImportConfig, partial: PartialArtifact, context) -> Background:
+def _develop(
+    photos: list[Sized], cameras: list[Camera], config: ImportConfig, partial: PartialArtifact, context
+) -> Background:
     """Writes images/NNN.png and returns what was learned about their background."""
     developer, backdrop = Developer(), Background(config.background)
     context.progress.start("import", len(photos), "photo")

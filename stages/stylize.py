@@ -166,7 +166,9 @@ def _stylizer(
     return ArfTrainer(*given, deformation, **more)
 
 
-def _figures_of_method(stylizer: StylizationTrainer, config: StylizeConfig, scene: SceneData, partial: PartialArtifact) -> dict:
+def _figures_of_method(
+    stylizer: StylizationTrainer, config: StylizeConfig, scene: SceneData, partial: PartialArtifact
+) -> dict:
     """What a method tells beside what all tell; references are kept with what was made after them."""
     if isinstance(stylizer, SnerfTrainer):
         return {"rounds": config.rounds, "pictures": stylizer.state.counts.get("pictures", 0)}

@@ -8,8 +8,7 @@ import numpy as np
 from schemas.atomic_write import write_json
 from schemas.errors import ArtifactDamaged
 from schemas.images import to_uint8, write_png
-from schemas.safe_reading import read_json
-from schemas.tensors import load_tensors, save_tensors
+from schemas.tensors import save_tensors
 from schemas.work_folder import Artifact
 from stages.artifacts.validity import sound
 from stages.configs.edit import PaletteConfig, color_of, number_of
@@ -63,8 +62,8 @@ def save_palette(folder: Path, learned: np.ndarray, now: np.ndarray, shares: lis
 def load_edit(artifact: Artifact) -> Edit:
     """The edit; ArtifactDamaged where its files do not make one."""
     artifact.check_sizes()
-    arrays, _ = load_tensors(artifact.file(NUMBERS))
-    data = read_json(artifact.file(DESCRIPTION), ArtifactDamaged)
+    arrays, _ = artifact.tensors(NUMBERS)
+    data = artifact.json(DESCRIPTION)
     with sound(artifact.path, "a sound edit"):
         module = PaletteModule.restore(validation.entry(data, "module"), arrays)
         changes = PaletteEdits.restore(validation.entry(data, "changes"))
@@ -74,7 +73,7 @@ def load_edit(artifact: Artifact) -> Edit:
 
 def told_colors(artifact: Artifact) -> list[dict]:
     """The colors of palette.json: index, name, learned and now as text, share, and column, the module's number."""
-    data = read_json(artifact.file(PALETTE), ArtifactDamaged)
+    data = artifact.json(PALETTE)
     with sound(artifact.path / PALETTE, "a sound palette"):
         entries = validation.entry(data, "colors", list)
         for number, one in enumerate(entries):
@@ -104,7 +103,7 @@ def columns_and_shares(artifact: Artifact, colors: int) -> tuple[list[int], list
 
 def told_after(artifact: Artifact, changes: PaletteEdits) -> dict:
     """What palette.json tells beside colors, as far as it holds of the changed palette: not of other weights."""
-    told = read_json(artifact.file(PALETTE), ArtifactDamaged)
+    told = artifact.json(PALETTE)
     kept = () if changes.scales or changes.biases else OF_WEIGHTS
     with sound(artifact.path / PALETTE, "a sound palette"):
         return {key: validation.number(told, key) for key in kept if told.get(key, "nan") != "nan"}  # of no pixel

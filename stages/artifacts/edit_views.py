@@ -5,10 +5,8 @@ from pathlib import Path
 import numpy as np
 
 from schemas.atomic_write import write_json
-from schemas.errors import ArtifactDamaged
 from schemas.json_numbers import LARGEST_PICTURE, LARGEST_SIDE
-from schemas.safe_reading import read_json
-from schemas.tensors import load_tensors, save_tensors
+from schemas.tensors import save_tensors
 from schemas.work_folder import Artifact
 from stages.artifacts.validity import sound
 from stylerf import validation
@@ -32,8 +30,8 @@ def save_edit_views(folder: Path, views: list[EditView], told: dict) -> None:
 def load_edit_views(artifact: Artifact) -> tuple[list[EditView], dict]:
     """The views and what dataset.json says; ArtifactDamaged where the two files do not belong together."""
     artifact.check_sizes()
-    arrays, _ = load_tensors(artifact.file(NUMBERS))
-    data = read_json(artifact.file(DESCRIPTION), ArtifactDamaged)
+    arrays, _ = artifact.tensors(NUMBERS)
+    data = artifact.json(DESCRIPTION)
     with sound(artifact.path, "a sound edit dataset"):
         views = [_view(item, arrays) for item in validation.entry(data, "views", list)]
         if not views or len({one.view for one in views}) < len(views):

@@ -6,9 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from schemas.atomic_write import write_json
-from schemas.errors import ArtifactDamaged
-from schemas.safe_reading import read_json
-from schemas.tensors import load_tensors, save_tensors
+from schemas.tensors import save_tensors
 from schemas.work_folder import Artifact
 from stages.artifacts.validity import sound
 from stylerf import validation
@@ -28,8 +26,8 @@ def save_field(folder: Path, field: RadianceField, background: str) -> None:
 def load_field(artifact: Artifact) -> tuple[RadianceField, str]:
     """The field and its background; ArtifactDamaged where the two files do not make one."""
     artifact.check_sizes()
-    arrays, _ = load_tensors(artifact.file(NUMBERS))
-    data = read_json(artifact.file(DESCRIPTION), ArtifactDamaged)
+    arrays, _ = artifact.tensors(NUMBERS)
+    data = artifact.json(DESCRIPTION)
     with sound(artifact.path, "a sound field"):
         return RadianceField.restore(data, arrays), validation.one_of(data, "background", BACKGROUNDS)
 
@@ -43,7 +41,7 @@ def load_deformation(artifact: Artifact) -> Deformation | None:
     """The network behind a field's displacement grid; None for a field without one."""
     if not artifact.has(DEFORMATION):
         return None
-    arrays, metadata = load_tensors(artifact.file(DEFORMATION))
+    arrays, metadata = artifact.tensors(DEFORMATION)
     with sound(artifact.path / DEFORMATION, "a sound deformation"):
         values = validation.array(arrays, "values", np.float32, (None,), validation.LEARNED)
         return Deformation.restore(json.loads(validation.entry(metadata, "kind", str)), values.copy())

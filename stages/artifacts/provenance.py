@@ -71,7 +71,7 @@ def original_scene(scene: Artifact) -> Artifact:
 
 
 def edit_behind(field: Artifact) -> Artifact | None:
-    """The palette edit that a field has learned last, through the scene of edited pictures; None where there is none."""
+    """The palette edit that a field learned last, found through its scene of edited pictures; None without one."""
     return next((one for one in [field, *sources_of(field, ["scene", "edit"])] if one.kind == "edit"), None)
 
 

@@ -5,9 +5,8 @@ from pathlib import Path
 import numpy as np
 
 from schemas.atomic_write import write_json
-from schemas.errors import ArtifactDamaged, BadInput
-from schemas.safe_reading import read_json
-from schemas.tensors import load_tensors, save_tensors
+from schemas.errors import BadInput
+from schemas.tensors import save_tensors
 from schemas.work_folder import Artifact
 from stages.artifacts.validity import sound
 from stylerf import validation
@@ -42,8 +41,8 @@ def region_of_field(region: Artifact, of: Artifact, field: RadianceField, otherw
 def load_region(artifact: Artifact) -> tuple[Region, SpaceWarp]:
     """The region and the space whose cube it divides; ArtifactDamaged where the two files do not make one."""
     artifact.check_sizes()
-    arrays, _ = load_tensors(artifact.file(NUMBERS))
-    data = read_json(artifact.file(DESCRIPTION), ArtifactDamaged)
+    arrays, _ = artifact.tensors(NUMBERS)
+    data = artifact.json(DESCRIPTION)
     with sound(artifact.path, "a sound region"):
         cells = validation.integer(data, "cells", 1, 1024)
         region = Region(*(validation.bits(arrays, name, cells) for name in ("edit", "grow")))

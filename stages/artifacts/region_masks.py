@@ -6,8 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from schemas.errors import ArtifactDamaged, BadInput
-from schemas.safe_reading import read_json
+from schemas.errors import BadInput
 from schemas.work_folder import Artifact, WorkFolder
 from stages.artifacts.field import DESCRIPTION as FIELD_DESCRIPTION
 from stages.artifacts.region import DESCRIPTION, load_region
@@ -68,6 +67,6 @@ def channels_of(names: Iterable[str]) -> dict[str, str]:
 
 
 def _space(artifact: Artifact, description: str) -> SpaceWarp:
-    data = read_json(artifact.file(description), ArtifactDamaged)
+    data = artifact.json(description)
     with sound(artifact.path / description, "a sound space"):
         return SpaceWarp.restore(validation.entry(data, "space"))

@@ -1,7 +1,5 @@
 """Reads report artifacts: what report.json tells of a field, as far as anybody else reads it."""
 
-from schemas.errors import ArtifactDamaged
-from schemas.safe_reading import read_json
 from schemas.work_folder import Artifact
 from stages.artifacts.validity import sound
 from stylerf import validation
@@ -16,7 +14,7 @@ def read_report(artifact: Artifact) -> dict:
     A report of before figures were told has none.
     """
     artifact.check_sizes()
-    data = read_json(artifact.file(DESCRIPTION), ArtifactDamaged)
+    data = artifact.json(DESCRIPTION)
     with sound(artifact.path, "a sound report"):
         told = {"figures": [], "warnings": [], "not_measured": [], "edit": None} | validation.table(data, DESCRIPTION)
         for figure in validation.entry(told, "figures", list):

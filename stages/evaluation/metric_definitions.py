@@ -80,7 +80,9 @@ FITTED = (
         "Gaussian window of 11x11 pixels, sigma 1.5, K 0.01 and 0.03, population covariance, data range 1, mean over "
         f"RGB and over pixels 5 or more from the border, {_PHOTO}.",
     ),
-    MetricDefinition("stlpips", "ST-LPIPS", "", "lower", 4, f"Shift-tolerant LPIPS ({{stlpips_net}}), whole image, {_PHOTO}."),
+    MetricDefinition(
+        "stlpips", "ST-LPIPS", "", "lower", 4, f"Shift-tolerant LPIPS ({{stlpips_net}}), whole image, {_PHOTO}."
+    ),
     MetricDefinition("lpips", "LPIPS", "", "lower", 4, f"LPIPS v0.1 ({{lpips_net}}), whole image, {_PHOTO}."),
     MetricDefinition(
         "depth_abs_rel", "Depth error, relative", "", "lower", 4,

@@ -33,7 +33,9 @@ class PathConsistency:
     Pairs are 1 frame apart (range `short`) and `gap` frames (`long`).
     """
 
-    def __init__(self, frames: FrameViews, config: EvaluateConfig, lenses: PerceptualMetrics, inside: Inside | None) -> None:
+    def __init__(
+        self, frames: FrameViews, config: EvaluateConfig, lenses: PerceptualMetrics, inside: Inside | None
+    ) -> None:
         self.frames, self.config, self._inside = frames, config, inside
         self.modes = tuple(PARTS) if config.consistency == "all" else (config.consistency,)
         flows = (Path(config.flow).expanduser(), frames, config.flow_digest)

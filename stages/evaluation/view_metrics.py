@@ -67,7 +67,9 @@ def measure_fit(row: ViewRow, render: Render, photo: Photo, scores: Mapping[str,
     beside = photo.beside(render.image)
     row.measure(("psnr",), lambda: min(image_quality.psnr(render.image, photo.image, photo.shown), HIGHEST_PSNR))
     if photo.mask is not None and photo.mask.any():
-        row.measure(("psnr_object",), lambda: min(image_quality.psnr(render.image, photo.image, photo.mask), HIGHEST_PSNR))
+        row.measure(
+            ("psnr_object",), lambda: min(image_quality.psnr(render.image, photo.image, photo.mask), HIGHEST_PSNR)
+        )
     row.measure(("ssim",), lambda: image_quality.ssim(render.image, beside, photo.shown))
     for key, score in scores.items():
         row.measure((key,), lambda score=score: score(render.image, beside))

@@ -111,9 +111,9 @@ def _refuse_other_pictures(session: Any, field: Artifact, looked_at: Artifact, d
 def learned_edit(session: Any, region: Artifact, config: Any, changes: Any, name: str, changed: str) -> Artifact:
     """An edit of a region: learned, and with changes of its palette, then called `changed`, where any are asked for.
 
-    Nothing is learned again where any edit stands that was learned just so: without changes it is copied, unless --force
-    is given; with changes, one that `changed` takes the place of stays beside as <name>-learned. Else it is learned,
-    with changes called so.
+    Nothing is learned again where any edit stands that was learned just so: without changes it is copied, unless
+    --force is given; with changes, one that `changed` takes the place of stays beside as <name>-learned. Else it is
+    learned, with changes called so.
     """
     from stages import edit_learn, edit_palette
     from stages.run.runner import recipe_of, tell_replaced

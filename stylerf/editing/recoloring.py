@@ -47,7 +47,9 @@ class SpaceFilter:
     def restore(cls, data: dict) -> "SpaceFilter":
         centers = tuple(map(tuple, validation.rows(data, "centers", None, 3)))
         return cls(
-            SpaceWarp.restore(validation.entry(data, "space")), centers, validation.number(data, "reach", 1 / validation.LARGEST)
+            SpaceWarp.restore(validation.entry(data, "space")),
+            centers,
+            validation.number(data, "reach", 1 / validation.LARGEST),
         )
 
 

@@ -119,4 +119,9 @@ class Levels:
 def grid_of(data: dict) -> tuple[int, int, int, int]:
     """levels, base, finest and table of the JSON form of a hash grid, each within its bounds."""
     levels, base = validation.integer(data, "levels", 1, MOST_LEVELS), validation.integer(data, "base", 1, MOST_CELLS)
-    return levels, base, validation.integer(data, "finest", 1, MOST_CELLS), validation.integer(data, "table", 8, MOST_VERTICES)
+    return (
+        levels,
+        base,
+        validation.integer(data, "finest", 1, MOST_CELLS),
+        validation.integer(data, "table", 8, MOST_VERTICES),
+    )

@@ -161,4 +161,6 @@ def _displacement(arrays: dict[str, np.ndarray]) -> np.ndarray | None:
 def _color_map(data: dict | None) -> ColorMap | None:
     if data is None:
         return None
-    return ColorMap(torch.tensor(validation.rows(data, "matrix", 3, 3)), torch.tensor(validation.numbers(data, "offset", 3)))
+    return ColorMap(
+        torch.tensor(validation.rows(data, "matrix", 3, 3)), torch.tensor(validation.numbers(data, "offset", 3))
+    )

@@ -51,7 +51,7 @@ def render_rays(field: RadianceField, rays: Rays, *, chunks: int, opaque=1e-3, s
 
 
 def seen(rendered: Rendered, chunks: int) -> np.ndarray:
-    """[rays, 5]: premultiplied rgb, alpha, and the distance of what the ray shows (compositing.py's surface_distance)."""
+    """[rays, 5]: premultiplied rgb, alpha, and surface distance (compositing.py)."""
     s, out = rendered.samples, rendered.out.copy()
     surface_distance(s.weights, s.t, s.starts, s.ends, chunks, out)
     return out

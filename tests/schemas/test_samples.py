@@ -9,8 +9,13 @@ from schemas.exr import FAR_Z, read_exr
 from schemas.migrations import CURRENT
 from schemas.scene import read_scene
 from schemas.tensors import load_tensors
-from schemas.work_folder import Artifact
+from schemas.work_folder import Artifact, WorkFolder
+from stages.artifacts.edit import load_edit, told_colors
+from stages.artifacts.field import load_field
+from stages.artifacts.region import load_region
 from stages.artifacts.scene import load_scene
+from stylerf.fields.palette_color import PaletteColor
+from stylerf.fields.region_color import RegionColor
 
 SAMPLES = Path(__file__).parent / "samples"
 DIGESTS = {
@@ -28,8 +33,15 @@ DIGESTS = {
     "edit-dataset-2": "6bd34c90db625305ef56b5954427db14e8788f7c0cf0032b6f74f1dfddee7743",
     "edit-2": "624e8ef096c68767ef392ef73d29359a41ed4470ac538d5b28cccbaf65cdf64b",
     "report-2": "08f66b12e1b62cebbb05f36dd1cfbae4141e244b24950d6424883c1f0d55dfc7",
+    "scene-3": "6fabe2805a559d23f0153e8593acecd7d749878254ced58cabf9eacbe136eaaa",
+    "field-3": "de31f0b8b00df927c044f22b553ba3d27802894eb9105c3acb6c0ce4c366d5fb",
+    "frames-3": "443dbfc6c8cdcf20143745d83a42439be779963c9613826bc8d890543764b7ce",
+    "region-3": "d3140f339b8321cfc1b990dcceb36a7c3c52145aa4bf9b22dcafc68a3efdc67d",
+    "edit-dataset-3": "21b0cbf92a99cabc2f992374a796908c837a6f13ba37cddc1a0d947f1a703cc3",
+    "edit-3": "345382e39995c10d7491cc6adb13875aeb2f0756d8dc0c7c65f0ddca90dde9cb",
+    "report-3": "14e840cd56aab38c6fe562497254cc9b7396bc403277066e8cdb2dd554f59095",
 }
-THREADS = {1: None, 2: 2}  # by schema: what the manifest tells of them
+THREADS = {1: None, 2: 2, 3: 2}  # by schema: what the manifest tells of them
 
 
 def test_every_schema_of_every_kind_has_a_sample():
@@ -55,15 +67,26 @@ def test_inputs_of_the_samples_are_the_samples():
 
 
 def test_the_scene_sample_reads_as_a_scene():
-    scene = read_scene(SAMPLES / "scene-2")
+    scene = read_scene(SAMPLES / "scene-3")
     assert scene.layout == "object" and scene.skipped[0].reason == "cut short" and scene.sfm == {"registered": 1}
-    data = load_scene(Artifact(SAMPLES / "scene-2"))
+    data = load_scene(Artifact(SAMPLES / "scene-3"))
     assert data.images(0).shape == (3, 4, 4) and len(data.points.xyz) == 2
     np.testing.assert_array_equal(np.unique(data.truth_depth(0)), np.float32([2, FAR_Z]))
 
 
 def test_the_exr_and_tensor_samples_read():
-    view = read_exr(SAMPLES / "frames-2" / "exr" / "000.exr")
+    view = read_exr(SAMPLES / "frames-3" / "exr" / "000.exr")
     assert view.attributes == {"field": "toy"} and view.masks["head"].sum() == 2 and view.intrinsics == (5, 5, 2, 1.5)
-    tensors, metadata = load_tensors(SAMPLES / "field-2" / "field.safetensors")
+    tensors, metadata = load_tensors(SAMPLES / "field-3" / "field.safetensors")
     assert tensors["density"].sum() == 8 and metadata == {"kind": "vm"}
+
+
+def test_files_of_schema_2_read_under_their_new_names():
+    work = WorkFolder(Path(__file__).parent / "written_by_2")
+    for name, color in (("palette", PaletteColor), ("patch", RegionColor)):
+        field, background = load_field(work.get("field", name))
+        assert isinstance(field.color, color) and background == "white"
+    edit = work.get("edit", "part")
+    assert load_edit(edit).changes.colors[0] == pytest.approx((0.1, 0.2, 0.3))
+    assert [color["learned"] for color in told_colors(edit)] == ["#63c8e6", "#fce960", "#e5a636"]
+    assert load_region(work.get("region", "part"))[0].edit.sum() == 27

@@ -55,7 +55,11 @@ def test_any_field_of_another_type_is_damage_or_no_matter(tmp_path, field):
             again.verify()
             made, as_written = again.manifest, value
             assert type(getattr(made, field)) is type(as_written) or field in ("seconds", "peak_memory_mb"), value
-            assert newest([again, again]) and WorkFolder(tmp_path).artifacts() and WorkFolder(tmp_path).outdated(again) is not None
+            assert (
+                newest([again, again])
+                and WorkFolder(tmp_path).artifacts()
+                and WorkFolder(tmp_path).outdated(again) is not None
+            )
         except StylerfError as fault:
             assert "\n" not in str(fault)
 
@@ -121,7 +125,9 @@ def test_a_run_that_cannot_be_read_is_not_given_up(tmp_path, monkeypatch):
     (begun.checkpoint / "state").write_text("an hour's work")
     begun.release()
     with monkeypatch.context() as failing:
-        failing.setattr(partial_artifact.Path, "read_bytes", lambda self: (_ for _ in ()).throw(OSError(errno.EIO, "I/O")))
+        failing.setattr(
+            partial_artifact.Path, "read_bytes", lambda self: (_ for _ in ()).throw(OSError(errno.EIO, "I/O"))
+        )
         with pytest.raises(OSError, match="I/O"):
             WorkFolder(tmp_path).begin("field", "fox", recipe())
     again = WorkFolder(tmp_path).begin("field", "fox", recipe())

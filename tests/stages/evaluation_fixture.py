@@ -55,7 +55,9 @@ def camera_entry(view: Camera) -> dict:
     return {**{key: getattr(view, key) for key in keys}, "world_from_camera": as_matrix(view.world_from_camera)}
 
 
-def commit(work: WorkFolder, kind: str, name: str, stage: str, inputs: dict[str, Artifact], write, **manifest) -> Artifact:
+def commit(
+    work: WorkFolder, kind: str, name: str, stage: str, inputs: dict[str, Artifact], write, **manifest
+) -> Artifact:
     revision, config = manifest.pop("revision", 1), manifest.pop("config", {})
     recipe = Recipe(stage, revision, config, [a.reference(role) for role, a in inputs.items()], 0)
     partial = work.begin(kind, name, recipe)

@@ -148,7 +148,12 @@ def test_a_protocol_tells_how_many_pairs_its_figure_is_of(filmed):
         if key.startswith(("short_", "long_")):
             count = 4 if key.startswith("short_") else 2  # of five frames, 1 and 3 apart
             assert f"mean of {count} pairs" in told[0][key] and "mean of 2 pairs" in told[1][key], key
-    film = PathConsistency(FrameViews(inputs["path_frames"], 0.0), replace(ALL, perceptual_pairs=1), PerceptualMetrics(*[None] * 3, ""), None)
+    film = PathConsistency(
+        FrameViews(inputs["path_frames"], 0.0),
+        replace(ALL, perceptual_pairs=1),
+        PerceptualMetrics(*[None] * 3, ""),
+        None,
+    )
     assert (film.facts()["short_looked_at"], film.facts()["short_pairs"]) == (1, 4)
 
 

@@ -387,7 +387,7 @@ def test_the_whole_fields_colors_can_learn_instead(edited, capsys):
 
 
 def test_the_commands_that_only_names_make_what_was_missing(edited, tmp_path, capsys):
-    """An edit learned otherwise than any that stands, and its photos: each named command is enough for the next step."""
+    """An edit learned with other options, and its photos: each named command is enough for the next step."""
     work = tmp_path / "a folder"
     shutil.copytree(edited, work)
     quick = ["--palette-steps", "40", *QUICK[2:]]
@@ -499,7 +499,10 @@ def test_learning_distilling_and_tuning_run_on_a_gpus_kernels(edited, capsys, mo
 
     for stage in (edit_learn, distill, finetune):
         monkeypatch.setattr(stage, "gpu_of", lambda context, field=None: "cpu")
-    work, small = WorkFolder(edited), ["--palette-steps", "3", "--pruned-steps", "2", "--colors", "4", "--most-colors", "3"]
+    work, small = (
+        WorkFolder(edited),
+        ["--palette-steps", "3", "--pruned-steps", "2", "--colors", "4", "--most-colors", "3"],
+    )
     asked = ["--region", "ball", "--recolor", "--palette", "0=#10e020", "--name", "there"]
     said(capsys, "stylize", edited, *asked, *small)
     figures = [work.get("edit", "there-learned").manifest.figures]

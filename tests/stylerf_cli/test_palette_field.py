@@ -1,4 +1,4 @@
-"""A palette of the whole scene, command by command: learned, changed in seconds, around a place, rendered, evaluated."""
+"""A palette of the whole scene, command by command: learned, changed, around a place, rendered, evaluated."""
 
 import json
 from pathlib import Path

@@ -1,7 +1,7 @@
 """encode, hash: a multi-resolution hash grid (Mueller et al. 2022) as a density.
 
-The grid is that of hash_color.py with one float a vertex. Raw density is exp(shift + sum of all levels' trilinear mixes), the
-exponent clamped to [-15, 12].
+The grid is that of hash_color.py with one float a vertex. Raw density is exp(shift + sum of all levels' trilinear
+mixes), the exponent clamped to [-15, 12].
 """
 
 import math

@@ -1,7 +1,7 @@
 """encode: a multi-resolution hash grid whose levels stand side by side (Mueller et al. 2022, section 3).
 
-The grid is that of hash_color.py: every vertex of a level carries four floats. There the levels are added up to a color;
-here level l's trilinear mix fills columns 4 l to 4 l + 3, for a network to read.
+The grid is that of hash_color.py: every vertex of a level carries four floats. There the levels are added up to a
+color; here level l's trilinear mix fills columns 4 l to 4 l + 3, for a network to read.
 """
 
 import numpy as np

@@ -1,9 +1,10 @@
 """march: what is common to every way of walking a ray through the occupied part of space.
 
-Space is warped to the unit cube by one of three maps (stylerf/geometry/space_warp.py holds them in words and in float64):
-box (0), contraction (1), frustum (2). A step advances the warped position by `step` in the largest coordinate, so one
-sample falls into each cell of the field wherever the ray is. The occupancy grid stores, per cell, 0 where occupied and
-else the Chebyshev distance to the nearest occupied cell, in cells: an empty ray leaps over what cannot matter.
+Space is warped to the unit cube by one of three maps (stylerf/geometry/space_warp.py holds them in words and in
+float64): box (0), contraction (1), frustum (2). A step advances the warped position by `step` in the largest
+coordinate, so one sample falls into each cell of the field wherever the ray is. The occupancy grid stores, per cell, 0
+where occupied and else the Chebyshev distance to the nearest occupied cell, in cells: an empty ray leaps over what
+cannot matter.
 """
 
 import math

@@ -1,7 +1,8 @@
-"""encode, hash: kernels/cpu/hash_color.py, a lane to a sample and four lanes to a vertex's floats, forward and backward.
+"""encode, hash: kernels/cpu/hash_color.py, a lane to a sample and four lanes to a vertex's floats, forward and
+backward.
 
-layout: int32 [6, LEVELS] as fields/hash_color.py's level_layout makes it: cells a side, multipliers of x and y, mask, first
-float, -1 where hashed. Products of hashed levels wrap in 32 bits, as on the CPU.
+layout: int32 [6, LEVELS] as fields/hash_color.py's level_layout makes it: cells a side, multipliers of x and y, mask,
+first float, -1 where hashed. Products of hashed levels wrap in 32 bits, as on the CPU.
 """
 
 import triton

@@ -1,8 +1,8 @@
 """A multi-resolution hash grid on tiles of samples by columns, all levels at once: kernels/cpu/simd_hash.py.
 
 A column is one float of one level: level column // ROW, float column % ROW, of ROW floats at a vertex. A tile has
-WIDTH columns, a power of two; those from ROW LEVELS on are masked out. layout: int32 [6, LEVELS], see hash_color.py. Every
-vertex of a level that waits (fields/hash_levels.py; hashed, with a mask of 0) is its one row.
+WIDTH columns, a power of two; those from ROW LEVELS on are masked out. layout: int32 [6, LEVELS], see hash_color.py.
+Every vertex of a level that waits (fields/hash_levels.py; hashed, with a mask of 0) is its one row.
 """
 
 import triton

@@ -1,4 +1,5 @@
-"""Colors of marked cells that add their logits to others': kernels/cpu/region_color.py and hash_color.py in one pass each way.
+"""Colors of marked cells that add their logits to others': kernels/cpu/region_color.py and hash_color.py in one pass
+each way.
 
 box: float32 [4], the lowest corner of the cells' box and one over its side: where in its own grid a sample lies.
 """

@@ -6,7 +6,8 @@ import triton.language as tl
 
 @triton.jit
 def bands_of(dx, dy, dz, output, BANDS: tl.constexpr):
-    """[samples, outputs]: the harmonic of output's band (output % BANDS) in each direction; geometry/spherical_harmonics.py."""
+    """[samples, outputs]: the harmonic of output's band (output % BANDS) in each direction;
+    geometry/spherical_harmonics.py."""
     band = (output % BANDS)[None, :]
     x, y, z = dx[:, None], dy[:, None], dz[:, None]
     values = tl.where(band == 0, 0.28209479177387814, x * 0.0)

@@ -64,7 +64,8 @@ class Deformer:
         self.bake()
         self.look()
 
-    # -- where it is worked out: here by the CPU's kernels; elsewhere see training/deform/deformer_gpu.py ---------------
+    # -- where it is worked out: here by the CPU's kernels; elsewhere see training/deform/deformer_gpu.py
+    # ---------------
 
     def _there(self, tensor: Tensor) -> Tensor:
         """A tensor of the host's where the network works."""

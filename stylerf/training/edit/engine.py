@@ -1,7 +1,7 @@
 """What learning an edit asks of whatever holds its palette module: features of a view's pixels, and optimizers.
 
-The loop (stylerf/training/edit/trainer.py) decides which pixels and what their loss is; an engine holds the numbers, on the CPU
-(here) or on a GPU (stylerf/training/edit/engine_gpu.py). Losses are torch's, wherever their tensors lie.
+The loop (stylerf/training/edit/trainer.py) decides which pixels and what their loss is; an engine holds the numbers, on
+the CPU (here) or on a GPU (stylerf/training/edit/engine_gpu.py). Losses are torch's, wherever their tensors lie.
 """
 
 from typing import Any, Protocol

@@ -1,7 +1,7 @@
 """What the fine-tuning loop asks of whatever holds its field: to learn from chosen pixels.
 
-The loop (stylerf/training/finetune/trainer.py) decides which pixels and how fast; an engine does the work, on the CPU (here) or
-on a GPU (stylerf/training/finetune/engine_gpu.py). Both are given the same pixels.
+The loop (stylerf/training/finetune/trainer.py) decides which pixels and how fast; an engine does the work, on the CPU
+(here) or on a GPU (stylerf/training/finetune/engine_gpu.py). Both are given the same pixels.
 """
 
 from dataclasses import dataclass
@@ -90,7 +90,12 @@ class CpuFineTuneEngine:
     """numba kernels on `chunks` threads; the same seed gives the same bits."""
 
     def __init__(
-        self, field: RadianceField, bank: RayDataset, settings: FineTuneSettings, chunks: int, ranks: ProcessGroup = ALONE
+        self,
+        field: RadianceField,
+        bank: RayDataset,
+        settings: FineTuneSettings,
+        chunks: int,
+        ranks: ProcessGroup = ALONE,
     ) -> None:
         self.field, self.bank, self.settings, self.chunks, self.ranks = field, bank, settings, chunks, ranks
         self.color_adam = Adam(field.color.values, field.color.groups(), chunks)

@@ -72,7 +72,12 @@ def ladder_of(kinds: Kinds, space: str, pixels: int) -> tuple[CapacityLevel, ...
 
 
 def capacity_at(
-    rung: CapacityLevel, finest: int, levels: int, space: SpaceWarp, occupancy: OccupancyGrid | None = None, degree: int = 1
+    rung: CapacityLevel,
+    finest: int,
+    levels: int,
+    space: SpaceWarp,
+    occupancy: OccupancyGrid | None = None,
+    degree: int = 1,
 ) -> Capacity:
     """A rung's capacity in a space; finest: the resolution of the ladder's last rung; degree: asked for at most."""
     return Capacity(

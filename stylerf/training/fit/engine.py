@@ -1,7 +1,7 @@
 """What the fitting loop asks of whatever holds its field: to learn from a batch, to judge, to look where density is.
 
-The loop (stylerf/training/fit/fitter.py) decides: when to grow, to go back, how fast to learn. An engine does the work, on the
-CPU (here) or on a GPU (stylerf/training/fit/engine_gpu.py).
+The loop (stylerf/training/fit/fitter.py) decides: when to grow, to go back, how fast to learn. An engine does the work,
+on the CPU (here) or on a GPU (stylerf/training/fit/engine_gpu.py).
 """
 
 from dataclasses import dataclass

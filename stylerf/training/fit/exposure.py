@@ -2,8 +2,8 @@
 
 A camera that sets its exposure by itself shows one wall bright here and dark there, and a field can but mix them, or
 give each side of the wall a color of its own. Others learn an appearance a photo beside the field (Martin-Brualla et
-al. 2021); here it is a number a photo, and photos are compared with one another, never with the field, which has learned
-their differences by then: its depth alone tells where a surface is seen again.
+al. 2021); here it is a number a photo, and photos are compared with one another, never with the field, which has
+learned their differences by then: its depth alone tells where a surface is seen again.
 """
 
 from collections.abc import Callable

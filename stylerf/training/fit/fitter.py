@@ -2,9 +2,9 @@
 
 The field starts coarse and climbs a ladder of capacities. Each rung is a trial: if, when its share of the budget is
 used up, held-out views have not gained `min_gain` dB over the rung before, the field goes back to that rung and stays
-there. When the ladder has ended, what the views do not miss is given up again (capacity_search.py decides). Held-out views
-are taken from the training views, never from the test views, and are trained on as well as soon as nothing is left to
-decide, in the last part of the budget at the latest.
+there. When the ladder has ended, what the views do not miss is given up again (capacity_search.py decides). Held-out
+views are taken from the training views, never from the test views, and are trained on as well as soon as nothing is
+left to decide, in the last part of the budget at the latest.
 """
 
 import itertools

@@ -191,7 +191,9 @@ class RefNprTrainer(ArfTrainer):
         if self._template is None:
             s = self.settings
             templates = [
-                ReferenceFeatures(self._there(self.photos[v]), self._there(picture), self._alpha_there(v), self.windows[v])
+                ReferenceFeatures(
+                    self._there(self.photos[v]), self._there(picture), self._alpha_there(v), self.windows[v]
+                )
                 for v, picture in self.references.items()
             ]
             given = (s.template_weights, s.feature_scale, s.style_basis, self.seed, s.variation)

@@ -204,7 +204,9 @@ def test_hed_weights_see_caffe_bgr(nowhere):
     image = torch.rand(1, 3, 8, 8)
     bgr = image.flip(1) * 255 - torch.tensor([104.00699, 116.66877, 122.67892]).view(1, 3, 1, 1)
     expected = F.relu(F.conv2d(bgr, layers()["conv1_1.weight"], layers()["conv1_1.bias"], padding=1))
-    torch.testing.assert_close(FeatureExtractor(found.state, "conv1_1", found.kind)(image)[0], expected, rtol=1e-4, atol=1e-3)
+    torch.testing.assert_close(
+        FeatureExtractor(found.state, "conv1_1", found.kind)(image)[0], expected, rtol=1e-4, atol=1e-3
+    )
 
 
 def test_wct_weights_equal_their_own_chain(nowhere, monkeypatch):
@@ -225,7 +227,9 @@ def test_wct_weights_equal_their_own_chain(nowhere, monkeypatch):
         hidden = F.relu(F.conv2d(padded, state[f"{place}.weight"], state[f"{place}.bias"]))
         hidden = F.max_pool2d(hidden, 2) if place in (5, 12) else hidden
     found = resolve.resolve("vgg19-wct")
-    torch.testing.assert_close(FeatureExtractor(found.state, "conv3_1", found.kind)(image)[0], hidden, rtol=1e-3, atol=1e-2)
+    torch.testing.assert_close(
+        FeatureExtractor(found.state, "conv3_1", found.kind)(image)[0], hidden, rtol=1e-3, atol=1e-2
+    )
     state["0.weight"] = mix + 1.0
     torch.save(state, nowhere / "mixed.pth")
     with pytest.raises(BadInput, match="mixes channels"):

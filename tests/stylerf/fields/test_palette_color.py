@@ -36,7 +36,9 @@ def written_out(color: PaletteColor, values: torch.Tensor, basis: torch.Tensor, 
     """The formula of fields/palette_head.py, term by term."""
     levels, m = color.features.levels, color.bases
     table, palette, numbers = values.split([color.features.length, 3 * m, color.head.length])
-    rows = torch_reference.hash_levels(table, levels.count, levels.base, levels.finest, levels.table, x, 4, levels.active)
+    rows = torch_reference.hash_levels(
+        table, levels.count, levels.base, levels.finest, levels.table, x, 4, levels.active
+    )
     phi, at, nets = rows.flatten(1), 0, []
     for inside, outside in ((32, 3), (41, 32), (32, 3), (35, 64), (64, 15), (15, 4 * m + 1)):
         weight = numbers[at : at + inside * outside].reshape(outside, inside)

@@ -85,7 +85,11 @@ def test_cameras_at_one_point_are_refused(center, kept_in):
     for pose in poses:
         turn = pose[:3, :3].astype(kept_in)
         pose[:3, 3] = turn @ (turn.T @ kept_in(center))
-    for refusal in (scene_normalization.focus_of, scene_normalization.centerd, lambda all: scene_normalization.nearest_depth(all, None, None)):
+    for refusal in (
+        scene_normalization.focus_of,
+        scene_normalization.centerd,
+        lambda all: scene_normalization.nearest_depth(all, None, None),
+    ):
         with pytest.raises(InvalidValue, match="one point"):
             refusal(poses)
 

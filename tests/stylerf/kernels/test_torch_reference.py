@@ -217,7 +217,9 @@ def test_rays_do_not_see_each_other_and_a_backdrop_takes_the_rest():
     a, b = 1 - math.exp(-0.1), math.exp(-0.1) * (1 - math.exp(-0.4))
     half = 1 - math.exp(-0.5)
     torch.testing.assert_close(w, float64([a, b, half, 1 - half, 0, 1]), **TIGHT)
-    closed, _ = torch_reference.weights(sigma[:2], optical[:2] * torch.tensor([1, 0]), rays[:2], torch.tensor([False, True]))
+    closed, _ = torch_reference.weights(
+        sigma[:2], optical[:2] * torch.tensor([1, 0]), rays[:2], torch.tensor([False, True])
+    )
     assert float(closed.sum()) == pytest.approx(1)
 
 

@@ -42,7 +42,12 @@ def reference(at, optical, sigma, t, colors):
     rays, length = torch.from_numpy(RAYS), float64(optical[at])
     w, _ = torch_reference.weights(s, length, rays, length == 0)
     colored = torch.from_numpy(colors[at, 0] >= 0)
-    return s, c, w, torch_reference.composite(w, c, colored, torch.where(length == 0, 0, float64(t[at])), rays, len(COUNTS))
+    return (
+        s,
+        c,
+        w,
+        torch_reference.composite(w, c, colored, torch.where(length == 0, 0, float64(t[at])), rays, len(COUNTS)),
+    )
 
 
 @pytest.mark.parametrize("chunks", [1, 3])

@@ -71,7 +71,12 @@ def test_every_sample_equals_the_oracle_at_its_distance(kind, displaced):
     packed = Packed.of(march(made, space, rays, moved=moved, closed=kind != "box"))
     where, ways = points_on(rays, packed)
     x = torch_reference.warp(space, where)
-    length = STEP / torch_reference.speed(space, where, ways) * torch_reference.density_jacobian(space, where) * float(OPTICAL_SCALE)
+    length = (
+        STEP
+        / torch_reference.speed(space, where, ways)
+        * torch_reference.density_jacobian(space, where)
+        * float(OPTICAL_SCALE)
+    )
     end = packed.backdrop
     assert bool(end.any()) == (kind != "box")
     # At m half-boxes from the middle a contraction's speed is a difference of terms 2 m times as large.

@@ -66,7 +66,12 @@ def test_every_sample_equals_the_oracle_at_its_distance(case, device):
     where, ways = points_on(rays, packed)
     x, end = torch_reference.warp(space, where), packed.backdrop
     assert bool(end.any()) == (space.kind != "box")
-    length = STEP / torch_reference.speed(space, where, ways) * torch_reference.density_jacobian(space, where) * torch_reference.OPTICAL_SCALE
+    length = (
+        STEP
+        / torch_reference.speed(space, where, ways)
+        * torch_reference.density_jacobian(space, where)
+        * torch_reference.OPTICAL_SCALE
+    )
     close(packed.optical[~end], length[~end], 1e-3 if space.kind == "contraction" else 2e-5)
     if field.displacement is not None:
         x = torch.where(end[:, None], x, torch_reference.displaced(float64(field.displacement), x))

@@ -34,7 +34,9 @@ def photo(seed: int) -> np.ndarray:
     return (PLAIN[quarter] * light[..., None]).astype(np.float32)
 
 
-def decomposing(seed: int = 0, weights: DecompositionWeights | None = None, raw: float = 1.0, **given) -> PaletteNerfTrainer:
+def decomposing(
+    seed: int = 0, weights: DecompositionWeights | None = None, raw: float = 1.0, **given
+) -> PaletteNerfTrainer:
     """A fog as opaque as `raw` says, seen in three photos."""
     field = field_of(BOX, 3, vm_color(4))
     field.density.values[-1] = raw
