@@ -41,6 +41,13 @@ def printable(text: str) -> str:
     return "".join(_escaped(letter) if _hidden(letter) else letter for letter in text)
 
 
+def listed(items: list[str], most: int = 6) -> str:
+    """a, b and 3 more."""
+    if len(items) <= most:
+        return ", ".join(items)
+    return f"{', '.join(items[:most])} and {len(items) - most} more"
+
+
 def _hidden(letter: str) -> bool:
     return letter in _BIDI or unicodedata.category(letter) in _HIDDEN
 
