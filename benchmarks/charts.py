@@ -104,8 +104,8 @@ def _heat_maps(panels: dict[str, list[dict]], across: int) -> str:
     """Cells as rows of a report, by the panel's title."""
     from types import SimpleNamespace
 
-    from stages.report.heat_map import draw_cells
-    from stages.stress.faults import FAULTS
+    from stages.configs.faults import FAULTS
+    from stages.stress.heat_map import draw_cells
 
     order = list(FAULTS)
     columns = min(across, len(panels))

@@ -59,8 +59,9 @@ def timed(work: Path, kind: str, name: str, *command) -> dict:
     begun = time.monotonic()
     run(*command)
     seconds = round(time.monotonic() - begun, 1)
-    arrays = [array for path in sorted((work / kind / name).glob("*.safetensors")) for array in load_file(path).values()]
-    return {"arrays": sorted(hashlib.sha256(np.ascontiguousarray(one)).hexdigest() for one in arrays), "seconds": seconds}
+    files = sorted((work / kind / name).glob("*.safetensors"))
+    arrays = [np.ascontiguousarray(array) for path in files for array in load_file(path).values()]
+    return {"arrays": sorted(hashlib.sha256(array).hexdigest() for array in arrays), "seconds": seconds}
 
 
 def first_view(work: Path) -> str:

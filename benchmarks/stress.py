@@ -40,7 +40,7 @@ def options_of(argv: list[str]) -> tuple[argparse.Namespace, list[str]]:
 
 def faults_of(asked: list[str], first: bool) -> list[str]:
     """Names; those of made scenes in the first work folder alone."""
-    from stages.stress.faults import FAULTS, MADE
+    from stages.configs.faults import FAULTS, MADE
 
     chosen = [name for name in FAULTS if name in asked or "all" in asked]
     return [name for name in chosen if first or FAULTS[name].of != MADE]

@@ -17,9 +17,9 @@ from schemas.scene import Bounds, Scene, View, as_matrix, write_scene
 from schemas.work_folder import Artifact, PartialArtifact
 from stages.artifacts.scene import SceneData, load_scene
 from stages.configs.corrupt_scene import CorruptSceneConfig
+from stages.configs.faults import FAULTS, MADE
 from stages.run.progress import Context
 from stages.run.runner import Spec
-from stages.stress.faults import FAULTS, MADE
 from stylerf.corruption import capture, photos
 from stylerf.geometry.cameras import Camera
 from stylerf.geometry.scene_normalization import depths_of_box

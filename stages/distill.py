@@ -19,8 +19,8 @@ from stages.run.devices import gpu_figures, gpu_of
 from stages.run.progress import Context
 from stages.run.runner import Spec
 from stylerf.editing.edit_views import EditView
-from stylerf.editing.palette_edits import PaletteEdits
 from stylerf.editing.palette_module import PaletteModule
+from stylerf.fields.palette_edits import PaletteEdits
 from stylerf.kernels.cpu.compiling import compiling_note, set_threads
 
 SPEC = Spec(stage="distill", verb="distill", revision=3, writes="scene")

@@ -24,10 +24,10 @@ from stages.run.runner import Spec
 from stages.run.training_loop import run_training
 from stages.weights.resolve import digests_of_files, resolve
 from stylerf.editing.edit_views import EditView
-from stylerf.editing.palette_edits import PaletteEdits
 from stylerf.editing.palette_losses import EditWeights
 from stylerf.editing.region_style import crop_of
 from stylerf.errors import InvalidValue
+from stylerf.fields.palette_edits import PaletteEdits
 from stylerf.kernels.cpu.compiling import compiling_note, set_threads
 from stylerf.style.color_matching import match_colors
 from stylerf.style.feature_extractor import FeatureExtractor

@@ -5,7 +5,7 @@ import json
 import pytest
 
 from benchmarks import charts, readme, stress
-from stages.stress.faults import FAULTS, MADE
+from stages.configs.faults import FAULTS, MADE
 from tests.test_gpu_benchmark import understood
 
 MADE_ONES = {name for name, fault in FAULTS.items() if fault.of == MADE}

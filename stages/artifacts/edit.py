@@ -13,9 +13,9 @@ from schemas.work_folder import Artifact
 from stages.artifacts.validity import sound
 from stages.configs.edit import PaletteConfig, color_of, number_of
 from stylerf import validation
-from stylerf.editing.palette_edits import PaletteEdits, tinted
 from stylerf.editing.palette_module import PaletteModule
 from stylerf.errors import InvalidValue
+from stylerf.fields.palette_edits import PaletteEdits, tinted
 
 DESCRIPTION, NUMBERS, PALETTE, SWATCH = "edit.json", "edit.safetensors", "palette.json", "palette.png"
 OF_WEIGHTS = ("sparsity", "palette_variation")  # what palette.json tells of the weights, beside their shares

@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 
 from stages.configs import option
+from stages.configs.faults import FAULTS, METHODS
 from stages.configs.fit import budget_of
-from stages.stress.faults import FAULTS, METHODS
 
 
 @dataclass(frozen=True)

@@ -8,8 +8,8 @@ import numpy as np
 from schemas.canonical_json import digest_of, file_sha256
 from schemas.errors import BadInput
 from schemas.flow_files import FLOW_SUFFIXES, read_flow
+from schemas.safe_names import listed
 from stages.evaluation.test_views import FrameViews, Render
-from stages.report.formatting import listed
 from stylerf.metrics.optical_flow import field_flow
 
 

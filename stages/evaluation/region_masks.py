@@ -15,8 +15,9 @@ from stages.artifacts.field import load_field
 from stages.artifacts.region_masks import regions_among
 from stages.evaluation.test_views import FrameViews, Render
 from stages.run.progress import Context
-from stylerf.editing.edit_grid import alpha_inside, march_view
+from stylerf.editing.edit_grid import march_view
 from stylerf.kernels.cpu.compiling import compiling_note, set_threads
+from stylerf.rendering.region_alpha import alpha_inside
 
 SHOWN = 0.5  # coverage from which a pixel counts as the region's
 SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".exr")

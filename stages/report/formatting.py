@@ -57,10 +57,3 @@ def count(value: float | None) -> str:
     if value >= 1e6:
         return f"{value / 1e6:.2f} million"
     return f"{value / 1e3:.1f} thousand" if value >= 1e4 else f"{value:,.0f}".replace(",", " ")
-
-
-def listed(items: list[str], most: int = 6) -> str:
-    """a, b and 3 more."""
-    if len(items) <= most:
-        return ", ".join(items)
-    return f"{', '.join(items[:most])} and {len(items) - most} more"

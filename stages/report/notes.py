@@ -3,11 +3,11 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from schemas.safe_names import listed
 from schemas.work_folder import Artifact
 from stages.artifacts.provenance import Made, fields_behind
 from stages.evaluation.metrics import Row, is_number
 from stages.report.charts import Chart, bar_chart, curve_chart, pairs_chart
-from stages.report.formatting import listed
 from stages.weights.sources import OBTAIN_ST
 
 BAR_FIGURES = {False: ("psnr", "PSNR", "dB"), True: ("nnfm", "NNFM distance to {style_words}", "")}

@@ -8,8 +8,8 @@ from pathlib import Path
 from schemas.atomic_write import write_json
 from schemas.errors import BadInput, UsageError
 from schemas.safe_reading import read_json
+from stages.configs.faults import METHODS
 from stages.evaluation.metrics import is_number
-from stages.stress.faults import METHODS
 from stages.stress.success_rates import REMEDIED, Cell
 
 SCHEMA = 1

@@ -15,10 +15,10 @@ from stages.configs.decompose import DecomposeConfig, RecolorConfig
 from stages.configs.distill import DistillConfig
 from stages.configs.edit import EditConfig, PaletteConfig
 from stages.configs.extract import ExtractConfig
+from stages.configs.faults import Fault, Method
 from stages.configs.finetune import FinetuneConfig
 from stages.configs.fit import budget_of
 from stages.configs.select import SelectConfig
-from stages.stress.faults import Fault, Method
 from stages.stress.test_views import middle_of
 
 SPECS = (region_select.SPEC, edit_dataset.SPEC, edit_learn.SPEC, edit_palette.SPEC, distill.SPEC, finetune.SPEC,

@@ -7,8 +7,8 @@ from schemas.atomic_write import write_json
 from schemas.errors import BadInput
 from schemas.safe_names import file_name
 from schemas.safe_reading import read_json
+from stages.configs.faults import FAULTS, METHODS
 from stages.evaluation.metrics import is_number
-from stages.stress.faults import FAULTS, METHODS
 from stages.stress.success_rates import Outcome
 
 FOLDER = "runs"

@@ -5,7 +5,7 @@ import statistics
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 
-from stages.stress.faults import FAULTS, METHODS
+from stages.configs.faults import FAULTS, METHODS
 
 REMEDIED, REMEDIED_FILE = " + remedies", "-remedied"  # in words; in names of files
 

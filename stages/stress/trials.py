@@ -24,13 +24,13 @@ from stages import corrupt_scene, deform_init, nerf_fit, stylize
 from stages.artifacts.style_images import read_painting
 from stages.configs.corrupt_scene import CorruptSceneConfig
 from stages.configs.deform import DeformConfig
+from stages.configs.faults import CLEAN, FAULTS, METHODS, ORDINARY_STYLE, STYLE, Fault, Method
 from stages.configs.fit import FitConfig
 from stages.configs.stress import StressConfig
 from stages.configs.stylize import StylizeConfig
 from stages.run.progress import Silent
 from stages.run.runner import execute
 from stages.stress import criteria, edit_trials
-from stages.stress.faults import CLEAN, FAULTS, METHODS, ORDINARY_STYLE, STYLE, Fault, Method
 from stages.stress.outcomes import keep_outcome, kept_outcome
 from stages.stress.success_rates import REMEDIED, REMEDIED_FILE, Outcome, run_name
 from stages.stress.test_views import seen_from_tests, seen_of_edit, shown_beside

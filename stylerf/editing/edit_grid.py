@@ -14,7 +14,7 @@ from stylerf.errors import InvalidValue
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.fields.ray_samples import Rays, Samples
 from stylerf.kernels.cpu.march import OPTICAL_SCALE
-from stylerf.kernels.cpu.regions import weights_inside
+from stylerf.rendering.region_alpha import alpha_inside
 
 FEWEST_CELLS, MOST_CELLS = 64, 256
 SOLID = 0.02  # opacity of a walk across one cell from which it can belong to something
@@ -48,14 +48,6 @@ class Region:
     def alpha(self, samples: Samples, chunks: int) -> np.ndarray:
         """alpha_E [rays]: how much of each ray's opacity lies inside E."""
         return alpha_inside(self.edit, samples, chunks)
-
-
-def alpha_inside(marked: np.ndarray, samples: Samples, chunks: int) -> np.ndarray:
-    """[rays] float32: sum of each ray's weights over samples in marked cells [s, s, s]."""
-    out = np.zeros(len(samples.ends), np.float32)
-    flat = np.ascontiguousarray(marked).reshape(-1)
-    weights_inside(flat, marked.shape[0], samples.x, samples.weights, samples.starts, samples.ends, chunks, out)
-    return out
 
 
 def cells_of_points(x: np.ndarray, cells: int) -> np.ndarray:

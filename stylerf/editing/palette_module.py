@@ -16,9 +16,9 @@ import torch
 from torch import Tensor
 
 from stylerf import validation
-from stylerf.editing.palette_edits import PaletteEdits
 from stylerf.errors import InvalidValue
 from stylerf.fields.hash_encoding import HashEncoding
+from stylerf.fields.palette_edits import PaletteEdits
 from stylerf.geometry.spherical_harmonics import BANDS, harmonics
 
 WIDTH = 64  # of the hidden layers

@@ -4,8 +4,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from stylerf.editing.palette_edits import PaletteEdits
 from stylerf.editing.palette_module import DEGREE, POINTS_AT_ONCE, Mixture, PaletteModule
+from stylerf.fields.palette_edits import PaletteEdits
 from stylerf.geometry.spherical_harmonics import harmonics
 from stylerf.kernels.gpu import launch_edit
 

@@ -7,13 +7,13 @@ import torch
 from torch import Tensor
 
 from stylerf import validation
-from stylerf.editing.recoloring import Recoloring, recolored
 from stylerf.errors import InvalidValue
 from stylerf.fields.color_heads import Packed, hidden_from_view
 from stylerf.fields.encoders import HashFeatures
 from stylerf.fields.hash_levels import Levels
 from stylerf.fields.palette_head import DEGREE, PaletteHead, Parts
 from stylerf.fields.ray_samples import Samples
+from stylerf.fields.recoloring import Recoloring, recolored
 from stylerf.kernels.cpu.simd_hash import ROW
 
 POINTS_AT_ONCE = 1 << 16

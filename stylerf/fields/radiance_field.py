@@ -7,6 +7,7 @@ import torch
 
 from stylerf import validation
 from stylerf.errors import InvalidValue
+from stylerf.fields.color_map import ColorMap
 from stylerf.fields.encoded_color import EncodedColor
 from stylerf.fields.hash_color import HashColor
 from stylerf.fields.hash_density import HashDensity
@@ -18,7 +19,6 @@ from stylerf.fields.region_color import RegionColor
 from stylerf.fields.vm import VmColor, VmDensity
 from stylerf.fields.voxel import VoxelDensity
 from stylerf.geometry.space_warp import SpaceWarp
-from stylerf.style.color_matching import ColorMap
 
 DENSITY_KINDS = {"vm": VmDensity, "hash": HashDensity, "voxel": VoxelDensity}
 COLOR_KINDS = {"vm": VmColor, "hash": HashColor, "headed": EncodedColor, "palette": PaletteColor}

@@ -5,12 +5,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from stylerf.editing.edit_grid import alpha_inside
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.fields.ray_samples import Rays
 from stylerf.fields.scratch_arena import ScratchArena
 from stylerf.geometry.cameras import Camera
 from stylerf.rendering.rays import render_rays, seen
+from stylerf.rendering.region_alpha import alpha_inside
 
 RAYS_AT_ONCE = 8192
 

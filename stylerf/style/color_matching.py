@@ -7,40 +7,16 @@ colors as they are seen (sRGB-encoded, [0, 1]); spherical-harmonic coefficients 
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
 from stylerf.errors import InvalidValue
+from stylerf.fields.color_map import ColorMap
 from stylerf.srgb import LUMA
 
 VARIANCE_FLOOR = 1e-8  # eigenvalues of a covariance below this are raised to it (ARF clamps its singular values so)
 NOISE = (2 / 255) ** 2  # variance of content below which it is no color but the noise of a photo in eight bits
-
-
-@dataclass(frozen=True)
-class ColorMap:
-    """x' = matrix x + offset on sRGB colors; matrix [3, 3], offset [3]."""
-
-    matrix: Tensor
-    offset: Tensor
-
-    def __call__(self, colors: Tensor) -> Tensor:
-        """Colors [..., 3] mapped, not clamped."""
-        return colors @ self.matrix.T.to(colors) + self.offset.to(colors)
-
-    def image(self, image: Tensor) -> Tensor:
-        """The same on an image [3, h, w], clamped to [0, 1]."""
-        return self(image.movedim(0, -1)).clamp(0, 1).movedim(-1, 0).contiguous()
-
-    def after(self, first: "ColorMap") -> "ColorMap":
-        """The single map that does `first`, then this one."""
-        return ColorMap(self.matrix @ first.matrix, self.matrix @ first.offset + self.offset)
-
-    def premultiplied(self, colors: Tensor, alpha: Tensor) -> Tensor:
-        """Premultiplied colors [..., 3] of coverage alpha [...]: A (alpha x) + alpha b = alpha (A x + b)."""
-        return colors @ self.matrix.T.to(colors) + alpha[..., None] * self.offset.to(colors)
 
 
 def color_statistics(colors: Tensor, weights: Tensor | None = None) -> tuple[Tensor, Tensor]:

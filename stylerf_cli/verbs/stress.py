@@ -86,9 +86,9 @@ def _results(stress, conditions: dict, before: list[dict] | None, kept: Path | N
 
     from schemas.atomic_write import write_bytes, write_json
     from stages.evaluation.metrics import write_csv
-    from stages.report.heat_map import heat_map
-    from stages.report.stress_page import build_page, cell_rows, run_rows
     from stages.stress.baseline import compared, write_baseline
+    from stages.stress.heat_map import heat_map
+    from stages.stress.page import build_page, cell_rows, run_rows
     from stages.stress.success_rates import cells_of
     from stages.stress.trials import WORST
 

@@ -25,17 +25,17 @@ from stages.evaluation.test_views import FrameViews
 from stages.finetune import edited_pixels
 from stylerf.editing.edit_grid import Region, solid_cells
 from stylerf.editing.edit_views import EditView
-from stylerf.editing.palette_edits import PaletteEdits
 from stylerf.editing.palette_module import PaletteModule
-from stylerf.editing.recoloring import Recoloring, SpaceFilter
+from stylerf.fields.color_map import ColorMap
 from stylerf.fields.deformation import Deformation
 from stylerf.fields.hash_encoding import HashEncoding
 from stylerf.fields.palette_color import PaletteColor
+from stylerf.fields.palette_edits import PaletteEdits
 from stylerf.fields.radiance_field import RadianceField, layers_of
+from stylerf.fields.recoloring import Recoloring, SpaceFilter
 from stylerf.fields.region_color import RegionColor
 from stylerf.geometry.cameras import Camera
 from stylerf.rendering.view import render_view
-from stylerf.style.color_matching import ColorMap
 from tests.stages.comparison_fixture import report
 from tests.stages.evaluation_fixture import Seen, commit, make_frames
 from tests.stages.stress_fixture import SIZE, make_capture

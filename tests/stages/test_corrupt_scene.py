@@ -9,9 +9,9 @@ from schemas.work_folder import WorkFolder
 from stages import corrupt_scene
 from stages.artifacts.scene import load_scene
 from stages.configs.corrupt_scene import CorruptSceneConfig
+from stages.configs.faults import ALL_FAULTS, FAULTS, MADE, SCENE
 from stages.run.progress import Context
 from stages.run.runner import execute
-from stages.stress.faults import ALL_FAULTS, FAULTS, MADE, SCENE
 from stylerf.corruption import photos
 from stylerf.srgb import exposed
 from tests.stages.stress_fixture import SIZE, TRAIN, make_capture, photo_of

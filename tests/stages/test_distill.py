@@ -9,7 +9,7 @@ from stages import distill, finetune
 from stages.artifacts.scene import EDIT_TARGETS, load_scene
 from stages.configs.distill import DistillConfig
 from stylerf.editing.edit_views import EditView
-from stylerf.editing.palette_edits import PaletteEdits
+from stylerf.fields.palette_edits import PaletteEdits
 from tests.resealing import reseal
 from tests.stages.stress_fixture import SIZE, make_capture
 

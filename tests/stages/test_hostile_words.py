@@ -14,8 +14,8 @@ from stages.comparison.runs import Measure, Run
 from stages.evaluation.metrics import write_csv
 from stages.report.charts import bar_chart, pairs_chart
 from stages.report.formatting import escape
-from stages.report.stress_page import _pictures
 from stages.stress.outcomes import FOLDER, keep_outcome, kept_outcome
+from stages.stress.page import _pictures
 from stages.stress.success_rates import Outcome, cells_of
 
 HOSTILE = "m$\\frac$q <b>&\"'\x1b[31m\u202e"

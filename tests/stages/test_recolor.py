@@ -17,9 +17,9 @@ from stages.decompose import settings_of, weights_of
 from stages.evaluation.local_edit import palette_facts, palette_rows
 from stages.run.progress import Context
 from stages.run.runner import execute
-from stylerf.editing.palette_edits import PaletteEdits
 from stylerf.editing.palette_module import PaletteModule
 from stylerf.fields.palette_color import PaletteColor
+from stylerf.fields.palette_edits import PaletteEdits
 from stylerf.geometry.space_warp import SpaceWarp
 from tests.stages import evaluation_fixture as made
 from tests.stylerf.small import field_of, vm_color

@@ -12,10 +12,10 @@ import pytest
 from schemas.canonical_json import file_sha256
 from schemas.errors import ArtifactDamaged, ArtifactStale, BadInput, OutOfResources, UsageError
 from schemas.work_folder import WorkFolder
+from stages.configs.faults import FAULTS, METHODS
 from stages.configs.stress import StressConfig
 from stages.stress import edit_trials, trials
 from stages.stress.criteria import Seen, Verdict
-from stages.stress.faults import FAULTS, METHODS
 from stylerf.errors import Diverged
 from stylerf_cli.main import main
 from tests.stages.stress_fixture import make_capture

@@ -8,6 +8,7 @@ from stylerf.kernels.cpu.adam import adam
 
 BETA1, BETA2, EPSILON = 0.9, 0.99, 1e-15
 UNKNOWN = 10  # steps after which it is known how long a gradient usually is
+SMOOTH_EVERY = 8  # steps between total variation gradients: they cost a third of a step, and act over hundreds of steps
 SUMMED = 1 << 16  # values whose gradients are summed over the chunks at a time
 
 

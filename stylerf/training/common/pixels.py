@@ -1,5 +1,6 @@
 """What a bank of rays draws its colors from: the photos' bytes, wherever they are kept, and the pixels worth more."""
 
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
@@ -7,6 +8,11 @@ import numpy as np
 from scipy.ndimage import distance_transform_cdt
 
 STRETCH = 65536  # bytes that a look at one byte of a mapped file can bring into memory (Linux maps 16 pages around it)
+
+
+def psnr_from_mse(mse: float) -> float:
+    """-10 log10(mse), dB, for values in 0..1."""
+    return -10.0 * math.log10(max(mse, 1e-12))
 
 
 @dataclass(frozen=True, eq=False)

@@ -172,15 +172,6 @@ class Deformer:
         self._place(arrays["distances"])
 
 
-def deformer_on(device: str | torch.device | None, *given) -> Deformer:
-    """A Deformer of what it is given, that works on `device`; None: by the CPU's kernels."""
-    if device is None:
-        return Deformer(*given)
-    from stylerf.training.deform.deformer_gpu import GpuDeformer
-
-    return GpuDeformer(torch.device(device), *given)
-
-
 def _pairs(active: np.ndarray, vertices: int) -> list[Tensor]:
     """For each axis, which neighbors along it are both among the vertices that the network is asked at."""
     own = torch.zeros(vertices**3, dtype=torch.bool)

@@ -15,10 +15,10 @@ from stylerf.fields.radiance_field import RadianceField
 from stylerf.geometry.cameras import Camera
 from stylerf.kernels.gpu import launch
 from stylerf.kernels.gpu.launch_deform import displaced_cells
+from stylerf.training.common.adam_gpu import GpuAdam
 from stylerf.training.common.async_readback import AsyncReadback, sent
 from stylerf.training.common.ray_dataset_gpu import unhidden
 from stylerf.training.deform.deformer import Deformer
-from stylerf.training.fit.engine_gpu import GpuAdam
 
 RAYS_AT_ONCE = 1 << 16
 MOST_SAMPLES = 1 << 24  # of a step's rays, 1.3 GB; rays beyond that are left out of it

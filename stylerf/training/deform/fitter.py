@@ -13,9 +13,10 @@ from stylerf.fields.radiance_field import RadianceField
 from stylerf.fields.ray_samples import Rays
 from stylerf.fields.scratch_arena import ScratchArena
 from stylerf.rendering.rays import Rendered, backward, render_rays
+from stylerf.training.common.pixels import psnr_from_mse
 from stylerf.training.common.ray_dataset import RayDataset, shown_rays, unhidden
-from stylerf.training.deform.deformer import Deformer, deformer_on
-from stylerf.training.fit.fitter import psnr_from_mse
+from stylerf.training.deform.backend import deformer_on
+from stylerf.training.deform.deformer import Deformer
 
 FIXED_RAYS = 8192
 LOOK_EVERY = 200  # steps

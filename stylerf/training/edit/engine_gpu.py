@@ -9,10 +9,10 @@ from stylerf.editing.palette_module import DEGREE, PaletteModule
 from stylerf.editing.palette_module_gpu import GpuPaletteModule
 from stylerf.fields.gpu.memory import free_on
 from stylerf.geometry.spherical_harmonics import harmonics
+from stylerf.training.common.adam_gpu import GpuAdam
 from stylerf.training.common.async_readback import AsyncReadback, sent
 from stylerf.training.common.bounded_cache import BoundedCache
 from stylerf.training.edit.engine import groups_of
-from stylerf.training.fit.engine_gpu import GpuAdam
 
 MEMORY = 8e9  # bytes that views may take on the device, or a third of what is free; those beyond are sent each time
 MOST_PARTS = 16  # of a loss

@@ -11,12 +11,12 @@ from stylerf.fields.radiance_field import RadianceField
 from stylerf.fields.region_color import RegionColor
 from stylerf.kernels.gpu import launch_edit
 from stylerf.rendering.rays import SAMPLE_LIMIT
+from stylerf.training.common.adam_gpu import GpuAdam
 from stylerf.training.common.async_readback import AsyncReadback, sent
 from stylerf.training.common.process_group import ALONE, ProcessGroup
 from stylerf.training.common.ray_dataset import RayDataset
 from stylerf.training.common.ray_dataset_gpu import GpuRayDataset, unhidden
 from stylerf.training.finetune.engine import FineTuneBatch, FineTuneSettings, parts_of
-from stylerf.training.fit.engine_gpu import GpuAdam
 
 # Samples there is room for: all that the rays could have, up to a gigabyte. Rays beyond take no part in their step.
 MOST_ROOM = 1 << 24

@@ -14,10 +14,10 @@ import numpy as np
 from stylerf.errors import Diverged
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.fields.region_color import RegionColor
+from stylerf.training.common.adam import SMOOTH_EVERY
 from stylerf.training.common.process_group import ALONE, ProcessGroup
 from stylerf.training.common.ray_dataset import RayDataset
 from stylerf.training.finetune.engine import CpuFineTuneEngine, FineTuneBatch, FineTuneEngine, FineTuneSettings
-from stylerf.training.fit.fitter import SMOOTH_EVERY
 
 
 @dataclass

@@ -19,6 +19,8 @@ from stylerf.fields.capacity import Capacity
 from stylerf.fields.occupancy_grid import OccupancyGrid
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.geometry.space_warp import SpaceWarp
+from stylerf.training.common.adam import SMOOTH_EVERY
+from stylerf.training.common.pixels import psnr_from_mse
 from stylerf.training.common.process_group import ALONE, ProcessGroup
 from stylerf.training.common.ray_dataset import RayDataset, shown_rays
 from stylerf.training.fit.capacity_levels import CapacityLevel, capacity_at, first_parts
@@ -31,12 +33,6 @@ from stylerf.training.fit.visual_hull import clear_cells
 EXPOSED_FROM = 0.1  # of the budget: before, a field is brighter or darker than its photos for other reasons
 MOST_ROLLBACKS = 4
 SOUND_FROM = 0.5  # of the budget: from here on the best field so far is worth more than none
-SMOOTH_EVERY = 8  # steps; the planes' total variation costs a third of a step, and is felt over hundreds of them
-
-
-def psnr_from_mse(mse: float) -> float:
-    """-10 log10(mse), dB, for values in 0..1."""
-    return -10.0 * math.log10(max(mse, 1e-12))
 
 
 class Fitter:

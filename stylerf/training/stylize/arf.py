@@ -14,7 +14,8 @@ from stylerf.fields.radiance_field import RadianceField
 from stylerf.geometry.cameras import Camera
 from stylerf.rendering.ray_selection import selected_gradient, selected_pixels, spread_over_picture
 from stylerf.style.feature_extractor import FeatureExtractor
-from stylerf.training.deform.deformer import Deformer, deformer_on
+from stylerf.training.deform.backend import deformer_on
+from stylerf.training.deform.deformer import Deformer
 from stylerf.training.stylize.geometry import MovingGeometry
 from stylerf.training.stylize.settings import StyleSettings
 from stylerf.training.stylize.trainer import MEMORY, PIXELS_AT_ONCE, StylizationTrainer

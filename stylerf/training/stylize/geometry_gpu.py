@@ -13,8 +13,8 @@ from stylerf.geometry.cameras import Camera
 from stylerf.kernels.gpu import launch
 from stylerf.kernels.gpu.launch import GpuSamples
 from stylerf.rendering.view_gpu import rays_of
+from stylerf.training.common.adam_gpu import GpuAdam
 from stylerf.training.common.async_readback import sent
-from stylerf.training.fit.engine_gpu import GpuAdam
 from stylerf.training.stylize.geometry import OPAQUE, MovingGeometry
 
 RAYS_AT_ONCE = 1 << 17

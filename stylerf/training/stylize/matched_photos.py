@@ -6,8 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
+from stylerf.fields.color_map import ColorMap
 from stylerf.rendering.ray_registration import SOLID
-from stylerf.style.color_matching import ColorMap, match_colors, pixels_of
+from stylerf.style.color_matching import match_colors, pixels_of
 
 
 @dataclass(frozen=True, eq=False)

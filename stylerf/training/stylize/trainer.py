@@ -14,13 +14,14 @@ import numpy as np
 import torch
 
 from stylerf.errors import InvalidValue
+from stylerf.fields.color_map import ColorMap
 from stylerf.fields.gpu.memory import free_on
 from stylerf.fields.packed_surface import pixel_cells
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.geometry.cameras import Camera
 from stylerf.kernels.cpu.regions import weights_inside
 from stylerf.rendering.ray_registration import SOLID
-from stylerf.style.color_matching import ColorMap, match_colors, spread_at_least, spread_at_most, strokes_in
+from stylerf.style.color_matching import match_colors, spread_at_least, spread_at_most, strokes_in
 from stylerf.style.feature_extractor import FeatureExtractor
 from stylerf.style.style_objective import EVERYTHING, Content, GramObjective, StyleObjective, window_of
 from stylerf.training.common.adam import Adam

@@ -8,9 +8,9 @@ import pytest
 from schemas import partial_artifact
 from schemas.work_folder import WorkFolder
 from stages.comparison.cost_charts import comparison_charts, look_of
+from stages.comparison.page import build_page, rows_of
 from stages.comparison.pareto_fronts import disagreements, on_fronts, panel_of
 from stages.comparison.runs import EDITS, FITS, STYLIZATIONS, on_other_threads, runs_of
-from stages.report.comparison_page import build_page, rows_of
 from tests.stages import comparison_fixture as runs
 from tests.stages import evaluation_fixture as made
 

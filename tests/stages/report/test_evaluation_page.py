@@ -11,13 +11,14 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from schemas.safe_names import listed
 from stages.evaluation.metric_definitions import KINDS
 from stages.evaluation.metrics import summarize
 from stages.evaluation.test_views import Photo, Render
 from stages.report.charts import bar_chart, curve_chart, pairs_chart
 from stages.report.contact_sheet import ContactSheet, chosen_views
 from stages.report.evaluation_page import Pictures, SheetRow, build_page
-from stages.report.formatting import clock, count, duration, listed, megabytes, number
+from stages.report.formatting import clock, count, duration, megabytes, number
 from stages.report.thumbnails import NOT_FINITE, Picture, depth_picture, depth_range, encode, error_picture, shown
 from tests.stages import evaluation_fixture as made
 

@@ -11,14 +11,14 @@ import pytest
 from skimage.color import lab2rgb
 
 from schemas.errors import BadInput, UsageError
+from stages.configs.faults import FAULTS, METHODS, PALETTE, STYLE
 from stages.configs.stress import StressConfig
-from stages.report.heat_map import heat_map, rates
-from stages.report.stress_page import build_page, cell_rows, run_rows
 from stages.stress import test_views
 from stages.stress.baseline import compared, read_baseline, write_baseline
 from stages.stress.criteria import LEAST_GAIN, LEAST_STRUCTURE, Seen, judged_edit, judged_fit, judged_style
-from stages.stress.faults import FAULTS, METHODS, PALETTE, STYLE
+from stages.stress.heat_map import heat_map, rates
 from stages.stress.outcomes import keep_outcome, kept_outcome
+from stages.stress.page import build_page, cell_rows, run_rows
 from stages.stress.success_rates import cells_of
 from stages.stress.test_views import shown_beside
 from stylerf.geometry.cameras import Camera

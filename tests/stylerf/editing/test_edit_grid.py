@@ -1,15 +1,15 @@
-"""Regions: growth against a queue worked off cell by cell, weights against a loop over samples."""
+"""Regions: growth against a queue worked off cell by cell."""
 
 from collections import deque
 
 import numpy as np
 import pytest
 
-from stylerf.editing.edit_grid import Region, alpha_inside, grow, marked_at, narrowest, neighbors, solid_cells
+from stylerf.editing.edit_grid import Region, grow, marked_at, narrowest, neighbors, solid_cells
 from stylerf.errors import InvalidValue
 from stylerf.fields.occupancy_grid import OccupancyGrid
 from stylerf.fields.radiance_field import RadianceField
-from tests.stylerf.small import SPACES, density, occupied, rays_into, vm_color
+from tests.stylerf.small import SPACES, occupied, vm_color
 
 SIDE = 7
 
@@ -85,20 +85,6 @@ def test_what_dwindles_to_nothing_is_no_neck():
 def test_neighbors_of_a_corner_and_of_the_middle():
     assert neighbors(np.array([0]), 3).tolist() == [1, 3, 9]
     assert neighbors(np.array([13]), 3).tolist() == [4, 10, 12, 14, 16, 22]
-
-
-def test_alpha_inside_sums_the_weights_of_marked_cells():
-    space = SPACES["box"]
-    field = RadianceField(space, density(1), vm_color(2), occupied(), 0.02)
-    samples = field.march(rays_into(space, 40, 3), 128, 1e-3, 2)
-    marked = np.random.default_rng(4).random((5, 5, 5)) < 0.4
-    expected = np.zeros(40)
-    for ray in range(40):
-        for k in range(samples.starts[ray], samples.ends[ray]):
-            cell = np.minimum((samples.x[k] * 5).astype(int), 4)
-            expected[ray] += samples.weights[k] * marked[tuple(cell)]
-    assert expected.max() > 0.1
-    np.testing.assert_allclose(alpha_inside(marked, samples, 2), expected, atol=1e-5)
 
 
 def test_solid_cells_are_those_a_walk_across_which_is_opaque_enough():

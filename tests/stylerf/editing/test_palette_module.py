@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import torch
 
-from stylerf.editing.palette_edits import PaletteEdits
 from stylerf.editing.palette_module import Mixture, PaletteModule, box_around, clustered_palette, random_palette
 from stylerf.errors import InvalidValue
 from stylerf.fields.hash_encoding import HashEncoding
+from stylerf.fields.palette_edits import PaletteEdits
 from stylerf.geometry.spherical_harmonics import harmonics
 from stylerf.kernels import torch_reference
 from tests.stylerf.editing.region_pictures import PLAIN

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 import torch
 
-from stylerf.editing.palette_edits import PaletteEdits
-from stylerf.editing.recoloring import Recoloring, SpaceFilter
 from stylerf.errors import InvalidValue
 from stylerf.fields.palette_color import PaletteColor
+from stylerf.fields.palette_edits import PaletteEdits
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.fields.ray_samples import Rays
+from stylerf.fields.recoloring import Recoloring, SpaceFilter
 from stylerf.geometry.space_warp import SpaceWarp
 from stylerf.kernels import torch_reference
 from stylerf.rendering.rays import render_rays

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from stylerf.editing.palette_edits import PaletteEdits
+from stylerf.fields.palette_edits import PaletteEdits
 from stylerf.training.edit.trainer import EditTrainer, start_module
 from tests.stylerf.editing.region_pictures import view_of
 from tests.stylerf.editing.test_palette_module import module, places

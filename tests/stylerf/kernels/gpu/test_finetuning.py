@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import torch
 
+from stylerf.fields.color_map import ColorMap
 from stylerf.fields.region_color import RegionColor
-from stylerf.style.color_matching import ColorMap
 from stylerf.training.finetune.engine import FineTuneSettings
 from stylerf.training.finetune.trainer import EditedPixels, FineTuner
 from tests.stylerf.small import close, field_of, vm_color

@@ -9,7 +9,8 @@ from stylerf.fields.displacement_grid import displaced_occupancy
 from stylerf.rendering.rays import render_rays
 from stylerf.training.common.adam import UNKNOWN
 from stylerf.training.deform import deformer, fitter
-from stylerf.training.deform.deformer import Deformer, deformer_on
+from stylerf.training.deform.backend import deformer_on
+from stylerf.training.deform.deformer import Deformer
 from stylerf.training.deform.fitter import DeformationFitter, DeformSettings
 from stylerf.training.stylize.geometry import FixedGeometry, MovingGeometry
 from tests.stylerf.kernels.gpu.test_engine import thin_field

@@ -13,7 +13,7 @@ from tests.stylerf.training.scenes import box_bank
 
 
 def test_adam_steps_as_the_cpus_does_and_leaves_runs_without_gradient_alone(device):
-    from stylerf.training.fit.engine_gpu import GpuAdam
+    from stylerf.training.common.adam_gpu import GpuAdam
 
     generator, n = np.random.default_rng(0), 1003
     values = generator.normal(size=n).astype(np.float32)
@@ -46,7 +46,7 @@ def test_processes_that_train_together_are_told_of_the_same_step(device):
 
 
 def test_a_gradient_of_nan_is_no_zero(device):
-    from stylerf.training.fit.engine_gpu import GpuAdam
+    from stylerf.training.common.adam_gpu import GpuAdam
 
     made = GpuAdam(torch.ones(16, device=device), [(0, 16, 1.0)])
     made.gradients[3] = float("nan")
@@ -55,7 +55,7 @@ def test_a_gradient_of_nan_is_no_zero(device):
 
 
 def test_a_leap_is_shortened_as_on_the_cpu_and_a_gradient_of_nan_is_no_step(device):
-    from stylerf.training.fit.engine_gpu import GpuAdam
+    from stylerf.training.common.adam_gpu import GpuAdam
 
     generator, n = np.random.default_rng(1), 300
     cpu = Adam(np.zeros(n, np.float32), [(0, n, 1.0)], 1, 2.0)

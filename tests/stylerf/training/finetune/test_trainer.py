@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
-from stylerf.editing.edit_grid import alpha_inside, march_view
+from stylerf.editing.edit_grid import march_view
 from stylerf.fields.region_color import RegionColor
 from stylerf.fields.vm_tables import split_table
+from stylerf.rendering.region_alpha import alpha_inside
 from stylerf.rendering.view import render_view
 from stylerf.training.common.ray_dataset import RayDataset
 from stylerf.training.finetune.trainer import EditedPixels, FineTuner, FineTuneSettings

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from stages.configs.faults import METHODS
 from stages.report.charts import INK, SETTINGS, Chart, finished
-from stages.stress.faults import METHODS
 from stages.stress.success_rates import REMEDIED, Cell
 from stylerf.environment.matplotlib_defaults import Axes, QuadMesh, colormaps, rc_context
 from stylerf.environment.matplotlib_defaults import Figure as Drawing

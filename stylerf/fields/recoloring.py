@@ -12,8 +12,8 @@ import torch
 from torch import Tensor
 
 from stylerf import validation
-from stylerf.editing.palette_edits import PaletteEdits
 from stylerf.errors import InvalidValue
+from stylerf.fields.palette_edits import PaletteEdits
 from stylerf.geometry.space_warp import SpaceWarp
 
 GRAYISH = 0.1  # saturation under which a palette color has no hue to turn and no saturation to scale

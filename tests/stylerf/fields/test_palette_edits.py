@@ -5,8 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from stylerf.editing.palette_edits import PaletteEdits, tinted
 from stylerf.errors import InvalidValue
+from stylerf.fields.palette_edits import PaletteEdits, tinted
 
 WEIGHTS = np.array([[0.5, 0.3, 0.2], [0.0, 1.0, 0.0]], np.float32)
 

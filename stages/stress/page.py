@@ -6,6 +6,7 @@ from pathlib import Path
 
 from schemas.errors import BadInput
 from schemas.safe_reading import read_bytes
+from stages.configs.faults import FAULTS, METHODS
 from stages.evaluation.metrics import Row
 from stages.report.charts import Chart
 from stages.report.formatting import duration, escape, number
@@ -22,7 +23,6 @@ from stages.stress.criteria import (
     MOST_SPILL,
     SCORES,
 )
-from stages.stress.faults import FAULTS, METHODS
 from stages.stress.success_rates import REMEDIED, Cell, Outcome
 
 LARGEST_PICTURE = 64 << 20  # bytes; two views of 4000 pixels a side are 50 MB at most

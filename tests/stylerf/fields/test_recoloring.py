@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 import torch
 
-from stylerf.editing.palette_edits import PaletteEdits
-from stylerf.editing.recoloring import Recoloring, SpaceFilter, from_hsv, recolored, shifted, to_hsv
 from stylerf.errors import InvalidValue
+from stylerf.fields.palette_edits import PaletteEdits
+from stylerf.fields.recoloring import Recoloring, SpaceFilter, from_hsv, recolored, shifted, to_hsv
 from stylerf.geometry.space_warp import SpaceWarp
 
 PALETTE = torch.tensor([[0.8, 0.2, 0.1], [0.1, 0.3, 0.9], [0.5, 0.5, 0.5]])
