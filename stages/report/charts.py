@@ -55,7 +55,8 @@ class Chart:
         svg = re.sub(r'\bid="', f'id="{self.name}-', svg)
         svg = re.sub(r'(url\(|href=")#', rf"\1#{self.name}-", svg)
         head, rest = svg.split(">", 1)
-        head = re.sub(r' (width|height)="[^"]*"', "", head)
+        inches = float(re.search(r' width="([\d.]+)pt"', head)[1]) / 72
+        head = re.sub(r' (width|height)="[^"]*"', "", head) + f' style="--inches:{inches:g}"'
         title = f"{self.name}-title"
         label = f'role="img" aria-labelledby="{title}"><title id="{title}">{escape(self.description)}</title>'
         return Markup(f"{head} {label}{rest}")

@@ -44,7 +44,7 @@ def build_page(
     runs, successes = sum(cell.count for cell in cells), sum(cell.successes for cell in cells)
     return render_page(
         "stress.html",
-        summary=f"{successes} of {runs} runs succeed, in {len(cells)} cells of one method under one fault.",
+        summary=f"{successes} of {runs} runs succeed, over {len(cells)} combinations of method and fault.",
         chart=chart,
         compared=compared,
         cells=[(cell, _score_of(cell)) for cell in cells],
@@ -52,7 +52,7 @@ def build_page(
         limits=criteria,
         conditions={"work": ""} | conditions,
         settings=", ".join(f"{key} {value}" for key, value in conditions.items() if value != ""),
-        faults=FAULTS.values(),
+        faults=[{"what": fault.name, "why": fault.told} for fault in FAULTS.values()],
         missing=[{"what": what, "why": why} for what, why in missing],
     )
 
