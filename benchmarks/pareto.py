@@ -106,7 +106,7 @@ def measure(asked: argparse.Namespace, scene: str, work: str) -> list[dict]:
 def rows_of(works: list[str], out: str) -> list[dict]:
     """One row a run, from what stands in the work folders."""
     told = stylerf("compare", *works, "--out", out)
-    means = [{key: round(one["mean"], 6) for key, one in run["figures"].items()} for run in told["runs"]]
+    means = [{key: round(one["mean"], 6) for key, one in run["metrics"].items()} for run in told["runs"]]
     return [{key: run[key] for key in KEPT} | {"figures": found} for run, found in zip(told["runs"], means)]
 
 

@@ -27,9 +27,13 @@ Migration = Callable[[Json, Path], Json]
 
 # Schema 3 renamed keys: American spelling, and the field's terms in place of ours.
 RENAMED_PARTS = {"colour": "color", "centre": "center", "stylised": "stylized", "learnt": "learned"}
-RENAMED_KEYS: dict[str, str] = {}
+RENAMED_KEYS = {
+    "figures": "metrics",
+    "painting": "style_image",
+}
 RENAMED_VALUES = {
     "stage": {"recolour": "recolor", "fault_scene": "corrupt_scene"},
+    "unit": {"share": "fraction"},
 }
 
 

@@ -1,10 +1,9 @@
-"""Evaluate: how good a field is by held-out views, along a path, and by its cost; as JSON, CSV, charts and HTML.
+"""Evaluate a field on held-out views and along a camera path, with its cost; writes JSON, CSV, charts and HTML.
 
-Roles of the inputs: `scene`, `frames` (test views); where at hand `path_frames` (a camera path, for consistency),
-`base_frames` (the unstylized field at the same test views), `twin_frames` (a field whose renders were the references of
-this one, at the same test views) and `field`. Of a local edit also `unedited_frames` and
-`base_field` (the field before it), `region.<name>` for each region that counts as edited, and where training views are
-wanted `train_frames` and `unedited_train_frames`.
+Roles of the inputs: `scene`, `frames` (test views), and where available `field`, `path_frames` (a camera path, for
+consistency), `base_frames` (test views of the unstylized field) and `reference_frames` (test views of the field whose
+renders were the references). For a local edit also `unedited_frames` and `base_field` (the field before it),
+`region.<name>` for each edited region, and for its training views `train_frames` and `unedited_train_frames`.
 """
 
 from collections.abc import Mapping
@@ -15,10 +14,10 @@ import numpy as np
 from schemas.atomic_write import write_bytes, write_json
 from schemas.work_folder import Artifact, PartialArtifact
 from stages.artifacts.edit import OF_WEIGHTS
-from stages.artifacts.provenance import is_stylized, upstream
+from stages.artifacts.provenance import fields_behind, is_stylized, upstream
 from stages.configs.evaluate import EvaluateConfig
 from stages.evaluation.local_edit import LocalEdit, palette_facts, palette_rows
-from stages.evaluation.metrics import Metric, Row, summarize, write_csv
+from stages.evaluation.metrics import Metric, Row, is_number, summarize, write_csv
 from stages.evaluation.path_consistency import PathConsistency
 from stages.evaluation.perceptual_metrics import PerceptualMetrics
 from stages.evaluation.pinned_inputs import digests_of_files
@@ -32,26 +31,29 @@ from stages.evaluation.view_metrics import (
     measure_see_through,
     measure_shape,
     measure_style,
-    spoiled_words,
+    nonfinite_message,
 )
+from stages.report.charts import evaluation_charts
 from stages.report.contact_sheet import ContactSheet, chosen_views
 from stages.report.evaluation_page import build_page
-from stages.report.notes import Presence, curve_of, draw_charts, not_measured, warnings_of
+from stages.report.notes import Inputs, not_measured, warnings_of
 from stages.report.thumbnails import Picture
 from stages.run.progress import Context
 from stages.run.runner import Spec, versions
 
-SPEC = Spec(stage="evaluate", verb="eval", revision=5, writes="report", outside=digests_of_files)
+SPEC = Spec(stage="evaluate", verb="eval", revision=6, writes="report", outside=digests_of_files)
 STYLE_KEYS = ("nnfm", "gram", "sifid", "palette", "palette_mean", "palette_covariance", "content_ssim")
 
 
 def run(inputs: dict[str, Artifact], config: EvaluateConfig, partial: PartialArtifact, context: Context) -> dict:
-    """Writes report.json, views.csv, pairs.csv, training.csv, charts/ and report.html; returns the means by key."""
+    """Write report.json, views.csv, pairs.csv, training.csv, charts/ and report.html; return the means by key."""
     task = Evaluation(inputs, config, context)
     task.measure_views()
     task.measure_path()
-    report, figures = task.report()
-    charts = draw_charts(task.stylized, task.rows, task.pairs, report["curve"], config.gap, task.lenses.style_words)
+    report, metrics = task.report()
+    charts = evaluation_charts(
+        task.stylized, task.rows, task.pairs, report["curve"], config.gap, task.perceptual.style_label
+    )
     for chart in charts:
         write_bytes(partial.path / "charts" / f"{chart.name}.svg", chart.svg.encode())
         write_bytes(partial.path / "charts" / f"{chart.name}.png", chart.png)
@@ -59,35 +61,35 @@ def run(inputs: dict[str, Artifact], config: EvaluateConfig, partial: PartialArt
     for name, rows in (("views", task.rows), ("pairs", task.pairs), ("training", task.training_rows)):
         if rows or name == "views":
             write_csv(partial.path / f"{name}.csv", rows)
-    page = build_page(report, replace(task.sheet().encoded(), charts=charts))
+    page = build_page(report, replace(task.contact_sheet().encoded(), charts=charts))
     write_bytes(partial.path / "report.html", page.encode())
     return {
-        **{figure.key: figure.mean for figure in figures},
+        **{metric.key: metric.mean for metric in metrics},
         "views": len(task.rows),
         "warnings": len(report["warnings"]),
     }
 
 
 class Evaluation:
-    """One evaluation in progress: what it looks at, and the rows measured so far."""
+    """An evaluation in progress: its inputs, and the rows measured so far."""
 
     def __init__(self, inputs: Mapping[str, Artifact], config: EvaluateConfig, context: Context) -> None:
         self.inputs, self.config, self.context = dict(inputs), config, context
         self.scene = SceneViews(inputs["scene"])
         self.frames = FrameViews(inputs["frames"], self.scene.background)
         self.base = self._frames("base_frames")
-        self.twin = self._frames("twin_frames")
+        self.reference_frames = self._frames("reference_frames")
         self.field = inputs.get("field")
-        self.edit = LocalEdit.found(inputs, config, self.scene, context)
-        self.lenses = PerceptualMetrics.found(config, self.field, context)
+        self.edit = LocalEdit.from_inputs(inputs, config, self.scene, context)
+        self.perceptual = PerceptualMetrics.load(config, self.field, context)
         path = self._frames("path_frames")
-        inside = self.edit.inside_film() if self.edit and path else None
-        self.film = PathConsistency(path, config, self.lenses, inside) if path else None
+        mask = self.edit.path_masks() if self.edit and path else None
+        self.path = PathConsistency(path, config, self.perceptual, mask) if path else None
         self.references = References(config.reference, self.scene, self.frames) if config.reference else None
         made_by_style = self.field is not None and is_stylized(self.field)
         self.stylized = made_by_style or self.base is not None or bool(config.style)
         self.rows: list[Row] = []
-        self.reference_rows: list[Row] = []
+        self.base_rows: list[Row] = []
         self.unmatched: list[str] = []
         self.resized = 0
         self.depth_sizes_differ = False
@@ -98,19 +100,19 @@ class Evaluation:
 
     @property
     def training_rows(self) -> list[Row]:
-        """Figures of a local edit on training views."""
+        """Values of a local edit on training views."""
         return self.edit.training_rows if self.edit else []
 
     @property
     def pairs(self) -> list[Row]:
-        """Figures of pairs of frames of the path."""
-        return self.film.rows if self.film else []
+        """Values of pairs of frames of the camera path."""
+        return self.path.rows if self.path else []
 
     def measure_views(self) -> None:
-        """Fills `rows` (and `reference_rows` for a stylized field), view by view."""
+        """Measure view by view into `rows`, and for a stylized field into `base_rows`."""
         progress = self.context.progress
         progress.start("measuring views", len(self.frames), "view")
-        before: Render | None = None
+        previous: Render | None = None
         for done, render in enumerate(self.frames, start=1):
             row = ViewRow(render.name)
             self._sizes.add((render.camera.width, render.camera.height))
@@ -122,9 +124,9 @@ class Evaluation:
                 self._measure_fitted(row, render, photo)
             if self.edit is not None:
                 self.edit.measure(row, render, photo)
-            if before is not None:
-                measure_see_through(row, render, before)
-            before = render
+            if previous is not None:
+                measure_see_through(row, render, previous)
+            previous = render
             self.rows.append(row.row())
             leading = self.rows[-1].get("nnfm" if self.stylized else "psnr")
             progress.update(done, "" if leading is None else f"{leading:.3f}" if self.stylized else f"{leading:.2f} dB")
@@ -138,85 +140,85 @@ class Evaluation:
             return None
         photo = self.scene.photo(render.scene_view, render.camera.width, render.camera.height)
         self.resized += photo.resized
-        self.depth_sizes_differ |= photo.depth_unfit
+        self.depth_sizes_differ |= photo.depth_size_differs
         return photo
 
     def _measure_fitted(self, row: ViewRow, render: Render, photo: Photo | None) -> None:
         if photo is not None:
-            measure_fit(row, render, photo, self.lenses.scores(render.alpha.shape))
+            measure_fit(row, render, photo, self.perceptual.scores(render.alpha.shape))
 
     def _measure_stylized(self, row: ViewRow, render: Render, photo: Photo | None) -> None:
         base = self._base_of(render)
-        if render.spoiled:
-            row.spoil(STYLE_KEYS if self.lenses.painting else STYLE_KEYS[-1:], spoiled_words(render))
+        if render.nonfinite:
+            row.skip(STYLE_KEYS if self.perceptual.style_image else STYLE_KEYS[-1:], nonfinite_message(render))
         else:
-            self._measure_look(row, render.image, render.alpha)
+            self._measure_style(row, render.image, render.alpha)
             if photo is not None:
                 measure_content(row, render.image, photo)
         if base is not None:
             measure_shape(row, render, base)
-        reference = ViewRow(render.name)
-        if base is not None and not base.spoiled:
-            self._measure_look(reference, base.image, base.alpha)
+        base_row = ViewRow(render.name)
+        if base is not None and not base.nonfinite:
+            self._measure_style(base_row, base.image, base.alpha)
             if photo is not None and base.image.shape == photo.image.shape:
-                measure_content(reference, base.image, photo)
+                measure_content(base_row, base.image, photo)
         elif base is None and photo is not None:
-            mask = photo.mask if photo.shown is None else photo.shown
+            mask = photo.mask if photo.visible is None else photo.visible
             mask = np.ones(photo.image.shape[:2], np.float32) if mask is None else mask.astype(np.float32)
-            self._measure_look(reference, photo.image, mask)
-        self.reference_rows.append(reference.row())
+            self._measure_style(base_row, photo.image, mask)
+        self.base_rows.append(base_row.row())
 
     def _measure_by_reference(self, row: ViewRow, index: int, render: Render) -> None:
         if self.references is not None:
-            self.references.measure(row, index, render, self.lenses.whole_distance(render.alpha.shape))
-        if self.twin is not None:
-            measure_robustness(row, render, self.twin)
+            self.references.measure(row, index, render, self.perceptual.image_distance(render.alpha.shape))
+        if self.reference_frames is not None:
+            measure_robustness(row, render, self.reference_frames)
 
-    def _measure_look(self, row: ViewRow, image: np.ndarray, alpha: np.ndarray) -> None:
-        painting = self.lenses.painting
-        if painting is not None:
-            measure_style(row, image, alpha, painting.distances)
-            measure_palette(row, image, alpha, painting.image)
+    def _measure_style(self, row: ViewRow, image: np.ndarray, alpha: np.ndarray) -> None:
+        style = self.perceptual.style_image
+        if style is not None:
+            measure_style(row, image, alpha, style.distances)
+            measure_palette(row, image, alpha, style.image)
 
     def _base_of(self, render: Render) -> Render | None:
         """The unstylized render of the same view of the scene."""
-        found = self.base.showing(render.scene_view) if self.base is not None else None
-        return None if found is None else self.base.render(found)
+        index = self.base.index_of(render.scene_view) if self.base is not None else None
+        return None if index is None else self.base.render(index)
 
     def measure_path(self) -> None:
-        """Fills `pairs`: consistency of frames 1 and `gap` apart."""
-        if self.film is not None:
-            self.film.measure(self.context.progress)
+        """Measure the consistency of frames 1 and `gap` apart into `pairs`."""
+        if self.path is not None:
+            self.path.measure(self.context.progress)
 
     def facts(self) -> dict:
-        """What the protocols are filled in with."""
-        lenses = self.lenses
+        """What fills in labels and protocols."""
+        perceptual, style = self.perceptual, self.perceptual.style_image
         return {
             **(self.edit.facts() if self.edit else {}),
             **palette_facts(self.field),
-            "background": self.scene.background_words,
-            "stlpips_net": lenses.tolerant.words if lenses.tolerant else "absent",
-            "lpips_net": lenses.lpips.words if lenses.lpips else "absent",
-            "perceptual_net": lenses.pixel_name,
-            "style_protocol": lenses.painting.protocol if lenses.painting else "no painting",
-            "style_words": lenses.style_words,
-            "style_trunk": lenses.painting.trunk_name if lenses.painting else "no painting",
+            "background": self.scene.background_description,
+            "stlpips_net": perceptual.st_lpips.source if perceptual.st_lpips else "not available",
+            "lpips_net": perceptual.lpips.source if perceptual.lpips else "not available",
+            "perceptual_net": perceptual.pixel_name,
+            "style_protocol": style.protocol if style else "no style image",
+            "style_label": perceptual.style_label,
+            "style_network": style.network_name if style else "no style image",
             "gap": self.config.gap,
             "nearest": NEAREST,
             "plain": self.base.frames.field if self.base else "none",
-            "twin": self.twin.frames.field if self.twin else "none",
-            **(self.film.facts() if self.film else {}),
+            "reference_field": self.reference_frames.frames.field if self.reference_frames else "none",
+            **(self.path.facts() if self.path else {}),
         }
 
     def report(self) -> tuple[dict, list[Metric]]:
-        """report.json as a dictionary, and its figures."""
+        """report.json as a dictionary, and its metrics."""
         facts = self.facts()
         name = "the unstylized renders" if self.base is not None else "the photos"
-        reference = {figure.key: {name: figure.mean} for figure in summarize(self.reference_rows, facts)}
+        references = {metric.key: {name: metric.mean} for metric in summarize(self.base_rows, facts)}
         palette = palette_rows(self.field, self.edit is not None)
-        figures = summarize([*self.rows, *self.pairs, *self.training_rows, *palette], facts, reference)
+        metrics = summarize([*self.rows, *self.pairs, *self.training_rows, *palette], facts, references)
         if self.edit is not None:
-            figures = self.edit.told(figures, self.rows)
+            metrics = self.edit.with_unedited(metrics, self.rows)
         first = ("base_field", "field", "frames", "path_frames", "base_frames")
         roles = dict.fromkeys((*first, *sorted({*self.inputs} - {"scene"}), "scene"))
         stages = upstream(self.inputs[role] for role in roles if role in self.inputs)
@@ -224,43 +226,43 @@ class Evaluation:
             "field": self.frames.frames.field,
             "scene": self.inputs["scene"].name,
             "stylized": self.stylized,
-            "painting": self.lenses.painting_name,
+            "style_image": self.perceptual.style_name,
             "view_count": len(self.rows),
             "resolution": " and ".join(f"{width}x{height}" for width, height in sorted(self._sizes)),
-            "figures": [figure.as_json() for figure in figures],
+            "metrics": [metric.as_json() for metric in metrics],
             "views": self.rows,
             "pairs": self.pairs,
             "edit": self.edit.as_json() if self.edit else None,
             "training_views": self.training_rows,
             "stages": [made.as_json() for made in stages],
-            "curve": curve_of(self.field),
+            "curve": training_curve(self.field),
             "warnings": [
                 *warnings_of(self.rows, self.pairs, stages, self.unmatched, self.resized),
                 *(self.edit.warnings() if self.edit else []),
             ],
-            "not_measured": not_measured(self._presence()),
+            "not_measured": not_measured(self._inputs()),
             "device": self.context.device,
             "seed": self.context.seed,
             "versions": versions(),
         }
-        return report, figures
+        return report, metrics
 
-    def _presence(self) -> Presence:
-        return Presence(
+    def _inputs(self) -> Inputs:
+        return Inputs(
             stylized=self.stylized,
-            painting=self.lenses.painting is not None,
-            tolerant=self.lenses.tolerant is not None,
-            lpips=self.lenses.lpips is not None,
+            style_image=self.perceptual.style_image is not None,
+            st_lpips=self.perceptual.st_lpips is not None,
+            lpips=self.perceptual.lpips is not None,
             perceptual_wanted=self.config.perceptual != "none",
-            large_enough=all(self.lenses.large_enough((height, width)) for width, height in self._sizes),
+            large_enough=all(self.perceptual.large_enough((height, width)) for width, height in self._sizes),
             true_depth=self.scene.has_depth,
             depth_sizes_differ=self.depth_sizes_differ,
             base=self.base is not None,
-            path=self.film.frames.frames.path if self.film else "",
-            path_length=len(self.film.frames) if self.film else 0,
+            path=self.path.frames.frames.path if self.path else "",
+            path_length=len(self.path.frames) if self.path else 0,
             consistency=self.config.consistency,
             reference=self.references is not None,
-            twin=self.twin is not None,
+            reference_field=self.reference_frames is not None,
             gap=self.config.gap,
             field=self.field is not None,
             edited=self.edit is not None,
@@ -268,20 +270,38 @@ class Evaluation:
             weights_changed=any(not {*row} & {*OF_WEIGHTS} for row in palette_rows(self.field, self.edit is not None)),
         )
 
-    def sheet(self) -> ContactSheet:
-        """The contact sheet of the views worth seeing."""
+    def contact_sheet(self) -> ContactSheet:
+        """Collect the views worth seeing."""
         key = "content_ssim" if self.stylized else "psnr"
-        lenses, painting = self.lenses, None
-        if lenses.painting:
-            words = f"{lenses.style_words[:1].upper()}{lenses.style_words[1:]} {lenses.painting_name}"
-            painting = Picture(lenses.painting.image, lenses.style_words, words)
-        sheet = ContactSheet(painting, self.stylized, edited=self.edit is not None)
+        style, label, thumbnail = self.perceptual.style_image, self.perceptual.style_label, None
+        if style:
+            alt = f"{label[:1].upper()}{label[1:]} {self.perceptual.style_name}"
+            thumbnail = Picture(style.image, label, alt)
+        sheet = ContactSheet(thumbnail, self.stylized, edited=self.edit is not None)
         for index, word in chosen_views(self.rows, key, self.config.sheet):
             render = self.frames.render(index)
             known = render.name not in self.unmatched
             size = (render.camera.width, render.camera.height)
             photo = self.scene.photo(render.scene_view, *size) if known else None
             heading = f"{render.name} ({word})" if word else render.name
-            base = self.edit.unedited_twin(render) if self.edit else self._base_of(render) if self.stylized else None
+            base = self.edit.unedited_render(render) if self.edit else self._base_of(render) if self.stylized else None
             sheet.add(heading, self.rows[index], render, photo, base)
         return sheet
+
+
+def training_curve(field: Artifact | None) -> dict | None:
+    """{"of": name, "points": [{seconds, psnr, held_out, ...}]} of this field, or of the nearest field behind it.
+
+    held_out: false where the views were being trained on by then, or if that is unknown.
+    """
+    for artifact in [field, *fields_behind(field)] if field is not None else []:
+        points = artifact.manifest.figures.get("curve")
+        usable = [point for point in points if _is_point(point)] if isinstance(points, list) else []
+        if len(usable) > 1:
+            points = [{**point, "held_out": point.get("held_out") is True} for point in usable]
+            return {"of": artifact.name, "points": sorted(points, key=lambda point: point["seconds"])}
+    return None
+
+
+def _is_point(point: object) -> bool:
+    return isinstance(point, dict) and is_number(point.get("seconds")) and is_number(point.get("psnr"))

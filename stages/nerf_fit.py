@@ -13,7 +13,7 @@ from stages.artifacts.scene import EXPOSURE_STOPS, SceneData, load_scene, spread
 from stages.artifacts.scene_space import space_of
 from stages.artifacts.validity import sound
 from stages.configs.fit import EVEN_FROM, SMOOTHNESS, FitConfig, budget_of, capacity_of, kinds_of
-from stages.evaluation.pose_check import pose_figures, pose_shifts, told
+from stages.evaluation.pose_check import pose_metrics, pose_shifts, pose_warning
 from stages.run.checkpoints import load_checkpoint
 from stages.run.devices import gpu_figures, gpu_of
 from stages.run.memory import in_words
@@ -76,9 +76,9 @@ def run(inputs: dict[str, Artifact], config: FitConfig, partial: PartialArtifact
     if ranks.first:
         save_field(partial.path, fitter.field, "none" if fitter.field.closed else _shown(settings.background))
     shifts = pose_shifts(fitter)
-    if line := told(shifts):
+    if line := pose_warning(shifts):
         context.progress.say(line)
-    return _figures(fitter, held_out, reason) | {"pose_shift_px": pose_figures(shifts)} | gpu_figures(device)
+    return _figures(fitter, held_out, reason) | {"pose_shift_px": pose_metrics(shifts)} | gpu_figures(device)
 
 
 def _tell_idle(config: FitConfig, layout: str, space: str, cut_out: bool, context: Context) -> None:

@@ -1,6 +1,6 @@
-"""Render: a field seen from the scene's views or along a path, as EXR, PNG and video.
+"""Render a field from the scene's views or along a camera path, as EXR, PNG and video.
 
-Roles of the inputs: `scene`, `field`, and `region.<name>` for every region whose mask is to be written.
+Roles of the inputs: `scene`, `field`, and `region.<name>` for every region whose mask is written.
 """
 
 import functools
@@ -43,8 +43,10 @@ Shot = tuple[Camera, int | None]
 
 
 def run(inputs: dict[str, Artifact], config: RenderConfig, partial: PartialArtifact, context: Context) -> dict:
-    """Writes frames.json, png/, and exr/, depth/ and a video where asked for. A frame on disk, here or in a shard
-    of the work folder, is not rendered again."""
+    """Write frames.json, png/, and on request exr/, masks/, depth/, displacement/ and a video.
+
+    Frames on disk, from an interrupted run or a shard in the work folder, are not rendered again.
+    """
     scene = load_scene(inputs["scene"])
     field, background = load_field(inputs["field"])
     threads = set_threads(context.threads)
@@ -54,8 +56,10 @@ def run(inputs: dict[str, Artifact], config: RenderConfig, partial: PartialArtif
             context.progress.say(remark)
     sizes = sorted({(camera.width, camera.height) for camera, _ in shots})
     if config.video and len(sizes) > 1:
-        two = " and ".join(f"{width}x{height}" for width, height in sizes[:: len(sizes) - 1])
-        raise BadInput(f"--video: a film has one size, frames along {config.path} have {two}; render them without it")
+        sizes_text = " and ".join(f"{width}x{height}" for width, height in sizes[:: len(sizes) - 1])
+        raise BadInput(
+            f"--video: frames along {config.path} differ in size ({sizes_text}); render them without --video"
+        )
     if config.video:
         try_video(*sizes[0], config.fps)
     regions = regions_among(inputs, field.space) if config.shows_regions else {}
@@ -66,49 +70,50 @@ def run(inputs: dict[str, Artifact], config: RenderConfig, partial: PartialArtif
     attributes |= {CHANNEL + channels[name]: f"{name} {regions[name].digest}" for name in channels}
     cells = {name: region.cells for name, region in regions.items()}
     if config.displacement and field.displacement is None:
-        context.progress.say(f"field {inputs['field'].name} has no deformation: no displacement pictures")
+        context.progress.say(f"field {inputs['field'].name} has no deformation; --displacement writes nothing")
     listed = tuple(_frame_of(camera, view, config) for camera, view in shots)
     journal = Journal(partial.checkpoint / "frames.jsonl", partial.path)
     taken = {} if context.anew or config.frames else take_frames(partial, listed, journal)
     if taken:
         count = sum(map(len, taken.values()))
-        context.progress.say(f"{count} of {len(shots)} frames stand already in {', '.join(taken)}")
+        context.progress.say(f"reusing {count} of {len(shots)} frames from {', '.join(taken)}")
     context.progress.start("render", len(shots), "frame")
     device = gpu_of(context, field)
-    seen = (
-        _on_device(field, device, scene.cameras[0]) if device else functools.partial(render_view, field, chunks=threads)
+    renderer = (
+        _gpu_renderer(field, device, scene.cameras[0])
+        if device
+        else functools.partial(render_view, field, chunks=threads)
     )
     with nullcontext() if device else compiling_note(context.progress.say):
         for done, (frame, (camera, _)) in enumerate(zip(listed, shots, strict=True)):
             files = _files_of(frame, config, field, cells)
             if not journal.holds(files):
-                given = field, background, scene.bounds, camera, config, partial.path, seen, attributes, cells
-                _render(frame, *given)
+                rendered = _rendered(renderer, frame, camera, cells, inputs["field"].name)
+                _write(partial.path, frame, rendered, camera, field, background, scene.bounds, config, attributes)
                 journal.add(files)
             context.progress.update(done + 1)
     context.progress.finish()
     masks = channels if config.exr else {}
     fps = config.fps if config.video or config.path not in OWN_VIEWS else None
     write_frames(partial.path, Frames(inputs["field"].name, along, listed, fps, masks))
-    elsewhere = {name for names in taken.values() for name in names}
+    reused = {name for names in taken.values() for name in names}
     return {
         "frames": len(listed),
-        "pixels": int(sum(c.width * c.height for c, _ in shots if c.name not in elsewhere)),
+        "pixels": int(sum(c.width * c.height for c, _ in shots if c.name not in reused)),
         "video": _video(partial.path, [f.png for f in listed], config, context) if config.video else None,
     } | gpu_figures(device)
 
 
-def _on_device(field: RadianceField, device: str, camera: Camera) -> Callable[..., RenderedView]:
+def _gpu_renderer(field: RadianceField, device: str, camera: Camera) -> Callable[..., RenderedView]:
     from stylerf.rendering.view_gpu import GpuRenderer
 
     renderer = GpuRenderer(field, device)
-    renderer.choose(camera)  # one for all: shards, and runs that go on, must not decide by frames of their own
+    renderer.choose(camera)  # once for all frames, so that shards and resumed runs decide alike
     return renderer.view
 
 
 def pinned(config: RenderConfig) -> RenderConfig:
-    """The config with the digest of its file of cameras, so that frames of an older file are not taken for its own, and
-    without the count, which is 1, where the path is not one that can have any number of frames."""
+    """Add the digest of the camera file, so that a change is noticed; set count to 1 for paths of fixed length."""
     if config.path in PATHS:
         return replace(config, path_digest="")
     path = Path(config.path)
@@ -117,7 +122,7 @@ def pinned(config: RenderConfig) -> RenderConfig:
 
 
 def shots_of(scene: SceneData, config: RenderConfig) -> list[Shot]:
-    """The cameras to render, each with the index of the scene's view it repeats (None: none)."""
+    """The cameras to render, each with the index of the scene's view it repeats, or None."""
     splits = scene.splits
     own = dict(zip(OWN_VIEWS, (splits["train"], splits["test"], sorted(splits["train"] + splits["test"])), strict=True))
     if config.path in own:
@@ -153,21 +158,37 @@ def _frame_of(camera: Camera, view: int | None, config: RenderConfig) -> Frame:
 
 
 def _files_of(frame: Frame, config: RenderConfig, field: RadianceField, regions: Mapping) -> list[str]:
-    """All that _render writes of a frame."""
+    """Every file that _write writes for a frame."""
     folders = [f"masks/{region}" for region in regions] if config.masks else []
     folders += ["depth"] if config.depth else []
     folders += ["displacement"] if config.displacement and field.displacement is not None else []
     return [*filter(None, [frame.exr]), *(f"{folder}/{frame.name}.png" for folder in folders), frame.png]
 
 
-def _render(frame: Frame, field, background, bounds, camera, config, folder: Path, seen, attributes, regions) -> None:
-    name = frame.name
-    rendered = seen(camera, regions=regions)
+def _rendered(
+    renderer: Callable[..., RenderedView], frame: Frame, camera: Camera, regions: Mapping, field: str
+) -> RenderedView:
+    rendered = renderer(camera, regions=regions)
     if not all(np.isfinite(plane).all() for plane in (rendered.rgb, rendered.alpha, rendered.z)):
         raise ArtifactDamaged(
-            f"the field {attributes['field']} shows what is not finite in frame {name}: its numbers are sound one by "
-            "one, but not together; make it anew"
+            f"field {field} renders NaN or infinite values in frame {frame.name}, although each of its numbers is in "
+            "range; rebuild it"
         )
+    return rendered
+
+
+def _write(
+    folder: Path,
+    frame: Frame,
+    rendered: RenderedView,
+    camera: Camera,
+    field: RadianceField,
+    background: str,
+    bounds: Bounds,
+    config: RenderConfig,
+    attributes: Mapping[str, str],
+) -> None:
+    name = frame.name
     if config.exr:
         write_exr(folder / frame.exr, exr_view(rendered, camera, bounds, attributes))
     if config.masks:
@@ -183,7 +204,7 @@ def _render(frame: Frame, field, background, bounds, camera, config, folder: Pat
 
 
 def exr_view(rendered: RenderedView, camera: Camera, bounds: Bounds, attributes: Mapping[str, str]) -> ExrView:
-    """Linear and premultiplied: the encoded color is divided by alpha, made linear, and multiplied again."""
+    """Convert a view to linear, premultiplied color: divide by alpha, linearize, multiply by alpha."""
     channels = channels_of(rendered.masks)
     alpha = rendered.alpha[..., None]
     straight = np.clip(rendered.rgb / np.maximum(alpha, 1e-6), 0, 1)
@@ -214,8 +235,8 @@ def _video(folder: Path, pictures: list[str], config: RenderConfig, context: Con
         raise
     except Exception as error:
         raise NoVideo(
-            f"--video: no film could be made of the frames ({type(error).__name__}: {error}); they are kept in "
-            f"{folder}: run the same command to try again"
+            f"--video: writing the video failed ({type(error).__name__}: {error}); the frames are kept in {folder}: "
+            "run the same command to try again"
         ) from error
-    context.progress.say(f"video: {path.name}, by {how}")
+    context.progress.say(f"video: {path.name}, written by {how}")
     return path.name

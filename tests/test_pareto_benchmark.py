@@ -27,7 +27,7 @@ def commands(monkeypatch):
             more = {"group": "lego", "work": "lego", "method": "vm", "settings": "", "stages": ["fit"]}
             figures = {key: {"mean": 0.25, "label": key}}
             fronts = [f"{key}/seconds"]
-            runs.append({"family": family, "name": name, "costs": costs, "figures": figures, "fronts": fronts, **more})
+            runs.append({"family": family, "name": name, "costs": costs, "metrics": figures, "fronts": fronts, **more})
         return {"runs": runs}
 
     monkeypatch.setattr(pareto, "stylerf", run)

@@ -1,44 +1,44 @@
-"""Reads report artifacts: what report.json tells of a field, as far as anybody else reads it."""
+"""Read report artifacts: the parts of report.json that other code uses."""
 
 from schemas.work_folder import Artifact
 from stages.artifacts.validity import sound
 from stylerf import validation
 
 DESCRIPTION = "report.json"
-MOST = 1e300  # of a figure, which may be of any unit
+LARGEST = 1e300  # of a metric, whatever its unit
 
 
 def read_report(artifact: Artifact) -> dict:
-    """report.json; ArtifactDamaged where what it tells is not of the types, or in the ranges, of figures.
+    """Read report.json; reports older than the list of metrics get an empty one.
 
-    A report of before figures were told has none.
+    Raises ArtifactDamaged if types or ranges are wrong.
     """
     artifact.check_sizes()
     data = artifact.json(DESCRIPTION)
     with sound(artifact.path, "a sound report"):
-        told = {"figures": [], "warnings": [], "not_measured": [], "edit": None} | validation.table(data, DESCRIPTION)
-        for figure in validation.entry(told, "figures", list):
-            _check_figure(figure)
+        report = {"metrics": [], "warnings": [], "not_measured": [], "edit": None} | validation.table(data, DESCRIPTION)
+        for metric in validation.entry(report, "metrics", list):
+            _check_metric(metric)
         for key in ("field", "scene"):
-            if key in told:
-                validation.entry(told, key, str)
-        if "view_count" in told:
-            validation.integer(told, "view_count", 0, 10**9)
-        for text in validation.entry(told, "warnings", list):
+            if key in report:
+                validation.entry(report, key, str)
+        if "view_count" in report:
+            validation.integer(report, "view_count", 0, 10**9)
+        for text in validation.entry(report, "warnings", list):
             validation.text(text, "warnings")
-        validation.entry(told, "not_measured", list)
-        if told["edit"] is not None:
-            for name in validation.entry(told["edit"], "regions", list):
+        validation.entry(report, "not_measured", list)
+        if report["edit"] is not None:
+            for name in validation.entry(report["edit"], "regions", list):
                 validation.text(name, "regions")
-        return told
+        return report
 
 
-def _check_figure(figure: dict) -> None:
+def _check_metric(metric: dict) -> None:
     for key in ("key", "label", "unit", "better", "protocol"):
-        validation.entry(figure, key, str)
-    validation.integer(figure, "digits", 0, 20)
+        validation.entry(metric, key, str)
+    validation.integer(metric, "digits", 0, 20)
     for key in ("count", "left_out"):
-        validation.integer(figure, key, 0, 10**9)
-    validation.number(figure, "mean", -MOST, MOST)
-    for name in (reference := validation.entry(figure, "reference", dict)):
-        validation.number(reference, name, -MOST, MOST)
+        validation.integer(metric, key, 0, 10**9)
+    validation.number(metric, "mean", -LARGEST, LARGEST)
+    for name in (reference := validation.entry(metric, "reference", dict)):
+        validation.number(reference, name, -LARGEST, LARGEST)

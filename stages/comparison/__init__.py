@@ -1,1 +1,1 @@
-"""Runs of one or more work folders beside each other: what each cost, and how good it is."""
+"""Compare runs of one or more work folders: cost against quality."""

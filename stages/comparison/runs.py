@@ -1,4 +1,4 @@
-"""The runs of work folders as their manifests and reports tell them; nothing is run, nothing is measured."""
+"""Collect the runs of work folders from their manifests and reports, without running or measuring anything."""
 
 import shlex
 from collections import Counter
@@ -17,19 +17,20 @@ from stages.evaluation.metrics import is_number
 
 FITS, STYLIZATIONS, EDITS = "fits", "stylizations", "edits"
 COSTS = ("seconds", "peak_memory_mb", "parameters")
-# What each family is drawn by, and the option of `stylerf eval` that a missing one needs.
+# The charted metrics of each family, each with the `stylerf eval` option that measures it.
 CHARTED = {
     FITS: {"psnr": "", "ssim": "", "lpips": ""},
     STYLIZATIONS: {"nnfm": "", "content_ssim": "", "short_rmse": "--path", "long_rmse": "--path"},
     EDITS: {"background_mse": "--region", "bleeding": "--region", "sparsity": "--region", "edit_short_rmse": "--path"},
 }
-ORDER = {key: place for place, key in enumerate(BY_KEY)}
+ORDER = {key: index for index, key in enumerate(BY_KEY)}
+Protocol = tuple[str, int]  # protocol and number of views or pairs: values compare only if both are the same
 NEEDED = {FITS: ("psnr",), STYLIZATIONS: tuple(CHARTED[STYLIZATIONS]), EDITS: ("background_mse", "bleeding")}
 
 
 @dataclass(frozen=True)
-class Measure:
-    """One figure of a run as its report tells it. count, left_out: views or pairs that took part, and could not."""
+class RunMetric:
+    """A metric of a run, from its report. count, left_out: views or pairs that were, and could not be, measured."""
 
     mean: float
     label: str
@@ -40,18 +41,20 @@ class Measure:
     left_out: int
 
     @property
-    def way(self) -> tuple[str, int]:
-        """What has to be the same for two figures to be set beside one another."""
+    def comparable_by(self) -> Protocol:
+        """What must be the same to compare two values."""
         return self.protocol, self.count
 
 
 @dataclass(frozen=True)
 class Run:
-    """One field that was made, with what making it from the fitted field cost, or fitting it.
+    """A fit, or a stylization or edit of a fitted field, with its cost and metrics.
 
-    group: name of what its figures may be compared within: the scene, and the painting or the edited regions. costs: of
-    COSTS, None where unknown; seconds are summed, memory is the greatest, over `stages`. figures: by key. threads: that
-    these stages ran on, as far as their manifests tell.
+    Attributes:
+        group: what its metrics can be compared within: the scene, and the style image or the edited regions.
+        costs: by COSTS, None where unknown; seconds are the sum over `stages`, memory is the maximum.
+        metrics: by key.
+        threads: numbers of threads these stages ran on, as far as recorded.
     """
 
     family: str
@@ -63,7 +66,7 @@ class Run:
     device: str
     stages: tuple[str, ...]
     costs: dict[str, float | None]
-    figures: dict[str, Measure] = field(default_factory=dict)
+    metrics: dict[str, RunMetric] = field(default_factory=dict)
     threads: tuple[int, ...] = ()
 
     @property
@@ -74,55 +77,53 @@ class Run:
 
 @dataclass(frozen=True)
 class Group:
-    """What runs have in common that may be compared. what: digests, of which it consists; words: to be shown."""
+    """What comparable runs have in common: the digests of scene, style image or regions, and a name to show."""
 
-    what: tuple[str, ...]
-    words: str
+    digests: tuple[str, ...]
+    name: str
 
 
 @dataclass(frozen=True)
 class Gap:
-    """A figure or a run that a comparison has to do without, and what to do about it."""
+    """A metric or run that is missing from a comparison, and what to do about it."""
 
     what: str
     why: str
 
 
 def runs_of(works: Sequence[WorkFolder]) -> tuple[list[Run], list[Gap]]:
-    """Every fit, stylization and edit of these work folders, in the order given; and what is missing."""
+    """Every fit, stylization and edit of these work folders, in the order given, and what is missing."""
     runs, groups, gaps, scenes = [], [], [], {}
-    for work, called in zip(works, _called(works)):
+    for work, label in zip(works, _labels(works)):
         for artifact in work.artifacts("field"):
             try:
                 family = family_of(artifact)
                 if family is None:
                     continue
-                run, group = _run(artifact, family, work, called, scenes)
+                run, group = _run(artifact, family, work, label, scenes)
             except StylerfError as error:
-                gaps.append(Gap(f"{called}/{artifact.name}", f"It cannot be read: {error}"))
+                gaps.append(Gap(f"{label}/{artifact.name}", f"Cannot be read: {error}"))
                 continue
             runs.append(run)
             groups.append(group)
             gaps += _gaps(run, work)
-    return [replace(run, group=name) for run, name in zip(runs, _named(groups), strict=True)], gaps
+    return [replace(run, group=name) for run, name in zip(runs, _group_names(groups), strict=True)], gaps
 
 
-def on_other_threads(runs: Sequence[Run]) -> list[Gap]:
-    """A remark for each group whose runs were made with different numbers of threads."""
+def thread_mismatches(runs: Sequence[Run]) -> list[Gap]:
+    """A remark for each group whose runs used different numbers of threads."""
     found = []
     for group in dict.fromkeys(run.group for run in runs):
         counts = sorted({count for run in runs if run.group == group for count in run.threads})
         if len(counts) > 1:
-            told = " and ".join(map(str, counts))
-            found.append(
-                Gap(group, f"Made on {told} threads: seconds do not compare, and results differ in their last digits.")
-            )
+            threads = " and ".join(map(str, counts))
+            why = f"Run on {threads} threads: times are not comparable, and results differ in their last digits."
+            found.append(Gap(group, why))
     return found
 
 
 def family_of(artifact: Artifact) -> str | None:
-    """Which family a field belongs to; None for one that only prepares another (a deformation or a palette
-    fitted to the photos)."""
+    """The family of a field; None for one that only prepares another (a deformation, or a palette fitted to photos)."""
     stage = artifact.manifest.stage
     if stage in ("finetune", "recolor"):
         return EDITS
@@ -131,8 +132,8 @@ def family_of(artifact: Artifact) -> str | None:
     return STYLIZATIONS if is_stylized(artifact) else FITS
 
 
-def _called(works: Sequence[WorkFolder]) -> list[str]:
-    """Names of work folders, with their parents' where two would be the same."""
+def _labels(works: Sequence[WorkFolder]) -> list[str]:
+    """Names of work folders, with those of their parents where two would be equal."""
     paths = [work.root.resolve() for work in works]
     for depth in range(1, max(len(path.parts) for path in paths)):
         names = ["/".join(path.parts[-depth:]) for path in paths]
@@ -141,22 +142,22 @@ def _called(works: Sequence[WorkFolder]) -> list[str]:
     return [str(path) for path in paths]
 
 
-def _run(artifact: Artifact, family: str, work: WorkFolder, called: str, scenes: dict[str, str]) -> tuple[Run, Group]:
-    """The group's name is given when all runs are known."""
+def _run(artifact: Artifact, family: str, work: WorkFolder, label: str, scenes: dict[str, str]) -> tuple[Run, Group]:
+    """Read a run; its group's name is set later, when all groups are known."""
     manifest = artifact.manifest
     made = [*(_made_for(artifact) if family != FITS else ()), artifact]
     reports = _reports(artifact, work)
-    own = [_own(artifact, family, *one) for one in reports] or [_own(artifact, family)]
-    # The newest that tells what it is of; what tells nothing of it fits any.
-    leading = next((one for one in own if one[0]), own[0])
-    measured: dict[str, Measure] = {}
-    for (what, _), (_, told) in zip(own, reports):
-        if what in ((), leading[0]):
-            measured = _measures(told) | measured
-    group = _group(artifact, family, called, scenes, leading)
+    subjects = [_subject(artifact, family, *one) for one in reports] or [_subject(artifact, family)]
+    # The newest report that names its style image or regions decides; reports that name none go with any.
+    leading = next((subject for subject in subjects if subject.digests), subjects[0])
+    metrics: dict[str, RunMetric] = {}
+    for subject, (_, content) in zip(subjects, reports):
+        if subject.digests in ((), leading.digests):
+            metrics = _metrics(content) | metrics
+    group = _group(artifact, label, scenes, leading)
     run = Run(
         family=family,
-        work=called,
+        work=label,
         name=artifact.name,
         group="",
         method=_method(artifact, family),
@@ -168,27 +169,27 @@ def _run(artifact: Artifact, family: str, work: WorkFolder, called: str, scenes:
             "peak_memory_mb": max(one.manifest.peak_memory_mb for one in made) or None,
             "parameters": counted(manifest.figures.get("parameters")),
         },
-        figures=dict(sorted(measured.items(), key=lambda one: ORDER.get(one[0], len(ORDER)))),
+        metrics=dict(sorted(metrics.items(), key=lambda item: ORDER.get(item[0], len(ORDER)))),
         threads=tuple(sorted({one.manifest.threads for one in made} - {None})),
     )
     return run, group
 
 
-def _measures(told: dict) -> dict[str, Measure]:
-    """By key, the figures of a report."""
+def _metrics(report: dict) -> dict[str, RunMetric]:
+    """By key, the metrics of a report."""
     return {
-        one["key"]: Measure(
+        one["key"]: RunMetric(
             one["mean"], one["label"], one["unit"], one["better"], one["protocol"], one["count"], one["left_out"]
         )
-        for one in told.get("figures", [])
+        for one in report.get("metrics", [])
         if is_number(one["mean"])
     }
 
 
 def _made_for(artifact: Artifact, seen: set[Path] | None = None) -> list[Artifact]:
-    """What was made on the way from the fitted field to this one, sources first, each once; `seen`: none of these.
+    """The artifacts between the fitted field and this one, sources first, each once, except those in `seen`.
 
-    No import, fit, selection or rendering.
+    Imports, fits, selections and renders are not among them.
     """
     work, found, seen = WorkFolder(artifact.path.parent.parent), [], {artifact.path} if seen is None else seen
     for ref in artifact.manifest.inputs:
@@ -203,31 +204,26 @@ def _made_for(artifact: Artifact, seen: set[Path] | None = None) -> list[Artifac
 
 
 def _reports(artifact: Artifact, work: WorkFolder) -> list[tuple[Artifact, dict]]:
-    """The evaluations of this very field with what they tell, the newest first."""
-    found, told = [], {}
+    """The evaluations of exactly this field with their content, newest first."""
+    found, contents = [], {}
     for report in work.artifacts("report"):
-        with suppress(StylerfError):  # a damaged report counts as none
+        with suppress(StylerfError):  # ignore damaged reports
             refs = report.manifest.inputs
             if any(ref.role == "field" and ref.digest == artifact.digest for ref in refs):
-                told[report.path] = read_report(report)
+                contents[report.path] = read_report(report)
                 found.append(report)
-    return [(report, told[report.path]) for report in newest(found)]
+    return [(report, contents[report.path]) for report in newest(found)]
 
 
-def _own(
-    artifact: Artifact, family: str, report: Artifact | None = None, told: dict | None = None
-) -> tuple[tuple[str, ...], str]:
-    """Digests and names of what a report measures a run by, beside its scene: the painting, or the edited part."""
+def _subject(artifact: Artifact, family: str, report: Artifact | None = None, content: dict | None = None) -> Group:
+    """What a run is measured by besides its scene: the style image, or the edited regions or masks."""
     if family == FITS:
-        return (), ""
-    return _look(artifact, report) if family == STYLIZATIONS else _edited(report, told or {})
+        return Group((), "")
+    return _style(artifact, report) if family == STYLIZATIONS else _edited(report, content or {})
 
 
-def _group(
-    artifact: Artifact, family: str, called: str, scenes: dict[str, str], leading: tuple[tuple[str, ...], str]
-) -> Group:
-    """scenes: names by digest, of scenes met so far, so that two folders with one scene make one group. leading: what
-    its figures are measured by."""
+def _group(artifact: Artifact, label: str, scenes: dict[str, str], subject: Group) -> Group:
+    """The group of a run. scenes: names by digest, so that two work folders with one scene share a group."""
     waiting, scene = [artifact], None
     while waiting and scene is None:
         one = waiting.pop(0)
@@ -238,47 +234,45 @@ def _group(
                 break
             if ref.kind == "field":
                 waiting.append(inside.get("field", ref.name))
-    name = called if scene is None else scenes.setdefault(scene.digest, called)
-    what = (called if scene is None else scene.digest,)
-    own, shown = leading
-    return Group((*what, *own), f"{name}, {shown}" if shown else name)
+    name = label if scene is None else scenes.setdefault(scene.digest, label)
+    digest = label if scene is None else scene.digest
+    return Group((digest, *subject.digests), f"{name}, {subject.name}" if subject.name else name)
 
 
-def _look(artifact: Artifact, report: Artifact | None) -> tuple[tuple[str, ...], str]:
-    """Digest and file name of the painting that an evaluation was told to measure against, else that a field was made
-    with, else of the references."""
+def _style(artifact: Artifact, report: Artifact | None) -> Group:
+    """The style image an evaluation compared with, else the one the field was made with, else the references."""
     for config in [one.manifest.config for one in (report, artifact) if one is not None]:
         if style := config.get("style"):
-            return (config.get("style_digest") or style,), _file_name(style)
+            return Group((config.get("style_digest") or style,), _file_name(style))
     config = artifact.manifest.config
     if references := config.get("reference"):
         names = " + ".join(_file_name(text.partition("=")[2]) for text in references)
-        return (config.get("references_digest") or names,), f"after {names}"
-    return (), "unknown painting"
+        return Group((config.get("references_digest") or names,), f"after {names}")
+    return Group((), "unknown style image")
 
 
-def _edited(report: Artifact | None, told: dict) -> tuple[tuple[str, ...], str]:
-    """Digests and names of what an evaluation took for the edited part: masks where they were given, else regions."""
+def _edited(report: Artifact | None, content: dict) -> Group:
+    """The masks an evaluation was given, else its regions."""
     config = report.manifest.config if report else {}
     if masks := config.get("masks"):
-        return (config.get("masks_digest") or masks,), f"masks {_file_name(masks)}"
-    names = ((told.get("edit") or {}).get("regions")) or []
+        return Group((config.get("masks_digest") or masks,), f"masks {_file_name(masks)}")
+    names = ((content.get("edit") or {}).get("regions")) or []
     digests = sorted(ref.digest for ref in report.manifest.inputs if ref.kind == "region") if report else []
-    return tuple(digests or names), " + ".join(names)
+    return Group(tuple(digests or names), " + ".join(names))
 
 
 def _file_name(path: str) -> str:
     return path.replace("\\", "/").rstrip("/").rpartition("/")[2]
 
 
-def _named(groups: Sequence[Group]) -> list[str]:
-    """One name a group, that of its first run; with some of its digest where another group is called so too."""
+def _group_names(groups: Sequence[Group]) -> list[str]:
+    """A unique name per group: that of its first run, with part of its digest if another group has the same name."""
     first = {}
     for group in groups:
-        first.setdefault(group.what, group.words)
-    called = Counter(first.values())
-    names = {what: words if called[words] == 1 else f"{words} ({digest_of(what)[:8]})" for what, words in first.items()}
-    return [names[group.what] for group in groups]
+        first.setdefault(group.digests, group.name)
+    uses = Counter(first.values())
+    names = {key: name if uses[name] == 1 else f"{name} ({digest_of(key)[:8]})" for key, name in first.items()}
+    return [names[group.digests] for group in groups]
 
 
 def _method(artifact: Artifact, family: str) -> str:
@@ -294,20 +288,20 @@ def _method(artifact: Artifact, family: str) -> str:
 
 
 def _settings(config: dict) -> str:
-    """What is most often varied, in words."""
-    words = {"budget": "{}", "capacity": "{}", "rays": "rays {}"}
-    return ", ".join(text.format(config[key]) for key, text in words.items() if config.get(key))
+    """The options that are most often varied."""
+    formats = {"budget": "{}", "capacity": "{}", "rays": "rays {}"}
+    return ", ".join(text.format(config[key]) for key, text in formats.items() if config.get(key))
 
 
 def _gaps(run: Run, work: WorkFolder) -> list[Gap]:
     command = f"stylerf eval {shlex.quote(str(work.root))} --of {run.name}"
-    found = [Gap(f"{run.title}: {key}", "Its manifest does not tell.") for key in COSTS if run.costs[key] is None]
-    missing = [key for key in NEEDED[run.family] if key not in run.figures]
-    if not run.figures:
+    found = [Gap(f"{run.title}: {key}", "Its manifest does not record it.") for key in COSTS if run.costs[key] is None]
+    missing = [key for key in NEEDED[run.family] if key not in run.metrics]
+    if not run.metrics:
         flags = " --region NAME" if run.family == EDITS else ""
-        return [*found, Gap(f"{run.title}: all figures", f"It was not evaluated as it stands; run: {command}{flags}")]
+        return [*found, Gap(f"{run.title}: all metrics", f"It has no current evaluation; run: {command}{flags}")]
     for flag in dict.fromkeys(CHARTED[run.family][key] for key in missing):
         keys = [key for key in missing if CHARTED[run.family][key] == flag]
         more = {"": "", "--path": " --path PATH", "--region": " --region NAME"}[flag]
-        found.append(Gap(f"{run.title}: {', '.join(keys)}", f"Its report does not hold it; run: {command}{more}"))
+        found.append(Gap(f"{run.title}: {', '.join(keys)}", f"Not in its report; run: {command}{more}"))
     return found

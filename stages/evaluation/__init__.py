@@ -1,1 +1,1 @@
-"""What the evaluate stage is made of: views brought together, measured, summarized, drawn and told."""
+"""Metrics of a field: definitions, masks, views, perceptual networks and camera paths."""

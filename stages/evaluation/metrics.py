@@ -1,4 +1,4 @@
-"""Values of views and pairs brought together to figures with their protocol and spread."""
+"""Summarize values of views and pairs as metrics with protocol and spread; write them as CSV."""
 
 import csv
 import math
@@ -9,14 +9,14 @@ from pathlib import Path
 
 from schemas.atomic_write import replacing
 from schemas.safe_names import printable
-from stages.evaluation.metric_definitions import KINDS
+from stages.evaluation.metric_definitions import DEFINITIONS
 
-Row = dict[str, object]  # one view or one pair of views: name and values by key; None where not measured
+Row = dict[str, object]  # a view or a pair of views: its name, and values by metric key; None if not measured
 
 
 @dataclass(frozen=True)
 class Metric:
-    """One figure over its views (or pairs): mean, spread, how many took part, how many had to be left out."""
+    """A metric over views or pairs: mean, spread, how many have it and how many had to be left out."""
 
     key: str
     label: str
@@ -30,7 +30,7 @@ class Metric:
     max: float
     count: int
     left_out: int
-    reference: dict[str, float]  # the same figure of something to compare with, such as the unstylized render
+    reference: dict[str, float]  # the same metric of something to compare with, such as the unstylized renders
 
     def as_json(self) -> dict:
         """Plain numbers and text."""
@@ -45,14 +45,19 @@ class _Facts(dict):
 def summarize(
     rows: Sequence[Row], facts: Mapping[str, object], references: Mapping[str, Mapping[str, float]] | None = None
 ) -> list[Metric]:
-    """One Figure per kind that any row holds a finite value of, in the order of KINDS.
+    """Average every metric that any row has a finite value of, in the order of DEFINITIONS.
 
-    A row without a finite value where others have one is left out of the mean and counted as left out.
+    Args:
+        facts: what fills in labels and protocols.
+        references: means of something to compare with, as {metric key: {name: mean}}.
+
+    Returns:
+        One Metric per key; rows that have the key without a finite value are not in the mean but in `left_out`.
     """
     found = []
-    for kind in KINDS:
-        holding = [row for row in rows if kind.key in row]
-        values = sorted(float(row[kind.key]) for row in holding if is_number(row[kind.key]))
+    for definition in DEFINITIONS:
+        having = [row for row in rows if definition.key in row]
+        values = sorted(float(row[definition.key]) for row in having if is_number(row[definition.key]))
         if not values:
             continue
         middle = len(values) // 2
@@ -60,33 +65,33 @@ def summarize(
         filled = _Facts(facts)
         found.append(
             Metric(
-                key=kind.key,
-                label=kind.label.format_map(filled),
-                unit=kind.unit,
-                better=kind.better,
-                digits=kind.digits,
-                protocol=kind.protocol.format_map(filled),
+                key=definition.key,
+                label=definition.label.format_map(filled),
+                unit=definition.unit,
+                better=definition.better,
+                digits=definition.digits,
+                protocol=definition.protocol.format_map(filled),
                 mean=math.fsum(values) / len(values),
                 median=median,
                 min=values[0],
                 max=values[-1],
                 count=len(values),
-                left_out=len(holding) - len(values),
-                reference={k: float(v) for k, v in (references or {}).get(kind.key, {}).items() if is_number(v)},
+                left_out=len(having) - len(values),
+                reference={k: float(v) for k, v in (references or {}).get(definition.key, {}).items() if is_number(v)},
             )
         )
     return found
 
 
 def is_number(value: object) -> bool:
-    """A finite number, no truth value and no text."""
+    """Whether the value is a finite int or float, not a bool."""
     return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
 
 
 def write_csv(path: Path, rows: Sequence[Row]) -> None:
-    """One line a row under the union of their keys; what was not measured is empty.
+    """Write one line per row under the union of their keys; missing values are empty.
 
-    A text that a spreadsheet would take for a formula begins with an apostrophe, which it shows as text.
+    Text that a spreadsheet would take for a formula gets a leading apostrophe.
     """
     keys = list(dict.fromkeys(key for row in rows for key in row))
     with replacing(path) as temporary, open(temporary, "w", newline="", encoding="utf-8") as stream:
@@ -98,6 +103,6 @@ def write_csv(path: Path, rows: Sequence[Row]) -> None:
 def _cell(value: object) -> object:
     if not isinstance(value, str):
         return "" if value is None else value
-    # Spaces, tabs and line breaks before a sign are taken away by some programs, full-width signs for plain ones.
-    begins = unicodedata.normalize("NFKC", value).lstrip().startswith(("=", "+", "-", "@"))
-    return f"'{printable(value)}" if begins else printable(value)
+    # Some programs strip white space before a sign, and read full-width signs as plain ones.
+    formula = unicodedata.normalize("NFKC", value).lstrip().startswith(("=", "+", "-", "@"))
+    return f"'{printable(value)}" if formula else printable(value)

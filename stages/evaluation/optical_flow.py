@@ -1,4 +1,4 @@
-"""Where the flow between two frames of a film comes from: the field's own depth and poses, or files."""
+"""Optical flow between frames of a camera path: from the field's depth and poses, or from files."""
 
 from collections.abc import Iterable
 from pathlib import Path, PurePosixPath
@@ -14,46 +14,46 @@ from stylerf.metrics.optical_flow import field_flow
 
 
 class FieldFlows:
-    """Flow by the depth of the first frame and the poses of both."""
+    """Flow from the depth of the first frame and the poses of both."""
 
-    words = "flow by the field's own depth and poses, none where it is transparent"
+    description = "flow from the field's depth and poses, none where it is transparent"
 
-    def between(self, first: Render, second: Render, _places: tuple[int, int]) -> np.ndarray:
-        """[h, w, 2] from the first frame to the second, nan where it is transparent."""
+    def between(self, first: Render, second: Render, _indices: tuple[int, int]) -> np.ndarray:
+        """Flow [h, w, 2] in pixels from the first frame to the second, NaN where the first is transparent."""
         return field_flow(first.posed(), second.camera)
 
 
 class FileFlows:
-    """Flow from a folder of `FROM_to_TO.flo` or `.npy`; FROM and TO are frames' numbers as in png/NNNN.png.
+    """Flow from a folder of `FROM_to_TO.flo` or `.npy`; FROM and TO are numbers of frames as in png/NNNN.png.
 
-    digest: of the flows, whose beginning a protocol tells beside the folder's name.
+    digest: of the flow files; the protocol shows its first digits beside the folder's name.
     """
 
     def __init__(self, folder: Path, frames: FrameViews, digest: str) -> None:
         self._folder, self._files = folder, {path.stem: path for path in flow_files(folder)}
         self._numbers = [PurePosixPath(view.png).stem for view in frames.frames.views]
-        self.words = f"flow from files ({folder.name} {digest[:8]})"
+        self.description = f"flow from files ({folder.name} {digest[:8]})"
 
     def require(self, pairs: Iterable[tuple[int, int]]) -> None:
-        """BadInput unless there is a file for each of these pairs, first and second frame by place."""
+        """Raise BadInput unless there is a file for each of these pairs of frame indices."""
         wanted = [self._name(first, second) for first, second in pairs]
         missing = [name for name in wanted if name not in self._files]
         if missing:
             raise BadInput(
                 f"--flow {self._folder}: {len(missing)} of {len(wanted)} flows are missing ({listed(missing, 3)}); "
-                f"expected FROM_to_TO.flo or .npy for both directions of every pair, such as {wanted[0]}.flo, "
-                "numbered as the frames' pictures in png/ are (--pairs says how many pairs)"
+                f"expected FROM_to_TO.flo or .npy in both directions for every pair, such as {wanted[0]}.flo, numbered "
+                "like the images in png/ (--pairs sets the number of pairs)"
             )
 
-    def between(self, first: Render, second: Render, places: tuple[int, int]) -> np.ndarray:
-        """[h, w, 2] from the first frame to the second, nan where it is unknown."""
-        path = self._files[self._name(*places)]
+    def between(self, first: Render, second: Render, indices: tuple[int, int]) -> np.ndarray:
+        """Flow [h, w, 2] in pixels from the first frame to the second, NaN where it is unknown."""
+        path = self._files[self._name(*indices)]
         found = read_flow(path)
         height, width = first.alpha.shape
         if found.shape[:2] != (height, width):
             raise BadInput(
-                f"flow {path} is {found.shape[1]}x{found.shape[0]} where frame {first.name} is {width}x{height}; a "
-                "flow cannot be resized without scaling it: compute it at the frames' size"
+                f"flow {path} is {found.shape[1]}x{found.shape[0]} but frame {first.name} is {width}x{height}; compute "
+                "the flow at the size of the frames"
             )
         return found
 
@@ -62,13 +62,13 @@ class FileFlows:
 
 
 def flow_files(folder: Path) -> list[Path]:
-    """The flow files in a folder; BadInput where there is none."""
+    """List the flow files in a folder; BadInput if there are none."""
     found = sorted(one for one in folder.glob("*") if one.suffix.lower() in FLOW_SUFFIXES and one.is_file())
     if not found:
-        raise BadInput(f"--flow {folder}: expected a folder of .flo or .npy files, found none")
+        raise BadInput(f"--flow {folder}: expected .flo or .npy files, found none")
     return found
 
 
 def flows_digest(folder: Path) -> str:
-    """Over the names and contents of the flows in a folder."""
+    """Digest of the names and contents of the flow files in a folder."""
     return digest_of({one.name: file_sha256(one) for one in flow_files(folder)})

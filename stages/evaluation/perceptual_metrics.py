@@ -1,4 +1,4 @@
-"""What an evaluation looks through: the perceptual networks that are here, and the painting."""
+"""The perceptual networks of an evaluation, and its style image."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -8,76 +8,78 @@ from schemas.errors import BadInput
 from schemas.work_folder import Artifact
 from stages.artifacts.style_images import read_colors
 from stages.configs.evaluate import SMALLEST_SIDE, EvaluateConfig
-from stages.evaluation.perceptual_networks import Painting, Perceptual, perceptual_distances
+from stages.evaluation.perceptual_networks import PerceptualNetwork, StyleImage, perceptual_networks
 from stages.evaluation.view_metrics import Score
 from stages.run.progress import Context
 from stylerf.metrics.consistency import PixelDistance
 from stylerf.metrics.flow_consistency import ImageDistance
 
+STYLE_IMAGE = "the style image"
+
 
 @dataclass(frozen=True, eq=False)
 class PerceptualMetrics:
-    """Networks by use, None where not wanted or not here."""
+    """Perceptual networks and the style image; each None if not wanted or not available."""
 
-    tolerant: Perceptual | None
-    lpips: Perceptual | None
-    painting: Painting | None
-    painting_name: str
-    style_words: str = "the painting"  # what that picture is
+    st_lpips: PerceptualNetwork | None
+    lpips: PerceptualNetwork | None
+    style_image: StyleImage | None
+    style_name: str
+    style_label: str = STYLE_IMAGE
 
     @classmethod
-    def found(cls, config: EvaluateConfig, field: Artifact | None, context: Context) -> "PerceptualMetrics":
-        """Loads what the configuration wants and this machine has; says which features the style is judged by."""
-        tolerant, lpips = perceptual_distances(context.device) if config.perceptual != "none" else (None, None)
-        path = painting_file(config, field)
+    def load(cls, config: EvaluateConfig, field: Artifact | None, context: Context) -> "PerceptualMetrics":
+        """Load what the config asks for and this machine has; report the feature network of the style distances."""
+        st_lpips, lpips = perceptual_networks(context.device) if config.perceptual != "none" else (None, None)
+        path = style_file(config, field)
         if path is None:
-            return cls(tolerant, lpips, None, "")
-        painting = Painting(read_colors(path), config.features, config.style_side, context.device)
-        context.progress.say(f"style distances to {path.name} by features of {painting.trunk_name}")
-        return cls(tolerant, lpips, painting, path.name, style_words(config, field))
+            return cls(st_lpips, lpips, None, "")
+        style_image = StyleImage(read_colors(path), config.features, config.style_side, context.device)
+        context.progress.say(f"style distances to {path.name} use the features of {style_image.network_name}")
+        return cls(st_lpips, lpips, style_image, path.name, style_label(config, field))
 
     @property
     def pixel_name(self) -> str:
-        """The perceptual distance that pairs of views are measured by."""
+        """Name of the perceptual distance between pairs of frames."""
         if self.lpips is not None:
             return f"LPIPS ({self.lpips.name})"
-        return f"ST-LPIPS ({self.tolerant.name})" if self.tolerant is not None else "perceptual"
+        return f"ST-LPIPS ({self.st_lpips.name})" if self.st_lpips is not None else "perceptual"
 
     def large_enough(self, shape: tuple[int, ...]) -> bool:
-        """Whether the networks can see images of this height and width."""
+        """Whether images of this height and width are large enough for the networks."""
         return min(shape[:2]) >= SMALLEST_SIDE
 
     def scores(self, shape: tuple[int, ...]) -> Mapping[str, Score]:
-        """Perceptual scores of whole images by key."""
-        nets = {"stlpips": self.tolerant, "lpips": self.lpips}
+        """Distances of whole images by metric key."""
+        nets = {"stlpips": self.st_lpips, "lpips": self.lpips}
         return {key: net.distance for key, net in nets.items() if net is not None and self.large_enough(shape)}
 
     def pixel_distance(self, shape: tuple[int, ...]) -> PixelDistance | None:
-        """LPIPS, else ST-LPIPS, as a map over pixels; None where neither can be had."""
-        net = self.lpips or self.tolerant
+        """LPIPS, or else ST-LPIPS, as a map over pixels; None if neither is available."""
+        net = self.lpips or self.st_lpips
         return net.pixels if net is not None and self.large_enough(shape) else None
 
-    def whole_distance(self, shape: tuple[int, ...]) -> ImageDistance | None:
+    def image_distance(self, shape: tuple[int, ...]) -> ImageDistance | None:
         """The same distance of whole images."""
-        net = self.lpips or self.tolerant
+        net = self.lpips or self.st_lpips
         return net.distance if net is not None and self.large_enough(shape) else None
 
 
-def style_words(config: EvaluateConfig, field: Artifact | None) -> str:
-    """What the picture is that style is measured by: a field made after references alone keeps the first of them."""
+def style_label(config: EvaluateConfig, field: Artifact | None) -> str:
+    """What labels call the style image: a field stylized by references alone is compared with the first of them."""
     made_with = {} if config.style or field is None else field.manifest.config
-    return "the reference" if made_with.get("reference") and not made_with.get("style") else "the painting"
+    return "the reference" if made_with.get("reference") and not made_with.get("style") else STYLE_IMAGE
 
 
-def painting_file(config: EvaluateConfig, field: Artifact | None) -> Path | None:
-    """The painting given, else the one kept in the field's folder as `style.<extension>`, else the one it names.
+def style_file(config: EvaluateConfig, field: Artifact | None) -> Path | None:
+    """The style image: the one given, else `style.<extension>` in the field's folder, else the one its config names.
 
-    BadInput when one was given and is not there.
+    Raises BadInput if one was given and does not exist.
     """
     if config.style:
         path = Path(config.style).expanduser()
         if not path.is_file():
-            raise BadInput(f"--style {config.style}: no such file; give the painting to measure against")
+            raise BadInput(f"--style {config.style}: no such file; give the style image to compare with")
         return path
     if field is None:
         return None

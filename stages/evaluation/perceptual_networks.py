@@ -1,4 +1,4 @@
-"""Networks that an evaluation looks through: perceptual distances, and the features of the painting."""
+"""Networks of an evaluation: perceptual distances, and the features that style distances use."""
 
 from contextlib import suppress
 from dataclasses import dataclass
@@ -16,137 +16,137 @@ from stylerf.style.feature_matching import StyleRows, style_rows
 from stylerf.style.image_sizes import fitted
 from stylerf.style.losses import by_block, gram_matrix, nearest_neighbor_distance, position_weights
 
-# conv3_1, conv3_2, conv3_3 joined along channels, as ARF stylizes by; conv2_2, just before the second halving, as SIFID
-# takes from its own network.
-TAPS = ("conv2_2", "conv3")
+# conv3_1 to conv3_3 concatenated, as in ARF; conv2_2, just before the second pooling, where SIFID takes its features.
+LAYERS = ("conv2_2", "conv3")
 
 
 @dataclass(frozen=True, eq=False)
-class Perceptual:
-    """A perceptual distance by name, on numpy images [h, w, 3] in 0..1."""
+class PerceptualNetwork:
+    """A named perceptual distance on images [h, w, 3] in 0..1."""
 
     name: str
-    words: str
+    source: str
     network: PerceptualDistance
     device: str
 
     @torch.no_grad()
     def distance(self, a: np.ndarray, b: np.ndarray) -> float:
-        """Distance of two whole images, >= 0."""
+        """Distance of two images, >= 0."""
         return float(self.network(_batch(a, self.device), _batch(b, self.device))[0])
 
     @torch.no_grad()
     def pixels(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-        """The distance at each pixel, [h, w]."""
+        """Distance per pixel, [h, w]."""
         return self.network.maps(_batch(a, self.device), _batch(b, self.device))[0].cpu().numpy()
 
 
-def perceptual_distances(device: str) -> tuple[Perceptual | None, Perceptual | None]:
-    """ST-LPIPS and LPIPS, each None where its weights are not here."""
-    tolerant, plain = (_loaded(found, device) for found in _perceptual_weights())
-    return tolerant, plain
+def perceptual_networks(device: str) -> tuple[PerceptualNetwork | None, PerceptualNetwork | None]:
+    """Load ST-LPIPS and LPIPS; each is None if its weights are missing."""
+    st_lpips, lpips = (_load(found, device) for found in _perceptual_weights())
+    return st_lpips, lpips
 
 
-def networks_found(perceptual: bool, painted: bool, features: str) -> str:
-    """Names and digests of the networks that an evaluation looks through: perceptual ones, and a painting's features.
+def available_networks(perceptual: bool, style: bool, features: str) -> str:
+    """Names and digests of the networks of an evaluation: perceptual ones, and that of the style features.
 
-    UsageError where a painting is to be looked at and there is no such trunk.
+    Raises UsageError if style is measured and the feature network is missing.
     """
     found = [one for one in _perceptual_weights() if one] if perceptual else []
-    found += [resolve.resolve(features or None)] if painted else []
+    found += [resolve.resolve(features or None)] if style else []
     return ", ".join(f"{one.name} {one.digest[:16]}" for one in found)
 
 
 def _perceptual_weights() -> tuple[resolve.ResolvedExtractor | None, resolve.ResolvedExtractor | None]:
-    # AlexNet first: at 504x378 on two cores ST-LPIPS on VGG-16 takes 2.4 times as long.
+    # Prefer AlexNet: at 504x378 on two cores, ST-LPIPS on VGG-16 takes 2.4 times as long.
     names = sorted(resolve.available_metrics(), key=lambda name: "alex" not in name)
-    plain = next((name for name in names if name.startswith("lpips")), None)
-    tolerant = next((name for name in names if name.startswith("st-lpips")), None)
-    return _first_of(("st-lpips-alex", tolerant) if tolerant else ()), _first_of((plain,) if plain else ())
+    lpips = next((name for name in names if name.startswith("lpips")), None)
+    st_lpips = next((name for name in names if name.startswith("st-lpips")), None)
+    return _first_of(("st-lpips-alex", st_lpips) if st_lpips else ()), _first_of((lpips,) if lpips else ())
 
 
 def _first_of(names: tuple[str, ...]) -> resolve.ResolvedExtractor | None:
-    """The first of these metrics whose weights are here."""
+    """The first of these metrics whose weights are available."""
     for name in names:
         with suppress(UsageError):
             return resolve.resolve_metric(name)
     return None
 
 
-def _loaded(found: resolve.ResolvedExtractor | None, device: str) -> Perceptual | None:
+def _load(found: resolve.ResolvedExtractor | None, device: str) -> PerceptualNetwork | None:
     if found is None:
         return None
     network = PerceptualDistance(found.state, found.kind).to(device).eval()
-    return Perceptual(found.name, found.source, network, device)
+    return PerceptualNetwork(found.name, found.source, network, device)
 
 
 @dataclass(frozen=True, eq=False)
-class Prepared:
-    """What is kept of the painting at one size: rows to match against, Gram matrix, moments of conv2_2."""
+class StyleFeatures:
+    """Features of the style image at one size: rows to match against, Gram matrix, moments of conv2_2."""
 
     rows: StyleRows
     gram: Tensor
     moments: Moments
 
 
-class Painting:
-    """A painting's features, and how far pictures are from them.
+class StyleImage:
+    """A style image, and the distances of renders from it.
 
-    Render and painting are both brought to `side` pixels on their longer side (a smaller render is not enlarged; the
-    painting then shrinks with it), so that figures of one resolution can be compared with one another.
+    Both are resized to `side` pixels on the longer side, or to the render's own size if smaller, so that values of one
+    size are comparable.
     """
 
     def __init__(self, image: np.ndarray, features: str, side: int, device: str) -> None:
         """image: [h, w, 3] sRGB 0..1."""
         found = resolve.resolve(features or None)
         self.image, self.side, self.device = image, side, device
-        self.trunk_name, self.trunk_words = found.name, found.source
-        self.trunk = FeatureExtractor(found.state, TAPS, found.kind).to(device)
-        self._prepared: dict[int, Prepared] = {}
+        self.network_name, self.network_source = found.name, found.source
+        self.extractor = FeatureExtractor(found.state, LAYERS, found.kind).to(device)
+        self._features_by_side: dict[int, StyleFeatures] = {}
 
     @property
     def protocol(self) -> str:
-        """How style distances are measured, in words."""
+        """How style distances are measured, for the report."""
         return (
-            f"features conv3_1..3 of {self.trunk_name} ({self.trunk_words}), both pictures at {self.side} pixels on "
-            "the longer side or the render's own if smaller, positions weighted by alpha"
+            f"features conv3_1..3 of {self.network_name} ({self.network_source}), both images at {self.side} pixels on "
+            "the longer side, or at the render's size if smaller, positions weighted by alpha"
         )
 
     @torch.no_grad()
     def distances(self, image: np.ndarray, alpha: np.ndarray) -> tuple[float, float, float]:
-        """Distances of an image [h, w, 3]: NNFM (mean 1 - cosine to the nearest feature), relative Gram, SIFID-style.
+        """Distances of an image [h, w, 3] with alpha [h, w]: NNFM, relative Gram, SIFID-style.
 
-        SIFID-style: squared Frechet distance between the features of conv2_2 at the positions of the two pictures.
+        NNFM: mean of 1 - cosine to the nearest style feature. SIFID-style: squared Frechet distance between conv2_2
+        features. All NaN if the image is transparent.
         """
         side = min(self.side, max(image.shape[:2]))
-        painting = self._at(side)
+        style = self._at(side)
         fine, found = self._features(fitted(_batch(image, self.device)[0], side))
-        coverage, seen = (self._coverage(alpha, features) for features in (found, fine))
-        if float(coverage.sum()) <= 0 or float(seen.sum()) <= 0:
+        coverage, fine_coverage = (self._coverage(alpha, features) for features in (found, fine))
+        if float(coverage.sum()) <= 0 or float(fine_coverage.sum()) <= 0:
             return (float("nan"),) * 3
-        nearest, _ = nearest_neighbor_distance(found, painting.rows, coverage)
-        gram = painting.gram
+        nearest, _ = nearest_neighbor_distance(found, style.rows, coverage)
+        gram = style.gram
         difference = torch.linalg.norm(gram_matrix(found, coverage) - gram) / torch.linalg.norm(gram)
-        sifid = frechet_squared(_moments(fine, seen > 0), painting.moments)
+        sifid = frechet_squared(_moments(fine, fine_coverage > 0), style.moments)
         return float(nearest.sum() / coverage.sum()), float(difference), sifid
 
     def _coverage(self, alpha: np.ndarray, features: Tensor) -> Tensor:
-        """Weight of each position of the features, 0 where it is half the background's or more."""
-        part = position_weights(torch.from_numpy(np.ascontiguousarray(alpha)).float().to(self.device), features)
-        return torch.where(part > 0.5, part, torch.zeros_like(part))
+        """Weight of each feature position, 0 where at most half of it is opaque."""
+        weights = position_weights(torch.from_numpy(np.ascontiguousarray(alpha)).float().to(self.device), features)
+        return torch.where(weights > 0.5, weights, torch.zeros_like(weights))
 
-    def _at(self, side: int) -> Prepared:
-        if side not in self._prepared:
+    def _at(self, side: int) -> StyleFeatures:
+        if side not in self._features_by_side:
             fine, found = self._features(fitted(_batch(self.image, self.device)[0], side))
             everywhere = torch.ones(fine.shape[1:], dtype=torch.bool, device=fine.device)
-            self._prepared[side] = Prepared(
+            self._features_by_side[side] = StyleFeatures(
                 style_rows(found, most=None), gram_matrix(found), _moments(fine, everywhere)
             )
-        return self._prepared[side]
+        return self._features_by_side[side]
 
     def _features(self, image: Tensor) -> tuple[Tensor, Tensor]:
-        """[c, h, w] of conv2_2, and of conv3's layers joined."""
-        found = by_block(self.trunk.taps, self.trunk(image[None]))
+        """Features [c, h, w] of conv2_2, and of the layers of conv3 concatenated."""
+        found = by_block(self.extractor.taps, self.extractor(image[None]))
         return found["conv2"], found["conv3"]
 
 

@@ -1,4 +1,4 @@
-"""What an evaluation looks at beside artifacts, files and networks: read before any work, known by digests."""
+"""Pin the files and networks that an evaluation reads besides artifacts, by their digests."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -8,32 +8,30 @@ from schemas.images import read_image
 from schemas.work_folder import Artifact
 from stages.configs.evaluate import EvaluateConfig
 from stages.evaluation.optical_flow import flows_digest
-from stages.evaluation.perceptual_metrics import painting_file
-from stages.evaluation.perceptual_networks import networks_found
+from stages.evaluation.perceptual_metrics import style_file
+from stages.evaluation.perceptual_networks import available_networks
 from stages.evaluation.reference_metrics import references_digest
 from stages.evaluation.region_masks import masks_digest
 
 
 def pinned(config: EvaluateConfig, field: Artifact | None = None) -> EvaluateConfig:
-    """The config with the digests of the files it names and of the networks that are here, so that others measure anew.
+    """Add the digests of the files it names and of the available networks, so that a change of them is noticed.
 
-    BadInput where there are none, or the painting or a reference cannot be read. field: may tell of a painting too.
+    field: may name a style image too. Raises BadInput if a file is missing, or an image cannot be read.
     """
-    painting = painting_file(config, None)
-    if painting is not None:
-        read_image(painting)
-    return replace(
-        config,
-        **digests_of_files(config),
-        networks=networks_found(config.perceptual != "none", painting_file(config, field) is not None, config.features),
-    )
+    style = style_file(config, None)
+    if style is not None:
+        read_image(style)
+    styled = style_file(config, field) is not None
+    networks = available_networks(config.perceptual != "none", styled, config.features)
+    return replace(config, **digests_of_files(config), networks=networks)
 
 
 def digests_of_files(config: EvaluateConfig) -> dict[str, str]:
-    """The digests of the files that the options name, as they are now; empty where an option names none."""
-    painting = painting_file(config, None)
+    """Current digests of the files that options name; empty for options that name none."""
+    style = style_file(config, None)
     return {
-        "style_digest": "" if painting is None else file_sha256(painting),
+        "style_digest": "" if style is None else file_sha256(style),
         "masks_digest": masks_digest(Path(config.masks).expanduser()) if config.masks else "",
         "flow_digest": flows_digest(Path(config.flow).expanduser()) if config.flow else "",
         "reference_digest": references_digest(config.reference) if config.reference else "",

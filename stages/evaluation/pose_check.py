@@ -1,4 +1,4 @@
-"""Whether a scene's poses explain its photos: how far photos and a fitted field's pictures of them lie apart."""
+"""Check a scene's poses: how far its photos are shifted from the renders of a fitted field (decision 0045)."""
 
 import math
 from dataclasses import dataclass
@@ -13,16 +13,15 @@ from stylerf.training.common.ray_dataset import HIDDEN
 from stylerf.training.fit.engine import background_of, over, target
 from stylerf.training.fit.fitter import Fitter
 
-VIEWS, SUSPECTS = 8, 3  # looked at: so many evenly, and so many of those that the field shows worst
-LONGER_SIDE = 128  # pixels of the copies that are compared
-RAYS, LEAST_RAYS = 16_384, 64  # of all views and of each, by which the worst are found
-# Decision 0045. Shifts are shares of a photo's longer side.
-ALIKE = 0.5  # below, field and photo have too little in common to be compared
-# The median view of right poses is off by less than APART + VAGUE (1 - its correlation) of the longer side: the less a
-# field shows yet, the vaguer the place of what it shows. LEAST_PIXELS of the photo are never told.
-APART, VAGUE, LEAST_PIXELS = 0.001, 0.03, 1.0
-ALIEN = 0.6  # a view less like its render than this does not go with the others, where those are as much as KNOWN
-KNOWN = 0.85
+EVEN_VIEWS, WORST_VIEWS = 8, 3  # checked: views evenly spread, and those with the largest error
+LONGER_SIDE = 128  # pixels of the images that are compared
+RAYS, MIN_RAYS_PER_VIEW = 16_384, 64  # sampled to find the worst views
+MIN_CORRELATION = 0.5  # below it, render and photo are too different to measure a shift
+# With correct poses, the median shift is below BASE_SHIFT + SHIFT_SLOPE (1 - its correlation), as a fraction of the
+# longer side: an unfinished field locates things less precisely. Shifts up to MIN_SHIFT_PX never warn.
+BASE_SHIFT, SHIFT_SLOPE, MIN_SHIFT_PX = 0.001, 0.03, 1.0
+# A view below the first is an outlier where the median correlation is above the second.
+OUTLIER_CORRELATION, GOOD_CORRELATION = 0.6, 0.85
 ADVICE = (
     "find new poses with `stylerf import PHOTOS WORK --format photos`, also with --matching exhaustive or more "
     "--sfm-features"
@@ -31,81 +30,85 @@ ADVICE = (
 
 @dataclass(frozen=True)
 class ViewShift:
-    """How far a view's photo and the field's picture of it lie apart: pixels of the photo, share of its longer side.
+    """The shift between a view's photo and its render.
 
-    alike: their correlation once shifted, -1..1. evenly: chosen as one of those spread over all views.
+    Attributes:
+        pixels: in pixels of the photo.
+        fraction: of the photo's longer side.
+        correlation: of photo and render after removing the shift, -1..1.
+        evenly: whether the view is one of those evenly spread.
     """
 
     name: str
     pixels: float
-    share: float
-    alike: float
+    fraction: float
+    correlation: float
     evenly: bool
 
 
 def pose_shifts(fitter: Fitter) -> list[ViewShift]:
-    """Of some views of the field as it stands, the smallest share first. Every process must take part."""
+    """Measure the shifts of some views, smallest fraction first. A collective call: every process must take part."""
     cameras = fitter.bank.cameras
-    evenly = spread(list(range(len(cameras))), min(VIEWS, len(cameras)))
+    evenly = spread(list(range(len(cameras))), min(EVEN_VIEWS, len(cameras)))
     found = []
-    for view in [*evenly, *(one for one in _worst(fitter) if one not in evenly)]:
+    for view in [*evenly, *(view for view in _worst_views(fitter) if view not in evenly)]:
         camera = cameras[view]
         longer = max(camera.width, camera.height)
         small = camera.scaled(min(1.0, LONGER_SIDE / longer))
-        (right, down), alike = shift_between(*_both(fitter, view, small))
+        (right, down), correlation = shift_between(*_photo_and_render(fitter, view, small))
         pixels = math.hypot(right * camera.width / small.width, down * camera.height / small.height)
-        found.append(ViewShift(camera.name, pixels, pixels / longer, alike, view in evenly))
-    return sorted(found, key=lambda one: one.share)
+        found.append(ViewShift(camera.name, pixels, pixels / longer, correlation, view in evenly))
+    return sorted(found, key=lambda shift: shift.fraction)
 
 
-def pose_figures(shifts: list[ViewShift]) -> dict:
-    """For the manifest: pixels of the median and of the worst view, the median correlation, and both of each view."""
-    median, worst = _middle(shifts), shifts[-1]
+def pose_metrics(shifts: list[ViewShift]) -> dict:
+    """Shifts for the manifest: pixels of the median and the worst view, median correlation, and both of each view."""
+    median, worst = _median(shifts), shifts[-1]
     return {
         "median": round(median.pixels, 2),
         "worst": round(worst.pixels, 2),
         "worst_view": worst.name,
-        "correlation": round(_alike(shifts), 3),
-        "views": {one.name: [round(one.pixels, 2), round(one.alike, 3)] for one in shifts},
+        "correlation": round(_correlation(shifts), 3),
+        "views": {shift.name: [round(shift.pixels, 2), round(shift.correlation, 3)] for shift in shifts},
     }
 
 
-def told(shifts: list[ViewShift]) -> str | None:
-    """The line for a user where poses do not explain the photos; None where they do, or where that cannot be told."""
-    median, worst, alike = _middle(shifts), shifts[-1], _alike(shifts)
-    count = sum(one.evenly for one in shifts)
-    if alike < ALIKE:
+def pose_warning(shifts: list[ViewShift]) -> str | None:
+    """The warning if poses do not match the photos; None if they do, or if the field is too poor to decide."""
+    median, worst, correlation = _median(shifts), shifts[-1], _correlation(shifts)
+    count = sum(shift.evenly for shift in shifts)
+    if correlation < MIN_CORRELATION:
         return None
-    if median.share > APART + VAGUE * (1 - alike) and median.pixels > LEAST_PIXELS:
+    if median.fraction > BASE_SHIFT + SHIFT_SLOPE * (1 - correlation) and median.pixels > MIN_SHIFT_PX:
         return (
-            f"poses: photos and renders are {median.pixels:.1f} px apart in the middle of {count} views (worst: "
-            f"{worst.name} by {worst.pixels:.0f} px); the poses do not explain the photos: {ADVICE}, "
+            f"poses: the median shift between photos and renders of {count} views is {median.pixels:.1f} px (worst: "
+            f"{worst.name}, {worst.pixels:.0f} px); the poses do not match the photos: {ADVICE}, "
             "or leave the worst views out"
         )
-    lost = min(shifts, key=lambda one: one.alike)
-    if lost.alike < ALIEN and alike > KNOWN:
+    outlier = min(shifts, key=lambda shift: shift.correlation)
+    if outlier.correlation < OUTLIER_CORRELATION and correlation > GOOD_CORRELATION:
         return (
-            f"poses: {lost.name} and its render have little in common (correlation {lost.alike:.2f}, "
-            f"{alike:.2f} in the middle of {count} views); its pose does not explain the photo, or the "
-            "photo shows something else: leave it out, or " + ADVICE
+            f"poses: {outlier.name} differs from its render (correlation {outlier.correlation:.2f}; the median of "
+            f"{count} views is {correlation:.2f}); its pose is wrong, or its photo shows something else: leave it "
+            "out, or " + ADVICE
         )
     return None
 
 
-def _middle(shifts: list[ViewShift]) -> ViewShift:
-    evenly = [one for one in shifts if one.evenly]
+def _median(shifts: list[ViewShift]) -> ViewShift:
+    evenly = [shift for shift in shifts if shift.evenly]
     return evenly[(len(evenly) - 1) // 2]
 
 
-def _alike(shifts: list[ViewShift]) -> float:
-    return float(np.median([one.alike for one in shifts if one.evenly]))
+def _correlation(shifts: list[ViewShift]) -> float:
+    return float(np.median([shift.correlation for shift in shifts if shift.evenly]))
 
 
-def _worst(fitter: Fitter) -> list[int]:
-    """The views that the field shows worst, by some rays of each."""
+def _worst_views(fitter: Fitter) -> list[int]:
+    """The views with the largest mean squared error, over a sample of rays."""
     bank, count = fitter.bank, len(fitter.bank.cameras)
-    each = max(LEAST_RAYS, RAYS // count)
-    views = np.repeat(np.arange(count), each)
+    rays = max(MIN_RAYS_PER_VIEW, RAYS // count)
+    views = np.repeat(np.arange(count), rays)
     generator = np.random.default_rng([fitter.seed, 5])
     pixels = (generator.random(len(views)) * bank.sizes[views]).astype(np.int64)
     origins, directions, colors = bank.at(views, pixels)
@@ -114,11 +117,11 @@ def _worst(fitter: Fitter) -> list[int]:
     error = np.square(over(out[:, :3], out[:, 3:4], background) - target(colors, background)).mean(1)
     if fitter.field.closed and bank.channels == 4:
         error[colors[:, 3] <= HIDDEN] = 0
-    return np.argsort(-error.reshape(count, each).mean(1), kind="stable")[:SUSPECTS].tolist()
+    return np.argsort(-error.reshape(count, rays).mean(1), kind="stable")[:WORST_VIEWS].tolist()
 
 
-def _both(fitter: Fitter, view: int, camera) -> tuple[np.ndarray, np.ndarray]:
-    """Gray photo and render [h, w] of a view at the size of `camera`, over the background of the fit."""
+def _photo_and_render(fitter: Fitter, view: int, camera) -> tuple[np.ndarray, np.ndarray]:
+    """Photo and render of a view as gray images [h, w] at the size of `camera`, over the fit's background."""
     bank, own = fitter.bank, fitter.bank.cameras[view]
     count = bank.sizes[view] * bank.channels
     photo = bank.bytes[bank.starts[view] : bank.starts[view] + count].reshape(own.height, own.width, bank.channels)

@@ -1,7 +1,7 @@
-"""Measures of stylization by a reference picture (Ref-NPR): Ref-LPIPS, and Robustness.
+"""Ref-NPR's metrics of stylization by reference: Ref-LPIPS and Robustness.
 
-Ref-LPIPS: LPIPS between a stylized picture of one view and the renders of the test views nearest to it. Robustness: the
-renders of a stylized field serve as references for a second one; PSNR between the two fields' renders.
+Ref-LPIPS: LPIPS between a stylized image of one view and the renders of the nearest test views. Robustness: PSNR
+between the renders of a stylized field and those of a second field that took them as references.
 """
 
 from collections.abc import Sequence
@@ -14,81 +14,81 @@ from schemas.canonical_json import digest_of, file_sha256
 from schemas.errors import BadInput
 from stages.artifacts.style_images import read_colors
 from stages.configs.views import file_of
-from stages.evaluation.region_masks import SIDES_DIFFER
+from stages.evaluation.region_masks import ASPECT_TOLERANCE
 from stages.evaluation.test_views import FrameViews, Render, SceneViews
-from stages.evaluation.view_metrics import HIGHEST_PSNR, ViewRow, spoiled_words
+from stages.evaluation.view_metrics import HIGHEST_PSNR, ViewRow, nonfinite_message
 from stylerf.metrics.flow_consistency import ImageDistance
 from stylerf.metrics.image_quality import psnr
 
-NEAREST = 10  # test views that a reference is compared with
+NEAREST = 10  # test views compared with each reference
 
 
 class References:
-    """Reference pictures, and which test views each is compared with: the nearest by distance of camera centers."""
+    """Reference images and the test views each is compared with: those with the nearest camera centers."""
 
-    def __init__(self, asked: Sequence[str], scene: SceneViews, frames: FrameViews) -> None:
-        places = np.array([view.camera.world_from_camera for view in frames.frames.views])[:, :3, 3]
-        self._pictures: list[np.ndarray] = []
-        self._near: list[set[int]] = []
-        for name, path in map(file_of, asked):
-            away = np.linalg.norm(places - scene.center_of(name), axis=1)
-            self._near.append(set(np.argsort(away, kind="stable")[:NEAREST].tolist()))
-            self._pictures.append(picture_of(path))
+    def __init__(self, references: Sequence[str], scene: SceneViews, frames: FrameViews) -> None:
+        centers = np.array([view.camera.world_from_camera for view in frames.frames.views])[:, :3, 3]
+        self._images: list[np.ndarray] = []
+        self._nearest: list[set[int]] = []
+        for name, path in map(file_of, references):
+            distances = np.linalg.norm(centers - scene.center_of(name), axis=1)
+            self._nearest.append(set(np.argsort(distances, kind="stable")[:NEAREST].tolist()))
+            self._images.append(read_reference(path))
 
     def measure(self, row: ViewRow, index: int, render: Render, distance: ImageDistance | None) -> None:
-        """Mean distance of test view `index` from the references it is near to, under `ref_lpips`."""
-        near = [self._pictures[i] for i, views in enumerate(self._near) if index in views]
+        """Mean distance of test view `index` to the references it is nearest to, under `ref_lpips`."""
+        near = [self._images[i] for i, views in enumerate(self._nearest) if index in views]
         if not near or distance is None:
             return
-        if render.spoiled:
-            row.spoil(("ref_lpips",), spoiled_words(render))
+        if render.nonfinite:
+            row.skip(("ref_lpips",), nonfinite_message(render))
         else:
-            sized = [sized_as(picture, render) for picture in near]
-            row.measure(("ref_lpips",), lambda: float(np.mean([distance(render.image, one) for one in sized])))
+            sized = [resized_to(image, render) for image in near]
+            row.measure(("ref_lpips",), lambda: float(np.mean([distance(render.image, image) for image in sized])))
 
 
-def checked(asked: Sequence[str], scene: SceneViews) -> None:
-    """BadInput where a reference is of no view of the scene, before frames are rendered to compare it with."""
-    for name, _ in map(file_of, asked):
+def check_references(references: Sequence[str], scene: SceneViews) -> None:
+    """Raise BadInput if a reference names no view of the scene."""
+    for name, _ in map(file_of, references):
         scene.center_of(name)
 
 
-def picture_of(path: Path) -> np.ndarray:
-    """[h, w, 3] sRGB 0..1; transparent parts are white. BadInput where there is no such file."""
+def read_reference(path: Path) -> np.ndarray:
+    """Read a reference as [h, w, 3] sRGB 0..1, composited on white. BadInput if the file is missing."""
     if not path.is_file():
         raise BadInput(f"--reference: no file {path}")
     return read_colors(path)
 
 
-def sized_as(picture: np.ndarray, render: Render) -> np.ndarray:
-    """The picture at the render's size, averaged down; BadInput where its sides are in another proportion."""
+def resized_to(image: np.ndarray, render: Render) -> np.ndarray:
+    """Resize an image to the size of a render; BadInput if their aspect ratios differ."""
     height, width = render.alpha.shape
-    if abs(picture.shape[1] * height / (picture.shape[0] * width) - 1) > SIDES_DIFFER:
+    if abs(image.shape[1] * height / (image.shape[0] * width) - 1) > ASPECT_TOLERANCE:
         raise BadInput(
-            f"a reference is {picture.shape[1]}x{picture.shape[0]} where view {render.name} is {width}x{height}: it "
-            "has to show a whole view, at any size"
+            f"a reference is {image.shape[1]}x{image.shape[0]} but view {render.name} is {width}x{height}: expected "
+            "the same aspect ratio, at any size"
         )
-    if picture.shape[:2] == (height, width):
-        return picture.astype(np.float32)
-    return np.clip(resize(picture, (height, width, 3), anti_aliasing=True), 0, 1).astype(np.float32)
+    if image.shape[:2] == (height, width):
+        return image.astype(np.float32)
+    return np.clip(resize(image, (height, width, 3), anti_aliasing=True), 0, 1).astype(np.float32)
 
 
-def references_digest(asked: Sequence[str]) -> str:
-    """Over the views and the contents of their pictures; BadInput where one is missing or no picture."""
-    pairs = [file_of(text) for text in asked]
+def references_digest(references: Sequence[str]) -> str:
+    """Digest of the views and contents of the references; BadInput if one is missing or no image."""
+    pairs = [file_of(text) for text in references]
     for _, path in pairs:
-        picture_of(path)
+        read_reference(path)
     return digest_of([[name, file_sha256(path)] for name, path in pairs])
 
 
-def measure_robustness(row: ViewRow, render: Render, twins: FrameViews) -> None:
-    """PSNR of a render against the same view of the field whose renders were the references, under `robustness`."""
-    at = twins.showing(render.scene_view)
-    if at is None:
+def measure_robustness(row: ViewRow, render: Render, reference_frames: FrameViews) -> None:
+    """PSNR against the same view of the field whose renders were the references, under `robustness`."""
+    index = reference_frames.index_of(render.scene_view)
+    if index is None:
         return
-    twin = twins.render(at)
-    if render.spoiled or twin.spoiled:
-        words = spoiled_words(render) if render.spoiled else f"of the other field: {spoiled_words(twin)}"
-        row.spoil(("robustness",), words)
+    reference = reference_frames.render(index)
+    if render.nonfinite or reference.nonfinite:
+        remark = nonfinite_message(render) if render.nonfinite else f"reference field: {nonfinite_message(reference)}"
+        row.skip(("robustness",), remark)
     else:
-        row.measure(("robustness",), lambda: min(psnr(render.image, twin.image), HIGHEST_PSNR))
+        row.measure(("robustness",), lambda: min(psnr(render.image, reference.image), HIGHEST_PSNR))

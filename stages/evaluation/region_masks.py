@@ -1,4 +1,4 @@
-"""Where a view shows the region of a local edit: by the regions' cells, or by pictures of masks."""
+"""Which pixels of a view show the region of a local edit: from the regions' cells, or from mask images."""
 
 from collections import Counter
 from collections.abc import Iterable, Mapping
@@ -19,16 +19,16 @@ from stylerf.editing.edit_grid import march_view
 from stylerf.kernels.cpu.compiling import compiling_note, set_threads
 from stylerf.rendering.region_alpha import alpha_inside
 
-SHOWN = 0.5  # coverage from which a pixel counts as the region's
+REGION_THRESHOLD = 0.5  # coverage above which a pixel belongs to the region
 SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".exr")
-SIDES_DIFFER = 0.02  # how far the sides' ratio of a mask may be from the view's
+ASPECT_TOLERANCE = 0.02  # relative difference of the aspect ratios of a mask and its view
 
 
 class RegionMasks:
-    """Masks by regions: alpha_E of the unedited field, the part of each pixel's opacity that lies in their cells."""
+    """Masks from regions: alpha_E of the unedited field, the part of a pixel's opacity inside their cells."""
 
-    words = (
-        "whose alpha_E (the part of the unedited field's opacity that lies in the region) is over 0.5, and all within "
+    description = (
+        "whose alpha_E (the part of the unedited field's opacity inside the region) is above 0.5, and all within "
         "{margin} pixels of them,"
     )
 
@@ -38,92 +38,94 @@ class RegionMasks:
         self._context = context
 
     def inside(self, frames: FrameViews, index: int, render: Render) -> np.ndarray:
-        """[h, w] bool: what view `index` of the unedited field's frames shows of any of the regions."""
-        shown = np.zeros(render.alpha.shape, bool)
+        """Pixels [h, w] where view `index` of the unedited field's frames shows any of the regions."""
+        inside = np.zeros(render.alpha.shape, bool)
         missing = []
         for name, region in self._regions.items():
             mask = frames.mask(index, name, region.digest)
-            if mask is None or mask.shape != shown.shape:
+            if mask is None or mask.shape != inside.shape:
                 missing.append(region.cells)
             else:
-                shown |= mask > SHOWN
-        return shown | self._marched(render, missing) if missing else shown
+                inside |= mask > REGION_THRESHOLD
+        return inside | self._march(render, missing) if missing else inside
 
-    def seen_from(self, render: Render) -> np.ndarray:
-        """[h, w] bool: what the unedited field shows of any of the regions where only another field was rendered."""
-        return self._marched(render, [region.cells for region in self._regions.values()])
+    def march(self, render: Render) -> np.ndarray:
+        """Pixels [h, w] where the unedited field shows any of the regions, for cameras it was not rendered from."""
+        return self._march(render, [region.cells for region in self._regions.values()])
 
-    def _marched(self, render: Render, marked: list[np.ndarray]) -> np.ndarray:
+    def _march(self, render: Render, regions: list[np.ndarray]) -> np.ndarray:
         threads = set_threads(self._context.threads)
-        shown = np.zeros(render.alpha.size, bool)
+        inside = np.zeros(render.alpha.size, bool)
         with compiling_note(self._context.progress.say):
-            for part, samples in march_view(self._field, render.camera, threads):
-                for cells in marked:
-                    shown[part] |= alpha_inside(cells, samples, threads) > SHOWN
-        return shown.reshape(render.alpha.shape)
+            for rays, samples in march_view(self._field, render.camera, threads):
+                for cells in regions:
+                    inside[rays] |= alpha_inside(cells, samples, threads) > REGION_THRESHOLD
+        return inside.reshape(render.alpha.shape)
 
 
-class PictureMasks:
-    """Masks by pictures in a folder, named like the views: opaque, or else white (or the brightest), is the region.
+class ImageMasks:
+    """Masks from images in a folder, named like the views; the region is opaque, or white (the brightest value).
 
-    absent: views without one; held: of the others, whether it holds anything.
+    Attributes:
+        missing: views without a mask.
+        nonempty: for each other view measured so far, whether its mask shows anything.
     """
 
-    words = "where the given mask, over its largest value and resized, is over 0.5"
+    description = "where the given mask, divided by its maximum and resized, is above 0.5"
 
     def __init__(self, folder: Path, names: Iterable[str]) -> None:
         self._folder = folder
         self._files = {path.relative_to(folder).with_suffix("").as_posix(): path for path in mask_files(folder)}
-        self._bare = Counter(PurePosixPath(name).name for name in map(_stem, names))
-        self.absent: list[str] = []
-        self.held: list[bool] = []
+        self._base_names = Counter(PurePosixPath(name).name for name in map(_stem, names))
+        self.missing: list[str] = []
+        self.nonempty: list[bool] = []
 
     def inside(self, frames: FrameViews, index: int, render: Render) -> np.ndarray | None:
-        """[h, w] bool of the view's own picture; None, and `absent` grows, where there is none."""
+        """Pixels [h, w] inside the view's mask; None if there is none, which is recorded in `missing`."""
         path = self._file(render.name)
         if path is None:
-            self.absent.append(render.name)
+            self.missing.append(render.name)
             return None
-        inside = mask_of(read_image(path).pixels, render.alpha.shape, path)
-        self.held.append(bool(inside.any()))
+        inside = resized_mask(read_image(path).pixels, render.alpha.shape, path)
+        self.nonempty.append(bool(inside.any()))
         return inside
 
     def _file(self, name: str) -> Path | None:
-        """DIR/<name>.png or DIR/<name>_mask.png; without the name's own folders where no other view is called so."""
+        """DIR/<name>.png or DIR/<name>_mask.png; the view's own folders may be left out where the name stays unique."""
         stem = _stem(name)
-        bare = PurePosixPath(stem).name
-        for wanted in (stem, bare) if self._bare[bare] == 1 else (stem,):
-            for end in ("", "_mask"):
-                if wanted + end in self._files:
-                    return self._files[wanted + end]
+        base = PurePosixPath(stem).name
+        for known in (stem, base) if self._base_names[base] == 1 else (stem,):
+            for suffix in ("", "_mask"):
+                if known + suffix in self._files:
+                    return self._files[known + suffix]
         return None
 
 
 def mask_files(folder: Path) -> list[Path]:
-    """The pictures in a folder and below; BadInput where there is none."""
+    """List the images in a folder and below; BadInput if there are none."""
     found = sorted(one for one in folder.rglob("*") if one.suffix.lower() in SUFFIXES and one.is_file())
     if not found:
-        raise BadInput(f"--masks {folder}: expected a folder of masks named like the views, found no picture")
+        raise BadInput(f"--masks {folder}: expected mask images named like the views, found none")
     return found
 
 
 def masks_digest(folder: Path) -> str:
-    """Over the names and contents of the pictures in a folder."""
+    """Digest of the names and contents of the images in a folder."""
     return digest_of({one.relative_to(folder).as_posix(): file_sha256(one) for one in mask_files(folder)})
 
 
-def mask_of(pixels: np.ndarray, size: tuple[int, int], path: Path) -> np.ndarray:
-    """bool [h, w] of a picture [rows, columns, 1, 3 or 4]: what it covers, resized to `size`, over 0.5."""
+def resized_mask(pixels: np.ndarray, size: tuple[int, int], path: Path) -> np.ndarray:
+    """Threshold an image [rows, columns, 1, 3 or 4] as a mask [h, w] of the given size."""
     height, width = size
-    if abs(pixels.shape[1] * height / (pixels.shape[0] * width) - 1) > SIDES_DIFFER:
+    if abs(pixels.shape[1] * height / (pixels.shape[0] * width) - 1) > ASPECT_TOLERANCE:
         raise BadInput(
-            f"{path} is {pixels.shape[1]}x{pixels.shape[0]} where the view is {width}x{height}: a mask has to show the "
-            "whole view, at any size"
+            f"{path} is {pixels.shape[1]}x{pixels.shape[0]} but the view is {width}x{height}: expected a mask of the "
+            "same aspect ratio, at any size"
         )
     gray = coverage(pixels)
     if gray.shape != size:
         gray = resize(gray, size, order=1, anti_aliasing=True)
-    return gray > SHOWN
+    return gray > REGION_THRESHOLD
 
 
 def _stem(name: str) -> str:

@@ -1,4 +1,4 @@
-"""Rendered frames, photos and true depths, brought to one size and one background."""
+"""Rendered frames, photos and true depth, at one size and over one background."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -22,9 +22,14 @@ BACKGROUNDS = {"alpha": 1.0, "white": 1.0, "black": 0.0, "none": 0.0}
 
 @dataclass(frozen=True, eq=False)
 class Render:
-    """One frame of a field: image [h, w, 3] sRGB over the background, clipped to 0..1; alpha, z [h, w].
+    """One frame of a field.
 
-    spoiled: pixels with a color, alpha or (where opaque) depth that is not finite; they stay so in the arrays.
+    Attributes:
+        image: [h, w, 3] sRGB over the background, clipped to 0..1.
+        alpha: [h, w].
+        z: planar depth [h, w].
+        nonfinite: number of pixels with NaN or infinite color, alpha or (where opaque) depth; their image is NaN.
+        scene_view: index of the scene's view that the frame repeats, or None.
     """
 
     name: str
@@ -32,36 +37,41 @@ class Render:
     image: np.ndarray
     alpha: np.ndarray
     z: np.ndarray
-    spoiled: int
+    nonfinite: int
     scene_view: int | None
 
     def posed(self) -> PosedView:
-        """As the consistency metric takes it."""
+        """The frame as input of the consistency metrics."""
         return PosedView(self.camera, self.image, self.alpha, self.z)
 
 
 @dataclass(frozen=True, eq=False)
 class Photo:
-    """What was really seen: image [h, w, 3] sRGB over the background; object mask [h, w] or None; true z or None.
+    """The ground truth of a view.
 
-    shown: of a capture's photo, the pixels [h, w] that no mask hides; None: all of them.
-    resized, depth_unfit: the photo was stored at another size; so was a depth, which is then left out.
+    Attributes:
+        image: [h, w, 3] sRGB over the background.
+        mask: the object's pixels [h, w], or None.
+        depth: true planar depth [h, w], or None.
+        resized: whether the photo was stored at another size.
+        depth_size_differs: whether the true depth is left out because its size differs.
+        visible: pixels [h, w] of a capture's photo that no mask hides; None if all are.
     """
 
     image: np.ndarray
     mask: np.ndarray | None
     depth: np.ndarray | None
     resized: bool
-    depth_unfit: bool
-    shown: np.ndarray | None = None
+    depth_size_differs: bool
+    visible: np.ndarray | None = None
 
-    def beside(self, image: np.ndarray) -> np.ndarray:
-        """The photo with what it hides taken from an image of its size."""
-        return self.image if self.shown is None else np.where(self.shown[..., None], self.image, image)
+    def filled_from(self, image: np.ndarray) -> np.ndarray:
+        """The photo with its hidden pixels replaced by those of an image of the same size."""
+        return self.image if self.visible is None else np.where(self.visible[..., None], self.image, image)
 
 
 class SceneViews:
-    """The photos of a scene, read one at a time."""
+    """Photos of a scene, read one at a time."""
 
     def __init__(self, artifact: Artifact) -> None:
         self._data = load_scene(artifact)
@@ -71,59 +81,59 @@ class SceneViews:
         return len(self._data.views)
 
     @property
-    def background_words(self) -> str:
-        """How a protocol tells what stands behind transparent pixels."""
+    def background_description(self) -> str:
+        """What is behind transparent pixels, for protocols."""
         return {
             "alpha": "(both composited on white)"
             if self._data.layout == "object"
-            else "(where its mask shows the scene; distances by networks see the render where it does not)",
+            else "(where its mask shows the scene; for perceptual networks, masked pixels show the render)",
             "white": "(photo as stored, on white; render composited on white)",
             "black": "(photo as stored, on black; render composited on black)",
             "none": "(render composited on black where it is not opaque)",
         }[self._data.background]
 
     def photo(self, index: int, width: int, height: int) -> Photo:
-        """View `index` at the given size; averaged down (or interpolated up) where it is stored at another.
+        """Read view `index` at the given size, resampled if it is stored at another.
 
-        A depth of another size is left out: depths cannot be averaged.
+        True depth of another size is left out: averaged depths would lie between surfaces.
         """
         pixels = self._data.images(index)
         other_size = pixels.shape[:2] != (height, width)
         premultiplied = _premultiplied(pixels)
         if other_size:
             premultiplied = resize(premultiplied, (height, width, pixels.shape[2]), anti_aliasing=True)
-        color, mask, shown = premultiplied[..., :3], None, None
+        color, mask, visible = premultiplied[..., :3], None, None
         if premultiplied.shape[2] == 4:
             alpha = premultiplied[..., 3:]
             if self._data.layout == "object":
                 mask = alpha[..., 0] > 0.5
                 color = color + (1 - alpha) * self.background
-            else:  # nothing of a capture is transparent: masks hide passers-by
-                shown = alpha[..., 0] > HIDDEN
-                color = np.where(shown[..., None], color / np.maximum(alpha, HIDDEN), self.background)
+            else:  # a capture's alpha is no transparency: its masks hide passers-by
+                visible = alpha[..., 0] > HIDDEN
+                color = np.where(visible[..., None], color / np.maximum(alpha, HIDDEN), self.background)
         depth = self._data.truth_depth(index)
-        unfit = depth is not None and depth.shape != (height, width)
+        size_differs = depth is not None and depth.shape != (height, width)
         image = np.clip(color, 0, 1).astype(np.float32)
-        return Photo(image, mask, None if unfit else depth, other_size, unfit, shown)
+        return Photo(image, mask, None if size_differs else depth, other_size, size_differs, visible)
 
     def center_of(self, name: str) -> np.ndarray:
-        """Camera center [3] of a view by its name, or else by its number; BadInput where there is none."""
+        """Camera center [3] of a view given by name or number; BadInput if there is no such view."""
         return self._data.cameras[view_index(self._data, name, "--reference")].center
 
     @property
     def has_depth(self) -> bool:
-        """Whether true depths belong to this scene."""
+        """Whether the scene has true depth."""
         return self._data.scene.truth.depth is not None
 
 
 class FrameViews:
-    """The frames of a `frames` artifact over one background, read one at a time."""
+    """Frames of a `frames` artifact over one background, read one at a time."""
 
     def __init__(self, artifact: Artifact, background: float) -> None:
         self.artifact, self.background = artifact, background
         self.frames: Frames = read_frames(artifact.file(FRAMES_FILE).parent)
         if not self.frames.views:
-            raise BadInput(f"frames {artifact.name} hold no view; render them again")
+            raise BadInput(f"frames {artifact.name} are empty; render them again")
 
     def __len__(self) -> int:
         return len(self.frames.views)
@@ -131,16 +141,16 @@ class FrameViews:
     def __iter__(self) -> Iterator[Render]:
         return (self.render(i) for i in range(len(self)))
 
-    def showing(self, scene_view: int | None) -> int | None:
-        """Index of the frame that repeats this view of the scene, None where none does."""
+    def index_of(self, scene_view: int | None) -> int | None:
+        """Index of the frame that repeats this view of the scene; None if there is none."""
         if scene_view is None:
             return None
         return next((i for i, view in enumerate(self.frames.views) if view.scene_view == scene_view), None)
 
     def mask(self, index: int, region: str, digest: str) -> np.ndarray | None:
-        """Coverage [h, w] that frame `index` holds of this very region, None where it holds none."""
-        own = {ref.name: ref.digest for ref in self.artifact.manifest.inputs if ref.kind == "region"}
-        if own.get(region) != digest or region not in self.frames.masks:
+        """Coverage [h, w] of exactly this region stored in frame `index`; None if there is none."""
+        digests = {ref.name: ref.digest for ref in self.artifact.manifest.inputs if ref.kind == "region"}
+        if digests.get(region) != digest or region not in self.frames.masks:
             return None
         channel = f"mask.{self.frames.masks[region]}"
         path = self.artifact.file(self.frames.views[index].exr)
@@ -150,9 +160,9 @@ class FrameViews:
             raise ArtifactDamaged(f"frames {self.artifact.name}: {error}") from error
 
     def render(self, index: int) -> Render:
-        """Frame `index`. Values that are not finite are kept and counted, not refused: an evaluation has to tell them.
+        """Read frame `index`. NaN and infinite values are kept and counted, since the report must show them.
 
-        ArtifactDamaged where the file is missing, cannot be read, or has another size than its camera.
+        Raises ArtifactDamaged if the file is missing, unreadable, or differs in size from its camera.
         """
         frame = self.frames.views[index]
         path = self.artifact.file(frame.exr)
@@ -164,7 +174,7 @@ class FrameViews:
         planes = {name: channels[name].astype(np.float32) for name in ("R", "G", "B", "A", "Z")}
         if planes["A"].shape != (camera.height, camera.width):
             height, width = planes["A"].shape
-            raise ArtifactDamaged(f"{path} is {width}x{height} where its camera has {camera.width}x{camera.height}")
+            raise ArtifactDamaged(f"{path} is {width}x{height} but its camera is {camera.width}x{camera.height}")
         linear = np.stack([planes["R"], planes["G"], planes["B"]], axis=-1)
         alpha, z = planes["A"], planes["Z"]
         bad = ~np.isfinite(linear).all(axis=-1) | ~np.isfinite(alpha) | ((alpha > 0.5) & ~np.isfinite(z))
@@ -173,10 +183,10 @@ class FrameViews:
 
 
 def composite(linear: np.ndarray, alpha: np.ndarray, background: float) -> np.ndarray:
-    """Premultiplied linear colors [h, w, 3] over a gray `background` -> sRGB-encoded [h, w, 3], clipped to 0..1.
+    """Composite premultiplied linear colors [h, w, 3] over a gray `background`, as sRGB [h, w, 3] clipped to 0..1.
 
-    Fields blend sRGB-encoded colors, so the blend with the background is of encoded values too: the straight color
-    linear / alpha is encoded, then mixed by alpha.
+    Fields blend sRGB-encoded colors, so the background is blended in sRGB too: the straight color linear / alpha is
+    encoded, then mixed by alpha.
     """
     with np.errstate(invalid="ignore"):
         straight = linear / np.maximum(alpha, 1e-6)[..., None]

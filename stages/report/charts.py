@@ -1,22 +1,25 @@
-"""Charts of an evaluation, each as SVG and PNG; the SVG inlined in a page takes the page's text color."""
+"""Charts as SVG and PNG; inlined in a page, the SVG takes the page's text color."""
 
 import io
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from markupsafe import Markup
+
 from schemas.safe_names import printable
+from stages.evaluation.metrics import Row, is_number
 from stages.report.formatting import escape
 from stylerf.environment.matplotlib_defaults import Figure as Drawing
 from stylerf.environment.matplotlib_defaults import FigureCanvasAgg, MaxNLocator, rc_context
 
 INK = "#24292f"  # text and axes; becomes the page's own color when inlined
-BLUE, ORANGE = "#3d85c6", "#d9822b"  # both read on white and on near-black
-LINES = {"held out": "-", "trained on": "--"}  # a fit's views kept aside, until they are trained on too, and from then
+BLUE, ORANGE = "#3d85c6", "#d9822b"  # legible on white and on near-black
+LINES = {"held out": "-", "trained on": "--"}  # late in a fit, its validation views join the training views
 SETTINGS = {
     "svg.fonttype": "none",  # text stays text: selectable, small, and in the page's own font
     "svg.hashsalt": "stylerf",  # the same chart gives the same bytes
-    "text.parse_math": False,  # names may hold dollar signs
+    "text.parse_math": False,  # names may contain dollar signs
     "font.family": "sans-serif",
     "font.size": 10,
     "axes.edgecolor": INK,
@@ -36,32 +39,33 @@ SETTINGS = {
 
 @dataclass(frozen=True)
 class Chart:
-    """A finished chart. `told` says in words what it shows, for who cannot see it."""
+    """A finished chart. description: what it shows, as the text alternative."""
 
     name: str
     title: str
-    told: str
+    description: str
     svg: str
     png: bytes
 
-    def inline(self) -> str:
-        """The SVG for an HTML page: no XML head, no metadata, ids of its own, text in the color around it."""
+    def inline(self) -> Markup:
+        """The SVG for an HTML page: no XML head or metadata, unique ids, text in the surrounding color."""
         svg = self.svg[self.svg.index("<svg") :]
         svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.S)
         svg = re.sub(r' xmlns(:\w+)?="[^"]*"', "", svg).replace("xlink:href", "href").replace(INK, "currentColor")
         svg = re.sub(r'\bid="', f'id="{self.name}-', svg)
         svg = re.sub(r'(url\(|href=")#', rf"\1#{self.name}-", svg)
         head, rest = svg.split(">", 1)
-        head = re.sub(r' (width|height)="[^"]*"', "", head)
+        inches = float(re.search(r' width="([\d.]+)pt"', head)[1]) / 72
+        head = re.sub(r' (width|height)="[^"]*"', "", head) + f' style="--inches:{inches:g}"'
         title = f"{self.name}-title"
-        return f'{head} role="img" aria-labelledby="{title}"><title id="{title}">{escape(self.told)}</title>{rest}'
+        label = f'role="img" aria-labelledby="{title}"><title id="{title}">{escape(self.description)}</title>'
+        return Markup(f"{head} {label}{rest}")
 
 
 def bar_chart(name: str, title: str, unit: str, labels: Sequence[str], values: Sequence[float | None]) -> Chart:
-    """One bar a view, in the given order, from zero; a dashed line at the mean. None shows as a cross."""
+    """One bar per view, in the given order, and a dashed line at the mean; None is drawn as a cross."""
     known = [value for value in values if value is not None]
     mean = sum(known) / len(known)
-    worst, best = min(known), max(known)
     with rc_context(SETTINGS):
         drawing = Drawing(figsize=(8, 3.2), layout="constrained")
         axes = drawing.add_subplot()
@@ -85,29 +89,29 @@ def bar_chart(name: str, title: str, unit: str, labels: Sequence[str], values: S
         axes.set_ylabel(f"{title} ({unit})" if unit else title)
         axes.set_axisbelow(True)
         axes.grid(axis="y")
-        told = f"{title} of {len(known)} views: from {worst:.4g} to {best:.4g}, mean {mean:.4g} {unit}".strip()
-        return finished(drawing, name, f"{title}, view by view", told)
+        text = f"{title} of {len(known)} views: {min(known):.4g} to {max(known):.4g}, mean {mean:.4g} {unit}".strip()
+        return finish(drawing, name, f"{title} per view", text)
 
 
 def curve_chart(name: str, title: str, curve: Sequence[dict]) -> Chart:
-    """PSNR of the views that a fit looks at against its seconds and, where recorded, parameters below it.
+    """PSNR of a fit's validation views against seconds, with the parameter count below where recorded.
 
-    curve: [{seconds, psnr, held_out, parameters (optional)}], in order of time. What is trained on by then is dashed,
-    and never joined to what is held out.
+    curve: [{seconds, psnr, held_out, parameters (optional)}] in order of time. Points measured after these views joined
+    the training set are a separate, dashed line.
     """
     seconds = [point["seconds"] for point in curve]
-    kinds = {label: [point for point in curve if point["held_out"] == (label == "held out")] for label in LINES}
-    kinds = {label: points for label, points in kinds.items() if points}
+    lines = {label: [point for point in curve if point["held_out"] == (label == "held out")] for label in LINES}
+    lines = {label: points for label, points in lines.items() if points}
     sized = all(isinstance(point.get("parameters"), (int, float)) for point in curve)
     with rc_context(SETTINGS):
         drawing = Drawing(figsize=(8, 4.2 if sized else 3.2), layout="constrained")
         grid = drawing.add_gridspec(2 if sized else 1, 1, height_ratios=[3, 1] if sized else None)
         upper = drawing.add_subplot(grid[0])
-        for label, points in kinds.items():
+        for label, points in lines.items():
             places = [point["seconds"] for point in points], [point["psnr"] for point in points]
             fill = BLUE if label == "held out" else "none"
             upper.plot(*places, LINES[label] + "o", color=BLUE, markerfacecolor=fill, markersize=3.5, label=label)
-        leading, points = next(iter(kinds.items()))
+        leading, points = next(iter(lines.items()))
         at = points[-1]["seconds"], points[-1]["psnr"]
         upper.annotate(f"{at[1]:.2f} dB {leading}", at, xytext=(0, 6), textcoords="offset points", ha="right")
         upper.legend(loc="lower right")
@@ -124,39 +128,63 @@ def curve_chart(name: str, title: str, curve: Sequence[dict]) -> Chart:
             upper.tick_params(labelbottom=False)
         lowest.set_xlabel("seconds of fitting")
         lowest.set_xlim(left=0)
-        told = [f"{label} {_ends(points)}" for label, points in kinds.items()]
-        return finished(drawing, name, title, f"PSNR against seconds of views {'; of views '.join(told)}")
+        ranges = [f"of views {label}: {_ends(points)}" for label, points in lines.items()]
+        return finish(drawing, name, title, f"PSNR against seconds, {'; '.join(ranges)}")
 
 
 def _ends(points: Sequence[dict]) -> str:
-    told = [f"{point['psnr']:.2f} dB at {point['seconds']:.0f} s" for point in points]
-    return " to ".join(dict.fromkeys((told[0], told[-1])))
+    texts = [f"{point['psnr']:.2f} dB at {point['seconds']:.0f} s" for point in (points[0], points[-1])]
+    return " to ".join(dict.fromkeys(texts))
 
 
 def pairs_chart(name: str, title: str, series: dict[str, Sequence[tuple[float, float]]]) -> Chart:
-    """Lines of (frame, value) for each name, at most two, on one axis from zero."""
+    """At most two named lines of (frame, value), on one axis from zero."""
     with rc_context(SETTINGS):
         drawing = Drawing(figsize=(8, 3), layout="constrained")
         axes = drawing.add_subplot()
-        told = []
+        ranges = []
         for (label, points), color, marker in zip(series.items(), (BLUE, ORANGE), "os"):
             axes.plot(*zip(*points), "-" + marker, color=color, markersize=3.5, label=label)
-            told.append(f"{label}: up to {max(value for _, value in points):.3g}")
+            ranges.append(f"{label}: up to {max(value for _, value in points):.3g}")
         axes.set_xlabel("frame")
         axes.xaxis.set_major_locator(MaxNLocator(integer=True))
         axes.set_ylabel(title)
         axes.set_ylim(bottom=0)
         axes.grid()
         axes.legend(loc="upper center", bbox_to_anchor=(0.5, 1.18), ncols=2)
-        return finished(drawing, name, title, f"{title} along the path. {'; '.join(told)}")
+        return finish(drawing, name, title, f"{title} along the path. {'; '.join(ranges)}")
 
 
-def finished(drawing: Drawing, name: str, title: str, told: str) -> Chart:
-    """The drawing as a chart; made within `matplotlib.rc_context(SETTINGS)`."""
+def finish(drawing: Drawing, name: str, title: str, description: str) -> Chart:
+    """Export a drawing made inside `rc_context(SETTINGS)` as a chart."""
     FigureCanvasAgg(drawing)
     text, picture = io.StringIO(), io.BytesIO()
     drawing.savefig(text, format="svg", transparent=True, metadata={"Date": None})
     drawing.savefig(picture, format="png", dpi=144, facecolor="white", metadata={"Software": None})
-    # Of control characters in a name XML takes none.
+    # XML forbids control characters.
     svg = "".join(letter if letter in "\n\t" else printable(letter) for letter in text.getvalue())
-    return Chart(name, title, told, svg, picture.getvalue())
+    return Chart(name, title, description, svg, picture.getvalue())
+
+
+def evaluation_charts(
+    stylized: bool, rows: Sequence[Row], pairs: Sequence[Row], curve: dict | None, gap: int, style_label: str
+) -> list[Chart]:
+    """The charts there is data for: the leading metric per view, quality against time, consistency along the path."""
+    charts = []
+    key, title, unit = ("nnfm", f"NNFM distance to {style_label}", "") if stylized else ("psnr", "PSNR", "dB")
+    if any(is_number(row.get(key)) for row in rows):
+        labels = [str(row["name"]) for row in rows]
+        values = [float(row[key]) if is_number(row.get(key)) else None for row in rows]
+        charts.append(bar_chart(f"{key}_views", title, unit, labels, values))
+    if curve:
+        charts.append(curve_chart("quality_seconds", f"Quality against time: fit of {curve['of']}", curve["points"]))
+    series = {}
+    for label, words in (("short", "1 frame apart"), ("long", f"{gap} frames apart")):
+        points = [
+            (float(row["frame"]), float(row[f"{label}_rmse"])) for row in pairs if is_number(row.get(f"{label}_rmse"))
+        ]
+        if len(points) > 1:
+            series[words] = points
+    if series:
+        charts.append(pairs_chart("consistency_pairs", "RMSE between warped frames", series))
+    return charts

@@ -1,4 +1,4 @@
-"""Numbers in the words of a page, and what is safe to stand in one."""
+"""Format numbers and text for pages."""
 
 import html
 
@@ -7,19 +7,19 @@ from stages.evaluation.metrics import is_number
 
 
 def escape(text: str) -> str:
-    """Text for HTML or SVG, in an element or an attribute: no markup, no control characters, nothing turned round."""
+    """Escape text for HTML or SVG, in elements and attributes: markup, control and bidirectional characters."""
     return html.escape(printable(text))
 
 
 def number(value: object, digits: int) -> str:
-    """`digits` decimals, an en dash for what was not measured, a true minus sign."""
+    """Format with `digits` decimals and a true minus sign; an en dash if the value is no finite number."""
     if not is_number(value):
         return "–"
     return f"{value:.{digits}f}".replace("-", "−")
 
 
 def duration(seconds: float | None) -> str:
-    """12.3 s, 4 min 5 s, 1 h 2 min."""
+    """Format as 12.3 s, 4 min 5 s or 1 h 2 min."""
     if not is_number(seconds):
         return "–"
     if seconds < 60:
@@ -31,7 +31,7 @@ def duration(seconds: float | None) -> str:
 
 
 def clock(seconds: float | None) -> tuple[str, str]:
-    """Value and unit in few letters: 12.3 s, 4:05 min, 1:02 h."""
+    """Format briefly, as value and unit: 12.3 s, 4:05 min, 1:02 h."""
     if not is_number(seconds):
         return "–", ""
     if seconds < 60:
@@ -43,7 +43,7 @@ def clock(seconds: float | None) -> tuple[str, str]:
 
 
 def megabytes(value: float | None, per: float = 1.0) -> str:
-    """A size of `value` units, `per` of them to the megabyte (1e6 bytes), as MB or GB."""
+    """Format a size in units of 1/`per` MB (1 MB is 1e6 bytes) as MB or GB."""
     if not is_number(value):
         return "–"
     size = value / per
@@ -51,7 +51,7 @@ def megabytes(value: float | None, per: float = 1.0) -> str:
 
 
 def count(value: float | None) -> str:
-    """950, 12.3 thousand, 4.56 million."""
+    """Format as 950, 12.3 thousand or 4.56 million."""
     if not is_number(value):
         return "–"
     if value >= 1e6:

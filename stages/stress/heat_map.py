@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from stages.configs.faults import METHODS
-from stages.report.charts import INK, SETTINGS, Chart, finished
+from stages.report.charts import INK, SETTINGS, Chart, finish
 from stages.stress.success_rates import REMEDIED, Cell
 from stylerf.environment.matplotlib_defaults import Axes, QuadMesh, colormaps, rc_context
 from stylerf.environment.matplotlib_defaults import Figure as Drawing
@@ -39,7 +39,7 @@ def heat_map(cells: Sequence[Cell]) -> Chart:
         bar = drawing.colorbar(mesh, ax=axes, fraction=0.04, pad=0.02, ticks=[0, 0.5, 1])
         bar.ax.set_yticklabels(["none", "half", "all"])
         bar.set_label("runs that succeed")
-        return finished(drawing, "heat_map", "Success of methods under faults", _told(cells))
+        return finish(drawing, "heat_map", "Success of methods under faults", _told(cells))
 
 
 def draw_cells(axes: Axes, cells: Sequence[Cell]) -> QuadMesh:

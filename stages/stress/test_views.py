@@ -8,7 +8,7 @@ from stages.artifacts.field import load_field
 from stages.artifacts.photos import level_of, photo_for
 from stages.artifacts.region import load_region
 from stages.artifacts.scene import load_scene
-from stages.evaluation.region_masks import SHOWN
+from stages.evaluation.region_masks import REGION_THRESHOLD
 from stages.stress.criteria import Seen
 from stylerf.kernels.cpu.compiling import set_threads
 from stylerf.rendering.view import RenderedView, render_view
@@ -42,7 +42,7 @@ def seen_of_edit(scene: Artifact, before: Artifact, after: Artifact, region: Art
     for camera in (data.cameras[index] for index in data.splits["test"]):
         found = render_view(plain, camera, chunks=chunks, regions={"part": cells.edit})
         pictures = _over(render_view(edited, camera, chunks=chunks), level), _over(found, level)
-        views.append(Seen(camera.name, *pictures, found.masks["part"] > SHOWN))
+        views.append(Seen(camera.name, *pictures, found.masks["part"] > REGION_THRESHOLD))
     return views
 
 

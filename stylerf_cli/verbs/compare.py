@@ -32,7 +32,7 @@ def run(args, session) -> dict:
     from stages.comparison.cost_charts import comparison_charts
     from stages.comparison.page import FAMILIES, build_page, rows_of
     from stages.comparison.pareto_fronts import disagreements, on_fronts
-    from stages.comparison.runs import CHARTED, on_other_threads, runs_of
+    from stages.comparison.runs import CHARTED, runs_of, thread_mismatches
     from stages.evaluation.metrics import write_csv
 
     paths: dict[Path, Path] = {}
@@ -46,7 +46,7 @@ def run(args, session) -> dict:
     fronts: dict[str, list[str]] = {}
     for family in FAMILIES:
         some = [one for one in runs if one.family == family]
-        gaps += on_other_threads(some)
+        gaps += thread_mismatches(some)
         gaps += disagreements(some, list(CHARTED[family]))
         fronts |= on_fronts(some, list(CHARTED[family]))
     charts = comparison_charts(runs)
@@ -80,10 +80,10 @@ def words_of(result: dict) -> list[str]:
     """One line a run with its leading figure, then what is missing."""
     lines = []
     for run in result["runs"]:
-        seconds, leading = run["costs"]["seconds"], next(iter(run["figures"].values()), None)
-        figure = f"{leading['label']} {leading['mean']:.4g} {leading['unit']}".rstrip() if leading else "not evaluated"
+        seconds, leading = run["costs"]["seconds"], next(iter(run["metrics"].values()), None)
+        metric = f"{leading['label']} {leading['mean']:.4g} {leading['unit']}".rstrip() if leading else "not evaluated"
         mark = "*" if run["fronts"] else " "
-        lines.append(f"{mark} {run['family'][:-1]:<13} {run['work']}/{run['name']}: {seconds:.0f} s, {figure}")
+        lines.append(f"{mark} {run['family'][:-1]:<13} {run['work']}/{run['name']}: {seconds:.0f} s, {metric}")
     lines.append("* on a Pareto front")
     lines += [f"missing: {gap['what']}. {gap['why']}" for gap in result["missing"]]
     return [*lines, f"page: {result['page']}"]

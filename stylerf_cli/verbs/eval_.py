@@ -49,7 +49,7 @@ def run(args, session) -> dict:
     from stages import evaluate
     from stages.artifacts.provenance import field_unstylized, is_stylized
     from stages.evaluation.pinned_inputs import pinned
-    from stages.evaluation.reference_metrics import checked
+    from stages.evaluation.reference_metrics import check_references
     from stages.evaluation.test_views import SceneViews
     from stages.pipeline.prerequisites import chosen_field, scene_of
 
@@ -64,7 +64,7 @@ def run(args, session) -> dict:
         raise UsageError(f"--reference and --robust-to are for a stylized field; {field.name} is none")
     scene = scene_of(session.work, field)
     if config.reference:
-        checked(config.reference, SceneViews(scene))
+        check_references(config.reference, SceneViews(scene))
     twin = chosen_field(session, args.robust_to) if args.robust_to else None
     base, regions = edit_asked(session, field, args)
     session.say(f"measuring field {field.name}")
@@ -82,7 +82,7 @@ def run(args, session) -> dict:
         if plain is not None:
             inputs["base_frames"] = frames_of(session, plain, "test")
     if twin is not None:
-        inputs["twin_frames"] = frames_of(session, twin, "test")
+        inputs["reference_frames"] = frames_of(session, twin, "test")
     if base is not None:
         inputs |= edit_inputs(session, field, base, regions)
     report = session.run(evaluate.SPEC, evaluate.run, inputs, config, field.name)
@@ -215,22 +215,22 @@ def told(report: Artifact, session: Any) -> dict:
         "page": page,
         "field": content["field"],
         "stylized": content["stylized"],
-        "figures": {figure["key"]: figure["mean"] for figure in content["figures"]},
-        "protocols": {figure["key"]: figure["protocol"] for figure in content["figures"]},
+        "figures": {metric["key"]: metric["mean"] for metric in content["metrics"]},
+        "protocols": {metric["key"]: metric["protocol"] for metric in content["metrics"]},
         "warnings": content["warnings"],
         "not_measured": content["not_measured"],
         "seconds": report.manifest.seconds,
     }
-    width = max((len(figure["label"]) for figure in content["figures"]), default=0)
+    width = max((len(metric["label"]) for metric in content["metrics"]), default=0)
     lines = [f"{content['field']} on {content['scene']}, {content['view_count']} held-out views"]
-    lines += [_figure_line(figure, width) for figure in content["figures"]]
+    lines += [_metric_line(metric, width) for metric in content["metrics"]]
     lines += [f"  note: {text}" for text in content["warnings"]]
     lines.append(f"page: {page}")
     return session.emit(result, lines)
 
 
-def _figure_line(figure: dict, width: int) -> str:
-    unit = "" if figure["unit"] == "share" else figure["unit"]
-    value = f"{figure['mean']:.{figure['digits']}f} {unit}".rstrip()
-    beside = "".join(f"; {name}: {number:.{figure['digits']}f}" for name, number in figure["reference"].items())
-    return f"  {figure['label']:<{width}}  {value}{beside}"
+def _metric_line(metric: dict, width: int) -> str:
+    unit = "" if metric["unit"] == "fraction" else metric["unit"]
+    value = f"{metric['mean']:.{metric['digits']}f} {unit}".rstrip()
+    references = "".join(f"; {name}: {mean:.{metric['digits']}f}" for name, mean in metric["reference"].items())
+    return f"  {metric['label']:<{width}}  {value}{references}"

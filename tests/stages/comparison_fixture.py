@@ -9,8 +9,8 @@ LABELS = {"psnr": ("PSNR", "dB", "higher"), "nnfm": ("NNFM distance to the paint
           "content_ssim": ("Content SSIM", "", "higher"), "background_mse": ("Background MSE", "", "lower"),
           "bleeding": ("Change beside the region", "", "lower"), "sparsity": ("Palette sparsity L_sp", "", "lower"),
           "short_rmse": ("Consistency short (correct), RMSE", "", "lower"),
-          "short_share": ("Consistency short (correct), visible", "share", ""),
-          "long_share": ("Consistency long (correct), visible", "share", ""),
+          "short_share": ("Consistency short (correct), visible", "fraction", ""),
+          "long_share": ("Consistency long (correct), visible", "fraction", ""),
           "edit_short_rmse": ("Consistency short within the region (correct), RMSE", "", "lower"),
           "ref_lpips": ("Ref-LPIPS (lpips-alex)", "", "lower"),
           "long_rmse": ("Consistency long (correct), RMSE", "", "lower")}  # fmt: skip
@@ -84,7 +84,7 @@ def report(
     ]  # fmt: skip
 
     def write(folder) -> None:
-        (folder / "report.json").write_text(json.dumps({"figures": told, "painting": "style.png", "edit": edit}))
+        (folder / "report.json").write_text(json.dumps({"metrics": told, "style_image": "style.png", "edit": edit}))
 
     return made.commit(work, "report", name, "evaluate", inputs, write, figures=figures, **more)
 

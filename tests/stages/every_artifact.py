@@ -216,7 +216,7 @@ def _use_frames(artifact: Artifact) -> None:
     for index in range(len(views)):
         render = views.render(index)
         _finite(*render.camera.rays(np.array([0])))
-        views.showing(0)
+        views.index_of(0)
 
 
 def _use_report(artifact: Artifact) -> None:

@@ -32,7 +32,7 @@ def evaluated(work, inputs, config=QUIET, name="report"):
 
 
 def figure(report, key):
-    return next(item for item in report["figures"] if item["key"] == key)
+    return next(item for item in report["metrics"] if item["key"] == key)
 
 
 @pytest.fixture(scope="module")
@@ -68,8 +68,8 @@ def test_figures_of_a_known_error_are_the_known_figures(fitted):
     assert 0.9 < figure(report, "ssim")["mean"] < 1.0
     assert figure(report, "short_rmse")["mean"] < 0.02 and figure(report, "long_rmse")["mean"] < 0.03
     assert figure(report, "short_share")["mean"] > figure(report, "long_share")["mean"] > 0.5
-    assert all("composited" in item["protocol"] for item in report["figures"] if item["key"] in ("psnr", "ssim"))
-    assert not any("{" in item["protocol"] + item["label"] for item in report["figures"])
+    assert all("composited" in item["protocol"] for item in report["metrics"] if item["key"] in ("psnr", "ssim"))
+    assert not any("{" in item["protocol"] + item["label"] for item in report["metrics"])
 
 
 def test_costs_are_those_of_the_manifests(fitted):
@@ -188,7 +188,7 @@ def test_a_frame_with_nan_in_its_file_is_counted_not_refused(fitted, tmp_path, m
     channels["G"][3, 4], channels["Z"][0, 0] = np.nan, np.inf
     monkeypatch.setattr("stages.evaluation.test_views.read_channels", lambda path, required: (channels, {}))
     render = views.render(0)
-    assert render.spoiled == 2
+    assert render.nonfinite == 2
     assert np.isnan(render.image).all(axis=-1).sum() == 2
 
 
@@ -301,7 +301,7 @@ def test_pairs_are_spread_and_few_are_looked_at_perceptually(fitted):
     ranges = {"short": pairs_of(10, 1, 0), "long": pairs_of(10, 7, 0)}
     film = PathConsistency(path, replace(QUIET, perceptual_pairs=2), PerceptualMetrics(None, None, None, ""), None)
     film._pixels = lambda a, b: np.full(a.shape[:2], 0.25)
-    rows = list(film.measured(ranges))
+    rows = list(film.measure_ranges(ranges))
     assert [row["short_perceptual"] for row in rows if "short_perceptual" in row] == [0.25, 0.25]
     assert len(rows) == 12 and sum("long_perceptual" in row for row in rows) == 2
     assert [row["frame"] for row in rows if "short_perceptual" in row] == [1, 9]

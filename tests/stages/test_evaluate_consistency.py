@@ -12,7 +12,7 @@ from schemas.work_folder import WorkFolder
 from stages import evaluate
 from stages.configs.evaluate import CONSISTENCY, EvaluateConfig
 from stages.evaluation.metric_definitions import BY_KEY
-from stages.evaluation.path_consistency import PARTS, PathConsistency
+from stages.evaluation.path_consistency import METRICS, PathConsistency
 from stages.evaluation.perceptual_metrics import PerceptualMetrics
 from stages.evaluation.pinned_inputs import pinned
 from stages.evaluation.test_views import FrameViews
@@ -32,7 +32,7 @@ def evaluated(work, inputs, config, name="report"):
 
 
 def figures(report):
-    return {item["key"]: item["mean"] for item in report["figures"]}
+    return {item["key"]: item["mean"] for item in report["metrics"]}
 
 
 @pytest.fixture(scope="module")
@@ -52,8 +52,8 @@ def filmed(tmp_path_factory):
 
 
 def test_every_mode_has_its_parts():
-    assert {*PARTS, "all"} == {*CONSISTENCY}
-    for parts in PARTS.values():
+    assert {*METRICS, "all"} == {*CONSISTENCY}
+    for parts in METRICS.values():
         assert all(f"{label}_{part}" in BY_KEY for label in ("short", "long") for part in parts)
 
 
@@ -69,21 +69,21 @@ def test_each_protocol_tells_the_known_change_in_its_own_unit(filmed):
     assert found["short_laenerf_script_flagged"] > 0.95
     assert 0.03 < found["short_laenerf_script_mse"] < 0.06
     assert 0.25 < found["long_laenerf_script_mse"] < 0.5
-    labels = {item["key"]: item["label"] for item in report["figures"]}
+    labels = {item["key"]: item["label"] for item in report["metrics"]}
     assert "(correct)" in labels["short_rmse"] and "(laenerf-script)" in labels["long_laenerf_script_mse"]
     assert "(stylerf-family)" in labels["short_stylerf_family_share"]
-    assert not any("{" in item["protocol"] + item["label"] for item in report["figures"])
+    assert not any("{" in item["protocol"] + item["label"] for item in report["metrics"])
     assert len(report["pairs"]) == 4 + 2
 
 
 def test_one_mode_measures_nothing_of_the_others(filmed):
     work, inputs, everything = filmed
     keys = {}
-    for mode in PARTS:
+    for mode in METRICS:
         told = figures(evaluated(work, inputs, replace(QUIET, consistency=mode)))
         keys[mode] = {key for key in told if key.startswith(("short_", "long_"))}
     for mode, found in keys.items():
-        assert found == {f"{label}_{part}" for label in ("short", "long") for part in PARTS[mode][:2]}, mode
+        assert found == {f"{label}_{part}" for label in ("short", "long") for part in METRICS[mode][:2]}, mode
     assert set.union(*keys.values()) <= {*figures(everything)}
     assert any("published" in note["what"] for note in evaluated(work, inputs, QUIET)["not_measured"])
     assert not any("published" in note["what"] for note in everything["not_measured"])
@@ -114,7 +114,7 @@ def test_the_same_flow_from_files_gives_the_same_figures(filmed, tmp_path, suffi
             assert figures(again)[key] == pytest.approx(value, rel=1e-3), key
     # Without depth to test against, visible is what flows there and back.
     assert figures(again)["short_rmse"] == pytest.approx(figures(report)["short_rmse"], abs=0.01)
-    protocols = {item["key"]: item["protocol"] for item in again["figures"]}
+    protocols = {item["key"]: item["protocol"] for item in again["metrics"]}
     digest = pinned(replace(ALL, flow=str(folder))).flow_digest
     told = f"files (flows {digest[:8]})"
     assert digest and all(told in protocols[key] for key in ("short_rmse", "short_laenerf_script_mse"))
@@ -143,7 +143,7 @@ def test_along_flow_too_the_background_is_neither_visible_nor_asked_for(tmp_path
 def test_a_protocol_tells_how_many_pairs_its_figure_is_of(filmed):
     work, inputs, everything = filmed
     fewer = evaluated(work, inputs, replace(ALL, pairs=2))
-    told = [{item["key"]: item["protocol"] for item in report["figures"]} for report in (everything, fewer)]
+    told = [{item["key"]: item["protocol"] for item in report["metrics"]} for report in (everything, fewer)]
     for key in told[0]:
         if key.startswith(("short_", "long_")):
             count = 4 if key.startswith("short_") else 2  # of five frames, 1 and 3 apart

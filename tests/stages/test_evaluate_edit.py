@@ -129,7 +129,7 @@ def expected(made_up, view: int, margin: float, ring: float, inside: np.ndarray 
 
 
 def figure(report, key):
-    return next(item for item in report["figures"] if item["key"] == key)
+    return next(item for item in report["metrics"] if item["key"] == key)
 
 
 @pytest.fixture(scope="module")
@@ -151,7 +151,7 @@ def test_figures_of_a_known_edit_are_the_known_figures(made_up, measured):
     ratio = figure(report, "background_ratio")["mean"]
     assert ratio == pytest.approx(means["background_mse"] / means["background_mse_unedited"], rel=0.01)
     assert figure(report, "change_lab")["mean"] > 20
-    assert "within 2 pixels" in mse["protocol"] and not any("{" in item["protocol"] for item in report["figures"])
+    assert "within 2 pixels" in mse["protocol"] and not any("{" in item["protocol"] for item in report["metrics"])
     assert report["edit"] == {"regions": ["half.x"], "unedited": "fit", "masks": "", "margin": 2, "ring": 4}
     assert not report["stylized"] and figure(report, "psnr")["mean"] < 25  # the edit is an error there
     assert any("edit counts as an error" in note["why"] for note in report["not_measured"])
@@ -227,10 +227,10 @@ def test_masks_of_another_shape_and_empty_folders_are_refused(made_up, tmp_path)
 
 def test_names_with_folders_are_not_mixed_up(tmp_path):
     write_png(tmp_path / "r_0.png", np.full((4, 4), 255, np.uint8))
-    assert mask_module.PictureMasks(tmp_path, ["test/r_0.png"])._file("test/r_0.png") == tmp_path / "r_0.png"
-    assert mask_module.PictureMasks(tmp_path, ["test/r_0", "train/r_0"])._file("test/r_0") is None
+    assert mask_module.ImageMasks(tmp_path, ["test/r_0.png"])._file("test/r_0.png") == tmp_path / "r_0.png"
+    assert mask_module.ImageMasks(tmp_path, ["test/r_0", "train/r_0"])._file("test/r_0") is None
     write_png(tmp_path / "train" / "r_0.png", np.full((4, 4), 255, np.uint8))
-    both = mask_module.PictureMasks(tmp_path, ["test/r_0", "train/r_0"])
+    both = mask_module.ImageMasks(tmp_path, ["test/r_0", "train/r_0"])
     assert both._file("train/r_0") == tmp_path / "train" / "r_0.png" and both._file("test/r_0") is None
 
 
@@ -288,7 +288,7 @@ def test_without_an_edit_nothing_of_it_is_told(made_up):
     work, inputs, *_ = made_up
     artifact, report = evaluated(work, {role: inputs[role] for role in ("scene", "frames", "field")}, name="plain")
     assert report["edit"] is None and report["training_views"] == []
-    assert not any("background" in item["key"] or "change" in item["key"] for item in report["figures"])
+    assert not any("background" in item["key"] or "change" in item["key"] for item in report["metrics"])
     assert {record.path for record in artifact.manifest.files} == {
         "charts/psnr_views.png", "charts/psnr_views.svg", "report.html", "report.json", "views.csv",
     }  # fmt: skip

@@ -92,12 +92,12 @@ def test_robustness_is_the_psnr_between_the_two_fields(stylized):
     row = ViewRow("any")
     measure_robustness(row, FrameViews(frames["second"], 0.0).render(0), FrameViews(frames["first"], 0.0))
     assert row.values["robustness"] == pytest.approx(20, abs=0.1)  # 0.1 apart everywhere
-    inputs = {"scene": scene, "frames": frames["second"], "twin_frames": frames["first"]}
+    inputs = {"scene": scene, "frames": frames["second"], "reference_frames": frames["first"]}
     inputs["field"] = work.get("field", "second")
     config = EvaluateConfig(perceptual="none", sheet=1)
     artifact, _ = execute(evaluate.SPEC, evaluate.run, work, "second", inputs, config, Context())
     report = json.loads(artifact.file("report.json").read_text())
-    told = next(item for item in report["figures"] if item["key"] == "robustness")
+    told = next(item for item in report["metrics"] if item["key"] == "robustness")
     assert told["mean"] == pytest.approx(20, abs=0.1) and told["count"] == 4 and "field first" in told["protocol"]
     notes = {note["what"]: note["why"] for note in report["not_measured"]}
     assert "Robustness" not in notes and "Ref-LPIPS" in notes and "weights are missing" in notes["ArtFID"]
@@ -115,11 +115,11 @@ def test_a_spoiled_render_is_left_out_and_counted(stylized, monkeypatch, tmp_pat
 
     monkeypatch.setattr(FrameViews, "render", render)
     inputs = {"scene": scene, "frames": frames["second"], "field": work.get("field", "second")}
-    inputs |= dict.fromkeys(("twin_frames", "base_frames"), frames["first"])
+    inputs |= dict.fromkeys(("reference_frames", "base_frames"), frames["first"])
     config = EvaluateConfig(perceptual="none", sheet=1)
     artifact, _ = execute(evaluate.SPEC, evaluate.run, WorkFolder(tmp_path), "second", inputs, config, Context())
     report = json.loads(artifact.file("report.json").read_text())
-    counts = {item["key"]: (item["count"], item["left_out"]) for item in report["figures"]}
+    counts = {item["key"]: (item["count"], item["left_out"]) for item in report["metrics"]}
     assert counts["robustness"] == counts["shape_change"] == (3, 1)
     assert counts["see_through"] == ((1, 2) if spoiled == "second" else (3, 0))  # of the view and of the one after it
     assert remark in report["views"][1]["remark"]

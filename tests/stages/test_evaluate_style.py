@@ -11,8 +11,8 @@ from schemas.images import write_png
 from schemas.work_folder import WorkFolder
 from stages import evaluate
 from stages.configs.evaluate import EvaluateConfig
-from stages.evaluation.perceptual_metrics import painting_file
-from stages.evaluation.perceptual_networks import Painting, perceptual_distances
+from stages.evaluation.perceptual_metrics import style_file
+from stages.evaluation.perceptual_networks import StyleImage, perceptual_networks
 from stages.run.progress import Context
 from stages.run.runner import execute
 from stages.weights import resolve
@@ -41,7 +41,7 @@ def painted():
 
 
 def test_a_painting_is_no_distance_from_itself_and_the_rest_is(painted):
-    painting = Painting(painted, FEATURES, 128, "cpu")
+    painting = StyleImage(painted, FEATURES, 128, "cpu")
     ones = np.ones(painted.shape[:2], np.float32)
     nearest, gram, sifid = painting.distances(painted, ones)
     assert nearest == pytest.approx(0, abs=1e-4) and gram == pytest.approx(0, abs=1e-4)
@@ -55,7 +55,7 @@ def test_a_painting_is_no_distance_from_itself_and_the_rest_is(painted):
 
 
 def test_transparent_pixels_take_no_part(painted):
-    painting = Painting(painted, FEATURES, 128, "cpu")
+    painting = StyleImage(painted, FEATURES, 128, "cpu")
     other = made.look(made.camera(0, "any", (128, 96))).rgb
     half = painted.copy()
     half[:, 64:] = other[:, 64:]
@@ -66,7 +66,7 @@ def test_transparent_pixels_take_no_part(painted):
 
 
 def test_perceptual_map_agrees_with_its_network_and_grows_with_error(painted):
-    tolerant, _ = perceptual_distances("cpu")
+    tolerant, _ = perceptual_networks("cpu")
     assert tolerant is not None and tolerant.distance(painted, painted) == pytest.approx(0, abs=1e-6)
     noise = np.random.default_rng(0).standard_normal(painted.shape).astype(np.float32)
     slight, strong = (np.clip(painted + amount * noise, 0, 1) for amount in (0.05, 0.3))
@@ -102,19 +102,19 @@ def stylized(tmp_path_factory, painted):
 
 
 def figure(report, key):
-    return next(item for item in report["figures"] if item["key"] == key)
+    return next(item for item in report["metrics"] if item["key"] == key)
 
 
 def test_figures_of_a_stylized_field(stylized, painted):
     _, artifact, report = stylized
-    assert report["stylized"] and report["painting"] == "stripes.png"
+    assert report["stylized"] and report["style_image"] == "stripes.png"
     mean = figure(report, "palette_mean")
     assert mean["mean"] < 0.03 < mean["reference"]["the unstylized renders"]  # clipping moves it a little
     assert figure(report, "shape_change")["mean"] == pytest.approx(0.2, abs=1e-4)
     kept = figure(report, "content_ssim")
     assert 0.7 < kept["mean"] < kept["reference"]["the unstylized renders"] <= 1
     assert FEATURES in figure(report, "nnfm")["protocol"] and figure(report, "nnfm")["count"] == 2
-    assert not {"psnr", "ssim", "lpips"} & {item["key"] for item in report["figures"]}
+    assert not {"psnr", "ssim", "lpips"} & {item["key"] for item in report["metrics"]}
     assert any("PSNR" in note["what"] for note in report["not_measured"])
     assert {made_by["stage"] for made_by in report["stages"]} == {"import", "fit", "stylize", "render"}
     page = artifact.file("report.html").read_text()
@@ -143,13 +143,13 @@ def test_a_field_made_after_references_alone_is_measured_against_the_first_and_s
             assert words in figure(told[words], key)["protocol"]
         page = report.file("report.html").read_text()
         assert f"NNFM distance to {words}" in page and f"<figcaption>{words}</figcaption>" in page
-    assert "painting" not in json.dumps(told["the reference"]["figures"])
+    assert "painting" not in json.dumps(told["the reference"]["metrics"])
 
 
 def test_a_painting_that_is_not_there_is_bad_input(stylized):
     inputs, *_ = stylized
     with pytest.raises(BadInput, match="no such file"):
-        painting_file(EvaluateConfig(style="nowhere.png"), inputs["field"])
+        style_file(EvaluateConfig(style="nowhere.png"), inputs["field"])
 
 
 def test_the_painting_kept_with_the_field_is_preferred(tmp_path, stylized):
@@ -159,6 +159,6 @@ def test_the_painting_kept_with_the_field_is_preferred(tmp_path, stylized):
         write_png(folder / "style.png", np.zeros((4, 4, 3), np.uint8))
 
     field = made.commit(WorkFolder(tmp_path), "field", "kept", "stylize", {}, write, config={"style": "elsewhere.png"})
-    assert painting_file(EvaluateConfig(), field) == field.file("style.png")
-    assert painting_file(EvaluateConfig(), inputs["field"]).name == "stripes.png"
-    assert painting_file(EvaluateConfig(), None) is None
+    assert style_file(EvaluateConfig(), field) == field.file("style.png")
+    assert style_file(EvaluateConfig(), inputs["field"]).name == "stripes.png"
+    assert style_file(EvaluateConfig(), None) is None

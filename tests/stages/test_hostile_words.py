@@ -10,7 +10,7 @@ import pytest
 
 from schemas.images import write_png
 from stages.comparison.cost_charts import comparison_charts
-from stages.comparison.runs import Measure, Run
+from stages.comparison.runs import Run, RunMetric
 from stages.evaluation.metrics import write_csv
 from stages.report.charts import bar_chart, pairs_chart
 from stages.report.formatting import escape
@@ -47,7 +47,7 @@ def test_labels_of_a_comparison_are_literal_on_logarithmic_axes_too():
         Run(
             family="fits", work=HOSTILE, name=f"main{power}", group=HOSTILE, method="vm", settings="", device="cpu",
             stages=("nerf_fit",), costs={"seconds": 10.0**power, "peak_memory_mb": 1.0, "parameters": 10.0},
-            figures={"psnr": Measure(20.0, "PSNR", "dB", "higher", "of views", 4, 0)},
+            metrics={"psnr": RunMetric(20.0, "PSNR", "dB", "higher", "of views", 4, 0)},
         )
         for power in range(3)
     ]  # fmt: skip

@@ -30,8 +30,8 @@ def test_files_and_json_tell_the_same_and_nothing_else_changes(work, capsys):
     kept = json.loads((out / "compare.json").read_text())
     assert {key: result[key] for key in kept} == kept
     fits = {run["name"]: run for run in kept["runs"]}
-    assert fits["fit-60s"]["figures"]["psnr"]["mean"] == 28.0 and "psnr/seconds" in fits["fit-60s"]["fronts"]
-    assert any("room/starry: all figures" == gap["what"] for gap in kept["missing"])
+    assert fits["fit-60s"]["metrics"]["psnr"]["mean"] == 28.0 and "psnr/seconds" in fits["fit-60s"]["fronts"]
+    assert any("room/starry: all metrics" == gap["what"] for gap in kept["missing"])
     for name in kept["charts"]:
         assert (out / name).is_file() and (out / name).with_suffix(".png").is_file()
     with open(out / "runs.csv", newline="") as stream:
@@ -47,7 +47,7 @@ def test_words_and_another_place(work, tmp_path, capsys):
     assert main(["compare", str(work.root), str(work.root), "--out", str(tmp_path / "here")]) == 0
     words = capsys.readouterr().out
     assert "* fit           room/fit-60s: 60 s, PSNR 28 dB" in words
-    assert "room/starry: 20 s, not evaluated" in words and "missing: room/starry: all figures" in words
+    assert "room/starry: 20 s, not evaluated" in words and "missing: room/starry: all metrics" in words
     assert (tmp_path / "here" / "charts" / "fits_seconds.png").is_file()
     assert not (work.root / "comparison").exists()
 

@@ -7,10 +7,10 @@ import pytest
 
 from schemas import partial_artifact
 from schemas.work_folder import WorkFolder
-from stages.comparison.cost_charts import comparison_charts, look_of
+from stages.comparison.cost_charts import comparison_charts, group_style
 from stages.comparison.page import build_page, rows_of
 from stages.comparison.pareto_fronts import disagreements, on_fronts, panel_of
-from stages.comparison.runs import EDITS, FITS, STYLIZATIONS, on_other_threads, runs_of
+from stages.comparison.runs import EDITS, FITS, STYLIZATIONS, runs_of, thread_mismatches
 from tests.stages import comparison_fixture as runs
 from tests.stages import evaluation_fixture as made
 
@@ -118,14 +118,14 @@ def test_a_figure_is_that_of_the_newest_report_that_holds_it(work, monkeypatch):
         runs.report(work, field, figures, told, name=name, regions=regions)
     shutil.rmtree(work.root / "report" / "cup")
     run = found(work)[0]["cup"]
-    means = {key: measure.mean for key, measure in run.figures.items()}
+    means = {key: measure.mean for key, measure in run.metrics.items()}
     assert means == {"background_mse": 0.003, "bleeding": 0.2, "short_rmse": 0.04, "psnr": 20.0}
     assert run.group == "room, cup"
     created(monkeypatch, 4)
     runs.report(work, field, {"bleeding": 0.9}, {"regions": ["other"]}, name="latest", regions=[other])
     run = found(work)[0]["cup"]
-    assert run.group == "room, other" and "background_mse" not in run.figures
-    assert run.figures["bleeding"].mean == 0.9 and run.figures["sparsity"].mean == 9.0
+    assert run.group == "room, other" and "background_mse" not in run.metrics
+    assert run.metrics["bleeding"].mean == 0.9 and run.metrics["sparsity"].mean == 9.0
 
 
 def created(monkeypatch, minute: int) -> None:
@@ -170,7 +170,7 @@ def test_figures_by_other_networks_or_protocols_are_told_apart(work):
 
 
 def test_no_two_groups_look_alike():
-    assert len({look_of(place) for place in range(28)}) == len({look_of(place)[0] for place in range(28)}) == 28
+    assert len({group_style(place) for place in range(28)}) == len({group_style(place)[0] for place in range(28)}) == 28
 
 
 def test_fronts_are_those_of_the_group(work):
@@ -243,9 +243,9 @@ def test_runs_on_other_numbers_of_threads_are_told(tmp_path):
     for name, threads in (("one", 2), ("two", 2), ("old", None)):
         made.make_field(work, name, "nerf_fit", {"scene": scene}, threads=threads)
     compared, _ = runs_of([work])
-    assert on_other_threads(compared) == []
+    assert thread_mismatches(compared) == []
     made.make_field(work, "three", "nerf_fit", {"scene": scene}, threads=8)
-    told = on_other_threads(runs_of([work])[0])
+    told = thread_mismatches(runs_of([work])[0])
     assert len(told) == 1 and told[0].why.startswith("Made on 2 and 8 threads")
 
 
@@ -257,7 +257,7 @@ def test_what_is_missing_is_named_with_its_command(work):
     made.make_field(work, "nameless", "nerf_fit", {"scene": scene}, peak_memory_mb=1.0)
     _, gaps = found(work)
     told = {gap.what: gap.why for gap in gaps}
-    assert f"stylerf eval {work.root} --of unseen" in told["room/unseen: all figures"]
+    assert f"stylerf eval {work.root} --of unseen" in told["room/unseen: all metrics"]
     assert told["room/half: short_rmse, long_rmse"].endswith("--of half --path PATH")
     assert told["room/plain: background_mse, bleeding"].endswith("--of plain --region NAME")
     assert "room/nameless: parameters" in told
@@ -267,7 +267,7 @@ def test_a_report_of_an_older_field_does_not_count_and_a_damaged_one_is_told(wor
     scene = work.get("scene", "wall")
     runs.fit(work, scene, "fit-60s", 61.0, None)  # made anew; its report is of the one before
     by_name, gaps = found(work)
-    assert by_name["fit-60s"].figures == {} and any("fit-60s: all figures" in gap.what for gap in gaps)
+    assert by_name["fit-60s"].metrics == {} and any("fit-60s: all metrics" in gap.what for gap in gaps)
     manifest = work.root / "field" / "fit-300s" / "manifest.json"
     manifest.write_text(manifest.read_text().replace("300", "301"))
     by_name, gaps = found(work)
@@ -284,9 +284,9 @@ def test_charts_page_and_table_tell_the_same(work):
     assert [chart.name for chart in charts] == names
     first = charts[0]
     assert first.png.startswith(b"\x89PNG") and "fit-300s" in first.svg
-    assert "on the front: room/fit-10s, room/fit-300s" in first.told
+    assert "on the front: room/fit-10s, room/fit-300s" in first.description
     assert comparison_charts(some)[0].svg == first.svg
-    edits = next(chart.told for chart in charts if chart.name == "edits_seconds")
+    edits = next(chart.description for chart in charts if chart.name == "edits_seconds")
     assert "within the region (correct)" in edits and "Consistency short (correct)" not in edits  # of whole frames
     page = build_page(some, charts, gaps, fronts)
     assert page.count("<svg") == 9 and "<script" not in page and "http" not in page.replace("http://www.w3.org", "")

@@ -12,7 +12,7 @@ from schemas.scene import Bounds, Scene, View, as_matrix, write_scene
 from schemas.work_folder import Artifact, WorkFolder
 from stages import nerf_fit
 from stages.configs.fit import FitConfig
-from stages.evaluation.pose_check import ViewShift, pose_figures, told
+from stages.evaluation.pose_check import ViewShift, pose_metrics, pose_warning
 from stages.run.progress import Context
 from stages.run.runner import execute
 from stylerf.geometry.cameras import Camera
@@ -109,12 +109,12 @@ def shifts(pixels: float, alike: float = 0.95, side: int = 1000) -> list[ViewShi
     ],
 )
 def test_what_is_told_of_shifts(found, starts):
-    line = told(found)
+    line = pose_warning(found)
     assert line is None if starts is None else line.startswith(starts)
 
 
 def test_a_view_unlike_its_render_is_told_where_the_others_are_like_theirs():
     odd = ViewShift("odd", 3.0, 0.003, 0.4, False)
-    assert told([*shifts(1.0), odd]).startswith("poses: odd and its render have little in common (correlation 0.40, ")
-    assert told([*shifts(1.0, alike=0.8), odd]) is None
-    assert pose_figures([*shifts(1.0), odd])["worst_view"] == "odd"
+    assert pose_warning([*shifts(1.0), odd]).startswith("poses: odd and its render have little in common (correlation 0.40, ")
+    assert pose_warning([*shifts(1.0, alike=0.8), odd]) is None
+    assert pose_metrics([*shifts(1.0), odd])["worst_view"] == "odd"

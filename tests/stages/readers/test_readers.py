@@ -13,7 +13,7 @@ from schemas.images import read_image, to_uint8, write_png
 from stages import region_select
 from stages.artifacts.scene import load_scene
 from stages.artifacts.style_images import read_painting
-from stages.evaluation.region_masks import mask_of
+from stages.evaluation.region_masks import resized_mask
 from stages.readers.digest import digest_of_source
 from stages.readers.photo_folder import photos_of
 from stages.readers.source import find_image
@@ -230,7 +230,7 @@ def test_pictures_of_masks_mean_the_same_wherever_they_are_read(posed, tmp_path,
     np.testing.assert_array_equal(to_uint8(scene.images(2))[..., 3], kept)
     looking = region_select.Looking(scene, None, 0.0, 0, 1, print)
     np.testing.assert_array_equal(to_uint8(looking.mask(f"p02={mask}")[1]), kept)
-    np.testing.assert_array_equal(mask_of(read_image(mask).pixels, kept.shape, mask), kept > 0)
+    np.testing.assert_array_equal(resized_mask(read_image(mask).pixels, kept.shape, mask), kept > 0)
 
 
 def test_masks_that_transforms_name(source, tmp_path):

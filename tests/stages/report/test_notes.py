@@ -4,22 +4,22 @@ from dataclasses import replace
 
 import pytest
 
-from stages.report.notes import Presence, not_measured
+from stages.report.notes import Inputs, not_measured
 
-EVERYTHING = Presence(
-    stylized=False, painting=True, tolerant=True, lpips=True, perceptual_wanted=True, large_enough=True,
+EVERYTHING = Inputs(
+    stylized=False, style_image=True, st_lpips=True, lpips=True, perceptual_wanted=True, large_enough=True,
     true_depth=True, depth_sizes_differ=False, base=True, path="orbit", path_length=30, gap=7, field=True,
-    consistency="all", reference=True, twin=True,
+    consistency="all", reference=True, reference_field=True,
 )  # fmt: skip
 STYLIZED, EDITED = replace(EVERYTHING, stylized=True), replace(EVERYTHING, edited=True)
 BLIND = {
     "Turned off by --perceptual none": {"perceptual_wanted": False},
     "smaller than 64 pixels": {"large_enough": False},
-    "get the latter with: pip install stlpips_pytorch": {"lpips": False, "tolerant": False},
+    "get the latter with: pip install stlpips_pytorch": {"lpips": False, "st_lpips": False},
 }
 
 
-def notes(have: Presence) -> dict[str, str]:
+def notes(have: Inputs) -> dict[str, str]:
     return {note["what"]: note["why"] for note in not_measured(have)}
 
 
@@ -45,7 +45,7 @@ def test_why_no_network_looked_is_said(have, what, why):
 @pytest.mark.parametrize(
     ("given", "why"),
     [
-        ({"masks": True}, "by --region alone"),
+        ({"masks": True}, "use --region without --masks"),
         ({"consistency": "laenerf-script"}, "--consistency correct"),
         ({"consistency": "stylerf-family"}, "--consistency correct"),
     ],
@@ -56,4 +56,4 @@ def test_why_the_region_is_not_followed_along_the_film_is_said(given, why):
 
 
 def test_changed_weights_of_a_palette_are_said():
-    assert "after they were learned" in notes(replace(EDITED, weights_changed=True))["Palette sparsity and TV"]
+    assert "after training" in notes(replace(EDITED, weights_changed=True))["Palette sparsity and TV"]

@@ -1,0 +1,10 @@
+"""Summaries of values over views."""
+
+from stages.evaluation.metrics import summarize
+
+
+def test_summaries_leave_out_what_is_not_a_number_and_say_so():
+    rows = [{"psnr": 20.0}, {"psnr": None}, {"psnr": 30.0}, {"psnr": float("nan")}, {"ssim": None}]
+    (figure,) = summarize(rows, {})
+    assert (figure.mean, figure.median, figure.min, figure.max) == (25, 25, 20, 30)
+    assert (figure.count, figure.left_out) == (2, 2)
