@@ -11,6 +11,8 @@ from collections.abc import Mapping
 from pathlib import PurePath
 from typing import Any
 
+from schemas.open_flags import NONBLOCK
+
 
 def plain(value: Any) -> Any:
     """`value` in the types of JSON alone.
@@ -54,7 +56,7 @@ def digest_of(value: Any) -> str:
 
 def file_sha256(path: Any) -> str:
     """SHA-256 (64 hex digits) of the bytes of a regular file; OSError for a pipe, which would wait, or a device."""
-    with open(path, "rb", opener=lambda name, flags: os.open(name, flags | os.O_NONBLOCK)) as stream:
+    with open(path, "rb", opener=lambda name, flags: os.open(name, flags | NONBLOCK)) as stream:
         if not stat.S_ISREG(os.fstat(stream.fileno()).st_mode):
             raise OSError(errno.EINVAL, "it is no regular file", str(path))
         return hashlib.file_digest(stream, "sha256").hexdigest()

@@ -1,5 +1,7 @@
 """Names and paths that come from a file: checked once, here, before anything is opened, written or shown by them."""
 
+import os
+import re
 import unicodedata
 
 from schemas.errors import ArtifactDamaged, StylerfError
@@ -7,14 +9,17 @@ from schemas.errors import ArtifactDamaged, StylerfError
 LONGEST_NAME = 255  # bytes, what common file systems take
 LONGEST_PATH = 1024  # bytes
 _HIDDEN = {"Cc", "Cs", "Zl", "Zp"}  # control characters, surrogates, separators of lines and paragraphs
+WINDOWS = os.name == "nt"
+_DEVICE = re.compile(r"(con|prn|aux|nul|conin\$|conout\$|(com|lpt)[0-9\u00b9\u00b2\u00b3])( *\..*)?", re.IGNORECASE)
 _BIDI = set("\u061c\u200e\u200f\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069\ufeff")
 
 
 def relative_path(text: object, what: str, fault: type[StylerfError] = ArtifactDamaged) -> str:
     """`text` if it is a path, with forward slashes, that stays inside the folder it is relative to; else `fault`.
 
-    Refuses absolute paths, `.` and `..`, empty parts, control and bidi characters, lone surrogates, and what no file
-    system takes for its length. what: names the path in the message. Links are not looked for: see schemas.artifact.
+    Refuses absolute paths, `.` and `..`, empty parts, control and bidi characters, lone surrogates, what no file system
+    takes for its length, and on Windows what means something else there (drives, devices, backslashes). what: names the
+    path in the message. Links are not looked for: see schemas.artifact.
     """
     if not isinstance(text, str):
         raise fault(f"{what} is {printable(repr(text))[:60]}, expected a path as text")
@@ -25,7 +30,18 @@ def relative_path(text: object, what: str, fault: type[StylerfError] = ArtifactD
         raise fault(f"{what} is {shown}, which holds control characters or no valid Unicode")
     if len(text.encode()) > LONGEST_PATH or any(len(part.encode()) > LONGEST_NAME for part in text.split("/")):
         raise fault(f"{what} is {shown}, {len(text.encode())} bytes long; at most {LONGEST_NAME} a name can be stored")
+    if WINDOWS and (why := next(filter(None, map(refused_by_windows, text.split("/"))), None)):
+        raise fault(f"{what} is {shown}, which Windows cannot store: a name there {why}")
     return text
+
+
+def refused_by_windows(name: str) -> str | None:
+    """Why Windows takes no file of that name, or takes it for another one; None if it does."""
+    if bad := re.search(r'[<>:"|?*\\]', name):
+        return f"holds {bad[0]}"
+    if name[-1:] in (".", " "):
+        return "ends in a dot or a space"
+    return "is that of a device" if _DEVICE.fullmatch(name) else None
 
 
 def file_name(text: object, what: str, fault: type[StylerfError] = ArtifactDamaged) -> str:

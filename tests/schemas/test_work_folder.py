@@ -362,10 +362,10 @@ def test_a_second_writer_is_refused_until_the_first_ends(tmp_path):
 
 
 def test_a_disk_that_cannot_lock_is_not_taken_for_another_process(tmp_path, monkeypatch):
-    def refuse(*_):
+    def refuse(*_, **__):
         raise OSError(errno.ENOSYS, os.strerror(errno.ENOSYS))
 
-    monkeypatch.setattr(lock.fcntl, "flock", refuse)
+    monkeypatch.setattr(lock, "lock_descriptor", refuse)
     with pytest.raises(OutOfResources, match=r"\.fox\.lock cannot be locked .Function not implemented.") as caught:
         WorkFolder(tmp_path).begin("field", "fox", recipe())
     assert "another process" not in str(caught.value)
