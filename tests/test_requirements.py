@@ -56,7 +56,8 @@ def test_what_pyproject_asks_for_is_pinned_within_its_bounds(python, torch):
     found = chosen(python, "locked.txt", torch)
     wanted = [*PROJECT["dependencies"], *extras["video"], *CONTENT["build-system"]["requires"]]
     for one in map(Requirement, wanted):
-        assert one.specifier.contains(found[canonicalize_name(one.name)]), one
+        if one.marker is None or one.marker.evaluate(on_linux(python)):
+            assert one.specifier.contains(found[canonicalize_name(one.name)]), one
     tests = chosen(python, "test.txt")
     for one in map(Requirement, extras["test"]):
         assert one.specifier.contains(tests[canonicalize_name(one.name)]), one
