@@ -1,1 +1,1 @@
-"""What is on disk: artifact kinds, manifests, codecs, migrations and the store."""
+"""Everything on disk: artifact kinds, manifests, file formats, migrations and the work folder."""

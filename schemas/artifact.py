@@ -1,4 +1,4 @@
-"""A finished artifact: a folder that holds a manifest and the files that it lists."""
+"""A finished artifact: a folder with a manifest and the files that it lists."""
 
 import shlex
 from functools import cached_property
@@ -14,7 +14,7 @@ from schemas.migrations import current_arrays, current_json
 from schemas.safe_reading import read_json
 from schemas.tensors import load_tensors
 
-# What a user types to get an artifact of each kind; WORK stands for the work folder.
+# The command that makes each kind of artifact; WORK stands for the work folder.
 MADE_BY: dict[str, str] = {
     "scene": "stylerf import PHOTOS WORK",
     "field": "stylerf fit WORK",
@@ -25,7 +25,7 @@ MADE_BY: dict[str, str] = {
     "report": "stylerf eval WORK",
 }
 
-# The verb that runs a stage; of a stage that is none of these only its own command knows how.
+# The verb that runs each stage. Other stages, such as those of `stylerf stress`, have no verb of their own.
 VERB_OF: dict[str, str] = {
     "pose_import": "import",
     "nerf_fit": "fit",
@@ -45,10 +45,13 @@ VERB_OF: dict[str, str] = {
 
 
 class Artifact:
-    """A finished artifact on disk. Its manifest is read, and its seal checked, when first asked for.
+    """A finished artifact on disk. Reads the manifest, and checks its own digest, on first use.
 
-    Its files are those that the manifest lists, and nothing on the way to them is a link. name: by which it can be
-    found, the folder's own unless the folder is on its way to its place.
+    Only files listed in the manifest belong to it, and they are never reached through a symbolic link.
+
+    Args:
+        path: The artifact's folder.
+        name: The artifact's name if the folder, not yet moved into place, has another one.
     """
 
     def __init__(self, path: Path, name: str | None = None) -> None:
@@ -64,26 +67,26 @@ class Artifact:
 
     @property
     def manifest(self) -> Manifest:
-        """The manifest, brought to the present schema."""
+        """The manifest, migrated to the current schema."""
         return self._read[0]
 
     @property
     def kind(self) -> str:
-        """Kind by manifest."""
+        """The kind that the manifest states."""
         return self.manifest.kind
 
     @property
     def name(self) -> str:
-        """Name of the folder, so that a renamed or copied artifact goes by the name it can be found under."""
+        """The folder's name, which the manifest's may differ from after a rename or a copy."""
         return self._name or self.path.name
 
     @property
     def digest(self) -> str:
-        """Identity: SHA-256 over kind, schema, recipe and files as stored."""
+        """The artifact's identity: SHA-256 of kind, schema, recipe and files as stored."""
         return self._read[1]
 
     def reference(self, role: str) -> InputRef:
-        """This artifact as an input that plays `role`."""
+        """Return a reference to this artifact as the input `role` of another."""
         return InputRef(role, self.kind, self.name, self.digest)
 
     @cached_property
@@ -91,58 +94,60 @@ class Artifact:
         return frozenset(record.path for record in self.manifest.files)
 
     def has(self, relative: str) -> bool:
-        """Whether the manifest lists a file of that path."""
+        """Whether the manifest lists this file."""
         return relative in self._listed
 
     def file(self, relative: str) -> Path:
-        """Path of one of its files; ArtifactDamaged where the manifest does not list it, or it is not there as a
-        regular file."""
+        """Return the path of a listed file; ArtifactDamaged if it is not listed or not a regular file."""
         if not self.has(relative):
-            raise ArtifactDamaged(f"{self.path} lists no file {relative!r}; make it again: {self.remade_by()}")
+            raise ArtifactDamaged(f"{self.path} lists no file {relative!r}; rebuild it: {self.rebuild_command()}")
         path = self.path / relative
         steps = [path, *path.parents[: relative.count("/")]]
         if link := next((step for step in reversed(steps) if step.is_symlink()), None):
-            raise ArtifactDamaged(f"{link} is a link, which no artifact holds; make it again: {self.remade_by()}")
+            raise ArtifactDamaged(f"{link} is a link; artifacts hold none; rebuild it: {self.rebuild_command()}")
         if not path.is_file():
-            raise ArtifactDamaged(f"{self.path} lacks {relative}; make it again: {self.remade_by()}")
+            raise ArtifactDamaged(f"{self.path} lacks {relative}; rebuild it: {self.rebuild_command()}")
         return path
 
     def json(self, relative: str) -> Any:
-        """One of its JSON files as the current schema has it; ArtifactDamaged where it is absent or no JSON."""
+        """Read a listed JSON file, migrated to the current schema; ArtifactDamaged if missing or invalid."""
         return current_json(read_json(self.file(relative), ArtifactDamaged), self._read[2])
 
     def tensors(self, relative: str) -> tuple[dict[str, np.ndarray], dict[str, str]]:
-        """Arrays and metadata of one of its safetensors files, named as in the current schema."""
+        """Read arrays and metadata of a listed safetensors file, under the current schema's names."""
         arrays, metadata = load_tensors(self.file(relative))
         return current_arrays(arrays, self._read[2]), metadata
 
     def check_sizes(self) -> None:
-        """Quick check that every listed file is there with its length; ArtifactDamaged naming the first that is not."""
+        """Check that every listed file exists with its recorded size; ArtifactDamaged names the first mismatch."""
         for record in self.manifest.files:
             size = self.file(record.path).stat().st_size
             if size != record.bytes:
                 raise ArtifactDamaged(
-                    f"{self.path / record.path} has {size} bytes where {record.bytes} were written; make it again: "
-                    f"{self.remade_by()}"
+                    f"{self.path / record.path} has {size} bytes, but {record.bytes} were written; rebuild it: "
+                    f"{self.rebuild_command()}"
                 )
 
     def verify(self) -> None:
-        """Full check: seal of the manifest, digest of every file, nothing added (see of_a_desktop). ArtifactDamaged
-        names what differs."""
-        for earlier in ("_read", "_listed"):  # what is on disk now, not what was read before
-            self.__dict__.pop(earlier, None)
+        """Check the digests of the manifest and of every file, and that no file was added (see is_desktop_file).
+
+        Raises:
+            ArtifactDamaged: Naming what differs.
+        """
+        for cached in ("_read", "_listed"):  # check what is on disk now
+            self.__dict__.pop(cached, None)
         self.check_sizes()
         for record in self.manifest.files:
             if file_sha256(self.path / record.path) != record.sha256:
                 raise ArtifactDamaged(
-                    f"{self.path / record.path} was altered since it was written (its SHA-256 differs); make it "
-                    f"again: {self.remade_by()}"
+                    f"{self.path / record.path} was altered since it was written (its SHA-256 differs); rebuild it: "
+                    f"{self.rebuild_command()}"
                 )
         if added := added_files(self.path, {record.path for record in self.manifest.files}):
-            raise ArtifactDamaged(f"{added[0]} is no part of this artifact; move it elsewhere")
+            raise ArtifactDamaged(f"{added[0]} is not part of this artifact; move it elsewhere")
 
-    def remade_by(self) -> str:
-        """What a user types to have it made again."""
+    def rebuild_command(self) -> str:
+        """Return the command line that rebuilds this artifact."""
         try:
             verb, config = VERB_OF[self.manifest.stage], self.manifest.config
         except (ArtifactDamaged, ArtifactStale, KeyError):
@@ -150,16 +155,16 @@ class Artifact:
         source = [str(config.get("source", "PHOTOS"))] if verb == "import" else []
         work = str(self.path.parent.parent)
         command = shlex.join(["stylerf", verb, *source, work, "--name", self.name, "--force"])
-        return f"{command}, with the options that are told by: {shlex.join(['stylerf', 'show', str(self.path)])}"
+        return f"{command}, with the options shown by: {shlex.join(['stylerf', 'show', str(self.path)])}"
 
 
 def added_files(folder: Path, listed: set[str]) -> list[Path]:
-    """What lies in `folder` beside a manifest and the files that it lists by path, but for files of_a_desktop."""
-    # A link to a folder counts: what lies behind it can change without a word.
-    items = (item for item in folder.rglob("*") if item.is_symlink() or not (item.is_dir() or of_a_desktop(item)))
+    """Return files in `folder` that are neither its manifest, nor `listed`, nor left there by a desktop."""
+    # A link to a folder counts as a file: its target may change unnoticed.
+    items = (item for item in folder.rglob("*") if item.is_symlink() or not (item.is_dir() or is_desktop_file(item)))
     return sorted(item for item in items if item.relative_to(folder).as_posix() not in listed | {MANIFEST})
 
 
-def of_a_desktop(path: Path) -> bool:
-    """Whether macOS, Windows or KDE leave files of that name in folders that they show."""
+def is_desktop_file(path: Path) -> bool:
+    """Whether macOS, Windows or KDE leave files of this name in folders that they display."""
     return path.name.startswith("._") or path.name.lower() in (".ds_store", "thumbs.db", "desktop.ini", ".directory")

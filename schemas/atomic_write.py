@@ -1,7 +1,7 @@
-"""Writing so that a file is either whole or absent, and saying plainly when the disk will not take it.
+"""Atomic file writes, with clear errors when the machine refuses.
 
-A file is written beside its place under a hidden name, flushed to the disk, and renamed: a reader, or the next run
-after a power cut, sees the old bytes or the new ones and never a mixture.
+A file is written under a hidden name in the same folder, flushed to disk, and renamed: readers, and the next run after
+a power cut, see the old bytes or the new ones, never a mixture.
 """
 
 import errno
@@ -23,18 +23,18 @@ _NO_SPACE = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 _NO_PERMISSION = {errno.EACCES, errno.EPERM, errno.EROFS}
 _NO_HANDLES = {errno.EMFILE, errno.ENFILE}
 _NO_MEMORY = {errno.ENOMEM}
-_NO_FLUSH = {errno.EINVAL, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS}  # this disk cannot, which is no failure
+_NO_FLUSH = {errno.EINVAL, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS}  # unsupported by some disks, not a failure
 
 
 def out_of_resources(error: OSError, path: Path | str) -> OutOfResources | None:
-    """The fault in words when the machine refuses (space, permission, handles, memory), None for any other OSError."""
+    """Translate an OSError for lack of space, permission, file handles or memory; return None for any other."""
     place = error.filename if isinstance(error.filename, str) else path
     if error.errno in _NO_SPACE:
         return OutOfResources(f"no space left to write {place} ({_free(path)}); free some and run the same command")
     if error.errno in _NO_PERMISSION:
         return OutOfResources(f"no permission for {place}; choose a folder you may write to, or change its mode")
     if error.errno in _NO_HANDLES:
-        return OutOfResources(f"too many files are open to write {place}; raise `ulimit -n` and run the same command")
+        return OutOfResources(f"too many open files to write {place}; raise `ulimit -n` and run the same command")
     if error.errno in _NO_MEMORY:
         return OutOfResources(f"out of memory at {place}; free some and run the same command")
     return None
@@ -52,7 +52,7 @@ def _free(path: Path | str) -> str:
 
 @contextmanager
 def writing(path: Path | str) -> Iterator[None]:
-    """Turns a full disk or a missing permission met inside the block into OutOfResources naming the file."""
+    """Turn a full disk or missing permission inside the block into OutOfResources naming the file."""
     try:
         yield
     except OSError as error:
@@ -63,7 +63,7 @@ def writing(path: Path | str) -> Iterator[None]:
 
 
 def make_folder(path: Path) -> Path:
-    """Creates `path` and its parents where absent; OutOfResources where that cannot be."""
+    """Create `path` and its parents if missing; OutOfResources if that fails."""
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -73,13 +73,13 @@ def make_folder(path: Path) -> Path:
 
 
 def sync_folder(path: Path) -> None:
-    """Flushes the entries of a folder (its renames) to the disk; does nothing where disk or system cannot."""
+    """Flush the entries of a folder (its renames) to the disk, if disk and system can."""
     if DIRECTORY:
         _sync(path, os.O_RDONLY | DIRECTORY)
 
 
 def sync_file(path: Path) -> None:
-    """Flushes the bytes of a file to the disk; does nothing where the disk cannot."""
+    """Flush the bytes of a file to the disk, if it can."""
     _sync(path, os.O_RDWR if os.name == "nt" else os.O_RDONLY)  # Windows flushes only what is open for writing
 
 
@@ -96,12 +96,12 @@ def _sync(path: Path, flags: int) -> None:
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Gives a hidden path beside `path` (same extension) to write to; on leaving, flushes and renames it into place.
+    """Yield a hidden path beside `path`, with the same extension, to write to; then flush it and rename it to `path`.
 
-    When the block raises, the hidden file is deleted and `path` is as it was. The parent folder is created.
+    Creates the parent folder. If the block raises, deletes the hidden file and leaves `path` unchanged.
     """
     make_folder(path.parent)
-    # Codecs choose their format by the extension, so the mark of a temporary file goes before it.
+    # Codecs pick the format by extension, so the temporary mark goes before it.
     temporary = path.parent / f".{path.stem[:40]}.{secrets.token_hex(4)}{TEMPORARY_SUFFIX}{path.suffix[:8]}"
     try:
         with writing(path):
@@ -114,27 +114,27 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 def is_temporary(path: Path) -> bool:
-    """Whether `path` is named as the leftover of an interrupted write."""
+    """Whether the name of `path` is that of an interrupted write's leftover."""
     return path.name.startswith(".") and TEMPORARY_SUFFIX in (path.suffix, Path(path.stem).suffix)
 
 
 def write_bytes(path: Path, data: bytes) -> None:
-    """Replaces the file `path` by `data` as one step."""
+    """Write `data` to `path` atomically."""
     with replacing(path) as temporary:
         with open(temporary, "wb") as stream:
             stream.write(data)
 
 
 def write_json(path: Path, value: Any) -> None:
-    """Replaces the file `path` by `value` as indented JSON (see `schemas.canonical_json.plain`) as one step."""
+    """Write `value` to `path` atomically, as indented JSON (see schemas.canonical_json.plain)."""
     text = json.dumps(plain(value), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
     write_bytes(path, text.encode("utf-8", "surrogatepass"))
 
 
 def refusal_of_disk(path: Path, size: int) -> OutOfResources | None:
-    """Why a codec that only says 'failed' could not write about `size` bytes at `path`: tries the same with zeros.
+    """Find out why a codec could not write about `size` bytes at `path`, by writing as many zeros there.
 
-    Returns None when the zeros could be written, so the codec failed for a reason of its own.
+    Returns None if the zeros fit, so that the disk is not to blame.
     """
     trial = path.parent / f".{path.stem[:40]}.{secrets.token_hex(4)}{TEMPORARY_SUFFIX}"
     block = bytes(1 << 20)
@@ -145,8 +145,8 @@ def refusal_of_disk(path: Path, size: int) -> OutOfResources | None:
             stream.flush()
             os.fsync(stream.fileno())
     except OSError as error:
-        told = f"{path} cannot be written ({error.strerror}); run the same command when the disk takes it"
-        return out_of_resources(error, path) or OutOfResources(told)
+        message = f"{path} cannot be written ({error.strerror}); run the same command when the disk is writable"
+        return out_of_resources(error, path) or OutOfResources(message)
     finally:
         trial.unlink(missing_ok=True)
     return None

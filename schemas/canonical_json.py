@@ -1,4 +1,4 @@
-"""One way to write a value as JSON, so that equal values have equal digests."""
+"""Canonical JSON: equal values have equal bytes, and so equal digests."""
 
 import dataclasses
 import errno
@@ -15,12 +15,14 @@ from schemas.open_flags import NONBLOCK
 
 
 def plain(value: Any) -> Any:
-    """`value` in the types of JSON alone.
+    """Convert `value` to the types of JSON.
 
-    Dataclasses and mappings become objects with string keys, tuples, sets (sorted) and arrays become lists, numpy
-    scalars become numbers, paths become strings. JSON has no infinity and no NaN: they become the strings "inf",
-    "-inf" and "nan", which stay apart from one another and which every reader accepts.
-    Raises TypeError for anything else, so that an artifact never holds the `repr` of an object.
+    Dataclasses and mappings become objects with string keys; tuples, sets (sorted) and arrays become lists; numpy
+    scalars become numbers; paths become strings. Infinities and NaN, which JSON lacks, become the strings "inf",
+    "-inf" and "nan".
+
+    Raises:
+        TypeError: For any other type, so that no artifact holds the `repr` of an object.
     """
     if value is None or isinstance(value, bool | str):
         return value
@@ -44,19 +46,19 @@ def plain(value: Any) -> Any:
 
 
 def canonical_json(value: Any) -> bytes:
-    """UTF-8 JSON of `value` with sorted keys and no spaces: the bytes that digests are taken of."""
+    """Encode `value` as UTF-8 JSON with sorted keys and no spaces; digests are taken of these bytes."""
     text = json.dumps(plain(value), sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
     return text.encode("utf-8", "surrogatepass")
 
 
 def digest_of(value: Any) -> str:
-    """SHA-256 (64 hex digits) of the canonical JSON of `value`."""
+    """Return the SHA-256 of the canonical JSON of `value`, 64 hex digits."""
     return hashlib.sha256(canonical_json(value)).hexdigest()
 
 
-def file_sha256(path: Any) -> str:
-    """SHA-256 (64 hex digits) of the bytes of a regular file; OSError for a pipe, which would wait, or a device."""
+def file_sha256(path: str | os.PathLike[str]) -> str:
+    """Return the SHA-256 of a regular file, 64 hex digits; OSError for a pipe or a device."""
     with open(path, "rb", opener=lambda name, flags: os.open(name, flags | NONBLOCK)) as stream:
         if not stat.S_ISREG(os.fstat(stream.fileno()).st_mode):
-            raise OSError(errno.EINVAL, "it is no regular file", str(path))
+            raise OSError(errno.EINVAL, "not a regular file", str(path))
         return hashlib.file_digest(stream, "sha256").hexdigest()

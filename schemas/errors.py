@@ -1,10 +1,11 @@
-"""What can go wrong at a boundary, and the exit code that each kind of fault ends the command with."""
+"""Errors at the boundary to files and users, each with the exit code of the command that it ends."""
 
 
 class StylerfError(Exception):
-    """A fault told in one line: what was expected, what was found, where, and what to do next.
+    """Base class. The message is one line: what was expected, what was found, where, and what to do next.
 
-    keeps_run: what a run has done so far stays for the next one to go on with.
+    Attributes:
+        keeps_run: Whether an unfinished run is kept, so that the next one can resume it.
     """
 
     exit_code = 3
@@ -12,7 +13,7 @@ class StylerfError(Exception):
 
 
 class CheckFailed(StylerfError):
-    """A check that was asked for does not hold."""
+    """A requested check failed."""
 
     exit_code = 1
 
@@ -24,37 +25,37 @@ class UsageError(StylerfError):
 
 
 class BadInput(StylerfError):
-    """Photos, cameras, styles or masks that cannot be used."""
+    """Unusable photos, cameras, style images or masks."""
 
     exit_code = 3
 
 
 class NoVideo(BadInput):
-    """Frames were rendered, but no film could be made of them."""
+    """Frames were rendered, but could not be encoded as a video."""
 
     keeps_run = True
 
 
 class ArtifactDamaged(StylerfError):
-    """A file of an artifact is missing, cut short or altered since it was written."""
+    """A file of an artifact is missing, truncated or altered."""
 
     exit_code = 4
 
 
 class WouldBeLost(ArtifactDamaged):
-    """Files that no run wrote lie where an artifact is to stand."""
+    """Files that no run wrote would be overwritten by an artifact."""
 
     keeps_run = True
 
 
 class ArtifactStale(StylerfError):
-    """An artifact is missing, out of date, or of a schema this version cannot read."""
+    """An artifact is missing, out of date, or of a schema that this version cannot read."""
 
     exit_code = 4
 
 
 class OutOfResources(StylerfError):
-    """No memory, no disk space, or no permission left to go on."""
+    """Memory, disk space or permission is lacking."""
 
     exit_code = 5
     keeps_run = True

@@ -1,13 +1,15 @@
-"""Rendered views as OpenEXR: color, planar depth, ray distance, masks, and the camera that saw them.
+"""OpenEXR files of rendered views: color, planar depth, ray distance, masks and the camera.
 
 Channels: R G B A half (linear Rec.709, premultiplied), Z float32 (along the camera's axis, not along the ray),
-rayDistance.Z float32 (along the ray), mask.<name> half. One scanline part, ZIP: of 1,100 flipped bytes none was
-silent with it.
+rayDistance.Z float32 (along the ray), mask.<name> half. One scanline part with ZIP compression, whose check sum
+detected each of 1,100 flipped bytes.
 """
 
 import errno
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import OpenEXR
@@ -19,13 +21,13 @@ from schemas.native_output import native_output_silenced
 from schemas.read_limit import check_allowance
 from schemas.safe_reading import opened
 
-# Depth where nothing was hit (alpha 0): compositors sort by Z, and a 0 there would put the void in front of all.
+# Depth where alpha is 0: compositors sort by Z, so a 0 would put empty pixels in front of everything.
 FAR_Z = 1e10
 LARGEST_HALF = 65504.0
 REC709 = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)  # x, y of red, green, blue, white
 PREFIX = "stylerf:"
 _REQUIRED = {"R": "f2", "G": "f2", "B": "f2", "A": "f2", "Z": "f4", "rayDistance.Z": "f4"}
-# The EXR standard's camera has y up, ours y down; everything else agrees (x right, z forward): left-handed.
+# The EXR standard's camera is left-handed: x right and z forward as OpenCV's, but y up.
 _Y_UP = np.diag([1.0, -1.0, 1.0, 1.0])
 
 
@@ -33,10 +35,16 @@ _Y_UP = np.diag([1.0, -1.0, 1.0, 1.0])
 class ExrView:
     """One rendered view.
 
-    rgb: [h, w, 3] linear Rec.709 multiplied by alpha. alpha: [h, w] 0..1. z: [h, w] planar depth, ray_distance:
-    [h, w] distance along the ray, both in scene units and FAR_Z where alpha is 0. masks: by name, [h, w] 0..1.
-    world_from_camera: [4, 4], OpenCV axes. intrinsics: fx, fy, cx, cy in pixels. near, far: scene units.
-    attributes: provenance, stored as `stylerf:<key>`.
+    Attributes:
+        rgb: [h, w, 3] linear Rec.709, multiplied by alpha.
+        alpha: [h, w] 0..1.
+        z: [h, w] planar depth, scene units, FAR_Z where alpha is 0.
+        ray_distance: [h, w] distance along the ray, likewise.
+        world_from_camera: [4, 4], OpenCV axes.
+        intrinsics: fx, fy, cx, cy in pixels.
+        near, far: Scene units.
+        masks: By name, [h, w] 0..1.
+        attributes: Provenance, stored as `stylerf:<key>`.
     """
 
     rgb: np.ndarray
@@ -52,8 +60,7 @@ class ExrView:
 
 
 def world_to_camera(world_from_camera: np.ndarray) -> np.ndarray:
-    """The EXR attribute of that name, [4, 4]: row vector (x, y, z, 1) times it is the point with x right, y up,
-    z forward."""
+    """Return the EXR attribute worldToCamera [4, 4], which maps row vectors (x, y, z, 1) to (right, up, forward, 1)."""
     return (_Y_UP @ np.linalg.inv(world_from_camera)).T
 
 
@@ -64,7 +71,7 @@ def world_to_ndc(
     near: float,
     far: float,
 ) -> np.ndarray:
-    """The EXR attribute worldToNDC, [4, 4]: row vector times it, divided by its last component, is (u, v, depth).
+    """Return the EXR attribute worldToNDC [4, 4], which maps row vectors to (u, v, depth), after division by w.
 
     (0, 0) is the upper left and (1, 1) the lower right corner of the image; depth is 0 at near and 1 at far.
     """
@@ -82,9 +89,11 @@ def world_to_ndc(
 
 
 def write_exr(path: Path | str, view: ExrView) -> None:
-    """Writes `view` as one step; equal views give equal bytes.
+    """Write `view` atomically; equal views give equal bytes.
 
-    ValueError for arrays of unequal size or with NaN, OutOfResources when the disk refuses.
+    Raises:
+        ValueError: Arrays differ in size or hold NaN.
+        OutOfResources: The disk is full or read-only.
     """
     path = Path(path)
     channels = _channels(view)
@@ -92,18 +101,18 @@ def write_exr(path: Path | str, view: ExrView) -> None:
     with replacing(path) as temporary:
         try:
             with native_output_silenced():
-                OpenEXR.File(header, dict(channels)).write(str(temporary))  # it replaces the dict's values
+                OpenEXR.File(header, dict(channels)).write(str(temporary))  # a copy: OpenEXR replaces its values
         except RuntimeError as error:
             size = sum(array.nbytes for array in channels.values())
-            told = f"the EXR writer failed ({_one_line(error)})"
-            raise refusal_of_disk(path, size) or OSError(errno.EIO, told, str(path)) from error
+            message = f"the EXR writer failed ({_one_line(error)})"
+            raise refusal_of_disk(path, size) or OSError(errno.EIO, message, str(path)) from error
 
 
 def _channels(view: ExrView) -> dict[str, np.ndarray]:
     planes = {"R": view.rgb[..., 0], "G": view.rgb[..., 1], "B": view.rgb[..., 2], "A": view.alpha}
     planes |= {f"mask.{name}": mask for name, mask in view.masks.items()}
     planes = {name: np.clip(plane, -LARGEST_HALF, LARGEST_HALF).astype(np.float16) for name, plane in planes.items()}
-    hit = planes["A"] > 0  # as stored: an alpha that half rounds to 0 is void to every reader
+    hit = planes["A"] > 0  # as stored: half precision may round a small alpha to 0
     planes["Z"] = np.where(hit, view.z, FAR_Z).astype(np.float32)
     planes["rayDistance.Z"] = np.where(hit, view.ray_distance, FAR_Z).astype(np.float32)
     for name, plane in planes.items():
@@ -111,11 +120,11 @@ def _channels(view: ExrView) -> dict[str, np.ndarray]:
             raise ValueError(f"EXR channel {name} has shape {plane.shape}, alpha {view.alpha.shape}")
         if not np.isfinite(plane).all():
             raise ValueError(f"EXR channel {name} holds NaN or infinity")
-    # OpenEXR writes strided arrays wrongly and without a word (its issue 1929).
+    # OpenEXR silently writes strided arrays wrongly (its issue 1929).
     return {name: np.ascontiguousarray(plane) for name, plane in planes.items()}
 
 
-def _attributes(view: ExrView) -> dict:
+def _attributes(view: ExrView) -> dict[str, Any]:
     height, width = view.alpha.shape
     fx, fy, cx, cy = view.intrinsics
     pose = np.asarray(view.world_from_camera, dtype=np.float64)
@@ -133,7 +142,7 @@ def _attributes(view: ExrView) -> dict:
         "worldToNDC": _matrix(world_to_ndc(pose, view.intrinsics, (width, height), view.near, view.far)),
         "software": "stylerf",
     }
-    # float32 matrices would move the camera a little at each rewrite, so the exact numbers are kept as text too.
+    # The standard attributes are float32, so the exact camera is stored as text too.
     exact = {
         "world_from_camera": _numbers(pose.ravel()),
         "intrinsics": _numbers(view.intrinsics),
@@ -148,16 +157,17 @@ def _matrix(matrix: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(matrix, dtype=np.float32)
 
 
-def _numbers(values) -> str:
+def _numbers(values: Iterable[float]) -> str:
     return " ".join(repr(float(value)) for value in values)
 
 
-def read_channels(path: Path | str, required: tuple[str, ...]) -> tuple[dict[str, np.ndarray], dict]:
-    """All channels [h, w] by name, in their stored types, and the header of an EXR of one flat part.
+def read_channels(path: Path | str, required: tuple[str, ...]) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    """Read all channels [h, w] by name, in their stored types, and the header of a single-part, flat EXR.
 
-    BadInput when the file is missing, no EXR, cut short or damaged, lacks one of the `required` channels, is deep, of
-    several parts or resolutions, has channels of another size than its data window, or that is not its display window.
-    OutOfResources where it would take more memory than is allowed.
+    Raises:
+        BadInput: The file is missing, not an EXR, damaged, deep, multi-part or multi-resolution; lacks a `required`
+            channel; has subsampled channels, or a data window other than its display window.
+        OutOfResources: It would need more memory than allowed (see schemas.read_limit).
     """
     path = Path(path)
     try:
@@ -167,38 +177,37 @@ def read_channels(path: Path | str, required: tuple[str, ...]) -> tuple[dict[str
         raise BadInput(f"{path}: no such EXR file") from None
     shape = _checked_header(path, required)
     parts = _parts(path, header_only=False)
-    # A damaged part is only warned about and dropped: what is there has to be counted.
-    if len(parts) != 1:
+    if len(parts) != 1:  # OpenEXR drops damaged parts with a mere warning
         raise BadInput(f"{path} is damaged: its pixels cannot be read; make or fetch it again")
     channels = {name: np.array(channel.pixels) for name, channel in parts[0].channels.items()}
     if missing := [name for name in required if name not in channels]:
         raise BadInput(f"{path} is damaged: channel {missing[0]} cannot be read; make or fetch it again")
     if wrong := [name for name, plane in channels.items() if plane.shape != shape]:
-        raise BadInput(f"{path}: channel {wrong[0]} is {channels[wrong[0]].shape} where {shape} was expected")
+        raise BadInput(f"{path}: channel {wrong[0]} has shape {channels[wrong[0]].shape}, expected {shape}")
     return channels, dict(parts[0].header)
 
 
-def _parts(path: Path, header_only: bool) -> list:
+def _parts(path: Path, header_only: bool) -> list[Any]:
     try:
         with native_output_silenced():
             OpenEXR.setMaxImageSize(LARGEST_SIDE, LARGEST_SIDE)
-            return OpenEXR.File(str(path), separate_channels=True, header_only=header_only).parts
+            return list(OpenEXR.File(str(path), separate_channels=True, header_only=header_only).parts)
     except (RuntimeError, ValueError, TypeError, MemoryError, OverflowError, UnicodeError, IndexError) as error:
-        raise BadInput(f"{path} is no readable EXR ({_one_line(error)}); make or fetch it again") from error
+        raise BadInput(f"{path} is not a readable EXR ({_one_line(error)}); make or fetch it again") from error
 
 
 def _checked_header(path: Path, required: tuple[str, ...]) -> tuple[int, int]:
-    """(height, width), before any pixel is read: see read_channels."""
+    """Check everything that read_channels requires of a header; return (height, width)."""
     parts = _parts(path, header_only=True)
     if len(parts) != 1:
-        raise BadInput(f"{path} is damaged or no single-part EXR: {len(parts)} readable parts where 1 was expected")
+        raise BadInput(f"{path} is damaged or not a single-part EXR: it has {len(parts)} readable parts, expected 1")
     header = parts[0].header
     listed, tiles = header.get("channels", []), header.get("tiles")
     names = [channel.name for channel in listed]
     if header.get("type") not in (OpenEXR.scanlineimage, OpenEXR.tiledimage):
-        raise BadInput(f"{path} is a deep EXR, with a list of samples a pixel; flatten it")
+        raise BadInput(f"{path} is a deep EXR, with a list of samples for each pixel; flatten it")
     if tiles is not None and tiles.mode != OpenEXR.ONE_LEVEL:
-        raise BadInput(f"{path} is an EXR of several resolutions (mip levels); save it with one")
+        raise BadInput(f"{path} is an EXR with mip levels; save it with a single resolution")
     if missing := [name for name in required if name not in names]:
         raise BadInput(f"{path} lacks channels {', '.join(missing)}; it holds {', '.join(names[:12]) or 'none'}")
     if thin := [channel.name for channel in listed if (channel.xSampling, channel.ySampling) != (1, 1)]:
@@ -208,7 +217,7 @@ def _checked_header(path: Path, required: tuple[str, ...]) -> tuple[int, int]:
     )
     if window != display:
         raise BadInput(
-            f"{path}: its data window {window[0]} to {window[1]} is not its display window {display[0]} to "
+            f"{path}: its data window {window[0]} to {window[1]} differs from its display window {display[0]} to "
             f"{display[1]}; expected pixels for the whole picture"
         )
     width, height = window[1][0] - window[0][0] + 1, window[1][1] - window[0][1] + 1
@@ -221,15 +230,16 @@ def _one_line(error: BaseException) -> str:
 
 
 def read_exr(path: Path | str) -> ExrView:
-    """The view that write_exr stored: float32 arrays, and the camera to the last bit.
+    """Read a view that write_exr wrote: float32 arrays and the exact camera.
 
-    BadInput when it cannot be read whole, was not written by write_exr, or holds NaN.
+    Raises:
+        BadInput: The file is unreadable, was not written by write_exr, or holds NaN.
     """
     path = Path(path)
     channels, header = read_channels(path, tuple(_REQUIRED))
     for name, code in _REQUIRED.items():
         if channels[name].dtype != np.dtype(code):
-            raise BadInput(f"{path}: channel {name} is {channels[name].dtype} where {np.dtype(code)} was expected")
+            raise BadInput(f"{path}: channel {name} is {channels[name].dtype}, expected {np.dtype(code)}")
     planes = {name: plane.astype(np.float32) for name, plane in channels.items()}
     if bad := [name for name, plane in planes.items() if not np.isfinite(plane).all()]:
         raise BadInput(f"{path}: channel {bad[0]} holds NaN or infinity")
@@ -255,7 +265,7 @@ def read_exr(path: Path | str) -> ExrView:
 
 
 def read_depth(path: Path | str) -> np.ndarray:
-    """The Z channel of any EXR as float32 [h, w]; BadInput where there is none or it holds NaN."""
+    """Read the Z channel of any EXR as float32 [h, w]; BadInput if it is missing or holds NaN."""
     depth = read_channels(path, ("Z",))[0]["Z"].astype(np.float32)
     if np.isnan(depth).any():
         raise BadInput(f"{path}: channel Z holds NaN")

@@ -1,7 +1,7 @@
-"""Optical flow in files: Middlebury's .flo, and .npy. [h, w, 2] float32: pixels to the right, pixels down.
+"""Optical flow files: Middlebury .flo, and .npy. [h, w, 2] float32: pixels to the right, pixels down.
 
 A .flo is the float 202021.25 ("PIEH" as bytes), width and height as int32, then the vectors row by row, all
-little-endian; by its own convention a component over 1e9 means that nothing is known, which comes back as nan.
+little-endian. By its convention a component over 1e9 marks an unknown vector, which is read as NaN.
 """
 
 import math
@@ -23,7 +23,7 @@ LARGEST_FLOW = 2 << 30  # bytes
 
 
 def read_flow(path: Path) -> np.ndarray:
-    """The flow in a file, [h, w, 2] float32, nan where it is unknown; BadInput where the file holds none."""
+    """Read optical flow [h, w, 2] float32, NaN where unknown; BadInput if the file is not a flow file."""
     try:
         found = _read_flo(path) if path.suffix.lower() == ".flo" else _read_npy(path)
     except FileNotFoundError as error:
@@ -36,12 +36,11 @@ def read_flow(path: Path) -> np.ndarray:
 def _read_flo(path: Path) -> np.ndarray:
     data = read_bytes(path, min(LARGEST_FLOW, allowance()))
     if len(data) < 12 or data[:4] != _TAG:
-        raise BadInput(f"flow {path} is no Middlebury .flo: it does not begin with the number 202021.25")
+        raise BadInput(f"flow {path} is not a Middlebury .flo: it does not begin with the number 202021.25")
     width, height = struct.unpack("<ii", data[4:12])
     if width < 1 or height < 1 or len(data) != 12 + 8 * width * height:
         raise BadInput(
-            f"flow {path} tells a size of {width}x{height} pixels, which takes {12 + 8 * width * height} bytes, and "
-            f"has {len(data)}"
+            f"flow {path} claims {width}x{height} pixels, {12 + 8 * width * height} bytes, but has {len(data)}"
         )
     return np.frombuffer(data, "<f4", offset=12).reshape(height, width, 2).astype(np.float32)
 
@@ -52,16 +51,17 @@ def _read_npy(path: Path) -> np.ndarray:
             magic = np.lib.format.read_magic(stream)
             header = np.lib.format.read_array_header_1_0 if magic == (1, 0) else np.lib.format.read_array_header_2_0
             shape, _, kind = header(stream)
-            # numpy asks for all the memory that the header claims before it looks what there is.
+            # numpy allocates all that the header claims before it looks at the file's size.
             if math.prod(shape) * kind.itemsize > os.fstat(stream.fileno()).st_size:
-                raise ValueError(f"it is shorter than its shape {shape} tells")
+                raise ValueError(f"it is too short for its shape {shape}")
             if len(shape) == 3:
                 check_allowance(path, shape[1], shape[0], math.prod(shape) * max(4, kind.itemsize))
             stream.seek(0)
             found = np.load(stream, allow_pickle=False)
     except (ValueError, EOFError, SyntaxError, TypeError, RecursionError, OverflowError, TokenError) as error:
-        raise BadInput(f"flow {path} is no array that numpy can read without running code: {error}") from error
-    if not isinstance(found, np.ndarray) or found.ndim != 3 or found.shape[2] != 2 or found.dtype.kind not in "fiu":
-        shape = getattr(found, "shape", "several arrays")
-        raise BadInput(f"flow {path} holds {shape}; expected numbers of shape [height, width, 2]")
+        raise BadInput(f"flow {path} is not an array that numpy can read without running code: {error}") from error
+    if not isinstance(found, np.ndarray):
+        raise BadInput(f"flow {path} holds several arrays; expected one of shape [height, width, 2]")
+    if found.ndim != 3 or found.shape[2] != 2 or found.dtype.kind not in "fiu":
+        raise BadInput(f"flow {path} has shape {found.shape}; expected numbers of shape [height, width, 2]")
     return found.astype(np.float32)

@@ -1,6 +1,7 @@
-"""frames.json: rendered views of a field, in order, with the cameras that saw them."""
+"""frames.json: rendered views of a field, in order, with their cameras."""
 
-from dataclasses import dataclass, field
+import dataclasses
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ FRAMES_FILE = "frames.json"
 
 @dataclass(frozen=True)
 class FrameCamera:
-    """A camera as scene.json writes it: fx, fy, cx, cy in pixels, world_from_camera 4x4 in scene units."""
+    """A camera as in scene.json: fx, fy, cx, cy in pixels; world_from_camera 4x4 in scene units."""
 
     width: int
     height: int
@@ -29,7 +30,13 @@ class FrameCamera:
 
 @dataclass(frozen=True)
 class Frame:
-    """One rendered view. exr, png: paths inside the artifact. scene_view: index of the scene's view it repeats."""
+    """One rendered view.
+
+    Attributes:
+        exr: Path inside the artifact, "" without one.
+        png: Likewise.
+        scene_view: Index of the scene's view with this camera, if any.
+    """
 
     name: str
     exr: str
@@ -40,28 +47,28 @@ class Frame:
 
 @dataclass(frozen=True)
 class Frames:
-    """frames.json. path: `test`, `train`, `orbit` or another; fps: for a film, None where the views are no film.
+    """The contents of frames.json.
 
-    masks: the EXR channel of each region that the views show, by the region's name.
+    Attributes:
+        path: `test`, `train`, `orbit` or another camera path.
+        fps: Frames per second, None if the views are not a video.
+        masks: EXR channel of each region in view, by the region's name.
     """
 
     field: str
     path: str
     views: tuple[Frame, ...]
     fps: float | None = None
-    masks: dict[str, str] = field(default_factory=dict)
+    masks: dict[str, str] = dataclasses.field(default_factory=dict)  # `field` is an attribute here
 
 
 def write_frames(folder: Path, frames: Frames) -> None:
-    """Writes frames.json into `folder`."""
+    """Write frames.json into `folder`."""
     write_json(Path(folder) / FRAMES_FILE, frames)
 
 
 def read_frames(folder: Path) -> Frames:
-    """The list of frames in `folder`; ArtifactDamaged where it is missing or not what write_frames writes.
-
-    Entries that this version does not know are passed over.
-    """
+    """Read frames.json in `folder`, ignoring unknown entries; ArtifactDamaged if it is missing or invalid."""
     path = Path(folder) / FRAMES_FILE
     try:
         content = read_json(path, ArtifactDamaged)
@@ -73,21 +80,20 @@ def read_frames(folder: Path) -> Frames:
     except FileNotFoundError:
         raise ArtifactDamaged(f"{path} is missing; run `stylerf render` again") from None
     except (ValueError, TypeError, KeyError, AttributeError, OverflowError) as error:
-        told = f"it lacks {error}" if isinstance(error, KeyError) else str(error)
-        raise ArtifactDamaged(f"{path} is damaged ({told}); run `stylerf render` again") from error
+        reason = f"it lacks {error}" if isinstance(error, KeyError) else str(error)
+        raise ArtifactDamaged(f"{path} is damaged ({reason}); run `stylerf render` again") from error
 
 
 def _frame(entry: dict[str, Any]) -> Frame:
-    given, where = entry["camera"], f"the camera of frame {entry['name']}: "
-    camera = FrameCamera(
-        *(whole(given[key], where + key, 1, LARGEST_SIDE) for key in ("width", "height")),
-        *(number(given[key], where + key, *FOCAL_LENGTHS) for key in ("fx", "fy")),
-        *(number(given[key], where + key) for key in ("cx", "cy")),
-        matrix(given["world_from_camera"], where + "world_from_camera"),
-    )
+    values, where = entry["camera"], f"the camera of frame {entry['name']}: "
+    width, height = (whole(values[key], where + key, 1, LARGEST_SIDE) for key in ("width", "height"))
+    fx, fy = (number(values[key], where + key, *FOCAL_LENGTHS) for key in ("fx", "fy"))
+    cx, cy = (number(values[key], where + key) for key in ("cx", "cy"))
+    pose = matrix(values["world_from_camera"], where + "world_from_camera")
+    camera = FrameCamera(width, height, fx, fy, cx, cy, pose)
     relative_path(entry["name"], "name of a frame")
     for key in ("exr", "png"):
-        if entry[key] != "":  # of frames without one
+        if entry[key] != "":
             relative_path(entry[key], f"{key} of frame {entry['name']}")
     index = entry.get("scene_view")
     index = None if index is None else whole(index, f"frame {entry['name']}: scene_view", 0, 10**9)

@@ -1,4 +1,4 @@
-"""Photos and pictures: read whole or refused, colors as stored or in sRGB; PNG written as one step."""
+"""Image files: read completely or refused, with colors as stored or in sRGB; PNGs written atomically."""
 
 import errno
 import os
@@ -19,13 +19,13 @@ from schemas.native_output import native_output_silenced
 from schemas.read_limit import allowance, check_allowance
 from schemas.safe_reading import opened
 
-# A header may claim any size: above this (uncompressed) the file is taken for damaged or hostile.
+# Uncompressed. A header that claims more is damaged or hostile.
 LARGEST_IMAGE_MB = 2048
-SLOW_IMAGE_MB = 192  # of JPEG 2000 and JPEG XL, in which a file of 2 kB can hold minutes of work
+SLOW_IMAGE_MB = 192  # JPEG 2000 and JPEG XL: a file of 2 kB can take minutes to decode
 BAND_BYTES = 4 << 20
 _LIGHT = ("openexr", "hdr")
 _SCALES = {"uint8": 255, "uint16": 65535, "half": 1, "float": 1, "double": 1}
-_SEVERAL = 4  # times the stored bytes that a decoded picture takes
+_SEVERAL = 4  # decoded bytes for each stored byte, at most
 _DECODED_BY_ROWS = (b"v/1\x01", b"II*\0", b"MM\0*", b"II+\0", b"MM\0+", b"#?", b"\x89PNG", b"\xff\xd8\xff")
 _SLOW = (b"\0\0\0\x0c", b"\xff\x4f\xff\x51")
 _CLAIMED = re.compile(r"image size ([\d.]+) MB exceeds.*?claimed to be (\d+)x(\d+)", re.S)
@@ -33,10 +33,12 @@ _CLAIMED = re.compile(r"image size ([\d.]+) MB exceeds.*?claimed to be (\d+)x(\d
 
 @dataclass(frozen=True, eq=False)
 class Image:
-    """One image. pixels: [height, width, 1, 3 or 4] float32, 0..1 for integer files, as stored for float ones.
+    """One image.
 
-    bits: of a stored channel value (8, 16 or 32). light: colors are linear light multiplied by alpha, as in EXR; else
-    they are code values and alpha is straight, as in PNG.
+    Attributes:
+        pixels: [height, width, 1, 3 or 4] float32; 0..1 for integer formats, as stored for float formats.
+        bits: Bits of each stored channel value: 8, 16 or 32.
+        light: True: linear light, premultiplied, as in EXR. False: code values with straight alpha, as in PNG.
     """
 
     pixels: np.ndarray
@@ -50,8 +52,8 @@ class Image:
 
     @property
     def channels(self) -> int:
-        """1 gray, 3 RGB, 4 RGB and alpha."""
-        return self.pixels.shape[2]
+        """1 for gray, 3 for RGB, 4 for RGBA."""
+        return int(self.pixels.shape[2])
 
 
 @contextmanager
@@ -60,24 +62,24 @@ def _opened(path: Path) -> Iterator["oiio.ImageInput"]:
         source = _open(path)
         try:
             yield source
-        except UnicodeDecodeError as error:  # of a channel's or an attribute's name
-            raise BadInput(f"{path} is damaged: it holds a name that is no text; replace or remove it") from error
+        except UnicodeDecodeError as error:  # in the name of a channel or an attribute
+            raise BadInput(f"{path} is damaged: it holds a name that is not text; replace or remove it") from error
         finally:
             source.close()
 
 
 def _open(path: Path) -> "oiio.ImageInput":
     try:
-        with opened(path) as stream:  # a codec would wait for a named pipe, and read a device for ever
+        with opened(path) as stream:  # a codec would block on a named pipe and read a device forever
             head = stream.read(16)
     except FileNotFoundError:
         raise BadInput(f"{path}: no such image file") from None
-    if (name := os.fsencode(path).decode("utf-8", "backslashreplace")) != str(path):  # which codecs cannot be given
+    if (name := os.fsencode(path).decode("utf-8", "backslashreplace")) != str(path):  # codecs take UTF-8 only
         raise BadInput(f"{name}: its name is not UTF-8; rename it")
     oiio.attribute("limits:imagesize_MB", _most_to_open(head) >> 20)
     settings = oiio.ImageSpec()
-    settings.attribute("oiio:UnassociatedAlpha", 1)  # else colors come multiplied by alpha, rounded to 8 bit
-    _error_of(oiio)  # clears what an earlier file left
+    settings.attribute("oiio:UnassociatedAlpha", 1)  # else colors come premultiplied and rounded to 8 bits
+    _error_of(oiio)  # clear the error of an earlier file
     source = oiio.ImageInput.open(str(path), settings)
     if source is None:
         error = _error_of(oiio)
@@ -85,20 +87,20 @@ def _open(path: Path) -> "oiio.ImageInput":
             size, width, height = float(claimed[1]), int(claimed[2]), int(claimed[3])
             if size < LARGEST_IMAGE_MB:
                 check_allowance(path, width, height, _SEVERAL * int(size * 2**20))
-        raise BadInput(f"{path} is no readable image ({_first_line(error, path)}); replace or remove it")
+        raise BadInput(f"{path} is not a readable image ({_first_line(error, path)}); replace or remove it")
     return source
 
 
-def _error_of(told: Any) -> str:
-    """What OpenImageIO, or a file of it, has to say; it may quote bytes of the file that are no text."""
+def _error_of(source: Any) -> str:
+    """Return the last error of OpenImageIO or of one of its files."""
     try:
-        return told.geterror()
-    except UnicodeDecodeError:
+        return str(source.geterror())
+    except UnicodeDecodeError:  # it may quote bytes of the file
         return "damaged"
 
 
 def _most_to_open(head: bytes) -> int:
-    """Bytes of stored pixels that a file which begins so may have: some codecs decode all of it as they open it."""
+    """Return the most bytes of pixels to accept from a file with this head; some codecs decode all on opening."""
     if head.startswith(_DECODED_BY_ROWS):
         return LARGEST_IMAGE_MB << 20
     most = min(LARGEST_IMAGE_MB << 20, allowance() // _SEVERAL)
@@ -108,16 +110,23 @@ def _most_to_open(head: bytes) -> int:
 def _first_line(message: str, path: Path) -> str:
     message = message.replace(f' ("{path}")', "").replace(f'"{path}"', "it")
     lines = [line.strip() for line in message.splitlines() if line.strip()]
-    return lines[0].rstrip(".") if lines else "damaged or cut short"  # some codecs fail without a word
+    return lines[0].rstrip(".") if lines else "damaged or cut short"  # some codecs fail silently
 
 
 def read_image(path: Path | str, upright: bool = True) -> Image:
-    """The image at `path`, turned by its EXIF orientation if `upright`, else with its rows as they are stored.
+    """Read an image.
 
-    8 and 16 bit values are divided by 255 and 65535. Gray with alpha becomes RGBA; of many channels those named
-    R, G, B, A are taken. An EXR is what its display window shows: zeros where it has no data. BadInput with the file
-    and the reason when it is missing, of an unknown format, cut short, damaged, larger than LARGEST_IMAGE_MB, or holds
-    NaN or infinity; OutOfResources where it would take more memory than is allowed (schemas.allowance).
+    8 and 16 bit values are divided by 255 and 65535. Gray with alpha becomes RGBA; of more channels, those named
+    R, G, B, A are read. An EXR is cropped or zero-padded to its display window.
+
+    Args:
+        path: The file, in any format that OpenImageIO reads.
+        upright: Apply the EXIF orientation; else keep rows as stored.
+
+    Raises:
+        BadInput: The file is missing, of an unknown format, truncated, damaged, larger than LARGEST_IMAGE_MB, or holds
+            NaN or infinity.
+        OutOfResources: It would need more memory than allowed (see schemas.read_limit).
     """
     path = Path(path)
     with _opened(path) as source:
@@ -131,7 +140,7 @@ def read_image(path: Path | str, upright: bool = True) -> Image:
 
 
 def _decoded(source: "oiio.ImageInput", path: Path) -> np.ndarray:
-    """[h, w, 1, 3 or 4] float32, band by band, so that no second picture of the size is made."""
+    """Decode to [h, w, 1, 3 or 4] float32, band by band to save memory."""
     spec = source.spec()
     scale = _SCALES.get(str(spec.format))
     if scale is None:
@@ -143,7 +152,7 @@ def _decoded(source: "oiio.ImageInput", path: Path) -> np.ndarray:
     for top in range(0, spec.height, rows):
         end = min(top + rows, spec.height)
         band = _band(source, spec, top, end)
-        # Truncated JPEGs come back with pixels and an error: the error decides.
+        # A truncated JPEG yields both pixels and an error.
         error = _error_of(source) + _error_of(oiio)
         if band is None or error:
             raise BadInput(f"{path} cannot be read whole ({_first_line(error, path)}); replace or remove it")
@@ -154,12 +163,12 @@ def _decoded(source: "oiio.ImageInput", path: Path) -> np.ndarray:
             for place, channel in enumerate(chosen):
                 np.divide(band[..., channel], np.float32(scale), out=pixels[top:end, :, place], casting="same_kind")
         if str(spec.format) == "double" and not np.isfinite(pixels[top:end]).all():
-            raise BadInput(f"{path} holds values beyond 32-bit numbers; replace or remove it")
+            raise BadInput(f"{path} holds values that overflow 32-bit floats; replace or remove it")
     return pixels
 
 
 def _rows_of_a_band(spec: "oiio.ImageSpec") -> int:
-    if spec.get_string_attribute("planarconfig") == "separate":  # each band would decode its strips anew
+    if spec.get_string_attribute("planarconfig") == "separate":  # each band would decode all strips again
         return spec.height
     unit = spec.tile_height or max(1, spec.get_int_attribute("tiff:RowsPerStrip", 1))
     row = max(1, spec.width * spec.nchannels * spec.format.size())
@@ -174,9 +183,9 @@ def _band(source: "oiio.ImageInput", spec: "oiio.ImageSpec", top: int, end: int)
 
 
 def read_srgb(path: Path | str, upright: bool = True) -> Image:
-    """As read_image, but where the file holds light, that as sRGB code values 0..1 with straight alpha.
+    """Read an image as read_image does, with linear light converted to sRGB code values 0..1 and straight alpha.
 
-    Light brighter than white is white.
+    Light above 1 is clipped.
     """
     image = read_image(path, upright)
     if not image.light:
@@ -189,24 +198,27 @@ def read_srgb(path: Path | str, upright: bool = True) -> Image:
 
 
 def coverage(pixels: np.ndarray) -> np.ndarray:
-    """What the picture of a mask, [h, w, 1, 3 or 4], keeps, [h, w] 0..1: its alpha where any pixel is transparent, else
-    its brightest channel; divided by its largest value, for masks of 0 and 1 in eight bits are common."""
+    """Convert the pixels of a mask image [h, w, 1, 3 or 4] to coverage [h, w], 0..1.
+
+    Uses alpha if any pixel is transparent, else the brightest channel; divided by its maximum, because 8-bit masks of
+    0 and 1 are common.
+    """
     cut = pixels.shape[2] == 4 and pixels[..., 3].min() < 1
     kept = pixels[..., 3] if cut else pixels[..., :3].max(axis=2)
     return (kept / max(float(kept.max()), 1e-12)).clip(0, 1)
 
 
 def _color_channels(source: "oiio.ImageInput", path: Path) -> list[int]:
-    """Which stored channels are gray, RGB or RGBA, in this order; BadInput where they are something else."""
+    """Return the stored channels that make up gray, RGB or RGBA, in order; BadInput if there are none."""
     spec, exr = source.spec(), source.format_name() == "openexr"
     names, count = spec.channelnames, spec.nchannels
     if source.format_name() == "null":
-        raise BadInput(f"{path} is no image")
+        raise BadInput(f"{path} is not an image")
     if exr and (why := _unusual(source, spec)):
-        raise BadInput(f"{path} is {why}; expected one flat part of R, G, B and perhaps A: save it so")
+        raise BadInput(f"{path} is {why}; save it as one flat part with channels R, G, B and optionally A")
     if {"R", "G", "B"} <= set(names):
         return [names.index(name) for name in "RGBA" if name in names]
-    # Three of an EXR may be a position, or brightness beside halved color; one may be a depth.
+    # Three channels of an EXR may be a position, or luma with subsampled chroma; a single one may be depth.
     if count == 1 and not (exr and names[0].upper().rpartition(".")[2] == "Z"):
         return [0]
     if not exr and count in (2, 3):
@@ -217,18 +229,18 @@ def _color_channels(source: "oiio.ImageInput", path: Path) -> list[int]:
 
 
 def _unusual(source: "oiio.ImageInput", spec: "oiio.ImageSpec") -> str:
-    """What an EXR is that one picture cannot be read from; empty where it is an ordinary one."""
+    """Say why an EXR does not hold a single picture; "" if it does."""
     if spec.deep:
-        return "a deep EXR, with a list of samples a pixel"
+        return "a deep EXR, with a list of samples for each pixel"
     if (parts := spec.get_int_attribute("oiio:subimages", 1)) > 1:
         return f"an EXR of {parts} parts"
     if source.spec(0, 1).width:
-        return "an EXR of several resolutions (mip levels)"
+        return "an EXR with mip levels"
     return ""
 
 
 def _displayed(pixels: np.ndarray, spec: "oiio.ImageSpec", path: Path) -> np.ndarray:
-    """The data window in the display window, cut off where it leaves it."""
+    """Crop or zero-pad the data window to the display window."""
     width, height = spec.full_width, spec.full_height
     x, y = spec.x - spec.full_x, spec.y - spec.full_y
     if (x, y, spec.width, spec.height) == (0, 0, width, height):
@@ -244,8 +256,8 @@ def _displayed(pixels: np.ndarray, spec: "oiio.ImageSpec", path: Path) -> np.nda
     return shown
 
 
-# By EXIF's number: whether rows and columns are swapped, then which of them are turned round.
-_TURNS = {
+# By EXIF orientation: whether to swap rows and columns, and then how to flip them.
+_TURNS: dict[int, tuple[bool, Any]] = {
     2: (False, np.s_[:, ::-1]), 3: (False, np.s_[::-1, ::-1]), 4: (False, np.s_[::-1]),
     5: (True, np.s_[:]), 6: (True, np.s_[:, ::-1]), 7: (True, np.s_[::-1, ::-1]), 8: (True, np.s_[::-1]),
 }  # fmt: skip
@@ -254,32 +266,37 @@ _TURNS = {
 def _upright(pixels: np.ndarray, orientation: int) -> np.ndarray:
     if orientation not in _TURNS:
         return pixels
-    swapped, turned = _TURNS[orientation]
-    return np.ascontiguousarray((pixels.swapaxes(0, 1) if swapped else pixels)[turned])
+    swapped, flipped = _TURNS[orientation]
+    return np.ascontiguousarray((pixels.swapaxes(0, 1) if swapped else pixels)[flipped])
 
 
 def image_channels(path: Path | str) -> int:
-    """Channels that read_image gives (1, 3 or 4), from the header alone; BadInput as read_image."""
+    """Return the number of channels that read_image would return, reading the header only; BadInput likewise."""
     path = Path(path)
     with _opened(path) as source:
         return len(_color_channels(source, path))
 
 
 def image_size(path: Path | str, upright: bool = True) -> tuple[int, int]:
-    """(width, height) of what read_image gives, from its header alone; BadInput as read_image."""
+    """Return (width, height) of what read_image would return, reading the header only; BadInput likewise."""
     path = Path(path)
     with _opened(path) as source:
         spec, form = source.spec(), source.format_name()
         _color_channels(source, path)
     size = (spec.full_width, spec.full_height) if form == "openexr" else (spec.width, spec.height)
-    turned = upright and 5 <= spec.get_int_attribute("Orientation", 1) <= 8  # the four that swap rows and columns
-    return size[::-1] if turned else size
+    swapped = upright and _TURNS.get(spec.get_int_attribute("Orientation", 1), (False,))[0]
+    return size[::-1] if swapped else size
 
 
 def write_png(path: Path | str, array: np.ndarray) -> None:
-    """Writes uint8 or uint16 pixels [height, width] or [height, width, 1, 3 or 4] (straight alpha) as one step.
+    """Write a PNG atomically; equal pixels give equal bytes.
 
-    Equal pixels give equal bytes. OutOfResources on a full disk or a folder without permission.
+    Args:
+        path: The file to replace.
+        array: uint8 or uint16 [height, width] or [height, width, 1, 3 or 4], straight alpha.
+
+    Raises:
+        OutOfResources: The disk is full or read-only.
     """
     path = Path(path)
     pixels = np.ascontiguousarray(array if array.ndim == 3 else array[..., None])
@@ -290,14 +307,14 @@ def write_png(path: Path | str, array: np.ndarray) -> None:
     spec.attribute("oiio:UnassociatedAlpha", 1)
     with replacing(path) as temporary, native_output_silenced():
         target = oiio.ImageOutput.create(str(temporary))
-        done = target.open(str(temporary), spec) and target.write_image(pixels)
-        done = target.close() and done and not target.geterror()
+        done = target is not None and target.open(str(temporary), spec) and target.write_image(pixels)
+        done = target is not None and target.close() and done and not target.geterror()
         if not (done and _whole(temporary)):
             raise refusal_of_disk(path, pixels.nbytes) or OSError(errno.EIO, "the PNG writer failed", str(path))
 
 
 def _whole(path: Path) -> bool:
-    """Whether a PNG's chunks fit their check sums, up to the last: the codec overlooks writes that the disk refused."""
+    """Whether all chunks of a PNG match their check sums; the codec ignores failed writes."""
     data, at, name = memoryview(path.read_bytes()), 8, b""
     while name != b"IEND" and at + 12 <= len(data):
         end = at + 12 + int.from_bytes(data[at : at + 4], "big")
@@ -309,10 +326,10 @@ def _whole(path: Path) -> bool:
 
 
 def to_uint8(values: np.ndarray) -> np.ndarray:
-    """Values 0..1 (clipped) to the nearest of 0..255; by bands of rows, as a picture may be large."""
+    """Clip values to 0..1 and round to 0..255, in bands of rows to save memory."""
     values = np.asarray(values)
     if values.ndim < 2:
-        return np.round(np.clip(values, 0.0, 1.0) * 255.0).astype(np.uint8)
+        return np.asarray(np.round(np.clip(values, 0.0, 1.0) * 255.0), np.uint8)
     found = np.empty(values.shape, np.uint8)
     rows = max(1, BAND_BYTES // max(1, values[:1].nbytes))
     for top in range(0, len(values), rows):
@@ -321,12 +338,14 @@ def to_uint8(values: np.ndarray) -> np.ndarray:
 
 
 def linear_from_srgb(encoded: np.ndarray) -> np.ndarray:
-    """Linear Rec.709 light from sRGB code values 0..1 (IEC 61966-2-1); values below 0 go along the linear part."""
+    """Decode sRGB code values 0..1 to linear Rec.709 light (IEC 61966-2-1); negative values extend the linear part."""
     powered = ((np.maximum(encoded, 0.04045) + 0.055) / 1.055) ** 2.4
-    return np.where(encoded <= 0.04045, encoded / 12.92, powered).astype(encoded.dtype)
+    light: np.ndarray = np.where(encoded <= 0.04045, encoded / 12.92, powered).astype(encoded.dtype)
+    return light
 
 
 def srgb_from_linear(light: np.ndarray) -> np.ndarray:
-    """sRGB code values from linear Rec.709 light, the inverse of linear_from_srgb; light above 1 goes above 1."""
+    """Encode linear Rec.709 light as sRGB code values, the inverse of linear_from_srgb; not clipped."""
     powered = 1.055 * np.maximum(light, 0.0031308) ** (1 / 2.4) - 0.055
-    return np.where(light <= 0.0031308, light * 12.92, powered).astype(light.dtype)
+    encoded: np.ndarray = np.where(light <= 0.0031308, light * 12.92, powered).astype(light.dtype)
+    return encoded

@@ -1,4 +1,4 @@
-"""Which files of an unfinished run are whole: one line for each with its SHA-256, in a file that only grows."""
+"""A journal of an unfinished run's complete files: one appended line for each, with its SHA-256."""
 
 import json
 import os
@@ -11,7 +11,7 @@ from schemas.open_flags import NOFOLLOW
 
 
 class Journal:
-    """The journal at `path` of files below `root`. A last line that a kill cut short is passed over."""
+    """The journal at `path` of files below `root`. Ignores a last line that a kill cut short."""
 
     def __init__(self, path: Path, root: Path) -> None:
         self._path, self._root = path, root
@@ -29,7 +29,7 @@ class Journal:
             return
 
     def add(self, names: Iterable[str]) -> None:
-        """Records files, by their paths below the root, as they are now; each must be flushed to the disk already."""
+        """Record files, by paths below the root, as they are now; they must be flushed to disk already."""
         fresh = {name: file_sha256(self._root / name) for name in names}
         text = "".join(json.dumps(pair) + "\n" for pair in fresh.items())
         handle = os.open(self._path, os.O_WRONLY | os.O_CREAT | os.O_APPEND | NOFOLLOW, 0o666)
@@ -38,10 +38,10 @@ class Journal:
         self._digests |= fresh
 
     def holds(self, names: Iterable[str]) -> bool:
-        """Whether every one of these files is recorded and still what it was then; OSError where one cannot be read."""
-        return all(name in self._digests and self._is(name) for name in names)
+        """Whether all these files are recorded and unchanged since; OSError if one cannot be read."""
+        return all(name in self._digests and self._unchanged(name) for name in names)
 
-    def _is(self, name: str) -> bool:
+    def _unchanged(self, name: str) -> bool:
         try:
             return file_sha256(self._root / name) == self._digests[name]
         except (FileNotFoundError, NotADirectoryError):

@@ -1,9 +1,9 @@
-"""Lets one process at a time write an artifact, by locks that the system frees when the process ends.
+"""Locks that let one process at a time write an artifact; the system frees them when the process ends.
 
 Two things are locked: a small file, `.NAME.lock`, that names the process holding it, and the folder that is written to,
-so that a second writer is kept out even if somebody deletes that file. (Windows does not lock folders, and does not
-delete files that are open.) The system's own lock comes from filelock, which takes it on an open file: all that is
-checked about that file is checked on the file that gets locked.
+so that a second writer is kept out even if somebody deletes that file. (Windows cannot lock folders, but does
+not delete open files either.) filelock takes the system's lock on the open file, so that the checks below are of the very
+file that is locked.
 """
 
 import errno
@@ -30,7 +30,7 @@ class Lock:
     """The right to write one artifact. Freed by release() and when the process ends, however it ends."""
 
     def __init__(self, path: Path, instead: str = "give another --name") -> None:
-        """Takes the lock.
+        """Take the lock.
 
         Args:
             path: The lock file, created if missing.
@@ -61,9 +61,9 @@ class Lock:
             os.write(self._handle, f" {os.getpid()} {_host()}\n".encode())
 
     def hold_folder(self, folder: Path) -> None:
-        """Locks `folder` too, instead of the one held so far; OutOfResources if another process writes there."""
+        """Lock `folder` too, instead of the one locked before; OutOfResources if another process writes there."""
         if not DIRECTORY:
-            return  # Windows opens no folders, and keeps the lock file from being deleted
+            return  # Windows cannot open folders, and does not let the open lock file be deleted
         handle = os.open(folder, os.O_RDONLY | DIRECTORY | NOFOLLOW)
         try:
             free = lock_descriptor(handle, blocking=False)
@@ -77,7 +77,7 @@ class Lock:
         self._folder = handle
 
     def release(self) -> None:
-        """Frees the lock; harmless if already free."""
+        """Free the lock; harmless if already free."""
         self._close_folder()
         if self._handle is not None:
             os.close(self._handle)
@@ -109,7 +109,7 @@ class Lock:
 
 
 def _opened(path: Path) -> int:
-    """Opens the lock file, creating it if missing; WouldBeLost if it is something else."""
+    """Open the lock file, creating it if missing; WouldBeLost if it is something else."""
     if not NOFOLLOW and path.is_symlink():
         raise _not_ours(path)
     flags = NOFOLLOW | NONBLOCK
@@ -142,7 +142,7 @@ def _opened(path: Path) -> int:
 
 
 def _share(path: Path, handle: int, found: os.stat_result) -> None:
-    """Lets whoever may write to the folder take its locks, and takes no lock file from anybody else."""
+    """Let whoever may write to the folder take its locks; refuse a lock file of anybody else."""
     folder = os.stat(path.parent)
     if found.st_uid == os.geteuid():
         with suppress(OSError):
@@ -152,7 +152,7 @@ def _share(path: Path, handle: int, found: os.stat_result) -> None:
 
 
 def _text(handle: int) -> bytes:
-    """What the lock file says of its holder."""
+    """Return what the lock file says about its holder."""
     os.lseek(handle, _TEXT_START, os.SEEK_SET)
     return os.read(handle, 101)
 

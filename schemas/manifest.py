@@ -1,4 +1,4 @@
-"""The manifest of an artifact: what it is, what it was made from and how, and which bytes it consists of."""
+"""The manifest of an artifact: its kind, inputs, recipe, measurements, and the digests of its files."""
 
 import hashlib
 import json
@@ -14,12 +14,12 @@ from typing import Any
 from schemas.canonical_json import digest_of, plain
 from schemas.errors import ArtifactDamaged
 from schemas.flag_text import flags
-from schemas.migrations import CURRENT, migrated
+from schemas.migrations import CURRENT, Json, migrated
 from schemas.safe_names import file_name, relative_path
 from schemas.safe_reading import parsed, read_bytes
 
 MANIFEST = "manifest.json"
-MOST_BYTES = 64 << 20  # of a manifest; one of 10,000 files takes 2 MB
+MOST_BYTES = 64 << 20  # a manifest of 10,000 files takes 2 MB
 _SEAL = re.compile(rb'"self_sha256": "([0-9a-f]{64})"')
 _SHA256 = re.compile(r"[0-9a-f]{64}")
 _TYPES: dict[str, tuple[type, ...]] = {
@@ -36,7 +36,7 @@ _BLANK = b'"self_sha256": "' + b"0" * 64 + b'"'
 
 @dataclass(frozen=True)
 class InputRef:
-    """An artifact that another was made from: the part it played, and the digest that it had."""
+    """An input of an artifact: another artifact, the role it played, and its digest at the time."""
 
     role: str
     kind: str
@@ -46,63 +46,63 @@ class InputRef:
 
 @dataclass(frozen=True)
 class Recipe:
-    """All that decides what a stage makes. Two equal recipes make the same artifact, so the older one is reused.
+    """Everything that determines what a stage makes. Equal recipes make equal artifacts, so one is reused.
 
-    aside: options of the config that are told in the manifest and decide nothing, such as where a file lies. known: the
-    digest of one that was read from a manifest, which does not tell what is aside.
+    Attributes:
+        incidental: Options that are recorded but do not affect the result, such as where a file lies.
+        stored_digest: Digest of a recipe read from a manifest, which does not record what is incidental.
     """
 
     stage: str
     revision: int
-    config: dict
+    config: Json
     inputs: list[InputRef]
     seed: int = 0
-    aside: Sequence[str] = ()
-    known: str = ""
+    incidental: Sequence[str] = ()
+    stored_digest: str = ""
 
     @property
     def digest(self) -> str:
-        """SHA-256 over stage, revision, deciding options, seed and the inputs' roles and digests (not their names)."""
-        if self.known:
-            return self.known
+        """SHA-256 of stage, revision, options, seed, and the roles and digests (not the names) of the inputs."""
+        if self.stored_digest:
+            return self.stored_digest
         inputs = sorted((ref.role, ref.kind, ref.digest) for ref in self.inputs)
-        deciding = {name: value for name, value in self.config.items() if name not in self.aside}
+        deciding = {name: value for name, value in self.config.items() if name not in self.incidental}
         return digest_of([self.stage, self.revision, deciding, inputs, self.seed])
 
     def other_options(self, before: "Recipe") -> str:
-        """Options of `before` that are other than here, and regions, which come and go with the work folder; in words,
-        empty where there are none."""
+        """Describe the options and regions of `before` that differ from these; "" if none do."""
         here, there = ({**one.config, "seed": one.seed} for one in (self, before))
-        names = [k for k, value in there.items() if k not in self.aside and here.get(k, value) != value]
-        given = [flags(f"--{name.replace('_', '-')}", there[name]) for name in names if not name.endswith("_digest")]
-        told = [shlex.join(one) for one in given] or (["other files"] if names else [])
-        return ", ".join(told + self._other_inputs(before, regions=True))
+        names = [k for k, value in there.items() if k not in self.incidental and here.get(k, value) != value]
+        changed = [flags(f"--{name.replace('_', '-')}", there[name]) for name in names if not name.endswith("_digest")]
+        texts = [shlex.join(one) for one in changed] or (["other files"] if names else [])
+        return ", ".join(texts + self._other_inputs(before, regions=True))
 
     def other_sources(self, before: "Recipe") -> str:
-        """Inputs but for regions, and code, of `before` that are other than here: no option leads back to them."""
-        told = self._other_inputs(before, regions=False)
+        """Describe the inputs (other than regions) and the code of `before` that differ; no option restores these."""
+        texts = self._other_inputs(before, regions=False)
         if (self.stage, self.revision) != (before.stage, before.revision):
-            told.append(f"revision {before.revision} of {before.stage}")
-        return ", ".join(told)
+            texts.append(f"revision {before.revision} of {before.stage}")
+        return ", ".join(texts)
 
     def _other_inputs(self, before: "Recipe", regions: bool) -> list[str]:
         here, there = ({ref.role: ref for ref in one.inputs} for one in (self, before))
-        told = []
+        texts = []
         for role in sorted(here.keys() | there.keys()):
             ref = there.get(role) or here[role]
             if role.startswith("region.") == regions:
                 if role not in there:
-                    told.append(f"no {ref.kind} {ref.name}")
+                    texts.append(f"no {ref.kind} {ref.name}")
                 elif role not in here:
-                    told.append(f"{ref.kind} {ref.name}")
+                    texts.append(f"{ref.kind} {ref.name}")
                 elif here[role].digest != ref.digest:
-                    told.append(f"{ref.kind} {ref.name} as it was")
-        return told
+                    texts.append(f"{ref.kind} {ref.name} as it was")
+        return texts
 
 
 @dataclass(frozen=True)
 class FileRecord:
-    """One file of an artifact: its path inside the folder with forward slashes, its length, its SHA-256."""
+    """One file of an artifact: its path inside the folder (forward slashes), size and SHA-256."""
 
     path: str
     bytes: int
@@ -111,11 +111,16 @@ class FileRecord:
 
 @dataclass(frozen=True)
 class Manifest:
-    """manifest.json. `schema` counts the versions of this kind, `created` is UTC in ISO 8601, sizes are in MB = 1e6.
+    """The contents of manifest.json.
 
-    `seconds` and `peak_memory_mb` cover all runs that an interrupted artifact took. `figures` is free to each stage.
-    `threads`: of the run that finished it, None where an earlier version did not tell; sums over another number of
-    threads round otherwise, so that the same recipe gives the same bytes only with as many.
+    Attributes:
+        schema: Version of the format of this kind.
+        seconds: Wall time, summed over interrupted runs.
+        peak_memory_mb: Largest of those runs, MB = 1e6 bytes.
+        created: UTC, ISO 8601.
+        figures: Measurements, different for each stage.
+        threads: Of the run that finished; None in artifacts of schema 1. The same recipe gives the same bytes only with
+            the same number of threads, as sums are split among them.
     """
 
     kind: str
@@ -124,7 +129,7 @@ class Manifest:
     stage: str
     revision: int
     recipe: str
-    config: dict
+    config: Json
     inputs: list[InputRef]
     files: list[FileRecord]
     seed: int
@@ -133,16 +138,16 @@ class Manifest:
     seconds: float
     peak_memory_mb: float
     created: str
-    figures: dict = field(default_factory=dict)
+    figures: Json = field(default_factory=dict)
     threads: int | None = None
 
     @property
     def digest(self) -> str:
-        """SHA-256 over kind, schema, recipe and files: the identity of the artifact, whatever its name."""
+        """The artifact's identity, whatever its name: SHA-256 of kind, schema, recipe and files."""
         return digest_of([self.kind, self.schema, self.recipe, [asdict(record) for record in self.files]])
 
     def to_bytes(self) -> bytes:
-        """The text of manifest.json, sealed: `self_sha256` is the SHA-256 of the text with 64 zeros in its place."""
+        """Encode as manifest.json; `self_sha256` is the SHA-256 of the text with 64 zeros in its place."""
         content = {**plain(self), "self_sha256": "0" * 64}
         text = (json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n").encode()
         return _sealed(text)
@@ -150,7 +155,7 @@ class Manifest:
 
 def _sealed(text: bytes) -> bytes:
     seal = hashlib.sha256(text).hexdigest().encode()
-    head, _, tail = text.rpartition(_BLANK)  # the last one: `figures` and `config` are free text and come before
+    head, _, tail = text.rpartition(_BLANK)  # the last match: free text in `config` or `figures` may hold another
     return head + _BLANK.replace(b"0" * 64, seal) + tail
 
 
@@ -164,46 +169,50 @@ def _seal_holds(text: bytes) -> bool:
 
 
 def read_manifest(folder: Path) -> tuple[Manifest, str, int]:
-    """The manifest of the artifact in `folder` at the current schema, and the digest and schema it was stored with.
+    """Read the manifest of the artifact in `folder`.
 
-    Returning the stored digest keeps artifacts that were made from this one up to date after a migration.
+    Returns:
+        The manifest, migrated to the current schema; the artifact's digest as stored, by which artifacts made from this
+        one stay up to date after a migration; and the schema as stored.
 
-    Raises ArtifactDamaged when the manifest is missing or altered, ArtifactStale when a newer stylerf wrote it.
+    Raises:
+        ArtifactDamaged: The manifest is missing, altered or invalid.
+        ArtifactStale: A newer stylerf wrote it.
     """
     path = folder / MANIFEST
     try:
         text = read_bytes(path, MOST_BYTES, ArtifactDamaged)
     except FileNotFoundError:
-        raise ArtifactDamaged(f"{folder} has no {MANIFEST}, so it is no finished artifact; make it again") from None
+        raise ArtifactDamaged(f"{folder} has no {MANIFEST}, so it is not a finished artifact; rebuild it") from None
     if not _seal_holds(text):
-        raise ArtifactDamaged(f"{path} was altered since it was written (its own digest differs); make it again")
+        raise ArtifactDamaged(f"{path} was altered since it was written (its own digest differs); rebuild it")
     content = parsed(text.decode("utf-8", "replace"), str(path), ArtifactDamaged)
     if not isinstance(content, dict):
-        raise ArtifactDamaged(f"{path} is no JSON object; make the artifact again")
+        raise ArtifactDamaged(f"{path} is not a JSON object; rebuild the artifact")
     content.pop("self_sha256", None)
     stored = _digest_as_stored(content)
     manifest = _from_dict(migrated(content, folder), path)
     return manifest, stored, content["schema"]
 
 
-def _digest_as_stored(content: dict) -> str:
+def _digest_as_stored(content: Json) -> str:
     return digest_of([content.get(key) for key in ("kind", "schema", "recipe", "files")])
 
 
-def _from_dict(content: dict, path: Path) -> Manifest:
+def _from_dict(content: Json, path: Path) -> Manifest:
     known = {item.name for item in fields(Manifest)}
     if missing := sorted(known - {"figures"} - content.keys()):
-        raise ArtifactDamaged(f"{path} lacks {', '.join(missing)}; make the artifact again")
+        raise ArtifactDamaged(f"{path} lacks {', '.join(missing)}; rebuild the artifact")
     if more := sorted(content.keys() - known):
-        raise ArtifactDamaged(f"{path} holds unknown fields {', '.join(more)}; make the artifact again")
+        raise ArtifactDamaged(f"{path} holds unknown fields {', '.join(more)}; rebuild the artifact")
     try:
         return _checked(content)
     except (TypeError, ValueError, OverflowError, ArtifactDamaged) as error:
-        raise ArtifactDamaged(f"{path} is not as a manifest is written ({error}); make the artifact again") from error
+        raise ArtifactDamaged(f"{path} is not a valid manifest ({error}); rebuild the artifact") from error
 
 
-def _checked(content: dict) -> Manifest:
-    """The manifest, every field of the type and range that others rely on; ValueError telling the first that is not."""
+def _checked(content: Json) -> Manifest:
+    """Check the type and range of every field; ValueError names the first invalid one."""
     for key, kinds in _TYPES.items():
         if type(content.get(key)) not in kinds:
             raise ValueError(f"{key} is a {type(content.get(key)).__name__}")
@@ -211,7 +220,7 @@ def _checked(content: dict) -> Manifest:
         if not low <= content[key] <= high:
             raise ValueError(f"{key} is {content[key]}")
     if not _SHA256.fullmatch(content["recipe"]):
-        raise ValueError("recipe is no SHA-256")
+        raise ValueError("recipe is not a SHA-256")
     if datetime.fromisoformat(content["created"]).tzinfo is None:
         raise ValueError("created names no time zone")
     for key in ("name", "stage"):

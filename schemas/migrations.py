@@ -1,4 +1,4 @@
-"""The current schema of each artifact kind, and how older artifacts are brought to it when read.
+"""The current schema of each artifact kind, and the migrations of older artifacts, which run when these are read.
 
 To change a schema: raise the kind's number in CURRENT, add a manifest migration to MIGRATIONS and, if files inside the
 artifact change, a step to current_json or current_arrays; add a sample of the new version to tests/schemas/samples/.
@@ -22,7 +22,8 @@ CURRENT: dict[str, int] = {
     "report": 3,
 }
 
-Migration = Callable[[dict, Path], dict]
+Json = dict[str, Any]
+Migration = Callable[[Json, Path], Json]
 
 # Schema 3 renamed keys: American spelling, and the field's terms in place of ours.
 RENAMED_PARTS = {"colour": "color", "centre": "center", "stylised": "stylized", "learnt": "learned"}
@@ -47,16 +48,16 @@ def _key_in_3(name: str) -> str:
     return RENAMED_KEYS.get(name, name)
 
 
-def _without_threads(content: dict, folder: Path) -> dict:
+def _without_threads(content: Json, folder: Path) -> Json:
     return {**content, "threads": None}  # schema 1 did not record them
 
 
-def _with_new_names(content: dict, folder: Path) -> dict:
+def _with_new_names(content: Json, folder: Path) -> Json:
     # `files` and `versions` name files and packages, not options.
     return {key: value if key in ("files", "versions") else renamed_in_3(value, key) for key, value in content.items()}
 
 
-# (kind, from this schema) -> function(manifest as stored, folder) -> manifest of the next schema. Nothing is written.
+# (kind, schema) -> function(manifest of that schema, folder) -> manifest of the next schema. Nothing is written.
 MIGRATIONS: dict[tuple[str, int], Migration] = {
     **{(kind, 1): _without_threads for kind in CURRENT},
     **{(kind, 2): _with_new_names for kind in CURRENT},
@@ -64,24 +65,25 @@ MIGRATIONS: dict[tuple[str, int], Migration] = {
 
 
 def current_json(document: Any, schema: int) -> Any:
-    """A JSON document from inside an artifact that was written with `schema`, as the current schema has it."""
+    """Migrate a JSON document of an artifact with `schema` to the current schema."""
     return renamed_in_3(document) if schema < 3 else document
 
 
 def current_arrays(arrays: dict[str, np.ndarray], schema: int) -> dict[str, np.ndarray]:
-    """Named arrays from inside an artifact that was written with `schema`, under their current names."""
+    """Migrate the names of arrays of an artifact with `schema` to the current schema."""
     return {_key_in_3(name): array for name, array in arrays.items()} if schema < 3 else arrays
 
 
-def migrated(content: dict, folder: Path) -> dict:
-    """The manifest `content` of the artifact in `folder` brought to the present schema of its kind, step by step.
+def migrated(content: Json, folder: Path) -> Json:
+    """Migrate the manifest `content` of the artifact in `folder` to the current schema of its kind, step by step.
 
-    Raises ArtifactStale for a schema newer than this version knows or too old to migrate, ArtifactDamaged for a
-    manifest without a usable kind and schema.
+    Raises:
+        ArtifactStale: The schema is newer than this version knows, or too old to migrate.
+        ArtifactDamaged: The manifest has no valid kind and schema.
     """
     kind, schema = content.get("kind"), content.get("schema")
     if not isinstance(schema, int) or isinstance(schema, bool) or schema < 1 or not isinstance(kind, str):
-        raise ArtifactDamaged(f"{folder}: manifest.json names no kind and schema; make the artifact again")
+        raise ArtifactDamaged(f"{folder}: manifest.json names no kind and schema; rebuild the artifact")
     if kind not in CURRENT:
         raise ArtifactStale(f"{folder} is of kind {kind!r}, which was written by a newer stylerf; update stylerf")
     if schema > CURRENT[kind]:
@@ -92,7 +94,7 @@ def migrated(content: dict, folder: Path) -> dict:
     while schema < CURRENT[kind]:
         step = MIGRATIONS.get((kind, schema))
         if step is None:
-            raise ArtifactStale(f"{folder}: {kind} schema {schema} is too old to read; make the artifact again")
+            raise ArtifactStale(f"{folder}: {kind} schema {schema} is too old to read; rebuild the artifact")
         schema += 1
         content = {**step(dict(content), folder), "schema": schema}
     return content

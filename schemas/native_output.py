@@ -1,6 +1,6 @@
-"""Keeping native libraries from writing to the terminal: libpng, OpenEXR and libjpeg print what they also return.
+"""Silences native libraries: libpng, OpenEXR and libjpeg print errors that they also return.
 
-Their lines would stand among our own and, on stdout, break the one JSON object that `--json` promises.
+Their lines would mix with ours and, on stdout, break the single JSON object that `--json` promises.
 """
 
 import os
@@ -15,7 +15,7 @@ _saved: tuple[int, int] | None = None
 
 @contextmanager
 def native_output_silenced() -> Iterator[None]:
-    """Sends file descriptors 1 and 2 of the process to nowhere inside the block; blocks may overlap in threads."""
+    """Redirect file descriptors 1 and 2 to the null device inside the block; blocks may overlap in threads."""
     _enter()
     try:
         yield
@@ -24,9 +24,10 @@ def native_output_silenced() -> Iterator[None]:
 
 
 @contextmanager
-def heard_in_the_end() -> Iterator[None]:
-    """After the block descriptors lead where they led, also where an interruption broke off the beginning or the end of
-    a silence, or a thread is still in one: what a command says last must be heard.
+def native_output_restored() -> Iterator[None]:
+    """Restore file descriptors 1 and 2 after the block, so that a command's last words are printed.
+
+    Needed if an interruption cut short the start or end of native_output_silenced, or a thread is still inside one.
     """
     try:
         yield
@@ -43,7 +44,7 @@ def _enter() -> None:
             return
         try:
             _saved = (os.dup(1), os.dup(2))
-        except OSError:  # a daemon may have closed them: then there is nothing to silence
+        except OSError:  # closed, as in a daemon: nothing to silence
             _saved = None
             return
         nowhere = os.open(os.devnull, os.O_WRONLY)
@@ -61,7 +62,7 @@ def _leave() -> None:
 
 
 def _restore() -> None:
-    """Begun anew after an interruption, it comes to the same."""
+    """Restore the descriptors; may be interrupted and called again."""
     global _saved  # noqa: PLW0603 - see _enter
     if (saved := _saved) is None:
         return

@@ -1,15 +1,15 @@
-"""An artifact in the making: a locked folder that an interrupted run leaves behind and the next one goes on with.
+"""An unfinished artifact: a locked folder that an interrupted run leaves behind and the next one resumes.
 
     WORK/<kind>/.<name>.partial/recipe.json    what is being made
-                                files/         the files of the artifact to be
-                                checkpoint/    what the stage needs to go on, gone once it is finished
+                                files/         the files of the artifact
+                                checkpoint/    what the stage needs to resume
                                 clock.json     seconds and peak memory of the runs so far
-                                ready/         the finished artifact, on its way to its place
-                                replaced/      the one that it takes the place of
+                                ready/         the finished artifact, before it is moved into place
+                                replaced/      the artifact that it replaces
     WORK/<kind>/.<name>.lock                   held while a process writes here; see schemas.lock
 
-Finishing hashes and flushes the files, writes the manifest last, and swaps `files` with the artifact of that name in
-one rename. No run leaves links here, so none is followed.
+Committing hashes and flushes the files, writes the manifest last, and swaps `files` with the artifact of that name in
+one rename. No run creates links here, so none are followed.
 """
 
 import ctypes
@@ -19,12 +19,12 @@ import shutil
 import stat
 from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from schemas.artifact import Artifact, added_files, of_a_desktop
+from schemas.artifact import Artifact, added_files, is_desktop_file
 from schemas.atomic_write import is_temporary, make_folder, sync_file, sync_folder, write_bytes, write_json, writing
 from schemas.canonical_json import file_sha256, plain
 from schemas.errors import ArtifactStale, OutOfResources, WouldBeLost
@@ -32,13 +32,13 @@ from schemas.lock import Lock
 from schemas.manifest import MANIFEST, FileRecord, InputRef, Manifest, Recipe
 from schemas.migrations import CURRENT
 
-DEAR_SECONDS = 60.0  # so much work goes without a word, no more
+EXPENSIVE_SECONDS = 60.0  # work beyond this is not discarded silently
 _AT_FDCWD = -100
 _RENAME_EXCHANGE = 2
 
 
 class UnlikeInterrupted(ArtifactStale):
-    """An interrupted run with other options would be lost. seconds: its work so far; options: in words."""
+    """An interrupted run with other options would be lost. seconds: its work so far; options: as text."""
 
     def __init__(self, kind: str, name: str, seconds: float, options: str) -> None:
         super().__init__(f"an interrupted run of {kind} {name} with {options} would be lost")
@@ -48,16 +48,30 @@ class UnlikeInterrupted(ArtifactStale):
 class PartialArtifact:
     """A run in progress. The stage writes its files below `path` and its checkpoints below `checkpoint`.
 
-    `resumed` tells that an earlier run of the same recipe left something here; with `anew` one that was begun so,
-    too. What a run with other options left is deleted; with `careful`, where that is a minute's work or more, it is
-    kept and UnlikeInterrupted raised, or, where no option goes on with it, `lost` tells what was deleted. Where files
-    lie at the artifact's place that no run wrote, no run begins or finishes (WouldBeLost).
+    An interrupted run of another recipe is deleted.
+
+    Args:
+        root: The work folder.
+        kind: Kind of the artifact.
+        name: Name of the artifact.
+        recipe: What is made.
+        protect: Keep an interrupted run of EXPENSIVE_SECONDS or more and raise UnlikeInterrupted if other options
+            would resume it; if none can, delete it and describe it in `lost`.
+        rebuild: Resume only a run that was started with `rebuild` too.
+
+    Attributes:
+        resumed: Whether an interrupted run of the same recipe is continued.
+
+    Raises:
+        UnlikeInterrupted: See `protect`.
+        WouldBeLost: Files that no run wrote are where the artifact goes; commit() checks this too.
+        OutOfResources: Another process is writing this artifact.
     """
 
     def __init__(
-        self, root: Path, kind: str, name: str, recipe: Recipe, careful: bool = False, anew: bool = False
+        self, root: Path, kind: str, name: str, recipe: Recipe, protect: bool = False, rebuild: bool = False
     ) -> None:
-        self.anew = anew
+        self.rebuild = rebuild
         self.kind, self.name, self.recipe = kind, name, recipe
         self.target = root / kind / name
         self.folder = root / kind / f".{name}.partial"
@@ -74,7 +88,7 @@ class PartialArtifact:
             self._refuse_to_bury()
             self.resumed = self._holds_same_recipe()
             if not self.resumed:
-                if careful:
+                if protect:
                     self._refuse_to_lose()
                 self._start_afresh()
             make_folder(self.checkpoint)
@@ -85,22 +99,20 @@ class PartialArtifact:
             raise
 
     def _holds_same_recipe(self) -> bool:
-        # `files` is gone from the moment a run is finished, so what a kill after that left behind is not resumed.
-        if not self.path.is_dir():
+        if not self.path.is_dir():  # finished: killed before it was cleaned up
             return False
         left = _stored(self.folder / "recipe.json")
-        return left.get("digest") == self.recipe.digest and (not self.anew or left.get("anew") is True)
+        return left.get("digest") == self.recipe.digest and (not self.rebuild or left.get("rebuild") is True)
 
     def _refuse_to_lose(self) -> None:
         left = _stored(self.folder / "recipe.json")
         try:
             seconds = float(_stored(self.folder / "clock.json")["seconds"])
-            del left["digest"]
-            left.pop("anew", None)
-            before = Recipe(**{**left, "inputs": [InputRef(**one) for one in left["inputs"]]})
+            known = {item.name: left[item.name] for item in fields(Recipe) if item.name in left}
+            before = Recipe(**{**known, "inputs": [InputRef(**one) for one in left["inputs"]]})
         except (ValueError, KeyError, TypeError):
-            return  # nothing that could go on
-        if seconds < DEAR_SECONDS or not self.path.is_dir():
+            return  # not resumable
+        if seconds < EXPENSIVE_SECONDS or not self.path.is_dir():
             return
         if sources := self.recipe.other_sources(before):
             self.lost = f"{seconds / 60:.0f} min of work with {sources}"
@@ -108,15 +120,14 @@ class PartialArtifact:
             raise UnlikeInterrupted(self.kind, self.name, seconds, options)
 
     def _refuse_links(self) -> None:
-        """WouldBeLost where a link, a pipe or a device lies among the run's own files: through it, a run that goes on
-        would write elsewhere."""
+        """Raise WouldBeLost if the run's folder holds a link, pipe or device: the run would write through it."""
         if strange := next(_strange_in(self.folder), None):
-            raise WouldBeLost(f"{strange} is a link or no file, which no run leaves there; delete it")
+            raise WouldBeLost(f"{strange} is a link or not a file; runs leave none; delete it")
 
     def _refuse_to_bury(self) -> None:
-        """WouldBeLost where something stands in the artifact's place that no manifest there lists."""
+        """Raise WouldBeLost if the artifact would replace anything that no manifest there lists."""
         if os.path.islink(self.target) and not self.target.exists():
-            raise WouldBeLost(f"{self.target} is a link to nothing; delete it, or mend what it leads to")
+            raise WouldBeLost(f"{self.target} is a link to nothing; delete it, or restore its target")
         if not self.target.exists():
             return
         # macOS and Windows take Fit for fit.
@@ -130,8 +141,8 @@ class PartialArtifact:
         added = added_files(self.target, listed) if self.target.is_dir() else [self.target]
         if added:
             raise WouldBeLost(
-                f"{added[0]} would be deleted with what stands as {self.kind} {self.name}, whose manifest does not "
-                "list it; move it elsewhere"
+                f"{added[0]} would be deleted with the present {self.kind} {self.name}, whose manifest does not list "
+                "it; move it elsewhere"
             )
 
     def _start_afresh(self) -> None:
@@ -139,8 +150,8 @@ class PartialArtifact:
             self._delete()
         make_folder(self.path)
         self._lock.hold_folder(self.folder)
-        told = {**asdict(self.recipe), "digest": self.recipe.digest, "anew": self.anew}
-        write_json(self.folder / "recipe.json", told)
+        stored = {**asdict(self.recipe), "digest": self.recipe.digest, "rebuild": self.rebuild}
+        write_json(self.folder / "recipe.json", stored)
 
     def _restore_replaced(self) -> None:
         replaced = replaced_by(self.target.parent.parent, self.kind, self.name)
@@ -148,7 +159,7 @@ class PartialArtifact:
             os.rename(replaced, self.target)
 
     def _restore_ready(self) -> None:
-        """A run that was killed after its last file and before its artifact stood goes on from there."""
+        """Take back the files of a run that was killed while they were moved into place."""
         ready = self.folder / "ready"
         made = [_recipe_in(folder) == self.recipe.digest for folder in (ready, self.target)]
         if made == [True, False] and not self.path.exists():
@@ -164,9 +175,9 @@ class PartialArtifact:
         peak_memory_mb: float = 0.0,
         figures: dict[str, Any] | None = None,
     ) -> Artifact:
-        """Finishes the artifact and returns it; checkpoints and the artifact it replaces are deleted after.
+        """Finish the artifact and return it; then delete checkpoints and the artifact it replaces.
 
-        A kill at any moment leaves either the older artifact (or none) with this run resumable, or the new one.
+        A kill at any moment leaves either the older artifact, if any, and a resumable run, or the new artifact.
         """
         self._refuse_links()
         with writing(self.path):
@@ -198,10 +209,10 @@ class PartialArtifact:
         return Artifact(self.target)
 
     def _files(self) -> list[Path]:
-        """All files to keep, in the order of their names; an interrupted run's manifest is written anew."""
+        """Return all files to keep, sorted by path; the manifest of an interrupted commit is deleted."""
         (self.path / MANIFEST).unlink(missing_ok=True)
-        items = (item for item in self.path.rglob("*") if item.is_file())
-        items = [item for item in items if not is_temporary(item) and not of_a_desktop(item)]
+        items = [item for item in self.path.rglob("*") if item.is_file()]
+        items = [item for item in items if not is_temporary(item) and not is_desktop_file(item)]
         return sorted(items, key=lambda item: item.relative_to(self.path).as_posix())
 
     def _record(self, item: Path) -> FileRecord:
@@ -221,31 +232,31 @@ class PartialArtifact:
         sync_folder(self.target.parent)
 
     def discard(self) -> None:
-        """Deletes the run with its checkpoints."""
+        """Delete the run with its checkpoints."""
         with suppress(OSError):
             self._delete()
         self.release()
 
     def _delete(self) -> None:
-        """The recipe goes first: what a kill leaves of the rest is never taken up again."""
+        """Delete the recipe first, so that what a kill leaves of the rest is never resumed."""
         (self.folder / "recipe.json").unlink(missing_ok=True)
         if self.folder.exists():
             shutil.rmtree(self.folder)
 
     def release(self) -> None:
-        """Lets others write here; the folder stays and can be resumed."""
+        """Free the lock; the folder stays and can be resumed."""
         self._lock.release()
 
 
 def replaced_by(root: Path, kind: str, name: str) -> Path:
-    """Where an artifact lies while a newer one takes its place, where the disk cannot swap the two in one step."""
+    """Return where an artifact is kept while a newer one replaces it, if the disk cannot swap the two in one step."""
     return root / kind / f".{name}.partial" / "replaced"
 
 
-def _stored(path: Path) -> dict:
-    """A JSON object that a run keeps for itself; empty where it is absent or damaged.
+def _stored(path: Path) -> dict[str, Any]:
+    """Read a JSON object of the run's own; {} if it is missing or damaged.
 
-    OSError where it cannot be read: what a disk that is away holds is not given up.
+    Any other OSError is raised: a run on a disk that is temporarily unavailable must not be discarded.
     """
     try:
         found = json.loads(path.read_bytes())
@@ -255,7 +266,7 @@ def _stored(path: Path) -> dict:
 
 
 def _stored_name(path: Path) -> str:
-    """The name of `path` as its folder lists it, which differs in case where the disk ignores that."""
+    """Return the name of `path` as its folder lists it; its case may differ on disks that ignore case."""
     names = os.listdir(path.parent)
     alike = [name for name in names if name.casefold() == path.name.casefold()]
     return path.name if path.name in names or not alike else alike[0]
@@ -266,7 +277,7 @@ def _recipe_in(folder: Path) -> str | None:
 
 
 def _strange_in(folder: Path) -> Iterator[Path]:
-    """What is neither a file nor a folder: `folder` itself, or anything below it."""
+    """Yield everything that is neither a file nor a folder: `folder` itself, or anything below it."""
     if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
         yield folder
         return
@@ -279,9 +290,9 @@ def _strange_in(folder: Path) -> Iterator[Path]:
 
 
 def _listed_in(folder: Path) -> set[str] | None:
-    """Paths that a manifest lists, also one of another version or with an altered byte; none where there is none.
+    """Return the paths that a manifest lists, even one of another version or altered; empty if there is no manifest.
 
-    None where there is one that cannot be read: an artifact that is to be made again, as whoever asks for it is told.
+    None if the manifest cannot be read: such an artifact can only be rebuilt.
     """
     if not (folder / MANIFEST).is_file():
         return set()
@@ -292,11 +303,11 @@ def _listed_in(folder: Path) -> set[str] | None:
 
 
 def sweep_finished(root: Path, kind: str, name: str) -> None:
-    """Deletes what a run left that was killed between its last rename and its own tidying up; never a resumable run."""
+    """Delete what a run left that was killed between committing and cleaning up; never a resumable run."""
     folder = root / kind / f".{name}.partial"
     if not folder.is_dir() or (folder / "files").is_dir():
         return
-    with suppress(OutOfResources, WouldBeLost):  # another process is at work here, or we may not write: no harm done
+    with suppress(OutOfResources, WouldBeLost):  # another process works here, or the folder is read-only: leave it
         lock = Lock(root / kind / f".{name}.lock")
         try:
             lock.hold_folder(folder)
@@ -307,9 +318,9 @@ def sweep_finished(root: Path, kind: str, name: str) -> None:
 
 
 def _exchange(one: Path, other: Path) -> bool:
-    """Swaps two folders in one step if the system can (Linux), so that there is no moment without an artifact."""
+    """Swap two folders in one step, if the system can (Linux), so that an artifact is in place at every moment."""
     try:
         renameat2 = ctypes.CDLL(None, use_errno=True).renameat2
     except (OSError, AttributeError, TypeError):  # macOS has no such call, Windows no library of that name
         return False
-    return renameat2(_AT_FDCWD, os.fsencode(one), _AT_FDCWD, os.fsencode(other), _RENAME_EXCHANGE) == 0
+    return bool(renameat2(_AT_FDCWD, os.fsencode(one), _AT_FDCWD, os.fsencode(other), _RENAME_EXCHANGE) == 0)

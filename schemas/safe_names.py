@@ -1,4 +1,4 @@
-"""Names and paths that come from a file: checked once, here, before anything is opened, written or shown by them."""
+"""Checks of names and paths from untrusted files, before anything is opened, written or displayed by them."""
 
 import os
 import re
@@ -15,11 +15,19 @@ _BIDI = set("\u061c\u200e\u200f\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\
 
 
 def relative_path(text: object, what: str, fault: type[StylerfError] = ArtifactDamaged) -> str:
-    """`text` if it is a path, with forward slashes, that stays inside the folder it is relative to; else `fault`.
+    """Return `text` if it is a relative path, with forward slashes, that stays inside its folder.
 
-    Refuses absolute paths, `.` and `..`, empty parts, control and bidi characters, lone surrogates, what no file system
-    takes for its length, and on Windows what means something else there (drives, devices, backslashes). what: names the
-    path in the message. Links are not looked for: see schemas.artifact.
+    Symbolic links are not checked here; see schemas.artifact.
+
+    Args:
+        text: The path.
+        what: Names the path in messages.
+        fault: The class of the error.
+
+    Raises:
+        fault: The path is absolute, too long for file systems, or holds `.`, `..`, empty parts, control or
+            bidirectional characters, or lone surrogates; on Windows also if it names a drive, a device or
+            anything else that Windows cannot store.
     """
     if not isinstance(text, str):
         raise fault(f"{what} is {printable(repr(text))[:60]}, expected a path as text")
@@ -27,16 +35,16 @@ def relative_path(text: object, what: str, fault: type[StylerfError] = ArtifactD
     if text.startswith("/") or any(part in ("", ".", "..") for part in text.split("/")):
         raise fault(f"{what} is {shown}, which does not stay inside its folder; expected a relative path without '..'")
     if any(_hidden(letter) for letter in text):
-        raise fault(f"{what} is {shown}, which holds control characters or no valid Unicode")
+        raise fault(f"{what} is {shown}, which holds control characters or invalid Unicode")
     if len(text.encode()) > LONGEST_PATH or any(len(part.encode()) > LONGEST_NAME for part in text.split("/")):
-        raise fault(f"{what} is {shown}, {len(text.encode())} bytes long; at most {LONGEST_NAME} a name can be stored")
+        raise fault(f"{what} is {shown}, {len(text.encode())} bytes long; a name may have at most {LONGEST_NAME}")
     if WINDOWS and (why := next(filter(None, map(refused_by_windows, text.split("/"))), None)):
         raise fault(f"{what} is {shown}, which Windows cannot store: a name there {why}")
     return text
 
 
 def refused_by_windows(name: str) -> str | None:
-    """Why Windows takes no file of that name, or takes it for another one; None if it does."""
+    """Return why Windows cannot store a file of that name, or stores it under another one; None if it can."""
     if bad := re.search(r'[<>:"|?*\\]', name):
         return f"holds {bad[0]}"
     if name[-1:] in (".", " "):
@@ -45,7 +53,7 @@ def refused_by_windows(name: str) -> str | None:
 
 
 def file_name(text: object, what: str, fault: type[StylerfError] = ArtifactDamaged) -> str:
-    """As relative_path, of a single part: what a file is to be called."""
+    """Return `text` if it is a safe file name: a relative_path of one part."""
     name = relative_path(text, what, fault)
     if "/" in name:
         raise fault(f"{what} is {printable(name)!r}, expected a name without '/'")
@@ -53,12 +61,12 @@ def file_name(text: object, what: str, fault: type[StylerfError] = ArtifactDamag
 
 
 def printable(text: str) -> str:
-    """`text` for a terminal or a page: control and bidi characters, line breaks and lone surrogates become escapes."""
+    """Escape control and bidirectional characters, line breaks and lone surrogates, for a terminal or a page."""
     return "".join(_escaped(letter) if _hidden(letter) else letter for letter in text)
 
 
 def listed(items: list[str], most: int = 6) -> str:
-    """a, b and 3 more."""
+    """Join at most `most` items: "a, b and 3 more"."""
     if len(items) <= most:
         return ", ".join(items)
     return f"{', '.join(items[:most])} and {len(items) - most} more"

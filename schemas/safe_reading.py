@@ -1,4 +1,4 @@
-"""Reading a whole file that somebody else may have written: only a regular file, and only so much of it."""
+"""Reads untrusted files: regular files only, and up to a limit."""
 
 import json
 import os
@@ -18,10 +18,12 @@ MOST_JSON = 256 << 20  # bytes; a scene of 10,000 views takes 8 MB
 
 @contextmanager
 def opened(path: Path | str, fault: type[StylerfError] = BadInput) -> Iterator[BinaryIO]:
-    """The regular file at `path`, open for reading; links to such files are followed.
+    """Open the regular file at `path`, or at the end of a link, for reading.
 
-    Raises `fault` where it is a named pipe, device or folder, or unreadable, also while it is read; FileNotFoundError
-    where nothing is there; OutOfResources where permission, handles or memory are lacking.
+    Raises:
+        fault: It is a named pipe, device or folder, or cannot be read, now or inside the block.
+        FileNotFoundError: It does not exist.
+        OutOfResources: Permission, file handles or memory are lacking.
     """
     shown = printable(str(path))
     try:
@@ -47,7 +49,7 @@ def opened(path: Path | str, fault: type[StylerfError] = BadInput) -> Iterator[B
 
 
 def read_bytes(path: Path | str, limit: int, fault: type[StylerfError] = BadInput) -> bytes:
-    """All bytes of the regular file at `path`; `fault` where it has more than `limit`, else as opened."""
+    """Read the regular file at `path`; `fault` if it has more than `limit` bytes. Other errors as in opened."""
     shown = printable(str(path))
     with opened(path, fault) as stream:
         if (size := os.fstat(stream.fileno()).st_size) > limit:
@@ -59,25 +61,25 @@ def read_bytes(path: Path | str, limit: int, fault: type[StylerfError] = BadInpu
 
 
 def read_text(path: Path | str, limit: int, fault: type[StylerfError] = BadInput) -> str:
-    """As read_bytes, as UTF-8 without a byte order mark; `fault` where it is not UTF-8."""
+    """Read UTF-8 text, without its byte order mark; `fault` if it is not UTF-8. Other errors as in read_bytes."""
     try:
         return read_bytes(path, limit, fault).decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        raise fault(f"{printable(str(path))} is no UTF-8 text (byte {error.start})") from error
+        raise fault(f"{printable(str(path))} is not UTF-8 text (byte {error.start})") from error
 
 
 def read_json(path: Path | str, fault: type[StylerfError] = BadInput, limit: int = MOST_JSON) -> Any:
-    """The JSON document at `path`; `fault` where it is not JSON, nested too deeply, or not readable (read_bytes)."""
+    """Read a JSON document; `fault` if it is invalid or nested too deeply. Other errors as in read_bytes."""
     return parsed(read_text(path, limit, fault), printable(str(path)), fault)
 
 
 def parsed(text: str, where: str, fault: type[StylerfError] = BadInput) -> Any:
-    """`text` as JSON; `fault` naming `where` it came from and the line where it is not."""
+    """Parse JSON; `fault` names `where` it came from, and the line, if it is invalid."""
     try:
         return json.loads(text)
     except RecursionError:
         raise fault(f"{where} is nested too deeply to be read") from None
-    except ValueError as error:  # of JSON, and of integers with thousands of digits
+    except ValueError as error:  # invalid JSON, or an integer with thousands of digits
         raise fault(f"{where} is not valid JSON ({error})") from error
 
 

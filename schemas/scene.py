@@ -1,4 +1,4 @@
-"""scene.json: the views of a scene, their cameras, and what was learned about the capture.
+"""scene.json: the views of a scene, their cameras, and facts about the capture.
 
 Camera axes are OpenCV's (x right, y down, z forward); pixel (i, j) has its center at (i + 0.5, j + 0.5).
 """
@@ -29,18 +29,22 @@ Matrix = tuple[tuple[float, ...], ...]
 
 
 def as_matrix(values: Any) -> Matrix:
-    """A 4x4 array or nested list as nested tuples of floats; ValueError for any other shape."""
+    """Convert a 4x4 array or nested list to nested tuples of floats; ValueError for any other shape."""
     array = np.asarray(values, dtype=np.float64)
     if array.shape != (4, 4):
-        raise ValueError(f"a 4x4 matrix was expected, not {array.shape}")
+        raise ValueError(f"expected a 4x4 matrix, found {array.shape}")
     return tuple(tuple(float(value) for value in row) for row in array)
 
 
 @dataclass(frozen=True)
 class View:
-    """One image and its camera. fx, fy, cx, cy in pixels; world_from_camera 4x4 in scene units.
+    """One image and its camera.
 
-    image: path inside the artifact. source: the path as the user knows it.
+    Attributes:
+        image: Path inside the artifact.
+        fx, fy, cx, cy: Pixels.
+        world_from_camera: 4x4, scene units.
+        source: The path of the user's file.
     """
 
     name: str
@@ -58,10 +62,12 @@ class View:
 
 @dataclass(frozen=True)
 class Bounds:
-    """Where the scene lies, in scene units.
+    """The extent of the scene, in scene units.
 
-    aabb: lower and upper corner. object: the box that holds the object; unbounded: the box mapped without contraction;
-    forward: the box of the frustum volume. near, far: planar depths between which there is anything to see.
+    Attributes:
+        aabb: Lower and upper corner of the object (layout `object`), of the part that is not contracted (`unbounded`),
+            or of the frustum volume (`forward`).
+        near, far: Planar depths that enclose everything visible.
     """
 
     aabb: tuple[tuple[float, float, float], tuple[float, float, float]]
@@ -71,7 +77,7 @@ class Bounds:
 
 @dataclass(frozen=True)
 class Skipped:
-    """An image of the source that the scene does not hold, and why."""
+    """An image of the source that is left out of the scene, and why."""
 
     source: str
     reason: str
@@ -79,15 +85,17 @@ class Skipped:
 
 @dataclass(frozen=True)
 class Truth:
-    """Known answers of a made scene. depth: pattern of planar-depth EXRs whose last run of zeros is the view's index.
+    """Ground truth of a synthetic scene.
 
-    `truth/depth_000.exr` names `truth/depth_007.exr` for view 7.
+    Attributes:
+        depth: Pattern of planar-depth EXRs; its last run of zeros stands for the view's index:
+            `truth/depth_000.exr` means `truth/depth_007.exr` for view 7.
     """
 
     depth: str | None = None
 
     def depth_file(self, index: int) -> str | None:
-        """The depth file of view `index`, None where there is no truth."""
+        """Return the depth file of view `index`, None without ground truth."""
         if self.depth is None:
             return None
         return _NUMBER_IN_PATTERN.sub(lambda zeros: str(index).zfill(len(zeros.group())), self.depth)
@@ -95,7 +103,7 @@ class Truth:
 
 @dataclass(frozen=True)
 class Scene:
-    """scene.json. scene_from_source: the 4x4 similarity (scale*R | t) from the source's world to scene units."""
+    """The contents of scene.json. scene_from_source: 4x4 similarity (scale*R | t) from source world to scene units."""
 
     views: tuple[View, ...]
     layout: str
@@ -105,20 +113,20 @@ class Scene:
     scene_from_source: Matrix
     skipped: tuple[Skipped, ...] = ()
     truth: Truth = field(default_factory=Truth)
-    sfm: dict | None = None
+    sfm: dict[str, Any] | None = None
 
     def split(self, name: str) -> list[int]:
-        """Indices of the views of a split, `train` or `test`."""
+        """Return the indices of the views of a split, `train` or `test`."""
         return [index for index, view in enumerate(self.views) if view.split == name]
 
 
 def validate_scene(scene: Scene) -> None:
-    """Checks everything that later stages rely on; BadInput telling the first thing that is wrong."""
+    """Check everything that later stages rely on; BadInput names the first problem."""
     if not scene.views:
-        raise BadInput("a scene needs at least one view; none was given")
-    stand = Counter(view.name for view in scene.views)
-    if twice := [name for name, count in stand.items() if count > 1]:
-        raise BadInput(f"view names must differ; {min(twice)!r} stands {stand[min(twice)]} times")
+        raise BadInput("a scene needs at least one view; it has none")
+    counts = Counter(view.name for view in scene.views)
+    if twice := [name for name, count in counts.items() if count > 1]:
+        raise BadInput(f"view names must be unique; {min(twice)!r} occurs {counts[min(twice)]} times")
     for view in scene.views:
         _validate_view(view)
     if scene.truth.depth is not None:
@@ -127,7 +135,7 @@ def validate_scene(scene: Scene) -> None:
     _one_of(scene.background, BACKGROUNDS, "background")
     bounds = scene.bounds
     corners = [*bounds.aabb[0], *bounds.aabb[1]]
-    if not all(abs(value) <= LARGEST for value in corners):  # so written, NaN is none
+    if not all(abs(value) <= LARGEST for value in corners):  # NaN fails this comparison
         raise BadInput(f"the scene's bounding box is not finite, or reaches beyond {LARGEST:g} units")
     if any(high - low < 1 / LARGEST for low, high in zip(*bounds.aabb, strict=True)):
         raise BadInput(f"the scene's bounding box {bounds.aabb} is empty: each lower corner must be below the upper")
@@ -141,7 +149,7 @@ def validate_scene(scene: Scene) -> None:
 
 
 def _validate_view(view: View) -> None:
-    # Renders are filed under the name: it must not lead out of their folder.
+    # Renders are named after the view, so its name must not lead out of their folder.
     where = f"view {relative_path(view.name, 'name of a view', BadInput)}"
     relative_path(view.image, f"{where}: its image", BadInput)
     _one_of(view.split, SPLITS, f"{where}: split")
@@ -150,11 +158,11 @@ def _validate_view(view: View) -> None:
     if max(view.width, view.height) > LARGEST_SIDE or view.width * view.height > LARGEST_PICTURE:
         raise BadInput(
             f"{where}: size {view.width}x{view.height}; at most {LARGEST_SIDE} pixels a side and "
-            f"{LARGEST_PICTURE / 1e6:.0f} million in all can be"
+            f"{LARGEST_PICTURE / 1e6:.0f} million in total are supported"
         )
     least, most = FOCAL_LENGTHS
     if not all(math.isfinite(value) for value in (view.cx, view.cy)) or max(abs(view.cx), abs(view.cy)) > LARGEST:
-        raise BadInput(f"{where}: its principal point {view.cx:g}, {view.cy:g} lies nowhere near the picture")
+        raise BadInput(f"{where}: its principal point {view.cx:g}, {view.cy:g} is nowhere near the picture")
     if not all(least <= value <= most for value in (view.fx, view.fy)):
         raise BadInput(
             f"{where}: focal lengths must be positive, {least:g} to {most:g} pixels, found {view.fx:g} and {view.fy:g}"
@@ -163,7 +171,7 @@ def _validate_view(view: View) -> None:
     if not np.isfinite(pose).all():
         raise BadInput(f"{where}: its pose holds NaN or infinity")
     if np.abs(pose[:3, 3]).max() > LARGEST:
-        raise BadInput(f"{where}: its camera is {np.abs(pose[:3, 3]).max():g} units away; at most {LARGEST:g} can be")
+        raise BadInput(f"{where}: its camera is {np.abs(pose[:3, 3]).max():g} units away; the limit is {LARGEST:g}")
     rotation = pose[:3, :3]
     if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-4) or np.linalg.det(rotation) < 0:
         raise BadInput(f"{where}: the upper left 3x3 of its pose is not a rotation")
@@ -177,13 +185,13 @@ def _one_of(value: str, allowed: tuple[str, ...], what: str) -> None:
 
 
 def write_scene(folder: Path, scene: Scene) -> None:
-    """Validates and writes scene.json into `folder`."""
+    """Validate the scene and write scene.json into `folder`."""
     validate_scene(scene)
     write_json(Path(folder) / SCENE_FILE, scene)
 
 
 def read_scene(folder: Path) -> Scene:
-    """The scene described in `folder`; ArtifactDamaged when scene.json is missing or not what write_scene writes."""
+    """Read scene.json in `folder`; ArtifactDamaged if it is missing or invalid."""
     path = Path(folder) / SCENE_FILE
     try:
         scene = _from_dict(read_json(path, ArtifactDamaged))
@@ -195,31 +203,32 @@ def read_scene(folder: Path) -> Scene:
     return scene
 
 
-def _from_dict(content: dict) -> Scene:
+def _from_dict(content: dict[str, Any]) -> Scene:
     _known_only(content, Scene)
     views = []
     for entry in content["views"]:
         _known_only(entry, View)
         views.append(_view(entry))
     bounds = content["bounds"]
-    low, high = (numbers(corner, "a corner of bounds.aabb", 3) for corner in bounds["aabb"])
+    (x0, y0, z0), (x1, y1, z1) = (numbers(corner, "a corner of bounds.aabb", 3) for corner in bounds["aabb"])
+    aabb = ((x0, y0, z0), (x1, y1, z1))
     truth = Truth(**(content.get("truth") or {}))
     if not isinstance(truth.depth, (str, type(None))):
-        raise ValueError("truth.depth is no pattern of file names")
+        raise ValueError("truth.depth is not a pattern of file names")
     return Scene(
         views=tuple(views),
         layout=content["layout"],
         layout_reason=content["layout_reason"],
-        bounds=Bounds((low, high), number(bounds["near"], "bounds.near"), number(bounds["far"], "bounds.far")),
+        bounds=Bounds(aabb, number(bounds["near"], "bounds.near"), number(bounds["far"], "bounds.far")),
         background=content["background"],
-        scene_from_source=matrix(content["scene_from_source"], "scene_from_source", 1e30),  # units may be any
+        scene_from_source=matrix(content["scene_from_source"], "scene_from_source", 1e30),  # in any unit
         skipped=tuple(Skipped(**item) for item in content.get("skipped", ())),
         truth=truth,
         sfm=content.get("sfm"),
     )
 
 
-def _view(entry: dict) -> View:
+def _view(entry: dict[str, Any]) -> View:
     where = f"view {entry['name']}"
     sides = {key: whole(entry[key], f"{where}: {key}", 1, LARGEST_SIDE) for key in ("width", "height")}
     lens = {key: number(entry[key], f"{where}: {key}") for key in ("fx", "fy", "cx", "cy")}
@@ -227,6 +236,6 @@ def _view(entry: dict) -> View:
     return View(**{**entry, **sides, **lens, "world_from_camera": pose})
 
 
-def _known_only(entry: dict, kind: type) -> None:
+def _known_only(entry: dict[str, Any], kind: type[Scene | View]) -> None:
     if unknown := sorted(entry.keys() - {item.name for item in fields(kind)}):
         raise ValueError(f"unknown fields {', '.join(unknown)} in a {kind.__name__.lower()}")

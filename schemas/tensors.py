@@ -1,9 +1,10 @@
-"""Named arrays on disk as safetensors: nothing in such a file is executed when it is read."""
+"""Named arrays in safetensors files, which execute no code when read."""
 
 import hashlib
 import json
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from safetensors import SafetensorError, safe_open
@@ -12,7 +13,7 @@ from schemas.atomic_write import replacing
 from schemas.errors import ArtifactDamaged
 from schemas.safe_names import printable
 
-# By numpy's name, in the format's order from the last in a file to the first.
+# The format's types by numpy's name; arrays of later types come first in a file.
 TYPES = {
     "bool": "BOOL", "uint8": "U8", "int8": "I8", "int16": "I16", "uint16": "U16", "float16": "F16", "int32": "I32",
     "uint32": "U32", "float32": "F32", "float64": "F64", "int64": "I64", "uint64": "U64",
@@ -20,30 +21,36 @@ TYPES = {
 
 
 def save_tensors(path: Path, tensors: dict[str, np.ndarray], metadata: dict[str, str] | None = None) -> None:
-    """Replaces the file `path` by named arrays and string metadata as one step.
+    """Write named arrays and string metadata to `path` atomically.
 
-    The bytes depend on the content alone: the library writes metadata in another order in every process. It would also
-    hold everything once more, and a checkpoint is as large as all that learns.
+    Equal contents give equal bytes, unlike with the safetensors library, which writes metadata in random order and
+    also copies all arrays: a checkpoint is as large as everything that is trained.
     """
     _write(path, _parts(tensors, metadata))
 
 
 def save_tensors_with_digest(path: Path, tensors: dict[str, np.ndarray], metadata: dict[str, str]) -> str:
-    """As save_tensors; returns the SHA-256 of the bytes as they are in memory, taken while they are written."""
-    parts, digest = _parts(tensors, metadata), hashlib.sha256()
+    """Do as save_tensors, and return the SHA-256 of the bytes, computed from memory while they are written."""
+    parts = _parts(tensors, metadata)
     with ThreadPoolExecutor(1) as pool:
-        hashed = pool.submit(lambda: [digest.update(part) for part in parts])
+        digest = pool.submit(_sha256, parts)
         _write(path, parts)
-        hashed.result()
+        return digest.result()
+
+
+def _sha256(parts: list[bytes | memoryview]) -> str:
+    digest = hashlib.sha256()
+    for part in parts:
+        digest.update(part)
     return digest.hexdigest()
 
 
 def _parts(tensors: dict[str, np.ndarray], metadata: dict[str, str] | None) -> list[bytes | memoryview]:
-    """Header and arrays, as they follow one another in the file."""
+    """Return header and arrays in the order of the file."""
     rank = list(TYPES)
     whole = {name: np.asarray(array, array.dtype.newbyteorder("<"), order="C") for name, array in tensors.items()}
     names = sorted(whole, key=lambda name: (-rank.index(whole[name].dtype.name), name))
-    header: dict = {"__metadata__": dict(sorted(metadata.items()))} if metadata else {}
+    header: dict[str, Any] = {"__metadata__": dict(sorted(metadata.items()))} if metadata else {}
     at = 0
     for name in names:
         array = whole[name]
@@ -62,19 +69,21 @@ def _write(path: Path, parts: list[bytes | memoryview]) -> None:
 
 
 def load_tensors(path: Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:
-    """The arrays by name and the metadata of a safetensors file.
+    """Read the arrays, by name, and the metadata of a safetensors file.
 
-    ArtifactDamaged where it is missing, cut short or of another format. A flipped data byte is not seen here: that is
-    what the digests of the manifest are for.
+    Flipped bytes in the data go unnoticed here; the manifest's digests detect them.
+
+    Raises:
+        ArtifactDamaged: The file is missing, truncated or invalid.
     """
     path = Path(path)
     if not path.is_file():
-        raise ArtifactDamaged(f"{path} is missing; make the artifact it belongs to again")
+        raise ArtifactDamaged(f"{path} is missing; rebuild the artifact that it belongs to")
     try:
         with safe_open(path, framework="numpy") as stream:
             for name in stream.keys():
                 if (kind := str(stream.get_slice(name).get_dtype())) not in TYPES.values():
-                    raise ValueError(f"its array {printable(name)} is of type {kind}, which no artifact has")
+                    raise ValueError(f"its array {printable(name)} has the unknown type {kind}")
             return {name: stream.get_tensor(name) for name in stream.keys()}, dict(stream.metadata() or {})
     except (SafetensorError, OSError, ValueError, OverflowError) as error:
-        raise ArtifactDamaged(f"{path} is no readable safetensors file ({error}); make its artifact again") from error
+        raise ArtifactDamaged(f"{path} is not a readable safetensors file ({error}); rebuild its artifact") from error

@@ -1,4 +1,4 @@
-"""Films of rendered frames: MP4 where PyAV is installed (extra `video`), else GIF."""
+"""Videos of rendered frames: MP4 if PyAV is installed (extra `video`), else GIF."""
 
 import io
 from collections.abc import Iterable
@@ -13,23 +13,23 @@ from schemas.atomic_write import replacing
 from schemas.errors import BadInput
 from schemas.images import read_image, to_uint8
 
-BT709 = 1  # its primaries and its transfer, by ITU-T H.273
+BT709 = 1  # code of its primaries and its transfer function in ITU-T H.273
 PALETTE_FRAMES = 12
-SHORTEST_MS = 20  # players show a GIF's frame of less than this for a tenth of a second
-LONGEST_MS = 655_350  # 16 bits of hundredths
+SHORTEST_MS = 20  # players show shorter GIF frames for 100 ms
+LONGEST_MS = 655_350  # 16 bits of 10 ms units
 
 
 def write_video(path: Path, pictures: list[Path], fps: float) -> tuple[Path, str]:
-    """Writes `path` with .mp4 or .gif added, as one step; returns where, and what made it."""
+    """Write `path` with .mp4 or .gif added, atomically; return the file, and the name of the encoder."""
     if not pictures:
-        raise BadInput(f"{path}: there is no frame to make a film of")
+        raise BadInput(f"{path}: there are no frames to encode")
     if find_spec("av") is not None:
         return _write_mp4(path.with_suffix(".mp4"), pictures, fps), "PyAV, H.264"
     return _write_gif(path.with_suffix(".gif"), pictures, fps), "GIF (pip install 'stylerf[video]' for MP4)"
 
 
 def try_video(width: int, height: int, fps: float) -> None:
-    """BadInput where no film of such frames can be made, told before any of them is there."""
+    """Encode a single black frame, so that unsupported sizes and rates raise BadInput before anything is rendered."""
     if find_spec("av") is None:
         return
     try:
@@ -38,7 +38,7 @@ def try_video(width: int, height: int, fps: float) -> None:
         if isinstance(error, MemoryError):
             raise
         raise BadInput(
-            f"--video: PyAV makes no film of {width}x{height} pixels at {fps:g} frames a second ({error}); render "
+            f"--video: PyAV cannot encode {width}x{height} pixels at {fps:g} frames a second ({error}); render "
             "without it, larger, or with an av that has libx264 (pip install 'stylerf[video]')"
         ) from error
 
@@ -57,26 +57,26 @@ def _encode(target: str | BinaryIO, frames: Iterable[np.ndarray], fps: float) ->
     import av
     from av.video.reformatter import ColorRange, Colorspace
 
-    with av.open(target, "w", format="mp4") as film:
-        stream = film.add_stream("libx264", rate=Fraction(fps).limit_denominator(1001))
+    with av.open(target, "w", format="mp4") as video:
+        stream = video.add_stream("libx264", rate=Fraction(fps).limit_denominator(1001))
         stream.pix_fmt, stream.options = "yuv420p", {"crf": "18"}
-        # Said and done: without a word players take large films for BT.709 and small ones for BT.601.
-        told = stream.codec_context
-        told.colorspace, told.color_range = Colorspace.ITU709, ColorRange.MPEG
-        told.color_primaries = told.color_trc = BT709
+        # Untagged, players take large videos for BT.709 and small ones for BT.601.
+        codec = stream.codec_context
+        codec.colorspace, codec.color_range = Colorspace.ITU709, ColorRange.MPEG
+        codec.color_primaries = codec.color_trc = BT709
         for number, pixels in enumerate(frames):
             if number == 0:
-                # H.264 with halved color takes even sides only.
+                # H.264 with subsampled chroma needs even sides.
                 stream.height, stream.width = height, width = pixels.shape[0] // 2 * 2, pixels.shape[1] // 2 * 2
             frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(pixels[:height, :width]), format="rgb24")
             for packet in stream.encode(frame.reformat(format="yuv420p", dst_colorspace=Colorspace.ITU709)):
-                film.mux(packet)
+                video.mux(packet)
         for packet in stream.encode():
-            film.mux(packet)
+            video.mux(packet)
 
 
 def _write_gif(path: Path, pictures: list[Path], fps: float) -> Path:
-    """One palette for all frames, so that still parts do not flicker."""
+    """Write a GIF with one palette for all frames, so that static parts do not flicker."""
     from PIL import Image
 
     chosen = [

@@ -1,6 +1,6 @@
-"""The work folder: artifacts by kind and name, found, checked, and begun.
+"""The work folder: finds, checks and creates artifacts by kind and name.
 
-WORK/<kind>/<name>/manifest.json and the files that it lists
+WORK/<kind>/<name>/ holds manifest.json and the files that it lists.
 """
 
 import os
@@ -29,42 +29,44 @@ __all__ = [
     "Recipe",
     "WorkFolder",
     "newest",
-    "sound_name",
     "sources_of",
+    "valid_name",
 ]
 
-CLOCK_SLACK = timedelta(minutes=5)  # by which the clocks of two machines may differ
+CLOCK_SLACK = timedelta(minutes=5)  # tolerated difference between the clocks of two machines
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._+-]{0,99}")
 
 
 class WorkFolder:
-    """A work folder. Reading never writes; the folder is created when the first artifact is begun."""
+    """A work folder. Created with its first artifact; reading it never writes."""
 
     def __init__(self, root: Path | str) -> None:
         self.root = Path(root)
         if self.root.exists() and not self.root.is_dir():
-            raise UsageError(f"{self.root} is a file where a work folder was expected")
+            raise UsageError(f"{self.root} is a file; expected a work folder")
 
     def artifacts(self, kind: str | None = None) -> list[Artifact]:
-        """All finished artifacts (of one kind), by kind and name; folders without a manifest are not among them."""
+        """Return all finished artifacts, optionally of one kind, sorted; folders without a manifest are ignored."""
         kinds = [_known(kind)] if kind else list(CURRENT)
-        return [self._standing(one, name) for one in kinds for name in self._names(one)]
+        return [self._in_place(one, name) for one in kinds for name in self._names(one)]
 
     def get(self, kind: str, name: str) -> Artifact:
-        """The artifact of that kind and name; ArtifactStale with the command that makes it where there is none."""
-        artifact = self._standing(_known(kind), sound_name(name))
+        """Return the artifact of this kind and name; ArtifactStale, with the command that makes it, if missing."""
+        artifact = self._in_place(_known(kind), valid_name(name))
         if not artifact.path.is_dir():
             raise ArtifactStale(f"no {kind} {name} in {self.root}; make it with: {self._maker(kind)}")
         if artifact.kind != kind:
             raise ArtifactDamaged(
-                f"{artifact.path} is a {artifact.kind} by its manifest, not a {kind}; move it to its place"
+                f"{artifact.path} is a {artifact.kind} by its manifest, not a {kind}; move it to where it belongs"
             )
         return artifact
 
     def find(self, kind: str, name: str) -> Artifact:
-        """The artifact called `name`, or the only one whose name begins so.
+        """Return the artifact called `name`, or the only one whose name begins with it.
 
-        UsageError when several do or none does but others exist, ArtifactStale when there is none of that kind.
+        Raises:
+            UsageError: Several match, or none of those that exist.
+            ArtifactStale: There is no artifact of this kind.
         """
         names = [item.name for item in self.artifacts(kind)]
         if name in names:
@@ -73,13 +75,13 @@ class WorkFolder:
             raise ArtifactStale(f"no {kind} in {self.root}; make one with: {self._maker(kind)}")
         matches = [item for item in names if item.startswith(name)]
         if len(matches) != 1:
-            told = "several" if matches else "none"
-            raise UsageError(f"one {kind} called {name!r} expected, {told} found; there are {', '.join(names)}")
+            found = "several" if matches else "none"
+            raise UsageError(f"one {kind} called {name!r} expected, {found} found; there are {', '.join(names)}")
         return self.get(kind, matches[0])
 
-    def standing(self, kind: str, name: str, recipe: Recipe) -> Artifact | None:
-        """The artifact of that name if it was made by this very recipe and all its files have their lengths."""
-        artifact = self._standing(_known(kind), sound_name(name))
+    def up_to_date(self, kind: str, name: str, recipe: Recipe) -> Artifact | None:
+        """Return the artifact of this name if it was made with this recipe and its files have the recorded sizes."""
+        artifact = self._in_place(_known(kind), valid_name(name))
         if not (artifact.path / MANIFEST).is_file():
             return None
         try:
@@ -87,23 +89,25 @@ class WorkFolder:
                 return None
             artifact.check_sizes()
         except (ArtifactDamaged, ArtifactStale):
-            return None  # a damaged or unreadable one is made again
+            return None  # rebuild a damaged or unreadable one
         return artifact
 
     def sweep(self, kind: str, name: str) -> None:
-        """Deletes what is left of the run that made the artifact of that name, where a kill kept it from doing so."""
-        sweep_finished(self.root, _known(kind), sound_name(name))
+        """Delete what the run that made this artifact left, if a kill kept it from cleaning up."""
+        sweep_finished(self.root, _known(kind), valid_name(name))
 
-    def begin(self, kind: str, name: str, recipe: Recipe, careful: bool = False, anew: bool = False) -> PartialArtifact:
-        """Goes on with an interrupted run of this recipe, or starts afresh; see Partial."""
-        return PartialArtifact(self.root, _known(kind), sound_name(name), recipe, careful, anew)
+    def begin(
+        self, kind: str, name: str, recipe: Recipe, protect: bool = False, rebuild: bool = False
+    ) -> PartialArtifact:
+        """Resume an interrupted run of this recipe, or start a new one; see PartialArtifact."""
+        return PartialArtifact(self.root, _known(kind), valid_name(name), recipe, protect, rebuild)
 
     def copy(self, artifact: Artifact, name: str) -> Artifact:
-        """The artifact under another name too, in place of what is called so; its digest knows no name and stays."""
-        artifact.verify()  # else a damaged file would get a sound seal
+        """Copy an artifact to another name, replacing any artifact there. The digest, which covers no name, stays."""
+        artifact.verify()  # a damaged file must not get a valid digest
         made = artifact.manifest
-        recipe = Recipe(made.stage, made.revision, made.config, made.inputs, made.seed, known=made.recipe)
-        partial = self.begin(artifact.kind, name, recipe, careful=True)
+        recipe = Recipe(made.stage, made.revision, made.config, made.inputs, made.seed, stored_digest=made.recipe)
+        partial = self.begin(artifact.kind, name, recipe, protect=True)
         try:
             for record in made.files:
                 target = partial.path / record.path
@@ -112,31 +116,29 @@ class WorkFolder:
                     shutil.copyfile(artifact.file(record.path), target)
                 if file_sha256(target) != record.sha256:
                     raise ArtifactDamaged(f"{artifact.path / record.path} changed while it was copied; run it again")
-            measured = {
-                "threads": made.threads,
-                "seconds": made.seconds,
-                "peak_memory_mb": made.peak_memory_mb,
-                "figures": made.figures,
-            }
-            return partial.commit(device=made.device, versions=made.versions, **measured)
+            return partial.commit(
+                device=made.device,
+                threads=made.threads,
+                versions=made.versions,
+                seconds=made.seconds,
+                peak_memory_mb=made.peak_memory_mb,
+                figures=made.figures,
+            )
         finally:
             partial.release()
 
     def unfinished(self) -> list[tuple[str, str]]:
-        """Kind and name of every interrupted run."""
+        """Return kind and name of every interrupted run."""
         found = [(kind, item) for kind in CURRENT for item in sorted((self.root / kind).glob(".*.partial"))]
         return [(kind, item.name[1 : -len(".partial")]) for kind, item in found]
 
     def outdated(self, artifact: Artifact) -> list[str]:
-        """Why the artifact no longer matches what it was made from, one line each; empty when it does.
-
-        Looks through its inputs up to the scene, the nearest first.
-        """
+        """Return why an artifact is out of date, one line for each reason; checks all inputs up to the scene."""
         reasons, waiting, seen = [], [artifact], {artifact.path.resolve()}
         while waiting:
             made = waiting.pop(0)
             for ref in made.manifest.inputs:
-                source = self._standing(ref.kind, ref.name)
+                source = self._in_place(ref.kind, ref.name)
                 if not (source.path / MANIFEST).is_file():
                     reasons.append(f"{ref.kind} {ref.name}, from which {made.name} was made, is gone")
                     continue
@@ -151,31 +153,31 @@ class WorkFolder:
                     waiting.append(source)
         return reasons
 
-    def _standing(self, kind: str, name: str) -> Artifact:
-        """The artifact in its place, or where a kill has left it: without a way to swap two folders in one step, there
-        is a moment between two renames in which nothing stands in its place."""
+    def _in_place(self, kind: str, name: str) -> Artifact:
+        """Return the artifact in its place, or where a kill left it: a disk that cannot swap two folders in one step
+        needs two renames, between which the place is empty."""
         place, aside = self.root / kind / name, replaced_by(self.root, kind, name)
         lost = not os.path.lexists(place) and (aside / MANIFEST).is_file()
         return Artifact(aside, name) if lost else Artifact(place)
 
     def _names(self, kind: str) -> list[str]:
-        """Of all that stands, sorted."""
+        """Return the names of all finished artifacts of a kind, sorted."""
         folder = self.root / kind
-        standing = {item.name for item in folder.glob("*") if item.name[0] != "." and (item / MANIFEST).is_file()}
-        aside = {name for one, name in self.unfinished() if one == kind}
-        return sorted(standing | {name for name in aside if self._standing(kind, name).path.parent != folder})
+        finished = {item.name for item in folder.glob("*") if item.name[0] != "." and (item / MANIFEST).is_file()}
+        begun = {name for one, name in self.unfinished() if one == kind}
+        return sorted(finished | {name for name in begun if self._in_place(kind, name).path.parent != folder})
 
     def _maker(self, kind: str) -> str:
         return MADE_BY[kind].replace("WORK", shlex.quote(str(self.root)))
 
 
 def sources_of(artifact: Artifact, kinds: Collection[str] = tuple(CURRENT)) -> list[Artifact]:
-    """What an artifact was made from, directly or through others of these kinds, the nearest first, each once.
+    """Return what an artifact was made from, directly or through others of these kinds, the nearest first.
 
-    What is gone or cannot be read is passed over.
+    Missing and unreadable artifacts are left out.
     """
     work, found = WorkFolder(artifact.path.parent.parent), [artifact]
-    for made in found:  # which grows meanwhile
+    for made in found:  # grows in the loop
         for ref in made.manifest.inputs:
             if ref.kind in kinds and (ref.kind, ref.name) not in [(one.kind, one.name) for one in found]:
                 with suppress(StylerfError):
@@ -184,10 +186,10 @@ def sources_of(artifact: Artifact, kinds: Collection[str] = tuple(CURRENT)) -> l
 
 
 def newest(artifacts: Iterable[Artifact]) -> list[Artifact]:
-    """The artifacts, that made last first.
+    """Sort artifacts, the newest first.
 
-    One dated in the future comes last, as the clock that dated it was wrong. Of two of one moment, that made of the
-    other is the later.
+    Those dated in the future come last, since a wrong clock dated them. Of two with the same date, the one with more
+    sources is newer.
     """
     now = datetime.now(UTC) + CLOCK_SLACK
 
@@ -200,16 +202,16 @@ def newest(artifacts: Iterable[Artifact]) -> list[Artifact]:
 
 def _known(kind: str) -> str:
     if kind not in CURRENT:
-        raise UsageError(f"there is no kind of artifact called {kind!r}; kinds are {', '.join(CURRENT)}")
+        raise UsageError(f"unknown kind of artifact {kind!r}; kinds are {', '.join(CURRENT)}")
     return kind
 
 
-def sound_name(name: str) -> str:
-    """The name, if an artifact may be called so, else UsageError."""
+def valid_name(name: str) -> str:
+    """Return `name` if it is a valid name of an artifact, else raise UsageError."""
     if not _NAME.fullmatch(name):
         raise UsageError(
-            f"{name!r} cannot name an artifact: expected up to 100 letters, digits, '.', '_', '+' or '-', beginning "
-            "with a letter or digit"
+            f"{name!r} is not a valid name: expected up to 100 letters, digits, '.', '_', '+' or '-', beginning with a "
+            "letter or digit"
         )
     if safe_names.WINDOWS and (why := safe_names.refused_by_windows(name)):
         raise UsageError(f"{name!r} cannot name an artifact on Windows: it {why}")

@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from schemas.errors import UsageError
-from schemas.native_output import heard_in_the_end
+from schemas.native_output import native_output_restored
 from stages.pipeline.distributed import leave_fault, speaks
 from stylerf_cli.arguments import Parser, add_common, add_config, nearest
 from stylerf_cli.exit_codes import told
@@ -34,7 +34,7 @@ def main(argv: list[str] | None = None) -> int:
     state: dict[str, Path | None] = {"work": None}
     result = None
     try:
-        with _terminable(), stdout_kept_free(as_json), heard_in_the_end():
+        with _terminable(), stdout_kept_free(as_json), native_output_restored():
             result = _run(argv, state)
         if as_json and result is not None and speaks():
             print_json(result)

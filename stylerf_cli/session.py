@@ -11,7 +11,7 @@ from typing import Any
 
 from schemas.errors import ArtifactStale, UsageError
 from schemas.read_limit import set_allowance
-from schemas.work_folder import Artifact, WorkFolder, sound_name
+from schemas.work_folder import Artifact, WorkFolder, valid_name
 from stages.pipeline.distributed import follow, joined, launched, led, release, speaks
 from stages.run.memory import room
 from stages.run.progress import Context, Silent
@@ -32,7 +32,7 @@ class Session:
         self.verb, self.args, self.options = verb, args, options
         self.json, self.quiet, self.only, self.force = args.json, args.quiet, args.only, args.force
         # Refused before any stage runs, not when it is the turn of the one that writes it.
-        self.name: str | None = None if args.name is None else sound_name(args.name)
+        self.name: str | None = None if args.name is None else valid_name(args.name)
         self.own_verbs = {verb}  # whose stages are this verb's own work
         self.config = options.config(config)
         self.common = options.common()
@@ -106,7 +106,7 @@ class Session:
         name = self.name or name if own else name
         if not own:
             recipe = recipe_of(spec, inputs, config, self.context.seed)
-            standing = self.work.standing(spec.writes, name, recipe)
+            standing = self.work.up_to_date(spec.writes, name, recipe)
             if standing:
                 return standing
             if self.only:

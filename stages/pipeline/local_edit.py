@@ -125,21 +125,21 @@ def learned_edit(session: Any, region: Artifact, config: Any, changes: Any, name
 
     def standing_beside(own: str) -> Artifact | None:
         others = [one.name for one in session.work.artifacts("edit") if one.name != own]
-        return next(filter(None, (session.work.standing("edit", other, recipe) for other in others)), None)
+        return next(filter(None, (session.work.up_to_date("edit", other, recipe) for other in others)), None)
 
     def copied(source: Artifact, name: str) -> Artifact:
         tell_replaced(session.work, spec, name, recipe, session.context)
         return session.work.copy(source, name)
 
     if not changes:
-        known = session.force or session.work.standing("edit", name, recipe)
+        known = session.force or session.work.up_to_date("edit", name, recipe)
         learned = None if known else standing_beside(name)
         if learned:
             session.say(f"edit {name}: as {learned.name}, learned just so before (--force learns it anew)")
             return copied(learned, name)
         return session.run(spec, edit_learn.run, inputs, config, name)
     learned = standing_beside(changed)
-    if learned is None and (own := session.work.standing("edit", changed, recipe)):
+    if learned is None and (own := session.work.up_to_date("edit", changed, recipe)):
         learned = copied(own, f"{name}-learned")
     if learned is None:
         by = ("--region", region.name)

@@ -30,7 +30,7 @@ def input_of(session: Any, artifact: Artifact, kind: str, role: str = "") -> Art
             if found.digest != ref.digest:
                 raise ArtifactStale(
                     f"{kind} {ref.name} was made anew after {artifact.kind} {artifact.name}; make that again too: "
-                    f"{artifact.remade_by()}"
+                    f"{artifact.rebuild_command()}"
                 )
             return found
     raise ArtifactStale(f"{artifact.kind} {artifact.name} names no {kind} it was made from; make it again")
@@ -75,7 +75,7 @@ def scene_of(work: WorkFolder, field: Artifact) -> Artifact:
         for ref in one.manifest.inputs:
             if ref.kind == "scene":
                 return original_scene(work.get("scene", ref.name))
-    raise ArtifactStale(f"field {field.name} names no scene it was made from; make it again: {field.remade_by()}")
+    raise ArtifactStale(f"field {field.name} names no scene it was made from; make it again: {field.rebuild_command()}")
 
 
 def chosen_field(session: Any, name: str | None) -> Artifact:

@@ -13,7 +13,7 @@ from schemas.errors import OutOfResources
 try:
     import resource
 except ImportError:  # Windows
-    resource = None
+    resource = None  # type: ignore[assignment]
 
 SAVED_EVERY_SECONDS = 2.0
 _RSS_UNIT = 1 if sys.platform == "darwin" else 1024  # bytes

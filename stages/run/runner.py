@@ -12,7 +12,7 @@ from typing import Any
 from schemas.atomic_write import out_of_resources
 from schemas.canonical_json import plain
 from schemas.errors import ArtifactStale, BadInput, OutOfResources, StylerfError, UsageError
-from schemas.partial_artifact import DEAR_SECONDS, UnlikeInterrupted
+from schemas.partial_artifact import EXPENSIVE_SECONDS, UnlikeInterrupted
 from schemas.work_folder import Artifact, PartialArtifact, Recipe, WorkFolder, sources_of
 from stages.configs import incidental
 from stages.run.clock import Clock, peak_memory_mb
@@ -60,7 +60,7 @@ def recipe_of(spec: Spec, inputs: dict[str, Artifact], config: Any, seed: int) -
 
 def without_folders(recipe: Recipe) -> Recipe:
     """The same recipe, in which files that are known by their digests are told by their names alone."""
-    named = {key: _name_of(value) for key, value in recipe.config.items() if key in recipe.aside}
+    named = {key: _name_of(value) for key, value in recipe.config.items() if key in recipe.incidental}
     return replace(recipe, config={**recipe.config, **named})
 
 
@@ -105,14 +105,14 @@ def execute(
     """
     recipe = recipe_of(spec, inputs, config, context.seed)
     recipe = without_folders(recipe) if context.no_paths else recipe
-    standing = None if force else work.standing(spec.writes, name, recipe)
+    standing = None if force else work.up_to_date(spec.writes, name, recipe)
     if standing:
         work.sweep(spec.writes, name)
         return standing, True
     refuse_to_replace(work, spec.writes, name, inputs.values())
     _verify(spec, recipe, inputs)
     try:
-        partial = work.begin(spec.writes, name, recipe, careful and not force, anew=force)
+        partial = work.begin(spec.writes, name, recipe, careful and not force, rebuild=force)
     except UnlikeInterrupted as lost:
         raise ArtifactStale(
             f"an interrupted `stylerf {spec.verb}` of {spec.writes} {name}, {lost.seconds / 60:.0f} min of work with "
@@ -129,7 +129,7 @@ def execute(
         tell_replaced(work, spec, name, recipe, context)
     try:
         # Another process may have made it between the look above and our lock.
-        standing = None if force else work.standing(spec.writes, name, recipe)
+        standing = None if force else work.up_to_date(spec.writes, name, recipe)
         if standing:
             partial.discard()
             return standing, True
@@ -153,7 +153,7 @@ def tell_replaced(work: WorkFolder, spec: Spec, name: str, recipe: Recipe, conte
     with suppress(StylerfError):  # what is not there, or cannot be read, is no loss
         made = Artifact(work.root / spec.writes / name).manifest
         before = Recipe(made.stage, made.revision, made.config, made.inputs, made.seed)
-        if made.recipe != recipe.digest and made.seconds >= DEAR_SECONDS:
+        if made.recipe != recipe.digest and made.seconds >= EXPENSIVE_SECONDS:
             other = [recipe.other_options(before), recipe.other_sources(before)]
             other = ", ".join(filter(None, other)) or "older options"
             context.progress.say(

@@ -239,7 +239,7 @@ def test_a_file_of_several_parts_is_refused(tmp_path, view):
     parts = [OpenEXR.Part({"name": name}, dict(planes)) for name in ("left", "right")]
     OpenEXR.File(parts).write(str(tmp_path / "v.exr"))
     for read in (read_exr, read_depth):
-        with pytest.raises(BadInput, match="2 readable parts where 1"):
+        with pytest.raises(BadInput, match="2 readable parts, expected 1"):
             read(tmp_path / "v.exr")
 
 

@@ -6,7 +6,7 @@ from threading import Event, Thread
 import pytest
 
 from schemas import native_output
-from schemas.native_output import heard_in_the_end, native_output_silenced
+from schemas.native_output import native_output_restored, native_output_silenced
 
 
 def test_native_output_is_silenced_inside_the_block_only(capfd):
@@ -31,7 +31,7 @@ def test_an_interruption_at_its_beginning_or_end_leaves_no_silence(capfd, monkey
         if left[0] == 0:
             raise KeyboardInterrupt
 
-    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt), heard_in_the_end():
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt), native_output_restored():
         patch.setattr(native_output.os, "close", closing)
         with native_output_silenced():
             os.write(2, b"not this")
@@ -47,7 +47,7 @@ def test_a_thread_that_is_still_at_it_does_not_silence_the_last_words(capfd):
             inside.set()
             ended.wait(20)
 
-    with heard_in_the_end():
+    with native_output_restored():
         thread = Thread(target=work)
         thread.start()
         assert inside.wait(20)

@@ -66,7 +66,7 @@ def test_a_copy_is_the_same_artifact_by_another_name_at_what_it_cost(tmp_path):
     assert copy.name == "den" and copy.digest == first.digest != other
     assert (copy.manifest.seconds, copy.manifest.figures) == (1.5, {"psnr": 27.1})
     first.verify()
-    moved = make(work, "moved", config={"path": "/here"}, aside=["path"])
+    moved = make(work, "moved", config={"path": "/here"}, incidental=["path"])
     assert work.copy(moved, "den").digest == moved.digest  # which knows nothing of the path that it tells
     held = work.begin("field", "den", recipe())
     with pytest.raises(OutOfResources, match="being written"):
@@ -106,7 +106,7 @@ def test_missing_shortened_and_additional_files_are_found(tmp_path):
         artifact.verify()
     (artifact.path / "sub" / "new.bin").unlink()
     (artifact.path / "sub" / "a.bin").write_bytes(b"weight")
-    with pytest.raises(ArtifactDamaged, match="6 bytes where 7"):
+    with pytest.raises(ArtifactDamaged, match="6 bytes, but 7"):
         artifact.check_sizes()
     (artifact.path / "sub" / "a.bin").unlink()
     with pytest.raises(ArtifactDamaged, match=r"lacks sub/a.bin.*run the command that made it with --force"):
@@ -178,11 +178,11 @@ def test_what_is_begun_anew_goes_on_with_nothing_but_its_own(tmp_path):
     first = work.begin("field", "fox", recipe())
     (first.checkpoint / "step").write_text("7")
     first.release()
-    second = work.begin("field", "fox", recipe(), anew=True)
+    second = work.begin("field", "fox", recipe(), rebuild=True)
     assert not second.resumed and not (second.checkpoint / "step").exists()
     second.release()
     for anew in (True, False):  # killed, and asked for again in either way
-        again = work.begin("field", "fox", recipe(), anew=anew)
+        again = work.begin("field", "fox", recipe(), rebuild=anew)
         assert again.resumed
         again.release()
 
@@ -374,11 +374,11 @@ def test_a_disk_that_cannot_lock_is_not_taken_for_another_process(tmp_path, monk
 def test_standing_needs_the_recipe_and_whole_files(tmp_path):
     work = WorkFolder(tmp_path)
     artifact = make(work)
-    assert work.standing("field", "fox", recipe()).digest == artifact.digest
-    assert work.standing("field", "fox", recipe(config={"steps": 4})) is None
-    assert work.standing("field", "other", recipe()) is None
+    assert work.up_to_date("field", "fox", recipe()).digest == artifact.digest
+    assert work.up_to_date("field", "fox", recipe(config={"steps": 4})) is None
+    assert work.up_to_date("field", "other", recipe()) is None
     (artifact.path / "b.json").write_text("")
-    assert work.standing("field", "fox", recipe()) is None
+    assert work.up_to_date("field", "fox", recipe()) is None
 
 
 def test_recipe_ignores_input_names_and_order_but_not_roles_and_digests():
@@ -441,7 +441,7 @@ def test_a_newer_schema_or_kind_is_refused(tmp_path):
     reseal(artifact, schema=migrations.CURRENT["field"] + 1)
     with pytest.raises(ArtifactStale, match="newer stylerf"):
         Artifact(artifact.path).verify()
-    assert WorkFolder(tmp_path).standing("field", "fox", recipe()) is None
+    assert WorkFolder(tmp_path).up_to_date("field", "fox", recipe()) is None
     reseal(artifact, schema=1, kind="hologram")
     with pytest.raises(ArtifactStale, match="newer stylerf"):
         Artifact(artifact.path).verify()

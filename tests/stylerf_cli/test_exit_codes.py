@@ -52,8 +52,8 @@ def paintings(tmp_path):
     [
         ("missing.jpg", "there is no such image"),
         ("folder.png", "there is no such image"),
-        ("text.png", "is no readable image"),
-        ("empty.jpg", "is no readable image"),
+        ("text.png", "is not a readable image"),
+        ("empty.jpg", "is not a readable image"),
         ("cut.png", "cannot be read whole"),
         ("cut.jpg", "cannot be read whole"),
         ("nan.exr", "holds NaN"),
@@ -221,7 +221,7 @@ def test_camera_files_that_are_none(work, tmp_path, capsys, name):
 def test_a_film_that_cannot_be_is_refused_before_any_frame_is_rendered(work, capsys, monkeypatch, flags):
     pytest.importorskip("av", reason="the extra `video` is not installed")
     monkeypatch.setattr(render, "render_view", None)
-    code, words = (2, "fps in [1/1001, 240]") if "--fps" in flags else (3, "--video: PyAV makes no film of")
+    code, words = (2, "fps in [1/1001, 240]") if "--fps" in flags else (3, "--video: PyAV cannot encode")
     assert words in told(capsys, code, "render", work, "--of", "fit", "--count", "2", "--video", *flags)
 
 
@@ -265,7 +265,7 @@ def test_an_empty_region_is_the_only_one_as_for_other_verbs(tmp_path, capsys):
 def test_a_name_that_is_none_is_refused_before_any_work(paintings, capsys, name):
     for command in (("fit",), ("stylize", "--style", paintings / "sound.png"), ("edit", "--recolor", "--at", "0:1,1")):
         verb, *flags = command
-        assert "cannot name an artifact" in told(capsys, 2, verb, paintings / "work", *flags, "--name", name)
+        assert "is not a valid name" in told(capsys, 2, verb, paintings / "work", *flags, "--name", name)
 
 
 # -- option files ------------------------------------------------------------------------------------------------------

@@ -124,7 +124,7 @@ def test_a_changed_region_makes_frames_anew_and_one_that_stands_does_not(work, r
 
 
 def test_a_region_selected_since_does_not_cost_an_interrupted_render(work, regions, capsys, monkeypatch):
-    monkeypatch.setattr(partial, "DEAR_SECONDS", 0.0)
+    monkeypatch.setattr(partial, "EXPENSIVE_SECONDS", 0.0)
     real, stopping = stage.render_view, True
 
     def stopped(*arguments, **options):

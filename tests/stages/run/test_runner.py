@@ -282,7 +282,7 @@ def test_options_to_go_on_with_are_told_as_a_command_line_takes_them():
 
 def test_dear_work_on_other_inputs_is_not_replaced_without_a_word(tmp_path, monkeypatch):
     work, said = WorkFolder(tmp_path / "x"), []
-    monkeypatch.setattr("stages.run.runner.DEAR_SECONDS", 0.0)
+    monkeypatch.setattr("stages.run.runner.EXPENSIVE_SECONDS", 0.0)
 
     class Heard(Silent):
         def say(self, text):
@@ -319,8 +319,8 @@ def test_where_a_file_lies_has_no_say_once_its_content_is_known():
 
 
 def test_dear_work_of_other_inputs_is_told_when_it_is_given_up(tmp_path, monkeypatch):
-    monkeypatch.setattr(partial, "DEAR_SECONDS", 0.0)
-    monkeypatch.setattr(runner, "DEAR_SECONDS", 0.0)
+    monkeypatch.setattr(partial, "EXPENSIVE_SECONDS", 0.0)
+    monkeypatch.setattr(runner, "EXPENSIVE_SECONDS", 0.0)
     work, said = WorkFolder(tmp_path), []
 
     class Heard(Silent):
