@@ -4,6 +4,7 @@
 #   requirements/install.sh .venv           what stylerf needs
 #   requirements/install.sh .venv test      what its tests need too
 #
+# $PYTHON names the interpreter (default: python3).
 # Where there is no NVIDIA GPU torch is the CPU build, from wherever pip is set up to find it or from pytorch.org.
 set -eu
 venv=$1
@@ -15,7 +16,7 @@ locked() {
     "$venv/bin/python" -m pip install --quiet --no-deps --require-hashes -r "$here/$file" "$@"
 }
 
-python3 -m venv "$venv"
+"${PYTHON:-python3}" -m venv "$venv"
 gpu=$(ls /dev/nvidiactl /dev/dxg 2> /dev/null || true)
 # Quiet at first: PyPI has no such build, and says so at length.
 if [ -n "$gpu" ] || ! { locked torch-cpu.txt 2> /dev/null || locked torch-cpu.txt --index-url https://download.pytorch.org/whl/cpu; }; then

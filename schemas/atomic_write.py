@@ -16,6 +16,7 @@ from typing import Any
 
 from schemas.canonical_json import plain
 from schemas.errors import OutOfResources
+from schemas.open_flags import DIRECTORY
 
 TEMPORARY_SUFFIX = ".tmp"
 _NO_SPACE = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
@@ -72,17 +73,18 @@ def make_folder(path: Path) -> Path:
 
 
 def sync_folder(path: Path) -> None:
-    """Flushes the entries of a folder (its renames) to the disk, where the disk can: some network disks cannot."""
-    _sync(path, os.O_RDONLY | os.O_DIRECTORY)
+    """Flush the entries of a folder (its renames) to the disk, if disk and system can."""
+    if DIRECTORY:
+        _sync(path, os.O_RDONLY | DIRECTORY)
 
 
 def sync_file(path: Path) -> None:
-    """Flushes the bytes of a file to the disk, where the disk can."""
-    _sync(path, os.O_RDONLY)
+    """Flush the bytes of a file to the disk, if it can."""
+    _sync(path, os.O_RDWR if os.name == "nt" else os.O_RDONLY)  # Windows flushes only what is open for writing
 
 
 def _sync(path: Path, flags: int) -> None:
-    handle = os.open(path, flags | os.O_CLOEXEC)
+    handle = os.open(path, flags)
     try:
         os.fsync(handle)
     except OSError as error:

@@ -11,6 +11,8 @@ from collections.abc import Mapping
 from pathlib import PurePath
 from typing import Any
 
+from schemas.open_flags import NONBLOCK
+
 
 def plain(value: Any) -> Any:
     """Convert `value` to the types of JSON.
@@ -56,7 +58,7 @@ def digest_of(value: Any) -> str:
 
 def file_sha256(path: str | os.PathLike[str]) -> str:
     """Return the SHA-256 of a regular file, 64 hex digits; OSError for a pipe or a device."""
-    with open(path, "rb", opener=lambda name, flags: os.open(name, flags | os.O_NONBLOCK)) as stream:
+    with open(path, "rb", opener=lambda name, flags: os.open(name, flags | NONBLOCK)) as stream:
         if not stat.S_ISREG(os.fstat(stream.fileno()).st_mode):
             raise OSError(errno.EINVAL, "not a regular file", str(path))
         return hashlib.file_digest(stream, "sha256").hexdigest()

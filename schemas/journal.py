@@ -7,6 +7,7 @@ from pathlib import Path
 
 from schemas.atomic_write import make_folder
 from schemas.canonical_json import file_sha256
+from schemas.open_flags import NOFOLLOW
 
 
 class Journal:
@@ -31,7 +32,7 @@ class Journal:
         """Record files, by paths below the root, as they are now; they must be flushed to disk already."""
         fresh = {name: file_sha256(self._root / name) for name in names}
         text = "".join(json.dumps(pair) + "\n" for pair in fresh.items())
-        handle = os.open(self._path, os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_NOFOLLOW | os.O_CLOEXEC, 0o666)
+        handle = os.open(self._path, os.O_WRONLY | os.O_CREAT | os.O_APPEND | NOFOLLOW, 0o666)
         with open(handle, "w", encoding="utf-8") as stream:
             stream.write(text)
         self._digests |= fresh

@@ -1,11 +1,12 @@
-"""The right of one process to write one artifact, by a lock that the system frees when the process ends.
+"""Locks that let one process at a time write an artifact; the system frees them when the process ends.
 
-The lock is on two things: a small file, `.NAME.lock`, that names the process which holds it, and the folder that is
-written to, so that a second writer is kept out even where somebody has deleted that file.
+Two things are locked: a small file, `.NAME.lock`, that names the process holding it, and the folder that is written to,
+so that a second writer is kept out even if somebody deletes that file. (Windows cannot lock folders, but does
+not delete open files either.) filelock takes the system's lock on the open file, so that the checks below are of the very
+file that is locked.
 """
 
 import errno
-import fcntl
 import os
 import re
 import socket
@@ -13,22 +14,31 @@ import stat
 from contextlib import suppress
 from pathlib import Path
 
+from filelock import lock_descriptor
+
 from schemas.atomic_write import make_folder, writing
 from schemas.errors import OutOfResources, WouldBeLost
+from schemas.open_flags import DIRECTORY, NOFOLLOW, NONBLOCK
 
-_HELD = {errno.EWOULDBLOCK, errno.EAGAIN, errno.EACCES}
-_OWN_TEXT = re.compile(rb"\d{1,20}( [\x21-\x7e]{1,64})?\n?")  # process and host; what else stands there is not ours
+# Process and host, after a space: Windows locks the first byte, which others then cannot read.
+_OWN_TEXT = re.compile(rb" ?\d{1,20}( [\x21-\x7e]{1,64})?\n?")
+_TEXT_START = 1 if os.name == "nt" else 0
 _TRIES = 10  # a lock file that is deleted each time it is taken
 
 
 class Lock:
-    """The right to write what `path` stands for. Freed by release() and when the process ends, however it ends."""
+    """The right to write one artifact. Freed by release() and when the process ends, however it ends."""
 
     def __init__(self, path: Path, instead: str = "give another --name") -> None:
-        """Takes the lock at `path`. instead: what there is to do but wait.
+        """Take the lock.
 
-        OutOfResources naming the holder where another process has it, or where the disk knows no locks; WouldBeLost
-        where something that is no lock file lies there, a link above all: nothing is written to it.
+        Args:
+            path: The lock file, created if missing.
+            instead: What the user can do other than wait, for the message.
+
+        Raises:
+            OutOfResources: Another process holds the lock (the message names it), or the disk has no locks.
+            WouldBeLost: Something other than a lock file has this name, such as a link. It is not written to.
         """
         self.path, self._instead = path, instead
         self._folder: int | None = None
@@ -42,28 +52,32 @@ class Lock:
             except BaseException:
                 self.release()
                 raise
-            self.release()  # deleted between opening and locking: whoever comes next would not see our lock
+            self.release()  # deleted between opening and locking: the next process would not see our lock
         else:
-            raise OutOfResources(f"{path} is deleted again and again; find out by whom, and run the same command")
-        with suppress(OSError):  # only so that the other side can name us; a full disk is met soon enough
+            raise OutOfResources(f"{path} keeps being deleted; find out by whom, and run the same command")
+        with suppress(OSError):  # only so that others can name us; a full disk is reported soon enough
             os.ftruncate(self._handle, 0)
-            os.pwrite(self._handle, f"{os.getpid()} {_host()}\n".encode(), 0)
+            os.lseek(self._handle, 0, os.SEEK_SET)
+            os.write(self._handle, f" {os.getpid()} {_host()}\n".encode())
 
     def hold_folder(self, folder: Path) -> None:
-        """Locks `folder` too, in place of the one held so far; OutOfResources where another process writes there."""
-        handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC)
+        """Lock `folder` too, instead of the one locked before; OutOfResources if another process writes there."""
+        if not DIRECTORY:
+            return  # Windows cannot open folders, and does not let the open lock file be deleted
+        handle = os.open(folder, os.O_RDONLY | DIRECTORY | NOFOLLOW)
         try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
+            free = lock_descriptor(handle, blocking=False)
+        except OSError:  # some disks, NFS among them, lock files only
             os.close(handle)
-            if error.errno in _HELD - {errno.EACCES}:
-                raise self._held_by("unknown") from error
-            return  # some disks, NFS among them, lock files alone
+            return
+        if not free:
+            os.close(handle)
+            raise self._held_by("unknown")
         self._close_folder()
         self._folder = handle
 
     def release(self) -> None:
-        """Gives the lock back; harmless when it was given back before."""
+        """Free the lock; harmless if already free."""
         self._close_folder()
         if self._handle is not None:
             os.close(self._handle)
@@ -76,15 +90,15 @@ class Lock:
 
     def _take(self, handle: int) -> None:
         try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            free = lock_descriptor(handle, blocking=False)
         except OSError as error:
-            if error.errno not in _HELD:
-                raise OutOfResources(
-                    f"{self.path} cannot be locked ({error.strerror}), so nothing keeps two processes apart; choose a "
-                    "work folder on a disk that can"
-                ) from error
-            process, _, host = os.pread(handle, 100, 0).decode("ascii", "replace").strip().partition(" ")
-            raise self._held_by(f"{process or 'unknown'} on {host}" if host else process or "unknown") from error
+            raise OutOfResources(
+                f"{self.path} cannot be locked ({error.strerror}), so nothing keeps two processes apart; choose a "
+                "work folder on a disk that supports locks"
+            ) from error
+        if not free:
+            process, _, host = _text(handle).decode("ascii", "replace").strip().partition(" ")
+            raise self._held_by(f"{process or 'unknown'} on {host}" if host else process or "unknown")
 
     def _held_by(self, holder: str) -> OutOfResources:
         name = self.path.name.removeprefix(".").removesuffix(".lock")
@@ -95,13 +109,16 @@ class Lock:
 
 
 def _opened(path: Path) -> int:
-    """A handle of the lock file, made where absent; WouldBeLost where what lies there is no lock file."""
-    # Without O_NONBLOCK, a named pipe would wait for its other end.
-    flags = os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
+    """Open the lock file, creating it if missing; WouldBeLost if it is something else."""
+    if not NOFOLLOW and path.is_symlink():
+        raise _not_ours(path)
+    flags = NOFOLLOW | NONBLOCK
     with writing(path):
         try:
             handle = os.open(path, flags | os.O_RDWR | os.O_CREAT, 0o666)
-        except PermissionError as denied:  # one that a member of the group left: reading is enough to lock it
+        except PermissionError as denied:  # left by another member of the group: reading is enough to lock it
+            if path.is_dir():  # as Windows answers for a folder
+                raise _not_ours(path) from denied
             try:
                 handle = os.open(path, flags | os.O_RDONLY)
             except FileNotFoundError:
@@ -113,23 +130,35 @@ def _opened(path: Path) -> int:
     try:
         found = os.fstat(handle)
         ours = stat.S_ISREG(found.st_mode) and found.st_nlink <= 1 and found.st_size <= 100
-        text = os.pread(handle, 101, 0) if ours else b""
+        text = _text(handle) if ours else b""
         if not ours or (text and not _OWN_TEXT.fullmatch(text)):
             raise _not_ours(path)
-        folder = os.stat(path.parent)
-        if found.st_uid == os.geteuid():  # whoever may write to the folder may take its locks
-            with suppress(OSError):
-                os.fchmod(handle, stat.S_IMODE(folder.st_mode) & 0o666 | 0o600)
-        elif not folder.st_mode & 0o022 and os.geteuid() != 0:
-            raise _not_ours(path)
+        if hasattr(os, "geteuid"):
+            _share(path, handle, found)
     except BaseException:
         os.close(handle)
         raise
     return handle
 
 
+def _share(path: Path, handle: int, found: os.stat_result) -> None:
+    """Let whoever may write to the folder take its locks; refuse a lock file of anybody else."""
+    folder = os.stat(path.parent)
+    if found.st_uid == os.geteuid():
+        with suppress(OSError):
+            os.fchmod(handle, stat.S_IMODE(folder.st_mode) & 0o666 | 0o600)
+    elif not folder.st_mode & 0o022 and os.geteuid() != 0:
+        raise _not_ours(path)
+
+
+def _text(handle: int) -> bytes:
+    """Return what the lock file says about its holder."""
+    os.lseek(handle, _TEXT_START, os.SEEK_SET)
+    return os.read(handle, 101)
+
+
 def _not_ours(path: Path) -> WouldBeLost:
-    return WouldBeLost(f"{path} is no lock file of stylerf's (a link, or it holds something else); move it elsewhere")
+    return WouldBeLost(f"{path} is not a lock file of stylerf's (a link, or it holds something else); move it away")
 
 
 def _is_still(path: Path, handle: int) -> bool:

@@ -130,6 +130,11 @@ class PartialArtifact:
             raise WouldBeLost(f"{self.target} is a link to nothing; delete it, or restore its target")
         if not self.target.exists():
             return
+        # macOS and Windows take Fit for fit.
+        if (other := _stored_name(self.target)) != self.name:
+            raise WouldBeLost(
+                f"{self.kind} {other} would be replaced: this disk takes {self.name} for it; give another --name"
+            )
         listed = _listed_in(self.target)
         if listed is None:
             return
@@ -260,6 +265,13 @@ def _stored(path: Path) -> dict[str, Any]:
     return found if isinstance(found, dict) else {}
 
 
+def _stored_name(path: Path) -> str:
+    """Return the name of `path` as its folder lists it; its case may differ on disks that ignore case."""
+    names = os.listdir(path.parent)
+    alike = [name for name in names if name.casefold() == path.name.casefold()]
+    return path.name if path.name in names or not alike else alike[0]
+
+
 def _recipe_in(folder: Path) -> str | None:
     return _stored(folder / MANIFEST).get("recipe")
 
@@ -309,6 +321,6 @@ def _exchange(one: Path, other: Path) -> bool:
     """Swap two folders in one step, if the system can (Linux), so that an artifact is in place at every moment."""
     try:
         renameat2 = ctypes.CDLL(None, use_errno=True).renameat2
-    except (OSError, AttributeError):
+    except (OSError, AttributeError, TypeError):  # macOS has no such call, Windows no library of that name
         return False
     return bool(renameat2(_AT_FDCWD, os.fsencode(one), _AT_FDCWD, os.fsencode(other), _RENAME_EXCHANGE) == 0)

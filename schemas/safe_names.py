@@ -1,5 +1,7 @@
 """Checks of names and paths from untrusted files, before anything is opened, written or displayed by them."""
 
+import os
+import re
 import unicodedata
 
 from schemas.errors import ArtifactDamaged, StylerfError
@@ -7,6 +9,8 @@ from schemas.errors import ArtifactDamaged, StylerfError
 LONGEST_NAME = 255  # bytes, what common file systems take
 LONGEST_PATH = 1024  # bytes
 _HIDDEN = {"Cc", "Cs", "Zl", "Zp"}  # control characters, surrogates, separators of lines and paragraphs
+WINDOWS = os.name == "nt"
+_DEVICE = re.compile(r"(con|prn|aux|nul|conin\$|conout\$|(com|lpt)[0-9\u00b9\u00b2\u00b3])( *\..*)?", re.IGNORECASE)
 _BIDI = set("\u061c\u200e\u200f\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069\ufeff")
 
 
@@ -22,7 +26,8 @@ def relative_path(text: object, what: str, fault: type[StylerfError] = ArtifactD
 
     Raises:
         fault: The path is absolute, too long for file systems, or holds `.`, `..`, empty parts, control or
-            bidirectional characters, or lone surrogates.
+            bidirectional characters, or lone surrogates; on Windows also if it names a drive, a device or
+            anything else that Windows cannot store.
     """
     if not isinstance(text, str):
         raise fault(f"{what} is {printable(repr(text))[:60]}, expected a path as text")
@@ -33,7 +38,18 @@ def relative_path(text: object, what: str, fault: type[StylerfError] = ArtifactD
         raise fault(f"{what} is {shown}, which holds control characters or invalid Unicode")
     if len(text.encode()) > LONGEST_PATH or any(len(part.encode()) > LONGEST_NAME for part in text.split("/")):
         raise fault(f"{what} is {shown}, {len(text.encode())} bytes long; a name may have at most {LONGEST_NAME}")
+    if WINDOWS and (why := next(filter(None, map(refused_by_windows, text.split("/"))), None)):
+        raise fault(f"{what} is {shown}, which Windows cannot store: a name there {why}")
     return text
+
+
+def refused_by_windows(name: str) -> str | None:
+    """Return why Windows cannot store a file of that name, or stores it under another one; None if it can."""
+    if bad := re.search(r'[<>:"|?*\\]', name):
+        return f"holds {bad[0]}"
+    if name[-1:] in (".", " "):
+        return "ends in a dot or a space"
+    return "is that of a device" if _DEVICE.fullmatch(name) else None
 
 
 def file_name(text: object, what: str, fault: type[StylerfError] = ArtifactDamaged) -> str:

@@ -10,6 +10,7 @@ from typing import Any, BinaryIO
 
 from schemas.atomic_write import out_of_resources
 from schemas.errors import BadInput, StylerfError
+from schemas.open_flags import NONBLOCK
 from schemas.safe_names import printable
 
 MOST_JSON = 256 << 20  # bytes; a scene of 10,000 views takes 8 MB
@@ -26,8 +27,7 @@ def opened(path: Path | str, fault: type[StylerfError] = BadInput) -> Iterator[B
     """
     shown = printable(str(path))
     try:
-        # Without O_NONBLOCK, opening a named pipe waits for a writer.
-        stream = open(path, "rb", opener=lambda name, flags: os.open(name, flags | os.O_NONBLOCK))
+        stream = open(path, "rb", opener=lambda name, flags: os.open(name, flags | NONBLOCK))
     except IsADirectoryError:
         raise fault(f"{shown} is a folder, not a file") from None
     except FileNotFoundError:

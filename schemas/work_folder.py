@@ -12,6 +12,7 @@ from contextlib import suppress
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
+from schemas import safe_names
 from schemas.artifact import MADE_BY, Artifact
 from schemas.atomic_write import writing
 from schemas.canonical_json import file_sha256
@@ -212,4 +213,6 @@ def valid_name(name: str) -> str:
             f"{name!r} is not a valid name: expected up to 100 letters, digits, '.', '_', '+' or '-', beginning with a "
             "letter or digit"
         )
+    if safe_names.WINDOWS and (why := safe_names.refused_by_windows(name)):
+        raise UsageError(f"{name!r} cannot name an artifact on Windows: it {why}")
     return name

@@ -23,6 +23,8 @@ def open_standard_streams() -> None:
             os.dup2(os.open(os.devnull, os.O_RDWR), number, inheritable=True)
         if getattr(sys, name) is None:
             setattr(sys, name, open(number, mode, errors="backslashreplace", closefd=False))
+        if os.name == "nt" and hasattr(getattr(sys, name), "reconfigure"):
+            getattr(sys, name).reconfigure(encoding="utf-8")  # a pipe there has an encoding of the country's
 
 
 @contextmanager

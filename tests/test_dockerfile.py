@@ -87,7 +87,7 @@ def test_device_chooses_the_build_of_torch():
     assert "https://download.pytorch.org/whl/cpu" in cpu and "--index-url" not in cuda
 
 
-def test_the_base_image_is_pinned_by_digest_and_its_python_is_one_of_the_projects():
+def test_the_base_image_is_pinned_by_digest_on_a_supported_python():
     low, high = re.fullmatch(r">=3\.(\d+),<3\.(\d+)", PROJECT["requires-python"]).groups()
     minor = re.fullmatch(r"python:3\.(\d+)\.\d+-slim@sha256:[0-9a-f]{64}", BASE).group(1)
     assert int(low) <= int(minor) < int(high)

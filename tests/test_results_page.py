@@ -39,7 +39,7 @@ def test_every_reference_to_a_result_is_met_where_its_file_is_there():
             assert ours(one) is not None, one
 
 
-def test_a_figure_stands_beside_the_same_method_and_a_set_budget_is_no_victory():
+def test_only_equal_methods_are_compared_and_set_budgets_win_nothing():
     beside = {(one.method, one.ours[0], one.ours[1].get("method")) for one in PUBLISHED if one.ours}
     assert not any(method.startswith("Ref-NPR") and file == "edits.json" for method, file, _ in beside)
     # Seconds of these are of steps or a time that we set: learning, fine-tuning, both, a decomposition.

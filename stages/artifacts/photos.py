@@ -66,6 +66,8 @@ def _on_disk(scene: SceneData, views: list[int], channels: int, size: int, most:
         _fill(lambda at, photo: file.write(photo.data), scene, views, channels)
         file.flush()
         mapped = mmap.mmap(file.fileno(), size, access=mmap.ACCESS_READ)
+    if not hasattr(mapped, "madvise"):  # Windows takes pages back as it sees fit
+        return Pixels(np.frombuffer(mapped, np.uint8), channels)
     mapped.madvise(mmap.MADV_RANDOM)
     looked_at = 0
 

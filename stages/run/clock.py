@@ -1,7 +1,6 @@
 """Time and memory of a run, summed over interruptions, so that a resumed artifact tells what it really took."""
 
 import json
-import resource
 import sys
 import threading
 import time
@@ -11,7 +10,13 @@ from pathlib import Path
 from schemas.atomic_write import write_json
 from schemas.errors import OutOfResources
 
+try:
+    import resource
+except ImportError:  # Windows
+    resource = None  # type: ignore[assignment]
+
 SAVED_EVERY_SECONDS = 2.0
+_RSS_UNIT = 1 if sys.platform == "darwin" else 1024  # bytes
 
 
 def _reset_peak() -> None:
@@ -25,13 +30,17 @@ def peak_memory_mb() -> float:
     with suppress(OSError, ValueError, StopIteration):
         lines = Path("/proc/self/status").read_text().splitlines()
         return int(next(line for line in lines if line.startswith("VmHWM:")).split()[1]) * 1024 / 1e6
-    unit = 1 if sys.platform == "darwin" else 1024
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit / 1e6
+    if resource is None:
+        import psutil
+
+        return psutil.Process().memory_info().peak_wset / 1e6
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * _RSS_UNIT / 1e6
 
 
 def _children_peak_mb() -> float:
-    unit = 1 if sys.platform == "darwin" else 1024
-    return resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss * unit / 1e6
+    if resource is None:  # Windows keeps no record of them
+        return 0.0
+    return resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss * _RSS_UNIT / 1e6
 
 
 class Clock:

@@ -1,11 +1,17 @@
 """How much memory a run may take, and what is left of it."""
 
+import math
 import os
 import re
 from contextlib import suppress
 from pathlib import Path
 
 from stages.run import cgroups
+
+try:
+    import psutil
+except ImportError:  # not needed on Linux, where /proc has the same figures
+    psutil = None
 
 FREE_SHARE = 0.75  # of what is free, where no bound is given: the rest of the machine goes on working
 UNITS = {"": 1, "K": 10**3, "M": 10**6, "G": 10**9, "T": 10**12}
@@ -32,16 +38,18 @@ def used() -> int:
     """Resident bytes of this process."""
     with suppress(OSError, ValueError, IndexError):
         return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
-    return 0
+    return psutil.Process().memory_info().rss if psutil else 0
 
 
 def free() -> int:
     """Bytes that processes can still take: of the machine, and of the groups that bound this process."""
-    found = [os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")]
-    with suppress(OSError, ValueError, StopIteration):
+    try:
         lines = Path("/proc/meminfo").read_text().splitlines()
-        found = [int(next(line for line in lines if line.startswith("MemAvailable:")).split()[1]) * 1024]
-    return max(0, int(min(*found, cgroups.memory_left())))
+        found = int(next(line for line in lines if line.startswith("MemAvailable:")).split()[1]) * 1024
+    except (OSError, ValueError, StopIteration):
+        pages = "SC_PHYS_PAGES", "SC_PAGE_SIZE"
+        found = psutil.virtual_memory().available if psutil else math.prod(map(os.sysconf, pages))
+    return max(0, int(min(found, cgroups.memory_left())))
 
 
 def room(bound: int) -> int:

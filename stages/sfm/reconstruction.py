@@ -14,6 +14,7 @@ import threading
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -28,6 +29,10 @@ from stages.sfm.job import MODEL, RESULT, Job, journal_of
 
 ROOT = Path(__file__).resolve().parents[2]
 POLL_SECONDS = 0.2
+# A process group of the child's own, which the terminal's Ctrl-C does not reach.
+OWN_GROUP: dict[str, Any] = (
+    {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP} if sys.platform == "win32" else {"start_new_session": True}
+)
 PROBED_BYTES = 4_000_000  # what a disk that is not full must be able to take
 
 
@@ -122,7 +127,7 @@ def run_child(job: Path, context: Context) -> None:
     with open(log, "wb") as errors:
         child = subprocess.Popen(
             [sys.executable, "-P", "-m", "stages.sfm.child", str(job)], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
-            stderr=errors, start_new_session=True, env={**os.environ, "PYTHONPATH": _search_path()},
+            stderr=errors, env={**os.environ, "PYTHONPATH": _search_path()}, **OWN_GROUP,
         )  # fmt: skip
     try:
         fault = _follow(child, context)
@@ -144,7 +149,7 @@ def _search_path() -> str:
 def _end(child: subprocess.Popen) -> None:
     if child.poll() is None:
         with suppress(ProcessLookupError):
-            os.killpg(child.pid, signal.SIGKILL)
+            os.killpg(child.pid, signal.SIGKILL) if hasattr(os, "killpg") else child.kill()
         child.wait()
     for stream in (child.stdin, child.stdout):
         stream.close()
@@ -193,7 +198,7 @@ def _fault(kind: str, text: str) -> BaseException:
 
 def _death(code: int, log: Path) -> BaseException:
     """What to tell when the child died without a word."""
-    if code == -signal.SIGKILL:
+    if hasattr(signal, "SIGKILL") and code == -signal.SIGKILL:
         return OutOfResources(
             "structure from motion was killed by the system, most likely for its memory; give a smaller --sfm-side or "
             "--sfm-features and run the same command"

@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import chdir, contextmanager
 from pathlib import Path
 
 
@@ -10,8 +10,13 @@ from pathlib import Path
 def current_folder(folder: Path) -> Iterator[None]:
     """Makes `folder` the current one for a moment: for imports alone, since it is that of every thread.
 
-    The old one is held open, not named: it may have been renamed or deleted.
+    The old one is held open, not named: it may have been renamed or deleted. Windows, which can only name it, lets
+    nobody do that to a current folder.
     """
+    if not hasattr(os, "fchdir"):
+        with chdir(folder):
+            yield
+        return
     before = os.open(".", getattr(os, "O_PATH", os.O_RDONLY))
     try:
         os.chdir(folder)

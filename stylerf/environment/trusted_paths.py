@@ -5,11 +5,17 @@ import stat
 from pathlib import Path
 
 
+def user_id() -> int:
+    """Number of the user; on Windows, which gives none, zero, as its files have it."""
+    return os.geteuid() if hasattr(os, "geteuid") else 0
+
+
 def not_ours(path: Path) -> str | None:
     """Why what lies at `path`, which exists, may be somebody else's, in words that follow its name; None if it is ours.
 
     All of it must belong to this user, hold no link, and be writable, or out of reach, for everybody else. The folders
-    that lead to it must be this user's or the system's, and writable by nobody else unless they are sticky.
+    that lead to it must be this user's or the system's, and writable by nobody else unless they are sticky. On
+    Windows, where a file's mode says nothing of users and rights, only links are found.
     """
     found = path.lstat()
     if why := _foreign(found) or _open(found):
@@ -24,7 +30,7 @@ def not_ours(path: Path) -> str | None:
     # Both ways to it: as it is written, where a link may lead elsewhere, and as it is in the end.
     for parent in dict.fromkeys([*Path(os.path.abspath(path)).parents, *path.resolve().parents]):
         for folder in (parent.lstat(), parent.stat()):
-            if folder.st_uid not in (0, os.geteuid()):
+            if folder.st_uid not in (0, user_id()):
                 return f"lies in {parent}, which belongs to user {folder.st_uid}"
         if not folder.st_mode & stat.S_ISVTX and (why := _open(folder)):
             return f"lies in {parent}, which {why}"
@@ -34,11 +40,13 @@ def not_ours(path: Path) -> str | None:
 def _foreign(found: os.stat_result) -> str | None:
     if stat.S_ISLNK(found.st_mode):
         return "is a link"
-    return None if found.st_uid == os.geteuid() else f"belongs to user {found.st_uid}"
+    return None if found.st_uid == user_id() else f"belongs to user {found.st_uid}"
 
 
 def _open(found: os.stat_result) -> str | None:
+    if not hasattr(os, "getegid"):
+        return None
     # Many systems give each user a group of the same number, which may write to all that the user makes.
-    own_group = found.st_gid == os.getegid() == os.geteuid()
+    own_group = found.st_gid == os.getegid() == user_id()
     others = stat.S_IWOTH if own_group else stat.S_IWOTH | stat.S_IWGRP
     return "can be written by others" if found.st_mode & others else None

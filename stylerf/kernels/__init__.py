@@ -16,7 +16,7 @@ from pathlib import Path
 from llvmlite import binding
 
 from stylerf.environment.current_folder import current_folder
-from stylerf.environment.trusted_paths import not_ours
+from stylerf.environment.trusted_paths import not_ours, user_id
 
 _NAME = re.compile(r"[0-9a-f]{12}-[^/]+-[0-9a-f]{8}-[0-9]+")
 
@@ -47,7 +47,7 @@ def _name() -> str:
     for source in sorted((Path(__file__).parent / "cpu").glob("*.py")):
         digest.update(source.read_bytes())
     features = hashlib.sha256(binding.get_host_cpu_features().flatten().encode())
-    return f"{digest.hexdigest()[:12]}-{binding.get_host_cpu_name()}-{features.hexdigest()[:8]}-{os.geteuid()}"
+    return f"{digest.hexdigest()[:12]}-{binding.get_host_cpu_name()}-{features.hexdigest()[:8]}-{user_id()}"
 
 
 def refusal(folder: Path) -> str | None:
@@ -82,7 +82,7 @@ if given := os.environ.get("TRITON_CACHE_DIR"):
 elif given := os.environ.get("TRITON_HOME"):
     _triton = Path(given) / ".triton" / "cache"
 else:
-    _triton = _folder.parent / f"triton-{os.geteuid()}"
+    _triton = _folder.parent / f"triton-{user_id()}"
     os.environ["TRITON_CACHE_DIR"] = str(_triton)
 triton_not_kept = refusal(_triton) if _triton.exists() or not given else None
 if triton_not_kept:

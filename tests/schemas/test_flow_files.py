@@ -54,7 +54,7 @@ def test_arrays_of_another_shape_or_with_code_in_them_are_refused(tmp_path):
         read_flow(tmp_path / "absent.flo")
 
 
-def test_a_flow_that_claims_more_than_it_holds_is_refused_before_memory_is_asked_for(tmp_path):
+def test_a_flow_file_too_short_for_its_header_is_refused_early(tmp_path):
     header = b"{'descr': '<f4', 'fortran_order': False, 'shape': (900000, 900000, 2), }"
     header += b" " * (64 - (10 + len(header) + 1) % 64) + b"\n"
     (tmp_path / "a.npy").write_bytes(b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header)

@@ -240,7 +240,7 @@ def test_bands_join_without_a_seam(tmp_path, monkeypatch, layout):
     np.testing.assert_array_equal(to_uint8(read_image(path).pixels), array)
 
 
-def test_what_takes_more_memory_than_allowed_is_refused_before_it_is_decoded(tmp_path, monkeypatch):
+def test_an_image_over_the_memory_limit_is_refused_before_decoding(tmp_path, monkeypatch):
     paths = [store(tmp_path / f"a.{suffix}", np.zeros((900, 1000, 3), np.uint8)) for suffix in ("png", "jp2", "webp")]
     for path in paths:
         assert read_image(path).size == (1000, 900)

@@ -1,7 +1,6 @@
 """Locks: one writer, whoever deletes or links what; a file that is no lock is never written to."""
 
 import errno
-import fcntl
 import multiprocessing
 import os
 import socket
@@ -37,34 +36,34 @@ def other_process(tmp_path):
     child.join()
 
 
-def test_the_holder_is_told_by_process_and_host(tmp_path, other_process):
+def test_the_message_names_the_holders_process_and_host(tmp_path, other_process):
     with pytest.raises(OutOfResources, match=f"process .{other_process.pid} on {socket.gethostname()}"):
         WorkFolder(tmp_path).begin("field", "fit", RECIPE)
 
 
-def test_a_second_writer_is_kept_out_though_the_lock_file_was_deleted(tmp_path, other_process):
+def test_deleting_the_lock_file_lets_no_second_writer_in(tmp_path, other_process):
     (tmp_path / "field" / ".fit.lock").unlink()
     with pytest.raises(OutOfResources, match="another process"):
         WorkFolder(tmp_path).begin("field", "fit", RECIPE)
 
 
-def test_a_lock_file_deleted_while_it_is_taken_is_taken_anew(tmp_path, monkeypatch):
-    path, real, calls = tmp_path / ".a.lock", fcntl.flock, []
+def test_a_lock_file_deleted_while_it_is_taken_is_taken_again(tmp_path, monkeypatch):
+    path, real, calls = tmp_path / ".a.lock", lock.lock_descriptor, []
 
-    def deleting(handle, how):
+    def deleting(handle, **how):
         if not calls:
             path.unlink()
         calls.append(how)
-        real(handle, how)
+        return real(handle, **how)
 
-    monkeypatch.setattr(lock.fcntl, "flock", deleting)
+    monkeypatch.setattr(lock, "lock_descriptor", deleting)
     held = Lock(path)
     assert len(calls) == 2 and path.is_file()
     held.release()
 
 
-@pytest.mark.parametrize("kind", ["link", "hard link", "pipe", "folder", "document", "link to nothing"])
-def test_what_is_no_lock_file_is_neither_written_to_nor_followed(tmp_path, kind):
+@pytest.mark.parametrize("kind", ["link", "hard link", "pipe", "folder", "document", "letter", "link to nothing"])
+def test_what_is_not_a_lock_file_is_left_alone(tmp_path, kind):
     letter, path = tmp_path / "letter.txt", tmp_path / "field" / ".fit.lock"
     letter.write_text("Dear Sir")
     path.parent.mkdir()
@@ -75,12 +74,13 @@ def test_what_is_no_lock_file_is_neither_written_to_nor_followed(tmp_path, kind)
         "pipe": lambda: os.mkfifo(path),
         "folder": path.mkdir,
         "document": lambda: path.write_text("Dear Madam"),
+        "letter": lambda: path.write_text("x"),
     }
     made[kind]()
-    with pytest.raises(WouldBeLost, match=r"\.fit\.lock is no lock file"):
+    with pytest.raises(WouldBeLost, match=r"\.fit\.lock is not a lock file"):
         WorkFolder(tmp_path).begin("field", "fit", RECIPE)
     assert letter.read_text() == "Dear Sir" and not (tmp_path / "new").exists()
-    assert kind != "document" or path.read_text() == "Dear Madam"
+    assert {"document": "Dear Madam", "letter": "x"}.get(kind) in (None, path.is_file() and path.read_text())
 
 
 def test_a_lock_in_a_groups_folder_can_be_taken_by_its_members(tmp_path):
@@ -120,15 +120,15 @@ def test_a_lock_of_another_user_counts_where_others_may_write(tmp_path):
     assert not taken()
 
 
-def test_a_disk_that_locks_no_folders_is_no_fault(tmp_path, monkeypatch):
-    real = fcntl.flock
+def test_a_disk_that_locks_only_files_still_works(tmp_path, monkeypatch):
+    real = lock.lock_descriptor
 
-    def files_alone(handle, how):
+    def files_only(handle, **how):
         if stat.S_ISDIR(os.fstat(handle).st_mode):
             raise OSError(errno.EBADF, "")
-        real(handle, how)
+        return real(handle, **how)
 
-    monkeypatch.setattr(lock.fcntl, "flock", files_alone)
+    monkeypatch.setattr(lock, "lock_descriptor", files_only)
     assert WorkFolder(tmp_path).begin("field", "fit", RECIPE).commit().name == "fit"
     held = WorkFolder(tmp_path).begin("field", "b", RECIPE)
     with pytest.raises(OutOfResources, match="another process"):  # the lock file alone still keeps others out
@@ -136,7 +136,7 @@ def test_a_disk_that_locks_no_folders_is_no_fault(tmp_path, monkeypatch):
     held.discard()
 
 
-def test_a_folder_that_may_not_be_written_to_is_told(tmp_path, monkeypatch):
+def test_a_folder_without_write_permission_is_reported(tmp_path, monkeypatch):
     """As the system answers whoever is not root: no permission to make the file, which is then not there to be read."""
     real = os.open
 

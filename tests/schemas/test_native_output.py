@@ -9,7 +9,7 @@ from schemas import native_output
 from schemas.native_output import native_output_restored, native_output_silenced
 
 
-def test_what_is_written_below_python_is_not_heard_inside_and_is_heard_after(capfd):
+def test_native_output_is_silenced_inside_the_block_only(capfd):
     with native_output_silenced():
         os.write(1, b"one")
         with native_output_silenced():

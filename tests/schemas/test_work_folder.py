@@ -264,7 +264,7 @@ def test_what_no_run_wrote_is_not_deleted_with_what_is_replaced(tmp_path, added)
     assert again.resumed and again.commit().manifest.seed == 1
 
 
-def test_a_folder_that_is_no_artifact_is_not_deleted_and_a_damaged_one_is_made_again(tmp_path):
+def test_foreign_folders_are_kept_and_damaged_artifacts_rebuilt(tmp_path):
     work, folder = WorkFolder(tmp_path), tmp_path / "field" / "fox"
     (folder / "scans").mkdir(parents=True)
     work.begin("field", "fox", recipe()).discard()  # nothing would be lost
@@ -284,7 +284,7 @@ def test_a_folder_that_is_no_artifact_is_not_deleted_and_a_damaged_one_is_made_a
     make(work).verify()
 
 
-def test_a_link_to_nothing_is_told_before_a_run_and_does_not_cost_a_finished_one(tmp_path):
+def test_a_dangling_link_is_reported_before_a_run_and_costs_no_result(tmp_path):
     work = WorkFolder(tmp_path)
     begun = work.begin("field", "fox", recipe())
     os.symlink(tmp_path / "gone", tmp_path / "field" / "fox")
@@ -362,10 +362,10 @@ def test_a_second_writer_is_refused_until_the_first_ends(tmp_path):
 
 
 def test_a_disk_that_cannot_lock_is_not_taken_for_another_process(tmp_path, monkeypatch):
-    def refuse(*_):
+    def refuse(*_, **__):
         raise OSError(errno.ENOSYS, os.strerror(errno.ENOSYS))
 
-    monkeypatch.setattr(lock.fcntl, "flock", refuse)
+    monkeypatch.setattr(lock, "lock_descriptor", refuse)
     with pytest.raises(OutOfResources, match=r"\.fox\.lock cannot be locked .Function not implemented.") as caught:
         WorkFolder(tmp_path).begin("field", "fox", recipe())
     assert "another process" not in str(caught.value)

@@ -46,7 +46,7 @@ def test_a_pixel_is_painted_as_far_as_the_region_covers_it(channels, weight, sha
     assert np.abs(found.reshape(-1, channels) / 255 - wanted).max() < 0.51 / 255
 
 
-def test_pixels_of_an_earlier_edit_are_learned_from_by_the_whole_field_only(tmp_path):
+def test_pixels_of_an_earlier_edit_train_the_whole_field_only(tmp_path):
     """Two edits beside each other, of which the second covers one pixel of the first."""
     scene = make_capture(WorkFolder(tmp_path))
     first = {"1.pixels": np.array([5, 6]), "1.depth": np.float32([1, 2]), "2.pixels": np.array([7]),

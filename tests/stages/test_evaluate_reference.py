@@ -143,7 +143,7 @@ def test_a_changed_reference_is_measured_anew(tmp_path):
     assert first and pinned(config).reference_digest != first
 
 
-def test_the_edit_that_a_field_learned_is_found_through_the_scene_of_edited_pictures(tmp_path):
+def test_a_fields_edit_is_found_through_its_distilled_scene(tmp_path):
     work = WorkFolder(tmp_path / "work")
     photos = made.make_scene(work, [0.0], depth=False)
     fit = made.make_field(work, "wall", "fit", {"scene": photos})

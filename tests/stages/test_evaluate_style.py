@@ -122,7 +122,7 @@ def test_figures_of_a_stylized_field(stylized, painted):
     assert {record.path for record in artifact.manifest.files} >= {"charts/nnfm_views.svg"}
 
 
-def test_a_field_made_after_references_alone_is_measured_against_the_first_and_says_so(stylized, tmp_path, painted):
+def test_a_field_with_references_only_is_compared_with_the_first(stylized, tmp_path, painted):
     """Ref-NPR without --style: what stands in its folder as style.png is the reference picture, no painting."""
     inputs, *_ = stylized
     write_png(tmp_path / "stripes.png", np.round(painted * 255).astype(np.uint8))

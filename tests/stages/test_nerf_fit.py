@@ -91,7 +91,7 @@ def test_behind_a_field_stands_what_it_was_trained_over(kind):
     assert level_of(_shown(kind)) == background_of(kind, 1, None)[0, 0]
 
 
-def test_a_scene_without_background_in_a_box_stands_on_what_taught_it_and_tells_its_own_ranks(tmp_path):
+def test_a_boxed_object_scene_keeps_its_background_and_reports_its_ranks(tmp_path):
     """What is made of the field later teaches with the background that is told here. Behind a small network the color
     has one width from the first rung on; six steps are enough for two rungs."""
     work, said = WorkFolder(tmp_path / "work"), Said()
@@ -140,7 +140,7 @@ def test_options_of_objects_without_effect_are_told_where_they_were_set(layout, 
     assert not idle or said.lines[0].startswith(f"no effect of {idle}, for objects cut out by transparency: layout")
 
 
-def test_a_fit_of_a_capture_tells_options_of_objects_and_is_the_same_without_them(tmp_path):
+def test_object_options_are_reported_and_change_nothing_on_a_capture(tmp_path):
     """What is told to have no effect has none: the field is the same to the bit."""
     work, digests = WorkFolder(tmp_path / "work"), []
     scene = make_capture(work, layout="unbounded", background="none")

@@ -101,7 +101,7 @@ def test_a_deformation_is_learned_on_the_device_and_kept_as_on_the_cpu(few_rays,
 
 
 @pytest.mark.parametrize("kind", ["vm", "hash"])
-def test_a_stylization_that_bends_is_handed_the_device_where_its_kernels_know_the_field(kind, monkeypatch, tmp_path):
+def test_deforming_stylization_uses_the_gpu_where_kernels_allow(kind, monkeypatch, tmp_path):
     inputs = inputs_in(WorkFolder(tmp_path / "work"))
     scene, (field, _) = load_scene(inputs["scene"]), load_field(inputs["field"])
     if kind == "hash":

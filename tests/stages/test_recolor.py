@@ -94,7 +94,7 @@ def test_figures_of_weights_do_not_outlive_them(work):
     assert kept == [dict.fromkeys(TOLD), TOLD]
 
 
-def test_a_change_around_a_pixel_has_its_place_on_the_surface_that_it_shows(work):
+def test_a_change_around_a_pixel_is_placed_on_the_visible_surface(work):
     """The middle pixel of the first view looks down z from the origin; the fog begins at z = 2."""
     recolored(work, palette=("1=#ffffff",), at=("photo_00:48,36",))
     (edit,) = load_field(work.get("field", "new"))[0].color.edits

@@ -33,7 +33,7 @@ def test_every_seed_counts_for_the_reach_however_many_there_are():
         assert not found[0].any() and found[13, 13, 13]
 
 
-def test_a_seed_whose_cell_no_look_has_seen_has_the_color_of_its_own_pixel():
+def test_a_seed_in_an_unseen_cell_takes_the_color_of_its_pixel():
     red, blue = np.float32([0.9, 0.1, 0.1]), np.float32([0.1, 0.1, 0.8])
     known, lab = np.zeros((CELLS,) * 3, bool), np.full((CELLS, CELLS, CELLS, 3), np.nan, np.float32)
     known[2, 2, 2] = True

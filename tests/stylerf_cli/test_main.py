@@ -29,12 +29,6 @@ def toy(monkeypatch):
     toy_verb.FAULT.clear()
 
 
-def test_where_it_does_not_run_it_says_so(monkeypatch, capsys):
-    monkeypatch.setattr(sys, "platform", "win32")
-    assert main(["doctor"]) == 2
-    assert "on Windows use its Linux subsystem" in capsys.readouterr().err
-
-
 def command(*arguments, **settings):
     """A fresh process, as a user starts it; the toy verb is in its table."""
     code = (

@@ -62,7 +62,7 @@ def test_photos_go_to_a_file_where_the_system_cannot_reserve_its_place(scene, tm
     assert np.array_equal(here.bytes, there.bytes)
 
 
-def test_a_view_without_alpha_among_others_is_opaque_without_being_read_twice(scene, monkeypatch, tmp_path):
+def test_a_view_without_alpha_among_others_is_opaque_and_read_once(scene, monkeypatch, tmp_path):
     whole, read = scene.images, []
 
     def images(index):
@@ -121,7 +121,7 @@ def test_no_more_of_the_file_stays_in_memory_than_it_may(tmp_path):
     assert found[0] > 100e6 and found[1] < 75e6, found
 
 
-def test_a_photo_that_teaches_colors_to_a_capture_has_what_the_field_shows_where_it_hides_something():
+def test_masked_pixels_of_a_capture_are_filled_from_the_field():
     field = wall_in_front(0.02)
     camera = Camera("view", 8, 6, 8.0, 8.0, 4.0, 3.0, np.eye(4))
     pixels = np.full((6, 8, 4), 0.25, np.float32)

@@ -32,7 +32,7 @@ def test_views_go_by_name_and_else_by_number():
             training_view(scene(), name, "--x")
 
 
-def test_a_reference_of_another_size_is_scaled_and_of_another_shape_refused(tmp_path):
+def test_references_are_rescaled_but_other_aspect_ratios_are_refused(tmp_path):
     pixels = np.zeros((60, 80, 3), np.uint8)
     pixels[:, 40:] = 255
     write_png(tmp_path / "large.png", pixels)
@@ -95,7 +95,7 @@ def test_a_painting_beside_references_must_have_a_say():
         StylizeConfig(style="x", method="refnpr", reference=("0=x.png",), match=match)
 
 
-def test_a_reference_is_painted_as_arf_paints_and_followed_by_other_weights():
+def test_refnpr_uses_arfs_weights_for_the_refit_and_its_own_after():
     found = settings_of(StylizeConfig(style="x", method="refnpr", style_weight=3.0), 200, True)
     assert (found.weights.style, found.weights.content, found.weights.color) == (1.0, 0.02, 10.0)
     weights = found.template_weights
@@ -118,7 +118,7 @@ def test_coarse_matches_are_found_by_the_last_block_or_the_deepest_layer():
     assert coarse_taps({"conv1_1.weight": torch.zeros(1), "conv3_1.weight": torch.zeros(1)}) == "conv3_1"
 
 
-def test_layers_that_weights_do_not_have_are_left_out_of_defaults_and_not_of_what_is_asked_for():
+def test_layers_absent_from_the_weights_are_dropped_from_defaults_only():
     short = {f"{layer}.weight": torch.zeros(1) for layer in LAYERS[:5]}  # to conv3_1
     config = StylizeConfig(style="x", method="refnpr")
     assert painting_taps(config, short) == "conv3_1" and template_taps(config, short) == "conv3_1"

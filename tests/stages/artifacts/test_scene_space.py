@@ -20,7 +20,7 @@ def scene(layout: str, centers, box=((-1, -1, -1), (1, 1, 1)), near: float = 0.5
     return SimpleNamespace(layout=layout, scene=about, cameras=cameras, bounds=Bounds(box, near, 10.0))
 
 
-def test_half_of_an_unbounded_scene_s_cube_is_about_what_the_cameras_look_at():
+def test_half_the_cube_of_an_unbounded_scene_covers_the_cameras_focus():
     space, _ = space_of(scene("unbounded", [(0, 0, -1), (1, 0, 0)]), "auto")
     assert space.kind == "contraction" and 0 < FOCUS < 1
     np.testing.assert_allclose(space.warp([[FOCUS, 0, 0], [-FOCUS, 0, FOCUS]]), [[0.75, 0.5, 0.5], [0.25, 0.5, 0.75]])

@@ -384,7 +384,7 @@ def damaged_beside_llff(root: Path) -> None:
     counts_believed(root)
 
 
-def test_a_damaged_model_beside_other_poses_is_refused_with_the_format_that_works(capture, tmp_path):
+def test_a_damaged_model_beside_other_poses_names_the_format_that_works(capture, tmp_path):
     damaged_beside_llff(capture)
     with pytest.raises(BadInput, match=r"images\.bin is damaged.*or take other poses.*--format llff$"):
         imported(capture, tmp_path / "work")

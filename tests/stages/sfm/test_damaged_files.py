@@ -147,7 +147,7 @@ def test_a_damaged_database_is_made_again(job, damage):
     assert tell.lines == ["warning: the features and matches of the interrupted run are damaged; finding them again"]
 
 
-def test_a_whole_database_is_kept_and_rows_of_a_step_cut_short_are_found_again(job, tmp_path):
+def test_an_intact_database_is_kept_and_partial_rows_are_recomputed(job, tmp_path):
     _, path = matched(job)
     whole = rows(path)
     tell, _ = matched(job)

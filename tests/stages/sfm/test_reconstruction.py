@@ -301,7 +301,7 @@ def test_photos_side_by_side_without_matches_are_found_out(finished):
         assert ("fold the scene" in quality.verdict(found)[0]) == (must is folded)
 
 
-def test_features_under_masks_are_dropped_and_photos_without_masks_keep_theirs(room, tmp_path):
+def test_masked_features_are_dropped_and_unmasked_photos_keep_all(room, tmp_path):
     photos = sorted(room.glob("*.png"))[:4]
     gray = read_image(photos[2]).pixels.mean(axis=2)
     photos[2] = tmp_path / "gray.png"
@@ -361,7 +361,7 @@ def test_a_folded_lego_is_refused(data_dir, tmp_path):
 
 @pytest.mark.realdata
 @pytest.mark.slow
-def test_wrong_cameras_that_nobody_stands_beside_are_left_out_by_their_silhouettes(data_dir, tmp_path):
+def test_silhouettes_reject_isolated_wrong_cameras(data_dir, tmp_path):
     """Of 40 photos 28 are placed, two of them more than 100 degrees off."""
     frames = in_order_around(lego_frames(data_dir)[:40])
     for index, frame in enumerate(frames):

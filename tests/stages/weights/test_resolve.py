@@ -157,7 +157,7 @@ def test_order_hub_then_hed_then_st(nowhere, packages, monkeypatch):
     assert resolve.resolve().name == "st-vgg16"
 
 
-def test_a_recipe_names_the_weights_that_were_found_and_a_file_by_its_digest(nowhere, packages, monkeypatch):
+def test_a_recipe_holds_the_weights_found_and_files_by_digest(nowhere, packages, monkeypatch):
     assert resolve.chosen("") == {"features": "hed-vgg16", "features_digest": ""}
     in_hub(nowhere, monkeypatch)
     assert resolve.chosen("")["features"] == resolve.resolve().name == "vgg16"

@@ -51,7 +51,7 @@ def test_growth_reaches_what_a_queue_reaches(seed):
     assert found.grown.sum() - 1 == sum(found.shells)
 
 
-def test_growth_that_is_cut_short_looks_at_so_many_cells_and_takes_whole_shells_first():
+def test_limited_growth_visits_that_many_cells_shell_by_shell():
     start = np.zeros((SIDE,) * 3, bool)
     start[3, 3, 3] = True
     everywhere = np.ones_like(start)

@@ -44,7 +44,7 @@ def seen(field):
     return camera, photo, seen_of_view(field, camera, photo, halves(), Extraction(0.5, 0.3), 2, 1)
 
 
-def test_pixels_of_the_region_are_those_whose_ray_meets_its_half_of_the_box(seen):
+def test_region_pixels_are_those_whose_rays_hit_its_half_of_the_box(seen):
     camera, _, found = seen
     origins, directions = (a.astype(np.float64) for a in camera.rays())
     sides = np.stack([(s * SIDE - origins) / directions for s in (-1, 1)])
@@ -70,7 +70,7 @@ def test_depth_and_ends_agree_with_the_box(seen):
     assert np.quantile(on_a_side, 0.9) < 0.06
 
 
-def test_what_lies_behind_the_region_takes_part_in_its_rays_depth_and_opacity():
+def test_content_behind_the_region_counts_in_its_rays_depth_and_opacity():
     """A fog: of many rays a good part of the opacity lies before or behind the region."""
     field = RadianceField(SPACE, density(1, size=(8, 8, 8), shift=-3.0), vm_color(2), OccupancyGrid(32), 0.01)
     camera = dome(6, 1)[2]
@@ -86,7 +86,7 @@ def test_what_lies_behind_the_region_takes_part_in_its_rays_depth_and_opacity():
     np.testing.assert_allclose(seen.inside, inside[seen.pixels], atol=1e-5)
 
 
-def test_the_depth_of_a_whole_ray_leaves_out_the_backdrop_as_a_renders_does():
+def test_the_depth_of_a_whole_ray_excludes_the_background():
     """A capture, of whose rays some light is left for an opaque backdrop far away: fine-tuning compares the two."""
     space = SpaceWarp("contraction", SpaceWarp.box([-0.8] * 3, [0.8] * 3).parameters, 0.0, 1e3)
     field = RadianceField(space, density(1, size=(8, 8, 8), shift=-3.0), vm_color(2), OccupancyGrid(32), 0.01)

@@ -93,7 +93,7 @@ def test_a_shape_is_simplified_to_its_own_corners():
     np.testing.assert_allclose(found[np.lexsort(found.T)], CORNERS[np.lexsort(CORNERS.T)], atol=1e-6)
 
 
-def test_a_tetrahedron_without_its_tips_is_found_again_around_what_is_left():
+def test_a_tetrahedron_is_recovered_from_points_without_its_tips():
     cut = mixes(100, 3)
     cut = cut[mixing_weights(cut, CORNERS).max(1) < 0.9]
     found = simplified(cut, 4)
@@ -109,7 +109,7 @@ def test_as_few_corners_as_the_error_asks_for():
     assert 4 <= len(found) <= len(ConvexHull(colors).vertices) and hull_error(found, colors) <= ERROR
 
 
-def test_mixes_of_four_corners_are_barycentric_and_those_from_outside_the_nearest():
+def test_weights_are_barycentric_inside_and_nearest_point_outside():
     wanted = np.random.default_rng(5).dirichlet(np.ones(4), 20)
     np.testing.assert_allclose(mixing_weights(wanted @ CORNERS, CORNERS), wanted, atol=1e-6)
     for color in np.random.default_rng(6).random((4, 3)) * 1.4 - 0.2:

@@ -70,7 +70,7 @@ def test_a_large_view_is_looked_at_by_every_other_ray(field, monkeypatch):
     assert sums[1][:, 3].sum() == pytest.approx(sums[0][:, 3].sum() / 4, rel=0.1)
 
 
-def test_what_is_seen_only_with_the_region_is_claimed_and_what_is_seen_alone_is_not():
+def test_cells_seen_only_with_the_region_join_it_and_others_do_not():
     """Rays along z through a soft slab: most of their weight in marked cells, some behind; others see only behind."""
 
     def look(columns: range) -> Look:

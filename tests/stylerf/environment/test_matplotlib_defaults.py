@@ -14,7 +14,7 @@ print([key for key, value in usual.items() if matplotlib.rcParams[key] != value]
 """
 
 
-def test_neither_the_current_folders_nor_the_users_settings_change_a_chart(tmp_path):
+def test_neither_local_nor_user_matplotlibrc_changes_a_chart(tmp_path):
     for place in (tmp_path, tmp_path / "config"):
         place.mkdir(exist_ok=True)
         (place / "matplotlibrc").write_text("font.size: 60\naxes.facecolor: red\ntext.usetex: True\nnonsense\n")
@@ -35,7 +35,7 @@ def test_all_of_matplotlib_is_imported_there():
                 assert not any(line.startswith(("import matplotlib", "from matplotlib")) for line in lines), path
 
 
-def test_the_current_folder_is_the_old_one_again_even_where_it_has_been_deleted(tmp_path):
+def test_the_current_folder_is_restored_even_if_it_was_deleted(tmp_path):
     (tmp_path / "gone").mkdir()
     code = """
 import os, pathlib

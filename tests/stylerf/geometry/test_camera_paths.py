@@ -109,7 +109,7 @@ def test_a_spiral_looks_at_one_point_and_makes_two_turns():
     assert not centers[:, 1].round(9).any()
 
 
-def test_interpolation_passes_through_every_camera_once_by_nearest_neighbors():
+def test_interpolation_visits_every_camera_once_by_nearest_neighbor():
     cameras = walk()
     frames = path("interpolate", cameras, 9)
     order = [frame.center for frame in frames[::2]]
@@ -124,7 +124,7 @@ def test_interpolation_passes_through_every_camera_once_by_nearest_neighbors():
     np.testing.assert_allclose(frames[3].forward, middle / np.linalg.norm(middle), atol=2e-3)
 
 
-def test_interpolation_between_evenly_spaced_cameras_is_a_straight_even_walk():
+def test_interpolating_evenly_spaced_cameras_moves_straight_and_evenly():
     cameras = [camera((x, 0, 0), (x, 5, 0)) for x in np.arange(5.0)]
     centers = np.array([f.center for f in path("interpolate", cameras, 41)])[10:31]  # the ends start at rest
     np.testing.assert_allclose(np.abs(np.diff(centers[:, 0])), 0.1, atol=1e-9)

@@ -43,7 +43,7 @@ def test_layouts_are_told_from_the_cameras():
     assert scene_normalization.decided_layout(turned(poses_of(forward())), "").name == "forward"
 
 
-def test_centerd_brings_the_focus_to_the_origin_at_distance_one_with_up_up():
+def test_centering_puts_the_focus_at_the_origin_at_unit_distance():
     for poses in (poses_of(ring()), turned(poses_of(ring()))):
         matrix = scene_normalization.centerd(poses)
         moved = np.array([scene_normalization.moved(pose, matrix) for pose in poses])
@@ -96,7 +96,7 @@ def test_cameras_at_one_point_are_refused(center, kept_in):
 
 @pytest.mark.parametrize("scale", [1e-9, 1e-4, 1e6])
 @pytest.mark.parametrize("capture", [ring, forward])
-def test_neither_unit_nor_origin_decide_whether_cameras_stand_at_one_point(capture, scale):
+def test_coincident_cameras_are_found_in_any_unit_and_origin(capture, scale):
     poses = poses_of(capture())
     wanted = np.cbrt(np.linalg.det(scene_normalization.centerd(poses)[:3, :3]))
     small, far = poses.copy(), poses.copy()

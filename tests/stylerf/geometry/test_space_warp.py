@@ -28,7 +28,7 @@ def test_depths_are_a_quarter_of_the_width_at_least_and_no_more_than_it(parallax
     assert deep == pytest.approx(share * wide, abs=0.6)
 
 
-def test_a_frustum_of_unknown_parallax_is_even_and_parallax_moves_no_point():
+def test_unknown_parallax_gives_an_even_frustum_and_no_point_moves():
     even, uneven = (SpaceWarp.frustum(0.9, 0.6, 1.0, 1e3, parallax=p) for p in (0.0, 0.4))
     np.testing.assert_array_equal(even.cells_per_axis(50), [50, 50, 50])
     points = np.random.default_rng(0).uniform((-1, -1, 1), (1, 1, 9), (50, 3))

@@ -103,7 +103,7 @@ def test_perceptual_distances_see_what_each_protocol_hands_them(slid):
     assert flow_consistency(source, target, forward, backward, pixels).perceptual == 0.5
 
 
-def test_along_the_fields_own_flow_the_correct_measure_agrees_with_the_warp_by_depth():
+def test_consistency_by_the_fields_flow_agrees_with_that_by_depth():
     a, b = see(camera_at(), BOARD), see(camera_at(x=0.5), BOARD)
     forward, backward = field_flow(a, b.camera), field_flow(b, a.camera)
     by_depth = pair_consistency(a, b)

@@ -111,7 +111,7 @@ def test_explained_structure_is_that_of_a_line_in_each_window():
     assert explained_structure(other, photo) == pytest.approx(expected, rel=1e-6) and expected < 0.2
 
 
-def test_explained_structure_asks_nothing_where_the_photo_is_smooth_or_masked():
+def test_explained_structure_ignores_smooth_and_masked_pixels():
     generator = np.random.default_rng(4)
     photo = np.full((40, 40, 3), 0.5)
     photo[:, :16] = generator.random((40, 16, 3))

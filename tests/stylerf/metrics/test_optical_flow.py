@@ -16,7 +16,7 @@ def random_flow(seed, size=(9, 11), reach=4.0):
     return np.random.default_rng(seed).uniform(-reach, reach, (*size, 2))
 
 
-def test_flow_of_a_plane_moved_sideways_is_focal_length_times_shift_over_depth():
+def test_flow_of_a_shifted_plane_is_focal_times_shift_over_depth():
     a, b = see(camera_at(), PLANE), camera_at(x=0.3, y=-0.1)
     found = field_flow(a, b)
     np.testing.assert_allclose(found, np.broadcast_to([-60 * 0.3 / 3, 60 * 0.1 / 3], found.shape), atol=1e-4)

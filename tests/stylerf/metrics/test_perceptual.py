@@ -130,7 +130,7 @@ def test_distance_is_zero_for_equals_symmetric_and_grows_with_noise(kind):
 
 
 @pytest.mark.parametrize("kind", list(HEADS))
-def test_maps_have_the_size_of_the_picture_and_see_where_the_difference_is(kind):
+def test_maps_match_the_image_size_and_locate_the_difference(kind):
     metric = PerceptualDistance(small_state(kind), kind)
     picture = pictures(4, 80, 128)
     altered = picture.clone()
@@ -140,7 +140,7 @@ def test_maps_have_the_size_of_the_picture_and_see_where_the_difference_is(kind)
     assert (found[:, :, :32].mean(dim=(1, 2)) > 3 * found[:, :, 96:].mean(dim=(1, 2))).all()
 
 
-def test_gradient_is_finite_for_black_pictures_and_bad_arguments_are_refused():
+def test_black_images_have_finite_gradients_and_bad_input_is_refused():
     metric = PerceptualDistance(small_state("alex"), "alex")
     black = torch.zeros(1, 3, 49, 58, requires_grad=True)
     (gradient,) = torch.autograd.grad(metric(black, pictures(5)[:1]).sum(), black)

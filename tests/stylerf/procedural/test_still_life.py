@@ -47,7 +47,7 @@ def test_colors_are_those_of_light_things_and_dark_ones():
     assert len(np.unique((rgb[solid] * 8).astype(int), axis=0)) > 40  # several materials, shaded
 
 
-def test_threads_and_repetition_change_nothing_but_the_seed_changes_textures_alone():
+def test_threads_change_nothing_and_the_seed_only_textures():
     again = LIFE.render(CAMERA, threads=2)
     np.testing.assert_array_equal(again.rgba, VIEW.rgba)
     other = StillLife(1).render(CAMERA)

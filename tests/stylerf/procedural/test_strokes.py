@@ -21,7 +21,7 @@ def paths(starts, lengths, angles, regions=ONE_REGION, step=0.5) -> list[np.ndar
     return [points[a:b] for a, b in itertools.pairwise(offsets)]
 
 
-def test_a_straight_flow_gives_a_straight_path_of_its_length_about_its_start():
+def test_a_straight_flow_gives_a_straight_path_centered_on_its_start():
     angle = 0.4
     (path,) = paths([[80, 70]], [50], np.full((SIZE, SIZE), angle))
     along = (path - [80, 70]) @ [np.cos(angle), np.sin(angle)]
@@ -107,7 +107,7 @@ def test_later_strokes_lie_over_earlier_ones():
     assert middle[..., 2].mean() > 0.75 and middle[..., 0].mean() < 0.15
 
 
-def test_relief_of_a_flat_canvas_is_the_paint_and_slopes_catch_light_from_the_upper_left():
+def test_relief_keeps_flat_paint_and_lights_slopes_from_the_upper_left():
     paint, _ = canvas()
     np.testing.assert_allclose(relief(paint, np.full((SIZE, SIZE), 0.7), 3.0), 0.5 * 1.10, atol=1e-12)
     hill = np.exp(-((ROWS - 80.0) ** 2 + (COLUMNS - 80.0) ** 2) / 300)

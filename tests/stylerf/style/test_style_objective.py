@@ -107,7 +107,7 @@ def test_the_diagonal_variation_is_the_mean_of_its_pixels():
 
 
 @pytest.mark.parametrize("masked", [False, True])
-def test_the_gram_distance_is_that_of_feature_products_relative_to_the_paintings(masked):
+def test_gram_distance_is_relative_to_the_style_images_gram_matrix(masked):
     image, alpha = picture(HEIGHT, WIDTH, 2), object_alpha() if masked else None
     made = GramObjective(small_trunk(), picture(30, 40, 1), (HEIGHT, WIDTH), WEIGHTS)
     painted = blocks_of(made.trunk, style_picture(picture(30, 40, 1), HEIGHT, WIDTH, 0.5))
@@ -179,7 +179,7 @@ def test_fewer_rows_and_a_basis_choose_worse_or_equal_neighbors():
     assert exact < few < 1 and exact < short < 1
 
 
-def test_the_painting_itself_is_at_no_distance_but_where_all_features_are_silent():
+def test_the_style_image_is_at_distance_zero_unless_features_are_zero():
     painting = picture(30, 40, 1)
     made = StyleObjective(small_trunk(), painting, (30, 40), StyleWeights(1, 0, 0, 0), scale=1.0, basis=0)
     silent = sum((f == 0).all(0).mean() for f in blocks_of(made.trunk, painting))
@@ -208,7 +208,7 @@ def test_a_window_is_as_wide_as_a_trunk_needs(at):
     assert columns == slice(0, 40)  # no more than the view has
 
 
-def test_the_loss_in_a_window_is_that_of_the_whole_where_the_window_is_wide_enough():
+def test_the_loss_in_a_wide_enough_window_equals_that_of_the_whole():
     """Beyond the object lies an even background, which the small trunk's filters do not see across the margin."""
     generator = torch.Generator().manual_seed(3)
     alpha = torch.zeros(64, 96)
