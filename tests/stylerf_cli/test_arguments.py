@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 
 from schemas.errors import UsageError
-from stages.configs import option
+from stages.configs import flags_of, option
 from stages.configs.render import RenderConfig
-from stylerf_cli.arguments import Parser, add_common, add_config, flags_of
+from stylerf_cli.arguments import Parser, add_common, add_config
 from stylerf_cli.main import main
 from stylerf_cli.options import Options
 from tests.conftest import REPOSITORY
@@ -105,7 +105,7 @@ def test_other_verbs_get_their_own_table_only(tmp_path):
         ("grid = 1", "list of 2"),
         ("layers = [1]", "text in quotes"),
         ('mode = "slow"', "fast, exact"),
-        ("steps = ", "no TOML"),
+        ("steps = ", "not valid TOML"),
         ('seed = "x"', "seed takes a value of type int"),
         ('device = "tpu"', "tpu"),
         ("threads = 0", "at least 1"),

@@ -14,7 +14,7 @@ from schemas.canonical_json import plain
 from schemas.images import write_png
 from schemas.work_folder import WorkFolder
 from stages.configs.render import RenderConfig
-from stages.pipeline import prerequisites
+from stages.pipeline import evaluation
 from stages.render import SPEC, pinned
 from stylerf_cli.main import main
 from tests.conftest import REPOSITORY
@@ -52,12 +52,12 @@ def renderer(monkeypatch):
     """Stands in for the chain that renders what is missing; remembers what it was asked for."""
     asked = []
 
-    def ensure_frames(session, field, path, name):
+    def ensure_frames(runner, field, path, name):
         asked.append((field.name, path))
         digest = pinned(RenderConfig(path=path)).path_digest
-        return render(session.work, field, path, name=name, path_digest=digest)
+        return render(runner.work, field, path, name=name, path_digest=digest)
 
-    monkeypatch.setattr(prerequisites, "ensure_frames", ensure_frames)
+    monkeypatch.setattr(evaluation, "ensure_frames", ensure_frames)
     return asked
 
 

@@ -13,6 +13,7 @@ from schemas.canonical_json import file_sha256
 from schemas.errors import ArtifactDamaged, ArtifactStale, BadInput, OutOfResources, UsageError
 from schemas.work_folder import WorkFolder
 from stages.configs.stress import StressConfig
+from stages.run.progress import Context
 from stages.stress import edit_trials, trials
 from stages.stress.criteria import Seen, Verdict
 from stages.stress.faults import FAULTS, METHODS
@@ -190,8 +191,7 @@ def test_another_trunk_or_device_is_another_run_and_no_baseline(folder, runs, ca
     config = StressConfig(methods=("fit",), faults=("seeds",))
     keys = []
     for device in ("cpu", "cuda"):
-        session = SimpleNamespace(context=SimpleNamespace(device=device), common=SimpleNamespace(seed=0))
-        one = trials.Stress(session, config, WorkFolder(folder).get("scene", "main"), folder / "stress")
+        one = trials.Stress(Context(device=device), config, WorkFolder(folder).get("scene", "main"), folder / "stress")
         keys.append(one.key_of(next(one.trials())))
         assert one.conditions["device"] == device and one.conditions["criteria"] == trials.criteria.REVISION
     assert keys[0] != keys[1]

@@ -6,7 +6,6 @@ import pytest
 
 from stages.run import cgroups, memory
 from stages.run.memory import available_bytes, bytes_of, free, in_words, used
-from stylerf_cli import options
 
 
 @pytest.mark.parametrize(
@@ -101,8 +100,6 @@ def test_a_limit_of_any_group_around_the_process_counts(groups, own, folder, nam
         ("", {}, float("inf")),
     ],
 )
-def test_a_quota_of_processors_time_counts(groups, own, files, cores, monkeypatch):
+def test_a_quota_of_processors_time_counts(groups, own, files, cores):
     groups(own, files)
     assert cgroups.cores() == cores
-    monkeypatch.setattr(options.os, "sched_getaffinity", lambda process: set(range(16)))
-    assert options._usable_cores() == min(16, int(min(cores, 16)))
