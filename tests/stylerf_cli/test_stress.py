@@ -15,7 +15,7 @@ from schemas.work_folder import WorkFolder
 from stages.configs.stress import StressConfig
 from stages.run.progress import Context
 from stages.stress import edit_trials, trials
-from stages.stress.criteria import Seen, Verdict
+from stages.stress.criteria import ViewPair, Verdict
 from stages.stress.faults import FAULTS, METHODS
 from stylerf.errors import Diverged
 from stylerf_cli.main import main
@@ -52,7 +52,7 @@ def runs(monkeypatch):
     stand_in = Runs()
     monkeypatch.setattr(trials.Stress, "_scene", stand_in.scene)
     monkeypatch.setattr(trials.Stress, "_verdict", stand_in.verdict)
-    monkeypatch.setattr(trials, "painted", lambda fault, side, seed: np.full((16, 16, 3), 0.1 * seed))
+    monkeypatch.setattr(trials, "style_image_of", lambda fault, side, seed: np.full((16, 16, 3), 0.1 * seed))
     return stand_in
 
 
@@ -172,19 +172,19 @@ def test_another_trunk_or_device_is_another_run_and_no_baseline(folder, runs, ca
     baseline = str(tmp_path / "baseline.json")
     assert stress(folder, "--write-baseline", baseline) == 0 and len(runs.made) == 15
     other = {"features": "another-trunk", "features_digest": ""}
-    monkeypatch.setattr(trials.weights, "chosen", lambda features: other)
+    monkeypatch.setattr(trials.resolve, "chosen", lambda features: other)
     assert stress(folder, "--baseline", baseline) == 2 and "now 'another-trunk'" in capsys.readouterr().err
     assert stress(folder) == 0 and len(runs.made) == 15 + 9  # a fit sees no painting
-    monkeypatch.setattr(trials.weights, "chosen", lambda features: (_ for _ in ()).throw(UsageError("none")))
+    monkeypatch.setattr(trials.resolve, "chosen", lambda features: (_ for _ in ()).throw(UsageError("none")))
     fits = ("--methods", "fit", "--faults", "seeds", "blur", "--seeds", "3", "--budget", "10")
     assert stress(folder) == 2 and main(["stress", str(folder), *fits]) == 0
     kept = str(tmp_path / "fits.json")  # of fits: whatever weights there are, they compare
     assert main(["stress", str(folder), *fits, "--write-baseline", kept]) == 0
     assert "features" not in (folder / "stress" / "stress.html").read_text()
-    monkeypatch.setattr(trials.weights, "found_trunk", lambda: "yet-another")
+    monkeypatch.setattr(trials.resolve, "found_trunk", lambda: "yet-another")
     assert main(["stress", str(folder), *fits, "--baseline", kept]) == 0
     assert main(["stress", str(folder), *fits, "--baseline", baseline]) == 0
-    monkeypatch.setattr(trials.weights, "chosen", lambda features: other)
+    monkeypatch.setattr(trials.resolve, "chosen", lambda features: other)
     capsys.readouterr()
     assert stress(folder, "--baseline", kept) == 0 and "no cell of 2 compared" in capsys.readouterr().out
     monkeypatch.undo()
@@ -205,25 +205,25 @@ def test_what_stands_is_found_without_its_painting(folder, runs, capsys):
 
 
 def test_paintings_are_made_anew_by_force_and_of_another_revision(folder, runs, capsys, monkeypatch, tmp_path):
-    baseline, painted = str(tmp_path / "baseline.json"), []
+    baseline, style_image_of = str(tmp_path / "baseline.json"), []
 
     def other(fault, side, seed):
-        painted.append((fault, seed))
+        style_image_of.append((fault, seed))
         return np.full((16, 16, 3), 0.9)
 
     assert stress(folder, "--write-baseline", baseline) == 0
     before = {path.name: path.read_bytes() for path in (folder / "stress" / "styles").iterdir()}
-    monkeypatch.setattr(trials, "painted", other)
-    assert stress(folder) == 0 and painted == [] and len(runs.made) == 15
-    assert stress(folder, "--force", "--only") == 4 and painted == []
+    monkeypatch.setattr(trials, "style_image_of", other)
+    assert stress(folder) == 0 and style_image_of == [] and len(runs.made) == 15
+    assert stress(folder, "--force", "--only") == 4 and style_image_of == []
     assert stress(folder, "--force") == 0
-    assert sorted(painted) == [("", 0), ("", 1), ("", 2), *(("style-white", seed) for seed in range(3))]
+    assert sorted(style_image_of) == [("", 0), ("", 1), ("", 2), *(("style-white", seed) for seed in range(3))]
     assert all((folder / "stress" / "styles" / name).read_bytes() != content for name, content in before.items())
     assert stress(folder, "--baseline", baseline) == 0  # who changes a painting tells by its revision
-    monkeypatch.setattr(trials.paintings, "REVISION", 2)
+    monkeypatch.setattr(trials.style_images, "REVISION", 2)
     capsys.readouterr()
     assert stress(folder, "--baseline", baseline) == 2 and "paintings 1, now 2" in capsys.readouterr().err
-    assert stress(folder) == 0 and len(painted) == 12
+    assert stress(folder) == 0 and len(style_image_of) == 12
 
 
 def test_a_baseline_does_not_replace_itself(folder, runs, capsys, tmp_path):
@@ -243,7 +243,7 @@ def test_what_a_killed_run_left_goes_once_all_of_it_stands(folder, runs, capsys)
     def leave() -> None:
         for place in (left, kept):
             (place / "field").mkdir(parents=True, exist_ok=True)
-        (kept / trials.KEPT).touch()
+        (kept / trials.KEEP_MARKER).touch()
 
     leave()
     runs.raising["arf", "seeds", 0] = KeyboardInterrupt()
@@ -273,11 +273,11 @@ class Stages:
 
 @pytest.fixture
 def stages(monkeypatch):
-    stand_in, view = Stages(), Seen("v", np.zeros((4, 4, 3)), np.ones((4, 4, 3)))
+    stand_in, view = Stages(), ViewPair("v", np.zeros((4, 4, 3)), np.ones((4, 4, 3)))
     monkeypatch.setattr(trials, "execute", stand_in.execute)
-    monkeypatch.setattr(trials, "seen_from_tests", lambda *_: [view])
-    monkeypatch.setattr(trials.criteria, "judged_style", lambda *_: Verdict(True, "", 0.5, 0))
-    monkeypatch.setattr(trials, "painted", lambda *_: np.zeros((16, 16, 3)))
+    monkeypatch.setattr(trials, "view_pairs", lambda *_: [view])
+    monkeypatch.setattr(trials.criteria, "judge_style", lambda *_: Verdict(True, "", 0.5, 0))
+    monkeypatch.setattr(trials, "style_image_of", lambda *_: np.zeros((16, 16, 3)))
     return stand_in
 
 
@@ -409,8 +409,8 @@ def test_an_edits_options_follow_its_fault(folder, runs, capsys):
     def options(method, fault, remedies=False, quick=False, budget="25s"):
         conditions = {"quick": quick, "style_budget": budget}
         painting = None
-        if METHODS[method].sees_painting:
-            file = folder / "stress" / "styles" / f"ordinary-256-0-r{trials.paintings.REVISION}.png"
+        if METHODS[method].takes_style:
+            file = folder / "stress" / "styles" / f"ordinary-256-0-r{trials.style_images.REVISION}.png"
             painting = {"style": str(file), "style_digest": file_sha256(file)}
         return edit_trials.options_of(METHODS[method], FAULTS[fault], remedies, conditions, painting)
 
@@ -418,8 +418,8 @@ def test_an_edits_options_follow_its_fault(folder, runs, capsys):
     assert (plain.learning.start, begun.learning.start) == ("clusters", "random")
     assert options("laenerf-recolor", "palette-random", remedies=True) == plain
     assert plain.changes != options("palettenerf", "palette-full").changes == ("all=#00ff00",)
-    painted = options("laenerf-paint", "seeds")
-    assert painted.changes == () and painted.described()["learning"].style == "-" and painted.learning.style_digest
+    style_image_of = options("laenerf-paint", "seeds")
+    assert style_image_of.changes == () and style_image_of.described()["learning"].style == "-" and style_image_of.learning.style_digest
     assert options("palettenerf", "seeds").learning.budget == plain.finetune.budget == plain.learning.budget == "25s"
     assert options("palettenerf", "seeds", quick=True, budget="15").learning.budget == "60"
     stepped, quick = (options("laenerf-recolor", "seeds", quick=quick, budget="40") for quick in (False, True))
@@ -430,18 +430,18 @@ def test_an_edits_options_follow_its_fault(folder, runs, capsys):
 
 def test_a_run_takes_as_long_as_all_that_it_is_made_of(folder, monkeypatch, capsys):
     """Scene and fit are shared; a stage that fails counts as long as it ran."""
-    seconds = {"fault_scene": 1.0, "nerf_fit": 10.0, "stylize": 100.0}
+    seconds = {"corrupt_scene": 1.0, "nerf_fit": 10.0, "stylize": 100.0}
 
     def execute(spec, run, work, name, inputs, config, context):
         if spec.stage == "stylize" and context.seed == 1:
             raise Diverged("left the finite numbers")
         return SimpleNamespace(manifest=SimpleNamespace(seconds=seconds[spec.stage])), False
 
-    view = Seen("v", np.zeros((4, 4, 3)), np.ones((4, 4, 3)))
+    view = ViewPair("v", np.zeros((4, 4, 3)), np.ones((4, 4, 3)))
     monkeypatch.setattr(trials, "execute", execute)
-    monkeypatch.setattr(trials, "seen_from_tests", lambda *_: [view])
-    monkeypatch.setattr(trials.criteria, "judged_style", lambda *_: Verdict(True, "", 0.5, 0))
-    monkeypatch.setattr(trials, "painted", lambda *_: np.zeros((16, 16, 3)))
+    monkeypatch.setattr(trials, "view_pairs", lambda *_: [view])
+    monkeypatch.setattr(trials.criteria, "judge_style", lambda *_: Verdict(True, "", 0.5, 0))
+    monkeypatch.setattr(trials, "style_image_of", lambda *_: np.zeros((16, 16, 3)))
     few = ("--methods", "fit", "arf", "--faults", "seeds", "--seeds", "2", "--budget", "10")
     assert main(["stress", str(folder), *few, "--json"]) == 0
     capsys.readouterr()
@@ -467,7 +467,7 @@ def test_real_runs_of_a_still_life(work, capsys):
 
 @pytest.mark.slow
 def test_real_edits_of_a_still_life(work, capsys):
-    """A fit, then a part of it recolored, painted, and recolored by a palette of the whole; tiny."""
+    """A fit, then a part of it recolored, style_image_of, and recolored by a palette of the whole; tiny."""
     options = ("--quick", "--side", "48", "--seeds", "1", "--budget", "150", "--keep", "--json")
     methods = ("laenerf-recolor", "laenerf-paint", "palettenerf")
     assert main(["stress", str(work), "--methods", *methods, "--faults", "seeds", "palette-full", *options]) == 0
