@@ -31,9 +31,9 @@ from stages.run.progress import Context, Silent
 from stages.run.runner import execute
 from stages.stress import criteria, edit_trials
 from stages.stress.faults import CLEAN, FAULTS, METHODS, ORDINARY_STYLE, STYLE, Fault, Method
-from stages.stress.outcomes import save_outcome, load_outcome
+from stages.stress.outcomes import load_outcome, save_outcome
 from stages.stress.success_rates import REMEDIED, REMEDIED_FILE, Outcome, run_name
-from stages.stress.test_views import view_pairs, view_pairs_of_edit, side_by_side
+from stages.stress.test_views import side_by_side, view_pairs, view_pairs_of_edit
 from stages.weights import resolve
 from stylerf.corruption import style_images
 

@@ -15,7 +15,7 @@ from schemas.work_folder import WorkFolder
 from stages.configs.stress import StressConfig
 from stages.run.progress import Context
 from stages.stress import edit_trials, trials
-from stages.stress.criteria import ViewPair, Verdict
+from stages.stress.criteria import Verdict, ViewPair
 from stages.stress.faults import FAULTS, METHODS
 from stylerf.errors import Diverged
 from stylerf_cli.main import main

@@ -18,7 +18,7 @@ from stages.stress import test_views
 from stages.stress.baseline import compared, read_baseline, write_baseline
 from stages.stress.criteria import LEAST_GAIN, LEAST_STRUCTURE, ViewPair, judge_edit, judge_fit, judge_style
 from stages.stress.faults import FAULTS, METHODS, PALETTE, STYLE
-from stages.stress.outcomes import save_outcome, load_outcome
+from stages.stress.outcomes import load_outcome, save_outcome
 from stages.stress.success_rates import cells_of
 from stages.stress.test_views import side_by_side
 from stylerf.geometry.cameras import Camera
