@@ -93,6 +93,16 @@ def test_files_and_json_tell_the_same(folder, runs, capsys):
     assert main(["verify", str(folder), "--quiet"]) == 0  # what it writes is no artifact of this work folder
 
 
+def test_leftovers_of_a_killed_run_are_deleted(folder, runs):
+    assert stress(folder) == 0
+    out = folder / "stress"
+    left = [out / name / ".heat_map.0a1b2c3d.tmp.svg" for name in ("", "charts", "runs", "styles", "worst")]
+    for path in left:
+        path.write_text("half")
+    assert stress(folder) == 0
+    assert not any(path.exists() for path in left) and (out / "charts" / "heat_map.svg").is_file()
+
+
 def test_what_stands_is_not_run_again(folder, runs, capsys):
     runs.raising["arf", "blur", 1] = KeyboardInterrupt()
     assert stress(folder) == 130
@@ -205,25 +215,25 @@ def test_what_stands_is_found_without_its_painting(folder, runs, capsys):
 
 
 def test_paintings_are_made_anew_by_force_and_of_another_revision(folder, runs, capsys, monkeypatch, tmp_path):
-    baseline, style_image_of = str(tmp_path / "baseline.json"), []
+    baseline, made = str(tmp_path / "baseline.json"), []
 
     def other(fault, side, seed):
-        style_image_of.append((fault, seed))
+        made.append((fault, seed))
         return np.full((16, 16, 3), 0.9)
 
     assert stress(folder, "--write-baseline", baseline) == 0
     before = {path.name: path.read_bytes() for path in (folder / "stress" / "styles").iterdir()}
     monkeypatch.setattr(trials, "style_image_of", other)
-    assert stress(folder) == 0 and style_image_of == [] and len(runs.made) == 15
-    assert stress(folder, "--force", "--only") == 4 and style_image_of == []
+    assert stress(folder) == 0 and made == [] and len(runs.made) == 15
+    assert stress(folder, "--force", "--only") == 4 and made == []
     assert stress(folder, "--force") == 0
-    assert sorted(style_image_of) == [("", 0), ("", 1), ("", 2), *(("style-white", seed) for seed in range(3))]
+    assert sorted(made) == [("", 0), ("", 1), ("", 2), *(("style-white", seed) for seed in range(3))]
     assert all((folder / "stress" / "styles" / name).read_bytes() != content for name, content in before.items())
     assert stress(folder, "--baseline", baseline) == 0  # who changes a painting tells by its revision
     monkeypatch.setattr(trials.style_images, "REVISION", 2)
     capsys.readouterr()
     assert stress(folder, "--baseline", baseline) == 2 and "paintings 1, now 2" in capsys.readouterr().err
-    assert stress(folder) == 0 and len(style_image_of) == 12
+    assert stress(folder) == 0 and len(made) == 12
 
 
 def test_a_baseline_does_not_replace_itself(folder, runs, capsys, tmp_path):
@@ -418,8 +428,8 @@ def test_an_edits_options_follow_its_fault(folder, runs, capsys):
     assert (plain.learning.start, begun.learning.start) == ("clusters", "random")
     assert options("laenerf-recolor", "palette-random", remedies=True) == plain
     assert plain.changes != options("palettenerf", "palette-full").changes == ("all=#00ff00",)
-    style_image_of = options("laenerf-paint", "seeds")
-    assert style_image_of.changes == () and style_image_of.described()["learning"].style == "-" and style_image_of.learning.style_digest
+    painted = options("laenerf-paint", "seeds")
+    assert painted.changes == () and painted.described()["learning"].style == "-" and painted.learning.style_digest
     assert options("palettenerf", "seeds").learning.budget == plain.finetune.budget == plain.learning.budget == "25s"
     assert options("palettenerf", "seeds", quick=True, budget="15").learning.budget == "60"
     stepped, quick = (options("laenerf-recolor", "seeds", quick=quick, budget="40") for quick in (False, True))
@@ -467,7 +477,7 @@ def test_real_runs_of_a_still_life(work, capsys):
 
 @pytest.mark.slow
 def test_real_edits_of_a_still_life(work, capsys):
-    """A fit, then a part of it recolored, style_image_of, and recolored by a palette of the whole; tiny."""
+    """A fit, then a part of it recolored, painted, and recolored by a palette of the whole; tiny."""
     options = ("--quick", "--side", "48", "--seeds", "1", "--budget", "150", "--keep", "--json")
     methods = ("laenerf-recolor", "laenerf-paint", "palettenerf")
     assert main(["stress", str(work), "--methods", *methods, "--faults", "seeds", "palette-full", *options]) == 0
