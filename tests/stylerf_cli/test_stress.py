@@ -148,7 +148,7 @@ def test_nothing_stands_and_nothing_faces(folder, runs, capsys):
     assert not (folder / "stress").exists()  # not even a painting
     assert main(["stress", str(folder), "--methods", "fit", "--faults", "style-white"]) == 2
     assert main(["stress", str(folder), "--methods", "magic"]) == 2
-    assert "there are fit, fit-hash" in capsys.readouterr().err
+    assert "known are fit, fit-hash" in capsys.readouterr().err
 
 
 def test_what_breaks_has_failed_and_what_the_machine_refuses_ends_it(folder, runs, capsys):
@@ -243,7 +243,7 @@ def test_a_baseline_does_not_replace_itself(folder, runs, capsys, tmp_path):
     runs.answers["arf", "seeds"] = 5.0
     for named in (["--write-baseline"], ["--write-baseline", str(baseline)]):
         assert stress(folder, "--force", "--baseline", f"{folder}/stress/../stress/baseline.json", *named) == 2
-        assert "name one file" in capsys.readouterr().err
+        assert "name the same file" in capsys.readouterr().err
     assert baseline.read_bytes() == before
 
 

@@ -17,7 +17,7 @@ def test_amounts(text, count):
 
 @pytest.mark.parametrize("text", ["", "8 gigabytes", "-1G", "8GiB", "G", "inf"])
 def test_what_is_no_amount(text):
-    with pytest.raises(ValueError, match="like 512M or 8G"):
+    with pytest.raises(ValueError, match="such as 512M or 8G"):
         bytes_of(text)
 
 

@@ -228,7 +228,7 @@ def test_a_stage_resumes_where_it_stopped_and_the_clock_adds_up(tmp_path, expect
         toy(work, function=interrupted)
     assert work.artifacts() == [] and work.unfinished() == [("field", "fox")]
     made, _ = execute(SPEC, run, work, "fox", {}, ToyConfig(), Context(progress=Heard()))
-    assert said == ["going on with the interrupted toy of fox"]
+    assert said == ["resuming the interrupted toy of fox"]
     assert files_of(made) == files_of(expected_artifact(tmp_path))
     assert made.manifest.figures["runs"] == 2
     assert 0.2 <= made.manifest.seconds < 20
@@ -257,10 +257,10 @@ def test_dear_work_with_other_options_is_not_lost_without_a_word(tmp_path, expec
     made, _ = asked(ToyConfig())
     assert made.digest == expected and made.manifest.seconds > 3300
     assert asked(ToyConfig())[1]
-    assert said == ["going on with the interrupted toy of fox"]
+    assert said == ["resuming the interrupted toy of fox"]
     asked(ToyConfig(steps=31))
     assert said[1:] == [
-        "field fox, 55 min of work with --steps 30, is replaced once this is done; `stylerf toy --name NAME` keeps both"
+        "field fox, 55 min of work with --steps 30, will be replaced when this is done; `stylerf toy --name NAME` keeps both"
     ]
     asked(ToyConfig())  # what took a moment goes without a word
     with pytest.raises(KeyboardInterrupt):
@@ -345,8 +345,8 @@ def test_dear_work_of_other_inputs_is_told_when_it_is_given_up(tmp_path, monkeyp
     assert said == [
         f"{before}, 0 min of work with scene main as it was, {after}"
         for before, after in (
-            ("an interrupted `stylerf toy` of field fox", "cannot go on and is deleted"),
-            ("field fox", "is replaced once this is done; `stylerf toy --name NAME` keeps both"),
+            ("an interrupted `stylerf toy` of field fox", "cannot resume; deleting it"),
+            ("field fox", "will be replaced when this is done; `stylerf toy --name NAME` keeps both"),
         )
     ]
 

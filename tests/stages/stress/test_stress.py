@@ -60,7 +60,7 @@ def test_an_object_is_set_beside_its_own_outlines_in_one_color():
         [ViewPair("v", np.broadcast_to(blob, truth.shape), truth)]
     ).ok  # where nothing tells object and ground
     verdict = judge_fit([ViewPair("v", np.broadcast_to(blob, truth.shape), truth, mask)])
-    assert not verdict.ok and "outlines" in verdict.why
+    assert not verdict.ok and "silhouette" in verdict.why
     assert verdict.figures["gain_over_flat"] == pytest.approx(0.0, abs=0.1)
     better = np.where(mask[..., None], truth + 0.5 * (inside.mean(0) - truth), 1.0).astype(np.float32)
     assert judge_fit([ViewPair("v", better, truth, mask)]).figures["gain_over_flat"] == pytest.approx(6.02, abs=0.05)
@@ -150,7 +150,7 @@ def test_an_edit_changes_its_part_and_nothing_around_it():
     assert verdict.ok and verdict.worst == 1 and verdict.score == pytest.approx(0.9, abs=2e-3)
     assert verdict.figures["change_inside"] == pytest.approx(20, abs=0.05)
     assert verdict.figures["change_around"] == pytest.approx(2, abs=0.02)
-    for inside, around, why in ((9, 0, "the part changed by 9.0"), (20, 4.5, "what is around it"), (0, 0, "0.0 dE")):
+    for inside, around, why in ((9, 0, "the region changed by 9.0"), (20, 4.5, "its surroundings"), (0, 0, "0.0 dE")):
         verdict = judge_edit([edited_view(inside, around)])
         assert not verdict.ok and why in verdict.why
     assert judge_edit([edited_view(0, 0)]).score == 0 and judge_edit([edited_view(10, 20)]).score == 0
@@ -158,7 +158,7 @@ def test_an_edit_changes_its_part_and_nothing_around_it():
 
 def test_an_edit_that_no_test_view_shows_or_that_keeps_no_content_or_is_broken_fails():
     unseen = edited_view(20, 0, np.zeros((40, 48), bool))
-    assert judge_edit([unseen]).why == "no test view shows the part"
+    assert judge_edit([unseen]).why == "no test view shows the region"
     assert judge_edit([unseen, edited_view(20, 0)]).ok  # those that show it count
     view = edited_view(20, 0)
     inverted = np.where(view.mask[..., None], 1.3 - view.photo, view.photo)
@@ -257,11 +257,11 @@ def test_weights_and_paintings_count_where_both_have_methods_that_see_one(tmp_pa
         write_baseline(path, cells_of(five(5, 20.0)), made)
         for conditions in fitting:
             assert len(read_baseline(path, conditions)) == 1
-    with pytest.raises(UsageError, match="features 'a', now 'b', paintings 1, now 2; give the same"):
+    with pytest.raises(UsageError, match="features 'a', now 'b', paintings 1, now 2; use the same"):
         read_baseline(path, other)
     write_baseline(path, cells_of(five(5, 20.0)), {"seeds": 5, "features": "a"})  # of before paintings were told
     assert len(read_baseline(path, fits)) == 1
-    with pytest.raises(UsageError, match="paintings not told"):
+    with pytest.raises(UsageError, match="paintings missing"):
         read_baseline(path, mixed)
 
 
@@ -269,8 +269,8 @@ def test_runs_that_all_break_are_worse_than_runs_that_fail():
     broken = [outcome(seed=seed, score=None, ok=False) for seed in range(5)]
     failing, none = cells_of(five(0, 5.0)), cells_of(broken)
     before = [[asdict(cell) for cell in cells] for cells in (failing, none)]
-    assert compared(before[0], none).worse == ["fit under seeds: median score of no run, was 5.000"]
-    assert compared(before[1], failing).better == ["fit under seeds: median score 5.000, was of no run"]
+    assert compared(before[0], none).worse == ["fit under seeds: median score missing, was 5.000"]
+    assert compared(before[1], failing).better == ["fit under seeds: median score 5.000, was missing"]
     same = compared(before[1], none)
     assert same.worse == same.better == [] and same.matched == 1
 
@@ -283,7 +283,7 @@ def test_cells_that_lack_runs_are_not_compared_nor_kept(tmp_path):
     assert held.worse == held.better == [] and held.matched == 0
     assert held.unmatched[1:] == ["fit under seeds: number of runs 1, was 5"]
     kept = path.read_bytes()
-    with pytest.raises(UsageError, match="fit under seeds has 1 of 5 runs; run the same without --only"):
+    with pytest.raises(UsageError, match="fit under seeds has 1 of 5 runs; rerun without --only"):
         write_baseline(path, part, conditions)
     assert path.read_bytes() == kept
 
@@ -304,7 +304,7 @@ def test_other_conditions_and_files_that_are_none_are_refused(tmp_path):
     write_baseline(path, cells_of(five(5, 20.0)), conditions)
     with pytest.raises(UsageError, match="budget '10', now '20'"):
         read_baseline(path, conditions | {"budget": "20"})
-    with pytest.raises(UsageError, match="other conditions: criteria not told; give the same, or write it anew"):
+    with pytest.raises(UsageError, match="other conditions: criteria missing; use the same, or write a new one"):
         read_baseline(path, conditions | {"criteria": 3})  # of before it was kept
     content = json.loads(path.read_text())
     for spoiled in (
@@ -358,7 +358,7 @@ def test_options_choose_and_refuse():
     assert not facing["fit"] & {STYLE, PALETTE} and facing["arf"] == facing["laenerf-paint"] == {"scene", "made", STYLE}
     assert facing["laenerf-recolor"] == facing["palettenerf"] == {"scene", "made", PALETTE}
     assert not METHODS["palettenerf"].faces(FAULTS["palette-random"])
-    assert all("{" not in fault.told for fault in FAULTS.values())
+    assert all("{" not in fault.description for fault in FAULTS.values())
 
 
 def test_what_a_mask_hides_in_a_capture_judges_no_method(monkeypatch):
