@@ -139,12 +139,12 @@ def command(words: tuple[str, ...]) -> tuple[int | None, str, str]:
 def call(reader, path: Path) -> tuple[int | None, str, str]:
     """The same of a reader that is called."""
     from schemas.safe_names import printable
-    from stylerf_cli.exit_codes import told
+    from stylerf_cli.exit_codes import code_and_line
 
     try:
         reader(path)
     except Exception as error:
-        code, line = told(error, [], None)
+        code, line = code_and_line(error, [], None)
         return code, "", f"stylerf: error: {printable(line)}\n"
     return 0, "", ""
 
@@ -200,9 +200,9 @@ def serve(root: Path, lane: Path) -> None:
     import stages.nerf_fit
     import stages.pose_import
     import stages.render  # noqa: F401
-    from stylerf_cli import session
+    from stages.pipeline import resources
 
-    session._may_have_gpu = lambda: False
+    resources._may_have_gpu = lambda: False
     tempfile.tempdir = str(lane / "tmp")  # where reports of crashes go
     shutil.rmtree(lane, ignore_errors=True)
     (lane / "tmp").mkdir(parents=True)

@@ -168,7 +168,7 @@ def test_find_by_unique_prefix(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["", ".a", "a/b", "../x", "a b", "x" * 101])
-def test_unsound_names_are_refused(tmp_path, name):
+def test_unvalid_names_are_refused(tmp_path, name):
     with pytest.raises(UsageError):
         WorkFolder(tmp_path).begin("field", name, recipe())
 

@@ -115,6 +115,8 @@ def test_what_is_told_of_shifts(found, starts):
 
 def test_a_view_unlike_its_render_is_told_where_the_others_are_like_theirs():
     odd = ViewShift("odd", 3.0, 0.003, 0.4, False)
-    assert pose_warning([*shifts(1.0), odd]).startswith("poses: odd and its render have little in common (correlation 0.40, ")
+    assert pose_warning([*shifts(1.0), odd]).startswith(
+        "poses: odd and its render have little in common (correlation 0.40, "
+    )
     assert pose_warning([*shifts(1.0, alike=0.8), odd]) is None
     assert pose_metrics([*shifts(1.0), odd])["worst_view"] == "odd"

@@ -79,7 +79,9 @@ def test_a_page_is_shown_without_faults(browser, folder, name, width, scheme):
     assert browser.evaluate(LOW_CONTRAST) == []
     dark = browser.evaluate("matchMedia('(prefers-color-scheme: dark)').matches")
     assert dark == (scheme == "dark")
-    assert browser.evaluate("getComputedStyle(document.body).backgroundColor") != f"rgb({'255, 255, 255' if dark else ''})"
+    assert (
+        browser.evaluate("getComputedStyle(document.body).backgroundColor") != f"rgb({'255, 255, 255' if dark else ''})"
+    )
     if screenshots := os.environ.get("STYLERF_SCREENSHOTS"):
         taken = browser.send("Page.captureScreenshot", captureBeyondViewport=True, clip=_whole(browser, width))
         Path(screenshots, f"{name}-{width}-{scheme}.png").write_bytes(base64.b64decode(taken["data"]))

@@ -88,7 +88,7 @@ def test_it_can_be_read_without_seeing(page):
         assert tag != "svg" or (attributes["role"] == "img" and attributes["aria-labelledby"])
     headings = [int(tag[1]) for tag in tags if re.fullmatch(r"h[1-6]", tag)]
     assert headings.count(1) == 1 and all(b - a <= 1 for a, b in pairwise(headings))
-    assert tags.count("caption") == tags.count("table") > 0 and "img" in tags or "svg" in tags
+    assert (tags.count("caption") == tags.count("table") > 0 and "img" in tags) or "svg" in tags
 
 
 def test_every_section_is_linked_and_has_content(page):

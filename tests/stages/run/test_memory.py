@@ -5,8 +5,7 @@ import mmap
 import pytest
 
 from stages.run import cgroups, memory
-from stages.run.memory import bytes_of, free, in_words, room, used
-from stylerf_cli import options
+from stages.run.memory import available_bytes, bytes_of, free, in_words, used
 
 
 @pytest.mark.parametrize(
@@ -18,7 +17,7 @@ def test_amounts(text, count):
 
 @pytest.mark.parametrize("text", ["", "8 gigabytes", "-1G", "8GiB", "G", "inf"])
 def test_what_is_no_amount(text):
-    with pytest.raises(ValueError, match="like 512M or 8G"):
+    with pytest.raises(ValueError, match="such as 512M or 8G"):
         bytes_of(text)
 
 
@@ -40,15 +39,15 @@ def test_room_is_what_a_bound_leaves_beside_what_is_in_use(monkeypatch):
         block[at] = 1
     assert used() - before > 40e6
     monkeypatch.setattr(memory, "used", lambda: 600 * 10**6)
-    assert room(10**9) == 400 * 10**6 and room(500 * 10**6) == 0
+    assert available_bytes(10**9) == 400 * 10**6 and available_bytes(500 * 10**6) == 0
 
 
 def test_without_a_bound_most_of_what_is_free_is_shared_among_the_processes_of_a_machine(monkeypatch):
     assert free() > 0
     monkeypatch.setattr(memory, "free", lambda: 8 * 10**9)
-    assert room(0) == 6 * 10**9
+    assert available_bytes(0) == 6 * 10**9
     monkeypatch.setenv("LOCAL_WORLD_SIZE", "4")
-    assert room(0) == 1.5 * 10**9
+    assert available_bytes(0) == 1.5 * 10**9
 
 
 @pytest.fixture
@@ -101,8 +100,6 @@ def test_a_limit_of_any_group_around_the_process_counts(groups, own, folder, nam
         ("", {}, float("inf")),
     ],
 )
-def test_a_quota_of_processors_time_counts(groups, own, files, cores, monkeypatch):
+def test_a_quota_of_processors_time_counts(groups, own, files, cores):
     groups(own, files)
     assert cgroups.cores() == cores
-    monkeypatch.setattr(options.os, "sched_getaffinity", lambda process: set(range(16)))
-    assert options._usable_cores() == min(16, int(min(cores, 16)))
