@@ -58,7 +58,7 @@ def capacity_chart(report: dict) -> str:
 
 
 def pareto_chart(report: dict) -> str:
-    """Quality against seconds, one column per scene: fits above, stylizations below, Pareto fronts filled and joined."""
+    """Quality against seconds, a column per scene: fits above, stylizations below, Pareto fronts filled and joined."""
     scenes = list(dict.fromkeys(row["work"] for row in report["rows"]))
 
     def draw(figure) -> None:

@@ -101,8 +101,8 @@ def strategies() -> str:
     report = result("strategies.json")
     full = report["rows"][0]
     lines = [
-        "| rays with gradients | step | in the field | field memory | style, equal steps | style, equal time "
-        "| content, equal time |",
+        "| rays with gradients | step | in the field | field memory | style, equal steps "
+        "| style, equal time | content, equal time |",
         "|---|---|---|---|---|---|---|",
     ]
     for row in report["rows"]:
@@ -119,8 +119,8 @@ def strategies() -> str:
             "",
             *lines,
             "",
-            f"{report['scene']}, {report['method']}; equal time is that of {steps} steps of `full`. Distances on held-out "
-            "views; lower is better. " + where(report),
+            f"{report['scene']}, {report['method']}; equal time is that of {steps} steps of `full`. Distances on "
+            "held-out views; lower is better. " + where(report),
         ]
     )
 
@@ -158,7 +158,7 @@ def palettes() -> str:
     if not (RESULTS / "palettes.json").is_file():
         return ""
     report = result("palettes.json")
-    lines = ["| region, made blue | method | time | background MSE (before) | change inside | bleeding | colors, L_sp |",
+    lines = ["| region, blue | method | time | background MSE (before) | change inside | bleeding | colors, L_sp |",
              "|---|---|---|---|---|---|---|"]  # fmt: skip
     lines += [f"{_region_cells(row)} {row['colors']}, {row['sparsity']:.2f} |" for row in report["rows"]]
     over = "L_sp: over the region's pixels for LAENeRF, over all pixels of the scene for PaletteNeRF. "
@@ -252,7 +252,8 @@ def captures() -> str:
     ]
     for row in report["rows"]:
         ablation = row["measure"] + (f" (`{row['flags']}`)" if row["flags"] else "")
-        lines.append(f"| {row['scene']} | {ablation} | {row['psnr']:.2f} dB | {row['ssim']:.3f} | {row['near']:.2f} % |")
+        cells = [row["scene"], ablation, f"{row['psnr']:.2f} dB", f"{row['ssim']:.3f}", f"{row['near']:.2f} %"]
+        lines.append(f"| {' | '.join(cells)} |")
     return "\n".join([*lines, "", where(report)])
 
 
@@ -278,8 +279,8 @@ def profile() -> str:
     held = [f"{row['rays']} rays, {row['samples']} samples, {row['colored']} with color" for row in rows]
     bandwidths = ", ".join(f"{row['bandwidth_gb_s']:.1f}" for row in rows)
     return "\n".join(
-        [*lines, "", f"{report['scene']}; last batches: {'; '.join(held)}. Triad bandwidth on arrays of that size: {bandwidths} GB/s. "
-         + where(report)]
+        [*lines, "", f"{report['scene']}; last batches: {'; '.join(held)}. Triad bandwidth on arrays of that size: "
+         f"{bandwidths} GB/s. " + where(report)]
     )  # fmt: skip
 
 
@@ -299,8 +300,7 @@ def stress() -> str:
         "",
         f"{', '.join(scenes)} together: {successes(report['rows'])}; photos of {conditions['side']} pixels, "
         f"{budget_text(conditions['budget'])} a fit, {budget_text(conditions['style_budget'])} a stylization. "
-        "Procedural scenes run once. "
-        + where(report),
+        "Procedural scenes run once. " + where(report),
     ]
     return "\n".join(lines)
 
@@ -357,9 +357,7 @@ def remedies() -> str:
         lines.append(f"| {cell} | {_outcome(row)} | {_outcome(after)} |")
     if len(lines) == 2 and not alike:
         return ""
-    left_out = (
-        f"Left out: {alike} cells with the same success rate and scores within {WITHIN_DB:g} dB or {WITHIN:g}."
-    )
+    left_out = f"Left out: {alike} cells with the same success rate and scores within {WITHIN_DB:g} dB or {WITHIN:g}."
     return "\n".join([*lines, "", left_out, "", where(result("stress.json"))])
 
 
@@ -367,7 +365,7 @@ def scenes_under_stress() -> str:
     """The heat maps, one panel per scene; empty if not measured."""
     if not (RESULTS / "stress.json").is_file():
         return ""
-    return "![Successful runs and median scores of each method under each fault, one panel per scene](images/stress-scenes.svg)"
+    return "![Successful runs and median scores per method and fault, one panel per scene](images/stress-scenes.svg)"
 
 
 def _alike(before: dict, after: dict) -> bool:

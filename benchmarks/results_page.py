@@ -55,8 +55,8 @@ def page(results: Path = RESULTS) -> str:
     lines = [
         HEAD,
         f"Of {figures} published figures {len(measured)} have a counterpart here: "
-        f"{verdicts.count('better')} better, {verdicts.count('worse')} worse, {verdicts.count('equal')} equal, {verdicts.count('-')} "
-        "without a verdict.",
+        f"{verdicts.count('better')} better, {verdicts.count('worse')} worse, {verdicts.count('equal')} equal, "
+        f"{verdicts.count('-')} without a verdict.",
         "",
         "| method | figure | published | ours | ours is | source | what differs |",
         "|---|---|---|---|---|---|---|",

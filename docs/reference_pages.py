@@ -58,9 +58,7 @@ def parsers_of(verb: str) -> Iterator[tuple[str, argparse.ArgumentParser]]:
 
 def options_of(verb: str) -> set[str]:
     """Return every option string of a verb, over all its uses."""
-    return {
-        name for _, parser in parsers_of(verb) for action in parser._actions for name in action.option_strings
-    }
+    return {name for _, parser in parsers_of(verb) for action in parser._actions for name in action.option_strings}
 
 
 def _rows(group: argparse._ArgumentGroup) -> list[tuple[str, str, str, str]]:
@@ -97,9 +95,7 @@ def verb_page(verb: str) -> str:
     """Return the Markdown page of one verb: synopsis, and a table of every option per use."""
     uses = list(parsers_of(verb))
     lines = [f"# stylerf {verb}", "", f"{verbs()[verb][0].upper()}{verbs()[verb][1:]}."]
-    positionals = [
-        action.metavar or action.dest for action in uses[0][1]._actions if not action.option_strings
-    ]
+    positionals = [action.metavar or action.dest for action in uses[0][1]._actions if not action.option_strings]
     lines += ["", f"    stylerf {verb} {' '.join(map(str, positionals))} [OPTIONS]"]
     tables: dict[str, list[str]] = {}  # the headings that share each set of options
     for heading, parser in uses:
@@ -148,15 +144,18 @@ def pages() -> dict[str, str]:
 
 
 def on_config(config):
-    """Fill in the sections `Command line` and `Python API` of the navigation."""
-    (reference,) = [section["Reference"] for section in config.nav if "Reference" in section]
-    for entry in reference:
-        if "Command line" in entry:
-            entry["Command line"] = [
-                "reference/cli/index.md", *({verb: f"reference/cli/{verb}.md"} for verb in verbs())
-            ]  # fmt: skip
-        if "Python API" in entry:
-            entry["Python API"] = [{package: f"reference/api/{package}.md"} for package in api_packages()]
+    """Fill in the empty sections of the navigation."""
+    decisions = sorted(path.name for path in (ROOT / "docs" / "decisions").glob("0*.md"))
+    filled = {
+        "Command line": ["reference/cli/index.md", *({verb: f"reference/cli/{verb}.md"} for verb in verbs())],
+        "Python API": [{package: f"reference/api/{package}.md"} for package in api_packages()],
+        "Decisions": ["decisions/index.md", *(f"decisions/{name}" for name in decisions)],
+    }
+    for section in config.nav:
+        for entries in section.values():
+            for entry in entries if isinstance(entries, list) else []:
+                if isinstance(entry, dict) and (title := next(iter(entry))) in filled:
+                    entry[title] = filled[title]
     return config
 
 

@@ -34,9 +34,8 @@ def test_each_capture_is_fitted_as_it_is_and_without_each_measure(commands, monk
     by_scene = {one: [row["measure"] for row in rows if row["scene"] == one] for one in scenes}
     assert "defaults" in by_scene["fern 504x378"] and "space: contraction" in by_scene["fern 504x378"]
     assert "no near-camera gradient scaling" not in by_scene["fern 504x378"]  # nothing of a forward-facing capture does
-    assert (
-        "no near-camera gradient scaling" in by_scene["fox 270x480"] and "space: contraction" not in by_scene["fox 270x480"]
-    )
+    fox = by_scene["fox 270x480"]
+    assert "no near-camera gradient scaling" in fox and "space: contraction" not in fox
     fits = [arguments for arguments in commands if arguments[0] == "fit"]
     assert len(fits) == len(rows) and all("7" in arguments for arguments in fits)
     assert rows[0]["near"] == pytest.approx(100 / 3, abs=1e-3)
