@@ -78,7 +78,7 @@ def _rows(group: argparse._ArgumentGroup) -> list[tuple[str, str, str, str]]:
         if action.option_strings and not choices and metavar:
             name = ", ".join(f"`{one} {metavar}`" for one in action.option_strings)
         rows.append((name, choices, f"`{default}`" if default else "", text))
-    return [tuple(cell.replace("|", "\\|") for cell in row) for row in rows]
+    return [tuple(re.sub(r"(`[^`]*`)|\|", lambda found: found.group(1) or r"\|", cell) for cell in row) for row in rows]
 
 
 def _tables(parser: argparse.ArgumentParser, level: str) -> list[str]:

@@ -9,7 +9,7 @@ from stages.configs import option
 class CorruptSceneConfig:
     """One fault of one scene. source, source_digest: the scene that it is made from; empty for a procedural one."""
 
-    fault: str = option("seeds", help="name of the fault, see docs/stress.md")
+    fault: str = option("seeds", help="name of the fault, see docs/how-to/stress.md")
     amount: float = option(0.0, help="how much of it")
     side: int = option(160, help="longer side of the photos, pixels; larger ones are averaged down")
     views: int = option(24, help="training views of a procedural scene")
