@@ -53,7 +53,7 @@ def ours(data: Path, work: Path) -> dict:
         curve.append({"seconds": fitted["train_seconds"], "psnr": round(psnr, 3), "step": fitted["steps"]})
         print(curve[-1], flush=True)
     manifest = json.loads((work / "field" / name / "manifest.json").read_text())
-    return row("stylerf", "each budget anew", curve, fitted["parameters"], round(manifest["peak_memory_mb"]))
+    return row("stylerf", "a new fit per budget", curve, fitted["parameters"], round(manifest["peak_memory_mb"]))
 
 
 def theirs(report: dict) -> dict:

@@ -23,12 +23,12 @@ CAPTURES = ("fox 270x480", "fern 504x378", "cup 400x300")
 STEPS = 700
 # By name: what is left out or exchanged, by layout where that decides.
 MEASURES = {
-    "as it is": {},
-    "near samples learn as any": {"unbounded": ("--even-from", "0")},
-    "not smoothed": {"unbounded": ("--smoothness", "0"), "forward": ("--smoothness", "0")},
+    "defaults": {},
+    "no near-camera gradient scaling": {"unbounded": ("--even-from", "0")},
+    "no smoothing": {"unbounded": ("--smoothness", "0"), "forward": ("--smoothness", "0")},
     "space: box": {"unbounded": ("--space", "box"), "forward": ("--space", "box")},
     "space: contraction": {"forward": ("--space", "contraction")},
-    "colors alike from all sides": {"unbounded": ("--degree", "0"), "forward": ("--degree", "0")},
+    "view-independent colors": {"unbounded": ("--degree", "0"), "forward": ("--degree", "0")},
 }
 
 

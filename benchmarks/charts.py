@@ -1,10 +1,10 @@
-"""Charts of README and docs from results: SVG text, the same for the same figures."""
+"""Charts of README and docs from results, as deterministic SVG text."""
 
 PARETO = {"fits": ("psnr", "held-out PSNR, dB", True), "stylizations": ("nnfm", "distance to the painting", False)}
 
 
 def drawn(size: tuple[float, float], draw) -> str:
-    """SVG text of what `draw(figure)` makes of an empty figure: the same for the same figures."""
+    """SVG text of a figure that `draw(figure)` fills; the same data gives the same text."""
     import io
 
     from stylerf.environment.matplotlib_defaults import Figure, rc_context
@@ -18,7 +18,7 @@ def drawn(size: tuple[float, float], draw) -> str:
 
 
 def strategies_chart(report: dict) -> str:
-    """Style distance at equal time against the field's seconds a step."""
+    """Style distance at equal time against the field's seconds per step."""
 
     def draw(figure) -> None:
         axes = figure.add_subplot()
@@ -34,7 +34,7 @@ def strategies_chart(report: dict) -> str:
 
 
 def capacity_chart(report: dict) -> str:
-    """A panel a scene: PSNR against parameters, fixed sizes joined, what was grown filled."""
+    """PSNR against parameters, one panel per scene; fixed sizes joined, searched ones filled."""
     scenes = list(dict.fromkeys(row["scene"] for row in report["rows"]))
 
     def draw(figure) -> None:
@@ -58,7 +58,7 @@ def capacity_chart(report: dict) -> str:
 
 
 def pareto_chart(report: dict) -> str:
-    """A column a scene; above fits, below stylizations: the figure against seconds, fronts filled and joined."""
+    """Quality against seconds, a column per scene: fits above, stylizations below, Pareto fronts filled and joined."""
     scenes = list(dict.fromkeys(row["work"] for row in report["rows"]))
 
     def draw(figure) -> None:
@@ -81,7 +81,7 @@ def pareto_chart(report: dict) -> str:
 
 
 def stress_chart(report: dict) -> str:
-    """The heat map that `stylerf stress` draws, runs of all scenes together: how many of how many succeed."""
+    """The heat map of `stylerf stress` over all scenes together: successful runs of all runs."""
     sums: dict[tuple[str, str], list[int]] = {}
     for row in report["rows"]:
         both = sums.setdefault((row["method"], row["fault"]), [0, 0])
@@ -95,13 +95,13 @@ def stress_chart(report: dict) -> str:
 
 
 def stress_scenes_chart(report: dict) -> str:
-    """The same, a panel a scene, two in a row, with the median scores."""
+    """The heat maps with median scores, one panel per scene, two per row."""
     scenes = dict.fromkeys(row["work"] for row in report["rows"])
     return _heat_maps({scene: [row for row in report["rows"] if row["work"] == scene] for scene in scenes}, 2)
 
 
 def _heat_maps(panels: dict[str, list[dict]], across: int) -> str:
-    """Cells as rows of a report, by the panel's title."""
+    """Draw one heat map per title; panels holds the report rows of each."""
     from types import SimpleNamespace
 
     from stages.configs.faults import FAULTS
@@ -126,7 +126,7 @@ def _heat_maps(panels: dict[str, list[dict]], across: int) -> str:
 
 
 def tensorf_chart(report: dict) -> str:
-    """PSNR against seconds of training, on a scale of logarithms; a line a code and schedule."""
+    """PSNR against seconds of training, log scale, one line per code and schedule."""
 
     def draw(figure) -> None:
         axes = figure.add_subplot()
@@ -141,7 +141,7 @@ def tensorf_chart(report: dict) -> str:
 
 
 def unlike(names: list[str]) -> list[str]:
-    """Names of parts joined by hyphens, without the first and the last parts that all of them share."""
+    """Hyphenated names without the leading and trailing parts that all of them share."""
     parts = [name.split("-") for name in names]
     while len(parts) > 1 and min(map(len, parts)) > 1 and len({name[0] for name in parts}) == 1:
         parts = [name[1:] for name in parts]

@@ -1,4 +1,4 @@
-"""Figures that others published, and which figure of benchmarks/results stands beside each: facts, no code."""
+"""Published figures, and the figure of benchmarks/results that corresponds to each."""
 
 from dataclasses import dataclass
 
@@ -9,9 +9,9 @@ SUPPLEMENT = "LAENeRF, supplement"
 class Published:
     """One published figure.
 
-    better: `lower` or `higher`. ours: (result file, {key: value} that its row has, the row's key, with dots into
-    objects); None: nothing was measured here that could stand beside it. unlike: what keeps the two from being compared
-    as equals; empty: nothing does. judged: whether the better of the two says anything.
+    better: `lower` or `higher`. ours: (result file, {key: value} that selects its row, key of that row, with dots into
+    objects); None if nothing comparable was measured. unlike: what differs between the two; empty if nothing does.
+    judged: whether better or worse means anything.
     """
 
     method: str
@@ -37,12 +37,12 @@ def _fit(scene: str, budget: str) -> tuple[str, dict, str]:
     return "fit.json", {"scene": scene, "budget": budget}, "psnr"
 
 
-TIMES = "their scenes and an NVIDIA GPU; ours lego at 400x400 on two CPU cores"
-SET = "{} of ours are a budget that is set, not what the method asks for; " + TIMES
-SAME_SCENE = "800x800 and masks of theirs; ours 400x400, the region as the field shows it"
-NO_SCENE = "their scene and its masks are not at hand"
-NO_FILM = "films of theirs, RAFT's flow; nothing of it is at hand"
-FULL_SIZE = "hours on a GPU at full size; ours five minutes on two CPU cores at {}"
+TIMES = "theirs: their scenes, an NVIDIA GPU; ours: lego at 400x400, two CPU cores"
+SET = "{} of ours are a chosen budget, not a result; " + TIMES
+SAME_SCENE = "theirs: 800x800 and their masks; ours: 400x400, the region as rendered from the field"
+NO_SCENE = "their scene and masks are not available"
+NO_FILM = "their videos and RAFT flow are not available"
+FULL_SIZE = "theirs: hours on a GPU at full size; ours: five minutes on two CPU cores at {}"
 
 PUBLISHED = (
     Published("LAENeRF", "extraction of the edit dataset", 16, "lower", f"{SUPPLEMENT}, table 3",
@@ -114,5 +114,5 @@ PUBLISHED = (
     Published("TensoRF", "fern, held-out PSNR", 25.27, "higher", "TensoRF, per-scene table",
               _fit("fern 504x378", "300s"), FULL_SIZE.format("504x378"), "dB"),
     Published("DeSRF", "any figure", float("nan"), "lower", "DeSRF publishes none", None,
-              "compared by pictures and a user study only"),
+              "compares images and a user study only"),
 )  # fmt: skip

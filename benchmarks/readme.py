@@ -1,6 +1,6 @@
-"""Write README, docs/results.md, docs/stress.md and their charts from benchmarks/results.
+"""Write the result tables and charts of README.md and docs/ from benchmarks/results.
 
-Use: `python -m benchmarks.readme [--check]`.
+Usage: `python -m benchmarks.readme [--check]`; with --check nothing is written and stale files give exit code 1.
 """
 
 import json
@@ -15,7 +15,7 @@ ROOT = Path(__file__).resolve().parent.parent
 RESULTS = ROOT / "benchmarks" / "results"
 IMAGES = ROOT / "docs" / "images"
 REMEDIED = " + remedies"
-WITHIN_DB, WITHIN = 0.5, 0.03  # scores of fits, of all else: as much as a baseline lets pass
+WITHIN_DB, WITHIN = 0.5, 0.03  # scores of fits, and of everything else: the tolerance of a stress baseline
 
 
 def result(name: str) -> dict:
@@ -23,17 +23,36 @@ def result(name: str) -> dict:
 
 
 def where(report: dict) -> str:
-    """Machine, day and command of a report."""
+    """Machine, date, command and seeds of a report, in one line."""
     cores = report["machine"]["cores"]
-    remark = f" Remark: {report['remark']}." if "remark" in report else ""
+    note = f" Note: {report['remark']}." if "remark" in report else ""
     seeds = int(report.get("conditions", {}).get("seeds", 1))
-    told_seeds = f"{seeds} seeds" if seeds > 1 else "one seed"
-    measured = f"{cores} CPU cores, no GPU, {report['date']}; `{report['command']}`; {told_seeds}."
-    return f"{measured} Not measured on a GPU.{remark}"
+    seeds_text = f"{seeds} seeds" if seeds > 1 else "one seed"
+    return f"{cores} CPU cores, no GPU, {report['date']}; `{report['command']}`; {seeds_text}.{note}"
+
+
+def summary() -> str:
+    """Markdown of the fits, one row per scene: the table of README."""
+    report = result("fit.json")
+    lines = [
+        "| scene | PSNR, 60 s | PSNR, 300 s | SSIM, 300 s | parameters | peak memory |",
+        "|---|---|---|---|---|---|",
+    ]
+    for scene in dict.fromkeys(row["scene"] for row in report["rows"]):
+        short, long = (
+            next(row for row in report["rows"] if (row["scene"], row["budget"]) == (scene, budget))
+            for budget in ("60s", "300s")
+        )
+        lines.append(
+            f"| {scene} | {short['psnr']:.2f} dB | {long['psnr']:.2f} dB | {long['ssim']:.3f} "
+            f"| {long['parameters'] / 1e6:.2f} M | {long['peak_memory_mb'] / 1000:.1f} GB |"
+        )
+    measured = f"Test views, {report['machine']['cores']} CPU cores, no GPU, one seed, {report['date']}."
+    return "\n".join([*lines, "", measured])
 
 
 def fits() -> str:
-    """Markdown of the fits, with the protocol under it."""
+    """Markdown of the fits."""
     report = result("fit.json")
     lines = [
         "| scene | training | held-out PSNR | SSIM | parameters | grid | peak memory |",
@@ -48,14 +67,14 @@ def fits() -> str:
 
 
 def tensorf() -> str:
-    """Markdown of the times to a quality beside another code's; nothing where it has not been measured."""
+    """Markdown of the training time to reach a quality, ours and TensoRF's; empty if not measured."""
     if not (RESULTS / "tensorf.json").is_file():
         return ""
     report = result("tensorf.json")
     own = report["rows"][0]
     qualities = [int(key.split("_")[2]) for key in own if key.startswith("seconds_to_")]
     lines = [
-        f"| code | schedule | {' | '.join(f'to {quality} dB' for quality in qualities)} | at last | peak memory |",
+        f"| code | schedule | {' | '.join(f'to {quality} dB' for quality in qualities)} | final | peak memory |",
         "|---|---|" + "---|" * (len(qualities) + 2),
     ]
     for row in report["rows"]:
@@ -64,13 +83,13 @@ def tensorf() -> str:
             f"| {row['code']} | {row['schedule']} | {' | '.join(cells)} "
             f"| {row['last_psnr']:.2f} dB, {row['last_seconds']:.0f} s | {row['peak_memory_mb'] / 1000:.1f} GB |"
         )
-    chart = "![PSNR against seconds of training](docs/images/tensorf.svg)"
-    views = "PSNR is the mean of all test views for ours, of a few of them, evenly spread, for TensoRF. "
+    chart = "![PSNR against seconds of training](images/tensorf.svg)"
+    views = "PSNR is the mean over all test views for stylerf, over a few evenly spaced ones for TensoRF. "
     return "\n".join([chart, "", *lines, "", "Lego at 200x200. " + views + where(report)])
 
 
 def _time_beside(row: dict, own: dict, key: str) -> str:
-    """Seconds, and how many times ours; at least so many where the run ended before."""
+    """Seconds and the ratio to ours; a lower bound if the run ended first."""
     seconds, reached = row[key], row[key] is not None
     seconds = seconds if reached else row["last_seconds"]
     ratio = f" ({seconds / own[key]:.0f}x)" if row is not own and own[key] else ""
@@ -78,12 +97,12 @@ def _time_beside(row: dict, own: dict, key: str) -> str:
 
 
 def strategies() -> str:
-    """Markdown of the ray strategies: everything relative to `full`."""
+    """Markdown of the ray strategies, speedups relative to `full`."""
     report = result("strategies.json")
     full = report["rows"][0]
     lines = [
-        "| rays that learn | step | its field part | field memory | style, equal steps | style, equal time "
-        "| content, equal time |",
+        "| rays with gradients | step | in the field | field memory | style, equal steps "
+        "| style, equal time | content, equal time |",
         "|---|---|---|---|---|---|---|",
     ]
     for row in report["rows"]:
@@ -96,21 +115,21 @@ def strategies() -> str:
     steps = full["steps_at_equal_time"]
     return "\n".join(
         [
-            "![Style distance against the field's seconds a step](docs/images/strategies.svg)",
+            "![Style distance against the field's seconds a step](images/strategies.svg)",
             "",
             *lines,
             "",
-            f"{report['scene']}, {report['method']}, {steps} steps of `full` and as long for the others; "
-            "distances on held-out views, lower is better. " + where(report),
+            f"{report['scene']}, {report['method']}; equal time is that of {steps} steps of `full`. Distances on "
+            "held-out views; lower is better. " + where(report),
         ]
     )
 
 
 def edits() -> str:
-    """Markdown of the local edits, with the published seconds beside ours."""
+    """Markdown of the local edits, with the published times in the last row."""
     report = result("edits.json")
     lines = [
-        "| edit | extract | learn | distill | finetune | in all | background MSE (before) | change inside "
+        "| edit | extract | learn | distill | finetune | total | background MSE (before) | change inside "
         "| colors, L_sp |",
         "|---|---|---|---|---|---|---|---|---|",
     ]
@@ -135,29 +154,29 @@ def edits() -> str:
 
 
 def palettes() -> str:
-    """Markdown of a part recolored by two methods; nothing where it has not been measured."""
+    """Markdown of a region recolored by two methods; empty if not measured."""
     if not (RESULTS / "palettes.json").is_file():
         return ""
     report = result("palettes.json")
-    lines = ["| part, blue | method | time | background MSE (before) | change inside | bleeding | colors, L_sp |",
+    lines = ["| region, blue | method | time | background MSE (before) | change inside | bleeding | colors, L_sp |",
              "|---|---|---|---|---|---|---|"]  # fmt: skip
-    lines += [f"{_of_part(row)} {row['colors']}, {row['sparsity']:.2f} |" for row in report["rows"]]
-    over = "L_sp: of LAENeRF over the region's pixels, of PaletteNeRF over all pixels that show the scene. "
+    lines += [f"{_region_cells(row)} {row['colors']}, {row['sparsity']:.2f} |" for row in report["rows"]]
+    over = "L_sp: over the region's pixels for LAENeRF, over all pixels of the scene for PaletteNeRF. "
     return "\n".join([*lines, "", over + where(report)])
 
 
 def parts() -> str:
-    """Markdown of a part stylized by two methods; nothing where it has not been measured."""
+    """Markdown of a region stylized by two methods; empty if not measured."""
     if not (RESULTS / "parts.json").is_file():
         return ""
     report = result("parts.json")
-    lines = ["| part, stylized | method | time | background MSE (before) | change inside | bleeding |",
+    lines = ["| region, stylized | method | time | background MSE (before) | change inside | bleeding |",
              "|---|---|---|---|---|---|"]  # fmt: skip
-    return "\n".join([*lines, *map(_of_part, report["rows"]), "", where(report)])
+    return "\n".join([*lines, *map(_region_cells, report["rows"]), "", where(report)])
 
 
-def _of_part(row: dict) -> str:
-    """What is told of a method on a part, as cells of a table."""
+def _region_cells(row: dict) -> str:
+    """Cells that describe one method on one region."""
     before = row["background_mse"] / row["background_ratio"]
     return (
         f"| {row['case']} | {row['method']} | {row['seconds']:.0f} s | {row['background_mse']:.5f} ({before:.5f}) "
@@ -166,26 +185,26 @@ def _of_part(row: dict) -> str:
 
 
 def pareto() -> str:
-    """The chart over methods, rays and capacities, and what failed; nothing where it has not been measured."""
+    """The chart over methods, rays and capacities, and failed runs; empty if not measured."""
     if not (RESULTS / "pareto.json").is_file():
         return ""
     report = result("pareto.json")
     lines = [
-        "![Figures against seconds, parameters by area, for every scene](docs/images/pareto.svg)",
+        "![Quality against seconds, one column per scene, area by parameters](images/pareto.svg)",
         "",
-        f"Filled: on the Pareto front of accuracy and time. Painting: {report['painting']}. " + where(report),
+        f"Filled: on the Pareto front of quality and time. Style image: {report['painting']}. " + where(report),
     ]
     lines += [f"Failed: {row['scene']} {row['name']}: {row['failed']}" for row in report["failed"]]
     return "\n".join(lines)
 
 
 def capacities() -> str:
-    """Markdown of fits grown and of fixed sizes; nothing where it has not been measured."""
+    """Markdown of the capacity search against fixed sizes; empty if not measured."""
     if not (RESULTS / "capacity.json").is_file():
         return ""
     report = result("capacity.json")
     lines = [
-        "| scene | grown | parameters | best fixed size | parameters | grown against it |",
+        "| scene | capacity search | parameters | best fixed size | parameters | search against fixed |",
         "|---|---|---|---|---|---|",
     ]
     for scene in dict.fromkeys(row["scene"] for row in report["rows"]):
@@ -198,14 +217,14 @@ def capacities() -> str:
         lines.append(
             f"| {scene} | {grown['psnr']:.2f} dB | {grown['parameters'] / 1e6:.2f} M "
             f"| {best['psnr']:.2f} dB, {best['capacity']} | {best['parameters'] / 1e6:.2f} M "
-            f"| {grown['psnr'] - best['psnr']:+.2f} dB, {share:.2f} times the size |"
+            f"| {grown['psnr'] - best['psnr']:+.2f} dB at {share:.2f} times the size |"
         )
-    chart = "![Held-out PSNR against parameters, for every scene](docs/images/capacity.svg)"
+    chart = "![Held-out PSNR against parameters, one panel per scene](images/capacity.svg)"
     return "\n".join([chart, "", *lines, "", where(report)])
 
 
 def kinds() -> str:
-    """Markdown of kinds of fields at equal time; nothing where it has not been measured."""
+    """Markdown of field kinds at equal time; empty if not measured."""
     if not (RESULTS / "kinds.json").is_file():
         return ""
     report = result("kinds.json")
@@ -223,22 +242,23 @@ def kinds() -> str:
 
 
 def captures() -> str:
-    """Markdown of what captures gain by what is done for them; nothing where it has not been measured."""
+    """Markdown of the ablations on captures; empty if not measured."""
     if not (RESULTS / "captures.json").is_file():
         return ""
     report = result("captures.json")
     lines = [
-        "| scene | fitted | held-out PSNR | SSIM | test pixels nearer than a third of the median depth |",
+        "| scene | ablation | held-out PSNR | SSIM | test pixels nearer than a third of the median depth |",
         "|---|---|---|---|---|",
     ]
     for row in report["rows"]:
-        told = row["measure"] + (f" (`{row['flags']}`)" if row["flags"] else "")
-        lines.append(f"| {row['scene']} | {told} | {row['psnr']:.2f} dB | {row['ssim']:.3f} | {row['near']:.2f} % |")
+        ablation = row["measure"] + (f" (`{row['flags']}`)" if row["flags"] else "")
+        cells = [row["scene"], ablation, f"{row['psnr']:.2f} dB", f"{row['ssim']:.3f}", f"{row['near']:.2f} %"]
+        lines.append(f"| {' | '.join(cells)} |")
     return "\n".join([*lines, "", where(report)])
 
 
 def profile() -> str:
-    """Markdown of a step's kernels beside their bounds, by capacity, on all threads; then what threads bring."""
+    """Markdown of kernel times and their memory bounds by capacity, and the speedup by threads."""
     if not (RESULTS / "profile.json").is_file():
         return ""
     report = result("profile.json")
@@ -247,7 +267,7 @@ def profile() -> str:
     alone = {row["capacity"]: row for row in report["rows"] if row["threads"] == 1}
     names = sorted(rows[-1]["kernels_ms"], key=lambda name: -rows[-1]["kernels_ms"][name])
     heads = [f"{row['capacity']}, {row['parameters'] / 1e6:.1f} M" for row in rows]
-    lines = [f"| ms a step (times its bound) | {' | '.join(heads)} | {most} threads against one |",
+    lines = [f"| ms per step (times its bound) | {' | '.join(heads)} | {most} threads over one |",
              "|---|" + "---|" * (len(rows) + 1)]  # fmt: skip
     for name in names:
         cells = [_beside_bound(row, name) for row in rows]
@@ -255,12 +275,12 @@ def profile() -> str:
         lines.append(f"| {name} | {' | '.join(cells)} | {gain:.2f}x |")
     gain = alone[rows[-1]["capacity"]]["step_ms"] / rows[-1]["step_ms"]
     steps = " | ".join(f"**{row['step_ms']:.1f}**" for row in rows)
-    lines.append(f"| **a step** | {steps} | **{gain:.2f}x** |")
-    held = [f"{row['rays']} rays, {row['samples']} samples, {row['colored']} of them colored" for row in rows]
+    lines.append(f"| **whole step** | {steps} | **{gain:.2f}x** |")
+    held = [f"{row['rays']} rays, {row['samples']} samples, {row['colored']} with color" for row in rows]
     bandwidths = ", ".join(f"{row['bandwidth_gb_s']:.1f}" for row in rows)
     return "\n".join(
-        [*lines, "", f"{report['scene']}; the last batches held {'; '.join(held)}. Triads as long: {bandwidths} GB/s. "
-         + where(report)]
+        [*lines, "", f"{report['scene']}; last batches: {'; '.join(held)}. Triad bandwidth on arrays of that size: "
+         f"{bandwidths} GB/s. " + where(report)]
     )  # fmt: skip
 
 
@@ -270,43 +290,43 @@ def _beside_bound(row: dict, name: str) -> str:
 
 
 def stress() -> str:
-    """The heat map of methods under faults; nothing where it has not been measured."""
+    """The heat map of methods under faults, and total success rates; empty if not measured."""
     if not (RESULTS / "stress.json").is_file():
         return ""
     report = result("stress.json")
-    asked, scenes = report["conditions"], dict.fromkeys(row["work"] for row in report["rows"])
+    conditions, scenes = report["conditions"], dict.fromkeys(row["work"] for row in report["rows"])
     lines = [
-        "![Runs that succeed, of methods under faults, all scenes together](docs/images/stress.svg)",
+        "![Successful runs of each method under each fault, all scenes together](images/stress.svg)",
         "",
-        f"{', '.join(scenes)} together: {successes(report['rows'])}; photos of {asked['side']} pixels, "
-        f"{told(asked['budget'])} a fit, {told(asked['style_budget'])} a stylization. Made scenes once. "
-        + where(report),
+        f"{', '.join(scenes)} together: {successes(report['rows'])}; photos of {conditions['side']} pixels, "
+        f"{budget_text(conditions['budget'])} a fit, {budget_text(conditions['style_budget'])} a stylization. "
+        "Procedural scenes run once. " + where(report),
     ]
     return "\n".join(lines)
 
 
 def successes(rows: list[dict]) -> str:
-    """How many runs succeed, in words: without and with remedies over the cells that have both, apart from all others.
+    """Success rates in words: cells run without and with remedies, then the other cells.
 
-    Counts of seeds may differ between the two, so that their shares are means over cells.
+    The number of seeds may differ between the two, so the percentages are means over cells.
     """
     both, alone = _by_remedies(rows)
     before, after = ([pair[side] for pair in both] for side in (0, 1))
-    told = []
+    parts = []
     if both:
         shares = [f"{100 * sum(row['rate'] for row in some) / len(both):.0f} %" for some in (before, after)]
-        told.append(
+        parts.append(
             f"of the {len(both)} cells run both ways {_done(before)} runs succeed without remedies, {_done(after)} "
-            f"with them ({' and '.join(shares)} in the mean of the cells)"
+            f"with them ({' and '.join(shares)} averaged over cells)"
         )
     for remedied, words in ((False, "without"), (True, "with")):
         if some := [row for row in alone if row["method"].endswith(REMEDIED) == remedied]:
-            told.append(f"of the cells run {words} remedies alone {_done(some)} runs")
-    return "; ".join(told)
+            parts.append(f"of the cells run {words} remedies alone {_done(some)} runs")
+    return "; ".join(parts)
 
 
 def _by_remedies(rows: list[dict]) -> tuple[list[tuple[dict, dict]], list[dict]]:
-    """Cells (work, fault, method) without and with remedies, in pairs; those of which there is one alone."""
+    """Pairs of cells (work, fault, method) without and with remedies, and the unpaired cells."""
     cells = {(row["work"], row["fault"], row["method"]): row for row in rows}
     pairs = {(work, fault, method): (work, fault, method + REMEDIED) for work, fault, method in cells}
     pairs = {before: after for before, after in pairs.items() if after in cells}
@@ -318,13 +338,13 @@ def _done(rows: list[dict]) -> str:
     return f"{sum(row['successes'] for row in rows)} of {sum(row['count'] for row in rows)}"
 
 
-def told(budget: str) -> str:
-    """A budget in words: a plain number is one of steps."""
+def budget_text(budget: str) -> str:
+    """A budget in words: a plain number counts steps."""
     return f"{budget} steps" if budget.isdigit() else budget
 
 
 def remedies() -> str:
-    """Markdown of every cell before and after, by scene; nothing where it has not been measured."""
+    """Markdown of every cell without and with remedies, by scene; empty if not measured."""
     if not (RESULTS / "stress.json").is_file():
         return ""
     lines = ["| scene | fault | method | without remedies | with them |", "|---|---|---|---|---|"]
@@ -337,22 +357,19 @@ def remedies() -> str:
         lines.append(f"| {cell} | {_outcome(row)} | {_outcome(after)} |")
     if len(lines) == 2 and not alike:
         return ""
-    left_out = (
-        f"Left out: {alike} cells that succeed as often and whose scores are within {WITHIN_DB:g} dB or {WITHIN:g} of "
-        "one another."
-    )
+    left_out = f"Left out: {alike} cells with the same success rate and scores within {WITHIN_DB:g} dB or {WITHIN:g}."
     return "\n".join([*lines, "", left_out, "", where(result("stress.json"))])
 
 
 def scenes_under_stress() -> str:
-    """The heat map of every scene; nothing where it has not been measured."""
+    """The heat maps, one panel per scene; empty if not measured."""
     if not (RESULTS / "stress.json").is_file():
         return ""
-    return "![Runs that succeed and their scores, of methods under faults, a panel a scene](images/stress-scenes.svg)"
+    return "![Successful runs and median scores per method and fault, one panel per scene](images/stress-scenes.svg)"
 
 
 def _alike(before: dict, after: dict) -> bool:
-    """Whether remedies change next to nothing."""
+    """Whether remedies make no difference."""
     if None in (before["median"], after["median"]) or before["rate"] != after["rate"]:
         return False
     least = WITHIN_DB if before["method"].startswith("fit") else WITHIN
@@ -366,23 +383,25 @@ def _outcome(row: dict) -> str:
 
 
 BLOCKS = {
-    "README.md": {
-        "figures": fits,
+    "README.md": {"fits": summary},
+    "docs/results.md": {
+        "fits": fits,
         "tensorf": tensorf,
         "capacities": capacities,
+        "kinds": kinds,
+        "captures": captures,
         "strategies": strategies,
+        "pareto": pareto,
         "edits": edits,
         "palettes": palettes,
         "parts": parts,
-        "pareto": pareto,
         "stress": stress,
+        "scenes": scenes_under_stress,
+        "remedies": remedies,
     },
-    "docs/stress.md": {"scenes": scenes_under_stress, "remedies": remedies},
-    "docs/profile.md": {"profile": profile},
-    "docs/captures.md": {"captures": captures},
-    "docs/fields.md": {"kinds": kinds},
+    "docs/performance.md": {"profile": profile},
 }
-# By name of the picture, which begins with that of its result.
+# By picture name, which starts with the name of its result file.
 CHARTS = {
     "strategies": charts.strategies_chart,
     "capacity": charts.capacity_chart,
@@ -395,8 +414,8 @@ CHARTS = {
 
 def main() -> int:
     stale = False
-    for paper, blocks in BLOCKS.items():
-        path = ROOT / paper
+    for document, blocks in BLOCKS.items():
+        path = ROOT / document
         text = wanted = path.read_text()
         for name, block in blocks.items():
             begin, end = f"<!-- {name} -->", f"<!-- /{name} -->"
@@ -406,10 +425,10 @@ def main() -> int:
         stale |= wanted != text
         if "--check" not in sys.argv:
             path.write_text(wanted)
-    results = ROOT / "docs" / "results.md"
-    stale |= page() != results.read_text()
+    published = ROOT / "docs" / "published.md"
+    stale |= page() != published.read_text()
     if "--check" not in sys.argv:
-        results.write_text(page())
+        published.write_text(page())
     for name, chart in CHARTS.items():
         of, picture = f"{name.partition('-')[0]}.json", IMAGES / f"{name}.svg"
         if (RESULTS / of).is_file():
@@ -421,7 +440,7 @@ def main() -> int:
 
 
 def mark(report: dict) -> str:
-    """The end of a chart: tells the rows that it was drawn of, so that one of other rows is seen without drawing."""
+    """The last line of a chart: a digest of its rows, so that a stale chart is found without drawing it."""
     return f"<!-- rows {digest_of(report['rows'])} -->\n"
 
 

@@ -31,7 +31,7 @@ CASES = {
     "full": {"strategy": "full"},
     "dilated": {"strategy": "dilated"},
     "dilated, blur 3": {"strategy": "dilated", "blur": 3},
-    "dilated, others rendered anew": {"strategy": "dilated", "remember": False},
+    "dilated, others re-rendered": {"strategy": "dilated", "remember": False},
     "deferred": {"strategy": "deferred"},
     "random": {"strategy": "random"},
     "patch": {"strategy": "patch"},

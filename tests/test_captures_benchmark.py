@@ -32,11 +32,10 @@ def test_each_capture_is_fitted_as_it_is_and_without_each_measure(commands, monk
     rows = json.loads(out.read_text())["rows"]
     scenes = ("fern 504x378", "fox 270x480")
     by_scene = {one: [row["measure"] for row in rows if row["scene"] == one] for one in scenes}
-    assert "as it is" in by_scene["fern 504x378"] and "space: contraction" in by_scene["fern 504x378"]
-    assert "near samples learn as any" not in by_scene["fern 504x378"]  # nothing of a forward-facing capture does
-    assert (
-        "near samples learn as any" in by_scene["fox 270x480"] and "space: contraction" not in by_scene["fox 270x480"]
-    )
+    assert "defaults" in by_scene["fern 504x378"] and "space: contraction" in by_scene["fern 504x378"]
+    assert "no near-camera gradient scaling" not in by_scene["fern 504x378"]  # nothing of a forward-facing capture does
+    fox = by_scene["fox 270x480"]
+    assert "no near-camera gradient scaling" in fox and "space: contraction" not in fox
     fits = [arguments for arguments in commands if arguments[0] == "fit"]
     assert len(fits) == len(rows) and all("7" in arguments for arguments in fits)
     assert rows[0]["near"] == pytest.approx(100 / 3, abs=1e-3)

@@ -1,4 +1,4 @@
-"""benchmarks/pareto.py: its commands are understood, failures are kept, and the README's chart follows from it."""
+"""benchmarks/pareto.py: its commands are understood, failures are kept, and the chart follows from it."""
 
 import json
 
@@ -57,7 +57,7 @@ def test_the_block_of_the_readme_is_empty_until_it_is_measured(monkeypatch, tmp_
     row = {"scene": "lego", "name": "desrf-auto", "failed": "it fell over"}
     told = {"painting": "a.jpg", "machine": {"cores": 2}, "date": "2026-01-01", "command": "c", "failed": [row]}
     (tmp_path / "pareto.json").write_text(json.dumps(told))
-    assert "docs/images/pareto.svg" in readme.pareto() and "Failed: lego desrf-auto: it fell over" in readme.pareto()
+    assert "images/pareto.svg" in readme.pareto() and "Failed: lego desrf-auto: it fell over" in readme.pareto()
 
 
 def test_a_fault_of_a_command_is_told_in_its_own_words(tmp_path):

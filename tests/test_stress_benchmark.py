@@ -58,7 +58,7 @@ def test_blocks_and_picture_follow_from_the_rows(commands, monkeypatch, tmp_path
     monkeypatch.setattr(readme, "RESULTS", tmp_path)
     assert readme.stress() == readme.remedies() == ""
     stress.main([str(tmp_path / "stress.json"), "lego", "fern", "--quick", "--seeds", "5"])
-    assert "docs/images/stress.svg" in readme.stress() and "64 pixels, 150 steps a fit" in readme.stress()
+    assert "images/stress.svg" in readme.stress() and "64 pixels, 150 steps a fit" in readme.stress()
     told = "of the 4 cells run both ways 14 of 20 runs succeed without remedies, 18 of 20 with them (70 % and 90 %"
     assert told in readme.stress() and "alone" not in readme.stress()
     lines = readme.remedies().splitlines()
@@ -92,7 +92,7 @@ def test_runs_that_have_no_twin_with_remedies_are_summed_apart():
             cell("snerf", "blur", 1, 0.4), cell("refnpr", "blur", 2, 0.4)]  # fmt: skip
     rows = [{"work": "lego", **row} for row in rows]
     assert readme.successes(rows) == (
-        "of the 2 cells run both ways 5 of 6 runs succeed without remedies, 2 of 2 with them (50 % and 100 % in the "
-        "mean of the cells); of the cells run without remedies alone 3 of 10 runs"
+        "of the 2 cells run both ways 5 of 6 runs succeed without remedies, 2 of 2 with them (50 % and 100 % "
+        "averaged over cells); of the cells run without remedies alone 3 of 10 runs"
     )
     assert readme.successes(rows[4:]) == "of the cells run without remedies alone 3 of 10 runs"

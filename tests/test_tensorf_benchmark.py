@@ -44,7 +44,7 @@ def test_ours_is_fitted_until_it_gets_there_and_set_beside_theirs(monkeypatch, t
     table = readme.tensorf().splitlines()
     assert "| 800 s (400x) | over 800 s (133x) |" in table[5] and "compressed to 300 steps | 90 s (45x) |" in table[6]
     assert "| 2 s | 6 s | 82.00 dB, 60 s | 0.8 GB |" in table[4]
-    assert "mean of all test views for ours, of a few of them" in table[-1]
+    assert "mean over all test views for stylerf, over a few" in table[-1]
     assert charts.tensorf_chart(report) == charts.tensorf_chart(report)
 
 

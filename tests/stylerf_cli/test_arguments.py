@@ -165,9 +165,9 @@ def test_help_tells_defaults_and_choices(capsys):
 
 @pytest.mark.parametrize("flags", [("--region", "head", "--recolor"), ("--method", "palettenerf")])
 def test_a_file_for_a_chain_serves_every_use_of_a_verb(tmp_path, capsys, flags):
-    """The one of docs/artifacts.md. There is no work folder: options are found sound, then that nothing is there."""
-    text = (REPOSITORY / "docs" / "artifacts.md").read_text().partition("    seed = 7\n")
-    chain = textwrap.dedent("".join(text[1:]).partition("\n\nFrames")[0])
+    """The file of docs/configuration.md. There is no work folder: its options are sound, then nothing is there."""
+    text = (REPOSITORY / "docs" / "configuration.md").read_text().partition("    seed = 7\n")
+    chain = textwrap.dedent("".join(text[1:]).partition("\n\nUnknown")[0])
     (tmp_path / "chain.toml").write_text(chain)
     command = ["stylize", str(tmp_path / "work"), *flags, "--config", str(tmp_path / "chain.toml")]
     assert "[stylize]" in chain and main(command) == 4, capsys.readouterr().err

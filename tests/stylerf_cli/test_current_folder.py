@@ -111,6 +111,6 @@ def test_no_child_and_no_documented_command_imports_from_the_current_folder():
             for line in path.read_text().splitlines():
                 if re.search(r"sys\.executable,", line):
                     assert '"-P"' in line, (path, line)
-    user_facing = [REPOSITORY / "README.md", REPOSITORY / "Dockerfile", *(REPOSITORY / "docs").glob("*.md")]
+    user_facing = [REPOSITORY / "README.md", REPOSITORY / "Dockerfile", *(REPOSITORY / "docs").rglob("*.md")]
     for path in [*user_facing, REPOSITORY / "workflows" / "scene.sh"]:
         assert not re.search(r"(python3?|torchrun .*) -m (stylerf|stages|schemas)", path.read_text()), path

@@ -1,7 +1,7 @@
 """Eight elements of Adam at once, written in LLVM IR.
 
 numba's own loop over the four arrays of an optimizer stays scalar, since any of them might overlap another: a square
-root and two divisions an element then cost more than the memory (docs/profile.md). These intrinsics load, compute and
+root and two divisions an element then cost more than the memory (performance.md). These intrinsics load, compute and
 store runs of LANES elements as one vector, with the roundings of the scalar formulas.
 """
 
