@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 class CorruptSceneConfig:
     """One fault of one scene.
 
-    fault: its name, see docs/how-to/stress.md. amount: how much of it. side: longer side of the photos, pixels; larger ones
-    are downscaled. views: training views of a procedural scene. tests: test views, which have no fault. source: folder
-    of the scene to corrupt, empty for a procedural one. source_digest: its digest.
+    fault: its name, see docs/how-to/stress.md. amount: how much of it. side: longer side of the photos, pixels; larger
+    ones are downscaled. views: training views of a procedural scene. tests: test views, which have no fault. source:
+    folder of the scene to corrupt, empty for a procedural one. source_digest: its digest.
     """
 
     fault: str = "seeds"
