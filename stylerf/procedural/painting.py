@@ -40,7 +40,7 @@ GROUND = "#5a2315"  # a warm ground that shows between the strokes
 def paint(size: int = 512, seed: int = 0) -> np.ndarray:
     """Paint [size, size, 3] float32, sRGB 0..1; the same bytes for the same size and seed."""
     if size < 32:
-        raise InvalidValue(f"a painting of {size} pixels is too small for strokes; at least 32")
+        raise InvalidValue(f"a painting of {size} pixels is too small for strokes; 32 at least")
     random = np.random.default_rng([seed, 1])
     large = FINER * size
     subject = compose(large, seed)
