@@ -146,7 +146,7 @@ class StyleImage:
 
     def _features(self, image: Tensor) -> tuple[Tensor, Tensor]:
         """Features [c, h, w] of conv2_2, and of the layers of conv3 concatenated."""
-        found = by_block(self.extractor.taps, self.extractor(image[None]))
+        found = by_block(self.extractor.layers, self.extractor(image[None]))
         return found["conv2"], found["conv3"]
 
 

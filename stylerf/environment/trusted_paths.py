@@ -1,4 +1,4 @@
-"""Whether somebody else could have written a file or folder, of which compiled code would be executed."""
+"""Checks that nobody else could have written a file or folder from which compiled code is executed."""
 
 import os
 import stat
@@ -11,7 +11,7 @@ def user_id() -> int:
 
 
 def not_ours(path: Path) -> str | None:
-    """Why what lies at `path`, which exists, may be somebody else's, in words that follow its name; None if it is ours.
+    """Say why an existing path may have been written by somebody else, as words that follow its name; None if not.
 
     All of it must belong to this user, hold no link, and be writable, or out of reach, for everybody else. The folders
     that lead to it must be this user's or the system's, and writable by nobody else unless they are sticky. On
@@ -27,7 +27,7 @@ def not_ours(path: Path) -> str | None:
             continue
         if why := _foreign(inside) or (_open(inside) if found.st_mode & 0o011 else None):
             return f"holds {place.relative_to(path)}, which {why}"
-    # Both ways to it: as it is written, where a link may lead elsewhere, and as it is in the end.
+    # The path as written, whose links could be redirected, and the path with links resolved.
     for parent in dict.fromkeys([*Path(os.path.abspath(path)).parents, *path.resolve().parents]):
         for folder in (parent.lstat(), parent.stat()):
             if folder.st_uid not in (0, user_id()):
