@@ -2,8 +2,8 @@
 
 Two things are locked: a small file, `.NAME.lock`, that names the process holding it, and the folder that is written to,
 so that a second writer is kept out even if somebody deletes that file. (Windows cannot lock folders, but does
-not delete open files either.) filelock takes the system's lock on the open file, so that the checks below are of the very
-file that is locked.
+not delete open files either.) filelock takes the system's lock on the open file, so that the checks below are of the
+very file that is locked.
 """
 
 import errno

@@ -29,10 +29,10 @@ from stages.sfm.job import MODEL, RESULT, Job, journal_of
 
 ROOT = Path(__file__).resolve().parents[2]
 POLL_SECONDS = 0.2
-# A process group of the child's own, which the terminal's Ctrl-C does not reach.
-OWN_GROUP: dict[str, Any] = (
-    {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP} if sys.platform == "win32" else {"start_new_session": True}
-)
+# Options of Popen: a process group of the child's own, which the terminal's Ctrl-C does not reach.
+OWN_GROUP: dict[str, Any] = {"start_new_session": True}
+if sys.platform == "win32":
+    OWN_GROUP = {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP}
 PROBED_BYTES = 4_000_000  # what a disk that is not full must be able to take
 
 
