@@ -1,4 +1,4 @@
-"""The places where trained weights may stand, in the order in which they are preferred."""
+"""Places where pretrained weights may be found, in order of preference."""
 
 import importlib.metadata
 import os
@@ -26,7 +26,7 @@ HUB_SHA256 = {  # of the whole file: its name has the first eight digits alone
 
 @dataclass(frozen=True)
 class Source:
-    """Weights of one name: where they may stand and how they are read.
+    """Weights of one name: where to look for them and how to read them.
 
     kind: architecture. locate: () -> files of origin, or None when they are not there. convert: the tensors of each
     file -> canonical state. digest: the one that the state must have; None for files of torch's hub, which have their

@@ -241,10 +241,10 @@ SAID = {
     "photos-that-are-missing": (rows_missing, "1 of 6 listed photos have no image file: 002.png", 5),
     "names-of-another-folder": (
         names_of("/scan/"),
-        "6 photos were found by the end of their listed paths (/scan/000.png",
+        "6 photos were found by the end of their listed paths (first: /scan/000.png",
         6,
     ),
-    "count-in-the-head-said": (READ["count-in-the-head"], "its head tells of 12 entries, 6 are there", 6),
+    "count-in-the-head-said": (READ["count-in-the-head"], "its header declares 12 entries, 6 are there", 6),
 }
 
 

@@ -379,11 +379,11 @@ def test_named(tmp_path, row):
     with pytest.raises(BadInput) as told:
         imported(root, tmp_path / "work")
     line = str(told.value)
-    assert f"{name} holds poses of {tool}, which are not read" in line and line.endswith("with --format photos")
+    assert f"{name} holds poses of {tool}, which are not supported" in line and line.endswith("with --format photos")
     assert found_in(root, "photos").kind == "photos"
     write_colmap(root)
     assert found_in(root).kind == "colmap"
-    assert found_in(root).remarks == (f"poses of {tool} are not read ({Path(name).name})",)
+    assert found_in(root).remarks == (f"poses of {tool} are not supported ({Path(name).name})",)
 
 
 @pytest.mark.parametrize("name", ["sidecar.xmp", "notes.csv", "layout.xml"])

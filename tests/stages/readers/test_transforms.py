@@ -174,7 +174,7 @@ def _(source, tmp_path):
     capture.write_transforms(source, listed())
     said = Said()
     imported(source, tmp_path / "work", said)
-    assert "found transforms.json of instant-ngp (also there: colmap; --format takes another)" in said.lines
+    assert "found transforms.json of instant-ngp (also found: colmap; --format picks another)" in said.lines
 
 
 # -- frames that count -------------------------------------------------------------------------------------------------
@@ -633,8 +633,8 @@ def _(source, tmp_path):
     said = Said()
     imported(source, tmp_path / "work", said)
     assert [line for line in said.lines if "masks not used" in line] == [
-        "masks not used: 2 (of photos 1 of 4 have one): masks/deep/p01_seg.png, masks/mask.png; call a mask as its "
-        "photo, 001.png of 001.jpg, or name it by mask_path"
+        "masks not used: 2 (1 of 4 photos have one): masks/deep/p01_seg.png, masks/mask.png; name a mask after its "
+        "photo, 001.png for 001.jpg, or give its mask_path"
     ]
 
 
