@@ -269,7 +269,7 @@ class _Frames:
             there = image_size(original, upright=False)
             return width or there[0], height or there[1]
         if self.images and photo and any(map(numbers.has, ("fl_x", "fl_y", "cx", "cy"))):
-            self._say(f"{self.name} tells no w and h: its lens is taken to be that of the photos of --images")
+            self._say(f"{self.name} has no w and h: its lens is assumed to be that of the photos of --images")
         return None
 
     def _pose(self, frame: dict, where: str) -> np.ndarray:
