@@ -216,7 +216,8 @@ def _(source, tmp_path):
 def _(source, tmp_path):
     found = read(source, listed(train_filenames=NAMES, val_filenames=NAMES[:1]))
     assert [one.split for one in found.cameras] == ["train"] * 4
-    assert any("1 photo (images/p00.png) in both train and test lists: used for training only" in line for line in found.remarks)
+    remark = "1 photo (images/p00.png) in both train and test lists: used for training only"
+    assert any(remark in line for line in found.remarks)
 
 
 @row("splits-tests-alone")
