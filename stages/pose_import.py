@@ -1,4 +1,4 @@
-"""Import: posed photos of any known format into a scene of undistorted pictures in one convention."""
+"""Import: turns photos, with poses in any known format or without, into a scene of undistorted pictures."""
 
 from collections import Counter
 from dataclasses import dataclass, replace
@@ -19,7 +19,7 @@ from stages.readers.background import Background
 from stages.readers.digest import digest_of_source
 from stages.readers.photo_folder import conversion, photos_of, unreadable_beside
 from stages.readers.photos import Developer, Sized, present, scale_of, scene_camera, sized
-from stages.readers.source import SourceCamera, SourceScene, natural, told, unused_masks
+from stages.readers.source import SourceCamera, SourceScene, natural, path_in_source, unused_masks
 from stages.run.progress import Context
 from stages.run.runner import Spec
 from stages.sfm.reconstruction import reconstructed
@@ -38,7 +38,7 @@ FEWEST_PHOTOS = 2
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """The chosen layout with what follows from it: the similarity to scene units and the cameras in them."""
+    """The chosen layout, the similarity to scene units that follows from it, and the cameras in them."""
 
     layout: scene_normalization.Layout
     scene_from_source: np.ndarray
@@ -47,7 +47,7 @@ class Frame:
 
 
 def run(inputs: dict[str, Artifact], config: ImportConfig, partial: PartialArtifact, context: Context) -> dict:
-    """Writes scene.json, images/, points.safetensors and truth/ where there are any; returns the figures."""
+    """Write scene.json and images/, and points.safetensors and truth/ if known; return the figures."""
     return import_scene(_source(config, partial, context), config, partial, context)
 
 
@@ -60,16 +60,16 @@ def _source(config: ImportConfig, partial: PartialArtifact, context: Context) ->
             kinds = sorted({one.suffix for one in others})
             how = conversion(others[0].parent, kinds[0])
             context.progress.say(
-                f"{len(others)} photos beside {len(photos)} cannot be read ({', '.join(kinds)}); {how}"
+                f"{len(others)} more photos than the {len(photos)} cannot be read ({', '.join(kinds)}); {how}"
             )
         scene = reconstructed(
             photos, source, partial.checkpoint, context, matching=config.matching, side=config.sfm_side,
             features=config.sfm_features, shared=config.one_camera,
         )  # fmt: skip
-        unread = tuple((one.name, "of a format that cannot be read; convert it to JPEG or PNG") for one in others)
+        unread = tuple((one.name, "unsupported format; convert it to JPEG or PNG") for one in others)
         return replace(scene, skipped=scene.skipped + unread)
     scene = read_source(source, config.format, config.images)
-    also = f" (also there: {', '.join(found.also)}; --format takes another)" if found.also else ""
+    also = f" (also found: {', '.join(found.also)}; --format picks another)" if found.also else ""
     context.progress.say(f"found {scene.kind}{also}")
     for remark in scene.remarks:
         context.progress.say(remark)
@@ -77,7 +77,7 @@ def _source(config: ImportConfig, partial: PartialArtifact, context: Context) ->
 
 
 def import_scene(source: SourceScene, config: ImportConfig, partial: PartialArtifact, context: Context) -> dict:
-    """The scene of what a reader found, poses told or reconstructed."""
+    """Write the scene of what a reader found or structure from motion reconstructed; return the figures."""
     here, missing = present(source.cameras)
     here, doubled = _without_doubles([replace(one, name=_inside(one.name)) for one in here])
     _tell_missing(source, here, missing, context)
@@ -120,23 +120,24 @@ def _tell_missing(source: SourceScene, here: list, missing: list[SourceCamera], 
     if len(here) < FEWEST_PHOTOS:
         first = f" (looked for {missing[0].source})" if missing else ""
         raise BadInput(
-            f"{len(here)} of {len(source.cameras)} listed photos {'is' if len(here) == 1 else 'are'} there{first}; at "
-            f"least {FEWEST_PHOTOS} are needed: put the photos where the list says, or name their folder with --images"
+            f"{len(here)} of {len(source.cameras)} listed photos exist{first}; at least {FEWEST_PHOTOS} are needed: "
+            "put the photos where the list has them, or name their folder with --images"
         )
 
 
 def _tell_unused_masks(source: Path, here: list[SourceCamera], context: Context) -> None:
     root = source.parent if source.is_file() else source
     if unused := unused_masks(here, root):
-        names = ", ".join(printable(told(one, root)) for one in unused[:3]) + (", ..." if len(unused) > 3 else "")
+        names = ", ".join(printable(path_in_source(one, root)) for one in unused[:3])
+        names += ", ..." if len(unused) > 3 else ""
         context.progress.say(
-            f"masks not used: {len(unused)} (of photos {sum(bool(one.mask) for one in here)} of {len(here)} have one): "
-            f"{names}; call a mask as its photo, 001.png of 001.jpg, or name it by mask_path"
+            f"masks not used: {len(unused)} ({sum(bool(one.mask) for one in here)} of {len(here)} photos have one): "
+            f"{names}; name a mask after its photo, 001.png for 001.jpg, or give its mask_path"
         )
 
 
 def _without_doubles(cameras: list[SourceCamera]) -> tuple[list[SourceCamera], list[SourceCamera]]:
-    """The first camera of each photo, and the others: lists joined by hand name a photo twice."""
+    """Split off the repeated cameras of a photo: lists merged by hand name some photos twice."""
     first: dict[Path, SourceCamera] = {}
     for one in cameras:
         first.setdefault(one.image.resolve(), one)
@@ -145,14 +146,15 @@ def _without_doubles(cameras: list[SourceCamera]) -> tuple[list[SourceCamera], l
 
 
 def _inside(name: str) -> str:
-    """The name without steps out of a folder or control characters: pictures and frames are filed under it."""
+    """Return the name without `..` or control characters: pictures and frames are filed under it."""
     return "/".join(printable(part) for part in Path(name).parts if part not in ("..", "/"))
 
 
 def _told_apart(cameras: list[SourceCamera]) -> list[SourceCamera]:
-    """Views of one name get the suffixes of their photos: IMG_1.JPG and IMG_1.PNG, as some cameras and phones save.
+    """Give views of one name the suffixes of their photos: IMG_1.JPG and IMG_1.PNG, as some cameras and phones save.
 
-    BadInput where that does not tell them apart.
+    Raises:
+        BadInput: That leaves two views with one name.
     """
     names = Counter(one.name for one in cameras)
     apart = [one if names[one.name] == 1 else replace(one, name=one.name + one.image.suffix) for one in cameras]
@@ -160,14 +162,14 @@ def _told_apart(cameras: list[SourceCamera]) -> list[SourceCamera]:
     for one in apart:
         if (other := first.setdefault(one.name, one)) is not one:
             raise BadInput(
-                f"{other.source} and {one.source} would both be view {one.name}; rename one of them, on disk and in "
+                f"{other.source} and {one.source} would both be view {one.name}; rename one, on disk and in "
                 "the list of poses"
             )
     return apart
 
 
 def _with_splits(cameras: list[SourceCamera], every: int) -> list[SourceCamera]:
-    """The source's own split where it tells one, else every `every`-th photo by name is kept for tests."""
+    """Keep the source's own split if it has one; otherwise make every `every`-th photo by name a test view."""
     if any(one.split for one in cameras):
         return [replace(one, split=one.split or "train") for one in cameras]
     ordered = sorted(cameras, key=lambda one: natural(one.source))
@@ -179,13 +181,13 @@ def _with_splits(cameras: list[SourceCamera], every: int) -> list[SourceCamera]:
 def _develop(
     photos: list[Sized], cameras: list[Camera], config: ImportConfig, partial: PartialArtifact, context
 ) -> Background:
-    """Writes images/NNN.png and returns what was learned about their background."""
+    """Write images/NNN.png; return what they reveal about the background."""
     developer, backdrop = Developer(), Background(config.background)
     context.progress.start("import", len(photos), "photo")
     for index, (one, camera) in enumerate(zip(photos, cameras, strict=True)):
         pixels = backdrop.seen(developer.picture(one, (camera.width, camera.height)))
         write_png(partial.path / _image(index), to_uint8(pixels))
-        del pixels  # else two photos would be held while the next is read
+        del pixels  # or two photos would be held while the next is read
         context.progress.update(index + 1)
     context.progress.finish()
     backdrop.decide()
@@ -196,16 +198,16 @@ def _develop(
 
 def _framed(source: SourceScene, photos: list[Sized], plain: list[Camera], backdrop: Background, config) -> Frame:
     poses = np.array([one.pose for one in photos])
-    told = np.array([one.camera.near_far for one in photos]) if photos[0].camera.near_far else None
+    near_far = np.array([one.camera.near_far for one in photos]) if photos[0].camera.near_far else None
     points = None if source.points is None else source.points.xyz
-    scene_normalization.check_baseline(poses, told, points)
+    scene_normalization.check_baseline(poses, near_far, points)
     layout = scene_normalization.decided_layout(poses, backdrop.cuts_out)
     if config.layout != "auto":
         layout = scene_normalization.Layout(config.layout, "asked for")
     if layout.name == "object" and source.keeps_frame and backdrop.kind == "alpha":
         similarity = np.eye(4)
     elif layout.name == "forward":
-        near, known = scene_normalization.nearest_depth(poses, told, points)
+        near, known = scene_normalization.nearest_depth(poses, near_far, points)
         layout = replace(layout, reason=f"{layout.reason}; nearest depth from {known}")
         similarity = scene_normalization.facing(poses, near)
     else:
@@ -223,8 +225,8 @@ def _bounds(source: SourceScene, frame: Frame, backdrop: Background) -> Bounds:
         box = np.array([[-1.0] * 3, [1.0] * 3])
         near, far = scene_normalization.UNBOUNDED_NEAR, scene_normalization.UNBOUNDED_FAR
     elif frame.layout.name == "forward":
-        told = [one.near_far[1] for one in source.cameras if one.near_far]
-        near, far = 1.0, max(told) * scale if told else scene_normalization.UNBOUNDED_FAR
+        depths = [one.near_far[1] for one in source.cameras if one.near_far]
+        near, far = 1.0, max(depths) * scale if depths else scene_normalization.UNBOUNDED_FAR
         box = scene_normalization.frustum_box(frame.cameras, near, max(far, 2 * near))
         far = max(far, 2 * near)
     else:
@@ -245,20 +247,20 @@ def _object_box(frame: Frame, backdrop: Background) -> np.ndarray:
 
 
 def _write_truth(folder: Path, photos: list[Sized], frame: Frame, bounds: Bounds, context: Context) -> int:
-    """Copies known planar depths into truth/, in scene units and at the pictures' size; returns how many."""
+    """Write known planar depths to truth/, in scene units and at the pictures' size; return how many."""
     scale = float(np.cbrt(np.linalg.det(frame.scene_from_source[:3, :3])))
     written = 0
     for index, (one, camera) in enumerate(zip(photos, frame.cameras, strict=True)):
         if one.camera.depth is None:
             continue
         if not one.camera.distortion.none:
-            context.progress.say("known depths are left out: they belong to distorted photos")
+            context.progress.say("known depths are ignored: their photos are distorted")
             return 0
         depth = read_depth(one.camera.depth)
         if depth.shape != one.size[::-1]:
             raise BadInput(
-                f"{one.camera.depth} is {depth.shape[1]}x{depth.shape[0]} where its photo is "
-                f"{one.size[0]}x{one.size[1]}; make it of the same size"
+                f"{one.camera.depth} is {depth.shape[1]}x{depth.shape[0]} but its photo is "
+                f"{one.size[0]}x{one.size[1]}; make them the same size"
             )
         write_exr(folder / "truth" / f"depth_{index:03d}.exr", _depth_view(depth, scale, camera, bounds))
         written += 1

@@ -32,10 +32,15 @@ def without_posix(libraries: tuple[str, ...]) -> None:
             continue
     for name in MODULES:
         sys.modules[name] = None
+    needed_by_shutil = {name: getattr(os, name) for name in ("O_DIRECTORY", "O_NONBLOCK")}  # here; not on Windows
     for owner, names in ((os, (*FUNCTIONS, *FLAGS)), (signal, SIGNALS)):
         for name in names:
             if hasattr(owner, name):
                 delattr(owner, name)
+    import schemas.open_flags  # noqa: F401 - as it is without the flags
+
+    for name, value in needed_by_shutil.items():
+        setattr(os, name, value)
     used = SimpleNamespace(rss=300_000_000, peak_wset=400_000_000)
     sys.modules["psutil"] = SimpleNamespace(
         Process=lambda: SimpleNamespace(memory_info=lambda: used),

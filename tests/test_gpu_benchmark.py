@@ -2,6 +2,7 @@
 
 import importlib
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -73,10 +74,12 @@ def test_ceilings_are_bytes_and_operations_over_seconds(monkeypatch):
     assert found["matmul_float32_tflop_per_s"] == round(2 * 64**3 / 0.5 / 1e12, 2)
 
 
-def test_the_time_of_a_call_is_its_median():
-    ticks = iter(range(100))
-    median, spread = gpu.seconds_of(lambda: next(ticks), torch.device("cpu"), 7)
-    assert next(ticks) == 12 and 0 < median < 1 and spread >= 0
+def test_the_time_of_a_call_is_its_median_and_half_the_middle_range(monkeypatch):
+    """Twelve calls: five to warm up, then seven of 1 to 7 seconds, the middle half of which spans 2 to 6."""
+    moments = iter([moment for call in range(12) for moment in (100.0 * call, 100.0 * call + max(call - 4, 0))])
+    monkeypatch.setattr(gpu, "time", SimpleNamespace(perf_counter=lambda: next(moments)))
+    assert gpu.seconds_of(lambda: None, torch.device("cpu"), 7) == (4.0, 2.0)
+    assert next(moments, None) is None
 
 
 @pytest.mark.slow

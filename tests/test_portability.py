@@ -1,10 +1,11 @@
 """Every module imports, and a work folder, locks and memory work, without what only POSIX has."""
 
+import re
 import subprocess
 import sys
 
 from tests.conftest import REPOSITORY
-from tests.portability import LIBRARIES, SMALL
+from tests.portability import FLAGS, LIBRARIES, SMALL
 
 
 def run_without_posix(code: str, folder, libraries: tuple[str, ...] = SMALL) -> str:
@@ -30,6 +31,13 @@ from stylerf_cli.main import main
 print(len(names) > 200, main(["doctor"]))
 """
     assert run_without_posix(code, tmp_path, LIBRARIES).endswith("True 0")
+
+
+def test_flags_that_windows_lacks_are_taken_from_open_flags():
+    lacking = re.compile(rf"os\.({'|'.join(FLAGS)})\b")
+    roots = [REPOSITORY / root for root in ("schemas", "stages", "stylerf", "stylerf_cli")]
+    files = [path for root in roots for path in root.rglob("*.py")]
+    assert [path.name for path in files if lacking.search(path.read_text("utf-8"))] == []
 
 
 def test_artifacts_are_made_and_replaced_without_posix(tmp_path):

@@ -34,7 +34,7 @@ class CameraFile:
 
 
 def digest_of_cameras(path: Path) -> str:
-    """Of the file and, where it is there, of the one that tells nerfstudio's frame."""
+    """Return the digest of the file and of the one with nerfstudio's frame, if there is one."""
     beside = path.parent / OF_NERFSTUDIO
     return digest_of([file_sha256(path), file_sha256(beside)]) if beside.is_file() else file_sha256(path)
 
@@ -56,9 +56,9 @@ def read_cameras(path: Path, scene: SceneData) -> CameraFile:
     elif isinstance(content, list) or "views" in keys:
         found = _ours(content if isinstance(content, list) else content["views"], scene.cameras[0], where)
     else:
-        told = f"an object of {', '.join(map(printable, sorted(keys)[:6]))}" if keys else f"{content!r:.20}"
+        found = f"an object of {', '.join(map(printable, sorted(keys)[:6]))}" if keys else f"{content!r:.20}"
         raise BadInput(
-            f"{where} is {told}; a list of cameras was expected, each with world_from_camera, or an object with "
+            f"{where} is {found}; a list of cameras was expected, each with world_from_camera, or an object with "
             "`views` (frames.json), `camera_path` (nerfstudio) or `frames` (transforms.json)"
         )
     if not found.cameras:
@@ -84,7 +84,7 @@ def _ours(entries: object, like: Camera, where: str) -> CameraFile:
 
 
 def _camera_of_entry(entry: dict, name: str, like: Camera) -> Camera:
-    """What an entry does not tell is as `like` has it: its size, its view across, and its center, at the entry's size.
+    """Fill in what an entry lacks from `like`: its size, horizontal field of view and center, at the entry's size.
 
     One focal length alone holds for both sides: pixels are square.
     """
@@ -117,7 +117,7 @@ def _transforms(path: Path, scene: SceneData, where: str) -> CameraFile:
 def _nerfstudio(content: dict, path: Path, scene: SceneData, where: str) -> CameraFile:
     """The cameras that nerfstudio's viewer exports: camera_to_world with OpenGL axes, in nerfstudio's own frame.
 
-    That frame is known where dataparser_transforms.json lies beside the file; else it is taken to be the source's.
+    That frame is known if dataparser_transforms.json is next to the file; otherwise it is assumed to be the source's.
     `fov` is vertical, in degrees.
     """
     kind = content.get("camera_type", "perspective")

@@ -18,7 +18,7 @@ from stylerf.errors import InvalidValue
 from stylerf.fields.palette_edits import PaletteEdits, tinted
 
 DESCRIPTION, NUMBERS, PALETTE, SWATCH = "edit.json", "edit.safetensors", "palette.json", "palette.png"
-OF_WEIGHTS = ("sparsity", "palette_variation")  # what palette.json tells of the weights, beside their shares
+OF_WEIGHTS = ("sparsity", "palette_variation")  # keys of palette.json about the weights, besides their shares
 SWATCH_SIDE = 64
 
 
@@ -30,18 +30,18 @@ class Edit:
     changes: PaletteEdits
 
 
-def save_edit(folder: Path, edit: Edit, shares: list[float], told: dict) -> None:
-    """shares: of the palette's colors in the region. told: what else palette.json says, such as sparsity.
+def save_edit(folder: Path, edit: Edit, shares: list[float], details: dict) -> None:
+    """shares: of the palette's colors in the region. details: further keys of palette.json, such as sparsity.
 
     Whoever reads the palette counts its colors by their shares, the largest first; `column` is the module's own count.
     """
     save_tensors(folder / NUMBERS, edit.module.arrays())
     write_json(folder / DESCRIPTION, {"module": edit.module.describe(), "changes": edit.changes.describe()})
     learned = edit.module.palette
-    save_palette(folder, learned, edit.changes.palette(learned), shares, told)
+    save_palette(folder, learned, edit.changes.palette(learned), shares, details)
 
 
-def save_palette(folder: Path, learned: np.ndarray, now: np.ndarray, shares: list[float], told: dict) -> None:
+def save_palette(folder: Path, learned: np.ndarray, now: np.ndarray, shares: list[float], details: dict) -> None:
     """palette.json and palette.png of palettes [A, 3] as learned and as they are now."""
     order = [int(column) for column in np.argsort(-np.asarray(shares), kind="stable")]
     entries = [
@@ -55,7 +55,7 @@ def save_palette(folder: Path, learned: np.ndarray, now: np.ndarray, shares: lis
         }
         for index, column in enumerate(order)
     ]
-    write_json(folder / PALETTE, {"colors": entries, **told})
+    write_json(folder / PALETTE, {"colors": entries, **details})
     write_png(folder / SWATCH, swatch(learned[order], now[order], [shares[column] for column in order]))
 
 
@@ -94,7 +94,7 @@ def columns_and_shares(artifact: Artifact, colors: int) -> tuple[list[int], list
     entries = told_colors(artifact)
     if len(entries) != colors:
         raise ArtifactDamaged(
-            f"{artifact.path / PALETTE} tells {len(entries)} colors where {colors} were learned; make it anew"
+            f"{artifact.path / PALETTE} has {len(entries)} colors, but {colors} were learned; rebuild it"
         )
     columns = [entry["column"] for entry in entries]
     shares = {entry["column"]: entry["share"] for entry in entries}
@@ -102,11 +102,11 @@ def columns_and_shares(artifact: Artifact, colors: int) -> tuple[list[int], list
 
 
 def told_after(artifact: Artifact, changes: PaletteEdits) -> dict:
-    """What palette.json tells beside colors, as far as it holds of the changed palette: not of other weights."""
-    told = artifact.json(PALETTE)
+    """Return what palette.json has besides colors and still holds after a palette change that keeps the weights."""
+    stored = artifact.json(PALETTE)
     kept = () if changes.scales or changes.biases else OF_WEIGHTS
     with sound(artifact.path / PALETTE, "a sound palette"):
-        return {key: validation.number(told, key) for key in kept if told.get(key, "nan") != "nan"}  # of no pixel
+        return {key: validation.number(stored, key) for key in kept if stored.get(key, "nan") != "nan"}  # of no pixel
 
 
 def by_column(changes: PaletteEdits, columns: list[int]) -> PaletteEdits:

@@ -19,12 +19,12 @@ ARRAYS = ("pixels", "x", "along", "directions", "target", "weight", "inside", "d
 WIDE = {"x": 3, "along": 3, "directions": 3, "target": 3, "edges": 2}  # numbers a pixel, where there are several
 
 
-def save_edit_views(folder: Path, views: list[EditView], told: dict) -> None:
-    """told: what else dataset.json says, such as the views that do not see the region."""
+def save_edit_views(folder: Path, views: list[EditView], details: dict) -> None:
+    """Write the views. details: further keys of dataset.json, such as the views that do not see the region."""
     arrays = {f"{v.view}.{name}": getattr(v, name) for v in views for name in ARRAYS}
     save_tensors(folder / NUMBERS, arrays)
     listed = [{"view": v.view, "width": v.width, "height": v.height, "pixels": len(v)} for v in views]
-    write_json(folder / DESCRIPTION, {**told, "views": listed})
+    write_json(folder / DESCRIPTION, {**details, "views": listed})
 
 
 def load_edit_views(artifact: Artifact) -> tuple[list[EditView], dict]:
@@ -35,7 +35,7 @@ def load_edit_views(artifact: Artifact) -> tuple[list[EditView], dict]:
     with sound(artifact.path, "a sound edit dataset"):
         views = [_view(item, arrays) for item in validation.entry(data, "views", list)]
         if not views or len({one.view for one in views}) < len(views):
-            raise InvalidValue("there are no views, or one stands twice")
+            raise InvalidValue("there are no views, or one is repeated")
         return views, data
 
 

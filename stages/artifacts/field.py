@@ -18,7 +18,7 @@ BACKGROUNDS = ("white", "black", "none")
 
 
 def save_field(folder: Path, field: RadianceField, background: str) -> None:
-    """background: white, black or none: what stands behind the field in pictures."""
+    """background: white, black or none: the background of the field's pictures."""
     save_tensors(folder / NUMBERS, field.arrays())
     write_json(folder / DESCRIPTION, {**field.describe(), "background": background})
 

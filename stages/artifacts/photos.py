@@ -1,4 +1,4 @@
-"""A scene's photos as training wants them: in memory while they fit, else read from a file that has no name."""
+"""A scene's photos for training: in memory if they fit, otherwise memory-mapped from an unnamed file."""
 
 import mmap
 import os
@@ -17,7 +17,7 @@ from stylerf.rendering.view import render_view
 from stylerf.training.common.pixels import STRETCH, Pixels
 from stylerf.training.common.ray_dataset import HIDDEN, RayDataset
 
-# What training takes beside its photos, as measured: a field of 256^3, its moments and two copies of it; and for each
+# Memory of training besides its photos, as measured: a field of 256^3, its moments and two copies of it; and for each
 # thread a buffer of its gradients.
 WORKING_BYTES = 1.2e9
 THREAD_BYTES = 4 * 8.3e6
@@ -25,9 +25,9 @@ LEAST_BYTES = 64e6  # of photos that may be in memory, however little of it is l
 
 
 def bank_of(scene: SceneData, views: list[int], folder: Path, context: Context) -> RayDataset:
-    """Rays of the views, in this order. With and without alpha together: those without are opaque.
+    """Return the rays of the views, in this order. Photos without alpha among others are opaque.
 
-    Every photo is decoded once. Where they do not fit in the memory that is left, they go to a file in `folder`.
+    Every photo is decoded once. Photos that do not fit in the available memory go to a file in `folder`.
     """
     cameras = [scene.cameras[i] for i in views]
     channels = max(scene.channels(i) for i in views)
@@ -38,14 +38,14 @@ def bank_of(scene: SceneData, views: list[int], folder: Path, context: Context) 
         _fill(lambda at, photo: pixels.values.__setitem__(slice(at, at + len(photo)), photo), scene, views, channels)
         return RayDataset(cameras, pixels)
     context.progress.say(
-        f"{len(views)} photos take {in_words(size)}, more than the {in_words(left)} of memory that training leaves "
-        "them: they are read from a file while it runs"
+        f"{len(views)} photos take {in_words(size)}, more than the {in_words(left)} of memory left beside training: "
+        "they are read from a file as it runs"
     )
     return RayDataset(cameras, _on_disk(scene, views, channels, size, left, folder))
 
 
 def _fill(put: Callable[[int, np.ndarray], None], scene: SceneData, views: list[int], channels: int) -> None:
-    """put(place, bytes) for every view in turn."""
+    """Call put(offset, bytes) for every view in turn."""
     at = 0
     for index in views:
         photo = (scene.images(index) * 255 + 0.5).astype(np.uint8)
@@ -56,12 +56,12 @@ def _fill(put: Callable[[int, np.ndarray], None], scene: SceneData, views: list[
 
 
 def _on_disk(scene: SceneData, views: list[int], channels: int, size: int, most: float, folder: Path) -> Pixels:
-    """The photos in a file of `folder` without a name: the system deletes it with the process, however that ends.
+    """Map the photos from an unnamed file in `folder`, which the system deletes when the process ends.
 
-    most: bytes of it that may be in this process's memory. What the system keeps of it beside it takes back by itself.
+    most: bytes of it that may be in this process's memory; the system's own cache of it is reclaimed on demand.
     """
     with writing(folder), tempfile.TemporaryFile(dir=folder, prefix=".photos.", suffix=TEMPORARY_SUFFIX) as file:
-        if hasattr(os, "posix_fallocate"):  # a full disk is met here, on macOS as the photos are written
+        if hasattr(os, "posix_fallocate"):  # reports a full disk here; on macOS writing does
             os.posix_fallocate(file.fileno(), 0, size)
         _fill(lambda at, photo: file.write(photo.data), scene, views, channels)
         file.flush()
@@ -82,7 +82,7 @@ def _on_disk(scene: SceneData, views: list[int], channels: int, size: int, most:
 
 
 def photo_over(scene: SceneData, index: int, level: float) -> np.ndarray:
-    """[h, w, 3] float32, sRGB 0..1, over a background of one gray level."""
+    """Return the photo over a background of one gray level, [h, w, 3] float32, sRGB 0..1."""
     pixels = scene.images(index)
     if pixels.shape[2] == 4:
         pixels = pixels[..., :3] * pixels[..., 3:] + (1 - pixels[..., 3:]) * np.float32(level)
@@ -90,9 +90,9 @@ def photo_over(scene: SceneData, index: int, level: float) -> np.ndarray:
 
 
 def photo_for(field: RadianceField, scene: SceneData, index: int, level: float, chunks: int) -> np.ndarray:
-    """As photo_over, for what teaches colors to a field's shapes.
+    """Return the photo as photo_over does, for training the colors of a field.
 
-    Nothing of a closed space is transparent: what a mask hides there is what the field shows already.
+    With an opaque background nothing is transparent: there masked pixels are those that the field renders.
     """
     pixels = scene.images(index)
     if pixels.shape[2] != 4 or not field.closed:
@@ -103,5 +103,5 @@ def photo_for(field: RadianceField, scene: SceneData, index: int, level: float, 
 
 
 def level_of(background: str) -> float:
-    """Gray level of what stands behind a field in pictures."""
+    """Return the gray level of a background."""
     return 1.0 if background == "white" else 0.0

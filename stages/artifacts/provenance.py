@@ -48,7 +48,7 @@ def field_unstylized(field: Artifact) -> Artifact | None:
 
 
 def shows_its_pictures(field: Artifact) -> bool:
-    """Whether a field looks as the pictures do that it was taught last; a stylized or recolored one does not."""
+    """Return whether a field looks like the pictures it was trained on last; a stylized or recolored one does not."""
     return field.manifest.stage not in ("stylize", "recolor")
 
 
@@ -76,7 +76,7 @@ def edit_behind(field: Artifact) -> Artifact | None:
 
 
 def palette_behind(field: Artifact) -> Artifact | None:
-    """What tells of the palette that a field's colors are mixed of: the field itself, one that it was made from, or
+    """Return the artifact with the palette that a field's colors are mixed from: the field, one it was made from, or
     the local edit that it has learned; None where there is none."""
     own = (one for one in [field, *fields_behind(field)] if one.manifest.stage in ("decompose", "recolor"))
     return edit_behind(field) or next(own, None)

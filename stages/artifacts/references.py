@@ -22,7 +22,7 @@ from stylerf.style.adain import Decoder, adain_picture
 from stylerf.style.feature_extractor import FeatureExtractor
 from stylerf.style.image_sizes import resized, style_picture
 
-LIKE = 0.01  # by so much may a picture's proportions differ from its view's: a pixel of a small picture
+LIKE = 0.01  # most that a picture's aspect ratio may differ from its view's: a pixel of a small picture
 
 
 def digest_of(references: Sequence[str]) -> str:

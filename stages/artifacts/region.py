@@ -1,4 +1,4 @@
-"""Reads and writes region artifacts: region.json tells what was asked for, region.safetensors holds the cells."""
+"""Reads and writes region artifacts: region.json holds the selection's options, region.safetensors the cells."""
 
 from pathlib import Path
 
@@ -17,11 +17,11 @@ from stylerf.geometry.space_warp import SpaceWarp
 DESCRIPTION, NUMBERS = "region.json", "region.safetensors"
 
 
-def save_region(folder: Path, region: Region, space: SpaceWarp, told: dict) -> None:
-    """space: the warp whose cube the cells divide. told: figures for whoever reads the file."""
+def save_region(folder: Path, region: Region, space: SpaceWarp, details: dict) -> None:
+    """Write a region. space: the warp whose cube the cells divide. details: further keys of region.json."""
     packed = {name: np.packbits(grid.reshape(-1)) for name, grid in (("edit", region.edit), ("grow", region.grow))}
     save_tensors(folder / NUMBERS, packed)
-    write_json(folder / DESCRIPTION, {**told, "cells": region.cells, "space": space.describe()})
+    write_json(folder / DESCRIPTION, {**details, "cells": region.cells, "space": space.describe()})
 
 
 def region_of_field(region: Artifact, of: Artifact, field: RadianceField, otherwise: str = "") -> Region:
@@ -32,7 +32,7 @@ def region_of_field(region: Artifact, of: Artifact, field: RadianceField, otherw
     found, space = load_region(region)
     if space != field.space:
         raise BadInput(
-            f"region {region.name} divides the space of another field than {of.name}; select it anew with "
+            f"region {region.name} was selected on a different field than {of.name}; select it again with "
             f"`stylerf select --of {of.name}`{otherwise}"
         )
     return found

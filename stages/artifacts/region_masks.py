@@ -43,7 +43,7 @@ def regions_among(inputs: Mapping[str, Artifact], space: SpaceWarp) -> dict[str,
         region, own = load_region(artifact)
         if own != space:
             raise BadInput(
-                f"region {artifact.name} was selected in the space of another field; select it anew: stylerf select "
+                f"region {artifact.name} was selected on a different field; select it again: stylerf select "
                 f"{artifact.path.parent.parent}"
             )
         found[artifact.name] = Marked(region.edit, artifact.digest)

@@ -39,7 +39,7 @@ class Points:
 
 @dataclass(frozen=True, eq=False)
 class SceneData:
-    """A scene ready for use; images and depths are read when asked for. stops: by which views' photos are darkened.
+    """A scene ready for use; images and depths are read on demand. stops: by which views' photos are darkened.
 
     retaken: the image of a view, by its index, where that is not its photo.
     """
@@ -168,8 +168,8 @@ def view_index(scene: SceneData, name: str, asked_by: str) -> int:
     ordered = sorted({*names, name})
     at = ordered.index(name)
     some = [*ordered[max(0, at - 3) : at], *ordered[at + 1 : at + 4]] if len(names) > 6 else names
-    told = f"{'the nearest of ' if len(names) > 6 else ''}the scene's {len(names)} views are {', '.join(some)}"
-    raise BadInput(f"{asked_by}: there is no view {name!r}; {told}; `stylerf show WORK/scene/main` lists all")
+    known = f"{'the nearest of ' if len(names) > 6 else ''}the scene's {len(names)} views are {', '.join(some)}"
+    raise BadInput(f"{asked_by}: there is no view {name!r}; {known}; `stylerf show WORK/scene/main` lists all")
 
 
 def spread(views: list[int], count: int) -> list[int]:

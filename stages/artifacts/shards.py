@@ -1,4 +1,4 @@
-"""Shards of a job: frames of the same recipe but for their span, put together without being rendered again."""
+"""Shards of a job: frames whose recipes differ only in their range, merged without rendering them again."""
 
 import os
 import shutil
@@ -15,13 +15,13 @@ from schemas.journal import Journal
 from schemas.manifest import FileRecord, Manifest
 from schemas.work_folder import Artifact, PartialArtifact, Recipe, WorkFolder
 
-NO_SAY = ("frames", "video", "fps")  # options that no picture depends on
+NOT_PICTURED = ("frames", "video", "fps")  # options that do not affect pictures
 
 
 def take_frames(partial: PartialArtifact, frames: Sequence[Frame], journal: Journal) -> dict[str, list[str]]:
-    """Puts what shards hold of `frames` below `partial.path`, and records it; the names of those taken, by shard.
+    """Put the shards' files of `frames` below `partial.path` and record them; return the names taken, by shard.
 
-    Files are linked where the disk can, else copied. One that was altered since it was written is not taken.
+    Files are hard-linked if the disk can, otherwise copied. Files altered since they were written are not taken.
     """
     taken: dict[str, list[str]] = {}
     for shard in _shards(partial):
@@ -39,7 +39,7 @@ def take_frames(partial: PartialArtifact, frames: Sequence[Frame], journal: Jour
 def _shards(partial: PartialArtifact) -> Iterator[Artifact]:
     wanted = _pictured(partial.recipe)
     for one in WorkFolder(partial.target.parent.parent).artifacts(partial.kind):
-        with suppress(StylerfError):  # one that cannot be read is no help
+        with suppress(StylerfError):  # skip one that cannot be read
             made = one.manifest
             recipe = Recipe(made.stage, made.revision, made.config, made.inputs, made.seed)
             if made.config.get("frames") and _pictured(recipe) == wanted:
@@ -47,8 +47,8 @@ def _shards(partial: PartialArtifact) -> Iterator[Artifact]:
 
 
 def _pictured(recipe: Recipe) -> str:
-    # A file of cameras is known by its content.
-    idle = (*NO_SAY, "path") if recipe.config.get("path_digest") else NO_SAY
+    # A file of cameras is identified by its content.
+    idle = (*NOT_PICTURED, "path") if recipe.config.get("path_digest") else NOT_PICTURED
     config = {name: value for name, value in recipe.config.items() if name not in idle}
     return Recipe(recipe.stage, recipe.revision, config, recipe.inputs, recipe.seed).digest
 
@@ -57,7 +57,7 @@ def _files_by_frame(made: Manifest) -> dict[str, list[FileRecord]]:
     found = defaultdict(list)
     for record in made.files:
         kind, *name = PurePosixPath(record.path).with_suffix("").parts
-        if name:  # of a mask its region comes first; a frame's own name may have folders
+        if name:  # masks/REGION/FRAME; a frame's name may have folders
             found["/".join(name[1:] if kind == "masks" else name)].append(record)
     return found
 

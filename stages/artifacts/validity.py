@@ -20,4 +20,4 @@ def sound(path: Path, what: str) -> Iterator[None]:
         yield
     except UNSOUND as error:
         why = f"it lacks {error}" if isinstance(error, KeyError) else str(error)
-        raise ArtifactDamaged(f"{path} does not hold {what} ({why}); make it anew") from error
+        raise ArtifactDamaged(f"{path} does not hold {what} ({why}); rebuild it") from error

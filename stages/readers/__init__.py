@@ -1,4 +1,4 @@
-"""Readers of sources: one module per format of poses, each returning a SourceScene, and one of plain photos."""
+"""Readers of sources: a module per pose format, each returning a SourceScene, and one for plain photos."""
 
 import importlib
 from dataclasses import dataclass, replace
@@ -14,7 +14,7 @@ XML_MARKS = (b"<document", b"<chunk")
 
 @dataclass(frozen=True)
 class Found:
-    """What a source holds. kind: one of FORMATS, or photos. also: other formats there. remarks: what else to say."""
+    """What a source holds. kind: one of FORMATS, or photos. also: other formats found. remarks: lines for the user."""
 
     kind: str
     also: tuple[str, ...] = ()
@@ -22,9 +22,10 @@ class Found:
 
 
 def found_in(source: Path, format: str = "auto") -> Found:
-    """The format to read: the wanted one, or the most telling one that is whole; photos where there are no poses.
+    """Pick the format to read: the requested one, or the most complete of those found; photos if there are no poses.
 
-    BadInput where `source` does not exist, or holds poses that cannot be read and no others.
+    Raises:
+        BadInput: `source` does not exist, or its only poses are of an unsupported format.
     """
     if not source.exists():
         raise BadInput(f"{source} does not exist; give a folder of photos")
@@ -36,12 +37,12 @@ def found_in(source: Path, format: str = "auto") -> Found:
     if not kinds and foreign:
         one = foreign[0]
         raise BadInput(
-            f"{printable(str(one.path))} holds poses of {one.tool}, which are not read: {one.how}; or find new poses "
-            "from the photos, with --format photos"
+            f"{printable(str(one.path))} holds poses of {one.tool}, which are not supported: {one.how}; or find new "
+            "poses from the photos with --format photos"
         )
     if not kinds:
         return Found("photos")
-    remarks = [f"poses of {one.tool} are not read ({printable(one.path.name)})" for one in foreign]
+    remarks = [f"poses of {one.tool} are not supported ({printable(one.path.name)})" for one in foreign]
     incomplete = [one for one in model_folders(source) if not whole_model(one)]
     if incomplete and kinds[0] != "colmap":
         remarks.append(f"the COLMAP model {incomplete[0]} lacks cameras or images and is not used")
@@ -50,10 +51,10 @@ def found_in(source: Path, format: str = "auto") -> Found:
 
 
 def detected(source: Path) -> list[str]:
-    """Which of FORMATS lie at `source` (a folder, or one file of it), the most telling first; none: no poses.
+    """List those of FORMATS found at `source` (a folder, or one file of it), the most complete first.
 
-    transforms.json tells lens and splits, a COLMAP model lens and points, LLFF neither. A COLMAP model of which files
-    are missing comes last: whatever else is there is taken.
+    transforms.json has lens and splits, a COLMAP model lens and points, LLFF neither. A COLMAP model with missing files
+    comes last: anything else is preferred to it.
     """
     if source.is_file():
         named = {"poses_bounds.npy": ["llff"], "reconstruction.json": ["opensfm"], "metadata.json": ["record3d"]}
@@ -73,9 +74,9 @@ def detected(source: Path) -> list[str]:
 
 
 def model_folders(source: Path) -> list[Path]:
-    """Folders of COLMAP models: `source` itself, or those in one of the usual places of it, by their numbers.
+    """List the folders of COLMAP models: `source` itself, or those in its usual places, by number.
 
-    Of the places the first that holds a whole model counts, else the first with any file of one.
+    The first place with a complete model counts, otherwise the first with any file of one.
     """
     places = [[source]]
     for folder in (source / "sparse", source / "colmap" / "sparse", source / "distorted" / "sparse"):
@@ -93,14 +94,14 @@ def _any_model(folder: Path) -> bool:
 
 
 def whole_model(folder: Path) -> bool:
-    """Whether the folder holds both the cameras and the photos of a COLMAP model."""
+    """Return whether the folder holds both the cameras and the photos of a COLMAP model."""
     from stages.readers.colmap_model import whole
 
     return bool(whole(folder))
 
 
 def metashape_file(source: Path) -> Path | None:
-    """The cameras that Metashape exported: cameras.xml, or the first XML that looks like such."""
+    """Find Metashape's exported cameras: cameras.xml, or the first XML file that looks like it."""
     from stages.readers.unsupported import MOST_FILES, head_of
 
     if source.is_file() or (source / "cameras.xml").is_file():
@@ -110,13 +111,13 @@ def metashape_file(source: Path) -> Path | None:
 
 
 def opensfm_file(source: Path) -> Path | None:
-    """OpenSfM's reconstruction.json, in the source or where OpenDroneMap puts it."""
+    """Find OpenSfM's reconstruction.json, in the source or where OpenDroneMap puts it."""
     places = (source, source / "reconstruction.json", source / "opensfm" / "reconstruction.json")
     return next((path for path in places if path.is_file()), None)
 
 
 def polycam_folder(source: Path) -> Path | None:
-    """The folder with Polycam's cameras and images, as optimized where it has been, else as recorded."""
+    """Find the folder of Polycam's cameras and images, optimized if available, otherwise as recorded."""
     for folder in (source / "keyframes", source):
         for cameras, images in POLYCAM:
             if (folder / images).is_dir() and any((folder / cameras).glob("*.json")):
@@ -124,7 +125,7 @@ def polycam_folder(source: Path) -> Path | None:
     return None
 
 
-# Of Polycam: the folders of cameras and their images, those to take first in front.
+# Polycam's folders of cameras and images, in order of preference.
 POLYCAM = (("corrected_cameras", "corrected_images"), ("cameras", "images"))
 
 

@@ -1,4 +1,4 @@
-"""What stands behind the subject in a set of pictures: transparency, plain white or black, or simply the world."""
+"""Detects the background of a set of pictures: transparency, plain white or black, or the surroundings."""
 
 import numpy as np
 
@@ -9,7 +9,7 @@ from stylerf.geometry.silhouette_bounds import silhouette
 PLAIN_SHARE = 0.97
 _PLAIN = 0.02
 _FOREGROUND = 0.06
-# An object is cut out where in the median picture so much of the border is transparent, and so much of the whole. A
+# An object is cut out if in the median picture this much of the border is transparent, and this much of the whole. A
 # tripod, a car's bonnet or passers-by take little of either, the blank rim of an undistorted photo little of the whole,
 # the sky no more than the border's upper half or so.
 CUT_BORDER = 2 / 3
@@ -21,7 +21,8 @@ _ONE_MASK = 0.002
 class Background:
     """Gathers evidence picture by picture (`seen`), then `decide`s.
 
-    kind: alpha, white, black or none. cuts_out: in words, by what the object is told from the background, else empty.
+    kind: alpha, white, black or none. cuts_out: what separates the object from its background, in
+    words; empty if nothing does.
     remark: what is transparent without cutting an object out, in words, else empty.
     """
 
@@ -52,7 +53,7 @@ class Background:
         return pixels
 
     def decide(self) -> None:
-        """Sets kind and cuts_out; BadInput where alpha was asked for and no picture has any."""
+        """Set kind and cuts_out; BadInput if alpha is requested and no picture has any."""
         if self.wanted == "alpha" and not self._with_alpha:
             raise BadInput("--background alpha: no photo has transparency or a mask; add masks/NAME.png, or drop it")
         if self._with_alpha:

@@ -36,7 +36,7 @@ def size(values: object, where: str, names: tuple[str, str] = ("width", "height"
     """Width and height in whole pixels."""
     sides = [number(values, name, where) for name in names]
     if not all(1 <= side < LARGEST_SIDE and side == round(side) for side in sides):
-        raise BadInput(f"{where} tells a size of {sides[0]:g}x{sides[1]:g}")
+        raise BadInput(f"{where} gives a size of {sides[0]:g}x{sides[1]:g}")
     return round(sides[0]), round(sides[1])
 
 

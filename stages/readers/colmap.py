@@ -68,7 +68,7 @@ def _models(folders: list[Path]) -> tuple[dict[Path, Model], list[str]]:
 def scene_of(
     model: Model, folder: Path, root: Path, kind: str, rescalable: bool = False, above: Path | None = None
 ) -> SourceScene:
-    """The posed photos of a model whose photos lie in `folder` (or `above`), in the order of their names."""
+    """Return the posed photos of a model whose photos are in `folder` (or `above`), by name."""
     cameras, photos = [], Folder(folder, above, "the COLMAP model")
     for image in sorted(model.images, key=lambda one: natural(one.name)):
         camera = model.cameras[image.camera]

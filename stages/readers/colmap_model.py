@@ -1,7 +1,7 @@
 """COLMAP's model files, binary or text, read strictly.
 
 COLMAP's own reader (pycolmap.Reconstruction), given a file that was cut short or altered, may read on for ever, ask for
-exabytes of memory, or take in a part without a word; here every count is held against the bytes that are there, and
+exabytes of memory, or read part of it silently; here every count is checked against the bytes that are there, and
 nothing may be left over. Rigs and frames are not needed: images.bin and images.txt hold each photo's own pose too.
 """
 
@@ -106,12 +106,12 @@ def read_model(folder: Path) -> Model:
 
 
 def _model(folder: Path, end: str, remarks: tuple[str, ...] = ()) -> Model:
-    binary, said = end == ".bin", list(remarks)
-    cameras = _read(folder / f"cameras{end}", _cameras_binary if binary else _cameras_text, said)
-    images = _read(folder / f"images{end}", _images_binary if binary else _images_text, said)
+    binary, remarks = end == ".bin", list(remarks)
+    cameras = _read(folder / f"cameras{end}", _cameras_binary if binary else _cameras_text, remarks)
+    images = _read(folder / f"images{end}", _images_binary if binary else _images_text, remarks)
     points = (np.zeros((0, 3)), np.zeros((0, 3), np.uint8), np.zeros(0, np.float32))
     if (path := folder / f"points3D{end}").is_file():
-        points = _read(path, _points_binary if binary else _points_text, said)
+        points = _read(path, _points_binary if binary else _points_text, remarks)
     first: dict[int, ModelImage] = {}
     for image in images:
         if image.camera not in cameras:
@@ -124,15 +124,15 @@ def _model(folder: Path, end: str, remarks: tuple[str, ...] = ()) -> Model:
             raise BadInput(f"the COLMAP model {folder}: {two} have one number, {image.number}; number photos apart")
     if not images:
         raise BadInput(f"the COLMAP model {folder} holds no photo with a pose; reconstruct again")
-    return Model(cameras, images, *points, tuple(said))
+    return Model(cameras, images, *points, tuple(remarks))
 
 
 def _against_text(folder: Path, binary: Model) -> tuple[str, ...]:
     """What to say of the text beside a binary model that is read: nothing where it is the same to its digits."""
-    said: list[str] = []
+    remarks: list[str] = []
     try:
-        cameras = _read(folder / "cameras.txt", _cameras_text, said)
-        images = {one.name: one for one in _read(folder / "images.txt", _images_text, said)}
+        cameras = _read(folder / "cameras.txt", _cameras_text, remarks)
+        images = {one.name: one for one in _read(folder / "images.txt", _images_text, remarks)}
     except BadInput as error:
         return (f"{error}; the binary model beside it was taken",)
     ours = {one.name: one for one in binary.images}
@@ -144,8 +144,8 @@ def _against_text(folder: Path, binary: Model) -> tuple[str, ...]:
     ]
     if len(images) == len(ours) == sum(equal):
         return ()
-    told = f"{len(images)} photos, {sum(equal)} of them as in the binary model"
-    return (f"{folder}: its text is another model ({told}) and is not used; for it, move the .bin files away",)
+    counts = f"{len(images)} photos, {sum(equal)} of them as in the binary model"
+    return (f"{folder}: its text is another model ({counts}) and is not used; for it, move the .bin files away",)
 
 
 def _alike(one: ModelCamera | None, other: ModelCamera) -> bool:
@@ -167,8 +167,8 @@ def _read(path: Path, parse, remarks: list[str]):
         content = parse(lines)
         if path.stem == "points3D":
             return content
-        if lines.told not in (None, len(content)):
-            remarks.append(f"{path}: its head tells of {lines.told} entries, {len(content)} are there")
+        if lines.declared not in (None, len(content)):
+            remarks.append(f"{path}: its header declares {lines.declared} entries, {len(content)} are there")
         return content
     except FileNotFoundError as error:
         raise BadInput(f"{path} cannot be read ({error.strerror}); export the COLMAP model again") from error
@@ -192,7 +192,7 @@ class _Bytes:
         return values
 
     def count(self, least_bytes: int) -> int:
-        """A count of items that take at least so many bytes each."""
+        """Read a count of items of at least `least_bytes` bytes each."""
         (number,) = self.take("Q")
         self._need(number * least_bytes)
         return number
@@ -256,8 +256,8 @@ def _image(number: int, name: str, camera: int, pose: list[float]) -> ModelImage
     quaternion, shift = np.array(pose[:4]), np.array(pose[4:])
     length = math.hypot(*quaternion)  # no warning where it overflows
     if not (np.isfinite(pose).all() and abs(length - 1) < ROUNDING):
-        told = f": its quaternion has length {length:.3g}, expected 1" if math.isfinite(length) else ""
-        raise _Damaged(f"the pose of {printable(name)!r} is no rotation{told}")
+        why = f": its quaternion has length {length:.3g}, expected 1" if math.isfinite(length) else ""
+        raise _Damaged(f"the pose of {printable(name)!r} is no rotation{why}")
     return ModelImage(number, name, camera, np.column_stack([rotation_of(quaternion / length), shift]))
 
 
@@ -293,10 +293,10 @@ def _points(numbers: array, values: array) -> tuple[np.ndarray, np.ndarray, np.n
 
 
 class _Lines:
-    """The lines of a text file without blank ones and comments. told: how many entries its head says there are."""
+    """The lines of a text file without blank ones and comments. declared: number of entries by its header."""
 
     def __init__(self, text: str) -> None:
-        self.told: int | None = None
+        self.declared: int | None = None
         self._lines = text.split("\n")
         self._at = 0
 
@@ -323,7 +323,7 @@ class _Lines:
     def _head(self, line: str) -> None:
         count = line.partition(":")[2].split(",")[0].strip()
         if line.startswith("# Number of ") and count.isdecimal():
-            self.told = int(count)
+            self.declared = int(count)
 
 
 def _cameras_text(lines: _Lines) -> dict[int, ModelCamera]:

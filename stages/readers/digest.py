@@ -1,4 +1,4 @@
-"""The identity of a source: the content of what an import reads, wherever it lies and whenever it was written."""
+"""The identity of a source: the content of the files that an import reads, regardless of place and date."""
 
 from pathlib import Path
 
@@ -8,18 +8,19 @@ from schemas.canonical_json import digest_of, file_sha256
 from schemas.errors import BadInput
 from stages.readers import found_in, read_source
 from stages.readers.photo_folder import photos_of, unreadable_beside
-from stages.readers.source import SourceCamera, told, with_masks
+from stages.readers.source import SourceCamera, path_in_source, with_masks
 from stages.readers.transforms import lists_of
 
 
 def digest_of_source(source: Path, format: str = "auto", images: str = "") -> str:
-    """SHA-256 over the files that tell poses and over every photo, its mask and its known depth, each under the name
-    that the source has for it. What else lies there does not count. BadInput where the source cannot be read.
+    """SHA-256 of the files with poses and of every photo, its mask and its known depth, each by its name in the source.
+    Other files do not count. BadInput if the source cannot be read.
     """
     kind = found_in(source, format).kind
     if kind == "photos":
         photos = photos_of(source, images)
-        cameras = with_masks([SourceCamera(one.stem, told(one, source), one, np.eye(4)) for one in photos], source)
+        plain = [SourceCamera(one.stem, path_in_source(one, source), one, np.eye(4)) for one in photos]
+        cameras = with_masks(plain, source)
         others = [one.name for one in unreadable_beside(photos)]
         return digest_of([kind, others, [_entry(one) for one in cameras]])
     scene = read_source(source, format, images)

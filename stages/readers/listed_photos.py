@@ -1,4 +1,4 @@
-"""Photos as lists of poses name them: by paths of another machine, of another folder, or in another form of Unicode."""
+"""Finds the photos of a pose list, whose paths may be of another machine, folder or Unicode form."""
 
 import re
 import unicodedata
@@ -10,9 +10,10 @@ from stages.readers.source import bare, find_image
 
 
 def inner_path(listed: str, where: str) -> str:
-    """The listed path with forward slashes, without its root or drive and without all up to its last `..`.
+    """Return the listed path with forward slashes, without root or drive, and from after its last `..`.
 
-    BadInput, naming `where`, for what cannot be a file's name.
+    Raises:
+        BadInput: It is no valid path; the message begins with `where`.
     """
     parts = _parts(listed)
     parts = parts[1:] if parts and re.fullmatch("[A-Za-z]:", parts[0]) else parts
@@ -25,41 +26,41 @@ def _parts(listed: str) -> list[str]:
 
 
 class Folder:
-    """Finds the photos of a list in a folder, by the listed path, or without its first folders, at last by its name.
+    """Finds the photos of a list in a folder by their listed paths, then without leading folders, finally by name.
 
-    above: where a listed path is looked for as well, as a whole. What is found never lies outside of both. A photo that
-    two entries of different paths would take is refused.
+    above: a second folder where whole listed paths are tried. Photos are never found outside these two. Two entries of
+    different paths may not share a photo.
     """
 
     def __init__(self, folder: Path, above: Path | None = None, where: str = "") -> None:
         self.folder, self.above, self.where = folder, above, where
-        self.shortened: list[str] = []  # listed paths of photos that were found by the end of their paths
+        self.shortened: list[str] = []  # listed paths of photos found without their leading folders
         self._taken: dict[Path, str] = {}
 
     def photo(self, listed: str) -> tuple[str, Path | None]:
-        """The name of its view, and the file: None where there is none."""
+        """Return the name of its view and the file, None if there is none."""
         inner = inner_path(listed, self.where or f"{self.folder}")
         found, root, as_listed = self._found(inner)
         if found is None:
             return bare(Path(inner)).as_posix(), None
         if _parts(other := self._taken.setdefault(found, listed)) != _parts(listed):
             raise BadInput(
-                f"{self.where}: {printable(other)} and {printable(listed)} would both be the photo {found}; lay photos "
-                "into folders as the list has them"
+                f"{self.where}: {printable(other)} and {printable(listed)} would both be the photo {found}; put the "
+                "photos in folders as the list has them"
             )
         if not as_listed or inner != "/".join(_parts(listed)):
             self.shortened.append(listed)
         return bare(found.relative_to(root)).as_posix(), found
 
     def remarks(self) -> tuple[str, ...]:
-        """What to say of photos that do not lie where the list has them."""
+        """Return lines for the user about photos that were not where the list has them."""
         if not self.shortened:
             return ()
         first = printable(self.shortened[0])
-        return (f"{len(self.shortened)} photos were found by the end of their listed paths ({first} first)",)
+        return (f"{len(self.shortened)} photos were found by the end of their listed paths (first: {first})",)
 
     def _found(self, inner: str) -> tuple[Path | None, Path, bool]:
-        """The file, the folder that it was looked for in, and whether it lies in `folder` by its whole path."""
+        """Return the file, the folder it was found in, and whether that was `folder`, by its whole path."""
         parts = inner.split("/")
         places = [(self.folder, "/".join(parts[start:])) for start in range(len(parts))]
         if self.above:

@@ -10,7 +10,7 @@ import numpy as np
 from schemas.errors import BadInput
 from schemas.safe_names import printable
 from schemas.safe_reading import read_bytes
-from stages.readers.source import SourceCamera, SourceScene, image_folder, images_in, told, with_masks
+from stages.readers.source import SourceCamera, SourceScene, image_folder, images_in, path_in_source, with_masks
 from stylerf.geometry.camera_conventions import from_llff
 
 MOST_BYTES = 64 << 20  # of poses of 400,000 photos
@@ -27,19 +27,19 @@ def read(source: Path, images: str) -> SourceScene:
     photos = sorted(images_in(folder), key=lambda photo: photo.name)
     if len(photos) != len(rows):
         raise BadInput(
-            f"{path} holds {len(rows)} poses but {folder} holds {len(photos)} photos; LLFF tells photos by their order "
-            "alone, so both must be equal: restore or remove photos, or name their folder with --images"
+            f"{path} holds {len(rows)} poses but {folder} holds {len(photos)} photos; LLFF identifies photos by "
+            "their order alone, so both must be equal: restore or remove photos, or name their folder with --images"
         )
     cameras = []
     for row, photo in zip(rows, photos, strict=True):
         pose = row[:15].reshape(3, 5)
         height, width, focal = pose[:, 4]
         if not (np.isfinite(pose[:, 4]).all() and min(height, width) >= 1):
-            raise BadInput(f"{path}: the row of {photo.name} tells a size of {width:g}x{height:g}; export it again")
+            raise BadInput(f"{path}: the row of {photo.name} gives a size of {width:g}x{height:g}; export it again")
         cameras.append(
             SourceCamera(
                 name=photo.stem,
-                source=told(photo, path.parent),
+                source=path_in_source(photo, path.parent),
                 image=photo,
                 world_from_camera=from_llff(pose),
                 size=(round(width), round(height)),
@@ -79,7 +79,7 @@ def _array(data: bytes) -> np.ndarray:
     header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
     shape, _, kind = header(stream)
     if math.prod(shape) * kind.itemsize > len(data):  # before numpy sets memory aside for it
-        raise ValueError(f"cut short: its header tells of {shape} numbers")
+        raise ValueError(f"cut short: its header declares {shape} numbers")
     return np.lib.format.read_array(io.BytesIO(data), allow_pickle=False)
 
 

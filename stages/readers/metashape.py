@@ -124,8 +124,8 @@ def _frames(chunk, entries: list) -> tuple[dict[str | None, np.ndarray], tuple[s
     if all(placed.get(component) is not None for component in counts):
         return {component: _similarity(placed[component], f"component {component}") for component in counts}, ()
     largest, most = counts.most_common(1)[0]
-    told = f"{len(counts)} components are not placed to each other: that of most photos, {most}, was taken"
-    return {largest: np.eye(4)}, (told,)
+    remark = f"{len(counts)} components are not aligned with each other: the largest, of {most} photos, is used"
+    return {largest: np.eye(4)}, (remark,)
 
 
 def _similarity(transform, where: str) -> np.ndarray:
@@ -163,20 +163,20 @@ def _lens(sensor, where: str) -> tuple[tuple[int, int], tuple[float, float, floa
     if one.find("f") is None:
         raise BadInput(f"{where}: its calibration has no f; that of PhotoScan before 1.2 is not read: {EXPORT}")
     names = ("f", "cx", "cy", "b1", "b2", "k1", "k2", "k3", "k4", "p1", "p2", "p3", "p4")
-    told = {name: _numbers(one, name, 1, where)[0] if one.find(name) is not None else 0.0 for name in names}
-    f, b1, b2 = told["f"], told["b1"], told["b2"]
+    values = {name: _numbers(one, name, 1, where)[0] if one.find(name) is not None else 0.0 for name in names}
+    f, b1, b2 = values["f"], values["b1"], values["b2"]
     if not (f > 0 and f + b1 > 0):
         raise BadInput(f"{where}: its focal length {f:g} (b1 {b1:g}) must be positive; {EXPORT}")
-    if abs(b2) * height / 2 / f > MOST_SKEW_PX or told["p3"] or told["p4"]:
+    if abs(b2) * height / 2 / f > MOST_SKEW_PX or values["p3"] or values["p4"]:
         raise BadInput(
             f"{where}: its lens has a skew (b2 {b2:g}) or p3, p4, which are not read; calibrate without them, or "
             "export undistorted photos and their cameras"
         )
-    radial = tuple(told[f"k{index}"] for index in range(1, 5))
-    intrinsics = (f + b1, f, width / 2 + told["cx"], height / 2 + told["cy"])
+    radial = tuple(values[f"k{index}"] for index in range(1, 5))
+    intrinsics = (f + b1, f, width / 2 + values["cx"], height / 2 + values["cy"])
     if kind == "frame":
-        return (width, height), intrinsics, Distortion("brown", radial, (told["p2"], told["p1"]))
-    if told["p1"] or told["p2"]:
+        return (width, height), intrinsics, Distortion("brown", radial, (values["p2"], values["p1"]))
+    if values["p1"] or values["p2"]:
         raise BadInput(f"{where}: a fisheye with p1, p2 is not read; calibrate without them, or undistort the photos")
     return (width, height), intrinsics, Distortion("fisheye", radial)
 

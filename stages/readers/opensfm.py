@@ -60,8 +60,9 @@ def read(source: Path, images: str) -> SourceScene:
     remarks = list(photos.remarks())
     if len(parts) > 1:
         others = ", ".join(str(count) for index, count in enumerate(counts) if index != largest)
-        told = f"of {len(parts)} reconstructions that of most photos, {counts[largest]}, was taken (others: {others})"
-        remarks.append(told)
+        remarks.append(
+            f"of {len(parts)} reconstructions the largest, of {counts[largest]} photos, is used (others: {others})"
+        )
     return SourceScene(
         "reconstruction of OpenSfM", with_masks(cameras, root), _points(parts[largest], where),
         rescalable=bool(images), remarks=tuple(remarks), files=(path,),

@@ -1,4 +1,4 @@
-"""A folder of photos and nothing else: which files count, and what to say where none does."""
+"""A folder of plain photos: which files count, and what to report if none does."""
 
 import shlex
 from pathlib import Path
@@ -8,11 +8,11 @@ from stages.readers.source import image_folder, images_in, natural
 
 FOLDERS = ("images", "input", "photos")
 UNREADABLE = (".heic", ".heif", ".avif", ".cr2", ".cr3", ".nef", ".arw", ".dng", ".raf", ".orf", ".rw2")
-FILMS = (".mp4", ".mov", ".avi", ".mkv", ".webm", ".m4v")
+VIDEOS = (".mp4", ".mov", ".avi", ".mkv", ".webm", ".m4v")
 
 
 def photos_of(source: Path, images: str = "") -> list[Path]:
-    """The photos in `source` or its folder images/ (or --images), masks left out; BadInput where there are none."""
+    """List the photos in `source` or its images/ (or --images), without masks; BadInput if there are none."""
     if not source.exists():
         raise BadInput(f"{source} does not exist; give a folder of photos")
     if source.is_file():
@@ -24,18 +24,18 @@ def photos_of(source: Path, images: str = "") -> list[Path]:
     foreign = sorted({Path(name).suffix for name in names if Path(name).suffix.lower() in UNREADABLE})
     if foreign:
         how = conversion(folder, foreign[0])
-        raise BadInput(f"{folder} holds only files that cannot be read ({', '.join(foreign)}); {how}")
-    films = [name for name in names if Path(name).suffix.lower() in FILMS]
-    if films:
-        raise _film(folder / films[0])
+        raise BadInput(f"{folder} holds only files of unsupported formats ({', '.join(foreign)}); {how}")
+    videos = [name for name in names if Path(name).suffix.lower() in VIDEOS]
+    if videos:
+        raise _video_refusal(folder / videos[0])
     raise BadInput(
         f"{source} holds no photos (PNG, JPEG, TIFF, WebP ...), no transforms.json, no COLMAP model (sparse/0) and no "
-        "poses_bounds.npy; give a folder that has one of them"
+        "poses_bounds.npy; give a folder that has one of these"
     )
 
 
 def unreadable_beside(photos: list[Path]) -> list[Path]:
-    """Files of formats that cannot be read in the folder of the photos, but those of a photo that is there as well."""
+    """List files of unsupported formats next to the photos, except other versions of these photos."""
     there = {photo.stem for photo in photos}
     items = photos[0].parent.iterdir()
     found = (one for one in items if one.suffix.lower() in UNREADABLE and one.stem not in there and one.name[0] != ".")
@@ -43,12 +43,12 @@ def unreadable_beside(photos: list[Path]) -> list[Path]:
 
 
 def conversion(folder: Path, suffix: str) -> str:
-    """What turns the files of a suffix in a folder into photos that can be read."""
+    """Return advice for converting the files of a suffix to a supported format."""
     return f"convert them to JPEG or PNG, with ImageMagick: mogrify -format jpg {shlex.quote(str(folder))}/*{suffix}"
 
 
 def folder_of(source: Path, images: str = "") -> Path:
-    """The folder of the photos: --images, else the source where it holds any, else one of FOLDERS in it."""
+    """Return the folder of the photos: --images, else the source if it holds any, else one of FOLDERS in it."""
     if images:
         return image_folder(source, images)
     if images_in(source):
@@ -57,11 +57,11 @@ def folder_of(source: Path, images: str = "") -> Path:
 
 
 def _no_folder(source: Path) -> BadInput:
-    if source.suffix.lower() in FILMS:
-        return _film(source)
+    if source.suffix.lower() in VIDEOS:
+        return _video_refusal(source)
     return BadInput(f"{source} is a file; give the folder of the photos")
 
 
-def _film(film: Path) -> BadInput:
-    command = f"mkdir -p frames && ffmpeg -i {shlex.quote(str(film))} -vf fps=3 frames/%04d.jpg"
-    return BadInput(f"{film} is a video; take frames out of it first: {command}")
+def _video_refusal(video: Path) -> BadInput:
+    command = f"mkdir -p frames && ffmpeg -i {shlex.quote(str(video))} -vf fps=3 frames/%04d.jpg"
+    return BadInput(f"{video} is a video; extract frames first: {command}")

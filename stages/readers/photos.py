@@ -33,7 +33,7 @@ class Sized:
 def sized(camera: SourceCamera, source: SourceScene, alike: dict) -> Sized:
     """Checks pose, focal length and size against the photo's header. alike: cache of pinholes by their distortion.
 
-    A photo is turned by EXIF too where only so it is of the size that its camera tells. BadInput with the photo's name
+    A photo is turned by EXIF too if only then its size is that of its camera. BadInput with the photo's name
     and what is wrong.
     """
     where = camera.source
@@ -56,34 +56,34 @@ def sized(camera: SourceCamera, source: SourceScene, alike: dict) -> Sized:
     return Sized(camera, upright, size, intrinsics, alike[key], pose)
 
 
-def _fits(size: tuple[int, int], told: tuple[int, int], rescalable: bool) -> bool:
+def _fits(size: tuple[int, int], claimed: tuple[int, int], rescalable: bool) -> bool:
     # A copy shrunk by rounding keeps the aspect to half a pixel on each side.
-    kx, ky = size[0] / told[0], size[1] / told[1]
-    return size == told or (rescalable and abs(kx / ky - 1) <= 1 / min(size))
+    kx, ky = size[0] / claimed[0], size[1] / claimed[1]
+    return size == claimed or (rescalable and abs(kx / ky - 1) <= 1 / min(size))
 
 
 def _intrinsics(camera: SourceCamera, size: tuple[int, int], rescalable: bool) -> tuple[float, float, float, float]:
-    told, where = camera.size or size, camera.source
+    claimed, where = camera.size or size, camera.source
     fx, fy, cx, cy = camera.intrinsics
-    fx = _focal(fx, camera.angles[0], told[0], f"{where}: its horizontal")
-    fy = _focal(fy, camera.angles[1], told[1], f"{where}: its vertical")
+    fx = _focal(fx, camera.angles[0], claimed[0], f"{where}: its horizontal")
+    fy = _focal(fy, camera.angles[1], claimed[1], f"{where}: its vertical")
     fx, fy = (fy if np.isnan(fx) else fx), (fx if np.isnan(fy) else fy)
-    cx, cy = (told[0] / 2 if np.isnan(cx) else cx), (told[1] / 2 if np.isnan(cy) else cy)
+    cx, cy = (claimed[0] / 2 if np.isnan(cx) else cx), (claimed[1] / 2 if np.isnan(cy) else cy)
     if not (np.isfinite([fx, fy, cx, cy]).all() and fx > 0 and fy > 0):
         raise BadInput(f"{where}: focal length {fx:g} x {fy:g} must be positive; repair the camera")
-    if told == size:
+    if claimed == size:
         return (fx, fy, cx, cy)
-    if not _fits(size, told, rescalable):
+    if not _fits(size, claimed, rescalable):
         raise BadInput(
-            f"{where}: the photo is {size[0]}x{size[1]} where its camera says {told[0]}x{told[1]}; restore the "
+            f"{where}: the photo is {size[0]}x{size[1]} where its camera says {claimed[0]}x{claimed[1]}; restore the "
             "photo of that size" + ("" if rescalable else ", or name a folder of smaller copies with --images")
         )
-    kx, ky = size[0] / told[0], size[1] / told[1]
+    kx, ky = size[0] / claimed[0], size[1] / claimed[1]
     return (fx * kx, fy * ky, cx * kx, cy * ky)
 
 
 def _focal(focal: float, angle: float, side: int, which: str) -> float:
-    """The focal length of an axis, in pixels: as told, else by its angle; NaN where neither is."""
+    """Return the focal length of an axis in pixels: as given, else by its angle; NaN if both are missing."""
     if not np.isnan(focal) or np.isnan(angle):
         return focal
     if not 0 < angle < np.pi:
@@ -177,7 +177,7 @@ def _fitted(mask: np.ndarray, path: Path, photo: np.ndarray) -> np.ndarray:
 
 
 def lens_without_photo(camera: SourceCamera, size: tuple[int, int]) -> tuple[float, float, float, float]:
-    """fx, fy, cx, cy of a camera whose photo need not be there. size: that of its picture where it tells none."""
+    """fx, fy, cx, cy of a camera whose photo need not be there. size: that of its picture if the camera has none."""
     return _intrinsics(camera, camera.size or size, rescalable=True)
 
 

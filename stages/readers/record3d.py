@@ -14,12 +14,12 @@ from schemas.safe_reading import read_json
 from stages.readers import record3d_file
 from stages.readers.checked_values import entry_of, row, size
 from stages.readers.colmap_model import ROUNDING, rotation_of
-from stages.readers.source import SourceCamera, SourceScene, image_folder, images_in, told, with_masks
+from stages.readers.source import SourceCamera, SourceScene, image_folder, images_in, path_in_source, with_masks
 from stylerf.geometry.camera_conventions import from_opengl, with_last_row
 
 
 def read(source: Path, images: str) -> SourceScene:
-    """The frames of which there is a photo, named by their numbers."""
+    """Return the frames that have a photo, named by number."""
     path = record3d_file(source)
     if path is None:
         raise BadInput(f"{source} holds no metadata.json of Record3D beside rgb or rgbd; export it as EXR + RGB")
@@ -37,7 +37,7 @@ def read(source: Path, images: str) -> SourceScene:
     intrinsics = _intrinsics(content, len(poses), str(path))
     cameras = [
         SourceCamera(
-            name=photo.stem, source=told(photo, root), image=photo, size=size(content, str(path), ("w", "h")),
+            name=photo.stem, source=path_in_source(photo, root), image=photo, size=size(content, str(path), ("w", "h")),
             world_from_camera=from_opengl(_pose(poses[number], f"{path}: pose {number}")),
             intrinsics=tuple(map(float, intrinsics[number])),
         )

@@ -1,4 +1,4 @@
-"""What every reader of poses returns: cameras as the source tells them, in our axes but in the source's own frame."""
+"""What every reader of poses returns: the source's cameras, in our axes but in the source's frame."""
 
 import math
 import os
@@ -17,13 +17,19 @@ from stylerf.geometry.distortion import Distortion
 class SourceCamera:
     """One photo and its camera.
 
-    image: the file, or None where the source names none that exists; `source` is then the path that was looked for.
-    size: (width, height) that the intrinsics are of; None: that of the photo. intrinsics: fx, fy, cx, cy in pixels; a
-    focal length of NaN follows from its angle or else from the other one, a principal point of NaN is the center.
-    angles: horizontal and vertical field of view in radians, NaN where not told.
-    mask: keeps what is white; hides: another picture, that hides what is not black.
-    world_from_camera: [4, 4], OpenCV axes, source units. split: train, test or None (not told).
-    near_far: planar depths between which this camera sees anything, source units.
+    Attributes:
+        name: Name of the view.
+        source: Path of the photo as the source lists it.
+        image: The file; None if none exists.
+        world_from_camera: [4, 4], OpenCV axes, source units.
+        size: (width, height) that the intrinsics refer to; None: the size of the photo.
+        intrinsics: fx, fy, cx, cy in pixels. A focal length of NaN follows from its angle or else from the other axis;
+            a principal point of NaN is the center.
+        angles: Horizontal and vertical field of view in radians, NaN if unknown.
+        split: train, test or None if unknown.
+        mask: Picture whose white pixels are kept.
+        hides: Picture whose pixels other than black are hidden.
+        near_far: Range of planar depths that this camera sees, source units.
     """
 
     name: str
@@ -52,13 +58,17 @@ class SourcePoints:
 
 @dataclass(frozen=True, eq=False)
 class SourceScene:
-    """Everything a source tells. kind: in words. files: those that tell the poses, where a reader names them.
-    keeps_frame: the frame is that of a made scene, worth keeping.
+    """All that a source holds.
 
-    rescalable: photos may be a smaller copy of those that the intrinsics are of. upright: cameras are of the photos as
-    EXIF turns them, else as they are stored. sfm: figures of a reconstruction. skipped: (photo, reason) of those that
-    the reader left out itself. remarks: what the source tells and the reader passed over or took in one of two ways, a
-    line each.
+    Attributes:
+        kind: The format, for the user.
+        files: Files with the poses, if the reader lists them.
+        keeps_frame: The frame is that of a synthetic scene, worth keeping.
+        rescalable: Photos may be smaller copies of those that the intrinsics refer to.
+        upright: Cameras refer to the photos as EXIF orients them, otherwise as stored.
+        sfm: Figures of a reconstruction.
+        skipped: (photo, reason) of photos that the reader left out.
+        remarks: Lines for the user about what the reader ignored or interpreted.
     """
 
     kind: str
@@ -78,13 +88,13 @@ IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".bmp", ".j
 
 
 def bare(path: Path) -> Path:
-    """The path without its suffix where that is an image's: frame.0001 keeps its number."""
+    """Return the path without the suffix of an image; frame.0001 keeps its number."""
     return path.with_suffix("") if path.suffix.lower() in IMAGE_SUFFIXES else path
 
 
 def find_image(path: Path) -> Path | None:
-    """The file at `path`, or, where the source leaves the suffix out, has another case or spells accents as one or two
-    characters, the image of that name."""
+    """Return the file at `path`, or the image of that name if the suffix is missing or of another case, or if accents
+    are composed differently; None if there is none."""
     spelled = dict.fromkeys([path, *(Path(unicodedata.normalize(form, str(path))) for form in ("NFC", "NFD"))])
     return next(filter(None, map(_spelled_so, spelled)), None)
 
@@ -102,10 +112,11 @@ def _spelled_so(path: Path) -> Path | None:
 
 
 def with_masks(cameras: list[SourceCamera], root: Path) -> list[SourceCamera]:
-    """The cameras, those of which the source tells no mask with the one that lies in root/masks or beside the photo;
-    all with instant-ngp's dynamic_mask_NAME.png beside the photo.
+    """Add masks that the source does not list: in root/masks or beside the photo, and instant-ngp's
+    dynamic_mask_NAME.png.
 
-    BadInput where a mask could be of either of two photos.
+    Raises:
+        BadInput: A mask could belong to either of two photos.
     """
     found, photos = [], {}
     for one in cameras:
@@ -116,7 +127,7 @@ def with_masks(cameras: list[SourceCamera], root: Path) -> list[SourceCamera]:
             other = photos.setdefault(mask, one.image)
             if os.path.normpath(other.parent) != os.path.normpath(one.image.parent):
                 raise BadInput(
-                    f"{mask} could be the mask of {other} or of {one.image}; lay masks into folders named as those of "
+                    f"{mask} could be the mask of {other} or of {one.image}; put masks in folders named like those of "
                     "the photos"
                 )
             one = replace(one, mask=mask)
@@ -125,7 +136,7 @@ def with_masks(cameras: list[SourceCamera], root: Path) -> list[SourceCamera]:
 
 
 def _mask_of(image: Path, root: Path) -> Path | None:
-    """The mask of images_2/a/1.jpg in masks_2/a, masks/images_2/a, masks/a or masks, else a/1_mask.png."""
+    """Find the mask of images_2/a/1.jpg: in masks_2/a, masks/images_2/a, masks/a or masks, else a/1_mask.png."""
     above = [part for part in Path(os.path.relpath(image.parent, root)).parts if part != ".."]
     folders = [root.joinpath("masks", *above[start:]) for start in range(len(above) + 1)]
     for place, part in enumerate(above):
@@ -137,27 +148,26 @@ def _mask_of(image: Path, root: Path) -> Path | None:
 
 
 def _mask_in(folder: Path, image: Path) -> Path | None:
-    """Of 1.jpg the picture 1, COLMAP's 1.jpg.png, or 1_mask as Metashape calls it."""
+    """Find the mask of 1.jpg: a picture 1, COLMAP's 1.jpg.png, or Metashape's 1_mask."""
     names = (image.stem, image.name, f"{image.stem}_mask", f"{image.name}_mask")
     return next(filter(None, (_picture(folder / name) for name in names)), None)
 
 
 def _picture(bare_path: Path) -> Path | None:
-    """The image file whose path without its suffix this is."""
+    """Return the image file of this path without suffix."""
     found = find_image(bare_path)
     return found if found and bare(found).name != found.name and found.name != bare_path.name else None
 
 
 def masks_beside(folder: str) -> str:
-    """masks_2 of images_2: where nerfstudio keeps masks of smaller photos."""
+    """Return masks_2 for images_2: where nerfstudio keeps masks of downscaled photos."""
     return "masks" + folder.removeprefix("images")
 
 
 def unused_masks(cameras: Iterable[SourceCamera], source: Path) -> list[Path]:
-    """Pictures in folders called masks, beside the source or the folder of its photos, that are the mask of no camera.
+    """Find pictures in mask folders of the source, or next to its photos' folder, that are the mask of no camera.
 
-    Where photos are of images_2, masks_2 counts too; where masks/a.png is used, masks_2/a.png is not unused, nor the
-    other way round.
+    For photos in images_2, masks_2 counts too. Copies of one mask at several sizes count as one.
     """
     here = [one for one in cameras if one.image]
     folders = {source / "masks": None}
@@ -174,14 +184,14 @@ def unused_masks(cameras: Iterable[SourceCamera], source: Path) -> list[Path]:
 
 
 def _below(mask: Path) -> Path:
-    """The path of a mask inside its folder of masks, of whatever size; that itself where it lies in none."""
+    """Return the path of a mask relative to its mask folder, of any size; the whole path if it is in none."""
     parts = Path(os.path.normpath(mask)).parts
     inside = (place for place in reversed(range(len(parts) - 1)) if parts[place].startswith("masks"))
     return Path(*parts[next(inside, -1) + 1 :])
 
 
 def images_in(folder: Path) -> list[Path]:
-    """Photos of a folder in the order that people count: 2 before 10. Masks and hidden files are left out."""
+    """List the photos of a folder in natural order, 2 before 10, without masks and hidden files."""
     found = [
         item
         for item in folder.iterdir()
@@ -192,7 +202,7 @@ def images_in(folder: Path) -> list[Path]:
 
 
 def natural(text: str) -> tuple:
-    """Sort key by which numbers inside names count as numbers."""
+    """Return a sort key by which numbers inside names compare as numbers."""
     parts, digits = [], ""
     for letter in text + "\0":
         if letter.isascii() and letter.isdigit():
@@ -205,14 +215,14 @@ def natural(text: str) -> tuple:
     return tuple(parts)
 
 
-def told(photo: Path, root: Path) -> str:
-    """The photo's path as its source has it; of a photo elsewhere, its folder's name and its own."""
+def path_in_source(photo: Path, root: Path) -> str:
+    """Return the photo's path relative to its source; for a photo elsewhere, its folder's name and its own."""
     return str(photo.relative_to(root) if photo.is_relative_to(root) else Path(photo.parent.name, photo.name))
 
 
 def image_folder(root: Path, wanted: str) -> Path:
-    """The folder that --images names, inside the source or anywhere; BadInput where there is none."""
+    """Return the folder that --images names, inside the source or elsewhere; BadInput if there is none."""
     for folder in (root / wanted, Path(wanted)):
         if folder.is_dir():
             return folder
-    raise BadInput(f"--images {wanted}: there is no such folder in {root}; name one that holds the photos")
+    raise BadInput(f"--images {wanted}: no such folder in {root}; name the folder of the photos")

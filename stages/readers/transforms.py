@@ -1,4 +1,4 @@
-"""transforms.json of Blender / NeRF-synthetic, instant-ngp and nerfstudio. docs/import.md lists what is read of it."""
+"""transforms.json of Blender / NeRF-synthetic, instant-ngp and nerfstudio. docs/import.md lists the supported keys."""
 
 import os
 import re
@@ -33,7 +33,7 @@ _OF_FILES = {
     *transforms_lens.KEYS,
     *transforms_splits.KEYS,
 }
-# What only steers how another program trains, or places a scene that is placed here by the cameras.
+# Keys that only configure another program's training, or place the scene, which is placed by its cameras here.
 _NEEDLESS = {
     *("aabb", "aabb_scale", "render_aabb", "scale", "offset", "up", "orientation_override", "scene_scale"),
     *("sharpness", "sharpen", "importance_sampling", "n_extra_learnable_dims", "enable_depth_loading", "rotation"),
@@ -70,7 +70,7 @@ def read(source: Path, images: str) -> SourceScene:
 
 
 def lists_of(source: Path) -> list[tuple[Path, str | None]]:
-    """The files of frames that count, with the split of each where its name tells one."""
+    """Return the files of frames to read, with the split of each if its name has one."""
     if source.is_file():
         return [(source, None)]
     if (source / "transforms_train.json").is_file():
@@ -83,7 +83,7 @@ def lists_of(source: Path) -> list[tuple[Path, str | None]]:
 
 
 def _other_lists(source: Path) -> list[str]:
-    """A line where there are lists that are not read."""
+    """Return a line for the user if some lists are not read."""
     if source.is_file():
         return []
     read = {path.name for path, _ in lists_of(source)}
@@ -91,7 +91,7 @@ def _other_lists(source: Path) -> list[str]:
     if not others:
         return []
     names = ", ".join(map(printable, others[:5])) + (", ..." if len(others) > 5 else "")
-    return [f"not used beside {' and '.join(sorted(read))}: {names}; to take one, give its path in place of the folder"]
+    return [f"not used beside {' and '.join(sorted(read))}: {names}; to use one, give its path instead of the folder"]
 
 
 def _content(path: Path) -> dict:
@@ -99,7 +99,7 @@ def _content(path: Path) -> dict:
     try:
         text = read_text(path, MOST_JSON)
     except FileNotFoundError as error:
-        raise BadInput(f"{shown} is not there; restore it") from error
+        raise BadInput(f"{shown} does not exist; restore it") from error
     try:
         content = parsed(text, shown)
     except BadInput:
@@ -119,7 +119,7 @@ def _content(path: Path) -> dict:
 
 
 def _without_comments(text: str) -> str:
-    """`text` with its // and /* */ comments, which instant-ngp takes, blank; strings stay. In linear time."""
+    """Blank out // and /* */ comments, which instant-ngp allows, outside of strings, in linear time."""
     tokens = r'"(?:\\.?|[^"\\])*+(?:"|\Z)|//[^\n]*|/\*.*?(?:\*/|\Z)'
     return re.sub(tokens, lambda found: found[0] if found[0][0] == '"' else " ", text, flags=re.DOTALL)
 
@@ -132,7 +132,7 @@ def _kind(content: dict) -> str:
 
 
 def _frames(content: dict, path: str, split: str | None) -> tuple[list, list, list[str]]:
-    """[(index, frame, its split)] of those that count, [(photo, reason)] of the others, and remarks."""
+    """Return [(index, frame, split)] of the frames to use, [(photo, reason)] of the others, and remarks."""
     frames = list(enumerate(content["frames"]))
     for index, frame in frames:
         _check_frame(frame, f"{path}: frame {index}")
@@ -145,7 +145,7 @@ def _frames(content: dict, path: str, split: str | None) -> tuple[list, list, li
         if index in beyond:
             skipped.append((name, "beyond n_frames of the list"))
         elif splits.left_out(name):
-            skipped.append((name, "in none of the lists of splits"))
+            skipped.append((name, "in no split list"))
         else:
             kept.append((index, frame, split or splits.of(name)))
     return kept, skipped, splits.remarks(names)
@@ -153,14 +153,14 @@ def _frames(content: dict, path: str, split: str | None) -> tuple[list, list, li
 
 def _check_frame(frame: dict, where: str) -> None:
     if "transform_matrix_start" in frame and "transform_matrix" not in frame:
-        raise BadInput(f"{where} tells how its camera moved while it exposed, which is not read; add transform_matrix")
+        raise BadInput(f"{where} has a rolling-shutter pose, which is not supported; add transform_matrix")
     if "file_path" not in frame or "transform_matrix" not in frame:
         raise BadInput(f"{where} lacks file_path or transform_matrix; export it again")
     _listed(frame["file_path"], f"{where}: file_path")
 
 
 def _beyond(content: dict, names: list[str], path: str) -> set[int]:
-    """Frames after the first n_frames in the order of their names, which instant-ngp leaves out."""
+    """Return the frames after the first n_frames by name, which instant-ngp leaves out."""
     if "n_frames" not in content:
         return set()
     count = Numbers(content, {}, path).get("n_frames")
@@ -171,7 +171,7 @@ def _beyond(content: dict, names: list[str], path: str) -> set[int]:
 
 
 def _listed(text: object, where: str) -> Path:
-    """A path that the list tells, with forward slashes; BadInput for what can be the name of no file."""
+    """Return a listed path with forward slashes; BadInput if it is no valid path."""
     path = text.replace("\\", "/") if isinstance(text, str) else ""
     parts = path.encode("utf-8", "replace").split(b"/")
     if not path.strip("./ ") or max(map(len, parts)) > LONGEST_NAME or sum(map(len, parts)) > LONGEST_PATH:
@@ -182,7 +182,7 @@ def _listed(text: object, where: str) -> Path:
 
 
 class _Frames:
-    """Turns the frames of one file into cameras, and keeps what is worth a remark."""
+    """Turns the frames of one file into cameras, and collects remarks for the user."""
 
     def __init__(self, root: Path, path: str, content: dict, images: str) -> None:
         self.root, self.path, self.content = root, path, content
@@ -195,7 +195,7 @@ class _Frames:
         self._said: list[str] = []
 
     def camera(self, index: int, frame: dict, split: str | None) -> SourceCamera:
-        """Of a frame; BadInput naming it where it cannot be read."""
+        """Return the camera of a frame; BadInput naming the frame if it is invalid."""
         where = f"{self.path}: frame {index}"
         listed = _listed(frame["file_path"], f"{where}: file_path")
         photo = self._photo(listed)
@@ -219,7 +219,7 @@ class _Frames:
         )
 
     def remarks(self, frames: list[tuple]) -> list[str]:
-        """What was passed over or taken in one of two ways, a line each."""
+        """Return what was ignored or interpreted, a line each."""
         unread = {key: len(frames) for key in self.content.keys() - _OF_FILES - _NEEDLESS}
         for _, frame, _ in frames:
             for key in frame.keys() - _OF_FRAMES - _NEEDLESS:
@@ -245,7 +245,7 @@ class _Frames:
         return self._found(listed)
 
     def _found(self, listed: Path) -> Path | None:
-        """Where the list says; of an absolute path of another machine, by its last parts."""
+        """Find the photo at its listed path; for an absolute path of another machine, by the end of it."""
         if found := find_image(self.root / listed):
             if not Path(os.path.abspath(found)).is_relative_to(os.path.abspath(self.root)):
                 self._say(f"{self.name}: pictures from outside of its folder are used: {printable(str(listed))}")
@@ -260,7 +260,7 @@ class _Frames:
         return found
 
     def _size(self, numbers: Numbers, listed: Path, photo: Path | None) -> tuple[int, int] | None:
-        """The size that the intrinsics are of. What is not told of it is the listed photo's."""
+        """Return the size that the intrinsics refer to; a missing side is the listed photo's."""
         width, height = numbers.side("w"), numbers.side("h")
         if width and height:
             return width, height
@@ -268,8 +268,8 @@ class _Frames:
         if original and (width or height or self.images):
             there = image_size(original, upright=False)
             return width or there[0], height or there[1]
-        if self.images and photo and any(map(numbers.told, ("fl_x", "fl_y", "cx", "cy"))):
-            self._say(f"{self.name} tells no w and h: its lens is taken to be that of the photos of --images")
+        if self.images and photo and any(map(numbers.has, ("fl_x", "fl_y", "cx", "cy"))):
+            self._say(f"{self.name} has no w and h: its lens is assumed to be that of the photos of --images")
         return None
 
     def _pose(self, frame: dict, where: str) -> np.ndarray:
@@ -284,7 +284,7 @@ class _Frames:
         return self._from_source(self._undone @ matrix)
 
     def _mask(self, frame: dict, where: str) -> Path | None:
-        """The mask that a frame names; for photos of images_2 the one in masks_2."""
+        """Return the mask that a frame names; for photos in images_2, the one in masks_2."""
         if frame.get("mask_path") is None:
             return None
         listed = _listed(frame["mask_path"], f"{where}: mask_path")
@@ -295,14 +295,14 @@ class _Frames:
         mask = self._found(listed)
         if mask is None:
             raise BadInput(
-                f"{where}: its mask {self.root / listed} is not there; restore it, or take mask_path out of the list"
+                f"{where}: its mask {self.root / listed} does not exist; restore it, or remove mask_path from the list"
             )
         return mask
 
 
 def _undone(content: dict, path: str) -> tuple[np.ndarray, float]:
-    """[4, 4] back from nerfstudio's applied_transform to the frame that the cameras were found in, and applied_scale,
-    by which their centers were multiplied afterwards."""
+    """Return the [4, 4] inverse of nerfstudio's applied_transform, and applied_scale, which then scaled the camera
+    centers."""
     scale = Numbers(content, {}, path).get("applied_scale", 1.0)
     if not (np.isfinite(scale) and scale > 0):
         raise BadInput(f"{path}: applied_scale is {scale:g}, expected a positive number; export it again")
@@ -330,21 +330,21 @@ def _matrix(values: object, where: str) -> np.ndarray:
 
 
 def _depth(root: Path, name: str) -> Path | None:
-    """True depth of the view of that name, where it is there."""
+    """Return the file of true depth of the view, if it exists."""
     path = PurePosixPath(name)
     found = root / "truth" / path.parent / f"depth_{path.name}.exr"
     return found if found.is_file() else None
 
 
 def _copy_in(folder: Path, listed: Path) -> Path | None:
-    """The photo of another folder: by its listed path, by that without its first folders, at last by its name alone."""
+    """Find the photo in another folder: by its listed path, without leading folders, finally by name."""
     parts = [part for part in listed.parts if part not in ("..", listed.anchor)]
     places = (find_image(folder.joinpath(*parts[start:])) for start in range(len(parts)))
     return next(filter(None, places), None)
 
 
 def _distinct(cameras: list[SourceCamera], root: Path) -> list[SourceCamera]:
-    """Names that occur in several folders get their folder in front, as train/r_0, and so does their true depth."""
+    """Prefix names that occur in several folders with their folder, as train/r_0, as for their true depth."""
     counts, found = Counter(camera.name for camera in cameras), []
     for one in cameras:
         if counts[one.name] > 1:

@@ -1,4 +1,4 @@
-"""Lenses of a transforms.json: focal lengths, centers, sizes and distortion, a frame's own before those of the file."""
+"""Lenses of a transforms.json: focal lengths, centers, sizes and distortion; a frame's own override the file's."""
 
 import math
 from collections.abc import Iterable
@@ -9,7 +9,7 @@ from stylerf.geometry.distortion import Distortion
 
 _PINHOLES = ("PINHOLE", "SIMPLE_PINHOLE", "PERSPECTIVE", "OPENCV", "SIMPLE_RADIAL", "RADIAL")
 _FISHEYES = ("OPENCV_FISHEYE", "FISHEYE")
-# Lenses of instant-ngp that are no pinhole with distortion; the mere key names them.
+# instant-ngp's other lenses, each marked by its key.
 _OTHER_LENSES = ("ftheta_p0", "latlong", "equirectangular", "orthographic")
 _BEYOND = ("k5", "k6")  # of FULL_OPENCV's denominator
 LARGEST_SIDE = 1_000_000
@@ -17,26 +17,26 @@ KEYS = {
     *("w", "h", "fl_x", "fl_y", "cx", "cy", "x_fov", "y_fov", "camera_angle_x", "camera_angle_y"),
     *("camera_model", "is_fisheye", "distortion_params", "k1", "k2", "k3", "k4", "p1", "p2", *_BEYOND, *_OTHER_LENSES),
 }
-# Two keys of one focal length say the same within rounding.
+# Two keys of one focal length may differ by rounding.
 _ONE_FOCAL = 0.01
 
 
 class Numbers:
-    """Numbers of a frame, its own before those of the file; BadInput where one is no number."""
+    """Numbers of a frame, which override those of the file; BadInput if one is not a number."""
 
     def __init__(self, content: dict, frame: dict, where: str) -> None:
         self.content, self.frame, self.where = content, frame, where
 
-    def told(self, key: str) -> bool:
-        """Whether the frame or the file has the key."""
+    def has(self, key: str) -> bool:
+        """Return whether the frame or the file has the key."""
         return key in self.frame or key in self.content
 
     def raw(self, key: str, default: object = None) -> object:
-        """The value as it stands there."""
+        """Return the value as written."""
         return self.frame.get(key, self.content.get(key, default))
 
     def get(self, key: str, default: float = math.nan) -> float:
-        """A number; digits in quotes are one too, as nerfstudio takes them."""
+        """Return a number; a string of digits is one too, as for nerfstudio."""
         return self.number(self.raw(key, default), key)
 
     def number(self, value: object, key: str) -> float:
@@ -52,8 +52,8 @@ class Numbers:
         raise BadInput(f"{self.where}: {key} is {shown}, expected a number; export it again")
 
     def side(self, key: str) -> int | None:
-        """A width or height in pixels, None where it is not told."""
-        if not self.told(key):
+        """Return a width or height in pixels, None if missing."""
+        if not self.has(key):
             return None
         value = self.get(key)
         if not 1 <= value < LARGEST_SIDE:
@@ -62,20 +62,20 @@ class Numbers:
 
 
 def intrinsics(numbers: Numbers) -> tuple[tuple[float, float, float, float], tuple[float, float]]:
-    """(fx, fy, cx, cy) in pixels and the angles across and down in radians, NaN where they are not told.
+    """(fx, fy, cx, cy) in pixels and the horizontal and vertical angles in radians, NaN if missing.
 
     A frame's own focal lengths come before the file's. Of one place, fl_x comes before x_fov (degrees) before
-    camera_angle_x (radians). BadInput where neither axis is told.
+    camera_angle_x (radians). BadInput if both axes are missing.
     """
     focals, angles = [], []
     for axis in "xy":
         level = next((one for one in (numbers.frame, numbers.content) if _keys(axis) & one.keys()), {})
-        focals.append(_told(numbers, level, f"fl_{axis}"))
-        degrees = _told(numbers, level, f"{axis}_fov")
-        angles.append(_told(numbers, level, f"camera_angle_{axis}") if math.isnan(degrees) else math.radians(degrees))
+        focals.append(_given(numbers, level, f"fl_{axis}"))
+        degrees = _given(numbers, level, f"{axis}_fov")
+        angles.append(_given(numbers, level, f"camera_angle_{axis}") if math.isnan(degrees) else math.radians(degrees))
     if all(map(math.isnan, (*focals, *angles))):
         raise BadInput(
-            f"{numbers.where} tells no focal length: neither fl_x nor camera_angle_x nor x_fov, nor fl_y, "
+            f"{numbers.where} has no focal length: neither fl_x nor camera_angle_x nor x_fov, nor fl_y, "
             "camera_angle_y, y_fov; export it with one of them"
         )
     return (*focals, *(_center(numbers, key) for key in ("cx", "cy"))), tuple(angles)
@@ -83,7 +83,7 @@ def intrinsics(numbers: Numbers) -> tuple[tuple[float, float, float, float], tup
 
 def _center(numbers: Numbers, key: str) -> float:
     value = numbers.get(key)
-    if numbers.told(key) and not math.isfinite(value):
+    if numbers.has(key) and not math.isfinite(value):
         raise BadInput(f"{numbers.where}: {key} is {value:g}, expected a position in pixels; export it again")
     return value
 
@@ -92,8 +92,8 @@ def _keys(axis: str) -> set[str]:
     return {f"fl_{axis}", f"{axis}_fov", f"camera_angle_{axis}"}
 
 
-def _told(numbers: Numbers, level: dict, key: str) -> float:
-    """The number of that key; BadInput where it is there and not finite. NaN where it is not there."""
+def _given(numbers: Numbers, level: dict, key: str) -> float:
+    """Return the number of that key, NaN if missing; BadInput if it is not finite."""
     if key not in level:
         return math.nan
     value = numbers.number(level[key], key)
@@ -103,19 +103,19 @@ def _told(numbers: Numbers, level: dict, key: str) -> float:
 
 
 def disagreement(numbers: Numbers, width: int, height: int) -> str:
-    """In words, where two keys of one place tell different focal lengths of an axis; else empty."""
+    """Return a remark if two keys give different focal lengths of an axis; otherwise empty."""
     for axis, side in (("x", width), ("y", height)):
         for level in (numbers.frame, numbers.content):
-            told = {key: _told(numbers, level, key) for key in (f"fl_{axis}", f"{axis}_fov", f"camera_angle_{axis}")}
-            focals = dict(_in_pixels(told, side))
+            values = {key: _given(numbers, level, key) for key in (f"fl_{axis}", f"{axis}_fov", f"camera_angle_{axis}")}
+            focals = dict(_in_pixels(values, side))
             if len(focals) > 1 and max(focals.values()) > (1 + _ONE_FOCAL) * min(focals.values()):
-                first, *others = (f"{key} tells {value:.1f} px" for key, value in focals.items())
-                return f"{numbers.where}: {first}, which is taken, but {', '.join(others)}"
+                first, *others = (f"{key} gives {value:.1f} px" for key, value in focals.items())
+                return f"{numbers.where}: {first}, which is used, but {', '.join(others)}"
     return ""
 
 
-def _in_pixels(told: dict[str, float], side: int) -> Iterable[tuple[str, float]]:
-    for key, value in told.items():
+def _in_pixels(values: dict[str, float], side: int) -> Iterable[tuple[str, float]]:
+    for key, value in values.items():
         if key.startswith("fl_") and value > 0:
             yield key, value
         angle = math.radians(value) if key.endswith("_fov") else value
@@ -124,7 +124,7 @@ def _in_pixels(told: dict[str, float], side: int) -> Iterable[tuple[str, float]]
 
 
 def distortion(numbers: Numbers) -> Distortion:
-    """Of the lens; BadInput for lenses that are no pinhole with Brown's distortion and no Kannala-Brandt fisheye."""
+    """Return the distortion; BadInput unless it is Brown's of a pinhole or that of a Kannala-Brandt fisheye."""
     model = printable(str(numbers.raw("camera_model", "OPENCV"))).upper()
     other = next((key for key in _OTHER_LENSES if numbers.raw(key, False) not in (False, None)), None)
     fisheye = numbers.raw("is_fisheye", False)
@@ -134,19 +134,19 @@ def distortion(numbers: Numbers) -> Distortion:
         model = "OPENCV_FISHEYE"
     if other or model not in _PINHOLES + _FISHEYES:
         raise BadInput(
-            f"{numbers.where}: its camera model {other or model} is not known; undistort the pictures first, or use "
-            f"one of {', '.join(_PINHOLES + _FISHEYES)}"
+            f"{numbers.where}: its camera model {other or model} is not supported; undistort the pictures first, or "
+            f"use one of {', '.join(_PINHOLES + _FISHEYES)}"
         )
     *k, p1, p2 = _coefficients(numbers)
     if not all(map(math.isfinite, (*k, p1, p2))):
         raise BadInput(f"{numbers.where}: a distortion coefficient is not finite; export it again")
     if beyond := next((key for key in _BEYOND if numbers.get(key, 0.0) != 0), None):
-        raise BadInput(f"{numbers.where}: {beyond} is not known; undistort the pictures first")
+        raise BadInput(f"{numbers.where}: {beyond} is not supported; undistort the pictures first")
     return Distortion("fisheye", tuple(k)) if model in _FISHEYES else Distortion("brown", tuple(k), (p1, p2))
 
 
 def _coefficients(numbers: Numbers) -> list[float]:
-    """k1, k2, k3, k4, p1, p2: those of nerfstudio's distortion_params where it is there."""
+    """k1, k2, k3, k4, p1, p2: those of nerfstudio's distortion_params if present."""
     names = ("k1", "k2", "k3", "k4", "p1", "p2")
     listed = numbers.raw("distortion_params")
     if listed is None:

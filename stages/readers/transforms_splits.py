@@ -1,4 +1,4 @@
-"""Which frames of a transforms.json train and which test, where it lists them by name as nerfstudio does."""
+"""Train and test frames of a transforms.json that lists them by name, as nerfstudio does."""
 
 import unicodedata
 from pathlib import PurePosixPath
@@ -10,13 +10,13 @@ KEYS = {"train_filenames": "train", "val_filenames": "test", "test_filenames": "
 
 
 class Splits:
-    """The lists of one file. of(file_path): train, test, or None where there are no lists; left_out(file_path)."""
+    """The split lists of one file."""
 
     def __init__(self, content: dict, where: str) -> None:
         lists = {key: self._names(content, key, where) for key in KEYS if content.get(key)}
         self._where, self._lists = where, lists
-        self._told = {name: "test" for key, names in lists.items() if KEYS[key] == "test" for name in names}
-        self._told |= dict.fromkeys(lists.get("train_filenames", ()), "train")
+        self._splits = {name: "test" for key, names in lists.items() if KEYS[key] == "test" for name in names}
+        self._splits |= dict.fromkeys(lists.get("train_filenames", ()), "train")
 
     @staticmethod
     def _names(content: dict, key: str, where: str) -> dict[str, str]:
@@ -27,29 +27,29 @@ class Splits:
         return {_spelled(name): name for name in names}
 
     def of(self, file_path: str) -> str | None:
-        """The split of a frame. Frames outside of lists of tests train, where no list says what trains."""
-        return self._told.get(_spelled(file_path), "train") if self._lists else None
+        """Return the split of a frame, None without lists. With test lists only, all other frames train."""
+        return self._splits.get(_spelled(file_path), "train") if self._lists else None
 
     def left_out(self, file_path: str) -> bool:
-        """Whether the frame stands in none of the lists, one of which tells what trains."""
-        return "train_filenames" in self._lists and _spelled(file_path) not in self._told
+        """Return whether the frame is in no list although there is a train list."""
+        return "train_filenames" in self._lists and _spelled(file_path) not in self._splits
 
     def remarks(self, file_paths: list[str]) -> list[str]:
-        """What is odd about the lists, a line each."""
+        """Return what is odd about the lists, a line each."""
         frames, lines = {_spelled(path) for path in file_paths}, []
         for key, names in self._lists.items():
             if lost := [name for spelled, name in names.items() if spelled not in frames]:
-                lines.append(f"{self._where}: {key} names {_few(lost)}, of which there is no frame")
+                lines.append(f"{self._where}: {key} names {_few(lost)}, for which there is no frame")
         tests = {name for key, names in self._lists.items() if KEYS[key] == "test" for name in names}
         if both := [name for spelled, name in self._lists.get("train_filenames", {}).items() if spelled in tests]:
-            lines.append(f"{self._where}: {_few(both)} to train on and to test: trained on alone")
+            lines.append(f"{self._where}: {_few(both)} in both train and test lists: used for training only")
         if self._lists and "train_filenames" not in self._lists:
-            lines.append(f"{self._where} has no train_filenames: all frames that are not kept for tests are trained on")
+            lines.append(f"{self._where} has no train_filenames: all frames but the test frames are trained on")
         return lines
 
 
 def _spelled(path: str) -> str:
-    """One spelling of each path: forward slashes, no ./, accents as one character."""
+    """Normalize a path: forward slashes, no ./, composed accents."""
     return str(PurePosixPath(unicodedata.normalize("NFC", path.replace("\\", "/"))))
 
 

@@ -1,17 +1,17 @@
-"""Poses in formats that are not read, told by their files, so that nobody takes them for read."""
+"""Recognizes poses of unsupported formats by their files, so that they are reported, not silently ignored."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-MOST_FILES = 20  # of one suffix whose first bytes are looked at
+MOST_FILES = 20  # of one suffix that are opened
 HEAD_BYTES = 4096
 AS_COLMAP = "export its registration there as COLMAP text (cameras.txt, images.txt), into sparse/0 here"
 
 
 @dataclass(frozen=True)
 class UnsupportedPoses:
-    """tool: whose poses. how: what makes them readable."""
+    """Poses of an unsupported tool. how: the way to convert them."""
 
     path: Path
     tool: str
@@ -19,7 +19,7 @@ class UnsupportedPoses:
 
 
 def foreign_poses(source: Path) -> list[UnsupportedPoses]:
-    """What lies in the folder `source` of tools whose poses are not read."""
+    """List the poses of unsupported tools in the folder `source`."""
     if not source.is_dir():
         return []
     return [UnsupportedPoses(path, tool, how) for find, tool, how in KINDS if (path := next(find(source), None))]
@@ -30,7 +30,7 @@ def _named(*patterns: str) -> Callable[[Path], Iterator[Path]]:
 
 
 def _holding(suffix: str, *marks: bytes) -> Callable[[Path], Iterator[Path]]:
-    """Files whose first bytes hold one of the marks."""
+    """Return a search for files whose first bytes hold one of the marks."""
 
     def found(source: Path) -> Iterator[Path]:
         for folder in (source, source / "images"):
@@ -42,7 +42,7 @@ def _holding(suffix: str, *marks: bytes) -> Callable[[Path], Iterator[Path]]:
 
 
 def head_of(path: Path) -> bytes:
-    """The first bytes of a regular file; none where it cannot be read."""
+    """Return the first bytes of a regular file; none if it cannot be read."""
     try:
         if not path.is_file():
             return b""

@@ -1,7 +1,7 @@
 """The child process of structure from motion: `python -P -m stages.sfm.child JOB.json`.
 
-COLMAP ignores Ctrl-C for minutes, may abort the process, and writes to stdout; so it runs here, where it can be killed
-at any moment. Events go to stdout as JSON lines (sfm/job.py), COLMAP's log to stderr. The process ends when its
+COLMAP ignores Ctrl-C for minutes, may abort the process, and writes to stdout, so it runs here, where it can be killed
+at any time. Events go to stdout as JSON lines (sfm/job.py), COLMAP's log to stderr. The process ends when its
 stdin closes, that is when the parent dies.
 """
 
@@ -18,27 +18,27 @@ from stages.sfm.job import MODEL, RESULT, Job, JobProgress, journal_of
 
 
 def main(path: str) -> int:
-    """Runs the job at `path`; 0 when its result is written, 1 after a fault that was told."""
+    """Run the job at `path`; return 0 when its result is written, 1 after a reported fault."""
     channel = os.fdopen(os.dup(1), "w", encoding="utf-8")
-    os.dup2(2, 1)  # whatever else writes to stdout goes to the log
-    tell = JobProgress(channel)
+    os.dup2(2, 1)  # other output to stdout goes to the log
+    progress = JobProgress(channel)
     threading.Thread(target=_end_with_parent, daemon=True).start()
     try:
-        run(Job.read(Path(path)), tell)
+        run(Job.read(Path(path)), progress)
     except StylerfError as error:
-        tell.fault(type(error).__name__, str(error))
+        progress.fault(type(error).__name__, str(error))
         return 1
     except OSError as error:
-        tell.fault("OSError", f"{error.errno or 0} {error}")
+        progress.fault("OSError", f"{error.errno or 0} {error}")
         return 1
     except MemoryError:
-        tell.fault("MemoryError", "out of memory")
+        progress.fault("MemoryError", "out of memory")
         return 1
     return 0
 
 
-def run(job: Job, tell: JobProgress) -> None:
-    """All steps, but those an interrupted run has finished. Writes model/ and result.json into the job's folder."""
+def run(job: Job, progress: JobProgress) -> None:
+    """Run the steps that no interrupted run has finished; write model/ and result.json to the job's folder."""
     import pycolmap
 
     from stages.sfm import colmap_database, folding, mapping, photo_copies, quality, silhouettes
@@ -46,12 +46,12 @@ def run(job: Job, tell: JobProgress) -> None:
     pycolmap.logging.minloglevel = 1
     pycolmap.set_random_seed(job.seed)
     folder = Path(job.folder)
-    every = photo_copies.make_copies(job, tell)
+    every = photo_copies.make_copies(job, progress)
     used = photo_copies.usable(every, quality.FEWEST_PHOTOS)
-    path = colmap_database.register(job, used, tell)
-    colmap_database.extract(job, path, used, tell)
-    colmap_database.match(job, path, used, tell)
-    models = mapping.reconstruct(job, path, len(used), tell)
+    path = colmap_database.register(job, used, progress)
+    colmap_database.extract(job, path, used, progress)
+    colmap_database.match(job, path, used, progress)
+    models = mapping.reconstruct(job, path, len(used), progress)
     refined, refuted, share = False, [], 0.0
     if models:
         refuted = silhouettes.refuted(models[0], silhouettes.of_object(folder, used))
@@ -68,9 +68,9 @@ def run(job: Job, tell: JobProgress) -> None:
     if refusal:
         raise BadInput(refusal)
     for warning in warnings:
-        tell.say(warning)
+        progress.say(warning)
     if refuted:
-        tell.say(f"warning: {len(refuted)} of the photos left out, since the silhouette contradicts the pose")
+        progress.say(f"warning: {len(refuted)} photos left out: their silhouettes contradict their poses")
     every = [replace(copy, unusable=silhouettes.REASON) if copy.file in refuted else copy for copy in every]
     shutil.rmtree(folder / MODEL, ignore_errors=True)  # of an earlier run
     (folder / MODEL).mkdir()

@@ -1,6 +1,6 @@
 """COLMAP's database: photos and cameras, features, matches. Each step skips what an interrupted run has finished.
 
-A database that is damaged (row_digests.py) is made anew.
+A damaged database (row_digests.py) is rebuilt.
 """
 
 from collections.abc import Iterator
@@ -26,14 +26,14 @@ PHOTOS_AT_ONCE, PAIRS_AT_ONCE = 4, 40
 SMALL_PHOTO = 800
 
 
-def register(job: Job, copies: list[Copy], tell: JobProgress) -> Path:
+def register(job: Job, copies: list[Copy], progress: JobProgress) -> Path:
     """The database with its cameras and photos, in this order whatever happens later: numbers are repeatable."""
     folder = Path(job.folder)
     path, done = folder / DATABASE, folder / REGISTERED
     if done.is_file():
         if _rows(path).sound():
             return path
-        tell.say("warning: the features and matches of the interrupted run are damaged; finding them again")
+        progress.say("warning: the features and matches of the interrupted run are damaged; recomputing them")
     for leftover in (done, folder / ROWS, *folder.glob(f"{DATABASE}*")):  # with its journal
         leftover.unlink(missing_ok=True)
     pycolmap.Database.open(path).close()
@@ -67,13 +67,13 @@ def _by_lens(copies: list[Copy], shared: bool) -> list[list[Copy]]:
     return list(groups.values())
 
 
-def extract(job: Job, path: Path, copies: list[Copy], tell: JobProgress) -> None:
+def extract(job: Job, path: Path, copies: list[Copy], progress: JobProgress) -> None:
     """SIFT features of every photo; BadInput where hardly any has some."""
     options = pycolmap.FeatureExtractionOptions()
     options.num_threads, options.use_gpu = job.threads, False
     options.sift.max_num_features = job.features
     options.sift.first_octave = -1 if max(max(copy.size) for copy in copies) <= SMALL_PHOTO else 0
-    tell.step("finding features", len(copies), "photo")
+    progress.step("finding features", len(copies), "photo")
     missing, rows = _without_features(path, copies), _rows(path)
     done = len(copies) - len(missing)
     for part in _in_parts(missing):
@@ -85,7 +85,7 @@ def extract(job: Job, path: Path, copies: list[Copy], tell: JobProgress) -> None
         pycolmap.extract_features(path, Path(job.folder) / COPIES, names, mode, reader, options)
         rows.record()
         done += len(part)
-        tell.done(done)
+        progress.done(done)
 
 
 def _in_parts(copies: list[Copy]) -> Iterator[list[Copy]]:
@@ -107,7 +107,7 @@ def _without_features(path: Path, copies: list[Copy]) -> list[Copy]:
         ]
 
 
-def match(job: Job, path: Path, copies: list[Copy], tell: JobProgress) -> None:
+def match(job: Job, path: Path, copies: list[Copy], progress: JobProgress) -> None:
     """Matches of the chosen pairs and their two-view geometry, each pair's RANSAC with the same seed."""
     matching, verification = pycolmap.FeatureMatchingOptions(), pycolmap.TwoViewGeometryOptions()
     matching.num_threads, matching.use_gpu = job.threads, False
@@ -118,15 +118,15 @@ def match(job: Job, path: Path, copies: list[Copy], tell: JobProgress) -> None:
     wanted = [(copies[i].file, copies[j].file) for i, j in pairs(len(copies), job.matching)]
     missing = _not_compared(path, wanted)
     finished = len(wanted) - len(missing)
-    tell.step("matching", len(wanted), "pair")
-    tell.done(finished)
+    progress.step("matching", len(wanted), "pair")
+    progress.done(finished)
     for start in range(0, len(missing), PAIRS_AT_ONCE):
         part = missing[start : start + PAIRS_AT_ONCE]
         write_bytes(listing, "".join(f"{first} {second}\n" for first, second in part).encode())
         pycolmap.match_image_pairs(path, matching, pairing, verification)
         rows.record()
         finished += len(part)
-        tell.done(finished)
+        progress.done(finished)
 
 
 def _not_compared(path: Path, wanted: list[tuple[str, str]]) -> list[tuple[str, str]]:

@@ -13,7 +13,7 @@ _NUMBER = re.compile(r"(\d+)(?=\D*$)")
 def chosen_matching(wanted: str, names: list[str]) -> tuple[str, str]:
     """exhaustive or sequential, and why in words. names: of the photos, in their order."""
     if wanted != "auto":
-        return wanted, "asked for"
+        return wanted, "as requested"
     if len(names) <= MOST_FOR_ALL_PAIRS:
         return "exhaustive", f"{len(names)} photos are few enough to compare all pairs"
     if _are_frames(names):

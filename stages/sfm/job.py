@@ -1,4 +1,4 @@
-"""What the parent asks of the child process, and how the child tells what it does: JSON, a line at a time."""
+"""Messages between the parent and the child process: the job, as JSON, and its progress, a JSON line per event."""
 
 import json
 import sys
@@ -9,18 +9,24 @@ from typing import Any
 from schemas.atomic_write import write_json
 from schemas.journal import Journal
 
-# What the child leaves in the folder of the job: the poses as a COLMAP model, and all else.
+# In the job's folder: the poses as a COLMAP model, and everything else.
 MODEL, RESULT = "model", "result.json"
 
 
 @dataclass(frozen=True)
 class Job:
-    """folder: where steps are kept. photos: files, in the order that they were taken in as far as names tell. masks: of
-    each photo the one that keeps and the one that hides, empty where it has none; () where no photo has any.
+    """A structure from motion to run.
 
-    side: longest side in pixels of the copies that are searched for features; features: at most so many per photo.
-    matching: exhaustive or sequential. shared: one camera for photos of one size and zoom, else one each. seed: of
-    every RANSAC. threads: for features and matches; the mapper takes one, so that it is reproducible.
+    Attributes:
+        folder: Where the steps are kept.
+        photos: Files, sorted by name, which is taken for the order of capture.
+        masks: Per photo a mask of what to keep and one of what to hide, empty if absent; () if no photo has any.
+        side: Longest side of the copies that are searched for features, pixels.
+        features: Most features per photo.
+        matching: exhaustive or sequential.
+        shared: Photos of one size and zoom share a camera; otherwise each has its own.
+        seed: Seed of every RANSAC.
+        threads: For features and matches; the mapper uses one, to be reproducible.
     """
 
     folder: str
@@ -34,43 +40,43 @@ class Job:
     threads: int = 2
 
     def write(self, path: Path) -> None:
-        """As JSON at `path`, in one step."""
+        """Write the job to `path` as JSON, atomically."""
         write_json(path, asdict(self))
 
     @staticmethod
     def read(path: Path) -> "Job":
-        """What `write` wrote."""
+        """Read what `write` wrote."""
         content = json.loads(path.read_text("utf-8", "surrogatepass"))  # names of files may be of any bytes
         return Job(**{**content, "photos": tuple(content["photos"]), "masks": tuple(map(tuple, content["masks"]))})
 
 
 def journal_of(folder: Path) -> Journal:
-    """Which files in the job's folder are whole; what it does not hold is made again."""
+    """Return the journal of intact files in the job's folder; files not in it are made again."""
     return Journal(folder / "whole.jsonl", folder)
 
 
 class JobProgress:
-    """Writes events to the parent. Native libraries write to stdout too, so the channel is a copy made before them."""
+    """Writes events to the parent, on a copy of stdout, since native libraries write to stdout too."""
 
     def __init__(self, stream: Any = None) -> None:
         self._stream = stream or sys.stdout
 
     def step(self, label: str, total: int, unit: str) -> None:
-        """A step of `total` units begins."""
-        self._tell(event="step", label=label, total=total, unit=unit)
+        """Begin a step of `total` units."""
+        self._send(event="step", label=label, total=total, unit=unit)
 
     def done(self, count: int, note: str = "") -> None:
-        """`count` units of the step are finished."""
-        self._tell(event="done", count=count, note=note)
+        """Report that `count` units of the step are finished."""
+        self._send(event="done", count=count, note=note)
 
     def say(self, text: str) -> None:
-        """A line for the user."""
-        self._tell(event="say", text=text)
+        """Show the user a line."""
+        self._send(event="say", text=text)
 
     def fault(self, kind: str, text: str) -> None:
-        """The job ends here; kind: class of the fault."""
-        self._tell(event="fault", kind=kind, text=text)
+        """Report the fault that ends the job, by its class."""
+        self._send(event="fault", kind=kind, text=text)
 
-    def _tell(self, **event: Any) -> None:
+    def _send(self, **event: Any) -> None:
         self._stream.write(json.dumps(event) + "\n")
         self._stream.flush()

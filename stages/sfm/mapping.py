@@ -18,7 +18,7 @@ MODELS = "models"
 # narrow where too few photos are placed so. COLMAP itself goes down to a quarter of what is asked, but photos that all
 # face forward may have less.
 WIDE, MODERATE, NARROW = 16.0, 8.0, 2.0
-# A lens is refined beyond its focal length and first coefficient only where so many photos share it.
+# Refine a lens beyond its focal length and first coefficient only if this many photos share it.
 PHOTOS_TO_REFINE = 20
 # Points are kept while their error is under this (pixels of the copies) and their parallax above this (degrees).
 LARGEST_ERROR, LEAST_PARALLAX = 4.0, 1.5
@@ -26,14 +26,14 @@ LARGEST_ERROR, LEAST_PARALLAX = 4.0, 1.5
 FARTHEST_CENTER = 0.08
 
 
-def reconstruct(job: Job, database: Path, photos: int, tell: JobProgress) -> list[pycolmap.Reconstruction]:
+def reconstruct(job: Job, database: Path, photos: int, progress: JobProgress) -> list[pycolmap.Reconstruction]:
     """All models, that with the most photos first; none where no pair of photos has matches enough to begin with.
 
     Begun with a pair of wide parallax, or where that places too few photos, with a narrow one if it places more.
     """
     best: list[pycolmap.Reconstruction] = []
     for angle in (WIDE if photos > 20 else MODERATE, NARROW):
-        models = _mapped(job, database, photos, angle, tell)
+        models = _mapped(job, database, photos, angle, progress)
         models.sort(key=lambda model: (-model.num_reg_images(), -model.num_points3D()))
         best = max(best, models, key=lambda found: found[0].num_reg_images() if found else 0)  # the first of equals
         if best and best[0].num_reg_images() >= REFUSED_SHARE * photos:
@@ -41,7 +41,9 @@ def reconstruct(job: Job, database: Path, photos: int, tell: JobProgress) -> lis
     return best
 
 
-def _mapped(job: Job, database: Path, photos: int, angle: float, tell: JobProgress) -> list[pycolmap.Reconstruction]:
+def _mapped(
+    job: Job, database: Path, photos: int, angle: float, progress: JobProgress
+) -> list[pycolmap.Reconstruction]:
     """All models that grow from pairs of photos with `angle` degrees of parallax, in COLMAP's order."""
     folder = Path(job.folder) / MODELS
     shutil.rmtree(folder, ignore_errors=True)  # of an interrupted mapping
@@ -51,13 +53,13 @@ def _mapped(job: Job, database: Path, photos: int, angle: float, tell: JobProgre
     options.random_seed = options.mapper.random_seed = options.triangulation.random_seed = job.seed
     options.min_model_size = 3
     options.mapper.init_min_tri_angle = angle
-    tell.step("reconstructing", photos, "photo")
+    progress.step("reconstructing", photos, "photo")
     count = 0
 
     def registered(of_first_pair: int = 1) -> None:
         nonlocal count
         count = 2 if of_first_pair == 2 else count + 1
-        tell.done(min(count, photos))
+        progress.done(min(count, photos))
 
     images = Path(job.folder) / COPIES
     models = pycolmap.incremental_mapping(

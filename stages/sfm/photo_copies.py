@@ -1,10 +1,10 @@
-"""Working copies of the photos: upright, strictly read, of bounded size, with what their EXIF data tell of the lens.
+"""Working copies of the photos: upright, strictly read, of bounded size, with the lens as their EXIF data give it.
 
 What a mask or transparency cuts out of a photo may stand still behind a turning object or walk through a room. The copy
 is black there, since features near an outline are described by what surrounds it, and has a mask of its own, by which
 COLMAP drops the features inside. Of 14 lego photos before a still background the mask alone places 7, both place 14.
 
-COLMAP itself reads a truncated JPEG without a word, drops a broken one, and handles orientation in its own way; the
+COLMAP itself accepts a truncated JPEG silently, drops a broken one, and handles orientation in its own way; the
 copies keep all of that away from it.
 
 A copy whose bytes, or those of its mask or facts, are no longer what the journal says is made again.
@@ -39,8 +39,8 @@ class Copy:
     """One photo's copy. photo: the original's path; full_size: its upright (width, height); file: name of the copy;
     size: (width, height) of the copy.
 
-    lens: photos with equal lens share a camera. focal: in pixels of the copy by EXIF, 0 where EXIF tells none.
-    cut_out: in masks/ lies a mask of the copy. unusable: in words why the photo takes no part; empty when it does.
+    lens: photos with equal lens share a camera. focal: in pixels of the copy, by EXIF; 0 if EXIF has none.
+    cut_out: masks/ holds a mask of the copy. unusable: why the photo is left out; empty if it is used.
     """
 
     photo: str
@@ -54,19 +54,19 @@ class Copy:
     unusable: str = ""
 
 
-def make_copies(job: Job, tell: JobProgress) -> list[Copy]:
+def make_copies(job: Job, progress: JobProgress) -> list[Copy]:
     """Copies of all photos, those of an earlier, interrupted run included; BadInput at the first damaged photo."""
     folder = Path(job.folder) / COPIES
     folder.mkdir(exist_ok=True)
     (folder.parent / MASKS).mkdir(exist_ok=True)
-    tell.step("reading photos", len(job.photos), "photo")
+    progress.step("reading photos", len(job.photos), "photo")
     made: list[Copy] = []
     journal = journal_of(folder.parent)
     with ThreadPoolExecutor(max(1, job.threads)) as pool:
         masks = job.masks or [("", "")] * len(job.photos)
         for copy in pool.map(lambda one: _copy(folder, journal, job.side, *one), zip(count(), job.photos, masks)):
             made.append(copy)
-            tell.done(len(made))
+            progress.done(len(made))
     return _without_doubles(made)
 
 
@@ -113,7 +113,7 @@ def _pictures(copy: Copy) -> list[str]:
 
 
 def _lens(photo: str, size: tuple[int, int]) -> tuple[str, float]:
-    """What distinguishes lens and zoom, and the focal length in pixels of the photo where EXIF tells it (else 0)."""
+    """Return what identifies lens and zoom, and the focal length in pixels of the photo by EXIF, or 0."""
     camera = pycolmap.infer_camera_from_image(photo)
     if not camera.has_prior_focal_length:
         return "unknown", 0.0

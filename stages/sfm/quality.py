@@ -1,4 +1,4 @@
-"""Whether a reconstruction can be believed. COLMAP ends quietly whatever comes out, so all of it is judged here."""
+"""Whether a reconstruction is plausible. COLMAP returns without complaint whatever the result, so it is judged here."""
 
 from dataclasses import asdict, dataclass
 
@@ -17,11 +17,11 @@ REFUSED_AGREEMENT, WORRYING_AGREEMENT = 0.5, 0.8
 AGREEING_DISTANCE = 4.0  # pixels, the tolerance that matches were verified with
 # Of the pairs that must match 29 % were silent on a folded lego, 1 of 1,167 on eight sound captures (decision 0044).
 FOLDED_SHARE, FOLDED_PAIRS = 0.1, 4
-# Up to this share of the cameras are left out where their silhouettes refute them; with more nothing can be believed.
+# Cameras refuted by their silhouettes are left out, up to this share of them; beyond it the result is rejected.
 MOST_REFUTED = 0.2
 TURNED_SHARE, TURNED_DISTANCE = 0.9, 2.0  # share of pairs that a turn alone explains, to this median in pixels
-# A pair tells something where it has so many matches, and points where they lie on so many tracks.
-MATCHES_TO_TELL, POINTS_TO_TELL = 30, 2000
+# A pair counts if it has this many matches, and points if they are on this many tracks.
+MATCHES_TO_TELL, POINTS_SAMPLED = 30, 2000
 
 
 @dataclass(frozen=True)
@@ -130,10 +130,10 @@ def _median_parallax(model) -> float:
     if not points:
         return 0.0
     centers = {number: model.images[number].projection_center() for number in model.reg_image_ids()}
-    told = points[:: max(1, len(points) // POINTS_TO_TELL)]
+    sampled = points[:: max(1, len(points) // POINTS_SAMPLED)]
     angles = [
         largest_parallax(point.xyz, np.array([centers[element.image_id] for element in point.track.elements]))
-        for point in told
+        for point in sampled
     ]
     return float(np.median(angles))
 
@@ -148,9 +148,9 @@ def verdict(found: Quality) -> tuple[str, list[str]]:
             cause = f"{found.flat_share:.0%} of the matched pairs show a turn on the spot or a flat surface alone"
         return f"structure from motion found no poses: {cause}; {remedy}{still}", []
     share = found.registered / found.photos
-    told = f"{found.registered} of {found.photos} photos"
+    placed = f"{found.registered} of {found.photos} photos"
     if found.registered < FEWEST_PHOTOS or share < REFUSED_SHARE:
-        return f"structure from motion placed only {told}; {remedy}, or remove photos of other things{still}", []
+        return f"structure from motion placed only {placed}; {remedy}, or remove photos of other things{still}", []
     if found.error_px > LARGEST_ERROR:
         return (
             f"the reconstruction is off by {found.error_px:.2f} px on average (limit {LARGEST_ERROR:g}); {remedy}",
@@ -164,7 +164,7 @@ def verdict(found: Quality) -> tuple[str, list[str]]:
     if found.turned_share >= TURNED_SHARE:
         return (
             f"the photos turn on the spot: a rotation alone explains {found.turned_share:.0%} of the matched pairs, so "
-            "nothing tells how far anything is; step sideways between photos in place of turning"
+            "depth cannot be determined; step sideways between photos instead of turning"
         ), []
     if found.pairs_checked and found.agreement < REFUSED_AGREEMENT:
         return (
@@ -180,16 +180,16 @@ def verdict(found: Quality) -> tuple[str, list[str]]:
     if found.refuted_share > MOST_REFUTED:
         return (
             f"the poses contradict the silhouettes: for {found.refuted_share:.0%} of the placed photos more than "
-            f"{OUTSIDE:.0%} of the object's points lie outside what their mask or transparency keeps; check the masks, "
+            f"{OUTSIDE:.0%} of the object's points are outside what mask or transparency keeps; check the masks, "
             f"or {remedy}"
         ), []
-    return "", _warnings(found, told, share)
+    return "", _warnings(found, placed, share)
 
 
-def _warnings(found: Quality, told: str, share: float) -> list[str]:
+def _warnings(found: Quality, placed: str, share: float) -> list[str]:
     warnings = []
     if share < WORRYING_SHARE:
-        warnings.append(f"warning: only {told} were placed; parts of the scene may be missing")
+        warnings.append(f"warning: only {placed} were placed; parts of the scene may be missing")
     if found.parallax_deg < LITTLE_PARALLAX:
         warnings.append(f"warning: the camera moved little ({found.parallax_deg:.1f} degrees of parallax)")
     if found.agreement < WORRYING_AGREEMENT:

@@ -1,7 +1,6 @@
 """Structure from motion: photos without poses into posed ones, by COLMAP in a child process that can be stopped.
 
-Ctrl-C ends the child at once; finished photos, features and matches stay in the checkpoint, and the next run goes
-on from there.
+Ctrl-C ends the child at once; finished photos, features and matches stay in the checkpoint, where the next run resumes.
 """
 
 import json
@@ -22,17 +21,17 @@ from schemas.atomic_write import refusal_of_disk
 from schemas.errors import BadInput, OutOfResources
 from stages.readers.colmap import scene_of
 from stages.readers.colmap_model import read_model
-from stages.readers.source import SourceCamera, SourceScene, natural, told, with_masks
+from stages.readers.source import SourceCamera, SourceScene, natural, path_in_source, with_masks
 from stages.run.progress import Context
 from stages.sfm.image_pairs import chosen_matching
 from stages.sfm.job import MODEL, RESULT, Job, journal_of
 
 ROOT = Path(__file__).resolve().parents[2]
 POLL_SECONDS = 0.2
-# A process group of the child's own, which the terminal's Ctrl-C does not reach.
-OWN_GROUP: dict[str, Any] = (
-    {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP} if sys.platform == "win32" else {"start_new_session": True}
-)
+# Options of Popen: a process group of the child's own, which the terminal's Ctrl-C does not reach.
+OWN_GROUP: dict[str, Any] = {"start_new_session": True}
+if sys.platform == "win32":
+    OWN_GROUP = {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP}
 PROBED_BYTES = 4_000_000  # what a disk that is not full must be able to take
 
 
@@ -40,10 +39,19 @@ def reconstructed(
     photos: list[Path], root: Path, checkpoint: Path, context: Context, *, matching: str, side: int, features: int,
     shared: bool,
 ) -> SourceScene:  # fmt: skip
-    """The posed photos of a folder. root: what their names are told relative to; checkpoint: where steps are kept.
+    """Find the poses of the photos of a folder.
 
-    matching: auto, exhaustive or sequential; side, features and shared: see Job. BadInput where photos are damaged, too
-    few, or the result cannot be believed; KeyboardInterrupt passes within a second.
+    Args:
+        photos: The files.
+        root: Folder that their names are relative to.
+        checkpoint: Where finished steps are kept.
+        context: Progress, seed and threads.
+        matching: auto, exhaustive or sequential.
+        side: See Job, as for features and shared.
+
+    Raises:
+        BadInput: Photos are damaged or too few, or the result is implausible.
+        KeyboardInterrupt: Within a second of Ctrl-C.
     """
     photos = sorted(photos, key=lambda photo: natural(str(photo)))
     method, reason = chosen_matching(matching, [photo.name for photo in photos])
@@ -57,14 +65,14 @@ def reconstructed(
     result = finished(folder)
     if result is None:
         if (folder / RESULT).is_file():
-            context.progress.say("warning: the poses of the interrupted run are damaged; finding them again")
+            context.progress.say("warning: the poses of the interrupted run are damaged; recomputing them")
         run_child(folder / "job.json", context)
         result = _result(folder)
     return _scene(result, photos, folder / MODEL, root, context)
 
 
 def finished(folder: Path) -> dict | None:
-    """The result of a structure from motion that has ended in `folder`; None where there is none or it is damaged."""
+    """Return the result of a finished structure from motion in `folder`; None if there is none or it is damaged."""
     journal = journal_of(folder)
     if not journal.holds([RESULT]):
         return None
@@ -77,11 +85,11 @@ def _result(folder: Path) -> dict:
 
 
 def _masks(photos: list[Path], root: Path, context: Context) -> tuple[tuple[str, str], ...]:
-    """What keeps and what hides of each photo, empty where it has none; none at all where no photo has any."""
-    cameras = [SourceCamera(photo.stem, told(photo, root), photo, np.eye(4)) for photo in photos]
+    """Return per photo the masks of what to keep and to hide, empty if absent; () if no photo has any."""
+    cameras = [SourceCamera(photo.stem, path_in_source(photo, root), photo, np.eye(4)) for photo in photos]
     masks = tuple((str(one.mask or ""), str(one.hides or "")) for one in with_masks(cameras, root))
     if found := sum(map(any, masks)):
-        context.progress.say(f"{found} of {len(photos)} photos have masks: what these cut out is not matched")
+        context.progress.say(f"{found} of {len(photos)} photos have masks; features in masked areas are ignored")
     return masks if found else ()
 
 
@@ -98,7 +106,7 @@ def _scene(result: dict, photos: list[Path], model: Path, root: Path, context: C
     cameras = with_masks([_of_photo(camera, copies[camera.source], root) for camera in scene.cameras], root)
     placed = {camera.image for camera in cameras}
     skipped = [
-        (told(Path(copy["photo"]), root), copy["unusable"] or "structure from motion could not place it")
+        (path_in_source(Path(copy["photo"]), root), copy["unusable"] or "structure from motion could not place it")
         for copy in every
         if Path(copy["photo"]) not in placed
     ]
@@ -111,19 +119,19 @@ def _of_photo(camera: SourceCamera, copy: dict, root: Path) -> SourceCamera:
     kx, ky = size[0] / copy["size"][0], size[1] / copy["size"][1]
     fx, fy, cx, cy = camera.intrinsics
     return replace(
-        camera, name=photo.stem, source=told(photo, root), image=photo, size=size,
+        camera, name=photo.stem, source=path_in_source(photo, root), image=photo, size=size,
         intrinsics=(fx * kx, fy * ky, cx * kx, cy * ky),
     )  # fmt: skip
 
 
 def run_child(job: Path, context: Context) -> None:
-    """Runs `stages.sfm.child` to its end, showing its progress; raises the fault that it tells.
+    """Run `stages.sfm.child` to its end, showing its progress; raise the fault that it reports.
 
-    The child leads a process group of its own, so the terminal's Ctrl-C reaches this process alone, which then ends the
-    group whatever it is doing.
+    The child leads a process group of its own, so the terminal's Ctrl-C reaches only this process, which then kills
+    the group.
     """
     log = job.with_suffix(".log")
-    # -P: without it `-m` imports from the current folder first, and what lies there may be a stranger's.
+    # Without -P, `-m` imports from the current folder first, whose files may be untrusted.
     with open(log, "wb") as errors:
         child = subprocess.Popen(
             [sys.executable, "-P", "-m", "stages.sfm.child", str(job)], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
@@ -135,13 +143,13 @@ def run_child(job: Path, context: Context) -> None:
     finally:
         _end(child)
     if fault or code:
-        # On a full disk COLMAP and the libraries below it end in many ways, few of which say so.
+        # On a full disk COLMAP and its libraries fail in many ways, and few say why.
         full = refusal_of_disk(job, PROBED_BYTES) if code != -signal.SIGTERM else None
         raise full or (_fault(fault["kind"], fault["text"]) if fault else _death(code, log))
 
 
 def _search_path() -> str:
-    """PYTHONPATH of the child: the entries of ours that name a folder in full. An empty one is the current folder."""
+    """Return the child's PYTHONPATH: our absolute entries. An empty entry would be the current folder."""
     given = os.environ.get("PYTHONPATH", "").split(os.pathsep)
     return os.pathsep.join([str(ROOT), *(entry for entry in given if os.path.isabs(entry))])
 
@@ -156,13 +164,13 @@ def _end(child: subprocess.Popen) -> None:
 
 
 def _follow(child: subprocess.Popen, context: Context) -> dict | None:
-    """Passes the child's events on until it closes its channel; the fault it told, if any."""
+    """Pass on the child's events until it closes its channel; return the fault it reported, if any."""
     events: queue.Queue[dict | None] = queue.Queue()
     threading.Thread(target=_read, args=(child.stdout, events), daemon=True).start()
     fault = None
     while True:
         try:
-            # A wait without end would not be left by a signal on every system.
+            # On some systems no signal interrupts a wait without a timeout.
             event = events.get(timeout=POLL_SECONDS)
         except queue.Empty:
             continue
@@ -197,15 +205,15 @@ def _fault(kind: str, text: str) -> BaseException:
 
 
 def _death(code: int, log: Path) -> BaseException:
-    """What to tell when the child died without a word."""
+    """Return the error for a child that died without reporting one."""
     if hasattr(signal, "SIGKILL") and code == -signal.SIGKILL:
         return OutOfResources(
-            "structure from motion was killed by the system, most likely for its memory; give a smaller --sfm-side or "
-            "--sfm-features and run the same command"
+            "structure from motion was killed by the system, most likely for lack of memory; give a smaller "
+            "--sfm-side or --sfm-features and run the same command"
         )
     if code == -signal.SIGTERM:
         return KeyboardInterrupt()
     lines = [line for line in log.read_text(errors="replace").splitlines() if line.strip()]
     last = next((line for line in reversed(lines) if line[:1] in "EF" or "Error" in line), lines[-1] if lines else "")
     how = f"signal {-code}" if code < 0 else f"exit code {code}"
-    return BadInput(f"structure from motion ended by itself ({how}: {last.strip()[:200]}); check the photos")
+    return BadInput(f"structure from motion failed ({how}: {last.strip()[:200]}); check the photos")

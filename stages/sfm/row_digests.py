@@ -1,7 +1,7 @@
 """Which rows of COLMAP's database are whole: the SHA-256 of every row that a finished step left, in a file beside it.
 
 SQLite notices a damaged page, if at all, only where it holds its own structures; a bit flipped in features or matches
-passes it and ends in other poses.
+passes it and gives other poses.
 """
 
 import hashlib

@@ -1,7 +1,7 @@
-"""Whether cameras of an object stand where its points lie within their silhouettes (decision 0046).
+"""Detects wrong cameras of an object by its silhouettes (decision 0046).
 
-What is cut out of every photo holds all of the object, so each of its points lies inside the silhouette of each camera
-that has it in view, hidden behind other parts or not. A camera that stands elsewhere sees many of them outside.
+The cutout of every photo shows the whole object, so each of its points projects into the silhouette of every camera
+that has it in view, occluded or not. For a wrong camera many of them project outside.
 """
 
 from pathlib import Path
@@ -13,7 +13,7 @@ from schemas.images import read_image
 from stages.readers.background import Background
 from stages.sfm.photo_copies import KEPT, MASKS, Copy
 
-# A point outside lies further from the silhouette than this share of the photo's longest side: 4 pixels of 400.
+# A point is outside if it is further from the silhouette than this share of the longest side: 4 pixels of 400.
 NEAR = 0.01
 # A camera is refuted with more than this share of the points outside. Right ones of lego had 0.02 at most (one that is
 # off by 5 degrees 0.04), single wrong ones 0.16 and more, those of a folded lego 0.10 and more.
@@ -40,7 +40,7 @@ def of_object(folder: Path, copies: list[Copy]) -> dict[str, np.ndarray]:
 
 
 def outside(model, silhouettes: dict[str, np.ndarray]) -> dict[str, float]:
-    """Of each placed photo with a silhouette, by name: the share of the points in its picture that lie outside."""
+    """Return, by name of each registered photo with a silhouette, the share of its visible points that are outside."""
     points = [model.points3D[number].xyz for number in sorted(model.points3D)]
     xyz = np.array(points[:: max(1, len(points) // MOST_POINTS)]).reshape(-1, 3)
     found = {}
@@ -60,7 +60,7 @@ def outside(model, silhouettes: dict[str, np.ndarray]) -> dict[str, float]:
 
 
 def refuted(model, silhouettes: dict[str, np.ndarray]) -> list[str]:
-    """Names of the copies whose cameras stand elsewhere by their silhouettes."""
+    """Return the names of the copies whose cameras their silhouettes refute."""
     return sorted(name for name, share in outside(model, silhouettes).items() if share > OUTSIDE)
 
 

@@ -210,7 +210,7 @@ def _stated_kind(path: Path) -> str | None:
 
 
 def converted(convert: Callable[..., State], path: Path, *found: Mapping[str, Tensor]) -> State:
-    """`convert(*found)` with missing layers and wrong shapes told as BadInput, and finite numbers ensured."""
+    """Return `convert(*found)`; BadInput for missing layers, wrong shapes and numbers that are not finite."""
     try:
         state = convert(*found)
     except (KeyError, RuntimeError, IndexError, ValueError) as error:

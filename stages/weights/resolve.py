@@ -87,7 +87,7 @@ def chosen(features: str) -> dict[str, str]:
         return {"features": features, "features_digest": ""}
     path = Path(features).expanduser()
     if not path.is_file():
-        resolve(features or None)  # which tells why
+        resolve(features or None)  # raises with the reason
     return {"features": str(path.resolve()), "features_digest": file_sha256(path)}
 
 
@@ -237,7 +237,7 @@ def _keep(source: Source, state: dict[str, Tensor], digest: str) -> None:
 
 
 def _check_hub_file(path: Path) -> None:
-    """BadInput where a file in torch's hub is not, to the last byte, the one that its name stands for."""
+    """Raise BadInput if a file in torch's hub does not match the digest in its name."""
     expected = {url.rsplit("/", 1)[1]: HUB_SHA256[model] for model, url in HUB_URLS.items()}
     if path.name in expected and path.parent == hub_folder() and (found := file_sha256(path)) != expected[path.name]:
         raise BadInput(

@@ -1,4 +1,4 @@
-"""The places where trained weights may stand, in the order in which they are preferred."""
+"""Places where pretrained weights may be found, in order of preference."""
 
 import importlib.metadata
 import os
@@ -26,7 +26,7 @@ HUB_SHA256 = {  # of the whole file: its name has the first eight digits alone
 
 @dataclass(frozen=True)
 class Source:
-    """Weights of one name: where they may stand and how they are read.
+    """Weights of one name: where to look for them and how to read them.
 
     kind: architecture. locate: () -> files of origin, or None when they are not there. convert: the tensors of each
     file -> canonical state. digest: the one that the state must have; None for files of torch's hub, which have their
@@ -124,8 +124,9 @@ TRUNKS: dict[str, Source] = {
             name="vgg19-wct",
             kind="vgg19-reflect",
             words="VGG-19 to conv3_1 with AdaIN's normalization, from STYLERF_WEIGHTS",
-            obtain=_set_folder("vgg19_normalized_conv1_1-conv3_1.pth"),
-            locate=lambda: from_folder("vgg19_normalized_conv1_1-conv3_1.pth"),
+            # Spelled as its publisher does.
+            obtain=_set_folder("vgg19_normalised_conv1_1-conv3_1.pth"),
+            locate=lambda: from_folder("vgg19_normalised_conv1_1-conv3_1.pth"),
             convert=formats.vgg19_wct,
             digest="2cac233540cb0fdd55a5932a3abb39f5490bfbc53c623b204cdf4e7e7682c535",
         ),
@@ -138,7 +139,7 @@ DECODERS: dict[str, Source] = {
         name="vgg19-wct-decoder",
         kind="vgg19-decoder",
         words="the decoder of vgg19-wct's conv3_1 (feed-forward references), from STYLERF_WEIGHTS",
-        obtain=_set_folder("vgg19_decoder_conv3_1.pth", "vgg19_normalized_conv1_1-conv3_1.pth"),
+        obtain=_set_folder("vgg19_decoder_conv3_1.pth", "vgg19_normalised_conv1_1-conv3_1.pth"),
         locate=lambda: from_folder("vgg19_decoder_conv3_1.pth"),
         convert=formats.wct_decoder,
     )

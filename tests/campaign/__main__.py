@@ -29,7 +29,7 @@ UNPRIVILEGED = ("setpriv", "--bounding-set=-dac_override,-dac_read_search", "--i
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Runs the parts that are asked for; 1 where any fault was found."""
+    """Run the requested parts; return 1 if any fault was found."""
     argv = sys.argv[1:] if argv is None else argv
     asked = arguments(argv)
     place = "/dev/shm" if os.access("/dev/shm", os.W_OK) else None
@@ -60,7 +60,7 @@ def arguments(argv: list[str]) -> argparse.Namespace:
 
 
 class Lanes:
-    """Two workers side by side: jobs are handed to whichever is free."""
+    """Workers side by side; each job goes to whichever is free."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -71,13 +71,13 @@ class Lanes:
         return self
 
     def more(self, count: int) -> list[Nursery]:
-        """So many nurseries."""
+        """Create `count` nurseries."""
         while len(self.nurseries) < count:
             self.nurseries.append(Nursery())
         return self.nurseries[:count]
 
     def each(self, jobs: Iterable[Any], work: Callable[[int, Any], dict[str, Any]], what: str) -> list[dict[str, Any]]:
-        """work(lane, job) of every job; faults are printed as they come."""
+        """Return work(lane, job) of every job; print faults as they come."""
         waiting: queue.Queue = queue.Queue()
         for job in jobs:
             waiting.put(job)
@@ -115,7 +115,7 @@ class Lanes:
 
 
 def campaign(asked: argparse.Namespace, lanes: Lanes, folder: Path, command: str) -> int:
-    """All parts, one after the other; the result file is written anew after each."""
+    """Run all parts in turn; rewrite the result file after each."""
     strace = machine_of_strace()
     if not strace:
         print("strace is missing or may not inject: kills at system calls and failing calls are left out")
@@ -161,14 +161,14 @@ def campaign(asked: argparse.Namespace, lanes: Lanes, folder: Path, command: str
 
 
 def told_at_once(told: dict[str, Any], what: str) -> dict[str, Any]:
-    """Prints a fault."""
+    """Print a fault."""
     if told["fault"]:
         print(f"FAULT {what}: {json.dumps(told, ensure_ascii=False)[:900]}", flush=True)
     return told
 
 
 def killed(asked: argparse.Namespace, ground: Ground, lanes: Lanes, wholes: dict) -> dict[str, Any]:
-    """Trials until there were so many kills, stages by turns."""
+    """Run trials until the number of kills is reached, cycling through the stages."""
     names, trials, number = list(ground.stages), [], 0
     while (left := asked.kills - sum(one["kills"] for one in trials)) > 0:
         jobs = [(names[at % len(names)], at) for at in range(number, number + max(left * 2 // 3, 1))]
@@ -187,7 +187,7 @@ def killed(asked: argparse.Namespace, ground: Ground, lanes: Lanes, wholes: dict
 
 
 def failing(asked: argparse.Namespace, ground: Ground, lanes: Lanes, wholes: dict) -> dict[str, Any]:
-    """Faults of every kind on every stage by turns. Where root's rights would help, in processes without them."""
+    """Inject faults of every kind into every stage in turn, in unprivileged processes where root would not notice."""
     chance = Random(f"{asked.seed}/faults")
     kinds = [
         kind
@@ -214,7 +214,7 @@ def failing(asked: argparse.Namespace, ground: Ground, lanes: Lanes, wholes: dic
 
 
 def damaged(asked: argparse.Namespace, ground: Ground, lanes: Lanes) -> dict[str, Any]:
-    """Mutants in workers; a sample is read by commands of their own as well, whose exit codes must be the same."""
+    """Read mutants in workers; read a sample by separate commands too, whose exit codes must agree."""
     root = readers.prepare(ground, lanes.nurseries[0], asked.cases or ())
     workers = [pool.Worker(root, lane) for lane in range(LANES)]
     try:
@@ -242,7 +242,7 @@ def damaged(asked: argparse.Namespace, ground: Ground, lanes: Lanes) -> dict[str
 
 
 def in_a_command(nursery: Nursery, root: Path, told: dict[str, Any], lane: int) -> dict[str, Any]:
-    """The same mutant read by a process of its own."""
+    """Read the same mutant in a separate process."""
     folder = root.parent / f"command{lane}" / "t"
     shutil.rmtree(folder.parent, ignore_errors=True)
     folder.parent.mkdir(parents=True)
@@ -257,7 +257,7 @@ def in_a_command(nursery: Nursery, root: Path, told: dict[str, Any], lane: int) 
 
 
 def replay(asked: argparse.Namespace, ground: Ground, lanes: Lanes) -> int:
-    """One mutant, in a folder that is kept."""
+    """Make one mutant, in a folder that is kept."""
     name, _, number = asked.replay.rpartition(":")
     root = readers.prepare(ground, lanes.nurseries[0], [name])
     worker = pool.Worker(root, 0)

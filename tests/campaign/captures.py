@@ -1,4 +1,4 @@
-"""Small real files of every format that is read: captures with poses in each form, pictures, flows, weights, lists."""
+"""Small real files of every supported format: captures with poses in each form, pictures, flows, weights, lists."""
 
 import json
 import struct
@@ -32,7 +32,7 @@ POINTS = ((0.3, 0.4, 0.5), (0.1, 0.9, 0.7), (0.8, 0.2, 0.3), (0.5, 0.5, 0.1), (0
 
 
 def write_captures(folder: Path) -> None:
-    """folder/NAME/source for every kind of capture."""
+    """Write folder/NAME/source for every kind of capture."""
     for suffix in ("png", "jpg", "tif", "exr"):
         source = _source(folder, f"photo {suffix}")
         pixels = (oiio.ImageBuf(str(source / "images" / "p01.png"))).get_pixels(oiio.UINT8)
@@ -89,7 +89,7 @@ def _source(folder: Path, name: str) -> Path:
 
 
 def _write_points(model: Path) -> None:
-    """Six points that all four photos see."""
+    """Return six points that all four photos see."""
     lines = (model / "images.txt").read_text().split("\n")
     for number, one in enumerate(capture.cameras()):
         seen = (one.camera_from_world @ np.column_stack([POINTS, np.ones(len(POINTS))]).T)[:3].T
@@ -104,7 +104,7 @@ def _write_points(model: Path) -> None:
 
 
 def _write_binary(text: Path, model: Path) -> None:
-    """The same model as COLMAP's binary files."""
+    """Write the same model as COLMAP's binary files."""
     model.mkdir(parents=True)
     numbers = [capture.FOCAL, capture.FOCAL, capture.WIDTH / 2, capture.HEIGHT / 2]
     (model / "cameras.bin").write_bytes(struct.pack("<QIiQQ4d", 1, 1, 1, capture.WIDTH, capture.HEIGHT, *numbers))
@@ -128,7 +128,7 @@ def _write_binary(text: Path, model: Path) -> None:
 
 
 def write_loose(folder: Path, painting: Path) -> None:
-    """Files that are read by themselves: paintings, flows, weights."""
+    """Write files that are read on their own: style images, flows, weights."""
     folder.mkdir(parents=True)
     small = oiio.ImageBufAlgo.resize(oiio.ImageBuf(str(painting)), roi=oiio.ROI(0, 64, 0, 48))
     for suffix in ("png", "jpg", "tif"):
@@ -149,14 +149,14 @@ def write_loose(folder: Path, painting: Path) -> None:
 
 
 def camera_path(size: int = 12) -> list[dict]:
-    """One small picture, in the form of docs/artifacts.md."""
+    """Write one small picture, as in docs/artifacts.md."""
     pose = [[1, 0, 0, 0], [0, -1, 0, 0], [0, 0, -1, 3.5], [0, 0, 0, 1]]
     lens = {"fx": 1.4 * size, "fy": 1.4 * size, "cx": size / 2, "cy": size / 2}
     return [{"name": "one", "width": size, "height": size, **lens, "world_from_camera": pose}]
 
 
 def studio_path() -> dict:
-    """A camera path as nerfstudio's viewer saves it."""
+    """Write a camera path as nerfstudio's viewer saves it."""
     matrix = [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 3.5, 0, 0, 0, 1]
     frames = [{"camera_to_world": matrix, "fov": 50.0, "aspect": 1.0} for _ in range(2)]
     return {"camera_type": "perspective", "render_height": 12, "render_width": 12, "fps": 24, "seconds": 1.0,
@@ -164,7 +164,7 @@ def studio_path() -> dict:
 
 
 def write_paths(folder: Path) -> None:
-    """Both as files."""
+    """Write both to files."""
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "path.json").write_text(json.dumps(camera_path()))
     (folder / "studio.json").write_text(json.dumps(studio_path()))

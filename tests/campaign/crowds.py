@@ -31,8 +31,8 @@ READING = (("show",), ("verify",))
 
 
 def trial(nurseries: list[Nursery], ground: Ground, seed: str, alike: bool, plain: bool = False) -> dict[str, Any]:
-    """One crowd: what happened; `fault` is empty where all is well. alike: all run the same command. plain: the work
-    folder holds a field, but no edit."""
+    """Run one crowd; return what happened, with an empty `fault` if all is well. alike: all run the same command.
+    plain: the work folder holds a field but no edit."""
     chance = Random(seed)
     count = min(chance.randint(FEWEST, MOST), len(nurseries))
     known = COMMANDS[2:3] if plain else COMMANDS
@@ -82,7 +82,7 @@ def _run_all(nursery: Nursery, work: Path, chosen: list[tuple]) -> str:
 
 
 def told_in_sum(trials: list[dict[str, Any]]) -> dict[str, Any]:
-    """Counts by exit code and number of processes, and every fault with its seed."""
+    """Return counts by exit code and number of processes, and every fault with its seed."""
     return {
         "crowds": len(trials),
         "processes": sum(one["processes"] for one in trials),

@@ -45,7 +45,7 @@ ENDS_WELL_OR_OUT_OF_RESOURCES = (0, 5)
 
 
 def choices(kind: str, whole: Undisturbed) -> list[Call]:
-    """Calls of the undisturbed run that a fault of this kind can meet."""
+    """Return the calls of the undisturbed run that a fault of this kind can hit."""
     if kind not in ERRORS:
         return []
     names = ERRORS[kind][1]
@@ -63,7 +63,7 @@ def _of_a_folder(call: Call) -> bool:
 
 
 def trial(nursery: Nursery, ground: Ground, stage: Stage, whole: Undisturbed, kind: str, seed: str) -> dict[str, Any]:
-    """One run that meets a fault, then one that does not: what happened; `fault` is empty where all is well."""
+    """Run once with a fault, once without; return what happened, with an empty `fault` if all is well."""
     chance = Random(seed)
     if kind == MOUNTED:
         told = _mounted(nursery, ground, stage, whole, chance)
@@ -101,7 +101,7 @@ def _injected(nursery, ground: Ground, stage: Stage, whole: Undisturbed, kind: s
 def _judged(
     nursery: Nursery, stage: Stage, work: Path, whole: Undisturbed, command: Command, kind: str, mute: bool = False
 ) -> dict[str, Any]:
-    """Code, last line and fault of a command that met a fault, and of the same one after it."""
+    """Return code, last line and fault of a command that hit a fault, and of the rerun after it."""
     code, err = command.code, command.err
     told = {"code": code, "line": (err.splitlines() or [""])[-1][:300]}
     allowed = ENDS_WELL_OR_OUT_OF_RESOURCES + ((3, 4) if kind in ("read error", "stale handle") else ())
@@ -116,7 +116,7 @@ def _judged(
 
 
 def _mounted(nursery: Nursery, ground: Ground, stage: Stage, whole: Undisturbed, chance: Random) -> dict[str, Any]:
-    """On a disk of its own that has room for a part of what the stage writes; then for all."""
+    """Run on a disk with space for part of what the stage writes, then for all of it."""
     with copy_of(None, ground.folder / "trials") as work:
         folder = work.parent / "disk"
         folder.mkdir()
@@ -147,7 +147,7 @@ def _mount(folder: Path, options: str) -> bool:
 
 
 def _closed(nursery: Nursery, ground: Ground, stage: Stage, whole: Undisturbed, chance: Random) -> dict[str, Any]:
-    """A folder of the work folder that may not be written to. nursery: whose children root's rights do not help."""
+    """Run with a read-only folder in the work folder. nursery: one whose children are not privileged."""
     with copy_of(stage.base or ground.folder / "bare", ground.folder / "trials") as work:
         folders = [work, *(path for path in sorted(work.iterdir()) if path.is_dir())]
         closed = chance.choice(folders)
@@ -161,7 +161,7 @@ def _closed(nursery: Nursery, ground: Ground, stage: Stage, whole: Undisturbed, 
 
 
 def told_in_sum(trials: list[dict[str, Any]]) -> dict[str, Any]:
-    """Counts by kind and exit code, and every fault with its seed."""
+    """Return counts by kind and exit code, and every fault with its seed."""
     by_kind: dict[str, Counter] = {}
     for one in trials:
         if one["code"] is not None:

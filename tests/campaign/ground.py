@@ -1,5 +1,5 @@
-"""What the campaign works on: a tiny still life, a work folder that holds every kind of artifact, and every stage as a
-command on a copy of it that is limited by steps, so that two runs of it end in the same bytes."""
+"""The campaign's fixtures: a tiny still life, a work folder with every kind of artifact, and every stage as a command
+on a copy of it, limited by steps so that two runs give the same bytes."""
 
 import json
 import random
@@ -32,7 +32,7 @@ STRESS = ("--methods", "fit", "--faults", "seeds", "--seeds", "1", "--budget", "
 class Stage:
     """A command that makes artifacts in a copy of the folder `base`: bare, made, or none.
 
-    WORK stands in its arguments for that copy.
+    In its arguments, WORK is a placeholder for that copy.
     """
 
     name: str
@@ -40,12 +40,12 @@ class Stage:
     base: Path | None
 
     def command(self, work: Path) -> tuple[object, ...]:
-        """Its arguments, on that work folder."""
+        """Return its arguments for that work folder."""
         return tuple(work if one is WORK else one for one in self.arguments) + QUIET
 
 
 class _Mark:
-    """Stands for the work folder in a stage's arguments."""
+    """Placeholder for the work folder in a stage's arguments."""
 
 
 WORK = _Mark()
@@ -63,13 +63,13 @@ class Ground:
 
     @property
     def painting(self) -> Path:
-        """A picture to stylize with."""
+        """Return the style image."""
         return self.photos / PAINTING
 
 
 def prepared(folder: Path, nursery: Nursery, names: Sequence[str] = (), plain: bool = False) -> Ground:
-    """Makes the ground in `folder`. names: of the stages that are wanted, all where there are none. plain: nothing is
-    made but a scene, its field and frames."""
+    """Make the fixtures in `folder`. names: of the stages to prepare, all if empty. plain: make only a scene, its field
+    and frames."""
     ground = Ground(folder, folder / "photos", folder / "room", folder / "made")
     write_demo(ground.photos, 32, 10, 2, 0, 1, Silent())
     write_photos(ground.room, walk(6, (0.45, 1.0), width=240, height=180, focal=230.0))
@@ -91,7 +91,7 @@ def prepared(folder: Path, nursery: Nursery, names: Sequence[str] = (), plain: b
 
 
 def _of_every_kind(style: tuple) -> list[tuple[object, ...]]:
-    """What makes the rest."""
+    """Return the commands that make the rest."""
     return [
         ("deform", WORK, "--of", "fit", *DEFORM),
         ("stylize", WORK, "--of", "fit", "--name", "painted", *style),
@@ -161,7 +161,7 @@ def _stages(ground: Ground, style: tuple) -> list[Stage]:
 
 
 def done(nursery: Nursery, said: Path, *command: object) -> Command:
-    """A command that must end well."""
+    """Run a command that must succeed."""
     ended = nursery.run(said, *command)
     assert ended.code == 0, f"stylerf {' '.join(map(str, command))}: exit code {ended.code}: {ended.err}"
     return ended
@@ -169,7 +169,7 @@ def done(nursery: Nursery, said: Path, *command: object) -> Command:
 
 @contextmanager
 def copy_of(base: Path | None, parent: Path) -> Iterator[Path]:
-    """A folder of its own with `work`, a copy of `base` (nothing where that is None); deleted at the end."""
+    """Yield `work` in a fresh folder, a copy of `base` or empty if that is None; delete it at the end."""
     folder = parent / f"t{random.SystemRandom().getrandbits(48):012x}"
     folder.mkdir(parents=True)
     try:
@@ -181,7 +181,7 @@ def copy_of(base: Path | None, parent: Path) -> Iterator[Path]:
 
 
 def contents(work: Path) -> dict[str, dict[str, str]]:
-    """Digest of every file of every artifact; of a stress test its outcomes but for the time they took."""
+    """Return the digest of every file of every artifact, and the outcomes of a stress test without their durations."""
     store = WorkFolder(work)
     found = {
         f"{one.kind}/{one.name}": {record.path: record.sha256 for record in one.manifest.files}
@@ -194,7 +194,7 @@ def contents(work: Path) -> dict[str, dict[str, str]]:
 
 
 def leftovers(work: Path) -> list[str]:
-    """Partial runs and temporary files: none where the last command ended well."""
+    """Return partial runs and temporary files; there are none if the last command succeeded."""
     return sorted(
         str(path.relative_to(work))
         for path in work.rglob(".*")
@@ -203,7 +203,7 @@ def leftovers(work: Path) -> list[str]:
 
 
 def verified(nursery: Nursery, work: Path) -> str:
-    """What `stylerf verify` has against a work folder; empty where it is sound, or not there."""
+    """Return what `stylerf verify` finds wrong with a work folder; empty if it is valid or missing."""
     if not work.is_dir():
         return ""
     ended = nursery.run(work.parent / "verify", "verify", work, "--quiet")
@@ -212,7 +212,7 @@ def verified(nursery: Nursery, work: Path) -> str:
 
 
 def machine_of_strace() -> bool:
-    """Whether strace can inject faults here."""
+    """Return whether strace can inject faults here."""
     try:
         command = ["strace", "-o", "/dev/null", "-e", "inject=fsync:error=EIO", sys.executable, "-c", "pass"]
         return subprocess.run(command, capture_output=True, check=False, timeout=60).returncode == 0

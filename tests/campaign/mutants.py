@@ -1,4 +1,4 @@
-"""Damage done to real files by a seeded hand: bytes flipped, cut, spliced, lengths and numbers of the format changed.
+"""Seeded damage to real files: bytes flipped, cut, spliced; lengths and numbers of the format changed.
 
 Every operator takes a file's bytes, a random generator and other files of the kind, and returns other bytes.
 """
@@ -25,7 +25,7 @@ OTHERS = (b"%PDF-1.4\n", b"PK\x03\x04" + bytes(60), b"<html></html>", b"{}", b"[
 
 
 def flipped(data: bytes, random: Random, others: list[bytes]) -> bytes:
-    """One to eight bits."""
+    """Flip one to eight bits."""
     made = bytearray(data)
     for _ in range(random.choice((1, 1, 1, 2, 8))):
         if made:
@@ -34,14 +34,14 @@ def flipped(data: bytes, random: Random, others: list[bytes]) -> bytes:
 
 
 def overwritten(data: bytes, random: Random, others: list[bytes]) -> bytes:
-    """A run of random bytes, of zeros, or of ones."""
+    """Overwrite a run with random bytes, zeros or ones."""
     at, length = _place(len(data), random), random.choice((1, 2, 4, 8, 64, 512))
     run = random.choice((random.randbytes(length), bytes(length), b"\xff" * length))
     return (data[:at] + run + data[at + length :])[: max(len(data), 1)]
 
 
 def cut(data: bytes, random: Random, others: list[bytes]) -> bytes:
-    """Anywhere, mostly near an end."""
+    """Truncate anywhere, mostly near an end."""
     keep = random.choice(
         (random.randrange(len(data) + 1), _place(len(data), random), len(data) - random.randint(1, 16))
     )
@@ -49,26 +49,26 @@ def cut(data: bytes, random: Random, others: list[bytes]) -> bytes:
 
 
 def extended(data: bytes, random: Random, others: list[bytes]) -> bytes:
-    """By random bytes or zeros."""
+    """Append random bytes or zeros."""
     length = random.choice((1, 7, 4096))
     return data + random.choice((random.randbytes(length), bytes(length), data))
 
 
 def spliced(data: bytes, random: Random, others: list[bytes]) -> bytes:
-    """The head of one file and the tail of another."""
+    """Join the head of one file and the tail of another."""
     other = random.choice(others or [data])
     return data[: random.randrange(len(data) + 1)] + other[random.randrange(len(other) + 1) :]
 
 
 def dropped(data: bytes, random: Random, others: list[bytes]) -> bytes:
-    """A stretch left out, or told twice."""
+    """Remove or repeat a stretch."""
     at, length = _place(len(data), random), random.choice((1, 4, 32, 1000))
     stretch = data[at : at + length]
     return data[:at] + (stretch * 2 if random.random() < 0.5 else b"") + data[at + length :]
 
 
 def lengthened(data: bytes, random: Random, others: list[bytes]) -> bytes:
-    """A number of 2, 4 or 8 bytes, mostly near the head, made an extreme one."""
+    """Make a number of 2, 4 or 8 bytes extreme, mostly near the head."""
     width = random.choice((2, 4, 8))
     number = (random.choice(LENGTHS) % 2 ** (8 * width)).to_bytes(width, random.choice(("little", "big")))
     at = _place(max(len(data) - width, 1), random)
@@ -76,17 +76,17 @@ def lengthened(data: bytes, random: Random, others: list[bytes]) -> bytes:
 
 
 def emptied(data: bytes, random: Random, others: list[bytes]) -> bytes:
-    """Nothing, one byte, or zeros."""
+    """Replace the file by nothing, one byte, or zeros."""
     return random.choice((b"", b"\x00", b"\n", bytes(len(data))))
 
 
 def replaced(data: bytes, random: Random, others: list[bytes]) -> bytes:
-    """Another format altogether."""
+    """Replace the file by one of another format."""
     return random.choice(OTHERS)
 
 
 def _place(length: int, random: Random) -> int:
-    """Half of them within the first 128 bytes, where headers are."""
+    """Pick a position, half the time within the first 128 bytes, where headers are."""
     return random.randrange(min(length, 128) if random.random() < 0.5 else length) if length else 0
 
 
@@ -100,7 +100,7 @@ _WORD = re.compile(rb'"[^"\n]*"')
 
 
 def renumbered(data: bytes, random: Random, others: list[bytes]) -> bytes:
-    """One number of a text, or a few, replaced by extreme ones or by no number at all."""
+    """Replace one or a few numbers of a text by extreme values or by something else."""
     for _ in range(random.choice((1, 1, 1, 3))):
         found = list(_NUMBER.finditer(data))
         if found:
@@ -110,7 +110,7 @@ def renumbered(data: bytes, random: Random, others: list[bytes]) -> bytes:
 
 
 def reworded(data: bytes, random: Random, others: list[bytes]) -> bytes:
-    """One text in quotes replaced, as JSON writes it."""
+    """Replace one JSON string."""
     found = list(_WORD.finditer(data))
     if not found:
         return overwritten(data, random, others)
@@ -119,7 +119,7 @@ def reworded(data: bytes, random: Random, others: list[bytes]) -> bytes:
 
 
 def nested(data: bytes, random: Random, others: list[bytes]) -> bytes:
-    """Brackets by the hundred thousand in place of a value, or alone."""
+    """Nest a hundred thousand brackets, in place of a value or alone."""
     open, close = random.choice(((b"[", b"]"), (b'{"a":', b"}")))
     depth = random.choice((500, 5000, DEEP))
     deep = open * depth + b"1" + close * depth
@@ -131,7 +131,7 @@ def nested(data: bytes, random: Random, others: list[bytes]) -> bytes:
 
 
 def lines_moved(data: bytes, random: Random, others: list[bytes]) -> bytes:
-    """Lines left out, doubled, blank or told in another order; line ends of Windows; another encoding."""
+    """Drop, double, blank or reorder lines; use Windows line ends or another encoding."""
     lines = data.split(b"\n")
     at = random.randrange(len(lines))
     how = random.randrange(6)
@@ -151,7 +151,7 @@ def lines_moved(data: bytes, random: Random, others: list[bytes]) -> bytes:
 
 
 def restructured(data: bytes, random: Random, others: list[bytes]) -> bytes:
-    """A value of a JSON text left out, doubled, moved elsewhere, or of another type, by the tree."""
+    """Drop, double, move or retype a value of a JSON tree."""
     try:
         tree = json.loads(data)
     except (ValueError, RecursionError):
@@ -205,7 +205,7 @@ JSON: tuple[Operator, ...] = (
 
 
 def in_a_png(data: bytes, random: Random, others: list[bytes]) -> bytes:
-    """Something changed in a chunk, whose check sum is made to fit."""
+    """Change something in a chunk and fix its checksum."""
     chunks = _chunks(data)
     if not chunks:
         return flipped(data, random, others)
@@ -223,7 +223,7 @@ def in_a_png(data: bytes, random: Random, others: list[bytes]) -> bytes:
 
 
 def bomb(data: bytes, random: Random, others: list[bytes]) -> bytes:
-    """A sound PNG of very many black pixels."""
+    """Return a valid PNG of very many black pixels."""
     side, bits, samples = random.choice(((8000, 8, 3), (12000, 8, 1), (20000, 1, 1), (40000, 1, 1)))
     row = bytes(1 + (side * bits * samples + 7) // 8)
     packer, packed = zlib.compressobj(1), []
@@ -248,7 +248,7 @@ def _chunk(name: bytes, body: bytes) -> bytes:
 
 
 def damaged_png(data: bytes) -> bool:
-    """Whether its own check sums tell that a PNG is damaged: a chunk before its last pixel does not fit, or is cut."""
+    """Return whether a PNG's checksums reveal the damage: a chunk before its last pixel mismatches or is cut."""
     at, pixels = 8, zlib.decompressobj()
     if data[:8] != b"\x89PNG\r\n\x1a\n":
         return True
@@ -268,7 +268,7 @@ def damaged_png(data: bytes) -> bool:
 
 
 def in_an_npy(data: bytes, random: Random, others: list[bytes]) -> bytes:
-    """Another header of the right length: shapes, types, order."""
+    """Change shapes, types or order in a header, keeping its length."""
     length = int.from_bytes(data[8:10], "little")
     head = data[10 : 10 + length]
     head = random.choice((
@@ -282,7 +282,7 @@ def in_an_npy(data: bytes, random: Random, others: list[bytes]) -> bytes:
 
 
 def in_a_safetensors(data: bytes, random: Random, others: list[bytes]) -> bytes:
-    """Another header of its true length: types, shapes, places, names; or other numbers, NaN among them."""
+    """Change types, shapes, offsets or names in a header of correct length, or numbers, some to NaN."""
     length = int.from_bytes(data[:8], "little")
     head, body = data[8 : 8 + length], data[8 + length :]
     if random.random() < 0.4:
@@ -303,7 +303,7 @@ def in_a_safetensors(data: bytes, random: Random, others: list[bytes]) -> bytes:
 
 
 def _reshaped(head: bytes, random: Random) -> bytes:
-    """As many numbers in another shape, so that the library finds nothing wrong."""
+    """Reshape to the same count, so that the library accepts it."""
     tree = json.loads(head)
     names = [name for name, one in tree.items() if name != "__metadata__" and one.get("shape")]
     if names:
@@ -317,7 +317,7 @@ def _reshaped(head: bytes, random: Random) -> bytes:
 
 
 def _without(head: bytes, random: Random) -> bytes:
-    """Two tensors that have changed names."""
+    """Swap the names of two tensors."""
     tree = json.loads(head)
     names = [name for name in tree if name != "__metadata__"]
     if len(names) >= 2:
@@ -337,7 +337,7 @@ FORMATS: dict[str, tuple[Operator, ...]] = {
 
 
 def mutant(data: bytes, suffix: str, random: Random, others: list[bytes]) -> tuple[bytes, str]:
-    """Damaged bytes, never those that were given, and the names of what was done."""
+    """Return damaged bytes, never the given ones, and the names of the changes."""
     operators = FORMATS.get(suffix, BYTES)
     if suffix == ".png" and random.random() < 0.004:
         operators = (bomb,)

@@ -1,4 +1,4 @@
-"""Processes that read mutants, one after the other, and a watchdog that ends those that hang or take too much memory.
+"""Processes that read mutants one by one, and a watchdog that ends those that hang or take too much memory.
 
 A worker has imported stylerf once; it damages a file, runs the command on it by `stylerf_cli.main`, and tells what came
 of it. One that dies is replaced: its death is what came of that mutant.
@@ -31,7 +31,7 @@ FAULTS = ("traceback", "crash", "hang", "slow", "memory", "silent", "words", "ou
 
 
 class Worker:
-    """One process, begun again where it dies. root: the bases of all cases. lane: of its own folder."""
+    """One process, restarted if it dies. root: the bases of all cases. lane: number of its folder."""
 
     def __init__(self, root: Path, lane: int) -> None:
         self.root, self._lane = root, root.parent / f"lane{lane}"
@@ -39,7 +39,7 @@ class Worker:
         self._read = b""
 
     def run(self, case: str, number: int, seed: int) -> dict[str, Any]:
-        """What came of that mutant: `outcome` is `read`, `refused` or one of FAULTS."""
+        """Return the result of that mutant: `outcome` is `read`, `refused` or one of FAULTS."""
         if self._process is None:
             self._begin()
         order = {"case": case, "number": number, "seed": seed}
@@ -61,7 +61,7 @@ class Worker:
         return order | json.loads(line)
 
     def close(self) -> None:
-        """Ends the process."""
+        """End the process."""
         if self._process is not None:
             self._process.stdin.close()
             self._process.wait()
@@ -83,7 +83,7 @@ class Worker:
         assert self._line(300.0) == b"ready", "a worker of the campaign could not begin"
 
     def _line(self, seconds: float) -> bytes | None:
-        """The next line; None where there is none within that time, empty where the process has ended."""
+        """Return the next line; None on timeout, empty if the process has ended."""
         end = time.monotonic() + seconds
         while b"\n" not in self._read:
             if not select.select([self._process.stdout], [], [], max(0.0, end - time.monotonic()))[0]:
@@ -97,7 +97,7 @@ class Worker:
 
 
 def _resident(pid: int) -> int:
-    """Bytes of memory that a process holds."""
+    """Return the resident bytes of a process."""
     try:
         return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
     except (OSError, IndexError, ValueError):
@@ -108,7 +108,7 @@ def _resident(pid: int) -> int:
 
 
 def attempt(root: Path, case: Case, number: int, seed: int, folder: Path, wholes: dict[str, Any]) -> dict[str, Any]:
-    """Makes the mutant in `folder`, has it read, judges what came of it."""
+    """Make the mutant in `folder`, have it read, judge the result."""
     placed = place(root, case, number, seed, folder)
     told: dict[str, Any] = {"file": placed.file.relative_to(folder).as_posix(), "operators": placed.operators}
     _reset_peak()
@@ -125,7 +125,7 @@ def attempt(root: Path, case: Case, number: int, seed: int, folder: Path, wholes
 
 
 def command(words: tuple[str, ...]) -> tuple[int | None, str, str]:
-    """Exit code, stdout and stderr of a command; no code where it let an exception through."""
+    """Return exit code, stdout and stderr of a command; no code if it let an exception through."""
     from stylerf_cli.main import main
 
     out, err = io.StringIO(), io.StringIO()
@@ -137,7 +137,7 @@ def command(words: tuple[str, ...]) -> tuple[int | None, str, str]:
 
 
 def call(reader, path: Path) -> tuple[int | None, str, str]:
-    """The same of a reader that is called."""
+    """Return the same for a reader that is called."""
     from schemas.safe_names import printable
     from stylerf_cli.exit_codes import code_and_line
 
@@ -150,7 +150,7 @@ def call(reader, path: Path) -> tuple[int | None, str, str]:
 
 
 def judged(case: Case, placed: Placed, code: int | None, err: str, told: dict[str, Any], wholes: dict) -> str:
-    """The fault of an outcome, one of FAULTS; empty where it may be so."""
+    """Return the fault of an outcome, one of FAULTS; empty if it is acceptable."""
     if any(path.name not in ("src", placed.folder.name) for path in placed.folder.parent.iterdir()):
         return "outside"
     if code is None or "Traceback" in err or (code == 1 and "unexpected" in err):
@@ -172,7 +172,7 @@ def judged(case: Case, placed: Placed, code: int | None, err: str, told: dict[st
 
 
 def _files(work: Path, artifact: str) -> dict[str, str]:
-    """Digests of an artifact's files."""
+    """Return the digests of an artifact's files."""
     from schemas.work_folder import Artifact
 
     return {record.path: record.sha256 for record in Artifact(work / artifact).manifest.files}
@@ -186,7 +186,7 @@ def _reset_peak() -> None:
 
 
 def _peak() -> int:
-    """Most bytes of memory since _reset_peak, or of all time where the system cannot tell."""
+    """Return the peak bytes of memory since _reset_peak, or since the start if the system has no reset."""
     import re
 
     found = re.search(r"^VmHWM:\s*(\d+) kB", Path("/proc/self/status").read_text(), re.MULTILINE)
@@ -194,7 +194,7 @@ def _peak() -> int:
 
 
 def serve(root: Path, lane: Path) -> None:
-    """Reads orders from stdin, answers each with a line."""
+    """Read orders from stdin and answer each with a line."""
     answers = os.fdopen(os.dup(1), "w")
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
     import stages.nerf_fit
@@ -222,7 +222,7 @@ def serve(root: Path, lane: Path) -> None:
 
 
 def undisturbed(root: Path, case: Case, folder: Path) -> dict[str, str]:
-    """What the case's command makes of its base as it is; made in this process, as rounding may be another's."""
+    """Return what the case's command makes of its undamaged base, in this process, as rounding may differ in others."""
     from tests.campaign.readers import BOUNDED
 
     shutil.rmtree(folder, ignore_errors=True)
@@ -238,7 +238,7 @@ def undisturbed(root: Path, case: Case, folder: Path) -> dict[str, str]:
 
 
 def told_in_sum(outcomes: list[dict[str, Any]]) -> dict[str, Any]:
-    """Counts by reader and outcome, the worst of seconds and bytes, and every fault with what makes it again."""
+    """Return counts by reader and outcome, the largest seconds and bytes, and every fault with how to reproduce it."""
     by_case: dict[str, Counter] = {}
     for one in outcomes:
         by_case.setdefault(one["case"], Counter())[one["outcome"]] += 1

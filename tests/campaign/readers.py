@@ -1,4 +1,4 @@
-"""Every reader of stylerf as a case: which file is damaged, which command then reads it, and what may come of it."""
+"""Every reader of stylerf as a case: which file is damaged, which command reads it, and which results are valid."""
 
 import hashlib
 import json
@@ -48,7 +48,7 @@ class Case:
     refuses: bool = False
 
     def files(self, root: Path) -> list[Path]:
-        """Relative to the base, in order."""
+        """Return the files relative to the base, in order."""
         base = root / self.base
         found = sorted(path.relative_to(base) for path in base.glob(self.pattern) if path.is_file())
         return [path for path in found if not re.search(self.leave_out, path.as_posix())]
@@ -115,12 +115,12 @@ BY_NAME = {case.name: case for case in CASES}
 
 
 def plain(names: Sequence[str]) -> bool:
-    """Whether the cases of these names need no more than a scene."""
+    """Return whether the cases of these names need only a scene."""
     return bool(names) and all(BY_NAME[name].base.partition("/")[0] in ("captures", "loose", "scene") for name in names)
 
 
 def prepare(ground: Ground, nursery: Nursery, names: Sequence[str] = ()) -> Path:
-    """The folder that holds the base of each case; names: of the cases that are wanted, all where there are none."""
+    """Make the folder with the base of each case. names: of the cases to prepare, all if empty."""
     root = ground.folder / "readers"
     wanted = {case.base.partition("/")[0] for case in CASES if not names or case.name in names}
     write_captures(root / "captures")
@@ -138,7 +138,7 @@ def prepare(ground: Ground, nursery: Nursery, names: Sequence[str] = ()) -> Path
 
 
 def _make_fields(ground: Ground, nursery: Nursery, folder: Path) -> None:
-    """Every kind of field, and camera paths to render them along."""
+    """Make every kind of field, and camera paths for rendering them."""
     work, said = folder / "work", ground.folder / "said"
     shutil.copytree(ground.made, work)
     quick = ("fit", work, "--budget", "15", "--no-buffers", "--samples", "2000")
@@ -153,7 +153,7 @@ def _make_fields(ground: Ground, nursery: Nursery, folder: Path) -> None:
 
 
 def _interrupt(root: Path, nursery: Nursery) -> None:
-    """A fit that was killed after a checkpoint, as often as it takes to meet it in the middle."""
+    """Kill a fit after a checkpoint, retrying until it is hit midway."""
     work = root / "resumed" / "work"
     shutil.copytree(root / "scene" / "work", work)
     command = (*(work if one == "work" else one for one in RESUMED), *BOUNDED)
@@ -176,7 +176,7 @@ def _interrupt(root: Path, nursery: Nursery) -> None:
 
 @dataclass(frozen=True)
 class Placed:
-    """A mutant in its place: the copy of the case's base, the damaged file, what was done, and the command."""
+    """A mutant in place: the copy of the case's base, the damaged file, the changes, and the command."""
 
     folder: Path
     file: Path
@@ -185,8 +185,8 @@ class Placed:
 
 
 def place(root: Path, case: Case, number: int, seed: int, folder: Path) -> Placed:
-    """Makes the mutant `number` of a case in `folder`, which must not be there; one of a negative number is not
-    damaged, and there is one for each command."""
+    """Make the mutant `number` of a case in `folder`, which must not exist. Negative numbers are undamaged, one for
+    each command."""
     chance = Random(f"{seed}/{case.name}/{number}")
     files = case.files(root)
     relative = chance.choice(files)
@@ -210,12 +210,12 @@ def place(root: Path, case: Case, number: int, seed: int, folder: Path) -> Place
 
 
 def _linked(source: str, target: str) -> None:
-    """Nothing is written in place but locks."""
+    """Copy a file; link it unless it is a lock, the only kind written in place."""
     (shutil.copyfile if source.endswith(".lock") else os.link)(source, target)
 
 
 def reseal(artifact: Path, relative: Path) -> None:
-    """Lets the manifest of the artifact tell the digests that its files have now, and its own."""
+    """Update the manifest of the artifact to the current digests of its files, and its own."""
     path = artifact / "manifest.json"
     try:
         text = path.read_bytes()
@@ -237,7 +237,7 @@ def reseal(artifact: Path, relative: Path) -> None:
 
 
 def must_be_refused(case: Case, placed: Placed) -> str:
-    """Why a reader that takes the mutant is wrong; empty where it may."""
+    """Return why a reader must not accept the mutant; empty if it may."""
     if not placed.operators:
         return ""
     if case.sealed:
@@ -250,7 +250,7 @@ def must_be_refused(case: Case, placed: Placed) -> str:
 
 
 def _not_finite(data: bytes) -> bool:
-    """Whether a sound safetensors file holds a number that is none."""
+    """Return whether a valid safetensors file holds a NaN."""
     import numpy as np
 
     length = struct.unpack("<Q", data[:8])[0] if len(data) >= 8 else 0
@@ -266,7 +266,7 @@ def _not_finite(data: bytes) -> bool:
 
 
 def alone(name: str) -> Callable[[Path], object]:
-    """Readers without a command that would read little else."""
+    """Readers that no single command isolates."""
     if name == "painting":
         from stages.artifacts.style_images import read_painting
 
@@ -281,13 +281,13 @@ def alone(name: str) -> Callable[[Path], object]:
 
 
 def sound(names: Sequence[str] = ()) -> list[tuple[str, int]]:
-    """Case and number of every mutant that is none and must be read."""
+    """Return case and number of every undamaged mutant, which must be read."""
     cases = [case for case in CASES if (not names or case.name in names) and not case.refuses]
     return [(case.name, -1 - at) for case in cases for at in range(len(case.commands) or 1)]
 
 
 def numbers(total: int, names: Sequence[str] = ()) -> Iterator[tuple[str, int]]:
-    """Case and number of `total` mutants, cases by turns as their shares have it."""
+    """Return case and number of `total` mutants, cases interleaved by their shares."""
     cases = [case for case in CASES if not names or case.name in names]
     shares = sum(case.share for case in cases)
     counts = {case.name: max(1, round(total * case.share / shares)) for case in cases}

@@ -26,7 +26,7 @@ same artifact; then all are run alone: artifacts must be those of commands one a
 
 
 def write(out: Path, command: str, seed: int, parts: dict[str, Any], seconds: dict[str, float], strace: bool) -> None:
-    """parts: each part's sum, by its name."""
+    """Return the result. parts: each part's summary, by name."""
     report = {
         "command": command,
         "protocol": PROTOCOL,
@@ -40,6 +40,6 @@ def write(out: Path, command: str, seed: int, parts: dict[str, Any], seconds: di
 
 
 def line_of(name: str, part: dict[str, Any]) -> str:
-    """One line about a part, for whoever waits."""
+    """Return one line about a part, for progress."""
     counts = ", ".join(f"{key} {value}" for key, value in part.items() if isinstance(value, int | float))
     return f"{name}: {counts}, faults {len(part['faults'])}"

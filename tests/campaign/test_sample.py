@@ -38,7 +38,7 @@ def wholes(ground, nursery):
 
 
 @pytest.mark.parametrize(("name", "by_call"), [("import", True), ("fit", False)])
-def test_a_killed_command_leaves_nothing_broken_and_ends_the_same(ground, nursery, wholes, name, by_call):
+def test_a_killed_command_breaks_nothing_and_its_rerun_ends_the_same(ground, nursery, wholes, name, by_call):
     if by_call and not wholes[name].calls:
         pytest.skip("strace is missing or may not inject")
     told = kills.trial(nursery, ground, ground.stages[name], wholes[name], f"sample/{name}", by_call)
@@ -46,12 +46,12 @@ def test_a_killed_command_leaves_nothing_broken_and_ends_the_same(ground, nurser
 
 
 @pytest.mark.parametrize("kind", ["full disk", "input/output error"])
-def test_a_disk_that_fails_is_told_and_then_gone_on_with(ground, nursery, wholes, kind):
+def test_a_failing_disk_is_reported_and_the_rerun_succeeds(ground, nursery, wholes, kind):
     told = faults.trial(nursery, ground, ground.stages["import"], wholes["import"], kind, f"sample/{kind}")
     assert told["fault"] == "", told
 
 
-def test_two_processes_on_one_work_folder(ground, nursery):
+def test_two_processes_share_a_work_folder(ground, nursery):
     other = Nursery()
     try:
         told = crowds.trial([nursery, other], ground, "sample", alike=True, plain=True)
@@ -65,7 +65,7 @@ def test_damaged_files_are_read_or_refused_in_one_line(ground, nursery):
     worker = pool.Worker(root, 0)
     try:
         sound = [worker.run(case, number, 0) for case, number in readers.sound(QUICK)]
-        outcomes = [worker.run(case, number, 0) for case, number in readers.numbers(120, QUICK)]
+        outcomes = [worker.run(case, number, 0) for case, number in readers.numbers(60, QUICK)]
     finally:
         worker.close()
     assert {one["outcome"] for one in sound} == {"read"}, sound
@@ -73,7 +73,7 @@ def test_damaged_files_are_read_or_refused_in_one_line(ground, nursery):
     assert {one["outcome"] for one in outcomes} == {"read", "refused"}
 
 
-def test_the_result_file_is_of_a_whole_campaign_without_faults():
+def test_the_result_file_is_of_a_full_campaign_without_faults():
     path = REPOSITORY / "benchmarks" / "results" / "campaign.json"
     if not path.is_file():
         pytest.skip("the campaign has not been run yet")

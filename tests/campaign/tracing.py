@@ -1,4 +1,4 @@
-"""strace: which system calls a command makes on its work folder, and the same command with one of them failing."""
+"""Records with strace which system calls a command makes on its work folder, and makes one of them fail."""
 
 import os
 import re
@@ -20,7 +20,7 @@ ATTACH_SECONDS = 60.0
 
 @dataclass(frozen=True)
 class Call:
-    """The `number`-th call (from 1) of that name by the command's main thread. text: its arguments and what it gave."""
+    """The `number`-th call (from 1) of that name by the command's main thread. text: its arguments and result."""
 
     name: str
     number: int
@@ -28,7 +28,7 @@ class Call:
 
     @property
     def writes(self) -> bool:
-        """Whether it changes the disk, not merely looks at it."""
+        """Return whether it changes the disk."""
         if self.name == "openat":
             return "O_CREAT" in self.text
         return self.name not in ("read", "lseek", "flock")
@@ -42,7 +42,7 @@ def traced(
     asked: Sequence[str],
     calls: Sequence[str] = CALLS,
 ) -> tuple[Command, subprocess.Popen]:
-    """Starts a command under strace. asked: its `-e inject=` expressions."""
+    """Start a command under strace. asked: its `-e inject=` expressions."""
     started = nursery.start(said, *command, held=True)
     while started.poll(0.001) is None and "T" != _state(started.pid):
         pass
@@ -64,7 +64,7 @@ def traced(
 
 
 def _state(pid: int) -> str:
-    """One letter (proc(5)); T where it is stopped."""
+    """Return one letter (proc(5)); T if stopped."""
     try:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
     except (OSError, IndexError):
@@ -72,7 +72,7 @@ def _state(pid: int) -> str:
 
 
 def ended(tracer: subprocess.Popen) -> None:
-    """Waits for strace, which ends with what it traces."""
+    """Wait for strace, which ends with the traced process."""
     try:
         tracer.communicate(timeout=30)
     except subprocess.TimeoutExpired:  # a child of the command lives on
@@ -81,7 +81,7 @@ def ended(tracer: subprocess.Popen) -> None:
 
 
 def calls_on(log: Path, pid: int, work: Path) -> list[Call]:
-    """The calls of the main thread that name a place in the folder of `work`."""
+    """Return the main thread's calls on paths in the folder of `work`."""
     counts: dict[str, int] = {}
     found = []
     place = str(work)
@@ -96,7 +96,7 @@ def calls_on(log: Path, pid: int, work: Path) -> list[Call]:
 
 
 def injected(log: Path, work: Path) -> list[str]:
-    """Calls that were made to fail, with their places in the folder of `work`."""
+    """Return the calls that were made to fail, with their paths in the folder of `work`."""
     place = str(work)
     lines = log.read_text(errors="replace").splitlines() if log.exists() else []
     return [line.replace(place, "") for line in lines if "(INJECTED)" in line]

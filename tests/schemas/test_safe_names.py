@@ -1,5 +1,6 @@
 import pytest
 
+from schemas import safe_names
 from schemas.errors import ArtifactDamaged, BadInput
 from schemas.safe_names import file_name, printable, relative_path
 
@@ -37,3 +38,33 @@ def test_a_file_name_has_one_part():
 def test_what_a_terminal_would_obey_is_escaped():
     assert printable("a\x1b[1mb\r\nc\x9b\u202e\ud800") == r"a\x1b[1mb\r\nc\x9b\u202e\ud800"
     assert printable("Äpfel 東京 – 100 %") == "Äpfel 東京 – 100 %"
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "C:/a.png",
+        "..\\a.png",
+        "a/nul",
+        "CON.png",
+        "Com1.tar.gz",
+        "lpt\u00b9",
+        "a./b",
+        "a /b",
+        '"hi".png',
+        "what?",
+        "a|b",
+    ],
+)
+def test_windows_refuses_names_that_mean_something_else_there(monkeypatch, text):
+    monkeypatch.setattr(safe_names, "WINDOWS", True)
+    with pytest.raises(ArtifactDamaged, match="which Windows cannot store"):
+        safe_names.relative_path(text, "path of a file")
+    monkeypatch.setattr(safe_names, "WINDOWS", False)
+    assert safe_names.relative_path(text, "path of a file") == text
+
+
+@pytest.mark.parametrize("text", ["images/001.png", "console.png", "null", "com10", "a.b/c", "auxiliary"])
+def test_windows_takes_ordinary_names(monkeypatch, text):
+    monkeypatch.setattr(safe_names, "WINDOWS", True)
+    assert safe_names.relative_path(text, "path of a file") == text

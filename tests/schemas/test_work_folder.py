@@ -474,3 +474,20 @@ def test_old_schemas_migrate_step_by_step_and_keep_their_digest(tmp_path, monkey
     assert old.manifest.schema == 3
     assert old.manifest.figures == {"psnr_db": 27.1, "folder": "fox"}
     assert old.digest == artifact.digest
+
+
+def test_a_name_that_differs_in_case_replaces_nothing(tmp_path, monkeypatch):
+    """As on macOS and Windows, where the folder `fox` is found under the name `Fox` too; a link plays that part."""
+    work = WorkFolder(tmp_path)
+    make(work)
+    (tmp_path / "field" / "Fox").symlink_to("fox")
+    real = os.listdir
+    monkeypatch.setattr(os, "listdir", lambda path: [name for name in real(path) if name != "Fox"])
+    with pytest.raises(WouldBeLost, match="field fox would be replaced: this disk takes Fox for it"):
+        work.begin("field", "Fox", recipe())
+
+
+def test_windows_refuses_artifacts_named_like_devices(tmp_path, monkeypatch):
+    monkeypatch.setattr("schemas.safe_names.WINDOWS", True)
+    with pytest.raises(UsageError, match=r"'nul\.v2' cannot name an artifact on Windows"):
+        WorkFolder(tmp_path).begin("field", "nul.v2", recipe())

@@ -280,7 +280,7 @@ def test_a_view_that_does_not_show_the_region_is_all_background(made_up):
 def test_a_region_of_another_space_is_refused(made_up):
     work, inputs, *_ = made_up
     other = made.commit(work, "region", "other", "select", {}, region_of(replace(BOX, far=77.0)))
-    with pytest.raises(BadInput, match="region other was selected in the space of another field"):
+    with pytest.raises(BadInput, match="region other was selected on a different field"):
         evaluated(work, inputs | {"region.other": other}, name="refused")
 
 

@@ -249,7 +249,7 @@ LENSES = {
     "negative focal": ({"fl_y": -3.0}, "must be positive"),
     "NaN focal": ({"fl_x": NAN}, "must be positive"),
     "focal in words": ({"fl_x": "long"}, "fl_x is 'long', expected a number"),
-    "no lens": ({"fl_x": ..., "fl_y": ...}, "tells no focal length: neither fl_x nor camera_angle_x"),
+    "no lens": ({"fl_x": ..., "fl_y": ...}, "has no focal length: neither fl_x nor camera_angle_x"),
     "zero angle": ({"fl_x": ..., "camera_angle_x": 0.0}, "its horizontal field of view, 0, is not between 0 and pi"),
     "unknown model": ({"camera_model": "EQUIRECTANGULAR"}, "camera model EQUIRECTANGULAR is not known"),
     "NaN distortion": ({"k1": NAN}, "not finite"),
@@ -295,7 +295,7 @@ def test_cameras_of_colmap_that_are_none(source, capsys):
         (lambda rows: np.where(np.arange(17) == 16, 0.5, rows), "depth bounds"),
         (lambda rows: np.where(np.arange(17) == 14, 0.0, rows), "focal length 0"),
         (lambda rows: np.where(np.arange(17) == 0, NAN, rows), "NaN or infinity"),
-        (lambda rows: np.where(np.arange(17) == 9, NAN, rows), "tells a size"),
+        (lambda rows: np.where(np.arange(17) == 9, NAN, rows), "gives a size"),
         (lambda rows: rows.astype(object), "cannot be read"),
     ],
 )

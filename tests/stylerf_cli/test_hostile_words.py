@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from schemas.canonical_json import file_sha256
+from stylerf.kernels import kernel_cache_dir
 from stylerf_cli import exit_codes, output
 from stylerf_cli.main import main
 from stylerf_cli.progress import Bars
@@ -144,7 +145,8 @@ def test_a_user_whom_the_system_does_not_know_may_run_it(tmp_path, arguments):
         f"from stylerf_cli.main import main; sys.exit(main({arguments!r}))"
     )
     nameless = {key: value for key, value in os.environ.items() if key not in ("HOME", "USER", "LOGNAME", "USERNAME")}
-    environment = nameless | {"PYTHONPATH": str(REPOSITORY), "STYLERF_CACHE": str(tmp_path)}
+    kernels = {"NUMBA_CACHE_DIR": str(kernel_cache_dir())}  # else doctor would compile them again
+    environment = nameless | {"PYTHONPATH": str(REPOSITORY), "STYLERF_CACHE": str(tmp_path)} | kernels
     done = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=False, cwd=tmp_path, env=environment
     )

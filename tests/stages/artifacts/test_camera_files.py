@@ -101,7 +101,7 @@ def entry(**changes) -> dict:
     ("content", "words"),
     [
         (path_of_nerfstudio(camera_type="fisheye"), "its camera_type is fisheye, expected perspective"),
-        (path_of_nerfstudio(render_width=0), "tells a size of 0x36"),
+        (path_of_nerfstudio(render_width=0), "gives a size of 0x36"),
         (path_of_nerfstudio(render_width=1e6 - 1), "camera 0 has 999999x36 pixels; at most"),
         (path_of_nerfstudio(camera_path=[]), "a list of cameras was expected, it is empty"),
         (path_of_nerfstudio(camera_path=4), "camera_path is no list"),

@@ -89,8 +89,8 @@ import sys
 from pathlib import Path
 from types import SimpleNamespace
 import numpy as np
-from stages.photos import _on_disk
-from stages.memory import in_words
+from stages.artifacts.photos import _on_disk
+from stages.run.memory import in_words
 
 class Scene:
     def images(self, index):

@@ -241,10 +241,10 @@ SAID = {
     "photos-that-are-missing": (rows_missing, "1 of 6 listed photos have no image file: 002.png", 5),
     "names-of-another-folder": (
         names_of("/scan/"),
-        "6 photos were found by the end of their listed paths (/scan/000.png",
+        "6 photos were found by the end of their listed paths (first: /scan/000.png",
         6,
     ),
-    "count-in-the-head-said": (READ["count-in-the-head"], "its head tells of 12 entries, 6 are there", 6),
+    "count-in-the-head-said": (READ["count-in-the-head"], "its header declares 12 entries, 6 are there", 6),
 }
 
 
@@ -350,7 +350,7 @@ REFUSED = {
     "photos-of-one-file": (two_in_one_place, "a/000.png and b/000.png would both be the photo"),
     "names-that-are-none": (names_of("../", change=lambda _, f: [*f[:9], ".."]), "its photo is ''"),
     "control-characters": (names_of("a\x1b[2J"), "its photo is 'a\\\\x1b[2J000.png', which holds control characters"),
-    "names-not-in-utf-8": (latin, "images.txt is no UTF-8 text"),
+    "names-not-in-utf-8": (latin, "images.txt is not UTF-8 text"),
     "unknown-model": (lens("HOLOGRAM", 4), "camera 1 is of a model that is not known, HOLOGRAM"),
     **{
         f"lens-{model}": (

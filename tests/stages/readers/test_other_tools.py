@@ -265,11 +265,11 @@ def test_a_file_of_poses_counts(tmp_path):
 
 
 SAID = {
-    "metashape-apart": (apart, "2 components are not placed to each other: that of most photos, 5, was taken", 5),
+    "metashape-apart": (apart, "2 components are not aligned with each other: the largest, of 5 photos, is used", 5),
     "metashape-not-aligned": (some_cameras, "", 4),
     "opensfm-several": (
         lambda root: opensfm(root, also=[{"cameras": {}, "shots": shots(2), "points": {}}]),
-        "of 2 reconstructions that of most photos, 6, was taken (others: 2)",
+        "of 2 reconstructions the largest, of 6 photos, is used (others: 2)",
         6,
     ),
     "record3d-photos-missing": (
@@ -379,11 +379,11 @@ def test_named(tmp_path, row):
     with pytest.raises(BadInput) as told:
         imported(root, tmp_path / "work")
     line = str(told.value)
-    assert f"{name} holds poses of {tool}, which are not read" in line and line.endswith("with --format photos")
+    assert f"{name} holds poses of {tool}, which are not supported" in line and line.endswith("with --format photos")
     assert found_in(root, "photos").kind == "photos"
     write_colmap(root)
     assert found_in(root).kind == "colmap"
-    assert found_in(root).remarks == (f"poses of {tool} are not read ({Path(name).name})",)
+    assert found_in(root).remarks == (f"poses of {tool} are not supported ({Path(name).name})",)
 
 
 @pytest.mark.parametrize("name", ["sidecar.xmp", "notes.csv", "layout.xml"])

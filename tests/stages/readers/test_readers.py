@@ -211,7 +211,7 @@ def test_masks_lie_as_their_photos_do(source, tmp_path, mask, view):
 def test_a_mask_that_could_be_of_either_of_two_photos_is_refused(source, tmp_path):
     in_folders(source)
     write_mask(source / "masks" / "p00.png")
-    with pytest.raises(BadInput, match=r"masks/p00\.png could be the mask of .*a/p00\.png or of .*b/p00\.png; lay"):
+    with pytest.raises(BadInput, match=r"masks/p00\.png could be the mask of .*a/p00\.png or of .*b/p00\.png; put"):
         imported(source, tmp_path / "work")
     write_mask(source / "masks" / "b" / "p00.png")
     assert cut_out(imported(source, tmp_path / "work")) == ["a/p00", "b/p00"]
@@ -237,7 +237,7 @@ def test_masks_that_transforms_name(source, tmp_path):
     content = capture.transforms()
     content["frames"][2]["mask_path"] = "cut\\p02.png"
     capture.write_transforms(source, content)
-    with pytest.raises(BadInput, match=r"frame 2: its mask .*cut/p02\.png is not there; restore it"):
+    with pytest.raises(BadInput, match=r"frame 2: its mask .*cut/p02\.png does not exist; restore it"):
         imported(source, tmp_path / "work")
     write_mask(source / "cut" / "p02.png")
     assert cut_out(imported(source, tmp_path / "work")) == ["p02"]

@@ -155,8 +155,8 @@ def _(source, tmp_path):
     for name in ("transforms_train", "transforms_test", "transforms_val", "transforms"):
         found = read(source, listed(frames=listed()["frames"][:2]), f"{name}.json")
     assert found.remarks == (
-        "not used beside transforms_test.json and transforms_train.json: transforms.json, transforms_val.json; to take "
-        "one, give its path in place of the folder",
+        "not used beside transforms_test.json and transforms_train.json: transforms.json, transforms_val.json; to use "
+        "one, give its path instead of the folder",
     )
     assert len(read(source / "transforms.json").cameras) == 2
 
@@ -174,7 +174,7 @@ def _(source, tmp_path):
     capture.write_transforms(source, listed())
     said = Said()
     imported(source, tmp_path / "work", said)
-    assert "found transforms.json of instant-ngp (also there: colmap; --format takes another)" in said.lines
+    assert "found transforms.json of instant-ngp (also found: colmap; --format picks another)" in said.lines
 
 
 # -- frames that count -------------------------------------------------------------------------------------------------
@@ -197,17 +197,17 @@ def _(source, tmp_path):
     assert [(view.source, view.split) for view in scene.views] == [
         (NAMES[0], "train"), (NAMES[1], "train"), (NAMES[3], "test"),
     ]  # fmt: skip
-    assert [(one.source, one.reason) for one in scene.skipped] == [(NAMES[2], "in none of the lists of splits")]
-    assert read(source).remarks == ("1 frames left out: in none of the lists of splits",)
+    assert [(one.source, one.reason) for one in scene.skipped] == [(NAMES[2], "in no split list")]
+    assert read(source).remarks == ("1 frames left out: in no split list",)
     line = refusal(source, listed(train_filenames=["images/p09.png"]))
-    assert "lists no frames to import; 4 frames left out: in none of the lists of splits" in line
+    assert "lists no frames to import; 4 frames left out: in no split list" in line
 
 
 @row("splits-lost")
 def _(source, tmp_path):
     found = read(source, listed(train_filenames=[*NAMES, "images/p09.png"]))
     assert any(
-        "train_filenames names 1 photo (images/p09.png), of which there is no frame" in it for it in found.remarks
+        "train_filenames names 1 photo (images/p09.png), for which there is no frame" in it for it in found.remarks
     )
     assert "expected a list of photos" in refusal(source, listed(train_filenames=NAMES[0]))
 
@@ -216,14 +216,15 @@ def _(source, tmp_path):
 def _(source, tmp_path):
     found = read(source, listed(train_filenames=NAMES, val_filenames=NAMES[:1]))
     assert [one.split for one in found.cameras] == ["train"] * 4
-    assert any("1 photo (images/p00.png) to train on and to test: trained on alone" in line for line in found.remarks)
+    remark = "1 photo (images/p00.png) in both train and test lists: used for training only"
+    assert any(remark in line for line in found.remarks)
 
 
 @row("splits-tests-alone")
 def _(source, tmp_path):
     found = read(source, listed(test_filenames=NAMES[:1]))
     assert [one.split for one in found.cameras] == ["test", "train", "train", "train"]
-    assert "has no train_filenames: all frames that are not kept for tests are trained on" in found.remarks[0]
+    assert "has no train_filenames: all frames but the test frames are trained on" in found.remarks[0]
 
 
 @row("n-frames")
@@ -332,10 +333,10 @@ def _(source, tmp_path):
     np.testing.assert_allclose(lens(source, tmp_path / "b", bare, images="images_2"), found)
     for photo in (source / "images").iterdir():
         photo.unlink()
-    assert "tells no w and h: its lens is taken to be that of the photos of --images" in " ".join(
+    assert "has no w and h: its lens is assumed to be that of the photos of --images" in " ".join(
         read(source, images="images_2").remarks
     )
-    assert "--images images_4: there is no such folder" in refusal(source, listed(), images="images_4")
+    assert "--images images_4: no such folder" in refusal(source, listed(), images="images_4")
 
 
 # -- lenses ------------------------------------------------------------------------------------------------------------
@@ -367,7 +368,7 @@ def _(source, tmp_path):
     ):  # fmt: skip
         found = lens(source, tmp_path / str(name), listed(**(NO_LENS | change)))
         np.testing.assert_allclose(found, [[*focals, *CENTER]] * 4)
-    assert "tells no focal length" in refusal(source, listed(**NO_LENS))
+    assert "has no focal length" in refusal(source, listed(**NO_LENS))
 
 
 @row("lens-of-frames")
@@ -384,7 +385,7 @@ def _(source, tmp_path):
 def _(source, tmp_path):
     found = read(source, listed(x_fov=90))
     assert found.cameras[0].intrinsics[0] == FOCAL
-    assert "frame 0: fl_x tells 45.0 px, which is taken, but x_fov tells 24.0 px" in " ".join(found.remarks)
+    assert "frame 0: fl_x gives 45.0 px, which is used, but x_fov gives 24.0 px" in " ".join(found.remarks)
     assert not read(source, listed(camera_angle_x=ANGLE_X, camera_angle_y=2 * math.atan(18 / 45))).remarks
 
 
@@ -453,10 +454,10 @@ def _(source, tmp_path):
 @row("lens-others")
 def _(source, tmp_path):
     for model in ("EQUIRECTANGULAR", "FISHEYE624", "ORTHOPHOTO", "VR180_L", "OMNIDIRECTIONALSTEREO_R", "FULL_OPENCV"):
-        assert f"camera model {model} is not known; undistort" in refusal(source, listed(camera_model=model))
+        assert f"camera model {model} is not supported; undistort" in refusal(source, listed(camera_model=model))
     for key in ("ftheta_p0", "latlong", "equirectangular", "orthographic"):
-        assert f"camera model {key} is not known" in refusal(source, listed(**{key: True}))
-    assert "k5 is not known" in refusal(source, listed(k5=0.1)) and read(source, listed(k5=0)).cameras
+        assert f"camera model {key} is not supported" in refusal(source, listed(**{key: True}))
+    assert "k5 is not supported" in refusal(source, listed(k5=0.1)) and read(source, listed(k5=0)).cameras
 
 
 # -- poses -------------------------------------------------------------------------------------------------------------
@@ -531,7 +532,7 @@ def _(source, tmp_path):
     content = listed()
     for frame in content["frames"]:
         frame["transform_matrix_start"] = frame.pop("transform_matrix")
-    assert "frame 0 tells how its camera moved while it exposed" in refusal(source, content)
+    assert "frame 0 has a rolling-shutter pose" in refusal(source, content)
 
 
 @row("pose-one-point")
@@ -633,8 +634,8 @@ def _(source, tmp_path):
     said = Said()
     imported(source, tmp_path / "work", said)
     assert [line for line in said.lines if "masks not used" in line] == [
-        "masks not used: 2 (of photos 1 of 4 have one): masks/deep/p01_seg.png, masks/mask.png; call a mask as its "
-        "photo, 001.png of 001.jpg, or name it by mask_path"
+        "masks not used: 2 (1 of 4 photos have one): masks/deep/p01_seg.png, masks/mask.png; name a mask after its "
+        "photo, 001.png for 001.jpg, or give its mask_path"
     ]
 
 

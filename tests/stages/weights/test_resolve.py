@@ -217,7 +217,7 @@ def test_wct_weights_equal_their_own_chain(nowhere, monkeypatch):
     for i, place in enumerate((2, 5, 9, 12, 16)):
         state[f"{place}.weight"] = torch.randn(WIDTH, WIDTH if i else 3, 3, 3, generator=generator) * 0.4
         state[f"{place}.bias"] = torch.randn(WIDTH, generator=generator)
-    torch.save(state, nowhere / "vgg19_normalized_conv1_1-conv3_1.pth")
+    torch.save(state, nowhere / "vgg19_normalised_conv1_1-conv3_1.pth")
     monkeypatch.setenv("STYLERF_WEIGHTS", str(nowhere))
     pin(monkeypatch, "vgg19-wct", None)
     image = torch.rand(1, 3, 12, 16, generator=generator)

@@ -52,7 +52,7 @@ def test_a_fit_is_settled_when_nothing_is_left_to_try():
 
 def test_nor_when_the_held_out_views_are_about_to_be_trained_on():
     assert climb_at(step=1400).reduction_due(0.70) is None
-    assert climb_at(step=1200).reduction_due(0.66) is not None
+    assert climb_at(step=1200).reduction_due(0.66) == "density ranks"
 
 
 def test_a_reduction_that_loses_little_stays_and_one_that_loses_more_is_refused_for_good():
@@ -173,7 +173,7 @@ def test_the_capacity_is_told_with_what_more_and_less_of_it_would_do():
 
 def test_a_ladder_of_the_product_ends_in_time_for_reductions():
     climb = climb_at(len(LADDER) - 1, ladder=LADDER)
-    assert climb.reduction_due(climb.settings.shares[-1] + 0.01) is not None
+    assert climb.reduction_due(climb.settings.shares[-1] + 0.01) == "resolution"
 
 
 def test_the_rate_rises_again_after_a_reduction():
