@@ -173,9 +173,9 @@ def test_nan_in_a_render_is_told_and_left_out(fitted, tmp_path, monkeypatch):
     psnr = figure(found, "psnr")
     assert (psnr["count"], psnr["left_out"]) == (2, 1)
     assert psnr["mean"] == pytest.approx((report["views"][0]["psnr"] + report["views"][2]["psnr"]) / 2)
-    assert any("test_1" in text and "not finite" in text for text in found["warnings"])
+    assert any("test_1" in text and "NaN or infinite" in text for text in found["warnings"])
     page = artifact.file("report.html").read_text()
-    assert "not finite" in page and "1 left out" in page
+    assert "NaN or infinite" in page and "1 left out" in page
     assert sum("path_001: 3 of 6912 pixels" in row["remark"] for row in found["pairs"]) == 3
     assert figure(found, "short_rmse")["left_out"] == 2
 
@@ -277,7 +277,7 @@ def test_what_masks_hide_of_a_capture_is_not_measured(tmp_path):
     view, ball = made.camera(0.0, "test_0"), made.look(made.camera(0.0, "test_0"), wall=False)
     noise = np.random.default_rng(0).random((72, 96, 3)).astype(np.float32)
     photo, values = SceneViews(scene).photo(0, 96, 72), []
-    assert photo.mask is None and np.array_equal(photo.shown, ball.alpha > 0.5)
+    assert photo.mask is None and np.array_equal(photo.visible, ball.alpha > 0.5)
     for hidden in (noise, np.ones_like(noise), 1 - noise):
         rgb = np.where(ball.alpha[..., None] > 0.5, np.clip(ball.rgb + 0.05, 0, 1), hidden)
         frames = made.make_frames(

@@ -111,7 +111,7 @@ def test_a_spoiled_render_is_left_out_and_counted(stylized, monkeypatch, tmp_pat
 
     def render(self, index):
         found = real(self, index)
-        return replace(found, spoiled=1) if index == 1 and self.frames.field == spoiled else found
+        return replace(found, nonfinite=1) if index == 1 and self.frames.field == spoiled else found
 
     monkeypatch.setattr(FrameViews, "render", render)
     inputs = {"scene": scene, "frames": frames["second"], "field": work.get("field", "second")}

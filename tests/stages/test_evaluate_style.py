@@ -118,7 +118,7 @@ def test_figures_of_a_stylized_field(stylized, painted):
     assert any("PSNR" in note["what"] for note in report["not_measured"])
     assert {made_by["stage"] for made_by in report["stages"]} == {"import", "fit", "stylize", "render"}
     page = artifact.file("report.html").read_text()
-    assert "the painting" in page and page.count("<img") == 2 * 4 + 1
+    assert "the style image" in page and page.count("<img") == 2 * 4 + 1
     assert {record.path for record in artifact.manifest.files} >= {"charts/nnfm_views.svg"}
 
 
@@ -134,7 +134,7 @@ def test_a_field_made_after_references_alone_is_measured_against_the_first_and_s
     made_with = {"style": "", "reference": ["0=stripes.png"]}
     field = made.commit(work, "field", "referenced", "stylize", {"scene": inputs["scene"]}, write, config=made_with)
     told = {}
-    for words, style in (("the reference", ""), ("the painting", str(tmp_path / "stripes.png"))):
+    for words, style in (("the reference", ""), ("the style image", str(tmp_path / "stripes.png"))):
         config = EvaluateConfig(features=FEATURES, sheet=1, perceptual="none", style=style)
         report, _ = execute(evaluate.SPEC, evaluate.run, work, "r", given | {"field": field}, config, Context())
         told[words] = json.loads(report.file("report.json").read_text())

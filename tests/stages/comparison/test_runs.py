@@ -64,7 +64,7 @@ def test_a_consistency_of_few_pixels_is_on_no_front_and_that_is_said(work):
     assert "long_rmse/seconds" in fronts and not any(one.startswith("short") for one in fronts)
     assert any(run.name == "few" for run in panel_of(every, "short_rmse", "seconds").runs)  # it is drawn all the same
     (told,) = disagreements(every, ["short_rmse", "long_rmse"])
-    assert told.what == "room/few: short_rmse" and told.why.startswith("Told by 3.6% of the pixels alone")
+    assert told.what == "room/few: short_rmse" and told.why.startswith("Measured on only 3.6% of the pixels")
 
 
 def test_a_changed_palette_is_an_edit_that_costs_what_its_learning_did(work):
@@ -146,8 +146,8 @@ def test_views_left_out_and_other_numbers_of_views_share_no_front(work):
     fronts = on_fronts(every, ["psnr"])
     assert not fronts["room/fit-10s"] and "psnr/seconds" in fronts["room/fit-60s"]
     told = {gap.what: gap.why for gap in disagreements(every, ["psnr"])}
-    assert told["room/fit-10s: psnr"] == "Of 3 views or pairs 1 could not be measured."
-    assert told["room: psnr"].startswith("Over 2 and 3 views or pairs")
+    assert told["room/fit-10s: psnr"] == "1 of 3 views or pairs could not be measured."
+    assert told["room: psnr"].startswith("Measured over 2 and 3 views or pairs")
     runs.report(work, field, {"psnr": 99.0}, changed={"count": 2})
     fronts = on_fronts(list(found(work)[0].values()), ["psnr"])
     assert "psnr/seconds" in fronts["room/fit-10s"] and "psnr/seconds" in fronts["room/fit-300s"]
@@ -246,7 +246,7 @@ def test_runs_on_other_numbers_of_threads_are_told(tmp_path):
     assert thread_mismatches(compared) == []
     made.make_field(work, "three", "nerf_fit", {"scene": scene}, threads=8)
     told = thread_mismatches(runs_of([work])[0])
-    assert len(told) == 1 and told[0].why.startswith("Made on 2 and 8 threads")
+    assert len(told) == 1 and told[0].why.startswith("Run on 2 and 8 threads")
 
 
 def test_what_is_missing_is_named_with_its_command(work):
@@ -290,7 +290,7 @@ def test_charts_page_and_table_tell_the_same(work):
     assert "within the region (correct)" in edits and "Consistency short (correct)" not in edits  # of whole frames
     page = build_page(some, charts, gaps, fronts)
     assert page.count("<svg") == 9 and "<script" not in page and "http" not in page.replace("http://www.w3.org", "")
-    assert "Nothing: every run tells its costs" in page and "room/starry-desrf" in page
+    assert "Nothing: the cost and metrics of every run are known" in page and "room/starry-desrf" in page
     rows = rows_of(some, fronts)
     row = next(row for row in rows if row["name"] == "cup")
     assert (row["seconds"], row["background_mse"], row["group"]) == (15.0, 0.001, "room, cup")
