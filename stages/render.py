@@ -88,7 +88,7 @@ def run(inputs: dict[str, Artifact], config: RenderConfig, partial: PartialArtif
         for done, (frame, (camera, _)) in enumerate(zip(listed, shots, strict=True)):
             files = _files_of(frame, config, field, cells)
             if not journal.holds(files):
-                rendered = _rendered(renderer, frame, camera, cells, inputs["field"].name)
+                rendered = render_frame(renderer, frame, camera, cells, inputs["field"].name)
                 _write(partial.path, frame, rendered, camera, field, background, scene.bounds, config, attributes)
                 journal.add(files)
             context.progress.update(done + 1)
@@ -165,9 +165,10 @@ def _files_of(frame: Frame, config: RenderConfig, field: RadianceField, regions:
     return [*filter(None, [frame.exr]), *(f"{folder}/{frame.name}.png" for folder in folders), frame.png]
 
 
-def _rendered(
+def render_frame(
     renderer: Callable[..., RenderedView], frame: Frame, camera: Camera, regions: Mapping, field: str
 ) -> RenderedView:
+    """Render a frame of the named field; ArtifactDamaged if it has NaN or infinite values."""
     rendered = renderer(camera, regions=regions)
     if not all(np.isfinite(plane).all() for plane in (rendered.rgb, rendered.alpha, rendered.z)):
         raise ArtifactDamaged(

@@ -79,7 +79,8 @@ def bar_chart(name: str, title: str, unit: str, labels: Sequence[str], values: S
         if len(values) <= 16:
             for i, value in enumerate(values):
                 if value is None:
-                    axes.text(i, 0, "  not measured", ha="center", va="bottom", rotation=90, fontsize=8)
+                    axes.annotate("not measured", (i, 0), xytext=(0, 10), textcoords="offset points", ha="center",
+                                  va="bottom", rotation=90, fontsize=8)  # fmt: skip
                 else:
                     axes.annotate(f"{value:.3g}", (i, 0), xytext=(0, 4), textcoords="offset points", ha="center",
                                   va="bottom", fontsize=8, color="white")  # fmt: skip

@@ -92,7 +92,7 @@ def _fit_pictures(row: Row, render: Render, photo: Photo | None, _: Render | Non
     pictures = [Picture(displayable(render.image), f"render, {psnr}", f"Render of view {render.name}, PSNR {psnr}")]
     if photo is None:
         return pictures
-    error = error_picture(render.image, photo.beside(render.image))
+    error = error_picture(render.image, photo.filled_from(render.image))
     alt = f"Absolute difference between photo and render of view {render.name}; bright is large"
     return [_photo(render, photo), *pictures, Picture(error, "error", alt)]
 

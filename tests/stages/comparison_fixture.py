@@ -1,19 +1,12 @@
-"""Work folders of runs whose costs and figures are given: manifests and reports, nothing computed."""
+"""Work folders of runs with given costs and metrics: manifests and reports, nothing computed."""
 
 import json
 
 from schemas.work_folder import Artifact, WorkFolder
+from stages.evaluation.metric_definitions import BY_KEY
 from tests.stages import evaluation_fixture as made
 
-LABELS = {"psnr": ("PSNR", "dB", "higher"), "nnfm": ("NNFM distance to the painting", "", "lower"),
-          "content_ssim": ("Content SSIM", "", "higher"), "background_mse": ("Background MSE", "", "lower"),
-          "bleeding": ("Change beside the region", "", "lower"), "sparsity": ("Palette sparsity L_sp", "", "lower"),
-          "short_rmse": ("Consistency short (correct), RMSE", "", "lower"),
-          "short_share": ("Consistency short (correct), visible", "fraction", ""),
-          "long_share": ("Consistency long (correct), visible", "fraction", ""),
-          "edit_short_rmse": ("Consistency short within the region (correct), RMSE", "", "lower"),
-          "ref_lpips": ("Ref-LPIPS (lpips-alex)", "", "lower"),
-          "long_rmse": ("Consistency long (correct), RMSE", "", "lower")}  # fmt: skip
+FACTS = {"style_label": "the style image", "perceptual_net": "LPIPS (lpips-alex)"}
 
 
 def fit(work: WorkFolder, scene: Artifact, name: str, seconds: float, psnr: float | None, **more) -> Artifact:
@@ -30,20 +23,20 @@ def fit(work: WorkFolder, scene: Artifact, name: str, seconds: float, psnr: floa
 
 
 def stylized(
-    work: WorkFolder, scene: Artifact, base: Artifact, name: str, seconds: float, figures: dict, **config
+    work: WorkFolder, scene: Artifact, base: Artifact, name: str, seconds: float, metrics: dict, **config
 ) -> Artifact:
-    """A stylized field of 2,000 parameters, evaluated where there are figures."""
+    """A stylized field of 2,000 parameters, evaluated if there are metrics."""
     field = made.make_field(
         work, name, "stylize", {"scene": scene, "field": base}, seconds=seconds, peak_memory_mb=900.0,
         figures={"parameters": 2000}, config={"style": "/somewhere/starry.jpg", "method": "arf"} | config,
     )  # fmt: skip
-    if figures:
-        report(work, field, figures)
+    if metrics:
+        report(work, field, metrics)
     return field
 
 
 def edited(
-    work: WorkFolder, scene: Artifact, base: Artifact, name: str, seconds: tuple[float, ...], figures: dict
+    work: WorkFolder, scene: Artifact, base: Artifact, name: str, seconds: tuple[float, ...], metrics: dict
 ) -> Artifact:
     """A field that learned an edit; seconds of extract, learn, distill and finetune."""
     region = made.commit(work, "region", name, "region_select", {"field": base}, _nothing, seconds=999.0)
@@ -65,28 +58,29 @@ def edited(
         figures={"parameters": 3000},
         config={"budget": f"{seconds[3]:g}s"},
     )
-    if figures:
-        report(work, field, figures, {"regions": [name]})
+    if metrics:
+        report(work, field, metrics, {"regions": [name]})
     return field
 
 
 def report(
-    work: WorkFolder, field: Artifact, figures: dict, edit: dict | None = None, protocol: str = "as ever", **more
+    work: WorkFolder, field: Artifact, metrics: dict, edit: dict | None = None, protocol: str = "the usual one", **more
 ) -> Artifact:
     """What `stylerf eval` leaves, as far as a comparison looks at it. more: of its manifest; `regions`, artifacts;
-    `name`, else the field's; `changed`, of each figure."""
+    `name`, else the field's; `changed`, of each metric."""
     inputs = {"field": field} | {f"region.{one.name}": one for one in more.pop("regions", ())}
     name, changed = more.pop("name", field.name), more.pop("changed", {})
     told = [
-        {"key": key, "mean": mean, "label": LABELS[key][0], "unit": LABELS[key][1], "better": LABELS[key][2],
-         "protocol": protocol, "digits": 2, "count": 3, "left_out": 0, "reference": {}} | changed
-        for key, mean in figures.items()
+        {"key": key, "mean": mean, "label": BY_KEY[key].label.format_map(FACTS), "unit": BY_KEY[key].unit,
+         "better": BY_KEY[key].better, "protocol": protocol, "digits": 2, "count": 3, "left_out": 0,
+         "reference": {}} | changed
+        for key, mean in metrics.items()
     ]  # fmt: skip
 
     def write(folder) -> None:
         (folder / "report.json").write_text(json.dumps({"metrics": told, "style_image": "style.png", "edit": edit}))
 
-    return made.commit(work, "report", name, "evaluate", inputs, write, figures=figures, **more)
+    return made.commit(work, "report", name, "evaluate", inputs, write, figures=metrics, **more)
 
 
 def _nothing(folder) -> None:

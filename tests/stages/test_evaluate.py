@@ -31,7 +31,7 @@ def evaluated(work, inputs, config=QUIET, name="report"):
     return report, json.loads(report.file("report.json").read_text())
 
 
-def figure(report, key):
+def metric(report, key):
     return next(item for item in report["metrics"] if item["key"] == key)
 
 
@@ -57,17 +57,17 @@ def fitted(tmp_path_factory):
     return work, inputs, *evaluated(work, inputs)
 
 
-def test_figures_of_a_known_error_are_the_known_figures(fitted):
+def test_a_known_error_gives_the_known_metrics(fitted):
     *_, report = fitted
     # 0.1 too bright in sRGB: -10 log10(0.01) = 20 dB, less what half precision and 8 bit photos take away.
-    assert figure(report, "psnr")["mean"] == pytest.approx(20.0, abs=0.05)
-    assert figure(report, "psnr")["count"] == 3 and figure(report, "psnr")["left_out"] == 0
-    assert figure(report, "depth_abs_rel")["mean"] == pytest.approx(0.1, abs=1e-5)
-    assert figure(report, "depth_delta")["mean"] == 1.0
-    assert figure(report, "depth_share")["mean"] == 1.0
-    assert 0.9 < figure(report, "ssim")["mean"] < 1.0
-    assert figure(report, "short_rmse")["mean"] < 0.02 and figure(report, "long_rmse")["mean"] < 0.03
-    assert figure(report, "short_share")["mean"] > figure(report, "long_share")["mean"] > 0.5
+    assert metric(report, "psnr")["mean"] == pytest.approx(20.0, abs=0.05)
+    assert metric(report, "psnr")["count"] == 3 and metric(report, "psnr")["left_out"] == 0
+    assert metric(report, "depth_abs_rel")["mean"] == pytest.approx(0.1, abs=1e-5)
+    assert metric(report, "depth_delta")["mean"] == 1.0
+    assert metric(report, "depth_share")["mean"] == 1.0
+    assert 0.9 < metric(report, "ssim")["mean"] < 1.0
+    assert metric(report, "short_rmse")["mean"] < 0.02 and metric(report, "long_rmse")["mean"] < 0.03
+    assert metric(report, "short_share")["mean"] > metric(report, "long_share")["mean"] > 0.5
     assert all("composited" in item["protocol"] for item in report["metrics"] if item["key"] in ("psnr", "ssim"))
     assert not any("{" in item["protocol"] + item["label"] for item in report["metrics"])
 
@@ -84,7 +84,7 @@ def test_costs_are_those_of_the_manifests(fitted):
     assert [point["held_out"] for point in report["curve"]["points"]] == [True, True, False]
 
 
-def test_csv_holds_what_json_holds(fitted):
+def test_csv_and_json_hold_the_same_values(fitted):
     _, _, artifact, report = fitted
     with open(artifact.file("views.csv"), newline="") as stream:
         rows = list(csv.DictReader(stream))
@@ -103,17 +103,17 @@ def test_all_files_stand_in_the_manifest(fitted):
     charts = {f"charts/{name}.{end}" for name in ("psnr_views", "quality_seconds", "consistency_pairs")
               for end in ("svg", "png")}  # fmt: skip
     assert names == charts | {"report.json", "report.html", "views.csv", "pairs.csv"}
-    assert artifact.manifest.figures["psnr"] == figure(report, "psnr")["mean"]
+    assert artifact.manifest.figures["psnr"] == metric(report, "psnr")["mean"]
     assert artifact.file("charts/psnr_views.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_what_was_not_measured_is_said(fitted):
+def test_what_was_not_measured_is_listed(fitted):
     work, inputs, _, report = fitted
     assert {"LPIPS and ST-LPIPS"} <= {note["what"] for note in report["not_measured"]}
     assert report["warnings"] == []
     _, bare = evaluated(work, {key: inputs[key] for key in ("scene", "frames")})
     told = {note["what"] for note in bare["not_measured"]}
-    assert {"Consistency between views", "Parameters of the field"} <= told
+    assert {"Multi-view consistency", "Parameters of the field"} <= told
     assert bare["pairs"] == [] and bare["curve"] is None
 
 
@@ -123,7 +123,7 @@ def test_the_same_evaluation_gives_the_same_bytes(fitted):
     assert [(r.path, r.sha256) for r in again.manifest.files] == [(r.path, r.sha256) for r in artifact.manifest.files]
 
 
-def test_a_report_of_before_a_network_was_installed_does_not_stand(tmp_path, monkeypatch):
+def test_a_report_is_stale_after_a_network_is_installed(tmp_path, monkeypatch):
     here = {}
 
     def resolved(name=None):
@@ -155,29 +155,29 @@ def test_a_report_of_before_a_network_was_installed_does_not_stand(tmp_path, mon
     assert recipe(field) != first and "trunk 5555" in pinned(EvaluateConfig(), field).networks
 
 
-def test_nan_in_a_render_is_told_and_left_out(fitted, tmp_path, monkeypatch):
+def test_nan_in_a_render_is_reported_and_left_out(fitted, tmp_path, monkeypatch):
     _, inputs, _, report = fitted
     real = evaluate.FrameViews.render
 
-    def spoiled(self, index):
+    def with_nan(self, index):
         found = real(self, index)
         if index != 1:
             return found
         image = found.image.copy()
         image[5, 7:10] = np.nan
-        return replace(found, image=image, spoiled=3)
+        return replace(found, image=image, nonfinite=3)
 
-    monkeypatch.setattr(evaluate.FrameViews, "render", spoiled)
+    monkeypatch.setattr(evaluate.FrameViews, "render", with_nan)
     artifact, found = evaluated(WorkFolder(tmp_path), {key: inputs[key] for key in ("scene", "frames", "path_frames")})
     assert found["views"][1]["psnr"] is None and "3 of 6912 pixels" in found["views"][1]["remark"]
-    psnr = figure(found, "psnr")
+    psnr = metric(found, "psnr")
     assert (psnr["count"], psnr["left_out"]) == (2, 1)
     assert psnr["mean"] == pytest.approx((report["views"][0]["psnr"] + report["views"][2]["psnr"]) / 2)
-    assert any("test_1" in text and "not finite" in text for text in found["warnings"])
+    assert any("test_1" in text and "NaN or infinite" in text for text in found["warnings"])
     page = artifact.file("report.html").read_text()
-    assert "not finite" in page and "1 left out" in page
+    assert "NaN or infinite" in page and "1 left out" in page
     assert sum("path_001: 3 of 6912 pixels" in row["remark"] for row in found["pairs"]) == 3
-    assert figure(found, "short_rmse")["left_out"] == 2
+    assert metric(found, "short_rmse")["left_out"] == 2
 
 
 def test_a_frame_with_nan_in_its_file_is_counted_not_refused(fitted, tmp_path, monkeypatch):
@@ -204,22 +204,22 @@ def test_alpha_scenes_are_composited_on_white_and_measured_on_the_object(tmp_pat
     photo, render = SceneViews(scene).photo(0, 96, 72), evaluate.FrameViews(frames, 1.0).render(0)
     assert (photo.image[0, 0] == 1).all() and (render.image[0, 0] == 1).all() and not photo.mask[0, 0]
     share = np.mean([one.alpha.mean() for one in seen])
-    whole, on_object = figure(report, "psnr")["mean"], figure(report, "psnr_object")["mean"]
+    whole, on_object = metric(report, "psnr")["mean"], metric(report, "psnr_object")["mean"]
     # The background is equal in both, so that all of the error is on the object's share of the pixels.
     assert whole - on_object == pytest.approx(-10 * np.log10(share), abs=0.1)
-    assert "white" in figure(report, "psnr")["protocol"]
+    assert "white" in metric(report, "psnr")["protocol"]
 
 
-def test_photos_of_another_size_are_resampled_and_said(tmp_path):
+def test_photos_of_another_size_are_resampled_with_a_warning(tmp_path):
     work = WorkFolder(tmp_path)
     scene = made.make_scene(work, POSITIONS, size=(192, 144))
     field = made.make_field(work, "wall", "fit", {"scene": scene})
     cameras = [made.camera(x, f"test_{i}", (192, 144)).scaled(0.5) for i, x in enumerate(POSITIONS)]
     frames = made.make_frames(work, "wall-test", "test", cameras, [made.look(v) for v in cameras], field)
     _, report = evaluated(work, {"scene": scene, "frames": frames})
-    assert figure(report, "psnr")["mean"] > 30
+    assert metric(report, "psnr")["mean"] > 30
     assert any("resampled" in text for text in report["warnings"])
-    assert any("another size" in note["why"] for note in report["not_measured"])
+    assert any("differ in size" in note["why"] for note in report["not_measured"])
 
 
 WRONG = {"gap": 1, "pairs": -1, "perceptual_pairs": -1, "sheet": 0, "style_side": 8, "depth_tolerance": 0.0,
@@ -232,7 +232,7 @@ def test_options_out_of_range_are_refused(name):
         replace(QUIET, **{name: WRONG[name]})
 
 
-def test_a_source_made_again_or_gone_is_said(fitted, tmp_path):
+def test_a_rebuilt_or_missing_source_is_reported(fitted, tmp_path):
     work = WorkFolder(tmp_path)
     scene = made.make_scene(work, POSITIONS)
     field = made.make_field(work, "wall", "fit", {"scene": scene})
@@ -277,7 +277,7 @@ def test_what_masks_hide_of_a_capture_is_not_measured(tmp_path):
     view, ball = made.camera(0.0, "test_0"), made.look(made.camera(0.0, "test_0"), wall=False)
     noise = np.random.default_rng(0).random((72, 96, 3)).astype(np.float32)
     photo, values = SceneViews(scene).photo(0, 96, 72), []
-    assert photo.mask is None and np.array_equal(photo.shown, ball.alpha > 0.5)
+    assert photo.mask is None and np.array_equal(photo.visible, ball.alpha > 0.5)
     for hidden in (noise, np.ones_like(noise), 1 - noise):
         rgb = np.where(ball.alpha[..., None] > 0.5, np.clip(ball.rgb + 0.05, 0, 1), hidden)
         frames = made.make_frames(
@@ -293,15 +293,16 @@ def test_what_masks_hide_of_a_capture_is_not_measured(tmp_path):
         assert np.ptp([one[key] for one in values]) <= tolerance, key
 
 
-def test_pairs_are_spread_and_few_are_looked_at_perceptually(fitted):
+def test_pairs_are_spread_and_few_have_perceptual_distances(fitted):
     _, inputs, *_ = fitted
     assert pairs_of(10, 7, 0) == [(0, 7), (1, 8), (2, 9)] and pairs_of(5, 7, 3) == []
     assert pairs_of(100, 1, 4) == [(0, 1), (33, 34), (65, 66), (98, 99)]
     path = evaluate.FrameViews(inputs["path_frames"], 0.0)
     ranges = {"short": pairs_of(10, 1, 0), "long": pairs_of(10, 7, 0)}
-    film = PathConsistency(path, replace(QUIET, perceptual_pairs=2), PerceptualMetrics(None, None, None, ""), None)
-    film._pixels = lambda a, b: np.full(a.shape[:2], 0.25)
-    rows = list(film.measure_ranges(ranges))
+    config = replace(QUIET, perceptual_pairs=2)
+    path_pairs = PathConsistency(path, config, PerceptualMetrics(None, None, None, ""), None)
+    path_pairs._pixel_distance = lambda a, b: np.full(a.shape[:2], 0.25)
+    rows = list(path_pairs.measure_ranges(ranges))
     assert [row["short_perceptual"] for row in rows if "short_perceptual" in row] == [0.25, 0.25]
     assert len(rows) == 12 and sum("long_perceptual" in row for row in rows) == 2
     assert [row["frame"] for row in rows if "short_perceptual" in row] == [1, 9]

@@ -31,7 +31,7 @@ def evaluated(work, inputs, config, name="report"):
     return json.loads(report.file("report.json").read_text())
 
 
-def figures(report):
+def metrics(report):
     return {item["key"]: item["mean"] for item in report["metrics"]}
 
 
@@ -57,9 +57,9 @@ def test_every_mode_has_its_parts():
         assert all(f"{label}_{part}" in BY_KEY for label in ("short", "long") for part in parts)
 
 
-def test_each_protocol_tells_the_known_change_in_its_own_unit(filmed):
+def test_each_protocol_measures_a_known_change(filmed):
     *_, report = filmed
-    found = figures(report)
+    found = metrics(report)
     assert found["short_rmse"] == pytest.approx(0.1, abs=0.005)
     assert found["long_rmse"] == pytest.approx(0.3, abs=0.005)
     # Softmax splatting counts what the ball uncovers as well.
@@ -76,15 +76,15 @@ def test_each_protocol_tells_the_known_change_in_its_own_unit(filmed):
     assert len(report["pairs"]) == 4 + 2
 
 
-def test_one_mode_measures_nothing_of_the_others(filmed):
+def test_one_protocol_adds_no_keys_of_another(filmed):
     work, inputs, everything = filmed
     keys = {}
     for mode in METRICS:
-        told = figures(evaluated(work, inputs, replace(QUIET, consistency=mode)))
+        told = metrics(evaluated(work, inputs, replace(QUIET, consistency=mode)))
         keys[mode] = {key for key in told if key.startswith(("short_", "long_"))}
     for mode, found in keys.items():
         assert found == {f"{label}_{part}" for label in ("short", "long") for part in METRICS[mode][:2]}, mode
-    assert set.union(*keys.values()) <= {*figures(everything)}
+    assert set.union(*keys.values()) <= {*metrics(everything)}
     assert any("published" in note["what"] for note in evaluated(work, inputs, QUIET)["not_measured"])
     assert not any("published" in note["what"] for note in everything["not_measured"])
 
@@ -105,26 +105,26 @@ def write_flows(folder, film, suffix):
 
 
 @pytest.mark.parametrize("suffix", [".npy", ".flo"])
-def test_the_same_flow_from_files_gives_the_same_figures(filmed, tmp_path, suffix):
+def test_the_same_flow_from_files_gives_the_same_metrics(filmed, tmp_path, suffix):
     work, inputs, report = filmed
     folder = write_flows(tmp_path / "flows", inputs["path_frames"], suffix)
     again = evaluated(work, inputs, pinned(replace(ALL, flow=str(folder))), "files")
-    for key, value in figures(report).items():
+    for key, value in metrics(report).items():
         if "laenerf" in key or "stylerf" in key:
-            assert figures(again)[key] == pytest.approx(value, rel=1e-3), key
+            assert metrics(again)[key] == pytest.approx(value, rel=1e-3), key
     # Without depth to test against, visible is what flows there and back.
-    assert figures(again)["short_rmse"] == pytest.approx(figures(report)["short_rmse"], abs=0.01)
+    assert metrics(again)["short_rmse"] == pytest.approx(metrics(report)["short_rmse"], abs=0.01)
     protocols = {item["key"]: item["protocol"] for item in again["metrics"]}
     digest = pinned(replace(ALL, flow=str(folder))).flow_digest
     told = f"files (flows {digest[:8]})"
     assert digest and all(told in protocols[key] for key in ("short_rmse", "short_laenerf_script_mse"))
-    assert "where there is none, it is taken as 0" in protocols["short_laenerf_script_mse"]
+    assert "missing flow counts as 0" in protocols["short_laenerf_script_mse"]
     (folder / f"0000_to_0001{suffix}").unlink()
     with pytest.raises(BadInput, match=r"1 of 12 flows are missing \(0000_to_0001\)"):
         evaluated(work, inputs, replace(ALL, flow=str(folder)), "fewer")
 
 
-def test_along_flow_too_the_background_is_neither_visible_nor_asked_for(tmp_path):
+def test_flow_warping_ignores_the_background(tmp_path):
     """A ball before nothing that brightens by 0.1 a frame: over all pixels it would be 0.1 of a small share."""
     work = WorkFolder(tmp_path)
     scene = made.make_scene(work, [0.0], background="alpha", depth=False)
@@ -136,11 +136,11 @@ def test_along_flow_too_the_background_is_neither_visible_nor_asked_for(tmp_path
     frames = made.make_frames(work, "ball-test", "test", cameras[:1], seen[:1], field)
     given = {"scene": scene, "frames": frames, "path_frames": film, "field": field}
     flows = write_flows(tmp_path / "flows", film, ".npy")
-    found = figures(evaluated(work, given, pinned(replace(QUIET, flow=str(flows))), "flow"))
+    found = metrics(evaluated(work, given, pinned(replace(QUIET, flow=str(flows))), "flow"))
     assert found["short_rmse"] == pytest.approx(0.1, abs=0.02) and 0.7 < found["short_share"] <= 1
 
 
-def test_a_protocol_tells_how_many_pairs_its_figure_is_of(filmed):
+def test_protocols_name_their_number_of_pairs(filmed):
     work, inputs, everything = filmed
     fewer = evaluated(work, inputs, replace(ALL, pairs=2))
     told = [{item["key"]: item["protocol"] for item in report["metrics"]} for report in (everything, fewer)]
@@ -154,14 +154,14 @@ def test_a_protocol_tells_how_many_pairs_its_figure_is_of(filmed):
         PerceptualMetrics(*[None] * 3, ""),
         None,
     )
-    assert (film.facts()["short_looked_at"], film.facts()["short_pairs"]) == (1, 4)
+    assert (film.facts()["short_perceptual_pairs"], film.facts()["short_pairs"]) == (1, 4)
 
 
-def test_flow_of_another_size_or_none_at_all_is_told_in_words(filmed, tmp_path):
+def test_flow_of_another_size_or_none_is_refused(filmed, tmp_path):
     work, inputs, _ = filmed
     folder = write_flows(tmp_path / "flows", inputs["path_frames"], ".npy")
     np.save(folder / "0001_to_0002.npy", np.zeros((36, 48, 2), np.float32))
-    with pytest.raises(BadInput, match="48x36 where frame path_1 is 96x72"):
+    with pytest.raises(BadInput, match="48x36 but frame path_1 is 96x72"):
         evaluated(work, inputs, replace(ALL, flow=str(folder)), "small")
     (tmp_path / "empty").mkdir()
     with pytest.raises(BadInput, match="found none"):

@@ -40,7 +40,7 @@ def painted():
     return np.where(stripe, [0.1, 0.2, 0.7], [0.9, 0.8, 0.2]).astype(np.float32)
 
 
-def test_a_painting_is_no_distance_from_itself_and_the_rest_is(painted):
+def test_a_style_image_has_no_distance_to_itself(painted):
     painting = StyleImage(painted, FEATURES, 128, "cpu")
     ones = np.ones(painted.shape[:2], np.float32)
     nearest, gram, sifid = painting.distances(painted, ones)
@@ -101,28 +101,28 @@ def stylized(tmp_path_factory, painted):
     return inputs, artifact, json.loads(artifact.file("report.json").read_text())
 
 
-def figure(report, key):
+def metric(report, key):
     return next(item for item in report["metrics"] if item["key"] == key)
 
 
-def test_figures_of_a_stylized_field(stylized, painted):
+def test_metrics_of_a_stylized_field(stylized, painted):
     _, artifact, report = stylized
     assert report["stylized"] and report["style_image"] == "stripes.png"
-    mean = figure(report, "palette_mean")
+    mean = metric(report, "palette_mean")
     assert mean["mean"] < 0.03 < mean["reference"]["the unstylized renders"]  # clipping moves it a little
-    assert figure(report, "shape_change")["mean"] == pytest.approx(0.2, abs=1e-4)
-    kept = figure(report, "content_ssim")
+    assert metric(report, "shape_change")["mean"] == pytest.approx(0.2, abs=1e-4)
+    kept = metric(report, "content_ssim")
     assert 0.7 < kept["mean"] < kept["reference"]["the unstylized renders"] <= 1
-    assert FEATURES in figure(report, "nnfm")["protocol"] and figure(report, "nnfm")["count"] == 2
+    assert FEATURES in metric(report, "nnfm")["protocol"] and metric(report, "nnfm")["count"] == 2
     assert not {"psnr", "ssim", "lpips"} & {item["key"] for item in report["metrics"]}
     assert any("PSNR" in note["what"] for note in report["not_measured"])
     assert {made_by["stage"] for made_by in report["stages"]} == {"import", "fit", "stylize", "render"}
     page = artifact.file("report.html").read_text()
-    assert "the painting" in page and page.count("<img") == 2 * 4 + 1
+    assert "the style image" in page and page.count("<img") == 2 * 4 + 1
     assert {record.path for record in artifact.manifest.files} >= {"charts/nnfm_views.svg"}
 
 
-def test_a_field_with_references_only_is_compared_with_the_first(stylized, tmp_path, painted):
+def test_without_a_style_image_the_first_reference_is_compared(stylized, tmp_path, painted):
     """Ref-NPR without --style: what stands in its folder as style.png is the reference picture, no painting."""
     inputs, *_ = stylized
     write_png(tmp_path / "stripes.png", np.round(painted * 255).astype(np.uint8))
@@ -134,25 +134,25 @@ def test_a_field_with_references_only_is_compared_with_the_first(stylized, tmp_p
     made_with = {"style": "", "reference": ["0=stripes.png"]}
     field = made.commit(work, "field", "referenced", "stylize", {"scene": inputs["scene"]}, write, config=made_with)
     told = {}
-    for words, style in (("the reference", ""), ("the painting", str(tmp_path / "stripes.png"))):
+    for words, style in (("the reference", ""), ("the style image", str(tmp_path / "stripes.png"))):
         config = EvaluateConfig(features=FEATURES, sheet=1, perceptual="none", style=style)
         report, _ = execute(evaluate.SPEC, evaluate.run, work, "r", given | {"field": field}, config, Context())
         told[words] = json.loads(report.file("report.json").read_text())
         for key in ("nnfm", "gram", "palette"):
-            assert figure(told[words], key)["label"].endswith(f"distance to {words}")
-            assert words in figure(told[words], key)["protocol"]
+            assert metric(told[words], key)["label"].endswith(f"distance to {words}")
+            assert words in metric(told[words], key)["protocol"]
         page = report.file("report.html").read_text()
         assert f"NNFM distance to {words}" in page and f"<figcaption>{words}</figcaption>" in page
     assert "painting" not in json.dumps(told["the reference"]["metrics"])
 
 
-def test_a_painting_that_is_not_there_is_bad_input(stylized):
+def test_a_missing_style_image_is_bad_input(stylized):
     inputs, *_ = stylized
     with pytest.raises(BadInput, match="no such file"):
         style_file(EvaluateConfig(style="nowhere.png"), inputs["field"])
 
 
-def test_the_painting_kept_with_the_field_is_preferred(tmp_path, stylized):
+def test_the_style_image_kept_with_the_field_is_preferred(tmp_path, stylized):
     inputs, *_ = stylized
 
     def write(folder):

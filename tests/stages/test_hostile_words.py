@@ -15,7 +15,7 @@ from stages.evaluation.metrics import write_csv
 from stages.report.charts import bar_chart, pairs_chart
 from stages.report.formatting import escape
 from stages.stress.outcomes import FOLDER, keep_outcome, kept_outcome
-from stages.stress.page import _pictures
+from stages.stress.page import build_page
 from stages.stress.success_rates import Outcome, cells_of
 
 HOSTILE = "m$\\frac$q <b>&\"'\x1b[31m\u202e"
@@ -105,7 +105,7 @@ def test_an_outcome_of_a_stranger_is_not_believed(tmp_path, changed):
 
 
 def test_only_a_png_of_the_folder_itself_is_embedded(tmp_path):
-
+    chart = bar_chart("a", "A", "", ["a"], [1.0])
     folder = tmp_path / "worst"
     folder.mkdir()
     write_png(folder / "own.png", np.zeros((4, 4, 3), np.uint8))
@@ -113,7 +113,7 @@ def test_only_a_png_of_the_folder_itself_is_embedded(tmp_path):
     (folder / "link.png").symlink_to(tmp_path / "other.png")
     (folder / "text.png").write_text("secret")
     shown = {
-        name: "data:image" in _pictures(cells_of([outcome(picture=name)]), folder)
+        name: "data:image" in build_page(cells_of([outcome(picture=name)]), chart, {}, [], None, folder)
         for name in ("own.png", "link.png", "text.png", "absent.png", ".")
     }
     assert shown == {"own.png": True, "link.png": False, "text.png": False, "absent.png": False, ".": False}

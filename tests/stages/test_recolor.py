@@ -156,5 +156,5 @@ def test_the_palette_of_a_whole_field_is_told_by_what_learned_it(work):
     (row,) = palette_rows(new, False)
     assert row == {"name": "new", **TOLD}
     assert palette_rows(work.get("field", "plain"), True) == [] and palette_rows(None, False) == []
-    assert palette_facts(new)["palette_pixels"] == "the pixels that show the scene"
+    assert palette_facts(new)["palette_pixels"] == "the opaque pixels"
     assert palette_facts(work.get("field", "plain"))["palette_pixels"] == "the region's pixels"

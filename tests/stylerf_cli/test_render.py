@@ -65,7 +65,7 @@ def test_shards_are_put_together_and_filmed_without_rendering(work, capsys, monk
         monkeypatch.setattr(os, "link", refuse)
     monkeypatch.setattr(stage, "render_view", refuse)
     folder, notes = rendered(work, capsys, *ORBIT, "--video")
-    assert "5 of 5 frames stand already in shard-0-1, shard-2-4" in notes
+    assert "reusing 5 of 5 frames from shard-0-1, shard-2-4" in notes
     assert len(list(folder.glob("video.*"))) == 1 and len(list(folder.glob("depth/*"))) == 5
     for view in read_frames(folder).views:
         for relative in (view.png, view.exr, view.png.replace("png/", "depth/")):
@@ -82,7 +82,7 @@ def test_frames_of_other_options_or_that_were_altered_are_rendered(work, capsys,
         stage, "render_view", lambda field, camera, **more: seen.append(camera.name) or real(field, camera, **more)
     )
     _, notes = rendered(work, capsys, *ORBIT)
-    assert seen == ["0000", "0001", "0003"] and "2 of 5 frames stand already in shard" in notes
+    assert seen == ["0000", "0001", "0003"] and "reusing 2 of 5 frames from shard" in notes
     rendered(work, capsys, *ORBIT, "--force")
     assert len(seen) == 8  # all of them
 
@@ -285,7 +285,7 @@ def test_without_the_extra_a_film_is_a_gif_and_that_is_said(work, capsys, monkey
     found = video.find_spec
     monkeypatch.setattr(video, "find_spec", lambda name: None if name == "av" else found(name))
     folder, notes = rendered(work, capsys, *ORBIT, "--video", "--fps", "10")
-    assert "video: video.gif, by GIF (pip install 'stylerf[video]' for MP4)" in notes
+    assert "video: video.gif, written by GIF (pip install 'stylerf[video]' for MP4)" in notes
     assert (folder / "video.gif").read_bytes()[:6] == b"GIF89a"
     assert read_frames(folder).fps == 10
 

@@ -55,7 +55,7 @@ def test_families_and_costs_are_those_of_the_manifests(work):
     assert by_name["fit-60s"].settings == "60s, grow" and by_name["starry-desrf"].method == "desrf"
 
 
-def test_a_consistency_of_few_pixels_is_on_no_front_and_that_is_said(work):
+def test_consistency_over_few_pixels_is_on_no_front(work):
     scene, base = work.get("scene", "wall"), work.get("field", "fit-10s")
     figures = STYLE | {"short_rmse": 0.001, "short_share": 0.036, "long_share": 0.2}
     runs.stylized(work, scene, base, "few", 5.0, figures, budget="5s")
@@ -64,7 +64,7 @@ def test_a_consistency_of_few_pixels_is_on_no_front_and_that_is_said(work):
     assert "long_rmse/seconds" in fronts and not any(one.startswith("short") for one in fronts)
     assert any(run.name == "few" for run in panel_of(every, "short_rmse", "seconds").runs)  # it is drawn all the same
     (told,) = disagreements(every, ["short_rmse", "long_rmse"])
-    assert told.what == "room/few: short_rmse" and told.why.startswith("Told by 3.6% of the pixels alone")
+    assert told.what == "room/few: short_rmse" and told.why.startswith("Measured on only 3.6% of the pixels")
 
 
 def test_a_changed_palette_is_an_edit_that_costs_what_its_learning_did(work):
@@ -102,7 +102,7 @@ def test_an_edit_of_an_edit_and_of_a_stylized_field_costs_what_these_did(work):
     assert (seconds["saucer"], seconds["moon"], seconds["twice"]) == (15.5 + 15.0, 16.0 + 37.0, 3.0 + 20.0)
 
 
-def test_a_figure_is_that_of_the_newest_report_that_holds_it(work, monkeypatch):
+def test_a_metric_is_that_of_the_newest_report_with_it(work, monkeypatch):
     """A later and smaller evaluation of an edit, without its region, takes nothing away; another region's is not
     mixed in."""
     field, region = work.get("field", "cup"), work.get("region", "cup")
@@ -146,14 +146,14 @@ def test_views_left_out_and_other_numbers_of_views_share_no_front(work):
     fronts = on_fronts(every, ["psnr"])
     assert not fronts["room/fit-10s"] and "psnr/seconds" in fronts["room/fit-60s"]
     told = {gap.what: gap.why for gap in disagreements(every, ["psnr"])}
-    assert told["room/fit-10s: psnr"] == "Of 3 views or pairs 1 could not be measured."
-    assert told["room: psnr"].startswith("Over 2 and 3 views or pairs")
+    assert told["room/fit-10s: psnr"] == "1 of 3 views or pairs could not be measured."
+    assert told["room: psnr"].startswith("Measured over 2 and 3 views or pairs")
     runs.report(work, field, {"psnr": 99.0}, changed={"count": 2})
     fronts = on_fronts(list(found(work)[0].values()), ["psnr"])
     assert "psnr/seconds" in fronts["room/fit-10s"] and "psnr/seconds" in fronts["room/fit-300s"]
 
 
-def test_figures_by_other_networks_or_protocols_are_told_apart(work):
+def test_metrics_of_other_networks_or_protocols_stay_apart(work):
     """Another network has a column of its own; another protocol within a group a letter, and a line in the table."""
     scene, base = work.get("scene", "wall"), work.get("field", "fit-10s")
     for name, changed in (("a", {}), ("b", {"label": "Ref-LPIPS (lpips-vgg)"}), ("c", {"protocol": "by <hand>"})):
@@ -237,7 +237,7 @@ def test_groups_are_known_by_content_and_called_by_names(work):
     assert group["fit-10s"] == "room" and len({*group.values()}) == 10
 
 
-def test_runs_on_other_numbers_of_threads_are_told(tmp_path):
+def test_different_thread_counts_give_a_remark(tmp_path):
     work = WorkFolder(tmp_path)
     scene = made.make_scene(work, [0.0])
     for name, threads in (("one", 2), ("two", 2), ("old", None)):
@@ -246,7 +246,7 @@ def test_runs_on_other_numbers_of_threads_are_told(tmp_path):
     assert thread_mismatches(compared) == []
     made.make_field(work, "three", "nerf_fit", {"scene": scene}, threads=8)
     told = thread_mismatches(runs_of([work])[0])
-    assert len(told) == 1 and told[0].why.startswith("Made on 2 and 8 threads")
+    assert len(told) == 1 and told[0].why.startswith("Run on 2 and 8 threads")
 
 
 def test_what_is_missing_is_named_with_its_command(work):
@@ -263,7 +263,7 @@ def test_what_is_missing_is_named_with_its_command(work):
     assert "room/nameless: parameters" in told
 
 
-def test_a_report_of_an_older_field_does_not_count_and_a_damaged_one_is_told(work):
+def test_reports_of_older_fields_and_damaged_ones_do_not_count(work):
     scene = work.get("scene", "wall")
     runs.fit(work, scene, "fit-60s", 61.0, None)  # made anew; its report is of the one before
     by_name, gaps = found(work)
@@ -274,7 +274,7 @@ def test_a_report_of_an_older_field_does_not_count_and_a_damaged_one_is_told(wor
     assert "fit-300s" not in by_name and any("altered" in gap.why for gap in gaps)
 
 
-def test_charts_page_and_table_tell_the_same(work):
+def test_charts_page_and_table_agree(work):
     some, gaps = runs_of([work])
     fronts = on_fronts([run for run in some if run.family == FITS], ["psnr"])
     fronts = {run.title: fronts.get(run.title, []) for run in some}
@@ -290,7 +290,7 @@ def test_charts_page_and_table_tell_the_same(work):
     assert "within the region (correct)" in edits and "Consistency short (correct)" not in edits  # of whole frames
     page = build_page(some, charts, gaps, fronts)
     assert page.count("<svg") == 9 and "<script" not in page and "http" not in page.replace("http://www.w3.org", "")
-    assert "Nothing: every run tells its costs" in page and "room/starry-desrf" in page
+    assert "Nothing: the cost and metrics of every run are known" in page and "room/starry-desrf" in page
     rows = rows_of(some, fronts)
     row = next(row for row in rows if row["name"] == "cup")
     assert (row["seconds"], row["background_mse"], row["group"]) == (15.0, 0.001, "room, cup")

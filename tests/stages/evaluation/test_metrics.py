@@ -3,7 +3,7 @@
 from stages.evaluation.metrics import summarize
 
 
-def test_summaries_leave_out_what_is_not_a_number_and_say_so():
+def test_summaries_leave_out_and_count_missing_values():
     rows = [{"psnr": 20.0}, {"psnr": None}, {"psnr": 30.0}, {"psnr": float("nan")}, {"ssim": None}]
     (figure,) = summarize(rows, {})
     assert (figure.mean, figure.median, figure.min, figure.max) == (25, 25, 20, 30)

@@ -8,7 +8,7 @@ from stages.report.thumbnails import Picture
 from tests.stages import evaluation_fixture as made
 
 
-def test_what_the_sheet_keeps_of_a_view_does_not_grow_with_the_photos():
+def test_memory_per_view_does_not_grow_with_the_photos():
     held = []
     for scale in (6, 12):
         view = made.camera(0.0, "a").scaled(scale)

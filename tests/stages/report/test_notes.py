@@ -38,7 +38,7 @@ def test_nothing_is_missing_where_everything_is_there():
         (EVERYTHING, "LPIPS and ST-LPIPS"),
     ],
 )
-def test_why_no_network_looked_is_said(have, what, why):
+def test_missing_perceptual_metrics_have_a_reason(have, what, why):
     assert why in notes(replace(have, **BLIND[why]))[what]
 
 
@@ -50,10 +50,10 @@ def test_why_no_network_looked_is_said(have, what, why):
         ({"consistency": "stylerf-family"}, "--consistency correct"),
     ],
 )
-def test_why_the_region_is_not_followed_along_the_film_is_said(given, why):
+def test_missing_consistency_in_the_region_has_a_reason(given, why):
     assert why in notes(replace(EDITED, **given))["Consistency within the region"]
     assert "Consistency within the region" not in notes(replace(EVERYTHING, **given))
 
 
-def test_changed_weights_of_a_palette_are_said():
+def test_changed_palette_weights_have_a_note():
     assert "after training" in notes(replace(EDITED, weights_changed=True))["Palette sparsity and TV"]

@@ -1,8 +1,10 @@
 """The pages of eval, compare and stress: well-formed, self-contained, readable without seeing, escaped."""
 
 import re
+import tomllib
 from html.parser import HTMLParser
 from itertools import pairwise
+from pathlib import Path
 
 import pytest
 
@@ -35,19 +37,9 @@ class Reader(HTMLParser):
         self.text.append(data)
 
 
-@pytest.fixture(scope="module")
-def pages(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("worst")
-    return {
-        "eval": sample_pages.evaluation(),
-        "compare": sample_pages.comparison(),
-        "stress": sample_pages.stress(folder),
-    }
-
-
 @pytest.fixture(params=["eval", "compare", "stress"])
-def page(request, pages):
-    return pages[request.param]
+def page(request, page_folder):
+    return (page_folder / f"{request.param}.html").read_text(encoding="utf-8")
 
 
 def read(page):
@@ -103,6 +95,15 @@ def test_values_are_escaped():
     page = sample_pages.evaluation_page.build_page(report, sample_pages.pictures())
     assert "<b>" not in page and "\x1b" not in page and "\u202e" not in page
     assert "&lt;b&gt;&#39;&#34;&amp;\\x1b\\u202e" in page
+
+
+def test_templates_are_package_data():
+    """Else an installed wheel has no pages."""
+    root = Path(__file__).parents[3]
+    settings = tomllib.loads((root / "pyproject.toml").read_text())["tool"]["setuptools"]
+    folder = root / "stages" / "report"
+    packed = {path for pattern in settings["package-data"]["stages.report"] for path in folder.glob(pattern)}
+    assert packed == {path for path in folder.rglob("*") if path.is_file() and path.suffix in (".html", ".css")}
 
 
 def test_a_template_that_lacks_a_value_is_an_error():

@@ -27,7 +27,7 @@ def test_pictures_shrink_until_they_fit():
     assert decoded.size == (tight[0].width, tight[0].height) and decoded.format == "JPEG"
 
 
-def test_what_is_not_finite_is_seen():
+def test_nan_is_magenta():
     image = np.full((4, 4, 3), 0.5)
     image[1, 2, 0] = np.nan
     assert tuple(displayable(image)[1, 2]) == NOT_FINITE and np.isfinite(displayable(image)).all()
