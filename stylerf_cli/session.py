@@ -35,7 +35,7 @@ class Session:
         self.config: Any = options.config(config)
         self.common = options.common()
         claim(self.common.threads, self.common.memory)
-        self.progress: "Progress" = Silent() if args.quiet or not prints() else Bars(sys.stderr)
+        self.progress: Progress = Silent() if args.quiet or not prints() else Bars(sys.stderr)
         self.processes = join(verb, lambda: resolved_device(self.common.device, self.say))
 
     @cached_property
