@@ -76,13 +76,13 @@ def edited(
     """Run the edit; return the edited field and the region."""
     place, away = central_pixel(scene, field, threads)
     inputs = {"scene": scene, "field": field}
-    asked = SelectConfig(at=(place,), reach=round(REACH * away, 4))
-    region = execute(region_select, inputs, asked, f"{field.name}-part")
+    selection = SelectConfig(at=(place,), reach=round(REACH * away, 4))
+    region = execute(region_select, inputs, selection, f"{field.name}-part")
     name = f"{field.name}-{options.method.name}-{digest_of(options.described()['learning'])[:8]}"
     changed = f"{name}-{digest_of(options.changes)[:8]}"
     if options.method.edit == "palette":
         learned = execute(decompose, inputs, options.learning, name)
-        changes = RecolorConfig(palette=options.changes, at=(place,), reach=asked.reach)
+        changes = RecolorConfig(palette=options.changes, at=(place,), reach=selection.reach)
         return execute(recolor, {"scene": scene, "field": learned}, changes, changed), region
     inputs |= {"region": region}
     dataset = execute(edit_dataset, inputs, ExtractConfig(exr=False), region.name)
