@@ -12,8 +12,8 @@ import numpy as np
 
 from stylerf.errors import InvalidValue
 from stylerf.fields.radiance_field import RadianceField
-from stylerf.fields.ray_samples import Rays, Samples
 from stylerf.kernels.cpu.march import OPTICAL_SCALE
+from stylerf.kernels.cpu.ray_samples import Rays, Samples
 from stylerf.kernels.cpu.regions import weights_inside
 
 FEWEST_CELLS, MOST_CELLS = 64, 256
@@ -54,7 +54,7 @@ def alpha_inside(marked: np.ndarray, samples: Samples, chunks: int) -> np.ndarra
     """[rays] float32: sum of each ray's weights over samples in marked cells [s, s, s]."""
     out = np.zeros(len(samples.ends), np.float32)
     flat = np.ascontiguousarray(marked).reshape(-1)
-    weights_inside(flat, marked.shape[0], samples.x, samples.weights, samples.starts, samples.ends, chunks, out)
+    weights_inside(flat, marked.shape[0], samples.shading_points(), chunks, out)
     return out
 
 

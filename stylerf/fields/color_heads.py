@@ -1,13 +1,14 @@
-"""Color heads: what turns a place's features and a direction into a color. Its numbers are handed in."""
+"""Color heads: from features of a position and a view direction to a color. Each is pure: its numbers are arguments."""
 
 import numpy as np
 
 from stylerf.errors import InvalidValue
-from stylerf.fields.scratch_arena import room
+from stylerf.fields.scratch_arena import ScratchArena, empty_array
 from stylerf.geometry.spherical_harmonics import BANDS, C0
 from stylerf.kernels.cpu import color_heads as kernels
 from stylerf.kernels.cpu import mlp_head
 from stylerf.kernels.cpu.color_heads import count_marked, hide, pack_marked
+from stylerf.kernels.cpu.ray_samples import ShadingPoints
 
 HIDDEN = 32  # units; a row of them is one vector
 
@@ -15,12 +16,22 @@ HIDDEN = 32  # units; a row of them is one vector
 class Packed:
     """Samples to be colored: index[i], of ray ray[i], ascending; their colors go to `out` [n, 3]."""
 
-    def __init__(self, marks: np.ndarray, bound: float, starts: np.ndarray, ends: np.ndarray, chunks: int) -> None:
+    def __init__(self, marks: np.ndarray, bound: float, starts: np.ndarray, ends: np.ndarray, threads: int) -> None:
         counts, bound = np.empty(len(ends), np.int64), np.float32(bound)
-        count_marked(marks, bound, starts, ends, chunks, counts)
+        count_marked(marks, bound, starts, ends, threads, counts)
         offsets = np.concatenate([[0], np.cumsum(counts)])
         self.index, self.ray = np.empty(offsets[-1], np.int64), np.empty(offsets[-1], np.int64)
-        pack_marked(marks, bound, starts, ends, offsets, chunks, self.index, self.ray)
+        pack_marked(marks, bound, starts, ends, offsets, threads, self.index, self.ray)
+
+    @classmethod
+    def weighted(cls, points: ShadingPoints, threads: int) -> "Packed":
+        """Pack the points of positive weight."""
+        return cls(points.weights.reshape(-1, 1), 0.0, points.starts, points.ends, threads)
+
+    @classmethod
+    def colored(cls, points: ShadingPoints, colors: np.ndarray, threads: int) -> "Packed":
+        """Pack the points that have a color [n, 3]: not -1 in the first channel."""
+        return cls(colors, -0.5, points.starts, points.ends, threads)
 
 
 class LinearHead:
@@ -47,12 +58,12 @@ class LinearHead:
         head[:, 1:] *= 0.1
         return np.append(head.ravel(), np.zeros(3)).astype(np.float32)
 
-    def colors(self, phi, numbers, basis, packed: Packed, chunks: int, out: np.ndarray) -> None:
+    def colors(self, phi, numbers, basis, packed: Packed, threads: int, out: np.ndarray) -> None:
         """Colors of packed samples of features phi [m, features], into out [n, 3]."""
-        kernels.linear(phi, self._widths, numbers, basis, packed.index, packed.ray, chunks, out)
+        kernels.linear(phi, self._widths, numbers, basis, packed.index, packed.ray, threads, out)
 
     def backward(self, phi, numbers, basis, packed, colors, color_gradients, at: int, to: np.ndarray) -> np.ndarray:
-        """dL/d(phi) [m, features]; dL/d(numbers) is added to the chunks' buffers to[:, at:]."""
+        """dL/d(phi) [m, features]; dL/d(numbers) is added to the threads' buffers to[:, at:]."""
         out = np.empty_like(phi)
         kernels.linear_backward(
             phi,
@@ -89,9 +100,9 @@ class HarmonicHead:
     def initial(self, generator: np.random.Generator) -> np.ndarray:
         return np.empty(0, np.float32)
 
-    def colors(self, phi, numbers, basis, packed: Packed, chunks: int, out: np.ndarray) -> None:
+    def colors(self, phi, numbers, basis, packed: Packed, threads: int, out: np.ndarray) -> None:
         """Colors of packed samples of features phi [m, features], into out [n, 3]."""
-        kernels.harmonic(phi, basis, packed.index, packed.ray, chunks, out)
+        kernels.harmonic(phi, basis, packed.index, packed.ray, threads, out)
 
     def backward(self, phi, numbers, basis, packed, colors, color_gradients, at: int, to: np.ndarray) -> np.ndarray:
         """dL/d(phi) [m, features]."""
@@ -126,12 +137,12 @@ class MlpHead:
         parts = [first, seen, np.zeros(HIDDEN), second, np.zeros(3)]
         return np.concatenate([part.ravel() for part in parts]).astype(np.float32)
 
-    def colors(self, phi, numbers, basis, packed: Packed, chunks: int, out: np.ndarray) -> None:
+    def colors(self, phi, numbers, basis, packed: Packed, threads: int, out: np.ndarray) -> None:
         """Colors of packed samples of features phi [m, features], into out [n, 3]."""
-        mlp_head.mlp(phi, self._hidden, numbers, basis, packed.index, packed.ray, chunks, out)
+        mlp_head.mlp(phi, self._hidden, numbers, basis, packed.index, packed.ray, threads, out)
 
     def backward(self, phi, numbers, basis, packed, colors, color_gradients, at: int, to: np.ndarray) -> np.ndarray:
-        """dL/d(phi) [m, features]; dL/d(numbers) is added to the chunks' buffers to[:, at:]."""
+        """dL/d(phi) [m, features]; dL/d(numbers) is added to the threads' buffers to[:, at:]."""
         out, where = np.empty_like(phi), (basis, packed.index, packed.ray)
         mlp_head.mlp_backward(phi, self._hidden, numbers, *where, colors, color_gradients, len(to), out, at, to)
         return out
@@ -143,8 +154,8 @@ class MlpHead:
 HEADS = {head.kind: head for head in (LinearHead, HarmonicHead, MlpHead)}
 
 
-def hidden_from_view(starts: np.ndarray, ends: np.ndarray, rows: int, chunks: int) -> np.ndarray:
-    """[rows, 3] for colors, none of the samples having one yet."""
-    out = room((rows, 3))
-    hide(starts, ends, chunks, out)
+def uncolored(points: ShadingPoints, threads: int, arena: ScratchArena | None) -> np.ndarray:
+    """Return an array [n, 3] for colors in which no point has one yet."""
+    out = empty_array((len(points.x), 3), arena)
+    hide(points.starts, points.ends, threads, out)
     return out

@@ -5,10 +5,11 @@ import numpy as np
 from stylerf import validation
 from stylerf.errors import InvalidValue
 from stylerf.fields.capacity import Capacity
-from stylerf.fields.color_heads import HEADS, Packed, hidden_from_view
+from stylerf.fields.color_heads import HEADS, Packed, uncolored
 from stylerf.fields.encoders import FEATURES
-from stylerf.fields.ray_samples import Samples
+from stylerf.fields.scratch_arena import ScratchArena
 from stylerf.geometry.spherical_harmonics import BANDS
+from stylerf.kernels.cpu.ray_samples import ShadingPoints
 
 
 class EncodedColor:
@@ -60,33 +61,32 @@ class EncodedColor:
         features, table = self.features.grown(self.table, capacity, generator)
         return EncodedColor(features, self.head, np.concatenate([table, self.numbers]))
 
-    def colors(self, x, basis, starts, ends, weights, least, chunks) -> np.ndarray:
-        """[n, 3] colors in 0..1 of samples with weight > least; others have -1 in the first channel."""
-        out = hidden_from_view(starts, ends, len(x), chunks)
-        packed = Packed(weights.reshape(-1, 1), least, starts, ends, chunks)
-        phi = self.features.encode(self.table, x, packed.index, chunks)
-        self.head.colors(phi, self.numbers, basis, packed, chunks, out)
+    def colors(
+        self, points: ShadingPoints, basis: np.ndarray, threads: int, arena: ScratchArena | None = None
+    ) -> np.ndarray:
+        """See ColorPart.colors."""
+        out = uncolored(points, threads, arena)
+        packed = Packed.weighted(points, threads)
+        phi = self.features.encode(self.table, points.x, packed.index, threads)
+        self.head.colors(phi, self.numbers, basis, packed, threads, out)
         return out
 
-    def backward(self, x, basis, starts, ends, colors, color_gradients, to: np.ndarray) -> None:
-        """Add dL/d(values) to the chunks' buffers `to` [chunks, len(values)]."""
+    def backward(self, points: ShadingPoints, basis, colors, color_gradients, to: np.ndarray) -> None:
+        """Add dL/d(values) to the threads' buffers `to` [threads, len(values)]."""
         at = self.features.length
-        packed, gradients = self._feature_gradients(x, basis, starts, ends, colors, color_gradients, at, to)
-        self.features.backward(self.table, x, packed.index, gradients, to)
+        packed, gradients = self._feature_gradients(points, basis, colors, color_gradients, at, to)
+        self.features.backward(self.table, points.x, packed.index, gradients, to)
 
-    def add_position_gradients(
-        self, samples: Samples, basis: np.ndarray, colors: np.ndarray, color_gradients: np.ndarray, out, chunks: int
-    ) -> None:
-        """Add dL/dx to out [n, 3], x the samples' positions in the cube."""
-        scratch = np.zeros((chunks, self.head.length), np.float32)
-        where = samples.x, basis, samples.starts, samples.ends
-        packed, gradients = self._feature_gradients(*where, colors, color_gradients, 0, scratch)
-        self.features.add_position_gradients(self.table, samples.x, packed.index, gradients, out, chunks)
+    def add_position_gradients(self, points: ShadingPoints, basis, colors, color_gradients, out, threads: int) -> None:
+        """Add dL/dx to out [n, 3]."""
+        unused = np.zeros((threads, self.head.length), np.float32)
+        packed, gradients = self._feature_gradients(points, basis, colors, color_gradients, 0, unused)
+        self.features.add_position_gradients(self.table, points.x, packed.index, gradients, out, threads)
 
-    def _feature_gradients(self, x, basis, starts, ends, colors, color_gradients, at, to):
-        chunks = len(to)
-        packed = Packed(colors, -0.5, starts, ends, chunks)
-        phi = self.features.encode(self.table, x, packed.index, chunks)
+    def _feature_gradients(self, points: ShadingPoints, basis, colors, color_gradients, at: int, to: np.ndarray):
+        """Return (packed points, dL/d(features) of theirs); adds dL/d(head's numbers) to to[:, at:]."""
+        packed = Packed.colored(points, colors, len(to))
+        phi = self.features.encode(self.table, points.x, packed.index, len(to))
         return packed, self.head.backward(phi, self.numbers, basis, packed, colors, color_gradients, at, to)
 
     def smooth(self, strength: float, to: np.ndarray) -> None:

@@ -45,19 +45,19 @@ class HashFeatures:
         new = HashFeatures(levels_of(capacity, ROW))
         return new, self.levels.regrown(table, new.levels)
 
-    def encode(self, table: np.ndarray, x: np.ndarray, index: np.ndarray, chunks: int) -> np.ndarray:
+    def encode(self, table: np.ndarray, x: np.ndarray, index: np.ndarray, threads: int) -> np.ndarray:
         """[m, width] of samples x[index]."""
         out = np.empty((len(index), self.width), np.float32)
-        hash_features.features(table, self.layout, self._levels, x, index, chunks, out)
+        hash_features.features(table, self.layout, self._levels, x, index, threads, out)
         return out
 
     def backward(self, table, x, index, gradients: np.ndarray, to: np.ndarray) -> None:
-        """Add dL/d(table) to the chunks' buffers `to` [chunks, length or more]; gradients [m, width]."""
+        """Add dL/d(table) to the threads' buffers `to` [threads, length or more]; gradients [m, width]."""
         hash_features.features_backward(self.layout, self._levels, x, index, gradients, len(to), to)
 
-    def add_position_gradients(self, table, x, index, gradients: np.ndarray, out: np.ndarray, chunks: int) -> None:
+    def add_position_gradients(self, table, x, index, gradients: np.ndarray, out: np.ndarray, threads: int) -> None:
         """Add dL/dx to out [n, 3]."""
-        hash_features.features_position_gradient(table, self.layout, self._levels, x, index, gradients, chunks, out)
+        hash_features.features_position_gradient(table, self.layout, self._levels, x, index, gradients, threads, out)
 
     def smooth(self, table: np.ndarray, strength: float, to: np.ndarray) -> None:
         """See hash_density.add_smoothness."""
@@ -104,19 +104,19 @@ class VmFeatures:
         """The same features on another grid, and their table; a head has one width, so the rank stays."""
         return VmFeatures(capacity.size, self.rank), resized_table(table, self.size, capacity.size, self.rank)
 
-    def encode(self, table: np.ndarray, x: np.ndarray, index: np.ndarray, chunks: int) -> np.ndarray:
+    def encode(self, table: np.ndarray, x: np.ndarray, index: np.ndarray, threads: int) -> np.ndarray:
         """[m, width] of samples x[index]."""
         out = np.empty((len(index), self.width), np.float32)
-        vm_features.features(table, self.size, self._ranks, x, index, chunks, out)
+        vm_features.features(table, self.size, self._ranks, x, index, threads, out)
         return out
 
     def backward(self, table, x, index, gradients: np.ndarray, to: np.ndarray) -> None:
-        """Add dL/d(table) to the chunks' buffers `to` [chunks, length or more]; gradients [m, width]."""
+        """Add dL/d(table) to the threads' buffers `to` [threads, length or more]; gradients [m, width]."""
         vm_features.features_backward(table, self.size, self._ranks, x, index, gradients, len(to), to)
 
-    def add_position_gradients(self, table, x, index, gradients: np.ndarray, out: np.ndarray, chunks: int) -> None:
+    def add_position_gradients(self, table, x, index, gradients: np.ndarray, out: np.ndarray, threads: int) -> None:
         """Add dL/dx to out [n, 3]."""
-        vm_features.features_position_gradient(table, self.size, self._ranks, x, index, gradients, chunks, out)
+        vm_features.features_position_gradient(table, self.size, self._ranks, x, index, gradients, threads, out)
 
     def smooth(self, table: np.ndarray, strength: float, to: np.ndarray) -> None:
         """As VmColor.smooth."""

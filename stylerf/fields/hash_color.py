@@ -4,9 +4,9 @@ import numpy as np
 
 from stylerf.errors import InvalidValue
 from stylerf.fields.hash_levels import grid_of
-from stylerf.fields.ray_samples import Samples
-from stylerf.fields.scratch_arena import room
+from stylerf.fields.scratch_arena import ScratchArena, empty_array
 from stylerf.kernels.cpu import hash_color as kernels
+from stylerf.kernels.cpu.ray_samples import ShadingPoints
 from stylerf.kernels.cpu.simd_hash import PRIME_X, PRIME_Y, ROW
 
 
@@ -64,34 +64,20 @@ class HashColor:
         """(begin, end, learning-rate factor) of parts of `values`."""
         return [(0, len(self.values), 1.0)]
 
-    def colors(self, x, basis, starts, ends, weights, least, chunks) -> np.ndarray:
-        """[n, 3] colors in 0..1 of samples with weight > least; others have -1 in the first channel.
-
-        basis: not used, the color is the same from everywhere.
-        """
-        out = room((len(x), 3))
-        kernels.color(self.values, self.layout, self._levels, x, starts, ends, weights, np.float32(least), chunks, out)
+    def colors(self, points: ShadingPoints, basis, threads: int, arena: ScratchArena | None = None) -> np.ndarray:
+        """See ColorPart.colors; basis is not used, the color does not depend on the view."""
+        out = empty_array((len(points.x), 3), arena)
+        kernels.color(self.values, self.layout, self._levels, points, threads, out)
         return out
 
-    def backward(self, x, basis, starts, ends, colors, color_gradients, to: np.ndarray) -> None:
-        """Add dL/d(values) to the chunks' buffers `to` [chunks, len(values)]."""
-        kernels.color_backward(self.layout, self._levels, x, starts, ends, colors, color_gradients, len(to), to)
+    def backward(self, points: ShadingPoints, basis, colors, color_gradients, to: np.ndarray) -> None:
+        """Add dL/d(values) to the threads' buffers `to` [threads, len(values)]."""
+        kernels.color_backward(self.layout, self._levels, points, colors, color_gradients, to)
 
-    def add_position_gradients(
-        self, samples: Samples, basis, colors: np.ndarray, color_gradients: np.ndarray, out, chunks: int
-    ) -> None:
-        """Add dL/dx to out [n, 3], x the samples' positions in the cube."""
+    def add_position_gradients(self, points: ShadingPoints, basis, colors, color_gradients, out, threads: int) -> None:
+        """Add dL/dx to out [n, 3]."""
         kernels.color_position_gradient(
-            self.values,
-            self.layout,
-            self._levels,
-            samples.x,
-            samples.starts,
-            samples.ends,
-            colors,
-            color_gradients,
-            chunks,
-            out,
+            self.values, self.layout, self._levels, points, colors, color_gradients, threads, out
         )
 
     def smooth(self, strength: float, to: np.ndarray) -> None:

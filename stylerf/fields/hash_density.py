@@ -5,9 +5,9 @@ import numpy as np
 from stylerf.errors import InvalidValue
 from stylerf.fields.capacity import Capacity
 from stylerf.fields.hash_levels import Levels
-from stylerf.fields.marching import walk
-from stylerf.fields.ray_samples import Samples
+from stylerf.fields.marching import MarchInputs, march
 from stylerf.kernels.cpu import hash_density as kernels
+from stylerf.kernels.cpu.ray_samples import Density, Rays, Samples
 
 FASTER = 5.0  # of the learning rate (docs/decisions/0018)
 SPAN = 16  # the finest level is so many times as fine as the coarsest
@@ -68,47 +68,27 @@ class HashDensity:
         levels = levels_of(capacity, 1)
         return HashDensity(levels, np.append(self.levels.regrown(self.table, levels), self.values[-1]))
 
-    def sigma(self, x: np.ndarray, chunks: int) -> np.ndarray:
-        """Raw density of warped points [n, 3] float32 -> [n]."""
+    def sigma(self, x: np.ndarray, threads: int) -> np.ndarray:
+        """Return raw density [n] at points [n, 3] float32 in the unit cube."""
         out = np.empty(len(x), np.float32)
-        kernels.density(self.table, self.layout, self.values[-1], self._levels, x, chunks, out)
+        kernels.density_at(self._density, self._levels, x, threads, out)
         return out
 
-    def march(self, space, rays, occupancy, step, displacement, limit, opaque, closed, chunks) -> Samples:
-        """Walk rays through the density."""
-        numbers = self.table, self.layout, self.values[-1], self._levels
-        return walk(
-            kernels.march_density,
-            numbers,
-            space,
-            rays,
-            occupancy,
-            step,
-            displacement,
-            limit,
-            opaque,
-            closed,
-            chunks,
-        )
+    @property
+    def _density(self) -> Density:
+        return Density(self.table, self.layout, self.values[-1])
 
-    def backward(self, x, starts, ends, sigma, sigma_gradients, to: np.ndarray) -> None:
-        """Add dL/d(values) to the chunks' buffers `to` [chunks, len(values)]."""
-        kernels.density_backward(self.layout, self._levels, x, starts, ends, sigma, sigma_gradients, len(to), to)
+    def march(self, rays: Rays, inputs: MarchInputs) -> Samples:
+        """March rays through the density."""
+        return march(kernels.march_density, self._density, self._levels, rays, inputs)
 
-    def add_position_gradients(self, samples: Samples, sigma_gradients, out: np.ndarray, chunks: int) -> None:
-        """Add dL/dx to out [n, 3], x the samples' positions in the cube."""
-        kernels.density_position_gradient(
-            self.table,
-            self.layout,
-            self._levels,
-            samples.x,
-            samples.starts,
-            samples.ends,
-            samples.sigma,
-            sigma_gradients,
-            chunks,
-            out,
-        )
+    def backward(self, samples: Samples, sigma_gradients: np.ndarray, to: np.ndarray) -> None:
+        """Add dL/d(values) to the threads' buffers `to` [threads, len(values)], from dL/d(sigma) [n]."""
+        kernels.density_backward(self.layout, self._levels, samples, sigma_gradients, to)
+
+    def add_position_gradients(self, samples: Samples, sigma_gradients, out: np.ndarray, threads: int) -> None:
+        """Add dL/dx to out [n, 3]."""
+        kernels.density_position_gradient(self.table, self.layout, self._levels, samples, sigma_gradients, threads, out)
 
     def smooth(self, strength: float, to: np.ndarray) -> None:
         """See add_smoothness."""

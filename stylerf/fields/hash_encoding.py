@@ -52,19 +52,21 @@ class HashEncoding:
         """Features of a point."""
         return self.levels * ROW
 
-    def forward(self, x: np.ndarray, chunks: int) -> Tensor:
+    def forward(self, x: np.ndarray, threads: int) -> Tensor:
         """phi [n, 4 levels] of cube points x [n, 3] float32 in 0..1, without a graph."""
         out = torch.empty(len(x), self.width)
-        kernels.encode(self.values, self.layout, self._levels, np.ascontiguousarray(x, np.float32), chunks, out.numpy())
+        kernels.encode(
+            self.values, self.layout, self._levels, np.ascontiguousarray(x, np.float32), threads, out.numpy()
+        )
         return out
 
     def backward(self, x: np.ndarray, gradients: np.ndarray, to: np.ndarray) -> None:
-        """Add dL/d(values) to the chunks' buffers `to` [chunks, len(values)]; gradients [n, 4 levels] = dL/d(phi)."""
+        """Add dL/d(values) to the threads' buffers `to` [threads, len(values)]; gradients [n, 4 levels] = dL/d(phi)."""
         x, gradients = (np.ascontiguousarray(array, np.float32) for array in (x, gradients))
         kernels.encode_backward(self.layout, self._levels, x, gradients, len(to), to)
 
     def __call__(self, x: np.ndarray, to: np.ndarray) -> Tensor:
-        """phi as part of a graph: its backward adds dL/d(values) to the buffers `to` [chunks, len(values)].
+        """phi as part of a graph: its backward adds dL/d(values) to the buffers `to` [threads, len(values)].
 
         Nothing is differentiable by x.
         """

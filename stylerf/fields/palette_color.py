@@ -9,11 +9,12 @@ from torch import Tensor
 from stylerf import validation
 from stylerf.editing.recoloring import Recoloring, recolored
 from stylerf.errors import InvalidValue
-from stylerf.fields.color_heads import Packed, hidden_from_view
+from stylerf.fields.color_heads import Packed, uncolored
 from stylerf.fields.encoders import HashFeatures
 from stylerf.fields.hash_levels import Levels
 from stylerf.fields.palette_head import DEGREE, PaletteHead, Parts
-from stylerf.fields.ray_samples import Samples
+from stylerf.fields.scratch_arena import ScratchArena
+from stylerf.kernels.cpu.ray_samples import ShadingPoints
 from stylerf.kernels.cpu.simd_hash import ROW
 
 POINTS_AT_ONCE = 1 << 16
@@ -107,40 +108,39 @@ class PaletteColor:
         return recolored(*given, palette, self.edits, x).clamp(0, 1)
 
     @torch.no_grad()
-    def colors(self, x, basis, starts, ends, weights, least, chunks) -> np.ndarray:
-        """[n, 3] colors in 0..1 of samples with weight > least; others have -1 in the first channel."""
-        out, rest = hidden_from_view(starts, ends, len(x), chunks), torch.from_numpy(self.rest)
-        packed = Packed(weights.reshape(-1, 1), least, starts, ends, chunks)
+    def colors(
+        self, points: ShadingPoints, basis: np.ndarray, threads: int, arena: ScratchArena | None = None
+    ) -> np.ndarray:
+        """See ColorPart.colors."""
+        out, rest, x = uncolored(points, threads, arena), torch.from_numpy(self.rest), points.x
+        packed = Packed.weighted(points, threads)
         for at in range(0, len(packed.index), POINTS_AT_ONCE):
             index, rays = packed.index[at : at + POINTS_AT_ONCE], packed.ray[at : at + POINTS_AT_ONCE]
-            phi = torch.from_numpy(self.features.encode(self.table, x, index, chunks))
+            phi = torch.from_numpy(self.features.encode(self.table, x, index, threads))
             out[index] = self._shown(rest, phi, torch.from_numpy(basis[rays]), x[index]).numpy()
         return out
 
-    def backward(self, x, basis, starts, ends, colors, color_gradients, to: np.ndarray) -> None:
-        """Add dL/d(values) to the chunks' buffers `to` [chunks, len(values)]."""
-        packed, gradients, own = self._feature_gradients(x, basis, starts, ends, colors, color_gradients, len(to))
-        self.features.backward(self.table, x, packed.index, gradients, to)
+    def backward(self, points: ShadingPoints, basis, colors, color_gradients, to: np.ndarray) -> None:
+        """Add dL/d(values) to the threads' buffers `to` [threads, len(values)]."""
+        packed, gradients, own = self._feature_gradients(points, basis, colors, color_gradients, len(to))
+        self.features.backward(self.table, points.x, packed.index, gradients, to)
         to[0, self.features.length :] += own
 
-    def add_position_gradients(
-        self, samples: Samples, basis, colors: np.ndarray, color_gradients: np.ndarray, out, chunks: int
-    ) -> None:
-        """Add dL/dx to out [n, 3], x the samples' positions in the cube; the slope of edits' filters is left out."""
-        where = samples.x, basis, samples.starts, samples.ends
-        packed, gradients, _ = self._feature_gradients(*where, colors, color_gradients, chunks)
-        self.features.add_position_gradients(self.table, samples.x, packed.index, gradients, out, chunks)
+    def add_position_gradients(self, points: ShadingPoints, basis, colors, color_gradients, out, threads: int) -> None:
+        """Add dL/dx to out [n, 3]; the slope of the edits' filters is left out."""
+        packed, gradients, _ = self._feature_gradients(points, basis, colors, color_gradients, threads)
+        self.features.add_position_gradients(self.table, points.x, packed.index, gradients, out, threads)
 
-    def _feature_gradients(self, x, basis, starts, ends, colors, color_gradients, chunks):
-        """(packed samples, dL/d(phi) of theirs, dL/d(palette and head))."""
-        packed = Packed(colors, -0.5, starts, ends, chunks)
+    def _feature_gradients(self, points: ShadingPoints, basis, colors, color_gradients, threads: int):
+        """Return (packed points, dL/d(features) of theirs, dL/d(palette and head))."""
+        packed, x = Packed.colored(points, colors, threads), points.x
         gradients = np.empty((len(packed.index), self.features.width), np.float32)
         own = np.zeros(len(self.rest), np.float32)
         for at in range(0, len(packed.index), POINTS_AT_ONCE):
             part = slice(at, at + POINTS_AT_ONCE)
             index, rays = packed.index[part], packed.ray[part]
             rest = torch.from_numpy(self.rest.copy()).requires_grad_()
-            phi = torch.from_numpy(self.features.encode(self.table, x, index, chunks)).requires_grad_()
+            phi = torch.from_numpy(self.features.encode(self.table, x, index, threads)).requires_grad_()
             shown = self._shown(rest, phi, torch.from_numpy(basis[rays]), x[index])
             shown.backward(torch.from_numpy(color_gradients[index]))
             gradients[part] = phi.grad.numpy()

@@ -9,11 +9,11 @@ import numpy as np
 from stylerf import validation
 from stylerf.errors import InvalidValue
 from stylerf.fields.capacity import Capacity
-from stylerf.fields.marching import walk
+from stylerf.fields.marching import MarchInputs, march
 from stylerf.fields.occupancy_grid import OccupancyGrid
-from stylerf.fields.ray_samples import Samples
 from stylerf.geometry.spherical_harmonics import BANDS
 from stylerf.kernels.cpu import voxel as kernels
+from stylerf.kernels.cpu.ray_samples import Density, Rays, Samples
 
 BLOCK = 4  # vertices a side; as many as a cell of a 64^3 occupancy grid is wide at 256^3
 # Of the learning rate: a voxel is alone where vm multiplies rows, which all move at once (docs/decisions/0018).
@@ -134,46 +134,28 @@ class VoxelDensity:
         table[: BLOCK**3] = EMPTY
         return VoxelDensity(grid, np.append(table, self.values[-1]))
 
-    def sigma(self, x: np.ndarray, chunks: int) -> np.ndarray:
-        """Raw density of warped points [n, 3] float32 -> [n]."""
+    def sigma(self, x: np.ndarray, threads: int) -> np.ndarray:
+        """Return raw density [n] at points [n, 3] float32 in the unit cube."""
         out = np.empty(len(x), np.float32)
-        kernels.density(self.table, self.grid.links, self.values[-1], self._widths, x, chunks, out)
+        kernels.density_at(self._density, self._widths, x, threads, out)
         return out
 
-    def march(self, space, rays, occupancy, step, displacement, limit, opaque, closed, chunks) -> Samples:
-        """Walk rays through the density."""
-        numbers = self.table, self.grid.links, self.values[-1], self._widths
-        return walk(
-            kernels.march_density,
-            numbers,
-            space,
-            rays,
-            occupancy,
-            step,
-            displacement,
-            limit,
-            opaque,
-            closed,
-            chunks,
-        )
+    @property
+    def _density(self) -> Density:
+        return Density(self.table, self.grid.links, self.values[-1])
 
-    def backward(self, x, starts, ends, sigma, sigma_gradients, to: np.ndarray) -> None:
-        """Add dL/d(values) to the chunks' buffers `to` [chunks, len(values)]."""
-        kernels.density_backward(self.grid.links, self._widths, x, starts, ends, sigma, sigma_gradients, len(to), to)
+    def march(self, rays: Rays, inputs: MarchInputs) -> Samples:
+        """March rays through the density."""
+        return march(kernels.march_density, self._density, self._widths, rays, inputs)
 
-    def add_position_gradients(self, samples: Samples, sigma_gradients, out: np.ndarray, chunks: int) -> None:
-        """Add dL/dx to out [n, 3], x the samples' positions in the cube."""
+    def backward(self, samples: Samples, sigma_gradients: np.ndarray, to: np.ndarray) -> None:
+        """Add dL/d(values) to the threads' buffers `to` [threads, len(values)], from dL/d(sigma) [n]."""
+        kernels.density_backward(self.grid.links, self._widths, samples, sigma_gradients, to)
+
+    def add_position_gradients(self, samples: Samples, sigma_gradients, out: np.ndarray, threads: int) -> None:
+        """Add dL/dx to out [n, 3]."""
         kernels.density_position_gradient(
-            self.table,
-            self.grid.links,
-            self._widths,
-            samples.x,
-            samples.starts,
-            samples.ends,
-            samples.sigma,
-            sigma_gradients,
-            chunks,
-            out,
+            self.table, self.grid.links, self._widths, samples, sigma_gradients, threads, out
         )
 
     def smooth(self, strength: float, to: np.ndarray) -> None:
@@ -222,19 +204,19 @@ class VoxelFeatures:
         new = VoxelFeatures(Grid.of(capacity), self.width)
         return new, sampled(self.grid, table, self._widths, new.grid)
 
-    def encode(self, table: np.ndarray, x: np.ndarray, index: np.ndarray, chunks: int) -> np.ndarray:
+    def encode(self, table: np.ndarray, x: np.ndarray, index: np.ndarray, threads: int) -> np.ndarray:
         """[m, width] of samples x[index]."""
         out = np.empty((len(index), self.width), np.float32)
-        kernels.features(table, self.grid.links, self._widths, x, index, chunks, out)
+        kernels.features(table, self.grid.links, self._widths, x, index, threads, out)
         return out
 
     def backward(self, table, x, index, gradients: np.ndarray, to: np.ndarray) -> None:
-        """Add dL/d(table) to the chunks' buffers `to` [chunks, length or more]; gradients [m, width]."""
+        """Add dL/d(table) to the threads' buffers `to` [threads, length or more]; gradients [m, width]."""
         kernels.features_backward(self.grid.links, self._widths, x, index, gradients, len(to), to)
 
-    def add_position_gradients(self, table, x, index, gradients: np.ndarray, out: np.ndarray, chunks: int) -> None:
+    def add_position_gradients(self, table, x, index, gradients: np.ndarray, out: np.ndarray, threads: int) -> None:
         """Add dL/dx to out [n, 3]."""
-        kernels.features_position_gradient(table, self.grid.links, self._widths, x, index, gradients, chunks, out)
+        kernels.features_position_gradient(table, self.grid.links, self._widths, x, index, gradients, threads, out)
 
     def smooth(self, table: np.ndarray, strength: float, to: np.ndarray) -> None:
         """As VoxelDensity.smooth."""

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
+from stylerf.fields.ray_samples import Rays, Samples
 
 from stylerf.fields.capacity import Capacity
 from stylerf.fields.encoded_color import EncodedColor
@@ -15,7 +16,6 @@ from stylerf.fields.hash_density import HashDensity
 from stylerf.fields.hash_levels import Levels
 from stylerf.fields.occupancy_grid import OccupancyGrid
 from stylerf.fields.radiance_field import RadianceField
-from stylerf.fields.ray_samples import Rays, Samples
 from stylerf.fields.vm import VmColor, VmDensity
 from stylerf.fields.voxel import Grid, VoxelDensity
 from stylerf.geometry.space_warp import SpaceWarp

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import OpenImageIO as oiio
 import pytest
+from stylerf.fields.ray_samples import Rays
 
 from schemas import partial_artifact as partial
 from schemas.frames import read_frames
@@ -18,7 +19,6 @@ from stages.artifacts.field import load_field
 from stages.artifacts.region import save_region
 from stages.artifacts.region_masks import channels_of
 from stylerf.editing.edit_grid import Region
-from stylerf.fields.ray_samples import Rays
 from stylerf.geometry.cameras import Camera
 from stylerf_cli.main import main
 

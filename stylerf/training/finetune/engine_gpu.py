@@ -10,7 +10,7 @@ from stylerf.fields.gpu.field import GpuField, marked_cells
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.fields.region_color import RegionColor
 from stylerf.kernels.gpu import launch_edit
-from stylerf.rendering.rays import SAMPLE_LIMIT
+from stylerf.rendering.rays import SAMPLES_PER_RAY
 from stylerf.training.common.async_readback import AsyncReadback, sent
 from stylerf.training.common.process_group import ALONE, ProcessGroup
 from stylerf.training.common.ray_dataset import RayDataset
@@ -62,7 +62,7 @@ class GpuFineTuneEngine:
             sent(array, self.device) for array in (numbers, batch.jitter, batch.depth.astype(np.float32))
         )
         rays, wanted = self.bank.at(chosen, jitter)
-        rendered = field.render_rays(rays, room=min(len(chosen) * SAMPLE_LIMIT, MOST_ROOM), limit=SAMPLE_LIMIT)
+        rendered = field.render_rays(rays, room=min(len(chosen) * SAMPLES_PER_RAY, MOST_ROOM), limit=SAMPLES_PER_RAY)
         if field.closed and self.bank.channels == 4:
             wanted = unhidden(wanted, rendered.out, s.background)
         pulling = 2 * s.depth_weight / batch.inside if moving and batch.inside else 0.0

@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
+from stylerf.fields.ray_samples import Rays
 
 from stylerf.editing.edit_grid import Region, alpha_inside, march_view
 from stylerf.editing.edit_views import EditView
 from stylerf.editing.extraction import Extraction, seen_of_view
 from stylerf.fields.occupancy_grid import OccupancyGrid
 from stylerf.fields.radiance_field import RadianceField
-from stylerf.fields.ray_samples import Rays
 from stylerf.geometry.space_warp import SpaceWarp
 from stylerf.rendering.rays import render_rays
 from tests.stylerf.small import density, vm_color

@@ -5,13 +5,13 @@ import json
 import numpy as np
 import pytest
 import torch
+from stylerf.fields.ray_samples import Rays
 
 from stylerf.editing.palette_edits import PaletteEdits
 from stylerf.editing.recoloring import Recoloring, SpaceFilter
 from stylerf.errors import InvalidValue
 from stylerf.fields.palette_color import PaletteColor
 from stylerf.fields.radiance_field import RadianceField
-from stylerf.fields.ray_samples import Rays
 from stylerf.geometry.space_warp import SpaceWarp
 from stylerf.kernels import torch_reference
 from stylerf.rendering.rays import render_rays

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-
 from stylerf.fields.ray_samples import Rays
+
 from stylerf.geometry.space_warp import SpaceWarp
 from stylerf.rendering import view as module
 from stylerf.rendering.rays import SAMPLE_LIMIT

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
+from stylerf.fields.ray_samples import Rays
 
 from stylerf.fields.displacement_grid import displacement_gradient
 from stylerf.fields.occupancy_grid import OccupancyGrid
-from stylerf.fields.ray_samples import Rays
 from stylerf.kernels import torch_reference
 from stylerf.kernels.cpu.deformation import displaced_cells, mark_cells
 from stylerf.kernels.cpu.march import OPTICAL_SCALE

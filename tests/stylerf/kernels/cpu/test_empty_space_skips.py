@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 import torch
+from stylerf.fields.ray_samples import Rays
 
 from stylerf.fields.occupancy_grid import OccupancyGrid
-from stylerf.fields.ray_samples import Rays
 from stylerf.fields.vm import VmDensity
 from stylerf.fields.vm_tables import split_table
 from stylerf.kernels import torch_reference

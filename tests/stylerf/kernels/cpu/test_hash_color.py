@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 import torch
+from stylerf.fields.ray_samples import Samples
 
 from stylerf.fields.hash_color import HashColor
-from stylerf.fields.ray_samples import Samples
 from tests.stylerf.kernels.cpu.test_vm import added, buffers, owned, samples
 from tests.stylerf.small import close, float64, hash_color, oracle_color
 

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 import torch
+from stylerf.fields.ray_samples import Rays
 
 from stylerf.fields.occupancy_grid import OccupancyGrid
-from stylerf.fields.ray_samples import Rays
 from stylerf.fields.vm import VmDensity
 from stylerf.geometry.space_warp import SpaceWarp
 from stylerf.kernels import torch_reference

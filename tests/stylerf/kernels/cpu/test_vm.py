@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 import torch
-
 from stylerf.fields.ray_samples import Samples
+
 from stylerf.fields.vm import VmDensity
 from stylerf.fields.vm_tables import split_table
 from stylerf.geometry.spherical_harmonics import harmonics

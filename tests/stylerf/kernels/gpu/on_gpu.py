@@ -4,8 +4,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import torch
-
 from stylerf.fields.ray_samples import Samples
+
 from stylerf.geometry.spherical_harmonics import harmonics
 from tests.stylerf.small import Packed, float64, oracle_pixels
 

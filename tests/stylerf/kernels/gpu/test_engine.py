@@ -5,10 +5,10 @@ import functools
 import numpy as np
 import pytest
 import torch
+from stylerf.fields.ray_samples import Rays
 
 from stylerf.fields.occupancy_grid import OccupancyGrid
 from stylerf.fields.radiance_field import RadianceField
-from stylerf.fields.ray_samples import Rays
 from stylerf.fields.region_color import RegionColor
 from stylerf.fields.vm_tables import split_table
 from stylerf.geometry.cameras import Camera

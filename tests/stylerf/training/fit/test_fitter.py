@@ -6,9 +6,9 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from stylerf.fields.ray_samples import Rays
 
 from stylerf.errors import Diverged
-from stylerf.fields.ray_samples import Rays
 from stylerf.geometry.space_warp import SpaceWarp
 from stylerf.rendering.rays import backward, render_rays
 from stylerf.training.common.ray_dataset import RayDataset

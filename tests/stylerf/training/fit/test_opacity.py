@@ -41,6 +41,7 @@ def test_rays_of_a_fit_are_clear_or_opaque():
 def seen(fitter) -> np.ndarray:
     """Opacity of the held-out rays."""
     from stylerf.fields.ray_samples import Rays
+
     from stylerf.rendering.rays import render_rays
 
     origins, directions = fitter._held_out_rays[:2]
