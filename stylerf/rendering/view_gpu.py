@@ -88,7 +88,7 @@ class GpuRenderer:
             rendered = self.field.render_rays(
                 rays, min_transmittance=min_transmittance, weight_threshold=self.field.weight_threshold
             )
-            found = [rendered.seen(), *(alpha_inside(cells, rendered) for cells in marked.values())]
+            found = [rendered.with_surface_distance(), *(alpha_inside(cells, rendered) for cells in marked.values())]
             on_rays(end)
             return found
 

@@ -35,7 +35,7 @@ ENCODERS = {
 
 
 class GpuEncodedColor:
-    """fields/encoded_color.py's HeadedColor. half: the table is read as halves, which cannot be taught."""
+    """fields/encoded_color.py's EncodedColor. half: the table is read as halves, which cannot be taught."""
 
     def __init__(self, part, device: torch.device, half: bool = False) -> None:
         self.values = torch.from_numpy(part.values).to(device, copy=True)
@@ -50,14 +50,14 @@ class GpuEncodedColor:
         # The harmonics head has no numbers, and a kernel's argument must be something.
         self.numbers = self.values[part.features.length :] if part.head.length else self.values
 
-    def colors(self, samples: GpuSamples, directions: Tensor, share: float) -> Tensor:
-        """[room, 3] in 0..1; -1 in the first channel of samples under `share` of their ray's largest weight."""
-        return launch_heads.headed_colors(self, samples, directions, share)
+    def visible_colors(self, samples: GpuSamples, directions: Tensor, weight_threshold: float) -> Tensor:
+        """See GpuVmColor.visible_colors."""
+        return launch_heads.headed_colors(self, samples, directions, weight_threshold)
 
     def backward(self, samples: GpuSamples, directions, colors, color_gradients, to: Tensor) -> None:
         """Add dL/d(values) to `to` [len(values)]."""
         launch_heads.headed_colors_backward(self, samples, directions, colors, color_gradients, to)
 
     def smooth(self, strength: float, to: Tensor) -> None:
-        """As HeadedColor.smooth."""
+        """As EncodedColor.smooth."""
         self.encoder.smooth(self.values, strength, to)

@@ -8,7 +8,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from stylerf.fields.occupancy_grid import DENSEST, MARK, OPAQUE_STEP, UNSEEN
-from stylerf.kernels.torch_reference import OPTICAL_SCALE
+from stylerf.kernels.cpu.march import OPTICAL_SCALE
 
 FARTHEST = 32  # cells; distances beyond are told as this one: leaps come out shorter, never wrong
 
@@ -32,7 +32,7 @@ def refresh(field, seed: int, share: int, decay: float) -> None:
 def decide(field) -> None:
     """Recompute the distances of a DeviceField from what was seen in its cells."""
     cells = field.cells
-    least = -math.log1p(-OPAQUE_STEP) / (OPTICAL_SCALE * field.step)
+    least = -math.log1p(-OPAQUE_STEP) / (float(OPTICAL_SCALE) * field.step)
     occupied = field.highest > field.highest.clamp(max=MARK).mean().clamp(max=least)
     if field.clear is not None:
         occupied &= ~field.clear

@@ -79,7 +79,8 @@ class StylizationTrainer:
         self._guard = DivergenceGuard(settings)
         self.cameras, self.painting, self.trunk = cameras, painting, trunk
         self._palette = spread_at_least(painting, settings.least_spread)
-        self.field = replace(scene, color_map=None, weight_threshold=scene.weight_threshold if self.partial else settings.share)
+        threshold = scene.weight_threshold if self.partial else settings.share
+        self.field = replace(scene, color_map=None, weight_threshold=threshold)
         self.closed = scene.opaque_background
         self._prepare_shapes()
         self.still = self._fixed_geometry()

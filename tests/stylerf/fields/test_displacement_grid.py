@@ -1,9 +1,9 @@
 """Which vertices of a displacement grid matter: those around what rays see, by a loop over samples."""
 
 import numpy as np
-from stylerf.fields.ray_samples import Rays
 
 from stylerf.fields.displacement_grid import occupancy_of_seen, seen_cells, vertices_of
+from stylerf.kernels.cpu.ray_samples import Rays
 from tests.stylerf.small import SPACES, field_of, hash_color, rays_into
 
 
