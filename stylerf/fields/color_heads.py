@@ -10,7 +10,7 @@ from stylerf.kernels.cpu import mlp_head
 from stylerf.kernels.cpu.color_heads import count_marked, hide, pack_marked
 from stylerf.kernels.cpu.ray_samples import ShadingPoints
 
-HIDDEN = 32  # units; a row of them is one vector
+HIDDEN = 32  # units; one row of them is one SIMD vector
 
 
 class Packed:
@@ -49,21 +49,21 @@ class LinearHead:
 
     @property
     def length(self) -> int:
-        """How many numbers it has."""
+        """Number of values."""
         return 3 * BANDS[self.degree] * self.features + 3
 
     def initial(self, generator: np.random.Generator) -> np.ndarray:
-        """Random, little dependent on the direction, around an even gray."""
+        """Return random values around an even gray, with little dependence on the direction."""
         head = generator.uniform(-1, 1, (3, BANDS[self.degree], self.features)) / np.sqrt(self.features) / C0
         head[:, 1:] *= 0.1
         return np.append(head.ravel(), np.zeros(3)).astype(np.float32)
 
     def colors(self, phi, numbers, basis, packed: Packed, threads: int, out: np.ndarray) -> None:
-        """Colors of packed samples of features phi [m, features], into out [n, 3]."""
+        """Write the colors of packed samples with features phi [m, features] into out [n, 3]."""
         kernels.linear(phi, self._widths, numbers, basis, packed.index, packed.ray, threads, out)
 
     def backward(self, phi, numbers, basis, packed, colors, color_gradients, at: int, to: np.ndarray) -> np.ndarray:
-        """dL/d(phi) [m, features]; dL/d(numbers) is added to the threads' buffers to[:, at:]."""
+        """Return dL/d(phi) [m, features]; add dL/d(numbers) to the threads' buffers to[:, at:]."""
         out = np.empty_like(phi)
         kernels.linear_backward(
             phi,
@@ -94,18 +94,18 @@ class HarmonicHead:
 
     def __init__(self, features: int, degree: int) -> None:
         if features != 3 * BANDS[degree]:
-            raise InvalidValue(f"{features} features are no coefficients of degree {degree}")
+            raise InvalidValue(f"{features} features are not coefficients of degree {degree}")
         self.features, self.degree = features, degree
 
     def initial(self, generator: np.random.Generator) -> np.ndarray:
         return np.empty(0, np.float32)
 
     def colors(self, phi, numbers, basis, packed: Packed, threads: int, out: np.ndarray) -> None:
-        """Colors of packed samples of features phi [m, features], into out [n, 3]."""
+        """Write the colors of packed samples with features phi [m, features] into out [n, 3]."""
         kernels.harmonic(phi, basis, packed.index, packed.ray, threads, out)
 
     def backward(self, phi, numbers, basis, packed, colors, color_gradients, at: int, to: np.ndarray) -> np.ndarray:
-        """dL/d(phi) [m, features]."""
+        """Return dL/d(phi) [m, features]."""
         out = np.empty_like(phi)
         kernels.harmonic_backward(basis, packed.index, packed.ray, colors, color_gradients, len(to), out)
         return out
@@ -126,11 +126,11 @@ class MlpHead:
 
     @property
     def length(self) -> int:
-        """How many numbers it has."""
+        """Number of values."""
         return (self.features + BANDS[self.degree] + 1 + 3) * HIDDEN + 3
 
     def initial(self, generator: np.random.Generator) -> np.ndarray:
-        """He et al. 2015, uniform; what the direction adds is small at first."""
+        """Return uniform initial values (He et al. 2015), those of the direction small."""
         first = generator.uniform(-1, 1, (self.features, HIDDEN)) * np.sqrt(6 / self.features)
         seen = generator.uniform(-0.1, 0.1, (BANDS[self.degree], HIDDEN))
         second = generator.uniform(-1, 1, (3, HIDDEN)) * np.sqrt(6 / HIDDEN)
@@ -138,11 +138,11 @@ class MlpHead:
         return np.concatenate([part.ravel() for part in parts]).astype(np.float32)
 
     def colors(self, phi, numbers, basis, packed: Packed, threads: int, out: np.ndarray) -> None:
-        """Colors of packed samples of features phi [m, features], into out [n, 3]."""
+        """Write the colors of packed samples with features phi [m, features] into out [n, 3]."""
         mlp_head.mlp(phi, self._hidden, numbers, basis, packed.index, packed.ray, threads, out)
 
     def backward(self, phi, numbers, basis, packed, colors, color_gradients, at: int, to: np.ndarray) -> np.ndarray:
-        """dL/d(phi) [m, features]; dL/d(numbers) is added to the threads' buffers to[:, at:]."""
+        """Return dL/d(phi) [m, features]; add dL/d(numbers) to the threads' buffers to[:, at:]."""
         out, where = np.empty_like(phi), (basis, packed.index, packed.ray)
         mlp_head.mlp_backward(phi, self._hidden, numbers, *where, colors, color_gradients, len(to), out, at, to)
         return out

@@ -1,4 +1,4 @@
-"""A color as an encoder of places (encoders.py) and a head behind it (color_heads.py), any with any."""
+"""A color as an encoder of positions (encoders.py) followed by a head (color_heads.py), in any combination."""
 
 import numpy as np
 
@@ -15,8 +15,8 @@ from stylerf.kernels.cpu.ray_samples import ShadingPoints
 class EncodedColor:
     """Color head(features(x), d). values: the features' table, the head's numbers.
 
-    Features of all colored samples are written out between the two: 4 bytes times their width a sample (at most a
-    twentieth of a step), for which any encoder goes with any head.
+    Features of all colored samples are written to memory between the two, 4 bytes times their width per sample. That
+    costs at most a twentieth of a step, and any encoder works with any head.
     """
 
     kind = "headed"
@@ -32,14 +32,14 @@ class EncodedColor:
     def create(
         cls, kind: str, head: str, capacity: Capacity, degree: int, generator: np.random.Generator
     ) -> "EncodedColor":
-        """head: linear or mlp. What a voxel holds are coefficients already: `linear` leaves them as they are."""
+        """Create a color; head: linear or mlp. A voxel already holds coefficients, which `linear` uses directly."""
         features = FEATURES[kind].of(capacity, degree)
         made = HEADS["harmonic" if (kind, head) == ("voxel", "linear") else head](features.width, degree)
         return cls(features, made, np.concatenate([features.initial(generator), made.initial(generator)]))
 
     @property
     def degree(self) -> int:
-        """Of the spherical harmonics that are asked for."""
+        """Of the spherical harmonics that the head reads."""
         return self.head.degree
 
     @property
@@ -48,16 +48,16 @@ class EncodedColor:
 
     @property
     def numbers(self) -> np.ndarray:
-        """The head's."""
+        """The head's values."""
         return self.values[self.features.length :]
 
     def groups(self) -> list[tuple[int, int, float]]:
-        """(begin, end, learning-rate factor) of parts of `values`."""
+        """Return (begin, end, learning-rate factor) of slices of `values`."""
         features, end = self.features, len(self.values)
         return [(features.fixed, features.length, features.rate), (features.length, end, self.head.rate)]
 
     def grown(self, capacity: Capacity, generator: np.random.Generator) -> "EncodedColor":
-        """The same color at a larger capacity."""
+        """Return the same color at a larger capacity."""
         features, table = self.features.grown(self.table, capacity, generator)
         return EncodedColor(features, self.head, np.concatenate([table, self.numbers]))
 

@@ -1,4 +1,4 @@
-"""A multi-resolution hash grid (Mueller et al. 2022) as a density, one float at a vertex."""
+"""A multi-resolution hash grid (Mueller et al. 2022) as a density, one float per vertex."""
 
 import numpy as np
 
@@ -9,12 +9,12 @@ from stylerf.fields.marching import MarchInputs, march
 from stylerf.kernels.cpu import hash_density as kernels
 from stylerf.kernels.cpu.ray_samples import Density, Rays, Samples
 
-FASTER = 5.0  # of the learning rate (docs/decisions/0018)
-SPAN = 16  # the finest level is so many times as fine as the coarsest
+RATE_FACTOR = 5.0  # of the learning rate (decision 0018)
+SPAN = 16  # ratio of the finest to the coarsest resolution
 
 
 def levels_of(capacity: Capacity, width: int) -> Levels:
-    """The levels that a capacity asks for."""
+    """Return the levels of a capacity, with `width` floats per vertex."""
     base = max(2, capacity.finest // SPAN)
     whole = Levels(capacity.levels, base, capacity.finest, capacity.table, width, capacity.levels)
     return whole.within(capacity.resolution)
@@ -23,9 +23,9 @@ def levels_of(capacity: Capacity, width: int) -> Levels:
 def add_smoothness(levels: Levels, table: np.ndarray, strength: float, to: np.ndarray) -> None:
     """Add the gradient of a hash grid's total variation to buffer `to` [len(table) or more].
 
-    Levels whose vertices have entries of their own: strength/2 times the mean squared difference of neighbors. Of a
-    hashed level neighbors may be places far apart; there the values are drawn to zero, which leaves what is seen to
-    the coarser, smooth levels. Means are over all floats of the grid.
+    For directly indexed levels: strength/2 times the mean squared difference of neighbors. In hashed levels neighboring
+    entries may belong to distant places; their values decay to zero instead, which leaves the scene to the coarser,
+    smooth levels. Means are over all floats of the grid.
     """
     strength = np.float32(strength / levels.length)
     for level in range(levels.active):
@@ -37,7 +37,7 @@ def add_smoothness(levels: Levels, table: np.ndarray, strength: float, to: np.nd
 
 
 class HashDensity:
-    """Raw density exp(shift + sum of all levels' trilinear mixes) on the unit cube. values: levels' tables, shift."""
+    """Raw density exp(shift + sum of all levels' interpolated values). values: levels' tables, shift."""
 
     kind = "hash"
 
@@ -50,7 +50,7 @@ class HashDensity:
 
     @classmethod
     def create(cls, capacity: Capacity, generator: np.random.Generator, shift: float = -4.0) -> "HashDensity":
-        """A thin fog, as VmDensity.create's."""
+        """Create a thin fog, as VmDensity.create does."""
         levels = levels_of(capacity, 1)
         values = generator.uniform(-1e-2, 1e-2, levels.length).astype(np.float32)
         return cls(levels, np.append(values, np.float32(shift)))
@@ -60,11 +60,11 @@ class HashDensity:
         return self.values[:-1]
 
     def groups(self) -> list[tuple[int, int, float]]:
-        """(begin, end, learning-rate factor) of parts of `values`."""
-        return [(0, len(self.values), FASTER)]
+        """Return (begin, end, learning-rate factor) of slices of `values`."""
+        return [(0, len(self.values), RATE_FACTOR)]
 
     def grown(self, capacity: Capacity, generator: np.random.Generator) -> "HashDensity":
-        """The same density with more levels active and larger tables."""
+        """Return the same density with more levels active and larger tables."""
         levels = levels_of(capacity, 1)
         return HashDensity(levels, np.append(self.levels.regrown(self.table, levels), self.values[-1]))
 

@@ -1,4 +1,4 @@
-"""A color as a palette of the whole scene, mixed at every place (PaletteNeRF): its palette can be changed at once."""
+"""A palette for the whole scene, mixed at every point (PaletteNeRF, Kuang et al. 2023), that can be edited at once."""
 
 from collections.abc import Sequence
 
@@ -24,8 +24,8 @@ MOST_BASES = 16
 class PaletteColor:
     """Color clamp(sum_i w_i I (P_i + delta_i) + s, 0, 1) of fields/palette_head.py, after `edits`.
 
-    values: the features' table, the palette [bases, 3], the head's numbers. edits: in their order; they are part of
-    what describe() tells, and teach nothing.
+    values: the features' table, the palette [bases, 3], the head's numbers. edits: in their order; part of describe();
+    they do not learn.
     """
 
     kind = "palette"
@@ -48,21 +48,21 @@ class PaletteColor:
     def create(
         cls, generator: np.random.Generator, palette: np.ndarray, levels: int, finest: int, table: int, base: int = 16
     ) -> "PaletteColor":
-        """palette [bases, 3] sRGB: where it begins. table: most vertices a level keeps, a power of two."""
+        """Create a color from an initial palette [bases, 3], sRGB. table: most vertices of a level, a power of two."""
         features = HashFeatures(Levels(levels, min(base, finest), finest, table, ROW, levels))
         head = PaletteHead(features.width, len(palette))
         parts = [features.initial(generator), np.asarray(palette, np.float32).ravel(), head.initial(generator)]
         return cls(features, len(palette), np.concatenate(parts))
 
     def edited(self, edit: Recoloring) -> "PaletteColor":
-        """The same color with one edit more; `values` are shared."""
+        """Return the color with one more edit; `values` are shared."""
         return PaletteColor(self.features, self.bases, self.values, (*self.edits, edit))
 
     # -- its values -------------------------------------------------------------------------------------------------
 
     @property
     def finest(self) -> int:
-        """Cells a side of the finest level."""
+        """Cells per side of the finest level."""
         return self.features.levels.finest
 
     @property
@@ -76,19 +76,19 @@ class PaletteColor:
 
     @property
     def palette(self) -> np.ndarray:
-        """[bases, 3] as learned, sRGB; not bound to 0..1."""
+        """[bases, 3] as learned, sRGB; not limited to 0..1."""
         return self.rest[: 3 * self.bases].reshape(-1, 3)
 
     @property
     def present_palette(self) -> np.ndarray:
-        """[bases, 3] with the colors that edits gave, wherever they apply."""
+        """[bases, 3] after the edits' color changes."""
         palette = self.palette
         for edit in self.edits:
             palette = edit.changes.palette(palette)
         return palette
 
     def groups(self) -> list[tuple[int, int, float]]:
-        """(begin, end, learning-rate factor) of parts of `values`: table, palette, head."""
+        """Return (begin, end, learning-rate factor) of slices of `values`: table, palette, head."""
         begin, end = self.features.length, self.features.length + 3 * self.bases
         return [(0, begin, 3.0), (begin, end, 0.1), (end, len(self.values), 0.5)]
 

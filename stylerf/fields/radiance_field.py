@@ -11,7 +11,7 @@ from stylerf.fields.encoded_color import EncodedColor
 from stylerf.fields.hash_color import HashColor
 from stylerf.fields.hash_density import HashDensity
 from stylerf.fields.marching import MarchInputs, displacement_arrays, occupancy_arrays, space_arrays
-from stylerf.fields.occupancy_grid import MOST_CELLS, OccupancyGrid
+from stylerf.fields.occupancy_grid import MAX_CELLS, OccupancyGrid
 from stylerf.fields.palette_color import PaletteColor
 from stylerf.fields.protocol import ColorPart, DensityPart
 from stylerf.fields.region_color import RegionColor
@@ -126,7 +126,7 @@ class RadianceField:
             SpaceWarp.restore(validation.entry(data, "space")),
             kind.restore(density, _values(arrays, "density")),
             _color(validation.entry(data, "color"), arrays, "color"),
-            OccupancyGrid.restore(validation.integer(data, "cells", 1, MOST_CELLS), arrays),
+            OccupancyGrid.restore(validation.integer(data, "cells", 1, MAX_CELLS), arrays),
             validation.number(data, "step", MIN_STEP, 1.0),
             _displacement(arrays),
             _color_map(data.get("color_map")),
@@ -168,7 +168,7 @@ def _color(data: dict, arrays: dict[str, np.ndarray], name: str, regions: int = 
     kind = validation.one_of(data, "kind", [*COLOR_KINDS, *([RegionColor.kind] if regions else [])])
     if kind != RegionColor.kind:
         return COLOR_KINDS[kind].restore(data, _values(arrays, name))
-    marked = validation.bits(arrays, f"{name}.marked", validation.integer(data, "cells", 1, MOST_CELLS))
+    marked = validation.bits(arrays, f"{name}.marked", validation.integer(data, "cells", 1, MAX_CELLS))
     own = HashColor.restore(validation.entry(data, "own"), _values(arrays, name))
     return RegionColor(_color(validation.entry(data, "base"), arrays, f"{name}.base", regions - 1), own, marked)
 

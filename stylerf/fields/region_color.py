@@ -1,7 +1,7 @@
-"""Colors of a region's own, over a field's: what lies outside the region keeps its color, bit for bit.
+"""A region's own colors on top of a field's: everything outside the region keeps its color, bit for bit.
 
-Planes and lines (vm) and hash tables are shared by places far apart, so that teaching a part of a scene new colors
-tints others; here only the region's samples are asked, and only its own numbers learn.
+Planes and lines (vm) and hash tables are shared by distant places, so that fine-tuning a part of a scene tints others.
+Here only the region's samples are evaluated, and only its own values learn.
 """
 
 import numpy as np
@@ -14,10 +14,12 @@ from stylerf.kernels.cpu.ray_samples import ShadingPoints
 
 
 class RegionColor:
-    """Color sigmoid(logit(base) + f) in marked cells, f the logits of `own` (a hash grid over the cells' box); base
+    """Color sigmoid(logit(base) + f) in marked cells, and base elsewhere; f = 0 reproduces the base.
 
-    elsewhere. values: own's, the only ones that learn; f = 0 is the base itself. marked: [s, s, s] bool, cells of the
-    cube.
+    Attributes:
+        base: the color part underneath; it does not learn.
+        own: f, a hash grid over the bounding box of the marked cells. values: its values.
+        marked: [s, s, s] bool, cells of the unit cube.
     """
 
     kind = "patch"
@@ -25,14 +27,14 @@ class RegionColor:
     def __init__(self, base, own: HashColor, marked: np.ndarray) -> None:
         s = marked.shape[0]
         if marked.shape != (s, s, s) or marked.dtype != bool or not marked.any():
-            raise InvalidValue(f"patch: marked cells [s, s, s] of bool were expected, some of them set; {marked.shape}")
+            raise InvalidValue(f"region color: bool cells [s, s, s], some of them set, were expected; {marked.shape}")
         self.base, self.own, self.marked = base, own, np.ascontiguousarray(marked)
         self._flat, self.cells = self.marked.reshape(-1), s
         self.low, self.side = box_of(self.marked)
 
     @classmethod
     def create(cls, base, marked: np.ndarray, pixel_cells: float, table: int = 1 << 15, levels: int = 8):
-        """The base itself, ready to learn. pixel_cells: cells a side of the cube as wide as what a pixel sees."""
+        """Create a color equal to its base. pixel_cells: resolution of a grid over the cube with pixel-wide cells."""
         side = box_of(marked)[1]
         finest = int(np.clip(round(pixel_cells * side), 16, 1024)) if np.isfinite(pixel_cells) else 64
         own = HashColor.create(np.random.default_rng(0), levels, min(8, finest), finest, table)
@@ -41,16 +43,16 @@ class RegionColor:
 
     @property
     def values(self) -> np.ndarray:
-        """What learns."""
+        """The values that learn."""
         return self.own.values
 
     @property
     def degree(self) -> int:
-        """Of the spherical harmonics that the base asks for."""
+        """Of the spherical harmonics that the base reads."""
         return getattr(self.base, "degree", 0)
 
     def groups(self) -> list[tuple[int, int, float]]:
-        """(begin, end, learning-rate factor) of parts of `values`."""
+        """Return (begin, end, learning-rate factor) of slices of `values`."""
         return self.own.groups()
 
     def colors(
@@ -81,7 +83,7 @@ class RegionColor:
         kernels.add_scaled(found, np.float32(1 / self.side), points.starts, points.ends, threads, out)
 
     def smooth(self, strength: float, to: np.ndarray) -> None:
-        """Add the gradient that draws the patch to the base to buffer `to` [len(values)]."""
+        """Add the gradient that pulls the colors back to the base to buffer `to` [len(values)]."""
         self.own.smooth(strength, to)
 
     @property
@@ -96,7 +98,7 @@ class RegionColor:
 
 
 def box_of(marked: np.ndarray) -> tuple[np.ndarray, float]:
-    """(lowest corner [3], side) of the smallest cube, in cube units, around marked cells [s, s, s]."""
+    """Return (lowest corner [3], side) of the smallest cube around marked cells [s, s, s], cube units."""
     where = np.argwhere(marked)
     low, high = where.min(0) / marked.shape[0], (where.max(0) + 1) / marked.shape[0]
     return low, float((high - low).max())

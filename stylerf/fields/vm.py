@@ -1,7 +1,7 @@
 """Vector-matrix density and color (TensoRF, Chen et al. 2022), on the CPU kernels.
 
-Every part keeps all it can learn in one flat float32 array `values` (tables first, then what is beside them), so that
-gradients are flat buffers [threads, len(values)] of the same layout and one optimizer serves every kind of part.
+Every part keeps all it learns in one flat float32 array `values`, tables first. Gradients are flat buffers
+[threads, len(values)] of the same layout, and one optimizer serves every kind of part.
 """
 
 import numpy as np
@@ -33,7 +33,7 @@ class VmDensity:
 
     @classmethod
     def create(cls, size: np.ndarray, rank: int, generator: np.random.Generator, shift: float = -4.0) -> "VmDensity":
-        """A thin fog: exp(-4) is an optical depth of about 1.8 across the cube, so the first rays see all of it."""
+        """Create a thin fog that the first rays see all of: exp(-4) is an optical depth of 1.8 across the cube."""
         table = initial_table(np.asarray(size), rank, generator, 0.1)
         return cls(size, rank, np.append(table, np.float32(shift)))
 
@@ -42,23 +42,23 @@ class VmDensity:
         return self.values[:-1]
 
     def groups(self) -> list[tuple[int, int, float]]:
-        """(begin, end, learning-rate factor) of parts of `values`."""
+        """Return (begin, end, learning-rate factor) of slices of `values`."""
         return [(0, len(self.values), 1.0)]
 
     def resized(self, size: np.ndarray) -> "VmDensity":
-        """The same density on another grid, interpolated."""
+        """Return the same density on another grid, interpolated."""
         table = resized_table(self.table, self.size, np.asarray(size), self.rank)
         return VmDensity(size, self.rank, np.append(table, self.values[-1]))
 
     def with_rank(self, rank: int, generator: np.random.Generator) -> "VmDensity":
-        """The same density with more ranks."""
+        """Return the same density with more ranks."""
         if rank <= self.rank:
             return self
         table = widened_table(self.table, self.size, self.rank, rank, generator)
         return VmDensity(self.size, rank, np.append(table, self.values[-1]))
 
     def narrowed(self, rank: int, occupancy: OccupancyGrid) -> "VmDensity":
-        """Nearly the same density with fewer ranks, as near as so few can be where `occupancy` is occupied."""
+        """Return the closest density with fewer ranks, judged where `occupancy` is occupied."""
         table = np.empty(table_length(self.size, rank), np.float32)
         weights = texel_weights(occupancy, self.size)
         old, new = split_table(self.table, self.size, self.rank), split_table(table, self.size, rank)
@@ -68,7 +68,7 @@ class VmDensity:
         return VmDensity(self.size, rank, np.append(table, self.values[-1]))
 
     def grown(self, capacity: Capacity, generator: np.random.Generator) -> "VmDensity":
-        """The same density at another capacity."""
+        """Return the same density at another capacity."""
         if capacity.density_rank == self.rank and tuple(capacity.size) == tuple(self.size):
             return self
         made = self.with_rank(capacity.density_rank, generator)
@@ -146,7 +146,7 @@ class VmColor:
         return VmColor(size, self.rank, self.degree, np.concatenate([table, self.head, self.values[-3:]]))
 
     def with_rank(self, rank: int, generator: np.random.Generator) -> "VmColor":
-        """The same color with more ranks; the head of a new rank is random, its features zero."""
+        """Return the same color with more ranks; the head of a new rank is random, its features zero."""
         if rank <= self.rank:
             return self
         table = widened_table(self.table, self.size, self.rank, rank, generator)
@@ -156,7 +156,7 @@ class VmColor:
         return VmColor(self.size, rank, self.degree, np.concatenate([table, head.ravel(), self.values[-3:]]))
 
     def narrowed(self, rank: int, occupancy: OccupancyGrid) -> "VmColor":
-        """Nearly the same color with fewer ranks, as near as so few come where `occupancy` is occupied."""
+        """Return the closest color with fewer ranks, judged where `occupancy` is occupied."""
         table = np.empty(table_length(self.size, rank), np.float32)
         weights = texel_weights(occupancy, self.size)
         head = self.head.reshape(-1, 3, self.rank)
@@ -169,7 +169,7 @@ class VmColor:
         return VmColor(self.size, rank, self.degree, values)
 
     def grown(self, capacity: Capacity, generator: np.random.Generator) -> "VmColor":
-        """The same color at another capacity."""
+        """Return the same color at another capacity."""
         if capacity.color_rank == self.rank and tuple(capacity.size) == tuple(self.size):
             return self.with_degree(capacity.degree) if capacity.degree != self.degree else self
         made = self.with_rank(capacity.color_rank, generator)
@@ -178,7 +178,7 @@ class VmColor:
         return made.resized(capacity.size).with_degree(capacity.degree)
 
     def with_degree(self, degree: int) -> "VmColor":
-        """The same color with more (zero) or fewer spherical-harmonic bands."""
+        """Return the same color with more (zero) or fewer spherical-harmonic bands."""
         old = self.head.reshape(3, BANDS[self.degree], -1)
         head = np.zeros((3, BANDS[degree], old.shape[2]), np.float32)
         shared = min(old.shape[1], head.shape[1])
@@ -206,7 +206,7 @@ class VmColor:
         color_position_gradient(self._parameters, self._ranks, points, basis, colors, color_gradients, threads, out)
 
     def smooth(self, strength: float, to: np.ndarray) -> None:
-        """As VmDensity.smooth."""
+        """See VmDensity.smooth."""
         kernels.smoothness_backward(self.table, self.size, self._ranks, np.float32(strength / len(self.table)), to)
 
     def describe(self) -> dict:

@@ -1,4 +1,4 @@
-"""A radiance field on a device: the parts' values as torch tensors, the GPU kernels behind the same names."""
+"""A radiance field on a GPU: the parts' values as tensors, the Triton kernels behind them."""
 
 from dataclasses import dataclass
 
@@ -18,12 +18,12 @@ from stylerf.kernels.gpu.launch import GpuMarchInputs, GpuSamples
 
 
 def _table(values: Tensor, length: int, half: bool) -> Tensor:
-    """The table's own memory, or a copy in halves to be read alone."""
+    """Return the table's own memory, or a read-only copy in half precision."""
     return values[:length].half() if half else values[:length]
 
 
 class GpuVmDensity:
-    """fields/vm.py's VmDensity. half: the table is read as halves, which cannot be taught."""
+    """VmDensity of fields/vm.py on a GPU. half: the table is read in half precision and cannot learn."""
 
     code, layout = VM.value, None
 
@@ -46,12 +46,12 @@ class GpuVmDensity:
         launch_deform.add_density_slopes(self, samples, sigma_gradients, out)
 
     def smooth(self, strength: float, to: Tensor) -> None:
-        """As VmDensity.smooth."""
+        """See VmDensity.smooth."""
         launch.smoothness(self, strength / len(self.values), to)
 
 
 class GpuVmColor:
-    """fields/vm.py's VmColor."""
+    """VmColor of fields/vm.py on a GPU."""
 
     def __init__(self, part, device: torch.device, half: bool = False) -> None:
         self.values = torch.from_numpy(part.values).to(device, copy=True)
@@ -77,12 +77,12 @@ class GpuVmColor:
         launch_deform.add_vm_color_slopes(self, samples, directions, colors, color_gradients, out)
 
     def smooth(self, strength: float, to: Tensor) -> None:
-        """As VmColor.smooth."""
+        """See VmColor.smooth."""
         launch.smoothness(self, strength / len(self.table), to)
 
 
 class GpuHashColor:
-    """fields/hash_color.py's HashColor."""
+    """HashColor of fields/hash_color.py on a GPU."""
 
     def __init__(self, part, device: torch.device, half: bool = False) -> None:
         self.values = torch.from_numpy(part.values).to(device, copy=True)
@@ -91,7 +91,7 @@ class GpuHashColor:
         self.table = _table(self.values, len(self.values), half)
 
     def visible_colors(self, samples: GpuSamples, directions: Tensor | None, weight_threshold: float) -> Tensor:
-        """As GpuVmColor.visible_colors; the same from everywhere."""
+        """See GpuVmColor.visible_colors; directions are not used."""
         return launch.hash_colors(self, samples, weight_threshold)
 
     def backward(self, samples: GpuSamples, directions, colors, color_gradients, to: Tensor) -> None:
@@ -103,12 +103,12 @@ class GpuHashColor:
         launch_deform.add_hash_color_slopes(self, samples, colors, color_gradients, out)
 
     def smooth(self, strength: float, to: Tensor) -> None:
-        """As HashColor.smooth."""
+        """See HashColor.smooth."""
         to.add_(self.values, alpha=strength / len(self.values))
 
 
 class GpuRegionColor:
-    """fields/region_color.py's RegionColor, over a base of any kind that the device knows. values: the region's own."""
+    """RegionColor of fields/region_color.py, over a base of any kind. values: the region's own."""
 
     def __init__(self, part, device: torch.device, half: bool = False) -> None:
         self.base = COLOR_KINDS[part.base.kind](part.base, device, half)
@@ -120,7 +120,7 @@ class GpuRegionColor:
         self.box = torch.from_numpy(box).to(device)
 
     def visible_colors(self, samples: GpuSamples, directions: Tensor, weight_threshold: float) -> Tensor:
-        """As GpuVmColor.visible_colors: the base's, and in marked cells sigmoid(logit(base) + logits)."""
+        """See GpuVmColor.visible_colors."""
         out = self.base.visible_colors(samples, directions, weight_threshold)
         launch_edit.patch_colors(self, samples, out)
         return out
@@ -130,7 +130,7 @@ class GpuRegionColor:
         launch_edit.patch_colors_backward(self, samples, colors, color_gradients, to)
 
     def smooth(self, strength: float, to: Tensor) -> None:
-        """As RegionColor.smooth."""
+        """See RegionColor.smooth."""
         self._own.smooth(strength, to)
 
 
@@ -144,12 +144,12 @@ COLOR_KINDS = {
 
 
 def marked_cells(marked: np.ndarray, device: torch.device) -> Tensor:
-    """Cells [s, s, s] of bool as the kernels look them up: uint8 [s^3]."""
+    """Return cells [s, s, s] bool as the kernels read them: uint8 [s^3]."""
     return torch.from_numpy(np.ascontiguousarray(marked).reshape(-1).astype(np.uint8)).to(device)
 
 
 def unsupported(field: RadianceField, moving: bool = False) -> str | None:
-    """Why a field cannot be used on a GPU, in one line; None where it can. moving: its shapes are to learn to move."""
+    """Return why a field cannot be used on a GPU, or None. moving: it is to learn a deformation."""
     colors = [(part, COLOR_KINDS) for part in layers_of(field.color)]
     for part, kinds in ((field.density, DENSITY_KINDS), *colors):
         known = [name for name, kind in kinds.items() if not moving or hasattr(kind, "add_position_gradients")]
@@ -169,7 +169,7 @@ class GpuRays:
 
     @staticmethod
     def of(origins: np.ndarray, directions: np.ndarray, device: torch.device) -> "GpuRays":
-        """Rays marched from the middle of their first step."""
+        """Copy rays to a device, to be marched from the middle of their first step."""
         moved = [torch.from_numpy(np.ascontiguousarray(a, np.float32)).to(device) for a in (origins, directions)]
         return GpuRays(*moved, torch.full((len(origins),), 0.5, device=device))
 
@@ -190,10 +190,7 @@ class GpuRendered:
 
 
 class GpuField:
-    """field: what is copied to the device; its shapes, space and step stay as they are there.
-
-    half: tables are read in half precision (rendering only).
-    """
+    """A copy of `field` on a GPU. half: tables are read in half precision (rendering only)."""
 
     def __init__(self, field: RadianceField, device: torch.device | str, half: bool = False) -> None:
         if (why := unsupported(field)) is not None:
@@ -255,10 +252,9 @@ class GpuField:
         displacement_to: Tensor | None = None,
         *, near_scaling_distance: float = 0.0, density_within: tuple[Tensor, int] | None = None,
     ) -> None:  # fmt: skip
-        """From dL/d(unmapped) [rays, 5] to flat gradient buffers of the parts; None leaves a part out.
+        """Add the parts' gradients to flat buffers, from dL/d(unmapped) [rays, 5]; see backward() in rendering/rays.py.
 
-        displacement_to: for the displacement grid, flat [3 vertices^3]. density_within: marked cells (uint8 [s^3], s)
-        outside of which no density learns.
+        displacement_to: [3 vertices^3]. density_within: (marked cells uint8 [s^3], s).
         """
         r = rendered
         of_sigma, of_colors = launch.composite_backward(
@@ -279,7 +275,7 @@ class GpuField:
             )
 
     def write_to(self, field: RadianceField) -> None:
-        """Copy what was learned into the field's own arrays; occupancy is decided anew there, all distances exact."""
+        """Copy learned values back into `field`, and recompute its occupancy with exact distances."""
         field.density.values[:] = self.density.values.cpu().numpy()
         field.color.values[:] = self.color.values.cpu().numpy()
         field.occupancy.highest[:] = self.highest.cpu().numpy()

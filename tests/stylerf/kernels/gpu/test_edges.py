@@ -102,7 +102,7 @@ def test_closed_spaces_end_in_a_backdrop_that_takes_the_rest(kind, device):
 
 @pytest.mark.parametrize("kind", ["contraction", "frustum"])
 def test_a_sample_that_was_not_counted_takes_the_backdrops_light(kind, device, monkeypatch):
-    """The two launches of a march are compiled apart: rounding can have the second meet a sample more than the first."""
+    """The two launches of a march are compiled separately: rounding can give the second one a sample more."""
     from stylerf.kernels.gpu import launch
 
     march_rays = launch._march_rays
