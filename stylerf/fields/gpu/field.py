@@ -122,12 +122,12 @@ class GpuRegionColor:
     def visible_colors(self, samples: GpuSamples, directions: Tensor, weight_threshold: float) -> Tensor:
         """See GpuVmColor.visible_colors."""
         out = self.base.visible_colors(samples, directions, weight_threshold)
-        launch_edit.patch_colors(self, samples, out)
+        launch_edit.region_colors(self, samples, out)
         return out
 
     def backward(self, samples: GpuSamples, directions, colors, color_gradients, to: Tensor) -> None:
         """Add dL/d(values) to `to` [len(values)]."""
-        launch_edit.patch_colors_backward(self, samples, colors, color_gradients, to)
+        launch_edit.region_colors_backward(self, samples, colors, color_gradients, to)
 
     def smooth(self, strength: float, to: Tensor) -> None:
         """See RegionColor.smooth."""
@@ -264,7 +264,7 @@ class GpuField:
             self.color.backward(r.samples, r.rays.directions, r.colors, of_colors, color_to)
         if density_to is not None:
             if density_within is not None:
-                launch_edit.keep_inside(*density_within, r.samples, of_sigma)
+                launch_edit.zero_outside(*density_within, r.samples, of_sigma)
             self.density.backward(r.samples, of_sigma, density_to)
         if displacement_to is not None:
             moved, s, rays = torch.zeros_like(r.samples.x), r.samples, r.rays

@@ -1,4 +1,4 @@
-"""composite: kernels/cpu/compositing.py, a lane to a ray; and the photometric loss: no pixel leaves the device."""
+"""Compositing, one lane per ray (kernels/cpu/compositing.py), and the photometric losses."""
 
 import triton
 import triton.language as tl

@@ -18,7 +18,7 @@ from stylerf.kernels.gpu.vm import SIZES, head_rows, place, tile
 
 @triton.jit
 def slopes(table, first, second, line, fu, fv, fw, columns, RANK: tl.constexpr, mask):
-    """Tiles [samples, WIDTH] of d(plane * along) / d(fu, fv, fw), a cell being one wide."""
+    """Tiles [samples, WIDTH] of d(plane * along) / d(fu, fv, fw), per cell width."""
     p00, p01 = tile(table, first, columns, RANK, mask), tile(table, first + 1, columns, RANK, mask)
     p10, p11 = tile(table, second, columns, RANK, mask), tile(table, second + 1, columns, RANK, mask)
     low, high = tile(table, line, columns, RANK, mask), tile(table, line + 1, columns, RANK, mask)
@@ -106,7 +106,7 @@ def vm_color_position_kernel(
 
 @triton.jit
 def level_slopes(table, layout, level: tl.constexpr, LEVELS: tl.constexpr, x, y, z, gradient, mask):
-    """Slopes [samples] along x, y, z of the cube of gradient [samples, 4] times one level's trilinear mix."""
+    """Slopes [samples] along x, y, z of the cube of gradient [samples, 4] times one level's interpolated values."""
     cells = tl.load(layout + level)
     i, fx = cell(x, cells + 1)
     j, fy = cell(y, cells + 1)
@@ -183,7 +183,7 @@ def displacement_backward_kernel(
 
 @triton.jit(do_not_specialize=["cells", "reach", "grid_cells"])
 def displaced_cells_kernel(distances, cells, reach, grid, grid_cells, occupied, BLOCK: tl.constexpr):
-    """occupied[cell]: 1 where D takes any of 27 points of a cell, out to its sides, into a cell of distance 0, else 0.
+    """Set occupied[cell] to 1 where D moves any of 27 points of a cell into an occupied one, else to 0.
 
     distances: as Occupancy's, flat [cells^3]. Cells farther than `reach` from what is occupied are not looked at. A
     lane to a point.

@@ -1,4 +1,4 @@
-"""Raw density of any kind at points, inside the march and alone; the kind is a constant of the kernel."""
+"""Raw density of any kind at points, for the march and alone; the kind is a compile-time constant."""
 
 import triton
 import triton.language as tl

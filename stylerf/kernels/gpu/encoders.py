@@ -1,4 +1,4 @@
-"""Encoders of places as tiles of features, of any kind: what the color heads read (fields/encoders.py), and back.
+"""Encoders of positions as tiles of features, forward and backward (fields/encoders.py).
 
 A place's features are PIECES tiles of RANK columns: three of vm, one for each plane, and one of a hash or voxel grid.
 layout: the levels' (hash), links (voxel), not read (vm). s0, s1, s2: vertices per axis of vm's and voxels' grids.

@@ -1,4 +1,4 @@
-"""encode, hash: kernels/cpu/hash_color.py, a lane to a sample and four lanes to a vertex's floats, forward and
+"""kernels/cpu/hash_color.py, a lane to a sample and four lanes to a vertex's floats, forward and
 backward.
 
 layout: int32 [6, LEVELS] as fields/hash_color.py's level_layout makes it: cells a side, multipliers of x and y, mask,
@@ -24,7 +24,7 @@ def vertex_row(layout, level: tl.constexpr, LEVELS: tl.constexpr, i, j, k):
 
 @triton.jit
 def level_sum(table, layout, level: tl.constexpr, LEVELS: tl.constexpr, x, y, z, mask):
-    """[samples, 4]: the trilinear mix of one level."""
+    """[samples, 4]: one level, interpolated."""
     size = tl.load(layout + level) + 1
     i, fx = cell(x, size)
     j, fy = cell(y, size)
@@ -122,7 +122,7 @@ def color_backward_kernel(
 
 @triton.jit(do_not_specialize=["count"])
 def rows_kernel(table, layout, points, out, count, LEVELS: tl.constexpr, BLOCK: tl.constexpr):
-    """out [count, 4 LEVELS]: the levels' mixes side by side (kernels/cpu/hash_encoding.py)."""
+    """out [count, 4 LEVELS]: the levels' interpolated values, concatenated (kernels/cpu/hash_encoding.py)."""
     k = tl.program_id(0).to(tl.int64) * BLOCK + tl.arange(0, BLOCK)
     valid = k < count
     lane = tl.arange(0, 4)

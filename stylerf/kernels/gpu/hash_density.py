@@ -1,4 +1,4 @@
-"""encode, hash: kernels/cpu/hash_density.py, a multi-resolution hash grid as a density, a column to a level.
+"""kernels/cpu/hash_density.py, a multi-resolution hash grid as a density, a column to a level.
 
 WIDTH: the number of levels rounded up to a power of two.
 """

@@ -1,4 +1,4 @@
-"""How the kernels are launched: grids, blocks, constants. Nothing here waits for the device."""
+"""Kernel launches: grids, blocks, constants. Nothing here waits for the device, unless it says so."""
 
 from dataclasses import dataclass
 
@@ -43,22 +43,22 @@ class GpuSamples:
 
     @property
     def room(self) -> int:
-        """Samples there is memory for."""
+        """Number of samples that fit."""
         return len(self.t)
 
 
 def width_of(rank: int) -> int:
-    """Columns of a tile of rows: products of tiles need at least sixteen."""
+    """Return the columns of a tile of rows; tl.dot needs at least sixteen."""
     return max(16, triton.next_power_of_2(rank))
 
 
 def outputs_of(bands: int) -> int:
-    """Columns of a tile of the color head's outputs."""
+    """Return the columns of a tile of the color head's outputs."""
     return max(16, triton.next_power_of_2(3 * bands))
 
 
 def persistent_grid(device: torch.device, most: int, block: int) -> tuple[int]:
-    """As many programs as keep the device busy, for lists of at most `most` entries."""
+    """Return enough programs to occupy the device, for lists of at most `most` entries."""
     if device.type != "cuda":
         return (min(2, max(1, triton.cdiv(most, block))),)
     processors = torch.cuda.get_device_properties(device).multi_processor_count
@@ -128,7 +128,7 @@ def _march_rays(inputs, density, origins, directions, jitter, samples: GpuSample
 
 
 def vm_density(density, points: Tensor) -> Tensor:
-    """Raw density [n] of cube points [n, 3]."""
+    """Return raw density [n] at points [n, 3] in the unit cube."""
     out = torch.empty(len(points), device=points.device)
     if len(points):
         vm.density_kernel[(triton.cdiv(len(points), POINTS),)](
@@ -170,7 +170,7 @@ def vm_colors_backward(color, samples: GpuSamples, directions, colors, color_gra
 
 
 def hash_colors(color, samples: GpuSamples, weight_threshold: float) -> Tensor:
-    """As vm_colors, of a hash grid."""
+    """See vm_colors; for a hash grid."""
     out = torch.empty((samples.room, 3), device=samples.x.device)
     hash_kernels.color_kernel[persistent_grid(out.device, samples.room, SAMPLES)](
         color.table, color.layout, samples.x, samples.ray_of, samples.weights, samples.largest, float(weight_threshold),
@@ -200,7 +200,7 @@ def smoothness(part, strength: float, to: Tensor) -> None:
 
 
 def composite(samples: GpuSamples, colors: Tensor) -> Tensor:
-    """[rays, 5]: sum w c (3), sum w, sum w t without a backdrop's."""
+    """Return [rays, 5]: sum w c (3), sum w, sum w t without the opaque background."""
     n = len(samples.starts)
     out = torch.empty((n, 5), device=colors.device)
     if n:
@@ -212,7 +212,7 @@ def composite(samples: GpuSamples, colors: Tensor) -> Tensor:
 
 
 def surface_distance(samples: GpuSamples) -> Tensor:
-    """[rays]: distance of what each ray shows, scene units, 0 where there is nothing."""
+    """Return [rays]: distance of the visible surface, scene units, 0 where there is none."""
     n = len(samples.starts)
     out = torch.empty(n, device=samples.t.device)
     if n:
@@ -225,7 +225,7 @@ def surface_distance(samples: GpuSamples) -> Tensor:
 def composite_backward(
     samples: GpuSamples, colors: Tensor, out: Tensor, gradients: Tensor, near_scaling_distance: float
 ) -> tuple[Tensor, Tensor]:
-    """(dL/d(sigma) [room], dL/d(color) [room, 3]) from dL/d(out) [rays, 5]; unset beyond the samples there are."""
+    """Return dL/d(sigma) [room], dL/d(color) [room, 3] from dL/d(out) [rays, 5]; undefined beyond the last sample."""
     sigma_gradients, color_gradients = torch.empty_like(samples.sigma), torch.empty_like(colors)
     if len(out):
         composite_kernels.composite_backward_kernel[(triton.cdiv(len(out), RAYS),)](
@@ -236,7 +236,7 @@ def composite_backward(
 
 
 def photometric_loss(out: Tensor, wanted, background, samples: GpuSamples, scale: float, sums: Tensor) -> Tensor:
-    """dL/d(out) of the squared error; adds (squared error, samples, rays without room) to sums [3]."""
+    """Return dL/d(out) of the squared error; add (squared error, samples, rays without room) to sums [3]."""
     gradients = torch.empty_like(out)
     composite_kernels.loss_kernel[(triton.cdiv(len(out), POINTS),)](
         out, wanted, background, samples.counts, samples.starts, samples.ends, float(scale), gradients, sums, len(out),
@@ -246,7 +246,7 @@ def photometric_loss(out: Tensor, wanted, background, samples: GpuSamples, scale
 
 
 def adam(values, gradients, first, second, rate, betas, epsilon, corrections, begin: int, end: int) -> None:
-    """One step of Adam on values[begin:end]."""
+    """Take one step of Adam on values[begin:end]."""
     optimizer.adam_kernel[(triton.cdiv(triton.cdiv(end - begin, 8), RUNS),)](
         values, gradients, first, second, float(rate), *betas, epsilon, *corrections, begin, end, BLOCK=RUNS
     )
@@ -255,7 +255,7 @@ def adam(values, gradients, first, second, rate, betas, epsilon, corrections, be
 def draw_rays(
     bank, seed, first, total, lit_total, lit_rays, level, origins, directions, wanted, jitter, background
 ) -> None:
-    """Random rays of a DeviceBank; see pixels.draw_kernel. level None: random background."""
+    """Draw random rays of a RayDatasetGpu; see pixel_rays.draw_kernel. level None: random background."""
     n = len(origins)
     pixel_rays.draw_kernel[(triton.cdiv(n, POINTS),)](
         seed, first, n, total, bank.lit, lit_total, lit_rays, bank.view_ends, bank.view_sizes, bank.views, bank.widths,
@@ -267,7 +267,7 @@ def draw_rays(
 
 
 def shade_backward(samples: GpuSamples, gradients: Tensor) -> Tensor:
-    """dL/d(color) [n, 3] of samples that fill their room, from dL/d(sum w c) [rays, 3]."""
+    """Return dL/d(color) [n, 3] from dL/d(sum w c) [rays, 3], for samples that fill their room."""
     out, n = torch.empty_like(samples.x), len(samples.weights)
     if n:
         composite_kernels.shade_backward_kernel[(triton.cdiv(n, POINTS),)](

@@ -1,4 +1,4 @@
-"""How the kernels of a deformation are launched; see launch.py. Nothing here waits for the device."""
+"""Launches of a deformation's kernels; see launch.py. Nothing here waits for the device."""
 
 import torch
 import triton

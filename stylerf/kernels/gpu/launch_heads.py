@@ -1,4 +1,4 @@
-"""How colors that are an encoder and a head are launched."""
+"""Launches of colors that are an encoder and a head."""
 
 import torch
 from torch import Tensor

@@ -18,7 +18,7 @@ LEAST = tl.constexpr(1e-4)  # odds at least, both ways: white and black can be r
 
 @triton.jit
 def into_box(box, x, y, z):
-    """Places in the box, 0..1, of points of the cube."""
+    """Positions in the box, 0..1, of points in the cube."""
     side = tl.load(box + 3)
     x, y, z = (x - tl.load(box)) * side, (y - tl.load(box + 1)) * side, (z - tl.load(box + 2)) * side
     return _unit(x), _unit(y), _unit(z)

@@ -1,4 +1,4 @@
-"""What of a ray lies in a region: kernels/cpu/regions.py, on packed samples. marked: uint8 [cells^3] over the cube."""
+"""The part of each ray in a region, on packed samples (kernels/cpu/regions.py); marked: uint8 [cells^3]."""
 
 import triton
 import triton.language as tl
@@ -9,7 +9,7 @@ from stylerf.kernels.gpu.space_warp import cell_number
 
 @triton.jit
 def in_marked(marked, cells, x, y, z, mask):
-    """Which of the points of the cube that `mask` asks for lie in marked cells."""
+    """Which of the points in the cube, among those of `mask`, lie in marked cells."""
     return mask & (tl.load(marked + cell_number(x, y, z, cells), mask=mask, other=0) != 0)
 
 

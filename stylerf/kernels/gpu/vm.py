@@ -1,4 +1,4 @@
-"""encode, vm: kernels/cpu/vm.py on tiles of samples by ranks, forward and backward.
+"""Vector-matrix fields on tiles of samples by ranks, forward and backward (kernels/cpu/vm.py).
 
 A program takes BLOCK samples at a time and walks the packed list with a stride of all programs, so that the number of
 samples need not be known where the kernel is launched. WIDTH: the rank rounded up to a power of two, at least 16.
@@ -37,14 +37,14 @@ def place(m: tl.constexpr, x, y, z, s0, s1, s2):
 
 @triton.jit
 def tile(table, row, columns, RANK: tl.constexpr, mask):
-    """Rows of the table as float32 [samples, WIDTH]; the table may hold halves."""
+    """Rows of the table as float32 [samples, WIDTH]; the table may be in half precision."""
     at = offset(row[:, None], RANK, columns[None, :])
     return tl.load(table + at, mask=mask, other=0.0).to(tl.float32)
 
 
 @triton.jit
 def product(table, first, second, line, fu, fv, fw, columns, RANK: tl.constexpr, mask):
-    """(plane, line) [samples, WIDTH]: bilinear and linear mixes; their product is the plane's feature."""
+    """(plane, line) [samples, WIDTH]: bilinear and linear interpolation; their product is the plane's feature."""
     upper = (1.0 - fv) * tile(table, first, columns, RANK, mask) + fv * tile(table, first + 1, columns, RANK, mask)
     lower = (1.0 - fv) * tile(table, second, columns, RANK, mask) + fv * tile(table, second + 1, columns, RANK, mask)
     along = (1.0 - fw) * tile(table, line, columns, RANK, mask) + fw * tile(table, line + 1, columns, RANK, mask)
@@ -113,7 +113,7 @@ def density_backward_kernel(
 
 @triton.jit
 def head_rows(head, m: tl.constexpr, columns, RANK: tl.constexpr, BANDS: tl.constexpr, OUTPUTS: tl.constexpr):
-    """[OUTPUTS, WIDTH]: the head's weights of plane m, an output for every channel and band; zero beyond."""
+    """[OUTPUTS, WIDTH]: the head's weights of plane m, one output per channel and band; zero beyond."""
     output = tl.arange(0, OUTPUTS)
     mask = (output[:, None] < 3 * BANDS) & (columns[None, :] < RANK)
     return tl.load(head + output[:, None] * (3 * RANK) + m * RANK + columns[None, :], mask=mask, other=0.0)

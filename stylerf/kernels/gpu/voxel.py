@@ -1,4 +1,4 @@
-"""encode, voxel: kernels/cpu/voxel.py, a sparse grid of vertices with a row of numbers each, forward and backward.
+"""Sparse voxel grids, forward and backward (kernels/cpu/voxel.py).
 
 links: int32 as fields/voxel.py's Grid makes it: six numbers of the grid, then which block of the table is each block's.
 s0, s1, s2: vertices per axis.
@@ -13,7 +13,7 @@ from stylerf.kernels.gpu.vm import EXPONENT_MAX, EXPONENT_MIN, SIZES
 
 @triton.jit
 def row_of(links, s1, s2, i, j, k, mask):
-    """Row (int64) of the vertex i, j, k (int32) in the table; 0..63: of a block that is not kept."""
+    """Row (int64) of the vertex i, j, k (int32) in the table; 0..63: of the block of all that is not allocated."""
     block = ((i >> 2).to(tl.int64) * ((s1 + 3) // 4) + (j >> 2)) * ((s2 + 3) // 4) + (k >> 2)
     number = tl.load(links + 6 + block, mask=mask, other=0).to(tl.int64)
     return number * 64 + (i & 3) * 16 + (j & 3) * 4 + (k & 3)
@@ -36,7 +36,7 @@ def _corners(links, x, y, z, s0, s1, s2, valid):
 
 @triton.jit
 def raw_density(table, links, shift, x, y, z, s0, s1, s2, valid):
-    """exp(shift + mix) of points; shift: pointer."""
+    """exp(shift + interpolated value) of points; shift: pointer."""
     rows, weights = _corners(links, x, y, z, s0, s1, s2, valid)
     values = tl.load(table + rows, mask=valid[:, None], other=0.0).to(tl.float32)
     total = tl.load(shift) + tl.sum(weights * values, axis=1)
@@ -47,7 +47,7 @@ def raw_density(table, links, shift, x, y, z, s0, s1, s2, valid):
 def density_backward_kernel(
     links, points, sigma, sigma_gradients, total, to, shift_to, s0, s1, s2, BLOCK: tl.constexpr
 ):
-    """Add dL/d(table), of kept blocks, to `to`, dL/d(shift) to shift_to[0]; total: pointer to the number of samples."""
+    """Add dL/d(table), of allocated blocks, to `to`, dL/d(shift) to shift_to[0]; total: pointer to the number of samples."""
     count = tl.load(total)
     for block in range(tl.program_id(0).to(tl.int64), tl.cdiv(count, BLOCK), tl.num_programs(0)):
         k = block * BLOCK + tl.arange(0, BLOCK)
@@ -63,7 +63,7 @@ def density_backward_kernel(
 
 @triton.jit
 def row_tile(table, links, x, y, z, s0, s1, s2, columns, ROW: tl.constexpr, valid, mask):
-    """[samples, WIDTH]: the trilinear mix of rows of ROW floats; the table may hold halves. mask: valid by columns."""
+    """[samples, WIDTH]: rows of ROW floats, interpolated; the table may be in half precision. mask: valid by columns."""
     i, fx = cell(x, s0)
     j, fy = cell(y, s1)
     k, fz = cell(z, s2)
@@ -77,7 +77,7 @@ def row_tile(table, links, x, y, z, s0, s1, s2, columns, ROW: tl.constexpr, vali
 
 @triton.jit
 def row_tile_scatter(to, links, x, y, z, s0, s1, s2, gradient, columns, ROW: tl.constexpr, valid, mask):
-    """Add gradient [samples, WIDTH] times each kept vertex's weight to the rows of `to`, laid out as the table."""
+    """Add gradient [samples, WIDTH] times each allocated vertex's weight to the rows of `to`, laid out as the table."""
     i, fx = cell(x, s0)
     j, fy = cell(y, s1)
     k, fz = cell(z, s2)
@@ -92,7 +92,7 @@ def row_tile_scatter(to, links, x, y, z, s0, s1, s2, gradient, columns, ROW: tl.
 def smoothness_kernel(
     table, links, places, to, strength, rows, s0, s1, s2, ROW: tl.constexpr, WIDTH: tl.constexpr, BLOCK: tl.constexpr
 ):
-    """Add strength * d/dt of half the summed squared differences of neighboring vertices, both kept, to `to`.
+    """Add strength * d/dt of half the summed squared differences of neighboring allocated vertices to `to`.
 
     rows: of the table; places: int32 [blocks of the table, 3], each block's place in the grid of blocks.
     """

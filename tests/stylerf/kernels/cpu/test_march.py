@@ -161,7 +161,7 @@ def test_rays_that_miss_the_box_or_have_no_length_have_no_samples():
     assert counts.tolist() == [0, 0, 0, 0, 0, 24, 24]
     assert not samples.x[samples.starts[5] : samples.ends[5], 1].any()
     nothing = march(even_fog(0.1), UNIT_BOX, Rays.of(np.empty((0, 3), np.float32), np.empty((0, 3), np.float32), 0.0))
-    assert nothing.count == 0
+    assert nothing.total == 0
 
 
 def test_samples_on_the_very_sides_are_asked_at_zero_and_one():
