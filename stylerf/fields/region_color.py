@@ -27,7 +27,7 @@ class RegionColor:
     def __init__(self, base, own: HashColor, marked: np.ndarray) -> None:
         s = marked.shape[0]
         if marked.shape != (s, s, s) or marked.dtype != bool or not marked.any():
-            raise InvalidValue(f"region color: bool cells [s, s, s], some of them set, were expected; {marked.shape}")
+            raise InvalidValue(f"region color: marked cells [s, s, s] of bool were expected, not {marked.shape}")
         self.base, self.own, self.marked = base, own, np.ascontiguousarray(marked)
         self._flat, self.cells = self.marked.reshape(-1), s
         self.low, self.side = box_of(self.marked)

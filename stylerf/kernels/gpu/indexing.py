@@ -6,7 +6,7 @@ import triton.language as tl
 
 @triton.jit
 def offset(row, width, column):
-    """row * width + column in 64 bits, whatever the row's type: three floats per sample exceed 2^31 at 716 M samples."""
+    """row * width + column in 64 bits: three floats per sample exceed 2^31 at 716 M samples."""
     return row.to(tl.int64) * width + column
 
 

@@ -47,7 +47,7 @@ def raw_density(table, links, shift, x, y, z, s0, s1, s2, valid):
 def density_backward_kernel(
     links, points, sigma, sigma_gradients, total, to, shift_to, s0, s1, s2, BLOCK: tl.constexpr
 ):
-    """Add dL/d(table), of allocated blocks, to `to`, dL/d(shift) to shift_to[0]; total: pointer to the number of samples."""
+    """Add dL/d(table) of allocated blocks to `to`, dL/d(shift) to shift_to[0]; total: pointer to the sample count."""
     count = tl.load(total)
     for block in range(tl.program_id(0).to(tl.int64), tl.cdiv(count, BLOCK), tl.num_programs(0)):
         k = block * BLOCK + tl.arange(0, BLOCK)
@@ -63,7 +63,7 @@ def density_backward_kernel(
 
 @triton.jit
 def row_tile(table, links, x, y, z, s0, s1, s2, columns, ROW: tl.constexpr, valid, mask):
-    """[samples, WIDTH]: rows of ROW floats, interpolated; the table may be in half precision. mask: valid by columns."""
+    """[samples, WIDTH]: rows of ROW floats, interpolated, from a table of floats or halves. mask: valid by columns."""
     i, fx = cell(x, s0)
     j, fy = cell(y, s1)
     k, fz = cell(z, s2)

@@ -25,7 +25,7 @@ def camera(space: SpaceWarp = BOX) -> Camera:
 
 def scene(space: SpaceWarp = BOX, **more):
     field = field_of(space, 1, hash_color(2), **more)
-    field.share = SHARE
+    field.weight_threshold = SHARE
     return field
 
 

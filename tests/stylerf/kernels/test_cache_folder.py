@@ -165,7 +165,7 @@ from stylerf.fields.vm import VmDensity, kernels
 random = np.random.default_rng(0)
 field = VmDensity.create(np.full(3, 24), 16, random)
 sigma = field.sigma(random.random((20000, 3), dtype=np.float32), 2)
-print(hashlib.sha256(sigma.tobytes()).hexdigest(), sum(kernels.density.stats.cache_hits.values()))
+print(hashlib.sha256(sigma.tobytes()).hexdigest(), sum(kernels.density_at.stats.cache_hits.values()))
 """
     environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path), "PYTHONPATH": str(Path(package.__file__).parents[2])}
     said = [

@@ -94,7 +94,7 @@ def test_a_part_may_be_held_fixed_while_the_other_bends():
 def test_a_grid_of_zeros_changes_nothing_and_an_even_shift_moves_the_field():
     space, rays = SPACES["box"], rays_into(SPACES["box"], 30, 4)
     plain = render_rays(thin(space, hash_color(2)), rays, threads=1)
-    still = render_rays(thin(space, hash_color(2), displacement=np.zeros((4, 4, 4, 3), np.float32)), rays, chunks=1)
+    still = render_rays(thin(space, hash_color(2), displacement=np.zeros((4, 4, 4, 3), np.float32)), rays, threads=1)
     np.testing.assert_allclose(still.out, plain.out, atol=1e-6)
     shift = np.full((4, 4, 4, 3), 0.02, np.float32)
     moved = render_rays(thin(space, hash_color(2), displacement=shift), rays, threads=1)
@@ -150,7 +150,7 @@ def matched(field: RadianceField) -> RadianceField:
 def test_a_color_map_acts_on_premultiplied_pixels_within_their_alpha():
     rays = rays_into(SPACES["box"], 40, 4)
     plain = render_rays(thin(SPACES["box"], vm_color(2)), rays, threads=1).out
-    found = render_rays(matched(thin(SPACES["box"], vm_color(2))), rays, chunks=1).out
+    found = render_rays(matched(thin(SPACES["box"], vm_color(2))), rays, threads=1).out
     alpha = plain[:, 3:4]
     expected = np.clip(plain[:, :3] * [0.5, 0.4, 2.0] + alpha * [0.1, -0.3, 0.5], 0, alpha)
     np.testing.assert_allclose(found[:, :3], expected, atol=1e-6)
