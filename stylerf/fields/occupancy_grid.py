@@ -113,14 +113,14 @@ def _check_distances(distances: np.ndarray) -> None:
     Chebyshev distances of neighbors, diagonal ones included, differ by at most 1. A distance that is too large would
     let rays skip occupied cells; one that is too small (a GPU's end at 32) only costs steps.
     """
-    least = distances
+    lowest = distances
     for axis in range(3):
-        along = np.moveaxis(least, axis, 0)
-        least = least.copy()
-        to = np.moveaxis(least, axis, 0)
+        along = np.moveaxis(lowest, axis, 0)
+        lowest = lowest.copy()
+        to = np.moveaxis(lowest, axis, 0)
         np.minimum(to[1:], along[:-1], out=to[1:])
         np.minimum(to[:-1], along[1:], out=to[:-1])
-    if (distances > np.minimum(least, 254) + 1).any():
+    if (distances > np.minimum(lowest, 254) + 1).any():
         raise InvalidValue("the array occupancy.distances holds what are no distances to occupied cells")
 
 

@@ -180,9 +180,9 @@ def mlp_head(numbers: Tensor, phi: Tensor, basis: Tensor) -> Tensor:
 
 
 def voxel_rows(table: Tensor, kept: Tensor, size: list[int], width: int, x: Tensor) -> Tensor:
-    """[n, width]: trilinear mix of a sparse grid's rows; kept [blocks of 4^3] bool; the first block of `table` stands
+    """[n, width]: a sparse grid's rows, interpolated; kept [blocks of 4^3] bool.
 
-    for all that are not kept.
+    The first block of `table` stands for all that are not allocated.
     """
     blocks = table.reshape(-1, 4, 4, 4, width)
     numbers = torch.where(kept, torch.cumsum(kept.flatten().long(), 0).reshape(kept.shape), 0)
@@ -215,7 +215,7 @@ def composite(w: Tensor, colors: Tensor, colored: Tensor, t: Tensor, rays: Tenso
     def per_ray(values: Tensor) -> Tensor:
         return torch.zeros(count, *values.shape[1:], dtype=w.dtype).index_add(0, rays, values)
 
-    own, share = per_ray(kept[:, None] * torch.where(colored[:, None], colors, 0)), per_ray(kept)
-    mean = torch.where(share[:, None] > 0, own / share[:, None].clamp(min=1e-30), 0).detach()
+    own, colored_weight = per_ray(kept[:, None] * torch.where(colored[:, None], colors, 0)), per_ray(kept)
+    mean = torch.where(colored_weight[:, None] > 0, own / colored_weight[:, None].clamp(min=1e-30), 0).detach()
     rgb = own + mean * per_ray(w - kept)[:, None]
     return torch.cat([rgb, per_ray(w)[:, None], per_ray(w * t)[:, None]], 1)
