@@ -17,16 +17,16 @@ def launches(rendered, of_colors: torch.Tensor, wanted: torch.Tensor) -> dict:
         RegionColor.create(base, generator.random((cells,) * 3) < 0.5, 256.0, table=1 << 15), wanted.device
     )
     s, n, rays, ways = rendered.samples, rendered.samples.room, len(rendered.out), rendered.rays.directions
-    colors, marked, table = part.colors(s, ways, 0.0), part.marked, 4 * len(part.values)
+    colors, marked, table = part.visible_colors(s, ways, 0.0), part.marked, 4 * len(part.values)
     to, depth, sums = torch.zeros_like(part.values), torch.ones(rays // 2, device=wanted.device), wanted.new_zeros(5)
     of_sigma = torch.randn_like(s.sigma)
     rows = launch_edit.rows(part.table, part.layout, part.levels, s.x)
     return {
-        "patch color": (lambda: launch_edit.patch_colors(part, s, colors), n * 36 + cells**3 + table),
+        "patch color": (lambda: launch_edit.region_colors(part, s, colors), n * 36 + cells**3 + table),
         "patch color backward": (
             lambda: part.backward(s, ways, colors, of_colors, to), n * 36 + cells**3 + 3 * table,
         ),
-        "keep inside": (lambda: launch_edit.keep_inside(marked, cells, s, of_sigma), n * 16 + cells**3),
+        "keep inside": (lambda: launch_edit.zero_outside(marked, cells, s, of_sigma), n * 16 + cells**3),
         "ends of rays": (lambda: launch_edit.ends_inside(marked, cells, s), n * 20 + rays * 40 + cells**3),
         "tuning loss": (
             lambda: launch_edit.tuning_loss(rendered.out, wanted, depth, s, 1.0, 1.0, 1.0, sums), rays * 78,

@@ -81,7 +81,7 @@ def stylizer_for(work: str, style: str, method: str, case: str):
         level,
         read_painting(Path(style)),
         trunk,
-        settings_of(config, long_side, field.closed),
+        settings_of(config, long_side, field.opaque_background),
         0,
         threads,
         partial(new_color, config),
@@ -103,11 +103,11 @@ def distances(made, held_out, level) -> dict[str, float]:
     exact = StyleObjective(made.trunk, made.painting, size, s.weights, s.feature_scale, 100000, 0, s.style_scale)
     sums = {"style": 0.0, "content": 0.0}
     for camera, photo in held_out:
-        seen = render_view(made.field, camera, chunks=made.chunks)
+        seen = render_view(made.field, camera, threads=made.chunks)
         rgb = np.clip(seen.rgb + (1 - seen.alpha[..., None]) * np.float32(level), 0, 1)
         picture, wanted = (torch.from_numpy(np.ascontiguousarray(i)).permute(2, 0, 1) for i in (rgb, photo))
         with torch.no_grad():
-            alpha = None if made.closed else torch.from_numpy(seen.alpha)
+            alpha = None if made.opaque_background else torch.from_numpy(seen.alpha)
             parts = exact(picture, exact.content_of(wanted), alpha)[1]
         for name in sums:
             sums[name] += parts[name] / len(held_out)

@@ -82,7 +82,7 @@ def run(inputs: dict[str, Artifact], config: RenderConfig, partial: PartialArtif
     renderer = (
         _gpu_renderer(field, device, scene.cameras[0])
         if device
-        else functools.partial(render_view, field, chunks=threads)
+        else functools.partial(render_view, field, threads=threads)
     )
     with nullcontext() if device else compiling_note(context.progress.say):
         for done, (frame, (camera, _)) in enumerate(zip(listed, shots, strict=True)):

@@ -128,7 +128,7 @@ def _stylizer(
     threads = torch.get_num_threads()
     photos = BoundedCache(lambda place: photo_for(field, scene, views[place], level, threads), len, len(views), 0)
     long_side = max(max(c.width, c.height) for c in scene.cameras)
-    settings = settings_of(config, long_side, field.closed, region is not None)
+    settings = settings_of(config, long_side, field.opaque_background, region is not None)
     color = functools.partial(new_color, config)
     if region is not None:
         # In no cell around it: nothing there is asked to stay as it is.

@@ -27,8 +27,8 @@ def view_pairs(scene: Artifact, field: Artifact, threads: int) -> list[ViewPair]
     views = []
     for index in data.splits["test"]:
         camera, photo = data.cameras[index], data.images(index)
-        mask = photo[..., 3] > 0.5 if photo.shape[2] == 4 and not radiance.closed else None
-        render = _over(render_view(radiance, camera, chunks=chunks), level)
+        mask = photo[..., 3] > 0.5 if photo.shape[2] == 4 and not radiance.opaque_background else None
+        render = _over(render_view(radiance, camera, threads=chunks), level)
         views.append(ViewPair(camera.name, render, photo_for(radiance, data, index, level, chunks), mask))
     return views
 
@@ -42,8 +42,8 @@ def view_pairs_of_edit(
     level, chunks = level_of(background), set_threads(threads)
     views = []
     for camera in (data.cameras[index] for index in data.splits["test"]):
-        found = render_view(plain, camera, chunks=chunks, regions={"part": cells.edit})
-        pictures = _over(render_view(edited, camera, chunks=chunks), level), _over(found, level)
+        found = render_view(plain, camera, threads=chunks, regions={"part": cells.edit})
+        pictures = _over(render_view(edited, camera, threads=chunks), level), _over(found, level)
         views.append(ViewPair(camera.name, *pictures, found.masks["part"] > REGION_THRESHOLD))
     return views
 
@@ -59,7 +59,7 @@ def central_pixel(scene: Artifact, field: Artifact, threads: int) -> tuple[str, 
     """
     data = load_scene(scene)
     camera = data.cameras[data.splits["train"][0]]
-    found = render_view(load_field(field)[0], camera, chunks=set_threads(threads))
+    found = render_view(load_field(field)[0], camera, threads=set_threads(threads))
     rows, columns = np.nonzero(found.alpha > OPAQUE)
     if not len(rows):
         raise BadInput(f"{field.path}: {camera.name} shows nothing opaque")

@@ -1,8 +1,8 @@
-"""Which pixels of a view see what a reference view sees, and where in it: rays registered by the scene's own surface.
+"""Ray registration: which pixels of a view see the surface that a reference view sees, and where in its picture.
 
-Ref-NPR (Zhang et al. 2023, section 3.2) writes the reference's points into a grid of 512^3 voxels over their box and
-lets every other view's points look theirs up. Here a point is projected into the reference view and set against the
-point that this one sees at that pixel: the same test without a grid, so that the place in the picture is exact.
+Ref-NPR (Zhang et al. 2023, section 3.2) stores the reference's points in a grid of 512^3 voxels, in which every other
+view looks its points up. Here a point is projected into the reference view and compared with the point seen at that
+pixel: the same test without a grid, so that the position in the picture is exact.
 """
 
 from collections.abc import Sequence
@@ -15,15 +15,22 @@ from stylerf.fields.radiance_field import RadianceField
 from stylerf.geometry.cameras import Camera
 from stylerf.geometry.space_warp import SpaceWarp
 
-TOLERANCE = 1 / 128  # of the cube that the field lives in: further apart, it is another surface (or another side)
-LEAST_COSINE = 0.3  # between the two rays (Ref-NPR)
+TOLERANCE = 1 / 128  # of the unit cube; points farther apart are on different surfaces (or sides of one)
+MIN_COSINE = 0.3  # between the two rays (Ref-NPR)
 SOLID = 0.5  # alpha from which a pixel sees a surface
-FEW_PIXELS = 2000  # of a view, where it is only asked how much of it another one sees
+FEW_PIXELS = 2000  # per view, enough to estimate how much of it another view sees
 
 
 @dataclass(frozen=True)
 class SeenPoints:
-    """What a view's pixels see, row by row: world points [n, 3], their places in the cube [n, 3], whether any [n]."""
+    """The surface points seen by a view's pixels, row by row.
+
+    Attributes:
+        camera: the view.
+        points: [n, 3], world.
+        places: [n, 3], the same in the unit cube.
+        there: [n] bool, whether a pixel sees any surface.
+    """
 
     camera: Camera
     points: np.ndarray
@@ -32,9 +39,9 @@ class SeenPoints:
 
 
 def points_of(surface: PackedSurface, camera: Camera, space: SpaceWarp) -> SeenPoints:
-    """Where half of each pixel's weight lies: the mean place, by weight, of the samples within TOLERANCE of there.
+    """Return the surface point of each pixel: the weighted mean of the samples within TOLERANCE of the median.
 
-    As of its depth (decision 0032). Of a field whose shapes are not displaced.
+    The same definition as that of depth (decision 0032). For fields without a displacement.
     """
     count = camera.height * camera.width
     starts, ends, x, weights = surface.samples(np.arange(count))
@@ -51,10 +58,13 @@ def points_of(surface: PackedSurface, camera: Camera, space: SpaceWarp) -> SeenP
 
 
 def registered(view: SeenPoints, reference: SeenPoints, tolerance: float = TOLERANCE) -> tuple[np.ndarray, ...]:
-    """(pixels [n] of the view, positions [n, 2] in the reference's picture, cosines [n] between the two rays).
+    """Register a view's pixels in a reference view.
 
-    A pixel is registered where its point falls into the reference's picture, the pixel there sees a point within
-    `tolerance` of it (in the cube), and both are seen from the same side, cosine >= LEAST_COSINE.
+    A pixel is registered if its point projects into the reference's picture, the pixel there sees a point within
+    `tolerance` of it (cube units), and both rays see the same side (cosine >= MIN_COSINE).
+
+    Returns:
+        (pixels [n] of the view, positions [n, 2] in the reference's picture, cosines [n] between the two rays).
     """
     camera = reference.camera
     pixels = np.flatnonzero(view.there)
@@ -63,32 +73,34 @@ def registered(view: SeenPoints, reference: SeenPoints, tolerance: float = TOLER
     columns, rows = np.floor(np.clip(positions, -1, 1e7)).astype(np.int64).T
     inside = (depth > 0) & (columns >= 0) & (rows >= 0) & (columns < camera.width) & (rows < camera.height)
     at = np.where(inside, rows * camera.width + columns, 0)
-    # Between the reference's pixels, or, where one of those around sees something else, at the nearest.
+    # Interpolated between the reference's pixels, or the nearest one where a neighbor sees another surface.
     seen = sampled_at(reference.places.reshape(camera.height, camera.width, 3), positions)
     apart = np.minimum(*(np.linalg.norm(view.places[pixels] - there, axis=1) for there in (seen, reference.places[at])))
     cosines = (_ways(points, view.camera) * _ways(points, camera)).sum(1)
-    chosen = inside & reference.there[at] & (apart <= tolerance) & (cosines >= LEAST_COSINE)
+    chosen = inside & reference.there[at] & (apart <= tolerance) & (cosines >= MIN_COSINE)
     return pixels[chosen], positions[chosen], cosines[chosen]
 
 
 def _ways(points: np.ndarray, camera: Camera) -> np.ndarray:
-    """Unit directions [n, 3] from the camera to the points."""
+    """Return unit directions [n, 3] from the camera to the points."""
     way = points - camera.center
     return way / np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-12)
 
 
-def few_points(field: RadianceField, cameras: Sequence[Camera], share: float, chunks: int) -> list[SeenPoints]:
-    """What each view sees, at about FEW_PIXELS of its pixels."""
+def few_points(
+    field: RadianceField, cameras: Sequence[Camera], weight_threshold: float, threads: int
+) -> list[SeenPoints]:
+    """Return the surface points of about FEW_PIXELS pixels of each view."""
     found = []
     for camera in cameras:
         stride = max(1, round((camera.width * camera.height / FEW_PIXELS) ** 0.5))
-        surface = surface_of(field, camera, share, chunks, stride=stride)
+        surface = surface_of(field, camera, weight_threshold, threads, stride=stride)
         found.append(points_of(surface, every(camera, stride), field.space))
     return found
 
 
 def every(camera: Camera, stride: int) -> Camera:
-    """The camera whose pixel (i, j) is pixel (stride i, stride j) of `camera`."""
+    """Return the camera whose pixel (i, j) is pixel (stride i, stride j) of `camera`."""
     return replace(
         camera,
         width=-(-camera.width // stride),
@@ -101,7 +113,7 @@ def every(camera: Camera, stride: int) -> Camera:
 
 
 def best_reference(views: Sequence[SeenPoints]) -> int:
-    """The view that sees most of what the others see: the mean share of their pixels that are registered in it."""
+    """Return the index of the view in which, on average, the largest part of the other views' pixels is registered."""
     shares = []
     for candidate in views:
         found = [len(registered(other, candidate)[0]) / max(1, other.there.sum()) for other in views]
@@ -110,7 +122,7 @@ def best_reference(views: Sequence[SeenPoints]) -> int:
 
 
 def sampled_at(picture: np.ndarray, positions: np.ndarray) -> np.ndarray:
-    """A picture [h, w, c] at positions [n, 2] (x, y; pixel centers at halves), bilinear, level outside: [n, c]."""
+    """Sample a picture [h, w, c] at positions [n, 2] (x, y; pixel centers at halves), bilinearly, clamped: [n, c]."""
     height, width = picture.shape[:2]
     x = np.clip(positions[:, 0] - 0.5, 0, width - 1)
     y = np.clip(positions[:, 1] - 0.5, 0, height - 1)

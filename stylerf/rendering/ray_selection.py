@@ -1,9 +1,12 @@
-"""Which rays of a view carry gradient in one stylization step.
+"""Ray selection: which rays of a view receive gradients in a stylization step.
 
-The style loss needs the whole picture, the field need not learn from every ray of it. `full` and `deferred` learn from
-all (deferred: rendered once without a graph, then again in chunks with the cached dL/d(picture); ARF); `dilated` from
-every Nc-th ray in both axes from a random offset, `random` from as many random rays, `patch` from one window of as many
-(DeSRF section 3.3; patch: Chiang et al. 2022).
+The style loss needs the whole picture, but the field need not learn from every ray of it:
+
+    full      all rays
+    deferred  all rays, rendered once without a graph and again in parts with the cached dL/d(picture) (ARF)
+    dilated   every Nc-th ray along both axes, from a random offset (DeSRF, section 3.3)
+    random    as many random rays
+    patch     one window of as many rays (Chiang et al. 2022)
 """
 
 import numpy as np
@@ -17,7 +20,11 @@ STRATEGIES = ("full", "deferred", "dilated", "random", "patch")
 def selected_pixels(
     strategy: str, height: int, width: int, dilation: int, generator: np.random.Generator
 ) -> np.ndarray:
-    """Row-major indices, ascending for all but `random`, int64, of the pixels that learn."""
+    """Return the row-major indices [n] int64 of the selected pixels, ascending except for `random`.
+
+    Raises:
+        InvalidValue: no such strategy.
+    """
     if strategy not in STRATEGIES:
         raise InvalidValue(f"ray strategy {strategy!r} is none of {', '.join(STRATEGIES)}")
     if strategy in ("full", "deferred") or dilation == 1:
@@ -25,7 +32,8 @@ def selected_pixels(
     if strategy == "random":
         return generator.choice(height * width, max(1, height * width // dilation**2), replace=False)
     if strategy == "dilated":
-        # An offset is as likely as it has rows: sides that dilation does not divide stay unbiased.
+        # Offsets are drawn in proportion to their number of rows, so that no row is favored at sizes that dilation does
+        # not divide.
         rows = np.arange(int(generator.integers(height)) % dilation, height, dilation)
         columns = np.arange(int(generator.integers(width)) % dilation, width, dilation)
     else:
@@ -37,11 +45,18 @@ def selected_pixels(
 
 
 def selected_gradient(gradient: np.ndarray, pixels: np.ndarray, blur: int) -> np.ndarray:
-    """dL/d(picture) [h, w, 3] at the selected pixels [n, 3], scaled by all/selected: the full gradient in expectation.
+    """Return the gradient of the selected pixels, scaled to be the full gradient in expectation.
 
-    Not pixel by pixel for `patch`: its windows hold the middle of the picture more often than its sides.
-    blur: side of a box filter applied first, odd (0: none): selected rays then speak for their neighbors too
-    (DeSRF: 3), instead of dropping what these were asked for, at the price of the finest strokes.
+    `patch` is biased per pixel: its windows cover the middle of the picture more often than the sides.
+
+    Args:
+        gradient: dL/d(picture), [h, w, 3].
+        pixels: [n], selected.
+        blur: odd side of a box filter applied first, 0 for none. Selected rays then carry their neighbors' gradients
+            too (DeSRF: 3), at the cost of the finest strokes.
+
+    Returns:
+        [n, 3].
     """
     height, width = gradient.shape[:2]
     if blur > 1 and len(pixels) < height * width:
@@ -52,9 +67,9 @@ def selected_gradient(gradient: np.ndarray, pixels: np.ndarray, blur: int) -> np
 
 
 def spread_over_picture(changes: np.ndarray, pixels: np.ndarray, height: int, width: int, dilation: int) -> np.ndarray:
-    """Changes [n, k] of a dilated selection's pixels, linear in between: what all pixels [h * w, k] changed by, about.
+    """Interpolate the changes [n, k] of a dilated selection's pixels to all pixels, [h * w, k].
 
-    Rays that were not walked anew stay true to what the field has learned since, all but its finest detail.
+    Rays that were not rendered again then follow what the field has learned since, except for the finest detail.
     """
     top, left = divmod(int(pixels[0]), width)
     rows, columns = -(-(height - top) // dilation), -(-(width - left) // dilation)
@@ -65,9 +80,9 @@ def spread_over_picture(changes: np.ndarray, pixels: np.ndarray, height: int, wi
 
 
 def _stretched(lattice: np.ndarray, offset: int, length: int, dilation: int, axis: int) -> np.ndarray:
-    """The lattice along one axis at every pixel, linear between its places, level outside them."""
+    """Interpolate a lattice linearly along one axis to every pixel, clamped outside."""
     at = np.clip((np.arange(length) - offset) / dilation, 0, lattice.shape[axis] - 1)
     below = np.minimum(at.astype(np.int64), max(0, lattice.shape[axis] - 2))
-    share = (at - below).astype(np.float32).reshape([-1 if a == axis else 1 for a in range(3)])
+    fraction = (at - below).astype(np.float32).reshape([-1 if a == axis else 1 for a in range(3)])
     above = np.minimum(below + 1, lattice.shape[axis] - 1)
-    return lattice.take(below, axis) * (1 - share) + lattice.take(above, axis) * share
+    return lattice.take(below, axis) * (1 - fraction) + lattice.take(above, axis) * fraction

@@ -10,17 +10,17 @@ from stylerf.fields.gpu.field import GpuField, GpuRays, GpuRendered
 from stylerf.fields.gpu.memory import in_parts
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.geometry.cameras import Camera
-from stylerf.rendering.view import RenderedView
+from stylerf.rendering.view import RenderedView, view_of
 
 RAYS_AT_ONCE = 1 << 18
 PRECISIONS = ("auto", "float32", "float16")
-# Half of a step of an eight-bit picture: what halves may change of a pixel before they are refused.
+# Half a step of an 8-bit picture: the most that half precision may change of a pixel.
 TOLERANCE = 0.5 / 255
 TRIED_RAYS = 4096
 
 
 def rays_of(camera: Camera, number: Tensor) -> GpuRays:
-    """Rays of the centers of pixels [n] of an int type, counted row by row, made on their device."""
+    """Return rays through the centers of pixels [n] (row-major), computed on the pixels' device."""
     count, device = len(number), number.device
     x = ((number % camera.width).float() + 0.5 - camera.cx) / camera.fx
     y = ((number // camera.width).float() + 0.5 - camera.cy) / camera.fy
@@ -33,9 +33,10 @@ def rays_of(camera: Camera, number: Tensor) -> GpuRays:
 
 
 class GpuRenderer:
-    """Renders `field` on `device`. precision: of the tables as they are read; auto: halves where pixels allow it.
+    """Renders a field on a GPU.
 
-    What pixels allow is tried on rays of the first view; `half` tells what was chosen.
+    precision: of the tables; auto: half precision if it changes no pixel of a sample of the first view by more than
+    TOLERANCE. `half` holds the choice, None before the first view.
     """
 
     def __init__(
@@ -52,17 +53,19 @@ class GpuRenderer:
 
     @property
     def field(self) -> GpuField:
-        """The field that pictures are made of."""
+        """The copy of the field that is rendered."""
         return self._halves if self.half else self._exact
 
     def choose(self, camera: Camera) -> None:
-        """Halves or not, by what they change of this view; else by the first that is seen."""
+        """Choose the precision by this view, if it has not been chosen yet."""
         if self.half is not None:
             return
         count = camera.width * camera.height
         pixels = np.linspace(0, count - 1, min(count, TRIED_RAYS)).astype(np.int64)
         rays = GpuRays.of(*camera.rays(pixels), self.device)
-        exact, rounded = (f.render_rays(rays, share=f.share).out[:, :4] for f in (self._exact, self._halves))
+        exact, rounded = (
+            f.render_rays(rays, weight_threshold=f.weight_threshold).out[:, :4] for f in (self._exact, self._halves)
+        )
         self.half = bool((exact - rounded).abs().max() <= TOLERANCE)
         if self.half:
             self._exact = None
@@ -73,18 +76,24 @@ class GpuRenderer:
         self,
         camera: Camera,
         *,
-        opaque: float = 1e-3,
+        min_transmittance: float = 1e-3,
         regions: Mapping[str, Tensor] | None = None,
         on_rays: Callable[[int], None] = lambda done: None,
     ) -> tuple[Tensor, dict[str, Tensor]]:
-        """([pixels, 5]: premultiplied rgb, alpha, ray distance; by region [pixels]: alpha in it), on the device."""
+        """Render every pixel of a camera; see render_view() in rendering/view.py.
+
+        Returns:
+            ([pixels, 5]: premultiplied rgb, alpha, surface distance; by region, [pixels]: alpha inside), on the device.
+        """
         self.choose(camera)
         marked = regions or {}
 
         def part(begin: int, end: int) -> list[Tensor]:
             rays = rays_of(camera, torch.arange(begin, end, device=self.device))
-            rendered = self.field.render_rays(rays, opaque=opaque, share=self.field.share)
-            found = [rendered.seen(), *(alpha_inside(cells, rendered) for cells in marked.values())]
+            rendered = self.field.render_rays(
+                rays, min_transmittance=min_transmittance, weight_threshold=self.field.weight_threshold
+            )
+            found = [rendered.with_surface_distance(), *(alpha_inside(cells, rendered) for cells in marked.values())]
             on_rays(end)
             return found
 
@@ -96,23 +105,19 @@ class GpuRenderer:
         self,
         camera: Camera,
         *,
-        opaque: float = 1e-3,
+        min_transmittance: float = 1e-3,
         regions: Mapping[str, np.ndarray] | None = None,
         on_rays: Callable[[int], None] = lambda done: None,
     ) -> RenderedView:
-        """As rendering/view.py's render_view."""
+        """Render a view as render_view() in rendering/view.py does."""
         given = {name: np.ascontiguousarray(cells) for name, cells in (regions or {}).items()}
         marked = {name: torch.from_numpy(cells).to(self.device) for name, cells in given.items()}
-        out, inside = self.pixels(camera, opaque=opaque, regions=marked, on_rays=on_rays)
-        out = out.cpu().numpy().reshape(camera.height, camera.width, 5)
-        alpha = np.clip(out[..., 3], 0, 1)
-        distance = np.where(alpha > 0, out[..., 4], 0)
-        masks = {name: np.minimum(m.cpu().numpy().reshape(alpha.shape), alpha) for name, m in inside.items()}
-        return RenderedView(out[..., :3], alpha, distance, distance * camera.ray_cosines(), masks)
+        out, inside = self.pixels(camera, min_transmittance=min_transmittance, regions=marked, on_rays=on_rays)
+        return view_of(camera, out.cpu().numpy(), {name: mask.cpu().numpy() for name, mask in inside.items()})
 
 
 def alpha_inside(marked: Tensor, rendered: GpuRendered) -> Tensor:
-    """[rays]: sum of each ray's weights over samples in marked cells [s, s, s] bool."""
+    """Return [rays]: the sum of each ray's weights over samples in marked cells [s, s, s] bool."""
     s, cells = rendered.samples, marked.shape[0]
     place = (s.x * cells).long().clamp(0, cells - 1)
     own = marked[place[:, 0], place[:, 1], place[:, 2]]

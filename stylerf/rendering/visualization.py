@@ -1,4 +1,4 @@
-"""Buffers as pictures for the eye."""
+"""Rendered buffers as pictures to look at."""
 
 import numpy as np
 from scipy.ndimage import map_coordinates
@@ -9,7 +9,7 @@ from stylerf.rendering.view import RenderedView
 
 
 def depth_picture(z: np.ndarray, alpha: np.ndarray) -> np.ndarray:
-    """Planar depth [h, w] in a perceptual color map, near bright, by inverse depth; [h, w, 3] uint8, void black."""
+    """Return planar depth [h, w] in viridis by inverse depth, near bright: [h, w, 3] uint8, black where empty."""
     from stylerf.environment.matplotlib_defaults import colormaps
 
     seen = (alpha > 0.5) & (z > 0)
@@ -21,9 +21,9 @@ def depth_picture(z: np.ndarray, alpha: np.ndarray) -> np.ndarray:
 
 
 def displacement_picture(field: RadianceField, camera: Camera, seen: RenderedView) -> np.ndarray:
-    """How far each pixel's surface asks from where it is, |D| there, black none, bright most; [h, w, 3] uint8.
+    """Return the displacement |D| of each pixel's surface in magma, black for none: [h, w, 3] uint8.
 
-    The scale ends at the 99th percentile of what is seen.
+    The scale ends at the 99th percentile of visible surfaces.
     """
     from stylerf.environment.matplotlib_defaults import colormaps
 
@@ -38,7 +38,7 @@ def displacement_picture(field: RadianceField, camera: Camera, seen: RenderedVie
 
 
 def sheet_of(rows: list[list[np.ndarray]], beside: np.ndarray, gap: int = 6) -> np.ndarray:
-    """Pictures [h, w, 3] of one size in rows, and one more, `beside`, at their left as tall as all; 0..1, on white."""
+    """Arrange pictures [h, w, 3] of one size in rows beside one as tall as all rows, at the left; 0..1, on white."""
     height, width = rows[0][0].shape[:2]
     tall = len(rows) * (height + gap) - gap
     wide = round(beside.shape[1] * tall / beside.shape[0])

@@ -1,8 +1,8 @@
-"""Triton kernels: the same mathematics as `cpu`, on tensors that stay on the device.
+"""Triton kernels: the mathematics of `cpu` on tensors that stay on the device.
 
-Nothing here is imported before it is asked for: torch's CUDA build brings Triton, its CPU build does not. Gradients are
-added by atomics, so that runs agree to rounding and not to the bit. With TRITON_INTERPRET=1 the kernels run on CPU
-tensors, slowly: that is how they are tested where there is no GPU.
+Imported lazily: torch's CUDA build includes Triton, its CPU build does not. Gradients are summed by atomics, so that
+runs agree up to rounding, not to the bit. With TRITON_INTERPRET=1 the kernels run slowly on CPU tensors, which is how
+they are tested without a GPU.
 """
 
 import importlib.util
@@ -18,7 +18,7 @@ def interpreted() -> bool:
 
 
 def unavailable() -> str | None:
-    """Why no kernel of this package can run here, in one line; None where they can."""
+    """Return why no kernel of this package can run here, in one line, or None."""
     if importlib.util.find_spec("triton") is None:
         return "Triton is not installed; the CUDA build of torch brings it (pip install triton adds it to another)"
     if interpreted():
@@ -37,7 +37,7 @@ def unavailable() -> str | None:
 
 
 def _cannot_launch() -> str | None:
-    """What Triton lacks to compile its launcher, a small C file for this Python, at the first kernel."""
+    """Return what is missing to compile Triton's launcher, a small C file for this Python, or None."""
     if not (os.environ.get("CC") or shutil.which("gcc") or shutil.which("clang")):
         return "Triton finds no C compiler; install gcc, or set CC to one"
     header = Path(sysconfig.get_paths()["include"]) / "Python.h"

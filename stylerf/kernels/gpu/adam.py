@@ -9,7 +9,7 @@ def adam_kernel(
     values, gradients, first, second, rate, beta1, beta2, epsilon, correction1, correction2, begin, end,
     BLOCK: tl.constexpr,
 ):  # fmt: skip
-    """One step on values[begin:end]; gradients are set to zero. Runs of eight without a gradient stay as they are."""
+    """One step on values[begin:end]; gradients are cleared. Runs of eight without any gradient are skipped."""
     run = tl.program_id(0).to(tl.int64) * BLOCK + tl.arange(0, BLOCK)
     at = begin + run[:, None] * 8 + tl.arange(0, 8)[None, :]
     inside = at < end

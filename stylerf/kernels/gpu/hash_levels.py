@@ -13,7 +13,7 @@ from stylerf.kernels.gpu.indexing import cell, trilinear_corner
 
 @triton.jit
 def vertex_number(times_x, times_y, mask, hashed, i, j, k):
-    """Number (int64) within its level of the vertex i, j, k (int32)."""
+    """Index (int64) within its level of the vertex i, j, k (int32)."""
     # Unsigned, because that may wrap.
     x = i.to(tl.uint32) * times_x.to(tl.uint32)
     y = j.to(tl.uint32) * times_y.to(tl.uint32)
@@ -39,7 +39,7 @@ def _levels_of(layout, columns, LEVELS: tl.constexpr, ROW: tl.constexpr):
 
 @triton.jit
 def level_tile(table, layout, x, y, z, columns, LEVELS: tl.constexpr, ROW: tl.constexpr, mask):
-    """[samples, WIDTH]: the trilinear mixes of the levels side by side, float32; the table may hold halves."""
+    """[samples, WIDTH]: the interpolated levels side by side, float32; the table may be in half precision."""
     size, times_x, times_y, of_hash, first, hashed = _levels_of(layout, columns, LEVELS, ROW)
     i, fx = cell(x[:, None], size)
     j, fy = cell(y[:, None], size)

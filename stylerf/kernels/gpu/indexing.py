@@ -1,4 +1,4 @@
-"""Where things lie: offsets that outgrow 32 bits, cells of a grid, tiles of rows."""
+"""Indexing: 64-bit offsets, cells of a grid, vectors of three."""
 
 import triton
 import triton.language as tl
@@ -6,13 +6,13 @@ import triton.language as tl
 
 @triton.jit
 def offset(row, width, column):
-    """row * width + column in 64 bits, whatever the row's type: three floats a sample pass 2^31 at 716 M samples."""
+    """row * width + column in 64 bits: three floats per sample exceed 2^31 at 716 M samples."""
     return row.to(tl.int64) * width + column
 
 
 @triton.jit
 def cell(x, size):
-    """Lower vertex (int32) and place in the cell (0..1) of x in 0..1 on `size` vertices; a NaN stays in the grid."""
+    """Lower vertex (int32) and position in the cell (0..1) of x in 0..1 on `size` vertices; a NaN stays in the grid."""
     place = x * (size - 1)
     low = tl.minimum(tl.maximum(place.to(tl.int32), 0), size - 2)
     return low, place - low.to(tl.float32)
@@ -39,7 +39,7 @@ def store_vector(pointer, row, a, b, c, mask):
 
 @triton.jit
 def trilinear_corner(corner: tl.constexpr, fx, fy, fz):
-    """Weight of corner 0..7 (x slowest, z fastest) at a place in its cell."""
+    """Weight of corner 0..7 (x slowest, z fastest) at a position in its cell."""
     wx = fx if corner // 4 == 1 else 1.0 - fx
     wy = fy if (corner // 2) % 2 == 1 else 1.0 - fy
     wz = fz if corner % 2 == 1 else 1.0 - fz

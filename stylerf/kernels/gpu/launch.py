@@ -1,4 +1,4 @@
-"""How the kernels are launched: grids, blocks, constants. Nothing here waits for the device."""
+"""Kernel launches: grids, blocks, constants. Nothing here waits for the device, unless it says so."""
 
 from dataclasses import dataclass
 
@@ -11,18 +11,22 @@ from stylerf.kernels.gpu import compositing as composite_kernels
 from stylerf.kernels.gpu import hash_color as hash_kernels
 from stylerf.kernels.gpu import interpreted, march, pixel_rays, vm
 
-# Rays or samples to a program. A walk diverges, so that few rays share one; the interpreter pays by the program.
+# Rays or samples per program. Marches diverge, so that few rays share a program; the interpreter pays per program.
 RAYS, SAMPLES, POINTS, RUNS = (256, 512, 1024, 4096) if interpreted() else (32, 64, 128, 128)
 # No software pipeline: it would copy the gathered rows through 170 KB of shared memory, more than most GPUs have.
 STAGES = 1
-PROGRAMS_PER_PROCESSOR = 8  # of kernels that walk a list whose length only the device knows
+PROGRAMS_PER_PROCESSOR = 8  # of kernels that inputs a list whose length only the device knows
 
 
 @dataclass
 class GpuSamples:
-    """As fields/ray_samples.py's Samples, packed without gaps. ray_of [room]; largest [rays]: weights; total [1] int64.
+    """Samples along rays, packed without padding; as Samples in kernels/cpu/ray_samples.py, and beyond that:
 
-    counts [rays]: samples that each ray wanted; starts:ends is empty where they found no room.
+    Attributes:
+        counts: [rays], samples that each ray wanted; its starts:ends is empty if they found no room.
+        largest: [rays], each ray's largest weight.
+        total: [1] int64, number of samples.
+        ray_of: [room], each sample's ray.
     """
 
     starts: Tensor
@@ -31,7 +35,7 @@ class GpuSamples:
     largest: Tensor
     total: Tensor
     t: Tensor
-    optical: Tensor
+    deltas: Tensor
     x: Tensor
     sigma: Tensor
     weights: Tensor
@@ -39,22 +43,22 @@ class GpuSamples:
 
     @property
     def room(self) -> int:
-        """Samples there is memory for."""
+        """Number of samples that fit."""
         return len(self.t)
 
 
 def width_of(rank: int) -> int:
-    """Columns of a tile of rows: products of tiles need at least sixteen."""
+    """Return the columns of a tile of rows; tl.dot needs at least sixteen."""
     return max(16, triton.next_power_of_2(rank))
 
 
 def outputs_of(bands: int) -> int:
-    """Columns of a tile of the color head's outputs."""
+    """Return the columns of a tile of the color head's outputs."""
     return max(16, triton.next_power_of_2(3 * bands))
 
 
 def persistent_grid(device: torch.device, most: int, block: int) -> tuple[int]:
-    """As many programs as keep the device busy, for lists of at most `most` entries."""
+    """Return enough programs to occupy the device, for lists of at most `most` entries."""
     if device.type != "cuda":
         return (min(2, max(1, triton.cdiv(most, block))),)
     processors = torch.cuda.get_device_properties(device).multi_processor_count
@@ -62,8 +66,8 @@ def persistent_grid(device: torch.device, most: int, block: int) -> tuple[int]:
 
 
 @dataclass(frozen=True)
-class Walk:
-    """What a march is asked: a space's code, parameters [7] on the device and bounds; step in cube units."""
+class GpuMarchInputs:
+    """What a march reads beside rays and density; space: numbers [7] on the device; step: cube units."""
 
     code: int
     space: Tensor
@@ -72,28 +76,29 @@ class Walk:
     step: float
     distances: Tensor  # [cells^3] uint8
     cells: int
-    closed: bool
+    opaque_background: bool
     displacement: Tensor | None  # flat [m^3 * 3]
     vertices: int
-    limit: int
-    opaque: float
+    samples_per_ray: int
+    min_transmittance: float
 
 
 def march_density(
-    walk: Walk, density, origins: Tensor, directions: Tensor, jitter: Tensor, room: int | None
+    inputs: GpuMarchInputs, density, origins: Tensor, directions: Tensor, jitter: Tensor, room: int | None
 ) -> GpuSamples:
-    """Samples of rays through a density. room: most samples there is memory for; None: asked from the device.
+    """March rays through a density.
 
-    With a room nothing waits for the device. density: has table, shift, layout, size, code, rank and width; see
-    density.raw_density.
+    Args:
+        density: has table, shift, layout, size, code, rank and width; see density.raw_density.
+        room: most samples there is memory for. With None the number is read back, which waits for the device.
     """
     n, device = len(origins), origins.device
     counts, int64 = torch.empty(n, dtype=torch.int32, device=device), {"dtype": torch.int64, "device": device}
     starts, ends = torch.empty(n, **int64), torch.empty(n, **int64)
     largest, total = torch.empty(n, device=device), torch.zeros(1, **int64)
-    # What a pass does not use is still an argument: any tensor of the right kind will do.
+    # The counting pass needs no outputs, but Triton needs arguments: any tensors of the right type.
     nothing = GpuSamples(starts, ends, counts, largest, total, *[largest] * 5, counts)
-    _walk_rays(walk, density, origins, directions, jitter, nothing, starts, 0, False)
+    _march_rays(inputs, density, origins, directions, jitter, nothing, starts, 0, False)
     last = torch.cumsum(counts, 0, dtype=torch.int64)
     if room is None:
         room = int(last[-1]) if n else 0
@@ -101,28 +106,29 @@ def march_density(
     points = torch.empty((room, 3), device=device)
     ray_of = torch.empty(room, dtype=torch.int32, device=device)
     samples = GpuSamples(starts, ends, counts, largest, total, one[0], one[1], points, one[2], one[3], ray_of)
-    _walk_rays(walk, density, origins, directions, jitter, samples, last, room, True)
+    _march_rays(inputs, density, origins, directions, jitter, samples, last, room, True)
     return samples
 
 
-def _walk_rays(walk, density, origins, directions, jitter, samples: GpuSamples, last, room, fill: bool) -> None:
+def _march_rays(inputs, density, origins, directions, jitter, samples: GpuSamples, last, room, fill: bool) -> None:
     n = len(origins)
     if not n:
         return
-    s, moved = samples, origins if walk.displacement is None else walk.displacement
+    s, moved = samples, origins if inputs.displacement is None else inputs.displacement
     layout = s.counts if density.layout is None else density.layout
     march.march_kernel[(triton.cdiv(n, RAYS),)](
-        walk.space, origins, directions, jitter, float(walk.near), float(walk.far), float(walk.step),
-        walk.distances, walk.cells, walk.limit, float(walk.opaque), density.table, density.shift, *density.size,
-        layout, moved, walk.vertices, s.counts, last, room, s.starts, s.ends, s.largest, s.total,
-        s.t, s.optical, s.x, s.sigma, s.weights, s.ray_of, n,
-        KIND=walk.code, CLOSED=walk.closed, DISPLACED=walk.displacement is not None, FILL=fill,
-        DENSITY=density.code, RANK=density.rank, WIDTH=density.width, BLOCK=RAYS, num_warps=1,
+        inputs.space, origins, directions, jitter, float(inputs.near), float(inputs.far), float(inputs.step),
+        inputs.distances, inputs.cells, inputs.samples_per_ray, float(inputs.min_transmittance),
+        density.table, density.shift, *density.size, layout, moved, inputs.vertices,
+        s.counts, last, room, s.starts, s.ends, s.largest, s.total,
+        s.t, s.deltas, s.x, s.sigma, s.weights, s.ray_of, n,
+        KIND=inputs.code, OPAQUE_BACKGROUND=inputs.opaque_background, DISPLACED=inputs.displacement is not None,
+        FILL=fill, DENSITY=density.code, RANK=density.rank, WIDTH=density.width, BLOCK=RAYS, num_warps=1,
     )  # fmt: skip
 
 
 def vm_density(density, points: Tensor) -> Tensor:
-    """Raw density [n] of cube points [n, 3]."""
+    """Return raw density [n] at points [n, 3] in the unit cube."""
     out = torch.empty(len(points), device=points.device)
     if len(points):
         vm.density_kernel[(triton.cdiv(len(points), POINTS),)](
@@ -140,12 +146,12 @@ def vm_density_backward(density, samples: GpuSamples, sigma_gradients: Tensor, t
     )  # fmt: skip
 
 
-def vm_colors(color, samples: GpuSamples, directions: Tensor, share: float) -> Tensor:
-    """[room, 3] colors of samples with at least `share` of their ray's largest weight; others have -1 first."""
+def vm_colors(color, samples: GpuSamples, directions: Tensor, weight_threshold: float) -> Tensor:
+    """Return [room, 3] colors; -1 in channel 0 below weight_threshold times the ray's largest weight."""
     out = torch.empty((samples.room, 3), device=directions.device)
     vm.color_kernel[persistent_grid(out.device, samples.room, SAMPLES)](
         color.table, color.head, color.bias, samples.x, directions, samples.ray_of, samples.weights,
-        samples.largest, float(share), samples.total, out, *color.size,
+        samples.largest, float(weight_threshold), samples.total, out, *color.size,
         RANK=color.rank, WIDTH=width_of(color.rank), BANDS=color.bands, OUTPUTS=outputs_of(color.bands),
         BLOCK=SAMPLES, num_stages=STAGES,
     )  # fmt: skip
@@ -163,11 +169,11 @@ def vm_colors_backward(color, samples: GpuSamples, directions, colors, color_gra
     )  # fmt: skip
 
 
-def hash_colors(color, samples: GpuSamples, share: float) -> Tensor:
-    """As vm_colors, of a hash grid."""
+def hash_colors(color, samples: GpuSamples, weight_threshold: float) -> Tensor:
+    """See vm_colors; for a hash grid."""
     out = torch.empty((samples.room, 3), device=samples.x.device)
     hash_kernels.color_kernel[persistent_grid(out.device, samples.room, SAMPLES)](
-        color.table, color.layout, samples.x, samples.ray_of, samples.weights, samples.largest, float(share),
+        color.table, color.layout, samples.x, samples.ray_of, samples.weights, samples.largest, float(weight_threshold),
         samples.total, out, LEVELS=color.levels, BLOCK=SAMPLES, num_stages=STAGES,
     )  # fmt: skip
     return out
@@ -194,19 +200,19 @@ def smoothness(part, strength: float, to: Tensor) -> None:
 
 
 def composite(samples: GpuSamples, colors: Tensor) -> Tensor:
-    """[rays, 5]: sum w c (3), sum w, sum w t without a backdrop's."""
+    """Return [rays, 5]: sum w c (3), sum w, sum w t without the opaque background."""
     n = len(samples.starts)
     out = torch.empty((n, 5), device=colors.device)
     if n:
         composite_kernels.composite_kernel[(triton.cdiv(n, RAYS),)](
-            samples.weights, samples.optical, colors, samples.t, samples.starts, samples.ends, out, n, BLOCK=RAYS,
+            samples.weights, samples.deltas, colors, samples.t, samples.starts, samples.ends, out, n, BLOCK=RAYS,
             num_warps=1,
         )  # fmt: skip
     return out
 
 
 def surface_distance(samples: GpuSamples) -> Tensor:
-    """[rays]: distance of what each ray shows, scene units, 0 where there is nothing."""
+    """Return [rays]: distance of the visible surface, scene units, 0 where there is none."""
     n = len(samples.starts)
     out = torch.empty(n, device=samples.t.device)
     if n:
@@ -217,20 +223,20 @@ def surface_distance(samples: GpuSamples) -> Tensor:
 
 
 def composite_backward(
-    samples: GpuSamples, colors: Tensor, out: Tensor, gradients: Tensor, even_from: float
+    samples: GpuSamples, colors: Tensor, out: Tensor, gradients: Tensor, near_scaling_distance: float
 ) -> tuple[Tensor, Tensor]:
-    """(dL/d(sigma) [room], dL/d(color) [room, 3]) from dL/d(out) [rays, 5]; unset beyond the samples there are."""
+    """Return dL/d(sigma) [room], dL/d(color) [room, 3] from dL/d(out) [rays, 5]; undefined beyond the last sample."""
     sigma_gradients, color_gradients = torch.empty_like(samples.sigma), torch.empty_like(colors)
     if len(out):
         composite_kernels.composite_backward_kernel[(triton.cdiv(len(out), RAYS),)](
-            samples.weights, samples.optical, colors, samples.t, samples.starts, samples.ends, out, gradients,
-            float(even_from), sigma_gradients, color_gradients, len(out), BLOCK=RAYS, num_warps=1,
+            samples.weights, samples.deltas, colors, samples.t, samples.starts, samples.ends, out, gradients,
+            float(near_scaling_distance), sigma_gradients, color_gradients, len(out), BLOCK=RAYS, num_warps=1,
         )  # fmt: skip
     return sigma_gradients, color_gradients
 
 
 def photometric_loss(out: Tensor, wanted, background, samples: GpuSamples, scale: float, sums: Tensor) -> Tensor:
-    """dL/d(out) of the squared error; adds (squared error, samples, rays without room) to sums [3]."""
+    """Return dL/d(out) of the squared error; add (squared error, samples, rays without room) to sums [3]."""
     gradients = torch.empty_like(out)
     composite_kernels.loss_kernel[(triton.cdiv(len(out), POINTS),)](
         out, wanted, background, samples.counts, samples.starts, samples.ends, float(scale), gradients, sums, len(out),
@@ -240,7 +246,7 @@ def photometric_loss(out: Tensor, wanted, background, samples: GpuSamples, scale
 
 
 def adam(values, gradients, first, second, rate, betas, epsilon, corrections, begin: int, end: int) -> None:
-    """One step of Adam on values[begin:end]."""
+    """Take one step of Adam on values[begin:end]."""
     optimizer.adam_kernel[(triton.cdiv(triton.cdiv(end - begin, 8), RUNS),)](
         values, gradients, first, second, float(rate), *betas, epsilon, *corrections, begin, end, BLOCK=RUNS
     )
@@ -249,7 +255,7 @@ def adam(values, gradients, first, second, rate, betas, epsilon, corrections, be
 def draw_rays(
     bank, seed, first, total, lit_total, lit_rays, level, origins, directions, wanted, jitter, background
 ) -> None:
-    """Random rays of a DeviceBank; see pixels.draw_kernel. level None: random background."""
+    """Draw random rays of a RayDatasetGpu; see pixel_rays.draw_kernel. level None: random background."""
     n = len(origins)
     pixel_rays.draw_kernel[(triton.cdiv(n, POINTS),)](
         seed, first, n, total, bank.lit, lit_total, lit_rays, bank.view_ends, bank.view_sizes, bank.views, bank.widths,
@@ -261,7 +267,7 @@ def draw_rays(
 
 
 def shade_backward(samples: GpuSamples, gradients: Tensor) -> Tensor:
-    """dL/d(color) [n, 3] of samples that fill their room, from dL/d(sum w c) [rays, 3]."""
+    """Return dL/d(color) [n, 3] from dL/d(sum w c) [rays, 3], for samples that fill their room."""
     out, n = torch.empty_like(samples.x), len(samples.weights)
     if n:
         composite_kernels.shade_backward_kernel[(triton.cdiv(n, POINTS),)](

@@ -1,4 +1,4 @@
-"""How the kernels of local edits are launched. Nothing here waits for the device."""
+"""Launches of the kernels of local edits; see launch.py. Nothing here waits for the device."""
 
 import torch
 import triton
@@ -9,16 +9,15 @@ from stylerf.kernels.gpu import hash_color as hash_kernels
 from stylerf.kernels.gpu.launch import POINTS, SAMPLES, STAGES, GpuSamples, persistent_grid
 
 
-def patch_colors(part, samples: GpuSamples, colors: Tensor) -> None:
-    """Colors [room, 3] of the base become those of the patch, in place. part: has table, layout, levels, marked,
-    cells, box."""
+def region_colors(part, samples: GpuSamples, colors: Tensor) -> None:
+    """Add the region's logits to the base's colors [room, 3], in place. part: a GpuRegionColor."""
     region_color.color_kernel[persistent_grid(colors.device, samples.room, SAMPLES)](
         part.table, part.layout, part.marked, part.cells, part.box, samples.x, samples.total, colors,
         LEVELS=part.levels, BLOCK=SAMPLES, num_stages=STAGES,
     )  # fmt: skip
 
 
-def patch_colors_backward(part, samples: GpuSamples, colors: Tensor, color_gradients, to: Tensor) -> None:
+def region_colors_backward(part, samples: GpuSamples, colors: Tensor, color_gradients, to: Tensor) -> None:
     """Add dL/d(values) to `to` [len(values)]."""
     region_color.color_backward_kernel[persistent_grid(to.device, samples.room, SAMPLES)](
         part.layout, part.marked, part.cells, part.box, samples.x, colors, color_gradients, samples.total, to,
@@ -26,15 +25,15 @@ def patch_colors_backward(part, samples: GpuSamples, colors: Tensor, color_gradi
     )  # fmt: skip
 
 
-def keep_inside(marked: Tensor, cells: int, samples: GpuSamples, values: Tensor) -> None:
-    """values [room] of samples that lie outside the marked cells (uint8 [cells^3]) become 0."""
+def zero_outside(marked: Tensor, cells: int, samples: GpuSamples, values: Tensor) -> None:
+    """Set values [room] to 0 for samples outside the marked cells (uint8 [cells^3])."""
     regions.keep_kernel[persistent_grid(values.device, samples.room, SAMPLES)](
         marked, cells, samples.x, samples.total, values, BLOCK=SAMPLES, num_stages=STAGES
     )
 
 
 def ends_inside(marked: Tensor, cells: int, samples: GpuSamples) -> Tensor:
-    """[rays, 6]: sum w, and over marked cells sum w, w t, w x."""
+    """Return [rays, 6]: sum w, then sums over marked cells of w, w t and w x."""
     n = len(samples.starts)
     out = torch.empty((n, 6), device=samples.x.device)
     if n:
@@ -45,7 +44,7 @@ def ends_inside(marked: Tensor, cells: int, samples: GpuSamples) -> Tensor:
 
 
 def rays_of_pixels(bank, chosen: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """(origins, directions [n, 3], straight rgba [n, 4]) of pixels [n] int64 of a DeviceBank, views end to end."""
+    """Return (origins, directions [n, 3], straight rgba [n, 4]) of pixels [n] int64, numbered across all views."""
     n = len(chosen)
     origins, directions = (torch.empty((n, 3), device=chosen.device) for _ in range(2))
     wanted = torch.empty((n, 4), device=chosen.device)
@@ -62,7 +61,7 @@ def tuning_loss(
     out: Tensor, wanted: Tensor, depth: Tensor, samples: GpuSamples, level: float, scale: float, depth_scale: float,
     sums: Tensor,
 ) -> Tensor:  # fmt: skip
-    """dL/d(out) [rays, 5], see composite.tuning_loss_kernel; adds to sums [5]. depth [m]: of the first m rays."""
+    """Return dL/d(out) [rays, 5] and add to sums [5]; see tuning_loss_kernel. depth [m]: of the first m rays."""
     gradients, edited = torch.empty_like(out), len(depth)
     if len(out):
         compositing.tuning_loss_kernel[(triton.cdiv(len(out), POINTS),)](

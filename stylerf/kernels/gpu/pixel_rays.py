@@ -1,4 +1,4 @@
-"""Random rays with their colors, drawn on the device from 8-bit photos that lie there."""
+"""Random rays and their colors, drawn on the device from 8-bit photos in its memory."""
 
 import triton
 import triton.language as tl
@@ -8,7 +8,7 @@ from stylerf.kernels.gpu.indexing import offset, store_vector
 
 @triton.jit
 def _below(bits, bound):
-    """A whole number 0 <= n < bound (int64, under 2^31) from 32 random bits; biased by less than bound / 2^32."""
+    """An integer 0 <= n < bound (int64, under 2^31) from 32 random bits; biased by less than bound / 2^32."""
     return (bits.to(tl.uint32).to(tl.int64) * bound) >> 32
 
 
@@ -20,7 +20,7 @@ def _unit(bits):
 
 @triton.jit
 def view_of(index, view_ends, views, STEPS: tl.constexpr):
-    """The view (int32) that holds pixel `index` of all views laid end to end: the first whose end lies beyond it."""
+    """The view (int32) that holds pixel `index` numbered across all views: the first whose end is beyond it."""
     low = (index * 0).to(tl.int32)
     high = low + views - 1
     for _ in tl.static_range(STEPS):
@@ -35,7 +35,7 @@ def view_of(index, view_ends, views, STEPS: tl.constexpr):
 def ray_of_pixel(
     index, view, view_ends, view_sizes, widths, intrinsics, poses, bytes_, codes, CHANNELS: tl.constexpr, mask
 ):  # fmt: skip
-    """(origin, direction, rgba) of pixel `index` of all views laid end to end; codes [views, 256]: of their bytes."""
+    """(origin, direction, rgba) of pixel `index`, numbered across all views; codes [views, 256]: of their bytes."""
     v = view.to(tl.int64)
     width = tl.load(widths + v)
     pixel = index - tl.load(view_ends + v) + tl.load(view_sizes + v)
@@ -73,7 +73,7 @@ def rays_kernel(
     chosen, count, view_ends, view_sizes, views, widths, intrinsics, poses, bytes_, codes, origins, directions, wanted,
     CHANNELS: tl.constexpr, STEPS: tl.constexpr, BLOCK: tl.constexpr,
 ):  # fmt: skip
-    """Rays and straight rgba of pixels chosen [count] int64, numbered through all views laid end to end."""
+    """Rays and straight (not premultiplied) rgba of pixels chosen [count] int64, numbered across all views."""
     k = tl.program_id(0).to(tl.int64) * BLOCK + tl.arange(0, BLOCK)
     mask = k < count
     index = tl.load(chosen + k, mask=mask, other=0)
@@ -90,7 +90,7 @@ def draw_kernel(
     codes, level, origins, directions, wanted, jitter, background,
     CHANNELS: tl.constexpr, RANDOM_BACKGROUND: tl.constexpr, STEPS: tl.constexpr, BLOCK: tl.constexpr,
 ):  # fmt: skip
-    """Rays `first` .. `first` + rays of the batch that `seed` names, which is the same however it is cut into parts.
+    """Rays `first` .. `first` + rays of the batch of `seed`, which does not depend on how it is split into parts.
 
     Of the batch's rays those below lit_rays take a pixel of lit[0:lit_total], the others one of 0..total. level: gray
     of the background where it is not random.

@@ -1,4 +1,4 @@
-"""What of a ray lies in a region: kernels/cpu/regions.py, on packed samples. marked: uint8 [cells^3] over the cube."""
+"""The part of each ray in a region, on packed samples (kernels/cpu/regions.py); marked: uint8 [cells^3]."""
 
 import triton
 import triton.language as tl
@@ -9,7 +9,7 @@ from stylerf.kernels.gpu.space_warp import cell_number
 
 @triton.jit
 def in_marked(marked, cells, x, y, z, mask):
-    """Which of the points of the cube that `mask` asks for lie in marked cells."""
+    """Which of the points in the cube, among those of `mask`, lie in marked cells."""
     return mask & (tl.load(marked + cell_number(x, y, z, cells), mask=mask, other=0) != 0)
 
 
@@ -29,9 +29,9 @@ def keep_kernel(marked, cells, points, total, values, BLOCK: tl.constexpr):
 def ends_kernel(marked, cells, points, t, weights, starts, ends, out, rays, BLOCK: tl.constexpr):
     """out[r] = (sum w, sum over marked cells of w, of w t, of w x): [rays, 6], zero for a ray without samples."""
     r = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
-    live = r < rays
-    first = tl.load(starts + r, mask=live, other=0)
-    count = tl.load(ends + r, mask=live, other=0) - first
+    valid = r < rays
+    first = tl.load(starts + r, mask=valid, other=0)
+    count = tl.load(ends + r, mask=valid, other=0) - first
     zero = first.to(tl.float32) * 0.0
     whole, inside, depth, at_x, at_y, at_z = zero, zero, zero, zero, zero, zero
     for i in range(0, tl.max(count, axis=0)):
@@ -47,9 +47,9 @@ def ends_kernel(marked, cells, points, t, weights, starts, ends, out, rays, BLOC
         at_y += w * y
         at_z += w * z
     at = offset(r, 6, 0)
-    tl.store(out + at, whole, mask=live)
-    tl.store(out + at + 1, inside, mask=live)
-    tl.store(out + at + 2, depth, mask=live)
-    tl.store(out + at + 3, at_x, mask=live)
-    tl.store(out + at + 4, at_y, mask=live)
-    tl.store(out + at + 5, at_z, mask=live)
+    tl.store(out + at, whole, mask=valid)
+    tl.store(out + at + 1, inside, mask=valid)
+    tl.store(out + at + 2, depth, mask=valid)
+    tl.store(out + at + 3, at_x, mask=valid)
+    tl.store(out + at + 4, at_y, mask=valid)
+    tl.store(out + at + 5, at_z, mask=valid)

@@ -1,4 +1,4 @@
-"""The warp of space, span of a ray and leaps: kernels/cpu/march.py, a lane to a ray."""
+"""The warp of space, the span of a ray and empty-space skipping, one lane per ray (kernels/cpu/march.py)."""
 
 import triton
 import triton.language as tl
@@ -64,7 +64,7 @@ def _clip_axis(o, d, low, scale, t0, t1):
 
 @triton.jit
 def ray_span(KIND: tl.constexpr, space, ox, oy, oz, dx, dy, dz, near, far):
-    """Distances between which a ray is marched; empty where the first is not less than the second."""
+    """Distances between which a ray is marched; empty if the first is not less than the second."""
     t0, t1 = near, far + 0.0 * near
     if KIND == 0:
         t0, t1 = _clip_axis(ox, dx, tl.load(space), tl.load(space + 3), t0, t1)
@@ -74,8 +74,8 @@ def ray_span(KIND: tl.constexpr, space, ox, oy, oz, dx, dy, dz, near, far):
 
 
 @triton.jit
-def leap(KIND: tl.constexpr, space, ox, oy, oz, dx, dy, dz, t, dt, distance, cells, step, qx, qy, qz, mask):
-    """Steps (int32) that can be taken at once where the nearest occupied cell is `distance` cells away; see the CPU's.
+def empty_steps(KIND: tl.constexpr, space, ox, oy, oz, dx, dy, dz, t, dt, distance, cells, step, qx, qy, qz, mask):
+    """Steps (int32) to skip where the nearest occupied cell is `distance` cells away; see the CPU's empty_steps.
 
     Lanes that `mask` leaves out, or that stand beside an occupied cell, take one.
     """
@@ -98,7 +98,7 @@ def leap(KIND: tl.constexpr, space, ox, oy, oz, dx, dy, dz, t, dt, distance, cel
 
 @triton.jit
 def cell_number(x, y, z, cells):
-    """Row-major number of the occupancy cell of a point of the cube."""
+    """Row-major index of the occupancy cell of a point of the cube."""
     i = tl.minimum((x * cells).to(tl.int32), cells - 1)
     j = tl.minimum((y * cells).to(tl.int32), cells - 1)
     k = tl.minimum((z * cells).to(tl.int32), cells - 1)

@@ -1,4 +1,4 @@
-"""Real spherical harmonics up to degree 2 of ray directions, laid beside the outputs of a color head."""
+"""Real spherical harmonics up to degree 2 of ray directions, aligned with the outputs of a color head."""
 
 import triton
 import triton.language as tl

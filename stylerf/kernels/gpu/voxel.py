@@ -1,4 +1,4 @@
-"""encode, voxel: kernels/cpu/voxel.py, a sparse grid of vertices with a row of numbers each, forward and backward.
+"""Sparse voxel grids, forward and backward (kernels/cpu/voxel.py).
 
 links: int32 as fields/voxel.py's Grid makes it: six numbers of the grid, then which block of the table is each block's.
 s0, s1, s2: vertices per axis.
@@ -13,21 +13,21 @@ from stylerf.kernels.gpu.vm import EXPONENT_MAX, EXPONENT_MIN, SIZES
 
 @triton.jit
 def row_of(links, s1, s2, i, j, k, mask):
-    """Row (int64) of the vertex i, j, k (int32) in the table; 0..63: of a block that is not kept."""
+    """Row (int64) of the vertex i, j, k (int32) in the table; 0..63: of the block of all that is not allocated."""
     block = ((i >> 2).to(tl.int64) * ((s1 + 3) // 4) + (j >> 2)) * ((s2 + 3) // 4) + (k >> 2)
     number = tl.load(links + 6 + block, mask=mask, other=0).to(tl.int64)
     return number * 64 + (i & 3) * 16 + (j & 3) * 4 + (k & 3)
 
 
 @triton.jit
-def _corners(links, x, y, z, s0, s1, s2, live):
+def _corners(links, x, y, z, s0, s1, s2, valid):
     """(rows, weights) [samples, 8] of the vertices around points, x slowest."""
     corner = tl.arange(0, 8)[None, :]
     i, fx = cell(x, s0)
     j, fy = cell(y, s1)
     k, fz = cell(z, s2)
     di, dj, dk = corner // 4, (corner // 2) % 2, corner % 2
-    rows = row_of(links, s1, s2, i[:, None] + di, j[:, None] + dj, k[:, None] + dk, live[:, None])
+    rows = row_of(links, s1, s2, i[:, None] + di, j[:, None] + dj, k[:, None] + dk, valid[:, None])
     along_x = tl.where(di == 1, fx[:, None], 1.0 - fx[:, None])
     along_y = tl.where(dj == 1, fy[:, None], 1.0 - fy[:, None])
     along_z = tl.where(dk == 1, fz[:, None], 1.0 - fz[:, None])
@@ -35,10 +35,10 @@ def _corners(links, x, y, z, s0, s1, s2, live):
 
 
 @triton.jit
-def raw_density(table, links, shift, x, y, z, s0, s1, s2, live):
-    """exp(shift + mix) of points; shift: pointer."""
-    rows, weights = _corners(links, x, y, z, s0, s1, s2, live)
-    values = tl.load(table + rows, mask=live[:, None], other=0.0).to(tl.float32)
+def raw_density(table, links, shift, x, y, z, s0, s1, s2, valid):
+    """exp(shift + interpolated value) of points; shift: pointer."""
+    rows, weights = _corners(links, x, y, z, s0, s1, s2, valid)
+    values = tl.load(table + rows, mask=valid[:, None], other=0.0).to(tl.float32)
     total = tl.load(shift) + tl.sum(weights * values, axis=1)
     return tl.exp(tl.minimum(tl.maximum(total, EXPONENT_MIN), EXPONENT_MAX))
 
@@ -47,42 +47,42 @@ def raw_density(table, links, shift, x, y, z, s0, s1, s2, live):
 def density_backward_kernel(
     links, points, sigma, sigma_gradients, total, to, shift_to, s0, s1, s2, BLOCK: tl.constexpr
 ):
-    """Add dL/d(table), of kept blocks, to `to`, dL/d(shift) to shift_to[0]; total: pointer to the number of samples."""
+    """Add dL/d(table) of allocated blocks to `to`, dL/d(shift) to shift_to[0]; total: pointer to the sample count."""
     count = tl.load(total)
     for block in range(tl.program_id(0).to(tl.int64), tl.cdiv(count, BLOCK), tl.num_programs(0)):
         k = block * BLOCK + tl.arange(0, BLOCK)
         inside = k < count
         g = tl.load(sigma_gradients + k, mask=inside, other=0.0) * tl.load(sigma + k, mask=inside, other=0.0)
-        live = inside & (g != 0.0)
-        x, y, z = vector(points, k, live)
-        tl.atomic_add(shift_to, tl.sum(tl.where(live, g, 0.0), axis=0), sem="relaxed")
-        rows, weights = _corners(links, x, y, z, s0, s1, s2, live)
+        valid = inside & (g != 0.0)
+        x, y, z = vector(points, k, valid)
+        tl.atomic_add(shift_to, tl.sum(tl.where(valid, g, 0.0), axis=0), sem="relaxed")
+        rows, weights = _corners(links, x, y, z, s0, s1, s2, valid)
         # What stands for blocks not kept never learns, and nothing would clear its gradients.
-        tl.atomic_add(to + rows, weights * g[:, None], mask=live[:, None] & (rows >= 64), sem="relaxed")
+        tl.atomic_add(to + rows, weights * g[:, None], mask=valid[:, None] & (rows >= 64), sem="relaxed")
 
 
 @triton.jit
-def row_tile(table, links, x, y, z, s0, s1, s2, columns, ROW: tl.constexpr, live, mask):
-    """[samples, WIDTH]: the trilinear mix of rows of ROW floats; the table may hold halves. mask: live by columns."""
+def row_tile(table, links, x, y, z, s0, s1, s2, columns, ROW: tl.constexpr, valid, mask):
+    """[samples, WIDTH]: rows of ROW floats, interpolated, from a table of floats or halves. mask: valid by columns."""
     i, fx = cell(x, s0)
     j, fy = cell(y, s1)
     k, fz = cell(z, s2)
     total = x[:, None] * 0.0 + columns[None, :] * 0.0
     for corner in tl.static_range(8):
-        row = row_of(links, s1, s2, i + corner // 4, j + (corner // 2) % 2, k + corner % 2, live)
+        row = row_of(links, s1, s2, i + corner // 4, j + (corner // 2) % 2, k + corner % 2, valid)
         values = tl.load(table + offset(row[:, None], ROW, columns[None, :]), mask=mask, other=0.0).to(tl.float32)
         total += trilinear_corner(corner, fx, fy, fz)[:, None] * values
     return total
 
 
 @triton.jit
-def row_tile_scatter(to, links, x, y, z, s0, s1, s2, gradient, columns, ROW: tl.constexpr, live, mask):
-    """Add gradient [samples, WIDTH] times each kept vertex's weight to the rows of `to`, laid out as the table."""
+def row_tile_scatter(to, links, x, y, z, s0, s1, s2, gradient, columns, ROW: tl.constexpr, valid, mask):
+    """Add gradient [samples, WIDTH] times each allocated vertex's weight to the rows of `to`, laid out as the table."""
     i, fx = cell(x, s0)
     j, fy = cell(y, s1)
     k, fz = cell(z, s2)
     for corner in tl.static_range(8):
-        row = row_of(links, s1, s2, i + corner // 4, j + (corner // 2) % 2, k + corner % 2, live)
+        row = row_of(links, s1, s2, i + corner // 4, j + (corner // 2) % 2, k + corner % 2, valid)
         share = trilinear_corner(corner, fx, fy, fz)[:, None] * gradient
         kept = mask & (row >= 64)[:, None]
         tl.atomic_add(to + offset(row[:, None], ROW, columns[None, :]), share, mask=kept, sem="relaxed")
@@ -92,7 +92,7 @@ def row_tile_scatter(to, links, x, y, z, s0, s1, s2, gradient, columns, ROW: tl.
 def smoothness_kernel(
     table, links, places, to, strength, rows, s0, s1, s2, ROW: tl.constexpr, WIDTH: tl.constexpr, BLOCK: tl.constexpr
 ):
-    """Add strength * d/dt of half the summed squared differences of neighboring vertices, both kept, to `to`.
+    """Add strength * d/dt of half the summed squared differences of neighboring allocated vertices to `to`.
 
     rows: of the table; places: int32 [blocks of the table, 3], each block's place in the grid of blocks.
     """
@@ -104,8 +104,8 @@ def smoothness_kernel(
     j = tl.load(places + block + 1, mask=listed, other=0) * 4 + ((row // 4) % 4).to(tl.int32)
     k = tl.load(places + block + 2, mask=listed, other=0) * 4 + (row % 4).to(tl.int32)
     # The last blocks reach beyond the grid.
-    live = listed & (i < s0) & (j < s1) & (k < s2)
-    own = live[:, None] & (columns[None, :] < ROW)
+    valid = listed & (i < s0) & (j < s1) & (k < s2)
+    own = valid[:, None] & (columns[None, :] < ROW)
     at = offset(row[:, None], ROW, columns[None, :])
     here = tl.load(table + at, mask=own, other=0.0)
     total = here * 0.0
@@ -114,7 +114,7 @@ def smoothness_kernel(
         u = i + (way if side // 2 == 0 else 0)
         v = j + (way if side // 2 == 1 else 0)
         w = k + (way if side // 2 == 2 else 0)
-        within = live & (u >= 0) & (v >= 0) & (w >= 0) & (u < s0) & (v < s1) & (w < s2)
+        within = valid & (u >= 0) & (v >= 0) & (w >= 0) & (u < s0) & (v < s1) & (w < s2)
         there = row_of(links, s1, s2, u, v, w, within)
         both = own & (within & (there >= 64))[:, None]
         beside = tl.load(table + offset(there[:, None], ROW, columns[None, :]), mask=both, other=0.0)

@@ -109,7 +109,7 @@ class GpuPhotoError:
         for at in range(0, len(origins), RAYS_AT_ONCE):
             part = slice(at, at + RAYS_AT_ONCE)
             rays = GpuRays.of(origins[part], directions[part], device)
-            out = self.deformer.live.render_rays(rays, share=self.share, limit=LIMIT).out
+            out = self.deformer.live.render_rays(rays, weight_threshold=self.share, samples_per_ray=LIMIT).out
             wanted = torch.from_numpy(colors[part]).to(device)
             cover = wanted[:, 3:]
             found = out[:, :3] + (1 - out[:, 3:4]) * self.background
@@ -121,10 +121,11 @@ class GpuPhotoError:
         """Add dL/dD of their mean squared difference to the deformer's gradients; the difference itself."""
         device, live, n = self.deformer.device, self.deformer.live, len(origins)
         rays = GpuRays(*(sent(array, device) for array in (origins, directions, jitter)))
-        rendered = live.render_rays(rays, room=min(n * LIMIT, MOST_SAMPLES), share=self.share, limit=LIMIT)
+        room = min(n * LIMIT, MOST_SAMPLES)
+        rendered = live.render_rays(rays, room=room, weight_threshold=self.share, samples_per_ray=LIMIT)
         background = torch.full((n, 3), float(self.background), device=device)
         sums, wanted = self._reports.begin(), sent(colors, device)
-        if live.closed:
+        if live.opaque_background:
             wanted = unhidden(wanted, rendered.out, background)
         gradients = launch.photometric_loss(rendered.out, wanted, background, rendered.samples, 2 / (3 * n), sums)
         live.backward(rendered, gradients, None, None, self.deformer.gradients)

@@ -10,8 +10,8 @@ import numpy as np
 from stylerf.errors import Diverged
 from stylerf.fields.deformation import Deformation
 from stylerf.fields.radiance_field import RadianceField
-from stylerf.fields.ray_samples import Rays
 from stylerf.fields.scratch_arena import ScratchArena
+from stylerf.kernels.cpu.ray_samples import Rays
 from stylerf.rendering.rays import Rendered, backward, render_rays
 from stylerf.training.common.pixels import psnr_from_mse
 from stylerf.training.common.ray_dataset import RayDataset, shown_rays, unhidden
@@ -66,27 +66,26 @@ class PhotoError:
         """What rays come back with, and its difference from the photos over the background."""
         field, back = self.deformer.field, self.background
         rays = Rays.of(origins, directions, field.space.near, jitter)
-        rendered = render_rays(field, rays, chunks=self.chunks, share=self.share)
+        arena = self._memory.reset()
+        rendered = render_rays(field, rays, threads=self.chunks, weight_threshold=self.share, arena=arena)
         found = rendered.out[:, :3] + (1 - rendered.out[:, 3:4]) * back
-        if field.closed:
+        if field.opaque_background:
             colors = unhidden(colors, found)
         target = colors[:, :3] * colors[:, 3:] + (1 - colors[:, 3:]) * back
         return rendered, found - target
 
     def of(self, origins: np.ndarray, directions: np.ndarray, colors: np.ndarray) -> float:
         """Mean squared difference of rays, marched from the middle of their first step, from straight rgba [n, 4]."""
-        with self._memory.round():
-            return float(np.square(self._rendered(origins, directions, colors)[1]).mean())
+        return float(np.square(self._rendered(origins, directions, colors)[1]).mean())
 
     def learn(self, origins: np.ndarray, directions: np.ndarray, colors: np.ndarray, jitter: np.ndarray) -> float:
         """Add dL/dD of their mean squared difference to the deformer's gradients; the difference itself."""
-        with self._memory.round():
-            rendered, difference = self._rendered(origins, directions, colors, jitter)
-            gradients = np.zeros_like(rendered.out)
-            gradients[:, :3] = difference * np.float32(2 / difference.size)
-            gradients[:, 3] = -gradients[:, :3].sum(1) * self.background
-            backward(self.deformer.field, rendered, gradients, None, None, self.deformer.gradients)
-            return float(np.square(difference).mean())
+        rendered, difference = self._rendered(origins, directions, colors, jitter)
+        gradients = np.zeros_like(rendered.out)
+        gradients[:, :3] = difference * np.float32(2 / difference.size)
+        gradients[:, 3] = -gradients[:, :3].sum(1) * self.background
+        backward(self.deformer.field, rendered, gradients, None, None, self.deformer.gradients)
+        return float(np.square(difference).mean())
 
 
 class DeformationFitter:
@@ -132,7 +131,7 @@ class DeformationFitter:
         else:
             chosen = generator.integers(self.among, views, FIXED_RAYS)
             rays = self.bank.at(chosen, (generator.random(FIXED_RAYS) * self.bank.sizes[chosen]).astype(np.int64))
-        return shown_rays(*rays) if self.field.closed else rays
+        return shown_rays(*rays) if self.field.opaque_background else rays
 
     @property
     def dropped(self) -> bool:

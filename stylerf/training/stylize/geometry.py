@@ -5,10 +5,10 @@ import numpy as np
 from stylerf.fields.hash_color import HashColor
 from stylerf.fields.packed_surface import PackedSurface, surface_of
 from stylerf.fields.radiance_field import RadianceField
-from stylerf.fields.ray_samples import Rays
 from stylerf.geometry.cameras import Camera
 from stylerf.geometry.spherical_harmonics import harmonics
 from stylerf.kernels.cpu.compositing import shade, shade_backward
+from stylerf.kernels.cpu.ray_samples import Rays
 from stylerf.rendering.rays import Rendered, backward, render_rays
 from stylerf.training.common.bounded_cache import BoundedCache
 from stylerf.training.deform.deformer import Deformer
@@ -42,21 +42,21 @@ class FixedGeometry:
 
     def paint(self, view: int, pixels: np.ndarray) -> tuple[np.ndarray, tuple]:
         """Premultiplied rgb [n, 3] of pixels, and what learn() needs."""
-        starts, ends, x, weights = self.surface(view).samples(pixels)
+        points = self.surface(view).samples(pixels)
         color, basis = self.field.color, None
         if not isinstance(color, HashColor):  # what lies under a part's own colors is seen from somewhere
             basis = harmonics(self.cameras[view].rays(pixels)[1], color.degree)
-        colors = color.colors(x, basis, starts, ends, weights, 0.0, self.chunks)
+        colors = color.colors(points, basis, self.chunks)
         out = np.empty((len(pixels), 3), np.float32)
-        shade(weights, colors, starts, ends, out)
-        return out, (starts, ends, x, weights, colors)
+        shade(points, colors, out)
+        return out, (points, colors)
 
     def learn(self, kept: tuple, gradients: np.ndarray, color_to: np.ndarray) -> None:
         """Add dL/d(color values), from dL/d(rgb) [n, 3], to the chunks' buffers."""
-        starts, ends, x, weights, colors = kept
-        color_gradients = np.empty_like(x)
-        shade_backward(weights, gradients, starts, ends, color_gradients)
-        self.field.color.backward(x, None, starts, ends, colors, color_gradients, color_to)
+        points, colors = kept
+        color_gradients = np.empty_like(points.x)
+        shade_backward(points, gradients, color_gradients)
+        self.field.color.backward(points, None, colors, color_gradients, color_to)
 
 
 class MovingGeometry:
@@ -105,7 +105,9 @@ class MovingGeometry:
     def _rendered(self, camera: Camera, pixels: np.ndarray) -> tuple[np.ndarray, Rendered]:
         """[n, 5] of pixels [n] of a view, and what _backward needs."""
         rays = Rays.of(*camera.rays(pixels), self.field.space.near)
-        rendered = render_rays(self.field, rays, chunks=self.chunks, opaque=OPAQUE, share=self.share)
+        rendered = render_rays(
+            self.field, rays, threads=self.chunks, min_transmittance=OPAQUE, weight_threshold=self.share
+        )
         return rendered.out, rendered
 
     def learn(self, kept: list[tuple[slice, Rendered]], gradients: np.ndarray, color_to: np.ndarray) -> None:
@@ -113,7 +115,7 @@ class MovingGeometry:
         for part, rendered in kept:
             to = np.zeros((len(rendered.out), 5), np.float32)
             to[:, :3] = gradients[part]
-            if not self.field.closed:
+            if not self.field.opaque_background:
                 to[:, 3] = -self.background * gradients[part].sum(1)
             self._backward(rendered, to, color_to)
 

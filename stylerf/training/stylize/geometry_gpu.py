@@ -117,7 +117,7 @@ class GpuFixedGeometry:
         )  # fmt: skip
         plain = isinstance(self.field.color, HashColor)
         directions = None if plain else rays_of(self.cameras[view], chosen).directions
-        colors = self._color.colors(samples, directions, 0.0)
+        colors = self._color.visible_colors(samples, directions, 0.0)
         return launch.composite(samples, colors)[:, :3].cpu().numpy(), (samples, colors)
 
     def learn(self, kept: tuple[GpuSamples, Tensor], gradients: np.ndarray, color_to: Tensor) -> None:
@@ -140,7 +140,7 @@ class GpuMovingGeometry(MovingGeometry):
         live = self.deformer.live
         live.color = self.still.color  # each phase teaches a copy of its own
         rays = rays_of(camera, sent(pixels, live.device))
-        rendered = live.render_rays(rays, opaque=OPAQUE, share=self.share)
+        rendered = live.render_rays(rays, min_transmittance=OPAQUE, weight_threshold=self.share)
         return rendered.out.cpu().numpy(), rendered
 
     def _backward(self, rendered: GpuRendered, gradients: np.ndarray, color_to: Tensor) -> None:

@@ -80,8 +80,9 @@ class StylizationTrainer:
         self._guard = DivergenceGuard(settings)
         self.cameras, self.painting, self.trunk = cameras, painting, trunk
         self._palette = spread_at_least(painting, settings.least_spread)
-        self.field = replace(scene, color_map=None, share=scene.share if self.partial else settings.share)
-        self.closed = scene.closed
+        threshold = scene.weight_threshold if self.partial else settings.share
+        self.field = replace(scene, color_map=None, weight_threshold=threshold)
+        self.closed = scene.opaque_background
         self._prepare_shapes()
         self.still = self._fixed_geometry()
         self.geometry: FixedGeometry | MovingGeometry = self.still
@@ -170,10 +171,10 @@ class StylizationTrainer:
         return self._parts[view] if self.partial else self.geometry.alpha(view)
 
     def _part_of(self, view: int) -> np.ndarray:
-        starts, ends, x, weights = self.still.surface(view).samples(np.arange(self.still.alpha(view).size))
-        part = np.zeros(len(ends), np.float32)
+        points = self.still.surface(view).samples(np.arange(self.still.alpha(view).size))
+        part = np.zeros(len(points.ends), np.float32)
         cells = np.ascontiguousarray(self.within).reshape(-1)
-        weights_inside(cells, len(self.within), x, weights, starts, ends, self.chunks, part)
+        weights_inside(cells, len(self.within), points, self.chunks, part)
         return np.clip(part, 0, 1).reshape(self.still.alpha(view).shape)
 
     def _matched(self, photos: Sequence[np.ndarray]) -> Callable[[int], np.ndarray]:

@@ -140,9 +140,9 @@ def test_a_scene_of_four_colors_is_decomposed_into_them():
     assert figures["colors"] == 4 and sum(figures["shares"]) == pytest.approx(1, abs=1e-3)
     edges = 2 * (HEIGHT + WIDTH) / (HEIGHT * WIDTH)  # palette TV of four quarters of one color each, opaque
     assert 0 <= figures["sparsity"] < 2.5 and 0.3 * edges < figures["palette_variation"] < edges
-    before = render_view(one.field, one.cameras[0], chunks=1).rgb
+    before = render_view(one.field, one.cameras[0], threads=1).rgb
     one.field.color = one.field.color.edited(Recoloring())
-    np.testing.assert_allclose(render_view(one.field, one.cameras[0], chunks=1).rgb, before, atol=1e-5)
+    np.testing.assert_allclose(render_view(one.field, one.cameras[0], threads=1).rgb, before, atol=1e-5)
 
 
 def test_shapes_stay_to_the_bit():
