@@ -9,7 +9,7 @@ import json
 import os
 import secrets
 import shutil
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -114,6 +114,20 @@ def replacing(path: Path) -> Iterator[Path]:
 def is_temporary(path: Path) -> bool:
     """Whether `path` is named as the leftover of an interrupted write."""
     return path.name.startswith(".") and TEMPORARY_SUFFIX in (path.suffix, Path(path.stem).suffix)
+
+
+@contextmanager
+def sweeping(folders: Collection[Path]) -> Iterator[None]:
+    """On leaving, delete leftovers of interrupted writes that were in these folders on entering.
+
+    Files that another process began to write since are left alone.
+    """
+    leftovers = [path for folder in folders for path in folder.glob(".*") if is_temporary(path)]
+    try:
+        yield
+    finally:
+        for path in leftovers:
+            path.unlink(missing_ok=True)
 
 
 def write_bytes(path: Path, data: bytes) -> None:

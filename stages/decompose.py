@@ -13,7 +13,7 @@ from stages.artifacts.validity import sound
 from stages.configs.decompose import DecomposeConfig
 from stages.configs.fit import budget_of
 from stages.run.checkpoints import load_checkpoint
-from stages.run.memory import room
+from stages.run.memory import available_bytes
 from stages.run.progress import Context
 from stages.run.runner import Spec
 from stages.run.training_loop import run_training
@@ -46,7 +46,7 @@ def run(inputs: dict[str, Artifact], config: DecomposeConfig, partial: PartialAr
         finest = finest_cells(config.finest, pixel_cells)
         return PaletteColor.create(generator, palette, config.levels, finest, 1 << config.table_bits)
 
-    memory = max(room(context.memory) - WORKING_BYTES, 0)
+    memory = max(available_bytes(context.memory) - WORKING_BYTES, 0)
     try:
         settled = settings_of(config), weights_of(config), config.bases, context.seed, threads, new_color, memory
         learner = PaletteNerfTrainer(field, cameras, photos, level, *settled)

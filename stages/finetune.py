@@ -64,9 +64,9 @@ def run(inputs: dict[str, Artifact], config: FinetuneConfig, partial: PartialArt
         even_from=EVEN_FROM[scene.layout],
     )
     bank = bank_of(scene, train, partial.folder, context)
-    tuner = FineTuner(field, bank, edited, settings, context.seed, threads, context.ranks, device)
-    saved = context.ranks.checkpoint(
-        load_checkpoint(partial.checkpoint, context.progress.say) if context.ranks.first else None
+    tuner = FineTuner(field, bank, edited, settings, context.seed, threads, context.processes, device)
+    saved = context.processes.checkpoint(
+        load_checkpoint(partial.checkpoint, context.progress.say) if context.processes.first else None
     )
     if saved is not None:
         with sound(partial.checkpoint, "a sound checkpoint"):
@@ -74,7 +74,7 @@ def run(inputs: dict[str, Artifact], config: FinetuneConfig, partial: PartialArt
         context.progress.say(f"going on from step {tuner.state.step}")
     with nullcontext() if device else compiling_note(context.progress.say):
         _train(tuner, config, partial, context)
-    if context.ranks.first:
+    if context.processes.first:
         save_field(partial.path, tuner.field, background)
     state = tuner.state
     return {

@@ -59,9 +59,9 @@ def run(inputs: dict[str, Artifact], config: FitConfig, partial: PartialArtifact
     if context.memory and device is None:
         _tell_memory(settings, space, context)
     engine = _engine(device, settings, config.clip)
-    say, ranks = context.progress.say, context.ranks
-    fitter = Fitter(space, bank, len(held_out), settings, context.seed, threads, say, ranks, engine)
-    saved = ranks.checkpoint(load_checkpoint(partial.checkpoint, context.progress.say) if ranks.first else None)
+    say, processes = context.progress.say, context.processes
+    fitter = Fitter(space, bank, len(held_out), settings, context.seed, threads, say, processes, engine)
+    saved = processes.checkpoint(load_checkpoint(partial.checkpoint, context.progress.say) if processes.first else None)
     if saved is not None:
         with sound(partial.checkpoint, "a sound checkpoint"):
             fitter.resume(*saved)
@@ -73,7 +73,7 @@ def run(inputs: dict[str, Artifact], config: FitConfig, partial: PartialArtifact
         fitter.state.decisions.append(f"--capacity {config.capacity} was not reached: {why}")
         context.progress.say(fitter.state.decisions[-1])
     context.progress.say(fitter.climb.told(fitter.field.parameters))
-    if ranks.first:
+    if processes.first:
         save_field(partial.path, fitter.field, "none" if fitter.field.closed else _shown(settings.background))
     shifts = pose_shifts(fitter)
     if line := told(shifts):

@@ -69,7 +69,7 @@ def run(inputs: dict[str, Artifact], config: RenderConfig, partial: PartialArtif
         context.progress.say(f"field {inputs['field'].name} has no deformation: no displacement pictures")
     listed = tuple(_frame_of(camera, view, config) for camera, view in shots)
     journal = Journal(partial.checkpoint / "frames.jsonl", partial.path)
-    taken = {} if context.anew or config.frames else take_frames(partial, listed, journal)
+    taken = {} if context.rebuild or config.frames else take_frames(partial, listed, journal)
     if taken:
         count = sum(map(len, taken.values()))
         context.progress.say(f"{count} of {len(shots)} frames stand already in {', '.join(taken)}")

@@ -20,7 +20,7 @@ from stages.configs.stylize import StylizeConfig
 from stages.configs.views import file_of
 from stages.run.checkpoints import load_checkpoint
 from stages.run.devices import gpu_figures, gpu_of, rays_on
-from stages.run.memory import in_words, room
+from stages.run.memory import available_bytes, in_words
 from stages.run.progress import Context
 from stages.run.runner import Spec
 from stages.run.training_loop import run_training
@@ -187,7 +187,7 @@ def _figures_of_method(
 
 def _room_for(scene: SceneData, views: list[int], context: Context) -> float:
     """Bytes for what is kept of the views; says where not all of it will be."""
-    left = max(room(context.memory) - WORKING_BYTES, 0)
+    left = max(available_bytes(context.memory) - WORKING_BYTES, 0)
     needed = KEPT_BYTES * sum(scene.cameras[i].width * scene.cameras[i].height for i in views)
     if needed > left:
         context.progress.say(

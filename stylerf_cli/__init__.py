@@ -1,18 +1,18 @@
-"""The front door: argparse, one module a verb, the only code that prints."""
+"""The command line: argparse, one module per verb. The only code that prints."""
 
 import os
 import sys
 
 
 def _leave_current_folder_out() -> None:
-    """Imports nothing from the current folder, where a stranger's modules may lie.
+    """Remove the current folder, which may hold a stranger's modules, from the import path.
 
-    Python puts it on the path for `python -m`, and for an empty entry of PYTHONPATH, which one colon too many makes. It
-    stays where PYTHONPATH names it in full, and where it is the checkout that this is run from.
+    Python adds it for `python -m` and for an empty entry of PYTHONPATH, such as one from a stray colon. It stays if
+    PYTHONPATH names it in full, or if it is the checkout that this runs from.
     """
     try:
         here = os.path.realpath(os.getcwd())
-    except OSError:  # deleted: there is nothing in it
+    except OSError:  # deleted, so empty
         return
     if here != os.path.dirname(os.path.dirname(os.path.realpath(__file__))):
         named = os.environ.get("PYTHONPATH", "").split(os.pathsep)

@@ -1,4 +1,4 @@
-"""From config dataclasses to flags, and from flags and a TOML file to a config: flags win over TOML over defaults."""
+"""Flags from config dataclasses, and configs from flags and TOML. Flags override TOML, which overrides defaults."""
 
 import argparse
 import dataclasses
@@ -8,65 +8,92 @@ import tomllib
 import typing
 from collections.abc import Collection
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, NoReturn, TypeAlias
 
 from schemas.errors import UsageError
-from schemas.flag_text import flags
 from schemas.safe_reading import read_text
+from stages.configs import default_of, flag_of, options_of
 from stages.run.memory import bytes_of
 
-LARGEST_CONFIG, MOST_DOTS = 64 << 10, 1000  # bytes; of a line
+DEVICES = ("auto", "cpu", "cuda")
+LARGEST_CONFIG, MOST_DOTS = 64 << 10, 1000  # bytes; in one line
+Field: TypeAlias = "dataclasses.Field[Any]"
 
 
 class Parser(argparse.ArgumentParser):
-    """An argument parser whose faults are UsageErrors, and which takes no abbreviations."""
+    """An argument parser that raises UsageError and takes no abbreviations."""
 
     def __init__(self, **settings: Any) -> None:
         super().__init__(allow_abbrev=False, **settings)
 
+    def positionals(self) -> str:
+        """Return the positional arguments as a usage line shows them."""
+        forms: dict[int | str | None, str] = {None: "{}", "?": "[{}]", "+": "{} ..."}
+        return " ".join(forms[one.nargs].format(one.metavar or one.dest) for one in self._get_positional_actions())
+
     def error(self, message: str) -> NoReturn:
-        """Raises what argparse would print with a page of usage."""
+        """Raise what argparse would print together with the usage."""
         hint = ""
         if message.startswith("unrecognized arguments: -"):
             hint = nearest(message.split()[2].partition("=")[0], list(self._option_string_actions), listing=False)
         raise UsageError(f"{message}{hint}; see `{self.prog} --help`")
 
 
-def add_common(parser: Parser) -> None:
-    """The flags that every verb has."""
-    common = parser.add_argument_group("common options")
-    common.add_argument("--json", action="store_true", help="print the result as one JSON object on stdout")
-    common.add_argument("--quiet", action="store_true", help="no progress and no notes on stderr, only faults")
-    common.add_argument("--seed", type=_whole, help="seed of everything random (default: 0)")
-    common.add_argument("--device", choices=("auto", "cpu", "cuda"), help="where to compute (default: auto)")
-    common.add_argument("--threads", type=_positive, metavar="N", help="CPU threads (default: all it may use)")
-    common.add_argument(
-        "--memory", type=_memory, metavar="SIZE", help="most memory to take, 512M or 8G (default: most of what is free)"
+def add_common(parser: Parser, everything: bool = True) -> None:
+    """Add the options that every verb has. everything: show the advanced ones in the help too."""
+    group = parser.add_argument_group("common options")
+
+    def advanced(text: str) -> str:
+        return text if everything else argparse.SUPPRESS
+
+    group.add_argument("--json", action="store_true", help="print the result as one JSON object")
+    group.add_argument("--quiet", action="store_true", help="print errors only, no progress and notes")
+    group.add_argument("--config", type=Path, metavar="FILE.toml", help="read options from a file; flags override it")
+    group.add_argument("--name", help="name of the artifact (default: set by the verb)")
+    group.add_argument("--force", action="store_true", help="rebuild what is up to date")
+    group.add_argument("--seed", type=_whole, help="random seed (default: 0)")
+    group.add_argument("--device", choices=DEVICES, help="where to compute (default: auto)")
+    group.add_argument(
+        "--threads", type=_positive, metavar="N", help=advanced("CPU threads (default: all that are available)")
     )
-    common.add_argument("--name", help="name of the artifact to write (default: told by the verb)")
-    common.add_argument("--config", type=Path, metavar="FILE.toml", help="options from a file; flags win over it")
-    common.add_argument("--only", action="store_true", help="do not bring earlier stages up to date; stop instead")
-    common.add_argument(
-        "--no-paths", action="store_true", help="write names of files from outside, not the folders they lie in"
+    group.add_argument(
+        "--memory",
+        type=_memory,
+        metavar="SIZE",
+        help=advanced("memory limit, such as 512M or 8G (default: most of what is free)"),
     )
-    common.add_argument("--force", action="store_true", help="make it anew even if it stands up to date")
+    group.add_argument(
+        "--only", action="store_true", help=advanced("stop if an earlier stage is missing or out of date")
+    )
+    group.add_argument(
+        "--no-paths", action="store_true", help=advanced("record names of outside files without their folders")
+    )
 
 
-def add_config(parser: Parser, config: type) -> None:
-    """One flag for each field of a config dataclass; only those given appear in the namespace."""
-    group = parser.add_argument_group("options of this verb")
+def add_config(parser: Parser, config: type, everything: bool = True) -> None:
+    """Add a flag for each option of a config dataclass; only those given appear in the namespace.
+
+    Args:
+        parser: receives the flags.
+        config: the dataclass.
+        everything: show advanced options in the help too, under their groups.
+    """
+    groups: dict[str, argparse._ActionsContainer] = {"": parser}
     for item, kind in _fields(config):
-        _add_field(group, item, kind)
+        heading = item.metadata["group"] if everything else ""
+        if heading not in groups:
+            groups[heading] = parser.add_argument_group(heading)
+        _add_field(groups[heading], item, kind, everything or not item.metadata["advanced"])
 
 
-def _fields(config: type) -> list[tuple[dataclasses.Field, Any]]:
+def _fields(config: type) -> list[tuple[Field, Any]]:
     kinds = typing.get_type_hints(config)
-    return [(item, kinds[item.name]) for item in dataclasses.fields(config)]
+    return [(item, kinds[item.name]) for item in options_of(config)]
 
 
-def _add_field(group: Any, item: dataclasses.Field, kind: Any) -> None:
+def _add_field(group: argparse._ActionsContainer, item: Field, kind: Any, shown: bool) -> None:
     meta = item.metadata
-    settings: dict[str, Any] = {"help": _help(item), "default": argparse.SUPPRESS}
+    settings: dict[str, Any] = {"help": _help(item) if shown else argparse.SUPPRESS, "default": argparse.SUPPRESS}
     base, many = _shape(kind)
     if base is bool:
         settings["action"] = argparse.BooleanOptionalAction
@@ -76,48 +103,28 @@ def _add_field(group: Any, item: dataclasses.Field, kind: Any) -> None:
             settings["nargs"] = many or "+"
             if many == 0:
                 settings["action"] = "extend"  # `--layers a b --layers c` is three layers
-        choices = tuple(meta.get("choices") or ())
+        choices = tuple(meta["choices"] or ())
         if choices:
             settings["choices"] = choices
-        words = "|".join(map(str, choices)) or item.name.rpartition("_")[2].upper()
-        settings["metavar"] = meta.get("metavar") or words
-    group.add_argument(_flag(item), dest=item.name, required=False, **settings)
+        settings["metavar"] = meta["metavar"] or "|".join(map(str, choices)) or item.name.rpartition("_")[2].upper()
+    group.add_argument(flag_of(item), dest=item.name, required=False, **settings)
 
 
-def _flag(item: dataclasses.Field) -> str:
-    return item.metadata.get("flag") or "--" + item.name.replace("_", "-")
+def _required(item: Field) -> bool:
+    return default_of(item) is dataclasses.MISSING
 
 
-def _required(item: dataclasses.Field) -> bool:
-    return item.default is dataclasses.MISSING and item.default_factory is dataclasses.MISSING
-
-
-def _help(item: dataclasses.Field) -> str:
-    text = item.metadata.get("help", "").replace("%", "%%")
+def _help(item: Field) -> str:
+    text = str(item.metadata["help"]).replace("%", "%%")
     if _required(item) or "default:" in text:
         return text
-    default = _default(item)
+    default = default_of(item)
     shown = " ".join(map(str, default)) if isinstance(default, tuple) else str(default).replace("%", "%%")
     return f"{text} (default: {shown})" if default not in ("", None, ()) else text
 
 
-def _default(item: dataclasses.Field) -> Any:
-    return item.default if item.default_factory is dataclasses.MISSING else item.default_factory()
-
-
-def flags_of(config: Any) -> list[str]:
-    """The flags that make a config of its defaults; digests are left out, which the verb fills in."""
-    given: list[str] = []
-    for item in dataclasses.fields(config):
-        value = getattr(config, item.name)
-        if value == _default(item) or item.name.endswith("_digest"):
-            continue
-        given += flags(_flag(item), value)
-    return given
-
-
 def _shape(kind: Any) -> tuple[Any, int | None]:
-    """Type of one value, and how many: None one, 0 one or more, n exactly n."""
+    """Return the type of one value, and the number of values: None for one, 0 for one or more, n for exactly n."""
     if typing.get_origin(kind) is tuple:
         inner = typing.get_args(kind)
         return inner[0], 0 if inner[-1] is Ellipsis else len(inner)
@@ -128,13 +135,13 @@ def _whole(text: str) -> int:
     try:
         return int(text)
     except ValueError:
-        raise argparse.ArgumentTypeError(f"a whole number was expected, not {text!r}") from None
+        raise argparse.ArgumentTypeError(f"expected a whole number, not {text!r}") from None
 
 
 def _positive(text: str) -> int:
     value = _whole(text)
     if value < 1:
-        raise argparse.ArgumentTypeError(f"a number of at least 1 was expected, not {text!r}")
+        raise argparse.ArgumentTypeError(f"expected a number of at least 1, not {text!r}")
     return value
 
 
@@ -152,20 +159,27 @@ def _number(text: str) -> float:
     except ValueError:
         value = math.nan
     if math.isnan(value):
-        raise argparse.ArgumentTypeError(f"a number was expected, not {text!r}")
+        raise argparse.ArgumentTypeError(f"expected a number, not {text!r}")
     return value
 
 
 def build_config(
     config: type, given: argparse.Namespace, table: dict[str, Any], where: str, others: Collection[type] = ()
 ) -> Any:
-    """The config of a verb from its flags and a TOML table (`where` names it in faults).
+    """Build the config of a verb from flags and a TOML table.
 
-    A key that has its flag counts for nothing. Keys of `others`, the configs of the verb's other uses, are passed over.
-    UsageError for unknown keys (naming the nearest known one), values of a wrong type, missing required ones, and
-    whatever the config itself refuses.
+    Args:
+        config: the dataclass.
+        given: flags, which override the table.
+        table: options from the file.
+        where: names the table in errors.
+        others: configs of the verb's other uses, whose keys are ignored.
+
+    Raises:
+        UsageError: an unknown key (the nearest known one is named), a value of the wrong type, a missing required
+            option, or whatever the config itself refuses.
     """
-    elsewhere = {item.name for other in others for item in dataclasses.fields(other)}
+    elsewhere = {item.name for other in others for item in options_of(other)}
     kinds = dict((item.name, (item, kind)) for item, kind in _fields(config))
     values: dict[str, Any] = {}
     for key, value in table.items():
@@ -180,16 +194,16 @@ def build_config(
             value = getattr(given, name)
             values[name] = tuple(value) if isinstance(value, list) else value
         elif name not in values and _required(item):
-            raise UsageError(f"{_flag(item)} is required")
+            raise UsageError(f"{flag_of(item)} is required")
     try:
         return config(**values)
     except ValueError as error:
-        # A config refuses in its own words, which do not know where a value came from.
+        # The config's own message does not say where a value came from.
         source = f" (options from {where}: {', '.join(sorted(of_file))})" if of_file else ""
         raise UsageError(f"{error}{source}") from error
 
 
-def _from_toml(value: Any, item: dataclasses.Field, kind: Any, where: str) -> Any:
+def _from_toml(value: Any, item: Field, kind: Any, where: str) -> Any:
     base, many = _shape(kind)
     if many is not None:
         if not isinstance(value, list) or (many and len(value) != many) or not value:
@@ -198,7 +212,7 @@ def _from_toml(value: Any, item: dataclasses.Field, kind: Any, where: str) -> An
     return _one_from_toml(value, base, item, where)
 
 
-def _one_from_toml(value: Any, base: Any, item: dataclasses.Field, where: str) -> Any:
+def _one_from_toml(value: Any, base: Any, item: Field, where: str) -> Any:
     choices = item.metadata.get("choices")
     if choices and value not in choices:
         raise UsageError(f"{where} is {value!r}; expected one of {', '.join(map(str, choices))}")
@@ -212,7 +226,7 @@ def _one_from_toml(value: Any, base: Any, item: dataclasses.Field, where: str) -
 
 
 def nearest(word: str, known: list[str], listing: bool = True) -> str:
-    """`; did you mean 'x'?` for the known word most like `word`, else (if `listing`) a list of the known ones."""
+    """Suggest the known word most like `word`, else (if `listing`) list the known ones."""
     close = difflib.get_close_matches(word, known, n=1, cutoff=0.5)
     if close:
         return f"; did you mean {close[0]!r}?"
@@ -220,15 +234,15 @@ def nearest(word: str, known: list[str], listing: bool = True) -> str:
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """The tables of a TOML file; UsageError where it is missing or no TOML."""
+    """Return the tables of a TOML file; UsageError if it is missing or invalid."""
     try:
         text = read_text(path, LARGEST_CONFIG, UsageError)
-        if any(line.count(".") > MOST_DOTS for line in text.splitlines()):  # tomllib's time grows by their square
+        if any(line.count(".") > MOST_DOTS for line in text.splitlines()):  # tomllib takes quadratic time
             raise UsageError(f"--config {path} is nested too deeply to be read")
         return tomllib.loads(text)
     except FileNotFoundError:
         raise UsageError(f"--config {path} cannot be read: there is no such file") from None
     except RecursionError:
         raise UsageError(f"--config {path} is nested too deeply to be read") from None
-    except ValueError as error:  # of TOML, and of numbers with thousands of digits
-        raise UsageError(f"--config {path} is no TOML: {error}") from error
+    except ValueError as error:  # invalid TOML, or numbers with thousands of digits
+        raise UsageError(f"--config {path} is not valid TOML: {error}") from error

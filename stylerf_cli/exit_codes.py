@@ -1,7 +1,7 @@
-"""Which exit code and which one line a fault ends the command with.
+"""Exit code and error line of a command.
 
-0 done, 1 a fault of stylerf itself or a check that does not hold, 2 usage, 3 bad input (also where an optimization
-diverges on it), 4 artifact damaged or stale, 5 out of resources, 130 interrupted.
+0 done, 1 a fault of stylerf itself or a failed check, 2 usage, 3 bad input (or an optimization that diverges on it),
+4 artifact damaged or stale, 5 out of resources, 130 interrupted.
 """
 
 import errno
@@ -22,18 +22,21 @@ _FAILING = {errno.EIO, errno.ESTALE, errno.ENODEV, errno.ETIMEDOUT, errno.ENOTCO
 _NO_PATH = {errno.ENAMETOOLONG, errno.ELOOP, errno.ENOTDIR, errno.EISDIR, errno.EILSEQ, errno.EINVAL}
 
 
-def told(error: BaseException, argv: list[str], work: Path | None) -> tuple[int, str]:
-    """Exit code and one line for any exception; a traceback that nobody expected goes to a file named in the line."""
+def code_and_line(error: BaseException, argv: list[str], work: Path | None) -> tuple[int, str]:
+    """Return exit code and error line of an exception.
+
+    The traceback of an unexpected one goes to a file that the line names.
+    """
     if isinstance(error, StylerfError):
         return error.exit_code, _one_line(error)
     if isinstance(error, KeyboardInterrupt):
         why = ", by hand or because another process of the run has ended" if launched() > 1 else ""
-        return INTERRUPTED, f"interrupted{why}; the same command goes on where it stopped: stylerf {shlex.join(argv)}"
+        return INTERRUPTED, f"interrupted{why}; rerun to resume: stylerf {shlex.join(argv)}"
     if isinstance(error, MemoryError):
         return OUT_OF_RESOURCES, "out of memory; use smaller images or a smaller capacity, or free memory"
     if refusal := _refusal_of_disk(error):
         return OUT_OF_RESOURCES, refusal
-    from stylerf.errors import Diverged, InvalidValue  # late: `--help` must not wait for what stylerf may import
+    from stylerf.errors import Diverged, InvalidValue  # imported late: `--help` must not wait for it
 
     if isinstance(error, InvalidValue):
         return BAD_INPUT, _one_line(error)
@@ -51,24 +54,24 @@ def _refusal_of_disk(error: BaseException) -> str | None:
     if not isinstance(error, OSError):
         return None
     if error.errno in _FAILING:
-        return f"{error.filename or 'a disk'} cannot be read or written ({error.strerror}); see to it and run the same"
+        return f"{error.filename or 'a disk'} cannot be read or written ({error.strerror}); fix that and rerun"
     refusal = out_of_resources(error, os.curdir)
     return str(refusal) if refusal else None
 
 
 def _unusable_path(error: BaseException) -> str | None:
-    """In words, where the system takes no such path: one that is too long, runs in circles, or is no text."""
+    """Return the error line for a path that the system rejects: too long, circular, or not text."""
     if isinstance(error, OSError) and error.errno in _NO_PATH and isinstance(error.filename, str):
         name = error.filename if len(error.filename) <= 200 else f"{error.filename[:200]}..."
-        return f"{name} cannot be used ({error.strerror}); name another"
+        return f"{name} cannot be used ({error.strerror}); give another path"
     if isinstance(error, FileNotFoundError) and error.filename is None and _nowhere():
-        return "the current folder is no longer there; change to one that is (`cd`) and run the same command"
+        return "the current folder no longer exists; change to another one (`cd`) and rerun"
     if isinstance(error, RuntimeError) and str(error) == "Could not determine home directory.":
-        return "a path begins with ~ and a user who is not known here; write the path out"
+        return "a path begins with ~ and an unknown user; write the path out"
     if isinstance(error, UnicodeEncodeError):
-        return f"{error.object[:200]!r} cannot be used as a path: it is no valid Unicode; rename it"
+        return f"{error.object[:200]!r} cannot be used as a path: it is not valid Unicode; rename it"
     if isinstance(error, ValueError) and str(error) == "embedded null byte":
-        return "a path holds a null byte; correct it"
+        return "a path contains a null byte; correct it"
     return None
 
 
@@ -103,13 +106,13 @@ def _write_crash_log(error: BaseException, argv: list[str], work: Path | None) -
                 continue
             return str(folder / name)
     write_fault(text)
-    return "the lines above, as no folder could be written to"
+    return "the lines above, since no folder is writable"
 
 
 def _temporary() -> Path | None:
     try:
         return Path(tempfile.gettempdir())
-    except OSError:  # where none can be written to
+    except OSError:  # none is writable
         return None
 
 
@@ -118,5 +121,5 @@ def _versions() -> str:
         from stages.run.runner import versions
 
         return str(versions())
-    except Exception as error:  # what keeps a library from loading may be the very fault
+    except Exception as error:  # a library that cannot be loaded may be the fault itself
         return f"unknown ({error})"

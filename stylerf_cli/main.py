@@ -1,4 +1,4 @@
-"""The command `stylerf`: finds the verb, reads its options, runs it, and ends with the exit code of what happened."""
+"""The command `stylerf`: find the verb, read its options, run it, and return the exit code."""
 
 import importlib
 import os
@@ -7,18 +7,29 @@ import sys
 import threading
 from _thread import interrupt_main
 from argparse import SUPPRESS, Namespace, RawDescriptionHelpFormatter
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from types import ModuleType
+from typing import Any
 
 from schemas.errors import UsageError
 from schemas.native_output import heard_in_the_end
-from stages.pipeline.distributed import leave_fault, speaks
+from stages.pipeline.distributed import leave_fault, prints
 from stylerf_cli.arguments import Parser, add_common, add_config, nearest
-from stylerf_cli.exit_codes import told
-from stylerf_cli.output import OutputClosed, open_standard_streams, print_json, stdout_kept_free, write_fault, write_out
+from stylerf_cli.exit_codes import code_and_line
+from stylerf_cli.output import (
+    OutputClosed,
+    open_standard_streams,
+    print_json,
+    stdout_redirected,
+    write_fault,
+    write_out,
+)
 from stylerf_cli.verbs import VERBS
 
-ABOUT = "From photos and a painting to a stylized, editable 3D scene."
+ABOUT = "From photos and a style image to a stylized, editable 3D scene."
+HELP_ALL = "--help-all"
 EXIT_CODES = (
     "exit codes: 0 done, 1 failed, 2 usage, 3 bad input, 4 artifact damaged or stale, 5 out of resources, "
     "130 interrupted"
@@ -26,20 +37,20 @@ EXIT_CODES = (
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Runs one command and returns its exit code; `argv` is without the program's name."""
+    """Run one command and return its exit code. argv: without the name of the program."""
     open_standard_streams()
     _name_the_nameless()
     if sys.platform == "win32":
-        write_fault("stylerf: error: it runs on Linux (macOS is untested); on Windows use its Linux subsystem (WSL)")
+        write_fault("stylerf: error: stylerf runs on Linux (macOS is untested); on Windows, use WSL")
         return UsageError.exit_code
     argv = list(sys.argv[1:] if argv is None else argv)
     as_json = "--json" in argv
     state: dict[str, Path | None] = {"work": None}
     result = None
     try:
-        with _terminable(), stdout_kept_free(as_json), heard_in_the_end():
+        with _terminable(), stdout_redirected(as_json), heard_in_the_end():
             result = _run(argv, state)
-        if as_json and result is not None and speaks():
+        if as_json and result is not None and prints():
             print_json(result)
         write_out("")
         return 0
@@ -47,9 +58,9 @@ def main(argv: list[str] | None = None) -> int:
         _leave_stdout()
         return 0
     except BaseException as error:
-        if not speaks():
+        if not prints():
             return getattr(error, "exit_code", 1)
-        code, line = told(error, argv, state["work"])
+        code, line = code_and_line(error, argv, state["work"])
         write_fault(f"stylerf: error: {line}")
         if as_json:
             try:
@@ -60,9 +71,9 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _name_the_nameless() -> None:
-    """Gives a user whom the system does not know, as in containers, a home (where nothing can be kept) and a name.
+    """Give a user without an entry in passwd, as in containers, a home (that does not exist) and a name.
 
-    Libraries ask for both as they are imported, and break where there are none.
+    Libraries ask for both on import and break without them.
     """
     if os.path.expanduser("~") == "~":  # neither $HOME nor an entry in passwd
         os.environ["HOME"] = "/nonexistent"
@@ -71,11 +82,11 @@ def _name_the_nameless() -> None:
 
 
 def _leave_stdout() -> None:
-    """Python would complain once more when it closes a stdout that nobody reads."""
+    """Keep Python from complaining when it closes a stdout that nobody reads."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
 
 
-def _run(argv: list[str], state: dict[str, Path | None]) -> dict | None:
+def _run(argv: list[str], state: dict[str, Path | None]) -> dict[str, Any] | None:
     if not argv or argv[0].startswith("-"):
         if _parsed(_top_parser(), argv) is None:
             return None
@@ -84,34 +95,51 @@ def _run(argv: list[str], state: dict[str, Path | None]) -> dict | None:
     if verb not in VERBS:
         raise UsageError(f"there is no verb {verb!r}{nearest(verb, list(VERBS))}")
     module = importlib.import_module(VERBS[verb][0])
-    parser = Parser(
-        prog=f"stylerf {verb}", description=f"{module.HELP[0].upper()}{module.HELP[1:]}.", epilog=EXIT_CODES
-    )
-    module.add_arguments(parser)
-    # A verb may have other options in one use than in another.
+    # The options of some verbs depend on how they are used.
     config = module.options_for(argv[1:]) if hasattr(module, "options_for") else module.CONFIG
-    if config is not None:
-        add_config(parser, config)
-    add_common(parser)
-    args = _parsed(parser, argv[1:])
+    args = _parsed(parser_of(verb, module, config, HELP_ALL in argv), argv[1:])
     if args is None:
         return None
     state["work"] = _existing_folder(args)
     return _run_verb(verb, module, args, config)
 
 
+def parser_of(verb: str, module: ModuleType, config: type | None, everything: bool) -> Parser:
+    """Return the parser of a verb.
+
+    Args:
+        verb: its name.
+        module: its module.
+        config: the dataclass of its options, None without any.
+        everything: whether the help lists advanced options too.
+    """
+    parser = Parser(
+        prog=f"stylerf {verb}",
+        description=f"{module.HELP[0].upper()}{module.HELP[1:]}.",
+        epilog=EXIT_CODES if everything else f"{HELP_ALL} lists all options and the exit codes.",
+    )
+    parser.add_argument(HELP_ALL, action="help", help="show all options and exit")
+    module.add_arguments(parser)
+    if not everything:  # in place of argparse's own list of every flag
+        parser.usage = f"stylerf {verb} [options] {parser.positionals()}".rstrip()
+    if config is not None:
+        add_config(parser, config, everything)
+    add_common(parser, everything)
+    return parser
+
+
 def _parsed(parser: Parser, argv: list[str]) -> Namespace | None:
-    """The arguments; None after `--help` and `--version`, which argparse answers by leaving."""
+    """Return the arguments, None after `--help` and `--version`, which argparse answers by exiting."""
     try:
         return parser.parse_args(argv)
     except SystemExit:
         return None
-    except BrokenPipeError as error:  # of a long --help that nobody reads to its end
+    except BrokenPipeError as error:  # a long --help piped to `head`
         raise OutputClosed from error
 
 
-def _run_verb(verb: str, module, args: Namespace, config: type | None) -> dict:
-    # Late, so that --help and usage faults do not wait for what only a run needs.
+def _run_verb(verb: str, module: ModuleType, args: Namespace, config: type | None) -> dict[str, Any]:
+    # Imported late: --help and usage errors need neither.
     from stylerf_cli.options import Options
     from stylerf_cli.session import Session
 
@@ -120,9 +148,10 @@ def _run_verb(verb: str, module, args: Namespace, config: type | None) -> dict:
     options = Options(verb, args, list(VERBS), getattr(module, "CONFIGS", ()))
     session = Session(verb, args, options, config)
     try:
-        return module.run(args, session)
+        result: dict[str, Any] = module.run(args, session)
+        return result
     except BaseException as error:
-        leave_fault(session.ranks, error)
+        leave_fault(session.processes, error)
         raise
     finally:
         session.progress.finish()
@@ -140,7 +169,7 @@ def _top_parser() -> Parser:
         prog="stylerf",
         usage="stylerf VERB ...",
         description=ABOUT + "\n\nverbs:\n" + "\n".join(lines),
-        epilog="`stylerf VERB --help` tells the options of a verb.\n" + EXIT_CODES,
+        epilog="`stylerf VERB --help` shows the options of a verb.\n" + EXIT_CODES,
         formatter_class=RawDescriptionHelpFormatter,
     )
     parser.add_argument("--version", action="version", version=f"stylerf {_version()}")
@@ -155,13 +184,13 @@ def _version() -> str:
 
 
 @contextmanager
-def _terminable():
-    """Treats SIGTERM, by which schedulers and containers end a job, as Ctrl-C: the run stays resumable."""
+def _terminable() -> Iterator[None]:
+    """Treat SIGTERM, with which schedulers and containers end a job, as Ctrl-C, so that the run can resume."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
     numbers = [signal.SIGTERM]
-    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # else whoever started it wants it ignored
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # else the parent wants it ignored
         numbers.append(signal.SIGINT)
     before = {number: signal.signal(number, _interrupt) for number in numbers}
     try:
@@ -171,15 +200,13 @@ def _terminable():
             signal.signal(number, handler)
 
 
-def _interrupt(*_) -> None:
-    sys.unraisablehook = _complaint  # for good: what was left half built is thrown away as the process ends
+def _interrupt(*_: object) -> None:
+    sys.unraisablehook = _resend_interrupt  # for good: half-built objects are destroyed as the process ends
     raise KeyboardInterrupt
 
 
-def _complaint(report) -> None:
-    """Says nothing of what an interruption left half built; one lost in a destructor, where Python drops it, is sent
-    anew.
-    """
+def _resend_interrupt(report: "sys.UnraisableHookArgs") -> None:
+    """Ignore errors of half-built objects; resend an interrupt that Python dropped because a destructor raised it."""
     if report.exc_type is KeyboardInterrupt:
         threading.Timer(0.1, interrupt_main).start()
 

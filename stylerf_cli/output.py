@@ -1,4 +1,4 @@
-"""What reaches stdout: lines without control characters of names in them, or the one JSON object of `--json` alone."""
+"""Standard output: lines with control characters escaped, or the JSON object of `--json` alone."""
 
 import json
 import os
@@ -12,9 +12,9 @@ from schemas.safe_names import printable
 
 
 def open_standard_streams() -> None:
-    """Opens what of stdin, stdout and stderr was closed before we were started (`>&-`), to nowhere.
+    """Open stdin, stdout and stderr to the null device if they were closed by the parent (`>&-`).
 
-    The next file that is opened would take its number else, and what is printed would go into that file.
+    Otherwise the next file to be opened would take their number and receive what is printed.
     """
     for number, name, mode in ((0, "stdin", "r"), (1, "stdout", "w"), (2, "stderr", "w")):
         try:
@@ -26,8 +26,8 @@ def open_standard_streams() -> None:
 
 
 @contextmanager
-def stdout_kept_free(active: bool) -> Iterator[None]:
-    """Inside the block whatever is written to stdout, by Python or by native code, goes to stderr (if `active`)."""
+def stdout_redirected(active: bool) -> Iterator[None]:
+    """Send what Python or native code writes to stdout inside the block to stderr, if `active`."""
     if not active:
         yield
         return
@@ -43,32 +43,29 @@ def stdout_kept_free(active: bool) -> Iterator[None]:
         yield
     finally:
         sys.stdout = stdout
-        if saved is not None:
+        if saved is not None and descriptor is not None:
             os.dup2(saved, descriptor)
             os.close(saved)
 
 
 def _descriptor(stream: Any) -> int | None:
     try:
-        return stream.fileno()
-    except (AttributeError, OSError, ValueError):  # replaced by a buffer, as under pytest or in a notebook
+        return int(stream.fileno())
+    except (AttributeError, OSError, ValueError):  # a buffer, as under pytest or in a notebook
         return None
 
 
 class OutputClosed(Exception):
-    """Whoever read our stdout (`| head`) has closed it."""
+    """The reader of stdout (`| head`) has closed it."""
 
 
 def write_lines(lines: Sequence[str]) -> None:
-    """Writes lines to stdout; what would move the cursor, break a line or turn the text round in one is escaped."""
+    """Write lines to stdout, escaping control and bidirectional characters."""
     write_out("".join(f"{printable(line)}\n" for line in lines))
 
 
 def write_out(text: str) -> None:
-    """Writes to stdout at once; what its encoding does not have is escaped.
-
-    OutputClosed where nobody reads it any more: no fault of a stage is taken for that.
-    """
+    """Write to stdout and flush, escaping what its encoding lacks; OutputClosed if nobody reads it any more."""
     if hasattr(sys.stdout, "reconfigure"):
         sys.stdout.reconfigure(errors="backslashreplace")
     try:
@@ -79,12 +76,12 @@ def write_out(text: str) -> None:
 
 
 def write_fault(text: str) -> None:
-    """Writes to stderr, line by line; nobody may be reading: the exit code still tells."""
+    """Write lines to stderr. If nobody reads them, the exit code is all there is."""
     with suppress(OSError, ValueError):
         sys.stderr.write("".join(f"{printable(line)}\n" for line in text.splitlines()))
         sys.stderr.flush()
 
 
 def print_json(value: Any) -> None:
-    """Prints one JSON object and a newline on stdout, all in ASCII; NaN and infinity become strings."""
+    """Print one JSON object and a newline on stdout, in ASCII; NaN and infinity become strings."""
     write_out(json.dumps(plain(value), allow_nan=False) + "\n")

@@ -1,4 +1,4 @@
-"""Progress on stderr: a bar on a terminal, now and then a line elsewhere, nothing for what ends within two seconds."""
+"""Progress on stderr: a bar on a terminal, occasional lines elsewhere, nothing for the first two seconds."""
 
 import os
 import time
@@ -12,16 +12,13 @@ SHOWN_AFTER_SECONDS = 2.0
 REDRAW_SECONDS = 0.1
 LINE_EVERY_SECONDS = 5.0
 RATE_WINDOW_SECONDS = 15.0
-# Seconds of a budget a second: a compile stands on no budget's clock, and says nothing of the time that is left.
+# Lowest assumed rate of a time budget: compiling does not count against it, and would inflate the time left.
 LEAST_OF_BUDGET = 0.5
 BAR_WIDTH = 24
 
 
 class Bars:
-    """Shows `stages.run.progress.Progress` on a stream. `--quiet` uses stages.progress.Silent instead.
-
-    clock: seconds, only for tests.
-    """
+    """Shows progress on a stream (a stages.run.progress.Progress). clock: in seconds; tests replace it."""
 
     def __init__(self, stream: TextIO, clock: Callable[[], float] = time.monotonic) -> None:
         self._stream, self._clock = stream, clock
@@ -29,11 +26,11 @@ class Bars:
         unicode = "utf" in (getattr(stream, "encoding", None) or "").lower()
         self._full, self._empty = ("█", "░") if unicode else ("#", ".")
         self._open = False
-        self._unread = False  # whoever read the stream is gone
-        self._drawn = False  # an unfinished bar stands on the terminal's last line
+        self._unread = False  # the reader of the stream is gone
+        self._drawn = False  # the terminal's last line is an unfinished bar
 
     def start(self, label: str, total: float | None = None, unit: str = "step") -> None:
-        """Opens a bar; one that was still open is closed first."""
+        """Open a bar, closing the one before."""
         self.finish()
         self._label, self._total, self._unit = label, total, unit
         self._open, self._shown = True, False
@@ -42,7 +39,7 @@ class Bars:
         self._recent: deque[tuple[float, float]] = deque()
 
     def update(self, done: float, note: str = "") -> None:
-        """`done` units are finished."""
+        """Report that `done` units are finished."""
         if not self._open:
             return
         now = self._clock()
@@ -60,7 +57,7 @@ class Bars:
             self._write(self._line(now, bar=False))
 
     def finish(self) -> None:
-        """Closes the bar; one that was shown leaves a line of what it took."""
+        """Close the bar; one that was shown leaves a line with its time."""
         if not self._open:
             return
         self._open = False
@@ -72,7 +69,7 @@ class Bars:
         self._write(", ".join(parts + ([self._note] if self._note else [])))
 
     def say(self, text: str) -> None:
-        """One line of its own, above an open bar."""
+        """Print a line above the open bar."""
         self._clear()
         self._write(text)
 
@@ -127,7 +124,7 @@ class Bars:
         self._put(printable(line) + "\n")
 
     def _put(self, text: str) -> None:
-        """Writes at once; a stream that nobody reads any more (`2>&1 | head`) is no reason to end the work."""
+        """Write and flush. A closed stream (`2>&1 | head`) does not end the command."""
         if self._unread:
             return
         try:
@@ -138,7 +135,7 @@ class Bars:
 
 
 def duration(seconds: float) -> str:
-    """Seconds in words a person reads: 0.4 s, 12 s, 3 min 20 s, 2 h 05 min."""
+    """Format seconds for people: 0.4 s, 12 s, 3 min 20 s, 2 h 05 min."""
     seconds = max(0.0, seconds)
     if seconds < 9.95:
         return f"{seconds:.1f} s"

@@ -10,7 +10,7 @@ import numpy as np
 
 from schemas.atomic_write import TEMPORARY_SUFFIX, writing
 from stages.artifacts.scene import SceneData
-from stages.run.memory import in_words, room
+from stages.run.memory import available_bytes, in_words
 from stages.run.progress import Context
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.rendering.view import render_view
@@ -32,7 +32,7 @@ def bank_of(scene: SceneData, views: list[int], folder: Path, context: Context) 
     cameras = [scene.cameras[i] for i in views]
     channels = max(scene.channels(i) for i in views)
     size = sum(c.width * c.height for c in cameras) * channels
-    left = max(room(context.memory) - WORKING_BYTES - THREAD_BYTES * context.threads, LEAST_BYTES)
+    left = max(available_bytes(context.memory) - WORKING_BYTES - THREAD_BYTES * context.threads, LEAST_BYTES)
     if size <= left:
         pixels = Pixels(np.empty(size, np.uint8), channels)
         _fill(lambda at, photo: pixels.values.__setitem__(slice(at, at + len(photo)), photo), scene, views, channels)

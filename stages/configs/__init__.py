@@ -1,32 +1,72 @@
-"""One frozen dataclass per stage: its options and their defaults, free of heavy imports so that `--help` is instant."""
+"""One frozen dataclass per stage: its options and their defaults. No heavy imports, so that `--help` is instant."""
 
-from dataclasses import MISSING, field, fields
+from dataclasses import MISSING, Field, field, fields
 from typing import Any
+
+from schemas.flag_text import flags
 
 
 def option(
     default: Any = MISSING,
     *,
     help: str,
-    choices: tuple | None = None,
+    choices: tuple[Any, ...] | None = None,
     metavar: str | None = None,
     flag: str | None = None,
     incidental: bool = False,
     digest: str = "",
+    advanced: bool = False,
+    group: str = "",
 ) -> Any:
-    """A dataclass field that also is a command-line flag, `--field-name` unless `flag` says another.
+    """Declare a dataclass field that is also a command-line option.
 
-    help, choices and metavar are what the command line shows. An `incidental` one has no say in the result: what was
-    made with another value of it need not be made anew. digest: the field that tells what lies at a path; where it is
-    filled in, the path is incidental.
+    A field declared without `option` is part of the recipe but has neither a flag nor a `--config` key: digests, which
+    the pipeline fills in.
+
+    Args:
+        default: value if the option is not given; without one the option is required.
+        help: one line: what the option does. The default is appended unless the text names it.
+        choices: the values it takes.
+        metavar: placeholder for the value in `--help`.
+        flag: the flag, if other than `--field-name`.
+        incidental: the option does not affect the result, so changing it does not make an artifact stale.
+        digest: the field that holds the digest of the file this option names. Once filled in, the path is incidental.
+        advanced: list the option only in `--help-all`.
+        group: heading that `--help-all` lists it under.
     """
     metadata = {"help": help, "choices": choices, "metavar": metavar, "flag": flag, "incidental": incidental}
-    return field(default=default, metadata=metadata | {"digest": digest})
+    return field(default=default, metadata=metadata | {"digest": digest, "advanced": advanced, "group": group})
+
+
+def options_of(config: Any) -> "list[Field[Any]]":
+    """Return the fields of a config class or object that are options."""
+    return [item for item in fields(config) if "help" in item.metadata]
 
 
 def incidental(config: Any) -> set[str]:
-    """Names of the options of a config that have no say in the result."""
-    told = {item.name: item.metadata.get("digest") for item in fields(config)}
-    return {item.name for item in fields(config) if item.metadata.get("incidental")} | {
-        name for name, digest in told.items() if digest and getattr(config, digest, "")
+    """Return the names of the options of a config that do not affect the result."""
+    return {
+        item.name
+        for item in options_of(config)
+        if item.metadata["incidental"] or (item.metadata["digest"] and getattr(config, item.metadata["digest"]))
     }
+
+
+def flag_of(item: "Field[Any]") -> str:
+    """Return the command-line flag of an option."""
+    return item.metadata["flag"] or "--" + item.name.replace("_", "-")
+
+
+def default_of(item: "Field[Any]") -> Any:
+    """Return the default of an option, MISSING if it is required."""
+    return item.default if item.default_factory is MISSING else item.default_factory()
+
+
+def flags_of(config: Any) -> list[str]:
+    """Return the command-line arguments that set the options of `config` which differ from their defaults."""
+    given: list[str] = []
+    for item in options_of(config):
+        value = getattr(config, item.name)
+        if value != default_of(item):
+            given += flags(flag_of(item), value)
+    return given

@@ -15,4 +15,4 @@ class CorruptSceneConfig:
     views: int = option(24, help="training views of a procedural scene")
     tests: int = option(4, help="test views, which have no fault")
     source: str = option("", help="folder of the scene", digest="source_digest")
-    source_digest: str = option("", help="its digest")
+    source_digest: str = ""

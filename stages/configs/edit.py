@@ -18,7 +18,7 @@ class EditConfig:
 
     recolor: bool = option(False, help="learn a palette to recolor with; shapes and shading stay")
     style: str = option("", help="the painting: an image file", digest="style_digest")
-    style_digest: str = option("", help="sha256 of the painting (filled in; guards against a changed file)")
+    style_digest: str = ""
     crop: tuple[int, ...] = option((), metavar="N", help="x y size: the square of the painting that is taken")
     match: bool = option(True, help="give the region the painting's colors before its strokes (LAENeRF does not)")
     preserve_color: bool = option(False, help="strokes of the painting in the colors of the region")
@@ -41,7 +41,7 @@ class EditConfig:
     features: str = option(
         "", help="feature trunk: a name or a file of VGG weights (default: the first found)", digest="features_digest"
     )
-    features_digest: str = option("", help="sha256 of that file (filled in; guards against a changed file)")
+    features_digest: str = ""
     taps: str = option("conv3", help="layers of the trunk whose Gram matrices are matched")
     preview_every: float = option(
         0.0, metavar="SECONDS", help="draw a view of the region into the run's folder (0: never)", incidental=True

@@ -18,13 +18,11 @@ class EvaluateConfig:
         help="painting to measure a stylized field against (default: the one it was made with)",
         digest="style_digest",
     )
-    style_digest: str = option("", help="sha256 of that painting (filled in; guards against a changed file)")
+    style_digest: str = ""
     features: str = option("", help="feature trunk of the style distances: a name or a file of VGG weights")
     style_side: int = option(256, help="longer side, in pixels, at which render and painting are compared")
     perceptual: str = option("auto", choices=("auto", "none"), help="perceptual distances where their weights are here")
-    networks: str = option(
-        "", help="names and digests of the networks that were found for these (filled in; guards against other ones)"
-    )
+    networks: str = ""
     consistency: str = option(
         "correct",
         choices=CONSISTENCY,
@@ -37,14 +35,14 @@ class EvaluateConfig:
         help="optical flow from files FROM_to_TO.flo or .npy, numbered as the frames (default: by depth and poses)",
         digest="flow_digest",
     )
-    flow_digest: str = option("", help="sha256 of those flows (filled in; guards against changed ones)")
+    flow_digest: str = ""
     reference: tuple[str, ...] = option(
         (),
         metavar="VIEW=FILE",
         help="stylized picture of a view of the scene, for Ref-LPIPS against the test views nearest to it",
         digest="reference_digest",
     )
-    reference_digest: str = option("", help="sha256 of those pictures (filled in; guards against changed ones)")
+    reference_digest: str = ""
     gap: int = option(7, help="frames between the two views of a long-range pair")
     pairs: int = option(24, help="most pairs of views measured per range, evenly spread (0: all)")
     perceptual_pairs: int = option(8, help="most pairs per range measured by the perceptual distance too (0: all)")
@@ -52,7 +50,7 @@ class EvaluateConfig:
     masks: str = option(
         "", metavar="DIR", help="masks of a local edit: pictures named like views, white: edited", digest="masks_digest"
     )
-    masks_digest: str = option("", help="sha256 of those masks (filled in; guards against changed ones)")
+    masks_digest: str = ""
     margin: int = option(2, help="pixels around a region, as its cells tell it, that do not count as background")
     ring: int = option(8, help="width in pixels of the ring around a region where bleeding is measured")
     train_views: bool = option(False, help="measure a local edit on the training views too")

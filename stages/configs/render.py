@@ -22,7 +22,7 @@ class RenderConfig:
         "transforms.json",
         digest="path_digest",
     )
-    path_digest: str = option("", help="sha256 of the file of cameras (filled in; guards against a changed file)")
+    path_digest: str = ""
     count: int = option(60, help="frames of a whole path (orbit, spiral, interpolate)")
     frames: str = option("", metavar="A-B", help="only frames A to B of the path, counted from 0: a shard of the job")
     scale: float = option(1.0, help="size of the pictures relative to the scene's views")

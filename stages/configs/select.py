@@ -49,7 +49,7 @@ class SelectConfig:
     subtract: tuple[str, ...] = option((), metavar="REGION", help="regions that are taken from it")
     intersect: tuple[str, ...] = option((), metavar="REGION", help="regions that it must lie in too")
     preview: tuple[str, ...] = option((), metavar="VIEW", help="views to draw it over (default: named ones, two more)")
-    files_digest: str = option("", help="sha256 of the masks (filled in; guards against changed files)")
+    files_digest: str = ""
 
     def __post_init__(self) -> None:
         for text in (*self.at, *self.avoid):

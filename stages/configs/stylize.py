@@ -18,7 +18,7 @@ class StylizeConfig:
     """How a fitted field is stylized with a painting."""
 
     style: str = option("", help="the painting: an image file (needed, but with --reference)", digest="style_digest")
-    style_digest: str = option("", help="sha256 of the painting (filled in; guards against a changed file)")
+    style_digest: str = ""
     method: str = option(
         "arf",
         choices=METHODS,
@@ -40,7 +40,7 @@ class StylizeConfig:
         help="feature trunk: a name or a file of VGG weights (default: the first found of vgg16, hed-vgg16, st-vgg16)",
         digest="features_digest",
     )
-    features_digest: str = option("", help="sha256 of that file (filled in; guards against a changed file)")
+    features_digest: str = ""
     taps: str = option(
         "",
         help="layers of the trunk that are matched: conv2, conv3, conv3_1 ... (default: conv3; of Gram matrices conv2 "
@@ -134,7 +134,7 @@ class StylizeConfig:
         help="how many times as far apart color matching sets the scene's colors at most, along any of their "
         "principal axes (0: as far as the painting's, as ARF does, which turns the noise of a gray scene into colors)",
     )
-    references_digest: str = option("", help="sha256 of the references (filled in; guards against changed files)")
+    references_digest: str = ""
     checkpoint_every_seconds: float = option(20.0, help="time between checkpoints", incidental=True)
 
     def __post_init__(self) -> None:

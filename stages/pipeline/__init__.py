@@ -1,1 +1,4 @@
-"""The pipeline: work folder, prerequisites of each stage, local edits as one job, several processes."""
+"""The pipeline: a work folder, what must exist before a stage runs, and whole chains of stages.
+
+Use `stages.pipeline.pipeline.Pipeline` from Python.
+"""

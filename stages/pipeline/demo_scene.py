@@ -1,4 +1,4 @@
-"""The demo's data set: the procedural still life as ordinary photos with poses and truth, and a painting."""
+"""The demo's dataset: photos of a procedural still life with poses and true depth, and a style image."""
 
 from contextlib import suppress
 from pathlib import Path
@@ -21,22 +21,33 @@ STAMP = "demo.json"
 ANGLE_X = 0.6911112
 
 
-def write_demo(folder: Path, size: int, train_views: int, test_views: int, seed: int, threads: int, progress: Progress):
-    """Writes transforms_train.json, transforms_test.json (NeRF-synthetic), RGBA photos, truth/ and painting.png.
+def write_demo(
+    folder: Path, size: int, train_views: int, test_views: int, seed: int, threads: int, progress: Progress
+) -> None:
+    """Write transforms_train.json, transforms_test.json (NeRF-synthetic), RGBA photos, truth/ and painting.png.
 
-    What is there already, whole and of these very options, is left as it is: demo.json tells them, and is empty until
-    all is written.
+    A complete dataset of the same options is left as it is. demo.json holds the options, and is empty until everything
+    is written.
+
+    Args:
+        folder: of the dataset.
+        size: side of the photos, pixels.
+        train_views: photos to train on.
+        test_views: photos to test with.
+        seed: of the scene, the cameras and the style image.
+        threads: CPU threads.
+        progress: receives progress.
     """
     wanted = {"size": size, "train_views": train_views, "test_views": test_views, "seed": seed}
     stamp = folder / STAMP
-    with suppress(BadInput, FileNotFoundError):  # a damaged stamp tells nothing
+    with suppress(BadInput, FileNotFoundError):  # a damaged stamp counts as none
         if read_json(stamp) == wanted:
             return
     make_folder(folder)
-    # First of all: while photos of other options are replaced, the old stamp would be a lie.
+    # Before anything else: the old stamp is wrong as soon as the first photo is replaced.
     write_json(stamp, {})
     life, done = StillLife(seed), 0
-    progress.start("photographing the still life", train_views + test_views, "view")
+    progress.start("rendering photos of the still life", train_views + test_views, "view")
     for split, count, turn in (("train", train_views, seed), ("test", test_views, seed + 1000)):
         cameras = dome_cameras(count, size, split, turn, angle_x=ANGLE_X)
         for camera in cameras:
@@ -49,7 +60,7 @@ def write_demo(folder: Path, size: int, train_views: int, test_views: int, seed:
         ]
         write_json(folder / f"transforms_{split}.json", {"camera_angle_x": ANGLE_X, "frames": frames})
     progress.finish()
-    progress.say("painting a picture to learn from")
+    progress.say("painting the style image")
     write_png(folder / PAINTING, to_uint8(paint(512, seed)))
     write_json(stamp, wanted)
 

@@ -1,43 +1,55 @@
-"""One command run by several processes, started by torchrun: the first leads, speaks and writes, the others follow it.
+"""One command run by several processes under torchrun: the first leads and writes, the others follow.
 
     torchrun --nproc-per-node 2 --no-python stylerf fit WORK
 
-Before a stage the first process says whether it runs; after it, under which name its artifact stands. The others run
-what it runs, on their part of the rays, and write nothing.
+Before a stage the leader announces whether it runs, and afterwards the name of its artifact. Followers run the same
+stage on their share of the rays and write nothing.
 """
 
 import os
 from collections.abc import Callable
+from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
 from schemas.errors import OutOfResources, UsageError
 from stylerf.errors import InvalidValue, ProcessLost
 
+if TYPE_CHECKING:  # `stylerf --help` must not wait for numpy
+    from stages.run.runner import Run
+    from stylerf.training.common.process_group import ProcessGroup
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
 VERBS = ("fit", "finetune")
-RUN = "\n"  # no artifact is named so
+RUN = "\n"  # announces a run; cannot be the name of an artifact
 
 
 def launched() -> int:
-    """Number of processes that torchrun (or its like) has started this command in; 1 without it."""
+    """Return the number of processes that torchrun (or a similar launcher) started this command in, 1 without one."""
     try:
         return int(os.environ.get("WORLD_SIZE", "1")) if "RANK" in os.environ else 1
     except ValueError:
         return 1
 
 
-def speaks() -> bool:
-    """Whether this process is the one that prints."""
+def prints() -> bool:
+    """Return whether this process is the one that prints."""
     return launched() == 1 or os.environ["RANK"] == "0"
 
 
-def joined(verb: str, device: Callable[[], str]) -> Any:
-    """This process's place among those started together; UsageError for a verb that one process runs.
+def join(verb: str, device: Callable[[], str]) -> "ProcessGroup":
+    """Join the processes launched for `verb`.
 
-    device: what this process computes on. Where it has nothing to compute on, or something else than the others, all of
-    them are told so, UsageError.
+    Args:
+        verb: the verb that is run.
+        device: returns the device of this process, or raises UsageError if it has none.
+
+    Raises:
+        UsageError: the verb cannot run in several processes, or (in every process) their devices differ.
     """
-    from stylerf.training.common.process_group import ALONE, DistributedProcesses  # late: main must not wait for numpy
+    from stylerf.training.common.process_group import ALONE, DistributedProcesses
 
     if launched() == 1:
         return ALONE
@@ -50,60 +62,57 @@ def joined(verb: str, device: Callable[[], str]) -> Any:
     except UsageError as error:
         found = str(error)
     try:
-        return _told(DistributedProcesses, found)
+        return _reporting_loss(DistributedProcesses, found)
     except InvalidValue as error:
         raise UsageError(str(error)) from error
 
 
-def led(ranks: Any, run: Any, parallel: bool) -> Any:
-    """The stage's run, which the other processes join where it is one for several."""
+def lead(processes: "ProcessGroup", run: "Run", parallel: bool) -> "Run":
+    """Wrap a stage's `run` so that the followers join it, if it is `parallel`."""
 
-    def run_led(*arguments: Any) -> dict:
+    def run_led(*arguments: Any) -> dict[str, Any]:
         if parallel:
-            _told(ranks.tell, RUN)
-        return _told(run, *arguments)
+            _reporting_loss(processes.tell, RUN)
+        return _reporting_loss(run, *arguments)
 
     return run_led
 
 
-def release(ranks: Any, name: str) -> None:
-    """Lets the other processes go on, with the stage's artifact."""
-    _told(ranks.tell, name)
+def release(processes: "ProcessGroup", name: str) -> None:
+    """Tell the followers the name of the artifact that the stage made, so that they go on."""
+    _reporting_loss(processes.tell, name)
 
 
-def follow(ranks: Any, session: Any, spec: Any, run: Any, inputs: dict[str, Any], config: Any) -> Any:
-    """The part of a process that does not lead: joins the stage if it is run, and gives the artifact that it made."""
-    # What a stage may keep for its own run only, beside the work folder: nothing with a name.
-    partial = SimpleNamespace(folder=session.work.root, path=None, checkpoint=None)
-    while (word := ranks.tell()) == RUN:
-        run(inputs, config, partial, session.context)
-    return session.work.get(spec.writes, word)
+def follow(processes: "ProcessGroup", run: "Run", inputs: Any, config: Any, context: Any, root: Path) -> str:
+    """Join the stage if the leader runs it; return the name of the artifact."""
+    # A follower writes nothing that has a name; a stage may keep unnamed files for its own run in the work folder.
+    partial: Any = SimpleNamespace(folder=root, path=None, checkpoint=None)
+    while (word := processes.tell()) == RUN:
+        run(inputs, config, partial, context)
+    return word
 
 
-def agreed(session: Any, kind: str, find: Callable[[], Any]) -> Any:
-    """The artifact of that kind that `find` gives, or None: as the first of several processes finds it.
+def agree(processes: "ProcessGroup", find: Callable[[], str]) -> str:
+    """Return the name that `find` returns in the first process.
 
-    By the time that another looks, the first may have made the next one already.
+    Processes must not look for themselves: by the time one does, the first may have made the next artifact.
     """
-    if session.ranks.count == 1:
+    if processes.count == 1:
         return find()
-    found = find() if session.ranks.first else None
-    name = _told(session.ranks.tell, found.name if found else "")
-    return session.work.get(kind, name) if name else None
+    return _reporting_loss(processes.tell, find() if processes.first else "")
 
 
-def leave_fault(ranks: Any, error: BaseException) -> None:
-    """A fault of a process that must not speak, for the first one to tell; that another was lost is none of its own."""
-    if not ranks.first and not isinstance(error, (ProcessLost, KeyboardInterrupt)):
-        ranks.tell_fault(" ".join(f"{type(error).__name__}: {error}".split())[:500])
+def leave_fault(processes: "ProcessGroup", error: BaseException) -> None:
+    """Pass a fault of a follower, which must not print, to the first process. A lost process is no fault of its own."""
+    if not processes.first and not isinstance(error, (ProcessLost, KeyboardInterrupt)):
+        processes.tell_fault(" ".join(f"{type(error).__name__}: {error}".split())[:500])
 
 
-def _told(function: Any, *arguments: Any) -> Any:
-    """What a function returns; a process that was lost meanwhile is told in words that say what to do."""
+def _reporting_loss(function: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
     try:
-        return function(*arguments)
+        return function(*args, **kwargs)
     except ProcessLost as error:
         why = f" ({error})" if str(error) else ""
         raise OutOfResources(
-            f"another process of this run has ended{why}; what was saved last stands, the same command goes on from it"
+            f"another process of this run has ended{why}; rerun the same command to resume from the last checkpoint"
         ) from error

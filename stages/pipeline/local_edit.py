@@ -1,147 +1,275 @@
-"""What a local edit is made of, from region to taught field: each step brings the one before it up to date."""
+"""Local edits: region, edit dataset, learned edit, edited photos, fine-tuned field; each ensures the one before."""
 
 import shlex
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 from schemas.errors import UsageError
-from schemas.work_folder import Artifact
+from schemas.work_folder import Artifact, WorkFolder
 from stages.configs.distill import DistillConfig
+from stages.configs.edit import EditConfig, PaletteConfig
 from stages.configs.extract import ExtractConfig
-from stages.pipeline.distributed import agreed
-from stages.pipeline.prerequisites import input_of, made_from, pictures_of
+from stages.configs.finetune import FinetuneConfig
+from stages.configs.region import RegionConfig
+from stages.configs.select import SelectConfig
+from stages.configs.whole_edit import WholeEditConfig
+from stages.pipeline.prerequisites import ensure_field, field_named, input_of, pictures_of, scene_of_work
+from stages.pipeline.stage_runner import Request, StageRunner
+from stages.pipeline.style_files import name_of, style_file
 
 
-def region_of(session: Any, name: str) -> Artifact:
-    """The region of that name, or the only one there is."""
+@dataclass(frozen=True)
+class LocalEdit:
+    """The artifacts of a whole local edit."""
+
+    region: Artifact
+    edit_dataset: Artifact
+    edit: Artifact
+    scene: Artifact
+    field: Artifact
+
+    def artifacts(self) -> dict[str, Artifact]:
+        """Return the artifacts by kind, in the order in which they are made."""
+        return {item.name.replace("_", "-"): getattr(self, item.name) for item in fields(self)}
+
+
+def selected(
+    runner: StageRunner, config: SelectConfig, field: Artifact | None, name: str, request: Request
+) -> Artifact:
+    """Select a region in `field`, in the current fit of the scene if None."""
+    from stages import region_select
+
+    config = replace(config, files_digest=region_select.digest_of_masks(config))
+    if field:
+        scene = pictures_of(runner.work, field)
+    else:
+        scene = scene_of_work(runner.work)
+        field = ensure_field(runner, scene)
+    inputs = {"scene": scene, "field": field}
+    for operation in ("union", "subtract", "intersect"):
+        for other in getattr(config, operation):
+            inputs[f"{operation}.{other}"] = runner.work.find("region", other)
+    return runner.run(region_select.SPEC, region_select.run, inputs, config, name, request)
+
+
+def only_one(work: WorkFolder, kind: str, name: str) -> Artifact:
+    """Return the region or edit called `name`, the only one if that is empty."""
     if name:
-        return session.work.find("region", name)
-    regions = session.work.artifacts("region")
-    if len(regions) > 1:
-        raise UsageError(f"there are several regions: {', '.join(one.name for one in regions)}; give --region NAME")
-    return regions[0] if regions else session.work.get("region", "region")
+        return work.find(kind, name)
+    found = work.artifacts(kind)
+    if len(found) > 1:
+        names = ", ".join(one.name for one in found)
+        raise UsageError(f"there are several {kind}s: {names}; give --{kind} NAME")
+    return found[0] if found else work.get(kind, kind)
 
 
-def standing(session: Any, spec: Any, source: Artifact) -> Artifact | None:
-    """What an earlier command made of `source` by options of its own, which stay unless a table of --config says other.
+def field_of_region(work: WorkFolder, region: Artifact, name: str) -> Artifact:
+    """Return the field that a region was selected in; UsageError if `name` is another field."""
+    own = input_of(work, region, "field", "field")
+    if name and (field := work.find("field", name)).digest != own.digest:
+        command = shlex.join(["stylerf", "select", str(work.root), "--of", field.name])
+        raise UsageError(
+            f"--of {field.name}: region {region.name} was selected in field {own.name}; select it again: {command}"
+        )
+    return own
 
-    None where this command does that stage itself, and where what was made is gone or out of date.
+
+def edit_dataset(
+    runner: StageRunner,
+    region: Artifact,
+    field: Artifact | None = None,
+    config: ExtractConfig | None = None,
+    request: Request | None = None,
+) -> Artifact:
+    """Render what the views show of a region; the dataset is named as the region.
+
+    Args:
+        runner: runs the stage.
+        region: the region.
+        field: the field to render, by default the one the region was selected in.
+        config: options, by default those set for `extract`.
+        request: None if the dataset is a prerequisite.
     """
-    if spec.verb in session.own_verbs or session.options.table(spec.verb):
-        return None
+    from stages import edit_dataset as stage
 
-    def in_date() -> Artifact | None:
-        made = made_from(session, spec.writes, spec.stage, source)
-        return None if made is None or session.work.outdated(made) else made
-
-    return agreed(session, spec.writes, in_date)
-
-
-def ensure_edit_dataset(session: Any, region: Artifact, field: Artifact | None, config: Any = None) -> Artifact:
-    """What the views show of a region, named as the region is; `field`: other than the one it was selected in."""
-    from stages import edit_dataset
-
-    if made := standing(session, edit_dataset.SPEC, region):
+    if request is None and (made := runner.reusable(stage.SPEC, region)):
         return made
+    work = runner.work
     inputs = {
-        "scene": pictures_of(session, field) if field else input_of(session, region, "scene"),
-        "field": field or input_of(session, region, "field", "field"),
+        "scene": pictures_of(work, field) if field else input_of(work, region, "scene"),
+        "field": field or input_of(work, region, "field", "field"),
         "region": region,
     }
-    config = config or session.config_of("extract", ExtractConfig)
+    config = config or runner.options.config_of("extract", ExtractConfig)
     by = ("--region", region.name, "--of", inputs["field"].name)
-    return session.run(edit_dataset.SPEC, edit_dataset.run, inputs, config, region.name, by=by)
+    return runner.run(stage.SPEC, stage.run, inputs, config, region.name, request, by)
 
 
-def ensure_distilled(session: Any, edit: Artifact, config: Any = None) -> Artifact:
-    """The photos with an edit painted into them, a scene named as the edit is."""
+def distilled(
+    runner: StageRunner, edit: Artifact, config: DistillConfig | None = None, request: Request | None = None
+) -> Artifact:
+    """Paint an edit into the photos; the scene is named as the edit. request: None if it is a prerequisite."""
     from stages import distill
 
-    if made := standing(session, distill.SPEC, edit):
+    if request is None and (made := runner.reusable(distill.SPEC, edit)):
         return made
-    dataset = edit_dataset_of(session, edit)
-    inputs = {"scene": input_of(session, dataset, "scene"), "field": input_of(session, dataset, "field", "field")}
+    work, dataset = runner.work, edit_dataset_of(runner.work, edit)
+    inputs = {"scene": input_of(work, dataset, "scene"), "field": input_of(work, dataset, "field", "field")}
     inputs |= {"edit-dataset": dataset, "edit": edit}
-    config = config or session.config_of("distill", DistillConfig)
-    return session.run(distill.SPEC, distill.run, inputs, config, edit.name, by=("--edit", edit.name))
+    config = config or runner.options.config_of("distill", DistillConfig)
+    return runner.run(distill.SPEC, distill.run, inputs, config, edit.name, request, by=("--edit", edit.name))
 
 
-def edit_dataset_of(session: Any, edit: Artifact) -> Artifact:
-    """The edit dataset that an edit was learned from, through changes of its palette."""
+def edit_dataset_of(work: WorkFolder, edit: Artifact) -> Artifact:
+    """Return the dataset that an edit was learned from, through changes of its palette."""
     while any(ref.kind == "edit" for ref in edit.manifest.inputs):
-        edit = input_of(session, edit, "edit")
-    return input_of(session, edit, "edit-dataset")
+        edit = input_of(work, edit, "edit")
+    return input_of(work, edit, "edit-dataset")
 
 
-def edit_of(session: Any, name: str) -> Artifact:
-    """The edit of that name, or the only one there is."""
-    if name:
-        return session.work.find("edit", name)
-    edits = session.work.artifacts("edit")
-    if len(edits) > 1:
-        raise UsageError(f"there are several edits: {', '.join(one.name for one in edits)}; give --edit NAME")
-    return edits[0] if edits else session.work.get("edit", "edit")
+def finetuned(
+    runner: StageRunner,
+    edit: Artifact,
+    field: Artifact | None,
+    config: FinetuneConfig,
+    request: Request,
+    scene: Artifact | None = None,
+) -> Artifact:
+    """Train a field on an edit; the result is named as the edit.
 
+    Args:
+        runner: runs the stage.
+        edit: the edit.
+        field: the field to start from, by default the one the edit was extracted from.
+        config: options.
+        request: how the caller asked for the field.
+        scene: the photos with the edit, made if None.
 
-def finetuned(session: Any, edit: Artifact, field: Artifact | None, config: Any) -> Artifact:
-    """The field that has learned an edit, named as the edit is. field: another than the one that was looked at."""
+    Raises:
+        UsageError: the edit was painted into pictures of another field, whose looks training would bring back.
+    """
     from stages import finetune
 
-    dataset = edit_dataset_of(session, edit)
-    looked_at = input_of(session, dataset, "field", "field")
-    if field and field.digest != looked_at.digest:
-        _refuse_other_pictures(session, field, looked_at, dataset)
-    field = field or looked_at
-    inputs = {"scene": ensure_distilled(session, edit), "field": field, "region": input_of(session, dataset, "region")}
-    return session.run(finetune.SPEC, finetune.run, inputs, config, edit.name)
+    work, dataset = runner.work, edit_dataset_of(runner.work, edit)
+    extracted = input_of(work, dataset, "field", "field")
+    if field and field.digest != extracted.digest:
+        _refuse_other_pictures(work, field, extracted, dataset)
+    inputs = {
+        "scene": scene or distilled(runner, edit),
+        "field": field or extracted,
+        "region": input_of(work, dataset, "region"),
+    }
+    return runner.run(finetune.SPEC, finetune.run, inputs, config, edit.name, request)
 
 
-def _refuse_other_pictures(session: Any, field: Artifact, looked_at: Artifact, dataset: Artifact) -> None:
-    """UsageError where a field does not look as the pictures do that the edit was painted into: it would be lost."""
+def _refuse_other_pictures(work: WorkFolder, field: Artifact, extracted: Artifact, dataset: Artifact) -> None:
     from stages.artifacts.provenance import shows_its_pictures
 
-    pictured = shows_its_pictures(field) and shows_its_pictures(looked_at)
-    if not pictured or pictures_of(session, field).digest != input_of(session, dataset, "scene").digest:
-        anew = shlex.join(["stylerf", "select", str(session.work.root), "--of", field.name])
+    pictured = shows_its_pictures(field) and shows_its_pictures(extracted)
+    if not pictured or pictures_of(work, field).digest != input_of(work, dataset, "scene").digest:
+        command = shlex.join(["stylerf", "select", str(work.root), "--of", field.name])
         raise UsageError(
-            f"--of {field.name}: the edit was painted into pictures that show another field; edit that one anew, from "
-            f"its selection on: {anew}"
+            f"--of {field.name}: the edit was painted into pictures of another field; edit this one from its "
+            f"selection on: {command}"
         )
 
 
-def learned_edit(session: Any, region: Artifact, config: Any, changes: Any, name: str, changed: str) -> Artifact:
-    """An edit of a region: learned, and with changes of its palette, then called `changed`, where any are asked for.
+def learned_edit(
+    runner: StageRunner,
+    region: Artifact,
+    config: EditConfig,
+    changes: PaletteConfig,
+    name: str,
+    changed: str,
+    request: Request,
+    dataset: Artifact | None = None,
+) -> Artifact:
+    """Learn the look of a region and apply changes to its palette.
 
-    Nothing is learned again where any edit stands that was learned just so: without changes it is copied, unless
-    --force is given; with changes, one that `changed` takes the place of stays beside as <name>-learned. Else it is
-    learned, with changes called so.
+    Nothing is learned twice. Without changes, an edit of the same recipe under another name is copied (unless forced).
+    With changes, the learned edit is kept under its own name, <name>-learned if `changed` replaces it.
+
+    Args:
+        runner: runs the stages.
+        region: the region.
+        config: how the look is learned; holds the digests of its files.
+        changes: changes of the palette.
+        name: default name of the learned edit.
+        changed: default name of the edit with changes.
+        request: how the caller asked for the edit.
+        dataset: the edit dataset, made if None.
     """
     from stages import edit_learn, edit_palette
-    from stages.run.runner import recipe_of, tell_replaced
+    from stages.run.runner import announce_replacement, recipe_of
 
-    dataset = ensure_edit_dataset(session, region, None)
-    inputs = {"edit-dataset": dataset}
-    spec, name, changed = edit_learn.SPEC, session.name or name, session.name or changed
-    recipe = recipe_of(spec, inputs, config, session.context.seed)
+    dataset = dataset or edit_dataset(runner, region)
+    inputs, spec, work = {"edit-dataset": dataset}, edit_learn.SPEC, runner.work
+    name, changed = request.name or name, request.name or changed
+    recipe = recipe_of(spec, inputs, config, runner.seed)
 
-    def standing_beside(own: str) -> Artifact | None:
-        others = [one.name for one in session.work.artifacts("edit") if one.name != own]
-        return next(filter(None, (session.work.standing("edit", other, recipe) for other in others)), None)
+    def learned_elsewhere(own: str) -> Artifact | None:
+        others = [one.name for one in work.artifacts("edit") if one.name != own]
+        return next(filter(None, (work.standing("edit", other, recipe) for other in others)), None)
 
     def copied(source: Artifact, name: str) -> Artifact:
-        tell_replaced(session.work, spec, name, recipe, session.context)
-        return session.work.copy(source, name)
+        announce_replacement(work, spec, name, recipe, runner.progress)
+        return work.copy(source, name)
 
     if not changes:
-        known = session.force or session.work.standing("edit", name, recipe)
-        learned = None if known else standing_beside(name)
-        if learned:
-            session.say(f"edit {name}: as {learned.name}, learned just so before (--force learns it anew)")
+        present = request.force or work.standing("edit", name, recipe)
+        if not present and (learned := learned_elsewhere(name)):
+            runner.say(f"edit {name}: copied from {learned.name}, which was learned the same way (--force relearns it)")
             return copied(learned, name)
-        return session.run(spec, edit_learn.run, inputs, config, name)
-    learned = standing_beside(changed)
-    if learned is None and (own := session.work.standing("edit", changed, recipe)):
+        return runner.run(spec, edit_learn.run, inputs, config, name, request)
+    learned = learned_elsewhere(changed)
+    if learned is None and (own := work.standing("edit", changed, recipe)):
         learned = copied(own, f"{name}-learned")
     if learned is None:
         by = ("--region", region.name)
-        learned = session.run(spec, edit_learn.run, inputs, config, f"{name}-learned", own=False, by=by)
-    return session.run(edit_palette.SPEC, edit_palette.run, {"edit": learned}, changes, changed)
+        learned = runner.run(spec, edit_learn.run, inputs, config, f"{name}-learned", by=by)
+    return runner.run(edit_palette.SPEC, edit_palette.run, {"edit": learned}, changes, changed, request)
+
+
+def pinned_look(config: RegionConfig, region: str) -> tuple[RegionConfig, str]:
+    """Check the style image of a region's look; return the options with digests, and a name for the edit."""
+    from schemas.canonical_json import file_sha256
+    from stages import edit_learn
+    from stages.weights.resolve import chosen
+
+    if not config.style:
+        return config, f"{region}-recolor"
+    style = style_file(config.style)
+    features: dict[str, Any] = chosen(config.features)
+    config = replace(config, style=str(style.resolve()), style_digest=file_sha256(style), **features)
+    edit_learn.cropped(config.learning)
+    return config, f"{region}-{name_of(style)}"
+
+
+def edited(runner: StageRunner, config: WholeEditConfig, field_name: str, name: str, force: bool) -> LocalEdit:
+    """Run a whole local edit; every artifact of it is called `name`.
+
+    Args:
+        runner: runs the stages.
+        config: what is selected and what becomes of it.
+        field_name: the field to edit, by default the current fit of the scene.
+        name: of the artifacts.
+        force: rebuild what is up to date.
+    """
+    from stages.region_select import masks_of
+    from stages.run.runner import refuse_to_replace
+
+    request = Request(name, force)
+    # Refuse what cannot work before the first stage runs.
+    look, _ = pinned_look(config.look, name)
+    masks_of(config.selection)
+    given = field_named(runner, field_name) if field_name else None
+    start = given or ensure_field(runner, scene_of_work(runner.work))
+    for kind in ("region", "edit-dataset", "edit", "scene", "field"):
+        refuse_to_replace(runner.work, kind, name, [start])
+    options = runner.options
+    region = selected(runner, config.selection, given, name, request)
+    dataset = edit_dataset(runner, region, None, options.config_of("extract", ExtractConfig), request)
+    edit = learned_edit(runner, region, look.learning, look.changes, name, name, request, dataset)
+    scene = distilled(runner, edit, options.config_of("distill", DistillConfig), request)
+    field = finetuned(runner, edit, given, options.config_of("finetune", FinetuneConfig), request, scene)
+    return LocalEdit(region, edit_dataset_of(runner.work, edit), edit, scene, field)

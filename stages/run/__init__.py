@@ -1,1 +1,1 @@
-"""Running a stage: the runner, its clock, memory, devices, checkpoints and progress."""
+"""Running a stage: runner, clock, memory, device, checkpoints, progress."""

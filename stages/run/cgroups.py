@@ -1,6 +1,6 @@
-"""What control groups leave a process: the limits of containers, batch systems and services, versions 1 and 2.
+"""Limits of control groups (versions 1 and 2), as set by containers, batch systems and services.
 
-A limit may be set on any group around the process, so each is looked at up to the root.
+Any group around the process may set a limit, so all are read up to the root.
 """
 
 from contextlib import suppress
@@ -11,9 +11,9 @@ OWN = Path("/proc/self/cgroup")  # lines `0::/path` (version 2) and `4:cpu,cpuac
 
 
 def memory_left() -> float:
-    """Bytes that can still be taken: each group's limit less what it holds, files that it gives back when asked apart.
+    """Return the bytes that can still be allocated: limit minus usage, reclaimable file cache not counted as usage.
 
-    Infinity where there is no limit.
+    Infinity without a limit.
     """
     ways = (
         ("memory.max", "memory.current", "inactive_file"),
@@ -29,7 +29,7 @@ def memory_left() -> float:
 
 
 def cores() -> float:
-    """Processors' worth of time that the process may take; infinity where there is no quota."""
+    """Return the CPU quota in cores, infinity without a quota."""
     shares = []
     for folder in _groups("cpu"):
         quota, period = _number(folder / "cpu.cfs_quota_us"), _number(folder / "cpu.cfs_period_us")
@@ -41,7 +41,7 @@ def cores() -> float:
 
 
 def _groups(controller: str) -> list[Path]:
-    """Folders of groups that may bound the process: its own and those around it."""
+    """Return the folders of the groups around the process."""
     found = [ROOT, ROOT / controller]
     with suppress(OSError, ValueError):
         for line in OWN.read_text().splitlines():
@@ -54,7 +54,7 @@ def _groups(controller: str) -> list[Path]:
 
 
 def _number(path: Path) -> int | None:
-    with suppress(OSError, ValueError):  # without a limit it says `max`
+    with suppress(OSError, ValueError):  # `max` means no limit
         return int(path.read_text())
     return None
 

@@ -1,4 +1,4 @@
-"""Checkpoints of what trains: the last two, each known by its digest, so that a damaged one is never gone on with."""
+"""Checkpoints of training: the last two, each named by its digest so that a damaged one is never resumed."""
 
 import json
 import os
@@ -15,12 +15,14 @@ from schemas.safe_reading import parsed
 from schemas.tensors import load_tensors, save_tensors_with_digest
 
 KEPT = 2
-_NAME = re.compile(r"(\d{6,})-([0-9a-f]{64})\.safetensors")  # its number, then the SHA-256 of its bytes
+_NAME = re.compile(r"(\d{6,})-([0-9a-f]{64})\.safetensors")  # number, SHA-256 of the bytes
 
 
 def save_checkpoint(folder: Path, data: dict, arrays: dict[str, np.ndarray]) -> None:
-    """State and arrays in one file, `NUMBER-SHA256.safetensors`, so that no kill can leave the two of different
-    moments. The one before is kept too."""
+    """Save state and arrays, keeping the checkpoint before.
+
+    Both go to one file, `NUMBER-SHA256.safetensors`, so that a kill cannot leave state and arrays of different steps.
+    """
     earlier = _kept(folder)
     number = earlier[0][0] + 1 if earlier else 1
     writing = folder / "writing.safetensors"
@@ -32,9 +34,17 @@ def save_checkpoint(folder: Path, data: dict, arrays: dict[str, np.ndarray]) -> 
 
 
 def load_checkpoint(folder: Path, say: Callable[[str], None]) -> tuple[dict, dict[str, np.ndarray]] | None:
-    """The newest undamaged checkpoint, None if there is none. say: called with a line for each damaged one.
+    """Load the newest undamaged checkpoint.
 
-    OSError where one cannot be read: it may be sound.
+    Args:
+        folder: where checkpoints are kept.
+        say: receives one line for each damaged checkpoint.
+
+    Returns:
+        State and arrays, or None without a checkpoint.
+
+    Raises:
+        OSError: a checkpoint cannot be read; it may be undamaged.
     """
     found = _kept(folder)
     for place, (_, digest, path) in enumerate(found):
@@ -47,6 +57,6 @@ def load_checkpoint(folder: Path, say: Callable[[str], None]) -> tuple[dict, dic
 
 
 def _kept(folder: Path) -> list[tuple[int, str, Path]]:
-    """Number, digest and path of each checkpoint, the newest first."""
+    """Return number, digest and path of each checkpoint, newest first."""
     matches = [(_NAME.fullmatch(path.name), path) for path in folder.glob("*.safetensors")]
     return sorted(((int(match[1]), match[2], path) for match, path in matches if match), reverse=True)

@@ -1,4 +1,4 @@
-"""Time and memory of a run, summed over interruptions, so that a resumed artifact tells what it really took."""
+"""Time and peak memory of a run, interruptions included."""
 
 import json
 import resource
@@ -15,13 +15,13 @@ SAVED_EVERY_SECONDS = 2.0
 
 
 def _reset_peak() -> None:
-    """Starts the process's memory peak anew (Linux), so that one stage does not inherit the peak of the one before."""
+    """Reset the peak memory of the process (Linux), so that a stage does not inherit the peak of the one before."""
     with suppress(OSError):
         Path("/proc/self/clear_refs").write_text("5")
 
 
 def peak_memory_mb() -> float:
-    """Largest resident memory of this process since the last reset, in MB = 1e6 bytes."""
+    """Return the peak resident memory of this process since the last reset, in MB = 1e6 bytes."""
     with suppress(OSError, ValueError, StopIteration):
         lines = Path("/proc/self/status").read_text().splitlines()
         return int(next(line for line in lines if line.startswith("VmHWM:")).split()[1]) * 1024 / 1e6
@@ -35,7 +35,7 @@ def _children_peak_mb() -> float:
 
 
 class Clock:
-    """Measures while open as a context, and keeps `clock.json` up to date so that a kill loses two seconds at most."""
+    """Measures while entered; saves `clock.json` every two seconds, so that a kill loses no more than that."""
 
     def __init__(self, folder: Path, resumed: bool) -> None:
         self._file = folder / "clock.json"
@@ -64,19 +64,19 @@ class Clock:
 
     @property
     def seconds(self) -> float:
-        """Wall seconds of this run and the interrupted ones before it."""
+        """Wall time of this run and the interrupted runs before it, seconds."""
         return self._before["seconds"] + time.perf_counter() - self._start
 
     @property
     def peak_mb(self) -> float:
-        """Largest memory of this process, of a child process that grew beyond, and of the interrupted runs."""
+        """Peak memory of this process, its children and the interrupted runs, MB."""
         children = _children_peak_mb()
         grown = children if children > self._children_before else 0.0
         return max(self._before["peak_memory_mb"], peak_memory_mb(), grown)
 
     @property
     def runs(self) -> int:
-        """Number of runs including this one."""
+        """Number of runs, including this one."""
         return self._before["runs"] + 1
 
     def _save_often(self) -> None:
@@ -84,7 +84,7 @@ class Clock:
             self._save()
 
     def _save(self) -> None:
-        # A full disk is the stage's to report; a figure is not worth ending a run.
+        # The stage reports a full disk; a measurement is not worth ending a run.
         with suppress(OutOfResources, OSError):
             if self._file.parent.is_dir():
                 write_json(self._file, {"seconds": self.seconds, "peak_memory_mb": self.peak_mb, "runs": self.runs})

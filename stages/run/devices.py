@@ -1,4 +1,4 @@
-"""Which device a stage computes on, and what it says where that is another than was asked for."""
+"""The device that a stage computes on, with a note if it is not the requested one."""
 
 import numpy as np
 
@@ -9,10 +9,17 @@ from stylerf.kernels.gpu import unavailable
 
 
 def gpu_of(context: Context, field=None, moving: bool = False) -> str | None:
-    """`cuda` where the context asks for it and the kernels (and the field's kinds) are there; None: the CPU.
+    """Return `cuda` if it is requested and supported, else None for the CPU.
 
-    moving: the field's shapes are to learn to move. Says in one line why a GPU that was asked for is not used;
-    processes that train together must all find it so. From here on the peak of the GPU's memory is this stage's.
+    A requested GPU that is not used is explained in one line. Resets the peak of the GPU's memory.
+
+    Args:
+        context: holds the requested device.
+        field: what is computed; its kinds must have GPU kernels.
+        moving: the field's geometry is trained as well.
+
+    Raises:
+        OutOfResources: some, but not all, of the processes that train together can use their GPU.
     """
     if context.device != "cuda":
         return None
@@ -22,12 +29,12 @@ def gpu_of(context: Context, field=None, moving: bool = False) -> str | None:
 
         why = unsupported(field, moving)
     lacking = np.array([why is not None], np.float32)
-    context.ranks.add(lacking)
-    if 0 < lacking[0] < context.ranks.count:
+    context.processes.add(lacking)
+    if 0 < lacking[0] < context.processes.count:
         raise OutOfResources(
-            f"{lacking[0]:.0f} of {context.ranks.count} processes that train together cannot compute on their GPU "
-            f"(process {context.ranks.place} {f'cannot: {why}' if why else 'can'}); bring their machines to the same "
-            "state (`stylerf doctor` on each), or run with --device cpu"
+            f"{lacking[0]:.0f} of {context.processes.count} processes that train together cannot compute on their GPU "
+            f"(process {context.processes.place} {f'cannot: {why}' if why else 'can'}); make their machines alike "
+            "(`stylerf doctor` on each), or run with --device cpu"
         )
     if why is None:
         import torch
@@ -41,7 +48,7 @@ def gpu_of(context: Context, field=None, moving: bool = False) -> str | None:
 
 
 def rays_on(device: str | None, field, context: Context, moving: bool = False) -> str | None:
-    """`device`, where its kernels know the field's kinds; else None, and a line that says why.
+    """Return `device` if it has kernels for the field's kinds, else None with a note.
 
     For stages that use the device for more than rays.
     """
@@ -56,7 +63,7 @@ def rays_on(device: str | None, field, context: Context, moving: bool = False) -
 
 
 def gpu_figures(device: str | None) -> dict:
-    """The most memory held on the GPU since gpu_of, MB, for a stage's figures; nothing on the CPU."""
+    """Return the peak GPU memory since gpu_of, MB, as figures of a stage; nothing on the CPU."""
     if device is None:
         return {}
     import torch

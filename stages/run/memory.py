@@ -1,4 +1,4 @@
-"""How much memory a run may take, and what is left of it."""
+"""The memory that a run may use, and what is left of it."""
 
 import os
 import re
@@ -7,16 +7,16 @@ from pathlib import Path
 
 from stages.run import cgroups
 
-FREE_SHARE = 0.75  # of what is free, where no bound is given: the rest of the machine goes on working
+FREE_SHARE = 0.75  # of free memory, without --memory: leaves some to the rest of the machine
 UNITS = {"": 1, "K": 10**3, "M": 10**6, "G": 10**9, "T": 10**12}
-LEAST = 256 * 10**6  # bytes; the program alone is larger
+LEAST = 256 * 10**6  # bytes; the program alone takes more
 
 
 def bytes_of(text: str) -> int:
-    """'512M' -> 512,000,000, '8G', '1.5G'; ValueError for anything else, and for less than LEAST."""
+    """Parse '512M' as 512,000,000, '8G', '1.5G'; ValueError for anything else and for less than LEAST."""
     match = re.fullmatch(r"(\d+(?:\.\d+)?)\s*([KMGT]?)B?", text.strip(), re.IGNORECASE)
     if not match:
-        raise ValueError(f"{text!r} is no amount of memory like 512M or 8G")
+        raise ValueError(f"{text!r} is not an amount of memory such as 512M or 8G")
     found = int(float(match[1]) * UNITS[match[2].upper()])
     if found < LEAST:
         raise ValueError(f"{text!r} is less than the program alone takes; at least {in_words(LEAST)} is needed")
@@ -24,19 +24,19 @@ def bytes_of(text: str) -> int:
 
 
 def in_words(count: float) -> str:
-    """Bytes as a person reads them: 512 MB, 1.7 GB."""
+    """Format bytes for people: 512 MB, 1.7 GB."""
     return f"{count / 1e9:.1f} GB" if count >= 0.9995e9 else f"{max(0.0, count) / 1e6:.0f} MB"
 
 
 def used() -> int:
-    """Resident bytes of this process."""
+    """Return the resident memory of this process, bytes."""
     with suppress(OSError, ValueError, IndexError):
         return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
     return 0
 
 
 def free() -> int:
-    """Bytes that processes can still take: of the machine, and of the groups that bound this process."""
+    """Return the bytes that can still be allocated: on the machine, and within the control groups of this process."""
     found = [os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")]
     with suppress(OSError, ValueError, StopIteration):
         lines = Path("/proc/meminfo").read_text().splitlines()
@@ -44,10 +44,12 @@ def free() -> int:
     return max(0, int(min(*found, cgroups.memory_left())))
 
 
-def room(bound: int) -> int:
-    """Bytes that this process may take beside those that it has. bound: of all of it; 0: FREE_SHARE of what is free.
+def available_bytes(bound: int) -> int:
+    """Return the bytes that this process may allocate on top of what it uses.
 
-    Processes that a launcher started side by side on this machine share what is free.
+    Args:
+        bound: limit of the whole process, bytes; 0 for FREE_SHARE of free memory, shared among the processes that a
+            launcher started on this machine.
     """
     if bound:
         return max(0, bound - used())

@@ -1,29 +1,29 @@
-"""How a stage tells what it is doing; the front door decides how that looks."""
+"""How stages report progress, and the context they run in."""
 
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
-from stylerf.training.common.process_group import ALONE
+from stylerf.training.common.process_group import ALONE, ProcessGroup
 
 
 class Progress(Protocol):
-    """Told by stages and training loops; never asked anything."""
+    """Receives progress from stages and training loops."""
 
     def start(self, label: str, total: float | None = None, unit: str = "step") -> None:
-        """Open a bar of `total` units (None: unknown length)."""
+        """Open a bar of `total` units, None if the length is unknown."""
 
     def update(self, done: float, note: str = "") -> None:
-        """`done` units of the open bar are finished; `note` is the present quality, such as '27.1 dB'."""
+        """Report that `done` units are finished. note: the present quality, such as '27.1 dB'."""
 
     def finish(self) -> None:
         """Close the open bar."""
 
     def say(self, text: str) -> None:
-        """One line the user should read: a choice made, a fallback taken, files skipped."""
+        """Show the user one line: a choice, a fallback, skipped files."""
 
 
 class Silent:
-    """Progress that goes nowhere, for tests and the Python API."""
+    """Discards progress."""
 
     def start(self, label: str, total: float | None = None, unit: str = "step") -> None: ...
 
@@ -36,18 +36,18 @@ class Silent:
 
 @dataclass(frozen=True)
 class Context:
-    """What every stage is run with beside its inputs and options; nothing of it but the seed changes a result.
+    """What a stage runs with besides inputs and options. Only the seed affects results.
 
-    memory: bytes that the process may take, 0: most of what is free. ranks: the processes that run a stage together.
-    anew: nothing that was made before is to be taken for what is made now. no_paths: files from outside are
-    told by their names alone, without their folders.
+    device: `cpu` or `cuda`. memory: bytes that the process may use, 0 for most of what is free. rebuild: reuse nothing
+    of earlier runs. no_paths: record files outside the work folder by name, without their folders. processes: the
+    processes that run a stage together.
     """
 
     seed: int = 0
     device: str = "cpu"
     threads: int = 2
     memory: int = 0
-    anew: bool = False
+    rebuild: bool = False
     no_paths: bool = False
-    ranks: Any = ALONE
-    progress: Any = Silent()
+    processes: ProcessGroup = ALONE
+    progress: Progress = Silent()

@@ -1,4 +1,4 @@
-"""Runs any stage the same way: reuse what stands, else run under a lock, resume, measure, finish as one step."""
+"""Runs any stage: reuse its artifact if it is up to date, else lock, resume, run, measure, and commit in one rename."""
 
 import errno
 import sys
@@ -16,11 +16,11 @@ from schemas.partial_artifact import DEAR_SECONDS, UnlikeInterrupted
 from schemas.work_folder import Artifact, PartialArtifact, Recipe, WorkFolder, sources_of
 from stages.configs import incidental
 from stages.run.clock import Clock, peak_memory_mb
-from stages.run.progress import Context
+from stages.run.progress import Context, Progress
 
-Run = Callable[[dict[str, Artifact], Any, PartialArtifact, Context], dict]
+Run = Callable[[dict[str, Artifact], Any, PartialArtifact, Context], dict[str, Any]]
 
-# Packages whose version can change a result; those that the run has imported are recorded.
+# Packages whose version can affect a result, by module; a manifest records those that the run imported.
 RECORDED_PACKAGES = {
     "torch": "torch",
     "numpy": "numpy",
@@ -37,11 +37,11 @@ RECORDED_PACKAGES = {
 
 @dataclass(frozen=True)
 class Spec:
-    """What a stage is: its name, the verb that runs it, its code revision, and the kind of artifact that it writes.
+    """A stage: its name, the verb that runs it, its revision, and the kind of artifact that it writes.
 
-    Raise `revision` when the same inputs and options give another result than before. parallel: several processes can
-    run it together (Context.ranks). outside: for a stage that reads files which are no artifacts, their digests as they
-    are now, by the option that has the digest they were asked for with.
+    Raise `revision` if the same inputs and options give another result than before. parallel: several processes can run
+    it together (Context.processes). outside: for a stage that reads files which are no artifacts; returns their present
+    digests, by the option that holds the digest they had when the stage was requested.
     """
 
     stage: str
@@ -53,19 +53,19 @@ class Spec:
 
 
 def recipe_of(spec: Spec, inputs: dict[str, Artifact], config: Any, seed: int) -> Recipe:
-    """The recipe by which `spec` would make its artifact from these inputs (by role) and options."""
+    """Return the recipe for the artifact that `spec` makes from these inputs (by role) and options."""
     references = [artifact.reference(role) for role, artifact in sorted(inputs.items())]
     return Recipe(spec.stage, spec.revision, plain(config), references, seed, sorted(incidental(config)))
 
 
 def without_folders(recipe: Recipe) -> Recipe:
-    """The same recipe, in which files that are known by their digests are told by their names alone."""
+    """Return the recipe with files that are known by their digests reduced to their names."""
     named = {key: _name_of(value) for key, value in recipe.config.items() if key in recipe.aside}
     return replace(recipe, config={**recipe.config, **named})
 
 
 def _name_of(value: Any) -> Any:
-    """PATH -> its last part, VIEW=PATH -> VIEW= and its last part; in a list, of each."""
+    """Reduce PATH to its last part, VIEW=PATH to VIEW= and that part; in a list, each item."""
     if isinstance(value, list | tuple):
         return [_name_of(one) for one in value]
     if not isinstance(value, str):
@@ -75,7 +75,7 @@ def _name_of(value: Any) -> Any:
 
 
 def refuse_to_replace(work: WorkFolder, kind: str, name: str, sources: Iterable[Artifact]) -> None:
-    """UsageError where the artifact `name` would take the place of what it is made from, directly or through others."""
+    """Raise UsageError if the artifact `name` would replace one it is made from, directly or through others."""
     target = (work.root / kind / name).resolve()
     if any(one.path.resolve() == target for source in sources for one in [source, *sources_of(source)]):
         raise UsageError(f"{kind} {name} would replace what it is made from; give another --name")
@@ -90,52 +90,65 @@ def execute(
     config: Any,
     context: Context,
     force: bool = False,
-    careful: bool = False,
+    protect: bool = False,
 ) -> tuple[Artifact, bool]:
-    """The artifact `name` of `spec`, and whether it stood already.
+    """Run a stage, or reuse its artifact if that has the same recipe.
 
-    Unless `force`, an artifact of the same recipe (stage, revision, options, seed, digests of the inputs) is returned
-    as it stands. Otherwise every input is verified, an interrupted run of the same recipe is taken up where it
-    stopped, and the result replaces the older artifact of that name by one rename; it must be none of its sources.
-    What an interruption, the machine (memory, space, permission, a disk that fails) or a fault that keeps the run
-    leaves behind is kept for the next run; after any other fault it is deleted: the same state would fail again.
-    What was read is verified once more before the result is finished: it may have changed while the stage ran.
-    careful: a minute's work or more that was done with other options is not lost without a word: an interrupted run is
-    kept (ArtifactStale), what stands or cannot be gone on with is told of.
+    The recipe is stage, revision, options, seed and digests of the inputs. Inputs are verified before the run, and
+    again before the result is committed, since they may change meanwhile. An interrupted run of the same recipe
+    resumes. The result replaces an older artifact of the same name by one rename.
+
+    An interruption, a refusal of the machine (memory, space, permission, a failing disk) and faults that say so leave
+    the partial run for the next one to resume. After any other fault it is deleted: the same state would fail again.
+
+    Args:
+        spec: the stage.
+        run: its function.
+        work: the work folder.
+        name: of the artifact.
+        inputs: artifacts by role.
+        config: options.
+        context: seed, device and progress.
+        force: rebuild an artifact that is up to date.
+        protect: do not discard a minute's work or more with other options silently: an interrupted run raises
+            ArtifactStale, a finished artifact is announced before it is replaced.
+
+    Returns:
+        The artifact, and whether it was reused.
     """
     recipe = recipe_of(spec, inputs, config, context.seed)
     recipe = without_folders(recipe) if context.no_paths else recipe
-    standing = None if force else work.standing(spec.writes, name, recipe)
-    if standing:
+    present = None if force else work.standing(spec.writes, name, recipe)
+    if present:
         work.sweep(spec.writes, name)
-        return standing, True
+        return present, True
     refuse_to_replace(work, spec.writes, name, inputs.values())
     _verify(spec, recipe, inputs)
     try:
-        partial = work.begin(spec.writes, name, recipe, careful and not force, anew=force)
+        partial = work.begin(spec.writes, name, recipe, protect and not force, anew=force)
     except UnlikeInterrupted as lost:
         raise ArtifactStale(
             f"an interrupted `stylerf {spec.verb}` of {spec.writes} {name}, {lost.seconds / 60:.0f} min of work with "
-            f"{lost.options}, would be lost; run `stylerf {spec.verb}` with these to go on with it, with "
-            "another --name to keep both, or with --force to begin anew"
+            f"{lost.options}, would be lost; run `stylerf {spec.verb}` with these options to resume it, with another "
+            "--name to keep both, or with --force to start over"
         ) from lost
     except OSError as error:
         raise refusal_of_machine(error, work.root) or error from error
     if partial.lost:
         context.progress.say(
-            f"an interrupted `stylerf {spec.verb}` of {spec.writes} {name}, {partial.lost}, cannot go on and is deleted"
+            f"an interrupted `stylerf {spec.verb}` of {spec.writes} {name}, {partial.lost}, cannot resume; deleting it"
         )
-    if careful:
-        tell_replaced(work, spec, name, recipe, context)
+    if protect:
+        announce_replacement(work, spec, name, recipe, context.progress)
     try:
-        # Another process may have made it between the look above and our lock.
-        standing = None if force else work.standing(spec.writes, name, recipe)
-        if standing:
+        # Another process may have made it before we got the lock.
+        present = None if force else work.standing(spec.writes, name, recipe)
+        if present:
             partial.discard()
-            return standing, True
+            return present, True
         if partial.resumed:
-            context.progress.say(f"going on with the interrupted {spec.verb} of {name}")
-        return _run(spec, run, partial, inputs, config, replace(context, anew=force)), False
+            context.progress.say(f"resuming the interrupted {spec.verb} of {name}")
+        return _run(spec, run, partial, inputs, config, replace(context, rebuild=force)), False
     except (KeyboardInterrupt, SystemExit):
         raise
     except BaseException as error:
@@ -148,16 +161,16 @@ def execute(
         partial.release()
 
 
-def tell_replaced(work: WorkFolder, spec: Spec, name: str, recipe: Recipe, context: Context) -> None:
-    """Says what takes a minute or more to make and is about to be replaced by what another recipe makes."""
-    with suppress(StylerfError):  # what is not there, or cannot be read, is no loss
+def announce_replacement(work: WorkFolder, spec: Spec, name: str, recipe: Recipe, progress: Progress) -> None:
+    """Say so if an artifact that took a minute or more is about to be replaced by one of another recipe."""
+    with suppress(StylerfError):  # a missing or unreadable artifact is no loss
         made = Artifact(work.root / spec.writes / name).manifest
         before = Recipe(made.stage, made.revision, made.config, made.inputs, made.seed)
         if made.recipe != recipe.digest and made.seconds >= DEAR_SECONDS:
-            other = [recipe.other_options(before), recipe.other_sources(before)]
-            other = ", ".join(filter(None, other)) or "older options"
-            context.progress.say(
-                f"{spec.writes} {name}, {made.seconds / 60:.0f} min of work with {other}, is replaced once this "
+            differences = [recipe.other_options(before), recipe.other_sources(before)]
+            other = ", ".join(filter(None, differences)) or "older options"
+            progress.say(
+                f"{spec.writes} {name}, {made.seconds / 60:.0f} min of work with {other}, will be replaced when this "
                 f"is done; `stylerf {spec.verb} --name NAME` keeps both"
             )
 
@@ -178,40 +191,40 @@ def _run(
 
 
 def _verify(spec: Spec, recipe: Recipe, inputs: dict[str, Artifact]) -> None:
-    """ArtifactDamaged or ArtifactStale where an input is not what the recipe names."""
+    """Raise ArtifactDamaged or ArtifactStale if an input differs from the one in the recipe."""
     named = {ref.role: ref.digest for ref in recipe.inputs}
     for role, artifact in inputs.items():
         artifact.verify()
         if artifact.digest != named[role]:
             raise ArtifactStale(
-                f"{artifact.kind} {artifact.name} was made again while `stylerf {spec.verb}` read it; run the same "
-                "command again"
+                f"{artifact.kind} {artifact.name} was rebuilt while `stylerf {spec.verb}` read it; rerun the same "
+                "command"
             )
 
 
 def _refuse_changed(spec: Spec, recipe: Recipe, inputs: dict[str, Artifact], config: Any) -> None:
-    """As _verify, and BadInput where a file from outside is no longer what it was when the run began."""
+    """Do as _verify, and raise BadInput if a file outside the work folder changed since the run began."""
     _verify(spec, recipe, inputs)
     for option, digest in (spec.outside(config) if spec.outside else {}).items():
         if getattr(config, option) not in ("", digest):
             what = option.removesuffix("_digest")
-            raise BadInput(f"--{what} changed while `stylerf {spec.verb}` read it; run the same command again")
+            raise BadInput(f"--{what} changed while `stylerf {spec.verb}` read it; rerun the same command")
 
 
 def versions() -> dict[str, str]:
-    """Versions of python, stylerf and those of RECORDED_PACKAGES that this process has imported."""
+    """Return the versions of Python, stylerf and those RECORDED_PACKAGES that this process has imported."""
     found = {"python": sys.version.split()[0]}
     names = {"stylerf": "stylerf"} | {m: p for m, p in RECORDED_PACKAGES.items() if m in sys.modules}
     for module, package in names.items():
         try:
             found[module] = version(package)
-        except PackageNotFoundError:  # run from a checkout, or put on the path by hand
+        except PackageNotFoundError:  # run from a checkout or a hand-made path
             found[module] = str(getattr(sys.modules.get(module), "__version__", "not installed"))
     return found
 
 
 def _keeps_run(error: BaseException) -> bool:
-    """Whether what is done stays: the fault says so, or somewhere behind it something could not be read or written."""
+    """Whether a partial run can resume after `error`: the fault says so, or an I/O error caused it."""
     if isinstance(error, StylerfError) and error.keeps_run:
         return True
     behind: BaseException | None = error
@@ -223,29 +236,27 @@ def _keeps_run(error: BaseException) -> bool:
 
 
 def _passes(error: OSError) -> bool:
-    """Whether the same run may get past the fault another time; a path that leads nowhere does so again."""
+    """Whether a rerun may get past the error; a path that does not exist fails again."""
     return error.errno not in (errno.ENOENT, errno.ENOTDIR, errno.EISDIR)
 
 
 def refusal_of_machine(error: BaseException, where: Path) -> OutOfResources | None:
-    """OutOfResources in words when `error` means lack of memory, disk space or permission, or a disk or system that
-    fails; None for other faults."""
+    """Return OutOfResources if `error` means lack of memory, space or permission, or a failing disk; else None."""
     if isinstance(error, OSError):
         refused = out_of_resources(error, where)
         if refused is None and error.errno is not None and _passes(error):
             place = error.filename if isinstance(error.filename, str) else where
             refused = OutOfResources(
-                f"{place}: {error.strerror or error}; what is done is kept: run the same command to go on with it, or "
-                "with --force to begin anew"
+                f"{place}: {error.strerror or error}; rerun the same command to resume, or with --force to start over"
             )
         return refused
-    # torch tells lack of memory by a RuntimeError of its own on CUDA and a plain one on the CPU.
+    # torch raises its own RuntimeError for lack of memory on CUDA, and a plain one on the CPU.
     of_torch = isinstance(error, RuntimeError) and (
         type(error).__name__ == "OutOfMemoryError" or "can't allocate memory" in str(error)
     )
     if isinstance(error, MemoryError) or of_torch:
         return OutOfResources(
             f"out of memory (this process had used up to {peak_memory_mb():.0f} MB); use smaller images or a smaller "
-            "capacity, or free memory, and run the same command"
+            "capacity, or free memory, and rerun the same command"
         )
     return None

@@ -1,8 +1,10 @@
-"""How stages run what trains: checkpoints every so often and at Ctrl-C, faults in words."""
+"""The loop of stages that train: checkpoints at intervals and on Ctrl-C, faults as errors."""
 
 import time
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Protocol, TypeVar
+
+import numpy as np
 
 from schemas.errors import BadInput
 from schemas.work_folder import PartialArtifact
@@ -10,32 +12,61 @@ from stages.run.checkpoints import save_checkpoint
 from stages.run.progress import Context
 from stylerf.errors import Diverged
 
+Step = TypeVar("Step")
+
+
+class Trainer(Protocol[Step]):
+    """What the loop runs. between_steps: whether the state is that of whole steps."""
+
+    @property
+    def between_steps(self) -> bool: ...
+
+    def run(self, on_step: Callable[[Step], None]) -> Any:
+        """Train to the end of the budget, calling `on_step` after each step."""
+
+    def checkpoint(self) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+        """Return state and arrays to resume from."""
+        ...
+
 
 def run_training(
-    trainer: Any, what: str, every: float, partial: PartialArtifact, context: Context, tell: Callable[[Any], None]
+    trainer: Trainer[Step],
+    what: str,
+    every: float,
+    partial: PartialArtifact,
+    context: Context,
+    report: Callable[[Step], None],
 ) -> None:
-    """Calls `trainer.run` and brings it to its end.
+    """Train to the end.
 
-    trainer: has run(on_step), checkpoint() and between_steps. what: is named where it does not converge, which is
-    BadInput. every: seconds between checkpoints. tell: shows how far the trainer is, after each step.
+    Args:
+        trainer: what is trained.
+        what: its name in errors.
+        every: seconds between checkpoints.
+        partial: the artifact in progress, which keeps the checkpoints.
+        context: the first of its processes saves; its progress is closed at the end.
+        report: shows progress after each step.
+
+    Raises:
+        BadInput: the training diverged.
     """
     saved_at = time.monotonic()
 
     def save() -> None:
         nonlocal saved_at
-        if context.ranks.first:
+        if context.processes.first:
             save_checkpoint(partial.checkpoint, *trainer.checkpoint())
         saved_at = time.monotonic()
 
-    def on_step(now: Any) -> None:
-        tell(now)
+    def on_step(step: Step) -> None:
+        report(step)
         if time.monotonic() - saved_at > every:
             save()
 
     try:
         trainer.run(on_step)
     except KeyboardInterrupt:
-        # The step that was cut short may have left half a gradient: only whole steps are saved.
+        # An interrupted step may have left half a gradient: save whole steps only.
         if trainer.between_steps:
             save()
         raise

@@ -28,7 +28,7 @@ from stages.configs.faults import CLEAN, FAULTS, METHODS, ORDINARY_STYLE, STYLE,
 from stages.configs.fit import FitConfig
 from stages.configs.stress import StressConfig
 from stages.configs.stylize import StylizeConfig
-from stages.run.progress import Silent
+from stages.run.progress import Context, Silent
 from stages.run.runner import execute
 from stages.stress import criteria, edit_trials
 from stages.stress.outcomes import keep_outcome, kept_outcome
@@ -85,14 +85,14 @@ class Stress:
     paintings; trunk and paintings are empty where no method sees one.
     """
 
-    def __init__(self, session: Any, config: StressConfig, source: Artifact, root: Path) -> None:
-        self.session, self.config, self.source, self.root = session, config, source, root
+    def __init__(self, context: Context, config: StressConfig, source: Artifact, root: Path) -> None:
+        self.context, self.config, self.source, self.root = context, config, source, root
         # UsageError without any trunk, where a method needs one.
         needed = any(METHODS[name].sees_painting for name in config.chosen_methods)
         self.features = resolve.chosen("") if needed else {"features": ""}
         self.conditions = config.conditions | {
             "features": self.features["features"],
-            "device": session.context.device,
+            "device": context.device,
             "criteria": criteria.REVISION,
             "paintings": style_images.REVISION if needed else "",
         }
@@ -105,7 +105,7 @@ class Stress:
 
     def trials(self) -> Iterator[Trial]:
         """In the order in which scenes and fits are shared: by seed, then scene, then painting, then method."""
-        first = self.session.common.seed
+        first = self.context.seed
         remedies = {"off": (False,), "on": (True,), "both": (False, True)}[self.config.remedies]
         faults = [FAULTS[name] for name in self.config.chosen_faults]
         faults.sort(key=lambda fault: fault.of_scene and fault.name != CLEAN)  # stable: the clean scene's first
@@ -120,7 +120,7 @@ class Stress:
         trials, self._afresh, self._only = list(self.trials()), force, only
         standing: dict[Path, bool] = {}  # whether all runs of a work folder do
         found: list[Outcome] = []
-        progress = self.session.progress
+        progress = self.context.progress
         progress.start("stress", len(trials), "run")
         for number, trial in enumerate(trials):
             key = self.key_of(trial)
@@ -234,7 +234,7 @@ class Stress:
             scene = self._scene(trial)
         except BadInput as error:
             self.missing[trial.fault.name] = str(error)
-            self.session.say(f"{trial.fault.name} is left out: {error}")
+            self.context.progress.say(f"{trial.fault.name} is left out: {error}")
             return None
         picture = f"{self._name(trial, key)}.png"
         try:
@@ -268,7 +268,7 @@ class Stress:
         return WorkFolder(self.root / "works" / f"{trial.origin}-{trial.seed}")
 
     def _execute(self, trial: Trial, stage: Any, inputs: dict, config: Any, name: str) -> Artifact:
-        context = replace(self.session.context, seed=trial.seed, progress=Silent())
+        context = replace(self.context, seed=trial.seed, progress=Silent())
         place = self._place(trial)
         if self._afresh and place.root not in self._worked_in:
             shutil.rmtree(place.root, ignore_errors=True)  # what --keep left there may be of other code
@@ -306,7 +306,7 @@ class Stress:
 
     def _verdict(self, trial: Trial, scene: Artifact) -> tuple[criteria.Verdict, np.ndarray]:
         """And the picture of the worst view."""
-        method, threads = trial.method, self.session.context.threads
+        method, threads = trial.method, self.context.threads
         fit_name = f"fit-{method.field}{REMEDIED_FILE if trial.remedies else ''}"
         field = self._fitted(trial, scene, fit_name)
         if method.edit:

@@ -1,24 +1,25 @@
-"""`stylerf deform WORK`: the fitted field with a deformation, ready to be bent by a painting."""
+"""`stylerf deform WORK`: a fitted field with a deformation, ready to be bent by a style image."""
+
+from typing import Any
 
 from stages.configs.deform import DeformConfig
+from stylerf_cli.arguments import Parser
+from stylerf_cli.session import Session
 
 NAME = "deform"
-HELP = "give a fitted field a deformation, the start of a stylization that bends shapes"
+HELP = "give a field a deformation, so that stylization can bend shapes"
 CONFIG = DeformConfig
 
 
-def add_arguments(parser) -> None:
+def add_arguments(parser: Parser) -> None:
     """WORK, --of."""
     parser.add_argument("work", metavar="WORK", help="the work folder")
-    parser.add_argument("--of", metavar="FIELD", help="field to deform (default: the fitted one)")
+    parser.add_argument("--of", metavar="FIELD", default="", help="field to deform (default: the fitted one)")
 
 
-def run(args, session) -> dict:
-    """The deformed field's place and figures."""
-    from stages.pipeline.prerequisites import deform, ensure_field, scene_of_work, teaching_pictures
-
-    field = ensure_field(session, scene_of_work(session), args.of)
-    made = deform(session, teaching_pictures(session, field), field, session.config)
+def run(args: Any, session: Session) -> dict[str, Any]:
+    """Return path, name and figures of the deformed field."""
+    made = session.pipeline.deform(session.config, of=args.of, name=session.name, force=session.force)
     figures = made.manifest.figures
     result = {"field": made.path, "name": made.name, "figures": figures, "seconds": made.manifest.seconds}
     words = (

@@ -1,4 +1,4 @@
-"""`stylerf doctor`: what is installed, which device and kernels, which weights, what is missing and how to get it."""
+"""`stylerf doctor`: packages, device, kernels and weights: what is missing, and how to get it."""
 
 import importlib
 import os
@@ -8,13 +8,18 @@ import sys
 import tempfile
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+from typing import Any
+
+from stages.pipeline.resources import usable_threads
+from stylerf_cli.arguments import Parser
+from stylerf_cli.session import Session
 
 NAME = "doctor"
-HELP = "tell what is installed, what is missing, and how to get it"
+HELP = "check the installation and say how to get what is missing"
 CONFIG = None
 NAMELESS = "nothing is written"
 
-# package: what it is for, and whether everything else works without it
+# package: (purpose, whether it is required)
 PACKAGES: dict[str, tuple[str, bool]] = {
     "torch": ("mathematics", True),
     "numpy": ("mathematics", True),
@@ -40,22 +45,22 @@ HOW = {
 SCARCE_DISK_GB = 2.0
 
 
-def add_arguments(parser) -> None:
-    """None beside the common ones."""
+def add_arguments(parser: Parser) -> None:
+    """Only the common ones."""
 
 
-def run(args, session) -> dict:
-    """{"checks": [{topic, name, ok, needed, words, how}], "problems": n}: needed things that are not ok."""
+def run(args: Any, session: Session) -> dict[str, Any]:
+    """Return {"checks": [{topic, name, ok, needed, words, how}], "problems": number of needed ones not ok}."""
     checks = [*_python(), *_packages(), *_device(session), *_kernels(), *_weights(), *_disk()]
     problems = sum(check["needed"] and not check["ok"] for check in checks)
     return session.emit({"checks": checks, "problems": problems}, _words(checks, problems))
 
 
-def _check(topic: str, name: str, ok: bool, words: str, how: str = "", needed: bool = True) -> dict:
+def _check(topic: str, name: str, ok: bool, words: str, how: str = "", needed: bool = True) -> dict[str, Any]:
     return {"topic": topic, "name": name, "ok": bool(ok), "needed": needed, "words": words, "how": "" if ok else how}
 
 
-def _python() -> list[dict]:
+def _python() -> list[dict[str, Any]]:
     from stylerf import __version__
 
     sound = (3, 11) <= sys.version_info[:2] < (3, 14)
@@ -66,7 +71,7 @@ def _python() -> list[dict]:
     ]
 
 
-def _packages() -> list[dict]:
+def _packages() -> list[dict[str, Any]]:
     checks = []
     for name, (purpose, needed) in PACKAGES.items():
         how = HOW.get(name, f"pip install {name}")
@@ -77,14 +82,15 @@ def _packages() -> list[dict]:
     return checks
 
 
-def _device(session) -> list[dict]:
+def _device(session: Session) -> list[dict[str, Any]]:
     try:
         import torch
     except (ImportError, OSError) as error:  # a CUDA build without its libraries raises OSError
         return [
             _check("device", "torch", False, f"cannot be imported ({error})", "pip install --force-reinstall torch")
         ]
-    threads = f"{session.common.threads} threads, {os.cpu_count()} logical cores, torch uses {torch.get_num_threads()}"
+    count = session.common.threads or usable_threads()
+    threads = f"{count} threads, {os.cpu_count()} logical cores, torch uses {torch.get_num_threads()}"
     checks = [_check("device", "cpu", True, threads)]
     built = torch.version.cuda or getattr(torch.version, "hip", None)
     if torch.cuda.is_available():
@@ -100,7 +106,7 @@ def _device(session) -> list[dict]:
     return [*checks, _check("device", "cuda", False, why, how, needed=False)]
 
 
-def _kernels() -> list[dict]:
+def _kernels() -> list[dict[str, Any]]:
     from stylerf.kernels import kernel_cache_dir, not_kept, refusal
 
     folder = kernel_cache_dir()
@@ -108,15 +114,15 @@ def _kernels() -> list[dict]:
     size = sum(path.stat().st_size for path in compiled)
     words = f"{folder}: {len(compiled)} compiled kernels, {size / 1e6:.1f} MB"
     if not compiled:
-        words += "; the first fit compiles them, which takes a minute or so"
+        words += "; the first fit compiles them in about a minute"
     why = not_kept or refusal(folder)
     if why:
         words = f"not kept: {why}"
-    how = "set STYLERF_CACHE to a folder that you alone may write to; without it every run compiles anew"
+    how = "set STYLERF_CACHE to a folder that only you can write to; until then every run recompiles"
     return [_check("kernels", "cache", not why, words, how), _gpu_kernels()]
 
 
-def _gpu_kernels() -> dict:
+def _gpu_kernels() -> dict[str, Any]:
     from stylerf.kernels.gpu import unavailable
 
     why = unavailable()
@@ -125,7 +131,7 @@ def _gpu_kernels() -> dict:
 
         parts = f"densities {', '.join(DENSITY_KINDS)}; colors {', '.join(COLOR_KINDS)}"
         return _check("kernels", "gpu", True, f"Triton {version('triton')}: {parts}", needed=False)
-    how = "on a machine with an NVIDIA GPU: the CUDA build of torch; without it the CPU's kernels are used"
+    how = "on a machine with an NVIDIA GPU: the CUDA build of torch; without it the CPU kernels are used"
     return _check("kernels", "gpu", False, why, how, needed=False)
 
 
@@ -139,33 +145,33 @@ def _writable(folder: Path) -> bool:
         return False
 
 
-def _weights() -> list[dict]:
+def _weights() -> list[dict[str, Any]]:
     try:
         weights = importlib.import_module("stages.weights.resolve")
         rows = weights.describe()
     except (ImportError, OSError) as error:
-        return [_check("weights", "features", False, f"cannot be looked for ({error})", "pip install stylerf again")]
+        return [_check("weights", "features", False, f"cannot be searched ({error})", "pip install stylerf again")]
     return [_weight(row) for row in rows]
 
 
-def _weight(row: dict) -> dict:
+def _weight(row: dict[str, Any]) -> dict[str, Any]:
     words = f"{row['what']}, {row['path']}" if row["found"] else f"{row['what']}, not found"
     if row["chosen"]:
         words += " (used unless --features names another)"
     return _check("weights", row["name"], row["found"], words, row["obtain"], False)
 
 
-def _disk() -> list[dict]:
+def _disk() -> list[dict[str, Any]]:
     checks = []
     for name, folder in (("here", Path.cwd()), ("temporary", Path(tempfile.gettempdir()))):
         free = shutil.disk_usage(folder).free / 1e9
         ok = free >= SCARCE_DISK_GB and _writable(folder)
-        how = f"free at least {SCARCE_DISK_GB:.0f} GB, or work in a folder that you may write to"
+        how = f"free at least {SCARCE_DISK_GB:.0f} GB, or use a folder that you can write to"
         checks.append(_check("disk", name, ok, f"{folder}: {free:.1f} GB free", how, needed=False))
     return checks
 
 
-def _words(checks: list[dict], problems: int) -> list[str]:
+def _words(checks: list[dict[str, Any]], problems: int) -> list[str]:
     width = max(len(check["name"]) for check in checks)
     lines, topic = [], None
     for check in checks:
@@ -176,5 +182,5 @@ def _words(checks: list[dict], problems: int) -> list[str]:
         lines.append(f"  {mark:<7}  {check['name']:<{width}}  {check['words']}")
         if check["how"]:
             lines.append(f"  {'':<7}  {'':<{width}}  -> {check['how']}")
-    lines.append("everything needed is here" if not problems else f"problems found: {problems}, marked MISSING above")
+    lines.append(f"problems found: {problems}, marked MISSING above" if problems else "everything needed is installed")
     return lines

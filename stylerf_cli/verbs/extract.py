@@ -1,27 +1,30 @@
 """`stylerf extract WORK --region NAME`: what the views show of a region, for its edit to learn from."""
 
+from typing import Any
+
 from stages.configs.extract import ExtractConfig
+from stylerf_cli.arguments import Parser
+from stylerf_cli.session import Session
 
 NAME = "extract"
-HELP = "gather what the views show of a region, for its edit"
+HELP = "render what the views show of a region, for its edit"
 CONFIG = ExtractConfig
 
 
-def add_arguments(parser) -> None:
+def add_arguments(parser: Parser) -> None:
     """WORK, --region, --of."""
     parser.add_argument("work", metavar="WORK", help="the work folder")
     parser.add_argument("--region", metavar="REGION", default="", help="the region (default: the only one)")
-    parser.add_argument("--of", metavar="FIELD", help="field to look at (default: the one it was selected in)")
+    parser.add_argument(
+        "--of", metavar="FIELD", default="", help="field to render (default: the one the region was selected in)"
+    )
 
 
-def run(args, session) -> dict:
-    """The edit dataset's place and figures."""
-    from stages.pipeline.local_edit import ensure_edit_dataset, region_of
-    from stages.pipeline.prerequisites import chosen_field
-
-    region = region_of(session, args.region)
-    field = chosen_field(session, args.of) if args.of else None
-    made = ensure_edit_dataset(session, region, field, session.config)
+def run(args: Any, session: Session) -> dict[str, Any]:
+    """Return path, name and figures of the edit dataset."""
+    made = session.pipeline.extract(
+        session.config, region=args.region, of=args.of, name=session.name, force=session.force
+    )
     figures = made.manifest.figures
     hidden = f", hidden in {len(figures['hidden'])}: {' '.join(figures['hidden'][:8])}" if figures["hidden"] else ""
     result = {"edit_dataset": made.path, "name": made.name, "figures": figures, "seconds": made.manifest.seconds}

@@ -1,27 +1,28 @@
-"""`stylerf finetune WORK --edit NAME`: the field learns an edit, as its photos now show it."""
+"""`stylerf finetune WORK --edit NAME`: a field trained on photos with an edit painted in."""
+
+from typing import Any
 
 from stages.configs.finetune import FinetuneConfig
+from stylerf_cli.arguments import Parser
+from stylerf_cli.session import Session
 
 NAME = "finetune"
-HELP = "teach a field an edit"
+HELP = "train a field on an edit"
 CONFIG = FinetuneConfig
 
 
-def add_arguments(parser) -> None:
+def add_arguments(parser: Parser) -> None:
     """WORK, --edit, --of."""
     parser.add_argument("work", metavar="WORK", help="the work folder")
     parser.add_argument("--edit", metavar="EDIT", default="", help="the edit (default: the only one)")
-    parser.add_argument("--of", metavar="FIELD", help="field to teach (default: the one the region was selected in)")
+    parser.add_argument(
+        "--of", metavar="FIELD", default="", help="field to train (default: the one the region was selected in)"
+    )
 
 
-def run(args, session) -> dict:
-    """The edited field's place and figures."""
-    from stages.pipeline.local_edit import edit_of, finetuned
-    from stages.pipeline.prerequisites import chosen_field
-
-    edit = edit_of(session, args.edit)
-    field = chosen_field(session, args.of) if args.of else None
-    made = finetuned(session, edit, field, session.config)
+def run(args: Any, session: Session) -> dict[str, Any]:
+    """Return path, name and figures of the edited field."""
+    made = session.pipeline.finetune(session.config, edit=args.edit, of=args.of, name=session.name, force=session.force)
     figures = made.manifest.figures
     result = {"field": made.path, "name": made.name, "figures": figures, "seconds": made.manifest.seconds}
     words = f"field {made.name}: {figures['steps']} steps in {figures['train_seconds']:.0f} s"

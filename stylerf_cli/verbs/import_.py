@@ -1,32 +1,32 @@
 """`stylerf import SOURCE WORK`: photos, with poses or without, into a scene."""
 
-from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
-from schemas.errors import UsageError
-from stages.configs.pose_import import ImportConfig, ImportOptions
+from stages.configs.pose_import import ImportOptions
+from stylerf_cli.arguments import Parser
+from stylerf_cli.session import Session
 
 NAME = "import"
-HELP = "bring photos into a work folder, with their camera poses"
+HELP = "import photos, with or without camera poses"
 CONFIG = ImportOptions
-SCENE = "main"
-_DEFAULTS = ImportOptions()
 
 
-def add_arguments(parser) -> None:
+def add_arguments(parser: Parser) -> None:
     """SOURCE and WORK."""
-    parser.add_argument("source", type=Path, metavar="SOURCE", help="folder of photos, alone or with poses of "
-                        "transforms.json, COLMAP, LLFF, Metashape, OpenSfM, Polycam or Record3D")  # fmt: skip
-    parser.add_argument("work", type=Path, metavar="WORK", help="work folder of one scene, made where there is none")
+    parser.add_argument(
+        "source",
+        type=Path,
+        metavar="SOURCE",
+        help="folder of photos, alone or with poses of COLMAP, transforms.json, LLFF, Metashape, OpenSfM, Polycam, "
+        "Record3D",
+    )
+    parser.add_argument("work", type=Path, metavar="WORK", help="work folder of one scene, created if missing")
 
 
-def run(args, session) -> dict:
-    """{"scene": name, "path", "digest", "seconds", ...figures of the import}."""
-    from stages import pose_import
-
-    _refuse_a_second(session.work, session.name or SCENE)
-    config = config_for(args.source, session.config)
-    artifact = session.run(pose_import.SPEC, pose_import.run, {}, config, SCENE)
+def run(args: Any, session: Session) -> dict[str, Any]:
+    """Return {"scene": name, "path", "digest", "seconds", ...figures of the import}."""
+    artifact = session.pipeline.import_photos(args.source, session.config, name=session.name, force=session.force)
     figures = artifact.manifest.figures
     result = {
         "scene": artifact.name, "path": artifact.path, "digest": artifact.digest,
@@ -35,26 +35,7 @@ def run(args, session) -> dict:
     return session.emit(result, _words(result))
 
 
-def _refuse_a_second(work, name: str) -> None:
-    """UsageError where a scene of another name stands; those that `distill` made do not count."""
-    others = [one for one in work.artifacts("scene") if one.name != name and one.manifest.stage != "distill"]
-    if others:
-        raise UsageError(
-            f"{work.root} holds scene {others[0].name} already, and a work folder holds one scene: import into another "
-            f"folder, or replace it with --name {others[0].name}"
-        )
-
-
-def config_for(source: Path, options: ImportOptions = _DEFAULTS) -> ImportConfig:
-    """The options of an import with its source and the source's digest, so that changed photos are seen."""
-    from stages.readers.digest import digest_of_source
-
-    source = source.resolve()
-    digest = digest_of_source(source, options.format, options.images)
-    return ImportConfig(**asdict(options), source=str(source), source_digest=digest)
-
-
-def _words(result: dict) -> list[str]:
+def _words(result: dict[str, Any]) -> list[str]:
     low, high = ([f"{value:.3g}" for value in corner] for corner in result["aabb"])
     lines = [
         f"scene {result['scene']} ({result['path']}) from {result['format']}",

@@ -1,36 +1,34 @@
 """`stylerf render WORK`: views of a field as EXR, PNG and video."""
 
-from stages.configs.render import RenderConfig, label_of
+from typing import Any
+
+from stages.configs.render import RenderConfig
+from stylerf_cli.arguments import Parser
+from stylerf_cli.session import Session
 
 NAME = "render"
-HELP = "render a field along a path: EXR with depth for compositors, PNG, video"
+HELP = "render a field along a camera path: EXR with depth, PNG, video"
 CONFIG = RenderConfig
 
 
-def add_arguments(parser) -> None:
+def add_arguments(parser: Parser) -> None:
     """WORK, --of."""
     parser.add_argument("work", metavar="WORK", help="the work folder")
-    parser.add_argument("--of", metavar="FIELD", help="field to render (default: the one made last)")
+    parser.add_argument("--of", metavar="FIELD", default="", help="field to render (default: the newest)")
 
 
-def run(args, session) -> dict:
-    """The frames' place."""
-    from stages import render
-    from stages.pipeline.prerequisites import chosen_field, regions_shown, scene_of
-
-    field = chosen_field(session, args.of)
-    config = render.pinned(session.config)
-    name = f"{field.name}-{label_of(config.path)}" + (f"-{config.frames}" if config.frames else "")
-    inputs = {"scene": scene_of(session.work, field), "field": field, **regions_shown(session, field, config)}
-    frames = session.run(render.SPEC, render.run, inputs, config, name)
-    figures = frames.manifest.figures
-    rate = figures["pixels"] / max(frames.manifest.seconds, 1e-9)
+def run(args: Any, session: Session) -> dict[str, Any]:
+    """Return path, name and figures of the frames, and the regions they have masks of."""
+    frames = session.pipeline.render(session.config, of=args.of, name=session.name, force=session.force)
+    figures, inputs = frames.manifest.figures, frames.manifest.inputs
     result = {"frames": frames.path, "name": frames.name, "figures": figures, "seconds": frames.manifest.seconds}
-    speed = f", {rate / 1e3:.0f} thousand rays a second" if rate else ""
-    words = [f"{figures['frames']} frames of {field.name}{speed}", f"  {frames.path}"]
+    rate = figures["pixels"] / max(frames.manifest.seconds, 1e-9)
+    speed = f", {rate / 1e3:.0f} thousand rays per second" if rate else ""
+    field = next(ref.name for ref in inputs if ref.role == "field")
+    words = [f"{figures['frames']} frames of {field}{speed}", f"  {frames.path}"]
     if figures["video"]:
         words.insert(1, f"  video: {frames.path / figures['video']}")
-    if shown := [ref.name for ref in frames.manifest.inputs if ref.kind == "region"]:
-        result["regions"] = shown
-        words.append(f"  masks of {', '.join(shown)}")
+    if regions := [ref.name for ref in inputs if ref.kind == "region"]:
+        result["regions"] = regions
+        words.append(f"  masks of {', '.join(regions)}")
     return session.emit(result, words)

@@ -1,25 +1,25 @@
-"""`stylerf select WORK --at VIEW:X,Y`: a part of the scene in 3D, to be edited or masked out."""
+"""`stylerf select WORK --at VIEW:X,Y`: a region of the scene in 3D, to edit or to render masks of."""
 
-from dataclasses import replace
+from typing import Any
 
 from stages.configs.select import SelectConfig
+from stylerf_cli.arguments import Parser
+from stylerf_cli.session import Session
 
 NAME = "select"
-HELP = "select a part of the scene in 3D, by pixels, masks, a box or a color"
+HELP = "select a region in 3D by pixels, masks, a box or a color"
 CONFIG = SelectConfig
 
 
-def add_arguments(parser) -> None:
+def add_arguments(parser: Parser) -> None:
     """WORK, --of."""
     parser.add_argument("work", metavar="WORK", help="the work folder")
-    parser.add_argument("--of", metavar="FIELD", help="field to select in (default: the fitted one)")
+    parser.add_argument("--of", metavar="FIELD", default="", help="field to select in (default: the fitted one)")
 
 
-def run(args, session) -> dict:
-    """The region's place, figures and previews."""
-    from stages.pipeline.prerequisites import chosen_field
-
-    made = selected(session, session.config, chosen_field(session, args.of) if args.of else None)
+def run(args: Any, session: Session) -> dict[str, Any]:
+    """Return path, name, figures and previews of the region."""
+    made = session.pipeline.select(session.config, of=args.of, name=session.name, force=session.force)
     figures = made.manifest.figures
     previews = [str(made.path / "preview" / f"{name}.png") for name in figures["previews"]]
     result = {"region": made.path, "name": made.name, "figures": figures, "previews": previews}
@@ -28,21 +28,3 @@ def run(args, session) -> dict:
         f"{figures['solid_share']:.1%} of what is solid"
     )
     return session.emit(result, [words, *(f"  {preview}" for preview in previews)])
-
-
-def selected(session, config: SelectConfig, field, name: str = "region"):
-    """The region artifact. field: the one to select in, None for the fitted one."""
-    from stages import region_select
-    from stages.pipeline.prerequisites import ensure_field, pictures_of, scene_of_work
-
-    config = replace(config, files_digest=region_select.digest_of_masks(config))
-    if field:
-        scene = pictures_of(session, field)
-    else:
-        scene = scene_of_work(session)
-        field = ensure_field(session, scene)
-    inputs = {"scene": scene, "field": field}
-    for kind in ("union", "subtract", "intersect"):
-        for other in getattr(config, kind):
-            inputs[f"{kind}.{other}"] = session.work.find("region", other)
-    return session.run(region_select.SPEC, region_select.run, inputs, config, name)

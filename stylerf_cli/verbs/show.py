@@ -1,4 +1,4 @@
-"""`stylerf show PATH`: what a work folder or an artifact holds, in words."""
+"""`stylerf show PATH`: what a work folder or an artifact holds."""
 
 from pathlib import Path
 from typing import Any
@@ -7,24 +7,26 @@ from schemas.canonical_json import plain
 from schemas.errors import ArtifactDamaged, ArtifactStale
 from schemas.scene import SCENE_FILE, read_scene
 from schemas.work_folder import Artifact, WorkFolder
+from stylerf_cli.arguments import Parser
 from stylerf_cli.path_arguments import work_around, work_or_artifact
 from stylerf_cli.progress import duration
+from stylerf_cli.session import Session
 
 NAME = "show"
-HELP = "tell what a work folder or an artifact holds"
+HELP = "show what a work folder or an artifact holds"
 CONFIG = None
 NAMELESS = "nothing is written"
 SHOWN_FILES = 12
 SHOWN_ITEMS = 6
 
 
-def add_arguments(parser) -> None:
+def add_arguments(parser: Parser) -> None:
     """PATH."""
     parser.add_argument("path", type=Path, metavar="PATH", help="a work folder or the folder of an artifact")
 
 
-def run(args, session) -> dict:
-    """An artifact's manifest with its path, digest and what is out of date; or all artifacts of a work folder."""
+def run(args: Any, session: Session) -> dict[str, Any]:
+    """Return an artifact's manifest with path, digest and reasons why it is stale, or a work folder's artifacts."""
     found = work_or_artifact(args.path)
     if isinstance(found, Artifact):
         result = described(found)
@@ -33,9 +35,9 @@ def run(args, session) -> dict:
     return session.emit(result, _work_words(result))
 
 
-def described(artifact: Artifact) -> dict:
-    """The manifest as a dict, with `path`, `digest`, `bytes` and `outdated` (reasons, empty when up to date)."""
-    manifest = plain(artifact.manifest)
+def described(artifact: Artifact) -> dict[str, Any]:
+    """Return the manifest as a dict with `path`, `digest`, `bytes` and `outdated` (reasons, empty if up to date)."""
+    manifest: dict[str, Any] = plain(artifact.manifest)
     return (
         manifest
         | {
@@ -49,15 +51,15 @@ def described(artifact: Artifact) -> dict:
     )
 
 
-def _views(artifact: Artifact) -> dict:
-    """Of a scene its `views`: name, picture, size and split."""
+def _views(artifact: Artifact) -> dict[str, Any]:
+    """Return the `views` of a scene: name, image, size and split."""
     if artifact.kind != "scene" or not artifact.has(SCENE_FILE):
         return {}
     kept = ("name", "image", "width", "height", "split")
     return {"views": [{key: getattr(view, key) for key in kept} for view in read_scene(artifact.path).views]}
 
 
-def _work(work: WorkFolder) -> dict:
+def _work(work: WorkFolder) -> dict[str, Any]:
     rows = []
     for artifact in work.artifacts():
         row = {"kind": artifact.path.parent.name, "name": artifact.name}
@@ -71,7 +73,7 @@ def _work(work: WorkFolder) -> dict:
     return {"path": work.root, "artifacts": rows, "unfinished": unfinished}
 
 
-def _work_words(result: dict) -> list[str]:
+def _work_words(result: dict[str, Any]) -> list[str]:
     lines = [f"work folder {result['path']}"]
     width = max([len(f"{row['kind']} {row['name']}") for row in result["artifacts"]], default=0)
     for row in result["artifacts"]:
@@ -85,11 +87,11 @@ def _work_words(result: dict) -> list[str]:
             f"{duration(row['seconds']):>12}{state}"
         )
     for row in result["unfinished"]:
-        lines.append(f"  {row['kind']} {row['name']}: interrupted; the command that began it goes on with it")
+        lines.append(f"  {row['kind']} {row['name']}: interrupted; rerun its command to resume")
     return lines
 
 
-def _artifact_words(result: dict) -> list[str]:
+def _artifact_words(result: dict[str, Any]) -> list[str]:
     lines = [
         f"{result['kind']} {result['name']} ({result['path']})",
         f"  made by    {result['stage']} revision {result['revision']} on {result['created']}, "
@@ -111,7 +113,7 @@ def _artifact_words(result: dict) -> list[str]:
     return lines
 
 
-def _view_lines(views: list[dict]) -> list[str]:
+def _view_lines(views: list[dict[str, Any]]) -> list[str]:
     if not views:
         return []
     width = max(len(view["name"]) for view in views)

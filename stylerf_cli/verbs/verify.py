@@ -1,10 +1,13 @@
-"""`stylerf verify PATH`: re-hashes every file of an artifact, or of all artifacts of a work folder."""
+"""`stylerf verify PATH`: re-hash every file of an artifact, or of all artifacts of a work folder."""
 
 from pathlib import Path
+from typing import Any
 
 from schemas.errors import ArtifactDamaged, ArtifactStale
 from schemas.work_folder import Artifact
+from stylerf_cli.arguments import Parser
 from stylerf_cli.path_arguments import work_or_artifact
+from stylerf_cli.session import Session
 
 NAME = "verify"
 HELP = "check every file of an artifact or a work folder against its digest"
@@ -12,21 +15,25 @@ CONFIG = None
 NAMELESS = "nothing is written"
 
 
-class NotSound(ArtifactDamaged):
-    """Some artifact is damaged; `details` lists what was found of each, for --json."""
+class DamageFound(ArtifactDamaged):
+    """An artifact is damaged. details: the result for --json."""
 
-    def __init__(self, line: str, details: dict) -> None:
+    def __init__(self, line: str, details: dict[str, Any]) -> None:
         super().__init__(line)
         self.details = details
 
 
-def add_arguments(parser) -> None:
+def add_arguments(parser: Parser) -> None:
     """PATH."""
     parser.add_argument("path", type=Path, metavar="PATH", help="a work folder or the folder of an artifact")
 
 
-def run(args, session) -> dict:
-    """{"sound": n, "damaged": 0, "artifacts": [{kind, name, sound, files, bytes, fault}]}; NotSound when one is not."""
+def run(args: Any, session: Session) -> dict[str, Any]:
+    """Return {"sound": n, "damaged": 0, "artifacts": [{kind, name, sound, files, bytes, fault}]}.
+
+    Raises:
+        DamageFound: an artifact is damaged.
+    """
     found = work_or_artifact(args.path)
     artifacts = [found] if isinstance(found, Artifact) else found.artifacts()
     session.progress.start("verify", len(artifacts), "artifact")
@@ -40,13 +47,13 @@ def run(args, session) -> dict:
     if faults:
         for fault in faults[1:]:
             session.say(fault)
-        counted = f" ({len(faults)} of {len(rows)} artifacts are not sound)" if len(rows) > 1 else ""
-        raise NotSound(faults[0] + counted, result)
+        counted = f" ({len(faults)} of {len(rows)} artifacts are damaged)" if len(rows) > 1 else ""
+        raise DamageFound(faults[0] + counted, result)
     return session.emit(result, [_words(row) for row in rows] or ["nothing to verify"])
 
 
-def _checked(artifact: Artifact) -> dict:
-    # The folder's place tells the kind even where the manifest no longer does.
+def _checked(artifact: Artifact) -> dict[str, Any]:
+    # The folder tells the kind even if the manifest is damaged.
     row = {"kind": artifact.path.parent.name, "name": artifact.name, "path": artifact.path}
     try:
         artifact.verify()
@@ -56,5 +63,5 @@ def _checked(artifact: Artifact) -> dict:
     return row | {"sound": True, "files": len(records), "bytes": sum(one.bytes for one in records), "fault": None}
 
 
-def _words(row: dict) -> str:
+def _words(row: dict[str, Any]) -> str:
     return f"{row['kind']} {row['name']}: sound, {row['files']} files, {row['bytes'] / 1e6:.1f} MB"

@@ -200,9 +200,9 @@ def serve(root: Path, lane: Path) -> None:
     import stages.nerf_fit
     import stages.pose_import
     import stages.render  # noqa: F401
-    from stylerf_cli import session
+    from stages.pipeline import resources
 
-    session._may_have_gpu = lambda: False
+    resources._may_have_gpu = lambda: False
     tempfile.tempdir = str(lane / "tmp")  # where reports of crashes go
     shutil.rmtree(lane, ignore_errors=True)
     (lane / "tmp").mkdir(parents=True)

@@ -17,7 +17,7 @@ SPEC = Spec(stage="toy", verb="toy", revision=1, writes="field")
 
 @dataclass(frozen=True)
 class ToyConfig:
-    steps: int = 30
+    steps: int = option(30, help="steps")
     pause: float = option(0.0, help="seconds after a step", incidental=True)
 
 

@@ -11,7 +11,7 @@ import pytest
 
 from stages.pipeline.demo_scene import PAINTING, write_demo
 from stages.run.progress import Silent
-from stylerf_cli import session
+from stages.pipeline import resources
 from tests.stages.photo_room import walk, write_photos
 from tests.stylerf_cli.long_stages import LongStage, arguments_of, before, undisturbed
 from tests.stylerf_cli.nursery import WITHOUT_GPUS, Nursery
@@ -30,7 +30,7 @@ def without_gpus():
     with pytest.MonkeyPatch.context() as patched:
         for name, value in WITHOUT_GPUS.items():
             patched.setenv(name, value)
-        patched.setattr(session, "_may_have_gpu", lambda: False)
+        patched.setattr(resources, "_may_have_gpu", lambda: False)
         yield
 
 

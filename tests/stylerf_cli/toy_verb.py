@@ -33,7 +33,8 @@ def add_arguments(parser) -> None:
 def run(args, session) -> dict:
     if FAULT:
         raise FAULT.pop()
-    artifact = session.run(toy_stage.SPEC, toy_stage.run, {}, session.config, "fox")
+    given = {"name": session.name, "force": session.force}
+    artifact = session.pipeline.run(toy_stage.SPEC, toy_stage.run, {}, session.config, "fox", **given)
     if session.json:
         print("noise from a library")
         os.write(1, b"noise from native code\n")

@@ -45,6 +45,12 @@ class ProcessGroup(Protocol):
     def checkpoint(self, saved: Checkpoint | None) -> Checkpoint | None:
         """The first process's checkpoint."""
 
+    def tell(self, text: str = "") -> str:
+        """The first process's text; the others' own is ignored."""
+
+    def tell_fault(self, line: str) -> None:
+        """Leaves this process's fault for the first one to report."""
+
     def leave(self) -> None:
         """Nothing more is to be done together."""
 
@@ -68,6 +74,11 @@ class SingleProcess:
 
     def checkpoint(self, saved: Checkpoint | None) -> Checkpoint | None:
         return saved
+
+    def tell(self, text: str = "") -> str:
+        return text
+
+    def tell_fault(self, line: str) -> None: ...
 
     def leave(self) -> None: ...
 

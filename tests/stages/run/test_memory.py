@@ -5,7 +5,7 @@ import mmap
 import pytest
 
 from stages.run import cgroups, memory
-from stages.run.memory import bytes_of, free, in_words, room, used
+from stages.run.memory import available_bytes, bytes_of, free, in_words, used
 from stylerf_cli import options
 
 
@@ -40,15 +40,15 @@ def test_room_is_what_a_bound_leaves_beside_what_is_in_use(monkeypatch):
         block[at] = 1
     assert used() - before > 40e6
     monkeypatch.setattr(memory, "used", lambda: 600 * 10**6)
-    assert room(10**9) == 400 * 10**6 and room(500 * 10**6) == 0
+    assert available_bytes(10**9) == 400 * 10**6 and available_bytes(500 * 10**6) == 0
 
 
 def test_without_a_bound_most_of_what_is_free_is_shared_among_the_processes_of_a_machine(monkeypatch):
     assert free() > 0
     monkeypatch.setattr(memory, "free", lambda: 8 * 10**9)
-    assert room(0) == 6 * 10**9
+    assert available_bytes(0) == 6 * 10**9
     monkeypatch.setenv("LOCAL_WORLD_SIZE", "4")
-    assert room(0) == 1.5 * 10**9
+    assert available_bytes(0) == 1.5 * 10**9
 
 
 @pytest.fixture

@@ -243,7 +243,7 @@ def test_dear_work_with_other_options_is_not_lost_without_a_word(tmp_path, expec
             said.append(text)
 
     def asked(config, **more):
-        return execute(SPEC, run, work, "fox", {}, config, Context(progress=Heard()), careful=True, **more)
+        return execute(SPEC, run, work, "fox", {}, config, Context(progress=Heard()), protect=True, **more)
 
     def interrupted(inputs, config, partial, context):
         raise KeyboardInterrupt
@@ -289,7 +289,7 @@ def test_dear_work_on_other_inputs_is_not_replaced_without_a_word(tmp_path, monk
             said.append(text)
 
     def asked(steps: int, inputs: dict, spec: Spec = SPEC):
-        return execute(spec, run, work, "fox", inputs, ToyConfig(steps=steps), Context(progress=Heard()), careful=True)
+        return execute(spec, run, work, "fox", inputs, ToyConfig(steps=steps), Context(progress=Heard()), protect=True)
 
     source, _ = toy(work, "photos")
     asked(5, {"scene": source})
@@ -329,7 +329,7 @@ def test_dear_work_of_other_inputs_is_told_when_it_is_given_up(tmp_path, monkeyp
 
     def asked(scene, function=run):
         context = Context(progress=Heard())
-        return execute(SPEC, function, work, "fox", {"scene": scene}, ToyConfig(), context, careful=True)
+        return execute(SPEC, function, work, "fox", {"scene": scene}, ToyConfig(), context, protect=True)
 
     def interrupted(inputs, config, partial, context):
         raise KeyboardInterrupt

@@ -1,0 +1,180 @@
+"""Evaluate a field: choose or render the frames to measure, then measure them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from schemas.canonical_json import plain
+from schemas.errors import StylerfError, UsageError
+from schemas.frames import FRAMES_FILE, read_frames
+from schemas.work_folder import Artifact, WorkFolder, newest
+from stages.configs.evaluate import EvaluateConfig
+from stages.configs.render import OWN_VIEWS, label_of
+from stages.pipeline.prerequisites import ensure_frames, field_named, frames_config, scene_of
+from stages.pipeline.stage_runner import Request, StageRunner
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """What a field is measured along and against.
+
+    path: camera path of the consistency metrics, empty for that of the newest video. regions: of a local edit.
+    base: the field before the edit, empty for the one it started from. robust_to: the field whose renders were the
+    references of this one.
+    """
+
+    path: str = ""
+    regions: Sequence[str] = ()
+    base: str = ""
+    robust_to: str = ""
+
+
+def evaluated(
+    runner: StageRunner, config: EvaluateConfig, field_name: str, against: Comparison, request: Request
+) -> Artifact:
+    """Evaluate a field, the newest if `field_name` is empty; render the frames that this needs.
+
+    Raises:
+        UsageError: options do not fit the field or each other.
+    """
+    from stages import evaluate
+    from stages.artifacts.provenance import field_unstylized, is_stylized
+    from stages.evaluation.pinned_inputs import pinned
+    from stages.evaluation.reference_metrics import checked
+    from stages.evaluation.test_views import SceneViews
+
+    if against.path in OWN_VIEWS:
+        raise UsageError(
+            f"--path {against.path}: the photos' views are too far apart to warp onto each other; give a camera path"
+        )
+    field = field_named(runner, field_name)
+    # Refuse what cannot work before minutes of rendering.
+    config = pinned(config, field)
+    if (against.robust_to or config.reference) and not is_stylized(field):
+        raise UsageError(f"--reference and --robust-to need a stylized field; {field.name} is not one")
+    scene = scene_of(runner.work, field)
+    if config.reference:
+        checked(config.reference, SceneViews(scene))
+    referenced = field_named(runner, against.robust_to) if against.robust_to else None
+    base, regions = _edit_compared(runner, field, config, against)
+    runner.say(f"measuring field {field.name}")
+    for one in runner.work.artifacts("frames"):
+        if fault := _fault_of(one):
+            runner.say(f"skipping frames {one.name}: {fault}")
+    video = frames_along(runner, field, against.path) if against.path else newest_video(runner.work, field)
+    if video is None and config.flow:
+        raise UsageError("--flow belongs to frames along a camera path, and there are none; give --path")
+    inputs = {"scene": scene, "field": field, "frames": frames_along(runner, field, "test")}
+    if video is not None:
+        inputs["path_frames"] = video
+    if is_stylized(field) and (unstylized := field_unstylized(field)) is not None:
+        inputs["base_frames"] = frames_along(runner, unstylized, "test")
+    if referenced is not None:
+        inputs["twin_frames"] = frames_along(runner, referenced, "test")
+    if base is not None:
+        inputs |= _edit_inputs(runner, field, base, regions, config.train_views)
+    return runner.run(evaluate.SPEC, evaluate.run, inputs, config, field.name, request)
+
+
+def _edit_compared(
+    runner: StageRunner, field: Artifact, config: EvaluateConfig, against: Comparison
+) -> tuple[Artifact | None, list[Artifact]]:
+    """Return the field before a local edit and the regions of the edit; (None, []) if no edit is evaluated."""
+    from stages.artifacts.provenance import field_before
+
+    if not (against.regions or config.masks):
+        if against.base or config.train_views:
+            raise UsageError("--base and --train-views evaluate a local edit; give its --region or --masks")
+        return None, []
+    regions = [runner.work.find("region", name) for name in against.regions]
+    base = field_named(runner, against.base) if against.base else field_before(field)
+    if base is None or base.name == field.name:
+        raise UsageError(f"field {field.name} was made from no other field; name the unedited one with --base")
+    return base, regions
+
+
+def _edit_inputs(
+    runner: StageRunner, field: Artifact, base: Artifact, regions: list[Artifact], train_views: bool
+) -> dict[str, Artifact]:
+    """Return the inputs of a local edit's evaluation by role: the field before, frames of both, the regions."""
+    from stages.artifacts.region_masks import ROLE
+
+    runner.say(f"comparing with field {base.name}")
+    inputs = {"base_field": base, "unedited_frames": frames_along(runner, base, "test")}
+    if train_views:
+        inputs["train_frames"] = frames_along(runner, field, "train")
+        inputs["unedited_train_frames"] = frames_along(runner, base, "train")
+    return inputs | {ROLE + one.name: one for one in regions}
+
+
+def frames_along(runner: StageRunner, field: Artifact, path: str) -> Artifact:
+    """Return the newest frames of a field along a path that can be measured and have the wanted count, else render.
+
+    Frames that somebody else asked for are not replaced, even if they cannot be measured. StylerfError if those in the
+    place of new ones cannot be read.
+    """
+    from stylerf.geometry.camera_paths import PATHS
+
+    wanted = frames_config(runner, path)
+    usable = [
+        frames
+        for frames, along, count in _measurable(runner.work, field)
+        # A camera file may have changed since; its digest tells.
+        if (frames.manifest.config.get("path_digest") == wanted.path_digest if wanted.path_digest else along == path)
+        and (path not in PATHS or count == wanted.count)
+    ]
+    if usable:
+        return newest(usable)[0]
+    name = f"{field.name}-{label_of(path)}"
+    present = next((one for one in runner.work.artifacts("frames") if one.name == name), None)
+    if present is not None:
+        _check(present)  # unreadable frames, perhaps of a newer stylerf, are not replaced unasked
+    # Frames that an earlier stylerf made with the same options are rendered again in their place.
+    taken = present is not None and _shows(present, field) and present.manifest.config != plain(wanted)
+    return ensure_frames(runner, field, path, f"{name}-eval" if taken else name)
+
+
+def newest_video(work: WorkFolder, field: Artifact) -> Artifact | None:
+    """Return the newest measurable frames, two or more, of a field along a camera path; None without any."""
+    found = [frames for frames, path, count in _measurable(work, field) if path not in OWN_VIEWS and count > 1]
+    return newest(found)[0] if found else None
+
+
+def _measurable(work: WorkFolder, field: Artifact) -> list[tuple[Artifact, str, int]]:
+    """Return frames of the present field with their path and count: whole paths at full size, with EXR.
+
+    Frames of another revision of the render stage are left out.
+    """
+    from stages.render import SPEC
+
+    found = []
+    for one in work.artifacts("frames"):
+        if _fault_of(one):
+            continue
+        config = one.manifest.config
+        whole = config.get("exr", True) and config.get("scale", 1) == 1 and not config.get("frames")
+        current = (one.manifest.stage, one.manifest.revision) == (SPEC.stage, SPEC.revision)
+        if whole and current and _shows(one, field) and one.has(FRAMES_FILE):
+            frames = read_frames(one.path)
+            if frames.field == field.name:
+                found.append((one, frames.path, len(frames.views)))
+    return found
+
+
+def _check(frames: Artifact) -> None:
+    """Raise StylerfError if the manifest, a file's length or the list of views cannot be read."""
+    frames.check_sizes()
+    if frames.has(FRAMES_FILE):
+        read_frames(frames.file(FRAMES_FILE).parent)
+
+
+def _fault_of(frames: Artifact) -> str:
+    try:
+        _check(frames)
+    except StylerfError as error:
+        return str(error)
+    return ""
+
+
+def _shows(frames: Artifact, field: Artifact) -> bool:
+    """Whether frames were rendered from the present version of a field."""
+    return any(ref.kind == "field" and ref.digest == field.digest for ref in frames.manifest.inputs)
