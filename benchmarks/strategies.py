@@ -18,7 +18,6 @@ import subprocess
 import sys
 import time
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 
 from benchmarks.conditions import here_and_now
@@ -57,36 +56,38 @@ def stylizer_for(work: str, style: str, method: str, case: str):
     from stages.artifacts.photos import level_of, photo_over
     from stages.artifacts.scene import load_scene
     from stages.artifacts.style_images import read_painting
-    from stages.configs.stylize import StylizeConfig
-    from stages.stylization.settings import new_color, painting_taps, settings_of
+    from stages.configs.stylize import CONFIGS
+    from stages.stylization.settings import image_layers, new_color, settings_of
     from stages.weights.resolve import resolve
     from stylerf.fields.deformation import Deformation
     from stylerf.kernels.cpu.compiling import set_threads
     from stylerf.style.feature_extractor import FeatureExtractor
-    from stylerf.training.stylize.arf import ArfTrainer
+    from stylerf.training.stylize.arf import Arf
+    from stylerf.training.stylize.scene import StyledScene, StyleProblem
+    from stylerf.training.stylize.trainer import StylizationTrainer
 
     threads, store = set_threads(os.cpu_count() or 1), WorkFolder(Path(work))
     scene = load_scene(store.artifacts("scene")[0])
     field, background = load_field(next(f for f in store.artifacts("field") if f.manifest.stage == "nerf_fit"))
     options = {"rays" if k == "strategy" else k: v for k, v in CASES[case].items()}
-    config = StylizeConfig(style=style, method=method, budget="100000", **options)
+    config = CONFIGS[method](style=style, budget="100000", **options)
     level, found = level_of(background), resolve(None)
     views = scene.splits["train"]
-    trunk = FeatureExtractor(found.state, painting_taps(config, found.state), found.kind)
+    extractor = FeatureExtractor(found.state, image_layers(config, found.state), found.kind)
     long_side = max(max(c.width, c.height) for c in scene.cameras)
-    made = ArfTrainer(
+    problem = StyleProblem(
         field,
         [scene.cameras[i] for i in views],
         [photo_over(scene, i, level) for i in views],
         level,
-        read_painting(Path(style)),
-        trunk,
         settings_of(config, long_side, field.closed),
         0,
         threads,
-        partial(new_color, config),
+        read_painting(Path(style)),
         Deformation.create(np.random.default_rng([0, 8])) if method == "desrf" else None,
     )
+    styled = StyledScene(problem, lambda generator, made: new_color(config, generator, made.pixel_cells()))
+    made = StylizationTrainer(Arf(styled, extractor))
     held_out = [(scene.cameras[i], photo_over(scene, i, level)) for i in scene.splits["test"]]
     return made, held_out, level
 
@@ -99,15 +100,17 @@ def distances(made, held_out, level) -> dict[str, float]:
     from stylerf.rendering.view import render_view
     from stylerf.style.style_objective import StyleObjective
 
-    s, size = made.settings, (made.cameras[0].height, made.cameras[0].width)
-    exact = StyleObjective(made.trunk, made.painting, size, s.weights, s.feature_scale, 100000, 0, s.style_scale)
+    styled, s = made.scene, made.settings
+    size, style_image = (styled.cameras[0].height, styled.cameras[0].width), styled.problem.style_image
+    extractor = made.method.loss.extractor
+    exact = StyleObjective(extractor, style_image, size, s.weights, s.feature_scale, 100000, 0, s.style_scale)
     sums = {"style": 0.0, "content": 0.0}
     for camera, photo in held_out:
-        seen = render_view(made.field, camera, chunks=made.chunks)
+        seen = render_view(styled.field, camera, chunks=styled.problem.threads)
         rgb = np.clip(seen.rgb + (1 - seen.alpha[..., None]) * np.float32(level), 0, 1)
         picture, wanted = (torch.from_numpy(np.ascontiguousarray(i)).permute(2, 0, 1) for i in (rgb, photo))
         with torch.no_grad():
-            alpha = None if made.closed else torch.from_numpy(seen.alpha)
+            alpha = None if styled.field.closed else torch.from_numpy(seen.alpha)
             parts = exact(picture, exact.content_of(wanted), alpha)[1]
         for name in sums:
             sums[name] += parts[name] / len(held_out)

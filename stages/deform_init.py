@@ -18,6 +18,7 @@ from stages.run.training_loop import run_training
 from stylerf.errors import InvalidValue
 from stylerf.fields.deformation import Deformation
 from stylerf.kernels.cpu.compiling import compiling_note, set_threads
+from stylerf.training.backends import deform_backend
 from stylerf.training.deform.fitter import DeformationFitter, DeformSettings
 
 SPEC = Spec(stage="deform_init", verb="deform", revision=3, writes="field")
@@ -49,7 +50,8 @@ def run(inputs: dict[str, Artifact], config: DeformConfig, partial: PartialArtif
     device = gpu_of(context, field, moving=True)
     with compiling_note(context.progress.say):
         try:
-            fitter = DeformationFitter(field, deformation, bank, settings, context.seed, threads, len(aside), device)
+            more = context.seed, threads, len(aside), deform_backend(device)
+            fitter = DeformationFitter(field, deformation, bank, settings, *more)
         except InvalidValue as error:
             raise BadInput(f"{inputs['field'].path}: {error}") from error
         if (saved := load_checkpoint(partial.checkpoint, context.progress.say)) is not None:

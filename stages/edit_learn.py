@@ -31,6 +31,7 @@ from stylerf.fields.palette_edits import PaletteEdits
 from stylerf.kernels.cpu.compiling import compiling_note, set_threads
 from stylerf.style.color_matching import match_colors
 from stylerf.style.feature_extractor import FeatureExtractor
+from stylerf.training.backends import edit_engine
 from stylerf.training.edit.trainer import EditSettings, EditTrainer, sampled_colors, start_module
 
 SPEC = Spec(stage="edit_learn", verb="stylize", revision=4, writes="edit", outside=digests_of_files)
@@ -56,7 +57,7 @@ def run(inputs: dict[str, Artifact], config: EditConfig, partial: PartialArtifac
     try:
         settings = settings_of(config)
         module = start_module(views, settings, context.seed)
-        trainer = EditTrainer(views, module, settings, painting, trunk, context.seed, threads, device)
+        trainer = EditTrainer(views, module, settings, painting, trunk, context.seed, threads, edit_engine(device))
     except InvalidValue as error:
         raise BadInput(f"{inputs['edit-dataset'].path}: {error}") from error
     if (saved := load_checkpoint(partial.checkpoint, context.progress.say)) is not None:

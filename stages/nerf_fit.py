@@ -1,6 +1,5 @@
 """Fit: a radiance field from a scene's training views."""
 
-import functools
 from contextlib import nullcontext
 
 import numpy as np
@@ -22,8 +21,8 @@ from stages.run.runner import Spec
 from stages.run.training_loop import run_training
 from stylerf.geometry.space_warp import SpaceWarp
 from stylerf.kernels.cpu.compiling import compiling_note, set_threads
+from stylerf.training.backends import fit_engine
 from stylerf.training.fit.capacity_levels import LADDER, CapacityLevel, Kinds, capacity_at, first_parts, ladder_of
-from stylerf.training.fit.engine import CpuEngine
 from stylerf.training.fit.fitter import Fitter
 from stylerf.training.fit.settings import FitSettings
 
@@ -58,7 +57,7 @@ def run(inputs: dict[str, Artifact], config: FitConfig, partial: PartialArtifact
     settings = _settings(config, scene, space, device)
     if context.memory and device is None:
         _tell_memory(settings, space, context)
-    engine = _engine(device, settings, config.clip)
+    engine = fit_engine(device, settings.samples, config.clip)
     say, processes = context.progress.say, context.processes
     fitter = Fitter(space, bank, len(held_out), settings, context.seed, threads, say, processes, engine)
     saved = processes.checkpoint(load_checkpoint(partial.checkpoint, context.progress.say) if processes.first else None)
@@ -98,15 +97,6 @@ def _tell_idle(config: FitConfig, layout: str, space: str, cut_out: bool, contex
             f"no effect of {flags}, for objects cut out by transparency: layout {layout}, space {space}, photos "
             f"{'with' if cut_out else 'without'} transparency"
         )
-
-
-def _engine(device: str | None, settings: FitSettings, clip: float):
-    """What the fit computes with."""
-    if device is None:
-        return functools.partial(CpuEngine, clip=clip)
-    from stylerf.training.fit.engine_gpu import GpuEngine
-
-    return functools.partial(GpuEngine, device=device, samples=settings.samples, clip=clip)
 
 
 def _tell_memory(settings: FitSettings, space: SpaceWarp, context: Context) -> None:

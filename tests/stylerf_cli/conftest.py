@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
+from stages.pipeline import resources
 from stages.pipeline.demo_scene import PAINTING, write_demo
 from stages.run.progress import Silent
-from stages.pipeline import resources
 from tests.stages.photo_room import walk, write_photos
 from tests.stylerf_cli.long_stages import LongStage, arguments_of, before, undisturbed
 from tests.stylerf_cli.nursery import WITHOUT_GPUS, Nursery

@@ -29,11 +29,11 @@ SIGHT_RAYS = 1 << 17  # rays that find out which vertices are seen
 
 
 class Deformer:
-    """Brings `field` to rest, gives it a displacement grid of `vertices`^3 that follows `deformation`, and teaches it.
+    """Trains `deformation` through a displacement grid of `vertices`^3, which it adds to `field`.
 
-    The network is asked at the vertices around what the cameras see of the field at rest; every other vertex moves as
-    the nearest of these. clip: of the network's gradients, see Adam. gradients [chunks, 3 vertices^3]: where backward()
-    adds dL/dD.
+    The network is evaluated at the vertices around what the cameras see of the field at rest; every other vertex moves
+    as the nearest of these. gradient_clip: of the network, see Adam. gradients [threads, 3 vertices^3]: where
+    backward() adds dL/dD.
     """
 
     def __init__(
@@ -43,16 +43,16 @@ class Deformer:
         cameras: list[Camera],
         vertices: int,
         seed: int,
-        chunks: int,
-        clip: float = 0.0,
+        threads: int,
+        gradient_clip: float = 0.0,
     ) -> None:
         self.field, self.deformation, self.vertices = field, deformation, vertices
-        self.clip = clip
+        self.gradient_clip = gradient_clip
         self.taken = 0
         at_rest(field)
         rays = random_rays(cameras, SIGHT_RAYS, field.space.near, np.random.default_rng([seed, 7]))
-        self.rest = occupancy_of_seen(field, rays, chunks)  # of the field at rest
-        active = vertices_of(seen_cells(field, rays, vertices - 1, 0.1, chunks))
+        self.rest = occupancy_of_seen(field, rays, threads)  # of the field at rest
+        active = vertices_of(seen_cells(field, rays, vertices - 1, 0.1, threads))
         if not len(active):
             raise InvalidValue("no camera sees anything of the field: there is nothing to deform")
         places = np.stack(np.unravel_index(active, (vertices,) * 3), -1) / (vertices - 1)
@@ -60,21 +60,20 @@ class Deformer:
         self._nearest = self._there(torch.from_numpy(nearest_of(active, vertices)))
         self._pairs = [self._there(pairs) for pairs in _pairs(active, vertices)]
         field.displacement = np.zeros((vertices,) * 3 + (3,), np.float32)
-        self._prepare(chunks)
+        self._prepare(threads)
         self.bake()
         self.look()
 
-    # -- where it is worked out: here by the CPU's kernels; elsewhere see training/deform/deformer_gpu.py
-    # ---------------
+    # -- on the CPU; deformer_gpu.py overrides these ----------------------------------------------------------------
 
     def _there(self, tensor: Tensor) -> Tensor:
         """A tensor of the host's where the network works."""
         return tensor
 
-    def _prepare(self, chunks: int) -> None:
+    def _prepare(self, threads: int) -> None:
         """Buffers and the optimizer; the field has its grid."""
-        self.gradients = np.zeros((chunks, 3 * self.vertices**3), np.float32)
-        self.adam = Adam(self.deformation.values, [(0, len(self.deformation.values), 1.0)], 1, self.clip)
+        self.gradients = np.zeros((threads, 3 * self.vertices**3), np.float32)
+        self.adam = Adam(self.deformation.values, [(0, len(self.deformation.values), 1.0)], 1, self.gradient_clip)
 
     def _gathered(self) -> Tensor:
         """dL/dD [vertices^3, 3], from `gradients`."""
@@ -108,8 +107,8 @@ class Deformer:
     def bake(self) -> None:
         """Write the present deformation into the grid that rays read."""
         self._values = torch.as_tensor(self.adam.values).detach().requires_grad_()
-        self._live = self.deformation.network(self._encoded, self._values)
-        self._write(self._live.detach()[self._nearest])
+        self._moved = self.deformation.network(self._encoded, self._values)
+        self._write(self._moved.detach()[self._nearest])
 
     def step(self, rate: float, weight: float, smoothness: float = 0.0) -> float:
         """One step down dL/dD plus weight |D| plus smoothness TV(D); the root mean square of D, in the network's units.
@@ -117,10 +116,10 @@ class Deformer:
         |D|: root of the mean squared displacement of the vertices that matter, the cube two units wide (L_dx of eq. 7).
         TV: mean squared difference of neighboring vertices, in the same units.
         """
-        gradient = torch.zeros_like(self._live).index_add_(0, self._nearest, self._gathered())
+        gradient = torch.zeros_like(self._moved).index_add_(0, self._nearest, self._gathered())
         self.gradients[:] = 0
-        size = (2 * self._live).square().sum(1).mean().add(1e-12).sqrt()
-        loss = (self._live * gradient).sum() + weight * size
+        size = (2 * self._moved).square().sum(1).mean().add(1e-12).sqrt()
+        loss = (self._moved * gradient).sum() + weight * size
         if smoothness > 0:
             loss = loss + smoothness * self._variation()
         (found,) = torch.autograd.grad(loss, self._values)
@@ -133,11 +132,11 @@ class Deformer:
         return self._told(size.detach())
 
     def _variation(self) -> Tensor:
-        m, live = self.vertices, 2 * self._live
-        grid, total = live[self._nearest].view(m, m, m, 3), live.new_zeros(())
+        m, moved = self.vertices, 2 * self._moved
+        grid, total = moved[self._nearest].view(m, m, m, 3), moved.new_zeros(())
         for axis, both in enumerate(self._pairs):
             total = total + (grid.diff(dim=axis).square().sum(-1) * both).sum()
-        return total / len(live)
+        return total / len(moved)
 
     def values(self) -> np.ndarray:
         """A copy of the network's weights as they stand."""

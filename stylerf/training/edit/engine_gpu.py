@@ -22,7 +22,13 @@ class GpuEditEngine:
     """stylerf/training/edit/engine.py's CpuEdit on `device`: from the same pixels the same, to rounding."""
 
     def __init__(
-        self, views: list[EditView], module: PaletteModule, device: torch.device | str, memory: float | None = None
+        self,
+        views: list[EditView],
+        module: PaletteModule,
+        threads: int,
+        *,
+        device: torch.device | str,
+        memory: float | None = None,
     ) -> None:
         self.device, self.views = torch.device(device), views
         self.asked = GpuPaletteModule(module, self.device)

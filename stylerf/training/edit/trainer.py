@@ -66,9 +66,7 @@ class EditSettings:
 
     def __post_init__(self) -> None:
         if not 1 <= self.most_colors <= self.colors <= MOST_COLORS:
-            raise InvalidValue(
-                f"palette: {self.colors} colors (1..{MOST_COLORS}) of which {self.most_colors} may stay"
-            )
+            raise InvalidValue(f"palette: {self.colors} colors (1..{MOST_COLORS}) of which {self.most_colors} may stay")
         if self.palette not in ("clusters", "random"):
             raise InvalidValue(f"palette: begins as clusters or random, not {self.palette!r}")
 
@@ -105,7 +103,7 @@ def sampled_colors(views: list[EditView], generator: np.random.Generator) -> np.
 
 class EditTrainer:
     """module: from start_module, taught in place. style: painting [3, h, w], or a crop of it, sRGB 0..1, with a trunk;
-    None recolors. device: of the GPU kernels, where the trunk lies too; None: the CPU's. Both see the same pixels."""
+    None recolors. engine: where it trains, as the trunk (training/backends.py); all engines see the same pixels."""
 
     def __init__(
         self,
@@ -116,7 +114,7 @@ class EditTrainer:
         trunk: FeatureExtractor | None,
         seed: int,
         chunks: int,
-        device: str | None = None,
+        engine: Callable[..., EditEngine] = CpuEditEngine,
     ) -> None:
         self.views = [view for view in views if len(view)]
         if not self.views:
@@ -129,13 +127,7 @@ class EditTrainer:
             if settings.preserve_color:
                 style = in_colors_of(style, sampled_colors(self.views, np.random.default_rng([seed, 6])))
             self.style = RegionStyle(trunk, style, settings.style_side)
-        self.engine: EditEngine
-        if device is None:
-            self.engine = CpuEditEngine(self.views, module, chunks)
-        else:
-            from stylerf.training.edit.engine_gpu import GpuEditEngine
-
-            self.engine = GpuEditEngine(self.views, module, device)
+        self.engine = engine(self.views, module, chunks)
         self.state = EditState()
         self._pictured: dict[int, tuple[Neighbors, Canvas, Tensor]] = {}
         self.between_steps = True

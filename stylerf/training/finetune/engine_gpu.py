@@ -26,9 +26,15 @@ class GpuFineTuneEngine:
     """stylerf/training/finetune/engine.py's CpuTuning on `device`: from the same pixels the same, to rounding."""
 
     def __init__(
-        self, field: RadianceField, bank: RayDataset, settings: FineTuneSettings, device: torch.device | str,
+        self,
+        field: RadianceField,
+        bank: RayDataset,
+        settings: FineTuneSettings,
+        threads: int,
         ranks: ProcessGroup = ALONE,
-    ) -> None:  # fmt: skip
+        *,
+        device: torch.device | str,
+    ) -> None:
         self.device, self.settings, self.ranks = torch.device(device), settings, ranks
         self.bank = GpuRayDataset(bank, self.device)
         self._host = field

@@ -48,8 +48,8 @@ class EditedPixels:
 class FineTuner:
     """bank: all training views, edited. The field is changed in place.
 
-    ranks: the processes that train it together; settings.rays are of all of them. device: of the GPU kernels; None:
-    the CPU's. Both see the same rays, and a checkpoint of one goes on upon the other.
+    ranks: the processes that train it together; settings.rays are of all of them. engine: where it
+    trains (training/backends.py). All engines see the same rays, and resume each other's checkpoints.
     """
 
     def __init__(
@@ -61,19 +61,13 @@ class FineTuner:
         seed: int,
         chunks: int,
         ranks: ProcessGroup = ALONE,
-        device: str | None = None,
+        engine: Callable[..., FineTuneEngine] = CpuFineTuneEngine,
     ) -> None:
         self.ranks, self.bank, self.edited, self.settings, self.seed = ranks, bank, edited, settings, seed
         self.state = FineTuneState()
         # Whether all that learns is near the edit: rays far from it would tell nothing.
         self.local = isinstance(field.color, RegionColor) and settings.density_factor == 0
-        self.engine: FineTuneEngine
-        if device is None:
-            self.engine = CpuFineTuneEngine(field, bank, settings, chunks, ranks)
-        else:
-            from stylerf.training.finetune.engine_gpu import GpuFineTuneEngine
-
-            self.engine = GpuFineTuneEngine(field, bank, settings, device, ranks)
+        self.engine = engine(field, bank, settings, chunks, ranks)
         self.between_steps = True
 
     @property

@@ -145,9 +145,9 @@ class CpuEngine:
         chunks: int,
         field: RadianceField,
         ranks: ProcessGroup = ALONE,
-        clip: float = 0.0,
+        gradient_clip: float = 0.0,
     ) -> None:
-        self.bank, self.seed, self.chunks, self.ranks, self.clip = bank, seed, chunks, ranks, clip
+        self.bank, self.seed, self.chunks, self.ranks, self.gradient_clip = bank, seed, chunks, ranks, gradient_clip
         self.density_adam = self.color_adam = None
         self._memory = ScratchArena()
         self.adopt(field)
@@ -160,7 +160,7 @@ class CpuEngine:
     def _adam_of(self, part, before: Adam | None) -> Adam:
         if before is not None and before.values is part.values:
             return before
-        return Adam(part.values, part.groups(), self.chunks, self.clip)
+        return Adam(part.values, part.groups(), self.chunks, self.gradient_clip)
 
     @property
     def parameters(self) -> int:

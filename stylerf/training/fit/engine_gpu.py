@@ -78,9 +78,9 @@ class GpuEngine:
         *,
         device: torch.device | str,
         samples: int,
-        clip: float = 0.0,
+        gradient_clip: float = 0.0,
     ) -> None:
-        self.device, self.ranks, self.clip = torch.device(device), ranks, clip
+        self.device, self.ranks, self.gradient_clip = torch.device(device), ranks, gradient_clip
         self.bank, self.seed = GpuRayDataset(bank, self.device), seed
         self._parts, self.density_adam, self.color_adam = (None, None), None, None
         self.room = max(LEAST_ROOM if self.device.type == "cuda" else 0, ROOM * samples)
@@ -98,9 +98,10 @@ class GpuEngine:
 
     def _adam_of(self, part, before: GpuAdam | None) -> GpuAdam:
         """Of a part's new tensors; `before` is that of the same part."""
-        adam = GpuAdam(part.values, part.groups, self.clip)
+        adam = GpuAdam(part.values, part.groups, self.gradient_clip)
         if before is not None:
-            adam.first, adam.second, adam.usual, adam.steps = before.first, before.second, before.usual, before.steps
+            adam.first, adam.second, adam.steps = before.first, before.second, before.steps
+            adam.running_norm = before.running_norm
         return adam
 
     @property

@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from stylerf.fields.palette_edits import PaletteEdits
+from stylerf.training.backends import edit_engine
 from stylerf.training.edit.trainer import EditTrainer, start_module
 from tests.stylerf.editing.region_pictures import view_of
 from tests.stylerf.editing.test_palette_module import module, places
@@ -25,8 +26,8 @@ def trainer(device=None, style: bool = False, **more) -> EditTrainer:
     views[0].transition[:100] = 0.5
     views[0].edges[50:90] = 0.7
     painting, trunk = (picture(40, 40, 9), small_trunk().to(device or "cpu")) if style else (None, None)
-    device = None if device is None else str(device)
-    return EditTrainer(views, start_module(views, settings, 0), settings, painting, trunk, 0, 1, device)
+    engine = edit_engine(None if device is None else str(device))
+    return EditTrainer(views, start_module(views, settings, 0), settings, painting, trunk, 0, 1, engine)
 
 
 @pytest.mark.parametrize("removed", [(), (0, 1, 3)])

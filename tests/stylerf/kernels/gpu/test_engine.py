@@ -14,7 +14,7 @@ from stylerf.fields.vm_tables import split_table
 from stylerf.geometry.cameras import Camera
 from stylerf.rendering.rays import backward, render_rays
 from stylerf.rendering.view import render_view
-from stylerf.training.common.adam import UNKNOWN
+from stylerf.training.common.adam import NORM_STEPS
 from stylerf.training.common.async_readback import BEHIND
 from stylerf.training.common.process_group import SingleProcess
 from stylerf.training.fit.engine import Batch, CpuEngine, coverage_gradient, opacity_gradient
@@ -54,7 +54,7 @@ def batch(**more) -> Batch:
 def engine_on(device, bank, field, clip: float = 0.0):
     from stylerf.training.fit.engine_gpu import GpuEngine
 
-    return GpuEngine(bank, 0, 1, field, device=device, samples=400, clip=clip)
+    return GpuEngine(bank, 0, 1, field, device=device, samples=400, gradient_clip=clip)
 
 
 def kept_gradients(engine) -> list[torch.Tensor]:
@@ -171,12 +171,12 @@ def test_both_parts_are_clipped_where_that_is_asked_for(bank, device):
     engine = engine_on(device, bank, thin_field(), clip=1.5)
     engine.learn(batch())
     for adam in (engine.density_adam, engine.color_adam):
-        usual, adam.steps = float(adam.usual), UNKNOWN
+        usual, adam.steps = float(adam.running_norm), NORM_STEPS
         assert usual > 0
         adam.gradients[:] = 0
         adam.gradients[0] = 100 * usual
         adam.step(0.0)
-        assert float(adam.usual) == pytest.approx(1.05 * usual, rel=1e-6)
+        assert float(adam.running_norm) == pytest.approx(1.05 * usual, rel=1e-6)
 
 
 def test_held_out_views_are_judged_as_on_the_cpu(bank, device):
