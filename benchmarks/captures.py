@@ -55,7 +55,7 @@ def depths_of(work: Path, name: str) -> list[np.ndarray]:
         load_scene(WorkFolder(work).find("scene", "main")),
         load_field(WorkFolder(work).find("field", name))[0],
     )
-    return [render_view(field, scene.cameras[i], chunks=threads).z for i in scene.splits["test"]]
+    return [render_view(field, scene.cameras[i], threads=threads).z for i in scene.splits["test"]]
 
 
 def layout_of(work: Path) -> str:

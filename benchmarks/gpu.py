@@ -157,7 +157,7 @@ def launches(device: torch.device, rays: int, vertices: int, kind: str) -> tuple
     from stylerf.kernels.gpu import launch
 
     field, going = GpuField(random_field(vertices, kind), device), random_rays(rays, device)
-    rendered = field.render_rays(going, share=0.0)
+    rendered = field.render_rays(going, weight_threshold=0.0)
     s, n, colors = rendered.samples, rendered.samples.room, rendered.colors
     gradients, sums = torch.randn_like(rendered.out), torch.zeros(3, device=device)
     of_sigma, of_colors = launch.composite_backward(s, colors, rendered.out, gradients, 0.0)
@@ -173,7 +173,7 @@ def launches(device: torch.device, rays: int, vertices: int, kind: str) -> tuple
         launch.adam(field.color.values, to_color, *moments, 1e-9, (0.9, 0.99), 1e-15, (0.1, 0.01), 0, len(to_color))
 
     calls = {
-        f"{named} color": (lambda: field.color.colors(s, ways, 0.0), n * 32 + color),
+        f"{named} color": (lambda: field.color.visible_colors(s, ways, 0.0), n * 32 + color),
         f"{named} color backward": (
             lambda: field.color.backward(s, ways, colors, of_colors, to_color), n * 40 + 3 * color,
         ),

@@ -48,7 +48,7 @@ def rays_a_second(work: Path, name: str) -> float:
     for _ in range(1 + PASSES):
         begun = time.perf_counter()
         for camera in cameras:
-            render_view(field, camera, chunks=threads)
+            render_view(field, camera, threads=threads)
         seconds.append(time.perf_counter() - begun)
     return sum(c.width * c.height for c in cameras) / statistics.median(seconds[1:])
 

@@ -34,7 +34,7 @@ LEARNING, STEPS, REPEATS = 150, 30, 25
 KERNELS = {
     "draw rays": ("stylerf.training.common.ray_dataset", "gather"),
     "march": ("stylerf.kernels.cpu.vm", "march_density"),
-    "significant": ("stylerf.rendering.rays", "significant"),
+    "significant": ("stylerf.rendering.rays", "visible_weights"),
     "color": ("stylerf.kernels.cpu.vm", "color"),
     "composite": ("stylerf.rendering.rays", "composite"),
     "composite backward": ("stylerf.rendering.rays", "composite_backward"),
@@ -42,51 +42,51 @@ KERNELS = {
     "density backward": ("stylerf.kernels.cpu.vm", "density_backward"),
     "smoothness": ("stylerf.kernels.cpu.vm", "smoothness_backward"),
     "adam": ("stylerf.training.common.adam", "adam"),
-    "occupancy": ("stylerf.kernels.cpu.vm", "density"),
+    "occupancy": ("stylerf.kernels.cpu.vm", "density_at"),
 }
 
 
 @parallel_kernel
-def read_rows(table, size, ranks, x, chunks, sums):
-    """Adds the 18 rows of every point x [n, 3] to sums [chunks, rank]."""
+def read_rows(table, size, ranks, x, threads, sums):
+    """Adds the 18 rows of every point x [n, 3] to sums [threads, rank]."""
     n = len(x)
     rank = np.int64(len(ranks))
     flat = sums.reshape(-1)
-    for c in prange(chunks):
-        stop = (c + 1) * n // chunks
-        for p in range(c * n // chunks, stop):
+    for thread in prange(threads):
+        stop = (thread + 1) * n // threads
+        for p in range(thread * n // threads, stop):
             if p + 1 < stop:
                 vm_prefetch(table, np.int64(0), *places(x[p + 1], size, rank), ranks)
             for m in range(3):
                 first, second, line, _, _, _ = place(m, x[p], size, rank)
                 for at in (first, first + rank, second, second + rank, line, line + rank):
-                    axpy_row(np.float32(1), table, at, flat, c * rank, ranks)
+                    axpy_row(np.float32(1), table, at, flat, thread * rank, ranks)
 
 
 @parallel_kernel
-def add_rows(table, size, ranks, x, chunks, row, to):
-    """Adds `row` to the 18 rows of every point x [n, 3] in the chunk's buffer to[chunk], laid out as the table."""
+def add_rows(table, size, ranks, x, threads, row, to):
+    """Adds `row` to the 18 rows of every point x [n, 3] in the thread's buffer to[thread], laid out as the table."""
     n = len(x)
     rank = np.int64(len(ranks))
     flat = to.reshape(-1)
     stride = to.shape[1]
-    for c in prange(chunks):
-        stop = (c + 1) * n // chunks
-        for p in range(c * n // chunks, stop):
+    for thread in prange(threads):
+        stop = (thread + 1) * n // threads
+        for p in range(thread * n // threads, stop):
             if p + 1 < stop:
-                vm_prefetch(flat, np.int64(c * stride), *places(x[p + 1], size, rank), ranks)
+                vm_prefetch(flat, np.int64(thread * stride), *places(x[p + 1], size, rank), ranks)
             for m in range(3):
                 first, second, line, _, _, _ = place(m, x[p], size, rank)
                 for at in (first, first + rank, second, second + rank, line, line + rank):
-                    axpy_row(np.float32(1), row, np.int64(0), flat, c * stride + at, ranks)
+                    axpy_row(np.float32(1), row, np.int64(0), flat, thread * stride + at, ranks)
 
 
 @parallel_kernel
-def triad(a, b, ranks, chunks):
+def triad(a, b, ranks, threads):
     """a += 2 b, a row of len(ranks) at a time; a loop of numba's own is no faster than its index checks."""
     rows = len(a) // len(ranks)
-    for k in prange(chunks):
-        for row in range(k * rows // chunks, (k + 1) * rows // chunks):
+    for thread in prange(threads):
+        for row in range(thread * rows // threads, (thread + 1) * rows // threads):
             at = np.int64(row * len(ranks))
             axpy_row(np.float32(2), b, at, a, at, ranks)
 
@@ -168,17 +168,22 @@ def fitter_of(work: Path, capacity: str, threads: int, scratch: Path):
 
 def bounds(watch: Watch, threads: int) -> tuple[dict[str, float], dict[str, int]]:
     """Seconds of one step's unavoidable reads and additions by kernel, for the last batch, and what it held."""
-    density, color = watch.last["density backward"], watch.last["color backward"]
-    starts, ends = density[5], density[6]
-    every = np.concatenate([np.arange(a, b) for a, b in zip(starts, ends)])
-    x = np.ascontiguousarray(density[4][every])
-    learning, shown = density[8][every] * density[7][every] != 0, color[8][every, 0] >= 0
-    table, size, ranks = *density[:2], density[3]
+    density, ranks, samples, sigma_gradients, _ = watch.last["density backward"]
+    parameters, color_ranks, _, _, colors, _, _ = watch.last["color backward"]
+    every = np.concatenate([np.arange(a, b) for a, b in zip(samples.starts, samples.ends)])
+    x = np.ascontiguousarray(samples.x[every])
+    learning, shown = sigma_gradients[every] * samples.sigma[every] != 0, colors[every, 0] >= 0
+    table, size = density.table, density.layout
     found = {"march": _rows(table, size, ranks, x, threads)[0]}
     found["density backward"] = sum(_rows(table, size, ranks, x[learning], threads))
-    reads, adds = _rows(*color[:3], x[shown], threads)
+    reads, adds = _rows(parameters.table, parameters.size, color_ranks, x[shown], threads)
     found |= {"color": reads, "color backward": reads + adds}
-    counts = {"rays": len(ends), "samples": len(x), "learning": int(learning.sum()), "colored": int(shown.sum())}
+    counts = {
+        "rays": len(samples.ends),
+        "samples": len(x),
+        "learning": int(learning.sum()),
+        "colored": int(shown.sum()),
+    }
     return found, counts
 
 

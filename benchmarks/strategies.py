@@ -80,7 +80,7 @@ def stylizer_for(work: str, style: str, method: str, case: str):
         [scene.cameras[i] for i in views],
         [photo_over(scene, i, level) for i in views],
         level,
-        settings_of(config, long_side, field.closed),
+        settings_of(config, long_side, field.opaque_background),
         0,
         threads,
         read_painting(Path(style)),
@@ -106,11 +106,11 @@ def distances(made, held_out, level) -> dict[str, float]:
     exact = StyleObjective(extractor, style_image, size, s.weights, s.feature_scale, 100000, 0, s.style_scale)
     sums = {"style": 0.0, "content": 0.0}
     for camera, photo in held_out:
-        seen = render_view(styled.field, camera, chunks=styled.problem.threads)
+        seen = render_view(styled.field, camera, threads=styled.problem.threads)
         rgb = np.clip(seen.rgb + (1 - seen.alpha[..., None]) * np.float32(level), 0, 1)
         picture, wanted = (torch.from_numpy(np.ascontiguousarray(i)).permute(2, 0, 1) for i in (rgb, photo))
         with torch.no_grad():
-            alpha = None if styled.field.closed else torch.from_numpy(seen.alpha)
+            alpha = None if styled.field.opaque_background else torch.from_numpy(seen.alpha)
             parts = exact(picture, exact.content_of(wanted), alpha)[1]
         for name in sums:
             sums[name] += parts[name] / len(held_out)

@@ -73,7 +73,8 @@ def run(inputs: dict[str, Artifact], config: FitConfig, partial: PartialArtifact
         context.progress.say(fitter.state.decisions[-1])
     context.progress.say(fitter.climb.told(fitter.field.parameters))
     if processes.first:
-        save_field(partial.path, fitter.field, "none" if fitter.field.closed else _shown(settings.background))
+        background = "none" if fitter.field.opaque_background else _shown(settings.background)
+        save_field(partial.path, fitter.field, background)
     shifts = pose_shifts(fitter)
     if line := told(shifts):
         context.progress.say(line)

@@ -76,7 +76,9 @@ def run(inputs: dict[str, Artifact], config: RenderConfig, partial: PartialArtif
     context.progress.start("render", len(shots), "frame")
     device = gpu_of(context, field)
     seen = (
-        _on_device(field, device, scene.cameras[0]) if device else functools.partial(render_view, field, chunks=threads)
+        _on_device(field, device, scene.cameras[0])
+        if device
+        else functools.partial(render_view, field, threads=threads)
     )
     with nullcontext() if device else compiling_note(context.progress.say):
         for done, (frame, (camera, _)) in enumerate(zip(listed, shots, strict=True)):

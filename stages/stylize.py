@@ -139,7 +139,7 @@ def _problem(
         cameras=[scene.cameras[i] for i in views],
         photos=BoundedCache(lambda place: photo_for(field, scene, views[place], level, threads), len, len(views), 0),
         background=level,
-        settings=settings_of(config, long_side, field.closed, region is not None),
+        settings=settings_of(config, long_side, field.opaque_background, region is not None),
         seed=context.seed,
         threads=threads,
         style_image=style_image,

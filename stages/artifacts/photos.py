@@ -93,10 +93,10 @@ def photo_for(field: RadianceField, scene: SceneData, index: int, level: float, 
     Nothing of a closed space is transparent: what a mask hides there is what the field shows already.
     """
     pixels = scene.images(index)
-    if pixels.shape[2] != 4 or not field.closed:
+    if pixels.shape[2] != 4 or not field.opaque_background:
         return photo_over(scene, index, level)
     shown = pixels[..., 3:] > HIDDEN
-    seen = pixels if shown.all() else render_view(field, scene.cameras[index], chunks=chunks).rgb
+    seen = pixels if shown.all() else render_view(field, scene.cameras[index], threads=chunks).rgb
     return np.where(shown, pixels[..., :3], seen[..., :3]).astype(np.float32)
 
 

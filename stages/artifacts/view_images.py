@@ -20,7 +20,7 @@ def load_pictures(artifact: Artifact, of: Artifact, chunks: int) -> SceneData:
     field, background = load_field(of)
 
     def retaken(index: int) -> np.ndarray:
-        seen = render_view(field, scene.cameras[index], chunks=chunks)
+        seen = render_view(field, scene.cameras[index], threads=chunks)
         alpha = seen.alpha[..., None]
         if scene.channels(index) == 4:
             return np.concatenate([(seen.rgb / np.maximum(alpha, 1e-6)).clip(0, 1), alpha], axis=2)

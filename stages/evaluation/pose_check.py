@@ -112,7 +112,7 @@ def _worst(fitter: Fitter) -> list[int]:
     out = fitter.engine.rendered(origins, directions)
     background = background_of(fitter.settings.background, len(out), None)
     error = np.square(over(out[:, :3], out[:, 3:4], background) - target(colors, background)).mean(1)
-    if fitter.field.closed and bank.channels == 4:
+    if fitter.field.opaque_background and bank.channels == 4:
         error[colors[:, 3] <= HIDDEN] = 0
     return np.argsort(-error.reshape(count, each).mean(1), kind="stable")[:SUSPECTS].tolist()
 
@@ -130,6 +130,6 @@ def _both(fitter: Fitter, view: int, camera) -> tuple[np.ndarray, np.ndarray]:
     background = background_of(fitter.settings.background, 1, None)
     shown = over(out[..., :3], out[..., 3:4], background)
     photo, hidden = over(photo[..., :3], photo[..., 3:], background), photo[..., 3:] <= HIDDEN
-    if fitter.field.closed and bank.channels == 4:
+    if fitter.field.opaque_background and bank.channels == 4:
         photo = np.where(hidden, shown, photo)
     return photo.mean(2), shown.mean(2)

@@ -27,8 +27,8 @@ def seen_from_tests(scene: Artifact, field: Artifact, threads: int) -> list[Seen
     views = []
     for index in data.splits["test"]:
         camera, photo = data.cameras[index], data.images(index)
-        mask = photo[..., 3] > 0.5 if photo.shape[2] == 4 and not radiance.closed else None
-        render = _over(render_view(radiance, camera, chunks=chunks), level)
+        mask = photo[..., 3] > 0.5 if photo.shape[2] == 4 and not radiance.opaque_background else None
+        render = _over(render_view(radiance, camera, threads=chunks), level)
         views.append(Seen(camera.name, render, photo_for(radiance, data, index, level, chunks), mask))
     return views
 
@@ -40,8 +40,8 @@ def seen_of_edit(scene: Artifact, before: Artifact, after: Artifact, region: Art
     level, chunks = level_of(background), set_threads(threads)
     views = []
     for camera in (data.cameras[index] for index in data.splits["test"]):
-        found = render_view(plain, camera, chunks=chunks, regions={"part": cells.edit})
-        pictures = _over(render_view(edited, camera, chunks=chunks), level), _over(found, level)
+        found = render_view(plain, camera, threads=chunks, regions={"part": cells.edit})
+        pictures = _over(render_view(edited, camera, threads=chunks), level), _over(found, level)
         views.append(Seen(camera.name, *pictures, found.masks["part"] > SHOWN))
     return views
 
@@ -53,7 +53,7 @@ def middle_of(scene: Artifact, field: Artifact, threads: int) -> tuple[str, floa
     """
     data = load_scene(scene)
     camera = data.cameras[data.splits["train"][0]]
-    found = render_view(load_field(field)[0], camera, chunks=set_threads(threads))
+    found = render_view(load_field(field)[0], camera, threads=set_threads(threads))
     rows, columns = np.nonzero(found.alpha > OPAQUE)
     if not len(rows):
         raise BadInput(f"{field.path}: nothing opaque is seen from {camera.name}")

@@ -12,8 +12,8 @@ import numpy as np
 
 from stylerf.errors import InvalidValue
 from stylerf.fields.radiance_field import RadianceField
-from stylerf.fields.ray_samples import Rays, Samples
 from stylerf.kernels.cpu.march import OPTICAL_SCALE
+from stylerf.kernels.cpu.ray_samples import Rays, Samples
 from stylerf.rendering.region_alpha import alpha_inside
 
 FEWEST_CELLS, MOST_CELLS = 64, 256

@@ -50,10 +50,10 @@ def ends_of_view(field: RadianceField, camera: Camera, grids: list[np.ndarray], 
     outs = [np.empty((camera.height * camera.width, 6), np.float32) for _ in grids]
     for part, s in march_view(field, camera, chunks):
         # Of whole rays what meets the backdrop has no distance, as in the depth that they are compared with.
-        of_things = np.where(s.optical > 0, s.weights, np.float32(0))
+        of_things = np.where(s.deltas > 0, s.weights, np.float32(0))
         for marked, own, out in zip(grids, flat, outs):
             weights = of_things if marked is EVERYWHERE else s.weights
-            ends_inside(own, marked.shape[0], s.x, s.t, weights, s.starts, s.ends, chunks, out[part])
+            ends_inside(own, marked.shape[0], s.shading_points(weights), s.t, chunks, out[part])
     for out in outs:
         out[:, 2:] /= np.maximum(out[:, 1:2], 1e-8)
     return outs

@@ -12,7 +12,7 @@ from stylerf.fields.gpu.memory import in_parts
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.geometry.cameras import Camera
 from stylerf.kernels.gpu import launch_edit
-from stylerf.rendering.rays import SAMPLE_LIMIT
+from stylerf.rendering.rays import SAMPLES_PER_RAY
 from stylerf.rendering.view_gpu import rays_of
 
 RAYS_AT_ONCE = 1 << 17
@@ -41,8 +41,8 @@ class GpuRayEnds:
 
         def part(begin: int, end: int) -> list[Tensor]:
             rays, found = rays_of(camera, torch.arange(begin, end, device=self._field.device)), []
-            samples = self._field.march(rays, SAMPLE_LIMIT, 1e-3, None)
-            of_things = replace(samples, weights=torch.where(samples.optical > 0, samples.weights, 0.0))
+            samples = self._field.march(rays, SAMPLES_PER_RAY, 1e-3, None)
+            of_things = replace(samples, weights=torch.where(samples.deltas > 0, samples.weights, 0.0))
             for grid, own in zip(grids, marked):
                 ends = launch_edit.ends_inside(own, grid.shape[0], of_things if grid is EVERYWHERE else samples)
                 ends[:, 2:] /= ends[:, 1:2].clamp(min=1e-8)

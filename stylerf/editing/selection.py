@@ -11,9 +11,9 @@ from skimage.color import rgb2lab
 from stylerf.editing.edit_grid import march_view
 from stylerf.fields.packed_surface import PackedSurface, surface_of
 from stylerf.fields.radiance_field import RadianceField
-from stylerf.fields.ray_samples import Rays
 from stylerf.geometry.cameras import Camera
 from stylerf.geometry.space_warp import SpaceWarp
+from stylerf.kernels.cpu.ray_samples import Rays
 from stylerf.kernels.cpu.regions import add_to_cells, ends_inside, weights_inside
 
 LIGHT = 0.5  # of a difference in lightness counts: one thing lies in light and in shadow
@@ -46,14 +46,13 @@ class Look:
 
     def add(self, values: np.ndarray, cells: int, to: np.ndarray) -> None:
         """Add sum w (values, 1) of rays with values [rays, m] to the cells of their samples, to [cells^3, m + 1]."""
-        starts, ends, x, weights = self.surface.samples(np.arange(self.surface.alpha.size))
-        add_to_cells(values, cells, x, weights, starts, ends, to)
+        add_to_cells(values, cells, self.surface.samples(np.arange(self.surface.alpha.size)), to)
 
     def share_inside(self, marked: np.ndarray, chunks: int) -> np.ndarray:
         """[rays, 1]: part of each ray's opacity that lies in marked cells [s, s, s]."""
-        starts, ends, x, weights = self.surface.samples(np.arange(self.surface.alpha.size))
-        inside, flat = np.empty(len(starts), np.float32), np.ascontiguousarray(marked).reshape(-1)
-        weights_inside(flat, marked.shape[0], x, weights, starts, ends, chunks, inside)
+        points = self.surface.samples(np.arange(self.surface.alpha.size))
+        inside, flat = np.empty(len(points.starts), np.float32), np.ascontiguousarray(marked).reshape(-1)
+        weights_inside(flat, marked.shape[0], points, chunks, inside)
         return (inside / np.maximum(self.surface.alpha.ravel(), 1e-6))[:, None]
 
 
@@ -124,7 +123,7 @@ def ends_of_rays(field: RadianceField, camera: Camera, pixels: np.ndarray, chunk
     origins, directions = camera.rays(pixels)
     s = field.march(Rays.of(origins, directions, field.space.near), 512, 1e-3, chunks)
     out = np.empty((len(pixels), 6), np.float32)
-    ends_inside(np.ones(1, bool), 1, s.x, s.t, s.weights, s.starts, s.ends, chunks, out)  # one cell: the whole cube
+    ends_inside(np.ones(1, bool), 1, s.shading_points(), s.t, chunks, out)  # one cell: the whole cube
     return out[:, 3:] / np.maximum(out[:, :1], 1e-8), out[:, 0]
 
 
@@ -157,7 +156,7 @@ def shown_by_masks(
     for camera, mask in zip(cameras, masks, strict=True):
         values = np.ascontiguousarray(mask.reshape(-1, 1), np.float32)
         for part, samples in march_view(field, camera, chunks):
-            add_to_cells(values[part], cells, samples.x, samples.weights, samples.starts, samples.ends, sums)
+            add_to_cells(values[part], cells, samples.shading_points(), sums)
     return ((sums[:, 1] > SEEN) & (sums[:, 0] > 0.5 * sums[:, 1])).reshape((cells,) * 3)
 
 

@@ -1,4 +1,4 @@
-"""How large a field's parts are: what each kind makes of one description, so that one ladder serves all of them."""
+"""The capacity of a field's parts: one description that every kind interprets, so that one search serves all kinds."""
 
 from dataclasses import dataclass
 
@@ -9,11 +9,15 @@ from stylerf.fields.occupancy_grid import OccupancyGrid
 
 @dataclass(frozen=True)
 class Capacity:
-    """size: vertices per axis, [3], of grids and planes; resolution: their mean, and the most cells of a hash level.
+    """The size of a part.
 
-    density_rank, color_rank: of vm. table: vertices that a hash level keeps, of `levels` up to `finest` cells a side.
-    occupancy: where something is: what a voxel grid keeps (None: it keeps all), what counts when ranks are given up.
-    degree: of the spherical harmonics of the color.
+    Attributes:
+        size: [3] vertices per axis of grids and planes.
+        resolution: their mean, and the most cells per side of a hash level.
+        density_rank, color_rank: ranks of vm parts.
+        table: most vertices of a hash level. levels: number of hash levels. finest: cells per side of the finest one.
+        occupancy: selects the blocks that a voxel grid allocates (None: all) and weights the pruning of ranks.
+        degree: of the color's spherical harmonics.
     """
 
     size: np.ndarray

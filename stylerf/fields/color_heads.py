@@ -1,26 +1,37 @@
-"""Color heads: what turns a place's features and a direction into a color. Its numbers are handed in."""
+"""Color heads: from features of a position and a view direction to a color. Each is pure: its numbers are arguments."""
 
 import numpy as np
 
 from stylerf.errors import InvalidValue
-from stylerf.fields.scratch_arena import room
+from stylerf.fields.scratch_arena import ScratchArena, empty_array
 from stylerf.geometry.spherical_harmonics import BANDS, C0
 from stylerf.kernels.cpu import color_heads as kernels
 from stylerf.kernels.cpu import mlp_head
 from stylerf.kernels.cpu.color_heads import count_marked, hide, pack_marked
+from stylerf.kernels.cpu.ray_samples import ShadingPoints
 
-HIDDEN = 32  # units; a row of them is one vector
+HIDDEN = 32  # units; one row of them is one SIMD vector
 
 
 class Packed:
     """Samples to be colored: index[i], of ray ray[i], ascending; their colors go to `out` [n, 3]."""
 
-    def __init__(self, marks: np.ndarray, bound: float, starts: np.ndarray, ends: np.ndarray, chunks: int) -> None:
+    def __init__(self, marks: np.ndarray, bound: float, starts: np.ndarray, ends: np.ndarray, threads: int) -> None:
         counts, bound = np.empty(len(ends), np.int64), np.float32(bound)
-        count_marked(marks, bound, starts, ends, chunks, counts)
+        count_marked(marks, bound, starts, ends, threads, counts)
         offsets = np.concatenate([[0], np.cumsum(counts)])
         self.index, self.ray = np.empty(offsets[-1], np.int64), np.empty(offsets[-1], np.int64)
-        pack_marked(marks, bound, starts, ends, offsets, chunks, self.index, self.ray)
+        pack_marked(marks, bound, starts, ends, offsets, threads, self.index, self.ray)
+
+    @classmethod
+    def weighted(cls, points: ShadingPoints, threads: int) -> "Packed":
+        """Pack the points of positive weight."""
+        return cls(points.weights.reshape(-1, 1), 0.0, points.starts, points.ends, threads)
+
+    @classmethod
+    def colored(cls, points: ShadingPoints, colors: np.ndarray, threads: int) -> "Packed":
+        """Pack the points that have a color [n, 3]: not -1 in the first channel."""
+        return cls(colors, -0.5, points.starts, points.ends, threads)
 
 
 class LinearHead:
@@ -38,21 +49,21 @@ class LinearHead:
 
     @property
     def length(self) -> int:
-        """How many numbers it has."""
+        """Number of values."""
         return 3 * BANDS[self.degree] * self.features + 3
 
     def initial(self, generator: np.random.Generator) -> np.ndarray:
-        """Random, little dependent on the direction, around an even gray."""
+        """Return random values around an even gray, with little dependence on the direction."""
         head = generator.uniform(-1, 1, (3, BANDS[self.degree], self.features)) / np.sqrt(self.features) / C0
         head[:, 1:] *= 0.1
         return np.append(head.ravel(), np.zeros(3)).astype(np.float32)
 
-    def colors(self, phi, numbers, basis, packed: Packed, chunks: int, out: np.ndarray) -> None:
-        """Colors of packed samples of features phi [m, features], into out [n, 3]."""
-        kernels.linear(phi, self._widths, numbers, basis, packed.index, packed.ray, chunks, out)
+    def colors(self, phi, numbers, basis, packed: Packed, threads: int, out: np.ndarray) -> None:
+        """Write the colors of packed samples with features phi [m, features] into out [n, 3]."""
+        kernels.linear(phi, self._widths, numbers, basis, packed.index, packed.ray, threads, out)
 
     def backward(self, phi, numbers, basis, packed, colors, color_gradients, at: int, to: np.ndarray) -> np.ndarray:
-        """dL/d(phi) [m, features]; dL/d(numbers) is added to the chunks' buffers to[:, at:]."""
+        """Return dL/d(phi) [m, features]; add dL/d(numbers) to the threads' buffers to[:, at:]."""
         out = np.empty_like(phi)
         kernels.linear_backward(
             phi,
@@ -83,18 +94,18 @@ class HarmonicHead:
 
     def __init__(self, features: int, degree: int) -> None:
         if features != 3 * BANDS[degree]:
-            raise InvalidValue(f"{features} features are no coefficients of degree {degree}")
+            raise InvalidValue(f"{features} features are not coefficients of degree {degree}")
         self.features, self.degree = features, degree
 
     def initial(self, generator: np.random.Generator) -> np.ndarray:
         return np.empty(0, np.float32)
 
-    def colors(self, phi, numbers, basis, packed: Packed, chunks: int, out: np.ndarray) -> None:
-        """Colors of packed samples of features phi [m, features], into out [n, 3]."""
-        kernels.harmonic(phi, basis, packed.index, packed.ray, chunks, out)
+    def colors(self, phi, numbers, basis, packed: Packed, threads: int, out: np.ndarray) -> None:
+        """Write the colors of packed samples with features phi [m, features] into out [n, 3]."""
+        kernels.harmonic(phi, basis, packed.index, packed.ray, threads, out)
 
     def backward(self, phi, numbers, basis, packed, colors, color_gradients, at: int, to: np.ndarray) -> np.ndarray:
-        """dL/d(phi) [m, features]."""
+        """Return dL/d(phi) [m, features]."""
         out = np.empty_like(phi)
         kernels.harmonic_backward(basis, packed.index, packed.ray, colors, color_gradients, len(to), out)
         return out
@@ -115,23 +126,23 @@ class MlpHead:
 
     @property
     def length(self) -> int:
-        """How many numbers it has."""
+        """Number of values."""
         return (self.features + BANDS[self.degree] + 1 + 3) * HIDDEN + 3
 
     def initial(self, generator: np.random.Generator) -> np.ndarray:
-        """He et al. 2015, uniform; what the direction adds is small at first."""
+        """Return uniform initial values (He et al. 2015), those of the direction small."""
         first = generator.uniform(-1, 1, (self.features, HIDDEN)) * np.sqrt(6 / self.features)
         seen = generator.uniform(-0.1, 0.1, (BANDS[self.degree], HIDDEN))
         second = generator.uniform(-1, 1, (3, HIDDEN)) * np.sqrt(6 / HIDDEN)
         parts = [first, seen, np.zeros(HIDDEN), second, np.zeros(3)]
         return np.concatenate([part.ravel() for part in parts]).astype(np.float32)
 
-    def colors(self, phi, numbers, basis, packed: Packed, chunks: int, out: np.ndarray) -> None:
-        """Colors of packed samples of features phi [m, features], into out [n, 3]."""
-        mlp_head.mlp(phi, self._hidden, numbers, basis, packed.index, packed.ray, chunks, out)
+    def colors(self, phi, numbers, basis, packed: Packed, threads: int, out: np.ndarray) -> None:
+        """Write the colors of packed samples with features phi [m, features] into out [n, 3]."""
+        mlp_head.mlp(phi, self._hidden, numbers, basis, packed.index, packed.ray, threads, out)
 
     def backward(self, phi, numbers, basis, packed, colors, color_gradients, at: int, to: np.ndarray) -> np.ndarray:
-        """dL/d(phi) [m, features]; dL/d(numbers) is added to the chunks' buffers to[:, at:]."""
+        """Return dL/d(phi) [m, features]; add dL/d(numbers) to the threads' buffers to[:, at:]."""
         out, where = np.empty_like(phi), (basis, packed.index, packed.ray)
         mlp_head.mlp_backward(phi, self._hidden, numbers, *where, colors, color_gradients, len(to), out, at, to)
         return out
@@ -143,8 +154,8 @@ class MlpHead:
 HEADS = {head.kind: head for head in (LinearHead, HarmonicHead, MlpHead)}
 
 
-def hidden_from_view(starts: np.ndarray, ends: np.ndarray, rows: int, chunks: int) -> np.ndarray:
-    """[rows, 3] for colors, none of the samples having one yet."""
-    out = room((rows, 3))
-    hide(starts, ends, chunks, out)
+def uncolored(points: ShadingPoints, threads: int, arena: ScratchArena | None) -> np.ndarray:
+    """Return an array [n, 3] for colors in which no point has one yet."""
+    out = empty_array((len(points.x), 3), arena)
+    hide(points.starts, points.ends, threads, out)
     return out

@@ -9,11 +9,11 @@ from torch import Tensor
 from stylerf import validation
 from stylerf.errors import InvalidValue
 
-# A step of Adam moves every weight by its rate, and a sum over 256 of them by as much as 256 times that: without this a
-# rate of 1e-3 throws a scene about by a twentieth of its size at every step.
+# Adam moves every weight by about its rate, and a sum over 256 of them by up to 256 times that: without this factor a
+# rate of 1e-3 would move a scene by a twentieth of its size in every step.
 SCALE = 0.05
-# Cube units beyond which nothing moves on any axis. Without it a rate that bends an object at all tears it sooner or
-# later, since nothing in a style loss holds its parts together (docs/decisions/0015).
+# Largest displacement per axis, cube units. Without a bound, any rate that bends an object eventually tears it: nothing
+# in a style loss holds its parts together (decision 0015).
 FARTHEST = 0.04
 
 
@@ -21,8 +21,8 @@ class Deformation:
     """D = MLP(gamma(p)), p = 2 x - 1 of cube positions x in 0..1; values: weights and biases, layer after layer.
 
     gamma(p) = (p, sin 2^l pi p, cos 2^l pi p for l < frequencies); three linear layers with ReLU between. D is in cube
-    units: half of SCALE times the network's output, since the cube is two units of p wide, bent by a hyperbolic tangent
-    so that no coordinate moves by FARTHEST or more.
+    units: half of SCALE times the network's output, since the cube is two units of p wide, through a hyperbolic tangent
+    that bounds every coordinate by FARTHEST.
     """
 
     def __init__(self, frequencies: int, width: int, values: np.ndarray) -> None:
@@ -32,7 +32,7 @@ class Deformation:
 
     @classmethod
     def create(cls, generator: np.random.Generator, frequencies: int = 5, width: int = 256) -> "Deformation":
-        """The identity: the last layer is zero."""
+        """Create the identity: the last layer is zero."""
         parts = []
         for inside, outside in _layers(frequencies, width)[:-1]:
             bound = math.sqrt(6.0 / inside)  # He et al. 2015, for ReLU
@@ -44,13 +44,13 @@ class Deformation:
         return _layers(self.frequencies, self.width)
 
     def encode(self, positions: Tensor) -> Tensor:
-        """gamma of cube positions [n, 3] -> [n, 3 + 6 frequencies]."""
+        """Return gamma(p), [n, 3 + 6 frequencies], of cube positions [n, 3]."""
         p = 2 * positions - 1
         scaled = p[:, None] * (math.pi * 2.0 ** torch.arange(self.frequencies, dtype=p.dtype))[:, None]
         return torch.cat([p, torch.cat([scaled.sin(), scaled.cos()], -1).flatten(1)], 1)
 
     def network(self, encoded: Tensor, values: Tensor) -> Tensor:
-        """D [n, 3], cube units, of encoded positions, by the weights in `values`."""
+        """Return D [n, 3], cube units, of encoded positions [n, 3 + 6 frequencies], with the weights `values`."""
         out, at = encoded, 0
         layers = self._layers()
         for number, (inside, outside) in enumerate(layers):

@@ -1,21 +1,22 @@
-"""A color as an encoder of places (encoders.py) and a head behind it (color_heads.py), any with any."""
+"""A color as an encoder of positions (encoders.py) followed by a head (color_heads.py), in any combination."""
 
 import numpy as np
 
 from stylerf import validation
 from stylerf.errors import InvalidValue
 from stylerf.fields.capacity import Capacity
-from stylerf.fields.color_heads import HEADS, Packed, hidden_from_view
+from stylerf.fields.color_heads import HEADS, Packed, uncolored
 from stylerf.fields.encoders import FEATURES
-from stylerf.fields.ray_samples import Samples
+from stylerf.fields.scratch_arena import ScratchArena
 from stylerf.geometry.spherical_harmonics import BANDS
+from stylerf.kernels.cpu.ray_samples import ShadingPoints
 
 
 class EncodedColor:
     """Color head(features(x), d). values: the features' table, the head's numbers.
 
-    Features of all colored samples are written out between the two: 4 bytes times their width a sample (at most a
-    twentieth of a step), for which any encoder goes with any head.
+    Features of all colored samples are written to memory between the two, 4 bytes times their width per sample. That
+    costs at most a twentieth of a step, and any encoder works with any head.
     """
 
     kind = "headed"
@@ -31,14 +32,14 @@ class EncodedColor:
     def create(
         cls, kind: str, head: str, capacity: Capacity, degree: int, generator: np.random.Generator
     ) -> "EncodedColor":
-        """head: linear or mlp. What a voxel holds are coefficients already: `linear` leaves them as they are."""
+        """Create a color; head: linear or mlp. A voxel already holds coefficients, which `linear` uses directly."""
         features = FEATURES[kind].of(capacity, degree)
         made = HEADS["harmonic" if (kind, head) == ("voxel", "linear") else head](features.width, degree)
         return cls(features, made, np.concatenate([features.initial(generator), made.initial(generator)]))
 
     @property
     def degree(self) -> int:
-        """Of the spherical harmonics that are asked for."""
+        """Of the spherical harmonics that the head reads."""
         return self.head.degree
 
     @property
@@ -47,46 +48,45 @@ class EncodedColor:
 
     @property
     def numbers(self) -> np.ndarray:
-        """The head's."""
+        """The head's values."""
         return self.values[self.features.length :]
 
     def groups(self) -> list[tuple[int, int, float]]:
-        """(begin, end, learning-rate factor) of parts of `values`."""
+        """Return (begin, end, learning-rate factor) of slices of `values`."""
         features, end = self.features, len(self.values)
         return [(features.fixed, features.length, features.rate), (features.length, end, self.head.rate)]
 
     def grown(self, capacity: Capacity, generator: np.random.Generator) -> "EncodedColor":
-        """The same color at a larger capacity."""
+        """Return the same color at a larger capacity."""
         features, table = self.features.grown(self.table, capacity, generator)
         return EncodedColor(features, self.head, np.concatenate([table, self.numbers]))
 
-    def colors(self, x, basis, starts, ends, weights, least, chunks) -> np.ndarray:
-        """[n, 3] colors in 0..1 of samples with weight > least; others have -1 in the first channel."""
-        out = hidden_from_view(starts, ends, len(x), chunks)
-        packed = Packed(weights.reshape(-1, 1), least, starts, ends, chunks)
-        phi = self.features.encode(self.table, x, packed.index, chunks)
-        self.head.colors(phi, self.numbers, basis, packed, chunks, out)
+    def colors(
+        self, points: ShadingPoints, basis: np.ndarray, threads: int, arena: ScratchArena | None = None
+    ) -> np.ndarray:
+        """See ColorPart.colors."""
+        out = uncolored(points, threads, arena)
+        packed = Packed.weighted(points, threads)
+        phi = self.features.encode(self.table, points.x, packed.index, threads)
+        self.head.colors(phi, self.numbers, basis, packed, threads, out)
         return out
 
-    def backward(self, x, basis, starts, ends, colors, color_gradients, to: np.ndarray) -> None:
-        """Add dL/d(values) to the chunks' buffers `to` [chunks, len(values)]."""
+    def backward(self, points: ShadingPoints, basis, colors, color_gradients, to: np.ndarray) -> None:
+        """Add dL/d(values) to the threads' buffers `to` [threads, len(values)]."""
         at = self.features.length
-        packed, gradients = self._feature_gradients(x, basis, starts, ends, colors, color_gradients, at, to)
-        self.features.backward(self.table, x, packed.index, gradients, to)
+        packed, gradients = self._feature_gradients(points, basis, colors, color_gradients, at, to)
+        self.features.backward(self.table, points.x, packed.index, gradients, to)
 
-    def add_position_gradients(
-        self, samples: Samples, basis: np.ndarray, colors: np.ndarray, color_gradients: np.ndarray, out, chunks: int
-    ) -> None:
-        """Add dL/dx to out [n, 3], x the samples' positions in the cube."""
-        scratch = np.zeros((chunks, self.head.length), np.float32)
-        where = samples.x, basis, samples.starts, samples.ends
-        packed, gradients = self._feature_gradients(*where, colors, color_gradients, 0, scratch)
-        self.features.add_position_gradients(self.table, samples.x, packed.index, gradients, out, chunks)
+    def add_position_gradients(self, points: ShadingPoints, basis, colors, color_gradients, out, threads: int) -> None:
+        """Add dL/dx to out [n, 3]."""
+        unused = np.zeros((threads, self.head.length), np.float32)
+        packed, gradients = self._feature_gradients(points, basis, colors, color_gradients, 0, unused)
+        self.features.add_position_gradients(self.table, points.x, packed.index, gradients, out, threads)
 
-    def _feature_gradients(self, x, basis, starts, ends, colors, color_gradients, at, to):
-        chunks = len(to)
-        packed = Packed(colors, -0.5, starts, ends, chunks)
-        phi = self.features.encode(self.table, x, packed.index, chunks)
+    def _feature_gradients(self, points: ShadingPoints, basis, colors, color_gradients, at: int, to: np.ndarray):
+        """Return (packed points, dL/d(features) of theirs); adds dL/d(head's numbers) to to[:, at:]."""
+        packed = Packed.colored(points, colors, len(to))
+        phi = self.features.encode(self.table, points.x, packed.index, len(to))
         return packed, self.head.backward(phi, self.numbers, basis, packed, colors, color_gradients, at, to)
 
     def smooth(self, strength: float, to: np.ndarray) -> None:

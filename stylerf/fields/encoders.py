@@ -1,4 +1,4 @@
-"""Encoders: what a color head reads of a place. Each is pure: its table is handed in."""
+"""Encoders: features of a position for a color head. Each is pure: its table is an argument."""
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from stylerf.kernels.cpu.simd_hash import ROW
 
 
 class HashFeatures:
-    """The levels of a hash grid side by side, four floats each (Mueller et al. 2022, section 3)."""
+    """The concatenated levels of a hash grid, four floats each (Mueller et al. 2022, section 3)."""
 
     kind = "hash"
     fixed = 0  # floats, the table's first, that never learn
@@ -24,40 +24,40 @@ class HashFeatures:
 
     @classmethod
     def of(cls, capacity: Capacity, degree: int) -> "HashFeatures":
-        """degree: of the color's harmonics; more of it takes no more features."""
+        """Create features of a capacity; the degree of the color's harmonics does not change them."""
         return cls(levels_of(capacity, ROW))
 
     @property
     def width(self) -> int:
-        """Features of a place."""
+        """Features per point."""
         return ROW * self.levels.count
 
     @property
     def length(self) -> int:
-        """Floats of the table."""
+        """Floats in the table."""
         return self.levels.length
 
     def initial(self, generator: np.random.Generator) -> np.ndarray:
         return generator.uniform(-1e-1, 1e-1, self.length).astype(np.float32)
 
     def grown(self, table: np.ndarray, capacity: Capacity, generator) -> tuple["HashFeatures", np.ndarray]:
-        """The same features at a larger capacity, and their table."""
+        """Return the same features at a larger capacity, and their table."""
         new = HashFeatures(levels_of(capacity, ROW))
         return new, self.levels.regrown(table, new.levels)
 
-    def encode(self, table: np.ndarray, x: np.ndarray, index: np.ndarray, chunks: int) -> np.ndarray:
-        """[m, width] of samples x[index]."""
+    def encode(self, table: np.ndarray, x: np.ndarray, index: np.ndarray, threads: int) -> np.ndarray:
+        """Return features [m, width] of samples x[index], x [n, 3] in the unit cube."""
         out = np.empty((len(index), self.width), np.float32)
-        hash_features.features(table, self.layout, self._levels, x, index, chunks, out)
+        hash_features.features(table, self.layout, self._levels, x, index, threads, out)
         return out
 
     def backward(self, table, x, index, gradients: np.ndarray, to: np.ndarray) -> None:
-        """Add dL/d(table) to the chunks' buffers `to` [chunks, length or more]; gradients [m, width]."""
+        """Add dL/d(table) to the threads' buffers `to` [threads, length or more]; gradients [m, width]."""
         hash_features.features_backward(self.layout, self._levels, x, index, gradients, len(to), to)
 
-    def add_position_gradients(self, table, x, index, gradients: np.ndarray, out: np.ndarray, chunks: int) -> None:
+    def add_position_gradients(self, table, x, index, gradients: np.ndarray, out: np.ndarray, threads: int) -> None:
         """Add dL/dx to out [n, 3]."""
-        hash_features.features_position_gradient(table, self.layout, self._levels, x, index, gradients, chunks, out)
+        hash_features.features_position_gradient(table, self.layout, self._levels, x, index, gradients, threads, out)
 
     def smooth(self, table: np.ndarray, strength: float, to: np.ndarray) -> None:
         """See hash_density.add_smoothness."""
@@ -84,39 +84,39 @@ class VmFeatures:
 
     @classmethod
     def of(cls, capacity: Capacity, degree: int) -> "VmFeatures":
-        """degree: of the color's harmonics; more of it takes no more features."""
+        """Create features of a capacity; the degree of the color's harmonics does not change them."""
         return cls(capacity.size, capacity.color_rank)
 
     @property
     def width(self) -> int:
-        """Features of a place."""
+        """Features per point."""
         return 3 * self.rank
 
     @property
     def length(self) -> int:
-        """Floats of the table."""
+        """Floats in the table."""
         return table_length(self.size, self.rank)
 
     def initial(self, generator: np.random.Generator) -> np.ndarray:
         return initial_table(self.size, self.rank, generator, 0.1)
 
     def grown(self, table: np.ndarray, capacity: Capacity, generator) -> tuple["VmFeatures", np.ndarray]:
-        """The same features on another grid, and their table; a head has one width, so the rank stays."""
+        """Return the same features on another grid, and their table; a head has one width, so the rank stays."""
         return VmFeatures(capacity.size, self.rank), resized_table(table, self.size, capacity.size, self.rank)
 
-    def encode(self, table: np.ndarray, x: np.ndarray, index: np.ndarray, chunks: int) -> np.ndarray:
-        """[m, width] of samples x[index]."""
+    def encode(self, table: np.ndarray, x: np.ndarray, index: np.ndarray, threads: int) -> np.ndarray:
+        """Return features [m, width] of samples x[index], x [n, 3] in the unit cube."""
         out = np.empty((len(index), self.width), np.float32)
-        vm_features.features(table, self.size, self._ranks, x, index, chunks, out)
+        vm_features.features(table, self.size, self._ranks, x, index, threads, out)
         return out
 
     def backward(self, table, x, index, gradients: np.ndarray, to: np.ndarray) -> None:
-        """Add dL/d(table) to the chunks' buffers `to` [chunks, length or more]; gradients [m, width]."""
+        """Add dL/d(table) to the threads' buffers `to` [threads, length or more]; gradients [m, width]."""
         vm_features.features_backward(table, self.size, self._ranks, x, index, gradients, len(to), to)
 
-    def add_position_gradients(self, table, x, index, gradients: np.ndarray, out: np.ndarray, chunks: int) -> None:
+    def add_position_gradients(self, table, x, index, gradients: np.ndarray, out: np.ndarray, threads: int) -> None:
         """Add dL/dx to out [n, 3]."""
-        vm_features.features_position_gradient(table, self.size, self._ranks, x, index, gradients, chunks, out)
+        vm_features.features_position_gradient(table, self.size, self._ranks, x, index, gradients, threads, out)
 
     def smooth(self, table: np.ndarray, strength: float, to: np.ndarray) -> None:
         """As VmColor.smooth."""

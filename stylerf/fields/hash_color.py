@@ -1,17 +1,17 @@
-"""A color with local detail that does not depend on the view: a multi-resolution hash grid (Mueller et al. 2022)."""
+"""A view-independent color with fine local detail: a multi-resolution hash grid (Mueller et al. 2022)."""
 
 import numpy as np
 
 from stylerf.errors import InvalidValue
 from stylerf.fields.hash_levels import grid_of
-from stylerf.fields.ray_samples import Samples
-from stylerf.fields.scratch_arena import room
+from stylerf.fields.scratch_arena import ScratchArena, empty_array
 from stylerf.kernels.cpu import hash_color as kernels
+from stylerf.kernels.cpu.ray_samples import ShadingPoints
 from stylerf.kernels.cpu.simd_hash import PRIME_X, PRIME_Y, ROW
 
 
 def level_layout(levels: int, base: int, finest: int, table: int) -> tuple[np.ndarray, int]:
-    """([6, levels] int32 as the kernels read it, floats of all levels); resolutions grow geometrically.
+    """Return ([6, levels] int32 as the kernels read it, floats in all levels); resolutions grow geometrically.
 
     Rows: cells a side, multiplier of x and of y, mask, first float, -1 where hashed (see kernels/cpu/simd_hash.py).
     """
@@ -30,9 +30,9 @@ def level_layout(levels: int, base: int, finest: int, table: int) -> tuple[np.nd
 
 
 class HashColor:
-    """Color sigmoid(f[0:3] + f[3]), f the sum of all levels' trilinear mixes. values: the levels' tables, one by one.
+    """Color sigmoid(f[0:3] + f[3]), f the sum of all levels' interpolated values. values: the levels' tables.
 
-    levels of `base` to `finest` cells a side; table: most vertices a level keeps, a power of two.
+    levels of `base` to `finest` cells per side; table: most vertices of a level, a power of two.
     """
 
     kind = "hash"
@@ -55,50 +55,36 @@ class HashColor:
     def create(
         cls, generator: np.random.Generator, levels: int = 8, base: int = 16, finest: int = 512, table: int = 1 << 17
     ) -> "HashColor":
-        """An even gray, but for a hundredth of noise."""
+        """Create an even gray with a hundredth of noise."""
         count = level_layout(levels, base, finest, table)[1]
         values = generator.uniform(-1e-2, 1e-2, count).astype(np.float32)
         return cls(levels, base, finest, table, values)
 
     def groups(self) -> list[tuple[int, int, float]]:
-        """(begin, end, learning-rate factor) of parts of `values`."""
+        """Return (begin, end, learning-rate factor) of slices of `values`."""
         return [(0, len(self.values), 1.0)]
 
-    def colors(self, x, basis, starts, ends, weights, least, chunks) -> np.ndarray:
-        """[n, 3] colors in 0..1 of samples with weight > least; others have -1 in the first channel.
-
-        basis: not used, the color is the same from everywhere.
-        """
-        out = room((len(x), 3))
-        kernels.color(self.values, self.layout, self._levels, x, starts, ends, weights, np.float32(least), chunks, out)
+    def colors(self, points: ShadingPoints, basis, threads: int, arena: ScratchArena | None = None) -> np.ndarray:
+        """See ColorPart.colors; basis is not used, the color does not depend on the view."""
+        out = empty_array((len(points.x), 3), arena)
+        kernels.color(self.values, self.layout, self._levels, points, threads, out)
         return out
 
-    def backward(self, x, basis, starts, ends, colors, color_gradients, to: np.ndarray) -> None:
-        """Add dL/d(values) to the chunks' buffers `to` [chunks, len(values)]."""
-        kernels.color_backward(self.layout, self._levels, x, starts, ends, colors, color_gradients, len(to), to)
+    def backward(self, points: ShadingPoints, basis, colors, color_gradients, to: np.ndarray) -> None:
+        """Add dL/d(values) to the threads' buffers `to` [threads, len(values)]."""
+        kernels.color_backward(self.layout, self._levels, points, colors, color_gradients, to)
 
-    def add_position_gradients(
-        self, samples: Samples, basis, colors: np.ndarray, color_gradients: np.ndarray, out, chunks: int
-    ) -> None:
-        """Add dL/dx to out [n, 3], x the samples' positions in the cube."""
+    def add_position_gradients(self, points: ShadingPoints, basis, colors, color_gradients, out, threads: int) -> None:
+        """Add dL/dx to out [n, 3]."""
         kernels.color_position_gradient(
-            self.values,
-            self.layout,
-            self._levels,
-            samples.x,
-            samples.starts,
-            samples.ends,
-            colors,
-            color_gradients,
-            chunks,
-            out,
+            self.values, self.layout, self._levels, points, colors, color_gradients, threads, out
         )
 
     def smooth(self, strength: float, to: np.ndarray) -> None:
         """Add the gradient of strength/2 times the mean squared value to buffer `to` [len(values)].
 
-        Neighboring vertices of a hashed level may share their entry with any other place, so differences between
-        neighbors mean little; drawing the values to zero leaves the color to as few levels as will do.
+        Neighboring vertices of a hashed level share entries with arbitrary places, so that their differences mean
+        little. Decay to zero leaves the color to as few levels as suffice.
         """
         to += np.float32(strength / len(self.values)) * self.values
 

@@ -1,20 +1,20 @@
-"""A multi-resolution hash grid (Mueller et al. 2022) as a density, one float at a vertex."""
+"""A multi-resolution hash grid (Mueller et al. 2022) as a density, one float per vertex."""
 
 import numpy as np
 
 from stylerf.errors import InvalidValue
 from stylerf.fields.capacity import Capacity
 from stylerf.fields.hash_levels import Levels
-from stylerf.fields.marching import walk
-from stylerf.fields.ray_samples import Samples
+from stylerf.fields.marching import MarchInputs, march
 from stylerf.kernels.cpu import hash_density as kernels
+from stylerf.kernels.cpu.ray_samples import Density, Rays, Samples
 
-FASTER = 5.0  # of the learning rate (docs/decisions/0018)
-SPAN = 16  # the finest level is so many times as fine as the coarsest
+RATE_FACTOR = 5.0  # of the learning rate (decision 0018)
+SPAN = 16  # ratio of the finest to the coarsest resolution
 
 
 def levels_of(capacity: Capacity, width: int) -> Levels:
-    """The levels that a capacity asks for."""
+    """Return the levels of a capacity, with `width` floats per vertex."""
     base = max(2, capacity.finest // SPAN)
     whole = Levels(capacity.levels, base, capacity.finest, capacity.table, width, capacity.levels)
     return whole.within(capacity.resolution)
@@ -23,9 +23,9 @@ def levels_of(capacity: Capacity, width: int) -> Levels:
 def add_smoothness(levels: Levels, table: np.ndarray, strength: float, to: np.ndarray) -> None:
     """Add the gradient of a hash grid's total variation to buffer `to` [len(table) or more].
 
-    Levels whose vertices have entries of their own: strength/2 times the mean squared difference of neighbors. Of a
-    hashed level neighbors may be places far apart; there the values are drawn to zero, which leaves what is seen to
-    the coarser, smooth levels. Means are over all floats of the grid.
+    For directly indexed levels: strength/2 times the mean squared difference of neighbors. In hashed levels neighboring
+    entries may belong to distant places; their values decay to zero instead, which leaves the scene to the coarser,
+    smooth levels. Means are over all floats of the grid.
     """
     strength = np.float32(strength / levels.length)
     for level in range(levels.active):
@@ -37,7 +37,7 @@ def add_smoothness(levels: Levels, table: np.ndarray, strength: float, to: np.nd
 
 
 class HashDensity:
-    """Raw density exp(shift + sum of all levels' trilinear mixes) on the unit cube. values: levels' tables, shift."""
+    """Raw density exp(shift + sum of all levels' interpolated values). values: levels' tables, shift."""
 
     kind = "hash"
 
@@ -50,7 +50,7 @@ class HashDensity:
 
     @classmethod
     def create(cls, capacity: Capacity, generator: np.random.Generator, shift: float = -4.0) -> "HashDensity":
-        """A thin fog, as VmDensity.create's."""
+        """Create a thin fog, as VmDensity.create does."""
         levels = levels_of(capacity, 1)
         values = generator.uniform(-1e-2, 1e-2, levels.length).astype(np.float32)
         return cls(levels, np.append(values, np.float32(shift)))
@@ -60,55 +60,35 @@ class HashDensity:
         return self.values[:-1]
 
     def groups(self) -> list[tuple[int, int, float]]:
-        """(begin, end, learning-rate factor) of parts of `values`."""
-        return [(0, len(self.values), FASTER)]
+        """Return (begin, end, learning-rate factor) of slices of `values`."""
+        return [(0, len(self.values), RATE_FACTOR)]
 
     def grown(self, capacity: Capacity, generator: np.random.Generator) -> "HashDensity":
-        """The same density with more levels active and larger tables."""
+        """Return the same density with more levels active and larger tables."""
         levels = levels_of(capacity, 1)
         return HashDensity(levels, np.append(self.levels.regrown(self.table, levels), self.values[-1]))
 
-    def sigma(self, x: np.ndarray, chunks: int) -> np.ndarray:
-        """Raw density of warped points [n, 3] float32 -> [n]."""
+    def sigma(self, x: np.ndarray, threads: int) -> np.ndarray:
+        """Return raw density [n] at points [n, 3] float32 in the unit cube."""
         out = np.empty(len(x), np.float32)
-        kernels.density(self.table, self.layout, self.values[-1], self._levels, x, chunks, out)
+        kernels.density_at(self._density, self._levels, x, threads, out)
         return out
 
-    def march(self, space, rays, occupancy, step, displacement, limit, opaque, closed, chunks) -> Samples:
-        """Walk rays through the density."""
-        numbers = self.table, self.layout, self.values[-1], self._levels
-        return walk(
-            kernels.march_density,
-            numbers,
-            space,
-            rays,
-            occupancy,
-            step,
-            displacement,
-            limit,
-            opaque,
-            closed,
-            chunks,
-        )
+    @property
+    def _density(self) -> Density:
+        return Density(self.table, self.layout, self.values[-1])
 
-    def backward(self, x, starts, ends, sigma, sigma_gradients, to: np.ndarray) -> None:
-        """Add dL/d(values) to the chunks' buffers `to` [chunks, len(values)]."""
-        kernels.density_backward(self.layout, self._levels, x, starts, ends, sigma, sigma_gradients, len(to), to)
+    def march(self, rays: Rays, inputs: MarchInputs) -> Samples:
+        """March rays through the density."""
+        return march(kernels.march_density, self._density, self._levels, rays, inputs)
 
-    def add_position_gradients(self, samples: Samples, sigma_gradients, out: np.ndarray, chunks: int) -> None:
-        """Add dL/dx to out [n, 3], x the samples' positions in the cube."""
-        kernels.density_position_gradient(
-            self.table,
-            self.layout,
-            self._levels,
-            samples.x,
-            samples.starts,
-            samples.ends,
-            samples.sigma,
-            sigma_gradients,
-            chunks,
-            out,
-        )
+    def backward(self, samples: Samples, sigma_gradients: np.ndarray, to: np.ndarray) -> None:
+        """Add dL/d(values) to the threads' buffers `to` [threads, len(values)], from dL/d(sigma) [n]."""
+        kernels.density_backward(self.layout, self._levels, samples, sigma_gradients, to)
+
+    def add_position_gradients(self, samples: Samples, sigma_gradients, out: np.ndarray, threads: int) -> None:
+        """Add dL/dx to out [n, 3]."""
+        kernels.density_position_gradient(self.table, self.layout, self._levels, samples, sigma_gradients, threads, out)
 
     def smooth(self, strength: float, to: np.ndarray) -> None:
         """See add_smoothness."""

@@ -1,4 +1,4 @@
-"""Positions as features for a network: a multi-resolution hash grid with its levels side by side."""
+"""Positional encoding by a multi-resolution hash grid with its levels concatenated."""
 
 import numpy as np
 import torch
@@ -12,7 +12,7 @@ from stylerf.kernels.cpu.simd_hash import ROW
 
 
 class HashEncoding:
-    """phi(x) [n, 4 levels]: every level's trilinear mix of the four floats at the vertices around x.
+    """phi(x) [n, 4 levels]: for each level, the four floats at the vertices around x, interpolated.
 
     levels of `base` to `finest` cells a side; table: most vertices a level keeps, a power of two. values: the levels'
     tables, one by one, float32. Eight levels make the 32 features of LAENeRF (16 levels of two).
@@ -43,32 +43,34 @@ class HashEncoding:
         table: int = 1 << 16,
         spread: float = 1e-2,
     ) -> "HashEncoding":
-        """Features even in -spread..spread. Mueller et al. begin at 1e-4, which takes hundreds of steps to grow."""
+        """Create features uniform in -spread..spread; the 1e-4 of Mueller et al. takes hundreds of steps to grow."""
         count = level_layout(levels, base, finest, table)[1]
         return cls(levels, base, finest, table, generator.uniform(-spread, spread, count).astype(np.float32))
 
     @property
     def width(self) -> int:
-        """Features of a point."""
+        """Features per point."""
         return self.levels * ROW
 
-    def forward(self, x: np.ndarray, chunks: int) -> Tensor:
-        """phi [n, 4 levels] of cube points x [n, 3] float32 in 0..1, without a graph."""
+    def forward(self, x: np.ndarray, threads: int) -> Tensor:
+        """Return phi [n, 4 levels] of cube points x [n, 3] float32 in 0..1, outside of autograd."""
         out = torch.empty(len(x), self.width)
-        kernels.encode(self.values, self.layout, self._levels, np.ascontiguousarray(x, np.float32), chunks, out.numpy())
+        kernels.encode(
+            self.values, self.layout, self._levels, np.ascontiguousarray(x, np.float32), threads, out.numpy()
+        )
         return out
 
     def backward(self, x: np.ndarray, gradients: np.ndarray, to: np.ndarray) -> None:
-        """Add dL/d(values) to the chunks' buffers `to` [chunks, len(values)]; gradients [n, 4 levels] = dL/d(phi)."""
+        """Add dL/d(values) to the threads' buffers `to` [threads, len(values)]; gradients [n, 4 levels] = dL/d(phi)."""
         x, gradients = (np.ascontiguousarray(array, np.float32) for array in (x, gradients))
         kernels.encode_backward(self.layout, self._levels, x, gradients, len(to), to)
 
     def __call__(self, x: np.ndarray, to: np.ndarray) -> Tensor:
-        """phi as part of a graph: its backward adds dL/d(values) to the buffers `to` [chunks, len(values)].
+        """Return phi for autograd; its backward adds dL/d(values) to the buffers `to` [threads, len(values)].
 
-        Nothing is differentiable by x.
+        Not differentiable with respect to x.
         """
-        # The hook: autograd calls backward only where some input of the function wants a gradient.
+        # Autograd calls backward only if some input requires a gradient: hence a dummy scalar.
         return _Encode.apply(torch.zeros((), requires_grad=True), self, x, to)
 
     def describe(self) -> dict:
@@ -86,8 +88,8 @@ class HashEncoding:
 
 
 class _Encode(torch.autograd.Function):
-    """The table's gradient goes to buffers of its own, where the sparse optimizer wants it: as a tensor it would be
-    summed, copied and cleared whole in every step, though a batch touches a hundredth of it.
+    """Adds the table's gradient to the sparse optimizer's buffers: as a tensor all of it would be summed, copied and
+    cleared in every step, though a batch touches a hundredth of it.
     """
 
     @staticmethod

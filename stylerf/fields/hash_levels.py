@@ -1,4 +1,4 @@
-"""The levels of a hash grid that grows: coarse ones are taught first, fine ones wait as a single vertex each."""
+"""The levels of a growing hash grid: coarse levels train first, fine ones are a single vertex until activated."""
 
 from dataclasses import dataclass, replace
 
@@ -15,9 +15,8 @@ MOST_LEVELS, MOST_CELLS, MOST_VERTICES = 32, 4096, 1 << 24
 class Levels:
     """`count` levels of `base` to `finest` cells a side, growing geometrically, with `width` floats at a vertex.
 
-    table: most vertices a level keeps, a power of two. active: levels, the coarsest, that have more than one vertex.
-    The others are the same everywhere. So a kernel, which is compiled for a number of levels, serves all stages of a
-    growth.
+    table: most vertices of a level, a power of two. active: number of levels, the coarsest, with more than one vertex;
+    the others are constant. A kernel is compiled for a number of levels, so that one serves all stages of growth.
     """
 
     count: int
@@ -37,30 +36,30 @@ class Levels:
 
     @property
     def cells(self) -> list[int]:
-        """Cells a side of each level."""
+        """Cells per side of each level."""
         growth = (self.finest / self.base) ** (1 / max(self.count - 1, 1))
         return [round(self.base * growth**level) for level in range(self.count)]
 
     def vertices(self, level: int) -> int:
-        """Vertices that a level keeps."""
+        """Vertices stored for a level."""
         return min((self.cells[level] + 1) ** 3, self.table) if level < self.active else 1
 
     @property
     def firsts(self) -> np.ndarray:
-        """First float of each level, and the length of all: [count + 1] int64."""
+        """Offset of each level's first float, and the total length: [count + 1] int64."""
         return np.cumsum([0] + [self.vertices(level) * self.width for level in range(self.count)])
 
     @property
     def length(self) -> int:
-        """Floats of all levels."""
+        """Floats in all levels."""
         return int(self.firsts[-1])
 
     def is_direct(self, level: int) -> bool:
-        """Whether each vertex of a level has an entry of its own."""
+        """Whether each vertex of a level has its own entry."""
         return level < self.active and (self.cells[level] + 1) ** 3 <= self.table
 
     def layout(self) -> np.ndarray:
-        """[6, count] int32 as the kernels read it (kernels/cpu/simd_hash.py)."""
+        """Return [6, count] int32 as the kernels read it (kernels/cpu/simd_hash.py)."""
         layout = np.empty((6, self.count), np.int32)
         for level, (cells, first) in enumerate(zip(self.cells, self.firsts)):
             if level >= self.active:
@@ -72,14 +71,14 @@ class Levels:
         return layout
 
     def within(self, resolution: int) -> "Levels":
-        """The same grid with those levels active that are no finer than `resolution` cells a side."""
+        """Return the grid with the levels active that have at most `resolution` cells per side."""
         return replace(self, active=max(1, sum(cells <= resolution for cells in self.cells)))
 
     def regrown(self, values: np.ndarray, new: "Levels") -> np.ndarray:
-        """The same numbers laid out for `new`, with other levels active, and tables as large or larger.
+        """Lay out the same values for `new`, which has other levels active and tables as large or larger.
 
-        With more active, nothing changes: an entry of a larger table is that which its hash had in the smaller one. A
-        level that is active no more says nothing (0).
+        With more levels active the function is unchanged: an entry of a larger table starts as the one that its hash
+        had in the smaller table. Deactivated levels become 0.
         """
         if replace(new, active=self.active, table=self.table) != self:
             raise InvalidValue(f"{self} cannot grow to {new}")
@@ -93,7 +92,7 @@ class Levels:
         return out
 
     def _entries(self, level: int, new: "Levels") -> np.ndarray:
-        """For each entry of a level in `new`, the entry that it had."""
+        """Return, for each entry of a level in `new`, its old entry."""
         entries = np.arange(new.vertices(level))
         if level >= self.active:
             return np.zeros_like(entries)
@@ -117,7 +116,7 @@ class Levels:
 
 
 def grid_of(data: dict) -> tuple[int, int, int, int]:
-    """levels, base, finest and table of the JSON form of a hash grid, each within its bounds."""
+    """Return levels, base, finest and table from the JSON form of a hash grid, each checked against its bounds."""
     levels, base = validation.integer(data, "levels", 1, MOST_LEVELS), validation.integer(data, "base", 1, MOST_CELLS)
     return (
         levels,

@@ -1,8 +1,8 @@
-"""Where a field may have density: a grid of cells over the unit cube that lets rays leap over empty space.
+"""Occupancy grid: where a field may have density, and how far rays can skip through empty space.
 
-Each cell keeps a decaying maximum of the densities seen in it (Instant-NGP, Mueller et al. 2022, appendix C). A cell is
-occupied where a step through it would be more than a hundredth opaque. `distances` holds, per cell, 0 where occupied,
-else the Chebyshev distance to the nearest occupied cell.
+Each cell keeps a decaying maximum of the densities evaluated in it (Instant-NGP, Mueller et al. 2022, appendix C). A
+cell is occupied if a step through it would be more than a hundredth opaque. `distances` holds, per cell, the Chebyshev
+distance to the nearest occupied cell (0: occupied).
 """
 
 import numpy as np
@@ -13,16 +13,20 @@ from stylerf.errors import InvalidValue
 from stylerf.kernels.cpu.march import OPTICAL_SCALE
 
 OPAQUE_STEP = 0.01
-UNSEEN = np.inf  # in place of the density of a cell that nobody has looked at
-MARK = 1e4  # the same in files of before
-DENSEST = 9999.0  # of what was seen no more is kept
-MOST_CELLS = 1024  # per axis
+UNSEEN = np.inf  # density of a cell that has not been evaluated: it counts as occupied
+MARK = 1e4  # UNSEEN in older files
+DENSEST = 9999.0  # densities are clamped to this, below MARK
+MAX_CELLS = 1024  # per axis
 
 
 class OccupancyGrid:
-    """cells: resolution per axis. highest: decaying maximum of raw density, [cells^3] float32.
+    """An occupancy grid over the unit cube.
 
-    clear: cells [cells^3] bool that are known to be empty, whatever a field says of them: never looked at or occupied.
+    Attributes:
+        cells: resolution per axis.
+        highest: [cells^3] float32, decaying maximum of raw density.
+        distances: [cells^3] uint8, Chebyshev distance to the nearest occupied cell, in cells; 0: occupied.
+        clear: [cells^3] bool, cells known to be empty whatever the field holds there (None: none are).
     """
 
     def __init__(self, cells: int, highest: np.ndarray | None = None, clear: np.ndarray | None = None) -> None:
@@ -35,23 +39,27 @@ class OccupancyGrid:
 
     @staticmethod
     def restore(cells: int, arrays: dict[str, np.ndarray]) -> "OccupancyGrid":
-        """From a field's description and arrays."""
+        """Rebuild a grid from a field's arrays; raises InvalidValue if they are not those of a grid."""
         highest = validation.array(arrays, "occupancy.highest", np.float32, (cells**3,), most=None)
-        if not (highest >= 0).all():  # infinity stands for what nobody has looked at
+        if not (highest >= 0).all():  # infinity: never evaluated
             raise InvalidValue("the array occupancy.highest holds NaN, or a density below 0")
         made = OccupancyGrid(cells, highest)
         made.distances = validation.array(arrays, "occupancy.distances", np.uint8, (cells**3,))
         _check_distances(made.distances.reshape((cells,) * 3))
         return made
 
-    def refresh(self, density, step: float, seed: int, share: int, decay: float) -> None:
-        """Look at one cell in `share` (plus, when share > 1, nothing else), then decide what is occupied.
+    def refresh(self, density, step: float, seed: int, stride: int, decay: float) -> None:
+        """Evaluate the density in every stride-th cell, then decide what is occupied.
 
-        density: callable of warped points [n, 3] -> raw density. seed: decides the cells and the points in them.
+        Args:
+            density: callable of points [n, 3] in the cube, returning raw density [n].
+            step: marching step, cube units.
+            seed: selects the first cell, and the point within each.
+            decay: factor on the old maximum of each evaluated cell.
         """
         generator = np.random.default_rng(seed)
-        start = int(generator.integers(share))
-        index = np.arange(start, self.cells**3, share)
+        start = int(generator.integers(stride))
+        index = np.arange(start, self.cells**3, stride)
         if self.clear is not None:
             index = index[~self.clear[index]]
         corner = np.stack(np.unravel_index(index, (self.cells,) * 3), -1).astype(np.float32)
@@ -62,14 +70,14 @@ class OccupancyGrid:
         self.decide(step)
 
     def decide(self, step: float) -> None:
-        """Recompute `distances` for rays of step `step` (cube units)."""
-        least = -np.log1p(-OPAQUE_STEP) / (float(OPTICAL_SCALE) * step)
-        # Never let a young, thin field vanish as a whole: its mean is still worth a look.
-        occupied = self.highest > min(least, float(np.mean(np.minimum(self.highest, MARK))))
+        """Recompute `distances` for a marching step (cube units)."""
+        threshold = -np.log1p(-OPAQUE_STEP) / (float(OPTICAL_SCALE) * step)
+        # Below its mean density nothing is pruned: a young field may be thinner than the threshold everywhere.
+        occupied = self.highest > min(threshold, float(np.mean(np.minimum(self.highest, MARK))))
         self.set_occupied(occupied)
 
     def set_occupied(self, occupied: np.ndarray) -> None:
-        """Recompute `distances` for these cells [cells^3] bool, those known to be clear left out."""
+        """Recompute `distances` from occupied cells [cells^3] bool, without those known to be clear."""
         if self.clear is not None:
             occupied = occupied & ~self.clear
         grid = ~occupied.reshape((self.cells,) * 3)
@@ -81,18 +89,18 @@ class OccupancyGrid:
 
     @property
     def share(self) -> float:
-        """Occupied share of the cells."""
+        """Occupied fraction of the cells."""
         return float(np.mean(self.distances == 0))
 
     def resized(self, cells: int) -> "OccupancyGrid":
-        """The same knowledge on a grid a whole multiple finer."""
+        """Return the grid at a whole multiple of its resolution."""
         grown = OccupancyGrid(cells, self._spread(self.highest, cells))
         grown.clear = None if self.clear is None else self._spread(self.clear, cells)
         grown.set_occupied(self._spread(self.distances == 0, cells))
         return grown
 
     def _spread(self, values: np.ndarray, cells: int) -> np.ndarray:
-        """Values of cells on the finer grid."""
+        """Repeat values of cells onto the finer grid."""
         grid = values.reshape((self.cells,) * 3)
         for axis in range(3):
             grid = np.repeat(grid, cells // self.cells, axis=axis)
@@ -100,10 +108,10 @@ class OccupancyGrid:
 
 
 def _check_distances(distances: np.ndarray) -> None:
-    """InvalidValue where a cell [s, s, s] says that it is farther from what is occupied than its neighbors allow.
+    """Raise InvalidValue if any distance [s, s, s] is larger than its neighbors allow.
 
-    Chebyshev distances of neighbors, diagonal ones too, differ by 1 at most. One that is too large would have rays
-    leap over what is occupied; one that is too small (those of a GPU end at 32) costs steps, no more.
+    Chebyshev distances of neighbors, diagonal ones included, differ by at most 1. A distance that is too large would
+    let rays skip occupied cells; one that is too small (a GPU's end at 32) only costs steps.
     """
     least = distances
     for axis in range(3):
@@ -117,5 +125,5 @@ def _check_distances(distances: np.ndarray) -> None:
 
 
 def _marked(highest: np.ndarray) -> np.ndarray:
-    """These densities, with the present mark where an older file has its own."""
+    """Return densities with UNSEEN in place of the mark of older files."""
     return np.where(highest >= MARK, UNSEEN, highest)

@@ -1,7 +1,7 @@
-"""What a view sees of a fixed density: the few samples that carry each pixel, packed, so that colors alone can learn.
+"""The visible surface of a fixed density: the few samples that make up each pixel, packed, for learning colors alone.
 
-While the density does not move, where rays end does not either: a stylization that visits a view thirty times need
-march it once. Positions are kept in 16 bits an axis (1/128 of the finest cell of a 512^3 color grid).
+While the density is fixed, rays end where they ended before: a stylization that visits a view thirty times marches it
+once (decision 0005). Positions take 16 bits per axis, 1/128 of the finest cell of a 512^3 color grid.
 """
 
 from collections.abc import Iterable
@@ -10,16 +10,23 @@ from dataclasses import dataclass
 import numpy as np
 
 from stylerf.fields.radiance_field import RadianceField
-from stylerf.fields.ray_samples import Rays
 from stylerf.geometry.cameras import Camera
-from stylerf.kernels.cpu.compositing import count_shown, pack_shown, significant, unpack
+from stylerf.kernels.cpu.compositing import count_visible, pack_visible, unpack, visible_weights
+from stylerf.kernels.cpu.ray_samples import Rays, ShadingPoints
 
 RAYS_AT_ONCE = 8192
 
 
 @dataclass(frozen=True)
 class PackedSurface:
-    """offsets [pixels + 1] into x [n, 3] uint16 and weights [n] float32 (they sum to alpha per pixel); alpha [h, w]."""
+    """The samples of one view.
+
+    Attributes:
+        offsets: [pixels + 1] int64, each pixel's first sample.
+        x: [n, 3] uint16, position in the unit cube times 65535.
+        weights: [n] float32, scaled to sum to each pixel's alpha.
+        alpha: [h, w], 0..1.
+    """
 
     offsets: np.ndarray
     x: np.ndarray
@@ -28,25 +35,25 @@ class PackedSurface:
 
     @property
     def bytes(self) -> int:
-        """Memory taken."""
+        """Bytes of memory."""
         return self.offsets.nbytes + self.x.nbytes + self.weights.nbytes
 
-    def samples(self, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """(starts, ends [pixels], x [n, 3] float32 in the cube, weights [n]) of chosen pixels (row-major indices)."""
+    def samples(self, pixels: np.ndarray) -> ShadingPoints:
+        """Return the samples of chosen pixels (row-major indices, [rays])."""
         counts = self.offsets[pixels + 1] - self.offsets[pixels]
         ends = np.cumsum(counts)
         starts = ends - counts
         n = int(ends[-1]) if len(ends) else 0
         x, weights = np.empty((n, 3), np.float32), np.empty(n, np.float32)
         unpack(pixels, self.offsets, self.x, self.weights, starts, x, weights)
-        return starts, ends, x, weights
+        return ShadingPoints(starts, ends, x, weights)
 
 
 def cells_of(surface: PackedSurface) -> float:
-    """Cells a side of a grid over the cube whose cells are as wide as what one pixel of the view sees, nan if nothing.
+    """Return the resolution of a grid over the cube whose cells are one pixel of the view wide; nan if nothing is seen.
 
-    Per pixel, the nearer of its right and its lower neighbor's point on the surface (so that slanted surfaces count by
-    their finer side); the median over pixels that are all but opaque. Points are means weighted as the colors are.
+    Per pixel, the distance to the nearer of its right and lower neighbors' surface points (slanted surfaces count by
+    their finer side); the median over nearly opaque pixels. Points are means weighted as the colors are.
     """
     height, width = surface.alpha.shape
     starts, ends, x, weights = surface.samples(np.arange(height * width))
@@ -62,36 +69,43 @@ def cells_of(surface: PackedSurface) -> float:
 
 
 def pixel_cells(surfaces: Iterable[PackedSurface]) -> float:
-    """The median of cells_of over views, nan if none of them sees anything."""
+    """Return the median of cells_of over views; nan if none of them sees anything."""
     found = np.array([cells_of(surface) for surface in surfaces])
     return float(np.median(found[np.isfinite(found)])) if np.isfinite(found).any() else float("nan")
 
 
 def surface_of(
-    field: RadianceField, camera: Camera, share: float, chunks: int, opaque: float = 1e-3, stride: int = 1
+    field: RadianceField,
+    camera: Camera,
+    weight_threshold: float,
+    threads: int,
+    min_transmittance: float = 1e-3,
+    stride: int = 1,
 ) -> PackedSurface:
-    """March one view. share: part of a ray's largest weight that a sample must have to be kept.
+    """March one view and keep its visible samples.
 
-    stride: only each stride-th pixel of each stride-th row is walked; the surface is that of so much smaller a view.
+    Args:
+        weight_threshold: part of its ray's largest weight that a sample needs to be kept.
+        stride: march only each stride-th pixel of each stride-th row; the surface is that of so much smaller a view.
     """
     pixels = np.arange(camera.height * camera.width).reshape(camera.height, camera.width)[::stride, ::stride]
     origins, directions = camera.rays(pixels.ravel())
-    counts, parts_x, parts_w, alphas = [], [], [], []
+    counts, parts_x, parts_weights, alphas = [], [], [], []
     for at in range(0, len(origins), RAYS_AT_ONCE):
         part = slice(at, at + RAYS_AT_ONCE)
-        samples = field.march(Rays.of(origins[part], directions[part], field.space.near), 512, opaque, chunks)
-        starts, ends = samples.starts, samples.ends
-        shown, count = np.empty_like(samples.weights), np.empty(len(ends), np.int64)
-        significant(samples.weights, starts, ends, np.float32(share), chunks, shown)
-        count_shown(shown, starts, ends, chunks, count)
+        rays = Rays.of(origins[part], directions[part], field.space.near)
+        samples = field.march(rays, 512, min_transmittance, threads)
+        visible, count = np.empty_like(samples.weights), np.empty(len(samples.ends), np.int64)
+        visible_weights(samples, np.float32(weight_threshold), threads, visible)
+        count_visible(visible, samples.starts, samples.ends, threads, count)
         offsets = np.concatenate([[0], np.cumsum(count)])
         x, weights = np.empty((offsets[-1], 3), np.uint16), np.empty(offsets[-1], np.float32)
-        pack_shown(shown, samples.x, samples.weights, starts, ends, offsets, chunks, x, weights)
+        pack_visible(visible, samples, offsets, threads, x, weights)
         counts.append(count)
         parts_x.append(x)
-        parts_w.append(weights)
+        parts_weights.append(weights)
         sums = np.concatenate([[0.0], np.cumsum(weights, dtype=np.float64)])
         alphas.append((sums[offsets[1:]] - sums[offsets[:-1]]).astype(np.float32))
     offsets = np.concatenate([[0], np.cumsum(np.concatenate(counts))]).astype(np.int64)
     alpha = np.clip(np.concatenate(alphas), 0, 1).reshape(pixels.shape)
-    return PackedSurface(offsets, np.concatenate(parts_x), np.concatenate(parts_w), alpha)
+    return PackedSurface(offsets, np.concatenate(parts_x), np.concatenate(parts_weights), alpha)

@@ -1,4 +1,4 @@
-"""A color as a palette of the whole scene, mixed at every place (PaletteNeRF): its palette can be changed at once."""
+"""A palette for the whole scene, mixed at every point (PaletteNeRF, Kuang et al. 2023), that can be edited at once."""
 
 from collections.abc import Sequence
 
@@ -8,12 +8,13 @@ from torch import Tensor
 
 from stylerf import validation
 from stylerf.errors import InvalidValue
-from stylerf.fields.color_heads import Packed, hidden_from_view
+from stylerf.fields.color_heads import Packed, uncolored
 from stylerf.fields.encoders import HashFeatures
 from stylerf.fields.hash_levels import Levels
 from stylerf.fields.palette_head import DEGREE, PaletteHead, Parts
-from stylerf.fields.ray_samples import Samples
 from stylerf.fields.recoloring import Recoloring, recolored
+from stylerf.fields.scratch_arena import ScratchArena
+from stylerf.kernels.cpu.ray_samples import ShadingPoints
 from stylerf.kernels.cpu.simd_hash import ROW
 
 POINTS_AT_ONCE = 1 << 16
@@ -23,8 +24,8 @@ MOST_BASES = 16
 class PaletteColor:
     """Color clamp(sum_i w_i I (P_i + delta_i) + s, 0, 1) of fields/palette_head.py, after `edits`.
 
-    values: the features' table, the palette [bases, 3], the head's numbers. edits: in their order; they are part of
-    what describe() tells, and teach nothing.
+    values: the features' table, the palette [bases, 3], the head's numbers. edits: in their order; part of describe();
+    they do not learn.
     """
 
     kind = "palette"
@@ -47,21 +48,21 @@ class PaletteColor:
     def create(
         cls, generator: np.random.Generator, palette: np.ndarray, levels: int, finest: int, table: int, base: int = 16
     ) -> "PaletteColor":
-        """palette [bases, 3] sRGB: where it begins. table: most vertices a level keeps, a power of two."""
+        """Create a color from an initial palette [bases, 3], sRGB. table: most vertices of a level, a power of two."""
         features = HashFeatures(Levels(levels, min(base, finest), finest, table, ROW, levels))
         head = PaletteHead(features.width, len(palette))
         parts = [features.initial(generator), np.asarray(palette, np.float32).ravel(), head.initial(generator)]
         return cls(features, len(palette), np.concatenate(parts))
 
     def edited(self, edit: Recoloring) -> "PaletteColor":
-        """The same color with one edit more; `values` are shared."""
+        """Return the color with one more edit; `values` are shared."""
         return PaletteColor(self.features, self.bases, self.values, (*self.edits, edit))
 
     # -- its values -------------------------------------------------------------------------------------------------
 
     @property
     def finest(self) -> int:
-        """Cells a side of the finest level."""
+        """Cells per side of the finest level."""
         return self.features.levels.finest
 
     @property
@@ -75,19 +76,19 @@ class PaletteColor:
 
     @property
     def palette(self) -> np.ndarray:
-        """[bases, 3] as learned, sRGB; not bound to 0..1."""
+        """[bases, 3] as learned, sRGB; not limited to 0..1."""
         return self.rest[: 3 * self.bases].reshape(-1, 3)
 
     @property
     def present_palette(self) -> np.ndarray:
-        """[bases, 3] with the colors that edits gave, wherever they apply."""
+        """[bases, 3] after the edits' color changes."""
         palette = self.palette
         for edit in self.edits:
             palette = edit.changes.palette(palette)
         return palette
 
     def groups(self) -> list[tuple[int, int, float]]:
-        """(begin, end, learning-rate factor) of parts of `values`: table, palette, head."""
+        """Return (begin, end, learning-rate factor) of slices of `values`: table, palette, head."""
         begin, end = self.features.length, self.features.length + 3 * self.bases
         return [(0, begin, 3.0), (begin, end, 0.1), (end, len(self.values), 0.5)]
 
@@ -107,40 +108,39 @@ class PaletteColor:
         return recolored(*given, palette, self.edits, x).clamp(0, 1)
 
     @torch.no_grad()
-    def colors(self, x, basis, starts, ends, weights, least, chunks) -> np.ndarray:
-        """[n, 3] colors in 0..1 of samples with weight > least; others have -1 in the first channel."""
-        out, rest = hidden_from_view(starts, ends, len(x), chunks), torch.from_numpy(self.rest)
-        packed = Packed(weights.reshape(-1, 1), least, starts, ends, chunks)
+    def colors(
+        self, points: ShadingPoints, basis: np.ndarray, threads: int, arena: ScratchArena | None = None
+    ) -> np.ndarray:
+        """See ColorPart.colors."""
+        out, rest, x = uncolored(points, threads, arena), torch.from_numpy(self.rest), points.x
+        packed = Packed.weighted(points, threads)
         for at in range(0, len(packed.index), POINTS_AT_ONCE):
             index, rays = packed.index[at : at + POINTS_AT_ONCE], packed.ray[at : at + POINTS_AT_ONCE]
-            phi = torch.from_numpy(self.features.encode(self.table, x, index, chunks))
+            phi = torch.from_numpy(self.features.encode(self.table, x, index, threads))
             out[index] = self._shown(rest, phi, torch.from_numpy(basis[rays]), x[index]).numpy()
         return out
 
-    def backward(self, x, basis, starts, ends, colors, color_gradients, to: np.ndarray) -> None:
-        """Add dL/d(values) to the chunks' buffers `to` [chunks, len(values)]."""
-        packed, gradients, own = self._feature_gradients(x, basis, starts, ends, colors, color_gradients, len(to))
-        self.features.backward(self.table, x, packed.index, gradients, to)
+    def backward(self, points: ShadingPoints, basis, colors, color_gradients, to: np.ndarray) -> None:
+        """Add dL/d(values) to the threads' buffers `to` [threads, len(values)]."""
+        packed, gradients, own = self._feature_gradients(points, basis, colors, color_gradients, len(to))
+        self.features.backward(self.table, points.x, packed.index, gradients, to)
         to[0, self.features.length :] += own
 
-    def add_position_gradients(
-        self, samples: Samples, basis, colors: np.ndarray, color_gradients: np.ndarray, out, chunks: int
-    ) -> None:
-        """Add dL/dx to out [n, 3], x the samples' positions in the cube; the slope of edits' filters is left out."""
-        where = samples.x, basis, samples.starts, samples.ends
-        packed, gradients, _ = self._feature_gradients(*where, colors, color_gradients, chunks)
-        self.features.add_position_gradients(self.table, samples.x, packed.index, gradients, out, chunks)
+    def add_position_gradients(self, points: ShadingPoints, basis, colors, color_gradients, out, threads: int) -> None:
+        """Add dL/dx to out [n, 3]; the slope of the edits' filters is left out."""
+        packed, gradients, _ = self._feature_gradients(points, basis, colors, color_gradients, threads)
+        self.features.add_position_gradients(self.table, points.x, packed.index, gradients, out, threads)
 
-    def _feature_gradients(self, x, basis, starts, ends, colors, color_gradients, chunks):
-        """(packed samples, dL/d(phi) of theirs, dL/d(palette and head))."""
-        packed = Packed(colors, -0.5, starts, ends, chunks)
+    def _feature_gradients(self, points: ShadingPoints, basis, colors, color_gradients, threads: int):
+        """Return (packed points, dL/d(features) of theirs, dL/d(palette and head))."""
+        packed, x = Packed.colored(points, colors, threads), points.x
         gradients = np.empty((len(packed.index), self.features.width), np.float32)
         own = np.zeros(len(self.rest), np.float32)
         for at in range(0, len(packed.index), POINTS_AT_ONCE):
             part = slice(at, at + POINTS_AT_ONCE)
             index, rays = packed.index[part], packed.ray[part]
             rest = torch.from_numpy(self.rest.copy()).requires_grad_()
-            phi = torch.from_numpy(self.features.encode(self.table, x, index, chunks)).requires_grad_()
+            phi = torch.from_numpy(self.features.encode(self.table, x, index, threads)).requires_grad_()
             shown = self._shown(rest, phi, torch.from_numpy(basis[rays]), x[index])
             shown.backward(torch.from_numpy(color_gradients[index]))
             gradients[part] = phi.grad.numpy()

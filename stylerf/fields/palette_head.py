@@ -1,9 +1,9 @@
-"""What a palette decomposition reads of a place: mixing weights, offsets, intensity, and a color of its own.
+"""The heads of a palette decomposition: mixing weights, offsets, intensity, and a direct color.
 
 PaletteNeRF (Kuang et al. 2023, section 4). With phi the features of a place and Y the harmonics of a direction:
 
-    diffuse   f = sigmoid(A phi + b)                      what is the same from everywhere
-    specular  s = tanh(S2 relu(S1 (phi, Y)))              what depends on the view
+    diffuse   f = sigmoid(A phi + b)                      independent of the view
+    specular  s = tanh(S2 relu(S1 (phi, Y)))              dependent on the view
     palette   h = F2 relu(F1 (phi, f)),  15 numbers;  O h = z [M], delta [M, 3], I
               w_i = (softplus(z_i) + 0.05) / sum
 
@@ -22,8 +22,8 @@ from stylerf.geometry.spherical_harmonics import BANDS
 
 DEGREE = 2
 VIEW_UNITS, UNITS, CODE = 32, 64, 15  # PaletteNeRF: 64 and 15
-LEAST_WEIGHT = 0.05  # before weights are divided by their sum
-EVEN = math.log(math.e - 1)  # whose softplus is 1
+MIN_WEIGHT = 0.05  # before normalization
+EVEN = math.log(math.e - 1)  # its softplus is 1
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class Parts:
     intensity: Tensor
 
     def mixed(self, palette: Tensor) -> Tensor:
-        """[n, 3]: sum_i w_i I (P_i + delta_i), without the specular part."""
+        """Return [n, 3]: sum_i w_i I (P_i + delta_i), without the specular part."""
         return self.intensity * (self.weights @ palette + (self.weights[..., None] * self.offsets).sum(1))
 
 
@@ -57,11 +57,11 @@ class PaletteHead:
 
     @property
     def length(self) -> int:
-        """How many numbers it has."""
+        """Number of values."""
         return sum((inside + 1) * outside for inside, outside in self.layers)
 
     def initial(self, generator: np.random.Generator) -> np.ndarray:
-        """Weights nearly even, offsets and specular parts nearly 0, intensity nearly 1. He et al. 2015, uniform."""
+        """Return uniform initial values (He et al. 2015): weights nearly even, offsets nearly 0, intensity nearly 1."""
         parts = []
         for number, (inside, outside) in enumerate(self.layers):
             bound = math.sqrt(6 / inside) * (0.1 if number in (2, 5) else 1.0)
@@ -70,12 +70,12 @@ class PaletteHead:
         return np.concatenate(parts).astype(np.float32)
 
     def parts(self, numbers: Tensor, phi: Tensor, basis: Tensor, apart: bool = False) -> Parts:
-        """Of places with features phi [n, features], seen from directions with harmonics [n, 9].
+        """Return the parts at points with features phi [n, features], seen from directions with harmonics [n, 9].
 
-        apart: the palette's branch does not teach the diffuse color that it reads.
+        apart: no gradient flows from the palette branch to the diffuse color that it reads.
         """
         sizes = [size for inside, outside in self.layers for size in (inside * outside, outside)]
-        # clone: a slice may begin at any address, and a product's last bit may depend on that.
+        # clone: the alignment of a slice can change the last bit of a matrix product.
         flat = iter([part.clone() for part in numbers.split(sizes)])
 
         def layer(number: int, values: Tensor) -> Tensor:
@@ -85,7 +85,7 @@ class PaletteHead:
         diffuse = torch.sigmoid(layer(0, phi))
         specular = torch.tanh(layer(2, layer(1, torch.cat([phi, basis], 1)).relu()))
         read = torch.cat([phi, diffuse.detach() if apart else diffuse], 1)
-        told = layer(5, layer(4, layer(3, read).relu()))
-        raw = softplus(told[:, : self.bases]) + LEAST_WEIGHT
-        offsets = told[:, self.bases : 4 * self.bases].reshape(-1, self.bases, 3)
-        return Parts(diffuse, specular, raw / raw.sum(1, keepdim=True), offsets, softplus(told[:, -1:]))
+        outputs = layer(5, layer(4, layer(3, read).relu()))
+        raw = softplus(outputs[:, : self.bases]) + MIN_WEIGHT
+        offsets = outputs[:, self.bases : 4 * self.bases].reshape(-1, self.bases, 3)
+        return Parts(diffuse, specular, raw / raw.sum(1, keepdim=True), offsets, softplus(outputs[:, -1:]))

@@ -1,12 +1,15 @@
-"""What every kind of density and color offers, so that a field may be made of any two and every stage works with it.
+"""The interface of every kind of density and color, by which a field may combine any two.
 
-All that a part can learn is one flat float32 array `values`: gradients are buffers [chunks, len(values)], one for each
-of the chunks that a kernel works in parallel, summed in order by the optimizer. Positions x are [n, 3] float32 in the
-unit cube, as the field is asked (displaced). Samples of ray r are starts[r]:ends[r]; what lies between belongs to no
-ray and is neither read nor written. Every result is the same to the bit for the same number of chunks.
+Conventions:
+    values      all that a part learns, one flat float32 array. Gradients are buffers [threads, len(values)], one per
+                thread of the kernels, summed in order by the optimizer: results repeat to the bit for the same number
+                of threads.
+    positions   x [n, 3] float32 in the unit cube, after displacement.
+    state       `values` and describe() are all the state there is: restore() of the two is the same part, to the bit.
+                A region's color (fields/region_color.py) has further arrays, which the field saves.
 
-A part holds no other state that decides its answers than `values` and what `describe` tells: `restore` of the two is
-the same part, to the bit. Parts that stand over others (fields/region_color.py) name their further arrays to the field.
+The parts on a GPU (fields/gpu) are apart: tensors instead of arrays, directions instead of a basis, and colors chosen
+by a threshold relative to each ray's largest weight (`visible_colors`).
 """
 
 from typing import Protocol, runtime_checkable
@@ -14,81 +17,83 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 
 from stylerf.fields.capacity import Capacity
-from stylerf.fields.ray_samples import Rays, Samples
+from stylerf.fields.marching import MarchInputs
+from stylerf.fields.scratch_arena import ScratchArena
+from stylerf.kernels.cpu.ray_samples import Rays, Samples, ShadingPoints
 
 
 class Part(Protocol):
-    """Common to density and color."""
+    """What density and color have in common."""
 
     kind: str
     values: np.ndarray
 
     def groups(self) -> list[tuple[int, int, float]]:
-        """(begin, end, learning-rate factor) of parts of `values`; what is in none of them never learns."""
+        """Return (begin, end, learning-rate factor) of slices of `values`; anything outside them never learns."""
 
     def smooth(self, strength: float, to: np.ndarray) -> None:
         """Add the gradient of `strength` times the part's total variation to one buffer `to` [len(values)]."""
 
     def describe(self) -> dict:
-        """JSON form of everything that is not in `values`; its "kind" says who restores it."""
+        """Return everything but `values`, as JSON; "kind" selects the class that restores it."""
 
     @classmethod
     def restore(cls, data: dict, values: np.ndarray) -> "Part":
-        """From describe() and `values`."""
+        """Rebuild a part from describe() and `values`.
+
+        Raises:
+            InvalidValue: the two do not make a valid part.
+        """
 
 
 @runtime_checkable
 class Growing(Protocol):
-    """What a part needs beside to be fitted by a ladder of capacities (training/fit/capacity_levels.py)."""
+    """A part that the capacity search can enlarge (training/fit/capacity_levels.py)."""
 
     def grown(self, capacity: Capacity, generator: np.random.Generator) -> "Growing":
-        """The same part at a larger capacity: as near to the same answers as that can say, to be taught further."""
+        """Return the same function at a larger capacity, as closely as that can represent it."""
 
 
 @runtime_checkable
 class DensityPart(Part, Protocol):
-    """Raw density: optical depth per hundredth of the unit cube (docs/decisions/0002)."""
+    """Raw density: optical depth per hundredth of the unit cube (decision 0002)."""
 
-    def sigma(self, x: np.ndarray, chunks: int) -> np.ndarray:
-        """Raw density [n] of points [n, 3]."""
+    def sigma(self, x: np.ndarray, threads: int) -> np.ndarray:
+        """Return raw density [n] at points [n, 3]."""
 
-    def march(
-        self,
-        space,
-        rays: Rays,
-        occupancy,
-        step: float,
-        displacement: tuple[np.ndarray, int],
-        limit: int,
-        opaque: float,
-        closed: bool,
-        chunks: int,
-    ) -> Samples:
-        """Samples of rays with density and weights; see kernels/cpu/march.walk_chunk."""
+    def march(self, rays: Rays, inputs: MarchInputs) -> Samples:
+        """March rays to samples with density and weights; see kernels/cpu/march.march_partition."""
 
-    def backward(self, x, starts, ends, sigma, sigma_gradients, to: np.ndarray) -> None:
-        """Add dL/d(values) to the chunks' buffers `to` [chunks, len(values)]; sigma, sigma_gradients [n]."""
+    def backward(self, samples: Samples, sigma_gradients: np.ndarray, to: np.ndarray) -> None:
+        """Add dL/d(values) to the threads' buffers `to` [threads, len(values)], from dL/d(sigma) [n]."""
 
-    def add_position_gradients(self, samples: Samples, sigma_gradients, out: np.ndarray, chunks: int) -> None:
-        """Add dL/dx to out [n, 3]; on a cell's side the slope is that of one of its cells."""
+    def add_position_gradients(self, samples: Samples, sigma_gradients, out: np.ndarray, threads: int) -> None:
+        """Add dL/dx to out [n, 3]; between two cells the slope is that of one of them."""
 
 
 @runtime_checkable
 class ColorPart(Part, Protocol):
-    """Colors 0..1, sRGB-encoded, seen from a direction."""
+    """Colors 0..1, sRGB-encoded, that may depend on the view direction."""
 
-    degree: int  # of the spherical harmonics that it is handed; 0 where the color is the same from everywhere
+    degree: int  # of the spherical harmonics it reads; 0: the color does not depend on the view
 
-    def colors(self, x, basis, starts, ends, weights, least: float, chunks: int) -> np.ndarray:
-        """[n, 3] colors of samples with weight > least; others have -1 in the first channel.
+    def colors(
+        self, points: ShadingPoints, basis: np.ndarray | None, threads: int, arena: ScratchArena | None = None
+    ) -> np.ndarray:
+        """Color the points of positive weight.
 
-        basis [rays, bands]: spherical harmonics of the rays' directions (None: for parts that do not ask).
+        Args:
+            points: positions along rays and their weights.
+            basis: [rays, bands], spherical harmonics of the rays' directions; None for parts that do not read them.
+            threads: partitions of the rays.
+            arena: where the result's memory comes from; None: new memory.
+
+        Returns:
+            [n, 3] in 0..1; points on rays that have no positive weight have -1 in the first channel.
         """
 
-    def backward(self, x, basis, starts, ends, colors, color_gradients, to: np.ndarray) -> None:
-        """Add dL/d(values) to the chunks' buffers `to`; colors as colors() gave them, color_gradients [n, 3]."""
+    def backward(self, points: ShadingPoints, basis, colors, color_gradients, to: np.ndarray) -> None:
+        """Add dL/d(values) to the threads' buffers `to`, given colors() [n, 3] and dL/d(colors) [n, 3]."""
 
-    def add_position_gradients(
-        self, samples: Samples, basis, colors: np.ndarray, color_gradients: np.ndarray, out: np.ndarray, chunks: int
-    ) -> None:
+    def add_position_gradients(self, points: ShadingPoints, basis, colors, color_gradients, out, threads: int) -> None:
         """Add dL/dx to out [n, 3]."""

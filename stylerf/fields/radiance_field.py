@@ -1,4 +1,4 @@
-"""A radiance field: a density part and a color part over a warped space, with the occupancy that guides rays."""
+"""A radiance field: a density part and a color part in a warped space, and the occupancy grid that guides rays."""
 
 from dataclasses import dataclass
 
@@ -11,30 +11,37 @@ from stylerf.fields.color_map import ColorMap
 from stylerf.fields.encoded_color import EncodedColor
 from stylerf.fields.hash_color import HashColor
 from stylerf.fields.hash_density import HashDensity
-from stylerf.fields.occupancy_grid import MOST_CELLS, OccupancyGrid
+from stylerf.fields.marching import MarchInputs, displacement_arrays, occupancy_arrays, space_arrays
+from stylerf.fields.occupancy_grid import MAX_CELLS, OccupancyGrid
 from stylerf.fields.palette_color import PaletteColor
 from stylerf.fields.protocol import ColorPart, DensityPart
-from stylerf.fields.ray_samples import Rays, Samples
 from stylerf.fields.region_color import RegionColor
+from stylerf.fields.scratch_arena import ScratchArena
 from stylerf.fields.vm import VmColor, VmDensity
 from stylerf.fields.voxel import VoxelDensity
 from stylerf.geometry.space_warp import SpaceWarp
+from stylerf.kernels.cpu.ray_samples import MarchSettings, Rays, Samples
 
 DENSITY_KINDS = {"vm": VmDensity, "hash": HashDensity, "voxel": VoxelDensity}
 COLOR_KINDS = {"vm": VmColor, "hash": HashColor, "headed": EncodedColor, "palette": PaletteColor}
-LEAST_STEP = 1e-5  # cube units: a ray takes no more than 10^5 steps
-MOST_PATCHES = 100  # over one another
-_NO_DISPLACEMENT = np.empty(0, np.float32)
+MIN_STEP = 1e-5  # cube units: a ray takes no more than 10^5 steps
+MOST_REGIONS = 100  # nested over one another
 
 
 @dataclass
 class RadianceField:
-    """density and color may be of different kinds. step: marching step in cube units.
+    """A density and a color, of the same kind or not, in one warped space.
 
-    displacement: [m, m, m, 3] float32 on vertices, cube units, added to every position before density and color are
-    asked (DeSRF's deformation, as a grid), or None. color_map: affine map of the rendered colors (exact color
-    matching after a stylization), or None. share: part of its ray's largest weight that a sample must have to be
-    colored; what lies below takes the ray's mean.
+    Attributes:
+        space: warp of world space to the unit cube.
+        density, color: see fields/protocol.py.
+        occupancy: where samples are taken.
+        step: marching step, cube units.
+        displacement: [m, m, m, 3] float32 on vertices, cube units, added to every position before density and color are
+            evaluated (DeSRF's deformation, baked to a grid); or None.
+        color_map: affine map of rendered colors, sRGB (exact color matching after a stylization); or None.
+        weight_threshold: part of its ray's largest weight that a sample needs to be colored; samples below take the
+            ray's mean color.
     """
 
     space: SpaceWarp
@@ -44,37 +51,50 @@ class RadianceField:
     step: float
     displacement: np.ndarray | None = None
     color_map: ColorMap | None = None
-    share: float = 1e-2
+    weight_threshold: float = 1e-2
 
     @property
-    def closed(self) -> bool:
-        """Whether rays end in an opaque backdrop: a capture of the real world, not an object alone."""
+    def opaque_background(self) -> bool:
+        """Whether rays end in an opaque background: a capture of the real world, not an object alone."""
         return self.space.kind != "box"
 
-    def march(self, rays: Rays, limit: int, opaque: float, chunks: int) -> Samples:
-        """Samples of rays, with density and weights."""
-        if self.displacement is None:
-            displacement = (_NO_DISPLACEMENT, 0)
-        else:
-            displacement = (self.displacement.reshape(-1), self.displacement.shape[0])
-        return self.density.march(
-            self.space, rays, self.occupancy, self.step, displacement, limit, opaque, self.closed, chunks
+    def march(
+        self,
+        rays: Rays,
+        samples_per_ray: int,
+        min_transmittance: float,
+        threads: int,
+        arena: ScratchArena | None = None,
+    ) -> Samples:
+        """March rays to samples with density and weights.
+
+        Args:
+            rays: [rays].
+            samples_per_ray: most samples on a ray.
+            min_transmittance: a ray ends once its transmittance falls below this.
+            threads: partitions of the rays; the result is the same to the bit for the same number.
+            arena: where the samples' memory comes from; None: new memory.
+        """
+        settings = MarchSettings(
+            np.float32(self.step), samples_per_ray, np.float32(min_transmittance), self.opaque_background
         )
+        grids = occupancy_arrays(self.occupancy), displacement_arrays(self.displacement)
+        return self.density.march(rays, MarchInputs(space_arrays(self.space), *grids, settings, threads, arena))
 
     @property
     def parameters(self) -> int:
-        """Learnable numbers."""
+        """Number of learnable values."""
         return len(self.density.values) + sum(len(part.values) for part in layers_of(self.color))
 
     def describe(self) -> dict:
-        """JSON form of everything that is not an array."""
+        """Return everything that is not an array, as JSON."""
         return {
             "space": self.space.describe(),
             "density": self.density.describe(),
             "color": _described(self.color),
             "step": self.step,
             "cells": self.occupancy.cells,
-            "share": self.share,
+            "share": self.weight_threshold,
             "color_map": None
             if self.color_map is None
             else {
@@ -84,7 +104,7 @@ class RadianceField:
         }
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """Named arrays that restore() takes."""
+        """Return the named arrays that restore() takes."""
         arrays = {
             "density": self.density.values,
             **_color_arrays(self.color, "color"),
@@ -95,15 +115,19 @@ class RadianceField:
 
     @staticmethod
     def restore(data: dict, arrays: dict[str, np.ndarray]) -> "RadianceField":
-        """From describe() and arrays(), which may be a stranger's; InvalidValue where they do not make a field."""
+        """Rebuild a field from describe() and arrays(), which may come from an untrusted file.
+
+        Raises:
+            InvalidValue: they do not make a valid field.
+        """
         density = validation.entry(data, "density")
         kind = DENSITY_KINDS[validation.one_of(density, "kind", DENSITY_KINDS)]
         return RadianceField(
             SpaceWarp.restore(validation.entry(data, "space")),
             kind.restore(density, _values(arrays, "density")),
             _color(validation.entry(data, "color"), arrays, "color"),
-            OccupancyGrid.restore(validation.integer(data, "cells", 1, MOST_CELLS), arrays),
-            validation.number(data, "step", LEAST_STEP, 1.0),
+            OccupancyGrid.restore(validation.integer(data, "cells", 1, MAX_CELLS), arrays),
+            validation.number(data, "step", MIN_STEP, 1.0),
             _displacement(arrays),
             _color_map(data.get("color_map")),
             validation.number({"share": 1e-3} | data, "share", 0.0, 1.0),
@@ -111,7 +135,7 @@ class RadianceField:
 
 
 def layers_of(color) -> list:
-    """A color part and what lies under it, where it is a patch over another."""
+    """Return a color part followed by the parts under it, if it is a region's color over another."""
     return [color, *layers_of(color.base)] if isinstance(color, RegionColor) else [color]
 
 
@@ -135,18 +159,18 @@ def _color_arrays(color, name: str) -> dict[str, np.ndarray]:
 
 
 def _values(arrays: dict[str, np.ndarray], name: str) -> np.ndarray:
-    """What a part has learned; how long it must be the part knows."""
+    """Return a part's learned values; the part itself checks their number."""
     return validation.array(arrays, name, np.float32, (None,), validation.LEARNED)
 
 
-def _color(data: dict, arrays: dict[str, np.ndarray], name: str, patches: int = MOST_PATCHES):
-    """What _described and _color_arrays tell. patches: how many may lie over one another here."""
-    kind = validation.one_of(data, "kind", [*COLOR_KINDS, *([RegionColor.kind] if patches else [])])
+def _color(data: dict, arrays: dict[str, np.ndarray], name: str, regions: int = MOST_REGIONS):
+    """Rebuild what _described and _color_arrays return. regions: how many may still be nested."""
+    kind = validation.one_of(data, "kind", [*COLOR_KINDS, *([RegionColor.kind] if regions else [])])
     if kind != RegionColor.kind:
         return COLOR_KINDS[kind].restore(data, _values(arrays, name))
-    marked = validation.bits(arrays, f"{name}.marked", validation.integer(data, "cells", 1, MOST_CELLS))
+    marked = validation.bits(arrays, f"{name}.marked", validation.integer(data, "cells", 1, MAX_CELLS))
     own = HashColor.restore(validation.entry(data, "own"), _values(arrays, name))
-    return RegionColor(_color(validation.entry(data, "base"), arrays, f"{name}.base", patches - 1), own, marked)
+    return RegionColor(_color(validation.entry(data, "base"), arrays, f"{name}.base", regions - 1), own, marked)
 
 
 def _displacement(arrays: dict[str, np.ndarray]) -> np.ndarray | None:

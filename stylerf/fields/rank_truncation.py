@@ -1,6 +1,6 @@
-"""Fewer ranks for what a vector-matrix field already holds: as near to it as so few can be; the rest is learned anew.
+"""Rank truncation of vector-matrix fields: the closest approximation with fewer ranks, to be trained further.
 
-Only what lies where the occupancy grid sees density counts: elsewhere the factors are whatever the first noise was.
+Only occupied space counts; elsewhere the factors still hold the initial noise (decision 0038).
 """
 
 from collections.abc import Sequence
@@ -10,15 +10,15 @@ from scipy.linalg import qr
 
 from stylerf.fields.occupancy_grid import OccupancyGrid
 
-EMPTY = 1e-3  # weight of a texel that no occupied cell projects to
-SWEEPS = 100  # of alternating least squares: what more of them win is under a hundredth of a dB
+EMPTY = 1e-3  # weight of a texel that no occupied cell projects to; not 0, so that the weighted problem stays regular
+SWEEPS = 100  # of alternating least squares; more gain less than a hundredth of a dB
 _AXES = ((1, 2), (2, 0), (0, 1))
 
 
 def texel_weights(occupancy: OccupancyGrid, size: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
-    """For m = 0, 1, 2: weights of plane m's texels, flat [size[a] * size[b]], and of line m's, [size[m]].
+    """Return, for m = 0, 1, 2, weights of plane m's texels, flat [size[a] * size[b]], and of line m's, [size[m]].
 
-    A texel weighs the square root of the share of cells along its column that are occupied, EMPTY at least.
+    A texel's weight is the square root of the occupied fraction of the cells along its column, at least EMPTY.
     """
     occupied = (occupancy.distances.reshape((occupancy.cells,) * 3) == 0).astype(np.float32)
     weights = []
@@ -33,18 +33,22 @@ def texel_weights(occupancy: OccupancyGrid, size: np.ndarray) -> list[tuple[np.n
 
 
 def _cells_of(vertices: int, cells: int) -> np.ndarray:
-    """The occupancy cell that each of `vertices` lies in."""
+    """Return the occupancy cell that each of `vertices` lies in."""
     return np.minimum(np.linspace(0, cells, int(vertices)).astype(np.int64), cells - 1)
 
 
 def best_ranks(plane: np.ndarray, line: np.ndarray, weights: tuple, rank: int) -> tuple[np.ndarray, np.ndarray]:
-    """The `rank` products whose sum is nearest to the sum of all (Eckart & Young 1936), in weighted squares.
+    """Return the `rank` products whose sum is closest to the sum of all, in weighted squares (Eckart & Young 1936).
 
-    plane [n, old], line [k, old]; weights ([n], [k]). Returns plane [n, rank] and line [k, rank], as large as before.
+    Args:
+        plane: [n, old]. line: [k, old]. weights: ([n], [k]).
+
+    Returns:
+        plane [n, rank] and line [k, rank], of about the same magnitudes as before.
     """
     (plane_q, plane_r), (line_q, line_r) = _orthogonal(plane, weights[0]), _orthogonal(line, weights[1])
     left, strengths, right = np.linalg.svd(plane_r @ line_r.T)
-    there = min(rank, len(strengths))  # a grid of fewer vertices has no more
+    there = min(rank, len(strengths))  # a grid with fewer vertices has a lower rank
     factors = _shared_out([left[:, :there] * strengths[:there], right[:there].T], [plane_r, line_r])
     new_plane, new_line = np.zeros((len(plane), rank)), np.zeros((len(line), rank))
     new_plane[:, :there] = plane_q @ factors[0] / weights[0][:, None]
@@ -55,18 +59,23 @@ def best_ranks(plane: np.ndarray, line: np.ndarray, weights: tuple, rank: int) -
 def best_seen_ranks(
     plane: np.ndarray, line: np.ndarray, weights: tuple, head: np.ndarray, rank: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """`rank` products that look nearest to all of them through a linear color head, in weighted squares.
+    """Return the `rank` products that are closest to all of them as seen through a linear color head.
 
-    plane [n, old], line [k, old], head [outputs, old]; weights ([n], [k]). Returns the three with `rank` columns, each
-    about as large as before. The sum of plane x line x head is a tensor of `old` terms; the nearest of fewer is sought
-    by alternating least squares (Kolda & Bader 2009, fig. 3.3) from `rank` of those terms. QR decompositions first: the
-    tensor that is worked on has no more than old^3 elements, whatever the grid.
+    The sum of plane x line x head is a tensor of `old` terms; the closest one of `rank` terms, in weighted squares, is
+    found by alternating least squares (Kolda & Bader 2009, fig. 3.3), starting from `rank` of those terms. QR
+    decompositions come first, so that the tensor has at most old^3 elements whatever the grid.
+
+    Args:
+        plane: [n, old]. line: [k, old]. head: [outputs, old]. weights: ([n], [k]).
+
+    Returns:
+        The three with `rank` columns, of about the same magnitudes as before.
     """
     ones = np.ones(len(head))
     bases, cores = zip(*(_orthogonal(f, w) for f, w in zip((plane, line, head), (*weights, ones))))
     terms = np.einsum("ar,br,cr->abcr", *cores, optimize=True)
     tensor = terms.sum(-1)
-    # One after another the term of which most is left beside those before it: none says what another says already.
+    # Pivoting picks, each time, the term with the largest residual to those before it: no two start alike.
     kept = qr(terms.reshape(-1, terms.shape[-1]), mode="r", pivoting=True)[1][:rank]
     factors = [core[:, kept] for core in cores]
     for _ in range(SWEEPS):
@@ -86,9 +95,9 @@ def _orthogonal(factor: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np
 
 
 def _shared_out(factors: list[np.ndarray], like: Sequence[np.ndarray]) -> list[np.ndarray]:
-    """The same products, the columns' lengths in the proportions that those of `like` have on the whole.
+    """Rescale the columns, keeping the products, to the proportions that the factors in `like` have on average.
 
-    An optimizer whose steps are of one size moves what is small too fast and what is large too slowly.
+    Adam's steps are all of one size: a factor that is too small would change too fast, a large one too slowly.
     """
     lengths = [np.linalg.norm(factor, axis=0) + 1e-30 for factor in factors]
     usual = [np.sqrt(np.square(core).sum(0).mean()) + 1e-30 for core in like]

@@ -1,7 +1,7 @@
 """Vector-matrix density and color (TensoRF, Chen et al. 2022), on the CPU kernels.
 
-Every part keeps all it can learn in one flat float32 array `values` (tables first, then what is beside them), so that
-gradients are flat buffers [chunks, len(values)] of the same layout and one optimizer serves every kind of part.
+Every part keeps all it learns in one flat float32 array `values`, tables first. Gradients are flat buffers
+[threads, len(values)] of the same layout, and one optimizer serves every kind of part.
 """
 
 import numpy as np
@@ -9,15 +9,15 @@ import numpy as np
 from stylerf import validation
 from stylerf.errors import InvalidValue
 from stylerf.fields.capacity import Capacity
-from stylerf.fields.marching import walk
+from stylerf.fields.marching import MarchInputs, march
 from stylerf.fields.occupancy_grid import OccupancyGrid
 from stylerf.fields.rank_truncation import best_ranks, best_seen_ranks, texel_weights
-from stylerf.fields.ray_samples import Samples
-from stylerf.fields.scratch_arena import room
+from stylerf.fields.scratch_arena import ScratchArena, empty_array
 from stylerf.fields.vm_tables import grid_of, initial_table, resized_table, split_table, table_length, widened_table
 from stylerf.geometry.spherical_harmonics import BANDS, C0
 from stylerf.kernels.cpu import vm as kernels
 from stylerf.kernels.cpu.deformation import color_position_gradient, density_position_gradient
+from stylerf.kernels.cpu.ray_samples import Density, LinearColor, Rays, Samples, ShadingPoints
 
 
 class VmDensity:
@@ -33,7 +33,7 @@ class VmDensity:
 
     @classmethod
     def create(cls, size: np.ndarray, rank: int, generator: np.random.Generator, shift: float = -4.0) -> "VmDensity":
-        """A thin fog: exp(-4) is an optical depth of about 1.8 across the cube, so the first rays see all of it."""
+        """Create a thin fog that the first rays see all of: exp(-4) is an optical depth of 1.8 across the cube."""
         table = initial_table(np.asarray(size), rank, generator, 0.1)
         return cls(size, rank, np.append(table, np.float32(shift)))
 
@@ -42,23 +42,23 @@ class VmDensity:
         return self.values[:-1]
 
     def groups(self) -> list[tuple[int, int, float]]:
-        """(begin, end, learning-rate factor) of parts of `values`."""
+        """Return (begin, end, learning-rate factor) of slices of `values`."""
         return [(0, len(self.values), 1.0)]
 
     def resized(self, size: np.ndarray) -> "VmDensity":
-        """The same density on another grid, interpolated."""
+        """Return the same density on another grid, interpolated."""
         table = resized_table(self.table, self.size, np.asarray(size), self.rank)
         return VmDensity(size, self.rank, np.append(table, self.values[-1]))
 
     def with_rank(self, rank: int, generator: np.random.Generator) -> "VmDensity":
-        """The same density with more ranks."""
+        """Return the same density with more ranks."""
         if rank <= self.rank:
             return self
         table = widened_table(self.table, self.size, self.rank, rank, generator)
         return VmDensity(self.size, rank, np.append(table, self.values[-1]))
 
     def narrowed(self, rank: int, occupancy: OccupancyGrid) -> "VmDensity":
-        """Nearly the same density with fewer ranks, as near as so few can be where `occupancy` is occupied."""
+        """Return the closest density with fewer ranks, judged where `occupancy` is occupied."""
         table = np.empty(table_length(self.size, rank), np.float32)
         weights = texel_weights(occupancy, self.size)
         old, new = split_table(self.table, self.size, self.rank), split_table(table, self.size, rank)
@@ -68,7 +68,7 @@ class VmDensity:
         return VmDensity(self.size, rank, np.append(table, self.values[-1]))
 
     def grown(self, capacity: Capacity, generator: np.random.Generator) -> "VmDensity":
-        """The same density at another capacity."""
+        """Return the same density at another capacity."""
         if capacity.density_rank == self.rank and tuple(capacity.size) == tuple(self.size):
             return self
         made = self.with_rank(capacity.density_rank, generator)
@@ -76,49 +76,27 @@ class VmDensity:
             made = self.narrowed(capacity.density_rank, capacity.occupancy)
         return made.resized(capacity.size)
 
-    def sigma(self, x: np.ndarray, chunks: int) -> np.ndarray:
-        """Raw density of warped points [n, 3] float32 -> [n]."""
+    def sigma(self, x: np.ndarray, threads: int) -> np.ndarray:
+        """Return raw density [n] at points [n, 3] float32 in the unit cube."""
         out = np.empty(len(x), np.float32)
-        kernels.density(self.table, self.size, self.values[-1], self._ranks, x, chunks, out)
+        kernels.density_at(self._density, self._ranks, x, threads, out)
         return out
 
-    def march(self, space, rays, occupancy, step, displacement, limit, opaque, closed, chunks) -> "Samples":
-        """Walk rays through the density."""
-        numbers = self.table, self.size, self.values[-1], self._ranks
-        return walk(
-            kernels.march_density,
-            numbers,
-            space,
-            rays,
-            occupancy,
-            step,
-            displacement,
-            limit,
-            opaque,
-            closed,
-            chunks,
-        )
+    @property
+    def _density(self) -> Density:
+        return Density(self.table, self.size, self.values[-1])
 
-    def backward(self, x, starts, ends, sigma, sigma_gradients, to: np.ndarray) -> None:
-        """Add dL/d(values) to the chunks' buffers `to` [chunks, len(values)]."""
-        kernels.density_backward(
-            self.table, self.size, self.values[-1], self._ranks, x, starts, ends, sigma, sigma_gradients, len(to), to
-        )
+    def march(self, rays: Rays, inputs: MarchInputs) -> Samples:
+        """March rays through the density."""
+        return march(kernels.march_density, self._density, self._ranks, rays, inputs)
 
-    def add_position_gradients(self, samples: Samples, sigma_gradients, out: np.ndarray, chunks: int) -> None:
-        """Add dL/dx to out [n, 3], x the samples' positions in the cube."""
-        density_position_gradient(
-            self.table,
-            self.size,
-            self._ranks,
-            samples.x,
-            samples.starts,
-            samples.ends,
-            samples.sigma,
-            sigma_gradients,
-            chunks,
-            out,
-        )
+    def backward(self, samples: Samples, sigma_gradients: np.ndarray, to: np.ndarray) -> None:
+        """Add dL/d(values) to the threads' buffers `to` [threads, len(values)], from dL/d(sigma) [n]."""
+        kernels.density_backward(self._density, self._ranks, samples, sigma_gradients, to)
+
+    def add_position_gradients(self, samples: Samples, sigma_gradients, out: np.ndarray, threads: int) -> None:
+        """Add dL/dx to out [n, 3]."""
+        density_position_gradient(self.table, self.size, self._ranks, samples, sigma_gradients, threads, out)
 
     def smooth(self, strength: float, to: np.ndarray) -> None:
         """Add the gradient of the planes' total variation (mean squared difference) to buffer `to` [len(values)]."""
@@ -168,7 +146,7 @@ class VmColor:
         return VmColor(size, self.rank, self.degree, np.concatenate([table, self.head, self.values[-3:]]))
 
     def with_rank(self, rank: int, generator: np.random.Generator) -> "VmColor":
-        """The same color with more ranks; the head of a new rank is random, its features zero."""
+        """Return the same color with more ranks; the head of a new rank is random, its features zero."""
         if rank <= self.rank:
             return self
         table = widened_table(self.table, self.size, self.rank, rank, generator)
@@ -178,7 +156,7 @@ class VmColor:
         return VmColor(self.size, rank, self.degree, np.concatenate([table, head.ravel(), self.values[-3:]]))
 
     def narrowed(self, rank: int, occupancy: OccupancyGrid) -> "VmColor":
-        """Nearly the same color with fewer ranks, as near as so few come where `occupancy` is occupied."""
+        """Return the closest color with fewer ranks, judged where `occupancy` is occupied."""
         table = np.empty(table_length(self.size, rank), np.float32)
         weights = texel_weights(occupancy, self.size)
         head = self.head.reshape(-1, 3, self.rank)
@@ -191,7 +169,7 @@ class VmColor:
         return VmColor(self.size, rank, self.degree, values)
 
     def grown(self, capacity: Capacity, generator: np.random.Generator) -> "VmColor":
-        """The same color at another capacity."""
+        """Return the same color at another capacity."""
         if capacity.color_rank == self.rank and tuple(capacity.size) == tuple(self.size):
             return self.with_degree(capacity.degree) if capacity.degree != self.degree else self
         made = self.with_rank(capacity.color_rank, generator)
@@ -200,71 +178,35 @@ class VmColor:
         return made.resized(capacity.size).with_degree(capacity.degree)
 
     def with_degree(self, degree: int) -> "VmColor":
-        """The same color with more (zero) or fewer spherical-harmonic bands."""
+        """Return the same color with more (zero) or fewer spherical-harmonic bands."""
         old = self.head.reshape(3, BANDS[self.degree], -1)
         head = np.zeros((3, BANDS[degree], old.shape[2]), np.float32)
         shared = min(old.shape[1], head.shape[1])
         head[:, :shared] = old[:, :shared]
         return VmColor(self.size, self.rank, degree, np.concatenate([self.table, head.ravel(), self.values[-3:]]))
 
-    def colors(self, x, basis, starts, ends, weights, least, chunks) -> np.ndarray:
-        """[n, 3] colors in 0..1 of samples with weight > least; others have -1 in the first channel."""
-        out = room((len(x), 3))
-        kernels.color(
-            self.table,
-            self.size,
-            self._ranks,
-            self.head,
-            self.values[-3:],
-            basis,
-            x,
-            starts,
-            ends,
-            weights,
-            np.float32(least),
-            chunks,
-            out,
-        )
+    @property
+    def _parameters(self) -> LinearColor:
+        return LinearColor(self.table, self.size, self.head, self.values[-3:])
+
+    def colors(
+        self, points: ShadingPoints, basis: np.ndarray, threads: int, arena: ScratchArena | None = None
+    ) -> np.ndarray:
+        """See ColorPart.colors."""
+        out = empty_array((len(points.x), 3), arena)
+        kernels.color(self._parameters, self._ranks, points, basis, threads, out)
         return out
 
-    def backward(self, x, basis, starts, ends, colors, color_gradients, to: np.ndarray) -> None:
-        """Add dL/d(values) to the chunks' buffers `to` [chunks, len(values)]."""
-        kernels.color_backward(
-            self.table,
-            self.size,
-            self._ranks,
-            self.head,
-            basis,
-            x,
-            starts,
-            ends,
-            colors,
-            color_gradients,
-            len(to),
-            to,
-        )
+    def backward(self, points: ShadingPoints, basis, colors, color_gradients, to: np.ndarray) -> None:
+        """Add dL/d(values) to the threads' buffers `to` [threads, len(values)]."""
+        kernels.color_backward(self._parameters, self._ranks, points, basis, colors, color_gradients, to)
 
-    def add_position_gradients(
-        self, samples: Samples, basis: np.ndarray, colors: np.ndarray, color_gradients: np.ndarray, out, chunks: int
-    ) -> None:
-        """Add dL/dx to out [n, 3], x the samples' positions in the cube."""
-        color_position_gradient(
-            self.table,
-            self.size,
-            self._ranks,
-            self.head,
-            basis,
-            samples.x,
-            samples.starts,
-            samples.ends,
-            colors,
-            color_gradients,
-            chunks,
-            out,
-        )
+    def add_position_gradients(self, points: ShadingPoints, basis, colors, color_gradients, out, threads: int) -> None:
+        """Add dL/dx to out [n, 3]."""
+        color_position_gradient(self._parameters, self._ranks, points, basis, colors, color_gradients, threads, out)
 
     def smooth(self, strength: float, to: np.ndarray) -> None:
-        """As VmDensity.smooth."""
+        """See VmDensity.smooth."""
         kernels.smoothness_backward(self.table, self.size, self._ranks, np.float32(strength / len(self.table)), to)
 
     def describe(self) -> dict:

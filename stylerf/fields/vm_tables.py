@@ -1,4 +1,4 @@
-"""The table of a vector-matrix field: its planes and lines in one flat array, made, resized and widened."""
+"""The table of a vector-matrix field, its planes and lines in one flat array: creation, resizing, more ranks."""
 
 import numpy as np
 
@@ -9,19 +9,19 @@ _AXES = ((1, 2), (2, 0), (0, 1))
 
 
 def grid_of(data: dict) -> tuple[np.ndarray, int]:
-    """size [3] and rank of the JSON form of a part, each within its bounds."""
+    """Return size [3] and rank from the JSON form of a part, each checked against its bounds."""
     size = validation.integers(data, "size", 3, 2, MOST_VERTICES)
     return np.array(size, np.int64), validation.integer(data, "rank", 1, MOST_RANK)
 
 
 def table_length(size: np.ndarray, rank: int) -> int:
-    """Floats of the planes and lines."""
+    """Return the number of floats in the planes and lines."""
     planes = sum(int(size[a]) * int(size[b]) for a, b in _AXES)
     return (planes + int(size.sum())) * rank
 
 
 def split_table(table: np.ndarray, size: np.ndarray, rank: int) -> tuple[list[np.ndarray], list[np.ndarray]]:
-    """Views: planes [size[a], size[b], rank] and lines [size[m], rank]."""
+    """Return views of the table: planes [size[a], size[b], rank] and lines [size[m], rank]."""
     planes, lines, at = [], [], 0
     for a, b in _AXES:
         n = int(size[a] * size[b] * rank)
@@ -47,7 +47,7 @@ def initial_table(size: np.ndarray, rank: int, generator: np.random.Generator, s
 def widened_table(
     table: np.ndarray, size: np.ndarray, old: int, new: int, generator: np.random.Generator
 ) -> np.ndarray:
-    """The same field with more ranks: new planes random, new lines zero, so that nothing changes until they learn."""
+    """Add ranks: new planes are random, new lines zero, so that the function is unchanged."""
     out = initial_table(np.asarray(size), new, generator, 0.1)
     for source, target in zip(split_table(table, size, old)[0], split_table(out, size, new)[0]):
         target[..., :old] = source
@@ -58,7 +58,7 @@ def widened_table(
 
 
 def resized_table(table: np.ndarray, old: np.ndarray, new: np.ndarray, rank: int) -> np.ndarray:
-    """Planes and lines on another grid: interpolated where it is finer, where it is coarser the nearest in squares."""
+    """Resample planes and lines to another grid: by interpolation if it is finer, else by least squares."""
     out = np.empty(table_length(new, rank), np.float32)
     onto = [_onto(int(before), int(after)) for before, after in zip(old, new)]
     for m, (source, target) in enumerate(zip(split_table(table, old, rank)[0], split_table(out, new, rank)[0])):
@@ -72,14 +72,14 @@ def resized_table(table: np.ndarray, old: np.ndarray, new: np.ndarray, rank: int
 
 
 def _onto(old: int, new: int) -> np.ndarray:
-    """[new, old] float32: values on `old` even vertices to those on `new` whose linear interpolation is nearest."""
+    """Return [new, old] float32, the map from values on `old` vertices to the closest ones on `new`."""
     if new >= old:
         return _interpolation(new, old).astype(np.float32)
     return np.linalg.pinv(_interpolation(old, new)).astype(np.float32)
 
 
 def _interpolation(at: int, vertices: int) -> np.ndarray:
-    """[at, vertices]: linear interpolation between even vertices, read at `at` even places, ends included."""
+    """Return [at, vertices], linear interpolation of evenly spaced vertices at `at` even positions, ends included."""
     place = np.linspace(0, vertices - 1, at)
     first = np.minimum(place.astype(np.int64), vertices - 2)
     matrix = np.zeros((at, vertices))

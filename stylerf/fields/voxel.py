@@ -9,23 +9,23 @@ import numpy as np
 from stylerf import validation
 from stylerf.errors import InvalidValue
 from stylerf.fields.capacity import Capacity
-from stylerf.fields.marching import walk
+from stylerf.fields.marching import MarchInputs, march
 from stylerf.fields.occupancy_grid import OccupancyGrid
-from stylerf.fields.ray_samples import Samples
 from stylerf.geometry.spherical_harmonics import BANDS
 from stylerf.kernels.cpu import voxel as kernels
+from stylerf.kernels.cpu.ray_samples import Density, Rays, Samples
 
-BLOCK = 4  # vertices a side; as many as a cell of a 64^3 occupancy grid is wide at 256^3
-# Of the learning rate: a voxel is alone where vm multiplies rows, which all move at once (docs/decisions/0018).
-FASTER = 15.0
-MOST_BLOCKS = 1 << 25  # of a grid, kept or not: 1024^3 vertices have half as many
-EMPTY = -8.0  # what is not kept adds to the density's exponent: an optical depth of 6e-4 across the cube
+BLOCK = 4  # vertices per side; at 256^3 a block is a cell of a 64^3 occupancy grid
+# Learning-rate factor: a step moves one voxel at a time, but all entries of a vm product at once (decision 0018).
+RATE_FACTOR = 15.0
+MAX_BLOCKS = 1 << 25  # of a grid, allocated or not; 1024^3 vertices have half as many
+EMPTY = -8.0  # exponent where no block is allocated: an optical depth of 6e-4 across the cube
 
 
 class Grid:
-    """Which blocks of BLOCK^3 vertices of a grid of size [3] are kept. kept: [blocks per axis] bool.
+    """The blocks of BLOCK^3 vertices that a grid of `size` [3] vertices allocates. kept: [blocks per axis] bool.
 
-    A table has one block more than are kept: the first stands for all others.
+    A table has one more block: the first stands for all blocks that are not allocated.
     """
 
     def __init__(self, size: np.ndarray, kept: np.ndarray) -> None:
@@ -39,7 +39,7 @@ class Grid:
 
     @classmethod
     def of(cls, capacity: Capacity) -> "Grid":
-        """All of a capacity's vertices, or those around what is occupied."""
+        """Create a grid of a capacity's vertices, or of those around its occupied cells."""
         blocks = tuple(-(-np.asarray(capacity.size, np.int64) // BLOCK))
         if capacity.occupancy is None:
             return cls(capacity.size, np.ones(blocks, np.bool_))
@@ -47,12 +47,12 @@ class Grid:
 
     @property
     def rows(self) -> int:
-        """Rows of a table."""
+        """Rows in a table."""
         return (int(self.kept.sum()) + 1) * BLOCK**3
 
     def vertices(self) -> np.ndarray:
-        """Positions [rows, 3] in the cube of a table's rows, the first block's at 0; some lie beyond the grid."""
-        # A fine grid has millions of rows: nothing wider than the result is made of them.
+        """Return the positions [rows, 3] of a table's rows in the cube (clipped to it), the first block's at 0."""
+        # A fine grid has millions of rows: float32 throughout, and no temporary wider than the result.
         corner = np.concatenate([np.zeros((1, 3), np.int64), np.argwhere(self.kept)]).astype(np.float32) * BLOCK
         within = np.stack(np.unravel_index(np.arange(BLOCK**3), (BLOCK,) * 3), 1).astype(np.float32)
         places = (corner[:, None] + within[None]).reshape(-1, 3)
@@ -60,21 +60,21 @@ class Grid:
         return np.clip(places, 0, 1, out=places)
 
     def describe(self) -> dict:
-        """kept: its bits, deflated, as text: a 256^3 grid's take some kilobytes."""
+        """Return JSON; the bits of `kept` are deflated to base64, a few kilobytes for a 256^3 grid."""
         bits = zlib.compress(np.packbits(self.kept).tobytes(), 9)
         return {"size": self.size.tolist(), "kept": base64.b64encode(bits).decode()}
 
     @classmethod
     def restore(cls, data: dict) -> "Grid":
-        size = validation.integers(data, "size", 3, 2, BLOCK * MOST_BLOCKS)
+        size = validation.integers(data, "size", 3, 2, BLOCK * MAX_BLOCKS)
         blocks = [-(-side // BLOCK) for side in size]
         count = prod(blocks)
-        if count > MOST_BLOCKS:
-            raise InvalidValue(f"voxel grid {size}: {count} blocks, at most {MOST_BLOCKS} can be")
+        if count > MAX_BLOCKS:
+            raise InvalidValue(f"voxel grid {size}: {count} blocks, at most {MAX_BLOCKS} are supported")
         expected = -(-count // 8)
         try:
             packed = base64.b64decode(validation.entry(data, "kept", str), validate=True)
-            bits = zlib.decompressobj().decompress(packed, expected + 1)  # no more of what would fill the memory
+            bits = zlib.decompressobj().decompress(packed, expected + 1)  # a few bytes can inflate to gigabytes
         except (zlib.error, ValueError) as error:
             raise InvalidValue(f"voxel grid: the list of its blocks is damaged ({error})") from error
         if len(bits) != expected:
@@ -84,14 +84,14 @@ class Grid:
 
 
 def _touched(occupancy: OccupancyGrid, size: np.ndarray, blocks: tuple[int, int, int]) -> np.ndarray:
-    """[blocks] bool: which hold a vertex of a grid cell that reaches into an occupied cell.
+    """Return [blocks] bool: the blocks with a vertex of a grid cell that overlaps an occupied cell.
 
-    With the cells beside those a field is 1.6 times as large and no better: lego, 400 steps, 27.84 dB both ways.
+    Adding neighboring cells makes a field 1.6 times as large and no better (lego, 400 steps: 27.84 dB both ways).
     """
     found = (occupancy.distances == 0).reshape((occupancy.cells,) * 3)
     for axis in range(3):
         first = np.arange(blocks[axis]) * BLOCK
-        # Vertex v is read from v - 1 to v + 1, in cells of the grid.
+        # Vertex v contributes from v - 1 to v + 1, in cells of the voxel grid.
         low = np.clip((first - 1) / (size[axis] - 1) * occupancy.cells, 0, occupancy.cells - 1).astype(np.int64)
         high = np.clip((first + BLOCK) / (size[axis] - 1) * occupancy.cells, 0, occupancy.cells - 1).astype(np.int64)
         sums = np.cumsum(found, axis=axis, dtype=np.int64)
@@ -101,7 +101,7 @@ def _touched(occupancy: OccupancyGrid, size: np.ndarray, blocks: tuple[int, int,
 
 
 class VoxelDensity:
-    """Raw density exp(shift + trilinear mix of the vertices) on the unit cube. values: table [rows], shift."""
+    """Raw density exp(shift + interpolated vertex values) on the unit cube. values: table [rows], shift."""
 
     kind = "voxel"
 
@@ -113,7 +113,7 @@ class VoxelDensity:
 
     @classmethod
     def create(cls, capacity: Capacity, generator: np.random.Generator, shift: float = -4.0) -> "VoxelDensity":
-        """A thin fog, as VmDensity.create's."""
+        """Create a thin fog, as VmDensity.create does."""
         grid = Grid.of(capacity)
         values = np.append(generator.normal(scale=1e-2, size=grid.rows), shift).astype(np.float32)
         values[: BLOCK**3] = EMPTY
@@ -124,56 +124,38 @@ class VoxelDensity:
         return self.values[:-1]
 
     def groups(self) -> list[tuple[int, int, float]]:
-        """(begin, end, learning-rate factor) of parts of `values`; what stands for blocks not kept never learns."""
-        return [(BLOCK**3, len(self.values), FASTER)]
+        """Return (begin, end, learning-rate factor) of slices of `values`; the shared block 0 never learns."""
+        return [(BLOCK**3, len(self.values), RATE_FACTOR)]
 
     def grown(self, capacity: Capacity, generator: np.random.Generator) -> "VoxelDensity":
-        """The same density on another grid, interpolated, where something is occupied; elsewhere next to nothing."""
+        """Return the same density interpolated to another grid where space is occupied, and EMPTY elsewhere."""
         grid = Grid.of(capacity)
         table = sampled(self.grid, self.table, (np.int8(0),), grid)
         table[: BLOCK**3] = EMPTY
         return VoxelDensity(grid, np.append(table, self.values[-1]))
 
-    def sigma(self, x: np.ndarray, chunks: int) -> np.ndarray:
-        """Raw density of warped points [n, 3] float32 -> [n]."""
+    def sigma(self, x: np.ndarray, threads: int) -> np.ndarray:
+        """Return raw density [n] at points [n, 3] float32 in the unit cube."""
         out = np.empty(len(x), np.float32)
-        kernels.density(self.table, self.grid.links, self.values[-1], self._widths, x, chunks, out)
+        kernels.density_at(self._density, self._widths, x, threads, out)
         return out
 
-    def march(self, space, rays, occupancy, step, displacement, limit, opaque, closed, chunks) -> Samples:
-        """Walk rays through the density."""
-        numbers = self.table, self.grid.links, self.values[-1], self._widths
-        return walk(
-            kernels.march_density,
-            numbers,
-            space,
-            rays,
-            occupancy,
-            step,
-            displacement,
-            limit,
-            opaque,
-            closed,
-            chunks,
-        )
+    @property
+    def _density(self) -> Density:
+        return Density(self.table, self.grid.links, self.values[-1])
 
-    def backward(self, x, starts, ends, sigma, sigma_gradients, to: np.ndarray) -> None:
-        """Add dL/d(values) to the chunks' buffers `to` [chunks, len(values)]."""
-        kernels.density_backward(self.grid.links, self._widths, x, starts, ends, sigma, sigma_gradients, len(to), to)
+    def march(self, rays: Rays, inputs: MarchInputs) -> Samples:
+        """March rays through the density."""
+        return march(kernels.march_density, self._density, self._widths, rays, inputs)
 
-    def add_position_gradients(self, samples: Samples, sigma_gradients, out: np.ndarray, chunks: int) -> None:
-        """Add dL/dx to out [n, 3], x the samples' positions in the cube."""
+    def backward(self, samples: Samples, sigma_gradients: np.ndarray, to: np.ndarray) -> None:
+        """Add dL/d(values) to the threads' buffers `to` [threads, len(values)], from dL/d(sigma) [n]."""
+        kernels.density_backward(self.grid.links, self._widths, samples, sigma_gradients, to)
+
+    def add_position_gradients(self, samples: Samples, sigma_gradients, out: np.ndarray, threads: int) -> None:
+        """Add dL/dx to out [n, 3]."""
         kernels.density_position_gradient(
-            self.table,
-            self.grid.links,
-            self._widths,
-            samples.x,
-            samples.starts,
-            samples.ends,
-            samples.sigma,
-            sigma_gradients,
-            chunks,
-            out,
+            self.table, self.grid.links, self._widths, samples, sigma_gradients, threads, out
         )
 
     def smooth(self, strength: float, to: np.ndarray) -> None:
@@ -190,7 +172,7 @@ class VoxelDensity:
 
 
 class VoxelFeatures:
-    """What a voxel grid's vertices hold, trilinear in between: `width` numbers, for the harmonics head its own."""
+    """`width` numbers per vertex of a voxel grid, interpolated trilinearly; for the harmonic head, its coefficients."""
 
     kind = "voxel"
 
@@ -204,40 +186,40 @@ class VoxelFeatures:
 
     @property
     def length(self) -> int:
-        """Floats of the table."""
+        """Floats in the table."""
         return self.grid.rows * self.width
 
     @property
     def fixed(self) -> int:
-        """Floats, the table's first, that never learn."""
+        """Floats at the start of the table that never learn."""
         return BLOCK**3 * self.width
 
-    rate = FASTER  # factor of the learning rate
+    rate = RATE_FACTOR  # factor of the learning rate
 
     def initial(self, generator: np.random.Generator) -> np.ndarray:
         return generator.uniform(-1e-1, 1e-1, self.length).astype(np.float32)
 
     def grown(self, table: np.ndarray, capacity: Capacity, generator) -> tuple["VoxelFeatures", np.ndarray]:
-        """The same features on another grid, interpolated, and their table."""
+        """Return the same features interpolated to another grid, and their table."""
         new = VoxelFeatures(Grid.of(capacity), self.width)
         return new, sampled(self.grid, table, self._widths, new.grid)
 
-    def encode(self, table: np.ndarray, x: np.ndarray, index: np.ndarray, chunks: int) -> np.ndarray:
-        """[m, width] of samples x[index]."""
+    def encode(self, table: np.ndarray, x: np.ndarray, index: np.ndarray, threads: int) -> np.ndarray:
+        """Return features [m, width] of samples x[index], x [n, 3] in the unit cube."""
         out = np.empty((len(index), self.width), np.float32)
-        kernels.features(table, self.grid.links, self._widths, x, index, chunks, out)
+        kernels.features(table, self.grid.links, self._widths, x, index, threads, out)
         return out
 
     def backward(self, table, x, index, gradients: np.ndarray, to: np.ndarray) -> None:
-        """Add dL/d(table) to the chunks' buffers `to` [chunks, length or more]; gradients [m, width]."""
+        """Add dL/d(table) to the threads' buffers `to` [threads, length or more]; gradients [m, width]."""
         kernels.features_backward(self.grid.links, self._widths, x, index, gradients, len(to), to)
 
-    def add_position_gradients(self, table, x, index, gradients: np.ndarray, out: np.ndarray, chunks: int) -> None:
+    def add_position_gradients(self, table, x, index, gradients: np.ndarray, out: np.ndarray, threads: int) -> None:
         """Add dL/dx to out [n, 3]."""
-        kernels.features_position_gradient(table, self.grid.links, self._widths, x, index, gradients, chunks, out)
+        kernels.features_position_gradient(table, self.grid.links, self._widths, x, index, gradients, threads, out)
 
     def smooth(self, table: np.ndarray, strength: float, to: np.ndarray) -> None:
-        """As VoxelDensity.smooth."""
+        """See VoxelDensity.smooth."""
         kernels.smoothness_backward(table, self.grid.links, self.width, np.float32(strength / self.length), to)
 
     def describe(self) -> dict:
@@ -249,7 +231,7 @@ class VoxelFeatures:
 
 
 def sampled(old: Grid, table: np.ndarray, widths: tuple, new: Grid) -> np.ndarray:
-    """The rows of `new`, flat, read from `old`'s table."""
+    """Return the rows of `new`, flat, interpolated from `old`'s table."""
     x = new.vertices()
     out = np.empty((len(x), len(widths)), np.float32)
     kernels.features(table, old.links, widths, x, np.arange(len(x)), 1, out)

@@ -1,8 +1,9 @@
-"""The hot steps, each behind one signature with an exact backward.
+"""Compute kernels with exact, hand-written backwards.
 
-`cpu` holds the numba kernels, `oracle` the same mathematics in plain torch for any dtype. Compiled kernels are cached
-where the user can write, so that only the first run on a machine compiles: a read-only install and a container too.
-Those in a folder that somebody else could have written to are not executed.
+`cpu` holds the numba kernels, `gpu` the Triton ones; `torch_reference` is the same mathematics in plain torch, for any
+dtype, to test them against. Compiled kernels are cached where the user can write, so that only the first run on a
+machine compiles, also with a read-only install or in a container. Kernels in a folder that somebody else could have
+written to are not executed.
 """
 
 import atexit
@@ -22,9 +23,9 @@ _NAME = re.compile(r"[0-9a-f]{12}-[^/]+-[0-9a-f]{8}-[0-9]+")
 
 
 def kernel_cache_dir() -> Path:
-    """Folder of compiled kernels, one for each state of their sources, each kind of processor and each user.
+    """Return the folder of compiled kernels: one per state of their sources, kind of processor and user.
 
-    It lies in $NUMBA_CACHE_DIR, else in $STYLERF_CACHE/kernels, else in the user's cache folder.
+    It is in $NUMBA_CACHE_DIR, else in $STYLERF_CACHE/kernels, else in the user's cache folder.
     """
     if given := os.environ.get("NUMBA_CACHE_DIR"):
         folder = Path(given)
@@ -37,11 +38,11 @@ def kernel_cache_dir() -> Path:
 
 
 def _name() -> str:
-    """For what all kernels are compiled from and for.
+    """Return a name that identifies all that the kernels are compiled from and for.
 
-    numba looks at the age of a kernel's own file only: one that inlines another file's function would be taken from the
-    cache after that other file has changed. Unlike processors that share a home would overwrite each other's index;
-    users who share a folder would not execute each other's kernels.
+    numba checks the age of a kernel's own file only, and would take a kernel from the cache although another file,
+    whose function it inlines, has changed. Different processors that share a home folder would overwrite each other's
+    index, and users who share a folder must not execute each other's kernels.
     """
     digest = hashlib.sha256()
     for source in sorted((Path(__file__).parent / "cpu").glob("*.py")):
@@ -51,7 +52,7 @@ def _name() -> str:
 
 
 def refusal(folder: Path) -> str | None:
-    """Why compiled kernels cannot be kept in `folder`, which is made where it is missing; None where they can."""
+    """Return why compiled kernels cannot be kept in `folder`, or None if they can; creates a missing folder."""
     try:
         for parent in reversed([one for one in folder.absolute().parents if not one.exists()]):
             parent.mkdir(mode=0o755, exist_ok=True)  # whatever the umask would let a group do
@@ -64,19 +65,19 @@ def refusal(folder: Path) -> str | None:
 
 
 def _private() -> Path:
-    """A new folder that goes with this process."""
+    """Create a folder that is removed when this process ends."""
     folder, maker = tempfile.mkdtemp(prefix="stylerf-kernels-"), os.getpid()
     atexit.register(lambda: shutil.rmtree(folder, ignore_errors=True) if os.getpid() == maker else None)
     return Path(folder)
 
 
-# numba reads this once, at its import; every kernel module is imported through this package. not_kept, triton_not_kept:
-# why compiled kernels go with this process, None where they stay.
+# numba reads this once, at its import, and every kernel module is imported through this package. not_kept and
+# triton_not_kept say why compiled kernels are lost with this process, or are None.
 _folder = kernel_cache_dir()
 if not_kept := refusal(_folder):
     _folder = _private() / _folder.name
 os.environ["NUMBA_CACHE_DIR"] = str(_folder)
-# Triton's lie beside them, unless the user has set them another place; it names them by all that they are made of.
+# Triton's cache is beside numba's unless the user has chosen another place; Triton hashes all sources by itself.
 if given := os.environ.get("TRITON_CACHE_DIR"):
     _triton = Path(given)
 elif given := os.environ.get("TRITON_HOME"):
@@ -87,7 +88,8 @@ else:
 triton_not_kept = refusal(_triton) if _triton.exists() or not given else None
 if triton_not_kept:
     os.environ["TRITON_CACHE_DIR"] = str(_private() / "triton")
-# numba reads .numba_config.yaml in the current folder, at its import and again before it compiles.
+# numba would read .numba_config.yaml from the current folder, at its import and again before it compiles; that file may
+# be a stranger's.
 with current_folder(Path(__file__).parent):
     import numba.core.config
 numba.core.config._config_fname = ""

@@ -1,7 +1,7 @@
 """What the kernels compute, in plain torch: any dtype, gradients by autograd. Slow; the kernels are tested against it.
 
 Samples are packed, ray after ray: `rays` [n] holds each sample's ray, in order. Shapes and formulas are those of the
-kernels' own docstrings; nothing here is shared with them but the layout of the value arrays.
+kernels' own docstrings; nothing here is shared with them but the unit of density and the layout of the value arrays.
 """
 
 import math
@@ -10,8 +10,9 @@ import torch
 from torch import Tensor
 
 from stylerf.geometry.space_warp import SpaceWarp
+from stylerf.kernels.cpu import march
 
-OPTICAL_SCALE = 100.0
+OPTICAL_SCALE = float(march.OPTICAL_SCALE)
 EXPONENT_MIN, EXPONENT_MAX = -15.0, 12.0
 
 
@@ -44,7 +45,7 @@ def speed(space: SpaceWarp, points: Tensor, directions: Tensor) -> Tensor:
 
 
 def density_jacobian(space: SpaceWarp, points: Tensor) -> Tensor:
-    """Cube units per scene unit, [n]: what turns distance into optical length."""
+    """Cube units per scene unit, [n]: turns distance along the ray into delta."""
     p = torch.tensor(space.parameters, dtype=points.dtype)
     if space.kind == "frustum":
         return p[2] / points[:, 2].clamp(min=float(p[2]) / 2) ** 2
@@ -193,18 +194,18 @@ def voxel_rows(table: Tensor, kept: Tensor, size: list[int], width: int, x: Tens
 # -- volume rendering -----------------------------------------------------------------------------------------------
 
 
-def weights(sigma: Tensor, optical: Tensor, rays: Tensor, backdrop: Tensor) -> tuple[Tensor, Tensor]:
-    """Weights T_k (1 - exp(-sigma_k optical_k)) [n], T_k = exp(-sum of the ray's sigma optical before k), and T_k [n].
+def weights(sigma: Tensor, deltas: Tensor, rays: Tensor, background: Tensor) -> tuple[Tensor, Tensor]:
+    """Weights T_k (1 - exp(-sigma_k delta_k)) [n], T_k = exp(-sum of the ray's sigma delta before k), and T_k [n].
 
-    backdrop [n] bool: samples that take all the light that is left.
+    background [n] bool: samples that take all the light that is left.
     """
-    depth = sigma * optical
+    depth = sigma * deltas
     before = torch.cumsum(depth, 0) - depth
     first = torch.ones_like(rays, dtype=torch.bool)
     first[1:] = rays[1:] != rays[:-1]
     start = before[first][torch.cumsum(first, 0) - 1]
-    through = torch.exp(-(before - start))
-    return through * torch.where(backdrop, torch.ones_like(depth), -torch.expm1(-depth)), through
+    transmittance = torch.exp(-(before - start))
+    return transmittance * torch.where(background, torch.ones_like(depth), -torch.expm1(-depth)), transmittance
 
 
 def composite(w: Tensor, colors: Tensor, colored: Tensor, t: Tensor, rays: Tensor, count: int) -> Tensor:

@@ -77,12 +77,12 @@ def _ways(points: np.ndarray, camera: Camera) -> np.ndarray:
     return way / np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-12)
 
 
-def few_points(field: RadianceField, cameras: Sequence[Camera], share: float, chunks: int) -> list[SeenPoints]:
+def few_points(field: RadianceField, cameras: Sequence[Camera], share: float, threads: int) -> list[SeenPoints]:
     """What each view sees, at about FEW_PIXELS of its pixels."""
     found = []
     for camera in cameras:
         stride = max(1, round((camera.width * camera.height / FEW_PIXELS) ** 0.5))
-        surface = surface_of(field, camera, share, chunks, stride=stride)
+        surface = surface_of(field, camera, share, threads, stride=stride)
         found.append(points_of(surface, every(camera, stride), field.space))
     return found
 

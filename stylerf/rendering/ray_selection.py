@@ -1,7 +1,7 @@
 """Which rays of a view carry gradient in one stylization step.
 
 The style loss needs the whole picture, the field need not learn from every ray of it. `full` and `deferred` learn from
-all (deferred: rendered once without a graph, then again in chunks with the cached dL/d(picture); ARF); `dilated` from
+all (deferred: rendered once without a graph, then again in threads with the cached dL/d(picture); ARF); `dilated` from
 every Nc-th ray in both axes from a random offset, `random` from as many random rays, `patch` from one window of as many
 (DeSRF section 3.3; patch: Chiang et al. 2022).
 """

@@ -1,4 +1,4 @@
-"""Rays through a field to pixels, and gradients back: march, density, color, composite."""
+"""Rendering rays of a field, and the gradients back: march, color, composite."""
 
 from dataclasses import dataclass
 
@@ -7,20 +7,32 @@ import torch
 
 from stylerf.fields.displacement_grid import displacement_gradient, position_gradients
 from stylerf.fields.radiance_field import RadianceField
-from stylerf.fields.ray_samples import Rays, Samples
-from stylerf.fields.scratch_arena import room
+from stylerf.fields.scratch_arena import ScratchArena, empty_array
 from stylerf.geometry.spherical_harmonics import harmonics
-from stylerf.kernels.cpu.compositing import composite, composite_backward, scale_near, significant, surface_distance
-from stylerf.kernels.cpu.regions import keep_inside
+from stylerf.kernels.cpu.compositing import (
+    composite,
+    composite_backward,
+    scale_near_gradients,
+    surface_distance,
+    visible_weights,
+)
+from stylerf.kernels.cpu.ray_samples import Rays, Samples
+from stylerf.kernels.cpu.regions import zero_outside
 
-SAMPLE_LIMIT = 512
+SAMPLES_PER_RAY = 512
 
 
 @dataclass
 class Rendered:
-    """What rays came back with. out [rays, 5]: premultiplied rgb, alpha, sum of w t without a backdrop's.
+    """Rendered rays, with what backward() needs of them.
 
-    The rest serves the backward. unmapped: out before the field's color map.
+    Attributes:
+        out: [rays, 5]: premultiplied rgb (sRGB-encoded), alpha, sum of w t without the opaque background's share.
+        unmapped: out before the field's color map.
+        rays, samples: what was marched.
+        basis: [rays, bands], spherical harmonics of the directions.
+        colors: [n, 3] of the samples; -1 in the first channel where a sample has none.
+        arena: where the samples' memory came from, and the gradients' comes from.
     """
 
     out: np.ndarray
@@ -29,31 +41,49 @@ class Rendered:
     samples: Samples
     basis: np.ndarray
     colors: np.ndarray
+    arena: ScratchArena | None = None
 
 
-def render_rays(field: RadianceField, rays: Rays, *, chunks: int, opaque=1e-3, share=2e-2) -> Rendered:
-    """Render rays. opaque: transmittance at which a ray ends.
+def render_rays(
+    field: RadianceField,
+    rays: Rays,
+    *,
+    threads: int,
+    min_transmittance: float = 1e-3,
+    weight_threshold: float = 2e-2,
+    arena: ScratchArena | None = None,
+) -> Rendered:
+    """Render rays.
 
-    share: part of its ray's largest weight under which a sample gets no color of its own, but the ray's mean.
+    Args:
+        field: what is rendered.
+        rays: [rays].
+        threads: partitions of the rays; the result is the same to the bit for the same number.
+        min_transmittance: a ray ends once its transmittance falls below this.
+        weight_threshold: part of its ray's largest weight below which a sample takes the ray's mean color.
+        arena: memory of samples and colors, valid until its reset; None: new memory.
+
+    Returns:
+        Rendered, its `out` in the field's own colors on no background.
     """
-    samples = field.march(rays, SAMPLE_LIMIT, opaque, chunks)
+    samples = field.march(rays, SAMPLES_PER_RAY, min_transmittance, threads, arena)
     basis = harmonics(rays.directions, getattr(field.color, "degree", 0))
-    shown = room(samples.weights.shape)
-    significant(samples.weights, samples.starts, samples.ends, np.float32(share), chunks, shown)
-    colors = field.color.colors(samples.x, basis, samples.starts, samples.ends, shown, 0.0, chunks)
+    visible = empty_array(samples.weights.shape, arena)
+    visible_weights(samples, np.float32(weight_threshold), threads, visible)
+    colors = field.color.colors(samples.shading_points(visible), basis, threads, arena)
     unmapped = np.empty((len(rays.origins), 5), np.float32)
-    composite(samples.weights, samples.optical, colors, samples.t, samples.starts, samples.ends, chunks, unmapped)
+    composite(samples, colors, threads, unmapped)
     out = unmapped
     if field.color_map is not None:
         mapped = field.color_map.premultiplied(torch.from_numpy(out[:, :3]), torch.from_numpy(out[:, 3]))
         out = np.concatenate([np.clip(mapped.numpy(), 0, out[:, 3:4]), out[:, 3:]], 1)
-    return Rendered(out, unmapped, rays, samples, basis, colors)
+    return Rendered(out, unmapped, rays, samples, basis, colors, arena)
 
 
-def seen(rendered: Rendered, chunks: int) -> np.ndarray:
-    """[rays, 5]: premultiplied rgb, alpha, and surface distance (compositing.py)."""
-    s, out = rendered.samples, rendered.out.copy()
-    surface_distance(s.weights, s.t, s.starts, s.ends, chunks, out)
+def with_surface_distance(rendered: Rendered, threads: int) -> np.ndarray:
+    """Return [rays, 5]: premultiplied rgb, alpha, distance of the visible surface (scene units, 0 where alpha is 0)."""
+    out = rendered.out.copy()
+    surface_distance(rendered.samples, threads, out)
     return out
 
 
@@ -61,51 +91,43 @@ def backward(
     field: RadianceField,
     rendered: Rendered,
     gradients: np.ndarray,
-    density_to,
-    color_to,
-    displacement_to=None,
+    density_to: np.ndarray | None,
+    color_to: np.ndarray | None,
+    displacement_to: np.ndarray | None = None,
     *,
-    even_from: float = 0.0,
+    near_scaling_distance: float = 0.0,
     density_within: np.ndarray | None = None,
 ) -> None:
-    """From dL/d(out) [rays, 5] to gradient buffers [chunks, parameters] of the parts; None leaves a part out.
+    """Add the parts' gradients to buffers [threads, parameters]; a buffer of None leaves its part out.
 
-    displacement_to: for the displacement grid, [chunks, 3 m^3]. even_from: distance, scene units, below which samples
-    learn by the square of their distance (0: all alike). density_within: cells [s, s, s] of the cube outside of which
-    no density learns.
+    The field's color map is not differentiated: `gradients` are those of the colors before it.
 
-    A field's color_map is for its pictures: the gradient is that of the colors before it.
+    Args:
+        field, rendered: as render_rays took and returned them.
+        gradients: dL/d(unmapped), [rays, 5].
+        density_to, color_to: buffers of the parts' values.
+        displacement_to: buffer of the displacement grid, [threads, 3 m^3].
+        near_scaling_distance: scene units; gradients of nearer samples are scaled by the square of their distance
+            relative to it. 0: no scaling.
+        density_within: [s, s, s] bool, cells of the cube outside of which no density learns.
     """
-    s = rendered.samples
-    sigma_gradients = room(s.sigma.shape)
-    color_gradients = room(rendered.colors.shape)
-    chunks = len(next(to for to in (color_to, density_to, displacement_to) if to is not None))
-    composite_backward(
-        s.sigma,
-        s.weights,
-        s.optical,
-        rendered.colors,
-        s.t,
-        s.starts,
-        s.ends,
-        rendered.unmapped,
-        gradients,
-        chunks,
-        sigma_gradients,
-        color_gradients,
-    )
-    if even_from > 0:
-        scale_near(s.t, s.starts, s.ends, np.float32(even_from), chunks, sigma_gradients, color_gradients)
+    samples, colors, arena = rendered.samples, rendered.colors, rendered.arena
+    sigma_gradients = empty_array(samples.sigma.shape, arena)
+    color_gradients = empty_array(colors.shape, arena)
+    threads = len(next(to for to in (color_to, density_to, displacement_to) if to is not None))
+    composite_backward(samples, colors, rendered.unmapped, gradients, threads, sigma_gradients, color_gradients)
+    if near_scaling_distance > 0:
+        scale_near_gradients(samples, np.float32(near_scaling_distance), threads, sigma_gradients, color_gradients)
     if color_to is not None:
-        field.color.backward(s.x, rendered.basis, s.starts, s.ends, rendered.colors, color_gradients, color_to)
+        points = samples.shading_points()
+        field.color.backward(points, rendered.basis, colors, color_gradients, color_to)
     if density_to is not None:
         if density_within is not None:
-            flat, cells = density_within.reshape(-1), density_within.shape[0]
-            keep_inside(flat, cells, s.x, s.starts, s.ends, chunks, sigma_gradients)
-        field.density.backward(s.x, s.starts, s.ends, s.sigma, sigma_gradients, density_to)
+            zero_outside(density_within.reshape(-1), len(density_within), samples, threads, sigma_gradients)
+        field.density.backward(samples, sigma_gradients, density_to)
     if displacement_to is not None:
         at_positions = position_gradients(
-            field.density, field.color, s, rendered.basis, sigma_gradients, rendered.colors, color_gradients, chunks
+            field.density, field.color, samples, rendered.basis, sigma_gradients, colors, color_gradients, threads
         )
-        cells = field.displacement.shape[0]
-        displacement_gradient(field.space, rendered.rays, s, at_positions, cells, displacement_to)
+        vertices = len(field.displacement)
+        displacement_gradient(field.space, rendered.rays, samples, at_positions, vertices, displacement_to)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from stylerf.fields.ray_samples import Samples
+from stylerf.kernels.cpu.ray_samples import Samples
 from stylerf.kernels.cpu.regions import weights_inside
 
 
@@ -10,5 +10,5 @@ def alpha_inside(marked: np.ndarray, samples: Samples, chunks: int) -> np.ndarra
     """[rays] float32: sum of each ray's weights over samples in marked cells [s, s, s]."""
     out = np.zeros(len(samples.ends), np.float32)
     flat = np.ascontiguousarray(marked).reshape(-1)
-    weights_inside(flat, marked.shape[0], samples.x, samples.weights, samples.starts, samples.ends, chunks, out)
+    weights_inside(flat, marked.shape[0], samples.shading_points(), chunks, out)
     return out

@@ -10,7 +10,7 @@ from stylerf.fields.gpu.field import GpuField, GpuRays, GpuRendered
 from stylerf.fields.gpu.memory import in_parts
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.geometry.cameras import Camera
-from stylerf.rendering.view import RenderedView
+from stylerf.rendering.view import RenderedView, view_of
 
 RAYS_AT_ONCE = 1 << 18
 PRECISIONS = ("auto", "float32", "float16")
@@ -62,7 +62,9 @@ class GpuRenderer:
         count = camera.width * camera.height
         pixels = np.linspace(0, count - 1, min(count, TRIED_RAYS)).astype(np.int64)
         rays = GpuRays.of(*camera.rays(pixels), self.device)
-        exact, rounded = (f.render_rays(rays, share=f.share).out[:, :4] for f in (self._exact, self._halves))
+        exact, rounded = (
+            f.render_rays(rays, weight_threshold=f.weight_threshold).out[:, :4] for f in (self._exact, self._halves)
+        )
         self.half = bool((exact - rounded).abs().max() <= TOLERANCE)
         if self.half:
             self._exact = None
@@ -73,7 +75,7 @@ class GpuRenderer:
         self,
         camera: Camera,
         *,
-        opaque: float = 1e-3,
+        min_transmittance: float = 1e-3,
         regions: Mapping[str, Tensor] | None = None,
         on_rays: Callable[[int], None] = lambda done: None,
     ) -> tuple[Tensor, dict[str, Tensor]]:
@@ -83,8 +85,10 @@ class GpuRenderer:
 
         def part(begin: int, end: int) -> list[Tensor]:
             rays = rays_of(camera, torch.arange(begin, end, device=self.device))
-            rendered = self.field.render_rays(rays, opaque=opaque, share=self.field.share)
-            found = [rendered.seen(), *(alpha_inside(cells, rendered) for cells in marked.values())]
+            rendered = self.field.render_rays(
+                rays, min_transmittance=min_transmittance, weight_threshold=self.field.weight_threshold
+            )
+            found = [rendered.with_surface_distance(), *(alpha_inside(cells, rendered) for cells in marked.values())]
             on_rays(end)
             return found
 
@@ -96,19 +100,15 @@ class GpuRenderer:
         self,
         camera: Camera,
         *,
-        opaque: float = 1e-3,
+        min_transmittance: float = 1e-3,
         regions: Mapping[str, np.ndarray] | None = None,
         on_rays: Callable[[int], None] = lambda done: None,
     ) -> RenderedView:
         """As rendering/view.py's render_view."""
         given = {name: np.ascontiguousarray(cells) for name, cells in (regions or {}).items()}
         marked = {name: torch.from_numpy(cells).to(self.device) for name, cells in given.items()}
-        out, inside = self.pixels(camera, opaque=opaque, regions=marked, on_rays=on_rays)
-        out = out.cpu().numpy().reshape(camera.height, camera.width, 5)
-        alpha = np.clip(out[..., 3], 0, 1)
-        distance = np.where(alpha > 0, out[..., 4], 0)
-        masks = {name: np.minimum(m.cpu().numpy().reshape(alpha.shape), alpha) for name, m in inside.items()}
-        return RenderedView(out[..., :3], alpha, distance, distance * camera.ray_cosines(), masks)
+        out, inside = self.pixels(camera, min_transmittance=min_transmittance, regions=marked, on_rays=on_rays)
+        return view_of(camera, out.cpu().numpy(), {name: mask.cpu().numpy() for name, mask in inside.items()})
 
 
 def alpha_inside(marked: Tensor, rendered: GpuRendered) -> Tensor:

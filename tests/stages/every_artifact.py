@@ -140,7 +140,7 @@ def _use_field(artifact: Artifact) -> None:
     middle = field.space.unwarp(np.full((1, 3), 0.5))[0]
     pose = np.eye(4)
     pose[:3, 3] = middle - [0, 0, 0 if field.space.kind == "frustum" else 2]
-    seen = render_view(field, Camera("look", 8, 6, 8.0, 8.0, 4.0, 3.0, pose), chunks=2)
+    seen = render_view(field, Camera("look", 8, 6, 8.0, 8.0, 4.0, 3.0, pose), threads=2)
     _finite(seen.rgb, seen.alpha, seen.z)
     for part in (field.density, *layers_of(field.color)):
         to = np.zeros(len(part.values), np.float32)

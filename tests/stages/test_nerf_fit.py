@@ -99,7 +99,7 @@ def test_a_scene_without_background_in_a_box_stands_on_what_taught_it_and_tells_
     config = FitConfig(budget="6", space="box", capacity="fixed:72x8x24", head="mlp", samples=1000, held_out=0)
     made, _ = execute(nerf_fit.SPEC, nerf_fit.run, work, "fit", {"scene": scene}, config, Context(progress=said))
     field, background = load_field(made)
-    assert (background, field.closed) == ("none", False)
+    assert (background, field.opaque_background) == ("none", False)
     figures, told = made.manifest.figures, json.loads(made.file("field.json").read_text())
     assert told["color"]["features"]["rank"] == figures["color_rank"] == 24
     assert told["density"]["rank"] == figures["density_rank"] == 8

@@ -15,12 +15,12 @@ from stylerf.fields.hash_density import HashDensity
 from stylerf.fields.hash_levels import Levels
 from stylerf.fields.occupancy_grid import OccupancyGrid
 from stylerf.fields.radiance_field import RadianceField
-from stylerf.fields.ray_samples import Rays, Samples
 from stylerf.fields.vm import VmColor, VmDensity
 from stylerf.fields.voxel import Grid, VoxelDensity
 from stylerf.geometry.space_warp import SpaceWarp
 from stylerf.kernels import torch_reference
 from stylerf.kernels.cpu.march import OPTICAL_SCALE
+from stylerf.kernels.cpu.ray_samples import Rays, Samples
 
 DENSITY_RANK, COLOR_RANK = 16, 24
 SIZE = (7, 6, 8)
@@ -100,7 +100,7 @@ def headed(seed: int, kind: str, head: str, degree: int = 1, capacity: Capacity 
 
 
 def occupied(cells: int = 8) -> OccupancyGrid:
-    """Every cell counts: no leaps."""
+    """Every cell is occupied: nothing is skipped."""
     return OccupancyGrid(cells)
 
 
@@ -124,8 +124,8 @@ def field_of(space: SpaceWarp, seed: int, color=None, step: float = 1 / 24, disp
     return RadianceField(space, density(seed), made, occupied(), step, displacement)
 
 
-def wall_in_front(through: float, backs: bool = False) -> RadianceField:
-    """A frustum that holds a wall at z = 3 which lets `through` of the light pass; backs: another one like it at z = 6.
+def wall_in_front(transmittance: float, backs: bool = False) -> RadianceField:
+    """A frustum that holds a wall at z = 3 of such a transmittance; backs: another one like it at z = 6.
 
     The walls are one cell of the cube thick; a ray along the axis is asked four times in each.
     """
@@ -133,7 +133,7 @@ def wall_in_front(through: float, backs: bool = False) -> RadianceField:
     made = field_of(space, 1, hash_color(2), step=1 / (4 * cells))
     made.density = density(0, size=(2, 2, 2))
     made.density.values[:-1] = 0
-    made.density.values[-1] = np.log(-np.log(through) * cells / OPTICAL_SCALE)
+    made.density.values[-1] = np.log(-np.log(transmittance) * cells / OPTICAL_SCALE)
     solid = np.zeros((cells, cells, cells), bool)
     solid[..., 64] = True  # 1 - near / z = 2/3
     solid[..., 80] = backs
@@ -153,14 +153,14 @@ class Packed:
     at: np.ndarray
     rays: torch.Tensor
     t: torch.Tensor
-    optical: torch.Tensor
+    deltas: torch.Tensor
     x: torch.Tensor
     sigma: torch.Tensor
     weights: torch.Tensor
 
     @property
-    def backdrop(self) -> torch.Tensor:
-        return self.optical == 0
+    def background(self) -> torch.Tensor:
+        return self.deltas == 0
 
     @staticmethod
     def of(samples: Samples) -> "Packed":
@@ -168,7 +168,7 @@ class Packed:
         at = np.concatenate(spans) if spans else np.empty(0, np.int64)
         rays = np.repeat(np.arange(len(samples.ends)), samples.ends - samples.starts)
         parts = (
-            float64(array[at]) for array in (samples.t, samples.optical, samples.x, samples.sigma, samples.weights)
+            float64(array[at]) for array in (samples.t, samples.deltas, samples.x, samples.sigma, samples.weights)
         )
         return Packed(at, torch.from_numpy(rays), *parts)
 
@@ -222,11 +222,11 @@ def oracle_pixels(field, rays, rendered, density_values, color_values, grid=None
     packed = Packed.of(rendered.samples)
     x = torch_reference.warp(field.space, points_on(rays, packed)[0])
     if grid is not None:
-        x = torch.where(packed.backdrop[:, None], x, torch_reference.displaced(grid, x))
+        x = torch.where(packed.background[:, None], x, torch_reference.displaced(grid, x))
     sigma = oracle_density(field.density, density_values, x)
-    weights, _ = torch_reference.weights(sigma, packed.optical, packed.rays, packed.backdrop)
+    weights, _ = torch_reference.weights(sigma, packed.deltas, packed.rays, packed.background)
     basis = float64(rendered.basis)[packed.rays]
     colors = oracle_color(field.color, color_values, basis, x)
     colored = torch.from_numpy(rendered.colors[packed.at, 0] >= 0)
-    t = torch.where(packed.backdrop, 0, packed.t)
+    t = torch.where(packed.background, 0, packed.t)
     return torch_reference.composite(weights, colors, colored, t, packed.rays, len(rays.origins)), x

@@ -257,7 +257,7 @@ def test_a_second_edit_of_the_edited_field_keeps_the_first_and_either_can_be_gon
     scene = load_scene(work.get("scene", "table"))
     camera = scene.cameras[scene.splits["train"][0]]
     regions = {name: load_region(work.get("region", name))[0].edit for name in ("ball", "table")}
-    views = [render_view(one, camera, chunks=1, regions=regions) for one in (plain, ball, both)]
+    views = [render_view(one, camera, threads=1, regions=regions) for one in (plain, ball, both)]
     in_ball, in_table = ((views[0].masks[name] > 0.9) for name in ("ball", "table"))
     assert in_ball.sum() > 8 and in_table.sum() > 8
 
@@ -279,7 +279,7 @@ def test_a_palette_of_the_whole_scene_is_learned_from_pictures_that_hold_the_edi
     camera = photographed(work)
     region = {"ball": load_region(work.get("region", "ball"))[0].edit}
     names = (fitted(edited), "ball", "all-over")
-    plain, green, mixed = (render_view(load_field(work.get("field", one))[0], camera, chunks=1, regions=region)
+    plain, green, mixed = (render_view(load_field(work.get("field", one))[0], camera, threads=1, regions=region)
                            for one in names)  # fmt: skip
     inside = plain.masks["ball"] > 0.9
     before, wanted, found = (view.rgb[inside].mean(0) for view in (plain, green, mixed))
@@ -296,14 +296,14 @@ def test_a_part_alone_is_stylized_after_a_view_and_all_else_stays_to_the_bit(edi
     fit, _ = load_field(work.get("field", fitted(edited)))
     region = load_region(work.get("region", "ball"))[0]
     camera = photographed(work)
-    before = render_view(fit, camera, chunks=1, regions={"ball": region.edit})
+    before = render_view(fit, camera, threads=1, regions={"ball": region.edit})
     for flags, name in ((given, "ball-red-refnpr"), (painted, "ball-painting-refnpr")):
         made = said(capsys, "stylize", edited, "--region", "ball", *flags, *few)
         assert made["name"] == name
         field, _ = load_field(work.get("field", name))
         assert [part.kind for part in layers_of(field.color)] == ["patch", fit.color.kind]
         assert {ref.role: ref.name for ref in work.get("field", name).manifest.inputs}["region"] == "ball"
-        after = render_view(field, camera, chunks=1, regions={"own": field.color.marked})
+        after = render_view(field, camera, threads=1, regions={"own": field.color.marked})
         beside = after.masks["own"] == 0
         assert beside.sum() > 500 and np.array_equal(after.rgb[beside], before.rgb[beside])
         inside = before.masks["ball"] > 0.9
@@ -357,7 +357,7 @@ def test_an_edit_of_a_stylized_field_is_taught_by_what_that_field_shows(edited, 
     moved = []
     for view in pictures.splits["train"][:3]:
         camera, picture = pictures.cameras[view], pictures.images(view)
-        seen, now = (render_view(one, camera, chunks=1, regions=region) for one in (stylized, taught))
+        seen, now = (render_view(one, camera, threads=1, regions=region) for one in (stylized, taught))
         edited_here = np.isin(np.arange(seen.alpha.size), targets.get(f"{view}.pixels", ())).reshape(seen.alpha.shape)
         solid = ~edited_here & (seen.alpha > 0.9)
         assert np.abs(picture[..., :3] - seen.rgb / seen.alpha.clip(1e-6)[..., None])[solid].max() < 0.01

@@ -18,8 +18,8 @@ from stages.artifacts.field import load_field
 from stages.artifacts.region import save_region
 from stages.artifacts.region_masks import channels_of
 from stylerf.editing.edit_grid import Region
-from stylerf.fields.ray_samples import Rays
 from stylerf.geometry.cameras import Camera
+from stylerf.kernels.cpu.ray_samples import Rays
 from stylerf_cli.main import main
 
 TEST = ("--of", "fit", "--path", "test")
@@ -87,7 +87,7 @@ def slow_mask(field, view: Camera, marked: np.ndarray, every: int) -> np.ndarray
         one = field.march(Rays.of(origins[at : at + 1], directions[at : at + 1], field.space.near), 512, 1e-3, 1)
         through, inside = 1.0, 0.0
         for k in range(one.starts[0], one.ends[0]):
-            opacity = 1 - np.exp(-float(one.sigma[k]) * float(one.optical[k]))
+            opacity = 1 - np.exp(-float(one.sigma[k]) * float(one.deltas[k]))
             inside += through * opacity * marked[tuple((one.x[k] * len(marked)).astype(int))]
             through *= 1 - opacity
         found.append(inside)

@@ -1,4 +1,4 @@
-"""Colors that are an encoder of places and a head behind it (fields/encoded_color.py), on a device."""
+"""Colors as an encoder followed by a head (fields/encoded_color.py), on a GPU."""
 
 from types import SimpleNamespace
 
@@ -14,7 +14,7 @@ from stylerf.kernels.gpu.launch import GpuSamples
 
 
 class GpuPlanes:
-    """fields/encoders.py's VmFeatures, laid out as the kernels read them."""
+    """VmFeatures of fields/encoders.py, as the kernels read them."""
 
     code, pieces, layout = VM.value, 3, None
 
@@ -35,7 +35,7 @@ ENCODERS = {
 
 
 class GpuEncodedColor:
-    """fields/encoded_color.py's HeadedColor. half: the table is read as halves, which cannot be taught."""
+    """EncodedColor of fields/encoded_color.py on a GPU. half: the table is read in half precision and cannot learn."""
 
     def __init__(self, part, device: torch.device, half: bool = False) -> None:
         self.values = torch.from_numpy(part.values).to(device, copy=True)
@@ -47,17 +47,17 @@ class GpuEncodedColor:
         self.hidden = HIDDEN if self.head == "mlp" else 0
         table = self.values[: part.features.length]
         self.table = table.half() if half else table
-        # The harmonics head has no numbers, and a kernel's argument must be something.
+        # The harmonic head has no values, but the kernel needs a pointer.
         self.numbers = self.values[part.features.length :] if part.head.length else self.values
 
-    def colors(self, samples: GpuSamples, directions: Tensor, share: float) -> Tensor:
-        """[room, 3] in 0..1; -1 in the first channel of samples under `share` of their ray's largest weight."""
-        return launch_heads.headed_colors(self, samples, directions, share)
+    def visible_colors(self, samples: GpuSamples, directions: Tensor, weight_threshold: float) -> Tensor:
+        """See GpuVmColor.visible_colors."""
+        return launch_heads.headed_colors(self, samples, directions, weight_threshold)
 
     def backward(self, samples: GpuSamples, directions, colors, color_gradients, to: Tensor) -> None:
         """Add dL/d(values) to `to` [len(values)]."""
         launch_heads.headed_colors_backward(self, samples, directions, colors, color_gradients, to)
 
     def smooth(self, strength: float, to: Tensor) -> None:
-        """As HeadedColor.smooth."""
+        """As EncodedColor.smooth."""
         self.encoder.smooth(self.values, strength, to)

@@ -1,4 +1,4 @@
-"""A radiance field on a device: the parts' values as torch tensors, the GPU kernels behind the same names."""
+"""A radiance field on a GPU: the parts' values as tensors, the Triton kernels behind them."""
 
 from dataclasses import dataclass
 
@@ -14,16 +14,16 @@ from stylerf.geometry.space_warp import SpaceWarp
 from stylerf.geometry.spherical_harmonics import BANDS
 from stylerf.kernels.gpu import launch, launch_deform, launch_edit
 from stylerf.kernels.gpu.density import VM
-from stylerf.kernels.gpu.launch import GpuSamples, Walk
+from stylerf.kernels.gpu.launch import GpuMarchInputs, GpuSamples
 
 
 def _table(values: Tensor, length: int, half: bool) -> Tensor:
-    """The table's own memory, or a copy in halves to be read alone."""
+    """Return the table's own memory, or a read-only copy in half precision."""
     return values[:length].half() if half else values[:length]
 
 
 class GpuVmDensity:
-    """fields/vm.py's VmDensity. half: the table is read as halves, which cannot be taught."""
+    """VmDensity of fields/vm.py on a GPU. half: the table is read in half precision and cannot learn."""
 
     code, layout = VM.value, None
 
@@ -46,12 +46,12 @@ class GpuVmDensity:
         launch_deform.add_density_slopes(self, samples, sigma_gradients, out)
 
     def smooth(self, strength: float, to: Tensor) -> None:
-        """As VmDensity.smooth."""
+        """See VmDensity.smooth."""
         launch.smoothness(self, strength / len(self.values), to)
 
 
 class GpuVmColor:
-    """fields/vm.py's VmColor."""
+    """VmColor of fields/vm.py on a GPU."""
 
     def __init__(self, part, device: torch.device, half: bool = False) -> None:
         self.values = torch.from_numpy(part.values).to(device, copy=True)
@@ -60,9 +60,13 @@ class GpuVmColor:
         self.table = _table(self.values, len(part.table), half)
         self.head, self.bias = self.values[len(part.table) : -3], self.values[-3:]
 
-    def colors(self, samples: GpuSamples, directions: Tensor, share: float) -> Tensor:
-        """[room, 3] in 0..1; -1 in the first channel of samples under `share` of their ray's largest weight."""
-        return launch.vm_colors(self, samples, directions, share)
+    def visible_colors(self, samples: GpuSamples, directions: Tensor, weight_threshold: float) -> Tensor:
+        """Color the samples of at least weight_threshold times their ray's largest weight.
+
+        Returns:
+            [room, 3] in 0..1; -1 in the first channel of all other samples.
+        """
+        return launch.vm_colors(self, samples, directions, weight_threshold)
 
     def backward(self, samples: GpuSamples, directions, colors, color_gradients, to: Tensor) -> None:
         """Add dL/d(values) to `to` [len(values)]."""
@@ -73,12 +77,12 @@ class GpuVmColor:
         launch_deform.add_vm_color_slopes(self, samples, directions, colors, color_gradients, out)
 
     def smooth(self, strength: float, to: Tensor) -> None:
-        """As VmColor.smooth."""
+        """See VmColor.smooth."""
         launch.smoothness(self, strength / len(self.table), to)
 
 
 class GpuHashColor:
-    """fields/hash_color.py's HashColor."""
+    """HashColor of fields/hash_color.py on a GPU."""
 
     def __init__(self, part, device: torch.device, half: bool = False) -> None:
         self.values = torch.from_numpy(part.values).to(device, copy=True)
@@ -86,9 +90,9 @@ class GpuHashColor:
         self.layout = torch.from_numpy(part.layout).to(device)
         self.table = _table(self.values, len(self.values), half)
 
-    def colors(self, samples: GpuSamples, directions: Tensor | None, share: float) -> Tensor:
-        """As DeviceVmColor.colors; the same from everywhere."""
-        return launch.hash_colors(self, samples, share)
+    def visible_colors(self, samples: GpuSamples, directions: Tensor | None, weight_threshold: float) -> Tensor:
+        """See GpuVmColor.visible_colors; directions are not used."""
+        return launch.hash_colors(self, samples, weight_threshold)
 
     def backward(self, samples: GpuSamples, directions, colors, color_gradients, to: Tensor) -> None:
         """Add dL/d(values) to `to` [len(values)]."""
@@ -99,12 +103,12 @@ class GpuHashColor:
         launch_deform.add_hash_color_slopes(self, samples, colors, color_gradients, out)
 
     def smooth(self, strength: float, to: Tensor) -> None:
-        """As HashColor.smooth."""
+        """See HashColor.smooth."""
         to.add_(self.values, alpha=strength / len(self.values))
 
 
 class GpuRegionColor:
-    """fields/region_color.py's PatchColor, over a base of any kind that the device knows. values: the patch's own."""
+    """RegionColor of fields/region_color.py, over a base of any kind. values: the region's own."""
 
     def __init__(self, part, device: torch.device, half: bool = False) -> None:
         self.base = COLOR_KINDS[part.base.kind](part.base, device, half)
@@ -115,9 +119,9 @@ class GpuRegionColor:
         box = np.array([*part.low, 1 / part.side], np.float32)
         self.box = torch.from_numpy(box).to(device)
 
-    def colors(self, samples: GpuSamples, directions: Tensor, share: float) -> Tensor:
-        """As DeviceVmColor.colors: the base's, and in marked cells sigmoid(logit(base) + logits)."""
-        out = self.base.colors(samples, directions, share)
+    def visible_colors(self, samples: GpuSamples, directions: Tensor, weight_threshold: float) -> Tensor:
+        """See GpuVmColor.visible_colors."""
+        out = self.base.visible_colors(samples, directions, weight_threshold)
         launch_edit.patch_colors(self, samples, out)
         return out
 
@@ -126,7 +130,7 @@ class GpuRegionColor:
         launch_edit.patch_colors_backward(self, samples, colors, color_gradients, to)
 
     def smooth(self, strength: float, to: Tensor) -> None:
-        """As PatchColor.smooth."""
+        """See RegionColor.smooth."""
         self._own.smooth(strength, to)
 
 
@@ -140,12 +144,12 @@ COLOR_KINDS = {
 
 
 def marked_cells(marked: np.ndarray, device: torch.device) -> Tensor:
-    """Cells [s, s, s] of bool as the kernels look them up: uint8 [s^3]."""
+    """Return cells [s, s, s] bool as the kernels read them: uint8 [s^3]."""
     return torch.from_numpy(np.ascontiguousarray(marked).reshape(-1).astype(np.uint8)).to(device)
 
 
 def unsupported(field: RadianceField, moving: bool = False) -> str | None:
-    """Why a field cannot be used on a GPU, in one line; None where it can. moving: its shapes are to learn to move."""
+    """Return why a field cannot be used on a GPU, or None. moving: it is to learn a deformation."""
     colors = [(part, COLOR_KINDS) for part in layers_of(field.color)]
     for part, kinds in ((field.density, DENSITY_KINDS), *colors):
         known = [name for name, kind in kinds.items() if not moving or hasattr(kind, "add_position_gradients")]
@@ -165,14 +169,14 @@ class GpuRays:
 
     @staticmethod
     def of(origins: np.ndarray, directions: np.ndarray, device: torch.device) -> "GpuRays":
-        """Rays marched from the middle of their first step."""
+        """Copy rays to a device, to be marched from the middle of their first step."""
         moved = [torch.from_numpy(np.ascontiguousarray(a, np.float32)).to(device) for a in (origins, directions)]
         return GpuRays(*moved, torch.full((len(origins),), 0.5, device=device))
 
 
 @dataclass
 class GpuRendered:
-    """As rendering/rays.py's Rendered."""
+    """Rendered rays; see Rendered in rendering/rays.py."""
 
     out: Tensor
     unmapped: Tensor
@@ -180,16 +184,13 @@ class GpuRendered:
     samples: GpuSamples
     colors: Tensor
 
-    def seen(self) -> Tensor:
-        """As rendering/rays.py's seen."""
+    def with_surface_distance(self) -> Tensor:
+        """Return [rays, 5] as with_surface_distance() in rendering/rays.py does."""
         return torch.cat([self.out[:, :4], launch.surface_distance(self.samples)[:, None]], 1)
 
 
 class GpuField:
-    """field: what is copied to the device; its shapes, space and step stay as they are there.
-
-    half: tables are read in half precision (rendering only).
-    """
+    """A copy of `field` on a GPU. half: tables are read in half precision (rendering only)."""
 
     def __init__(self, field: RadianceField, device: torch.device | str, half: bool = False) -> None:
         if (why := unsupported(field)) is not None:
@@ -198,7 +199,8 @@ class GpuField:
         self.space: SpaceWarp = field.space
         self.density = DENSITY_KINDS[field.density.kind](field.density, self.device, half)
         self.color = COLOR_KINDS[field.color.kind](field.color, self.device, half)
-        self.cells, self.step, self.share, self.closed = field.occupancy.cells, field.step, field.share, field.closed
+        self.cells, self.step = field.occupancy.cells, field.step
+        self.weight_threshold, self.opaque_background = field.weight_threshold, field.opaque_background
         self.distances = torch.from_numpy(field.occupancy.distances).to(self.device, copy=True)
         clear = field.occupancy.clear
         self.clear = None if clear is None else torch.from_numpy(clear).to(self.device, copy=True)
@@ -213,24 +215,30 @@ class GpuField:
             self.color_map = matrix.to(self.device, torch.float32), offset.to(self.device, torch.float32)
         self._space = torch.from_numpy(field.space.packed()).to(self.device)
 
-    def walk(self, limit: int, opaque: float) -> Walk:
-        """What a march through the field is asked."""
-        return Walk(
+    def march_inputs(self, samples_per_ray: int, min_transmittance: float) -> GpuMarchInputs:
+        """Return what a march through the field reads beside rays and density."""
+        return GpuMarchInputs(
             self.space.code, self._space, self.space.near, self.space.far, self.step, self.distances, self.cells,
-            self.closed, self.displacement, self.vertices, limit, opaque,
+            self.opaque_background, self.displacement, self.vertices, samples_per_ray, min_transmittance,
         )  # fmt: skip
 
-    def march(self, rays: GpuRays, limit: int, opaque: float, room: int | None) -> GpuSamples:
-        """Samples of rays with density and weights; room: most samples, None: as many as there are (waits)."""
-        walk = self.walk(limit, opaque)
-        return launch.march_density(walk, self.density, rays.origins, rays.directions, rays.jitter, room)
+    def march(self, rays: GpuRays, samples_per_ray: int, min_transmittance: float, room: int | None) -> GpuSamples:
+        """March rays to samples with density and weights; room: most samples, None: as many as there are (waits)."""
+        inputs = self.march_inputs(samples_per_ray, min_transmittance)
+        return launch.march_density(inputs, self.density, rays.origins, rays.directions, rays.jitter, room)
 
     def render_rays(
-        self, rays: GpuRays, *, room: int | None = None, opaque=1e-3, share=2e-2, limit: int = 512
+        self,
+        rays: GpuRays,
+        *,
+        room: int | None = None,
+        min_transmittance: float = 1e-3,
+        weight_threshold: float = 2e-2,
+        samples_per_ray: int = 512,
     ) -> GpuRendered:
-        """As rendering/rays.py's render_rays."""
-        samples = self.march(rays, limit, opaque, room)
-        colors = self.color.colors(samples, rays.directions, share)
+        """Render rays as render_rays() in rendering/rays.py does; room: as march() takes it."""
+        samples = self.march(rays, samples_per_ray, min_transmittance, room)
+        colors = self.color.visible_colors(samples, rays.directions, weight_threshold)
         unmapped = launch.composite(samples, colors)
         out = unmapped
         if self.color_map is not None:
@@ -242,15 +250,16 @@ class GpuField:
     def backward(
         self, rendered: GpuRendered, gradients: Tensor, density_to: Tensor | None, color_to: Tensor | None,
         displacement_to: Tensor | None = None,
-        *, even_from: float = 0.0, density_within: tuple[Tensor, int] | None = None,
+        *, near_scaling_distance: float = 0.0, density_within: tuple[Tensor, int] | None = None,
     ) -> None:  # fmt: skip
-        """From dL/d(unmapped) [rays, 5] to flat gradient buffers of the parts; None leaves a part out.
+        """Add the parts' gradients to flat buffers, from dL/d(unmapped) [rays, 5]; see backward() in rendering/rays.py.
 
-        displacement_to: for the displacement grid, flat [3 vertices^3]. density_within: marked cells (uint8 [s^3], s)
-        outside of which no density learns.
+        displacement_to: [3 vertices^3]. density_within: (marked cells uint8 [s^3], s).
         """
         r = rendered
-        of_sigma, of_colors = launch.composite_backward(r.samples, r.colors, r.unmapped, gradients, even_from)
+        of_sigma, of_colors = launch.composite_backward(
+            r.samples, r.colors, r.unmapped, gradients, near_scaling_distance
+        )
         if color_to is not None:
             self.color.backward(r.samples, r.rays.directions, r.colors, of_colors, color_to)
         if density_to is not None:
@@ -266,7 +275,7 @@ class GpuField:
             )
 
     def write_to(self, field: RadianceField) -> None:
-        """Copy what was learned into the field's own arrays; occupancy is decided anew there, all distances exact."""
+        """Copy learned values back into `field`, and recompute its occupancy with exact distances."""
         field.density.values[:] = self.density.values.cpu().numpy()
         field.color.values[:] = self.color.values.cpu().numpy()
         field.occupancy.highest[:] = self.highest.cpu().numpy()

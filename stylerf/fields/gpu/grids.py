@@ -1,4 +1,4 @@
-"""Hash grids and voxel grids on a device: how they are laid out there, how they are smoothed, and their densities."""
+"""Hash and voxel grids on a GPU: layout, smoothing, densities."""
 
 import numpy as np
 import torch
@@ -13,7 +13,7 @@ from stylerf.kernels.gpu.launch import GpuSamples
 
 
 class GpuHashLevels:
-    """fields/hash_levels.py's Levels. code to layout: the constants and arguments of density.py and encoders.py."""
+    """Levels of fields/hash_levels.py; code, pieces, size: constants for kernels/gpu/density.py and encoders.py."""
 
     code, pieces, size = HASH.value, 1, (0, 0, 0)
 
@@ -25,7 +25,7 @@ class GpuHashLevels:
         self._direct = [levels.is_direct(level) for level in range(levels.count)]
 
     def smooth(self, values: Tensor, strength: float, to: Tensor) -> None:
-        """As fields/hash_density.py's add_smoothness; to [length or more]."""
+        """See add_smoothness in fields/hash_density.py; to: [length or more]."""
         strength = strength / self.length
         for level in range(self._active):
             first, end = self._firsts[level : level + 2]
@@ -36,7 +36,7 @@ class GpuHashLevels:
 
 
 class GpuVoxelGrid:
-    """fields/voxel.py's Grid, `row` floats at a vertex."""
+    """Grid of fields/voxel.py with `row` floats per vertex."""
 
     code, pieces = VOXEL.value, 1
 
@@ -44,18 +44,18 @@ class GpuVoxelGrid:
         self.size, self.rank = [int(s) for s in grid.size], row
         self.length = grid.rows * row
         self.layout = torch.from_numpy(grid.links).to(device)
-        places = np.zeros((1 + np.count_nonzero(grid.kept), 3), np.int32)  # row by row, as argwhere's own memory is not
+        places = np.zeros((1 + np.count_nonzero(grid.kept), 3), np.int32)  # contiguous, unlike argwhere's own
         places[1:] = np.argwhere(grid.kept)
         self.places = torch.from_numpy(places).to(device)
 
     def smooth(self, values: Tensor, strength: float, to: Tensor) -> None:
-        """As kernels/cpu/voxel.py's smoothness_backward, of the mean over all floats; to [length or more]."""
+        """See VoxelDensity.smooth in fields/voxel.py; to: [length or more]."""
         strength = strength / self.length
         launch_grids.voxel_smoothness(values, self.layout, self.places, self.size, self.rank, strength, to)
 
 
 class _GpuGridDensity:
-    """What the densities of both share. half: the table is read as halves, which cannot be taught."""
+    """A hash or voxel density. half: the table is read in half precision and cannot learn."""
 
     def __init__(self, part, grid: GpuHashLevels | GpuVoxelGrid, device: torch.device, half: bool) -> None:
         self.values = torch.from_numpy(part.values).to(device, copy=True)
@@ -75,7 +75,7 @@ class _GpuGridDensity:
 
 
 class GpuHashDensity(_GpuGridDensity):
-    """fields/hash_density.py's HashDensity."""
+    """HashDensity of fields/hash_density.py on a GPU."""
 
     def __init__(self, part, device: torch.device, half: bool = False) -> None:
         super().__init__(part, GpuHashLevels(part.levels, device), device, half)
@@ -86,7 +86,7 @@ class GpuHashDensity(_GpuGridDensity):
 
 
 class GpuVoxelDensity(_GpuGridDensity):
-    """fields/voxel.py's VoxelDensity."""
+    """VoxelDensity of fields/voxel.py on a GPU."""
 
     def __init__(self, part, device: torch.device, half: bool = False) -> None:
         super().__init__(part, GpuVoxelGrid(part.grid, 1, device), device, half)

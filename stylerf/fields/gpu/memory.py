@@ -1,24 +1,25 @@
-"""A GPU's memory: how much of it is free, and work that is cut finer where it does not suffice."""
+"""GPU memory: how much is free, and work in smaller parts when it runs out."""
 
 from collections.abc import Callable
 from typing import TypeVar
 
 import torch
 
-FEWEST = 1 << 10  # rays at once; where not even these fit, no smaller part would
+FEWEST = 1 << 10  # rays at once; if these do not fit, smaller parts would not either
 Made = TypeVar("Made")
 
 
 def free_on(device: torch.device | str, otherwise: float) -> float:
-    """Bytes that are free on a GPU; `otherwise` for a device that does not tell."""
+    """Return the free bytes of a GPU; `otherwise` for any other device."""
     device = torch.device(device)
     return torch.cuda.mem_get_info(device)[0] if device.type == "cuda" else otherwise
 
 
 def in_parts(count: int, at_once: int, work: Callable[[int, int], Made]) -> list[Made]:
-    """work(begin, end) of all parts of 0 to `count`, `at_once` rays each; where memory lacks, half as many from there.
+    """Return work(begin, end) of parts of `at_once` rays each; halves the parts when memory runs out.
 
-    OutOfMemoryError where FEWEST rays are too many.
+    Raises:
+        torch.OutOfMemoryError: FEWEST rays are too many.
     """
     made, begin = [], 0
     while begin < count:
@@ -30,7 +31,7 @@ def in_parts(count: int, at_once: int, work: Callable[[int, int], Made]) -> list
         except torch.OutOfMemoryError:
             if end - begin <= FEWEST:
                 raise
-        # Here, and not above: the error holds on to what the part had taken.
+        # Outside of the handler: the error keeps the part's tensors alive.
         torch.cuda.empty_cache()
         at_once = (end - begin) // 2
     return made

@@ -1,4 +1,4 @@
-"""fields/occupancy_grid.py's grid kept up to date on a device, without waiting for it."""
+"""The occupancy grid (fields/occupancy_grid.py) on a GPU, updated without waiting for the device."""
 
 import math
 
@@ -8,17 +8,17 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from stylerf.fields.occupancy_grid import DENSEST, MARK, OPAQUE_STEP, UNSEEN
-from stylerf.kernels.torch_reference import OPTICAL_SCALE
+from stylerf.kernels.cpu.march import OPTICAL_SCALE
 
-FARTHEST = 32  # cells; distances beyond are told as this one: leaps come out shorter, never wrong
+FARTHEST = 32  # cells; larger distances are clamped to this: rays skip less, but never too far
 
 
-def refresh(field, seed: int, share: int, decay: float) -> None:
-    """Look at one cell in `share` of a DeviceField at a random point, then decide anew what is occupied."""
+def refresh(field, seed: int, stride: int, decay: float) -> None:
+    """Evaluate the density of a GpuField in every stride-th cell, then decide what is occupied."""
     device, cells = field.device, field.cells
     generator = torch.Generator(device).manual_seed(seed)
-    start = int(np.random.default_rng(seed).integers(share))  # as on the CPU: seeds may all leave one remainder
-    index = torch.arange(start, cells**3, share, device=device)
+    start = int(np.random.default_rng(seed).integers(stride))  # a seed modulo the stride may never vary
+    index = torch.arange(start, cells**3, stride, device=device)
     corner = torch.stack([index // cells**2, index // cells % cells, index % cells], 1)
     points = (corner + torch.rand(corner.shape, generator=generator, device=device)) / cells
     seen = field.density.sigma(points.contiguous()).clamp(max=DENSEST)
@@ -30,20 +30,20 @@ def refresh(field, seed: int, share: int, decay: float) -> None:
 
 
 def decide(field) -> None:
-    """Recompute the distances of a DeviceField from what was seen in its cells."""
+    """Recompute the distances of a GpuField from the densities seen in its cells."""
     cells = field.cells
-    least = -math.log1p(-OPAQUE_STEP) / (OPTICAL_SCALE * field.step)
-    occupied = field.highest > field.highest.clamp(max=MARK).mean().clamp(max=least)
+    threshold = -math.log1p(-OPAQUE_STEP) / (float(OPTICAL_SCALE) * field.step)
+    occupied = field.highest > field.highest.clamp(max=MARK).mean().clamp(max=threshold)
     if field.clear is not None:
         occupied &= ~field.clear
     field.distances = distances_to(occupied.view(cells, cells, cells)).flatten()
 
 
 def distances_to(occupied: Tensor, farthest: int = FARTHEST) -> Tensor:
-    """Chebyshev distance, in cells, of each cell of [m, m, m] bool to the nearest True, at most `farthest`; uint8.
+    """Return the Chebyshev distance of each cell of [m, m, m] bool to the nearest True, at most `farthest`; uint8.
 
-    Axis by axis, in a dozen launches: the nearest of all is the least, over the cells of a line, of the greater of the
-    way to them and of what is nearest to them.
+    Axis by axis, a dozen launches in all: a cell's distance is the minimum, over the cells of its line, of the maximum
+    of the way to that cell and that cell's own distance so far.
     """
     farthest = min(farthest, len(occupied))
     distance = torch.full_like(occupied, farthest, dtype=torch.uint8).masked_fill_(occupied, 0)

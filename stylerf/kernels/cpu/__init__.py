@@ -1,5 +1,5 @@
-"""numba kernels: all cores, exact backwards, bitwise reproducible for a given thread count.
+"""numba kernels: all cores, exact backwards, bitwise reproducible for a given number of threads.
 
-Work is cut into as many contiguous chunks of rays as there are threads; each chunk adds its gradients to a buffer of
-its own, and the optimizer adds the buffers in order. Nothing depends on which thread finishes first.
+Rays are split into as many contiguous partitions as there are threads. Each thread adds gradients to a buffer of its
+own, and the optimizer adds the buffers in order: no result depends on which thread finishes first.
 """

@@ -1,4 +1,4 @@
-"""Adam (Kingma & Ba 2015) over flat tables: adds the chunks' buffers in order, updates, clears, in one pass."""
+"""Adam (Kingma & Ba 2015) over flat tables: sums the threads' buffers in order, updates and clears them in one pass."""
 
 import math
 
@@ -13,12 +13,12 @@ _ONE, _ZERO = np.float32(1), np.float32(0)
 
 @parallel_kernel
 def adam(values, gradients, first, second, rate, beta1, beta2, epsilon, correction1, correction2, begin, end, blocks):
-    """One Adam step on values[begin:end]; gradients [chunks, n] are summed and set to zero.
+    """One Adam step on values[begin:end]; gradients [threads, n] are summed and set to zero.
 
-    correction1 = 1 - beta1^t, correction2 = 1 - beta2^t. Runs of eight elements without any gradient are left as they
-    are, moments too (as torch.optim.SparseAdam): most of a table lies where no ray of the batch has been.
+    correction1 = 1 - beta1^t, correction2 = 1 - beta2^t. Runs of eight elements without any gradient are
+    skipped, moments too (as torch.optim.SparseAdam does): a batch of rays touches a small part of a table.
     """
-    chunks, stride = gradients.shape
+    threads, stride = gradients.shape
     flat = gradients.reshape(-1)
     runs = (end - begin) // LANES
     step, root = rate / correction1, _ONE / np.float32(math.sqrt(correction2))
@@ -26,25 +26,25 @@ def adam(values, gradients, first, second, rate, beta1, beta2, epsilon, correcti
         for run in range(b * runs // blocks, (b + 1) * runs // blocks):
             at = begin + run * LANES
             touched = any_gradient(flat, at)
-            for c in range(1, chunks):
-                touched |= any_gradient(flat, c * stride + at)
+            for thread in range(1, threads):
+                touched |= any_gradient(flat, thread * stride + at)
             if not touched:
                 continue
-            for c in range(1, chunks):
-                gather_gradient(flat, at, c * stride + at)
+            for thread in range(1, threads):
+                gather_gradient(flat, at, thread * stride + at)
             adam_run(values, flat, first, second, at, at, step, beta1, beta2, epsilon, root)
     rest = begin + runs * LANES
     touched = False
     for i in range(rest, end):
-        for c in range(chunks):
-            touched |= gradients[c, i] != _ZERO
+        for thread in range(threads):
+            touched |= gradients[thread, i] != _ZERO
     if touched:
         for i in range(rest, end):
             g = gradients[0, i]
             gradients[0, i] = _ZERO
-            for c in range(1, chunks):
-                g += gradients[c, i]
-                gradients[c, i] = _ZERO
+            for thread in range(1, threads):
+                g += gradients[thread, i]
+                gradients[thread, i] = _ZERO
             first[i] = beta1 * first[i] + (_ONE - beta1) * g
             second[i] = beta2 * second[i] + (_ONE - beta2) * g * g
             values[i] -= step * first[i] / (root * np.float32(math.sqrt(second[i])) + epsilon)

@@ -1,7 +1,7 @@
-"""Color heads: features of packed samples to colors, seen from their rays' directions, and back.
+"""Color heads: features of packed samples to view-dependent colors, and back.
 
 Packed: sample index[i] of ray ray[i], ascending; features phi [m, f]. basis [rays, bands]: spherical harmonics Y of the
-rays' directions. `widths`, `hidden`: tuples whose lengths are compile-time constants (see vector).
+rays' directions. `widths`, `hidden`: tuples whose lengths are compile-time constants (see simd_vm.py).
 """
 
 import math
@@ -16,11 +16,11 @@ _ONE, _ZERO = np.float32(1), np.float32(0)
 
 
 @parallel_kernel
-def count_marked(marks, bound, starts, ends, chunks, counts):
+def count_marked(marks, bound, starts, ends, threads, counts):
     """counts[r] = samples of ray r whose marks[k, 0] > bound."""
     n = len(ends)
-    for c in prange(chunks):
-        for r in range(c * n // chunks, (c + 1) * n // chunks):
+    for thread in prange(threads):
+        for r in range(thread * n // threads, (thread + 1) * n // threads):
             found = 0
             for k in range(starts[r], ends[r]):
                 if marks[k, 0] > bound:
@@ -29,11 +29,11 @@ def count_marked(marks, bound, starts, ends, chunks, counts):
 
 
 @parallel_kernel
-def pack_marked(marks, bound, starts, ends, offsets, chunks, index, ray):
+def pack_marked(marks, bound, starts, ends, offsets, threads, index, ray):
     """The samples that count_marked counts, ray after ray from offsets[r] on."""
     n = len(ends)
-    for c in prange(chunks):
-        for r in range(c * n // chunks, (c + 1) * n // chunks):
+    for thread in prange(threads):
+        for r in range(thread * n // threads, (thread + 1) * n // threads):
             at = offsets[r]
             for k in range(starts[r], ends[r]):
                 if marks[k, 0] > bound:
@@ -42,11 +42,11 @@ def pack_marked(marks, bound, starts, ends, offsets, chunks, index, ray):
 
 
 @parallel_kernel
-def hide(starts, ends, chunks, out):
-    """out[k, 0] = -1 for every sample: the sign of having no color."""
+def hide(starts, ends, threads, out):
+    """Set out[k, 0] = -1 for every sample: the mark of having no color."""
     n = len(ends)
-    for c in prange(chunks):
-        for r in range(c * n // chunks, (c + 1) * n // chunks):
+    for thread in prange(threads):
+        for r in range(thread * n // threads, (thread + 1) * n // threads):
             for k in range(starts[r], ends[r]):
                 out[k, 0] = -_ONE
 
@@ -61,7 +61,7 @@ def sigmoid(z):
 
 @inline
 def head_of(head, basis, r, width, out):
-    """out[j, f] = sum_b head[j, b, f] Y_b: the head seen from one ray's direction."""
+    """out[j, f] = sum_b head[j, b, f] Y_b: the head evaluated for one ray's direction."""
     bands = basis.shape[1]
     for j in range(3):
         for f in range(width):
@@ -73,15 +73,15 @@ def head_of(head, basis, r, width, out):
 
 
 @parallel_kernel
-def linear(phi, widths, head, basis, index, ray, chunks, out):
+def linear(phi, widths, head, basis, index, ray, threads, out):
     """out[index[i]] = sigmoid(bias + sum_b Y_b head_b . phi_i); head: flat [3, bands, f], then bias [3]."""
     m, width = phi.shape
     flat = phi.reshape(-1)
     bias = len(head) - 3
-    for c in prange(chunks):
+    for thread in prange(threads):
         seen = np.empty(3 * width, np.float32)
         last = np.int64(-1)
-        for i in range(c * m // chunks, (c + 1) * m // chunks):
+        for i in range(thread * m // threads, (thread + 1) * m // threads):
             if ray[i] != last:
                 last = ray[i]
                 head_of(head, basis, last, width, seen)
@@ -92,7 +92,7 @@ def linear(phi, widths, head, basis, index, ray, chunks, out):
 
 @inline
 def _spread_head(seen_gradient, basis, r, width, flat, at, widths):
-    """Add what one ray's head learned to the buffer's [3, bands, f] at `at`."""
+    """Add the gradient of the head as one ray sees it to the buffer's [3, bands, f] at `at`."""
     bands = basis.shape[1]
     for j in range(3):
         for b in range(bands):
@@ -101,17 +101,17 @@ def _spread_head(seen_gradient, basis, r, width, flat, at, widths):
 
 
 @parallel_kernel
-def linear_backward(phi, widths, head, basis, index, ray, colors, color_gradients, chunks, phi_gradients, at, to):
-    """phi_gradients [m, f] = dL/d(phi), and dL/d(head, bias) added to to[chunk, at:]."""
+def linear_backward(phi, widths, head, basis, index, ray, colors, color_gradients, threads, phi_gradients, at, to):
+    """phi_gradients [m, f] = dL/d(phi), and dL/d(head, bias) added to to[thread, at:]."""
     m, width = phi.shape
     flat, phi_flat, stride = phi.reshape(-1), phi_gradients.reshape(-1), to.shape[1]
     buffers = to.reshape(-1)
-    for c in prange(chunks):
-        base = np.int64(c * stride + at)
+    for thread in prange(threads):
+        base = np.int64(thread * stride + at)
         bias = base + len(head) - 3
         seen, seen_gradient = np.empty(3 * width, np.float32), np.zeros(3 * width, np.float32)
         last = np.int64(-1)
-        for i in range(c * m // chunks, (c + 1) * m // chunks):
+        for i in range(thread * m // threads, (thread + 1) * m // threads):
             if ray[i] != last:
                 if last >= 0:
                     _spread_head(seen_gradient, basis, last, width, buffers, base, widths)
@@ -135,11 +135,11 @@ def linear_backward(phi, widths, head, basis, index, ray, colors, color_gradient
 
 
 @parallel_kernel
-def harmonic(phi, basis, index, ray, chunks, out):
+def harmonic(phi, basis, index, ray, threads, out):
     """out[index[i], j] = sigmoid(sum_b Y_b phi_i[j, b]); phi [m, 3 bands]."""
     m, bands = len(phi), basis.shape[1]
-    for c in prange(chunks):
-        for i in range(c * m // chunks, (c + 1) * m // chunks):
+    for thread in prange(threads):
+        for i in range(thread * m // threads, (thread + 1) * m // threads):
             for j in range(3):
                 z = _ZERO
                 for b in range(bands):
@@ -148,11 +148,11 @@ def harmonic(phi, basis, index, ray, chunks, out):
 
 
 @parallel_kernel
-def harmonic_backward(basis, index, ray, colors, color_gradients, chunks, phi_gradients):
+def harmonic_backward(basis, index, ray, colors, color_gradients, threads, phi_gradients):
     """phi_gradients [m, 3 bands] = dL/d(phi)."""
     m, bands = len(phi_gradients), basis.shape[1]
-    for c in prange(chunks):
-        for i in range(c * m // chunks, (c + 1) * m // chunks):
+    for thread in prange(threads):
+        for i in range(thread * m // threads, (thread + 1) * m // threads):
             k = index[i]
             for j in range(3):
                 g = color_gradients[k, j] * colors[k, j] * (_ONE - colors[k, j])

@@ -1,4 +1,4 @@
-"""composite: samples' colors and weights to pixels, and back (Max 1995; Mildenhall et al. 2020, eq. 3)."""
+"""Compositing: samples' colors and weights to pixels, and back (Max 1995; Mildenhall et al. 2020, eq. 3)."""
 
 import numpy as np
 from numba import prange
@@ -6,25 +6,27 @@ from numba import prange
 from stylerf.kernels.cpu.compiling import parallel_kernel
 
 _ONE, _ZERO, _HALF = np.float32(1), np.float32(0), np.float32(0.5)
-AROUND = np.float32(0.05)  # of its distance: samples so close to a ray's middle one are of the same surface
+SURFACE_REACH = np.float32(0.05)  # of a sample's distance: how thick the surface around it is taken to be
 
 
 @parallel_kernel
-def composite(weights, optical, colors, t, starts, ends, chunks, out):
-    """out[r] = (sum w c (3), sum w, sum w t). Samples without a color (colors[k, 0] < 0) take the mean of the others.
+def composite(samples, colors, threads, out):
+    """Composite samples to out[r] = (sum w c (3), sum w, sum w t).
 
-    They weigh next to nothing; counting them as black would pull every density the wrong way. A backdrop (optical[k]
-    0) has no part in sum w t: so far out, the least of light that reaches it would be all that counts.
+    Samples without a color (colors[k, 0] < 0) take the ray's mean: they weigh next to nothing, but as black they would
+    bias every density's gradient. The opaque background (delta 0) is left out of sum w t: it is so far away that the
+    faintest light reaching it would dominate.
     """
+    starts, ends, t, deltas, weights = samples.starts, samples.ends, samples.t, samples.deltas, samples.weights
     n = len(ends)
-    for c in prange(chunks):
-        for r in range(c * n // chunks, (c + 1) * n // chunks):
+    for thread in prange(threads):
+        for r in range(thread * n // threads, (thread + 1) * n // threads):
             red, green, blue, depth = _ZERO, _ZERO, _ZERO, _ZERO
             total, colored = _ZERO, _ZERO
             for k in range(starts[r], ends[r]):
                 w = weights[k]
                 total += w
-                if optical[k] > _ZERO:
+                if deltas[k] > _ZERO:
                     depth += w * t[k]
                 if colors[k, 0] >= _ZERO:
                     colored += w
@@ -40,15 +42,17 @@ def composite(weights, optical, colors, t, starts, ends, chunks, out):
 
 
 @parallel_kernel
-def surface_distance(weights, t, starts, ends, chunks, out):
-    """out[r, 4] = distance of what ray r shows, from out[r, 3] = sum w; 0 for a ray without weight.
+def surface_distance(samples, threads, out):
+    """Set out[r, 4] to the distance of the surface that ray r shows, given out[r, 3] = sum w; 0 without weight.
 
-    It is found where half of the weight lies, as the mean of w t over the samples within AROUND of there. What lies
-    before or behind, be it a haze, another surface or the backdrop, does not move it.
+    The surface is where the running sum of weights passes one half; its distance is the mean of t, by weight, over the
+    samples within SURFACE_REACH of there. Haze in front, a second surface or the background behind do not move it
+    (decision 0032).
     """
+    starts, ends, t, weights = samples.starts, samples.ends, samples.t, samples.weights
     n = len(ends)
-    for c in prange(chunks):
-        for r in range(c * n // chunks, (c + 1) * n // chunks):
+    for thread in prange(threads):
+        for r in range(thread * n // threads, (thread + 1) * n // threads):
             half, passed, middle = out[r, 3] * _HALF, _ZERO, ends[r]
             for k in range(starts[r], ends[r]):
                 passed += weights[k]
@@ -57,7 +61,7 @@ def surface_distance(weights, t, starts, ends, chunks, out):
                     break
             near, depth = _ZERO, _ZERO
             if middle < ends[r]:
-                reach = AROUND * t[middle]
+                reach = SURFACE_REACH * t[middle]
                 first = middle
                 while first > starts[r] and t[middle] - t[first - 1] <= reach:
                     first -= 1
@@ -70,17 +74,19 @@ def surface_distance(weights, t, starts, ends, chunks, out):
 
 
 @parallel_kernel
-def composite_backward(
-    sigma, weights, optical, colors, t, starts, ends, out, gradients, chunks, sigma_gradients, color_gradients
-):
-    """From dL/d(out) [rays, 5] to dL/d(sigma) [n] and dL/d(color) [n, 3].
+def composite_backward(samples, colors, out, gradients, threads, sigma_gradients, color_gradients):
+    """Turn dL/d(out) [rays, 5] into dL/d(sigma) [n] and dL/d(color) [n, 3].
 
-    dL/d(sigma_k) = optical_k (T_{k+1} D_k - sum_{i>k} w_i D_i) with D_k = dL/dw_k, T_{k+1} the transmittance behind k.
-    The scale that spreads the color over uncolored samples is treated as a constant.
+    With D_k = dL/dw_k and T_{k+1} the transmittance behind sample k:
+
+        dL/d(sigma_k) = delta_k (T_{k+1} D_k - sum_{i>k} w_i D_i)
+
+    The scale that spreads the mean color over uncolored samples is treated as a constant.
     """
+    starts, ends, t, deltas, weights = samples.starts, samples.ends, samples.t, samples.deltas, samples.weights
     n = len(ends)
-    for c in prange(chunks):
-        for r in range(c * n // chunks, (c + 1) * n // chunks):
+    for thread in prange(threads):
+        for r in range(thread * n // threads, (thread + 1) * n // threads):
             g0, g1, g2 = gradients[r, 0], gradients[r, 1], gradients[r, 2]
             ga, gd = gradients[r, 3], gradients[r, 4]
             total = out[r, 3]
@@ -88,7 +94,7 @@ def composite_backward(
             behind = _ZERO
             for k in range(starts[r], ends[r]):
                 w = weights[k]
-                d = ga + gd * t[k] if optical[k] > _ZERO else ga
+                d = ga + gd * t[k] if deltas[k] > _ZERO else ga
                 if colors[k, 0] >= _ZERO:
                     d += g0 * colors[k, 0] + g1 * colors[k, 1] + g2 * colors[k, 2]
                     color_gradients[k, 0] = w * g0
@@ -96,95 +102,102 @@ def composite_backward(
                     color_gradients[k, 2] = w * g2
                 else:
                     d += mean
-                sigma_gradients[k] = d
+                sigma_gradients[k] = d  # D_k, until the second pass
                 behind += w * d
-            through = _ONE
+            transmittance = _ONE
             for k in range(starts[r], ends[r]):
                 d = sigma_gradients[k]
                 behind -= weights[k] * d
-                through -= weights[k]
-                sigma_gradients[k] = optical[k] * (through * d - behind)
+                transmittance -= weights[k]
+                sigma_gradients[k] = deltas[k] * (transmittance * d - behind)
 
 
 @parallel_kernel
-def scale_near(t, starts, ends, distance, chunks, sigma_gradients, color_gradients):
-    """Gradients of samples nearer than `distance` times (t / distance)^2 (Philip, Deschaintre 2023).
+def scale_near_gradients(samples, distance, threads, sigma_gradients, color_gradients):
+    """Scale the gradients of samples nearer than `distance` by (t / distance)^2 (Philip and Deschaintre 2023).
 
-    A camera's rays are that much denser there, and a step would otherwise teach what is close to it first of all.
+    Rays of a camera are that much denser there: without the scale, floaters close to a camera learn fastest.
     """
+    starts, ends, t = samples.starts, samples.ends, samples.t
     n = len(ends)
-    for c in prange(chunks):
-        for r in range(c * n // chunks, (c + 1) * n // chunks):
+    for thread in prange(threads):
+        for r in range(thread * n // threads, (thread + 1) * n // threads):
             for k in range(starts[r], ends[r]):
                 if t[k] < distance:
-                    share = (t[k] / distance) * (t[k] / distance)
-                    sigma_gradients[k] *= share
+                    scale = (t[k] / distance) * (t[k] / distance)
+                    sigma_gradients[k] *= scale
                     for a in range(3):
-                        color_gradients[k, a] *= share
+                        color_gradients[k, a] *= scale
 
 
 @parallel_kernel
-def significant(weights, starts, ends, share, chunks, shown):
-    """shown[k] = weights[k] where it is at least `share` of its ray's largest weight, else 0: never a whole ray."""
+def visible_weights(samples, weight_threshold, threads, visible):
+    """visible[k] = weights[k] where it is at least `weight_threshold` times its ray's largest weight, else 0.
+
+    The threshold is relative, so that no ray is left without a visible sample.
+    """
+    starts, ends, weights = samples.starts, samples.ends, samples.weights
     n = len(ends)
-    for c in prange(chunks):
-        for r in range(c * n // chunks, (c + 1) * n // chunks):
+    for thread in prange(threads):
+        for r in range(thread * n // threads, (thread + 1) * n // threads):
             largest = _ZERO
             for k in range(starts[r], ends[r]):
                 largest = max(largest, weights[k])
-            bound = largest * share
+            bound = largest * weight_threshold
             for k in range(starts[r], ends[r]):
-                shown[k] = weights[k] if weights[k] >= bound else _ZERO
+                visible[k] = weights[k] if weights[k] >= bound else _ZERO
 
 
 @parallel_kernel
-def count_shown(shown, starts, ends, chunks, counts):
-    """counts[r] = samples of ray r with shown > 0."""
+def count_visible(visible, starts, ends, threads, counts):
+    """counts[r] = samples of ray r with visible > 0."""
     n = len(ends)
-    for c in prange(chunks):
-        for r in range(c * n // chunks, (c + 1) * n // chunks):
+    for thread in prange(threads):
+        for r in range(thread * n // threads, (thread + 1) * n // threads):
             found = 0
             for k in range(starts[r], ends[r]):
-                if shown[k] > _ZERO:
+                if visible[k] > _ZERO:
                     found += 1
             counts[r] = found
 
 
 @parallel_kernel
-def pack_shown(shown, x, weights, starts, ends, offsets, chunks, packed_x, packed_w):
-    """Keep the shown samples: x as 16-bit cube positions, weights scaled so that each ray keeps its alpha."""
+def pack_visible(visible, samples, offsets, threads, packed_x, packed_weights):
+    """Pack the visible samples: x as 16-bit cube positions, weights scaled so that each ray keeps its alpha."""
+    starts, ends, x, weights = samples.starts, samples.ends, samples.x, samples.weights
     n = len(ends)
-    for c in prange(chunks):
-        for r in range(c * n // chunks, (c + 1) * n // chunks):
+    for thread in prange(threads):
+        for r in range(thread * n // threads, (thread + 1) * n // threads):
             total, kept = _ZERO, _ZERO
             for k in range(starts[r], ends[r]):
                 total += weights[k]
-                kept += shown[k]
+                kept += visible[k]
             scale = total / kept if kept > _ZERO else _ZERO
             at = offsets[r]
             for k in range(starts[r], ends[r]):
-                if shown[k] > _ZERO:
+                if visible[k] > _ZERO:
                     for a in range(3):
                         packed_x[at, a] = np.uint16(x[k, a] * np.float32(65535) + np.float32(0.5))
-                    packed_w[at] = shown[k] * scale
+                    packed_weights[at] = visible[k] * scale
                     at += 1
 
 
 @parallel_kernel
-def unpack(pixels, offsets, packed_x, packed_w, starts, x, weights):
-    """Samples of chosen pixels of a packed view, from starts[r] on."""
+def unpack(pixels, offsets, packed_x, packed_weights, starts, x, weights):
+    """Unpack the samples of chosen pixels of a packed view; those of pixel r go to starts[r] on."""
     for r in prange(len(pixels)):
         at = starts[r]
         for k in range(offsets[pixels[r]], offsets[pixels[r] + 1]):
             for a in range(3):
                 x[at, a] = np.float32(packed_x[k, a]) * np.float32(1 / 65535)
-            weights[at] = packed_w[k]
+            weights[at] = packed_weights[k]
             at += 1
 
 
 @parallel_kernel
-def shade(weights, colors, starts, ends, out):
-    """out[r] = sum w c over the ray's samples, [rays, 3]."""
+def shade(points, colors, out):
+    """out[r] = sum w c over the ray's points, [rays, 3]."""
+    starts, ends, weights = points.starts, points.ends, points.weights
     for r in prange(len(ends)):
         red, green, blue = _ZERO, _ZERO, _ZERO
         for k in range(starts[r], ends[r]):
@@ -195,8 +208,9 @@ def shade(weights, colors, starts, ends, out):
 
 
 @parallel_kernel
-def shade_backward(weights, gradients, starts, ends, color_gradients):
+def shade_backward(points, gradients, color_gradients):
     """dL/dc_k = w_k dL/d(out_r)."""
+    starts, ends, weights = points.starts, points.ends, points.weights
     for r in prange(len(ends)):
         for k in range(starts[r], ends[r]):
             for a in range(3):

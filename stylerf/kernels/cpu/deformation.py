@@ -15,12 +15,13 @@ _ONE, _ZERO = np.float32(1), np.float32(0)
 
 
 @parallel_kernel
-def density_position_gradient(table, size, ranks, x, starts, ends, sigma, sigma_gradients, chunks, position_gradients):
+def density_position_gradient(table, size, ranks, samples, sigma_gradients, threads, position_gradients):
     """Add dL/dx [n, 3] of a vm density; the slope is that of the cell a sample lies in."""
+    starts, ends, x, sigma = samples.starts, samples.ends, samples.x, samples.sigma
     n = len(ends)
-    for c in prange(chunks):
+    for thread in prange(threads):
         slopes = np.empty(3, np.float32)
-        for r in range(c * n // chunks, (c + 1) * n // chunks):
+        for r in range(thread * n // threads, (thread + 1) * n // threads):
             for k in range(starts[r], ends[r]):
                 g = sigma_gradients[k] * sigma[k]
                 if g != _ZERO:
@@ -33,17 +34,17 @@ def density_position_gradient(table, size, ranks, x, starts, ends, sigma, sigma_
 
 
 @parallel_kernel
-def color_position_gradient(
-    table, size, ranks, head, basis, x, starts, ends, colors, color_gradients, chunks, position_gradients
-):
-    """Add dL/dx [n, 3] of vm colors; head, basis, colors as in vm.color. A sample without a color adds nothing."""
+def color_position_gradient(parameters, ranks, points, basis, colors, color_gradients, threads, position_gradients):
+    """Add dL/dx [n, 3] of vm colors; parameters, basis, colors as in vm.color. Points without a color add nothing."""
+    table, size, head = parameters.table, parameters.size, parameters.head
+    starts, ends, x = points.starts, points.ends, points.x
     n = len(ends)
     rank, bands = np.int64(len(ranks)), basis.shape[1]
     width = 3 * rank
-    for c in prange(chunks):
+    for thread in prange(threads):
         ray_head, gradient = np.empty(3 * width, np.float32), np.empty(width, np.float32)
         slopes = np.empty(3, np.float32)
-        for r in range(c * n // chunks, (c + 1) * n // chunks):
+        for r in range(thread * n // threads, (thread + 1) * n // threads):
             ready = False
             for k in range(starts[r], ends[r]):
                 if colors[k, 0] < _ZERO:
@@ -65,43 +66,47 @@ def color_position_gradient(
 
 
 @parallel_kernel
-def displacement_backward(
-    kind, space, origins, directions, t, optical, x, starts, ends, position_gradients, cells, chunks, to
-):
-    """Add dL/dD to the chunk's buffer to[chunk], flat [cells^3, 3], from dL/dx' [n, 3].
+def displacement_backward(space, rays, samples, position_gradients, vertices, to):
+    """Add dL/dD to the thread's buffer to[thread], flat [vertices^3, 3], from dL/dx' [n, 3].
 
-    x: the displaced positions x'. Where one was clamped to the cube's side it does not move with D. Samples of no
-    optical length are the backdrop's, which is not displaced.
+    samples.x holds the displaced positions x'; one that was clamped to the cube's side does not move with D. The opaque
+    background (delta 0) is not displaced.
     """
-    n = len(ends)
-    for c in prange(chunks):
+    origins, directions = rays.origins, rays.directions
+    starts, ends, t, deltas, x = samples.starts, samples.ends, samples.t, samples.deltas, samples.x
+    n, threads = len(ends), len(to)
+    for thread in prange(threads):
         q = np.empty(3, np.float32)
-        for r in range(c * n // chunks, (c + 1) * n // chunks):
+        for r in range(thread * n // threads, (thread + 1) * n // threads):
             ox, oy, oz = origins[r, 0], origins[r, 1], origins[r, 2]
             dx, dy, dz = directions[r, 0], directions[r, 1], directions[r, 2]
             for k in range(starts[r], ends[r]):
-                if optical[k] == _ZERO:
+                if deltas[k] == _ZERO:
                     continue
                 s = t[k]
-                warp_at(kind, space, ox + s * dx, oy + s * dy, oz + s * dz, dx, dy, dz, q)
-                i, fx = cell(q[0], cells)
-                j, fy = cell(q[1], cells)
-                h, fz = cell(q[2], cells)
-                at = (i * cells + j) * cells + h
+                warp_at(space, ox + s * dx, oy + s * dy, oz + s * dz, dx, dy, dz, q)
+                i, fx = cell(q[0], vertices)
+                j, fy = cell(q[1], vertices)
+                h, fz = cell(q[2], vertices)
+                at = (i * vertices + j) * vertices + h
                 for corner in range(8):
                     di, dj, dh = corner >> 2, (corner >> 1) & 1, corner & 1
                     w = (fx if di else _ONE - fx) * (fy if dj else _ONE - fy) * (fz if dh else _ONE - fz)
                     for a in range(3):
                         if x[k, a] > _ZERO and x[k, a] < _ONE:
-                            to[c, (at + (di * cells + dj) * cells + dh) * 3 + a] += w * position_gradients[k, a]
+                            to[thread, (at + (di * vertices + dj) * vertices + dh) * 3 + a] += (
+                                w * position_gradients[k, a]
+                            )
 
 
 @parallel_kernel
-def displaced_cells(distances, cells, reach, displacement, displacement_cells, occupied):
-    """occupied[cell]: whether D takes any of 27 points of a cell, out to its sides, into a cell of distance 0.
+def displaced_cells(occupancy, displacement, reach, occupied):
+    """Set occupied[cell] where D moves any of 27 points of a cell into an occupied one.
 
-    distances: as Occupancy's, flat [cells^3]. Cells farther than `reach` from what is occupied are not looked at.
+    reach: in cells, at least as far as D moves anything; cells farther than that from an occupied one are skipped.
     """
+    distances, cells = occupancy
+    grid, vertices = displacement
     for i in prange(cells):
         p, q = np.empty(3, np.float32), np.empty(3, np.float32)
         for j in range(cells):
@@ -109,22 +114,23 @@ def displaced_cells(distances, cells, reach, displacement, displacement_cells, o
                 at = (i * cells + j) * cells + k
                 if distances[at] > reach:
                     continue
-                for point in range(27):
+                for point in range(27):  # a lattice that stays 2 % inside the cell, so that rounding leaves it there
                     p[0] = (np.float32(i) + np.float32(0.02) + np.float32(0.48) * np.float32(point // 9)) / cells
                     p[1] = (np.float32(j) + np.float32(0.02) + np.float32(0.48) * np.float32(point // 3 % 3)) / cells
                     p[2] = (np.float32(k) + np.float32(0.02) + np.float32(0.48) * np.float32(point % 3)) / cells
-                    displace(displacement, displacement_cells, p, q)
+                    displace(grid, vertices, p, q)
                     if cell_distance(distances, cells, q) == 0:
                         occupied[at] = True
                         break
 
 
 @serial_kernel
-def mark_cells(shown, x, starts, ends, vertices, seen):
-    """seen [vertices, vertices, vertices]: the lower vertex of each grid cell that holds a sample with shown > 0."""
+def mark_cells(points, vertices, seen):
+    """Set seen [v, v, v] at the lower vertex of each cell that holds a point of positive weight; v = vertices."""
+    starts, ends, x, weights = points
     for r in range(len(ends)):
         for k in range(starts[r], ends[r]):
-            if shown[k] > _ZERO:
+            if weights[k] > _ZERO:
                 i, _ = cell(x[k, 0], vertices)
                 j, _ = cell(x[k, 1], vertices)
                 h, _ = cell(x[k, 2], vertices)

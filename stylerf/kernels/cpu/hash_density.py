@@ -1,7 +1,7 @@
-"""encode, hash: a multi-resolution hash grid (Mueller et al. 2022) as a density.
+"""A multi-resolution hash grid (Mueller et al. 2022) as a density.
 
-The grid is that of hash_color.py with one float a vertex. Raw density is exp(shift + sum of all levels' trilinear
-mixes), the exponent clamped to [-15, 12].
+The grid is that of hash_color.py with one float a vertex. Raw density is exp(shift + sum of all levels'
+interpolated values), the exponent clamped to [-15, 12].
 """
 
 import math
@@ -10,121 +10,65 @@ import numpy as np
 from numba import prange
 
 from stylerf.kernels.cpu.compiling import inline, parallel_kernel
-from stylerf.kernels.cpu.march import EXPONENT_MAX, EXPONENT_MIN, fetch_nothing, walk_chunk
+from stylerf.kernels.cpu.march import EXPONENT_MAX, EXPONENT_MIN, march_partition, no_prefetch
 from stylerf.kernels.cpu.simd_hash_density import hash_sum, hash_sum_backward, hash_sum_slopes
 
 _ZERO = np.float32(0)
 
 
 @inline
-def raw_density(table, layout, shift, levels, x):
+def raw_density(density, levels, x):
     """exp(shift + levels) of one warped point."""
-    total = shift + hash_sum(table, layout, x[0], x[1], x[2], levels)
+    total = density.shift + hash_sum(density.table, density.layout, x[0], x[1], x[2], levels)
     return np.float32(math.exp(min(max(total, EXPONENT_MIN), EXPONENT_MAX)))
 
 
 @parallel_kernel
-def density(table, layout, shift, levels, x, chunks, sigma):
-    """Raw density of warped points x [n, 3]."""
+def density_at(density, levels, x, threads, sigma):
+    """sigma [n]: raw density of warped points x [n, 3]."""
     n = len(x)
-    for c in prange(chunks):
-        for p in range(c * n // chunks, (c + 1) * n // chunks):
-            sigma[p] = raw_density(table, layout, shift, levels, x[p])
+    for thread in prange(threads):
+        for p in range(thread * n // threads, (thread + 1) * n // threads):
+            sigma[p] = raw_density(density, levels, x[p])
 
 
 @parallel_kernel
-def march_density(
-    kind,
-    space,
-    origins,
-    directions,
-    jitter,
-    near,
-    far,
-    step,
-    occupancy,
-    cells,
-    limit,
-    table,
-    layout,
-    shift,
-    levels,
-    displacement,
-    displacement_cells,
-    opaque,
-    closed,
-    chunks,
-    starts,
-    ends,
-    t_out,
-    optical,
-    x,
-    sigma,
-    weights,
-):
-    """Walk rays through a hash density: see march.walk_chunk."""
-    for c in prange(chunks):
-        walk_chunk(
-            raw_density,
-            fetch_nothing,
-            table,
-            layout,
-            shift,
-            levels,
-            kind,
-            space,
-            origins,
-            directions,
-            jitter,
-            near,
-            far,
-            step,
-            occupancy,
-            cells,
-            limit,
-            displacement,
-            displacement_cells,
-            opaque,
-            closed,
-            c,
-            chunks,
-            starts,
-            ends,
-            t_out,
-            optical,
-            x,
-            sigma,
-            weights,
-        )
+def march_density(density, levels, rays, space, occupancy, displacement, settings, threads, samples):
+    """March rays through a hash density; see march.march_partition and vm.march_density."""
+    for thread in prange(threads):
+        march_partition(
+            raw_density, no_prefetch, density, levels, rays, space, occupancy, displacement, settings, thread, threads,
+            samples,
+        )  # fmt: skip
 
 
 @parallel_kernel
-def density_backward(layout, levels, x, starts, ends, sigma, sigma_gradients, chunks, to):
-    """Add dL/d(table) and, behind the table's last element, dL/d(shift) to the chunk's own buffer to[chunk]."""
+def density_backward(layout, levels, samples, sigma_gradients, to):
+    """Add dL/d(table) and, behind the table's last element, dL/d(shift) to the thread's own buffer to[thread]."""
+    starts, ends, x, sigma = samples.starts, samples.ends, samples.x, samples.sigma
     n = len(ends)
-    stride = to.shape[1]
+    threads, stride = to.shape
     flat = to.reshape(-1)
-    for c in prange(chunks):
+    for thread in prange(threads):
         shift_gradient = _ZERO
-        base = np.int64(c * stride)
-        for r in range(c * n // chunks, (c + 1) * n // chunks):
+        base = np.int64(thread * stride)
+        for r in range(thread * n // threads, (thread + 1) * n // threads):
             for k in range(starts[r], ends[r]):
                 g = sigma_gradients[k] * sigma[k]  # d exp(e)/de = exp(e)
                 if g != _ZERO:
                     shift_gradient += g
                     hash_sum_backward(flat, base, layout, x[k, 0], x[k, 1], x[k, 2], g, levels)
-        to[c, stride - 1] += shift_gradient
+        to[thread, stride - 1] += shift_gradient
 
 
 @parallel_kernel
-def density_position_gradient(
-    table, layout, levels, x, starts, ends, sigma, sigma_gradients, chunks, position_gradients
-):
+def density_position_gradient(table, layout, levels, samples, sigma_gradients, threads, position_gradients):
     """Add dL/dx [n, 3]; the slope is that of the cell a sample lies in."""
+    starts, ends, x, sigma = samples.starts, samples.ends, samples.x, samples.sigma
     n = len(ends)
     flat = position_gradients.reshape(-1)
-    for c in prange(chunks):
-        for r in range(c * n // chunks, (c + 1) * n // chunks):
+    for thread in prange(threads):
+        for r in range(thread * n // threads, (thread + 1) * n // threads):
             for k in range(starts[r], ends[r]):
                 g = sigma_gradients[k] * sigma[k]
                 if g != _ZERO:

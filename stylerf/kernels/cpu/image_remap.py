@@ -1,4 +1,4 @@
-"""Pictures at moved positions: Catmull-Rom interpolation."""
+"""Image resampling at arbitrary positions by Catmull-Rom interpolation."""
 
 import numpy as np
 from numba import prange
@@ -19,9 +19,9 @@ def _cubic(t):
 
 @parallel_kernel
 def remapped(pixels, positions):
-    """Picture [h, w, c] float32 at positions [a, b, 2] (x, y; pixel centers at + 0.5) -> [a, b, c], clipped to 0..1.
+    """Sample a picture [h, w, c] float32 at positions [a, b, 2]: [a, b, c], clipped to 0..1.
 
-    Beyond the border the nearest pixel counts.
+    Positions are (x, y), pixel centers at halves. Beyond the border the nearest pixel counts.
     """
     height, width, channels = pixels.shape
     out = np.empty((positions.shape[0], positions.shape[1], channels), np.float32)

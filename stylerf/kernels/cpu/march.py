@@ -1,10 +1,9 @@
-"""march: what is common to every way of walking a ray through the occupied part of space.
+"""Ray marching through the occupied part of space, for a density of any kind.
 
-Space is warped to the unit cube by one of three maps (stylerf/geometry/space_warp.py holds them in words and in
-float64): box (0), contraction (1), frustum (2). A step advances the warped position by `step` in the largest
-coordinate, so one sample falls into each cell of the field wherever the ray is. The occupancy grid stores, per cell, 0
-where occupied and else the Chebyshev distance to the nearest occupied cell, in cells: an empty ray leaps over what
-cannot matter.
+Space is warped to the unit cube by one of three maps (stylerf/geometry/space_warp.py has the formulas, in float64): box
+(0), contraction (1), frustum (2). A step advances the warped position by `step` in its fastest coordinate, so that one
+sample falls into each cell of the field anywhere along the ray. The occupancy grid stores, per cell, the Chebyshev
+distance to the nearest occupied cell, in cells (0: occupied); rays skip empty space by it.
 """
 
 import math
@@ -15,45 +14,52 @@ from numba import prange
 from stylerf.kernels.cpu.compiling import inline, parallel_kernel
 
 BOX, CONTRACTION, FRUSTUM = 0, 1, 2
-OPTICAL_SCALE = np.float32(100.0)  # raw density 1 is an optical depth of 1 across a hundredth of the unit cube
-EXPONENT_MIN, EXPONENT_MAX = np.float32(-15), np.float32(12)  # of raw density
+# Raw density 1 is an optical depth of 1 across a hundredth of the unit cube (decision 0002). The GPU's kernels and the
+# torch reference read it from here; this folder's sources name the cache, so that a change recompiles every kernel.
+OPTICAL_SCALE = np.float32(100.0)
+# Of raw density: exp(12) is opaque within any step, exp(-15) transparent across the cube, and float32 holds both.
+EXPONENT_MIN, EXPONENT_MAX = np.float32(-15), np.float32(12)
 _ONE, _ZERO, _HALF, _TWO = np.float32(1), np.float32(0), np.float32(0.5), np.float32(2)
-_TINY = np.float32(1e-9)
+_TINY = np.float32(1e-9)  # below any speed or slope that matters; keeps divisions finite
 
 
 @inline
-def warp_at(kind, space, px, py, pz, dx, dy, dz, out):
-    """Warped position out[0:3], the speed at which it moves along (dx, dy, dz), and the density jacobian.
+def warp_at(space, px, py, pz, dx, dy, dz, out):
+    """Warp a point into out[0:3]; return its speed along (dx, dy, dz) and the density jacobian.
 
-    space: box: lo(3), 1/extent(3), mean 1/extent. contraction: center(3), 1/half(3), mean 1/half.
-    frustum: bx, by, near. Speed: largest |d out / dt|. Jacobian: cube units per scene unit towards infinity.
+    Speed: largest |d out / dt|. Jacobian: cube units per scene unit, towards infinity. The numbers of each kind:
+
+        box          low(3), 1/extent(3), mean 1/extent
+        contraction  center(3), 1/half(3), mean 1/half
+        frustum      bx, by, near
     """
+    kind, numbers = space.kind, space.numbers
     if kind == FRUSTUM:
-        z = max(pz, space[2] * _HALF)
+        z = max(pz, numbers[2] * _HALF)  # behind the near plane the map would run away to infinity
         i = _ONE / z
-        out[0] = _HALF + _HALF * px * i / space[0]
-        out[1] = _HALF + _HALF * py * i / space[1]
-        out[2] = _ONE - space[2] * i
-        jacobian = space[2] * i * i
-        sx = abs(_HALF * (dx - px * i * dz) * i / space[0])
-        sy = abs(_HALF * (dy - py * i * dz) * i / space[1])
+        out[0] = _HALF + _HALF * px * i / numbers[0]
+        out[1] = _HALF + _HALF * py * i / numbers[1]
+        out[2] = _ONE - numbers[2] * i
+        jacobian = numbers[2] * i * i
+        sx = abs(_HALF * (dx - px * i * dz) * i / numbers[0])
+        sy = abs(_HALF * (dy - py * i * dz) * i / numbers[1])
         speed = max(sx, sy, abs(jacobian * dz))
     else:
-        ax = (px - space[0]) * space[3]
-        ay = (py - space[1]) * space[4]
-        az = (pz - space[2]) * space[5]
-        vx = dx * space[3]
-        vy = dy * space[4]
-        vz = dz * space[5]
+        ax = (px - numbers[0]) * numbers[3]
+        ay = (py - numbers[1]) * numbers[4]
+        az = (pz - numbers[2]) * numbers[5]
+        vx = dx * numbers[3]
+        vy = dy * numbers[4]
+        vz = dz * numbers[5]
         if kind == BOX:
             out[0] = ax
             out[1] = ay
             out[2] = az
-            jacobian = space[6]
+            jacobian = numbers[6]
             speed = max(abs(vx), abs(vy), abs(vz))
         else:
             m = max(abs(ax), abs(ay), abs(az))
-            jacobian = space[6] * np.float32(0.25)
+            jacobian = numbers[6] * np.float32(0.25)
             if m > _ONE:
                 # x' = x (2 - 1/m)/m with m the largest coordinate; dm/dt is that coordinate's own velocity.
                 i = _ONE / m
@@ -77,15 +83,15 @@ def warp_at(kind, space, px, py, pz, dx, dy, dz, out):
             out[2] = _HALF + np.float32(0.25) * az
             speed = np.float32(0.25) * max(abs(vx), abs(vy), abs(vz))
     for a in range(3):
-        out[a] = min(max(_ZERO, out[a]), _ONE)  # in this order NaN becomes 0: cells are looked up by it
+        out[a] = min(max(_ZERO, out[a]), _ONE)  # in this order NaN becomes 0, a valid index of a cell
     return max(_TINY, speed), jacobian
 
 
 @inline
-def ray_span(kind, space, ox, oy, oz, dx, dy, dz, near, far):
+def ray_span(space, ox, oy, oz, dx, dy, dz, near):
     """Distances between which a ray is marched: the box's entry and exit, or near and far. Empty: first >= second."""
-    t0, t1 = near, far
-    if kind == BOX:
+    t0, t1, numbers = near, space.far, space.numbers
+    if space.kind == BOX:
         for a in range(3):
             if a == 0:
                 o, d = ox, dx
@@ -93,8 +99,8 @@ def ray_span(kind, space, ox, oy, oz, dx, dy, dz, near, far):
                 o, d = oy, dy
             else:
                 o, d = oz, dz
-            p = (o - space[a]) * space[3 + a]
-            v = d * space[3 + a]
+            p = (o - numbers[a]) * numbers[3 + a]
+            v = d * numbers[3 + a]
             if abs(v) < _TINY:
                 if p < _ZERO or p > _ONE:
                     return _ONE, _ZERO
@@ -109,40 +115,41 @@ def ray_span(kind, space, ox, oy, oz, dx, dy, dz, near, far):
 
 
 @inline
-def _time_out_of(x, speed, distance, cells, least):
-    """The less of `least` and the time until coordinate x has left all cells nearer than `distance` to its own."""
+def _exit_time(x, speed, distance, cells, shortest):
+    """Return the time until coordinate x leaves all cells within `distance` of its own, at most `shortest`."""
     if speed == _ZERO:
-        return least
+        return shortest
     own = np.float32(min(int(x * np.float32(cells)), cells - 1))
     edge = own + np.float32(distance) if speed > _ZERO else own - np.float32(distance) + _ONE
     time = (edge / np.float32(cells) - x) / speed
-    return min(max(time, _ZERO), least)
+    return min(max(time, _ZERO), shortest)
 
 
 @inline
-def leap(kind, space, ox, oy, oz, dx, dy, dz, t, dt, distance, cells, step, q, ahead):
-    """Steps of dt that can be taken at once from q, whose nearest occupied cell is `distance` cells away.
+def empty_steps(space, ox, oy, oz, dx, dy, dz, t, dt, distance, cells, step, q, ahead):
+    """Count the steps of dt to skip from q, whose nearest occupied cell is `distance` cells away.
 
-    In a box a ray goes straight on and leaps to the first step behind all cells that are known to be empty. In a
-    frustum rays only slow down. A contraction speeds up towards its middle, up to sixteenfold from m = 4: there the
-    leap is halved until what is moved in the cube is within reach. A straight line's image strays from between its ends
-    by a few hundredths of their distance at most, hence the margin.
+    In a box the warp is affine: the ray skips to the first step behind all cells known to be empty. In a frustum rays
+    only slow down, so that today's speed is a safe bound. In a contraction they speed up towards the middle, up to
+    sixteenfold from m = 4: there the skip is halved until it moves within reach. The image of a straight line strays
+    from the segment between its ends by a few hundredths of their distance at most, hence the margin of 0.95.
     """
-    if kind == BOX:
-        left = dt * _TWO / step  # twice the cube: no ray stays in it for longer
-        left = _time_out_of(q[0], dx * space[3], distance, cells, left)
-        left = _time_out_of(q[1], dy * space[4], distance, cells, left)
-        left = _time_out_of(q[2], dz * space[5], distance, cells, left)
+    numbers = space.numbers
+    if space.kind == BOX:
+        left = dt * _TWO / step  # time to cross twice the cube: no ray stays in it for longer
+        left = _exit_time(q[0], dx * numbers[3], distance, cells, left)
+        left = _exit_time(q[1], dy * numbers[4], distance, cells, left)
+        left = _exit_time(q[2], dz * numbers[5], distance, cells, left)
         return np.int64(left / dt) + 1
     if distance <= 1:
         return np.int64(1)
     reach = (np.float32(distance) - _ONE) / np.float32(cells)
     steps = max(np.int64(1), np.int64(reach / step))
-    if kind == CONTRACTION:
+    if space.kind == CONTRACTION:
         reach *= np.float32(0.95)
         while steps > 1:
             s = t + dt * np.float32(steps)
-            warp_at(kind, space, ox + s * dx, oy + s * dy, oz + s * dz, dx, dy, dz, ahead)
+            warp_at(space, ox + s * dx, oy + s * dy, oz + s * dz, dx, dy, dz, ahead)
             if max(abs(ahead[0] - q[0]), abs(ahead[1] - q[1]), abs(ahead[2] - q[2])) <= reach:
                 break
             steps >>= 1
@@ -183,132 +190,107 @@ def displace(displacement, cells, q, out):
 
 
 @inline
-def end_of_chunk(ends, c, chunks):
-    """Where the samples of chunk c end: ray after ray, they lie side by side up to there (0: the chunk has no rays).
+def end_of_partition(ends, thread, threads):
+    """Return where the samples of a thread's rays end (0: it has no rays).
 
-    What the next sample will read can be asked for while one is worked on, also where it lies on the next ray.
+    Samples of consecutive rays are contiguous up to there, so the next one can be prefetched across rays.
     """
-    last = (c + 1) * len(ends) // chunks
+    last = (thread + 1) * len(ends) // threads
     return ends[last - 1] if last > 0 else np.int64(0)
 
 
 @inline
-def fetch_nothing(table, layout, shift, shape, q):
-    """For kinds of fields that do not say what they will read."""
+def no_prefetch(density, shape, q):
+    """Prefetch nothing: for densities whose lookups are too scattered to gain by it."""
 
 
 @inline
-def walk_chunk(
-    raw_density,
-    fetch,
-    table,
-    layout,
-    shift,
-    shape,
-    kind,
-    space,
-    origins,
-    directions,
-    jitter,
-    near,
-    far,
-    step,
-    occupancy,
-    cells,
-    limit,
-    displacement,
-    displacement_cells,
-    opaque,
-    closed,
-    c,
-    chunks,
-    starts,
-    ends,
-    t_out,
-    optical,
-    x,
-    sigma,
-    weights,
+def march_partition(
+    raw_density, prefetch, density, shape, rays, space, occupancy, displacement, settings, thread, threads, samples
 ):
-    """Walk each ray of chunk c front to back until transmittance is under `opaque`, its span ends or `limit` samples
+    """March a thread's rays front to back until transmittance, span or sample limit is exhausted.
 
-    lie on it. raw_density(table, layout, shift, shape, q): an inline function, one kind of field; the kernels that call
-    this are compiled around it, so that no kind pays for the others. fetch: inline too, asks for what raw_density will
-    read at a place, while the sample before it is worked on.
-
-    Ray r's samples are starts[r]:ends[r] of t_out, optical (optical length of unit raw density), x (position in the
-    cube, displaced), sigma (raw density) and weights (T (1 - exp(-sigma optical))). Each chunk of rays packs its
-    samples from first_ray * limit on; the arrays have rays * limit elements, of which only those touched cost memory.
-    closed: space ends in an opaque backdrop (captures of the real world), so that weights sum to one.
+    Args:
+        raw_density: inline function (density, shape, position) -> sigma. The kernels that call this are compiled around
+            it, so that no kind of density pays for the others.
+        prefetch: inline function (density, shape, position) that requests what raw_density will read there.
+        density: Density of that kind. shape: a tuple whose length raw_density needs at compile time.
+        samples: written. Each thread packs its samples from first_ray * samples_per_ray on; the arrays have rays *
+            samples_per_ray elements, of which the operating system provides only the pages that are written.
     """
+    origins, directions = rays.origins, rays.directions
+    distances, cells = occupancy.distances, occupancy.cells
+    step, samples_per_ray, min_transmittance = settings.step, settings.samples_per_ray, settings.min_transmittance
+    starts, ends, t_out, deltas, x, sigma, weights = samples
     n = len(origins)
     q = np.empty(3, np.float32)
     ahead = np.empty(3, np.float32)
     moved = np.empty(3, np.float32)
-    begin = c * n // chunks
-    at = begin * limit
-    for r in range(begin, (c + 1) * n // chunks):
+    begin = thread * n // threads
+    at = begin * samples_per_ray
+    for r in range(begin, (thread + 1) * n // threads):
         starts[r] = at
         ox, oy, oz = origins[r, 0], origins[r, 1], origins[r, 2]
         dx, dy, dz = directions[r, 0], directions[r, 1], directions[r, 2]
-        t, end = ray_span(kind, space, ox, oy, oz, dx, dy, dz, near[r], far)
-        through = _ONE
-        last = at + limit
+        t, end = ray_span(space, ox, oy, oz, dx, dy, dz, rays.near[r])
+        transmittance = _ONE
+        last = at + samples_per_ray
         if t < end:
-            speed, _ = warp_at(kind, space, ox + t * dx, oy + t * dy, oz + t * dz, dx, dy, dz, q)
-            t += jitter[r] * step / speed
-            speed, jacobian = warp_at(kind, space, ox + t * dx, oy + t * dy, oz + t * dz, dx, dy, dz, q)
-        while t < end and through >= opaque and at < last:
+            speed, _ = warp_at(space, ox + t * dx, oy + t * dy, oz + t * dz, dx, dy, dz, q)
+            t += rays.jitter[r] * step / speed
+            speed, jacobian = warp_at(space, ox + t * dx, oy + t * dy, oz + t * dz, dx, dy, dz, q)
+        while t < end and transmittance >= min_transmittance and at < last:
             dt = step / speed
-            distance = cell_distance(occupancy, cells, q)
+            distance = cell_distance(distances, cells, q)
             if distance > 0:
-                taken = leap(kind, space, ox, oy, oz, dx, dy, dz, t, dt, distance, cells, step, q, moved)
-                s = t + dt * np.float32(taken)
-                if not s > t:  # a step is lost in the rounding of so large a distance
+                skipped = empty_steps(space, ox, oy, oz, dx, dy, dz, t, dt, distance, cells, step, q, moved)
+                s = t + dt * np.float32(skipped)
+                if not s > t:  # so far out that float32 rounds the step away: without this the loop never ends
                     break
                 t = s
-                speed, jacobian = warp_at(kind, space, ox + t * dx, oy + t * dy, oz + t * dz, dx, dy, dz, q)
+                speed, jacobian = warp_at(space, ox + t * dx, oy + t * dy, oz + t * dz, dx, dy, dz, q)
                 continue
-            # Where the next sample will be is known before this one's density is.
+            # The next position does not depend on this sample's density: warp it first, so that its rows can be
+            # prefetched while this density is computed.
             s = t + dt
-            next_speed, next_jacobian = warp_at(kind, space, ox + s * dx, oy + s * dy, oz + s * dz, dx, dy, dz, ahead)
+            next_speed, next_jacobian = warp_at(space, ox + s * dx, oy + s * dy, oz + s * dz, dx, dy, dz, ahead)
             t_out[at] = t
-            if displacement_cells > 0:
-                displace(displacement, displacement_cells, q, moved)
+            if displacement.vertices > 0:
+                displace(displacement.grid, displacement.vertices, q, moved)
                 q[0], q[1], q[2] = moved[0], moved[1], moved[2]
             else:
-                fetch(table, layout, shift, shape, ahead)
-            density = raw_density(table, layout, shift, shape, q)
-            length = dt * jacobian * OPTICAL_SCALE
-            stay = np.float32(math.exp(-density * length))
-            optical[at] = length
+                prefetch(density, shape, ahead)
+            raw = raw_density(density, shape, q)
+            delta = dt * jacobian * OPTICAL_SCALE
+            transmitted = np.float32(math.exp(-raw * delta))
+            deltas[at] = delta
             x[at, 0], x[at, 1], x[at, 2] = q[0], q[1], q[2]
-            sigma[at] = density
-            weights[at] = through * (_ONE - stay)
-            through *= stay
+            sigma[at] = raw
+            weights[at] = transmittance * (_ONE - transmitted)
+            transmittance *= transmitted
             at += 1
             t, speed, jacobian = s, next_speed, next_jacobian
             q[0], q[1], q[2] = ahead[0], ahead[1], ahead[2]
-        if closed and through >= opaque and at < last:
-            # The far end takes what light is left; its density is fixed, so only its color learns.
-            warp_at(kind, space, ox + end * dx, oy + end * dy, oz + end * dz, dx, dy, dz, q)
+        if settings.opaque_background and transmittance >= min_transmittance and at < last:
+            # The far end absorbs the remaining light (decision 0004). Its density is fixed: only its color learns.
+            warp_at(space, ox + end * dx, oy + end * dy, oz + end * dz, dx, dy, dz, q)
             t_out[at] = end
-            optical[at] = _ZERO
+            deltas[at] = _ZERO
             x[at, 0], x[at, 1], x[at, 2] = q[0], q[1], q[2]
             sigma[at] = _ZERO
-            weights[at] = through
+            weights[at] = transmittance
             at += 1
         ends[r] = at
 
 
 @parallel_kernel
-def warp_points(kind, space, points, chunks, out, jacobians):
-    """Warped position and density jacobian of free points [n, 3]."""
+def warp_points(space, points, threads, out, jacobians):
+    """Warp free points [n, 3] to the cube: positions to out [n, 3], density jacobians to jacobians [n]."""
     n = len(points)
-    for c in prange(chunks):
+    for thread in prange(threads):
         q = np.empty(3, np.float32)
-        for p in range(c * n // chunks, (c + 1) * n // chunks):
-            _, jacobian = warp_at(kind, space, points[p, 0], points[p, 1], points[p, 2], _ONE, _ZERO, _ZERO, q)
+        for p in range(thread * n // threads, (thread + 1) * n // threads):
+            _, jacobian = warp_at(space, points[p, 0], points[p, 1], points[p, 2], _ONE, _ZERO, _ZERO, q)
             out[p, 0] = q[0]
             out[p, 1] = q[1]
             out[p, 2] = q[2]

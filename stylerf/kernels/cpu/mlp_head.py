@@ -1,8 +1,8 @@
 """A color head of one hidden layer: sigmoid(W2 relu(W1 (phi, Y) + b1) + b2), packed samples as in color_heads.py.
 
 numbers, flat: W1 of the features [f, h], W1 of the harmonics [bands, h], b1 [h], W2 [3, h], b2 [3]. h is a compile-time
-constant, the length of the tuple `hidden`: a row of h floats is one vector. What the direction adds to the hidden layer
-is worked out once a ray.
+constant, the length of the tuple `hidden`, so that a row of h floats is one vector. The direction's contribution to the
+hidden layer is computed once per ray.
 """
 
 import numpy as np
@@ -38,15 +38,15 @@ def hidden_layer(numbers, phi, i, seen, hidden, out):
 
 
 @parallel_kernel
-def mlp(phi, hidden, numbers, basis, index, ray, chunks, out):
+def mlp(phi, hidden, numbers, basis, index, ray, threads, out):
     """out[index[i]] = the color of sample i."""
     m, width = phi.shape
     h, bands = np.int64(len(hidden)), basis.shape[1]
     second = (width + bands + 1) * h
-    for c in prange(chunks):
+    for thread in prange(threads):
         seen, layer = np.empty(h, np.float32), np.empty(h, np.float32)
         last = np.int64(-1)
-        for i in range(c * m // chunks, (c + 1) * m // chunks):
+        for i in range(thread * m // threads, (thread + 1) * m // threads):
             if ray[i] != last:
                 last = ray[i]
                 from_direction(numbers, width * h, basis, last, hidden, seen)
@@ -57,8 +57,8 @@ def mlp(phi, hidden, numbers, basis, index, ray, chunks, out):
 
 
 @inline
-def _teach_direction(learned, basis, r, buffers, at, hidden):
-    """Add what a ray's samples taught the hidden layer to W1 of the harmonics and b1, at `at`."""
+def _add_direction_gradient(learned, basis, r, buffers, at, hidden):
+    """Add the gradient from one ray's samples to W1 of the harmonics and b1, at `at`."""
     h, bands = len(learned), basis.shape[1]
     for b in range(bands):
         axpy_row(basis[r, b], learned, np.int64(0), buffers, np.int64(at + b * h), hidden)
@@ -66,21 +66,21 @@ def _teach_direction(learned, basis, r, buffers, at, hidden):
 
 
 @parallel_kernel
-def mlp_backward(phi, hidden, numbers, basis, index, ray, colors, color_gradients, chunks, phi_gradients, at, to):
-    """phi_gradients [m, f] = dL/d(phi), and dL/d(numbers) added to to[chunk, at:]."""
+def mlp_backward(phi, hidden, numbers, basis, index, ray, colors, color_gradients, threads, phi_gradients, at, to):
+    """phi_gradients [m, f] = dL/d(phi), and dL/d(numbers) added to to[thread, at:]."""
     m, width = phi.shape
     h, bands, stride = np.int64(len(hidden)), basis.shape[1], to.shape[1]
     second = (width + bands + 1) * h
     buffers = to.reshape(-1)
-    for c in prange(chunks):
-        base = np.int64(c * stride + at)
+    for thread in prange(threads):
+        base = np.int64(thread * stride + at)
         seen, layer, learned = np.empty(h, np.float32), np.empty(h, np.float32), np.zeros(h, np.float32)
         back = np.empty(h, np.float32)
         last = np.int64(-1)
-        for i in range(c * m // chunks, (c + 1) * m // chunks):
+        for i in range(thread * m // threads, (thread + 1) * m // threads):
             if ray[i] != last:
                 if last >= 0:
-                    _teach_direction(learned, basis, last, buffers, base + width * h, hidden)
+                    _add_direction_gradient(learned, basis, last, buffers, base + width * h, hidden)
                     learned[:] = _ZERO
                 last = ray[i]
                 from_direction(numbers, width * h, basis, last, hidden, seen)
@@ -100,4 +100,4 @@ def mlp_backward(phi, hidden, numbers, basis, index, ray, colors, color_gradient
                 phi_gradients[i, f] = dot_rows(numbers, np.int64(f * h), back, np.int64(0), hidden)
                 axpy_row(phi[i, f], back, np.int64(0), buffers, np.int64(base + f * h), hidden)
         if last >= 0:
-            _teach_direction(learned, basis, last, buffers, base + width * h, hidden)
+            _add_direction_gradient(learned, basis, last, buffers, base + width * h, hidden)

@@ -1,4 +1,4 @@
-"""Rays and target colors of chosen pixels, straight from cameras and 8-bit images: no ray is ever stored."""
+"""Rays and target colors of chosen pixels, computed from cameras and 8-bit images: rays are never stored."""
 
 import math
 
@@ -13,11 +13,14 @@ _BYTE = np.float32(1.0 / 255.0)
 
 @parallel_kernel
 def gather(views, pixels, widths, intrinsics, poses, starts, bytes_, channels, codes, origins, directions, colors):
-    """For ray r: pixel pixels[r] (row-major) of view views[r].
+    """Fill ray r from pixel pixels[r] (row-major) of view views[r].
 
-    intrinsics [views, 4] fx fy cx cy; poses [views, 3, 4] world from camera (OpenCV axes); starts [views]: where a
-    view's bytes begin in bytes_; codes [views, 256]: the value that a byte of a view stands for; colors [rays, 4]: rgb
-    and alpha 0..1 (alpha 1 where images have three channels).
+    Args:
+        intrinsics: [views, 4], fx fy cx cy, pixels.
+        poses: [views, 3, 4], world from camera (OpenCV axes).
+        starts: [views], offset of a view's first byte in bytes_.
+        codes: [views, 256], the color that a byte of a view stands for.
+        colors: [rays, 4], written: rgb and alpha 0..1 (alpha 1 for images of three channels).
     """
     for r in prange(len(views)):
         v = views[r]

@@ -1,4 +1,4 @@
-"""What of a ray lies in a region: a grid of marked cells over the cube."""
+"""The part of each ray that lies in a region: a grid of marked cells over the cube."""
 
 import numpy as np
 from numba import prange
@@ -10,7 +10,7 @@ _ZERO = np.float32(0)
 
 @inline
 def cell_of(x, k, cells):
-    """Row-major number of the cell that point k lies in; what lies outside the cube counts to its border."""
+    """Return the row-major index of the cell that point k lies in; points outside the cube count to its border."""
     number = np.int64(0)
     for a in range(3):
         i = np.int64(x[k, a] * np.float32(cells))
@@ -19,11 +19,12 @@ def cell_of(x, k, cells):
 
 
 @parallel_kernel
-def weights_inside(marked, cells, x, weights, starts, ends, chunks, out):
-    """out[r] = sum of the ray's weights over samples whose cell is marked; marked: [cells^3] bool."""
+def weights_inside(marked, cells, points, threads, out):
+    """out[r] = sum of the ray's weights over points whose cell is marked; marked: [cells^3] bool."""
+    starts, ends, x, weights = points
     n = len(ends)
-    for c in prange(chunks):
-        for r in range(c * n // chunks, (c + 1) * n // chunks):
+    for thread in prange(threads):
+        for r in range(thread * n // threads, (thread + 1) * n // threads):
             total = _ZERO
             for k in range(starts[r], ends[r]):
                 if weights[k] > _ZERO and marked[cell_of(x, k, cells)]:
@@ -32,10 +33,11 @@ def weights_inside(marked, cells, x, weights, starts, ends, chunks, out):
 
 
 @parallel_kernel
-def add_to_cells(values, cells, x, weights, starts, ends, to):
-    """Add sum w (values[r], 1) of ray r's samples to to[its cell]; values: [rays, m], to: [cells^3, m + 1]."""
+def add_to_cells(values, cells, points, to):
+    """Add w (values[r], 1) of every point of ray r to to[its cell]; values: [rays, m], to: [cells^3, m + 1]."""
+    starts, ends, x, weights = points
     m = values.shape[1]
-    for _ in prange(1):  # one after another: rays share cells
+    for _ in prange(1):  # serial: rays share cells
         for r in range(len(ends)):
             for k in range(starts[r], ends[r]):
                 w = weights[k]
@@ -47,11 +49,12 @@ def add_to_cells(values, cells, x, weights, starts, ends, to):
 
 
 @parallel_kernel
-def ends_inside(marked, cells, x, t, weights, starts, ends, chunks, out):
-    """out[r] = (sum w, sum over marked cells of w, of w t, of w x): [rays, 6]. What a ray's end in the region is."""
+def ends_inside(marked, cells, points, t, threads, out):
+    """out[r] = (sum w, then sums over marked cells of w, w t and w x), [rays, 6]: where a ray ends in the region."""
+    starts, ends, x, weights = points
     n = len(ends)
-    for c in prange(chunks):
-        for r in range(c * n // chunks, (c + 1) * n // chunks):
+    for thread in prange(threads):
+        for r in range(thread * n // threads, (thread + 1) * n // threads):
             for i in range(6):
                 out[r, i] = _ZERO
             for k in range(starts[r], ends[r]):
@@ -67,11 +70,12 @@ def ends_inside(marked, cells, x, t, weights, starts, ends, chunks, out):
 
 
 @parallel_kernel
-def keep_inside(marked, cells, x, starts, ends, chunks, values):
-    """values[k] = 0 for samples whose cell is not marked; marked: [cells^3] bool."""
+def zero_outside(marked, cells, samples, threads, values):
+    """Set values[k] = 0 for samples whose cell is not marked; marked: [cells^3] bool."""
+    starts, ends, x = samples.starts, samples.ends, samples.x
     n = len(ends)
-    for c in prange(chunks):
-        for r in range(c * n // chunks, (c + 1) * n // chunks):
+    for thread in prange(threads):
+        for r in range(thread * n // threads, (thread + 1) * n // threads):
             for k in range(starts[r], ends[r]):
                 if not marked[cell_of(x, k, cells)]:
                     values[k] = _ZERO

@@ -1,7 +1,7 @@
 """The hash grid's gather and scatter in LLVM IR.
 
-What to read is worked out for all levels at once, one level to a vector lane; then, level by level, the eight vertices
-around the point, four floats each, are loaded (or added to) as whole rows. Against scalar indexing (8 levels, points
+Indices are computed for all levels at once, one level per vector lane; then, level by level, the eight vertices around
+the point, four floats each, are loaded (or added to) as whole rows. Compared with scalar indexing (8 levels, points
 along rays, one core): forward 160 -> 100 ns a sample, backward 150 -> 100.
 """
 
@@ -19,7 +19,7 @@ PRIME_X, PRIME_Y = 805459861, 2654435761 - 2**32  # as signed 32-bit numbers; z 
 
 
 class Levels:
-    """Where a point lies in every level: offsets of the eight vertices (x slowest, z fastest) and place in the cell.
+    """A point in every level: offsets of the eight vertices around it (x slowest, z fastest), position in the cell.
 
     layout: int32 [6, levels]: resolution, multiplier of x, of y, mask, first float of the level, -1 where hashed.
     row: floats of a vertex.
@@ -43,7 +43,7 @@ class Levels:
             x, y, z = xs[corner >> 2], ys[(corner >> 1) & 1], zs[corner & 1]
             scrambled = builder.and_(builder.xor(builder.xor(x, y), z), mask)
             direct = builder.add(builder.add(x, y), z)
-            # Selecting by bits: the two kinds of level share every other instruction.
+            # A bitwise select, so that direct and hashed levels share every other instruction.
             index = builder.xor(direct, builder.and_(builder.xor(direct, scrambled), hashed))
             offset = builder.add(first, builder.mul(index, self._constant(row)))
             builder.store(offset, builder.gep(self.offsets, [ir.Constant(INT32, corner)])).align = 4
@@ -87,7 +87,7 @@ def _mix(rows, low, high, weight):
 
 
 def interpolate(rows, values, fractions):
-    """Trilinear mix of eight rows."""
+    """Trilinear interpolation of eight rows."""
     for fraction in fractions:
         half = len(values) // 2
         values = [_mix(rows, low, high, fraction) for low, high in zip(values[:half], values[half:])]
@@ -121,7 +121,7 @@ def _sigmoid(rows, z):
     u = rows.mul(z, number(-math.log2(math.e)))
     for bound, comparison in ((80.0, ">"), (-80.0, "<")):
         u = b.select(b.fcmp_ordered(comparison, u, number(bound)), number(bound), u)
-    # Away from zero by a half, then truncated: the nearest whole number.
+    # Rounds to nearest: adds half away from zero, then truncates.
     half = b.select(b.fcmp_ordered("<", u, number(0.0)), number(-0.5), number(0.5))
     whole = b.fptosi(b.fadd(u, half), ints)
     fraction = rows.sub(u, b.sitofp(whole, rows.type))
@@ -134,7 +134,7 @@ def _sigmoid(rows, z):
 
 
 def _sum(rows, terms):
-    """Sum by halves: a chain of eight additions would be waited for."""
+    """Sum pairwise: shorter than a dependency chain of eight additions."""
     while len(terms) > 1:
         terms = [rows.add(*pair) for pair in zip(terms[::2], terms[1::2])] + terms[len(terms) & ~1 :]
     return terms[0]
@@ -142,7 +142,7 @@ def _sum(rows, terms):
 
 @intrinsic
 def hash_prefetch(typing, table, at, layout, x, y, z, levels):
-    """Ask for the vertices of table[at:] around (x, y, z), so that they come while another point is worked on.
+    """Prefetch the vertices of table[at:] around (x, y, z) while another point is being computed.
 
     Of each edge along z the lower end alone: both mostly lie in one line of the cache.
     """
@@ -162,7 +162,7 @@ def hash_prefetch(typing, table, at, layout, x, y, z, levels):
 
 @intrinsic
 def hash_logits(typing, table, layout, x, y, z, out, at, levels):
-    """out[at:at+3] = f[0:3] + f[3], f = sum over levels of the trilinear mix of what is around (x, y, z) in 0..1."""
+    """out[at:at+3] = f[0:3] + f[3], f = sum over levels of the values interpolated at (x, y, z) in 0..1."""
 
     def generate(context, builder, sig, args):
         rows, count = Rows(builder, ROW), sig.args[-1].count
@@ -216,7 +216,7 @@ def hash_features_backward(typing, buffer, at, layout, x, y, z, gradients, row, 
 
 @intrinsic
 def hash_rows(typing, table, layout, x, y, z, out, at, levels):
-    """out[at + 4 l : at + 4 l + 4] = the trilinear mix of level l at (x, y, z) in 0..1: levels side by side."""
+    """out[at + 4 l : at + 4 l + 4] = level l interpolated at (x, y, z) in 0..1: levels concatenated."""
 
     def generate(context, builder, sig, args):
         rows, count = Rows(builder, ROW), sig.args[-1].count
@@ -247,7 +247,7 @@ def hash_rows_backward(typing, buffer, at, layout, x, y, z, gradients, row, leve
 
 
 def _add_slopes(rows, where, table, gradient_of, out) -> None:
-    """Add sum over levels of gradient_of(level) . d(trilinear mix)/d(x, y, z) to out[0:3]."""
+    """Add sum over levels of gradient_of(level) . d(interpolated values)/d(x, y, z) to out[0:3]."""
     totals = [[], [], []]
     for level in range(where.count):
         values, fractions = _level_rows(rows, where, table, level)
@@ -260,7 +260,7 @@ def _add_slopes(rows, where, table, gradient_of, out) -> None:
 
 
 def steps(rows, values, fractions):
-    """Slopes of the trilinear mix of eight rows along each axis, a cell being one wide."""
+    """Slopes of the trilinear interpolation along each axis, per cell width."""
     found = []
     for axis in range(3):
         half = len(values) // 2

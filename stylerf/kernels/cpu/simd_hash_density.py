@@ -17,7 +17,7 @@ def _placed(context, builder, sig, layout, point, count):
 
 
 def _corners(where, table) -> list:
-    """What the eight corners hold, each a vector over levels."""
+    """Values at the eight corners, each a vector over levels."""
     builder, lanes = where.builder, where.lanes
     found = [ir.Constant(lanes.type, ir.Undefined)] * 8
     for level in range(where.count):
@@ -29,7 +29,7 @@ def _corners(where, table) -> list:
 
 @intrinsic
 def hash_sum(typing, table, layout, x, y, z, levels):
-    """Sum over levels of the trilinear mix of what is around (x, y, z) in 0..1."""
+    """Sum over levels of the values interpolated at (x, y, z) in 0..1."""
 
     def generate(context, builder, sig, args):
         where = _placed(context, builder, sig.args[1], args[1], args[2:5], sig.args[-1].count)

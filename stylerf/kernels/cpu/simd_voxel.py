@@ -9,7 +9,7 @@ from stylerf.kernels.cpu.simd_vm import INDEX, INT32, SCALAR, Rows, data_pointer
 
 
 def _rows_at(rows, table, offsets):
-    """What the eight vertices hold; offsets: pointer to eight int64, x slowest, z fastest."""
+    """Rows of the eight vertices; offsets: pointer to eight int64, x slowest, z fastest."""
     builder = rows.builder
     places = [builder.load(builder.gep(offsets, [ir.Constant(INT32, corner)])) for corner in range(8)]
     return places, [rows.load(table, place) for place in places]
@@ -17,7 +17,7 @@ def _rows_at(rows, table, offsets):
 
 @intrinsic
 def voxel_row(typing, table, offsets, fx, fy, fz, out, at, widths):
-    """out[at : at + width] = trilinear mix of the eight rows of `table` at offsets [8] int64; f: place in the cell."""
+    """out[at : at + width] = the eight rows of `table` at offsets [8] int64, interpolated; f: position in the cell."""
 
     def generate(context, builder, sig, args):
         rows = Rows(builder, sig.args[-1].count)
@@ -50,7 +50,7 @@ def voxel_row_backward(typing, buffer, base, offsets, fx, fy, fz, gradients, at,
 
 @intrinsic
 def voxel_row_slopes(typing, table, offsets, fx, fy, fz, gradients, at, out, widths):
-    """out[0:3] = d(gradients . mix)/d(fx, fy, fz)."""
+    """out[0:3] = d(gradients . interpolated row)/d(fx, fy, fz)."""
 
     def generate(context, builder, sig, args):
         rows = Rows(builder, sig.args[-1].count)

@@ -1,4 +1,4 @@
-"""encode, vm: vector-matrix fields (TensoRF, Chen et al. 2022, eq. 7) as density and as spherical-harmonic color.
+"""Vector-matrix fields (TensoRF, Chen et al. 2022, eq. 7) as density and as spherical-harmonic color.
 
 A table is one flat float32 array: for m = 0, 1, 2 a plane [size[a], size[b], rank] over axes a = (m+1)%3, b = (m+2)%3,
 then for m = 0, 1, 2 a line [size[m], rank] over axis m. A sample's feature m, r is bilinear(plane m, r) * linear(line
@@ -11,7 +11,7 @@ import numpy as np
 from numba import prange
 
 from stylerf.kernels.cpu.compiling import inline, parallel_kernel
-from stylerf.kernels.cpu.march import EXPONENT_MAX, EXPONENT_MIN, cell, end_of_chunk, walk_chunk
+from stylerf.kernels.cpu.march import EXPONENT_MAX, EXPONENT_MIN, cell, end_of_partition, march_partition
 from stylerf.kernels.cpu.simd_vm import (
     add_roughness,
     axpy_row,
@@ -32,7 +32,7 @@ def place(m, x, size, rank):
     iu, fu = cell(x[a], size[a])
     iv, fv = cell(x[b], size[b])
     iw, fw = cell(x[m], size[m])
-    # Planes lie one after another, then the lines.
+    # All planes are stored first, then the lines.
     at = np.int64(0)
     for before in range(m):
         at += size[(before + 1) % 3] * size[(before + 2) % 3]
@@ -50,103 +50,54 @@ def places(x, size, rank):
 
 
 @inline
-def raw_density(table, size, shift, ranks, x):
+def raw_density(density, ranks, x):
     """exp(shift + features) of one warped point."""
-    total = shift + vm_sum(table, *places(x, size, np.int64(len(ranks))), ranks)
+    total = density.shift + vm_sum(density.table, *places(x, density.layout, np.int64(len(ranks))), ranks)
     return np.float32(math.exp(min(max(total, EXPONENT_MIN), EXPONENT_MAX)))
 
 
 @inline
-def fetch(table, size, shift, ranks, x):
-    """Ask for the rows of one warped point."""
-    vm_prefetch(table, np.int64(0), *places(x, size, np.int64(len(ranks))), ranks)
+def prefetch(density, ranks, x):
+    """Prefetch the rows of one warped point."""
+    vm_prefetch(density.table, np.int64(0), *places(x, density.layout, np.int64(len(ranks))), ranks)
 
 
 @parallel_kernel
-def density(table, size, shift, ranks, x, chunks, sigma):
-    """Raw density of warped points x [n, 3]."""
+def density_at(density, ranks, x, threads, sigma):
+    """sigma [n]: raw density of warped points x [n, 3]."""
     n = len(x)
-    for c in prange(chunks):
-        for p in range(c * n // chunks, (c + 1) * n // chunks):
-            sigma[p] = raw_density(table, size, shift, ranks, x[p])
+    for thread in prange(threads):
+        for p in range(thread * n // threads, (thread + 1) * n // threads):
+            sigma[p] = raw_density(density, ranks, x[p])
 
 
 @parallel_kernel
-def march_density(
-    kind,
-    space,
-    origins,
-    directions,
-    jitter,
-    near,
-    far,
-    step,
-    occupancy,
-    cells,
-    limit,
-    table,
-    size,
-    shift,
-    ranks,
-    displacement,
-    displacement_cells,
-    opaque,
-    closed,
-    chunks,
-    starts,
-    ends,
-    t_out,
-    optical,
-    x,
-    sigma,
-    weights,
-):
-    """Walk rays through a vm density: see march.walk_chunk."""
-    for c in prange(chunks):
-        walk_chunk(
-            raw_density,
-            fetch,
-            table,
-            size,
-            shift,
-            ranks,
-            kind,
-            space,
-            origins,
-            directions,
-            jitter,
-            near,
-            far,
-            step,
-            occupancy,
-            cells,
-            limit,
-            displacement,
-            displacement_cells,
-            opaque,
-            closed,
-            c,
-            chunks,
-            starts,
-            ends,
-            t_out,
-            optical,
-            x,
-            sigma,
-            weights,
-        )
+def march_density(density, ranks, rays, space, occupancy, displacement, settings, threads, samples):
+    """March rays through a vm density; see march.march_partition.
+
+    Each density has this kernel, and no factory makes it: numba keys the cache of a closure over other compiled
+    functions by ids that differ in every process, so that each run would compile it again.
+    """
+    for thread in prange(threads):
+        march_partition(
+            raw_density, prefetch, density, ranks, rays, space, occupancy, displacement, settings, thread, threads,
+            samples,
+        )  # fmt: skip
 
 
 @parallel_kernel
-def density_backward(table, size, shift, ranks, x, starts, ends, sigma, sigma_gradients, chunks, to):
-    """Add dL/d(table) and, behind the table's last element, dL/d(shift) to the chunk's own buffer to[chunk]."""
+def density_backward(density, ranks, samples, sigma_gradients, to):
+    """Add dL/d(table) and, behind the table's last element, dL/d(shift) to the thread's own buffer to[thread]."""
+    table, size = density.table, density.layout
+    starts, ends, x, sigma = samples.starts, samples.ends, samples.x, samples.sigma
     n = len(ends)
-    stride = to.shape[1]
+    threads, stride = to.shape
     flat = to.reshape(-1)
-    for c in prange(chunks):
-        stop = end_of_chunk(ends, c, chunks)
+    for thread in prange(threads):
+        stop = end_of_partition(ends, thread, threads)
+        base = np.int64(thread * stride)
         shift_gradient = _ZERO
-        for r in range(c * n // chunks, (c + 1) * n // chunks):
+        for r in range(thread * n // threads, (thread + 1) * n // threads):
             for k in range(starts[r], ends[r]):
                 g = sigma_gradients[k] * sigma[k]  # d exp(e)/de = exp(e)
                 if g != _ZERO:
@@ -154,16 +105,16 @@ def density_backward(table, size, shift, ranks, x, starts, ends, sigma, sigma_gr
                     if k + 1 < stop:
                         following = places(x[k + 1], size, np.int64(len(ranks)))
                         vm_prefetch(table, np.int64(0), *following, ranks)
-                        vm_prefetch(flat, np.int64(c * stride), *following, ranks)
+                        vm_prefetch(flat, base, *following, ranks)
                     for m in range(3):
                         first, second, line, fu, fv, fw = place(m, x[k], size, np.int64(len(ranks)))
-                        vm_dot_backward(table, first, second, line, fu, fv, fw, g, flat, np.int64(c * stride), ranks)
-        to[c, stride - 1] += shift_gradient
+                        vm_dot_backward(table, first, second, line, fu, fv, fw, g, flat, base, ranks)
+        to[thread, stride - 1] += shift_gradient
 
 
 @inline
 def head_of_ray(head, basis, r, bands, features, out):
-    """out[j, f] = sum_b head[j, b, f] basis[r, b]: the color head seen from one ray's direction."""
+    """out[j, f] = sum_b head[j, b, f] basis[r, b]: the color head evaluated for one ray's direction."""
     for j in range(3):
         for f in range(features):
             out[j * features + f] = _ZERO
@@ -174,26 +125,28 @@ def head_of_ray(head, basis, r, bands, features, out):
 
 
 @parallel_kernel
-def color(table, size, ranks, head, bias, basis, x, starts, ends, weights, least, chunks, out):
-    """Colors of samples with weight > `least`: sigmoid(sum_b basis_b (head_b . features) + bias); else -1.
+def color(parameters, ranks, points, basis, threads, out):
+    """Colors of points with a positive weight: sigmoid(sum_b basis_b (head_b . features) + bias); else -1 in channel 0.
 
-    head: flat [3, bands, 3 rank]; bias [3]; basis [rays, bands]: spherical harmonics of the ray directions.
+    parameters: LinearColor. basis [rays, bands]: spherical harmonics of the ray directions. out [n, 3].
     """
+    table, size, head, bias = parameters
+    starts, ends, x, weights = points
     n = len(ends)
     bands = basis.shape[1]
     rank = np.int64(len(ranks))
     width = 3 * rank
-    for c in prange(chunks):
+    for thread in prange(threads):
         ray_head = np.empty(3 * width, np.float32)
         z = np.empty(3, np.float32)
-        stop = end_of_chunk(ends, c, chunks)
-        for r in range(c * n // chunks, (c + 1) * n // chunks):
+        stop = end_of_partition(ends, thread, threads)
+        for r in range(thread * n // threads, (thread + 1) * n // threads):
             ready = False
             for k in range(starts[r], ends[r]):
-                if weights[k] <= least:
+                if weights[k] <= _ZERO:
                     out[k, 0] = -_ONE
                     continue
-                if k + 1 < stop and weights[k + 1] > least:
+                if k + 1 < stop and weights[k + 1] > _ZERO:
                     vm_prefetch(table, np.int64(0), *places(x[k + 1], size, rank), ranks)
                 if not ready:
                     head_of_ray(head, basis, r, bands, width, ray_head)
@@ -204,25 +157,27 @@ def color(table, size, ranks, head, bias, basis, x, starts, ends, weights, least
 
 
 @parallel_kernel
-def color_backward(table, size, ranks, head, basis, x, starts, ends, colors, color_gradients, chunks, to):
-    """Add dL/d(table), then dL/d(head), then dL/d(bias) to the chunk's buffer to[chunk] of that layout.
+def color_backward(parameters, ranks, points, basis, colors, color_gradients, to):
+    """Add dL/d(table), then dL/d(head), then dL/d(bias) to the thread's buffer to[thread] of that layout.
 
-    colors, color_gradients [n, 3]: the forward's result and dL/dc; samples with colors[k, 0] < 0 are skipped.
+    colors, color_gradients [n, 3]: the forward's result and dL/dc; points with colors[k, 0] < 0 are skipped.
     """
+    table, size, head = parameters.table, parameters.size, parameters.head
+    starts, ends, x = points.starts, points.ends, points.x
     n = len(ends)
     bands = basis.shape[1]
     rank = np.int64(len(ranks))
     width = 3 * rank
-    stride = to.shape[1]
+    threads, stride = to.shape
     flat = to.reshape(-1)
     head_at = stride - 3 - 3 * bands * width
-    for c in prange(chunks):
-        base = np.int64(c * stride)
+    for thread in prange(threads):
+        base = np.int64(thread * stride)
         ray_head = np.empty(3 * width, np.float32)
         ray_head_gradient = np.empty(3 * width, np.float32)
         g = np.empty(3, np.float32)
-        stop = end_of_chunk(ends, c, chunks)
-        for r in range(c * n // chunks, (c + 1) * n // chunks):
+        stop = end_of_partition(ends, thread, threads)
+        for r in range(thread * n // threads, (thread + 1) * n // threads):
             ready = False
             for k in range(starts[r], ends[r]):
                 if colors[k, 0] < _ZERO:
@@ -237,7 +192,7 @@ def color_backward(table, size, ranks, head, basis, x, starts, ends, colors, col
                     ready = True
                 for j in range(3):
                     g[j] = color_gradients[k, j] * colors[k, j] * (_ONE - colors[k, j])
-                    to[c, stride - 3 + j] += g[j]
+                    to[thread, stride - 3 + j] += g[j]
                 where = places(x[k], size, rank)
                 vm_projected_backward(table, *where, ray_head, g[0], g[1], g[2], ray_head_gradient, flat, base, ranks)
             if ready:
@@ -266,7 +221,7 @@ def smoothness_backward(table, size, ranks, strength, to):
         for i in prange(rows):
             for j in range(columns):
                 here = at + (i * columns + j) * rank
-                # Past an edge lies the texel itself, from which it does not differ.
+                # Beyond an edge the texel stands in for its missing neighbor: their difference is zero.
                 above = here - across if i > 0 else here
                 below = here + across if i < rows - 1 else here
                 left = here - rank if j > 0 else here

@@ -1,4 +1,4 @@
-"""encode, vm: the products of planes and lines as features of chosen samples for a head; tables as vm.py has them."""
+"""Products of planes and lines as features of chosen samples, for a color head; tables are laid out as in vm.py."""
 
 import numpy as np
 from numba import prange
@@ -9,27 +9,27 @@ from stylerf.kernels.cpu.vm import place
 
 
 @parallel_kernel
-def features(table, size, ranks, x, index, chunks, out):
+def features(table, size, ranks, x, index, threads, out):
     """out [m, 3 rank] of samples x[index[i]] in 0..1."""
     n, width = out.shape
     rank = np.int64(len(ranks))
     flat = out.reshape(-1)
-    for c in prange(chunks):
-        for i in range(c * n // chunks, (c + 1) * n // chunks):
+    for thread in prange(threads):
+        for i in range(thread * n // threads, (thread + 1) * n // threads):
             for m in range(3):
                 first, second, line, fu, fv, fw = place(m, x[index[i]], size, rank)
                 vm_features(table, first, second, line, fu, fv, fw, flat, np.int64(i * width + m * rank), ranks)
 
 
 @parallel_kernel
-def features_backward(table, size, ranks, x, index, gradients, chunks, to):
-    """Add dL/d(table) to the chunk's buffer to[chunk]; gradients [m, 3 rank] = dL/d(out)."""
+def features_backward(table, size, ranks, x, index, gradients, threads, to):
+    """Add dL/d(table) to the thread's buffer to[thread]; gradients [m, 3 rank] = dL/d(out)."""
     n, width = gradients.shape
     rank, stride = np.int64(len(ranks)), to.shape[1]
     buffers, flat = to.reshape(-1), gradients.reshape(-1)
-    for c in prange(chunks):
-        base = np.int64(c * stride)
-        for i in range(c * n // chunks, (c + 1) * n // chunks):
+    for thread in prange(threads):
+        base = np.int64(thread * stride)
+        for i in range(thread * n // threads, (thread + 1) * n // threads):
             for m in range(3):
                 first, second, line, fu, fv, fw = place(m, x[index[i]], size, rank)
                 here = np.int64(i * width + m * rank)
@@ -37,14 +37,14 @@ def features_backward(table, size, ranks, x, index, gradients, chunks, to):
 
 
 @parallel_kernel
-def features_position_gradient(table, size, ranks, x, index, gradients, chunks, position_gradients):
+def features_position_gradient(table, size, ranks, x, index, gradients, threads, position_gradients):
     """Add dL/dx of the chosen samples to position_gradients [n, 3]."""
     n, width = gradients.shape
     rank = np.int64(len(ranks))
     flat = gradients.reshape(-1)
-    for c in prange(chunks):
+    for thread in prange(threads):
         slopes = np.empty(3, np.float32)
-        for i in range(c * n // chunks, (c + 1) * n // chunks):
+        for i in range(thread * n // threads, (thread + 1) * n // threads):
             k = index[i]
             for m in range(3):
                 first, second, line, fu, fv, fw = place(m, x[k], size, rank)

@@ -1,8 +1,9 @@
-"""encode, voxel: a sparse grid of vertices with a row of numbers each, trilinear in between (ARF's; Plenoxels, 2022).
+"""A sparse voxel grid, interpolated trilinearly (ARF; Plenoxels, Fridovich-Keil et al. 2022).
 
-Vertices are kept in blocks of 4 x 4 x 4. links: int32, the grid's vertices per axis (3), its blocks per axis (3), then
-for each block (x slowest) which block of the table is its; 0 is the block of all that is not kept. A row lies at
-((link * 4 + i % 4) * 4 + j % 4) * 4 + k % 4. Raw density is exp(shift + mix), the exponent clamped to [-15, 12].
+Vertices are allocated in blocks of 4 x 4 x 4, with a row of numbers each. links: int32, the grid's vertices per axis
+(3), its blocks per axis (3), then each block's number in the table (x slowest); all blocks that are not allocated share
+block 0. A row lies at ((link * 4 + i % 4) * 4 + j % 4) * 4 + k % 4. Raw density is exp(shift + interpolated value), the
+exponent clamped to [-15, 12].
 """
 
 import math
@@ -11,7 +12,7 @@ import numpy as np
 from numba import prange
 
 from stylerf.kernels.cpu.compiling import inline, parallel_kernel
-from stylerf.kernels.cpu.march import EXPONENT_MAX, EXPONENT_MIN, cell, fetch_nothing, walk_chunk
+from stylerf.kernels.cpu.march import EXPONENT_MAX, EXPONENT_MIN, cell, march_partition, no_prefetch
 from stylerf.kernels.cpu.simd_voxel import voxel_row, voxel_row_backward, voxel_row_slopes
 
 _ZERO = np.float32(0)
@@ -19,14 +20,14 @@ _ZERO = np.float32(0)
 
 @inline
 def row_of(links, i, j, k):
-    """Row of vertex i, j, k in the table."""
+    """Return the row of vertex i, j, k in the table."""
     block = (np.int64(i >> 2) * links[4] + (j >> 2)) * links[5] + (k >> 2)
     return (np.int64(links[6 + block]) << 6) | ((i & 3) << 4) | ((j & 3) << 2) | (k & 3)
 
 
 @inline
 def corners(links, x, width, offsets):
-    """Offsets in the table of the eight vertices around x, and x's place in their cell."""
+    """Write the offsets of the eight vertices around x in the table; return x's position in their cell."""
     i, fx = cell(x[0], np.int64(links[0]))
     j, fy = cell(x[1], np.int64(links[1]))
     k, fz = cell(x[2], np.int64(links[2]))
@@ -36,12 +37,13 @@ def corners(links, x, width, offsets):
 
 
 @inline
-def raw_density(table, links, shift, widths, x):
-    """exp(shift + trilinear mix) of one warped point."""
+def raw_density(density, widths, x):
+    """exp(shift + interpolated value) of one warped point."""
+    table, links = density.table, density.layout
     i, fx = cell(x[0], np.int64(links[0]))
     j, fy = cell(x[1], np.int64(links[1]))
     k, fz = cell(x[2], np.int64(links[2]))
-    total = shift
+    total = density.shift
     for corner in range(8):
         di, dj, dk = corner >> 2, (corner >> 1) & 1, corner & 1
         w = (fx if di else np.float32(1) - fx) * (fy if dj else np.float32(1) - fy)
@@ -50,154 +52,100 @@ def raw_density(table, links, shift, widths, x):
 
 
 @parallel_kernel
-def density(table, links, shift, widths, x, chunks, sigma):
-    """Raw density of warped points x [n, 3]."""
+def density_at(density, widths, x, threads, sigma):
+    """sigma [n]: raw density of warped points x [n, 3]."""
     n = len(x)
-    for c in prange(chunks):
-        for p in range(c * n // chunks, (c + 1) * n // chunks):
-            sigma[p] = raw_density(table, links, shift, widths, x[p])
+    for thread in prange(threads):
+        for p in range(thread * n // threads, (thread + 1) * n // threads):
+            sigma[p] = raw_density(density, widths, x[p])
 
 
 @parallel_kernel
-def march_density(
-    kind,
-    space,
-    origins,
-    directions,
-    jitter,
-    near,
-    far,
-    step,
-    occupancy,
-    cells,
-    limit,
-    table,
-    links,
-    shift,
-    widths,
-    displacement,
-    displacement_cells,
-    opaque,
-    closed,
-    chunks,
-    starts,
-    ends,
-    t_out,
-    optical,
-    x,
-    sigma,
-    weights,
-):
-    """Walk rays through a voxel density: see march.walk_chunk."""
-    for c in prange(chunks):
-        walk_chunk(
-            raw_density,
-            fetch_nothing,
-            table,
-            links,
-            shift,
-            widths,
-            kind,
-            space,
-            origins,
-            directions,
-            jitter,
-            near,
-            far,
-            step,
-            occupancy,
-            cells,
-            limit,
-            displacement,
-            displacement_cells,
-            opaque,
-            closed,
-            c,
-            chunks,
-            starts,
-            ends,
-            t_out,
-            optical,
-            x,
-            sigma,
-            weights,
-        )
+def march_density(density, widths, rays, space, occupancy, displacement, settings, threads, samples):
+    """March rays through a voxel density; see march.march_partition and vm.march_density."""
+    for thread in prange(threads):
+        march_partition(
+            raw_density, no_prefetch, density, widths, rays, space, occupancy, displacement, settings, thread, threads,
+            samples,
+        )  # fmt: skip
 
 
 @parallel_kernel
-def density_backward(links, widths, x, starts, ends, sigma, sigma_gradients, chunks, to):
-    """Add dL/d(table) and, behind the table's last element, dL/d(shift) to the chunk's own buffer to[chunk]."""
+def density_backward(links, widths, samples, sigma_gradients, to):
+    """Add dL/d(table) and, behind the table's last element, dL/d(shift) to the thread's own buffer to[thread]."""
+    starts, ends, x, sigma = samples.starts, samples.ends, samples.x, samples.sigma
     n = len(ends)
-    stride = to.shape[1]
+    threads, stride = to.shape
     flat = to.reshape(-1)
-    for c in prange(chunks):
+    for thread in prange(threads):
         shift_gradient = _ZERO
         offsets, g = np.empty(8, np.int64), np.empty(1, np.float32)
-        for r in range(c * n // chunks, (c + 1) * n // chunks):
+        for r in range(thread * n // threads, (thread + 1) * n // threads):
             for k in range(starts[r], ends[r]):
                 g[0] = sigma_gradients[k] * sigma[k]  # d exp(e)/de = exp(e)
                 if g[0] != _ZERO:
                     shift_gradient += g[0]
                     fx, fy, fz = corners(links, x[k], np.int64(1), offsets)
-                    voxel_row_backward(flat, np.int64(c * stride), offsets, fx, fy, fz, g, np.int64(0), widths)
-        to[c, :64] = 0  # what stands for blocks not kept never learns, and nothing else would clear this
-        to[c, stride - 1] += shift_gradient
+                    voxel_row_backward(flat, np.int64(thread * stride), offsets, fx, fy, fz, g, np.int64(0), widths)
+        to[thread, :64] = 0  # block 0, shared by all that is not allocated, never learns
+        to[thread, stride - 1] += shift_gradient
 
 
 @parallel_kernel
-def density_position_gradient(table, links, widths, x, starts, ends, sigma, sigma_gradients, chunks, gradients):
-    """Add dL/dx to gradients [n, 3]; the slope is that of the cell a sample lies in."""
+def density_position_gradient(table, links, widths, samples, sigma_gradients, threads, position_gradients):
+    """Add dL/dx to position_gradients [n, 3]; the slope is that of the cell a sample lies in."""
+    starts, ends, x, sigma = samples.starts, samples.ends, samples.x, samples.sigma
     n = len(ends)
-    for c in prange(chunks):
+    for thread in prange(threads):
         offsets, g, slopes = np.empty(8, np.int64), np.empty(1, np.float32), np.empty(3, np.float32)
-        for r in range(c * n // chunks, (c + 1) * n // chunks):
+        for r in range(thread * n // threads, (thread + 1) * n // threads):
             for k in range(starts[r], ends[r]):
                 g[0] = sigma_gradients[k] * sigma[k]
                 if g[0] != _ZERO:
                     fx, fy, fz = corners(links, x[k], np.int64(1), offsets)
                     voxel_row_slopes(table, offsets, fx, fy, fz, g, np.int64(0), slopes, widths)
                     for a in range(3):
-                        gradients[k, a] += slopes[a] * np.float32(links[a] - 1)
+                        position_gradients[k, a] += slopes[a] * np.float32(links[a] - 1)
 
 
 # -- rows as features of chosen samples -------------------------------------------------------------------------------
 
 
 @parallel_kernel
-def features(table, links, widths, x, index, chunks, out):
-    """out [m, width]: the trilinear mix of rows at samples x[index[i]]."""
+def features(table, links, widths, x, index, threads, out):
+    """out [m, width]: the rows interpolated at samples x[index[i]]."""
     n, width = out.shape
     flat = out.reshape(-1)
-    for c in prange(chunks):
+    for thread in prange(threads):
         offsets = np.empty(8, np.int64)
-        for i in range(c * n // chunks, (c + 1) * n // chunks):
+        for i in range(thread * n // threads, (thread + 1) * n // threads):
             fx, fy, fz = corners(links, x[index[i]], width, offsets)
             voxel_row(table, offsets, fx, fy, fz, flat, np.int64(i * width), widths)
 
 
 @parallel_kernel
-def features_backward(links, widths, x, index, gradients, chunks, to):
-    """Add dL/d(table) to the chunk's buffer to[chunk]; gradients [m, width] = dL/d(out)."""
+def features_backward(links, widths, x, index, gradients, threads, to):
+    """Add dL/d(table) to the thread's buffer to[thread]; gradients [m, width] = dL/d(out)."""
     n, width = gradients.shape
     stride = to.shape[1]
     buffers, flat = to.reshape(-1), gradients.reshape(-1)
-    for c in prange(chunks):
+    for thread in prange(threads):
         offsets = np.empty(8, np.int64)
-        base = np.int64(c * stride)
-        for i in range(c * n // chunks, (c + 1) * n // chunks):
+        base = np.int64(thread * stride)
+        for i in range(thread * n // threads, (thread + 1) * n // threads):
             fx, fy, fz = corners(links, x[index[i]], width, offsets)
             voxel_row_backward(buffers, base, offsets, fx, fy, fz, flat, np.int64(i * width), widths)
-        to[c, : 64 * width] = 0  # as above
+        to[thread, : 64 * width] = 0  # as above
 
 
 @parallel_kernel
-def features_position_gradient(table, links, widths, x, index, gradients, chunks, position_gradients):
+def features_position_gradient(table, links, widths, x, index, gradients, threads, position_gradients):
     """Add dL/dx of the chosen samples to position_gradients [n, 3]."""
     n, width = gradients.shape
     flat = gradients.reshape(-1)
-    for c in prange(chunks):
+    for thread in prange(threads):
         offsets, slopes = np.empty(8, np.int64), np.empty(3, np.float32)
-        for i in range(c * n // chunks, (c + 1) * n // chunks):
+        for i in range(thread * n // threads, (thread + 1) * n // threads):
             k = index[i]
             fx, fy, fz = corners(links, x[k], width, offsets)
             voxel_row_slopes(table, offsets, fx, fy, fz, flat, np.int64(i * width), slopes, widths)
@@ -207,7 +155,7 @@ def features_position_gradient(table, links, widths, x, index, gradients, chunks
 
 @parallel_kernel
 def smoothness_backward(table, links, width, strength, to):
-    """Add strength * d/dt of half the summed squared differences between neighboring vertices, both of them kept."""
+    """Add strength * d/dt of half the summed squared differences between neighboring allocated vertices."""
     size = links[:3].astype(np.int64)
     for i in prange(size[0]):
         for j in range(size[1]):

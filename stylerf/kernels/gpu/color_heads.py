@@ -33,31 +33,31 @@ def _of_channel(output, g0, g1, g2, BANDS: tl.constexpr):
 
 @triton.jit(do_not_specialize=SIZES, do_not_specialize_on_alignment=["numbers"])
 def linear_kernel(
-    table, layout, numbers, points, directions, ray_of, weights, largest, share, total, out, s0, s1, s2,
+    table, layout, numbers, points, directions, ray_of, weights, largest, weight_threshold, total, out, s0, s1, s2,
     ENCODER: tl.constexpr, PIECES: tl.constexpr, RANK: tl.constexpr, WIDTH: tl.constexpr, BANDS: tl.constexpr,
     UNITS: tl.constexpr, BLOCK: tl.constexpr,
 ):  # fmt: skip
-    """out [n, 3]: sigmoid(bias + sum_b Y_b head_b . phi); samples under `share` of their ray's largest weight: -1."""
+    """out [n, 3]: sigmoid(bias + sum_b Y_b head_b . phi); -1 below weight_threshold times the ray's largest weight."""
     count = tl.load(total)
     columns, output = tl.arange(0, WIDTH), tl.arange(0, UNITS)
     bias = numbers + 3 * BANDS * PIECES * RANK
     for block in range(tl.program_id(0).to(tl.int64), tl.cdiv(count, BLOCK), tl.num_programs(0)):
         k = block * BLOCK + tl.arange(0, BLOCK)
-        inside, live, ray = to_color(k, count, ray_of, weights, largest, share)
-        if tl.max(live.to(tl.int32), axis=0) > 0:
-            x, y, z = vector(points, k, live)
+        inside, valid, ray = to_color(k, count, ray_of, weights, largest, weight_threshold)
+        if tl.max(valid.to(tl.int32), axis=0) > 0:
+            x, y, z = vector(points, k, valid)
             sums = tl.zeros([BLOCK, UNITS], tl.float32)
             for m in tl.static_range(PIECES):
-                phi = piece(m, table, layout, x, y, z, s0, s1, s2, columns, live, ENCODER, RANK)
+                phi = piece(m, table, layout, x, y, z, s0, s1, s2, columns, valid, ENCODER, RANK)
                 rows = _rows(numbers, m, columns, output, RANK, PIECES * RANK, 3 * BANDS)
                 sums = tl.dot(phi, tl.trans(rows), acc=sums, input_precision="ieee")
-            dx, dy, dz = vector(directions, ray, live)
+            dx, dy, dz = vector(directions, ray, valid)
             sums = sums * bands_of(dx, dy, dz, output, BANDS)
             red = _sigmoid(_channel(sums, output, BANDS, 0) + tl.load(bias))
             green = _sigmoid(_channel(sums, output, BANDS, 1) + tl.load(bias + 1))
             blue = _sigmoid(_channel(sums, output, BANDS, 2) + tl.load(bias + 2))
-            store_vector(out, k, red, green, blue, live)
-        tl.store(out + offset(k, 3, 0), -1.0, mask=inside & (live == 0))
+            store_vector(out, k, red, green, blue, valid)
+        tl.store(out + offset(k, 3, 0), -1.0, mask=inside & (valid == 0))
 
 
 @triton.jit(do_not_specialize=SIZES, do_not_specialize_on_alignment=UNALIGNED)
@@ -76,18 +76,18 @@ def linear_backward_kernel(
     red, green, blue = 0.0, 0.0, 0.0
     for block in range(tl.program_id(0).to(tl.int64), tl.cdiv(count, BLOCK), tl.num_programs(0)):
         k = block * BLOCK + tl.arange(0, BLOCK)
-        live, ray, g0, g1, g2 = to_learn(k, count, ray_of, colors, color_gradients)
+        valid, ray, g0, g1, g2 = to_learn(k, count, ray_of, colors, color_gradients)
         red += tl.sum(g0, axis=0)
         green += tl.sum(g1, axis=0)
         blue += tl.sum(g2, axis=0)
-        x, y, z = vector(points, k, live)
-        dx, dy, dz = vector(directions, ray, live)
+        x, y, z = vector(points, k, valid)
+        dx, dy, dz = vector(directions, ray, valid)
         own = _of_channel(output, g0, g1, g2, BANDS) * bands_of(dx, dy, dz, output, BANDS)
         for m in tl.static_range(PIECES):
-            phi = piece(m, table, layout, x, y, z, s0, s1, s2, columns, live, ENCODER, RANK)
+            phi = piece(m, table, layout, x, y, z, s0, s1, s2, columns, valid, ENCODER, RANK)
             rows = _rows(numbers, m, columns, output, RANK, PIECES * RANK, 3 * BANDS)
             gradient = tl.dot(own, rows, input_precision="ieee")
-            piece_scatter(m, table, to, layout, x, y, z, s0, s1, s2, gradient, columns, live, ENCODER, RANK)
+            piece_scatter(m, table, to, layout, x, y, z, s0, s1, s2, gradient, columns, valid, ENCODER, RANK)
             if m == 0:
                 head0 = tl.dot(tl.trans(own), phi, acc=head0, input_precision="ieee")
             elif m == 1:
@@ -108,7 +108,7 @@ def linear_backward_kernel(
 
 @triton.jit(do_not_specialize=SIZES, do_not_specialize_on_alignment=["numbers"])
 def harmonic_kernel(
-    table, layout, numbers, points, directions, ray_of, weights, largest, share, total, out, s0, s1, s2,
+    table, layout, numbers, points, directions, ray_of, weights, largest, weight_threshold, total, out, s0, s1, s2,
     ENCODER: tl.constexpr, PIECES: tl.constexpr, RANK: tl.constexpr, WIDTH: tl.constexpr, BANDS: tl.constexpr,
     UNITS: tl.constexpr, BLOCK: tl.constexpr,
 ):  # fmt: skip
@@ -117,17 +117,17 @@ def harmonic_kernel(
     columns = tl.arange(0, WIDTH)
     for block in range(tl.program_id(0).to(tl.int64), tl.cdiv(count, BLOCK), tl.num_programs(0)):
         k = block * BLOCK + tl.arange(0, BLOCK)
-        inside, live, ray = to_color(k, count, ray_of, weights, largest, share)
-        if tl.max(live.to(tl.int32), axis=0) > 0:
-            x, y, z = vector(points, k, live)
-            dx, dy, dz = vector(directions, ray, live)
-            phi = piece(0, table, layout, x, y, z, s0, s1, s2, columns, live, ENCODER, RANK)
+        inside, valid, ray = to_color(k, count, ray_of, weights, largest, weight_threshold)
+        if tl.max(valid.to(tl.int32), axis=0) > 0:
+            x, y, z = vector(points, k, valid)
+            dx, dy, dz = vector(directions, ray, valid)
+            phi = piece(0, table, layout, x, y, z, s0, s1, s2, columns, valid, ENCODER, RANK)
             seen = phi * bands_of(dx, dy, dz, columns, BANDS)
             red = _sigmoid(_channel(seen, columns, BANDS, 0))
             green = _sigmoid(_channel(seen, columns, BANDS, 1))
             blue = _sigmoid(_channel(seen, columns, BANDS, 2))
-            store_vector(out, k, red, green, blue, live)
-        tl.store(out + offset(k, 3, 0), -1.0, mask=inside & (live == 0))
+            store_vector(out, k, red, green, blue, valid)
+        tl.store(out + offset(k, 3, 0), -1.0, mask=inside & (valid == 0))
 
 
 @triton.jit(do_not_specialize=SIZES, do_not_specialize_on_alignment=UNALIGNED)
@@ -141,8 +141,8 @@ def harmonic_backward_kernel(
     columns = tl.arange(0, WIDTH)
     for block in range(tl.program_id(0).to(tl.int64), tl.cdiv(count, BLOCK), tl.num_programs(0)):
         k = block * BLOCK + tl.arange(0, BLOCK)
-        live, ray, g0, g1, g2 = to_learn(k, count, ray_of, colors, color_gradients)
-        x, y, z = vector(points, k, live)
-        dx, dy, dz = vector(directions, ray, live)
+        valid, ray, g0, g1, g2 = to_learn(k, count, ray_of, colors, color_gradients)
+        x, y, z = vector(points, k, valid)
+        dx, dy, dz = vector(directions, ray, valid)
         own = _of_channel(columns, g0, g1, g2, BANDS) * bands_of(dx, dy, dz, columns, BANDS)
-        piece_scatter(0, table, to, layout, x, y, z, s0, s1, s2, own, columns, live, ENCODER, RANK)
+        piece_scatter(0, table, to, layout, x, y, z, s0, s1, s2, own, columns, valid, ENCODER, RANK)

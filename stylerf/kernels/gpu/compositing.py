@@ -9,15 +9,15 @@ AROUND = tl.constexpr(0.05)  # as on the CPU
 
 
 @triton.jit(do_not_specialize=["rays"])
-def composite_kernel(weights, optical, colors, t, starts, ends, out, rays, BLOCK: tl.constexpr):
+def composite_kernel(weights, deltas, colors, t, starts, ends, out, rays, BLOCK: tl.constexpr):
     """out[r] = (sum w c (3), sum w, sum w t); samples without a color (colors[k, 0] < 0) take the others' mean.
 
-    A backdrop (optical[k] 0) has no part in sum w t.
+    The opaque background (delta 0) is left out of sum w t.
     """
     r = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
-    live = r < rays
-    first = tl.load(starts + r, mask=live, other=0)
-    count = tl.load(ends + r, mask=live, other=0) - first
+    valid = r < rays
+    first = tl.load(starts + r, mask=valid, other=0)
+    count = tl.load(ends + r, mask=valid, other=0) - first
     zero = first.to(tl.float32) * 0.0
     red, green, blue, depth, total, colored = zero, zero, zero, zero, zero, zero
     for i in range(0, tl.max(count, axis=0)):
@@ -27,7 +27,7 @@ def composite_kernel(weights, optical, colors, t, starts, ends, out, rays, BLOCK
         c0 = tl.load(colors + offset(k, 3, 0), mask=own, other=-1.0)
         _c0, c1, c2 = vector(colors, k, own & (c0 >= 0.0))
         total += w
-        held = own & (tl.load(optical + k, mask=own, other=0.0) > 0.0)
+        held = own & (tl.load(deltas + k, mask=own, other=0.0) > 0.0)
         depth += w * tl.load(t + k, mask=held, other=0.0)
         shown = tl.where(c0 >= 0.0, w, 0.0)
         colored += shown
@@ -36,20 +36,20 @@ def composite_kernel(weights, optical, colors, t, starts, ends, out, rays, BLOCK
         blue += shown * c2
     scale = tl.where(colored > 0.0, total / tl.where(colored > 0.0, colored, 1.0), 0.0)
     at = offset(r, 5, 0)
-    tl.store(out + at, red * scale, mask=live)
-    tl.store(out + at + 1, green * scale, mask=live)
-    tl.store(out + at + 2, blue * scale, mask=live)
-    tl.store(out + at + 3, total, mask=live)
-    tl.store(out + at + 4, depth, mask=live)
+    tl.store(out + at, red * scale, mask=valid)
+    tl.store(out + at + 1, green * scale, mask=valid)
+    tl.store(out + at + 2, blue * scale, mask=valid)
+    tl.store(out + at + 3, total, mask=valid)
+    tl.store(out + at + 4, depth, mask=valid)
 
 
 @triton.jit(do_not_specialize=["rays"])
 def surface_distance_kernel(weights, t, starts, ends, out, rays, BLOCK: tl.constexpr):
     """out[r] = distance of what ray r shows; see the CPU's surface_distance."""
     r = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
-    live = r < rays
-    first = tl.load(starts + r, mask=live, other=0)
-    count = tl.load(ends + r, mask=live, other=0) - first
+    valid = r < rays
+    first = tl.load(starts + r, mask=valid, other=0)
+    count = tl.load(ends + r, mask=valid, other=0) - first
     zero = first.to(tl.float32) * 0.0
     longest = tl.max(count, axis=0)
     total, passed, at, near, depth = zero, zero, zero, zero, zero
@@ -67,32 +67,33 @@ def surface_distance_kernel(weights, t, starts, ends, out, rays, BLOCK: tl.const
         w = tl.load(weights + first + i, mask=own & (tl.abs(there - at) <= at * AROUND), other=0.0)
         near += w
         depth += w * there
-    tl.store(out + r, tl.where(near > 0.0, depth / tl.where(near > 0.0, near, 1.0), 0.0), mask=live)
+    tl.store(out + r, tl.where(near > 0.0, depth / tl.where(near > 0.0, near, 1.0), 0.0), mask=valid)
 
 
 @triton.jit(do_not_specialize=["rays"])
 def composite_backward_kernel(
-    weights, optical, colors, t, starts, ends, out, gradients, even_from, sigma_gradients, color_gradients, rays,
+    weights, deltas, colors, t, starts, ends, out, gradients, near_scaling_distance, sigma_gradients,
+    color_gradients, rays,
     BLOCK: tl.constexpr,
 ):  # fmt: skip
     """From dL/d(out) [rays, 5] to dL/d(sigma) [n] and dL/d(color) [n, 3]; see the CPU's composite_backward.
 
-    even_from: samples nearer than that learn by (t / even_from)^2 (scale_near); 0: all alike.
+    near_scaling_distance: gradients of nearer samples are scaled by (t / distance)^2 (scale_near_gradients); 0: none.
     """
     r = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
-    live = r < rays
-    first = tl.load(starts + r, mask=live, other=0)
-    count = tl.load(ends + r, mask=live, other=0) - first
+    valid = r < rays
+    first = tl.load(starts + r, mask=valid, other=0)
+    count = tl.load(ends + r, mask=valid, other=0) - first
     at = offset(r, 5, 0)
-    g0 = tl.load(gradients + at, mask=live, other=0.0)
-    g1 = tl.load(gradients + at + 1, mask=live, other=0.0)
-    g2 = tl.load(gradients + at + 2, mask=live, other=0.0)
-    ga = tl.load(gradients + at + 3, mask=live, other=0.0)
-    gd = tl.load(gradients + at + 4, mask=live, other=0.0)
-    total = tl.load(out + at + 3, mask=live, other=0.0)
-    mean = g0 * tl.load(out + at, mask=live, other=0.0)
-    mean += g1 * tl.load(out + at + 1, mask=live, other=0.0)
-    mean += g2 * tl.load(out + at + 2, mask=live, other=0.0)
+    g0 = tl.load(gradients + at, mask=valid, other=0.0)
+    g1 = tl.load(gradients + at + 1, mask=valid, other=0.0)
+    g2 = tl.load(gradients + at + 2, mask=valid, other=0.0)
+    ga = tl.load(gradients + at + 3, mask=valid, other=0.0)
+    gd = tl.load(gradients + at + 4, mask=valid, other=0.0)
+    total = tl.load(out + at + 3, mask=valid, other=0.0)
+    mean = g0 * tl.load(out + at, mask=valid, other=0.0)
+    mean += g1 * tl.load(out + at + 1, mask=valid, other=0.0)
+    mean += g2 * tl.load(out + at + 2, mask=valid, other=0.0)
     mean = tl.where(total > 0.0, mean / tl.where(total > 0.0, total, 1.0), 0.0)
     behind = 0.0 * total
     longest = tl.max(count, axis=0)
@@ -103,11 +104,11 @@ def composite_backward_kernel(
         c0 = tl.load(colors + offset(k, 3, 0), mask=own, other=-1.0)
         shown = own & (c0 >= 0.0)
         c0, c1, c2 = vector(colors, k, shown)
-        held = own & (tl.load(optical + k, mask=own, other=0.0) > 0.0)
+        held = own & (tl.load(deltas + k, mask=own, other=0.0) > 0.0)
         d = ga + gd * tl.load(t + k, mask=held, other=0.0)
         d += tl.where(shown, g0 * c0 + g1 * c1 + g2 * c2, mean)
         behind += tl.where(own, w * d, 0.0)
-    through = 1.0 + 0.0 * total
+    transmittance = 1.0 + 0.0 * total
     for i in range(0, longest):
         own = i < count
         k = first + i
@@ -116,14 +117,14 @@ def composite_backward_kernel(
         shown = own & (c0 >= 0.0)
         c0, c1, c2 = vector(colors, k, shown)
         far = tl.load(t + k, mask=own, other=0.0)
-        length = tl.load(optical + k, mask=own, other=0.0)
+        length = tl.load(deltas + k, mask=own, other=0.0)
         d = ga + tl.where(length > 0.0, gd * far, 0.0)
         d += tl.where(shown, g0 * c0 + g1 * c1 + g2 * c2, mean)
         behind -= tl.where(own, w * d, 0.0)
-        through -= w
-        near = far / tl.maximum(even_from, 1e-9)
-        even = tl.where(far < even_from, near * near, 1.0)
-        s = length * (through * d - behind)
+        transmittance -= w
+        near = far / tl.maximum(near_scaling_distance, 1e-9)
+        even = tl.where(far < near_scaling_distance, near * near, 1.0)
+        s = length * (transmittance * d - behind)
         tl.store(sigma_gradients + k, s * even, mask=own)
         store_vector(color_gradients, k, w * g0 * even, w * g1 * even, w * g2 * even, shown)
 
@@ -136,10 +137,10 @@ def loss_kernel(out, wanted, background, counts, starts, ends, scale, gradients,
     and count for nothing).
     """
     r = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
-    live = r < rays
-    held = tl.load(ends + r, mask=live, other=0) - tl.load(starts + r, mask=live, other=0)
-    lost = live & (tl.load(counts + r, mask=live, other=0) != held)
-    own = live & (lost == 0)
+    valid = r < rays
+    held = tl.load(ends + r, mask=valid, other=0) - tl.load(starts + r, mask=valid, other=0)
+    lost = valid & (tl.load(counts + r, mask=valid, other=0) != held)
+    own = valid & (lost == 0)
     alpha = tl.load(out + offset(r, 5, 3), mask=own, other=0.0)
     cover = tl.load(wanted + offset(r, 4, 3), mask=own, other=0.0)
     error = 0.0 * alpha
@@ -151,9 +152,9 @@ def loss_kernel(out, wanted, background, counts, starts, ends, scale, gradients,
         error += tl.where(own, difference * difference, 0.0)
         g = difference * scale
         of_alpha -= g * back
-        tl.store(gradients + offset(r, 5, a), tl.where(own, g, 0.0), mask=live)
-    tl.store(gradients + offset(r, 5, 3), tl.where(own, of_alpha, 0.0), mask=live)
-    tl.store(gradients + offset(r, 5, 4), 0.0, mask=live)
+        tl.store(gradients + offset(r, 5, a), tl.where(own, g, 0.0), mask=valid)
+    tl.store(gradients + offset(r, 5, 3), tl.where(own, of_alpha, 0.0), mask=valid)
+    tl.store(gradients + offset(r, 5, 4), 0.0, mask=valid)
     tl.atomic_add(sums, tl.sum(error, axis=0), sem="relaxed")
     tl.atomic_add(sums + 1, tl.sum(held.to(tl.float32), axis=0), sem="relaxed")
     tl.atomic_add(sums + 2, tl.sum(lost.to(tl.float32), axis=0), sem="relaxed")
@@ -170,10 +171,10 @@ def tuning_loss_kernel(
     sums += squared error at the other rays, at the edited ones, of depths; rays of either kind that found no room.
     """
     r = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
-    live = r < rays
-    held = tl.load(ends + r, mask=live, other=0) - tl.load(starts + r, mask=live, other=0)
-    lost = live & (tl.load(counts + r, mask=live, other=0) != held)
-    own = live & (lost == 0)
+    valid = r < rays
+    held = tl.load(ends + r, mask=valid, other=0) - tl.load(starts + r, mask=valid, other=0)
+    lost = valid & (tl.load(counts + r, mask=valid, other=0) != held)
+    own = valid & (lost == 0)
     inside = r < edited
     alpha = tl.load(out + offset(r, 5, 3), mask=own, other=0.0)
     cover = tl.load(wanted + offset(r, 4, 3), mask=own, other=0.0)
@@ -185,12 +186,12 @@ def tuning_loss_kernel(
         difference = tl.where(own, found - asked, 0.0)
         error += difference * difference
         of_alpha -= difference * scale * level
-        tl.store(gradients + offset(r, 5, a), difference * scale, mask=live)
-    tl.store(gradients + offset(r, 5, 3), of_alpha, mask=live)
+        tl.store(gradients + offset(r, 5, a), difference * scale, mask=valid)
+    tl.store(gradients + offset(r, 5, 3), of_alpha, mask=valid)
     known = tl.maximum(tl.load(depth + r, mask=own & inside, other=1.0), 1e-6)
     off = tl.load(out + offset(r, 5, 4), mask=own & inside, other=0.0) / known - 1.0
     off = tl.where(own & inside & (depth_scale > 0.0), off, 0.0)
-    tl.store(gradients + offset(r, 5, 4), depth_scale * off / known, mask=live)
+    tl.store(gradients + offset(r, 5, 4), depth_scale * off / known, mask=valid)
     tl.atomic_add(sums, tl.sum(tl.where(inside, 0.0, error), axis=0), sem="relaxed")
     tl.atomic_add(sums + 1, tl.sum(tl.where(inside, error, 0.0), axis=0), sem="relaxed")
     tl.atomic_add(sums + 2, tl.sum(off * off, axis=0), sem="relaxed")
@@ -202,7 +203,7 @@ def tuning_loss_kernel(
 def shade_backward_kernel(weights, gradients, ray_of, color_gradients, count, BLOCK: tl.constexpr):
     """dL/dc_k = w_k dL/d(out_r) of `count` samples; gradients [rays, 3]."""
     k = tl.program_id(0).to(tl.int64) * BLOCK + tl.arange(0, BLOCK)
-    live = k < count
-    a, b, c = vector(gradients, tl.load(ray_of + k, mask=live, other=0), live)
-    w = tl.load(weights + k, mask=live, other=0.0)
-    store_vector(color_gradients, k, w * a, w * b, w * c, live)
+    valid = k < count
+    a, b, c = vector(gradients, tl.load(ray_of + k, mask=valid, other=0), valid)
+    w = tl.load(weights + k, mask=valid, other=0.0)
+    store_vector(color_gradients, k, w * a, w * b, w * c, valid)

@@ -53,26 +53,26 @@ def density_position_kernel(
         k = block * BLOCK + tl.arange(0, BLOCK)
         inside = k < count
         g = tl.load(sigma_gradients + k, mask=inside, other=0.0) * tl.load(sigma + k, mask=inside, other=0.0)
-        live = inside & (g != 0.0)
-        x, y, z = vector(points, k, live)
-        ax, ay, az = vector(out, k, live)
-        mask = live[:, None] & (columns[None, :] < RANK)
+        valid = inside & (g != 0.0)
+        x, y, z = vector(points, k, valid)
+        ax, ay, az = vector(out, k, valid)
+        mask = valid[:, None] & (columns[None, :] < RANK)
         for m in tl.static_range(3):
             first, second, line, fu, fv, fw = place(m, x, y, z, s0, s1, s2)
             u, v, w = slopes(table, first, second, line, fu, fv, fw, columns, RANK, mask)
             u, v, w = tl.sum(u, axis=1), tl.sum(v, axis=1), tl.sum(w, axis=1)
             bx, by, bz = turned(m, u, v, w, s0, s1, s2)
             ax, ay, az = ax + g * bx, ay + g * by, az + g * bz
-        store_vector(out, k, ax, ay, az, live)
+        store_vector(out, k, ax, ay, az, valid)
 
 
 @triton.jit
 def logit_gradients(colors, color_gradients, k, inside):
-    """(live, g0, g1, g2): samples that have a color, and dL/d(logit) of its channels."""
-    live = tl.load(colors + offset(k, 3, 0), mask=inside, other=-1.0) >= 0.0
-    c0, c1, c2 = vector(colors, k, live)
-    g0, g1, g2 = vector(color_gradients, k, live)
-    return live, g0 * c0 * (1.0 - c0), g1 * c1 * (1.0 - c1), g2 * c2 * (1.0 - c2)
+    """(valid, g0, g1, g2): samples that have a color, and dL/d(logit) of its channels."""
+    valid = tl.load(colors + offset(k, 3, 0), mask=inside, other=-1.0) >= 0.0
+    c0, c1, c2 = vector(colors, k, valid)
+    g0, g1, g2 = vector(color_gradients, k, valid)
+    return valid, g0 * c0 * (1.0 - c0), g1 * c1 * (1.0 - c1), g2 * c2 * (1.0 - c2)
 
 
 @triton.jit(do_not_specialize=SIZES, do_not_specialize_on_alignment=["head"])
@@ -86,13 +86,13 @@ def vm_color_position_kernel(
     channel = output // BANDS
     for block in range(tl.program_id(0).to(tl.int64), tl.cdiv(count, BLOCK), tl.num_programs(0)):
         k = block * BLOCK + tl.arange(0, BLOCK)
-        live, g0, g1, g2 = logit_gradients(colors, color_gradients, k, k < count)
-        x, y, z = vector(points, k, live)
-        ax, ay, az = vector(out, k, live)
-        dx, dy, dz = vector(directions, tl.load(ray_of + k, mask=live, other=0), live)
+        valid, g0, g1, g2 = logit_gradients(colors, color_gradients, k, k < count)
+        x, y, z = vector(points, k, valid)
+        ax, ay, az = vector(out, k, valid)
+        dx, dy, dz = vector(directions, tl.load(ray_of + k, mask=valid, other=0), valid)
         own = tl.where(channel == 0, g0[:, None], tl.where(channel == 1, g1[:, None], g2[:, None]))
         own = tl.where(output[None, :] < 3 * BANDS, own, 0.0) * bands_of(dx, dy, dz, output, BANDS)
-        mask = live[:, None] & (columns[None, :] < RANK)
+        mask = valid[:, None] & (columns[None, :] < RANK)
         for m in tl.static_range(3):
             first, second, line, fu, fv, fw = place(m, x, y, z, s0, s1, s2)
             u, v, w = slopes(table, first, second, line, fu, fv, fw, columns, RANK, mask)
@@ -101,7 +101,7 @@ def vm_color_position_kernel(
             u, v, w = tl.sum(g * u, axis=1), tl.sum(g * v, axis=1), tl.sum(g * w, axis=1)
             bx, by, bz = turned(m, u, v, w, s0, s1, s2)
             ax, ay, az = ax + bx, ay + by, az + bz
-        store_vector(out, k, ax, ay, az, live)
+        store_vector(out, k, ax, ay, az, valid)
 
 
 @triton.jit
@@ -135,39 +135,39 @@ def hash_color_position_kernel(
     lane = tl.arange(0, 4)
     for block in range(tl.program_id(0).to(tl.int64), tl.cdiv(count, BLOCK), tl.num_programs(0)):
         k = block * BLOCK + tl.arange(0, BLOCK)
-        live, g0, g1, g2 = logit_gradients(colors, color_gradients, k, k < count)
+        valid, g0, g1, g2 = logit_gradients(colors, color_gradients, k, k < count)
         three = tl.where(lane[None, :] == 2, g2[:, None], (g0 + g1 + g2)[:, None])
         g = tl.where(lane[None, :] == 0, g0[:, None], tl.where(lane[None, :] == 1, g1[:, None], three))
-        x, y, z = vector(points, k, live)
-        ax, ay, az = vector(out, k, live)
+        x, y, z = vector(points, k, valid)
+        ax, ay, az = vector(out, k, valid)
         for level in tl.static_range(LEVELS):
-            bx, by, bz = level_slopes(table, layout, level, LEVELS, x, y, z, g, live)
+            bx, by, bz = level_slopes(table, layout, level, LEVELS, x, y, z, g, valid)
             ax, ay, az = ax + bx, ay + by, az + bz
-        store_vector(out, k, ax, ay, az, live)
+        store_vector(out, k, ax, ay, az, valid)
 
 
 @triton.jit(do_not_specialize=["cells"])
 def displacement_backward_kernel(
-    space, origins, directions, ray_of, t, optical, points, position_gradients, total, to, cells,
+    space, origins, directions, ray_of, t, deltas, points, position_gradients, total, to, cells,
     KIND: tl.constexpr, BLOCK: tl.constexpr,
 ):  # fmt: skip
     """Add dL/dD to `to`, flat [cells^3, 3], from dL/dx' [n, 3]; points: the displaced positions x'.
 
-    Where one was clamped to the cube's side it does not move with D. Samples of no optical length are the backdrop's,
+    Where one was clamped to the cube's side it does not move with D. Samples of delta 0 are the opaque background's,
     which is not displaced.
     """
     count = tl.load(total)
     for block in range(tl.program_id(0).to(tl.int64), tl.cdiv(count, BLOCK), tl.num_programs(0)):
         k = block * BLOCK + tl.arange(0, BLOCK)
         inside = k < count
-        live = inside & (tl.load(optical + k, mask=inside, other=0.0) != 0.0)
-        ray = tl.load(ray_of + k, mask=live, other=0)
-        far = tl.load(t + k, mask=live, other=0.0)
-        ox, oy, oz = vector(origins, ray, live)
-        dx, dy, dz = vector(directions, ray, live)
+        valid = inside & (tl.load(deltas + k, mask=inside, other=0.0) != 0.0)
+        ray = tl.load(ray_of + k, mask=valid, other=0)
+        far = tl.load(t + k, mask=valid, other=0.0)
+        ox, oy, oz = vector(origins, ray, valid)
+        dx, dy, dz = vector(directions, ray, valid)
         x, y, z, _speed, _jacobian = warp_at(KIND, space, ox + far * dx, oy + far * dy, oz + far * dz, dx, dy, dz)
-        mx, my, mz = vector(points, k, live)
-        gx, gy, gz = vector(position_gradients, k, live)
+        mx, my, mz = vector(points, k, valid)
+        gx, gy, gz = vector(position_gradients, k, valid)
         moves_x, moves_y, moves_z = (mx > 0.0) & (mx < 1.0), (my > 0.0) & (my < 1.0), (mz > 0.0) & (mz < 1.0)
         i, fx = cell(x, cells)
         j, fy = cell(y, cells)
@@ -176,9 +176,9 @@ def displacement_backward_kernel(
         for corner in tl.static_range(8):
             share = trilinear_corner(corner, fx, fy, fz)
             there = to + offset(at + ((corner // 4) * cells + (corner // 2) % 2) * cells + corner % 2, 3, 0)
-            tl.atomic_add(there, share * gx, mask=live & moves_x, sem="relaxed")
-            tl.atomic_add(there + 1, share * gy, mask=live & moves_y, sem="relaxed")
-            tl.atomic_add(there + 2, share * gz, mask=live & moves_z, sem="relaxed")
+            tl.atomic_add(there, share * gx, mask=valid & moves_x, sem="relaxed")
+            tl.atomic_add(there + 1, share * gy, mask=valid & moves_y, sem="relaxed")
+            tl.atomic_add(there + 2, share * gz, mask=valid & moves_z, sem="relaxed")
 
 
 @triton.jit(do_not_specialize=["cells", "reach", "grid_cells"])
@@ -190,8 +190,8 @@ def displaced_cells_kernel(distances, cells, reach, grid, grid_cells, occupied, 
     """
     n = tl.program_id(0).to(tl.int64) * BLOCK + tl.arange(0, BLOCK)
     point = tl.arange(0, 32)[None, :]
-    live = n < cells.to(tl.int64) * cells * cells
-    near = live & (tl.load(distances + n, mask=live, other=255).to(tl.int32) <= reach)
+    valid = n < cells.to(tl.int64) * cells * cells
+    near = valid & (tl.load(distances + n, mask=valid, other=255).to(tl.int32) <= reach)
     found = n.to(tl.int32) * 0
     if tl.max(near.to(tl.int32), axis=0) > 0:
         i, j, k = (n // cells // cells)[:, None], (n // cells % cells)[:, None], (n % cells)[:, None]
@@ -202,4 +202,4 @@ def displaced_cells_kernel(distances, cells, reach, grid, grid_cells, occupied, 
         x, y, z = displaced(grid, grid_cells, x, y, z, looks)
         there = tl.load(distances + cell_number(x, y, z, cells), mask=looks, other=1).to(tl.int32)
         found = tl.max((looks & (there == 0)).to(tl.int32), axis=1)
-    tl.store(occupied + n, found.to(tl.uint8), mask=live)
+    tl.store(occupied + n, found.to(tl.uint8), mask=valid)

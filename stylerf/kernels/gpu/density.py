@@ -14,7 +14,7 @@ VM, HASH, VOXEL = tl.constexpr(0), tl.constexpr(1), tl.constexpr(2)
 
 @triton.jit
 def raw_density(
-    table, layout, shift, x, y, z, s0, s1, s2, live,
+    table, layout, shift, x, y, z, s0, s1, s2, valid,
     DENSITY: tl.constexpr, RANK: tl.constexpr, WIDTH: tl.constexpr,
 ):  # fmt: skip
     """exp(shift + features) of points.
@@ -23,11 +23,11 @@ def raw_density(
     vertices per axis of vm's and voxels' grids. WIDTH: columns of a tile.
     """
     if DENSITY == VM:
-        sigma = vm_density(table, shift, x, y, z, s0, s1, s2, live, RANK, WIDTH)
+        sigma = vm_density(table, shift, x, y, z, s0, s1, s2, valid, RANK, WIDTH)
     elif DENSITY == HASH:
-        sigma = hash_density(table, layout, shift, x, y, z, live, RANK, WIDTH)
+        sigma = hash_density(table, layout, shift, x, y, z, valid, RANK, WIDTH)
     else:
-        sigma = voxel_density(table, layout, shift, x, y, z, s0, s1, s2, live)
+        sigma = voxel_density(table, layout, shift, x, y, z, s0, s1, s2, valid)
     return sigma
 
 
@@ -38,7 +38,7 @@ def density_kernel(
 ):  # fmt: skip
     """sigma[k] of points [count, 3]."""
     k = tl.program_id(0).to(tl.int64) * BLOCK + tl.arange(0, BLOCK)
-    live = k < count
-    x, y, z = vector(points, k, live)
-    s = raw_density(table, layout, shift, x, y, z, s0, s1, s2, live, DENSITY, RANK, WIDTH)
-    tl.store(sigma + k, s, mask=live)
+    valid = k < count
+    x, y, z = vector(points, k, valid)
+    s = raw_density(table, layout, shift, x, y, z, s0, s1, s2, valid, DENSITY, RANK, WIDTH)
+    tl.store(sigma + k, s, mask=valid)

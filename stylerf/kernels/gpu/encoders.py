@@ -18,10 +18,10 @@ ROW = tl.constexpr(4)  # floats at a hash grid's vertex
 
 @triton.jit
 def piece(
-    m: tl.constexpr, table, layout, x, y, z, s0, s1, s2, columns, live, ENCODER: tl.constexpr, RANK: tl.constexpr
+    m: tl.constexpr, table, layout, x, y, z, s0, s1, s2, columns, valid, ENCODER: tl.constexpr, RANK: tl.constexpr
 ):
-    """[samples, WIDTH]: piece m of the features of points; zero beyond RANK columns and where not live."""
-    mask = live[:, None] & (columns[None, :] < RANK)
+    """[samples, WIDTH]: piece m of the features of points; zero beyond RANK columns and where not valid."""
+    mask = valid[:, None] & (columns[None, :] < RANK)
     if ENCODER == VM:
         first, second, line, fu, fv, fw = place(m, x, y, z, s0, s1, s2)
         plane, along = product(table, first, second, line, fu, fv, fw, columns, RANK, mask)
@@ -29,17 +29,17 @@ def piece(
     elif ENCODER == HASH:
         features = level_tile(table, layout, x, y, z, columns, RANK // ROW, ROW, mask)
     else:
-        features = row_tile(table, layout, x, y, z, s0, s1, s2, columns, RANK, live, mask)
+        features = row_tile(table, layout, x, y, z, s0, s1, s2, columns, RANK, valid, mask)
     return features
 
 
 @triton.jit
 def piece_scatter(
-    m: tl.constexpr, table, to, layout, x, y, z, s0, s1, s2, gradient, columns, live,
+    m: tl.constexpr, table, to, layout, x, y, z, s0, s1, s2, gradient, columns, valid,
     ENCODER: tl.constexpr, RANK: tl.constexpr,
 ):  # fmt: skip
     """Add dL/d(table) to `to`, from the gradient [samples, WIDTH] of piece m."""
-    mask = live[:, None] & (columns[None, :] < RANK)
+    mask = valid[:, None] & (columns[None, :] < RANK)
     if ENCODER == VM:
         first, second, line, fu, fv, fw = place(m, x, y, z, s0, s1, s2)
         plane, along = product(table, first, second, line, fu, fv, fw, columns, RANK, mask)
@@ -47,23 +47,23 @@ def piece_scatter(
     elif ENCODER == HASH:
         level_tile_scatter(to, layout, x, y, z, gradient, columns, RANK // ROW, ROW, mask)
     else:
-        row_tile_scatter(to, layout, x, y, z, s0, s1, s2, gradient, columns, RANK, live, mask)
+        row_tile_scatter(to, layout, x, y, z, s0, s1, s2, gradient, columns, RANK, valid, mask)
 
 
 @triton.jit
-def to_color(k, count, ray_of, weights, largest, share):
-    """(inside, live, ray): which samples there are, which have `share` of their ray's largest weight, their rays."""
+def to_color(k, count, ray_of, weights, largest, weight_threshold):
+    """(inside, valid, ray): which samples exist, which reach the threshold on their weight, their rays."""
     inside = k < count
     ray = tl.load(ray_of + k, mask=inside, other=0)
     w = tl.load(weights + k, mask=inside, other=0.0)
-    return inside, inside & (w > 0.0) & (w >= share * tl.load(largest + ray, mask=inside, other=0.0)), ray
+    return inside, inside & (w > 0.0) & (w >= weight_threshold * tl.load(largest + ray, mask=inside, other=0.0)), ray
 
 
 @triton.jit
 def to_learn(k, count, ray_of, colors, color_gradients):
-    """(live, ray, g0, g1, g2): which samples have a color, their rays, dL/d(logits), zero where there is none."""
-    live = tl.load(colors + offset(k, 3, 0), mask=k < count, other=-1.0) >= 0.0
-    ray = tl.load(ray_of + k, mask=live, other=0)
-    c0, c1, c2 = vector(colors, k, live)
-    g0, g1, g2 = vector(color_gradients, k, live)
-    return live, ray, g0 * c0 * (1.0 - c0), g1 * c1 * (1.0 - c1), g2 * c2 * (1.0 - c2)
+    """(valid, ray, g0, g1, g2): which samples have a color, their rays, dL/d(logits), zero where there is none."""
+    valid = tl.load(colors + offset(k, 3, 0), mask=k < count, other=-1.0) >= 0.0
+    ray = tl.load(ray_of + k, mask=valid, other=0)
+    c0, c1, c2 = vector(colors, k, valid)
+    g0, g1, g2 = vector(color_gradients, k, valid)
+    return valid, ray, g0 * c0 * (1.0 - c0), g1 * c1 * (1.0 - c1), g2 * c2 * (1.0 - c2)

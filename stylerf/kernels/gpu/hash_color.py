@@ -48,8 +48,8 @@ def level_scatter(to, layout, level: tl.constexpr, LEVELS: tl.constexpr, x, y, z
     lane = tl.arange(0, 4)
     for corner in tl.static_range(8):
         row = vertex_row(layout, level, LEVELS, i + corner // 4, j + (corner // 2) % 2, k + corner % 2)
-        share = trilinear_corner(corner, fx, fy, fz)[:, None] * gradient
-        tl.atomic_add(to + row[:, None] + lane[None, :], share, mask=mask[:, None], sem="relaxed")
+        part = trilinear_corner(corner, fx, fy, fz)[:, None] * gradient
+        tl.atomic_add(to + row[:, None] + lane[None, :], part, mask=mask[:, None], sem="relaxed")
 
 
 @triton.jit
@@ -60,10 +60,10 @@ def logit(values, lane, j: tl.constexpr):
 
 
 @triton.jit
-def lane_gradients(colors, color_gradients, k, lane, live):
+def lane_gradients(colors, color_gradients, k, lane, valid):
     """dL/df [samples, 4] from dL/d(color): the fourth float is part of every channel's logit."""
-    c0, c1, c2 = vector(colors, k, live)
-    g0, g1, g2 = vector(color_gradients, k, live)
+    c0, c1, c2 = vector(colors, k, valid)
+    g0, g1, g2 = vector(color_gradients, k, valid)
     g0, g1, g2 = g0 * c0 * (1.0 - c0), g1 * c1 * (1.0 - c1), g2 * c2 * (1.0 - c2)
     three = tl.where(lane[None, :] == 2, g2[:, None], (g0 + g1 + g2)[:, None])
     return tl.where(lane[None, :] == 0, g0[:, None], tl.where(lane[None, :] == 1, g1[:, None], three))
@@ -71,9 +71,19 @@ def lane_gradients(colors, color_gradients, k, lane, live):
 
 @triton.jit
 def color_kernel(
-    table, layout, points, ray_of, weights, largest, share, total, out, LEVELS: tl.constexpr, BLOCK: tl.constexpr
+    table,
+    layout,
+    points,
+    ray_of,
+    weights,
+    largest,
+    weight_threshold,
+    total,
+    out,
+    LEVELS: tl.constexpr,
+    BLOCK: tl.constexpr,
 ):
-    """out [n, 3]: sigmoid(f[0:3] + f[3]); samples with less than `share` of their ray's largest weight get -1."""
+    """out [n, 3]: sigmoid(f[0:3] + f[3]); -1 for samples below weight_threshold times their ray's largest weight."""
     count = tl.load(total)
     lane = tl.arange(0, 4)
     for block in range(tl.program_id(0).to(tl.int64), tl.cdiv(count, BLOCK), tl.num_programs(0)):
@@ -81,17 +91,17 @@ def color_kernel(
         inside = k < count
         ray = tl.load(ray_of + k, mask=inside, other=0)
         w = tl.load(weights + k, mask=inside, other=0.0)
-        live = inside & (w > 0.0) & (w >= share * tl.load(largest + ray, mask=inside, other=0.0))
-        if tl.max(live.to(tl.int32), axis=0) > 0:
-            x, y, z = vector(points, k, live)
+        valid = inside & (w > 0.0) & (w >= weight_threshold * tl.load(largest + ray, mask=inside, other=0.0))
+        if tl.max(valid.to(tl.int32), axis=0) > 0:
+            x, y, z = vector(points, k, valid)
             f = x[:, None] * 0.0 + lane[None, :] * 0.0
             for level in tl.static_range(LEVELS):
-                f += level_sum(table, layout, level, LEVELS, x, y, z, live)
+                f += level_sum(table, layout, level, LEVELS, x, y, z, valid)
             at = offset(k, 3, 0)
-            tl.store(out + at, _sigmoid(logit(f, lane, 0)), mask=live)
-            tl.store(out + at + 1, _sigmoid(logit(f, lane, 1)), mask=live)
-            tl.store(out + at + 2, _sigmoid(logit(f, lane, 2)), mask=live)
-        tl.store(out + offset(k, 3, 0), -1.0, mask=inside & (live == 0))
+            tl.store(out + at, _sigmoid(logit(f, lane, 0)), mask=valid)
+            tl.store(out + at + 1, _sigmoid(logit(f, lane, 1)), mask=valid)
+            tl.store(out + at + 2, _sigmoid(logit(f, lane, 2)), mask=valid)
+        tl.store(out + offset(k, 3, 0), -1.0, mask=inside & (valid == 0))
 
 
 @triton.jit
@@ -103,34 +113,34 @@ def color_backward_kernel(
     lane = tl.arange(0, 4)
     for block in range(tl.program_id(0).to(tl.int64), tl.cdiv(count, BLOCK), tl.num_programs(0)):
         k = block * BLOCK + tl.arange(0, BLOCK)
-        live = tl.load(colors + offset(k, 3, 0), mask=k < count, other=-1.0) >= 0.0
-        g = lane_gradients(colors, color_gradients, k, lane, live)
-        x, y, z = vector(points, k, live)
+        valid = tl.load(colors + offset(k, 3, 0), mask=k < count, other=-1.0) >= 0.0
+        g = lane_gradients(colors, color_gradients, k, lane, valid)
+        x, y, z = vector(points, k, valid)
         for level in tl.static_range(LEVELS):
-            level_scatter(to, layout, level, LEVELS, x, y, z, g, live)
+            level_scatter(to, layout, level, LEVELS, x, y, z, g, valid)
 
 
 @triton.jit(do_not_specialize=["count"])
 def rows_kernel(table, layout, points, out, count, LEVELS: tl.constexpr, BLOCK: tl.constexpr):
     """out [count, 4 LEVELS]: the levels' mixes side by side (kernels/cpu/hash_encoding.py)."""
     k = tl.program_id(0).to(tl.int64) * BLOCK + tl.arange(0, BLOCK)
-    live = k < count
+    valid = k < count
     lane = tl.arange(0, 4)
-    x, y, z = vector(points, k, live)
+    x, y, z = vector(points, k, valid)
     for level in tl.static_range(LEVELS):
-        f = level_sum(table, layout, level, LEVELS, x, y, z, live)
+        f = level_sum(table, layout, level, LEVELS, x, y, z, valid)
         at = offset(k[:, None], 4 * LEVELS, 4 * level + lane[None, :])
-        tl.store(out + at, f, mask=live[:, None])
+        tl.store(out + at, f, mask=valid[:, None])
 
 
 @triton.jit(do_not_specialize=["count"])
 def rows_backward_kernel(layout, points, gradients, to, count, LEVELS: tl.constexpr, BLOCK: tl.constexpr):
     """Add dL/d(table), from gradients [count, 4 LEVELS] of rows_kernel's out."""
     k = tl.program_id(0).to(tl.int64) * BLOCK + tl.arange(0, BLOCK)
-    live = k < count
+    valid = k < count
     lane = tl.arange(0, 4)
-    x, y, z = vector(points, k, live)
+    x, y, z = vector(points, k, valid)
     for level in tl.static_range(LEVELS):
         at = offset(k[:, None], 4 * LEVELS, 4 * level + lane[None, :])
-        g = tl.load(gradients + at, mask=live[:, None], other=0.0)
-        level_scatter(to, layout, level, LEVELS, x, y, z, g, live)
+        g = tl.load(gradients + at, mask=valid[:, None], other=0.0)
+        level_scatter(to, layout, level, LEVELS, x, y, z, g, valid)

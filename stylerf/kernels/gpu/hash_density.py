@@ -12,10 +12,10 @@ from stylerf.kernels.gpu.vm import EXPONENT_MAX, EXPONENT_MIN
 
 
 @triton.jit
-def raw_density(table, layout, shift, x, y, z, live, LEVELS: tl.constexpr, WIDTH: tl.constexpr):
+def raw_density(table, layout, shift, x, y, z, valid, LEVELS: tl.constexpr, WIDTH: tl.constexpr):
     """exp(shift + levels) of points; shift: pointer."""
     columns = tl.arange(0, WIDTH)
-    mask = live[:, None] & (columns[None, :] < LEVELS)
+    mask = valid[:, None] & (columns[None, :] < LEVELS)
     total = tl.load(shift) + tl.sum(level_tile(table, layout, x, y, z, columns, LEVELS, 1, mask), axis=1)
     return tl.exp(tl.minimum(tl.maximum(total, EXPONENT_MIN), EXPONENT_MAX))
 
@@ -32,10 +32,10 @@ def density_backward_kernel(
         k = block * BLOCK + tl.arange(0, BLOCK)
         inside = k < count
         g = tl.load(sigma_gradients + k, mask=inside, other=0.0) * tl.load(sigma + k, mask=inside, other=0.0)
-        live = inside & (g != 0.0)
-        x, y, z = vector(points, k, live)
-        mask = live[:, None] & (columns[None, :] < LEVELS)
-        tl.atomic_add(shift_to, tl.sum(tl.where(live, g, 0.0), axis=0), sem="relaxed")
+        valid = inside & (g != 0.0)
+        x, y, z = vector(points, k, valid)
+        mask = valid[:, None] & (columns[None, :] < LEVELS)
+        tl.atomic_add(shift_to, tl.sum(tl.where(valid, g, 0.0), axis=0), sem="relaxed")
         level_tile_scatter(to, layout, x, y, z, tl.where(mask, g[:, None], 0.0), columns, LEVELS, 1, mask)
 
 
@@ -49,9 +49,9 @@ def smoothness_kernel(table, to, strength, vertices, first, ROW: tl.constexpr, B
     vertex = n // ROW
     along_y, along_z = vertices, 1
     along_x = vertices.to(tl.int64) * vertices
-    live = vertex < along_x * vertices
+    valid = vertex < along_x * vertices
     i, j, k = vertex // along_x, (vertex // along_y) % vertices, vertex % vertices
-    here = tl.load(table + first + n, mask=live, other=0.0)
+    here = tl.load(table + first + n, mask=valid, other=0.0)
     total = here * 0.0
     for axis in tl.static_range(3):
         if axis == 0:
@@ -60,9 +60,9 @@ def smoothness_kernel(table, to, strength, vertices, first, ROW: tl.constexpr, B
             place, apart = j, along_y
         else:
             place, apart = k, along_z
-        below, above = live & (place > 0), live & (place < vertices - 1)
+        below, above = valid & (place > 0), valid & (place < vertices - 1)
         lower = tl.load(table + first + n - apart * ROW, mask=below, other=0.0)
         upper = tl.load(table + first + n + apart * ROW, mask=above, other=0.0)
         total += tl.where(below, here - lower, 0.0) + tl.where(above, here - upper, 0.0)
     at = to + first + n
-    tl.store(at, tl.load(at, mask=live, other=0.0) + strength * total, mask=live)
+    tl.store(at, tl.load(at, mask=valid, other=0.0) + strength * total, mask=valid)

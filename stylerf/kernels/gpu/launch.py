@@ -11,18 +11,22 @@ from stylerf.kernels.gpu import compositing as composite_kernels
 from stylerf.kernels.gpu import hash_color as hash_kernels
 from stylerf.kernels.gpu import interpreted, march, pixel_rays, vm
 
-# Rays or samples to a program. A walk diverges, so that few rays share one; the interpreter pays by the program.
+# Rays or samples per program. Marches diverge, so that few rays share a program; the interpreter pays per program.
 RAYS, SAMPLES, POINTS, RUNS = (256, 512, 1024, 4096) if interpreted() else (32, 64, 128, 128)
 # No software pipeline: it would copy the gathered rows through 170 KB of shared memory, more than most GPUs have.
 STAGES = 1
-PROGRAMS_PER_PROCESSOR = 8  # of kernels that walk a list whose length only the device knows
+PROGRAMS_PER_PROCESSOR = 8  # of kernels that inputs a list whose length only the device knows
 
 
 @dataclass
 class GpuSamples:
-    """As fields/ray_samples.py's Samples, packed without gaps. ray_of [room]; largest [rays]: weights; total [1] int64.
+    """Samples along rays, packed without padding; as Samples in kernels/cpu/ray_samples.py, and beyond that:
 
-    counts [rays]: samples that each ray wanted; starts:ends is empty where they found no room.
+    Attributes:
+        counts: [rays], samples that each ray wanted; its starts:ends is empty if they found no room.
+        largest: [rays], each ray's largest weight.
+        total: [1] int64, number of samples.
+        ray_of: [room], each sample's ray.
     """
 
     starts: Tensor
@@ -31,7 +35,7 @@ class GpuSamples:
     largest: Tensor
     total: Tensor
     t: Tensor
-    optical: Tensor
+    deltas: Tensor
     x: Tensor
     sigma: Tensor
     weights: Tensor
@@ -62,8 +66,8 @@ def persistent_grid(device: torch.device, most: int, block: int) -> tuple[int]:
 
 
 @dataclass(frozen=True)
-class Walk:
-    """What a march is asked: a space's code, parameters [7] on the device and bounds; step in cube units."""
+class GpuMarchInputs:
+    """What a march reads beside rays and density; space: numbers [7] on the device; step: cube units."""
 
     code: int
     space: Tensor
@@ -72,28 +76,29 @@ class Walk:
     step: float
     distances: Tensor  # [cells^3] uint8
     cells: int
-    closed: bool
+    opaque_background: bool
     displacement: Tensor | None  # flat [m^3 * 3]
     vertices: int
-    limit: int
-    opaque: float
+    samples_per_ray: int
+    min_transmittance: float
 
 
 def march_density(
-    walk: Walk, density, origins: Tensor, directions: Tensor, jitter: Tensor, room: int | None
+    inputs: GpuMarchInputs, density, origins: Tensor, directions: Tensor, jitter: Tensor, room: int | None
 ) -> GpuSamples:
-    """Samples of rays through a density. room: most samples there is memory for; None: asked from the device.
+    """March rays through a density.
 
-    With a room nothing waits for the device. density: has table, shift, layout, size, code, rank and width; see
-    density.raw_density.
+    Args:
+        density: has table, shift, layout, size, code, rank and width; see density.raw_density.
+        room: most samples there is memory for. With None the number is read back, which waits for the device.
     """
     n, device = len(origins), origins.device
     counts, int64 = torch.empty(n, dtype=torch.int32, device=device), {"dtype": torch.int64, "device": device}
     starts, ends = torch.empty(n, **int64), torch.empty(n, **int64)
     largest, total = torch.empty(n, device=device), torch.zeros(1, **int64)
-    # What a pass does not use is still an argument: any tensor of the right kind will do.
+    # The counting pass needs no outputs, but Triton needs arguments: any tensors of the right type.
     nothing = GpuSamples(starts, ends, counts, largest, total, *[largest] * 5, counts)
-    _walk_rays(walk, density, origins, directions, jitter, nothing, starts, 0, False)
+    _march_rays(inputs, density, origins, directions, jitter, nothing, starts, 0, False)
     last = torch.cumsum(counts, 0, dtype=torch.int64)
     if room is None:
         room = int(last[-1]) if n else 0
@@ -101,23 +106,24 @@ def march_density(
     points = torch.empty((room, 3), device=device)
     ray_of = torch.empty(room, dtype=torch.int32, device=device)
     samples = GpuSamples(starts, ends, counts, largest, total, one[0], one[1], points, one[2], one[3], ray_of)
-    _walk_rays(walk, density, origins, directions, jitter, samples, last, room, True)
+    _march_rays(inputs, density, origins, directions, jitter, samples, last, room, True)
     return samples
 
 
-def _walk_rays(walk, density, origins, directions, jitter, samples: GpuSamples, last, room, fill: bool) -> None:
+def _march_rays(inputs, density, origins, directions, jitter, samples: GpuSamples, last, room, fill: bool) -> None:
     n = len(origins)
     if not n:
         return
-    s, moved = samples, origins if walk.displacement is None else walk.displacement
+    s, moved = samples, origins if inputs.displacement is None else inputs.displacement
     layout = s.counts if density.layout is None else density.layout
     march.march_kernel[(triton.cdiv(n, RAYS),)](
-        walk.space, origins, directions, jitter, float(walk.near), float(walk.far), float(walk.step),
-        walk.distances, walk.cells, walk.limit, float(walk.opaque), density.table, density.shift, *density.size,
-        layout, moved, walk.vertices, s.counts, last, room, s.starts, s.ends, s.largest, s.total,
-        s.t, s.optical, s.x, s.sigma, s.weights, s.ray_of, n,
-        KIND=walk.code, CLOSED=walk.closed, DISPLACED=walk.displacement is not None, FILL=fill,
-        DENSITY=density.code, RANK=density.rank, WIDTH=density.width, BLOCK=RAYS, num_warps=1,
+        inputs.space, origins, directions, jitter, float(inputs.near), float(inputs.far), float(inputs.step),
+        inputs.distances, inputs.cells, inputs.samples_per_ray, float(inputs.min_transmittance),
+        density.table, density.shift, *density.size, layout, moved, inputs.vertices,
+        s.counts, last, room, s.starts, s.ends, s.largest, s.total,
+        s.t, s.deltas, s.x, s.sigma, s.weights, s.ray_of, n,
+        KIND=inputs.code, OPAQUE_BACKGROUND=inputs.opaque_background, DISPLACED=inputs.displacement is not None,
+        FILL=fill, DENSITY=density.code, RANK=density.rank, WIDTH=density.width, BLOCK=RAYS, num_warps=1,
     )  # fmt: skip
 
 
@@ -140,12 +146,12 @@ def vm_density_backward(density, samples: GpuSamples, sigma_gradients: Tensor, t
     )  # fmt: skip
 
 
-def vm_colors(color, samples: GpuSamples, directions: Tensor, share: float) -> Tensor:
-    """[room, 3] colors of samples with at least `share` of their ray's largest weight; others have -1 first."""
+def vm_colors(color, samples: GpuSamples, directions: Tensor, weight_threshold: float) -> Tensor:
+    """Return [room, 3] colors; -1 in channel 0 below weight_threshold times the ray's largest weight."""
     out = torch.empty((samples.room, 3), device=directions.device)
     vm.color_kernel[persistent_grid(out.device, samples.room, SAMPLES)](
         color.table, color.head, color.bias, samples.x, directions, samples.ray_of, samples.weights,
-        samples.largest, float(share), samples.total, out, *color.size,
+        samples.largest, float(weight_threshold), samples.total, out, *color.size,
         RANK=color.rank, WIDTH=width_of(color.rank), BANDS=color.bands, OUTPUTS=outputs_of(color.bands),
         BLOCK=SAMPLES, num_stages=STAGES,
     )  # fmt: skip
@@ -163,11 +169,11 @@ def vm_colors_backward(color, samples: GpuSamples, directions, colors, color_gra
     )  # fmt: skip
 
 
-def hash_colors(color, samples: GpuSamples, share: float) -> Tensor:
+def hash_colors(color, samples: GpuSamples, weight_threshold: float) -> Tensor:
     """As vm_colors, of a hash grid."""
     out = torch.empty((samples.room, 3), device=samples.x.device)
     hash_kernels.color_kernel[persistent_grid(out.device, samples.room, SAMPLES)](
-        color.table, color.layout, samples.x, samples.ray_of, samples.weights, samples.largest, float(share),
+        color.table, color.layout, samples.x, samples.ray_of, samples.weights, samples.largest, float(weight_threshold),
         samples.total, out, LEVELS=color.levels, BLOCK=SAMPLES, num_stages=STAGES,
     )  # fmt: skip
     return out
@@ -199,7 +205,7 @@ def composite(samples: GpuSamples, colors: Tensor) -> Tensor:
     out = torch.empty((n, 5), device=colors.device)
     if n:
         composite_kernels.composite_kernel[(triton.cdiv(n, RAYS),)](
-            samples.weights, samples.optical, colors, samples.t, samples.starts, samples.ends, out, n, BLOCK=RAYS,
+            samples.weights, samples.deltas, colors, samples.t, samples.starts, samples.ends, out, n, BLOCK=RAYS,
             num_warps=1,
         )  # fmt: skip
     return out
@@ -217,14 +223,14 @@ def surface_distance(samples: GpuSamples) -> Tensor:
 
 
 def composite_backward(
-    samples: GpuSamples, colors: Tensor, out: Tensor, gradients: Tensor, even_from: float
+    samples: GpuSamples, colors: Tensor, out: Tensor, gradients: Tensor, near_scaling_distance: float
 ) -> tuple[Tensor, Tensor]:
     """(dL/d(sigma) [room], dL/d(color) [room, 3]) from dL/d(out) [rays, 5]; unset beyond the samples there are."""
     sigma_gradients, color_gradients = torch.empty_like(samples.sigma), torch.empty_like(colors)
     if len(out):
         composite_kernels.composite_backward_kernel[(triton.cdiv(len(out), RAYS),)](
-            samples.weights, samples.optical, colors, samples.t, samples.starts, samples.ends, out, gradients,
-            float(even_from), sigma_gradients, color_gradients, len(out), BLOCK=RAYS, num_warps=1,
+            samples.weights, samples.deltas, colors, samples.t, samples.starts, samples.ends, out, gradients,
+            float(near_scaling_distance), sigma_gradients, color_gradients, len(out), BLOCK=RAYS, num_warps=1,
         )  # fmt: skip
     return sigma_gradients, color_gradients
 

@@ -46,9 +46,9 @@ def add_hash_color_slopes(color, samples: GpuSamples, colors, color_gradients, o
 def displacement_backward(
     code: int, space: Tensor, origins, directions, samples: GpuSamples, position_gradients, vertices: int, to: Tensor
 ) -> None:
-    """Add dL/dD to `to`, flat [vertices^3, 3], from dL/dx' [room, 3]; code, space: as Walk's."""
+    """Add dL/dD to `to`, flat [vertices^3, 3], from dL/dx' [room, 3]; code, space: as in GpuMarchInputs."""
     deformation.displacement_backward_kernel[persistent_grid(to.device, samples.room, SAMPLES)](
-        space, origins, directions, samples.ray_of, samples.t, samples.optical, samples.x, position_gradients,
+        space, origins, directions, samples.ray_of, samples.t, samples.deltas, samples.x, position_gradients,
         samples.total, to, vertices, KIND=code, BLOCK=SAMPLES, num_stages=STAGES,
     )  # fmt: skip
 

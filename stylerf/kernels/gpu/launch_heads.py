@@ -24,8 +24,8 @@ def _constants(color) -> dict:
     }  # fmt: skip
 
 
-def headed_colors(color, samples: GpuSamples, directions: Tensor, share: float) -> Tensor:
-    """[room, 3] colors of samples with at least `share` of their ray's largest weight; others have -1 first.
+def headed_colors(color, samples: GpuSamples, directions: Tensor, weight_threshold: float) -> Tensor:
+    """Return [room, 3] colors; -1 in channel 0 below weight_threshold times the ray's largest weight.
 
     color: has table, layout, numbers, size, code, pieces, rank, bands, head (its kind) and hidden (0: no such layer).
     """
@@ -33,7 +33,7 @@ def headed_colors(color, samples: GpuSamples, directions: Tensor, share: float) 
     layout = samples.counts if color.layout is None else color.layout
     KERNELS[color.head][0][persistent_grid(out.device, samples.room, SAMPLES)](
         color.table, layout, color.numbers, samples.x, directions, samples.ray_of, samples.weights, samples.largest,
-        float(share), samples.total, out, *color.size, **_constants(color),
+        float(weight_threshold), samples.total, out, *color.size, **_constants(color),
     )  # fmt: skip
     return out
 

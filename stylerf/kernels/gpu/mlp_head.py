@@ -38,31 +38,31 @@ def _relu(sums):
 
 @triton.jit(do_not_specialize=SIZES, do_not_specialize_on_alignment=["numbers"])
 def mlp_kernel(
-    table, layout, numbers, points, directions, ray_of, weights, largest, share, total, out, s0, s1, s2,
+    table, layout, numbers, points, directions, ray_of, weights, largest, weight_threshold, total, out, s0, s1, s2,
     ENCODER: tl.constexpr, PIECES: tl.constexpr, RANK: tl.constexpr, WIDTH: tl.constexpr, BANDS: tl.constexpr,
     UNITS: tl.constexpr, BLOCK: tl.constexpr,
 ):  # fmt: skip
-    """out [n, 3]: sigmoid(W2 relu(W1 (phi, Y) + b1) + b2); samples under `share` of their ray's largest weight: -1."""
+    """out [n, 3]: sigmoid(W2 relu(W1 (phi, Y) + b1) + b2); -1 below weight_threshold times the ray's largest weight."""
     count = tl.load(total)
     columns, band, unit = tl.arange(0, WIDTH), tl.arange(0, MOST_BANDS), tl.arange(0, UNITS)
     second = numbers + (PIECES * RANK + BANDS + 1) * UNITS
     for block in range(tl.program_id(0).to(tl.int64), tl.cdiv(count, BLOCK), tl.num_programs(0)):
         k = block * BLOCK + tl.arange(0, BLOCK)
-        inside, live, ray = to_color(k, count, ray_of, weights, largest, share)
-        if tl.max(live.to(tl.int32), axis=0) > 0:
-            x, y, z = vector(points, k, live)
-            dx, dy, dz = vector(directions, ray, live)
+        inside, valid, ray = to_color(k, count, ray_of, weights, largest, weight_threshold)
+        if tl.max(valid.to(tl.int32), axis=0) > 0:
+            x, y, z = vector(points, k, valid)
+            dx, dy, dz = vector(directions, ray, valid)
             sums = _from_direction(numbers, bands_of(dx, dy, dz, band, BANDS), band, PIECES * RANK, BANDS, UNITS)
             for m in tl.static_range(PIECES):
-                phi = piece(m, table, layout, x, y, z, s0, s1, s2, columns, live, ENCODER, RANK)
+                phi = piece(m, table, layout, x, y, z, s0, s1, s2, columns, valid, ENCODER, RANK)
                 sums = tl.dot(phi, _rows(numbers, m * RANK, columns, RANK, UNITS), acc=sums, input_precision="ieee")
             layer = _relu(sums)
             last = second + 3 * UNITS
             red = tl.sum(layer * tl.load(second + unit)[None, :], axis=1) + tl.load(last)
             green = tl.sum(layer * tl.load(second + UNITS + unit)[None, :], axis=1) + tl.load(last + 1)
             blue = tl.sum(layer * tl.load(second + 2 * UNITS + unit)[None, :], axis=1) + tl.load(last + 2)
-            store_vector(out, k, _sigmoid(red), _sigmoid(green), _sigmoid(blue), live)
-        tl.store(out + offset(k, 3, 0), -1.0, mask=inside & (live == 0))
+            store_vector(out, k, _sigmoid(red), _sigmoid(green), _sigmoid(blue), valid)
+        tl.store(out + offset(k, 3, 0), -1.0, mask=inside & (valid == 0))
 
 
 @triton.jit(do_not_specialize=SIZES, do_not_specialize_on_alignment=UNALIGNED)
@@ -87,13 +87,13 @@ def mlp_backward_kernel(
     red, green, blue = 0.0, 0.0, 0.0
     for block in range(tl.program_id(0).to(tl.int64), tl.cdiv(count, BLOCK), tl.num_programs(0)):
         k = block * BLOCK + tl.arange(0, BLOCK)
-        live, ray, g0, g1, g2 = to_learn(k, count, ray_of, colors, color_gradients)
-        x, y, z = vector(points, k, live)
-        dx, dy, dz = vector(directions, ray, live)
+        valid, ray, g0, g1, g2 = to_learn(k, count, ray_of, colors, color_gradients)
+        x, y, z = vector(points, k, valid)
+        dx, dy, dz = vector(directions, ray, valid)
         basis = bands_of(dx, dy, dz, band, BANDS)
         sums = _from_direction(numbers, basis, band, PIECES * RANK, BANDS, UNITS)
         for m in tl.static_range(PIECES):
-            phi = piece(m, table, layout, x, y, z, s0, s1, s2, columns, live, ENCODER, RANK)
+            phi = piece(m, table, layout, x, y, z, s0, s1, s2, columns, valid, ENCODER, RANK)
             sums = tl.dot(phi, _rows(numbers, m * RANK, columns, RANK, UNITS), acc=sums, input_precision="ieee")
         layer = _relu(sums)
         red += tl.sum(g0, axis=0)
@@ -110,10 +110,10 @@ def mlp_backward_kernel(
         of_bands = tl.dot(tl.trans(basis), back, acc=of_bands, input_precision="ieee")
         for m in tl.static_range(PIECES):
             if PIECES > 1:  # one piece is still at hand
-                phi = piece(m, table, layout, x, y, z, s0, s1, s2, columns, live, ENCODER, RANK)
+                phi = piece(m, table, layout, x, y, z, s0, s1, s2, columns, valid, ENCODER, RANK)
             rows = _rows(numbers, m * RANK, columns, RANK, UNITS)
             gradient = tl.dot(back, tl.trans(rows), input_precision="ieee")
-            piece_scatter(m, table, to, layout, x, y, z, s0, s1, s2, gradient, columns, live, ENCODER, RANK)
+            piece_scatter(m, table, to, layout, x, y, z, s0, s1, s2, gradient, columns, valid, ENCODER, RANK)
             if m == 0:
                 of_piece0 = tl.dot(tl.trans(phi), back, acc=of_piece0, input_precision="ieee")
             elif m == 1:

@@ -73,7 +73,7 @@ def rays_kernel(
     chosen, count, view_ends, view_sizes, views, widths, intrinsics, poses, bytes_, codes, origins, directions, wanted,
     CHANNELS: tl.constexpr, STEPS: tl.constexpr, BLOCK: tl.constexpr,
 ):  # fmt: skip
-    """Rays and straight rgba of pixels chosen [count] int64, numbered through all views laid end to end."""
+    """Rays and straight (not premultiplied) rgba of pixels chosen [count] int64, numbered across all views."""
     k = tl.program_id(0).to(tl.int64) * BLOCK + tl.arange(0, BLOCK)
     mask = k < count
     index = tl.load(chosen + k, mask=mask, other=0)

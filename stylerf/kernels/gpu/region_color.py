@@ -35,18 +35,18 @@ def color_kernel(
         k = block * BLOCK + tl.arange(0, BLOCK)
         colored = tl.load(out + offset(k, 3, 0), mask=k < count, other=-1.0) >= 0.0
         x, y, z = vector(points, k, colored)
-        live = in_marked(marked, cells, x, y, z, colored)
-        if tl.max(live.to(tl.int32), axis=0) > 0:
+        valid = in_marked(marked, cells, x, y, z, colored)
+        if tl.max(valid.to(tl.int32), axis=0) > 0:
             x, y, z = into_box(box, x, y, z)
             f = x[:, None] * 0.0 + lane[None, :] * 0.0
             for level in tl.static_range(LEVELS):
-                f += level_sum(table, layout, level, LEVELS, x, y, z, live)
+                f += level_sum(table, layout, level, LEVELS, x, y, z, valid)
             for j in tl.static_range(3):
                 at = out + offset(k, 3, j)
                 own = _sigmoid(logit(f, lane, j))
-                base = tl.minimum(tl.maximum(tl.load(at, mask=live, other=0.5), LEAST), 1.0 - LEAST)
+                base = tl.minimum(tl.maximum(tl.load(at, mask=valid, other=0.5), LEAST), 1.0 - LEAST)
                 both = base * own
-                tl.store(at, both / (both + (1.0 - base) * (1.0 - own)), mask=live)
+                tl.store(at, both / (both + (1.0 - base) * (1.0 - own)), mask=valid)
 
 
 @triton.jit(do_not_specialize=["cells"])
@@ -64,9 +64,9 @@ def color_backward_kernel(
         k = block * BLOCK + tl.arange(0, BLOCK)
         colored = tl.load(colors + offset(k, 3, 0), mask=k < count, other=-1.0) >= 0.0
         x, y, z = vector(points, k, colored)
-        live = in_marked(marked, cells, x, y, z, colored)
-        if tl.max(live.to(tl.int32), axis=0) > 0:
-            g = lane_gradients(colors, color_gradients, k, lane, live)
+        valid = in_marked(marked, cells, x, y, z, colored)
+        if tl.max(valid.to(tl.int32), axis=0) > 0:
+            g = lane_gradients(colors, color_gradients, k, lane, valid)
             x, y, z = into_box(box, x, y, z)
             for level in tl.static_range(LEVELS):
-                level_scatter(to, layout, level, LEVELS, x, y, z, g, live)
+                level_scatter(to, layout, level, LEVELS, x, y, z, g, valid)

@@ -29,9 +29,9 @@ def keep_kernel(marked, cells, points, total, values, BLOCK: tl.constexpr):
 def ends_kernel(marked, cells, points, t, weights, starts, ends, out, rays, BLOCK: tl.constexpr):
     """out[r] = (sum w, sum over marked cells of w, of w t, of w x): [rays, 6], zero for a ray without samples."""
     r = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
-    live = r < rays
-    first = tl.load(starts + r, mask=live, other=0)
-    count = tl.load(ends + r, mask=live, other=0) - first
+    valid = r < rays
+    first = tl.load(starts + r, mask=valid, other=0)
+    count = tl.load(ends + r, mask=valid, other=0) - first
     zero = first.to(tl.float32) * 0.0
     whole, inside, depth, at_x, at_y, at_z = zero, zero, zero, zero, zero, zero
     for i in range(0, tl.max(count, axis=0)):
@@ -47,9 +47,9 @@ def ends_kernel(marked, cells, points, t, weights, starts, ends, out, rays, BLOC
         at_y += w * y
         at_z += w * z
     at = offset(r, 6, 0)
-    tl.store(out + at, whole, mask=live)
-    tl.store(out + at + 1, inside, mask=live)
-    tl.store(out + at + 2, depth, mask=live)
-    tl.store(out + at + 3, at_x, mask=live)
-    tl.store(out + at + 4, at_y, mask=live)
-    tl.store(out + at + 5, at_z, mask=live)
+    tl.store(out + at, whole, mask=valid)
+    tl.store(out + at + 1, inside, mask=valid)
+    tl.store(out + at + 2, depth, mask=valid)
+    tl.store(out + at + 3, at_x, mask=valid)
+    tl.store(out + at + 4, at_y, mask=valid)
+    tl.store(out + at + 5, at_z, mask=valid)

@@ -74,7 +74,7 @@ def ray_span(KIND: tl.constexpr, space, ox, oy, oz, dx, dy, dz, near, far):
 
 
 @triton.jit
-def leap(KIND: tl.constexpr, space, ox, oy, oz, dx, dy, dz, t, dt, distance, cells, step, qx, qy, qz, mask):
+def empty_steps(KIND: tl.constexpr, space, ox, oy, oz, dx, dy, dz, t, dt, distance, cells, step, qx, qy, qz, mask):
     """Steps (int32) that can be taken at once where the nearest occupied cell is `distance` cells away; see the CPU's.
 
     Lanes that `mask` leaves out, or that stand beside an occupied cell, take one.

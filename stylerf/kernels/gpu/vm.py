@@ -66,10 +66,10 @@ def scatter(to, first, second, line, fu, fv, fw, plane, along, gradient, columns
 
 
 @triton.jit
-def raw_density(table, shift, x, y, z, s0, s1, s2, live, RANK: tl.constexpr, WIDTH: tl.constexpr):
+def raw_density(table, shift, x, y, z, s0, s1, s2, valid, RANK: tl.constexpr, WIDTH: tl.constexpr):
     """exp(shift + features) of points; shift: pointer."""
     columns = tl.arange(0, WIDTH)
-    mask = live[:, None] & (columns[None, :] < RANK)
+    mask = valid[:, None] & (columns[None, :] < RANK)
     total = x * 0.0 + tl.load(shift)
     for m in tl.static_range(3):
         first, second, line, fu, fv, fw = place(m, x, y, z, s0, s1, s2)
@@ -84,9 +84,9 @@ def density_kernel(
 ):
     """sigma[k] of points [count, 3]."""
     k = tl.program_id(0).to(tl.int64) * BLOCK + tl.arange(0, BLOCK)
-    live = k < count
-    x, y, z = vector(points, k, live)
-    tl.store(sigma + k, raw_density(table, shift, x, y, z, s0, s1, s2, live, RANK, WIDTH), mask=live)
+    valid = k < count
+    x, y, z = vector(points, k, valid)
+    tl.store(sigma + k, raw_density(table, shift, x, y, z, s0, s1, s2, valid, RANK, WIDTH), mask=valid)
 
 
 @triton.jit(do_not_specialize=SIZES, do_not_specialize_on_alignment=["shift_to"])
@@ -101,10 +101,10 @@ def density_backward_kernel(
         k = block * BLOCK + tl.arange(0, BLOCK)
         inside = k < count
         g = tl.load(sigma_gradients + k, mask=inside, other=0.0) * tl.load(sigma + k, mask=inside, other=0.0)
-        live = inside & (g != 0.0)
-        x, y, z = vector(points, k, live)
-        mask = live[:, None] & (columns[None, :] < RANK)
-        tl.atomic_add(shift_to, tl.sum(tl.where(live, g, 0.0), axis=0), sem="relaxed")
+        valid = inside & (g != 0.0)
+        x, y, z = vector(points, k, valid)
+        mask = valid[:, None] & (columns[None, :] < RANK)
+        tl.atomic_add(shift_to, tl.sum(tl.where(valid, g, 0.0), axis=0), sem="relaxed")
         for m in tl.static_range(3):
             first, second, line, fu, fv, fw = place(m, x, y, z, s0, s1, s2)
             plane, along = product(table, first, second, line, fu, fv, fw, columns, RANK, mask)
@@ -133,10 +133,10 @@ def _sigmoid(z):
 
 @triton.jit(do_not_specialize=SIZES, do_not_specialize_on_alignment=["head", "bias"])
 def color_kernel(
-    table, head, bias, points, directions, ray_of, weights, largest, share, total, out, s0, s1, s2,
+    table, head, bias, points, directions, ray_of, weights, largest, weight_threshold, total, out, s0, s1, s2,
     RANK: tl.constexpr, WIDTH: tl.constexpr, BANDS: tl.constexpr, OUTPUTS: tl.constexpr, BLOCK: tl.constexpr,
 ):  # fmt: skip
-    """out [n, 3]: colors of samples with at least `share` of their ray's largest weight; others get -1 in channel 0.
+    """out [n, 3]: colors; -1 in channel 0 of samples below weight_threshold times their ray's largest weight.
 
     OUTPUTS: 3 BANDS rounded up to a power of two, at least 16.
     """
@@ -147,26 +147,26 @@ def color_kernel(
         inside = k < count
         ray = tl.load(ray_of + k, mask=inside, other=0)
         w = tl.load(weights + k, mask=inside, other=0.0)
-        live = inside & (w > 0.0) & (w >= share * tl.load(largest + ray, mask=inside, other=0.0))
-        if tl.max(live.to(tl.int32), axis=0) > 0:
-            x, y, z = vector(points, k, live)
-            mask = live[:, None] & (columns[None, :] < RANK)
+        valid = inside & (w > 0.0) & (w >= weight_threshold * tl.load(largest + ray, mask=inside, other=0.0))
+        if tl.max(valid.to(tl.int32), axis=0) > 0:
+            x, y, z = vector(points, k, valid)
+            mask = valid[:, None] & (columns[None, :] < RANK)
             sums = tl.zeros([BLOCK, OUTPUTS], tl.float32)
             for m in tl.static_range(3):
                 first, second, line, fu, fv, fw = place(m, x, y, z, s0, s1, s2)
                 plane, along = product(table, first, second, line, fu, fv, fw, columns, RANK, mask)
                 rows = head_rows(head, m, columns, RANK, BANDS, OUTPUTS)
                 sums = tl.dot(plane * along, tl.trans(rows), acc=sums, input_precision="ieee")
-            dx, dy, dz = vector(directions, ray, live)
+            dx, dy, dz = vector(directions, ray, valid)
             sums = sums * bands_of(dx, dy, dz, output, BANDS)
             red = _sigmoid(_channel(sums, output, BANDS, 0) + tl.load(bias))
             green = _sigmoid(_channel(sums, output, BANDS, 1) + tl.load(bias + 1))
             blue = _sigmoid(_channel(sums, output, BANDS, 2) + tl.load(bias + 2))
             at = offset(k, 3, 0)
-            tl.store(out + at, red, mask=live)
-            tl.store(out + at + 1, green, mask=live)
-            tl.store(out + at + 2, blue, mask=live)
-        tl.store(out + offset(k, 3, 0), -1.0, mask=inside & (live == 0))
+            tl.store(out + at, red, mask=valid)
+            tl.store(out + at + 1, green, mask=valid)
+            tl.store(out + at + 2, blue, mask=valid)
+        tl.store(out + offset(k, 3, 0), -1.0, mask=inside & (valid == 0))
 
 
 @triton.jit(do_not_specialize=SIZES, do_not_specialize_on_alignment=["head", "head_to", "bias_to"])
@@ -186,20 +186,20 @@ def color_backward_kernel(
         k = block * BLOCK + tl.arange(0, BLOCK)
         inside = k < count
         c0 = tl.load(colors + offset(k, 3, 0), mask=inside, other=-1.0)
-        live = c0 >= 0.0
-        ray = tl.load(ray_of + k, mask=live, other=0)
-        c0, c1, c2 = vector(colors, k, live)
-        g0, g1, g2 = vector(color_gradients, k, live)
+        valid = c0 >= 0.0
+        ray = tl.load(ray_of + k, mask=valid, other=0)
+        c0, c1, c2 = vector(colors, k, valid)
+        g0, g1, g2 = vector(color_gradients, k, valid)
         g0, g1, g2 = g0 * c0 * (1.0 - c0), g1 * c1 * (1.0 - c1), g2 * c2 * (1.0 - c2)
         red += tl.sum(g0, axis=0)
         green += tl.sum(g1, axis=0)
         blue += tl.sum(g2, axis=0)
-        x, y, z = vector(points, k, live)
-        dx, dy, dz = vector(directions, ray, live)
+        x, y, z = vector(points, k, valid)
+        dx, dy, dz = vector(directions, ray, valid)
         channel = output // BANDS
         own = tl.where(channel == 0, g0[:, None], tl.where(channel == 1, g1[:, None], g2[:, None]))
         own = tl.where(output[None, :] < 3 * BANDS, own, 0.0) * bands_of(dx, dy, dz, output, BANDS)
-        mask = live[:, None] & (columns[None, :] < RANK)
+        mask = valid[:, None] & (columns[None, :] < RANK)
         for m in tl.static_range(3):
             first, second, line, fu, fv, fw = place(m, x, y, z, s0, s1, s2)
             plane, along = product(table, first, second, line, fu, fv, fw, columns, RANK, mask)
@@ -233,8 +233,8 @@ def smoothness_kernel(
     n = tl.program_id(0).to(tl.int64) * BLOCK + tl.arange(0, BLOCK)
     rank = tl.arange(0, WIDTH)
     i, j = n // columns, n % columns
-    live = (n < rows.to(tl.int64) * columns)[:, None] & (rank[None, :] < RANK)
-    here = tile(table, begin + n, rank, RANK, live)
+    valid = (n < rows.to(tl.int64) * columns)[:, None] & (rank[None, :] < RANK)
+    here = tile(table, begin + n, rank, RANK, valid)
     total = here * 0.0
     for side in tl.static_range(4):
         if side == 0:
@@ -245,7 +245,7 @@ def smoothness_kernel(
             there, known = n - 1, j > 0
         else:
             there, known = n + 1, j < columns - 1
-        both = live & known[:, None]
+        both = valid & known[:, None]
         total += tl.where(both, here - tile(table, begin + there, rank, RANK, both), 0.0)
     at = to + offset((begin + n)[:, None], RANK, rank[None, :])
-    tl.store(at, tl.load(at, mask=live, other=0.0) + strength * total, mask=live)
+    tl.store(at, tl.load(at, mask=valid, other=0.0) + strength * total, mask=valid)

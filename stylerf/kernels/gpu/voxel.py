@@ -20,14 +20,14 @@ def row_of(links, s1, s2, i, j, k, mask):
 
 
 @triton.jit
-def _corners(links, x, y, z, s0, s1, s2, live):
+def _corners(links, x, y, z, s0, s1, s2, valid):
     """(rows, weights) [samples, 8] of the vertices around points, x slowest."""
     corner = tl.arange(0, 8)[None, :]
     i, fx = cell(x, s0)
     j, fy = cell(y, s1)
     k, fz = cell(z, s2)
     di, dj, dk = corner // 4, (corner // 2) % 2, corner % 2
-    rows = row_of(links, s1, s2, i[:, None] + di, j[:, None] + dj, k[:, None] + dk, live[:, None])
+    rows = row_of(links, s1, s2, i[:, None] + di, j[:, None] + dj, k[:, None] + dk, valid[:, None])
     along_x = tl.where(di == 1, fx[:, None], 1.0 - fx[:, None])
     along_y = tl.where(dj == 1, fy[:, None], 1.0 - fy[:, None])
     along_z = tl.where(dk == 1, fz[:, None], 1.0 - fz[:, None])
@@ -35,10 +35,10 @@ def _corners(links, x, y, z, s0, s1, s2, live):
 
 
 @triton.jit
-def raw_density(table, links, shift, x, y, z, s0, s1, s2, live):
+def raw_density(table, links, shift, x, y, z, s0, s1, s2, valid):
     """exp(shift + mix) of points; shift: pointer."""
-    rows, weights = _corners(links, x, y, z, s0, s1, s2, live)
-    values = tl.load(table + rows, mask=live[:, None], other=0.0).to(tl.float32)
+    rows, weights = _corners(links, x, y, z, s0, s1, s2, valid)
+    values = tl.load(table + rows, mask=valid[:, None], other=0.0).to(tl.float32)
     total = tl.load(shift) + tl.sum(weights * values, axis=1)
     return tl.exp(tl.minimum(tl.maximum(total, EXPONENT_MIN), EXPONENT_MAX))
 
@@ -53,36 +53,36 @@ def density_backward_kernel(
         k = block * BLOCK + tl.arange(0, BLOCK)
         inside = k < count
         g = tl.load(sigma_gradients + k, mask=inside, other=0.0) * tl.load(sigma + k, mask=inside, other=0.0)
-        live = inside & (g != 0.0)
-        x, y, z = vector(points, k, live)
-        tl.atomic_add(shift_to, tl.sum(tl.where(live, g, 0.0), axis=0), sem="relaxed")
-        rows, weights = _corners(links, x, y, z, s0, s1, s2, live)
+        valid = inside & (g != 0.0)
+        x, y, z = vector(points, k, valid)
+        tl.atomic_add(shift_to, tl.sum(tl.where(valid, g, 0.0), axis=0), sem="relaxed")
+        rows, weights = _corners(links, x, y, z, s0, s1, s2, valid)
         # What stands for blocks not kept never learns, and nothing would clear its gradients.
-        tl.atomic_add(to + rows, weights * g[:, None], mask=live[:, None] & (rows >= 64), sem="relaxed")
+        tl.atomic_add(to + rows, weights * g[:, None], mask=valid[:, None] & (rows >= 64), sem="relaxed")
 
 
 @triton.jit
-def row_tile(table, links, x, y, z, s0, s1, s2, columns, ROW: tl.constexpr, live, mask):
-    """[samples, WIDTH]: the trilinear mix of rows of ROW floats; the table may hold halves. mask: live by columns."""
+def row_tile(table, links, x, y, z, s0, s1, s2, columns, ROW: tl.constexpr, valid, mask):
+    """[samples, WIDTH]: the trilinear mix of rows of ROW floats; the table may hold halves. mask: valid by columns."""
     i, fx = cell(x, s0)
     j, fy = cell(y, s1)
     k, fz = cell(z, s2)
     total = x[:, None] * 0.0 + columns[None, :] * 0.0
     for corner in tl.static_range(8):
-        row = row_of(links, s1, s2, i + corner // 4, j + (corner // 2) % 2, k + corner % 2, live)
+        row = row_of(links, s1, s2, i + corner // 4, j + (corner // 2) % 2, k + corner % 2, valid)
         values = tl.load(table + offset(row[:, None], ROW, columns[None, :]), mask=mask, other=0.0).to(tl.float32)
         total += trilinear_corner(corner, fx, fy, fz)[:, None] * values
     return total
 
 
 @triton.jit
-def row_tile_scatter(to, links, x, y, z, s0, s1, s2, gradient, columns, ROW: tl.constexpr, live, mask):
+def row_tile_scatter(to, links, x, y, z, s0, s1, s2, gradient, columns, ROW: tl.constexpr, valid, mask):
     """Add gradient [samples, WIDTH] times each kept vertex's weight to the rows of `to`, laid out as the table."""
     i, fx = cell(x, s0)
     j, fy = cell(y, s1)
     k, fz = cell(z, s2)
     for corner in tl.static_range(8):
-        row = row_of(links, s1, s2, i + corner // 4, j + (corner // 2) % 2, k + corner % 2, live)
+        row = row_of(links, s1, s2, i + corner // 4, j + (corner // 2) % 2, k + corner % 2, valid)
         share = trilinear_corner(corner, fx, fy, fz)[:, None] * gradient
         kept = mask & (row >= 64)[:, None]
         tl.atomic_add(to + offset(row[:, None], ROW, columns[None, :]), share, mask=kept, sem="relaxed")
@@ -104,8 +104,8 @@ def smoothness_kernel(
     j = tl.load(places + block + 1, mask=listed, other=0) * 4 + ((row // 4) % 4).to(tl.int32)
     k = tl.load(places + block + 2, mask=listed, other=0) * 4 + (row % 4).to(tl.int32)
     # The last blocks reach beyond the grid.
-    live = listed & (i < s0) & (j < s1) & (k < s2)
-    own = live[:, None] & (columns[None, :] < ROW)
+    valid = listed & (i < s0) & (j < s1) & (k < s2)
+    own = valid[:, None] & (columns[None, :] < ROW)
     at = offset(row[:, None], ROW, columns[None, :])
     here = tl.load(table + at, mask=own, other=0.0)
     total = here * 0.0
@@ -114,7 +114,7 @@ def smoothness_kernel(
         u = i + (way if side // 2 == 0 else 0)
         v = j + (way if side // 2 == 1 else 0)
         w = k + (way if side // 2 == 2 else 0)
-        within = live & (u >= 0) & (v >= 0) & (w >= 0) & (u < s0) & (v < s1) & (w < s2)
+        within = valid & (u >= 0) & (v >= 0) & (w >= 0) & (u < s0) & (v < s1) & (w < s2)
         there = row_of(links, s1, s2, u, v, w, within)
         both = own & (within & (there >= 64))[:, None]
         beside = tl.load(table + offset(there[:, None], ROW, columns[None, :]), mask=both, other=0.0)

@@ -20,8 +20,8 @@ from stylerf.fields.displacement_grid import (
 )
 from stylerf.fields.occupancy_grid import OccupancyGrid
 from stylerf.fields.radiance_field import RadianceField
-from stylerf.fields.ray_samples import Rays
 from stylerf.geometry.cameras import Camera
+from stylerf.kernels.cpu.ray_samples import Rays
 from stylerf.training.common.adam import Adam
 
 REFRESH_EVERY = 16  # steps between looks at what the deformation has moved where

@@ -106,11 +106,11 @@ class GpuPhotoError:
 
     def of(self, origins: np.ndarray, directions: np.ndarray, colors: np.ndarray) -> float:
         """Mean squared error of rays, marched from the middle of their first step, to straight rgba [n, 4]."""
-        device, total = self.deformer.device, 0.0
+        device, field, total = self.deformer.device, self.deformer.device_field, 0.0
         for at in range(0, len(origins), RAYS_AT_ONCE):
             part = slice(at, at + RAYS_AT_ONCE)
             rays = GpuRays.of(origins[part], directions[part], device)
-            out = self.deformer.device_field.render_rays(rays, share=self.weight_threshold, limit=LIMIT).out
+            out = field.render_rays(rays, weight_threshold=self.weight_threshold, samples_per_ray=LIMIT).out
             wanted = torch.from_numpy(colors[part]).to(device)
             cover = wanted[:, 3:]
             found = out[:, :3] + (1 - out[:, 3:4]) * self.background
@@ -122,10 +122,11 @@ class GpuPhotoError:
         """Add dL/dD of rays' mean squared error to the deformer's gradients; returns the error."""
         device, field, n = self.deformer.device, self.deformer.device_field, len(origins)
         rays = GpuRays(*(sent(array, device) for array in (origins, directions, jitter)))
-        rendered = field.render_rays(rays, room=min(n * LIMIT, MOST_SAMPLES), share=self.weight_threshold, limit=LIMIT)
+        room, threshold = min(n * LIMIT, MOST_SAMPLES), self.weight_threshold
+        rendered = field.render_rays(rays, room=room, weight_threshold=threshold, samples_per_ray=LIMIT)
         background = torch.full((n, 3), float(self.background), device=device)
         sums, wanted = self._reports.begin(), sent(colors, device)
-        if field.closed:
+        if field.opaque_background:
             wanted = unhidden(wanted, rendered.out, background)
         gradients = launch.photometric_loss(rendered.out, wanted, background, rendered.samples, 2 / (3 * n), sums)
         field.backward(rendered, gradients, None, None, self.deformer.gradients)

@@ -86,7 +86,7 @@ class DeformationFitter:
         else:
             chosen = generator.integers(self.among, views, FIXED_RAYS)
             rays = self.dataset.at(chosen, (generator.random(FIXED_RAYS) * self.dataset.sizes[chosen]).astype(np.int64))
-        return shown_rays(*rays) if self.field.closed else rays
+        return shown_rays(*rays) if self.field.opaque_background else rays
 
     @property
     def dropped(self) -> bool:

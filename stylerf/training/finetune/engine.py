@@ -10,9 +10,9 @@ from typing import Protocol
 import numpy as np
 
 from stylerf.fields.radiance_field import RadianceField
-from stylerf.fields.ray_samples import Rays
 from stylerf.fields.region_color import RegionColor
 from stylerf.fields.scratch_arena import ScratchArena
+from stylerf.kernels.cpu.ray_samples import Rays
 from stylerf.rendering.rays import backward, render_rays
 from stylerf.training.common.adam import Adam
 from stylerf.training.common.process_group import ALONE, ProcessGroup
@@ -104,18 +104,14 @@ class CpuFineTuneEngine:
         self._memory = ScratchArena()
 
     def learn(self, batch: FineTuneBatch) -> dict[str, float]:
-        with self._memory.round():
-            return self._learn(batch)
-
-    def _learn(self, batch: FineTuneBatch) -> dict[str, float]:
         s, field, edited = self.settings, self.field, len(batch.depth)
         moving = s.density_factor > 0
         origins, directions, colors = self.bank.at(batch.views, batch.pixels)
         rays = Rays.of(origins, directions, field.space.near, batch.jitter)
-        rendered = render_rays(field, rays, chunks=self.chunks)
+        rendered = render_rays(field, rays, threads=self.chunks, arena=self._memory.reset())
         out, level = rendered.out, np.float32(s.background)
         found = out[:, :3] + (1 - out[:, 3:4]) * level
-        if field.closed and self.bank.channels == 4:
+        if field.opaque_background and self.bank.channels == 4:
             colors = unhidden(colors, found)
         difference = found - (colors[:, :3] * colors[:, 3:] + (1 - colors[:, 3:]) * level)
         gradients = np.zeros_like(out)
@@ -135,7 +131,7 @@ class CpuFineTuneEngine:
         density_to = self.density_adam.gradients if moving else None
         within = field.color.marked if isinstance(field.color, RegionColor) else None
         to = density_to, self.color_adam.gradients
-        backward(field, rendered, gradients, *to, even_from=s.even_from, density_within=within)
+        backward(field, rendered, gradients, *to, near_scaling_distance=s.even_from, density_within=within)
         self._step(batch, moving)
         squares = np.square(difference).mean(1)
         sums = np.array([squares[edited:].sum(), squares[:edited].sum(), depth_error], np.float64)

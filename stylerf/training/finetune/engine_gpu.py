@@ -10,7 +10,7 @@ from stylerf.fields.gpu.field import GpuField, marked_cells
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.fields.region_color import RegionColor
 from stylerf.kernels.gpu import launch_edit
-from stylerf.rendering.rays import SAMPLE_LIMIT
+from stylerf.rendering.rays import SAMPLES_PER_RAY
 from stylerf.training.common.adam_gpu import GpuAdam
 from stylerf.training.common.async_readback import AsyncReadback, sent
 from stylerf.training.common.process_group import ALONE, ProcessGroup
@@ -68,8 +68,8 @@ class GpuFineTuneEngine:
             sent(array, self.device) for array in (numbers, batch.jitter, batch.depth.astype(np.float32))
         )
         rays, wanted = self.bank.at(chosen, jitter)
-        rendered = field.render_rays(rays, room=min(len(chosen) * SAMPLE_LIMIT, MOST_ROOM), limit=SAMPLE_LIMIT)
-        if field.closed and self.bank.channels == 4:
+        rendered = field.render_rays(rays, room=min(len(chosen) * SAMPLES_PER_RAY, MOST_ROOM), limit=SAMPLES_PER_RAY)
+        if field.opaque_background and self.bank.channels == 4:
             wanted = unhidden(wanted, rendered.out, s.background)
         pulling = 2 * s.depth_weight / batch.inside if moving and batch.inside else 0.0
         scale = 2 / (3 * s.rays)
@@ -82,7 +82,7 @@ class GpuFineTuneEngine:
             gradients[:, 3] += gradients[:, :3] @ offset
             gradients[:, :3] = gradients[:, :3] @ matrix
         to = self.density_adam.gradients if moving else None, self.color_adam.gradients
-        field.backward(rendered, gradients, *to, even_from=s.even_from, density_within=self._within)
+        field.backward(rendered, gradients, *to, near_scaling_distance=s.even_from, density_within=self._within)
         for part, adam, factor in self._taught():
             if batch.smoothness > 0 and self.ranks.first:
                 part.smooth(batch.smoothness, adam.gradients)

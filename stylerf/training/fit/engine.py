@@ -11,9 +11,9 @@ from typing import Protocol
 import numpy as np
 
 from stylerf.fields.radiance_field import RadianceField
-from stylerf.fields.ray_samples import Rays
 from stylerf.fields.scratch_arena import ScratchArena
-from stylerf.rendering.rays import backward, render_rays, seen
+from stylerf.kernels.cpu.ray_samples import Rays
+from stylerf.rendering.rays import backward, render_rays, with_surface_distance
 from stylerf.training.common.adam import Adam
 from stylerf.training.common.process_group import ALONE, ProcessGroup
 from stylerf.training.common.ray_dataset import RayDataset, unhidden
@@ -179,8 +179,7 @@ class CpuEngine:
         error, live = 0.0, 0
         for part in parts_of(0, len(origins), batch.parts):
             rays = Rays.of(origins[part], directions[part], near, jitter[part])
-            with self._memory.round():
-                squares, samples = self._learn_part(batch, rays, colors[part], background[part])
+            squares, samples = self._learn_part(batch, rays, colors[part], background[part])
             error += squares
             live += samples
         both = (self.field.density, self.density_adam), (self.field.color, self.color_adam)
@@ -199,10 +198,10 @@ class CpuEngine:
     def _learn_part(self, batch: Batch, rays: Rays, colors, back) -> tuple[float, int]:
         """Add the gradients of some rays of a batch; the sum of their squared errors, and their samples."""
         count = batch.rays
-        rendered = render_rays(self.field, rays, chunks=self.chunks)
+        rendered = render_rays(self.field, rays, threads=self.chunks, arena=self._memory.reset())
         out = rendered.out
         found = over(out[:, :3], out[:, 3:4], back)
-        if self.field.closed and self.bank.channels == 4:
+        if self.field.opaque_background and self.bank.channels == 4:
             colors = unhidden(colors, found)
         difference = found - target(colors, back)
         gradients = np.zeros_like(out)
@@ -213,8 +212,8 @@ class CpuEngine:
         if batch.coverage > 0:
             gradients[:, 3] += coverage_gradient(out[:, 3], colors[:, 3], batch.coverage, count)
         to = self.density_adam.gradients, self.color_adam.gradients
-        backward(self.field, rendered, gradients, *to, even_from=batch.even_from)
-        return float(np.square(difference).sum()), rendered.samples.count
+        backward(self.field, rendered, gradients, *to, near_scaling_distance=batch.even_from)
+        return float(np.square(difference).sum()), rendered.samples.total
 
     def discard(self) -> None:
         self._memory = ScratchArena()  # what was kept for batches of this size is needed for smaller ones
@@ -226,8 +225,8 @@ class CpuEngine:
         for begin in range(4096 * self.ranks.place, len(origins), 4096 * self.ranks.count):
             part = slice(begin, begin + 4096)
             rays = Rays.of(origins[part], directions[part], self.field.space.near)
-            with self._memory.round():
-                found[part] = seen(render_rays(self.field, rays, chunks=self.chunks), self.chunks)
+            rendered = render_rays(self.field, rays, threads=self.chunks, arena=self._memory.reset())
+            found[part] = with_surface_distance(rendered, self.chunks)
         self.ranks.add(found)
         return found
 
@@ -252,11 +251,11 @@ class CpuEngine:
         rays = Rays.of(origins, directions, self.field.space.near)
         for field in scratch:
             field.occupancy.refresh(lambda x, d=field.density: d.sigma(x, self.chunks), field.step, 0, 1, 0.9)
-            rendered = render_rays(field, rays, chunks=self.chunks)
+            rendered = render_rays(field, rays, threads=self.chunks)
             parts = field.density, field.color
             adams = [Adam(part.values, part.groups(), self.chunks) for part in parts]
             to = adams[0].gradients, adams[1].gradients
-            backward(field, rendered, np.ones_like(rendered.out), *to, even_from=even_from)
+            backward(field, rendered, np.ones_like(rendered.out), *to, near_scaling_distance=even_from)
             for part, adam, weight in zip(parts, adams, smoothness):
                 if weight > 0:
                     part.smooth(weight, adam.gradients[0])

@@ -143,7 +143,7 @@ class GpuEngine:
                 seed, part.start, part.stop - part.start, batch.rays, batch.among, batch.lit_share, level
             )
             rendered = field.render_rays(drawn.rays, room=-(-self.room // batch.parts))
-            if field.closed and self.bank.channels == 4:
+            if field.opaque_background and self.bank.channels == 4:
                 drawn.wanted = unhidden(drawn.wanted, rendered.out, drawn.background)
             scale = 2 / (3 * batch.rays)
             gradients = launch.photometric_loss(
@@ -154,7 +154,7 @@ class GpuEngine:
             if batch.coverage > 0:
                 gradients[:, 3] += coverage_gradient(rendered, drawn.wanted[:, 3], batch.coverage, batch.rays)
             to = self.density_adam.gradients, self.color_adam.gradients
-            field.backward(rendered, gradients, *to, even_from=batch.even_from)
+            field.backward(rendered, gradients, *to, near_scaling_distance=batch.even_from)
         both = (field.density, self.density_adam), (field.color, self.color_adam)
         for strength, (part, adam) in zip(batch.smoothness, both):
             if strength > 0 and self.ranks.first:
@@ -169,7 +169,7 @@ class GpuEngine:
         for at in range(0, len(origins), 1 << 16):
             part = slice(at, at + (1 << 16))
             rays = GpuRays.of(origins[part], directions[part], self.device)
-            found[part] = self.live.render_rays(rays).seen().cpu().numpy()
+            found[part] = self.live.render_rays(rays).with_surface_distance().cpu().numpy()
         return found
 
     def follow_exposure(self) -> None:
@@ -207,7 +207,8 @@ class GpuEngine:
                 gradients = launch.photometric_loss(
                     rendered.out, drawn.wanted, drawn.background, rendered.samples, 1.0, sums
                 )
-                scratch.backward(rendered, gradients, *(adam.gradients for adam in adams), even_from=even_from)
+                to = (adam.gradients for adam in adams)
+                scratch.backward(rendered, gradients, *to, near_scaling_distance=even_from)
             for part, adam, weight in zip((scratch.density, scratch.color), adams, smoothness):
                 if weight > 0:
                     part.smooth(weight, adam.gradients)

@@ -84,7 +84,7 @@ class ViewStep:
         """dL/d(image) [h, w, 3] of premultiplied rgb [h*w, 3], and the parts of the loss."""
         scene, camera = self.scene, self.scene.cameras[view]
         rgb = premultiplied.reshape(camera.height, camera.width, 3)
-        if not scene.field.closed:
+        if not scene.field.opaque_background:
             rgb = rgb + (1 - scene.geometry.alpha(view)[..., None]) * scene.background
         image = self.to_device(rgb).requires_grad_()
         loss, parts = self.loss_of_view(view)(image)

@@ -5,10 +5,10 @@ import numpy as np
 from stylerf.fields.hash_color import HashColor
 from stylerf.fields.packed_surface import PackedSurface, surface_of
 from stylerf.fields.radiance_field import RadianceField
-from stylerf.fields.ray_samples import Rays
 from stylerf.geometry.cameras import Camera
 from stylerf.geometry.spherical_harmonics import harmonics
 from stylerf.kernels.cpu.compositing import shade, shade_backward
+from stylerf.kernels.cpu.ray_samples import Rays
 from stylerf.rendering.rays import Rendered, backward, render_rays
 from stylerf.training.common.adam import Adam
 from stylerf.training.common.bounded_cache import BoundedCache
@@ -56,21 +56,21 @@ class FixedGeometry:
 
     def paint(self, view: int, pixels: np.ndarray) -> tuple[np.ndarray, tuple]:
         """Premultiplied rgb [n, 3] of pixels [n], and a record for learn()."""
-        starts, ends, x, weights = self.surface(view).samples(pixels)
+        points = self.surface(view).samples(pixels)
         color, basis = self.field.color, None
         if not isinstance(color, HashColor):  # the color below a region's own depends on the direction
             basis = harmonics(self.cameras[view].rays(pixels)[1], color.degree)
-        colors = color.colors(x, basis, starts, ends, weights, 0.0, self.threads)
+        colors = color.colors(points, basis, self.threads)
         out = np.empty((len(pixels), 3), np.float32)
-        shade(weights, colors, starts, ends, out)
-        return out, (starts, ends, x, weights, colors)
+        shade(points, colors, out)
+        return out, (points, colors)
 
     def learn(self, record: tuple, gradients: np.ndarray, color_to: np.ndarray) -> None:
         """Add dL/d(color values), from dL/d(rgb) [n, 3], to the threads' buffers."""
-        starts, ends, x, weights, colors = record
-        color_gradients = np.empty_like(x)
-        shade_backward(weights, gradients, starts, ends, color_gradients)
-        self.field.color.backward(x, None, starts, ends, colors, color_gradients, color_to)
+        points, colors = record
+        color_gradients = np.empty_like(points.x)
+        shade_backward(points, gradients, color_gradients)
+        self.field.color.backward(points, None, colors, color_gradients, color_to)
 
 
 class MovingGeometry:
@@ -119,7 +119,9 @@ class MovingGeometry:
     def _rendered(self, camera: Camera, pixels: np.ndarray) -> tuple[np.ndarray, Rendered]:
         """Rendered pixels [n, 5], and what _backward needs."""
         rays = Rays.of(*camera.rays(pixels), self.field.space.near)
-        rendered = render_rays(self.field, rays, chunks=self.threads, opaque=OPAQUE, share=self.weight_threshold)
+        rendered = render_rays(
+            self.field, rays, threads=self.threads, min_transmittance=OPAQUE, weight_threshold=self.weight_threshold
+        )
         return rendered.out, rendered
 
     def learn(self, record: list[tuple[slice, Rendered]], gradients: np.ndarray, color_to: np.ndarray) -> None:
@@ -127,7 +129,7 @@ class MovingGeometry:
         for part, rendered in record:
             to = np.zeros((len(rendered.out), 5), np.float32)
             to[:, :3] = gradients[part]
-            if not self.field.closed:
+            if not self.field.opaque_background:
                 to[:, 3] = -self.background * gradients[part].sum(1)
             self._backward(rendered, to, color_to)
 

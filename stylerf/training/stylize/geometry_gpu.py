@@ -127,7 +127,7 @@ class GpuFixedGeometry:
         )  # fmt: skip
         plain = isinstance(self.field.color, HashColor)
         directions = None if plain else rays_of(self.cameras[view], chosen).directions
-        colors = self._color.colors(samples, directions, 0.0)
+        colors = self._color.visible_colors(samples, directions, 0.0)
         return launch.composite(samples, colors)[:, :3].cpu().numpy(), (samples, colors)
 
     def learn(self, record: tuple[GpuSamples, Tensor], gradients: np.ndarray, color_to: Tensor) -> None:
@@ -150,7 +150,7 @@ class GpuMovingGeometry(MovingGeometry):
         field = self.deformer.device_field
         field.color = self.fixed.color  # each phase has its own copy
         rays = rays_of(camera, sent(pixels, field.device))
-        rendered = field.render_rays(rays, opaque=OPAQUE, share=self.weight_threshold)
+        rendered = field.render_rays(rays, min_transmittance=OPAQUE, weight_threshold=self.weight_threshold)
         return rendered.out.cpu().numpy(), rendered
 
     def _backward(self, rendered: GpuRendered, gradients: np.ndarray, color_to: Tensor) -> None:

@@ -123,7 +123,7 @@ class RefNpr(StyleMethod):
         if self.scene.of_region:
             part = self.scene.coverage(view)[..., None]
             return part * image + (1 - part) * self.scene.photos[view]
-        if self.scene.field.closed:
+        if self.scene.field.opaque_background:
             return image
         alpha = self.scene.fixed.alpha(view)[..., None]
         return np.where(alpha > EMPTY, image, self.scene.background).astype(np.float32)

@@ -127,8 +127,8 @@ class StyledScene:
         if problem.style_image is not None:
             self.settings = self.settings.for_style(strokes_in(problem.style_image, min_spread))
             self.style_colors = spread_at_least(problem.style_image, min_spread)
-        threshold = problem.field.share if self.of_region else self.settings.weight_threshold
-        self.field = replace(problem.field, color_map=None, share=threshold)
+        threshold = problem.field.weight_threshold if self.of_region else self.settings.weight_threshold
+        self.field = replace(problem.field, color_map=None, weight_threshold=threshold)
         self.deformer = self._new_deformer()
         self.fixed = self._fixed_geometry()
         self.geometry: FixedGeometry | MovingGeometry = self.fixed
@@ -193,17 +193,17 @@ class StyledScene:
     @property
     def fills_views(self) -> bool:
         """Whether every pixel of every view counts: a whole capture, whose background is opaque."""
-        return self.field.closed and not self.of_region
+        return self.field.opaque_background and not self.of_region
 
     def coverage(self, view: int) -> np.ndarray:
         """How much of each pixel is object, or belongs to the region, [h, w] in 0..1."""
         return self._region_masks[view] if self.of_region else self.geometry.alpha(view)
 
     def _region_mask(self, view: int) -> np.ndarray:
-        starts, ends, x, weights = self.fixed.surface(view).samples(np.arange(self.fixed.alpha(view).size))
-        part, region = np.zeros(len(ends), np.float32), self.problem.region
+        points = self.fixed.surface(view).samples(np.arange(self.fixed.alpha(view).size))
+        part, region = np.zeros(len(points.ends), np.float32), self.problem.region
         cells = np.ascontiguousarray(region).reshape(-1)
-        weights_inside(cells, len(region), x, weights, starts, ends, self.problem.threads, part)
+        weights_inside(cells, len(region), points, self.problem.threads, part)
         return np.clip(part, 0, 1).reshape(self.fixed.alpha(view).shape)
 
     def _matched(self, photos: Sequence[np.ndarray]) -> Callable[[int], np.ndarray]:

@@ -129,7 +129,7 @@ def test_a_photo_that_teaches_colors_to_a_capture_has_what_the_field_shows_where
     scene = SimpleNamespace(images=lambda index: pixels, cameras=[camera])
     found = photo_for(field, scene, 0, 1.0, 1)
     assert (found[:, 4:] == 0.25).all()
-    np.testing.assert_array_equal(found[:, :4], render_view(field, camera, chunks=1).rgb[:, :4])
+    np.testing.assert_array_equal(found[:, :4], render_view(field, camera, threads=1).rgb[:, :4])
     # An object's stays what it is over the background.
     found = photo_for(field_of(SPACES["box"], 1), scene, 0, 1.0, 1)
     assert (found[:, 4:] == 0.25).all() and (found[:, :4] == 1).all()

@@ -8,8 +8,8 @@ from stylerf.editing.edit_views import EditView
 from stylerf.editing.extraction import Extraction, seen_of_view
 from stylerf.fields.occupancy_grid import OccupancyGrid
 from stylerf.fields.radiance_field import RadianceField
-from stylerf.fields.ray_samples import Rays
 from stylerf.geometry.space_warp import SpaceWarp
+from stylerf.kernels.cpu.ray_samples import Rays
 from stylerf.rendering.rays import render_rays
 from stylerf.rendering.region_alpha import alpha_inside
 from tests.stylerf.small import density, vm_color
@@ -77,7 +77,7 @@ def test_what_lies_behind_the_region_takes_part_in_its_rays_depth_and_opacity():
     photo = np.full((24, 24, 3), 0.5, np.float32)
     seen = seen_of_view(field, camera, photo, halves(), Extraction(1.0), 0, 1).edit
     rays = Rays.of(*camera.rays(seen.pixels), SPACE.near)
-    out = render_rays(field, rays, chunks=1).out
+    out = render_rays(field, rays, threads=1).out
     partly = (seen.inside > 0.3) & (seen.inside < 0.7 * seen.weight)
     assert partly.sum() > 5
     np.testing.assert_allclose(seen.through, out[:, 4], rtol=1e-3)
@@ -90,11 +90,11 @@ def test_the_depth_of_a_whole_ray_leaves_out_the_backdrop_as_a_renders_does():
     """A capture, of whose rays some light is left for an opaque backdrop far away: fine-tuning compares the two."""
     space = SpaceWarp("contraction", SpaceWarp.box([-0.8] * 3, [0.8] * 3).parameters, 0.0, 1e3)
     field = RadianceField(space, density(1, size=(8, 8, 8), shift=-3.0), vm_color(2), OccupancyGrid(32), 0.01)
-    assert field.closed
+    assert field.opaque_background
     camera = dome(6, 1)[2]
     photo = np.full((24, 24, 3), 0.5, np.float32)
     seen = seen_of_view(field, camera, photo, halves(), Extraction(1.0), 0, 1).edit
-    out = render_rays(field, Rays.of(*camera.rays(seen.pixels), space.near), chunks=1).out
+    out = render_rays(field, Rays.of(*camera.rays(seen.pixels), space.near), threads=1).out
     np.testing.assert_allclose(seen.through, out[:, 4], rtol=1e-3)
     assert seen.weight.min() > 0.99  # opaque by the backdrop
 

@@ -44,7 +44,7 @@ def test_density_and_its_gradient_equal_the_oracle(made):
     (expected[at] * float64(gradients[at])).sum().backward()
     for chunks in (1, 2):
         to = buffers(chunks, len(made.values))
-        made.backward(s.x, s.starts, s.ends, s.sigma, gradients, to)
+        made.backward(s, gradients, to)
         fixed = made.groups()[0][0]  # what stands for blocks not kept never learns: asked for, but no gradient is left
         assert not to[:, :fixed].any() and bool(values.grad[:fixed].any()) == (fixed > 0)
         close(added(to)[fixed:], values.grad[fixed:], 1e-5)
@@ -70,7 +70,7 @@ def test_position_gradient_equals_the_oracle(made):
 def test_a_walk_meets_the_density_at_its_samples(made):
     made.values[-1] = -4.5
     rays = rays_into(SPACES["contraction"], 40, 4)
-    one, two = (Packed.of(march(made, SPACES["contraction"], rays, closed=True, chunks=c)) for c in (1, 2))
+    one, two = (Packed.of(march(made, SPACES["contraction"], rays, opaque_background=True, threads=c)) for c in (1, 2))
     assert np.array_equal(one.sigma, two.sigma) and np.array_equal(one.weights, two.weights)
     inside = ~one.backdrop
     expected = oracle_density(made, float64(made.values), one.x)
@@ -82,10 +82,10 @@ def test_a_walk_meets_the_density_at_its_samples(made):
 def test_the_exponent_is_clamped_and_lets_gradients_pass(made, shift, limit):
     s = samples()
     made.values[-1] = shift
-    s.sigma = made.sigma(s.x, 1)
+    s = s._replace(sigma=made.sigma(s.x, 1))
     np.testing.assert_allclose(s.sigma, limit, rtol=1e-6)
     to = np.zeros((1, len(made.values)), np.float32)
-    made.backward(s.x, s.starts, s.ends, s.sigma, np.full(len(s.x), 1 / limit, np.float32), to)
+    made.backward(s, np.full(len(s.x), 1 / limit, np.float32), to)
     assert to[0, -1] == pytest.approx(len(owned(s)), rel=1e-5)
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 from stylerf.fields.displacement_grid import occupancy_of_seen, seen_cells, vertices_of
-from stylerf.fields.ray_samples import Rays
+from stylerf.kernels.cpu.ray_samples import Rays
 from tests.stylerf.small import SPACES, field_of, hash_color, rays_into
 
 

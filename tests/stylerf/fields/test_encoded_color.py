@@ -27,11 +27,11 @@ def test_colors_and_gradients_equal_the_oracle(made):
     gradients = np.random.default_rng(6).normal(size=(len(s.x), 3)).astype(np.float32)
     (expected * float64(gradients[at]))[shown].sum().backward()
     for chunks in (1, 3):
-        found = made.colors(s.x, basis, s.starts, s.ends, s.weights, 0.0, chunks)
+        found = made.colors(s.shading_points(), basis, chunks)
         close(found[at][shown], expected[shown], 3e-6)
         assert (found[at][~shown, 0] == -1).all() and (~shown).sum() == 3
         to = buffers(chunks, len(made.values))
-        made.backward(s.x, basis, s.starts, s.ends, found, gradients, to)
+        made.backward(s.shading_points(), basis, found, gradients, to)
         fixed = made.groups()[0][0]
         assert not to[:, :fixed].any() and bool(values.grad[:fixed].any()) == (fixed > 0)
         close(added(to)[fixed:], values.grad[fixed:], 2e-5)
@@ -44,20 +44,20 @@ def test_position_gradient_equals_the_oracle(made):
     at, rays = owned(s), np.repeat(np.arange(RAYS), s.ends - s.starts)
     x = float64(s.x[at]).requires_grad_()
     gradients = np.random.default_rng(6).normal(size=(len(s.x), 3)).astype(np.float32)
-    colors = made.colors(s.x, basis, s.starts, s.ends, s.weights, 0.0, 1)
+    colors = made.colors(s.shading_points(), basis, 1)
     expected = oracle_color(made, float64(made.values), float64(basis[rays]), x)
     (expected * float64(gradients[at]))[torch.from_numpy(s.weights[at] > 0)].sum().backward()
     for chunks in (1, 3):
         out = np.full(s.x.shape, 0.25, np.float32)
-        made.add_position_gradients(s, basis, colors, gradients, out, chunks)
+        made.add_position_gradients(s.shading_points(), basis, colors, gradients, out, chunks)
         close(out[at] - 0.25, x.grad, 2e-5)
         assert (np.delete(out, at, 0) == 0.25).all()
 
 
-def test_least_is_a_bound_that_must_be_passed(made):
+def test_points_without_weight_get_no_color(made):
     s = samples()
-    s.weights[:] = np.linspace(0, 1, len(s.x))
-    found = made.colors(s.x, basis_of(s, 1), s.starts, s.ends, s.weights, float(s.weights[20]), 1)
+    s.weights[:21] = 0
+    found = made.colors(s.shading_points(), basis_of(s, 1), 1)
     assert np.array_equal(found[owned(s), 0] >= 0, owned(s) > 20)
 
 
@@ -66,10 +66,10 @@ def test_a_grown_color_is_the_same_color_and_a_restored_one_the_same_bits(made):
     if kind == "voxel":
         s.x *= np.float32(OCCUPIED)
     at = owned(s)
-    before = made.colors(s.x, basis, s.starts, s.ends, s.weights, 0.0, 1)[at]
+    before = made.colors(s.shading_points(), basis, 1)[at]
     grown = made.grown(LARGER[kind], np.random.default_rng(0))
     assert len(grown.values) > 2 * len(made.values)
-    close(grown.colors(s.x, basis, s.starts, s.ends, s.weights, 0.0, 1)[at], before, 5e-6)
+    close(grown.colors(s.shading_points(), basis, 1)[at], before, 5e-6)
     again = COLOR_KINDS[made.kind].restore(made.describe(), made.values.copy())
-    assert np.array_equal(again.colors(s.x, basis, s.starts, s.ends, s.weights, 0.0, 1)[at], before)
+    assert np.array_equal(again.colors(s.shading_points(), basis, 1)[at], before)
     assert again.describe() == made.describe()

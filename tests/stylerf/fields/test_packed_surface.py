@@ -37,7 +37,7 @@ CASES["bent"] = BOX, {"displacement": displacement_grid(3)}
 def test_a_surface_is_the_picture_of_the_whole_render(name):
     space, more = CASES[name]
     field, view = scene(space, **more), camera(space)
-    whole = render_view(field, view, chunks=1)
+    whole = render_view(field, view, threads=1)
     geometry = FixedGeometry(field, [view], SHARE, 2)
     painted, _ = geometry.paint(0, np.arange(13 * 9))
     difference = np.abs(painted - whole.rgb.reshape(-1, 3))

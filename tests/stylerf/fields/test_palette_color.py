@@ -10,10 +10,10 @@ from stylerf.errors import InvalidValue
 from stylerf.fields.palette_color import PaletteColor
 from stylerf.fields.palette_edits import PaletteEdits
 from stylerf.fields.radiance_field import RadianceField
-from stylerf.fields.ray_samples import Rays
 from stylerf.fields.recoloring import Recoloring, SpaceFilter
 from stylerf.geometry.space_warp import SpaceWarp
 from stylerf.kernels import torch_reference
+from stylerf.kernels.cpu.ray_samples import Rays
 from stylerf.rendering.rays import render_rays
 from tests.stylerf.kernels.cpu.test_vm import RAYS, added, basis_of, buffers, owned, samples
 from tests.stylerf.small import close, field_of, float64, rays_into
@@ -69,11 +69,11 @@ def test_colors_and_gradients_equal_the_formula():
     gradients = np.random.default_rng(6).normal(size=(len(s.x), 3)).astype(np.float32)
     (expected * float64(gradients[at]))[shown].sum().backward()
     for chunks in (1, 3):
-        found = color.colors(s.x, basis, s.starts, s.ends, s.weights, 0.0, chunks)
+        found = color.colors(s.shading_points(), basis, chunks)
         close(found[at][shown], expected[shown], 1e-5)
         assert (found[at][~shown, 0] == -1).all() and (~shown).sum() == 3
         to = buffers(chunks, len(color.values))
-        color.backward(s.x, basis, s.starts, s.ends, found, gradients, to)
+        color.backward(s.shading_points(), basis, found, gradients, to)
         close(added(to), values.grad, 5e-5)
 
 
@@ -84,19 +84,19 @@ def test_position_gradient_equals_the_formula():
     at, rays = owned(s), np.repeat(np.arange(RAYS), s.ends - s.starts)
     x = float64(s.x[at]).requires_grad_()
     gradients = np.random.default_rng(6).normal(size=(len(s.x), 3)).astype(np.float32)
-    colors = color.colors(s.x, basis, s.starts, s.ends, s.weights, 0.0, 1)
+    colors = color.colors(s.shading_points(), basis, 1)
     expected = written_out(color, float64(color.values), float64(basis[rays]), x)
     (expected * float64(gradients[at])).sum().backward()
     out = np.full(s.x.shape, 0.25, np.float32)
-    color.add_position_gradients(s, basis, colors, gradients, out, 1)
+    color.add_position_gradients(s.shading_points(), basis, colors, gradients, out, 1)
     close(out[at] - 0.25, x.grad, 5e-5)
     assert (np.delete(out, at, 0) == 0.25).all()
 
 
-def test_least_is_a_bound_that_must_be_passed():
+def test_points_without_weight_get_no_color():
     color, s = made(), samples()
-    s.weights[:] = np.linspace(0, 1, len(s.x))
-    found = color.colors(s.x, basis_of(s, 2), s.starts, s.ends, s.weights, float(s.weights[20]), 1)
+    s.weights[:21] = 0
+    found = color.colors(s.shading_points(), basis_of(s, 2), 1)
     assert np.array_equal(found[owned(s), 0] >= 0, owned(s) > 20)
 
 
@@ -126,11 +126,11 @@ def test_an_edited_field_is_an_ordinary_one_that_comes_back_to_the_bit():
     edited = field_of(BOX, 3, plain.color.edited(Recoloring(PaletteEdits({}, {2: 0.0}), 0.5, 0.0)))
     assert edited.color.values is plain.color.values and len(edited.color.edits) == 2
     rays = rays_into(BOX, 40, 1)
-    first = render_rays(edited, rays, chunks=2)
+    first = render_rays(edited, rays, threads=2)
     again = RadianceField.restore(json.loads(json.dumps(edited.describe())), edited.arrays())
-    assert np.array_equal(render_rays(again, rays, chunks=2).out, first.out)
+    assert np.array_equal(render_rays(again, rays, threads=2).out, first.out)
     assert again.color.describe() == edited.color.describe()
-    assert np.abs(first.out - render_rays(plain, rays, chunks=2).out).max() > 0.02
+    assert np.abs(first.out - render_rays(plain, rays, threads=2).out).max() > 0.02
     np.testing.assert_allclose(edited.color.present_palette, [[0.1, 0.8, 0.2], *PALETTE[1:]], atol=1e-7)
 
 
@@ -140,7 +140,7 @@ def test_an_edit_around_a_place_leaves_far_rays_as_they_were():
     plain, edited = field_of(BOX, 3, color), field_of(BOX, 3, color)
     edited.color = color.edited(Recoloring(PaletteEdits({i: (0.0, 1.0, 0.0) for i in range(4)}), within=here))
     rays = Rays.of(np.float32([[0.8, 0.8, 4], [-0.8, -0.8, 4]]), np.tile(np.float32([0, 0, -1]), (2, 1)), 0.0)
-    before, after = (render_rays(one, rays, chunks=1).out for one in (plain, edited))
+    before, after = (render_rays(one, rays, threads=1).out for one in (plain, edited))
     np.testing.assert_allclose(before[1], after[1], atol=2e-6)
     assert np.abs(before[0, :3] - after[0, :3]).max() > 1e-3
 
@@ -155,14 +155,13 @@ def test_gradients_of_an_edited_color_pass_through_the_edit():
     basis, at, rays = basis_of(s, 2), owned(s), np.repeat(np.arange(RAYS), s.ends - s.starts)
     gradients = np.random.default_rng(6).normal(size=(len(s.x), 3)).astype(np.float32)
     to = np.zeros((1, len(color.values)), np.float32)
-    found = color.colors(s.x, basis, s.starts, s.ends, s.weights, 0.0, 1)
-    color.backward(s.x, basis, s.starts, s.ends, found, gradients, to)
+    found = color.colors(s.shading_points(), basis, 1)
+    color.backward(s.shading_points(), basis, found, gradients, to)
     phi = float64(color.features.encode(color.table, s.x, at, 1))
     for seed in range(3):
         way = torch.randn(len(color.rest), generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
         below, above = (
-            color._shown(float64(color.rest) + step * way, phi, float64(basis[rays]), s.x[at])
-            for step in (-1e-7, 1e-7)
+            color._shown(float64(color.rest) + step * way, phi, float64(basis[rays]), s.x[at]) for step in (-1e-7, 1e-7)
         )
         expected = float(((above - below) * float64(gradients[at])).sum()) / 2e-7
         assert float(to[0, color.features.length :] @ way.numpy()) == pytest.approx(expected, rel=1e-4, abs=1e-4)

@@ -10,6 +10,7 @@ from stylerf.fields.rank_truncation import EMPTY, best_ranks, best_seen_ranks, t
 from stylerf.fields.vm import VmColor, VmDensity
 from stylerf.fields.vm_tables import split_table
 from stylerf.geometry.spherical_harmonics import harmonics
+from stylerf.kernels.cpu.ray_samples import ShadingPoints
 
 SIZE = np.array([7, 9, 11])
 EVERYWHERE = OccupancyGrid(4)  # of a new grid every cell is occupied
@@ -148,7 +149,8 @@ def colors_of(made: VmColor) -> np.ndarray:
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     starts = np.arange(200, dtype=np.int64)
     weights = np.ones(200, np.float32)
-    return made.colors(x, harmonics(directions, made.degree), starts, starts + 1, weights, 0.0, 1)
+    seen = ShadingPoints(starts, starts + 1, x, weights)
+    return made.colors(seen, harmonics(directions, made.degree), 1)
 
 
 def test_a_color_loses_the_ranks_of_which_nothing_is_seen():

@@ -60,26 +60,26 @@ def test_colors_and_gradients_equal_the_oracle():
     gradients = np.random.default_rng(3).normal(size=(len(s.x), 3)).astype(np.float32)
     (expected * float64(gradients[at]))[shown].sum().backward()
     for chunks in (1, 3):
-        found = made.colors(s.x, basis, s.starts, s.ends, s.weights, 0.0, chunks)
+        found = made.colors(s.shading_points(), basis, chunks)
         close(found[at][shown], expected[shown], 5e-6)
         assert (found[at][~shown, 0] == -1).all() and (~shown).any()
         to = buffers(chunks, len(made.values))
-        made.backward(s.x, basis, s.starts, s.ends, found, gradients, to)
+        made.backward(s.shading_points(), basis, found, gradients, to)
         close(added(to), values.grad, 1e-5)
         out = np.full(s.x.shape, 0.5, np.float32)
-        made.add_position_gradients(s, basis, found, gradients, out, chunks)
+        made.add_position_gradients(s.shading_points(), basis, found, gradients, out, chunks)
         close(out[at] - 0.5, x.grad, 2e-5)
 
 
 def test_outside_the_cells_nothing_changes_to_the_bit_and_an_untaught_patch_changes_nothing():
     made, (s, at, basis, _, shown) = patch(), case()
-    base = made.base.colors(s.x, basis, s.starts, s.ends, s.weights, 0.0, 2)
-    found = made.colors(s.x, basis, s.starts, s.ends, s.weights, 0.0, 2)
+    base = made.base.colors(s.shading_points(), basis, 2)
+    found = made.colors(s.shading_points(), basis, 2)
     within = inside(s.x[at]) & shown
     np.testing.assert_array_equal(found[at][~within & shown], base[at][~within & shown])
     assert (np.abs(found[at][within] - base[at][within]).max(1) > 0).all()
     made.values[:] = 0
-    found = made.colors(s.x, basis, s.starts, s.ends, s.weights, 0.0, 2)
+    found = made.colors(s.shading_points(), basis, 2)
     np.testing.assert_allclose(found[at][shown], base[at][shown], atol=1e-6)
 
 
@@ -97,7 +97,7 @@ def test_a_patch_on_a_patch_comes_back_from_what_is_kept():
         == len(field.density.values) + sum(len(one.values) for one in (top, low, low.base))
     )
     s, at, basis, _, shown = case()
-    found = [p.colors(s.x, basis, s.starts, s.ends, s.weights, 0.0, 1)[at][shown] for p in (top, again.color, low)]
+    found = [p.colors(s.shading_points(), basis, 1)[at][shown] for p in (top, again.color, low)]
     np.testing.assert_array_equal(found[0], found[1])
     assert (found[0] != found[2]).any()
 

@@ -113,7 +113,7 @@ def test_cameras_at_the_ends_of_what_is_allowed_see_finite_pixels(kind, far, foc
     pose[:3, 3] = far, -far, far
     field = small.field_of(small.SPACES[kind], 3, step=1e-2)
     seen = render_view(
-        field, Camera("look", 4, 3, focal, focal, 1e9 if far else 2.0, -1e9 if far else 1.0, pose), chunks=1
+        field, Camera("look", 4, 3, focal, focal, 1e9 if far else 2.0, -1e9 if far else 1.0, pose), threads=1
     )
     for plane in (seen.rgb, seen.alpha, seen.z):
         assert np.isfinite(plane).all()

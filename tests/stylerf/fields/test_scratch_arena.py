@@ -1,36 +1,26 @@
-"""Memory that parts of a view and batches of a fit use one after another."""
+"""Memory that is used again: no two arrays share it, later rounds get the same."""
 
 import numpy as np
 
-from stylerf.fields.scratch_arena import ScratchArena, room
+from stylerf.fields.scratch_arena import ScratchArena, empty_array
 
 
-def test_outside_of_a_round_every_array_is_its_own():
-    first, second = room((4, 3)), room((4, 3))
+def test_without_an_arena_every_array_is_new():
+    first, second = empty_array((4, 3), None), empty_array((4, 3), None)
     assert first.shape == (4, 3) and first.dtype == np.float32 and not np.shares_memory(first, second)
 
 
-def test_a_round_has_arrays_of_its_own_and_the_next_round_has_them_again():
-    memory = ScratchArena()
-    with memory.round():
-        first, second = room((1000,)), room((500, 3))
-        assert not np.shares_memory(first, second)
-    with memory.round():
-        again, smaller = room((1100,)), room((400, 3))
-        assert np.shares_memory(first, again) and np.shares_memory(second, smaller)
-    assert not np.shares_memory(room((1000,)), again)
-    with memory.round():
-        longer = room((2000,), np.int64)
-        assert longer.shape == (2000,) and longer.dtype == np.int64 and not np.shares_memory(first, longer)
+def test_after_a_reset_the_same_memory_is_used_again():
+    arena = ScratchArena()
+    first, second = empty_array((1000,), arena), empty_array((500, 3), arena)
+    assert not np.shares_memory(first, second) and second.shape == (500, 3)
+    arena.reset()
+    again, smaller = arena.empty((1100,)), arena.empty((400, 3))
+    assert np.shares_memory(first, again) and np.shares_memory(second, smaller)
+    longer = arena.reset().empty((2000,), np.int64)
+    assert longer.dtype == np.int64 and len(longer) == 2000 and not np.shares_memory(longer, first)
 
 
-def test_a_round_within_a_round_has_its_own_memory():
-    """A look at held-out views may render within whatever else is under way."""
-    outer, inner = ScratchArena(), ScratchArena()
-    with outer.round():
-        first = room((10,))
-        with inner.round():
-            assert not np.shares_memory(first, room((10,)))
-        assert not np.shares_memory(first, room((10,)))
-    with outer.round():
-        assert np.shares_memory(first, room((10,)))
+def test_two_arenas_share_nothing():
+    one, other = ScratchArena(), ScratchArena()
+    assert not np.shares_memory(one.empty((10,)), other.empty((10,)))

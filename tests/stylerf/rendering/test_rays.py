@@ -44,7 +44,7 @@ def test_pixels_and_parameter_gradients_equal_the_oracle(kind, color, displaced)
     gradients = pixel_gradients(40)
     values = [float64(part.values).requires_grad_() for part in (field.density, field.color)]
     for chunks in (1, 2):
-        rendered = render_rays(field, rays, chunks=chunks, share=0.1)
+        rendered = render_rays(field, rays, threads=chunks, weight_threshold=0.1)
         colored = rendered.colors[Packed.of(rendered.samples).at, 0] >= 0
         assert 0.2 < colored.mean() < 0.95
         expected, _ = oracle_pixels(field, rays, rendered, *values, None if moved is None else float64(moved))
@@ -66,7 +66,7 @@ def test_pixels_and_parameter_gradients_equal_the_oracle(kind, color, displaced)
 def test_displacement_gradient_of_a_render_equals_the_oracle(kind, color):
     moved = displacement_grid(6)
     field, rays = thin(SPACES[kind], COLORS[color](), displacement=moved), rays_into(SPACES[kind], 40, 4)
-    rendered, gradients = render_rays(field, rays, chunks=2, share=0.1), pixel_gradients(40)
+    rendered, gradients = render_rays(field, rays, threads=2, weight_threshold=0.1), pixel_gradients(40)
     gradients[:, 4] *= 1e-2
     to = np.zeros((2, moved.size), np.float32)
     backward(field, rendered, gradients, None, None, to)
@@ -78,7 +78,7 @@ def test_displacement_gradient_of_a_render_equals_the_oracle(kind, color):
 
 def test_a_part_may_be_held_fixed_while_the_other_bends():
     field, rays = thin(SPACES["box"], hash_color(2), displacement=displacement_grid(6)), rays_into(SPACES["box"], 9, 4)
-    rendered = render_rays(field, rays, chunks=2)
+    rendered = render_rays(field, rays, threads=2)
     s, random = rendered.samples, np.random.default_rng(0)
     at = Packed.of(s).at
     to_sigma, to_colors = (np.zeros(a.shape, np.float32) for a in (s.sigma, rendered.colors))
@@ -93,11 +93,11 @@ def test_a_part_may_be_held_fixed_while_the_other_bends():
 
 def test_a_grid_of_zeros_changes_nothing_and_an_even_shift_moves_the_field():
     space, rays = SPACES["box"], rays_into(SPACES["box"], 30, 4)
-    plain = render_rays(thin(space, hash_color(2)), rays, chunks=1)
-    still = render_rays(thin(space, hash_color(2), displacement=np.zeros((4, 4, 4, 3), np.float32)), rays, chunks=1)
+    plain = render_rays(thin(space, hash_color(2)), rays, threads=1)
+    still = render_rays(thin(space, hash_color(2), displacement=np.zeros((4, 4, 4, 3), np.float32)), rays, threads=1)
     np.testing.assert_allclose(still.out, plain.out, atol=1e-6)
     shift = np.full((4, 4, 4, 3), 0.02, np.float32)
-    moved = render_rays(thin(space, hash_color(2), displacement=shift), rays, chunks=1)
+    moved = render_rays(thin(space, hash_color(2), displacement=shift), rays, threads=1)
     assert np.abs(moved.out - plain.out).max() > 0.02
     inside = Packed.of(moved.samples)
     where = oracle_positions(space, rays, inside) + 0.02
@@ -111,7 +111,7 @@ def oracle_positions(space, rays, packed) -> torch.Tensor:
 
 def test_parts_without_a_buffer_are_left_out():
     field, rays = thin(SPACES["box"], vm_color(2)), rays_into(SPACES["box"], 20, 4)
-    rendered, gradients = render_rays(field, rays, chunks=1), pixel_gradients(20)
+    rendered, gradients = render_rays(field, rays, threads=1), pixel_gradients(20)
     both = [np.zeros((1, len(part.values)), np.float32) for part in (field.density, field.color)]
     backward(field, rendered, gradients, *both)
     alone = [np.zeros_like(b) for b in both]
@@ -122,7 +122,7 @@ def test_parts_without_a_buffer_are_left_out():
 
 def test_density_learns_within_cells_or_without_and_both_add_up_to_all():
     field, rays = thin(SPACES["box"], vm_color(2)), rays_into(SPACES["box"], 20, 4)
-    rendered, gradients = render_rays(field, rays, chunks=1), pixel_gradients(20)
+    rendered, gradients = render_rays(field, rays, threads=1), pixel_gradients(20)
     cells = np.random.default_rng(6).random((5, 5, 5)) < 0.4
     parts = []
     for within in (None, cells, ~cells):
@@ -135,8 +135,8 @@ def test_density_learns_within_cells_or_without_and_both_add_up_to_all():
 def test_rays_through_nothing_are_black_clear_and_teach_nothing():
     field, rays = thin(SPACES["box"], vm_color(2)), rays_into(SPACES["box"], 5, 4)
     rays.directions[:] = -rays.directions
-    rendered = render_rays(field, rays, chunks=2)
-    assert rendered.samples.count == 0 and not rendered.out.any()
+    rendered = render_rays(field, rays, threads=2)
+    assert rendered.samples.total == 0 and not rendered.out.any()
     to = [np.zeros((2, len(part.values)), np.float32) for part in (field.density, field.color)]
     backward(field, rendered, pixel_gradients(5), *to)
     assert not to[0].any() and not to[1].any()
@@ -149,8 +149,8 @@ def matched(field: RadianceField) -> RadianceField:
 
 def test_a_color_map_acts_on_premultiplied_pixels_within_their_alpha():
     rays = rays_into(SPACES["box"], 40, 4)
-    plain = render_rays(thin(SPACES["box"], vm_color(2)), rays, chunks=1).out
-    found = render_rays(matched(thin(SPACES["box"], vm_color(2))), rays, chunks=1).out
+    plain = render_rays(thin(SPACES["box"], vm_color(2)), rays, threads=1).out
+    found = render_rays(matched(thin(SPACES["box"], vm_color(2))), rays, threads=1).out
     alpha = plain[:, 3:4]
     expected = np.clip(plain[:, :3] * [0.5, 0.4, 2.0] + alpha * [0.1, -0.3, 0.5], 0, alpha)
     np.testing.assert_allclose(found[:, :3], expected, atol=1e-6)
@@ -161,7 +161,7 @@ def test_a_color_map_acts_on_premultiplied_pixels_within_their_alpha():
 def test_gradients_are_those_of_the_colors_before_a_color_map():
     rays, gradients, found = rays_into(SPACES["box"], 40, 4), pixel_gradients(40), []
     for field in (thin(SPACES["box"], vm_color(2)), matched(thin(SPACES["box"], vm_color(2)))):
-        rendered = render_rays(field, rays, chunks=1, share=0.3)
+        rendered = render_rays(field, rays, threads=1, weight_threshold=0.3)
         to = [np.zeros((1, len(part.values)), np.float32) for part in (field.density, field.color)]
         backward(field, rendered, gradients, *to)
         found.append(to)
@@ -172,7 +172,7 @@ def test_gradients_are_those_of_the_colors_before_a_color_map():
 def test_near_samples_learn_by_the_square_of_their_distance(kind):
     """One ray of one colored sample: what it teaches falls as (t / distance)^2, and not at all beyond `distance`."""
     field, rays = thin(SPACES[kind], vm_color(2)), rays_into(SPACES[kind], 12, 4)
-    rendered = render_rays(field, rays, chunks=1, share=1.0)  # of each ray only its heaviest sample has a color
+    rendered = render_rays(field, rays, threads=1, weight_threshold=1.0)
     packed = Packed.of(rendered.samples).at
     lit = packed[rendered.colors[packed, 0] >= 0]
     gradients = np.zeros((12, 5), np.float32)
@@ -182,7 +182,7 @@ def test_near_samples_learn_by_the_square_of_their_distance(kind):
     learned = {}
     for even_from in (0.0, 0.5 * at, at, 2 * at, 4 * at):
         to = np.zeros((1, len(field.color.values)), np.float32)
-        backward(field, rendered, gradients, None, to, even_from=even_from)
+        backward(field, rendered, gradients, None, to, near_scaling_distance=even_from)
         learned[even_from] = to[0]
     plain = learned.pop(0.0)
     assert np.abs(plain).max() > 0

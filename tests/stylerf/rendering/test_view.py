@@ -20,11 +20,11 @@ def camera(center=(2.6, 0.9, 0.7), width=13, height=9, focal=14.0) -> Camera:
 @pytest.mark.parametrize("color", [vm_color(2), hash_color(2)], ids=["vm", "hash"])
 def test_shares_of_a_view_are_the_same_bits_as_the_whole(color):
     field, told = field_of(BOX, 1, color), []
-    whole = render_view(field, camera(), chunks=1)
+    whole = render_view(field, camera(), threads=1)
     assert 0.2 < (whole.alpha > 0.5).mean() < 1
     for rays_at_once, chunks in ((7, 1), (50, 3), (117, 2)):
         told.clear()
-        found = render_view(field, camera(), chunks=chunks, rays_at_once=rays_at_once, on_rays=told.append)
+        found = render_view(field, camera(), threads=chunks, rays_at_once=rays_at_once, on_rays=told.append)
         for name in ("rgb", "alpha", "ray_distance", "z"):
             assert np.array_equal(getattr(found, name), getattr(whole, name)), name
         assert told[-1] == 117 and told == sorted(told) and len(told) == -(-117 // rays_at_once)
@@ -35,7 +35,7 @@ def test_a_solid_box_has_its_front_as_a_plane_of_even_depth():
     field = field_of(BOX, 1, hash_color(2), step=step)
     field.density = density(0, size=(2, 2, 2))
     field.density.values[:-1], field.density.values[-1] = 0, 12
-    seen = render_view(field, camera(center=(4.0, 0, 0), focal=20), chunks=1)
+    seen = render_view(field, camera(center=(4.0, 0, 0), focal=20), threads=1)
     front = (np.abs(np.indices((9, 13))[1] + 0.5 - 6.5) / 20 * 3 < 0.99) & (
         np.abs(np.indices((9, 13))[0] + 0.5 - 4.5) / 21 * 3 < 0.99
     )
@@ -51,7 +51,7 @@ def test_depth_in_fog_is_where_half_of_what_is_seen_lies():
     field = field_of(BOX, 1, hash_color(2), step=1 / 400)
     field.density = density(0, size=(2, 2, 2))
     field.density.values[:-1], field.density.values[-1] = 0, np.log(0.03)
-    seen = render_view(field, camera(center=(4.0, 0, 0), width=1, height=1, focal=20), chunks=1, opaque=0.0)
+    seen = render_view(field, camera(center=(4.0, 0, 0), width=1, height=1, focal=20), threads=1, min_transmittance=0.0)
     assert seen.alpha[0, 0] == pytest.approx(1 - np.exp(-3), rel=1e-4)
     assert seen.z[0, 0] == pytest.approx(3 - 2 / 3 * np.log((1 + np.exp(-3)) / 2), abs=0.02)
 
@@ -62,11 +62,11 @@ def along_the_axis(width=5, height=5) -> Camera:
 
 @pytest.mark.parametrize(("through", "backs", "z"), [(0.02, False, 3), (0.3, False, 3), (0.4, True, 3), (0.6, True, 6)])
 def test_depth_is_that_of_a_surface_whatever_light_passes_it(through, backs, z):
-    seen = render_view(wall_in_front(through, backs), along_the_axis(), chunks=1)
+    seen = render_view(wall_in_front(through, backs), along_the_axis(), threads=1)
     np.testing.assert_allclose(seen.alpha, 1, atol=1e-5)
     np.testing.assert_allclose(seen.z, z, rtol=0.05)
 
 
 def test_depth_of_what_nothing_stops_is_that_of_the_backdrop():
-    seen = render_view(wall_in_front(0.8), along_the_axis(), chunks=1)
+    seen = render_view(wall_in_front(0.8), along_the_axis(), threads=1)
     np.testing.assert_allclose(seen.ray_distance, 1e4, rtol=1e-5)

@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 
 from stylerf.fields.displacement_grid import displacement_gradient
+from stylerf.fields.marching import displacement_arrays, occupancy_arrays
 from stylerf.fields.occupancy_grid import OccupancyGrid
-from stylerf.fields.ray_samples import Rays
 from stylerf.kernels import torch_reference
 from stylerf.kernels.cpu.deformation import displaced_cells, mark_cells
 from stylerf.kernels.cpu.march import OPTICAL_SCALE
+from stylerf.kernels.cpu.ray_samples import Rays
 from tests.stylerf.kernels.cpu.test_march import STEP, even_fog, march
 from tests.stylerf.kernels.cpu.test_vm import RAYS, basis_of, owned, samples
 from tests.stylerf.small import (
@@ -51,12 +52,12 @@ def test_vm_color_position_gradient_equals_the_oracle(degree):
     at, rays, basis = owned(s), np.repeat(np.arange(RAYS), s.ends - s.starts), basis_of(s, degree)
     x = float64(s.x[at]).requires_grad_()
     gradients = np.random.default_rng(6).normal(size=(len(s.x), 3)).astype(np.float32)
-    colors = made.colors(s.x, basis, s.starts, s.ends, s.weights, 0.0, 1)
+    colors = made.colors(s.shading_points(), basis, 1)
     expected = oracle_color(made, float64(made.values), float64(basis[rays]), x)
     (expected * float64(gradients[at]))[s.weights[at] > 0].sum().backward()
     for chunks in (1, 3):
         out = np.full(s.x.shape, 0.25, np.float32)
-        made.add_position_gradients(s, basis, colors, gradients, out, chunks)
+        made.add_position_gradients(s.shading_points(), basis, colors, gradients, out, chunks)
         close(out[at] - 0.25, x.grad, 2e-5)
         assert (np.delete(out, at, 0) == 0.25).all()
 
@@ -69,7 +70,7 @@ def test_density_position_gradient_of_an_exponential_slope():
     z = 2  # plane 2 lies over x and y, its line along z
     made.values[(6 * 8 + 8 * 7) * made.rank : plane : made.rank] = 1
     made.values[plane + (7 + 6) * made.rank : plane + (7 + 6 + 8) * made.rank : made.rank] = np.linspace(0, 3, 8)
-    s.sigma = made.sigma(s.x, 1)
+    s = s._replace(sigma=made.sigma(s.x, 1))
     np.testing.assert_allclose(s.sigma, np.exp(-2 + 3 * s.x[:, z]), rtol=3e-6)
     out = np.zeros(s.x.shape, np.float32)
     made.add_position_gradients(s, np.ones(len(s.x), np.float32), out, 1)
@@ -81,13 +82,13 @@ def test_density_position_gradient_of_an_exponential_slope():
 @pytest.mark.parametrize("kind", SPACES)
 def test_displacement_gradient_equals_the_oracle(kind):
     space, rays, moved = SPACES[kind], rays_into(SPACES[kind], 25, 4), displacement_grid(5, reach=0.15)
-    found = march(density(3, shift=-4.5), space, rays, moved=moved, closed=kind != "box", chunks=2)
+    found = march(density(3, shift=-4.5), space, rays, moved=moved, opaque_background=kind != "box", threads=2)
     packed = Packed.of(found)
     gradients = np.zeros(found.x.shape, np.float32)
     gradients[packed.at] = np.random.default_rng(6).normal(size=(len(packed.at), 3))
     grid = float64(moved).requires_grad_()
     x = torch_reference.displaced(grid, torch_reference.warp(space, points_on(rays, packed)[0]))
-    moves = ~packed.backdrop  # the backdrop stands outside of what is bent
+    moves = ~packed.background  # the background is not displaced
     assert bool(moves.all()) == (kind == "box")
     sides = ((x == 0) | (x == 1))[moves].any(1).sum()
     assert 10 < int(sides) < len(packed.at) / 2
@@ -104,11 +105,9 @@ def test_one_sample_spreads_its_gradient_over_eight_vertices():
     rays = Rays.of(origin, np.float32([[1, 0, 0]]), 0.0, np.zeros(1, np.float32))
     moved = np.zeros((2, 2, 2, 3), np.float32)
     found = march(even_fog(1e5), space, rays, moved=moved)  # opaque at once: a single sample, at the origin
-    assert found.count == 1 and found.t[0] == 0
+    assert found.total == 1 and found.t[0] == 0
     np.testing.assert_allclose(found.x[0], [0.5, 0.5, 0.5], atol=1e-6)
-    assert found.optical[0] == pytest.approx(
-        STEP * 2.2 * np.mean([1 / 2.2, 1 / 1.7, 1 / 1.2]) * OPTICAL_SCALE, rel=1e-5
-    )
+    assert found.deltas[0] == pytest.approx(STEP * 2.2 * np.mean([1 / 2.2, 1 / 1.7, 1 / 1.2]) * OPTICAL_SCALE, rel=1e-5)
     gradients = np.zeros(found.x.shape, np.float32)
     gradients[0] = 8, -16, 24
     to = np.zeros((1, 24), np.float32)
@@ -127,7 +126,7 @@ def test_cells_are_occupied_where_any_of_27_points_is_moved_into_an_occupied_one
     occupancy = OccupancyGrid(cells)
     occupancy.set_occupied(full)
     found = np.zeros(cells**3, np.bool_)
-    displaced_cells(occupancy.distances, cells, cells, moved.reshape(-1), 4, found)
+    displaced_cells(occupancy_arrays(occupancy), displacement_arrays(moved), cells, found)
     corner = np.stack(np.unravel_index(np.arange(cells**3), (cells,) * 3), 1)
     within = np.array(list(np.ndindex(3, 3, 3))) * 0.48 + 0.02  # just inside the sides, and the middle
     points = (corner[:, None] + within[None]) / cells
@@ -140,7 +139,7 @@ def test_cells_are_occupied_where_any_of_27_points_is_moved_into_an_occupied_one
 def test_marked_cells_are_those_of_samples_that_show():
     s, seen = samples(3), np.zeros((5, 5, 5), np.bool_)
     shown = np.random.default_rng(0).integers(0, 2, len(s.x)).astype(np.float32)
-    mark_cells(shown, s.x, s.starts, s.ends, 5, seen)
+    mark_cells(s.shading_points(shown), 5, seen)
     at = owned(s)[shown[owned(s)] > 0]
     lower = np.minimum((s.x[at] * 4).astype(int), 3)  # five vertices, four cells
     expected = np.zeros((5, 5, 5), bool)

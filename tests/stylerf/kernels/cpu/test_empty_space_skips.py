@@ -5,10 +5,10 @@ import pytest
 import torch
 
 from stylerf.fields.occupancy_grid import OccupancyGrid
-from stylerf.fields.ray_samples import Rays
 from stylerf.fields.vm import VmDensity
 from stylerf.fields.vm_tables import split_table
 from stylerf.kernels import torch_reference
+from stylerf.kernels.cpu.ray_samples import Rays
 from tests.stylerf.kernels.cpu.test_march import even_fog, march
 from tests.stylerf.small import SPACES, Packed, density, float64, occupied, rays_into
 
@@ -43,7 +43,7 @@ def test_leaps_in_a_box_do_not_change_the_result():
     space, rays = SPACES["box"], rays_into(SPACES["box"], 300, 12)
     plain = march(made, space, rays, step=1 / 64, occupancy=occupied(16))
     leaping = march(made, space, rays, step=1 / 64, occupancy=exact)
-    assert leaping.count < plain.count / 4
+    assert leaping.total < plain.total / 4
     before, after = sums(plain, np.ones_like(plain.t)), sums(leaping, np.ones_like(leaping.t))
     assert (before > 0.5).sum() > 15 and (before < 1e-3).sum() > 15
     # Empty space weighs 100 exp(-15) a cube's width, 3e-5; rounding moves samples in the blocks' soft rims as much.
@@ -78,7 +78,7 @@ def test_no_leap_passes_into_an_occupied_cell(kind, cells):
     full, occupancy = clumps(cells, 14), OccupancyGrid(cells)
     occupancy.set_occupied(full)
     assert 0.01 < occupancy.share < 0.2
-    packed = Packed.of(march(even_fog(1e-6), space, rays, step=step, occupancy=occupancy, limit=512))
+    packed = Packed.of(march(even_fog(1e-6), space, rays, step=step, occupancy=occupancy, samples_per_ray=512))
     t = torch.from_numpy(np.linspace(0, 6, 4000) if kind == "box" else np.geomspace(space.near, 200, 4000))
     # A ray into a contraction's middle grows faster while it takes a step: at m = 3, by half.
     bound, checked = (1.5 if kind == "contraction" else 1.02) * step, 0

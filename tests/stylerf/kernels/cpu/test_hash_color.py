@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from stylerf.fields.hash_color import HashColor
-from stylerf.fields.ray_samples import Samples
+from stylerf.kernels.cpu.ray_samples import Samples, ShadingPoints
 from tests.stylerf.kernels.cpu.test_vm import added, buffers, owned, samples
 from tests.stylerf.small import close, float64, hash_color, oracle_color
 
@@ -38,11 +38,11 @@ def test_color_and_table_gradient_equal_the_oracle(layout):
     gradients = np.random.default_rng(3).normal(size=(len(s.x), 3)).astype(np.float32)
     (expected * float64(gradients[at]))[shown].sum().backward()
     for chunks in (1, 2):
-        found = made.colors(s.x, None, s.starts, s.ends, s.weights, 0.0, chunks)
+        found = made.colors(s.shading_points(), None, chunks)
         close(found[at][shown], expected[shown], 3e-6)
         assert (found[at][~shown, 0] == -1).all() and (~shown).sum() == 2
         to = buffers(chunks, len(made.values))
-        made.backward(s.x, None, s.starts, s.ends, found, gradients, to)
+        made.backward(s.shading_points(), None, found, gradients, to)
         close(added(to), values.grad, 1e-5)
 
 
@@ -54,12 +54,12 @@ def test_position_gradient_equals_the_oracle(layout):
     at = owned(s)
     x = float64(s.x[at]).requires_grad_()
     gradients = np.random.default_rng(3).normal(size=(len(s.x), 3)).astype(np.float32)
-    colors = made.colors(s.x, None, s.starts, s.ends, s.weights, 0.0, 1)
+    colors = made.colors(s.shading_points(), None, 1)
     shown = torch.from_numpy(s.weights[at] > 0)
     (oracle_color(made, float64(made.values), None, x) * float64(gradients[at]))[shown].sum().backward()
     for chunks in (1, 3):
         out = np.full(s.x.shape, 0.5, np.float32)
-        made.add_position_gradients(s, None, colors, gradients, out, chunks)
+        made.add_position_gradients(s.shading_points(), None, colors, gradients, out, chunks)
         close(out[at] - 0.5, x.grad, 1e-5)
         assert (np.delete(out, at, 0) == 0.5).all()
 
@@ -67,7 +67,8 @@ def test_position_gradient_equals_the_oracle(layout):
 def colored(made, x):
     """[n, 3] colors of points [n, 3], as one ray."""
     ends = np.array([len(x)], np.int64)
-    return made.colors(x, None, np.zeros(1, np.int64), ends, np.ones(len(x), np.float32), 0.0, 1)
+    points = ShadingPoints(np.zeros(1, np.int64), ends, x, np.ones(len(x), np.float32))
+    return made.colors(points, None, 1)
 
 
 def test_far_logits_saturate_without_leaving_the_finite_numbers():

@@ -4,12 +4,13 @@ import numpy as np
 import pytest
 import torch
 
+from stylerf.fields.marching import MarchInputs, displacement_arrays, occupancy_arrays, space_arrays
 from stylerf.fields.occupancy_grid import OccupancyGrid
-from stylerf.fields.ray_samples import Rays
 from stylerf.fields.vm import VmDensity
 from stylerf.geometry.space_warp import SpaceWarp
 from stylerf.kernels import torch_reference
 from stylerf.kernels.cpu.march import OPTICAL_SCALE, warp_points
+from stylerf.kernels.cpu.ray_samples import MarchSettings, Rays
 from tests.stylerf.small import (
     SPACES,
     Packed,
@@ -22,14 +23,26 @@ from tests.stylerf.small import (
     rays_into,
 )
 
-NO_DISPLACEMENT = (np.empty(0, np.float32), 0)
 STEP = 1 / 24
 UNIT_BOX = SpaceWarp.box([0, 0, 0], [1, 1, 1])
 
 
-def march(made, space, rays, *, step=STEP, occupancy=None, moved=None, limit=256, opaque=1e-3, closed=False, chunks=1):
-    flat = NO_DISPLACEMENT if moved is None else (moved.reshape(-1), len(moved))
-    return made.march(space, rays, occupancy or occupied(), step, flat, limit, opaque, closed, chunks)
+def march(
+    made,
+    space,
+    rays,
+    *,
+    step=STEP,
+    occupancy=None,
+    moved=None,
+    samples_per_ray=256,
+    min_transmittance=1e-3,
+    opaque_background=False,
+    threads=1,
+):
+    settings = MarchSettings(np.float32(step), samples_per_ray, np.float32(min_transmittance), opaque_background)
+    grids = occupancy_arrays(occupancy or occupied()), displacement_arrays(moved)
+    return made.march(rays, MarchInputs(space_arrays(space), *grids, settings, threads))
 
 
 def even_fog(raw: float) -> VmDensity:
@@ -55,7 +68,7 @@ def test_warped_points_and_jacobians_equal_the_oracle(kind):
     if kind == "frustum":
         world[:, 2] = np.abs(world[:, 2]) + 0.6  # in front of half the near plane, where it is clamped
     found, jacobians = np.empty_like(world), np.empty(len(world), np.float32)
-    warp_points(SPACES[kind].code, SPACES[kind].packed(), world, 2, found, jacobians)
+    warp_points(space_arrays(SPACES[kind]), world, 2, found, jacobians)
     np.testing.assert_allclose(found, torch_reference.warp(SPACES[kind], float64(world)), atol=1e-6)
     np.testing.assert_allclose(jacobians, torch_reference.density_jacobian(SPACES[kind], float64(world)), rtol=1e-5)
 
@@ -68,7 +81,7 @@ def test_warped_points_and_jacobians_equal_the_oracle(kind):
 def test_every_sample_equals_the_oracle_at_its_distance(kind, displaced):
     space, made, rays = SPACES[kind], density(3, shift=-4.5), rays_into(SPACES[kind], 60, 4)
     moved = displacement_grid(5) if displaced else None
-    packed = Packed.of(march(made, space, rays, moved=moved, closed=kind != "box"))
+    packed = Packed.of(march(made, space, rays, moved=moved, opaque_background=kind != "box"))
     where, ways = points_on(rays, packed)
     x = torch_reference.warp(space, where)
     length = (
@@ -77,10 +90,10 @@ def test_every_sample_equals_the_oracle_at_its_distance(kind, displaced):
         * torch_reference.density_jacobian(space, where)
         * float(OPTICAL_SCALE)
     )
-    end = packed.backdrop
+    end = packed.background
     assert bool(end.any()) == (kind != "box")
     # At m half-boxes from the middle a contraction's speed is a difference of terms 2 m times as large.
-    close(packed.optical[~end], length[~end], 1e-3 if kind == "contraction" else 2e-5)
+    close(packed.deltas[~end], length[~end], 1e-3 if kind == "contraction" else 2e-5)
     if displaced:
         x = torch.where(end[:, None], x, torch_reference.displaced(float64(moved), x))
     # A thousand units away a float32 distance is off by 6e-5, and a contraction shrinks that as it goes.
@@ -88,7 +101,7 @@ def test_every_sample_equals_the_oracle_at_its_distance(kind, displaced):
     sigma = torch_reference.vm_density(float64(made.values), made.size.tolist(), made.rank, packed.x)
     close(packed.sigma[~end], sigma[~end], 2e-6)
     assert not packed.sigma[end].any()
-    weights, through = torch_reference.weights(packed.sigma, packed.optical, packed.rays, end)
+    weights, through = torch_reference.weights(packed.sigma, packed.deltas, packed.rays, end)
     np.testing.assert_allclose(packed.weights, weights, atol=2e-6)
     assert bool((through >= 1e-3 * (1 - 1e-4)).all())
 
@@ -96,7 +109,7 @@ def test_every_sample_equals_the_oracle_at_its_distance(kind, displaced):
 @pytest.mark.parametrize("kind", SPACES)
 def test_distances_equal_a_slow_walk_in_float64(kind):
     space, rays = SPACES[kind], rays_into(SPACES[kind], 20, 6)
-    samples = march(even_fog(1e-4), space, rays, limit=128, step=1 / 16)
+    samples = march(even_fog(1e-4), space, rays, samples_per_ray=128, step=1 / 16)
     for r in range(20):
         found = samples.t[samples.starts[r] : samples.ends[r]]
         origin, way = float64(rays.origins[r])[None], float64(rays.directions[r])[None]
@@ -125,7 +138,7 @@ def span(space: SpaceWarp, origin: np.ndarray, way: np.ndarray) -> tuple[float, 
 
 
 def test_a_slab_of_even_fog_is_as_opaque_as_in_closed_form():
-    samples = march(even_fog(0.02), UNIT_BOX, along_x(3), step=1 / 50, opaque=0.0)
+    samples = march(even_fog(0.02), UNIT_BOX, along_x(3), step=1 / 50, min_transmittance=0.0)
     alpha = [samples.weights[a:b].sum() for a, b in zip(samples.starts, samples.ends)]
     np.testing.assert_allclose(alpha, 1 - np.exp(-0.02 * 100 * 1.0), rtol=1e-5)
     # Fifty steps from the middle of the first: t = 1.01, 1.03 ...
@@ -143,7 +156,7 @@ def test_rays_that_miss_the_box_or_have_no_length_have_no_samples():
     rays.directions[3] = np.float32([0.6, 0.8, 0])  # passes by
     rays.near[4] = 2.5  # begins behind the box
     rays.origins[5, 1] = 0.0  # along the box's side: inside, at y = 0 exactly
-    samples = march(even_fog(0.1), UNIT_BOX, rays, opaque=0.0)
+    samples = march(even_fog(0.1), UNIT_BOX, rays, min_transmittance=0.0)
     counts = samples.ends - samples.starts
     assert counts.tolist() == [0, 0, 0, 0, 0, 24, 24]
     assert not samples.x[samples.starts[5] : samples.ends[5], 1].any()
@@ -154,7 +167,7 @@ def test_rays_that_miss_the_box_or_have_no_length_have_no_samples():
 def test_samples_on_the_very_sides_are_asked_at_zero_and_one():
     rays = along_x(2, y=1.0, z=1.0, jitter=0.0)
     made = density(8)
-    samples = march(made, UNIT_BOX, rays, opaque=0.0)
+    samples = march(made, UNIT_BOX, rays, min_transmittance=0.0)
     x = samples.x[samples.starts[0] : samples.ends[0]]
     assert x[0].tolist() == [0, 1, 1] and bool((x[:, 1:] == 1).all()) and x[-1, 0] > 1 - 1.1 * STEP
     expected = torch_reference.vm_density(float64(made.values), made.size.tolist(), made.rank, float64(x))
@@ -167,9 +180,9 @@ def test_samples_on_the_very_sides_are_asked_at_zero_and_one():
 def test_an_opaque_ray_ends_at_the_sample_that_stops_it():
     samples = march(even_fog(100.0), UNIT_BOX, along_x(1))  # a step is exp(-100 * 100 / 24) clear
     assert samples.ends[0] - samples.starts[0] == 1 and samples.weights[0] == 1
-    thin = march(even_fog(1.0), UNIT_BOX, along_x(1), opaque=1e-3)  # 4.17 a step: under 1e-3 after two
+    thin = march(even_fog(1.0), UNIT_BOX, along_x(1), min_transmittance=1e-3)  # 4.17 a step: under 1e-3 after two
     assert thin.ends[0] - thin.starts[0] == 2
-    whole = march(even_fog(1.0), UNIT_BOX, along_x(1), opaque=0.0)
+    whole = march(even_fog(1.0), UNIT_BOX, along_x(1), min_transmittance=0.0)
     assert whole.ends[0] - whole.starts[0] == 24
     assert np.array_equal(whole.weights[:2], thin.weights[:2])
 
@@ -177,7 +190,7 @@ def test_an_opaque_ray_ends_at_the_sample_that_stops_it():
 def test_one_sample_rays():
     rays = along_x(2)
     rays.origins[0] = 1 - 0.6 * STEP, 0.5, 0.5  # room for one step from inside the box
-    samples = march(even_fog(0.5), UNIT_BOX, rays, limit=1)
+    samples = march(even_fog(0.5), UNIT_BOX, rays, samples_per_ray=1)
     assert (samples.ends - samples.starts).tolist() == [1, 1]
     np.testing.assert_allclose(samples.weights[samples.starts], 1 - np.exp(-0.5 * 100 * STEP), rtol=1e-5)
     assert samples.t[samples.starts[0]] == pytest.approx(STEP / 2)
@@ -189,14 +202,16 @@ def test_closed_spaces_end_in_a_backdrop_that_takes_the_rest(kind):
     empty = OccupancyGrid(8)
     empty.set_occupied(np.zeros(8**3, bool))
     for occupancy, count in ((empty, 1), (occupied(), None)):
-        packed = Packed.of(march(even_fog(1e-5), space, rays, occupancy=occupancy, closed=True, limit=512))
+        packed = Packed.of(
+            march(even_fog(1e-5), space, rays, occupancy=occupancy, opaque_background=True, samples_per_ray=512)
+        )
         total = torch.zeros(30, dtype=torch.float64).index_add(0, packed.rays, packed.weights)
         np.testing.assert_allclose(total, 1, atol=1e-5)
-        assert bool((torch.bincount(packed.rays[packed.backdrop], minlength=30) == 1).all())
-        assert bool((packed.t[packed.backdrop] == space.far).all())
+        assert bool((torch.bincount(packed.rays[packed.background], minlength=30) == 1).all())
+        assert bool((packed.t[packed.background] == space.far).all())
         if count:
             assert len(packed.rays) == 30 and bool((packed.weights == 1).all())
-    opaque = Packed.of(march(even_fog(1e3), space, rays, closed=True))
+    opaque = Packed.of(march(even_fog(1e3), space, rays, opaque_background=True))
     assert not opaque.backdrop.any() and len(opaque.rays) == 30  # stopped at once: nothing left to take
 
 
@@ -204,14 +219,14 @@ def test_an_empty_grid_gives_no_sample_in_an_open_box():
     empty = OccupancyGrid(8)
     empty.set_occupied(np.zeros(8**3, bool))
     samples = march(even_fog(1.0), UNIT_BOX, rays_into(UNIT_BOX, 20, 0), occupancy=empty)
-    assert samples.count == 0
+    assert samples.total == 0
 
 
 @pytest.mark.parametrize("kind", SPACES)
 def test_chunks_do_not_change_a_bit_of_a_ray(kind):
     space, made, rays = SPACES[kind], density(3), rays_into(SPACES[kind], 31, 10)
     moved = displacement_grid(5)
-    one, three = (march(made, space, rays, moved=moved, closed=kind != "box", chunks=c) for c in (1, 3))
+    one, three = (march(made, space, rays, moved=moved, opaque_background=kind != "box", threads=c) for c in (1, 3))
     assert not np.array_equal(one.starts, three.starts)
     a, b = Packed.of(one), Packed.of(three)
     for name in ("rays", "t", "optical", "x", "sigma", "weights"):
@@ -224,7 +239,7 @@ def test_chunks_do_not_change_a_bit_of_a_ray(kind):
 def test_displaced_positions_are_clamped_at_the_sides():
     moved = np.zeros((3, 3, 3, 3), np.float32)
     moved[..., 0], moved[..., 1] = 0.75, -0.75
-    samples = march(even_fog(0.01), UNIT_BOX, along_x(1), moved=moved, opaque=0.0)
+    samples = march(even_fog(0.01), UNIT_BOX, along_x(1), moved=moved, min_transmittance=0.0)
     x = samples.x[: samples.ends[0]]
     expected = np.clip((np.arange(24) + 0.5) / 24 + 0.75, 0, 1)
     np.testing.assert_allclose(x[:, 0], expected, atol=1e-6)

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 import torch
 
-from stylerf.fields.ray_samples import Samples
 from stylerf.fields.vm import VmDensity
 from stylerf.fields.vm_tables import split_table
 from stylerf.geometry.spherical_harmonics import harmonics
 from stylerf.kernels import torch_reference
+from stylerf.kernels.cpu.ray_samples import Samples
 from tests.stylerf.small import SIZE, close, density, float64, oracle_color, oracle_density, vm_color
 
 RAYS = 9
@@ -62,7 +62,7 @@ def test_density_and_its_gradient_equal_the_oracle(rank):
     (expected[at] * float64(gradients[at])).sum().backward()
     for chunks in (1, 2):
         to = buffers(chunks, len(made.values))
-        made.backward(s.x, s.starts, s.ends, s.sigma, gradients, to)
+        made.backward(s, gradients, to)
         close(added(to), values.grad, 5e-6)
         assert chunks == 1 or np.abs(to[0] - to[1]).max() > 1e-3  # each chunk has its own
 
@@ -70,11 +70,11 @@ def test_density_and_its_gradient_equal_the_oracle(rank):
 @pytest.mark.parametrize(("shift", "limit"), [(-40.0, np.exp(-15.0)), (40.0, np.exp(12.0))])
 def test_the_exponent_is_clamped_and_lets_gradients_pass(shift, limit):
     made, s = density(3, shift=shift), samples()
-    s.sigma = made.sigma(s.x, 1)
+    s = s._replace(sigma=made.sigma(s.x, 1))
     np.testing.assert_allclose(s.sigma, limit, rtol=1e-6)
     gradients = np.full(len(s.x), 1 / limit, np.float32)
     to = np.zeros((1, len(made.values)), np.float32)
-    made.backward(s.x, s.starts, s.ends, s.sigma, gradients, to)
+    made.backward(s, gradients, to)
     assert to[0, -1] == pytest.approx(len(owned(s)), rel=1e-5)  # a field stuck at the clamp can still come back
 
 
@@ -90,18 +90,18 @@ def test_color_and_its_gradients_equal_the_oracle(degree):
     gradients = np.random.default_rng(6).normal(size=(len(s.x), 3)).astype(np.float32)
     (expected * float64(gradients[at]))[shown].sum().backward()
     for chunks in (1, 2):
-        found = made.colors(s.x, basis, s.starts, s.ends, s.weights, 0.0, chunks)
+        found = made.colors(s.shading_points(), basis, chunks)
         close(found[at][shown], expected[shown], 2e-6)
         assert (found[at][~shown, 0] == -1).all() and (~shown).sum() == 3
         to = buffers(chunks, len(made.values))
-        made.backward(s.x, basis, s.starts, s.ends, found, gradients, to)
+        made.backward(s.shading_points(), basis, found, gradients, to)
         close(added(to), values.grad, 1e-5)
 
 
-def test_least_is_a_bound_that_must_be_passed():
+def test_points_without_weight_get_no_color():
     made, s = vm_color(4), samples()
-    s.weights[:] = np.linspace(0, 1, len(s.x))
-    found = made.colors(s.x, basis_of(s, 1), s.starts, s.ends, s.weights, float(s.weights[20]), 1)
+    s.weights[:21] = 0
+    found = made.colors(s.shading_points(), basis_of(s, 1), 1)
     at = owned(s)
     assert np.array_equal(found[at, 0] >= 0, at > 20)
 

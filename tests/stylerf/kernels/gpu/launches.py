@@ -48,7 +48,7 @@ def everything() -> None:
         field.density = density_of(3)
         made, rays = GpuField(field, "cpu", half), device_rays(rays_into(SPACES[kind], 8, 4), torch.device("cpu"))
         rendered = made.render_rays(rays, room=64)
-        rendered.seen()
+        rendered.with_surface_distance()
         to = [torch.zeros_like(part.values) for part in (made.density, made.color)]
         sums = torch.zeros(3)
         wanted, background = torch.zeros(8, 4), torch.zeros(8, 3)

@@ -5,8 +5,8 @@ from types import SimpleNamespace
 import numpy as np
 import torch
 
-from stylerf.fields.ray_samples import Samples
 from stylerf.geometry.spherical_harmonics import harmonics
+from stylerf.kernels.cpu.ray_samples import Samples
 from tests.stylerf.small import Packed, float64, oracle_pixels
 
 
@@ -18,7 +18,7 @@ def device_rays(rays, device):
 
 def on_host(samples) -> Samples:
     """Device samples as the CPU kernels would hand them out."""
-    parts = (samples.starts, samples.ends, samples.t, samples.optical, samples.x, samples.sigma, samples.weights)
+    parts = (samples.starts, samples.ends, samples.t, samples.deltas, samples.x, samples.sigma, samples.weights)
     return Samples(*(part.cpu().numpy() for part in parts))
 
 
@@ -31,7 +31,7 @@ def brought_over(rendered, rays, device):
     counts = torch.bincount(packed.rays, minlength=len(rays.origins))
     largest = torch.zeros(len(counts), dtype=torch.float64).scatter_reduce(0, packed.rays, packed.weights, "amax")
     ends, ray_of = counts.cumsum(0), packed.rays.int()
-    own = [v.float() for v in (packed.t, packed.optical, packed.x, packed.sigma, packed.weights)]
+    own = [v.float() for v in (packed.t, packed.deltas, packed.x, packed.sigma, packed.weights)]
     made = (ends - counts, ends, counts.int(), largest.float(), ends[-1:], *own, ray_of)
     samples = GpuSamples(*(tensor.contiguous().to(device) for tensor in made))
     out, unmapped, colors = (torch.from_numpy(a) for a in (rendered.out, rendered.unmapped, rendered.colors))
@@ -39,7 +39,7 @@ def brought_over(rendered, rays, device):
     return GpuRendered(*pixels, device_rays(rays, device), samples, colors[packed.at].to(device))
 
 
-def by_oracle(field, rays, rendered, grid=None, even_from: float = 0.0, gradients=None):
+def by_oracle(field, rays, rendered, grid=None, near_scaling_distance: float = 0.0, gradients=None):
     """(pixels [rays, 5], gradients of the parts' values) in float64, at the samples that the device chose."""
     degree = getattr(field.color, "degree", 0)
     seen = SimpleNamespace(
@@ -55,15 +55,17 @@ def by_oracle(field, rays, rendered, grid=None, even_from: float = 0.0, gradient
     return pixels.detach(), [v.grad for v in values]
 
 
-def gradients_of(made, rendered, gradients, even_from: float = 0.0) -> list[torch.Tensor]:
+def gradients_of(made, rendered, gradients, near_scaling_distance: float = 0.0) -> list[torch.Tensor]:
     """What the device adds to flat buffers of the density and the color."""
     to = [torch.zeros_like(part.values) for part in (made.density, made.color)]
-    made.backward(rendered, torch.from_numpy(gradients).to(made.device), *to, even_from=even_from)
+    made.backward(
+        rendered, torch.from_numpy(gradients).to(made.device), *to, near_scaling_distance=near_scaling_distance
+    )
     return [t.cpu() for t in to]
 
 
 def packed_samples(points: np.ndarray, rays: np.ndarray, weights: np.ndarray, device, spare: int = 5):
-    """DeviceSamples at cube points [n, 3] of rays [n], ascending; `spare` more find room and are poisoned."""
+    """GpuSamples at cube points [n, 3] of rays [n], ascending; `spare` more find room and are poisoned."""
     from stylerf.kernels.gpu.launch import GpuSamples
 
     count, n = int(rays.max(initial=-1)) + 1, len(points)
@@ -71,7 +73,7 @@ def packed_samples(points: np.ndarray, rays: np.ndarray, weights: np.ndarray, de
     ends = np.cumsum(counts)
     largest = np.zeros(count, np.float32)
     np.maximum.at(largest, rays, weights)
-    room = {"t": (), "optical": (), "x": (3,), "sigma": (), "weights": ()}
+    room = {"t": (), "deltas": (), "x": (3,), "sigma": (), "weights": ()}
     arrays = {name: torch.full((n + spare, *shape), float("nan"), device=device) for name, shape in room.items()}
     ray_of = torch.full((n + spare,), 1 << 20, dtype=torch.int32, device=device)
     for to, what in ((arrays["x"], points), (arrays["weights"], weights), (ray_of, rays)):

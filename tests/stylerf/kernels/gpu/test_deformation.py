@@ -122,7 +122,7 @@ def learned(kind: str, device, rays: int = 14):
     field = field_of(SPACES[kind], 3, CASES[kind](), 1 / 8, displacement_grid(6, reach=0.15))
     field.density.values[-1] = -4.5  # thin: rays go on long enough to end in the backdrop
     going = rays_into(SPACES[kind], rays, 4)
-    cpu = render_rays(field, going, chunks=1, share=0.05)
+    cpu = render_rays(field, going, threads=1, weight_threshold=0.05)
     rendered = brought_over(cpu, going, device)
     towards = np.random.default_rng(7).normal(size=(rays, 5)).astype(np.float32)
     return field, going, cpu, rendered, towards, grid_gradient(GpuField(field, device), rendered, towards)
@@ -139,7 +139,7 @@ def test_the_grids_gradient_equals_the_oracles_and_the_cpus(kind, device):
     field, rays, cpu, rendered, towards, found = learned(kind, device)
     sides = (rendered.samples.x == 0) | (rendered.samples.x == 1)
     assert bool(sides.any()) and not bool(sides.any(1).all())
-    assert bool((rendered.samples.optical == 0).any()) == (kind != "box")  # a backdrop, which does not move
+    assert bool((rendered.samples.deltas == 0).any()) == (kind != "box")  # the background, which does not move
     grid = float64(field.displacement).requires_grad_()
     by_oracle(field, rays, rendered, grid, gradients=towards)
     assert grid.grad.abs().max() > 0
@@ -154,7 +154,7 @@ def test_a_grid_of_zeros_learns_as_one_that_bends(device):
     from stylerf.fields.gpu.field import GpuField
 
     field, rays = field_of(SPACES["box"], 3, hash_color(5), 1 / 8), rays_into(SPACES["box"], 6, 4)
-    rendered = brought_over(render_rays(field, rays, chunks=1), rays, device)
+    rendered = brought_over(render_rays(field, rays, threads=1), rays, device)
     field.displacement = np.zeros((3, 3, 3, 3), np.float32)
     towards = np.random.default_rng(7).normal(size=(6, 5)).astype(np.float32)
     exact = float64(field.displacement).requires_grad_()
@@ -163,13 +163,13 @@ def test_a_grid_of_zeros_learns_as_one_that_bends(device):
     close(grid_gradient(GpuField(field, device), rendered, towards), exact.grad.flatten(), 3e-5)
 
 
-def spread(device, x, gradient, where=(0.5, 0.5, 0.5), optical: float = 1.0) -> np.ndarray:
+def spread(device, x, gradient, where=(0.5, 0.5, 0.5), deltas: float = 1.0) -> np.ndarray:
     """dL/dD [2, 2, 2, 3] of one sample of a unit box at `where`, displaced to x."""
     from stylerf.geometry.space_warp import SpaceWarp
     from stylerf.kernels.gpu import launch_deform
 
     samples = loose(device, np.float32([x]))
-    samples.t, samples.optical = (torch.full((ROOM,), v, device=device) for v in (2.0, optical))
+    samples.t, samples.deltas = (torch.full((ROOM,), v, device=device) for v in (2.0, deltas))
     ways = torch.tensor([[1.0, 0, 0]], device=device)
     origins = torch.tensor([where], device=device) - 2 * ways
     to, space = torch.zeros(24, device=device), SpaceWarp.box([0] * 3, [1] * 3)
@@ -185,11 +185,11 @@ def test_one_sample_spreads_its_gradient_over_eight_vertices_but_along_sides_tha
         x = [0.6, 0.4, 0.5]
         x[axis] = side
         np.testing.assert_allclose(spread(device, x, (8, -16, 24)), whole * (np.arange(3) != axis), rtol=1e-5)
-    # A sample on the cube's side speaks to that side's vertices alone; one of no optical length to none.
+    # A sample on the cube's side speaks to that side's vertices alone; one of delta 0 to none.
     found = spread(device, (0.9, 0.4, 0.5), (8, -16, 24), where=(1.0, 0.5, 0.5))
     assert not found[0].any()
     np.testing.assert_allclose(found[1], 2 * whole[1], rtol=1e-5)
-    assert not spread(device, (0.6, 0.4, 0.5), (8, -16, 24), optical=0.0).any()
+    assert not spread(device, (0.6, 0.4, 0.5), (8, -16, 24), deltas=0.0).any()
 
 
 def test_rays_without_samples_teach_the_grid_nothing(device):

@@ -6,10 +6,10 @@ import torch
 
 from stylerf.fields.occupancy_grid import OccupancyGrid
 from stylerf.fields.radiance_field import RadianceField
-from stylerf.fields.ray_samples import Rays
 from stylerf.fields.vm import VmDensity
 from stylerf.geometry.space_warp import SpaceWarp
 from stylerf.kernels import torch_reference
+from stylerf.kernels.cpu.ray_samples import Rays
 from tests.stylerf.kernels.gpu.on_gpu import device_rays, on_host
 from tests.stylerf.small import SPACES, close, density, float64, hash_color, occupied, rays_into
 
@@ -37,7 +37,7 @@ def device_field(made, device, space=UNIT_BOX, step=1 / 8, occupancy=None):
 
 def test_rays_that_miss_have_no_samples_and_color_nothing(device):
     rays = along_x((-1, 1.5, 0.5), (2, 0.5, 0.5), (1, 0.5, 0.5), (-1, 0, 0.5), (-1, 0.5, 0.5))
-    found = device_field(even_fog(0.01), device).render_rays(device_rays(rays, device), opaque=0.0)
+    found = device_field(even_fog(0.01), device).render_rays(device_rays(rays, device), min_transmittance=0.0)
     s = found.samples
     assert (s.ends - s.starts).tolist() == [0, 0, 0, 8, 8]
     assert not found.out[:3].any() and bool((found.out[3:, 3] > 0.5).all())
@@ -73,7 +73,7 @@ def test_rays_beyond_the_room_get_no_sample_and_count_for_nothing(device):
 
     rays = along_x(*[(-1, 0.5, 0.5)] * 4)
     made = device_field(even_fog(0.001), device)
-    found = made.render_rays(device_rays(rays, device), room=20, opaque=0.0)
+    found = made.render_rays(device_rays(rays, device), room=20, min_transmittance=0.0)
     s = found.samples
     assert s.counts.tolist() == [8] * 4 and (s.ends - s.starts).tolist() == [8, 8, 0, 0] and int(s.total) == 16
     sums, wanted = torch.zeros(3, device=device), torch.zeros((4, 4), device=device)
@@ -81,7 +81,7 @@ def test_rays_beyond_the_room_get_no_sample_and_count_for_nothing(device):
     gradients = launch.photometric_loss(found.out, wanted, background, s, 0.5, sums)
     assert sums.tolist()[1:] == [16, 2] and not gradients[2:].any() and gradients[0].any()
     # Nothing is read or written beyond what there is: the rest of the room is poisoned.
-    for array in (s.x, s.weights, s.sigma, s.optical, s.t, found.colors):
+    for array in (s.x, s.weights, s.sigma, s.deltas, s.t, found.colors):
         array[16:] = float("nan")
     to = [torch.zeros_like(part.values) for part in (made.density, made.color)]
     made.backward(found, gradients, *to)
@@ -96,27 +96,27 @@ def test_closed_spaces_end_in_a_backdrop_that_takes_the_rest(kind, device):
         device_rays(rays, device), 512, 1e-3, None
     )
     s = on_host(found)
-    assert (s.ends - s.starts).tolist() == [1] * 5 and (s.weights == 1).all() and (s.optical == 0).all()
+    assert (s.ends - s.starts).tolist() == [1] * 5 and (s.weights == 1).all() and (s.deltas == 0).all()
     assert (s.t == np.float32(SPACES[kind].far)).all()
 
 
 @pytest.mark.parametrize("kind", ["contraction", "frustum"])
 def test_a_sample_that_was_not_counted_takes_the_backdrops_light(kind, device, monkeypatch):
-    """The two walks of a march are compiled apart: rounding can have the second meet a sample more than the first."""
+    """The two launches of a march are compiled separately: rounding can give the second one a sample more."""
     from stylerf.kernels.gpu import launch
 
-    walk_rays = launch._walk_rays
+    march_rays = launch._march_rays
 
-    def miscounted(walk, density, origins, directions, jitter, samples, last, room, fill):
-        walk_rays(walk, density, origins, directions, jitter, samples, last, room, fill)
+    def miscounted(inputs, density, origins, directions, jitter, samples, last, room, fill):
+        march_rays(inputs, density, origins, directions, jitter, samples, last, room, fill)
         if not fill:
             samples.counts -= 1
 
     rays, field = device_rays(rays_into(SPACES[kind], 5, 9), device), device_field(even_fog(1e-4), device, SPACES[kind])
     whole = field.march(rays, 512, 1e-3, None)
     light = whole.weights[whole.ends - 1]  # of the backdrops
-    assert bool((whole.optical[whole.ends - 1] == 0).all()) and bool((light > 0.1).all())
-    monkeypatch.setattr(launch, "_walk_rays", miscounted)
+    assert bool((whole.deltas[whole.ends - 1] == 0).all()) and bool((light > 0.1).all())
+    monkeypatch.setattr(launch, "_march_rays", miscounted)
     found = field.march(rays, 512, 1e-3, None)
     assert torch.equal(found.ends - found.starts, whole.ends - whole.starts - 1)
     sums = torch.zeros(5, device=device).index_add_(0, found.ray_of.long(), found.weights)

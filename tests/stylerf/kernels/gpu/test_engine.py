@@ -8,10 +8,10 @@ import torch
 
 from stylerf.fields.occupancy_grid import OccupancyGrid
 from stylerf.fields.radiance_field import RadianceField
-from stylerf.fields.ray_samples import Rays
 from stylerf.fields.region_color import RegionColor
 from stylerf.fields.vm_tables import split_table
 from stylerf.geometry.cameras import Camera
+from stylerf.kernels.cpu.ray_samples import Rays
 from stylerf.rendering.rays import backward, render_rays
 from stylerf.rendering.view import render_view
 from stylerf.training.common.adam import NORM_STEPS
@@ -83,7 +83,7 @@ def test_a_step_learns_the_gradient_that_the_cpu_finds_for_the_same_rays(kinds, 
     learned = engine._reports.settle()
     drawn = engine.bank.draw((0 * 1_000_003 + 3) & 0x7FFFFFFF, 0, 24, 24, 3, 0.5, 1.0)
     host = [t.cpu().numpy() for t in (drawn.rays.origins, drawn.rays.directions, drawn.rays.jitter)]
-    rendered = render_rays(field, Rays.of(host[0], host[1], 0.0, host[2]), chunks=1)
+    rendered = render_rays(field, Rays.of(host[0], host[1], 0.0, host[2]), threads=1)
     rgba, out = drawn.wanted.cpu().numpy(), rendered.out
     difference = out[:, :3] + 1 - out[:, 3:4] - (rgba[:, :3] * rgba[:, 3:] + 1 - rgba[:, 3:])
     gradients = np.zeros_like(out)
@@ -95,7 +95,7 @@ def test_a_step_learns_the_gradient_that_the_cpu_finds_for_the_same_rays(kinds, 
     for ours, expected in zip(found, to):
         np.testing.assert_allclose(ours, expected[0], atol=3e-5 * np.abs(expected).max())
     assert learned.error == pytest.approx(float(np.square(difference).mean()), rel=1e-4)
-    assert learned.live == pytest.approx(rendered.samples.count / 24, abs=0.1)
+    assert learned.live == pytest.approx(rendered.samples.total / 24, abs=0.1)
 
 
 @pytest.mark.parametrize("kind", ["hash", "voxel"])
@@ -304,7 +304,7 @@ def test_a_view_is_the_cpus_picture(device):
     field, camera = thin_field(step=1 / 6, color=hash_color(5)), dome(1, 2, 7)[0]
     cells = np.zeros((4, 4, 4), bool)
     cells[1:3, :, 2] = True
-    expected = render_view(field, camera, chunks=1, regions={"one": cells})
+    expected = render_view(field, camera, threads=1, regions={"one": cells})
     found = GpuRenderer(field, device, "float32", rays_at_once=30).view(camera, regions={"one": cells})
     for name in ("rgb", "alpha", "ray_distance", "z"):
         np.testing.assert_allclose(getattr(found, name), getattr(expected, name), atol=2e-5)
@@ -312,12 +312,12 @@ def test_a_view_is_the_cpus_picture(device):
     assert expected.masks["one"].any()
 
 
-@pytest.mark.parametrize(("through", "backs", "z"), [(0.02, False, 3), (0.6, True, 6)])
-def test_depth_is_that_of_a_surface_whatever_light_passes_it(through, backs, z, device):
+@pytest.mark.parametrize(("transmittance", "backs", "z"), [(0.02, False, 3), (0.6, True, 6)])
+def test_depth_is_that_of_a_surface_whatever_light_passes_it(transmittance, backs, z, device):
     from stylerf.rendering.view_gpu import GpuRenderer
 
-    field, camera = wall_in_front(through, backs), Camera("view", 5, 4, 40.0, 40.0, 2.5, 2.0, np.eye(4))
-    expected = render_view(field, camera, chunks=1)
+    field, camera = wall_in_front(transmittance, backs), Camera("view", 5, 4, 40.0, 40.0, 2.5, 2.0, np.eye(4))
+    expected = render_view(field, camera, threads=1)
     found = GpuRenderer(field, device, "float32").view(camera)
     np.testing.assert_allclose(found.z, z, rtol=0.05)
     np.testing.assert_allclose(found.z, expected.z, rtol=1e-5)
@@ -331,7 +331,7 @@ def test_halves_are_taken_where_pixels_allow_it_and_refused_elsewhere(device):
     made = GpuRenderer(field, device)
     rgb = made.view(camera).rgb
     assert made.half and made.field.density.table.dtype == torch.float16
-    assert np.abs(rgb - render_view(field, camera, chunks=1).rgb).max() <= TOLERANCE
+    assert np.abs(rgb - render_view(field, camera, threads=1).rgb).max() <= TOLERANCE
     # What halves round away of large features that all but cancel decides how dense the fog is.
     planes, lines = split_table(field.density.table, field.density.size, field.density.rank)
     for plane, line in zip(planes, lines):

@@ -99,7 +99,7 @@ def test_a_color_and_its_gradient_equal_the_oracle(encoder, head, count, device)
     ways /= np.linalg.norm(ways, axis=1, keepdims=True)
     seen_from = torch.from_numpy(ways).to(device)
     rays, weights = s.ray_of[:count].cpu().long(), s.weights[:count].cpu()
-    found = made.colors(s, seen_from, 0.3)
+    found = made.visible_colors(s, seen_from, 0.3)
     shown = (weights > 0) & (weights >= 0.3 * s.largest.cpu()[rays])
     assert bool(shown.any()) and bool(shown.all()) == (count == 1)
     values = float64(color.values).requires_grad_()
@@ -120,7 +120,7 @@ def test_a_color_and_its_gradient_equal_the_oracle(encoder, head, count, device)
 
 def test_a_sample_without_weight_has_no_color(device):
     made, s = on_device(color_of("voxel", "linear"), device), walked(device)
-    found = made.colors(s, torch.ones((RAYS, 3), device=device), 0.0)[:60, 0]
+    found = made.visible_colors(s, torch.ones((RAYS, 3), device=device), 0.0)[:60, 0]
     assert torch.equal(found >= 0, s.weights[:60] > 0) and not bool((found >= 0).all())
 
 

@@ -6,7 +6,7 @@ import torch
 
 from stylerf.fields.deformation import Deformation
 from stylerf.fields.displacement_grid import displaced_occupancy
-from stylerf.fields.ray_samples import Rays
+from stylerf.kernels.cpu.ray_samples import Rays
 from stylerf.rendering.rays import render_rays
 from stylerf.training.backends import deform_backend
 from stylerf.training.common.adam import NORM_STEPS
@@ -192,7 +192,7 @@ def test_rays_that_find_no_room_teach_nothing(device, monkeypatch):
     gpu = fitter_on(device)
     drawn = gpu.dataset.draw(24, np.random.default_rng(0), 4)[:3]
     jitter = np.full(24, 0.5, np.float32)
-    samples = render_rays(gpu.field, Rays.of(*drawn[:2], 0.0), chunks=1).samples
+    samples = render_rays(gpu.field, Rays.of(*drawn[:2], 0.0), threads=1).samples
     ends = np.cumsum(samples.ends - samples.starts)
     monkeypatch.setattr(deformer_gpu, "MOST_SAMPLES", int(ends[-1]) - 1)
     inside = int(np.searchsorted(ends, ends[-1] - 1, side="right"))

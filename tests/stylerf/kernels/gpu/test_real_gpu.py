@@ -49,9 +49,9 @@ def test_thousands_of_rays_agree_with_the_cpu(kind, parts, gpu):
     field = field_of(SPACES[kind], 3, None, 1 / 64)
     field.density, field.color = PARTS[parts]()
     rays = rays_into(SPACES[kind], 5000, 4)
-    cpu, made = render_rays(field, rays, chunks=2), GpuField(field, gpu)
+    cpu, made = render_rays(field, rays, threads=2), GpuField(field, gpu)
     found = made.render_rays(device_rays(rays, gpu))
-    assert int(found.samples.total) == pytest.approx(cpu.samples.count, rel=1e-3)
+    assert int(found.samples.total) == pytest.approx(cpu.samples.total, rel=1e-3)
     # Where rounding moves a sample across a cell's side or a threshold, a pixel differs by what that sample weighs.
     apart = np.abs(found.out.cpu().numpy() - cpu.out)[:, :4].max(1)
     assert np.quantile(apart, 0.99) < 1e-4 and apart.max() < 5e-2
@@ -92,7 +92,7 @@ def test_thousands_of_rays_teach_a_deformation_what_they_do_on_the_cpu(kind, gpu
     rays, towards = rays_into(SPACES[kind], 5000, 4), np.random.default_rng(7).normal(size=(5000, 5))
     towards = (towards * [1, 1, 1, 1, 0]).astype(np.float32)
     expected, to = np.zeros((2, field.displacement.size), np.float32), torch.zeros(field.displacement.size, device=gpu)
-    backward(field, render_rays(field, rays, chunks=2), towards, None, None, expected)
+    backward(field, render_rays(field, rays, threads=2), towards, None, None, expected)
     made = GpuField(field, gpu)
     rendered = made.render_rays(device_rays(rays, gpu))
     made.backward(rendered, torch.from_numpy(towards).to(gpu), None, None, to)

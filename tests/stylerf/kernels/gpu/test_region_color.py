@@ -65,7 +65,7 @@ def walked(case: str, device, rays: int = 12):
     going = rays_into(SPACES["box"], rays, 4)
     going.origins[-1] += 50  # meets nothing
     made = GpuField(field, device)
-    rendered = made.render_rays(device_rays(going, device), share=SHARE)
+    rendered = made.render_rays(device_rays(going, device), weight_threshold=SHARE)
     return field, going, made, rendered, np.random.default_rng(7).normal(size=(rays, 5)).astype(np.float32)
 
 
@@ -88,7 +88,7 @@ def test_colors_and_gradients_equal_the_oracle(device):
 
 def test_outside_the_cells_the_base_stays_to_the_bit(device):
     _, _, made, rendered, _ = walked("some cells", device)
-    base = made.color.base.colors(rendered.samples, rendered.rays.directions, SHARE).cpu()
+    base = made.color.base.visible_colors(rendered.samples, rendered.rays.directions, SHARE).cpu()
     found, shown = rendered.colors.cpu(), base[:, 0] >= 0
     within = torch.from_numpy(inside(on_host(rendered.samples).x))
     assert torch.equal(found[shown & ~within], base[shown & ~within])
@@ -101,7 +101,7 @@ def test_outside_the_cells_the_base_stays_to_the_bit(device):
 )
 def test_pixels_and_gradients_are_the_cpus(case, device):
     field, rays, made, rendered, towards = walked(case, device)
-    cpu = render_rays(field, rays, chunks=1, share=SHARE)
+    cpu = render_rays(field, rays, threads=1, weight_threshold=SHARE)
     close(rendered.out.cpu(), cpu.out, 2e-5)
     to = [np.zeros((1, len(part.values)), np.float32) for part in (field.density, field.color)]
     backward(field, cpu, towards, *to)
@@ -116,7 +116,7 @@ def test_density_learns_in_the_cells_alone(device):
     from stylerf.fields.gpu.field import marked_cells as on_device
 
     field, rays, made, rendered, towards = walked("some cells", device)
-    cpu = render_rays(field, rays, chunks=1, share=SHARE)
+    cpu = render_rays(field, rays, threads=1, weight_threshold=SHARE)
     for marked in (marked_cells(), np.zeros((CELLS,) * 3, bool)):
         to = np.zeros((1, len(field.density.values)), np.float32)
         backward(field, cpu, towards, to, None, density_within=marked)
@@ -147,4 +147,4 @@ def test_an_edited_view_in_halves_is_the_cpus_picture(device):
     field.density.values[-1] = -4.0
     made = GpuRenderer(field, device, "float16")
     assert made.field.color.table.dtype == made.field.color.base.table.dtype == torch.float16
-    np.testing.assert_allclose(made.view(camera).rgb, render_view(field, camera, chunks=1).rgb, atol=1e-3)
+    np.testing.assert_allclose(made.view(camera).rgb, render_view(field, camera, threads=1).rgb, atol=1e-3)

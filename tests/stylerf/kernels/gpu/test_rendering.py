@@ -52,7 +52,7 @@ def walked(case: str, device, rays: int = 14):
     field.density = density_of(3)
     field.density.values[-1] = -4.5  # thin: rays go on long enough to end in the backdrop
     made, going = GpuField(field, device), rays_into(SPACES[kind], rays, 4)
-    rendered = made.render_rays(device_rays(going, device), share=0.05)
+    rendered = made.render_rays(device_rays(going, device), weight_threshold=0.05)
     towards = np.random.default_rng(7).normal(size=(rays, 5)).astype(np.float32)
     return field, going, made, rendered, towards, gradients_of(made, rendered, towards)
 
@@ -64,7 +64,7 @@ def test_every_sample_equals_the_oracle_at_its_distance(case, device):
     assert len(packed.rays) == int(rendered.samples.total) == rendered.samples.room > 20
     assert torch.equal(rendered.samples.ray_of.cpu().long(), packed.rays)
     where, ways = points_on(rays, packed)
-    x, end = torch_reference.warp(space, where), packed.backdrop
+    x, end = torch_reference.warp(space, where), packed.background
     assert bool(end.any()) == (space.kind != "box")
     length = (
         STEP
@@ -72,13 +72,13 @@ def test_every_sample_equals_the_oracle_at_its_distance(case, device):
         * torch_reference.density_jacobian(space, where)
         * torch_reference.OPTICAL_SCALE
     )
-    close(packed.optical[~end], length[~end], 1e-3 if space.kind == "contraction" else 2e-5)
+    close(packed.deltas[~end], length[~end], 1e-3 if space.kind == "contraction" else 2e-5)
     if field.displacement is not None:
         x = torch.where(end[:, None], x, torch_reference.displaced(float64(field.displacement), x))
     np.testing.assert_allclose(packed.x, x, atol=3e-6)
     sigma = oracle_density(field.density, float64(field.density.values), packed.x)
     close(packed.sigma[~end], sigma[~end], 5e-6)
-    weights, _ = torch_reference.weights(packed.sigma, packed.optical, packed.rays, end)
+    weights, _ = torch_reference.weights(packed.sigma, packed.deltas, packed.rays, end)
     np.testing.assert_allclose(packed.weights, weights, atol=3e-6)
     largest = torch.zeros(len(rays.origins), dtype=torch.float64).index_reduce(0, packed.rays, packed.weights, "amax")
     assert torch.equal(rendered.samples.largest.cpu().double(), largest)
@@ -126,20 +126,17 @@ def test_pixels_and_gradients_equal_the_oracle(case, device):
 
 def test_near_samples_learn_by_the_square_of_their_distance(device):
     field, _, made, rendered, towards, plain = walked("frustum", device)
-    found = gradients_of(made, rendered, towards, even_from=2.0)
-    far = gradients_of(made, rendered, towards, even_from=0.5)  # nearer than the near plane: all alike
+    found = gradients_of(made, rendered, towards, near_scaling_distance=2.0)
+    far = gradients_of(made, rendered, towards, near_scaling_distance=0.5)  # nearer than the near plane: all alike
     close(far[0], plain[0], 1e-6)
-    from stylerf.kernels.cpu.compositing import composite_backward, scale_near
+    from stylerf.kernels.cpu.compositing import composite_backward, scale_near_gradients
 
     s, n = on_host(rendered.samples), rendered.samples.room
     sigma, color = np.zeros(n, np.float32), np.zeros((n, 3), np.float32)
     colors = rendered.colors.cpu().numpy()
-    composite_backward(
-        s.sigma, s.weights, s.optical, colors, s.t, s.starts, s.ends, rendered.out.cpu().numpy(), towards, 1, sigma,
-        color,
-    )  # fmt: skip
-    scale_near(s.t, s.starts, s.ends, np.float32(2.0), 1, sigma, color)
+    composite_backward(s, colors, rendered.out.cpu().numpy(), towards, 1, sigma, color)
+    scale_near_gradients(s, np.float32(2.0), 1, sigma, color)
     to = np.zeros((1, len(field.density.values)), np.float32)
-    field.density.backward(s.x, s.starts, s.ends, s.sigma, sigma, to)
+    field.density.backward(s, sigma, to)
     close(found[0], to[0], 2e-5)
     assert not np.allclose(found[0], plain[0], rtol=1e-2)

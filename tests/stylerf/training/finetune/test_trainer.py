@@ -82,7 +82,7 @@ def errors(field, bank) -> tuple[float, float]:
     """Mean squared error inside the red halves, and well below them, over all views."""
     inside, outside = [], []
     for number, camera in enumerate(bank.cameras):
-        seen = render_view(field, camera, chunks=1)
+        seen = render_view(field, camera, threads=1)
         shown = seen.rgb + 1 - seen.alpha[..., None]
         start = bank.starts[number]
         photo = bank.bytes[start : start + 24 * 24 * 4].reshape(24, 24, 4) / 255
@@ -120,7 +120,7 @@ def test_a_patch_learns_the_edit_and_leaves_all_else_to_the_bit(fitted, edited):
     after = errors(made.field, edited[0])
     assert after[0] < 0.2 * before[0]
     for camera in edited[0].cameras[:3]:
-        plain, taught = (render_view(field, camera, chunks=1) for field in (fitted, made.field))
+        plain, taught = (render_view(field, camera, threads=1) for field in (fitted, made.field))
         parts = march_view(fitted, camera, 1)
         free = np.concatenate([alpha_inside(made.field.color.marked, samples, 1) == 0 for _, samples in parts])
         assert free.sum() > 30

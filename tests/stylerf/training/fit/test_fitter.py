@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from stylerf.errors import Diverged
-from stylerf.fields.ray_samples import Rays
 from stylerf.geometry.space_warp import SpaceWarp
+from stylerf.kernels.cpu.ray_samples import Rays
 from stylerf.rendering.rays import backward, render_rays
 from stylerf.training.common.ray_dataset import RayDataset
 from stylerf.training.fit import engine as module
@@ -66,7 +66,7 @@ def test_what_masks_hide_in_a_closed_space_teaches_nothing(kind):
     jitter = generator.random(200, dtype=np.float32)
     shown = pixels % 24 >= 12
     origins, directions, colors = (array[shown] for array in whole.at(views, pixels))
-    rendered = render_rays(field, Rays.of(origins, directions, space.near, jitter[shown]), chunks=1)
+    rendered = render_rays(field, Rays.of(origins, directions, space.near, jitter[shown]), threads=1)
     towards = np.zeros_like(rendered.out)
     towards[:, :3] = 2 / 600 * (rendered.out[:, :3] + (1 - rendered.out[:, 3:4]) - colors[:, :3])
     towards[:, 3] = -towards[:, :3].sum(1)

@@ -234,7 +234,7 @@ def unseen_psnr(fitter: Fitter) -> float:
     error = []
     for camera in dome(4, 99):
         photo = box_photo(camera).astype(np.float64) / 255
-        seen = render_view(fitter.field, camera, chunks=1)
+        seen = render_view(fitter.field, camera, threads=1)
         over = seen.rgb + (1 - seen.alpha[..., None])
         error.append((over - photo[..., :3] * photo[..., 3:] - (1 - photo[..., 3:])) ** 2)
     return -10 * np.log10(np.mean(error))

@@ -40,12 +40,12 @@ def test_rays_of_a_fit_are_clear_or_opaque():
 
 def seen(fitter) -> np.ndarray:
     """Opacity of the held-out rays."""
-    from stylerf.fields.ray_samples import Rays
+    from stylerf.kernels.cpu.ray_samples import Rays
     from stylerf.rendering.rays import render_rays
 
     origins, directions = fitter._held_out_rays[:2]
     rays = Rays.of(origins[:4096], directions[:4096], fitter.field.space.near)
-    return np.clip(render_rays(fitter.field, rays, chunks=1).out[:, 3], 0, 1)
+    return np.clip(render_rays(fitter.field, rays, threads=1).out[:, 3], 0, 1)
 
 
 def test_the_gradient_of_coverage_is_what_random_backgrounds_teach_on_average():

@@ -141,9 +141,9 @@ def test_a_scene_of_four_colors_is_decomposed_into_them():
     assert errors[1] > errors[0] + 3 and figures["psnr"] == errors[1]
     assert figures["colors"] == 4 and sum(figures["shares"]) == pytest.approx(1, abs=1e-3)
     assert 0 <= figures["sparsity"] < 2.5 and figures["palette_variation"] >= 0
-    before = render_view(one.scene.field, one.scene.cameras[0], chunks=1).rgb
+    before = render_view(one.scene.field, one.scene.cameras[0], threads=1).rgb
     one.scene.field.color = one.scene.field.color.edited(Recoloring())
-    np.testing.assert_allclose(render_view(one.scene.field, one.scene.cameras[0], chunks=1).rgb, before, atol=1e-5)
+    np.testing.assert_allclose(render_view(one.scene.field, one.scene.cameras[0], threads=1).rgb, before, atol=1e-5)
 
 
 def test_shapes_stay_to_the_bit():

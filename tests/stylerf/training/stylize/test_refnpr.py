@@ -201,7 +201,7 @@ def test_of_a_part_what_lies_beside_it_keeps_its_colors_to_the_bit():
         inside = part > 0.9
         assert inside.sum() > 20 and (part == 0).sum() > 40
         assert after[inside].mean() < 0.5 * before[view][inside].mean()
-        old, new = (render_view(field, one.scene.cameras[view], chunks=1) for field in (fitted, one.scene.field))
+        old, new = (render_view(field, one.scene.cameras[view], threads=1) for field in (fitted, one.scene.field))
         assert np.array_equal(new.rgb[part.reshape(HEIGHT, WIDTH) == 0], old.rgb[part.reshape(HEIGHT, WIDTH) == 0])
     part, asked = one.scene.coverage(1), one.method.references[1]
     assert np.array_equal(asked[part == 0], one.scene.photos[1][part == 0]) and np.abs(asked[part > 0.999]).max() < 0.01
