@@ -24,7 +24,7 @@ STEPS = 700
 # By name: what is left out or exchanged, by layout where that decides.
 MEASURES = {
     "as it is": {},
-    "near samples learn as any": {"unbounded": ("--even-from", "0")},
+    "near samples learn as any": {"unbounded": ("--near-scaling-distance", "0")},
     "not smoothed": {"unbounded": ("--smoothness", "0"), "forward": ("--smoothness", "0")},
     "space: box": {"unbounded": ("--space", "box"), "forward": ("--space", "box")},
     "space: contraction": {"forward": ("--space", "contraction")},

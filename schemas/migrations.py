@@ -26,7 +26,16 @@ Migration = Callable[[dict, Path], dict]
 
 # Schema 3 renamed keys: American spelling, and the field's terms in place of ours.
 RENAMED_PARTS = {"colour": "color", "centre": "center", "stylised": "stylized", "learnt": "learned"}
-RENAMED_KEYS: dict[str, str] = {}
+RENAMED_KEYS: dict[str, str] = {
+    "clip": "gradient_clip",
+    "even_from": "near_scaling_distance",
+    "hull": "visual_hull",
+    "least": "min_opacity",
+    "least_spread": "min_spread",
+    "most_colors": "max_colors",
+    "most_gain": "max_gain",
+    "taps": "layers",
+}
 RENAMED_VALUES = {
     "stage": {"recolour": "recolor", "fault_scene": "corrupt_scene"},
 }

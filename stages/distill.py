@@ -82,7 +82,7 @@ def _edited(
     photo = scene.images(view.view)
     fading = view.transition if config.fade else None
     found = module.colors(view.x, view.directions, changes, fading, chunks)
-    chosen = np.flatnonzero(view.weight > config.least)
+    chosen = np.flatnonzero(view.weight > config.min_opacity)
     pixels = view.pixels[chosen]
     out = photo.reshape(-1, photo.shape[2]).copy()
     # What of a pixel is not the region's stays the photo's; where that has an alpha, what shines through is in that.

@@ -49,7 +49,7 @@ def run(inputs: dict[str, Artifact], config: EditConfig, partial: PartialArtifac
         context.progress.say(f"features: {resolved.name}, from {resolved.source}")
         painting, trunk = (
             cropped(config),
-            FeatureExtractor(resolved.state, config.taps, resolved.kind).to(device or "cpu"),
+            FeatureExtractor(resolved.state, config.layers, resolved.kind).to(device or "cpu"),
         )
         features = resolved.manifest()
         if config.match and not config.preserve_color:
@@ -82,7 +82,7 @@ def settings_of(config: EditConfig) -> EditSettings:
     return EditSettings(
         colors=config.colors,
         palette=config.start,
-        most_colors=config.most_colors,
+        max_colors=config.max_colors,
         palette_steps=config.palette_steps,
         style_steps=config.style_steps,
         seconds=budget_of(config.budget)[0],
@@ -125,9 +125,9 @@ def cropped(config: EditConfig) -> torch.Tensor:
         raise BadInput(f"{config.style}: {error}") from error
 
 
-def drawn(trainer: EditTrainer, view: EditView, chunks: int) -> np.ndarray:
+def drawn(trainer: EditTrainer, view: EditView, threads: int) -> np.ndarray:
     """[h, 2 w, 3] uint8: the region in one view as the photo has it, and as the module paints it now; gray around."""
-    found = trainer.asked.colors(view.x, view.directions, chunks=chunks)
+    found = trainer.evaluator.colors(view.x, view.directions, chunks=threads)
     pictures = []
     for colors in (view.target, found):
         picture = np.full((view.height * view.width, 3), 0.5, np.float32)
@@ -149,7 +149,7 @@ def _train(
         context.progress.update(round(100 * now.whole_progress, 1), note)
         if config.preview_every and time.monotonic() - drawn_at > config.preview_every:
             target = partial.path.parent / "preview-now.png"
-            write_png(target, drawn(now, shown, now.chunks))
+            write_png(target, drawn(now, shown, now.threads))
             context.progress.say(f"preview: {target}")
             drawn_at = time.monotonic()
 

@@ -14,7 +14,7 @@ from stages.artifacts.region import region_of_field
 from stages.artifacts.scene import EARLIER, SceneData, edit_targets, load_scene
 from stages.artifacts.validity import sound
 from stages.configs.finetune import FinetuneConfig
-from stages.configs.fit import EVEN_FROM, SMOOTHNESS, budget_of
+from stages.configs.fit import NEAR_SCALING, SMOOTHNESS, budget_of
 from stages.run.checkpoints import load_checkpoint
 from stages.run.devices import gpu_figures, gpu_of
 from stages.run.progress import Context
@@ -62,7 +62,7 @@ def run(inputs: dict[str, Artifact], config: FinetuneConfig, partial: PartialArt
         depth_weight=config.depth_weight,
         background=level_of(background),
         smoothness=SMOOTHNESS[scene.layout],
-        even_from=EVEN_FROM[scene.layout],
+        near_scaling_distance=NEAR_SCALING[scene.layout],
     )
     bank = bank_of(scene, train, partial.folder, context)
     tuner = FineTuner(field, bank, edited, settings, context.seed, threads, context.processes, finetune_engine(device))

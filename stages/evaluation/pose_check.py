@@ -45,7 +45,7 @@ class ViewShift:
 
 def pose_shifts(fitter: Fitter) -> list[ViewShift]:
     """Of some views of the field as it stands, the smallest share first. Every process must take part."""
-    cameras = fitter.bank.cameras
+    cameras = fitter.dataset.cameras
     evenly = spread(list(range(len(cameras))), min(VIEWS, len(cameras)))
     found = []
     for view in [*evenly, *(one for one in _worst(fitter) if one not in evenly)]:
@@ -103,7 +103,7 @@ def _alike(shifts: list[ViewShift]) -> float:
 
 def _worst(fitter: Fitter) -> list[int]:
     """The views that the field shows worst, by some rays of each."""
-    bank, count = fitter.bank, len(fitter.bank.cameras)
+    bank, count = fitter.dataset, len(fitter.dataset.cameras)
     each = max(LEAST_RAYS, RAYS // count)
     views = np.repeat(np.arange(count), each)
     generator = np.random.default_rng([fitter.seed, 5])
@@ -119,7 +119,7 @@ def _worst(fitter: Fitter) -> list[int]:
 
 def _both(fitter: Fitter, view: int, camera) -> tuple[np.ndarray, np.ndarray]:
     """Gray photo and render [h, w] of a view at the size of `camera`, over the background of the fit."""
-    bank, own = fitter.bank, fitter.bank.cameras[view]
+    bank, own = fitter.dataset, fitter.dataset.cameras[view]
     count = bank.sizes[view] * bank.channels
     photo = bank.bytes[bank.starts[view] : bank.starts[view] + count].reshape(own.height, own.width, bank.channels)
     photo = photo.astype(np.float32) / 255

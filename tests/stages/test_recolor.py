@@ -131,7 +131,7 @@ def test_changes_that_cannot_be_made_are_told(work, options, of, words):
         ({"palette": ("0=red",)}, "written I=#rrggbb"),
         ({"palette": ("0=#ffffff",), "filter": "space"}, "needs a place"),
         ({"palette": ("0=#ffffff",), "reach": 1.0}, "reach around --at"),
-        ({"at": ("a:1,1",)}, "say what becomes of it"),
+        ({"at": ("a:1,1",)}, "say how with --palette"),
         ({"at": ("a",), "palette": ("0=#ffffff",)}, "VIEW:X,Y"),
         ({"view_scale": -1.0}, "view_scale must be at least 0"),
     ],

@@ -104,7 +104,7 @@ def test_settings_of_a_stylization_that_mean_nothing(paintings, capsys, flags, w
         (("--method", "palettenerf", "--style", "sound.png"), "unrecognized arguments"),
         (("--method", "palettenerf", "--bases", "3"), "bases must be 4 to 16"),
         (("--method", "palettenerf", "--palette", "0=red"), "written I=#rrggbb"),
-        (("--method=palettenerf", "--at", "0:1,1"), "say what becomes of it by --palette"),
+        (("--method=palettenerf", "--at", "0:1,1"), "say how with --palette"),
     ],
 )
 def test_methods_whose_options_do_not_go_together(paintings, capsys, monkeypatch, flags, words):
@@ -175,7 +175,7 @@ def test_a_painting_that_has_changed_is_measured_against_anew(work, paintings, c
 )
 def test_pixels_to_avoid_where_nothing_grows_by_color(tmp_path, capsys, flags):
     line = told(capsys, 2, "select", tmp_path / "work", *flags, "--avoid", "0:9,9")
-    assert "--avoid bounds what grows from --at or --scribble" in line
+    assert "--avoid limits growth from --at or --scribble" in line
 
 
 # -- cameras of a path -------------------------------------------------------------------------------------------------

@@ -426,7 +426,7 @@ def test_regions_are_joined_and_cut(edited, capsys):
         (["stylize", "--region", "ball", "--recolor", "--of", "painting-arf"], "was selected in field fit"),
         (["stylize", "--region", "ball", "--style", "PAINTING", "--crop", "0", "0", "9000"], "does not fit"),
         (["stylize", "--region", "no-such", "--recolor"], "none found"),
-        (["stylize", "--region", "ball", "--recolor", "--crop", "0", "0", "32"], "means nothing with --recolor"),
+        (["stylize", "--region", "ball", "--recolor", "--crop", "0", "0", "32"], "no effect with --recolor"),
         (["distill", "--edit", "no-such"], "none found"),
         (["edit", "--of", "ball", "--at", "MIDDLE", "--recolor", "--name", "ball"], "region ball would replace"),
         (["edit", "--at", "MIDDLE", "--recolor", "--name", "main"], "scene main would replace what it is made from"),

@@ -1,4 +1,4 @@
-"""What a bank of rays draws its colors from: the photos' bytes, wherever they are kept, and the pixels worth more."""
+"""Bytes of the photos, in memory or mapped from a file, and which of their pixels to draw more often."""
 
 import math
 from collections.abc import Callable, Iterator

@@ -34,7 +34,7 @@ class ProcessGroup(Protocol):
         """Puts the sum over all processes in the place of values (numpy, or torch on any device), alike everywhere."""
 
     def add_gradients(self, buffers: np.ndarray) -> None:
-        """Buffers [chunks, n] of all processes, summed into the first row; the others are cleared."""
+        """Buffers [threads, n] of all processes, summed into the first row; the others are cleared."""
 
     def of_first(self, value: float) -> float:
         """The first process's value."""

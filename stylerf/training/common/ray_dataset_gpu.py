@@ -33,43 +33,43 @@ class RayBatch:
 
 
 class GpuRayDataset:
-    """bank: photos and cameras, copied to the device once, a byte a channel."""
+    """dataset: photos and cameras, copied to the device once, a byte a channel."""
 
-    def __init__(self, bank: RayDataset, device: torch.device) -> None:
-        if len(bank) >= 2**31:
-            raise InvalidValue(f"{len(bank)} pixels of photos; at most {2**31 - 1} can be drawn from on a GPU")
-        self.device, self.channels, self.views = device, bank.channels, len(bank.cameras)
-        self.ends = np.cumsum(bank.sizes)
-        self.bytes, self.lit = self._photos(bank), self._near_objects(bank)
-        self.widths, self.view_ends = self._copy(bank.widths), self._copy(self.ends)
-        self.view_sizes = self._copy(bank.sizes)
-        self.intrinsics, self.poses = self._copy(bank.intrinsics), self._copy(bank.poses)
-        self.codes = self._copy(bank.codes)
-        self._host = bank
+    def __init__(self, dataset: RayDataset, device: torch.device) -> None:
+        if len(dataset) >= 2**31:
+            raise InvalidValue(f"{len(dataset)} pixels of photos; at most {2**31 - 1} can be drawn from on a GPU")
+        self.device, self.channels, self.views = device, dataset.channels, len(dataset.cameras)
+        self.ends = np.cumsum(dataset.sizes)
+        self.bytes, self.lit = self._photos(dataset), self._near_objects(dataset)
+        self.widths, self.view_ends = self._copy(dataset.widths), self._copy(self.ends)
+        self.view_sizes = self._copy(dataset.sizes)
+        self.intrinsics, self.poses = self._copy(dataset.intrinsics), self._copy(dataset.poses)
+        self.codes = self._copy(dataset.codes)
+        self._host = dataset
 
     def _copy(self, array: np.ndarray) -> Tensor:
         return torch.from_numpy(np.ascontiguousarray(array)).to(self.device)
 
-    def _photos(self, bank: RayDataset) -> Tensor:
-        """The bank's bytes, brought over little by little: where they are mapped from a file, never all in memory."""
-        there = torch.empty(len(bank.bytes), dtype=torch.uint8, device=self.device)
+    def _photos(self, dataset: RayDataset) -> Tensor:
+        """Copy the bytes in parts: those mapped from a file are never all in memory."""
+        there = torch.empty(len(dataset.bytes), dtype=torch.uint8, device=self.device)
         for at in range(0, len(there), AT_ONCE):
-            part = bank.bytes[at : at + AT_ONCE].copy()
-            bank.read(math.ceil(len(part) / STRETCH))
+            part = dataset.bytes[at : at + AT_ONCE].copy()
+            dataset.read(math.ceil(len(part) / STRETCH))
             there[at : at + len(part)] = torch.from_numpy(part)
         return there
 
-    def _near_objects(self, bank: RayDataset) -> Tensor:
-        """The pixels worth more, int32, one by one: the device draws from them; the bank keeps them as runs."""
-        count = 0 if bank.lit is None else bank.lit.below(len(bank))
+    def _near_objects(self, dataset: RayDataset) -> Tensor:
+        """The pixels worth more, int32, one by one: the device draws from them; the dataset keeps them as runs."""
+        count = 0 if dataset.lit is None else dataset.lit.below(len(dataset))
         there = torch.zeros(max(1, count), dtype=torch.int32, device=self.device)
         for at in range(0, count, AT_ONCE):
-            part = bank.lit[np.arange(at, min(at + AT_ONCE, count))].astype(np.int32)
+            part = dataset.lit[np.arange(at, min(at + AT_ONCE, count))].astype(np.int32)
             there[at : at + len(part)] = torch.from_numpy(part)
         return there
 
     def follow_exposure(self) -> None:
-        """Take the codes that the bank on the host has now."""
+        """Take the codes that the dataset on the host has now."""
         self.codes = self._copy(self._host.codes)
 
     def draw(

@@ -42,54 +42,54 @@ class Kinds:
     density: str = "vm"
     color: str = "vm"
     head: str = "linear"
-    levels: int = 8
+    hash_levels: int = 8
 
 
-# Few ranks on the first rung: what is added later begins beside what is known already, where the error is. On the
+# Few ranks on the first level: what is added later begins beside what is known already, where the error is. On the
 # finest grid a density of half the ranks and a coarser color hold as much, and a step takes less time (0040).
-LADDER = (
+LEVELS = (
     CapacityLevel(64, 8, 16, table_bits=16),
     CapacityLevel(128, table_bits=17),
     CapacityLevel(192, table_bits=17),
     CapacityLevel(256, 8, table_bits=18, color_resolution=176),
 )
-# The same with colors as fine as the density, where the photos of an object hold more than LADDER's colors can.
+# The same with colors as fine as the density, where the photos of an object hold more than LEVELS's colors can.
 FULL = CapacityLevel(256, 8, table_bits=18)
 # A contraction leaves half of each axis to what the cameras stand around: there a finer density still tells.
 BEYOND = CapacityLevel(384, 8, table_bits=18, color_resolution=256)
 
 
-def ladder_of(kinds: Kinds, space: str, pixels: int) -> tuple[CapacityLevel, ...]:
-    """The rungs that a fit of so made fields climbs. space: its kind. pixels: the longest side of the photos."""
+def levels_for(kinds: Kinds, space: str, pixels: int) -> tuple[CapacityLevel, ...]:
+    """The levels that a fit tries. space: kind of its warp. pixels: longest side of the photos."""
     if kinds.head != "linear":
-        # A small network behind the color has one width: its ranks are those of the first rung.
-        return (replace(LADDER[0], color_rank=FULL.color_rank), *LADDER[1:3], FULL)
+        # A small network behind the color has one width: its ranks are those of the first level.
+        return (replace(LEVELS[0], color_rank=FULL.color_rank), *LEVELS[1:3], FULL)
     if kinds == Kinds() and space == "contraction":
         # All ranks until the last: 256^3 with half of them seems to gain nothing, where 384^3 then would.
-        return (*LADDER[:3], replace(FULL, density_rank=16), BEYOND)
-    lean = kinds == Kinds() and (space == "frustum" or pixels < 2 * LADDER[-1].color_resolution)
-    return LADDER if lean else (*LADDER[:3], FULL)
+        return (*LEVELS[:3], replace(FULL, density_rank=16), BEYOND)
+    lean = kinds == Kinds() and (space == "frustum" or pixels < 2 * LEVELS[-1].color_resolution)
+    return LEVELS if lean else (*LEVELS[:3], FULL)
 
 
 def capacity_at(
-    rung: CapacityLevel,
+    level: CapacityLevel,
     finest: int,
-    levels: int,
+    hash_levels: int,
     space: SpaceWarp,
     occupancy: OccupancyGrid | None = None,
     degree: int = 1,
 ) -> Capacity:
-    """A rung's capacity in a space; finest: the resolution of the ladder's last rung; degree: asked for at most."""
+    """A level's capacity in a space; finest: the resolution of the levels's last level; degree: asked for at most."""
     return Capacity(
-        space.cells_per_axis(rung.resolution),
-        rung.resolution,
-        rung.density_rank,
-        rung.color_rank,
-        1 << rung.table_bits,
-        levels,
+        space.cells_per_axis(level.resolution),
+        level.resolution,
+        level.density_rank,
+        level.color_rank,
+        1 << level.table_bits,
+        hash_levels,
         finest,
         occupancy,
-        min(rung.degree, degree),
+        min(level.degree, degree),
     )
 
 

@@ -70,29 +70,29 @@ class GpuEngine:
 
     def __init__(
         self,
-        bank: RayDataset,
+        dataset: RayDataset,
         seed: int,
-        chunks: int,
+        threads: int,
         field: RadianceField,
-        ranks: ProcessGroup = ALONE,
+        group: ProcessGroup = ALONE,
         *,
         device: torch.device | str,
         samples: int,
         gradient_clip: float = 0.0,
     ) -> None:
-        self.device, self.ranks, self.gradient_clip = torch.device(device), ranks, gradient_clip
-        self.bank, self.seed = GpuRayDataset(bank, self.device), seed
+        self.device, self.group, self.gradient_clip = torch.device(device), group, gradient_clip
+        self.dataset, self.seed = GpuRayDataset(dataset, self.device), seed
         self._parts, self.density_adam, self.color_adam = (None, None), None, None
         self.room = max(LEAST_ROOM if self.device.type == "cuda" else 0, ROOM * samples)
         self.adopt(field)
 
     def adopt(self, field: RadianceField) -> None:
         self._host, self._stale = field, False
-        self.live = GpuField(field, self.device)
+        self.device_field = GpuField(field, self.device)
         parts = field.density, field.color
         kept = [old is part for old, part in zip(self._parts, parts)]
-        self.density_adam = self._adam_of(self.live.density, self.density_adam if kept[0] else None)
-        self.color_adam = self._adam_of(self.live.color, self.color_adam if kept[1] else None)
+        self.density_adam = self._adam_of(self.device_field.density, self.density_adam if kept[0] else None)
+        self.color_adam = self._adam_of(self.device_field.color, self.color_adam if kept[1] else None)
         self._parts = parts
         self._reports = AsyncReadback(self.device, 3, _learned, StepResult(0.0, 0.0), in_step=True)
 
@@ -107,7 +107,7 @@ class GpuEngine:
     @property
     def field(self) -> RadianceField:
         if self._stale:
-            self.live.write_to(self._host)
+            self.device_field.write_to(self._host)
             self._stale = False
         return self._host
 
@@ -117,7 +117,7 @@ class GpuEngine:
 
     def refresh(self, seed: int, share: int) -> None:
         with out_of_memory():
-            refresh(self.live, seed, share, 0.9)
+            refresh(self.device_field, seed, share, 0.9)
         self._stale = True
 
     def learn(self, batch: Batch) -> StepResult:
@@ -126,7 +126,7 @@ class GpuEngine:
             self._add_gradients(batch, sums)
         # From here on lack of memory ends the run: a step begun anew would ask the other processes for its sums again.
         for summed in (sums, self.density_adam.gradients, self.color_adam.gradients):
-            self.ranks.add(summed)
+            self.group.add(summed)
         self.density_adam.step(batch.rate)
         self.color_adam.step(batch.rate)
         self._stale = True
@@ -134,16 +134,16 @@ class GpuEngine:
 
     def _add_gradients(self, batch: Batch, sums: Tensor) -> None:
         """Those of this process's part of the rays, and of the smoothness, to the optimizers'; the rest to sums [3]."""
-        field = self.live
+        field = self.device_field
         seed = (self.seed * 1_000_003 + batch.step) & 0x7FFFFFFF
         level = None if batch.background == "random" else 0.0 if batch.background in ("black", "none") else 1.0
-        own = self.ranks.own(batch.rays)
+        own = self.group.own(batch.rays)
         for part in parts_of(own.start, own.stop, batch.parts):
-            drawn = self.bank.draw(
+            drawn = self.dataset.draw(
                 seed, part.start, part.stop - part.start, batch.rays, batch.among, batch.lit_share, level
             )
             rendered = field.render_rays(drawn.rays, room=-(-self.room // batch.parts))
-            if field.opaque_background and self.bank.channels == 4:
+            if field.opaque_background and self.dataset.channels == 4:
                 drawn.wanted = unhidden(drawn.wanted, rendered.out, drawn.background)
             scale = 2 / (3 * batch.rays)
             gradients = launch.photometric_loss(
@@ -154,10 +154,10 @@ class GpuEngine:
             if batch.coverage > 0:
                 gradients[:, 3] += coverage_gradient(rendered, drawn.wanted[:, 3], batch.coverage, batch.rays)
             to = self.density_adam.gradients, self.color_adam.gradients
-            field.backward(rendered, gradients, *to, near_scaling_distance=batch.even_from)
+            field.backward(rendered, gradients, *to, near_scaling_distance=batch.near_scaling_distance)
         both = (field.density, self.density_adam), (field.color, self.color_adam)
         for strength, (part, adam) in zip(batch.smoothness, both):
-            if strength > 0 and self.ranks.first:
+            if strength > 0 and self.group.first:
                 part.smooth(strength, adam.gradients)
 
     def discard(self) -> None:
@@ -169,21 +169,21 @@ class GpuEngine:
         for at in range(0, len(origins), 1 << 16):
             part = slice(at, at + (1 << 16))
             rays = GpuRays.of(origins[part], directions[part], self.device)
-            found[part] = self.live.render_rays(rays).with_surface_distance().cpu().numpy()
+            found[part] = self.device_field.render_rays(rays).with_surface_distance().cpu().numpy()
         return found
 
     def follow_exposure(self) -> None:
-        self.bank.follow_exposure()
+        self.dataset.follow_exposure()
 
     def settle(self) -> None:
         self._reports.settle()
 
     def agree(self) -> None:
-        for part in (self.live.density, self.live.color):
-            self.ranks.take_first(part.values)
-        if self.ranks.count > 1:  # unlike GPUs draw unlike points to look at
-            self.ranks.take_first(self.live.highest)
-            decide(self.live)
+        for part in (self.device_field.density, self.device_field.color):
+            self.group.take_first(part.values)
+        if self.group.count > 1:  # unlike GPUs draw unlike points to look at
+            self.group.take_first(self.device_field.highest)
+            decide(self.device_field)
             self._stale = True
 
     def moments(self) -> dict[str, np.ndarray]:
@@ -194,25 +194,27 @@ class GpuEngine:
         for name, adam in (("density", self.density_adam), ("color", self.color_adam)):
             adam.restore({k: arrays[f"{name}.{k}"] for k in ("first", "second", "steps")})
 
-    def warm_up(self, scratch: list[RadianceField], smoothness: tuple[float, float], even_from: float) -> None:
+    def warm_up(
+        self, scratch: list[RadianceField], smoothness: tuple[float, float], near_scaling_distance: float
+    ) -> None:
         levels = [None, 1.0]
         for field in scratch:
             scratch = GpuField(field, self.device)
             adams = [GpuAdam(part.values, part.groups) for part in (scratch.density, scratch.color)]
             refresh(scratch, 0, 1, 0.9)
             for level in levels:
-                drawn = self.bank.draw(0, 0, 16, 16, self.bank.views, 0.5, level)
+                drawn = self.dataset.draw(0, 0, 16, 16, self.dataset.views, 0.5, level)
                 rendered = scratch.render_rays(drawn.rays, room=16 * 64)
                 sums = torch.zeros(3, device=self.device)
                 gradients = launch.photometric_loss(
                     rendered.out, drawn.wanted, drawn.background, rendered.samples, 1.0, sums
                 )
                 to = (adam.gradients for adam in adams)
-                scratch.backward(rendered, gradients, *to, near_scaling_distance=even_from)
+                scratch.backward(rendered, gradients, *to, near_scaling_distance=near_scaling_distance)
             for part, adam, weight in zip((scratch.density, scratch.color), adams, smoothness):
                 if weight > 0:
                     part.smooth(weight, adam.gradients)
                 adam.step(1e-3)
-        self.ranks.add(torch.zeros(1, device=self.device))  # the first sum connects the processes' GPUs
+        self.group.add(torch.zeros(1, device=self.device))  # the first sum connects the processes' GPUs
         if self.device.type == "cuda":
             torch.cuda.synchronize(self.device)

@@ -26,19 +26,19 @@ PLAINLY = 0.27  # stops, standard deviation, from which photos are not as one ca
 
 
 class Exposures:
-    """Judges the exposure of a bank's photos at pixels chosen once."""
+    """Judges the exposure of a dataset's photos at pixels chosen once."""
 
-    def __init__(self, bank: RayDataset, seed: int) -> None:
-        self.bank = bank
-        count = len(bank.cameras)
+    def __init__(self, dataset: RayDataset, seed: int) -> None:
+        self.dataset = dataset
+        count = len(dataset.cameras)
         generator = np.random.default_rng([seed, 5])
         self.views = np.repeat(np.arange(count), max(LEAST, POINTS // count))
-        self.pixels = (generator.random(len(self.views)) * bank.sizes[self.views]).astype(np.int64)
+        self.pixels = (generator.random(len(self.views)) * dataset.sizes[self.views]).astype(np.int64)
         # Any view but the point's own.
         self.others = (self.views[:, None] + generator.integers(1, max(count, 2), (len(self.views), TRIED))) % count
 
     def judged(self, rendered: Callable[[np.ndarray, np.ndarray], np.ndarray], stops: np.ndarray) -> np.ndarray:
-        """[views] stops by which photos are overexposed, their mean 0. stops: what the bank takes them for now.
+        """[views] stops by which photos are overexposed, their mean 0. stops: what the dataset takes them for now.
 
         rendered: from origins and directions [n, 3] to premultiplied color, alpha and distance [n, 5].
         """
@@ -53,11 +53,11 @@ class Exposures:
     def _surfaces(self, rendered, views: np.ndarray, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Of pixels [n]: points in the world [n, 3], light that the photos show there, NaN where it tells nothing [n],
         and the distance [n]."""
-        origins, directions, colors = self.bank.at(views, pixels)
+        origins, directions, colors = self.dataset.at(views, pixels)
         out = rendered(origins, directions)
         distance = out[:, 4]
         rgb = colors[:, :3]
-        telling = (rgb > DARKEST) & (rgb < np.minimum(self.bank.codes[views, CLIPPED], BRIGHTEST)[:, None])
+        telling = (rgb > DARKEST) & (rgb < np.minimum(self.dataset.codes[views, CLIPPED], BRIGHTEST)[:, None])
         telling = telling.all(1) & (colors[:, 3] > SOLID) & (out[:, 3] > SOLID)
         light = np.where(telling, decoded(rgb.astype(np.float64)) @ LUMA, np.nan)
         return origins + directions * distance[:, None], light, distance
@@ -66,8 +66,8 @@ class Exposures:
         """(point, view, pixel) [m] of the first OTHERS photos that each known point falls into."""
         pixels = np.full(self.others.shape, -1)
         by_view = np.argsort(self.others, axis=None, kind="stable")
-        edges = np.searchsorted(self.others.reshape(-1)[by_view], np.arange(len(self.bank.cameras) + 1))
-        for camera, first, end in zip(self.bank.cameras, edges[:-1], edges[1:], strict=True):
+        edges = np.searchsorted(self.others.reshape(-1)[by_view], np.arange(len(self.dataset.cameras) + 1))
+        for camera, first, end in zip(self.dataset.cameras, edges[:-1], edges[1:], strict=True):
             at, place = np.divmod(by_view[first:end], TRIED)
             at, place = at[known[at]], place[known[at]]
             position, depth = camera.project(points[at])

@@ -12,7 +12,7 @@ NOTHING = 8  # alpha, of 255, up to which a pixel shows nothing: what compressed
 
 
 def clear_cells(
-    cameras: list[Camera], alphas: Iterable[np.ndarray], space: SpaceWarp, cells: int, share: float, chunks: int
+    cameras: list[Camera], alphas: Iterable[np.ndarray], space: SpaceWarp, cells: int, share: float, threads: int
 ) -> np.ndarray:
     """Cells [cells^3] bool of a box that at least `share` (0..1) of the views that see them, and two, show as clear.
 
@@ -28,5 +28,5 @@ def clear_cells(
         np.cumsum(np.cumsum(alpha > NOTHING, 0, dtype=np.int32), 1, out=sums[1:, 1:])
         pose = np.ascontiguousarray(camera.world_from_camera[:3], np.float32)
         lens = (np.float32(v) for v in (camera.fx, camera.fy, camera.cx, camera.cy))
-        count_clear(sums, pose, *lens, low, width, cells, radius, chunks, seen, clear)
+        count_clear(sums, pose, *lens, low, width, cells, radius, threads, seen, clear)
     return clear >= np.maximum(2, np.ceil(share * seen))

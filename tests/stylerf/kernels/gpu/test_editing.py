@@ -17,7 +17,7 @@ from tests.stylerf.training.edit.test_trainer import SMALL
 from tests.stylerf.training.running import saved
 
 FEW = {"palette_steps": 2, "style_steps": 1, "pruned_steps": 1, "pruned_style_steps": 1, "pixels": 300, "colors": 4,
-       "most_colors": 3}  # fmt: skip
+       "max_colors": 3}  # fmt: skip
 
 
 def trainer(device=None, style: bool = False, **more) -> EditTrainer:
@@ -137,7 +137,7 @@ def test_an_edit_is_learned_to_its_end_on_a_device(device):
     assert figures[0]["shares"] == pytest.approx(figures[1]["shares"], abs=2e-3)
     assert figures[0]["psnr"] == pytest.approx(figures[1]["psnr"], abs=0.05)
     # What the device has learned is in the module that is kept.
-    np.testing.assert_allclose(made.module.colors(*asked()), made.asked.colors(*asked()), atol=1e-5)
+    np.testing.assert_allclose(made.module.colors(*asked()), made.evaluator.colors(*asked()), atol=1e-5)
 
 
 def asked() -> tuple[np.ndarray, np.ndarray]:
