@@ -1,4 +1,4 @@
-"""A deformation learned on a GPU: network, grid, gradients, moments and occupancy stay there."""
+"""Train a deformation on a GPU: network, grid, gradients, moments and occupancy stay there."""
 
 import math
 
@@ -80,7 +80,7 @@ class GpuDeformer(Deformer):
         ).flatten()
 
     def _place(self, distances: np.ndarray) -> None:
-        # As look() tells them: a device and the CPU write checkpoints for each other.
+        # As in look(): GPU and CPU resume each other's checkpoints.
         self.device_field.distances = self._there(torch.from_numpy(np.minimum(distances, FARTHEST_CELL)))
         self.collect()
 

@@ -1,4 +1,4 @@
-"""Deformation initialized on the photos before a stylization moves it (DeSRF, section 3.2, L_init)."""
+"""Initialize a deformation on the photos, before a stylization changes it (DeSRF, section 3.2, L_init)."""
 
 import math
 import time
@@ -21,10 +21,17 @@ LOOK_EVERY = 200  # steps
 
 @dataclass(frozen=True)
 class DeformSettings:
-    """steps of `rays` random rays; smoothness: weight of the displacement's total variation; vertices: side of the grid
-    that the deformation is baked to; rate falls to a tenth. background: level of gray behind the field. patience: dB
-    that a fixed set of the photos' rays must gain between two looks for the training to go on (0: always). gate: dB
-    that they must gain in all, else the deformation is dropped (0: what is best on them is kept)."""
+    """Settings of the initialization.
+
+    Attributes:
+        steps, rays: Most steps, and random rays per step.
+        rate: Learning rate; falls to a tenth.
+        smoothness: Weight of the displacement's total variation.
+        vertices: Vertices per side of the displacement grid.
+        background: Gray level behind the field.
+        patience: dB that fixed rays must gain between two evaluations to continue (0: always continue).
+        gate: dB that they must gain in all, or the deformation is dropped (0: keep the best).
+    """
 
     steps: int = 2000
     rays: int = 1024
@@ -39,7 +46,7 @@ class DeformSettings:
 
 @dataclass
 class DeformState:
-    """Where the initialization stands."""
+    """Progress of the initialization."""
 
     step: int = 0
     seconds: float = 0.0
@@ -79,7 +86,7 @@ class DeformationFitter:
         self.between_steps = True
 
     def _fixed_rays(self, generator: np.random.Generator):
-        """Rays of the views kept aside, of all where none is."""
+        """Rays of the held-out views; of all views if none is held out."""
         views = len(self.dataset.cameras)
         if self.among == views:
             rays = self.dataset.draw(FIXED_RAYS, generator)[:3]
@@ -90,17 +97,17 @@ class DeformationFitter:
 
     @property
     def dropped(self) -> bool:
-        """Whether the deformation has not paid for itself, as far as it has come."""
+        """Whether the deformation has gained too little so far."""
         return self.settings.gate > 0 and self.state.best < self.state.before + self.settings.gate
 
     def quality(self) -> float:
-        """PSNR over a fixed set of the photos' rays, dB."""
+        """PSNR over a fixed set of rays, dB."""
         return psnr_from_mse(self._error.of(*self._fixed))
 
     def step(self) -> tuple[float, float]:
-        """One step; mean squared error and root mean square of the displacement (cube two units wide).
+        """Take one step; mean squared error, and root mean square of the displacement (cube two units wide).
 
-        On a device both are those of a step or a few before.
+        On a GPU, both are those of some steps before.
         """
         settings, state = self.settings, self.state
         generator = np.random.default_rng([self.seed, 6, state.step])
@@ -112,13 +119,13 @@ class DeformationFitter:
         return error, size
 
     def run(self, on_step: Callable[["DeformationFitter"], None] = lambda fitter: None) -> None:
-        """Steps until they are used up or gain nothing; the field ends with the best deformation seen, or with none."""
+        """Train until the steps are used up or gain nothing; ends with the best deformation, or with none."""
         state = self.state
         while state.step < self.settings.steps and not state.settled:
             begun, self.between_steps = time.perf_counter(), False
             error, size = self.step()
             if not math.isfinite(error + size):
-                raise Diverged(f"step {state.step} of the deformation: the loss left the finite numbers")
+                raise Diverged(f"step {state.step} of the deformation: the loss is not finite")
             if state.step % LOOK_EVERY == 0 or state.step == self.settings.steps:
                 self._look(size)
             state.seconds += time.perf_counter() - begun
@@ -134,11 +141,11 @@ class DeformationFitter:
             state.best, self._best = quality, self.deformer.values()
 
     def checkpoint(self) -> tuple[dict, dict[str, np.ndarray]]:
-        """(JSON, arrays) to go on from."""
+        """(JSON, arrays) to resume from."""
         return {"state": vars(self.state)}, {**self.deformer.arrays(), "best": self._best}
 
     def resume(self, data: dict, arrays: dict[str, np.ndarray]) -> None:
-        """From checkpoint()."""
+        """Restore a checkpoint()."""
         self.state = DeformState(**data["state"])
         self.deformer.restore(arrays)
         self._best = arrays["best"].copy()

@@ -1,7 +1,7 @@
-"""What the fitting loop asks of whatever holds its field: to learn from a batch, to judge, to look where density is.
+"""The engine of a fit, on the CPU (engine_gpu.py: on a GPU).
 
-The loop (stylerf/training/fit/fitter.py) decides: when to grow, to go back, how fast to learn. An engine does the work,
-on the CPU (here) or on a GPU (stylerf/training/fit/engine_gpu.py).
+The loop in fitter.py decides when to grow, when to roll back and how fast to learn; an engine holds the field, takes
+the steps, renders, and updates the occupancy grid.
 """
 
 from dataclasses import dataclass
@@ -21,10 +21,10 @@ from stylerf.training.common.ray_dataset import RayDataset, unhidden
 
 @dataclass(frozen=True)
 class Batch:
-    """One step: `rays` random rays of the first `among` views, worked off in `parts`; `step` and seed decide which.
+    """One step on `rays` random rays of the first `among` views, in `parts`; `step` and the seed decide which.
 
-    lit_share: part of the rays near something opaque. background: white, black, random or none. smoothness: strengths
-    (density, color) of the planes' total variation, 0: none. near_scaling_distance, opacity, coverage: see FitSettings.
+    lit_share: fraction of the rays near something opaque. background: white, black, random or none. smoothness: weights
+    of the planes' total variation (density, color), 0: none. The others: see FitSettings.
     """
 
     step: int
@@ -42,16 +42,16 @@ class Batch:
 
 @dataclass(frozen=True)
 class StepResult:
-    """Mean squared error of a batch and samples a ray. A GPU's are those of the newest step that it has finished."""
+    """Mean squared error and samples per ray of a step; on a GPU, of the newest step that has finished."""
 
     error: float
     samples_per_ray: float
 
 
 class Engine(Protocol):
-    """field: as it now stands, its arrays up to date. most_rays: of a batch.
+    """field: the present field, its arrays up to date. most_rays: of a batch.
 
-    Several processes that train together (Ranks) each do their part of a batch: sums are those of all of them.
+    Processes that train together (ProcessGroup) each do their part of a batch; results are sums over all.
     """
 
     field: RadianceField
@@ -59,31 +59,31 @@ class Engine(Protocol):
     most_rays: int
 
     def adopt(self, field: RadianceField) -> None:
-        """Go on with this field, moments of the optimizer at zero but of a part that is the very one before."""
+        """Train this field from now on; moments are zero, except of a part that is the same object as before."""
 
     def refresh(self, seed: int, share: int) -> None:
-        """Look anew where the field has density, at one cell in `share`."""
+        """Update the occupancy grid at one cell in `share`."""
 
     def learn(self, batch: Batch) -> StepResult:
-        """One step of the optimizer. MemoryError where the batch does not fit; then discard() what was begun."""
+        """Take one step. Raises MemoryError if the batch does not fit; then call discard()."""
 
     def discard(self) -> None:
-        """Drop gradients that no step has taken."""
+        """Drop accumulated gradients."""
 
     def rendered(self, origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
-        """[rays, 5] float32: premultiplied color, alpha and distance of what they show, of rays without jitter."""
+        """Premultiplied color, alpha and distance of rays without jitter, [rays, 5] float32."""
 
     def follow_exposure(self) -> None:
-        """Take photos for what the codes of the loop's dataset say now."""
+        """Take over the exposure of the loop's dataset."""
 
     def settle(self) -> None:
-        """Wait for the steps under way: what asks for their result takes them for its own time."""
+        """Wait for pending steps, whose time would otherwise count for what follows."""
 
     def agree(self) -> None:
-        """Take the first process's values: what unlike processors round otherwise must not add up."""
+        """Take over the first process's values, so that differences in rounding do not add up."""
 
     def moments(self) -> dict[str, np.ndarray]:
-        """What the optimizers remember, by name."""
+        """The optimizers' moments, by name."""
 
     def restore_moments(self, arrays: dict[str, np.ndarray]) -> None:
         """From moments(), for the field adopted last."""
@@ -91,11 +91,11 @@ class Engine(Protocol):
     def warm_up(
         self, scratch: list[RadianceField], smoothness: tuple[float, float], near_scaling_distance: float
     ) -> None:
-        """Compile every kernel that a step uses on fields like these, which may be spoiled, without learning."""
+        """Compile every kernel that a step uses, on these scratch fields."""
 
 
 def background_of(kind: str, count: int, generator: np.random.Generator | None) -> np.ndarray:
-    """[count, 3] float32; `random` is white where there is no generator: where a field is judged."""
+    """Background colors [count, 3] float32; `random` is white without a generator."""
     if kind == "random" and generator is not None:
         return generator.random((count, 3), dtype=np.float32)
     level = 0.0 if kind in ("black", "none") else 1.0
@@ -103,40 +103,40 @@ def background_of(kind: str, count: int, generator: np.random.Generator | None) 
 
 
 def over(rgb: np.ndarray, alpha: np.ndarray, background: np.ndarray) -> np.ndarray:
-    """Premultiplied rgb over a background."""
+    """Composite premultiplied rgb over a background."""
     return rgb + (1 - alpha) * background
 
 
 def target(colors: np.ndarray, background: np.ndarray) -> np.ndarray:
-    """Straight rgba over a background."""
+    """Composite straight rgba over a background."""
     return colors[:, :3] * colors[:, 3:] + (1 - colors[:, 3:]) * background
 
 
 def opacity_gradient(alpha: np.ndarray, weight: float, rays: int) -> np.ndarray:
-    """d/d(alpha) of weight * mean(4 alpha (1 - alpha)) over `rays`: rays [n] are asked to be clear or opaque.
+    """d/d(alpha) of weight * mean(4 alpha (1 - alpha)) over `rays`, a prior for rays [n] that are clear or opaque.
 
-    A haze that few views would let stand for a surface costs most at alpha = 1/2; clear air and solids cost nothing.
+    Haze that few views see costs most, at alpha = 1/2; clear air and solids cost nothing.
     """
     return (np.float32(4 * weight / rays) * (1 - 2 * np.clip(alpha, 0, 1))).astype(np.float32)
 
 
 def coverage_gradient(alpha: np.ndarray, wanted: np.ndarray, weight: float, rays: int) -> np.ndarray:
-    """d/d(alpha) of weight * mean((alpha - wanted)^2) over `rays`: how much of each pixel [n] is covered.
+    """d/d(alpha) of weight * mean((alpha - wanted)^2) over `rays`, for the coverage of pixels [n].
 
-    On a background of one color, matter of that color costs nothing. Random backgrounds tell it by noise: the mean of
-    their squared error is that on mid-gray plus a twelfth of the alphas'.
+    On a background of one color, matter of that color costs nothing. Random backgrounds reveal it, but noisily: their
+    mean squared error is that on mid-gray plus a twelfth of the alphas'.
     """
     return (np.float32(2 * weight / rays) * (alpha - wanted)).astype(np.float32)
 
 
 def parts_of(start: int, stop: int, parts: int) -> list[slice]:
-    """start..stop cut into `parts` of about one size; those that would be empty are left out."""
+    """Split start..stop into `parts` of about equal size, leaving out empty ones."""
     edges = [start + (stop - start) * i // parts for i in range(parts + 1)]
     return [slice(first, end) for first, end in pairwise(edges) if first < end]
 
 
 class CpuEngine:
-    """numba kernels on `threads` threads; the same seed gives the same bits."""
+    """Numba kernels on `threads` threads; the same seed gives the same bits."""
 
     most_rays = 16384
 
@@ -204,7 +204,7 @@ class CpuEngine:
         return StepResult(error / (3 * count), samples_per_ray / count)
 
     def _learn_part(self, batch: Batch, rays: Rays, colors, back) -> tuple[float, int]:
-        """Add the gradients of some rays of a batch; the sum of their squared errors, and their samples."""
+        """Add the gradients of some rays of a batch; the sum of their squared errors, and the number of samples."""
         count = batch.rays
         rendered = render_rays(self.field, rays, threads=self.threads, arena=self._memory.reset())
         out = rendered.out
@@ -224,7 +224,7 @@ class CpuEngine:
         return float(np.square(difference).sum()), rendered.samples.total
 
     def discard(self) -> None:
-        self._memory = ScratchArena()  # what was kept for batches of this size is needed for smaller ones
+        self._memory = ScratchArena()  # its memory is needed for smaller batches
         self.density_adam.gradients[:] = 0
         self.color_adam.gradients[:] = 0
 

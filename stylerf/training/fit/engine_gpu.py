@@ -1,7 +1,7 @@
-"""The fitting loop's engine on a GPU: field, photos, rays, gradients and moments stay on the device.
+"""The engine of a fit on a GPU: field, photos, rays, gradients and moments stay on the device.
 
-A step is about fifteen launches, none of which waits. What the loop wants to know of a step, its error and its number
-of samples, comes back by itself a few steps later (async_readback.py).
+A step is about fifteen launches, none of which waits. Its error and number of samples arrive some steps later
+(async_readback.py).
 """
 
 from collections.abc import Iterator
@@ -22,12 +22,12 @@ from stylerf.training.common.ray_dataset import RayDataset
 from stylerf.training.common.ray_dataset_gpu import GpuRayDataset, unhidden
 from stylerf.training.fit.engine import Batch, StepResult, parts_of
 
-ROOM = 4  # times the samples that a batch is meant to have; rays beyond that are left out of the step
+ROOM = 4  # times the intended samples of a batch; rays beyond that are left out of the step
 LEAST_ROOM = 1 << 18
 
 
 def opacity_gradient(rendered: GpuRendered, weight: float, rays: int) -> Tensor:
-    """As engine.py's, of a part of `rays` rays; those that found no room teach nothing."""
+    """engine.opacity_gradient, of a part of `rays` rays; those that were left out teach nothing."""
     return torch.where(_whole(rendered), (4 * weight / rays) * (1 - 2 * rendered.out[:, 3].clamp(0, 1)), 0.0)
 
 
@@ -37,14 +37,14 @@ def coverage_gradient(rendered: GpuRendered, wanted: Tensor, weight: float, rays
 
 
 def _whole(rendered: GpuRendered) -> Tensor:
-    """Rays whose samples have all found room."""
+    """Rays of which no sample was left out."""
     s = rendered.samples
     return s.counts == s.ends - s.starts
 
 
 @contextmanager
 def out_of_memory() -> Iterator[None]:
-    """A device's lack of memory as the loop knows it: MemoryError."""
+    """Raise MemoryError when the GPU is out of memory."""
     try:
         yield
     except torch.OutOfMemoryError as error:
@@ -53,17 +53,17 @@ def out_of_memory() -> Iterator[None]:
 
 
 def _learned(sums: list[float], rays: int) -> StepResult:
-    """Of (squared error, samples, rays left out) of a step."""
+    """From (squared error, samples, rays left out) of a step."""
     error, samples, left_out = sums
-    # Rays that found no room show that there were more samples than were counted.
+    # With rays left out, there were more samples than were counted.
     rays = max(1.0, rays - left_out)
     return StepResult(error / (3 * rays), samples / rays)
 
 
 class GpuEngine:
-    """stylerf/training/fit/engine.py's Engine on `device`. samples: what the loop aims at in a batch (FitSettings).
+    """Engine on `device`. samples: FitSettings.samples; `threads` is unused.
 
-    Of several processes each has a device of its own; gradients are summed there.
+    Each of several processes has its own GPU; gradients are summed there.
     """
 
     most_rays = 1 << 17
@@ -97,7 +97,7 @@ class GpuEngine:
         self._reports = AsyncReadback(self.device, 3, _learned, StepResult(0.0, 0.0), in_step=True)
 
     def _adam_of(self, part, before: GpuAdam | None) -> GpuAdam:
-        """Of a part's new tensors; `before` is that of the same part."""
+        """An optimizer of a part's new tensors, with the moments of `before`."""
         adam = GpuAdam(part.values, part.groups, self.gradient_clip)
         if before is not None:
             adam.first, adam.second, adam.steps = before.first, before.second, before.steps
@@ -124,7 +124,7 @@ class GpuEngine:
         sums = self._reports.begin()
         with out_of_memory():
             self._add_gradients(batch, sums)
-        # From here on lack of memory ends the run: a step begun anew would ask the other processes for its sums again.
+        # From here on, running out of memory ends the run: a restarted step would request the sums twice.
         for summed in (sums, self.density_adam.gradients, self.color_adam.gradients):
             self.group.add(summed)
         self.density_adam.step(batch.rate)
@@ -133,7 +133,7 @@ class GpuEngine:
         return self._reports.send(batch.rays)
 
     def _add_gradients(self, batch: Batch, sums: Tensor) -> None:
-        """Those of this process's part of the rays, and of the smoothness, to the optimizers'; the rest to sums [3]."""
+        """Add the gradients of this process's rays and of the smoothness; errors and counts go to sums [3]."""
         field = self.device_field
         seed = (self.seed * 1_000_003 + batch.step) & 0x7FFFFFFF
         level = None if batch.background == "random" else 0.0 if batch.background in ("black", "none") else 1.0
@@ -181,7 +181,7 @@ class GpuEngine:
     def agree(self) -> None:
         for part in (self.device_field.density, self.device_field.color):
             self.group.take_first(part.values)
-        if self.group.count > 1:  # unlike GPUs draw unlike points to look at
+        if self.group.count > 1:  # different GPUs draw different points
             self.group.take_first(self.device_field.highest)
             decide(self.device_field)
             self._stale = True
@@ -215,6 +215,6 @@ class GpuEngine:
                 if weight > 0:
                     part.smooth(weight, adam.gradients)
                 adam.step(1e-3)
-        self.group.add(torch.zeros(1, device=self.device))  # the first sum connects the processes' GPUs
+        self.group.add(torch.zeros(1, device=self.device))  # the first sum connects the GPUs
         if self.device.type == "cuda":
             torch.cuda.synchronize(self.device)

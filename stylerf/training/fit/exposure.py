@@ -1,9 +1,9 @@
-"""Photos whose exposure differs: by how many stops, as surfaces show that several of them see.
+"""Estimate the exposure differences of photos, from surfaces that several of them see.
 
-A camera that sets its exposure by itself shows one wall bright here and dark there, and a field can but mix them, or
-give each side of the wall a color of its own. Others learn an appearance a photo beside the field (Martin-Brualla et
-al. 2021); here it is a number a photo, and photos are compared with one another, never with the field, which has
-learned their differences by then: its depth alone tells where a surface is seen again.
+With auto exposure, a wall is bright in one photo and dark in another, and a field can only mix them or give each side
+of the wall its own color. NeRF-W learns an appearance per photo (Martin-Brualla et al. 2021); here it is one number per
+photo. Photos are compared with each other, never with the field, which has learned their differences by then; only its
+depth is used, to find where a surface is seen again.
 """
 
 from collections.abc import Callable
@@ -13,16 +13,16 @@ import numpy as np
 from stylerf.srgb import LUMA, decoded
 from stylerf.training.common.ray_dataset import RayDataset
 
-POINTS = 16384  # surface points in all, at least LEAST of them a photo
+POINTS = 16384  # surface points in all, at least LEAST per photo
 LEAST = 64
-OTHERS, TRIED = 3, 12  # photos that each point is looked for in, among so many drawn at random
-DARKEST, BRIGHTEST = 0.03, 0.97  # code values between which light tells of exposure
-CLIPPED = 250  # the byte from which a sensor may have been full
+OTHERS, TRIED = 3, 12  # photos compared per point, found among so many random ones
+DARKEST, BRIGHTEST = 0.03, 0.97  # usable code values
+CLIPPED = 250  # bytes from which a sensor may have been saturated
 SOLID = 0.9  # alpha of a surface
-APART = 0.03  # of its distance: by so much a point may lie off the surface that another photo sees there
+APART = 0.03  # of its distance, how far a point may lie from the surface that another photo sees
 ROUNDS = 20
-FEWEST_PHOTOS = 12  # with fewer, depth is no ground to judge by: nothing is done unless asked for
-PLAINLY = 0.27  # stops, standard deviation, from which photos are not as one camera setting gives them
+FEWEST_PHOTOS = 12  # with fewer, depth is too unreliable; nothing is done unless requested
+PLAINLY = 0.27  # stops, standard deviation, from which exposures clearly differ
 
 
 class Exposures:
