@@ -72,7 +72,7 @@ def run(inputs: dict[str, Artifact], config: FinetuneConfig, partial: PartialArt
     if saved is not None:
         with sound(partial.checkpoint, "a sound checkpoint"):
             tuner.resume(*saved)
-        context.progress.say(f"going on from step {tuner.state.step}")
+        context.progress.say(f"resuming at step {tuner.state.step}")
     with nullcontext() if device else compiling_note(context.progress.say):
         _train(tuner, config, partial, context)
     if context.processes.first:
@@ -100,7 +100,7 @@ def _patch(
 
 
 def _surfaces(field: RadianceField, cameras: list[Camera], threads: int, device: str | None) -> Iterator[PackedSurface]:
-    """Of each view, marched on the device."""
+    """Each view's surface."""
     geometry = style_backend(device).fixed_geometry(field, cameras, SEEN, threads, 0)
     return (geometry.surface(view) for view in range(len(cameras)))
 

@@ -64,7 +64,7 @@ def run(inputs: dict[str, Artifact], config: FitConfig, partial: PartialArtifact
     if saved is not None:
         with sound(partial.checkpoint, "a sound checkpoint"):
             fitter.resume(*saved)
-        context.progress.say(f"going on from step {fitter.state.step}, {fitter.state.seconds:.0f} s into the fit")
+        context.progress.say(f"resuming at step {fitter.state.step}, {fitter.state.seconds:.0f} s into the fit")
     with nullcontext() if device else compiling_note(context.progress.say):
         _train(fitter, config, partial, context)
     if settings.force_growth and fitter.state.level < len(settings.levels) - 1:

@@ -6,10 +6,18 @@ argument, the CPU's by default. A GPU's half is imported when it is picked, sinc
 
 import functools
 from collections.abc import Callable
+from typing import TYPE_CHECKING, Union
 
+import numpy as np
 import torch
 
+from stylerf.editing.palette_module import PaletteModule
+from stylerf.fields.radiance_field import RadianceField
+from stylerf.geometry.cameras import Camera
 from stylerf.training.stylize.scene import CPU, StyleBackend
+
+if TYPE_CHECKING:
+    from stylerf.editing.palette_module_gpu import GpuPaletteModule
 
 Device = str | torch.device | None
 
@@ -34,6 +42,24 @@ def edit_engine(device: Device) -> Callable:
     from stylerf.training.edit.engine_gpu import GpuEditEngine
 
     return functools.partial(GpuEditEngine, device=device)
+
+
+def palette_module(device: Device, module: PaletteModule) -> Union[PaletteModule, "GpuPaletteModule"]:
+    """A trained palette module, to be evaluated on the device."""
+    if device is None:
+        return module
+    from stylerf.editing.palette_module_gpu import GpuPaletteModule
+
+    return GpuPaletteModule(module, device)
+
+
+def ray_ends(device: Device, field: RadianceField) -> Callable[[Camera, list[np.ndarray]], list[np.ndarray]] | None:
+    """Finds the ends of a view's rays on a GPU; None: by seen_of_view's own kernels."""
+    if device is None:
+        return None
+    from stylerf.editing.extraction_gpu import GpuRayEnds
+
+    return GpuRayEnds(field, device)
 
 
 def finetune_engine(device: Device) -> Callable:

@@ -115,7 +115,7 @@ def test_a_change_around_a_pixel_has_its_place_on_the_surface_that_it_shows(work
         ({"palette": ("0=#ffffff",)}, "plain", "has no palette"),
         ({"palette": ("0=#ffffff",), "at": ("nobody:1,1",)}, "palette", "there is no view 'nobody'"),
         ({"palette": ("0=#ffffff",), "at": ("#0:96,1",)}, "palette", "has 96x72 pixels"),
-        ({"palette": ("0=#ffffff",), "at": ("#0:0,0",)}, "palette", "nothing of the field is seen"),
+        ({"palette": ("0=#ffffff",), "at": ("#0:0,0",)}, "palette", "shows nothing of the field"),
     ],
 )
 def test_changes_that_cannot_be_made_are_told(work, options, of, words):

@@ -488,7 +488,7 @@ def test_an_edit_of_a_region_of_another_field_is_refused(edited, capsys, tmp_pat
     begun = work.begin("region", "elsewhere", Recipe(made.stage, made.revision, made.config, made.inputs, made.seed))
     save_region(begun.path, region, replace(space, far=2 * space.far), {})
     begun.commit()
-    assert "divides the space of another field" in refused(capsys, "extract", other, "--region", "elsewhere")
+    assert "was selected on a different field" in refused(capsys, "extract", other, "--region", "elsewhere")
 
 
 @pytest.mark.slow
