@@ -242,7 +242,7 @@ def test_with_a_deformation_shapes_move_and_a_weight_holds_them():
 def test_a_deforming_step_teaches_the_grid_what_the_finite_difference_says(monkeypatch):
     """dL/dD of a whole style step, along a random direction, background behind the silhouette included."""
     monkeypatch.setattr(geometry, "OPAQUE", 0.0)  # a ray that ends a sample earlier is a jump, not a slope
-    made = stylizer(deform=True, match="none", strategy="deferred", refit_steps=1, share=0.0)
+    made = stylizer(deform=True, match="none", strategy="deferred", refit_steps=1, weight_threshold=0.0)
     made.scene.field.occupancy = OccupancyGrid(made.scene.field.occupancy.cells)
     made.scene.refit_step()
     made.next_phase()
