@@ -154,24 +154,26 @@ def watched(made) -> dict:
 
         return call
 
-    made._picture, made.geometry.learn = timed(made._picture), timed(made.geometry.learn)
-    made.geometry.paint = timed(made.geometry.paint)  # deferred walks its rays again
+    step, geometry = made.method.view_step, made.scene.geometry
+    step.image, geometry.learn = timed(step.image), timed(geometry.learn)
+    geometry.paint = timed(geometry.paint)  # deferred marches its rays again
     return spent
 
 
 def ready(work: str, style: str, method: str, case: str) -> tuple:
     """(stylizer at its first step, held-out views, background, what it costs)."""
     made, held_out, level = stylizer_for(work, style, method, case)
-    while made.progress < 1:
-        made.refit_step()
+    scene = made.scene
+    while scene.budget.progress < 1:
+        scene.refit_step()
         made.state.step += 1
-    made._next_phase()
-    _ = made.objective  # the painting's features are computed here, not within the first step
+    made.next_phase()
+    _ = made.method.loss.objective  # the style image's features are computed here, not within the first step
     spent = watched(made)
-    for view in range(len(made.cameras)):  # what later visits of a view need is made at the first: not part of a step
-        made.geometry.alpha(view)
+    for view in range(len(scene.cameras)):  # what later visits of a view need is made at the first: not part of a step
+        scene.geometry.alpha(view)
         if made.settings.strategy not in ("full", "deferred"):
-            made._remembered[view] = made.paint_view(view)
+            made.method.view_step.last_renders[view] = scene.render(view)
     return made, held_out, level, spent
 
 
@@ -180,12 +182,12 @@ def field_memory(work: str, style: str, method: str, case: str) -> float:
     import numpy as np
 
     made, _, _, spent = ready(work, style, method, case)
-    before, camera = resident_mb(), made.cameras[0]
+    before, camera = resident_mb(), made.scene.cameras[0]
     spent["peak"] = 0.0
-    made._gradient = lambda view, picture: (
+    made.method.view_step.gradient = lambda view, picture: (
         np.zeros((camera.height, camera.width, 3), np.float32), {"style": 0.0})  # fmt: skip
-    made.adam.step = lambda rate: None
-    made.style_step()
+    made.scene.adam.step = lambda rate: None
+    made.method.step()
     return round(max(spent["peak"] - before, 0.0), 1)
 
 
@@ -193,12 +195,12 @@ def measure(work: str, style: str, method: str, case: str, steps: int, seconds: 
     """One case, in this process. seconds 0: as long as `steps` steps take."""
     made, held_out, level, spent = ready(work, style, method, case)
     row: dict = {"case": case}
-    made.style_step()  # the first runs slower
+    made.method.step()  # the first runs slower
     made.state.step, spent["seconds"], used = 1, 0.0, 0.0
     marks = {"at_equal_steps": Mark()} | ({"at_equal_time": Mark()} if seconds else {})
     while any(len(mark.looks) < LOOKS for mark in marks.values()):
         begun = time.perf_counter()
-        made.style_step()
+        made.method.step()
         used += time.perf_counter() - begun
         made.state.step += 1
         done = made.state.step - 1
