@@ -90,7 +90,7 @@ def test_loss_layers_and_matching_follow_from_the_method(options, loss, taps, ma
 
 
 def test_a_painting_beside_references_must_have_a_say():
-    with pytest.raises(ValueError, match="has no say"):
+    with pytest.raises(ValueError, match="has no effect"):
         RefNprConfig(style="x", reference=("0=x.png",))
     for match in ("before", "after", "both"):
         RefNprConfig(style="x", reference=("0=x.png",), match=match)

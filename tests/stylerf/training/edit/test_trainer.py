@@ -179,7 +179,7 @@ def test_what_cannot_be_learned_is_refused():
     module = start_module(views, SMALL, 0)
     with pytest.raises(InvalidValue, match="no view shows"):
         EditTrainer([], module, SMALL, None, None, 0, 1)
-    with pytest.raises(InvalidValue, match="needs a feature trunk"):
+    with pytest.raises(InvalidValue, match="needs a feature extractor"):
         EditTrainer(views, module, SMALL, picture(40, 40, 0), None, 0, 1)
     with pytest.raises(InvalidValue, match=r"8 colors .* of which 9 may stay"):
         replace(SMALL, max_colors=9)

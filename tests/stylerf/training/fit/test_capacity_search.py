@@ -113,7 +113,7 @@ def test_a_capacity_that_was_asked_for_is_on_no_trial():
     search.begin(GROW, 30.0, 1000, 0.4)
     assert search.over(0.4)
     kept, text = search.judge(28.5, 2000)
-    assert kept and search.state.level == 3 and text.endswith("as asked for")
+    assert kept and search.state.level == 3 and text.endswith("as requested")
 
 
 def test_small_losses_do_not_add_up():
@@ -166,7 +166,7 @@ def test_the_capacity_is_told_with_what_more_and_less_of_it_would_do():
     search.begin("resolution", 30.0, 200_000, 0.2)
     search.judge(29.0, 100_000)
     assert search.summary(200_000).endswith("1.7x the size; 48^3 rank 8+16 would lose 1.00 dB")
-    assert search_at(1).told(5_000_000) == "vm 128^3 rank 16+24, 5.00 M parameters"
+    assert search_at(1).summary(5_000_000) == "vm 128^3 rank 16+24, 5.00 M parameters"
     lean = search_at(3, levels=LEVELS)
     assert lean.told(3_930_000) == "vm 256^3+176^3 rank 8+24, 3.93 M parameters"
 

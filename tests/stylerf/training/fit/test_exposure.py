@@ -93,7 +93,7 @@ def test_a_fit_brings_photos_to_one_exposure_and_gains_by_it():
     assert np.corrcoef(found, MORE_STOPS)[0, 1] > 0.98 and np.abs(found - MORE_STOPS).max() < 0.2
     assert fitter.state.rollbacks == 0
     assert any("photos differ in exposure by 0." in text for text in said)
-    assert "brought to one" in fitter.state.decisions[0]
+    assert "corrected to one" in fitter.state.decisions[0]
 
 
 @pytest.mark.parametrize("exposure", ["off", "auto"])

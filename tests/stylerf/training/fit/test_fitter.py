@@ -265,7 +265,7 @@ def test_past_half_of_its_budget_a_fit_that_falls_apart_ends_with_its_best_field
     fitter.run(on_step)
     assert fitter.state.step == 45 and fitter.state.rollbacks == 5 and fitter.state.ended_at == 0.75
     assert_same_bits(now(fitter.checkpoint()[1]), anchor)
-    assert fitter.said[-1] == fitter.state.decisions[-1] and "ended with the best field, 75%" in fitter.said[-1]
+    assert fitter.said[-1] == fitter.state.decisions[-1] and "stopping with the best field, 75%" in fitter.said[-1]
     again = resumed(box_fitter(60), fitter)
     again.run()
     assert again.state.step == 45

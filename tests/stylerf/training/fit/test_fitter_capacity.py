@@ -118,7 +118,7 @@ def test_where_no_view_is_held_out_decisions_are_told_as_of_training_views():
 def test_a_capacity_that_was_asked_for_is_reached_whatever_it_gains():
     fitter = box_fitter(300, min_gain=50.0, force_growth=True)
     fitter.run()
-    assert fitter.field.density.size.max() == 16 and all("asked for" in d for d in fitter.state.decisions)
+    assert fitter.field.density.size.max() == 16 and all("as requested" in d for d in fitter.state.decisions)
 
 
 @pytest.mark.parametrize("steps", [60, 250])
