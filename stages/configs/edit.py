@@ -120,7 +120,7 @@ def color_of(text: str) -> tuple[int | None, tuple[float, float, float]]:
     """'2=#c03020' -> (2, sRGB in 0..1), 'all=#c03020' -> (None, ...); ValueError for anything else."""
     match = re.fullmatch(r"(\d+|all)=#([0-9a-fA-F]{6})", text)
     if not match:
-        raise ValueError(f"{text!r} is not a palette color; write I=#rrggbb or all=#rrggbb")
+        raise ValueError(f"{text!r} is not a palette color, written I=#rrggbb or all=#rrggbb")
     red, green, blue = (int(match[2][i : i + 2], 16) / 255 for i in (0, 2, 4))
     return None if match[1] == "all" else int(match[1]), (red, green, blue)
 
@@ -129,5 +129,5 @@ def number_of(text: str) -> tuple[int, float]:
     """'2=0.5' -> (2, 0.5); ValueError for anything else."""
     match = re.fullmatch(r"(\d+)=([-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?)", text)
     if not match:
-        raise ValueError(f"{text!r} is not a palette index and a number; write I=S")
+        raise ValueError(f"{text!r} is not a palette index and a number, written I=S")
     return int(match[1]), float(match[2])

@@ -67,7 +67,7 @@ class SelectConfig:
         if self.depth:
             depth_of(self.depth)
         if self.color and not re.fullmatch(r"#[0-9a-fA-F]{6}", self.color):
-            raise ValueError(f"color {self.color!r} must be written as #rrggbb")
+            raise ValueError(f"color {self.color!r} is not written as #rrggbb")
         if self.color and not self.tolerance:
             raise ValueError("--color needs a --tolerance over 0")
         if len(self.box) not in (0, 6) or len(self.sphere) not in (0, 4):
