@@ -68,13 +68,13 @@ def run(inputs: dict[str, Artifact], config: EditConfig, partial: PartialArtifac
     with nullcontext() if device else compiling_note(context.progress.say):
         _train(trainer, shown, config, partial, context)
     figures = trainer.figures()
-    told = {"sparsity": figures["sparsity"], "palette_variation": figures["palette_variation"]}
-    save_edit(partial.path, Edit(trainer.module, PaletteEdits()), figures["shares"], told)
+    totals = {"sparsity": figures["sparsity"], "palette_variation": figures["palette_variation"]}
+    save_edit(partial.path, Edit(trainer.module, PaletteEdits()), figures["shares"], totals)
     write_png(partial.path / "preview.png", drawn(trainer, shown, threads))
     if style_image is not None:
         write_png(partial.path / "style.png", to_uint8(style_image.permute(1, 2, 0).numpy()))
-    told = {"features": features, "views": len(views), "curve_edit": trainer.state.curve}
-    return {**figures, **told, **gpu_figures(device)}
+    more = {"features": features, "views": len(views), "curve_edit": trainer.state.curve}
+    return {**figures, **more, **gpu_figures(device)}
 
 
 def settings_of(config: EditConfig) -> EditSettings:

@@ -34,8 +34,8 @@ def run(inputs: dict[str, Artifact], config: PaletteConfig, partial: PartialArti
         changes.check(len(columns))
     except InvalidValue as error:
         raise BadInput(f"{learned.path}: {error}; see {learned.path / PALETTE}") from error
-    told = told_after(learned, changes)
-    save_edit(partial.path, Edit(edit.module, by_column(changes, columns)), shares, told)
+    totals = told_after(learned, changes)
+    save_edit(partial.path, Edit(edit.module, by_column(changes, columns)), shares, totals)
     if learned.has("style.png"):
         shutil.copyfile(learned.file("style.png"), partial.path / "style.png")
-    return {"learned": learned.name, "changes": changes.describe(), **told}
+    return {"learned": learned.name, "changes": changes.describe(), **totals}

@@ -29,7 +29,7 @@ from stylerf.training.backends import finetune_engine, style_backend
 from stylerf.training.finetune.trainer import EditedPixels, FineTuner, FineTuneSettings
 
 SPEC = Spec(stage="finetune", verb="finetune", revision=4, writes="field", parallel=True)
-SEEN = 2e-2  # part of a ray's largest weight from which a sample tells what a pixel sees
+SEEN = 2e-2  # fraction of a ray's largest weight from which a sample counts as seen
 MARGIN = 2  # cells: samples in front of a surface, which is where its color is looked for too
 
 

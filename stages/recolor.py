@@ -42,11 +42,11 @@ def run(inputs: dict[str, Artifact], config: RecolorConfig, partial: PartialArti
     changes = by_column(changes, columns)
     edit = Recoloring(changes, config.offset_scale, config.view_scale, within)
     field.color = color.edited(edit)
-    told = told_after(source, changes)
+    totals = told_after(source, changes)
     save_field(partial.path, field, background)
-    save_palette(partial.path, color.palette, field.color.present_palette, shares, told)
+    save_palette(partial.path, color.palette, field.color.present_palette, shares, totals)
     return {
-        **told,
+        **totals,
         "learned": source.name,
         "edit": edit.describe(),
         "edits": len(field.color.edits),

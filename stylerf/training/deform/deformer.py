@@ -95,7 +95,7 @@ class Deformer:
         self.field.occupancy = OccupancyGrid(self.rest.cells, self.rest.highest)
         self.field.occupancy.distances = distances.copy()
 
-    def _told(self, size: Tensor) -> float:
+    def _number(self, size: Tensor) -> float:
         """A number of this step."""
         return float(size)
 
@@ -129,7 +129,7 @@ class Deformer:
         self.bake()
         if self.taken % REFRESH_EVERY == 0:
             self.look()
-        return self._told(size.detach())
+        return self._number(size.detach())
 
     def _variation(self) -> Tensor:
         m, moved = self.vertices, 2 * self._moved

@@ -84,7 +84,7 @@ class GpuDeformer(Deformer):
         self.device_field.distances = self._there(torch.from_numpy(np.minimum(distances, FARTHEST_CELL)))
         self.collect()
 
-    def _told(self, size: Tensor) -> float:
+    def _number(self, size: Tensor) -> float:
         self._sizes.begin().copy_(size)
         return self._sizes.send(None)
 

@@ -34,7 +34,7 @@ class GpuEditEngine:
         self.evaluator = GpuPaletteModule(module, self.device)
         memory = min(MEMORY, free_on(self.device, 3 * MEMORY) / 3) if memory is None else memory
         self._there = BoundedCache(self._moved, lambda parts: sum(part.nbytes for part in parts), len(views), memory)
-        self._reports = AsyncReadback(self.device, MOST_PARTS, lambda told, names: dict(zip(names, told)), {})
+        self._reports = AsyncReadback(self.device, MOST_PARTS, lambda values, names: dict(zip(names, values)), {})
         self._new_adams()
 
     def _new_adams(self) -> None:
@@ -65,8 +65,8 @@ class GpuEditEngine:
         self.table.step(table_rate)
 
     def report(self, parts: dict[str, Tensor]) -> dict[str, float]:
-        told = self._reports.begin()
-        told[: len(parts)] = torch.stack([part.detach() for part in parts.values()])
+        values = self._reports.begin()
+        values[: len(parts)] = torch.stack([part.detach() for part in parts.values()])
         return self._reports.send(tuple(parts))
 
     def settle(self) -> dict[str, float]:

@@ -18,12 +18,12 @@ from stylerf.training.common.ray_dataset import RayDataset
 from stylerf.training.common.ray_dataset_gpu import GpuRayDataset, unhidden
 from stylerf.training.finetune.engine import FineTuneBatch, FineTuneSettings, parts_of
 
-# Samples there is room for: all that the rays could have, up to a gigabyte. Rays beyond take no part in their step.
+# Samples that fit: all that the rays could have, up to a gigabyte. Rays beyond that are left out of their step.
 MOST_ROOM = 1 << 24
 
 
 class GpuFineTuneEngine:
-    """stylerf/training/finetune/engine.py's CpuTuning on `device`: from the same pixels the same, to rounding."""
+    """CpuFineTuneEngine on `device`: equal, to rounding; `threads` is unused."""
 
     def __init__(
         self,
@@ -41,7 +41,7 @@ class GpuFineTuneEngine:
         self._within = None
         if isinstance(field.color, RegionColor):
             self._within = marked_cells(field.color.marked, self.device), field.color.cells
-        self._reports = AsyncReadback(self.device, 5, self._told, {}, in_step=group.count > 1)
+        self._reports = AsyncReadback(self.device, 5, self._errors, {}, in_step=group.count > 1)
         self._take_up()
 
     def _take_up(self) -> None:
@@ -69,7 +69,8 @@ class GpuFineTuneEngine:
             sent(array, self.device) for array in (numbers, batch.jitter, batch.depth.astype(np.float32))
         )
         rays, wanted = self.dataset.at(chosen, jitter)
-        rendered = field.render_rays(rays, room=min(len(chosen) * SAMPLES_PER_RAY, MOST_ROOM), limit=SAMPLES_PER_RAY)
+        room = min(len(chosen) * SAMPLES_PER_RAY, MOST_ROOM)
+        rendered = field.render_rays(rays, room=room, samples_per_ray=SAMPLES_PER_RAY)
         if field.opaque_background and self.dataset.channels == 4:
             wanted = unhidden(wanted, rendered.out, s.background)
         pulling = 2 * s.depth_weight / batch.inside if moving and batch.inside else 0.0
@@ -100,7 +101,7 @@ class GpuFineTuneEngine:
         density = self.device_field.density, self.density_adam, self.settings.density_factor
         return [color, density] if density[2] > 0 else [color]
 
-    def _told(self, sums: list[float], inside: int) -> dict[str, float]:
+    def _errors(self, sums: list[float], inside: int) -> dict[str, float]:
         outside, within, depth, lost_outside, lost_inside = sums
         of = np.array([self.settings.rays - inside - lost_outside, inside - lost_inside, inside - lost_inside])
         return parts_of(np.array([outside / 3, within / 3, depth]), of)

@@ -51,7 +51,7 @@ class Exposures:
         return balanced(len(stops), self.views[at[same]], others[same], beyond, stops)
 
     def _surfaces(self, rendered, views: np.ndarray, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Of pixels [n]: points in the world [n, 3], light that the photos show there, NaN where it tells nothing [n],
+        """Of pixels [n]: points in the world [n, 3], light that the photos show there, NaN where unusable [n],
         and the distance [n]."""
         origins, directions, colors = self.dataset.at(views, pixels)
         out = rendered(origins, directions)
@@ -82,7 +82,7 @@ class Exposures:
 def balanced(count: int, first: np.ndarray, second: np.ndarray, beyond: np.ndarray, now: np.ndarray) -> np.ndarray:
     """[count] stops, their mean 0: `now` and what differences `beyond` [n] of photos `first` to photos `second` add.
 
-    Least absolute deviations, by weighted least squares repeated; a photo that nothing tells of stays as it is.
+    Least absolute deviations, by weighted least squares repeated; a photo without data keeps its value.
     """
     change = np.zeros(count)
     for _ in range(ROUNDS):
