@@ -1,7 +1,6 @@
-"""A scene with one fault, made from a scene without: its training views are spoiled, its test views stay as they were.
+"""Make a scene with one fault: training views are corrupted, test views stay as they are.
 
-The scene that it is made from stands in another work folder: it is told by its path and digest in the options, as an
-import tells its photos.
+The source scene is in another work folder, so the options hold its path and digest, as those of an import do.
 """
 
 from collections.abc import Callable
@@ -36,14 +35,14 @@ def _outside(config: CorruptSceneConfig) -> dict[str, str]:
     return {"source_digest": scene.digest}
 
 
-SPEC = Spec(stage="fault_scene", verb="stress", revision=1, writes="scene", outside=_outside)
+SPEC = Spec(stage="corrupt_scene", verb="stress", revision=1, writes="scene", outside=_outside)
 STILL_LIFE_BOX = ((-1.25,) * 3, (1.25,) * 3)
 Photo = Callable[[], np.ndarray]
 
 
 @dataclass(frozen=True, eq=False)
 class Shot:
-    """A view with its photo still to be made, [h, w, 3 or 4] float32, and what the fault adds to it."""
+    """A view whose photo, [h, w, 3 or 4] float32, is made on demand."""
 
     camera: Camera
     split: str
@@ -53,7 +52,7 @@ class Shot:
 
 @dataclass(frozen=True, eq=False)
 class Capture:
-    """Views and what is known of where they are; figures: what the fault did, in numbers."""
+    """Views and their arrangement. figures: the effect of the fault in numbers."""
 
     shots: list[Shot]
     layout: str
@@ -65,10 +64,10 @@ class Capture:
 
 
 def run(inputs: dict[str, Artifact], config: CorruptSceneConfig, partial: PartialArtifact, context: Context) -> dict:
-    """Writes scene.json and images/; returns the figures, among them what the fault did."""
+    """Write scene.json and images/; return the figures, including the effect of the fault."""
     generator = np.random.default_rng([context.seed, 20])
     made = FAULTS[config.fault].of == MADE
-    found = _still_life(config, context.seed) if made else _spoiled(config, generator)
+    found = _still_life(config, context.seed) if made else _corrupted(config, generator)
     views = []
     context.progress.start(f"fault {config.fault}", len(found.shots), "photo")
     for index, shot in enumerate(found.shots):
@@ -110,10 +109,10 @@ def _still_life(config: CorruptSceneConfig, seed: int) -> Capture:
     ]
     near, far = depths_of_box([shot.camera for shot in shots], np.array(STILL_LIFE_BOX))
     bounds = Bounds(STILL_LIFE_BOX, float(near), float(far))
-    return Capture(shots, "object", "made so", bounds, "alpha", np.eye(4), {})
+    return Capture(shots, "object", "by construction", bounds, "alpha", np.eye(4), {})
 
 
-def _spoiled(config: CorruptSceneConfig, generator: np.random.Generator) -> Capture:
+def _corrupted(config: CorruptSceneConfig, generator: np.random.Generator) -> Capture:
     data = _source(config)
     train, tests = data.splits["train"], _few(data.splits["test"], config.tests)
     if not tests:
@@ -142,12 +141,12 @@ def _spoiled(config: CorruptSceneConfig, generator: np.random.Generator) -> Capt
 def _source(config: CorruptSceneConfig) -> SceneData:
     artifact = Artifact(Path(config.source))
     if artifact.digest != config.source_digest:
-        raise ArtifactStale(f"{config.source} was made again meanwhile; run the same `stylerf stress` again")
+        raise ArtifactStale(f"{config.source} was rebuilt meanwhile; rerun `stylerf stress`")
     return load_scene(artifact)
 
 
 def _few(tests: list[int], count: int) -> list[int]:
-    """`count` of the test views at most, evenly."""
+    """Return at most `count` of the test views, evenly spread."""
     places = np.unique(np.linspace(0, len(tests) - 1, min(count, len(tests))).round().astype(int)) if tests else []
     return [tests[i] for i in places]
 
@@ -155,11 +154,11 @@ def _few(tests: list[int], count: int) -> list[int]:
 def _chosen(
     config: CorruptSceneConfig, train: list[int], poses: np.ndarray, generator: np.random.Generator
 ) -> tuple[list[int], dict]:
-    """The training views that the fault leaves."""
+    """Return the training views that the fault leaves, and figures."""
     if config.fault.startswith("views-"):
         count = int(config.amount)
         if len(train) <= count:
-            raise BadInput(f"{config.source} has {len(train)} training views: {count} are no fewer")
+            raise BadInput(f"{config.source} has {len(train)} training views; {count} would not be fewer")
         kept = capture.spread_views(poses[:, :3, 3], count, generator)
     elif config.fault == "hidden":
         kept = capture.one_sided(poses, config.amount, generator)
@@ -171,7 +170,7 @@ def _chosen(
 def _change_of(
     config: CorruptSceneConfig, count: int, generator: np.random.Generator, figures: dict
 ) -> Callable[[np.ndarray, int], np.ndarray]:
-    """From a photo and its place among the training views to the photo with the fault."""
+    """Return the function from a photo and its index among the training views to the corrupted photo."""
     if config.fault == "exposure":
         stops = photos.exposure_stops(count, config.amount, generator)
         figures["stops"] = [round(float(one), 4) for one in stops]
@@ -199,7 +198,7 @@ def _photo(data: SceneData, index: int, side: int, change=lambda photo, place: p
 
 
 def averaged(photo: np.ndarray, height: int, width: int) -> np.ndarray:
-    """The photo [h, w, 3 or 4], straight alpha, at another size; colors count by their alpha."""
+    """Resize a photo [h, w, 3 or 4], straight alpha, weighting colors by alpha."""
     if photo.shape[:2] == (height, width):
         return photo
     if photo.shape[2] == 3:
@@ -211,11 +210,11 @@ def averaged(photo: np.ndarray, height: int, width: int) -> np.ndarray:
 
 
 def _bounds(data: SceneData, config: CorruptSceneConfig) -> Bounds:
-    """As they were, but for the fault that is theirs: a near plane beyond things, a box that lacks a part of one."""
+    """Return the scene's bounds; for the near-plane fault, with a late near plane or a cut box."""
     bounds = data.bounds
     if config.fault != "near-plane":
         return bounds
-    if data.layout == "object":  # its rays are cut by the box alone
+    if data.layout == "object":  # only the box bounds its rays
         return replace(bounds, aabb=capture.cut_box(bounds.aabb, config.amount))
     poses = np.array([camera.world_from_camera for camera in data.cameras])
     near = capture.late_near(bounds.near, bounds.far, config.amount, capture.median_distance(poses))

@@ -1,9 +1,12 @@
 """The palette of an edit or a field, as lines of text."""
 
-from schemas.work_folder import Artifact
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:  # imports numpy, for which `--help` must not wait
+    from schemas.work_folder import Artifact
 
 
-def palette_lines(made: Artifact, kind: str = "edit") -> list[str]:
+def palette_lines(made: "Artifact", kind: str = "edit") -> list[str]:
     """Return one line per palette color, after a heading and before the path."""
     from stages.artifacts.edit import told_colors
 

@@ -4,16 +4,17 @@ import argparse
 import sys
 from collections.abc import Sequence
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from schemas.work_folder import sound_name
 from stages.pipeline.distributed import join, prints
-from stages.pipeline.pipeline import Pipeline
 from stages.pipeline.resources import claim, resolved_device
-from stages.run.progress import Progress, Silent
 from stylerf_cli.options import Options
 from stylerf_cli.output import write_lines
 from stylerf_cli.progress import Bars
+
+if TYPE_CHECKING:  # every verb imports this module, and `--help` must not wait for numpy
+    from stages.pipeline.pipeline import Pipeline
+    from stages.run.progress import Progress
 
 
 class Session:
@@ -23,6 +24,9 @@ class Session:
     """
 
     def __init__(self, verb: str, args: argparse.Namespace, options: Options, config: type | None) -> None:
+        from schemas.work_folder import sound_name
+        from stages.run.progress import Silent
+
         self._args, self._options = args, options
         self.json: bool = args.json
         self.only: bool = args.only
@@ -35,8 +39,10 @@ class Session:
         self.processes = join(verb, lambda: resolved_device(self.common.device, self.say))
 
     @cached_property
-    def pipeline(self) -> Pipeline:
+    def pipeline(self) -> "Pipeline":
         """The pipeline of the work folder on the command line."""
+        from stages.pipeline.pipeline import Pipeline
+
         return Pipeline(
             self._args.work,
             seed=self.common.seed,

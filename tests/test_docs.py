@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from stages.configs.stylize import COLOR_CELLS
-from stylerf.training.fit.capacity_levels import LADDER
+from stylerf.training.fit.capacity_levels import LEVELS
 from stylerf_cli.verbs import VERBS
 from tests.conftest import REPOSITORY
 
@@ -33,9 +33,9 @@ def test_every_verb_is_in_the_changelog():
     assert set(VERBS) <= told
 
 
-def test_the_ladder_is_that_of_the_code():
+def test_the_levels_are_those_of_the_code():
     told = re.search(r"starts at (\d+)\^3 and tries (\d+)\^3, (\d+)\^3 and (\d+)\^3", ARCHITECTURE).groups()
-    assert [int(one) for one in told] == [rung.resolution for rung in LADDER]
+    assert [int(one) for one in told] == [level.resolution for level in LEVELS]
     assert f"{COLOR_CELLS[1]}^3" in (REPOSITORY / "docs/decisions/0005-surfaces-packed.md").read_text()
 
 

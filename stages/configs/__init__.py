@@ -47,8 +47,8 @@ def incidental(config: Any) -> set[str]:
     """Return the names of the options of a config that do not affect the result."""
     return {
         item.name
-        for item in options_of(config)
-        if item.metadata["incidental"] or (item.metadata["digest"] and getattr(config, item.metadata["digest"]))
+        for item in fields(config)
+        if item.metadata.get("incidental") or getattr(config, item.metadata.get("digest") or "", "")
     }
 
 

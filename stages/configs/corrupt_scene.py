@@ -1,18 +1,21 @@
-"""Options of the scenes that `stylerf stress` makes; filled in by that verb."""
+"""Config of the scenes that `stylerf stress` makes; that verb fills it in."""
 
-from dataclasses import dataclass
-
-from stages.configs import option
+from dataclasses import dataclass, field
 
 
 @dataclass(frozen=True)
 class CorruptSceneConfig:
-    """One fault of one scene. source, source_digest: the scene that it is made from; empty for a procedural one."""
+    """One fault of one scene.
 
-    fault: str = option("seeds", help="name of the fault, see docs/stress.md")
-    amount: float = option(0.0, help="how much of it")
-    side: int = option(160, help="longer side of the photos, pixels; larger ones are averaged down")
-    views: int = option(24, help="training views of a procedural scene")
-    tests: int = option(4, help="test views, which have no fault")
-    source: str = option("", help="folder of the scene", digest="source_digest")
+    fault: its name, see docs/stress.md. amount: how much of it. side: longer side of the photos, pixels; larger ones
+    are downscaled. views: training views of a procedural scene. tests: test views, which have no fault. source: folder
+    of the scene to corrupt, empty for a procedural one. source_digest: its digest.
+    """
+
+    fault: str = "seeds"
+    amount: float = 0.0
+    side: int = 160
+    views: int = 24
+    tests: int = 4
+    source: str = field(default="", metadata={"digest": "source_digest"})
     source_digest: str = ""

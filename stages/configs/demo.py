@@ -8,18 +8,18 @@ from stages.configs.fit import budget_of
 
 @dataclass(frozen=True)
 class DemoConfig:
-    """How large and how long the demo is."""
+    """Size and duration of the demo."""
 
-    size: int = option(200, help="side of its photos, pixels")
-    train_views: int = option(60, help="photos to fit to")
-    test_views: int = option(8, help="photos to measure with")
-    fit_budget: str = option("60s", help="time of the fit, or steps")
+    size: int = option(200, help="side of the photos, pixels")
+    train_views: int = option(60, help="photos to train on")
+    test_views: int = option(8, help="photos to test with")
+    fit_budget: str = option("60s", help="training time of the field, or steps")
     style_budget: str = option("75s", help="time of the stylization, or steps")
     frames: int = option(36, help="frames of the film")
-    method: str = option("desrf", choices=("arf", "desrf"), help="how the scene is stylized")
+    method: str = option("desrf", choices=("arf", "desrf"), help="stylization method")
 
     def __post_init__(self) -> None:
         budget_of(self.fit_budget)
         budget_of(self.style_budget)
         if self.size < 32 or self.train_views < 4 or self.test_views < 1 or self.frames < 2:
-            raise ValueError("the demo needs a size of 32, 4 training views, 1 test view and 2 frames or more")
+            raise ValueError("the demo needs a size of at least 32, 4 training views, 1 test view and 2 frames")

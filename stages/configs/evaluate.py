@@ -19,9 +19,19 @@ class EvaluateConfig:
         digest="style_digest",
     )
     style_digest: str = ""
-    features: str = option("", help="feature trunk of the style distances: a name or a file of VGG weights")
-    style_side: int = option(256, help="longer side, in pixels, at which render and painting are compared")
-    perceptual: str = option("auto", choices=("auto", "none"), help="perceptual distances where their weights are here")
+    features: str = option(
+        "", advanced=True, group="style", help="feature trunk of the style distances: a name or a file of VGG weights"
+    )
+    style_side: int = option(
+        256, advanced=True, group="style", help="longer side, in pixels, at which render and painting are compared"
+    )
+    perceptual: str = option(
+        "auto",
+        advanced=True,
+        group="perceptual metrics",
+        choices=("auto", "none"),
+        help="perceptual distances where their weights are here",
+    )
     networks: str = ""
     consistency: str = option(
         "correct",
@@ -31,6 +41,8 @@ class EvaluateConfig:
     )
     flow: str = option(
         "",
+        advanced=True,
+        group="consistency",
         metavar="DIR",
         help="optical flow from files FROM_to_TO.flo or .npy, numbered as the frames (default: by depth and poses)",
         digest="flow_digest",
@@ -43,17 +55,46 @@ class EvaluateConfig:
         digest="reference_digest",
     )
     reference_digest: str = ""
-    gap: int = option(7, help="frames between the two views of a long-range pair")
-    pairs: int = option(24, help="most pairs of views measured per range, evenly spread (0: all)")
-    perceptual_pairs: int = option(8, help="most pairs per range measured by the perceptual distance too (0: all)")
-    depth_tolerance: float = option(0.02, help="relative depth difference up to which a warped pixel counts as visible")
+    gap: int = option(7, advanced=True, group="consistency", help="frames between the two views of a long-range pair")
+    pairs: int = option(
+        24, advanced=True, group="consistency", help="most pairs of views measured per range, evenly spread (0: all)"
+    )
+    perceptual_pairs: int = option(
+        8,
+        advanced=True,
+        group="consistency",
+        help="most pairs per range measured by the perceptual distance too (0: all)",
+    )
+    depth_tolerance: float = option(
+        0.02,
+        advanced=True,
+        group="consistency",
+        help="relative depth difference up to which a warped pixel counts as visible",
+    )
     masks: str = option(
-        "", metavar="DIR", help="masks of a local edit: pictures named like views, white: edited", digest="masks_digest"
+        "",
+        advanced=True,
+        group="local edit",
+        metavar="DIR",
+        help="masks of a local edit: pictures named like views, white: edited",
+        digest="masks_digest",
     )
     masks_digest: str = ""
-    margin: int = option(2, help="pixels around a region, as its cells tell it, that do not count as background")
-    ring: int = option(8, help="width in pixels of the ring around a region where bleeding is measured")
-    train_views: bool = option(False, help="measure a local edit on the training views too")
+    margin: int = option(
+        2,
+        advanced=True,
+        group="local edit",
+        help="pixels around a region, as its cells tell it, that do not count as background",
+    )
+    ring: int = option(
+        8,
+        advanced=True,
+        group="local edit",
+        help="width in pixels of the ring around a region where bleeding is measured",
+    )
+    train_views: bool = option(
+        False, advanced=True, group="local edit", help="measure a local edit on the training views too"
+    )
     sheet: int = option(6, help="views on the contact sheet: the worst, the best, and others evenly spread")
 
     def __post_init__(self) -> None:

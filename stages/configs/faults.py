@@ -1,4 +1,4 @@
-"""The faults that `stylerf stress` makes, and the methods that it makes them for; data alone, nothing is imported."""
+"""Faults and methods of `stylerf stress`. Data only, so that `--help` imports nothing else."""
 
 from dataclasses import dataclass
 
@@ -8,10 +8,10 @@ FITS, STYLIZATIONS, EDITS = "fits", "stylizations", "edits"
 
 @dataclass(frozen=True)
 class Fault:
-    """of: `scene`, a scene's own photos and cameras changed; `made`, a procedural scene; `style`, a painting;
-    `palette`, how one begins or what is asked of it.
+    """A fault.
 
-    amount: how much of it, in the unit that `words` tells.
+    of: `scene`, changes photos and cameras of a scene; `made`, a procedural scene; `style`, a style image; `palette`,
+    the start of a palette or a change to it. amount: in the unit of `words`, where it replaces {}.
     """
 
     name: str
@@ -20,49 +20,55 @@ class Fault:
     words: str
 
     @property
-    def told(self) -> str:
-        """In words, with its amount."""
+    def description(self) -> str:
+        """The fault with its amount."""
         return self.words.format(f"{self.amount:g}")
 
     @property
     def of_scene(self) -> bool:
-        """Whether it makes a scene of its own; the others are put on the scene without a fault."""
+        """Whether the fault makes a scene of its own; other faults use the scene without a fault."""
         return self.of in (SCENE, MADE)
 
 
 ALL_FAULTS = (
-    Fault("seeds", SCENE, 0, "nothing but the seed"),
+    Fault("seeds", SCENE, 0, "no fault, only another seed"),
     Fault("views-3", SCENE, 3, "{} training views, spread out"),
     Fault("views-8", SCENE, 8, "{} training views, spread out"),
-    Fault("pose-noise", SCENE, 0.5, "cameras turned by {} degrees and moved by as many hundredths of their distance"),
-    Fault("exposure", SCENE, 0.75, "exposure that drifts from -{0} to {0} stops over the photos"),
-    Fault("blur", SCENE, 0.01, "photos out of focus by a Gaussian of {} of their longer side"),
-    Fault("jpeg", SCENE, 10, "photos stored as JPEG of quality {}"),
-    Fault("hidden", SCENE, 0.5, "training views of one side alone, {} of them"),
+    Fault("pose-noise", SCENE, 0.5, "cameras rotated by {} degrees and moved by as many hundredths of their distance"),
+    Fault("exposure", SCENE, 0.75, "exposure drifting from -{0} to {0} stops over the photos"),
+    Fault("blur", SCENE, 0.01, "photos blurred by a Gaussian of {} of their longer side"),
+    Fault("jpeg", SCENE, 10, "photos as JPEG of quality {}"),
+    Fault("hidden", SCENE, 0.5, "training views of one side only, {} of them"),
     Fault(
-        "near-plane", SCENE, 0.5, "a near plane at {} of the cameras' distance; of an object, so much of its box cut"
+        "near-plane",
+        SCENE,
+        0.5,
+        "a near plane at {} of the cameras' distance; for an object, that much of its box cut off",
     ),
     Fault("textureless", MADE, 0, "a still life in plaster"),
-    Fault("repeating", MADE, 0, "a still life under one repeating check"),
-    Fault("thin", MADE, 0, "rods and rings about a pixel thin"),
-    Fault("style-white", STYLE, 256, "a white painting"),
-    Fault("style-tiny", STYLE, 16, "a painting of {0} x {0} pixels"),
-    Fault("style-huge", STYLE, 4096, "a painting of {0} x {0} pixels"),
-    Fault("style-wash", STYLE, 512, "a painting without an edge"),
-    Fault("style-extreme", STYLE, 512, "a painting of full red and full blue"),
-    Fault("palette-random", PALETTE, 0, "a palette that begins with colors drawn at random"),
-    Fault("palette-full", PALETTE, 0, "every palette color made full green"),
+    Fault("repeating", MADE, 0, "a still life in one repeating check"),
+    Fault("thin", MADE, 0, "rods and rings about a pixel wide"),
+    Fault("style-white", STYLE, 256, "a white style image"),
+    Fault("style-tiny", STYLE, 16, "a style image of {0} x {0} pixels"),
+    Fault("style-huge", STYLE, 4096, "a style image of {0} x {0} pixels"),
+    Fault("style-wash", STYLE, 512, "a style image without edges"),
+    Fault("style-extreme", STYLE, 512, "a style image of pure red and blue"),
+    Fault("palette-random", PALETTE, 0, "a palette that starts from random colors"),
+    Fault("palette-full", PALETTE, 0, "every palette color made pure green"),
     Fault("palette-black", PALETTE, 0, "every palette color made black"),
 )
 FAULTS = {fault.name: fault for fault in ALL_FAULTS}
-CLEAN = "seeds"  # the scene that paintings and palettes with faults are put on
-ORDINARY_STYLE = 256  # pixels a side of the painting for scenes with faults: views of 160 ask for 240 of it
+CLEAN = "seeds"  # the scene for faults of style images and palettes
+ORDINARY_STYLE = 256  # side of the style image for faults of scenes, pixels; views of 160 need 240
 
 
 @dataclass(frozen=True)
 class Method:
-    """field: the kind that is fitted first. style: what `stylerf stylize --method` calls it. edit: of a part of the
-    scene, `recolor`, `paint` (both LAENeRF's) or `palette` (PaletteNeRF's). Neither: a fit alone."""
+    """A method under test.
+
+    field: kind of the field that is fitted first. style: its name in `stylerf stylize --method`. edit: of a region,
+    `recolor` or `paint` (LAENeRF), or `palette` (PaletteNeRF). Without style and edit: a fit alone.
+    """
 
     name: str
     field: str = "vm"
@@ -71,19 +77,19 @@ class Method:
 
     @property
     def family(self) -> str:
-        """By which criterion it is judged."""
+        """The criterion that applies."""
         return EDITS if self.edit else STYLIZATIONS if self.style else FITS
 
     @property
-    def sees_painting(self) -> bool:
-        """Whether it is given a painting."""
+    def takes_style(self) -> bool:
+        """Whether it takes a style image."""
         return bool(self.style) or self.edit == "paint"
 
     def faces(self, fault: Fault) -> bool:
-        """A fit never sees a painting, nor a palette; that of PaletteNeRF begins with its hull's corners alone."""
+        """Whether a fault can affect the method. PaletteNeRF starts from a hull, never from random colors."""
         if fault.of == PALETTE:
             return self.edit == "recolor" or (self.edit == "palette" and fault.name != "palette-random")
-        return self.sees_painting or fault.of != STYLE
+        return self.takes_style or fault.of != STYLE
 
 
 ALL_METHODS = (

@@ -42,15 +42,27 @@ class ImportOptions:
     )
     matching: str = option(
         "auto",
+        advanced=True,
+        group="structure from motion",
         choices=("auto", "exhaustive", "sequential"),
         help="structure from motion compares "
         "all pairs of photos, or neighbors in a video (auto: all pairs up to 80 photos)",
     )
     sfm_side: int = option(
-        1600, help="structure from motion looks at copies whose longer side has at most so many pixels"
+        1600,
+        advanced=True,
+        group="structure from motion",
+        help="structure from motion looks at copies whose longer side has at most so many pixels",
     )
-    sfm_features: int = option(2048, help="and at so many features in each")
-    one_camera: bool = option(True, help="photos of one size, lens and zoom share their intrinsics")
+    sfm_features: int = option(
+        2048, advanced=True, group="structure from motion", help="and at so many features in each"
+    )
+    one_camera: bool = option(
+        True,
+        advanced=True,
+        group="structure from motion",
+        help="photos of one size, lens and zoom share their intrinsics",
+    )
 
     def __post_init__(self) -> None:
         if not self.downscale >= 1:

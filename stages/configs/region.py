@@ -1,4 +1,4 @@
-"""Options of `stylerf stylize --region`: how a look is learned, and what is changed of its palette."""
+"""Options of `stylerf stylize --region`: how a look is learned, and changes to its palette."""
 
 from dataclasses import dataclass, fields
 
@@ -7,7 +7,7 @@ from stages.configs.edit import EditConfig, PaletteConfig
 
 @dataclass(frozen=True)
 class RegionConfig(PaletteConfig, EditConfig):
-    """Both in one command; two stages, so that a changed palette needs no training."""
+    """Both in one command. They are two stages, so that changing a palette needs no training."""
 
     def __post_init__(self) -> None:
         EditConfig.__post_init__(self)
@@ -20,5 +20,5 @@ class RegionConfig(PaletteConfig, EditConfig):
 
     @property
     def changes(self) -> PaletteConfig:
-        """What is changed of the palette."""
+        """Changes to the palette."""
         return PaletteConfig(**{item.name: getattr(self, item.name) for item in fields(PaletteConfig)})

@@ -28,11 +28,13 @@ class RenderConfig:
     scale: float = option(1.0, help="size of the pictures relative to the scene's views")
     exr: bool = option(True, help="write OpenEXR: R G B A, Z, rayDistance.Z")
     regions: bool = option(True, help="write the work folder's regions as EXR channels mask.<name>")
-    masks: bool = option(False, help="also write the regions as pictures, masks/<name>/NNNN.png")
-    depth: bool = option(False, help="also write depth in a perceptual color map")
-    displacement: bool = option(False, help="also write how far a deformed field's surfaces moved, in a color map")
+    masks: bool = option(False, advanced=True, help="also write the regions as pictures, masks/<name>/NNNN.png")
+    depth: bool = option(False, advanced=True, help="also write depth in a perceptual color map")
+    displacement: bool = option(
+        False, advanced=True, help="also write how far a deformed field's surfaces moved, in a color map"
+    )
     video: bool = option(False, help="also write MP4 (extra `video`), else GIF")
-    fps: float = option(24.0, help="frames a second of the video")
+    fps: float = option(24.0, advanced=True, help="frames a second of the video")
 
     def __post_init__(self) -> None:
         frames_of(self.frames, 1 << 30)

@@ -9,29 +9,32 @@ from stages.configs.fit import budget_of
 
 @dataclass(frozen=True)
 class StressConfig:
-    """Which methods face which faults, how often, how long, how large."""
+    """Methods, faults, repetitions, budgets and sizes."""
 
-    methods: tuple[str, ...] = option(("fit", "arf"), metavar="METHOD", help=f"of {', '.join(METHODS)}, or all")
-    faults: tuple[str, ...] = option(("all",), metavar="FAULT", help=f"of {', '.join(FAULTS)}, or all")
-    seeds: int = option(0, help="runs of each cell, with seeds that follow --seed (0: 5; --quick: 2)")
-    budget: str = option("", help="of each fit, time or steps (default: 20s; --quick: 150 steps)")
+    methods: tuple[str, ...] = option(
+        ("fit", "arf"), metavar="METHOD", help=f"methods to test: {', '.join(METHODS)}, or all"
+    )
+    faults: tuple[str, ...] = option(
+        ("all",), metavar="FAULT", help=f"faults to test under: {', '.join(FAULTS)}, or all"
+    )
+    seeds: int = option(0, help="runs of each cell, with consecutive seeds from --seed (0: 5, with --quick 2)")
+    budget: str = option("", help="training time of each fit, or steps (default: 20s, with --quick 150 steps)")
     style_budget: str = option(
         "",
-        help="of each stylization and palettenerf; of LAENeRF's edits a time is that of learning and again that of "
-        "fine-tuning, steps are those of fine-tuning (default: that of the fits; --quick: 15 steps, of edits 60)",
+        help="time of each stylization or edit, or steps (default: --budget, with --quick 15 steps, 60 for edits)",
     )
-    side: int = option(0, help="longer side of the photos, pixels; larger ones are averaged down (0: 160; --quick: 64)")
-    remedies: str = option(
-        "off", choices=("off", "on", "both"), help="run without remedies, with them, or both for before and after"
+    side: int = option(
+        0, advanced=True, help="longer side of the photos, pixels; larger ones are downscaled (0: 160, with --quick 64)"
     )
-    quick: bool = option(False, help="small, short and few: does anything fail at all")
-    keep: bool = option(False, help="keep scenes and fields of every run below WORK/stress/works")
+    remedies: str = option("off", choices=("off", "on", "both"), help="run without remedies, with them, or both")
+    quick: bool = option(False, help="run few, small and short trials")
+    keep: bool = option(False, advanced=True, help="keep the scenes and fields of all trials in WORK/stress/works")
 
     def __post_init__(self) -> None:
         for name, known in (("methods", METHODS), ("faults", FAULTS)):
             unknown = [one for one in getattr(self, name) if one != "all" and one not in known]
             if unknown:
-                raise ValueError(f"there is no {name[:-1]} {unknown[0]!r}; there are {', '.join(known)}, or all")
+                raise ValueError(f"there is no {name[:-1]} {unknown[0]!r}; known are {', '.join(known)}, or all")
         for budget in (self.budget, self.style_budget):
             if budget:
                 budget_of(budget)
@@ -40,17 +43,17 @@ class StressConfig:
 
     @property
     def chosen_methods(self) -> list[str]:
-        """Names in the order of the table, each once."""
+        """Their names, in the order of the table."""
         return [name for name in METHODS if name in self.methods or "all" in self.methods]
 
     @property
     def chosen_faults(self) -> list[str]:
-        """Names in the order of the table, each once."""
+        """Their names, in the order of the table."""
         return [name for name in FAULTS if name in self.faults or "all" in self.faults]
 
     @property
     def conditions(self) -> dict[str, object]:
-        """What all runs share and a baseline must share with them."""
+        """What all trials share, and what a baseline must share with them."""
         quick = self.quick
         budget = self.budget or ("150" if quick else "20s")
         return {

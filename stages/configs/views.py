@@ -1,11 +1,11 @@
-"""How options tell what a view shows: a pixel, a picture, a span of depths."""
+"""Options that name something in a view: a pixel, an image, a range of depths."""
 
 import re
 from pathlib import Path
 
 
 def pixel_of(text: str) -> tuple[str, float, float]:
-    """'0012:200,140' -> ('0012', 200.0, 140.0); ValueError for anything else."""
+    """Parse '0012:200,140' as ('0012', 200.0, 140.0); ValueError for anything else."""
     match = re.fullmatch(r"(.+):(\d+(?:\.\d+)?),(\d+(?:\.\d+)?)", text)
     if not match:
         raise ValueError(f"{text!r} is not a pixel of a view, written VIEW:X,Y")
@@ -13,16 +13,16 @@ def pixel_of(text: str) -> tuple[str, float, float]:
 
 
 def file_of(text: str) -> tuple[str, Path]:
-    """'0012=head.png' -> ('0012', head.png), ~ being the home folder; ValueError for anything else."""
+    """Parse '0012=head.png' as ('0012', head.png), expanding ~; ValueError for anything else."""
     view, equals, path = text.partition("=")
     if not (view and equals and path):
-        raise ValueError(f"{text!r} is not a picture of a view, written VIEW=FILE.png")
+        raise ValueError(f"{text!r} is not an image of a view, written VIEW=FILE.png")
     return view, Path(path).expanduser()
 
 
 def depth_of(text: str) -> tuple[str, float, float]:
-    """'0012:1.5,2' -> ('0012', 1.5, 2.0); ValueError for anything else."""
+    """Parse '0012:1.5,2' as ('0012', 1.5, 2.0); ValueError for anything else."""
     match = re.fullmatch(r"(.+):([0-9.]+),([0-9.]+)", text)
     if not match or float(match[2]) >= float(match[3]):
-        raise ValueError(f"{text!r} is not a span of depths in a view, written VIEW:NEAR,FAR")
+        raise ValueError(f"{text!r} is not a range of depths in a view, written VIEW:NEAR,FAR")
     return match[1], float(match[2]), float(match[3])

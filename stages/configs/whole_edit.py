@@ -1,4 +1,4 @@
-"""Options of `stylerf edit`: those of select, of a region's look, and of its palette."""
+"""Options of `stylerf edit`: those of select, of learning a region's look, and of its palette."""
 
 from dataclasses import dataclass, fields
 
@@ -8,7 +8,7 @@ from stages.configs.select import SelectConfig
 
 @dataclass(frozen=True)
 class WholeEditConfig(RegionConfig, SelectConfig):
-    """What is selected and what becomes of it; further stages take their options from the file of --config."""
+    """What is selected and what becomes of it. Later stages take their options from the --config file."""
 
     def __post_init__(self) -> None:
         SelectConfig.__post_init__(self)

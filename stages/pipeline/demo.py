@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from schemas.errors import BadInput, UsageError
-from schemas.work_folder import Artifact
+from schemas.work_folder import Artifact, WorkFolder
 from stages.configs.demo import DemoConfig
 from stages.configs.evaluate import EvaluateConfig
 from stages.configs.render import RenderConfig
@@ -46,7 +46,7 @@ def run_demo(runner: StageRunner, config: DemoConfig, force: bool) -> Demo:
         return runner.run(stage.SPEC, stage.run, inputs, options, name, request)
 
     photos = runner.work.root / "photos"
-    _refuse_others(runner, photos)
+    refuse_others(runner.work, photos)
     features: dict[str, Any] = chosen("")
     threads = runner.context.threads
     demo_scene.write_demo(
@@ -85,7 +85,8 @@ def run_demo(runner: StageRunner, config: DemoConfig, force: bool) -> Demo:
     return Demo(sheet, report, fit_report, film)
 
 
-def _refuse_others(runner: StageRunner, photos: Path) -> None:
+def refuse_others(work: WorkFolder, photos: Path) -> None:
+    """Raise UsageError if the demo would replace photos or a scene that it has not made."""
     from stages.pipeline.demo_scene import STAMP
     from stages.readers.digest import digest_of_source
 
@@ -95,7 +96,7 @@ def _refuse_others(runner: StageRunner, photos: Path) -> None:
             sources["source_digest"] = digest_of_source(photos)  # the folder may have been moved
     elif photos.is_dir() and any(photos.iterdir()):
         raise UsageError(f"{photos} was not made by the demo, which writes there; give the demo another work folder")
-    for scene in runner.work.artifacts("scene"):
+    for scene in work.artifacts("scene"):
         made = scene.manifest
         if made.stage != "distill" and not any(made.config.get(key) == value for key, value in sources.items()):
             raise UsageError(

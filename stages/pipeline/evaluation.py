@@ -109,7 +109,7 @@ def _edit_inputs(
 def frames_along(runner: StageRunner, field: Artifact, path: str) -> Artifact:
     """Return the newest frames of a field along a path that can be measured and have the wanted count, else render.
 
-    Frames that somebody else asked for are not replaced, even if they cannot be measured. StylerfError if those in the
+    Frames that the user rendered are not replaced, even if they cannot be measured. StylerfError if those in the
     place of new ones cannot be read.
     """
     from stylerf.geometry.camera_paths import PATHS

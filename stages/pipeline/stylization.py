@@ -5,7 +5,7 @@ from dataclasses import replace
 from typing import Any
 
 from schemas.errors import ArtifactDamaged, ArtifactStale, UsageError
-from schemas.work_folder import Artifact, WorkFolder
+from schemas.work_folder import Artifact
 from stages.configs.decompose import METHOD, DecomposeConfig, PaletteFieldConfig, RecolorConfig
 from stages.configs.region import RegionConfig
 from stages.configs.stylize import RefNprConfig, StylizeConfig
@@ -138,7 +138,7 @@ def _recolored(
 
 def _announce_other_style(runner: StageRunner, kind: str, name: str, config: StylizeConfig | RegionConfig) -> None:
     """Say so if the artifact about to be replaced was made with another style image."""
-    existing = _named(runner.work, kind, name)
+    existing = next((one for one in runner.work.artifacts(kind) if one.name == name), None)
     if existing is None:
         return
     with suppress(ArtifactDamaged, ArtifactStale):  # an unreadable one is no loss
@@ -146,7 +146,3 @@ def _announce_other_style(runner: StageRunner, kind: str, name: str, config: Sty
         pairs = [(before.get(key), getattr(config, key, "")) for key in ("style_digest", "references_digest")]
         if any(old and old != new for old, new in pairs):
             runner.say(f"{kind} {name} was made with another style image and will be replaced; --name NAME keeps both")
-
-
-def _named(work: WorkFolder, kind: str, name: str) -> Artifact | None:
-    return next((one for one in work.artifacts(kind) if one.name == name), None)

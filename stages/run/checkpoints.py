@@ -5,6 +5,7 @@ import os
 import re
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -18,7 +19,7 @@ KEPT = 2
 _NAME = re.compile(r"(\d{6,})-([0-9a-f]{64})\.safetensors")  # number, SHA-256 of the bytes
 
 
-def save_checkpoint(folder: Path, data: dict, arrays: dict[str, np.ndarray]) -> None:
+def save_checkpoint(folder: Path, data: dict[str, Any], arrays: dict[str, np.ndarray]) -> None:
     """Save state and arrays, keeping the checkpoint before.
 
     Both go to one file, `NUMBER-SHA256.safetensors`, so that a kill cannot leave state and arrays of different steps.
@@ -33,7 +34,7 @@ def save_checkpoint(folder: Path, data: dict, arrays: dict[str, np.ndarray]) -> 
         path.unlink(missing_ok=True)
 
 
-def load_checkpoint(folder: Path, say: Callable[[str], None]) -> tuple[dict, dict[str, np.ndarray]] | None:
+def load_checkpoint(folder: Path, say: Callable[[str], None]) -> tuple[dict[str, Any], dict[str, np.ndarray]] | None:
     """Load the newest undamaged checkpoint.
 
     Args:

@@ -43,7 +43,7 @@ class Clock:
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._save_often, name="clock", daemon=True)
 
-    def _earlier(self) -> dict:
+    def _earlier(self) -> dict[str, float]:
         try:
             stored = json.loads(self._file.read_text())
             return {"runs": int(stored["runs"])} | {k: float(stored[k]) for k in ("seconds", "peak_memory_mb")}
@@ -77,7 +77,7 @@ class Clock:
     @property
     def runs(self) -> int:
         """Number of runs, including this one."""
-        return self._before["runs"] + 1
+        return int(self._before["runs"]) + 1
 
     def _save_often(self) -> None:
         while not self._stop.wait(SAVED_EVERY_SECONDS):

@@ -1,5 +1,7 @@
 """The device that a stage computes on, with a note if it is not the requested one."""
 
+from typing import Any
+
 import numpy as np
 
 from schemas.errors import OutOfResources
@@ -8,7 +10,7 @@ from stylerf.kernels import triton_not_kept
 from stylerf.kernels.gpu import unavailable
 
 
-def gpu_of(context: Context, field=None, moving: bool = False) -> str | None:
+def gpu_of(context: Context, field: Any = None, moving: bool = False) -> str | None:
     """Return `cuda` if it is requested and supported, else None for the CPU.
 
     A requested GPU that is not used is explained in one line. Resets the peak of the GPU's memory.
@@ -47,7 +49,7 @@ def gpu_of(context: Context, field=None, moving: bool = False) -> str | None:
     return None
 
 
-def rays_on(device: str | None, field, context: Context, moving: bool = False) -> str | None:
+def rays_on(device: str | None, field: Any, context: Context, moving: bool = False) -> str | None:
     """Return `device` if it has kernels for the field's kinds, else None with a note.
 
     For stages that use the device for more than rays.
@@ -62,7 +64,7 @@ def rays_on(device: str | None, field, context: Context, moving: bool = False) -
     return None
 
 
-def gpu_figures(device: str | None) -> dict:
+def gpu_figures(device: str | None) -> dict[str, int]:
     """Return the peak GPU memory since gpu_of, MB, as figures of a stage; nothing on the CPU."""
     if device is None:
         return {}

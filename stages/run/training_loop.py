@@ -13,15 +13,16 @@ from stages.run.progress import Context
 from stylerf.errors import Diverged
 
 Step = TypeVar("Step")
+Step_co = TypeVar("Step_co", covariant=True)
 
 
-class Trainer(Protocol[Step]):
+class Trainer(Protocol[Step_co]):
     """What the loop runs. between_steps: whether the state is that of whole steps."""
 
     @property
     def between_steps(self) -> bool: ...
 
-    def run(self, on_step: Callable[[Step], None]) -> Any:
+    def run(self, on_step: Callable[[Step_co], None]) -> Any:
         """Train to the end of the budget, calling `on_step` after each step."""
 
     def checkpoint(self) -> tuple[dict[str, Any], dict[str, np.ndarray]]:

@@ -1,1 +1,1 @@
-"""Where methods fail: faults by name, what counts as success, cells of methods and faults, what a baseline holds."""
+"""Stress tests: faults, success criteria, trials, success rates, baselines."""

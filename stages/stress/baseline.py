@@ -1,4 +1,4 @@
-"""What a run is held against: the cells of an earlier one, so that a change that makes one worse is seen."""
+"""Baselines: the cells of an earlier run, to notice regressions."""
 
 import math
 from collections.abc import Sequence
@@ -13,16 +13,19 @@ from stages.evaluation.metrics import is_number
 from stages.stress.success_rates import REMEDIED, Cell
 
 SCHEMA = 1
-# dB; shares: what runs on another machine may differ by.
+# Differences that another machine may cause; dB for fits, shares for the others.
 TOLERANCE = {"fits": 0.5, "stylizations": 0.03, "edits": 0.03}
-SPREADS = 2.0  # a median that falls by so many standard errors of the two is no chance
-# Conditions of methods that see a painting: empty without any, and then no cell that both have depends on them.
+SPREADS = 2.0  # standard errors of the difference beyond which a lower median is not chance
+# Conditions of methods that take a style image. Empty without any; then no common cell depends on them.
 OF_PAINTINGS = ("features", "paintings")
 
 
 @dataclass(frozen=True)
 class Compared:
-    """worse, better: in words, by cell. matched: how many cells both have, of as many runs. unmatched: the others."""
+    """The comparison with a baseline: lines of text by cell.
+
+    matched: number of cells that both have, with as many runs. unmatched: the other cells.
+    """
 
     worse: list[str]
     better: list[str]
@@ -31,12 +34,12 @@ class Compared:
 
 
 def write_baseline(path: Path, cells: Sequence[Cell], conditions: dict) -> None:
-    """Replaces the file; UsageError where a cell lacks runs, for what the others say may be chance."""
+    """Replace the file; UsageError if a cell lacks runs, since the others may be chance."""
     for cell in cells:
         if cell.count != conditions["seeds"]:
             raise UsageError(
                 f"no baseline is written to {path}: {cell.method} under {cell.fault} has {cell.count} of "
-                f"{conditions['seeds']} runs; run the same without --only, or leave that fault out"
+                f"{conditions['seeds']} runs; rerun without --only, or leave out that fault"
             )
     kept = [
         {key: getattr(cell, key) for key in ("method", "fault", "successes", "count", "median", "spread")}
@@ -46,18 +49,18 @@ def write_baseline(path: Path, cells: Sequence[Cell], conditions: dict) -> None:
 
 
 def read_baseline(path: Path, conditions: dict) -> list[dict]:
-    """Its cells; BadInput where it cannot be read, UsageError where it was made under other conditions."""
+    """Return the cells; BadInput if the file cannot be read, UsageError if its conditions differ."""
     try:
         content = read_json(path)
         if content["schema"] != SCHEMA:
-            raise BadInput(f"--baseline {path} is of schema {content['schema']}, expected {SCHEMA}; write it anew")
+            raise BadInput(f"--baseline {path} is of schema {content['schema']}, expected {SCHEMA}; write a new one")
         cells, made = _checked(content)
     except FileNotFoundError as error:
         raise BadInput(
             f"--baseline {path} cannot be read ({error.strerror}); --write-baseline {path} makes one"
         ) from error
     except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
-        raise BadInput(f"--baseline {path} is no baseline ({error!r}); --write-baseline {path} makes one") from error
+        raise BadInput(f"--baseline {path} is not a baseline ({error!r}); --write-baseline {path} makes one") from error
     differing = [
         key
         for key in {**made, **conditions}
@@ -65,16 +68,18 @@ def read_baseline(path: Path, conditions: dict) -> list[dict]:
         and not (key in OF_PAINTINGS and "" in (made.get(key), conditions.get(key)))
     ]
     if differing:
-        told = ", ".join(
-            f"{key} {made[key]!r}, now {conditions.get(key)!r}" if key in made else f"{key} not told"
+        differences = ", ".join(
+            f"{key} {made[key]!r}, now {conditions.get(key)!r}" if key in made else f"{key} missing"
             for key in sorted(differing)
         )
-        raise UsageError(f"--baseline {path} was made under other conditions: {told}; give the same, or write it anew")
+        raise UsageError(
+            f"--baseline {path} was made under other conditions: {differences}; use the same, or write a new one"
+        )
     return cells
 
 
 def _checked(content: dict) -> tuple[list[dict], dict]:
-    """Cells and conditions; ValueError, KeyError or TypeError where they are not what `write_baseline` writes."""
+    """Return cells and conditions; ValueError, KeyError or TypeError if `write_baseline` cannot have written them."""
     cells, made = content["cells"], content["conditions"]
     if not isinstance(cells, list) or not isinstance(made, dict):
         raise ValueError("cells are a list, conditions an object")
@@ -90,11 +95,11 @@ def _checked(content: dict) -> tuple[list[dict], dict]:
 
 
 def compared(before: Sequence[dict], cells: Sequence[Cell]) -> Compared:
-    """A cell is worse where fewer of its runs succeed, or its median score is gone or falls by more than chance
-    explains.
+    """Compare cells with those of a baseline.
 
-    Chance: the tolerance of its family, or SPREADS standard errors of the difference of the two, whichever is more.
-    Cells of which either lacks runs are not compared.
+    A cell is worse if fewer of its runs succeed, or if its median score is missing or falls by more than chance
+    explains: the tolerance of its family or SPREADS standard errors of the difference, whichever is more. Cells with
+    different numbers of runs are not compared.
     """
     earlier = {(one["method"], one["fault"]): one for one in before}
     now = {(cell.method, cell.fault): cell for cell in cells}
@@ -116,7 +121,7 @@ def compared(before: Sequence[dict], cells: Sequence[Cell]) -> Compared:
 
 
 def _change(before: dict, cell: Cell) -> tuple[int, str]:
-    """-1, 0 or 1, and what changed."""
+    """Return -1, 0 or 1, and a description of the change."""
     where = f"{cell.method} under {cell.fault}"
     rate = before["successes"] / before["count"]
     if cell.rate != rate:
@@ -124,14 +129,14 @@ def _change(before: dict, cell: Cell) -> tuple[int, str]:
         return (-1 if cell.rate < rate else 1), words
     was, now = before["median"], cell.median
     if was is None or now is None:
-        return (now is not None) - (was is not None), f"{where}: median score {_told(now)}, was {_told(was)}"
+        return (now is not None) - (was is not None), f"{where}: median score {_formatted(now)}, was {_formatted(was)}"
     family = METHODS[cell.method.removesuffix(REMEDIED)].family
     error = math.hypot(before["spread"] or 0.0, cell.spread or 0.0) / math.sqrt(cell.count)
     change = now - was
     if abs(change) <= max(TOLERANCE[family], SPREADS * error):
         return 0, ""
-    return (1 if change > 0 else -1), f"{where}: median score {_told(now)}, was {_told(was)}"
+    return (1 if change > 0 else -1), f"{where}: median score {_formatted(now)}, was {_formatted(was)}"
 
 
-def _told(median: float | None) -> str:
-    return "of no run" if median is None else f"{median:.3f}"
+def _formatted(median: float | None) -> str:
+    return "missing" if median is None else f"{median:.3f}"

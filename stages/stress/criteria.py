@@ -1,16 +1,16 @@
-"""What counts as success, by numbers stated beforehand: one criterion for fits, for stylizations, for local edits.
+"""Success criteria of fits, stylizations and local edits, fixed in advance. All values must be finite.
 
-    fit           every value is finite, and the test views are at least LEAST_GAIN dB nearer to their photos than the
-                  best picture of one color is; of an object, than its own outlines filled with one color are
-    stylization   every value is finite; of the local variance of the photos' luma the test views' luma explains at
-                  least LEAST_STRUCTURE, of an object of what its outlines in one color leave; and their colors are at
-                  most COLOR_SHARE as far from the painting's as the photos' are, or at most COLOR_NEAR from them
+    fit           PSNR of the test views is at least LEAST_GAIN dB above that of the best picture of one color; for an
+                  object, above that of its silhouette filled with one color
+    stylization   the test views' luma explains at least LEAST_STRUCTURE of the local variance of the photos' luma (for
+                  an object: of the part that its silhouette in one color leaves); and their colors are at most
+                  COLOR_SHARE as far from the style image's as the photos' are, or at most COLOR_NEAR away
                   (2-Wasserstein distance of colors as Gaussians)
-    edit          every value is finite; some test view shows the part; its colors change by at least LEAST_CHANGE in
-                  the mean (CIE76); what is around it, MARGIN pixels apart, by at most MOST_SPILL of that; and its luma
-                  keeps at least LEAST_CONTENT of SSIM with the field before
+    edit          a test view shows the region; its colors change by at least LEAST_CHANGE on average (CIE76), those
+                  more than MARGIN pixels around it by at most MOST_SPILL of that; and its luma keeps an SSIM of at
+                  least LEAST_CONTENT with the field before
 
-Strokes are not asked for: a network that judges them would be judged by itself.
+Strokes are not judged: the network that judges them would be the one that was optimized.
 """
 
 from collections.abc import Sequence
@@ -24,8 +24,8 @@ from stylerf.metrics.palette_distance import palette_distance
 
 LEAST_GAIN = 3.0  # dB
 LEAST_CONTENT = 0.2
-LEAST_STRUCTURE = 1 / 3  # a flat picture has 0, the photo 1; chosen by looking, docs/decisions/0037
-# Sound stylizations of 15 steps were seen at shares of 0.38 to 0.52, by painting; what is not stylized is at 1.
+LEAST_STRUCTURE = 1 / 3  # a flat picture has 0, the photo 1; chosen by eye, docs/decisions/0037
+# Good stylizations of 15 steps had 0.38 to 0.52, depending on the style image; an unstylized scene has 1.
 COLOR_SHARE, COLOR_NEAR = 0.7, 0.1
 LEAST_CHANGE, MOST_SPILL, MARGIN = 10.0, 0.2, 3
 SCORES = {
@@ -33,14 +33,14 @@ SCORES = {
     "stylizations": ("structure kept", "", 3),
     "edits": ("change that stays inside", "", 3),
 }
-REVISION = 4  # of these criteria: a run that was judged by others is run again
+REVISION = 4  # of these criteria; runs judged by older ones are repeated
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
-    """A test view: render and photo [h, w, 3] sRGB 0..1 over one background; mask [h, w] of what is there, or None.
+class ViewPair:
+    """Render and photo of a test view, [h, w, 3] sRGB 0..1 over one background; mask [h, w] of the object, or None.
 
-    Of a local edit: `photo` is the render before it, `mask` what shows the edited part.
+    For a local edit, `photo` is the render before the edit and `mask` shows the edited region.
     """
 
     name: str
@@ -51,9 +51,9 @@ class Seen:
 
 @dataclass(frozen=True)
 class Verdict:
-    """why: in words, where it failed. score: what SCORES names; None where nothing was made or all is NaN.
+    """The outcome of a criterion.
 
-    worst: place of the view with the lowest score of its own.
+    why: reason of a failure. score: see SCORES; None if nothing was made or all is NaN. worst: index of the worst view.
     """
 
     ok: bool
@@ -63,10 +63,10 @@ class Verdict:
     figures: dict[str, float] = field(default_factory=dict)
 
 
-def judged_fit(views: Sequence[Seen]) -> Verdict:
-    """By PSNR, mean over the views, beside that of flat pictures: see the module's text.
+def judge_fit(views: Sequence[ViewPair]) -> Verdict:
+    """Judge a fit by its mean PSNR above that of flat pictures.
 
-    On a plain ground any blob beats a picture of the ground's color; an object's outlines must be beaten instead.
+    Any blob on a plain background beats a flat picture, so an object must beat its filled silhouette instead.
     """
     if (broken := _not_finite(views)) is not None:
         return broken
@@ -75,75 +75,77 @@ def judged_fit(views: Sequence[Seen]) -> Verdict:
     least = float(np.mean([min(psnr(_filled(view, flat), view.photo), 100.0) for view in views]))
     score = float(np.mean(each))
     gain = score - least
-    told = "its outlines in one color" if any(view.mask is not None for view in views) else "one flat color"
-    why = "" if gain >= LEAST_GAIN else f"{gain:.1f} dB over {told}, {LEAST_GAIN:g} are asked for"
+    reference = "its silhouette in one color" if any(view.mask is not None for view in views) else "one flat color"
+    why = "" if gain >= LEAST_GAIN else f"{gain:.1f} dB over {reference}, expected at least {LEAST_GAIN:g}"
     return Verdict(not why, why, score, int(np.argmin(each)), {"psnr": score, "gain_over_flat": gain})
 
 
-def _filled(view: Seen, color: np.ndarray) -> np.ndarray:
-    """`color`, one or [h, w, 3]; of an object, in what its mask shows alone: the rest is the photo's."""
+def _filled(view: ViewPair, color: np.ndarray) -> np.ndarray:
+    """Fill the view, or an object's mask over its photo, with `color`, [3] or [h, w, 3]."""
     inside = np.ones(view.photo.shape[:2], bool) if view.mask is None else view.mask
     return np.where(inside[..., None], color, view.photo)
 
 
-def judged_style(views: Sequence[Seen], painting: np.ndarray) -> Verdict:
-    """Score: structure kept, mean over the views. painting: [h, w, 3] sRGB 0..1.
+def judge_style(views: Sequence[ViewPair], style: np.ndarray) -> Verdict:
+    """Judge a stylization; the score is the structure kept, mean over the views.
 
-    Of an object, what the photos' masks show counts alone.
+    Args:
+        views: the test views; of an object only the masked pixels count.
+        style: the style image, [h, w, 3] sRGB 0..1.
     """
     if (broken := _not_finite(views)) is not None:
         return broken
     content, each = (np.array(found) for found in zip(*map(_content_and_structure, views), strict=True))
-    wanted = painting.reshape(-1, 3)
+    wanted = style.reshape(-1, 3)
     before = palette_distance(_colors(views, "photo"), wanted).frechet
     after = palette_distance(_colors(views, "render"), wanted).frechet
     score = float(np.mean(each))
     whys = []
     if score < LEAST_STRUCTURE:
-        whys.append(f"structure kept {score:.2f}, {LEAST_STRUCTURE:g} is asked for")
+        whys.append(f"structure kept {score:.2f}, expected at least {LEAST_STRUCTURE:g}")
     if after > max(COLOR_SHARE * before, COLOR_NEAR):
-        whys.append(f"colors {after:.2f} from the painting's, the photos {before:.2f}")
+        whys.append(f"colors {after:.2f} from the style image's, the photos {before:.2f}")
     figures = {"structure": score, "content_ssim": float(content.mean())}
     figures |= {"color_distance": after, "color_distance_of_photos": before}
     return Verdict(not whys, "; ".join(whys), score, int(np.argmin(each)), figures)
 
 
-def _content_and_structure(view: Seen) -> tuple[float, float]:
-    """SSIM of luma with the photo; and the structure that it shares with it, 0 of a flat picture, 1 of the photo.
+def _content_and_structure(view: ViewPair) -> tuple[float, float]:
+    """Return the SSIM of luma with the photo, and the structure shared with it: 0 for a flat picture, 1 for the photo.
 
-    Flat: of an object its outlines, filled with its own mean color, for they are the photo's here.
+    An object's flat picture is its silhouette filled with its mean color.
     """
     filled, flat = _filled(view, view.render), _filled(view, _colors([view], "render").mean(0))
     kept, least = (explained_structure(picture, view.photo, _weights(view)) for picture in (filled, flat))
     return content_ssim(filled, view.photo, _weights(view)), (kept - least) / max(1 - least, 1e-6)
 
 
-def judged_edit(views: Sequence[Seen]) -> Verdict:
-    """Score: 1 - (mean change around the part) / (mean change of it), at least 0."""
+def judge_edit(views: Sequence[ViewPair]) -> Verdict:
+    """Judge a local edit; the score is 1 - (mean change around the region) / (mean change of it), at least 0."""
     if (broken := _not_finite(views)) is not None:
         return broken
     shown = [view for view in views if view.mask.any()]
     if not shown:
-        return Verdict(False, "no test view shows the part", None, 0)
+        return Verdict(False, "no test view shows the region", None, 0)
     parts = [split_view(view.mask, MARGIN, 0) for view in shown]
     inside = _change(shown, [part.inside for part in parts])
     around = _change(shown, [part.outside for part in parts])
     content = float(np.mean([content_ssim(view.render, view.photo, _weights(view)) for view in shown]))
     whys = []
     if inside < LEAST_CHANGE:
-        whys.append(f"the part changed by {inside:.1f} dE, {LEAST_CHANGE:g} are asked for")
+        whys.append(f"the region changed by {inside:.1f} dE, expected at least {LEAST_CHANGE:g}")
     if around > MOST_SPILL * inside:
-        whys.append(f"what is around it changed by {around:.1f} dE, the part by {inside:.1f}")
+        whys.append(f"its surroundings changed by {around:.1f} dE, the region by {inside:.1f}")
     if content < LEAST_CONTENT:
-        whys.append(f"content SSIM {content:.2f}, {LEAST_CONTENT:g} is asked for")
+        whys.append(f"content SSIM {content:.2f}, expected at least {LEAST_CONTENT:g}")
     score = max(0.0, 1 - around / inside) if inside > 0 else 0.0
     spilt = [_change([view], [part.outside]) for view, part in zip(shown, parts, strict=True)]
     figures = {"change_inside": inside, "change_around": around, "content_ssim": content}
     return Verdict(not whys, "; ".join(whys), score, views.index(shown[int(np.argmax(spilt))]), figures)
 
 
-def _change(views: Sequence[Seen], masks: Sequence[np.ndarray]) -> float:
-    """Mean CIE76 difference between render and photo over the pixels of all masks; 0 where there are none."""
+def _change(views: Sequence[ViewPair], masks: Sequence[np.ndarray]) -> float:
+    """Return the mean CIE76 difference between render and photo over all masked pixels, 0 without any."""
     renders, photos = (
         np.concatenate([getattr(view, what)[mask] for view, mask in zip(views, masks, strict=True)])[None]
         for what in ("render", "photo")
@@ -152,18 +154,18 @@ def _change(views: Sequence[Seen], masks: Sequence[np.ndarray]) -> float:
     return 0.0 if found is None else found.lab
 
 
-def _not_finite(views: Sequence[Seen]) -> Verdict | None:
+def _not_finite(views: Sequence[ViewPair]) -> Verdict | None:
     bad = [i for i, view in enumerate(views) if not np.isfinite(view.render).all()]
     if not bad:
         return None
-    return Verdict(False, f"values that are not finite in {len(bad)} of {len(views)} views", None, bad[0])
+    return Verdict(False, f"non-finite values in {len(bad)} of {len(views)} views", None, bad[0])
 
 
-def _weights(view: Seen) -> np.ndarray | None:
+def _weights(view: ViewPair) -> np.ndarray | None:
     return view.mask if view.mask is not None and view.mask[5:-5, 5:-5].any() else None
 
 
-def _colors(views: Sequence[Seen], what: str) -> np.ndarray:
+def _colors(views: Sequence[ViewPair], what: str) -> np.ndarray:
     parts = []
     for view in views:
         picture = getattr(view, what)

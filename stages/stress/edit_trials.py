@@ -1,7 +1,6 @@
-"""Local edits under stress: a part chosen by a pixel, its look learned and changed, and taught to the field.
+"""Local edits under faults: select a region, learn and change its look, train the field.
 
-The part is what grows from the opaque pixel in the middle of the first training view, within reach of it: nobody
-chooses for a fault.
+The region grows from the opaque pixel nearest the center of the first training view, so that no choice favors a fault.
 """
 
 from collections.abc import Callable
@@ -19,24 +18,24 @@ from stages.configs.faults import Fault, Method
 from stages.configs.finetune import FinetuneConfig
 from stages.configs.fit import budget_of
 from stages.configs.select import SelectConfig
-from stages.stress.test_views import middle_of
+from stages.stress.test_views import central_pixel
 
 SPECS = (region_select.SPEC, edit_dataset.SPEC, edit_learn.SPEC, edit_palette.SPEC, distill.SPEC, finetune.SPEC,
          decompose.SPEC, recolor.SPEC)  # fmt: skip
-REACH = 0.12  # of the way from that camera: photos this small tell colors too badly to end a growth by them alone
+REACH = 0.12  # share of the distance to that camera; colors of such small photos alone would not stop the growth
 ORDINARY = "all=#2050d0"
 PALETTES = {"palette-full": "all=#00ff00", "palette-black": "all=#000000"}
 QUICK_RECOLOR = {"palette_steps": 80, "pruned_steps": 10}
 QUICK_PAINT = {"palette_steps": 80, "style_steps": 15, "style_side": 64}
 QUICK_FINETUNE, QUICK_RAYS, QUICK_REFIT, QUICK_PIXELS = "60", 2048, 60, 512
-UNTIMED = "1h"  # where steps decide
-REMEDIES_OF_LEARNING = {"start": "clusters"}  # against a palette whose colors collapse into a few
+UNTIMED = "1h"  # longer than any number of steps takes
+REMEDIES_OF_LEARNING = {"start": "clusters"}  # keeps palette colors from collapsing into a few
 Execute = Callable[[Any, dict[str, Artifact], Any, str], Artifact]
 
 
 @dataclass(frozen=True)
 class EditOptions:
-    """All that decides an edit but its fit. changes: of the palette, empty for a painting."""
+    """Options of an edit, except its fit. changes: of the palette, empty with a style image."""
 
     method: Method
     learning: EditConfig | DecomposeConfig
@@ -44,7 +43,7 @@ class EditOptions:
     finetune: FinetuneConfig
 
     def described(self) -> dict:
-        """For a digest: a painting counts by its content, wherever it lies."""
+        """Return the options for a digest, the style image by its content, not its path."""
         learning = self.learning
         if isinstance(learning, EditConfig) and learning.style:
             learning = replace(learning, style="-")
@@ -52,9 +51,9 @@ class EditOptions:
 
 
 def options_of(
-    method: Method, fault: Fault, remedies: bool, conditions: dict, painting: dict[str, str] | None
+    method: Method, fault: Fault, remedies: bool, conditions: dict, style: dict[str, str] | None
 ) -> EditOptions:
-    """Of one run. painting: the options of learning that name it and its features, where the method sees one."""
+    """Return the options of one trial. style: options naming the style image and its features, None without one."""
     quick, budget = conditions["quick"], conditions["style_budget"]
     timed = budget_of(budget)[0] > 0
     budget = QUICK_FINETUNE if quick and not timed else budget
@@ -64,9 +63,9 @@ def options_of(
         learning = DecomposeConfig(budget=budget)
         learning = replace(learning, refit_steps=QUICK_REFIT, pixels=QUICK_PIXELS) if quick else learning
         return EditOptions(method, learning, changes, teaching)
-    look = {"recolor": True} if painting is None else dict(painting)
+    look = {"recolor": True} if style is None else dict(style)
     look |= {"start": "random"} if fault.name == "palette-random" else {}
-    look |= (QUICK_PAINT if painting else QUICK_RECOLOR) if quick else {}
+    look |= (QUICK_PAINT if style else QUICK_RECOLOR) if quick else {}
     look |= REMEDIES_OF_LEARNING if remedies else {}
     return EditOptions(method, EditConfig(budget=budget if timed else UNTIMED, **look), changes, teaching)
 
@@ -74,16 +73,16 @@ def options_of(
 def edited(
     execute: Execute, scene: Artifact, field: Artifact, options: EditOptions, threads: int
 ) -> tuple[Artifact, Artifact]:
-    """The edited field and the region that was edited."""
-    place, away = middle_of(scene, field, threads)
+    """Run the edit; return the edited field and the region."""
+    place, away = central_pixel(scene, field, threads)
     inputs = {"scene": scene, "field": field}
-    asked = SelectConfig(at=(place,), reach=round(REACH * away, 4))
-    region = execute(region_select, inputs, asked, f"{field.name}-part")
+    selection = SelectConfig(at=(place,), reach=round(REACH * away, 4))
+    region = execute(region_select, inputs, selection, f"{field.name}-part")
     name = f"{field.name}-{options.method.name}-{digest_of(options.described()['learning'])[:8]}"
     changed = f"{name}-{digest_of(options.changes)[:8]}"
     if options.method.edit == "palette":
         learned = execute(decompose, inputs, options.learning, name)
-        changes = RecolorConfig(palette=options.changes, at=(place,), reach=asked.reach)
+        changes = RecolorConfig(palette=options.changes, at=(place,), reach=selection.reach)
         return execute(recolor, {"scene": scene, "field": learned}, changes, changed), region
     inputs |= {"region": region}
     dataset = execute(edit_dataset, inputs, ExtractConfig(exr=False), region.name)

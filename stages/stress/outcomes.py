@@ -1,4 +1,4 @@
-"""Runs on disk: each in a file of its own, so that a stress goes on where it was interrupted."""
+"""Outcomes on disk, a file each, so that an interrupted command resumes."""
 
 from dataclasses import asdict, fields
 from pathlib import Path
@@ -12,15 +12,15 @@ from stages.evaluation.metrics import is_number
 from stages.stress.success_rates import Outcome
 
 FOLDER = "runs"
-NOT_FINITE = ("inf", "-inf", "nan")  # as schemas.canonical writes them
+NOT_FINITE = ("inf", "-inf", "nan")  # as schemas.canonical_json writes them
 
 
-def kept_outcome(root: Path, run: str, key: str) -> Outcome | None:
-    """The outcome of the run of that name if it was made under this very key; None without one, or a damaged file.
+def load_outcome(root: Path, run: str, key: str) -> Outcome | None:
+    """Load the outcome of a run if its key matches; None if it is missing or damaged.
 
-    Such a file may be a stranger's: every value is of its own kind, and the picture is one beside the others.
+    The file may come from a stranger, so every value is checked, and the picture must be in its folder.
     """
-    for name in (run, run.rpartition("--")[0]):  # files of before had no key in their name
+    for name in (run, run.rpartition("--")[0]):  # older files have no key in their name
         try:
             found = _outcome(read_json(root / FOLDER / f"{name}.json"))
         except (OSError, BadInput):
@@ -32,7 +32,7 @@ def kept_outcome(root: Path, run: str, key: str) -> Outcome | None:
 
 def _outcome(content: object) -> Outcome:
     if not isinstance(content, dict) or content.keys() != {item.name for item in fields(Outcome)}:
-        raise BadInput("not what a run of stress leaves")
+        raise BadInput("not an outcome of a stress run")
     found = Outcome(**content)
     texts = (found.key, found.method, found.fault, found.why, found.picture)
     flags = (found.remedies, found.ok)
@@ -48,12 +48,12 @@ def _outcome(content: object) -> Outcome:
         and found.fault in FAULTS
     )
     if not sound:
-        raise BadInput("a value of another kind than a run of stress leaves")
+        raise BadInput("a value that no stress run writes")
     if found.picture:
         file_name(found.picture, "picture", BadInput)
     return found
 
 
-def keep_outcome(root: Path, outcome: Outcome) -> None:
-    """In one atomic write."""
+def save_outcome(root: Path, outcome: Outcome) -> None:
+    """Write an outcome atomically."""
     write_json(root / FOLDER / f"{outcome.name}.json", asdict(outcome))

@@ -145,7 +145,7 @@ def _png(folder: Path, name: str) -> bytes | None:
 
 
 def _how(conditions: dict, missing: Sequence[tuple[str, str]]) -> str:
-    faults = "".join(f"<dt>{escape(one.name)}</dt><dd>{escape(one.told)}</dd>" for one in FAULTS.values())
+    faults = "".join(f"<dt>{escape(one.name)}</dt><dd>{escape(one.description)}</dd>" for one in FAULTS.values())
     gaps = "".join(f"<dt>{escape(what)}</dt><dd>{escape(why)}</dd>" for what, why in missing)
     told = ", ".join(f"{key} {value}" for key, value in conditions.items() if value != "")
     return (

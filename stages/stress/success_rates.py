@@ -1,4 +1,4 @@
-"""Runs brought together: a cell is one method under one fault, over all seeds."""
+"""Success rates by cell: one method under one fault, over all seeds."""
 
 import math
 import statistics
@@ -12,9 +12,10 @@ REMEDIED, REMEDIED_FILE = " + remedies", "-remedied"  # in words; in names of fi
 
 @dataclass(frozen=True)
 class Outcome:
-    """One run as its file keeps it. key: digest of all that decides its result. picture: its worst view, a file name.
+    """One run.
 
-    score: None where no picture came of it, or one that is not finite. why: of a failure, in words.
+    key: digest of everything that affects the result. score: None without a picture or with non-finite values. why:
+    reason of a failure. picture: file name of the worst view.
     """
 
     key: str
@@ -31,25 +32,26 @@ class Outcome:
 
     @property
     def label(self) -> str:
-        """The method, and whether with remedies."""
+        """The method, with or without remedies."""
         return self.method + (REMEDIED if self.remedies else "")
 
     @property
     def name(self) -> str:
-        """Of its files."""
+        """The name of its files."""
         return run_name(f"{self.method}{REMEDIED_FILE if self.remedies else ''}", self.fault, self.seed, self.key)
 
 
 def run_name(label: str, fault: str, seed: int, key: str) -> str:
-    """Of a run's files: what it is of, then enough of its key that runs of other options do not share one."""
+    """Return the name of a run's files; part of the key keeps runs of different options apart."""
     return f"{label}--{fault}--{seed}--{key[:12]}"
 
 
 @dataclass(frozen=True)
 class Cell:
-    """successes of count runs. median, spread (standard deviation, 1/(n-1)): of the scores that there are; else None.
+    """One method under one fault.
 
-    worst: the outcome without a score, else that with the lowest; among equals the first.
+    median, spread (standard deviation, 1/(n-1)), lowest: of the scores that exist, else None. worst: the first outcome
+    without a score, else the one with the lowest. whys: distinct reasons of failures.
     """
 
     method: str
@@ -65,16 +67,16 @@ class Cell:
 
     @property
     def rate(self) -> float:
-        """Share of the runs that succeeded."""
+        """Share of successful runs."""
         return self.successes / self.count
 
     def as_json(self) -> dict:
-        """Plain numbers and text."""
+        """Return plain numbers and text."""
         return asdict(self) | {"rate": self.rate}
 
 
 def cells_of(outcomes: Sequence[Outcome]) -> list[Cell]:
-    """One for each method and fault that any outcome is of, in the order of the tables of faults and methods."""
+    """Return a cell for each method and fault with outcomes, in the order of FAULTS and METHODS."""
     groups: dict[tuple[str, str], list[Outcome]] = {}
     for one in outcomes:
         groups.setdefault((one.label, one.fault), []).append(one)

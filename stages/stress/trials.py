@@ -1,7 +1,7 @@
-"""One run of a stress after another: a scene with its fault, a fit, a stylization, a verdict; each kept on disk.
+"""Trials: a scene with a fault, a fit, a stylization or edit, and a verdict. Each outcome is kept on disk.
 
-Everything lies in work folders below WORK/stress/works, one a scene and seed, apart from WORK: a scene with a fault
-must never be taken for the scene.
+Trials run in work folders below WORK/stress/works, one per scene and seed, never in WORK itself: a scene with a fault
+must not be mistaken for the user's.
 """
 
 import shutil
@@ -31,19 +31,19 @@ from stages.configs.stylize import CONFIGS, StylizeConfig
 from stages.run.progress import Context, Silent
 from stages.run.runner import execute
 from stages.stress import criteria, edit_trials
-from stages.stress.outcomes import keep_outcome, kept_outcome
+from stages.stress.outcomes import load_outcome, save_outcome
 from stages.stress.success_rates import REMEDIED, REMEDIED_FILE, Outcome, run_name
-from stages.stress.test_views import seen_from_tests, seen_of_edit, shown_beside
+from stages.stress.test_views import side_by_side, view_pairs, view_pairs_of_edit
 from stages.weights import resolve
 from stylerf.corruption import style_images
 
 WORST = "worst"
-KEPT = "kept"  # the file that marks a work folder as one of --keep
-# What is wrong with the command, the work folder or the machine says nothing about a method.
-NOT_OF_A_METHOD = (UsageError, ArtifactDamaged, ArtifactStale, OutOfResources, MemoryError, OSError)
+KEEP_MARKER = "kept"  # marks a work folder kept by --keep
+# Faults of the command, the work folder or the machine; they say nothing about a method.
+NOT_A_METHODS_FAULT = (UsageError, ArtifactDamaged, ArtifactStale, OutOfResources, MemoryError, OSError)
 QUICK_CAPACITY, QUICK_SAMPLES = "fixed:64x8x16", 20_000
 QUICK_REFIT, QUICK_DEFORM, DEFORM_STEPS = 60, 40, 400
-# What --remedies on runs with.
+# Options of --remedies on.
 REMEDIES_OF_FIT = {"opacity_weight": 5e-3, "gradient_clip": 4.0}
 REMEDIES_OF_DEFORM = {"gate": 0.05}
 REMEDIES_OF_STYLE = {"rollbacks": 3, "gradient_clip": 4.0, "min_spread": 0.16}
@@ -51,7 +51,7 @@ REMEDIES_OF_STYLE = {"rollbacks": 3, "gradient_clip": 4.0, "min_spread": 0.16}
 
 @dataclass(frozen=True)
 class Trial:
-    """One run to be made."""
+    """One method under one fault with one seed."""
 
     method: Method
     fault: Fault
@@ -60,35 +60,45 @@ class Trial:
 
     @property
     def origin(self) -> str:
-        """Whose scene it takes place in: paintings and palettes with faults are put on the scene without."""
+        """The fault of its scene; faults of style images and palettes use the scene without one."""
         return self.fault.name if self.fault.of_scene else CLEAN
 
     @property
     def cell(self) -> tuple[str, str]:
-        """Method and fault of the cell that it counts in."""
+        """Method and fault of its cell."""
         return self.method.name + (REMEDIED if self.remedies else ""), self.fault.name
 
     @property
     def label(self) -> str:
-        """Of its field and its files."""
+        """Part of the names of its field and files."""
         return f"{self.method.name}{REMEDIED_FILE if self.remedies else ''}"
 
 
 class FitFailed(Exception):
-    """A fit that failed earlier in this command; told in the words of its fault."""
+    """A fit that failed earlier in this command. The message is that of the first failure."""
 
 
 class Stress:
-    """Makes the runs of a config that do not stand yet. root: WORK/stress. source: the scene to be spoiled.
+    """Runs the trials of a config.
 
-    conditions: what all runs share and a baseline must share with them, here with trunk, device, criteria and
-    paintings; trunk and paintings are empty where no method sees one.
+    conditions: what all trials share, and what a baseline must share with them. Features and style images are empty
+    if no method takes a style image. missing: faults that the scene cannot have, with the reason.
     """
 
     def __init__(self, context: Context, config: StressConfig, source: Artifact, root: Path) -> None:
+        """Find the features that methods need.
+
+        Args:
+            context: seed, device, threads and progress.
+            config: options.
+            source: the scene to corrupt.
+            root: WORK/stress.
+
+        Raises:
+            UsageError: a method needs features and no weights are installed.
+        """
         self.context, self.config, self.source, self.root = context, config, source, root
-        # UsageError without any trunk, where a method needs one.
-        needed = any(METHODS[name].sees_painting for name in config.chosen_methods)
+        needed = any(METHODS[name].takes_style for name in config.chosen_methods)
         self.features = resolve.chosen("") if needed else {"features": ""}
         self.conditions = config.conditions | {
             "features": self.features["features"],
@@ -97,18 +107,18 @@ class Stress:
             "paintings": style_images.REVISION if needed else "",
         }
         self.missing: dict[str, str] = {}
-        self._worked_in: set[Path] = set()
-        self._digests: dict[Path, str] = {}  # of paintings
-        self._failed: dict[tuple[Path, FitConfig], tuple[str, float]] = {}  # fits: why, and seconds
-        self._seconds = 0.0  # of all that the run in progress is made of
-        self._afresh, self._only = False, False
+        self._used: set[Path] = set()
+        self._digests: dict[Path, str] = {}  # of style images
+        self._failed: dict[tuple[Path, FitConfig], tuple[str, float]] = {}  # reason and seconds
+        self._seconds = 0.0  # of everything the trial in progress consists of
+        self._force, self._only = False, False
 
     def trials(self) -> Iterator[Trial]:
-        """In the order in which scenes and fits are shared: by seed, then scene, then painting, then method."""
+        """Yield the trials, those that share scenes and fits together: by seed, scene, style image, method."""
         first = self.context.seed
         remedies = {"off": (False,), "on": (True,), "both": (False, True)}[self.config.remedies]
         faults = [FAULTS[name] for name in self.config.chosen_faults]
-        faults.sort(key=lambda fault: fault.of_scene and fault.name != CLEAN)  # stable: the clean scene's first
+        faults.sort(key=lambda fault: fault.of_scene and fault.name != CLEAN)  # stable: the clean scene first
         for seed in range(first, first + self.conditions["seeds"]):
             for fault in faults:
                 for method in (METHODS[name] for name in self.config.chosen_methods):
@@ -116,35 +126,35 @@ class Stress:
                         yield Trial(method, fault, seed, remedied)
 
     def run(self, only: bool, force: bool) -> list[Outcome]:
-        """All outcomes, kept or made. only: those that stand. force: every one made anew."""
-        trials, self._afresh, self._only = list(self.trials()), force, only
-        standing: dict[Path, bool] = {}  # whether all runs of a work folder do
+        """Return all outcomes, loaded or run. only: load, run nothing. force: run all, load nothing."""
+        trials, self._force, self._only = list(self.trials()), force, only
+        complete: dict[Path, bool] = {}  # whether all trials of a work folder have outcomes
         found: list[Outcome] = []
         progress = self.context.progress
         progress.start("stress", len(trials), "run")
         for number, trial in enumerate(trials):
             key = self.key_of(trial)
-            outcome = None if force else kept_outcome(self.root, self._name(trial, key), key)
+            outcome = None if force else load_outcome(self.root, self._name(trial, key), key)
             if outcome is None and not only and trial.fault.name not in self.missing:
-                outcome = self._made(trial, key)
+                outcome = self._run_trial(trial, key)
             if outcome is not None:
                 found.append(outcome)
-            place = self._place(trial).root
-            standing[place] = standing.get(place, True) and outcome is not None
+            place = self._work_folder(trial).root
+            complete[place] = complete.get(place, True) and outcome is not None
             following = trials[number + 1] if number + 1 < len(trials) else None
-            if following is None or self._place(following).root != place:
-                self._tidy(place, standing[place])
+            if following is None or self._work_folder(following).root != place:
+                self._clean_up(place, complete[place])
             progress.update(number + 1, f"{sum(not one.ok for one in found)} failed")
         progress.finish()
         return found
 
-    # -- what decides a run -----------------------------------------------------------------------------------------
+    # -- what affects a trial ----------------------------------------------------------------------------------------
 
     def key_of(self, trial: Trial) -> str:
-        """Digest of all that decides its result: scene, fault, options, seed, revisions of stages and criteria."""
+        """Return the digest of everything that affects a result: scene, fault, options, seed, revisions."""
         method, style, edit = trial.method, None, {}
         if method.style:
-            style = replace(self.style_config(trial), style="-")  # by its digest: a work folder may be moved
+            style = replace(self.style_config(trial), style="-")  # known by its digest; a work folder may move
         specs = (corrupt_scene.SPEC, nerf_fit.SPEC, deform_init.SPEC, stylize.SPEC)
         if method.edit:
             edit, specs = {"edit": self.edit_options(trial).described()}, (*specs, *edit_trials.SPECS)
@@ -162,7 +172,7 @@ class Stress:
         )
 
     def fault_config(self, trial: Trial) -> CorruptSceneConfig:
-        """Of the scene that a trial takes place in."""
+        """Return the config of a trial's scene."""
         fault, conditions = FAULTS[trial.origin], self.conditions
         given = {"side": conditions["side"], "views": conditions["views"], "tests": conditions["tests"]}
         if fault.of == "made":
@@ -171,22 +181,22 @@ class Stress:
         return CorruptSceneConfig(fault=fault.name, amount=fault.amount, **given, **source)
 
     def fit_config(self, trial: Trial) -> FitConfig:
-        """Of its fit, buffers left out."""
+        """Return the config of a trial's fit."""
         config = FitConfig(budget=self.conditions["budget"], field=trial.method.field, buffers=False)
         if self.conditions["quick"]:
             config = replace(config, capacity=QUICK_CAPACITY, samples=QUICK_SAMPLES)
         return replace(config, **REMEDIES_OF_FIT) if trial.remedies else config
 
     def deform_config(self, trial: Trial) -> DeformConfig:
-        """Of what desrf begins with."""
+        """Return the config of the deformation that desrf starts from."""
         config = DeformConfig(steps=QUICK_DEFORM if self.conditions["quick"] else DEFORM_STEPS)
         return replace(config, **REMEDIES_OF_DEFORM) if trial.remedies else config
 
     def style_config(self, trial: Trial) -> StylizeConfig:
-        """Of its stylization, with the digest of its painting."""
-        painting, digest = self.painting(trial)
+        """Return the config of a trial's stylization."""
+        style, digest = self.style_image(trial)
         config = CONFIGS[trial.method.style](
-            style=str(painting.resolve()),
+            style=str(style.resolve()),
             style_digest=digest,
             budget=self.conditions["style_budget"],
             **self.features,
@@ -196,17 +206,17 @@ class Stress:
         return replace(config, **REMEDIES_OF_STYLE) if trial.remedies else config
 
     def edit_options(self, trial: Trial) -> edit_trials.EditOptions:
-        """Of its local edit."""
+        """Return the options of a trial's local edit."""
         look = None
-        if trial.method.sees_painting:
-            painting, digest = self.painting(trial)
-            look = {"style": str(painting.resolve()), "style_digest": digest, **self.features}
+        if trial.method.takes_style:
+            style, digest = self.style_image(trial)
+            look = {"style": str(style.resolve()), "style_digest": digest, **self.features}
         return edit_trials.options_of(trial.method, trial.fault, trial.remedies, self.conditions, look)
 
-    def painting(self, trial: Trial) -> tuple[Path, str]:
-        """The painting of a trial, the fault's or the ordinary one, and its digest.
+    def style_image(self, trial: Trial) -> tuple[Path, str]:
+        """Return a trial's style image, made if it is missing (with --force, in any case), and its digest.
 
-        It is made where it is missing, with --force once anew; where nothing is to be run, for its digest alone.
+        With --only it is made in a temporary folder, for its digest.
         """
         fault = trial.fault if trial.fault.of == STYLE else None
         side = int(fault.amount) if fault else ORDINARY_STYLE
@@ -217,32 +227,32 @@ class Stress:
         if path not in self._digests:
             with TemporaryDirectory() as aside:
                 file = Path(aside) / name if self._only and not path.is_file() else path
-                if not file.is_file() or (self._afresh and not self._only):
-                    write_png(file, to_uint8(painted(fault.name if fault else "", side, trial.seed)))
+                if not file.is_file() or (self._force and not self._only):
+                    write_png(file, to_uint8(style_image_of(fault.name if fault else "", side, trial.seed)))
                 self._digests[path] = file_sha256(file)
         return path, self._digests[path]
 
-    # -- a run ------------------------------------------------------------------------------------------------------
+    # -- a trial ------------------------------------------------------------------------------------------------------
 
     def _name(self, trial: Trial, key: str) -> str:
         return run_name(trial.label, trial.fault.name, trial.seed, key)
 
-    def _made(self, trial: Trial, key: str) -> Outcome | None:
+    def _run_trial(self, trial: Trial, key: str) -> Outcome | None:
         self._seconds = 0.0
         try:
             scene = self._scene(trial)
         except BadInput as error:
             self.missing[trial.fault.name] = str(error)
-            self.context.progress.say(f"{trial.fault.name} is left out: {error}")
+            self.context.progress.say(f"{trial.fault.name} left out: {error}")
             return None
         picture = f"{self._name(trial, key)}.png"
         try:
             verdict, worst = self._verdict(trial, scene)
-        except NOT_OF_A_METHOD:
+        except NOT_A_METHODS_FAULT:
             raise
         except Exception as error:
-            # A method that breaks has failed, however it breaks: that is what is counted here.
-            verdict = criteria.Verdict(False, why_of(error), None, 0)
+            # A method that breaks has failed, however it breaks; that is what is counted.
+            verdict = criteria.Verdict(False, reason_of(error), None, 0)
             (self.root / WORST / picture).unlink(missing_ok=True)
             picture = ""
         else:
@@ -260,36 +270,36 @@ class Stress:
             seconds=round(self._seconds, 2),
             picture=picture,
         )
-        keep_outcome(self.root, outcome)
+        save_outcome(self.root, outcome)
         return outcome
 
-    def _place(self, trial: Trial) -> WorkFolder:
+    def _work_folder(self, trial: Trial) -> WorkFolder:
         return WorkFolder(self.root / "works" / f"{trial.origin}-{trial.seed}")
 
     def _execute(self, trial: Trial, stage: Any, inputs: dict, config: Any, name: str) -> Artifact:
         context = replace(self.context, seed=trial.seed, progress=Silent())
-        place = self._place(trial)
-        if self._afresh and place.root not in self._worked_in:
-            shutil.rmtree(place.root, ignore_errors=True)  # what --keep left there may be of other code
-        self._worked_in.add(place.root)
+        place = self._work_folder(trial)
+        if self._force and place.root not in self._used:
+            shutil.rmtree(place.root, ignore_errors=True)  # --keep may have left files of other code
+        self._used.add(place.root)
         if self.config.keep:
             make_folder(place.root)
-            (place.root / KEPT).touch()
-        begun, made = time.monotonic(), None
+            (place.root / KEEP_MARKER).touch()
+        started, made = time.monotonic(), None
         try:
             made, _ = execute(stage.SPEC, stage.run, place, name, inputs, config, context)
             return made
         finally:
-            # What runs share counts with each of them, whichever came first; a stage that failed left no manifest.
-            self._seconds += made.manifest.seconds if made else time.monotonic() - begun
+            # A shared stage counts for each trial that uses it. A failed stage left no manifest.
+            self._seconds += made.manifest.seconds if made else time.monotonic() - started
 
     def _scene(self, trial: Trial) -> Artifact:
         return self._execute(trial, corrupt_scene, {}, self.fault_config(trial), "main")
 
     def _fitted(self, trial: Trial, scene: Artifact, name: str) -> Artifact:
-        """Its fit. One that has failed fails at once for all that would be made of it: it would fail again."""
+        """Return a trial's fit. A fit that failed fails at once for the other trials that share it."""
         config = self.fit_config(trial)
-        recipe = self._place(trial).root, config
+        recipe = self._work_folder(trial).root, config
         if recipe in self._failed:
             why, seconds = self._failed[recipe]
             self._seconds += seconds
@@ -297,53 +307,52 @@ class Stress:
         before = self._seconds
         try:
             return self._execute(trial, nerf_fit, {"scene": scene}, config, name)
-        except NOT_OF_A_METHOD:
+        except NOT_A_METHODS_FAULT:
             raise
         except Exception as error:
-            self._failed[recipe] = why_of(error), self._seconds - before
+            self._failed[recipe] = reason_of(error), self._seconds - before
             raise
 
     def _verdict(self, trial: Trial, scene: Artifact) -> tuple[criteria.Verdict, np.ndarray]:
-        """And the picture of the worst view."""
+        """Run a trial; return its verdict and a picture of the worst view."""
         method, threads = trial.method, self.context.threads
         fit_name = f"fit-{method.field}{REMEDIED_FILE if trial.remedies else ''}"
         field = self._fitted(trial, scene, fit_name)
         if method.edit:
             chain, options = partial(self._execute, trial), self.edit_options(trial)
             after, region = edit_trials.edited(chain, scene, field, options, threads)
-            views = seen_of_edit(scene, field, after, region, threads)
-            verdict = criteria.judged_edit(views)
-            return verdict, shown_beside(views[verdict.worst])
+            views = view_pairs_of_edit(scene, field, after, region, threads)
+            verdict = criteria.judge_edit(views)
+            return verdict, side_by_side(views[verdict.worst])
         if method.style == "desrf":
             inputs = {"scene": scene, "field": field}
             field = self._execute(trial, deform_init, inputs, self.deform_config(trial), f"{fit_name}-deformed")
         if method.style:
             inputs, config = {"scene": scene, "field": field}, self.style_config(trial)
             field = self._execute(trial, stylize, inputs, config, f"{trial.fault.name}-{trial.label}")
-        views = seen_from_tests(scene, field, threads)
+        views = view_pairs(scene, field, threads)
         if method.style:
-            painting = read_painting(self.painting(trial)[0]).permute(1, 2, 0).numpy()
-            verdict = criteria.judged_style(views, painting)
+            style = read_painting(self.style_image(trial)[0]).permute(1, 2, 0).numpy()
+            verdict = criteria.judge_style(views, style)
         else:
-            verdict = criteria.judged_fit(views)
-        return verdict, shown_beside(views[verdict.worst])
+            verdict = criteria.judge_fit(views)
+        return verdict, side_by_side(views[verdict.worst])
 
-    def _tidy(self, place: Path, all_stand: bool) -> None:
-        """Scenes and fields go when nothing more is made of them, also those that a killed run has left; not what is
-        to be kept, or was. Outcomes stay."""
-        if self.config.keep or (place / KEPT).exists():
+    def _clean_up(self, place: Path, complete: bool) -> None:
+        """Delete a work folder that no further trial needs, even one left by a killed run, unless --keep kept it."""
+        if self.config.keep or (place / KEEP_MARKER).exists():
             return
-        if place in self._worked_in or (all_stand and not self._only):
+        if place in self._used or (complete and not self._only):
             shutil.rmtree(place, ignore_errors=True)
 
 
-def why_of(error: Exception) -> str:
-    """What an outcome tells of a fault."""
+def reason_of(error: Exception) -> str:
+    """Return the reason of a failed trial."""
     return str(error) if isinstance(error, FitFailed) else f"{type(error).__name__}: {error}"[:300]
 
 
-def painted(fault: str, side: int, seed: int) -> np.ndarray:
-    """The painting [side, side, 3] of a fault's name; empty: the ordinary one."""
+def style_image_of(fault: str, side: int, seed: int) -> np.ndarray:
+    """Return the style image [side, side, 3] of a fault; of the ordinary one for an empty name."""
     if fault == "style-white":
         return style_images.white(side)
     makers = {

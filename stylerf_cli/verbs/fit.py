@@ -1,11 +1,13 @@
 """`stylerf fit WORK`: a radiance field from the scene's photos."""
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from schemas.work_folder import Artifact
 from stages.configs.fit import FitConfig
 from stylerf_cli.arguments import Parser
 from stylerf_cli.session import Session
+
+if TYPE_CHECKING:  # imports numpy, for which `--help` must not wait
+    from schemas.work_folder import Artifact
 
 NAME = "fit"
 HELP = "fit a radiance field to the photos"
@@ -27,7 +29,7 @@ def run(args: Any, session: Session) -> dict[str, Any]:
     return session.emit(result, _words(field, figures))
 
 
-def _words(field: Artifact, figures: dict[str, Any]) -> list[str]:
+def _words(field: "Artifact", figures: dict[str, Any]) -> list[str]:
     lines = [
         f"field {field.name}: {_size(figures)}, "
         f"{figures['parameters'] / 1e6:.2f} M parameters, {figures['train_seconds']:.0f} s, {figures['steps']} steps"

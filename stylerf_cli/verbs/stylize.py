@@ -67,15 +67,15 @@ def add_arguments(parser: Parser) -> None:
 def run(args: Any, session: Session) -> dict[str, Any]:
     """Return path, name and figures of the stylized field, or of a region's edit."""
     pipeline, config = session.pipeline, session.config
-    asked = {"of": args.of, "name": session.name, "force": session.force}
+    common = {"of": args.of, "name": session.name, "force": session.force}
     if isinstance(config, RegionConfig):
-        made, kind = pipeline.stylize_region(config, region=args.region, **asked), "edit"
+        made, kind = pipeline.stylize_region(config, region=args.region, **common), "edit"
         words = palette_lines(made)
     elif isinstance(config, PaletteFieldConfig):
-        made, kind = pipeline.decompose(config, **asked), "field"
+        made, kind = pipeline.decompose(config, **common), "field"
         words = palette_lines(made, "field")
     else:
-        made, kind = pipeline.stylize(config, region=args.region, **asked), "field"
+        made, kind = pipeline.stylize(config, region=args.region, **common), "field"
         figures = made.manifest.figures
         words = [
             f"field {made.name}: {figures['steps']} style steps over {figures['views']} views in "

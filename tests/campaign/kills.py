@@ -12,6 +12,7 @@ from pathlib import Path
 from random import Random
 from typing import Any
 
+from schemas.errors import OutOfResources
 from tests.campaign.ground import Ground, Stage, contents, copy_of, leftovers, verified
 from tests.campaign.tracing import calls_on, ended, traced
 from tests.stylerf_cli.nursery import Command, Nursery
@@ -19,6 +20,7 @@ from tests.stylerf_cli.nursery import Command, Nursery
 KILLED_AT = ("openat", "write", "writev", "fsync", "rename", "renameat2", "unlink", "unlinkat", "mkdir")
 MOST_IN_A_ROW = 3
 FOLLOWED_EVERY_SECONDS = 0.002
+CHILD_KILLED = "structure from motion was killed"
 
 
 @dataclass
@@ -76,7 +78,10 @@ def trial(
                 moment, command = killed_in_time(nursery, stage, work, whole, chance)
             if command.code == 0:  # it was quicker than its moment
                 break
-            if command.code != -signal.SIGKILL:
+            if by_call and command.code == OutOfResources.exit_code and CHILD_KILLED in command.err:
+                # strace follows the child of structure from motion too; the parent reports its death.
+                moment += " in its child"
+            elif command.code != -signal.SIGKILL:
                 told["fault"] = f"ends with {command.code} before it is killed: {command.err.strip()}"
                 return told
             told["moments"].append(moment)

@@ -139,12 +139,12 @@ def command(words: tuple[str, ...]) -> tuple[int | None, str, str]:
 def call(reader, path: Path) -> tuple[int | None, str, str]:
     """The same of a reader that is called."""
     from schemas.safe_names import printable
-    from stylerf_cli.exit_codes import told
+    from stylerf_cli.exit_codes import code_and_line
 
     try:
         reader(path)
     except Exception as error:
-        code, line = told(error, [], None)
+        code, line = code_and_line(error, [], None)
         return code, "", f"stylerf: error: {printable(line)}\n"
     return 0, "", ""
 

@@ -6,7 +6,7 @@ import os
 import pytest
 
 from schemas import atomic_write
-from schemas.atomic_write import is_temporary, refusal_of_disk, replacing, write_bytes, write_json, writing
+from schemas.atomic_write import is_temporary, refusal_of_disk, replacing, sweeping, write_bytes, write_json, writing
 from schemas.canonical_json import canonical_json, digest_of, plain
 from schemas.errors import OutOfResources
 
@@ -71,3 +71,16 @@ def test_canonical_json_ignores_order_and_types_of_containers():
 def test_objects_without_a_json_form_are_refused():
     with pytest.raises(TypeError, match="object"):
         plain({"a": object()})
+
+
+def test_sweeping_deletes_leftovers_but_not_what_is_being_written(tmp_path):
+    left = tmp_path / "charts" / ".heat_map.0a1b2c3d.tmp.svg"
+    left.parent.mkdir()
+    for kept in (left, tmp_path / "charts" / "heat_map.svg", tmp_path / "charts" / ".hidden"):
+        kept.write_text("half")
+    with sweeping((tmp_path / "charts", tmp_path / "absent")), replacing(tmp_path / "charts" / "b.svg") as temporary:
+        temporary.write_text("whole")
+    assert sorted(one.name for one in left.parent.iterdir()) == [".hidden", "b.svg", "heat_map.svg"]
+    with sweeping([left.parent]):
+        left.write_text("of another process")
+    assert left.exists()

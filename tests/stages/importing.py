@@ -6,9 +6,9 @@ from schemas.scene import Scene, read_scene
 from schemas.work_folder import Artifact, WorkFolder
 from stages import pose_import
 from stages.configs.pose_import import ImportOptions
+from stages.pipeline.importing import import_config
 from stages.run.progress import Context, Silent
 from stages.run.runner import execute
-from stylerf_cli.verbs.import_ import config_for
 
 
 class Said(Silent):
@@ -23,7 +23,7 @@ class Said(Silent):
 
 def imported(source, work, said=None, seed=0, **options) -> Artifact:
     """The scene artifact of `stylerf import source work` with these options."""
-    config = config_for(source, ImportOptions(**options))
+    config = import_config(source, ImportOptions(**options))
     context = Context(seed=seed, progress=said or Silent())
     return execute(pose_import.SPEC, pose_import.run, WorkFolder(work), "main", {}, config, context)[0]
 

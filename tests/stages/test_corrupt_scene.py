@@ -47,7 +47,7 @@ def test_test_views_have_no_fault_and_the_scene_tells_where_it_comes_from(source
         np.testing.assert_array_equal(data.images(i), before.images(old))
         np.testing.assert_array_equal(data.cameras[i].world_from_camera, before.cameras[old].world_from_camera)
     told = made.manifest
-    assert told.stage == "fault_scene" and told.config["source_digest"] == source.digest and told.inputs == []
+    assert told.stage == "corrupt_scene" and told.config["source_digest"] == source.digest and told.inputs == []
     assert told.figures["fault"] == fault and told.figures["train"] == len(data.splits["train"])
     made.verify()
 

@@ -1,5 +1,6 @@
 """Flags from dataclasses: every type, from the command line and from TOML, with flags above TOML above defaults."""
 
+import re
 import textwrap
 from dataclasses import dataclass
 from pathlib import Path
@@ -7,11 +8,12 @@ from pathlib import Path
 import pytest
 
 from schemas.errors import UsageError
-from stages.configs import option
+from stages.configs import flags_of, option
 from stages.configs.render import RenderConfig
-from stylerf_cli.arguments import Parser, add_common, add_config, flags_of
+from stylerf_cli.arguments import Parser, add_common, add_config
 from stylerf_cli.main import main
 from stylerf_cli.options import Options
+from stylerf_cli.verbs import VERBS
 from tests.conftest import REPOSITORY
 
 
@@ -105,7 +107,7 @@ def test_other_verbs_get_their_own_table_only(tmp_path):
         ("grid = 1", "list of 2"),
         ("layers = [1]", "text in quotes"),
         ('mode = "slow"', "fast, exact"),
-        ("steps = ", "no TOML"),
+        ("steps = ", "not valid TOML"),
         ('seed = "x"', "seed takes a value of type int"),
         ('device = "tpu"', "tpu"),
         ("threads = 0", "at least 1"),
@@ -138,9 +140,9 @@ def test_required():
 def test_common_options(tmp_path):
     text = 'seed = 4\ndevice = "cpu"\nthreads = 3'
     common = parse(["--seed", "5"], toml=text, tmp_path=tmp_path).common()
-    assert (common.seed, common.device, common.threads, common.threads_given) == (5, "cpu", 3, True)
+    assert (common.seed, common.device, common.threads) == (5, "cpu", 3)
     common = parse([]).common()
-    assert (common.seed, common.device, common.threads_given) == (0, "auto", False) and common.threads >= 1
+    assert (common.seed, common.device, common.threads) == (0, "auto", None)
 
 
 def test_a_verb_without_options_takes_none_from_the_file(tmp_path):
@@ -171,3 +173,43 @@ def test_a_file_for_a_chain_serves_every_use_of_a_verb(tmp_path, capsys, flags):
     assert "[stylize]" in chain and main(command) == 4, capsys.readouterr().err
     (tmp_path / "chain.toml").write_text(chain + "\nmehtod = 1\n")
     assert main(command) == 2 and "no option 'mehtod'" in capsys.readouterr().err
+
+
+@dataclass(frozen=True)
+class Grouped:
+    rate: float = option(0.5, help="how fast")
+    levels: int = option(8, help="how deep", advanced=True, group="grid")
+    mask: str = option("", help="file", digest="mask_digest")
+    mask_digest: str = ""
+
+
+def help_of(everything: bool) -> str:
+    parser = Parser(prog="stylerf fit")
+    add_config(parser, Grouped, everything)
+    add_common(parser, everything)
+    return parser.format_help()
+
+
+def test_advanced_options_are_listed_in_the_whole_help_alone():
+    short, whole = help_of(False), help_of(True)
+    assert "--rate" in short and "--levels" not in short and "--memory" not in short
+    assert "--memory" in whole and re.search(r"\ngrid:\n +--levels", whole)
+    assert parse(["--levels", "9"], Grouped).config(Grouped).levels == 9  # hidden, not gone
+
+
+def test_a_digest_is_neither_a_flag_nor_a_key(tmp_path):
+    assert "digest" not in help_of(True)
+    with pytest.raises(UsageError, match="unrecognized"):
+        parse(["--mask-digest", "d1"], Grouped)
+    with pytest.raises(UsageError, match="no option 'mask_digest'"):
+        parse([], Grouped, 'mask_digest = "d1"', tmp_path).config(Grouped)
+
+
+@pytest.mark.parametrize("verb", [verb for verb in VERBS if verb not in ("show", "verify", "doctor", "compare")])
+def test_no_verb_takes_a_digest_and_each_help_is_whole(verb, capsys):
+    assert main([verb, "--help-all"]) == 0
+    whole = capsys.readouterr().out
+    assert main([verb, "--help"]) == 0
+    short = capsys.readouterr().out
+    assert "digest" not in whole and "--help-all" in short and "--memory" in whole and "--memory" not in short
+    assert set(re.findall(r"--[a-z-]+", short)) <= set(re.findall(r"--[a-z-]+", whole))

@@ -59,7 +59,7 @@ def test_a_second_scene_in_a_work_folder_is_refused(posed, tmp_path, capsys):
         return ["import", posed, tmp_path / "work", *name]
 
     assert main([*map(str, imported("--name", "den")), "--quiet"]) == 0
-    assert "holds scene den already" in told(capsys, *imported(), code=2)
+    assert "already holds scene den" in told(capsys, *imported(), code=2)
     assert main([*map(str, imported("--name", "den", "--downscale", "2")), "--quiet"]) == 0
     assert [item.name for item in (tmp_path / "work/scene").glob("[!.]*")] == ["den"]
 

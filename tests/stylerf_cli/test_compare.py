@@ -67,3 +67,13 @@ def test_what_is_no_work_folder_is_refused(work, tmp_path, capsys):
     assert main(["compare", str(bare.root)]) == 4
     assert f"stylerf fit {bare.root}" in capsys.readouterr().err
     assert main(["compare"]) == 2
+
+
+def test_leftovers_of_a_killed_comparison_are_deleted(work):
+    out = work.root / "comparison"
+    (out / "charts").mkdir(parents=True)
+    left = [out / ".compare.0a1b2c3d.tmp.html", out / "charts" / ".fits_seconds.0a1b2c3d.tmp.svg"]
+    for path in left:
+        path.write_text("half")
+    assert main(["compare", str(work.root), "--quiet"]) == 0
+    assert not any(path.exists() for path in left) and (out / "charts" / "fits_seconds.svg").is_file()

@@ -14,7 +14,7 @@ from schemas.canonical_json import plain
 from schemas.images import write_png
 from schemas.work_folder import WorkFolder
 from stages.configs.render import RenderConfig
-from stages.pipeline import prerequisites
+from stages.pipeline import evaluation
 from stages.render import SPEC, pinned
 from stylerf_cli.main import main
 from tests.conftest import REPOSITORY
@@ -52,12 +52,12 @@ def renderer(monkeypatch):
     """Stands in for the chain that renders what is missing; remembers what it was asked for."""
     asked = []
 
-    def ensure_frames(session, field, path, name):
+    def ensure_frames(runner, field, path, name):
         asked.append((field.name, path))
         digest = pinned(RenderConfig(path=path)).path_digest
-        return render(session.work, field, path, name=name, path_digest=digest)
+        return render(runner.work, field, path, name=name, path_digest=digest)
 
-    monkeypatch.setattr(prerequisites, "ensure_frames", ensure_frames)
+    monkeypatch.setattr(evaluation, "ensure_frames", ensure_frames)
     return asked
 
 
@@ -155,7 +155,7 @@ def test_damaged_frames_are_passed_over_and_said_once(work, renderer, capsys, fi
         (one.path / file).write_text("{")
     assert main(["eval", str(work.root), "--of", "wall", *FAST[:-1]]) == 0
     told = capsys.readouterr().err
-    assert [told.count(f"frames {one.name} are passed over: ") for one in damaged] == [1, 1]
+    assert [told.count(f"skipping frames {one.name}: ") for one in damaged] == [1, 1]
     # In the place of those that are to be made, it may be of a newer stylerf: not replaced unasked.
     assert main(["eval", str(work.root), "--of", "wall", *FAST[:-1], "--path", "orbit"]) == 4
     assert "wall-orbit" in capsys.readouterr().err and renderer == []
@@ -206,7 +206,7 @@ def test_a_bent_field_is_no_measure_of_its_own_bending(work, renderer, capsys):
         (("--masks", "/nowhere"), 3, "--masks /nowhere"),
         (("--flow", "/nowhere"), 3, "--flow /nowhere"),
         (("--region", "cup"), 4, "no region"),
-        (("--robust-to", "red"), 2, "for a stylized field"),
+        (("--robust-to", "red"), 2, "need a stylized field"),
     ],
 )
 def test_what_cannot_be_measured_is_refused_before_anything_is_rendered(work, renderer, capsys, options, code, told):
@@ -255,4 +255,4 @@ def test_a_work_folder_without_a_field_says_how_to_make_one(tmp_path, capsys):
 def test_help_imports_no_torch():
     code = "import sys; from stylerf_cli.main import main; main(['eval', '--help']); sys.exit('torch' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=REPOSITORY, check=False)
-    assert done.returncode == 0 and "--of" in done.stdout and "--depth-tolerance" in done.stdout
+    assert done.returncode == 0 and "--of" in done.stdout and "--consistency" in done.stdout

@@ -283,8 +283,8 @@ def test_a_name_that_is_none_is_refused_before_any_work(paintings, capsys, name)
         ("buffers = 'yes'", "true or false"),
         ("seed = 'seven'", "seed takes a value of type int"),
         ("[fti]\nbudget = '60s'", "no verb 'fti'; did you mean 'fit'"),
-        ("budget = ", "is no TOML"),
-        ("\x00", "is no TOML"),
+        ("budget = ", "is not valid TOML"),
+        ("\x00", "is not valid TOML"),
     ],
 )
 def test_option_files_that_are_none(tmp_path, capsys, text, words):

@@ -127,9 +127,9 @@ def test_an_unforeseen_fault_keeps_its_traceback_somewhere(tmp_path, monkeypatch
     monkeypatch.setattr("stages.run.runner.versions", lambda: 1 / 0)
     kept = io.StringIO()
     monkeypatch.setattr(sys, "stderr", kept)
-    code, line = exit_codes.told(KeyError("who"), ["fit", "w"], None)
+    code, line = exit_codes.code_and_line(KeyError("who"), ["fit", "w"], None)
     assert code == 1 and "unexpected KeyError" in line and "KeyError: 'who'" in kept.getvalue()
-    code, line = exit_codes.told(KeyError("who"), ["fit", "w"], tmp_path)
+    code, line = exit_codes.code_and_line(KeyError("who"), ["fit", "w"], tmp_path)
     log = next(tmp_path.glob("stylerf-crash-*.log"))
     assert str(log) in line and "KeyError: 'who'" in log.read_text() and "ZeroDivisionError" not in line
 
@@ -158,14 +158,14 @@ def test_what_is_no_regular_file_has_no_digest(tmp_path, name):
     (tmp_path / "folder").mkdir()
     with pytest.raises(OSError) as caught:
         file_sha256(tmp_path / name)
-    code, line = exit_codes.told(caught.value, ["render", "w"], tmp_path)
+    code, line = exit_codes.code_and_line(caught.value, ["render", "w"], tmp_path)
     assert code == 3 and name in line and not list(tmp_path.glob("*.log"))
 
 
 def test_a_path_of_an_unknown_user_is_told(tmp_path):
     with pytest.raises(RuntimeError) as caught:
         Path("~nobody-is-called-so/x").expanduser()
-    assert exit_codes.told(caught.value, ["eval", "w"], tmp_path)[0] == 3
+    assert exit_codes.code_and_line(caught.value, ["eval", "w"], tmp_path)[0] == 3
     assert not list(tmp_path.iterdir())
 
 
@@ -179,5 +179,5 @@ def test_a_path_of_an_unknown_user_is_told(tmp_path):
     ],
 )
 def test_paths_that_the_system_does_not_take_are_bad_input(tmp_path, error):
-    code, line = exit_codes.told(error, ["import", "p", "w"], tmp_path)
+    code, line = exit_codes.code_and_line(error, ["import", "p", "w"], tmp_path)
     assert code == 3 and len(line) < 400 and not list(tmp_path.iterdir())

@@ -30,14 +30,14 @@ def test_ctrl_c_ends_a_stage_within_ten_seconds_and_the_next_run_goes_on(long_st
         assert seconds < LONGEST_SECONDS
         assert command.code == 130 and "Traceback" not in command.err, command.err
         line = shlex.join(map(str, stage.command("stopped")))  # ready to be pasted: its work folder has a space
-        said = f"stylerf: error: interrupted; the same command goes on where it stopped: stylerf {line}"
+        said = f"stylerf: error: interrupted; rerun to resume: stylerf {line}"
         assert command.err.splitlines()[-1] == said and command.err.count("stylerf: error") == 1
         assert command.out == ""
         break
     else:
         raise AssertionError("six runs ended before they could be interrupted")
     last = nursery.run(work.parent / "said", *stage.command("stopped"))
-    assert last.code == 0 and "going on with the interrupted" in last.err, last.err
+    assert last.code == 0 and "resuming the interrupted" in last.err, last.err
     assert_same(WorkFolder(work), stage, "stopped")
 
 

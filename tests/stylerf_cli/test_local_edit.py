@@ -328,7 +328,7 @@ def test_a_part_is_stylized_by_methods_that_can_and_whole_pictures_are_not_match
     assert "--of ball: region ball was selected in field fit; select it anew" in told
     for method in (("--method", "arf"), ("--method=palettenerf",)):
         told = refused(capsys, "stylize", edited, "--region", "ball", "--style", painting, *method)
-        assert "is for the whole scene; a --region takes --method refnpr" in told
+        assert "stylizes whole scenes; with --region, use --method refnpr" in told
 
 
 def test_an_edit_of_a_stylized_field_is_taught_by_what_that_field_shows(edited, middle, capsys):
@@ -368,10 +368,10 @@ def test_an_edit_of_a_stylized_field_is_taught_by_what_that_field_shows(edited, 
     # The whole of it would lose the painting, and says so.
     for command in (("stylize", "--method", "palettenerf"), ("deform",)):
         line = refused(capsys, command[0], edited, "--of", name, *command[1:], "--name", "other")
-        assert f"start from --of {fitted(edited)}" in line
+        assert f"Start from --of {fitted(edited)}" in line
     for edit, of in (("ball", name), ("on-paint", fitted(edited)), ("on-paint", "ball")):
         line = refused(capsys, "finetune", edited, "--edit", edit, "--of", of, "--name", "other")
-        assert "show another field" in line
+        assert "pictures of another field" in line
 
 
 def test_the_whole_fields_colors_can_learn_instead(edited, capsys):

@@ -11,9 +11,9 @@ import pytest
 from schemas.errors import UsageError
 from schemas.images import read_image, write_png
 from schemas.work_folder import WorkFolder
+from stages.pipeline.demo import refuse_others
 from stylerf.procedural.still_life import StillLife
 from stylerf_cli.main import main
-from stylerf_cli.verbs.demo import refuse_others
 
 DEMO = ["--size", "48", "--train-views", "16", "--test-views", "2", "--fit-budget", "250", "--style-budget", "6",
         "--frames", "4"]  # fmt: skip
@@ -49,12 +49,12 @@ def test_a_demo_replaces_neither_scenes_nor_photos_of_others(posed, tmp_path, ca
     said(capsys, "import", str(posed), str(work))
     before = WorkFolder(work).get("scene", "main").digest
     assert main(["demo", str(work), "--quiet", *DEMO]) == 2
-    assert "scene/main is not the demo's" in capsys.readouterr().err
+    assert "scene/main was not made by the demo" in capsys.readouterr().err
     assert WorkFolder(work).get("scene", "main").digest == before and not (work / "photos").exists()
     (tmp_path / "new" / "photos").mkdir(parents=True)
     (tmp_path / "new" / "photos" / "mine.jpg").write_bytes(b"mine")
     assert main(["demo", str(tmp_path / "new"), "--quiet", *DEMO]) == 2
-    assert "photos is not the demo's" in capsys.readouterr().err
+    assert "photos was not made by the demo" in capsys.readouterr().err
 
 
 def test_a_demo_knows_its_own_even_where_it_was_moved(photos, tmp_path, capsys):
@@ -65,7 +65,7 @@ def test_a_demo_knows_its_own_even_where_it_was_moved(photos, tmp_path, capsys):
     moved = work.rename(tmp_path / "moved")
     refuse_others(WorkFolder(moved), moved / "photos")
     shutil.rmtree(moved / "photos")
-    with pytest.raises(UsageError, match="not the demo's"):
+    with pytest.raises(UsageError, match="not made by the demo"):
         refuse_others(WorkFolder(moved), moved / "photos")
 
 
@@ -73,16 +73,16 @@ def test_all_stages_of_a_demo_are_its_own(demo, capsys, monkeypatch, tmp_path):
     """What makes them is replaced: --force reaches every one, --only forbids none, names are their own."""
     asked = []
 
-    def execute(spec, run, work, name, inputs, config, context, force=False, careful=False):
+    def execute(spec, run, work, name, inputs, config, context, force=False, protect=False):
         asked.append((spec.verb, force))
         return work.get(spec.writes, name), True
 
-    monkeypatch.setattr("stages.run.runner.execute", execute)
+    monkeypatch.setattr("stages.pipeline.stage_runner.execute", execute)
     said(capsys, "demo", str(demo), *DEMO, "--force")
     assert {verb for verb, _ in asked} == {"import", "fit", "deform", "stylize", "render", "eval"}
     assert all(force for _, force in asked)
     assert main(["demo", str(tmp_path / "new"), "--name", "mine", "--quiet"]) == 2
-    assert "names of their own" in capsys.readouterr().err and not (tmp_path / "new").exists()
+    assert "names its own artifacts" in capsys.readouterr().err and not (tmp_path / "new").exists()
 
 
 def test_everything_made_verifies_and_a_flipped_byte_is_found(demo, capsys, tmp_path):

@@ -21,13 +21,13 @@ def test_what_was_made_of_photos_stands_where_they_are_moved(work, photos, tmp_p
     (moved / "import.json").write_text("{}")
     write_png(moved / "sketch.png", np.zeros((8, 8, 3), np.uint8))
     assert main(["import", str(moved), str(work)]) == 0
-    assert "scene main stands up to date" in capsys.readouterr().err
+    assert "scene main is up to date" in capsys.readouterr().err
     assert main(["stylize", str(work), "--style", str(moved / PAINTING), *STYLIZE]) == 0
     notes = capsys.readouterr().err
-    assert "field painting-arf stands up to date" in notes and "stylerf fit" not in notes
+    assert "field painting-arf is up to date" in notes and "stylerf fit" not in notes
     assert digests(work) == before
     photo = moved / "train" / "train_000.png"
     write_png(photo, to_uint8(read_image(photo).pixels * [0.5, 1, 1, 1]))
     assert main(["import", str(moved), str(work)]) == 0
-    assert "stands up to date" not in capsys.readouterr().err
+    assert "is up to date" not in capsys.readouterr().err
     assert digests(work)["scene main"] != before["scene main"]

@@ -52,8 +52,8 @@ def test_a_palette_is_learned_once_and_changed_without_learning(work, capsys):
     report = said(capsys, "eval", work, "--of", "green", "--perceptual", "none")
     assert report["figures"]["sparsity"] == learned["figures"]["sparsity"] and report["figures"]["psnr"] > 5
     assert "pixels that show the scene" in report["protocols"]["sparsity"]
-    assert "has its palette already" in refused(capsys, 2, "stylize", work, "--of", "green", "--method", "palettenerf")
-    assert "options of learning" in refused(capsys, 2, "stylize", work, "--of", "palette", *asked, "--bases", "5")
+    assert "already has a palette" in refused(capsys, 2, "stylize", work, "--of", "green", "--method", "palettenerf")
+    assert "options for learning" in refused(capsys, 2, "stylize", work, "--of", "palette", *asked, "--bases", "5")
     densities = [load_field(WorkFolder(work).get("field", name))[0].density.values for name in ("fit", "green")]
     assert np.array_equal(*densities)
 

@@ -59,7 +59,7 @@ def test_a_process_that_dies_ends_the_run_in_one_line_and_leaves_it_resumable(sc
 
 @pytest.mark.slow
 def test_what_stands_is_not_made_again_and_every_process_knows(scene, tmp_path):
-    for told in ("30 steps", "stands up to date"):
+    for told in ("30 steps", "is up to date"):
         processes = start(2, *command(scene, 30), folder=tmp_path)
         assert ended(processes, 200) == [0, 0]
         said = (tmp_path / "out0").read_text() + (tmp_path / "err0").read_text()

@@ -48,7 +48,7 @@ def test_a_disk_that_takes_no_more_stops_a_stage_which_then_goes_on(long_stage, 
     for artifact in WorkFolder(work).artifacts():
         artifact.verify()
     last = nursery.run(said, *stage.command("limited"))
-    assert last.code == 0 and "going on with the interrupted" in last.err, last.err
+    assert last.code == 0 and "resuming the interrupted" in last.err, last.err
     assert_same(WorkFolder(work), stage, "limited")
 
 
@@ -131,7 +131,7 @@ def test_too_little_memory_is_told(work, nursery, tmp_path):
     line = assert_refused(
         nursery.run(tmp_path / "said", *command, limits={"RLIMIT_AS": 4_000_000_000}), "out of memory"
     )
-    assert "smaller" in line and "run the same command" in line
+    assert "smaller" in line and "rerun the same command" in line
 
 
 def short_of_memory(times: int, real):

@@ -199,7 +199,7 @@ def test_frames_that_fit_made_are_those_that_render_would_make(work, tmp_path, c
     fit = ("--budget", "3", "--capacity", "fixed:32x8x8", "--samples", "3000", "--name", "short")
     assert main(["fit", str(work), *fit, "--quiet"]) == 0
     assert main(["render", str(work), "--of", "short", "--path", "views"]) == 0
-    assert "stands up to date" in capsys.readouterr().err
+    assert "is up to date" in capsys.readouterr().err
     assert main(["fit", str(work), *fit, "--config", str(options), "--quiet"]) == 0  # photos in no order are no film
     assert not list((work / "frames" / "short-views").glob("video.*"))
 

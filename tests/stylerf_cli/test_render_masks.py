@@ -109,17 +109,17 @@ def test_pictures_of_regions_hold_what_the_channels_hold(work, regions, capsys):
 def test_a_changed_region_makes_frames_anew_and_one_that_stands_does_not(work, regions, capsys):
     folder, _, _ = rendered(work, capsys, *TEST)
     first = Artifact(folder).manifest
-    assert "stands up to date" in rendered(work, capsys, *TEST)[2]
+    assert "is up to date" in rendered(work, capsys, *TEST)[2]
     assert Artifact(folder).manifest.created == first.created
     make_region(work, "low", ~regions["low"])
-    assert "stands up to date" not in rendered(work, capsys, *TEST)[2]
+    assert "is up to date" not in rendered(work, capsys, *TEST)[2]
     assert {ref.role: ref.digest for ref in Artifact(folder).manifest.inputs}["region.low"] == (
         WorkFolder(work).get("region", "low").digest
     )
     # Regions that are not written take no part.
     plain, _, _ = rendered(work, capsys, *TEST, "--no-regions", name="plain")
     make_region(work, "low", regions["low"])
-    assert "stands up to date" in rendered(work, capsys, *TEST, "--no-regions", name="plain")[2]
+    assert "is up to date" in rendered(work, capsys, *TEST, "--no-regions", name="plain")[2]
     assert {ref.kind for ref in Artifact(plain).manifest.inputs} == {"scene", "field"}
 
 
@@ -145,7 +145,7 @@ def test_a_region_selected_since_does_not_cost_an_interrupted_render(work, regio
     shutil.rmtree(work / "region" / "high")
     (work.parent / "low").rename(old)
     assert main([*command[:-1]]) == 0
-    assert "going on with the interrupted" in capsys.readouterr().err
+    assert "resuming the interrupted" in capsys.readouterr().err
 
 
 def test_a_region_of_another_space_is_left_out_and_named(work, regions, capsys):

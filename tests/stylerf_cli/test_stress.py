@@ -14,8 +14,9 @@ from schemas.errors import ArtifactDamaged, ArtifactStale, BadInput, OutOfResour
 from schemas.work_folder import WorkFolder
 from stages.configs.faults import FAULTS, METHODS
 from stages.configs.stress import StressConfig
+from stages.run.progress import Context
 from stages.stress import edit_trials, trials
-from stages.stress.criteria import Seen, Verdict
+from stages.stress.criteria import Verdict, ViewPair
 from stylerf.errors import Diverged
 from stylerf_cli.main import main
 from tests.stages.stress_fixture import make_capture
@@ -51,7 +52,7 @@ def runs(monkeypatch):
     stand_in = Runs()
     monkeypatch.setattr(trials.Stress, "_scene", stand_in.scene)
     monkeypatch.setattr(trials.Stress, "_verdict", stand_in.verdict)
-    monkeypatch.setattr(trials, "painted", lambda fault, side, seed: np.full((16, 16, 3), 0.1 * seed))
+    monkeypatch.setattr(trials, "style_image_of", lambda fault, side, seed: np.full((16, 16, 3), 0.1 * seed))
     return stand_in
 
 
@@ -90,6 +91,16 @@ def test_files_and_json_tell_the_same(folder, runs, capsys):
         assert len([*csv.DictReader(stream)]) == 15
     assert (folder / "scene" / "main" / "manifest.json").stat().st_mtime_ns == before
     assert main(["verify", str(folder), "--quiet"]) == 0  # what it writes is no artifact of this work folder
+
+
+def test_leftovers_of_a_killed_run_are_deleted(folder, runs):
+    assert stress(folder) == 0
+    out = folder / "stress"
+    left = [out / name / ".heat_map.0a1b2c3d.tmp.svg" for name in ("", "charts", "runs", "styles", "worst")]
+    for path in left:
+        path.write_text("half")
+    assert stress(folder) == 0
+    assert not any(path.exists() for path in left) and (out / "charts" / "heat_map.svg").is_file()
 
 
 def test_what_stands_is_not_run_again(folder, runs, capsys):
@@ -137,7 +148,7 @@ def test_nothing_stands_and_nothing_faces(folder, runs, capsys):
     assert not (folder / "stress").exists()  # not even a painting
     assert main(["stress", str(folder), "--methods", "fit", "--faults", "style-white"]) == 2
     assert main(["stress", str(folder), "--methods", "magic"]) == 2
-    assert "there are fit, fit-hash" in capsys.readouterr().err
+    assert "known are fit, fit-hash" in capsys.readouterr().err
 
 
 def test_what_breaks_has_failed_and_what_the_machine_refuses_ends_it(folder, runs, capsys):
@@ -171,27 +182,26 @@ def test_another_trunk_or_device_is_another_run_and_no_baseline(folder, runs, ca
     baseline = str(tmp_path / "baseline.json")
     assert stress(folder, "--write-baseline", baseline) == 0 and len(runs.made) == 15
     other = {"features": "another-trunk", "features_digest": ""}
-    monkeypatch.setattr(trials.weights, "chosen", lambda features: other)
+    monkeypatch.setattr(trials.resolve, "chosen", lambda features: other)
     assert stress(folder, "--baseline", baseline) == 2 and "now 'another-trunk'" in capsys.readouterr().err
     assert stress(folder) == 0 and len(runs.made) == 15 + 9  # a fit sees no painting
-    monkeypatch.setattr(trials.weights, "chosen", lambda features: (_ for _ in ()).throw(UsageError("none")))
+    monkeypatch.setattr(trials.resolve, "chosen", lambda features: (_ for _ in ()).throw(UsageError("none")))
     fits = ("--methods", "fit", "--faults", "seeds", "blur", "--seeds", "3", "--budget", "10")
     assert stress(folder) == 2 and main(["stress", str(folder), *fits]) == 0
     kept = str(tmp_path / "fits.json")  # of fits: whatever weights there are, they compare
     assert main(["stress", str(folder), *fits, "--write-baseline", kept]) == 0
     assert "features" not in (folder / "stress" / "stress.html").read_text()
-    monkeypatch.setattr(trials.weights, "found_trunk", lambda: "yet-another")
+    monkeypatch.setattr(trials.resolve, "found_trunk", lambda: "yet-another")
     assert main(["stress", str(folder), *fits, "--baseline", kept]) == 0
     assert main(["stress", str(folder), *fits, "--baseline", baseline]) == 0
-    monkeypatch.setattr(trials.weights, "chosen", lambda features: other)
+    monkeypatch.setattr(trials.resolve, "chosen", lambda features: other)
     capsys.readouterr()
     assert stress(folder, "--baseline", kept) == 0 and "no cell of 2 compared" in capsys.readouterr().out
     monkeypatch.undo()
     config = StressConfig(methods=("fit",), faults=("seeds",))
     keys = []
     for device in ("cpu", "cuda"):
-        session = SimpleNamespace(context=SimpleNamespace(device=device), common=SimpleNamespace(seed=0))
-        one = trials.Stress(session, config, WorkFolder(folder).get("scene", "main"), folder / "stress")
+        one = trials.Stress(Context(device=device), config, WorkFolder(folder).get("scene", "main"), folder / "stress")
         keys.append(one.key_of(next(one.trials())))
         assert one.conditions["device"] == device and one.conditions["criteria"] == trials.criteria.REVISION
     assert keys[0] != keys[1]
@@ -205,25 +215,25 @@ def test_what_stands_is_found_without_its_painting(folder, runs, capsys):
 
 
 def test_paintings_are_made_anew_by_force_and_of_another_revision(folder, runs, capsys, monkeypatch, tmp_path):
-    baseline, painted = str(tmp_path / "baseline.json"), []
+    baseline, made = str(tmp_path / "baseline.json"), []
 
     def other(fault, side, seed):
-        painted.append((fault, seed))
+        made.append((fault, seed))
         return np.full((16, 16, 3), 0.9)
 
     assert stress(folder, "--write-baseline", baseline) == 0
     before = {path.name: path.read_bytes() for path in (folder / "stress" / "styles").iterdir()}
-    monkeypatch.setattr(trials, "painted", other)
-    assert stress(folder) == 0 and painted == [] and len(runs.made) == 15
-    assert stress(folder, "--force", "--only") == 4 and painted == []
+    monkeypatch.setattr(trials, "style_image_of", other)
+    assert stress(folder) == 0 and made == [] and len(runs.made) == 15
+    assert stress(folder, "--force", "--only") == 4 and made == []
     assert stress(folder, "--force") == 0
-    assert sorted(painted) == [("", 0), ("", 1), ("", 2), *(("style-white", seed) for seed in range(3))]
+    assert sorted(made) == [("", 0), ("", 1), ("", 2), *(("style-white", seed) for seed in range(3))]
     assert all((folder / "stress" / "styles" / name).read_bytes() != content for name, content in before.items())
     assert stress(folder, "--baseline", baseline) == 0  # who changes a painting tells by its revision
-    monkeypatch.setattr(trials.paintings, "REVISION", 2)
+    monkeypatch.setattr(trials.style_images, "REVISION", 2)
     capsys.readouterr()
     assert stress(folder, "--baseline", baseline) == 2 and "paintings 1, now 2" in capsys.readouterr().err
-    assert stress(folder) == 0 and len(painted) == 12
+    assert stress(folder) == 0 and len(made) == 12
 
 
 def test_a_baseline_does_not_replace_itself(folder, runs, capsys, tmp_path):
@@ -233,7 +243,7 @@ def test_a_baseline_does_not_replace_itself(folder, runs, capsys, tmp_path):
     runs.answers["arf", "seeds"] = 5.0
     for named in (["--write-baseline"], ["--write-baseline", str(baseline)]):
         assert stress(folder, "--force", "--baseline", f"{folder}/stress/../stress/baseline.json", *named) == 2
-        assert "name one file" in capsys.readouterr().err
+        assert "name the same file" in capsys.readouterr().err
     assert baseline.read_bytes() == before
 
 
@@ -243,7 +253,7 @@ def test_what_a_killed_run_left_goes_once_all_of_it_stands(folder, runs, capsys)
     def leave() -> None:
         for place in (left, kept):
             (place / "field").mkdir(parents=True, exist_ok=True)
-        (kept / trials.KEPT).touch()
+        (kept / trials.KEEP_MARKER).touch()
 
     leave()
     runs.raising["arf", "seeds", 0] = KeyboardInterrupt()
@@ -273,11 +283,11 @@ class Stages:
 
 @pytest.fixture
 def stages(monkeypatch):
-    stand_in, view = Stages(), Seen("v", np.zeros((4, 4, 3)), np.ones((4, 4, 3)))
+    stand_in, view = Stages(), ViewPair("v", np.zeros((4, 4, 3)), np.ones((4, 4, 3)))
     monkeypatch.setattr(trials, "execute", stand_in.execute)
-    monkeypatch.setattr(trials, "seen_from_tests", lambda *_: [view])
-    monkeypatch.setattr(trials.criteria, "judged_style", lambda *_: Verdict(True, "", 0.5, 0))
-    monkeypatch.setattr(trials, "painted", lambda *_: np.zeros((16, 16, 3)))
+    monkeypatch.setattr(trials, "view_pairs", lambda *_: [view])
+    monkeypatch.setattr(trials.criteria, "judge_style", lambda *_: Verdict(True, "", 0.5, 0))
+    monkeypatch.setattr(trials, "style_image_of", lambda *_: np.zeros((16, 16, 3)))
     return stand_in
 
 
@@ -409,8 +419,8 @@ def test_an_edits_options_follow_its_fault(folder, runs, capsys):
     def options(method, fault, remedies=False, quick=False, budget="25s"):
         conditions = {"quick": quick, "style_budget": budget}
         painting = None
-        if METHODS[method].sees_painting:
-            file = folder / "stress" / "styles" / f"ordinary-256-0-r{trials.paintings.REVISION}.png"
+        if METHODS[method].takes_style:
+            file = folder / "stress" / "styles" / f"ordinary-256-0-r{trials.style_images.REVISION}.png"
             painting = {"style": str(file), "style_digest": file_sha256(file)}
         return edit_trials.options_of(METHODS[method], FAULTS[fault], remedies, conditions, painting)
 
@@ -430,18 +440,18 @@ def test_an_edits_options_follow_its_fault(folder, runs, capsys):
 
 def test_a_run_takes_as_long_as_all_that_it_is_made_of(folder, monkeypatch, capsys):
     """Scene and fit are shared; a stage that fails counts as long as it ran."""
-    seconds = {"fault_scene": 1.0, "nerf_fit": 10.0, "stylize": 100.0}
+    seconds = {"corrupt_scene": 1.0, "nerf_fit": 10.0, "stylize": 100.0}
 
     def execute(spec, run, work, name, inputs, config, context):
         if spec.stage == "stylize" and context.seed == 1:
             raise Diverged("left the finite numbers")
         return SimpleNamespace(manifest=SimpleNamespace(seconds=seconds[spec.stage])), False
 
-    view = Seen("v", np.zeros((4, 4, 3)), np.ones((4, 4, 3)))
+    view = ViewPair("v", np.zeros((4, 4, 3)), np.ones((4, 4, 3)))
     monkeypatch.setattr(trials, "execute", execute)
-    monkeypatch.setattr(trials, "seen_from_tests", lambda *_: [view])
-    monkeypatch.setattr(trials.criteria, "judged_style", lambda *_: Verdict(True, "", 0.5, 0))
-    monkeypatch.setattr(trials, "painted", lambda *_: np.zeros((16, 16, 3)))
+    monkeypatch.setattr(trials, "view_pairs", lambda *_: [view])
+    monkeypatch.setattr(trials.criteria, "judge_style", lambda *_: Verdict(True, "", 0.5, 0))
+    monkeypatch.setattr(trials, "style_image_of", lambda *_: np.zeros((16, 16, 3)))
     few = ("--methods", "fit", "arf", "--faults", "seeds", "--seeds", "2", "--budget", "10")
     assert main(["stress", str(folder), *few, "--json"]) == 0
     capsys.readouterr()

@@ -73,7 +73,8 @@ def test_other_weights_make_the_field_anew(work, tmp_path, capsys, monkeypatch):
 def test_that_the_field_of_another_painting_is_replaced_is_said(work, tmp_path, capsys):
     one, other = (painting(tmp_path / folder / "night.png", level) for level, folder in enumerate("ab"))
     assert "replaced" not in stylized(work, capsys, one) + stylized(work, capsys, one, "--budget", "9")
-    assert "field night-arf is of another painting and is replaced; --name" in stylized(work, capsys, other)
+    said = stylized(work, capsys, other)
+    assert "field night-arf was made with another style image and will be replaced; --name" in said
     assert "replaced" not in stylized(work, capsys, one, "--name", "night-of-a")
     assert names(work) == {"night-arf", "night-of-a"}
     (work.root / "field/night-arf/manifest.json").write_text("{}")  # one that nobody can read is made again
@@ -91,7 +92,7 @@ def test_an_edited_field_is_stylized_by_the_photos_that_hold_its_edit_and_a_styl
     capsys.readouterr()
     assert main(["stylize", str(work.root), "--style", str(style), "--of", "of-vase-red", "--name", "twice"]) == 2
     assert "field of-vase-red has colors that no photo shows" in (told := capsys.readouterr().err)
-    assert "start from --of vase-red," in told
+    assert "Start from --of vase-red," in told
 
 
 def blank(folder):

@@ -14,10 +14,10 @@ from stages import region_select
 from stages.artifacts.scene import load_scene
 from stages.artifacts.style_images import read_painting
 from stages.evaluation.region_masks import mask_of
+from stages.pipeline.importing import import_config
 from stages.readers.digest import digest_of_source
 from stages.readers.photo_folder import photos_of
 from stages.readers.source import find_image
-from stylerf_cli.verbs.import_ import config_for
 from tests.stages.importing import Said, imported, scene_of
 from tests.stages.photo_room import write_tagged
 from tests.stylerf_cli import capture
@@ -305,11 +305,11 @@ def test_photos_in_a_folder_elsewhere_are_told_by_its_name(source, tmp_path):
 
 @pytest.mark.parametrize("place", ["work", "", ".."])
 def test_an_import_into_a_folder_of_its_source_stands(posed, place):
-    config = config_for(posed)
+    config = import_config(posed)
     imported(posed, posed / place)
-    assert config_for(posed) == config
+    assert import_config(posed) == config
     write_mask(posed / "images" / "p01.png")
-    assert config_for(posed) != config
+    assert import_config(posed) != config
 
 
 def test_rows_of_llff_are_of_photos_in_alphabetical_order(source, tmp_path):

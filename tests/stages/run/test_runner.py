@@ -111,7 +111,7 @@ def test_the_verb_of_every_stage_is_known_where_one_is_damaged():
     modules = [path for path in (REPOSITORY / "stages").glob("*.py") if "\nSPEC = " in path.read_text()]
     specs = [importlib.import_module(f"stages.{path.stem}").SPEC for path in modules]
     # A scene with a fault lies in a work folder of `stress`, which makes it again by itself.
-    assert {spec.stage: spec.verb for spec in specs if spec.stage != "fault_scene"} == VERB_OF
+    assert {spec.stage: spec.verb for spec in specs if spec.stage != "corrupt_scene"} == VERB_OF
 
 
 def in_child(action) -> int:
@@ -228,7 +228,7 @@ def test_a_stage_resumes_where_it_stopped_and_the_clock_adds_up(tmp_path, expect
         toy(work, function=interrupted)
     assert work.artifacts() == [] and work.unfinished() == [("field", "fox")]
     made, _ = execute(SPEC, run, work, "fox", {}, ToyConfig(), Context(progress=Heard()))
-    assert said == ["going on with the interrupted toy of fox"]
+    assert said == ["resuming the interrupted toy of fox"]
     assert files_of(made) == files_of(expected_artifact(tmp_path))
     assert made.manifest.figures["runs"] == 2
     assert 0.2 <= made.manifest.seconds < 20
@@ -257,10 +257,11 @@ def test_dear_work_with_other_options_is_not_lost_without_a_word(tmp_path, expec
     made, _ = asked(ToyConfig())
     assert made.digest == expected and made.manifest.seconds > 3300
     assert asked(ToyConfig())[1]
-    assert said == ["going on with the interrupted toy of fox"]
+    assert said == ["resuming the interrupted toy of fox"]
     asked(ToyConfig(steps=31))
     assert said[1:] == [
-        "field fox, 55 min of work with --steps 30, is replaced once this is done; `stylerf toy --name NAME` keeps both"
+        "field fox, 55 min of work with --steps 30, will be replaced when this is done; "
+        "`stylerf toy --name NAME` keeps both"
     ]
     asked(ToyConfig())  # what took a moment goes without a word
     with pytest.raises(KeyboardInterrupt):
@@ -299,8 +300,8 @@ def test_dear_work_on_other_inputs_is_not_replaced_without_a_word(tmp_path, monk
     source, _ = toy(work, "photos", ToyConfig(steps=8))
     asked(6, {"scene": source})
     asked(6, {"scene": source}, replace(SPEC, revision=SPEC.revision + 1))
-    assert "work with --steps 5, field photos as it was, is" in said[1]
-    assert f"work with revision {SPEC.revision} of {SPEC.stage}, is" in said[2] and len(said) == 3
+    assert "work with --steps 5, field photos as it was, will" in said[1]
+    assert f"work with revision {SPEC.revision} of {SPEC.stage}, will" in said[2] and len(said) == 3
 
 
 def test_where_a_file_lies_has_no_say_once_its_content_is_known():
@@ -345,8 +346,8 @@ def test_dear_work_of_other_inputs_is_told_when_it_is_given_up(tmp_path, monkeyp
     assert said == [
         f"{before}, 0 min of work with scene main as it was, {after}"
         for before, after in (
-            ("an interrupted `stylerf toy` of field fox", "cannot go on and is deleted"),
-            ("field fox", "is replaced once this is done; `stylerf toy --name NAME` keeps both"),
+            ("an interrupted `stylerf toy` of field fox", "cannot resume; deleting it"),
+            ("field fox", "will be replaced when this is done; `stylerf toy --name NAME` keeps both"),
         )
     ]
 
@@ -380,7 +381,7 @@ def test_peak_memory_is_that_of_the_stage_not_of_the_one_before(tmp_path):
         (PermissionError(errno.EACCES, "Permission denied"), "no permission"),
         (MemoryError(), "out of memory"),
         (OSError(errno.ENOMEM, "Cannot allocate memory"), "out of memory"),
-        (OSError(errno.EIO, "Input/output error", "/disk/7.exr"), "/disk/7.exr: Input/output error; what is done is"),
+        (OSError(errno.EIO, "Input/output error", "/disk/7.exr"), "/disk/7.exr: Input/output error; rerun"),
         (TimeoutError(errno.ETIMEDOUT, "Connection timed out"), "Connection timed out"),
         (OSError(errno.ESTALE, "Stale file handle"), "Stale file handle"),
         (RuntimeError("[enforce fail] DefaultCPUAllocator: can't allocate memory: you tried 9"), "out of memory"),
@@ -440,9 +441,9 @@ FILL = """
 import sys, numpy as np
 from pathlib import Path
 from schemas.errors import OutOfResources
-from schemas.store import Work
-from stages.progress import Context
-from stages.runner import Spec, execute, recipe_of
+from schemas.work_folder import WorkFolder
+from stages.run.progress import Context
+from stages.run.runner import Spec, execute, recipe_of
 from schemas.tensors import save_tensors
 import tests.stages.toy_stage as toy
 
@@ -456,7 +457,7 @@ if len(sys.argv) > 3:
     signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
     resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[3]), resource.RLIM_INFINITY))
 try:
-    execute(toy.SPEC, run, Work(sys.argv[1]), "fox", {}, toy.ToyConfig(), Context())
+    execute(toy.SPEC, run, WorkFolder(sys.argv[1]), "fox", {}, toy.ToyConfig(), Context())
     print("made")
 except OutOfResources as error:
     print(error)
@@ -587,7 +588,7 @@ def test_an_input_altered_while_a_stage_read_it_gives_no_result(tmp_path):
 def test_an_input_made_again_while_a_stage_read_it_gives_no_result(tmp_path):
     work = WorkFolder(tmp_path)
     source = source_of(work)
-    with pytest.raises(ArtifactStale, match="scene fox was made again while `stylerf toy` read it"):
+    with pytest.raises(ArtifactStale, match="scene fox was rebuilt while `stylerf toy` read it"):
         toy(work, inputs={"scene": source}, function=_during(lambda: source_of(work, seed=1)))
     assert not (tmp_path / "field" / "fox").exists()
 
@@ -631,7 +632,7 @@ def test_a_partial_run_that_cannot_be_opened_is_told_and_kept(tmp_path, monkeypa
     begun.release()
     with monkeypatch.context() as failing:
         failing.setattr(partial, "_stored", lambda path: (_ for _ in ()).throw(OSError(errno.EIO, "I/O", str(path))))
-        with pytest.raises(OutOfResources, match="what is done is kept"):
+        with pytest.raises(OutOfResources, match="rerun the same command to resume"):
             toy(WorkFolder(tmp_path))
     assert WorkFolder(tmp_path).unfinished() == [("field", "fox")]
 

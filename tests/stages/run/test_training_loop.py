@@ -43,7 +43,7 @@ def partial(tmp_path):
 
 def run(toy, partial, every=1e9, first=True):
     said, told = Said(), []
-    context = Context(ranks=SimpleNamespace(first=first), progress=said)
+    context = Context(processes=SimpleNamespace(first=first), progress=said)
     try:
         run_training(toy, "the toy", every, partial, context, lambda now: told.append(now.step))
     finally:

@@ -15,12 +15,12 @@ from stages.configs.faults import FAULTS, METHODS, PALETTE, STYLE
 from stages.configs.stress import StressConfig
 from stages.stress import test_views
 from stages.stress.baseline import compared, read_baseline, write_baseline
-from stages.stress.criteria import LEAST_GAIN, LEAST_STRUCTURE, Seen, judged_edit, judged_fit, judged_style
+from stages.stress.criteria import LEAST_GAIN, LEAST_STRUCTURE, ViewPair, judge_edit, judge_fit, judge_style
 from stages.stress.heat_map import heat_map, rates
-from stages.stress.outcomes import keep_outcome, kept_outcome
+from stages.stress.outcomes import load_outcome, save_outcome
 from stages.stress.page import build_page, cell_rows, run_rows
 from stages.stress.success_rates import cells_of
-from stages.stress.test_views import shown_beside
+from stages.stress.test_views import side_by_side
 from stylerf.geometry.cameras import Camera
 from tests.stages.stress_fixture import outcome
 from tests.stylerf.small import SPACES, field_of, wall_in_front
@@ -43,7 +43,7 @@ def test_a_fit_is_set_beside_the_best_picture_of_one_color():
     grays = [np.full((20, 20, 3), level, np.float32) for level in (0.3, 0.4, 0.8)]
     least = -20 * np.log10(0.2 * 0.1 * 0.3) / 3
     for error, ok in ((0.1227, True), (0.1363, False)):  # 18.22 and 17.31 dB: 3.41 and 2.50 over it
-        verdict = judged_fit([Seen(f"v{i}", off_by(gray, error), gray) for i, gray in enumerate(grays)])
+        verdict = judge_fit([ViewPair(f"v{i}", off_by(gray, error), gray) for i, gray in enumerate(grays)])
         assert verdict.ok == ok and bool(verdict.why) != ok
         assert verdict.score == pytest.approx(-20 * np.log10(error), abs=1e-3)
         assert verdict.figures["gain_over_flat"] == pytest.approx(-20 * np.log10(error) - least, abs=1e-3)
@@ -56,29 +56,29 @@ def test_an_object_is_set_beside_its_own_outlines_in_one_color():
     mask[10:30, 12:36] = True
     truth = np.where(mask[..., None], 0.5 * np.random.default_rng(1).random((40, 48, 3)), 1.0).astype(np.float32)
     blob, inside = np.where(mask[..., None], np.float32(0.25), np.float32(1)), truth[mask]
-    assert judged_fit(
-        [Seen("v", np.broadcast_to(blob, truth.shape), truth)]
+    assert judge_fit(
+        [ViewPair("v", np.broadcast_to(blob, truth.shape), truth)]
     ).ok  # where nothing tells object and ground
-    verdict = judged_fit([Seen("v", np.broadcast_to(blob, truth.shape), truth, mask)])
-    assert not verdict.ok and "outlines" in verdict.why
+    verdict = judge_fit([ViewPair("v", np.broadcast_to(blob, truth.shape), truth, mask)])
+    assert not verdict.ok and "silhouette" in verdict.why
     assert verdict.figures["gain_over_flat"] == pytest.approx(0.0, abs=0.1)
     better = np.where(mask[..., None], truth + 0.5 * (inside.mean(0) - truth), 1.0).astype(np.float32)
-    assert judged_fit([Seen("v", better, truth, mask)]).figures["gain_over_flat"] == pytest.approx(6.02, abs=0.05)
+    assert judge_fit([ViewPair("v", better, truth, mask)]).figures["gain_over_flat"] == pytest.approx(6.02, abs=0.05)
 
 
 def test_the_worst_view_is_the_one_that_is_farthest_off():
-    views = [Seen(f"v{i}", off_by(photo(i), error), photo(i)) for i, error in enumerate((0.01, 0.2, 0.05))]
-    assert judged_fit(views).worst == 1
-    assert judged_fit([Seen("same", photo(), photo())]).score == 100.0  # not infinite: it goes to a file
+    views = [ViewPair(f"v{i}", off_by(photo(i), error), photo(i)) for i, error in enumerate((0.01, 0.2, 0.05))]
+    assert judge_fit(views).worst == 1
+    assert judge_fit([ViewPair("same", photo(), photo())]).score == 100.0  # not infinite: it goes to a file
 
 
 def test_what_is_not_finite_has_failed_whatever_else():
     broken = photo(1).copy()
     broken[3, 4, 0] = np.nan
-    views = [Seen("good", photo(), photo()), Seen("bad", broken, photo(1))]
-    for verdict in (judged_fit(views), judged_style(views, photo(2))):
+    views = [ViewPair("good", photo(), photo()), ViewPair("bad", broken, photo(1))]
+    for verdict in (judge_fit(views), judge_style(views, photo(2))):
         assert not verdict.ok and verdict.score is None and verdict.worst == 1 and "1 of 2 views" in verdict.why
-    shown = shown_beside(views[1])
+    shown = side_by_side(views[1])
     assert shown.shape == (20, 52, 3) and tuple(shown[3, 28 + 4]) == (1, 0, 1) and np.isfinite(shown).all()
 
 
@@ -90,14 +90,14 @@ def test_a_stylization_keeps_luma_and_takes_colors():
     """The painting is the photo darkened: three tenths of the way leave 0.7 of the distance of means, the limit."""
     seen = photo()
     painting = seen - np.float32(0.6)
-    just, not_yet = (Seen("v", seen - np.float32(0.6 * share), seen) for share in (0.31, 0.29))
-    assert judged_style([just], painting).ok
-    verdict = judged_style([not_yet], painting)
+    just, not_yet = (ViewPair("v", seen - np.float32(0.6 * share), seen) for share in (0.31, 0.29))
+    assert judge_style([just], painting).ok
+    verdict = judge_style([not_yet], painting)
     assert not verdict.ok and "colors" in verdict.why
     assert verdict.figures["color_distance_of_photos"] == pytest.approx(0.6 * np.sqrt(3), abs=1e-3)
     assert verdict.figures["color_distance"] == pytest.approx(0.71 * 0.6 * np.sqrt(3), abs=1e-3)
     near = seen - np.float32(0.02)
-    assert judged_style([Seen("v", seen, seen)], near).ok  # so near that nothing needs to be taken
+    assert judge_style([ViewPair("v", seen, seen)], near).ok  # so near that nothing needs to be taken
 
 
 def test_a_stylization_without_structure_fails_however_smooth_the_photo_is():
@@ -107,14 +107,14 @@ def test_a_stylization_without_structure_fails_however_smooth_the_photo_is():
     for one in (seen, faint):
         flat = recolored(one, one.mean((0, 1)), 0.0)
         for render in (flat, 0.9 * flat + 0.1 * noise):
-            verdict = judged_style([Seen("v", render, one)], flat)
+            verdict = judge_style([ViewPair("v", render, one)], flat)
             assert not verdict.ok and "structure kept" in verdict.why
             # Noise explains a little of anything by chance.
             assert verdict.score < (1e-6 if render is flat else LEAST_STRUCTURE / 2)
-    assert judged_style([Seen("v", flat, faint)], flat).figures["content_ssim"] > 0.8
+    assert judge_style([ViewPair("v", flat, faint)], flat).figures["content_ssim"] > 0.8
     # What was light and became dark is still to be seen.
-    assert judged_style([Seen("v", 1 - seen, seen)], 1 - seen).ok
-    kept = judged_style([Seen("a", seen, seen), Seen("b", recolored(seen, seen.mean((0, 1)), 0.0), seen)], seen)
+    assert judge_style([ViewPair("v", 1 - seen, seen)], 1 - seen).ok
+    kept = judge_style([ViewPair("a", seen, seen), ViewPair("b", recolored(seen, seen.mean((0, 1)), 0.0), seen)], seen)
     assert kept.score == pytest.approx(0.5, abs=2e-3) and kept.worst == 1
 
 
@@ -126,18 +126,18 @@ def test_of_an_object_only_what_is_there_counts():
     render = seen.copy()
     render[~mask] = 0.0  # wrong, but nothing is there
     painting = 0.5 * photo()
-    verdict = judged_style([Seen("v", render, seen, mask)], painting)
+    verdict = judge_style([ViewPair("v", render, seen, mask)], painting)
     assert verdict.figures["color_distance"] < 0.1 and verdict.ok
-    assert judged_style([Seen("v", render, seen)], painting).score < verdict.score - 0.1
+    assert judge_style([ViewPair("v", render, seen)], painting).score < verdict.score - 0.1
 
 
-def edited_view(inside: float, around: float, mask: np.ndarray | None = None) -> Seen:
+def edited_view(inside: float, around: float, mask: np.ndarray | None = None) -> ViewPair:
     """A textured gray view whose grays rise by so much of L* in the part, and around it."""
     if mask is None:
         mask = np.zeros((40, 48), bool)
         mask[10:30, 12:36] = True
     lightness = 40 + 10 * np.random.default_rng(3).random(mask.shape)
-    return Seen("v", of_lightness(lightness + np.where(mask, inside, around)), of_lightness(lightness), mask)
+    return ViewPair("v", of_lightness(lightness + np.where(mask, inside, around)), of_lightness(lightness), mask)
 
 
 def of_lightness(lightness: np.ndarray) -> np.ndarray:
@@ -146,26 +146,26 @@ def of_lightness(lightness: np.ndarray) -> np.ndarray:
 
 def test_an_edit_changes_its_part_and_nothing_around_it():
     """Grays of one lightness more are 1 apart in CIE76, the whole color difference."""
-    verdict = judged_edit([edited_view(20, 1), edited_view(20, 3)])
+    verdict = judge_edit([edited_view(20, 1), edited_view(20, 3)])
     assert verdict.ok and verdict.worst == 1 and verdict.score == pytest.approx(0.9, abs=2e-3)
     assert verdict.figures["change_inside"] == pytest.approx(20, abs=0.05)
     assert verdict.figures["change_around"] == pytest.approx(2, abs=0.02)
-    for inside, around, why in ((9, 0, "the part changed by 9.0"), (20, 4.5, "what is around it"), (0, 0, "0.0 dE")):
-        verdict = judged_edit([edited_view(inside, around)])
+    for inside, around, why in ((9, 0, "the region changed by 9.0"), (20, 4.5, "its surroundings"), (0, 0, "0.0 dE")):
+        verdict = judge_edit([edited_view(inside, around)])
         assert not verdict.ok and why in verdict.why
-    assert judged_edit([edited_view(0, 0)]).score == 0 and judged_edit([edited_view(10, 20)]).score == 0
+    assert judge_edit([edited_view(0, 0)]).score == 0 and judge_edit([edited_view(10, 20)]).score == 0
 
 
 def test_an_edit_that_no_test_view_shows_or_that_keeps_no_content_or_is_broken_fails():
     unseen = edited_view(20, 0, np.zeros((40, 48), bool))
-    assert judged_edit([unseen]).why == "no test view shows the part"
-    assert judged_edit([unseen, edited_view(20, 0)]).ok  # those that show it count
+    assert judge_edit([unseen]).why == "no test view shows the region"
+    assert judge_edit([unseen, edited_view(20, 0)]).ok  # those that show it count
     view = edited_view(20, 0)
     inverted = np.where(view.mask[..., None], 1.3 - view.photo, view.photo)
-    assert "content SSIM" in judged_edit([Seen("v", inverted, view.photo, view.mask)]).why
+    assert "content SSIM" in judge_edit([ViewPair("v", inverted, view.photo, view.mask)]).why
     broken = view.render.copy()
     broken[0, 0] = np.nan
-    verdict = judged_edit([Seen("v", broken, view.photo, view.mask)])
+    verdict = judge_edit([ViewPair("v", broken, view.photo, view.mask)])
     assert not verdict.ok and verdict.score is None
 
 
@@ -211,7 +211,7 @@ def test_page_and_tables_tell_the_same(tmp_path):
     page = build_page(cells, heat_map(cells), {"side": 24}, [("views-8", "too few")], None, tmp_path)
     assert page.count("<svg") == 1 and "<script" not in page and page.count("data:image/png") == 1
     assert "2 of 4" in page and "too far off" in page and "too few" in page and "side 24" in page
-    assert all(escape(fault.told) in page for fault in FAULTS.values())
+    assert all(escape(fault.description) in page for fault in FAULTS.values())
     # The criteria are those that judge: of a stylization no SSIM (decision 0037).
     asked = page[page.index("A stylization succeeds") : page.index("A local edit succeeds")]
     assert "the share that a straight line from the render’s luma explains" in asked and "SSIM" not in asked
@@ -257,11 +257,11 @@ def test_weights_and_paintings_count_where_both_have_methods_that_see_one(tmp_pa
         write_baseline(path, cells_of(five(5, 20.0)), made)
         for conditions in fitting:
             assert len(read_baseline(path, conditions)) == 1
-    with pytest.raises(UsageError, match="features 'a', now 'b', paintings 1, now 2; give the same"):
+    with pytest.raises(UsageError, match="features 'a', now 'b', paintings 1, now 2; use the same"):
         read_baseline(path, other)
     write_baseline(path, cells_of(five(5, 20.0)), {"seeds": 5, "features": "a"})  # of before paintings were told
     assert len(read_baseline(path, fits)) == 1
-    with pytest.raises(UsageError, match="paintings not told"):
+    with pytest.raises(UsageError, match="paintings missing"):
         read_baseline(path, mixed)
 
 
@@ -269,8 +269,8 @@ def test_runs_that_all_break_are_worse_than_runs_that_fail():
     broken = [outcome(seed=seed, score=None, ok=False) for seed in range(5)]
     failing, none = cells_of(five(0, 5.0)), cells_of(broken)
     before = [[asdict(cell) for cell in cells] for cells in (failing, none)]
-    assert compared(before[0], none).worse == ["fit under seeds: median score of no run, was 5.000"]
-    assert compared(before[1], failing).better == ["fit under seeds: median score 5.000, was of no run"]
+    assert compared(before[0], none).worse == ["fit under seeds: median score missing, was 5.000"]
+    assert compared(before[1], failing).better == ["fit under seeds: median score 5.000, was missing"]
     same = compared(before[1], none)
     assert same.worse == same.better == [] and same.matched == 1
 
@@ -283,7 +283,7 @@ def test_cells_that_lack_runs_are_not_compared_nor_kept(tmp_path):
     assert held.worse == held.better == [] and held.matched == 0
     assert held.unmatched[1:] == ["fit under seeds: number of runs 1, was 5"]
     kept = path.read_bytes()
-    with pytest.raises(UsageError, match="fit under seeds has 1 of 5 runs; run the same without --only"):
+    with pytest.raises(UsageError, match="fit under seeds has 1 of 5 runs; rerun without --only"):
         write_baseline(path, part, conditions)
     assert path.read_bytes() == kept
 
@@ -304,7 +304,7 @@ def test_other_conditions_and_files_that_are_none_are_refused(tmp_path):
     write_baseline(path, cells_of(five(5, 20.0)), conditions)
     with pytest.raises(UsageError, match="budget '10', now '20'"):
         read_baseline(path, conditions | {"budget": "20"})
-    with pytest.raises(UsageError, match="other conditions: criteria not told; give the same, or write it anew"):
+    with pytest.raises(UsageError, match="other conditions: criteria missing; use the same, or write a new one"):
         read_baseline(path, conditions | {"criteria": 3})  # of before it was kept
     content = json.loads(path.read_text())
     for spoiled in (
@@ -330,17 +330,17 @@ def test_other_conditions_and_files_that_are_none_are_refused(tmp_path):
 
 def test_an_outcome_stands_under_its_key_alone(tmp_path):
     one = outcome(seed=3, score=None, ok=False, figures={"psnr": 1.5})
-    keep_outcome(tmp_path, one)
+    save_outcome(tmp_path, one)
     assert one.name == "fit--seeds--3--k"
-    assert kept_outcome(tmp_path, one.name, "k") == one
+    assert load_outcome(tmp_path, one.name, "k") == one
     other = outcome(seed=3, key="another", score=1.0)
-    keep_outcome(tmp_path, other)
-    assert kept_outcome(tmp_path, one.name, "k") == one and kept_outcome(tmp_path, other.name, "another") == other
+    save_outcome(tmp_path, other)
+    assert load_outcome(tmp_path, one.name, "k") == one and load_outcome(tmp_path, other.name, "another") == other
     (tmp_path / "runs" / f"{other.name}.json").rename(tmp_path / "runs" / "fit--seeds--3.json")  # as before
-    assert kept_outcome(tmp_path, other.name, "another") == other
-    assert kept_outcome(tmp_path, one.name, "third") is None and kept_outcome(tmp_path, "none", "k") is None
+    assert load_outcome(tmp_path, other.name, "another") == other
+    assert load_outcome(tmp_path, one.name, "third") is None and load_outcome(tmp_path, "none", "k") is None
     (tmp_path / "runs" / f"{one.name}.json").write_text('{"key": "k"}')
-    assert kept_outcome(tmp_path, one.name, "k") is None
+    assert load_outcome(tmp_path, one.name, "k") is None
 
 
 def test_options_choose_and_refuse():
@@ -358,7 +358,7 @@ def test_options_choose_and_refuse():
     assert not facing["fit"] & {STYLE, PALETTE} and facing["arf"] == facing["laenerf-paint"] == {"scene", "made", STYLE}
     assert facing["laenerf-recolor"] == facing["palettenerf"] == {"scene", "made", PALETTE}
     assert not METHODS["palettenerf"].faces(FAULTS["palette-random"])
-    assert all("{" not in fault.told for fault in FAULTS.values())
+    assert all("{" not in fault.description for fault in FAULTS.values())
 
 
 def test_what_a_mask_hides_in_a_capture_judges_no_method(monkeypatch):
@@ -371,7 +371,7 @@ def test_what_a_mask_hides_in_a_capture_judges_no_method(monkeypatch):
     monkeypatch.setattr(test_views, "load_scene", lambda artifact: data)
     for field, hidden in ((wall_in_front(0.02), True), (field_of(SPACES["box"], 1), False)):
         monkeypatch.setattr(test_views, "load_field", lambda artifact, field=field: (field, "none"))
-        (view,) = test_views.seen_from_tests(None, None, 1)
+        (view,) = test_views.view_pairs(None, None, 1)
         assert (view.mask is None) == hidden
         left = view.render if hidden else np.zeros_like(view.render)
         np.testing.assert_allclose(view.photo[:, :8], left[:, :8], atol=1e-6)

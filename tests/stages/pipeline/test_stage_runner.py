@@ -1,0 +1,80 @@
+"""How requested stages and prerequisites are run, reused, announced and refused."""
+
+import queue
+from types import SimpleNamespace
+
+import pytest
+
+from schemas.errors import ArtifactStale, UsageError
+from schemas.work_folder import WorkFolder
+from stages.pipeline.distributed import agree
+from stages.pipeline.stage_runner import DefaultOptions, Machine, Request, StageRunner
+from stages.run.progress import Silent
+from stages.run.runner import Spec
+from stylerf.training.common.process_group import ALONE
+from tests.stages import toy_stage
+from tests.stages.toy_stage import ToyConfig
+
+UPSTREAM = Spec("pose_import", "import", 1, "scene")
+
+
+class Heard(Silent):
+    def __init__(self) -> None:
+        self.lines: list[str] = []
+
+    def say(self, text: str) -> None:
+        self.lines.append(text)
+
+
+def runner(folder, seed: int = 0, only: bool = False) -> StageRunner:
+    machine = Machine("cpu", 1, 0)
+    return StageRunner(WorkFolder(folder), seed, machine, Heard(), ALONE, DefaultOptions(), only)
+
+
+def test_prerequisites_are_announced_made_once_and_never_renamed(tmp_path):
+    for request in (Request(), Request("den", force=True)):
+        stages = runner(tmp_path)
+        scene = stages.run(UPSTREAM, toy_stage.run, {}, ToyConfig(steps=3), "fox")
+        field = stages.run(toy_stage.SPEC, toy_stage.run, {"scene": scene}, ToyConfig(), "fox", request)
+        assert (scene.name, field.name) == ("fox", request.name or "fox")
+        announced = any("running `stylerf import` first" in line for line in stages.progress.lines)
+        assert announced == (not request.force)
+    stages = runner(tmp_path)
+    stages.run(toy_stage.SPEC, toy_stage.run, {"scene": scene}, ToyConfig(), "fox", Request())
+    assert stages.progress.lines == ["field fox is up to date (--force rebuilds it)"]
+
+
+def test_a_name_that_no_artifact_can_have_is_refused_at_once():
+    with pytest.raises(UsageError, match="cannot name an artifact"):
+        Request("../fox")
+
+
+def test_only_refuses_missing_prerequisites_with_their_command(tmp_path):
+    with pytest.raises(ArtifactStale, match=f"stylerf import {tmp_path}"):
+        runner(tmp_path, only=True).run(UPSTREAM, toy_stage.run, {}, ToyConfig(), "fox")
+    assert not list(tmp_path.iterdir())
+    runner(tmp_path).run(UPSTREAM, toy_stage.run, {}, ToyConfig(), "fox")
+    stages = runner(tmp_path, only=True)
+    stages.run(UPSTREAM, toy_stage.run, {}, ToyConfig(), "fox")
+    stages.run(toy_stage.SPEC, toy_stage.run, {}, ToyConfig(), "fox", Request())
+    assert [one.kind for one in stages.work.artifacts()] == ["scene", "field"]
+
+
+def test_only_names_options_seed_and_a_quoted_folder(tmp_path):
+    stages = runner(tmp_path / "a folder", seed=7, only=True)
+    with pytest.raises(ArtifactStale) as caught:
+        stages.run(UPSTREAM, toy_stage.run, {}, ToyConfig(steps=3), "fox", by=("--of", "den"))
+    folder = f"'{tmp_path}/a folder'"
+    assert str(caught.value).endswith(f"run: stylerf import {folder} --name fox --of den --steps 3 --seed 7")
+
+
+def test_several_processes_use_what_the_first_one_finds():
+    """Here the second looks after the first has made what it did not find."""
+    told = queue.SimpleQueue()
+    first = SimpleNamespace(count=2, first=True, tell=lambda text: told.put(text) or text)
+    second = SimpleNamespace(count=2, first=False, tell=lambda text: told.get_nowait())
+    assert agree(first, lambda: "") == ""
+    assert agree(second, lambda: "fox") == ""
+    assert agree(first, lambda: "fox") == "fox"
+    assert agree(second, lambda: "") == "fox"
+    assert agree(ALONE, lambda: "den") == "den"
