@@ -24,7 +24,7 @@ from stylerf_cli.main import main
 
 DEMO = ["--size", "48", "--train-views", "16", "--test-views", "2", "--fit-budget", "250", "--style-budget", "2",
         "--frames", "2", "--method", "arf"]  # fmt: skip
-QUICK = ["--palette-steps", "60", "--pruned-steps", "20", "--colors", "4", "--most-colors", "3"]
+QUICK = ["--palette-steps", "60", "--pruned-steps", "20", "--colors", "4", "--max-colors", "3"]
 
 
 def said(capsys, *arguments: object) -> dict:
@@ -501,7 +501,7 @@ def test_learning_distilling_and_tuning_run_on_a_gpus_kernels(edited, capsys, mo
         monkeypatch.setattr(stage, "gpu_of", lambda context, field=None: "cpu")
     work, small = (
         WorkFolder(edited),
-        ["--palette-steps", "3", "--pruned-steps", "2", "--colors", "4", "--most-colors", "3"],
+        ["--palette-steps", "3", "--pruned-steps", "2", "--colors", "4", "--max-colors", "3"],
     )
     asked = ["--region", "ball", "--recolor", "--palette", "0=#10e020", "--name", "there"]
     said(capsys, "stylize", edited, *asked, *small)
