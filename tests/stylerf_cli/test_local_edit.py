@@ -220,12 +220,12 @@ def test_options_of_extract_and_distill_reach_the_edit(edited, capsys, tmp_path)
     assert "scene sharp" in made_from("field", "near") and not (copy / "scene" / "near").exists()
     # A table of an option file says otherwise, and so does `edit`, whose own these stages are.
     options = tmp_path / "options.toml"
-    options.write_text("[extract]\ntolerance = 0.4\n[distill]\nleast = 0.6\n")
+    options.write_text("[extract]\ntolerance = 0.4\n[distill]\nmin_opacity = 0.6\n")
     said(capsys, "stylize", copy, "--region", "ball", "--recolor", "--name", "wide", "--config", options, *QUICK)
     said(capsys, "finetune", copy, "--edit", "wide", "--config", options, *short)
     assert made_from("edit", "wide") == {"edit-dataset ball"} and "scene wide" in made_from("field", "wide")
     assert work.get("edit-dataset", "ball").manifest.config["tolerance"] == 0.4
-    assert work.get("scene", "wide").manifest.config["least"] == 0.6
+    assert work.get("scene", "wide").manifest.config["min_opacity"] == 0.6
 
 
 def test_a_second_edit_of_the_edited_field_keeps_the_first_and_either_can_be_gone_back_to(edited, middle, capsys):
